@@ -1,0 +1,305 @@
+// Python module tauext._core: checks shapes and forwards. The interpreter lock is released in every call over many samples.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <optional>
+
+#include "lstm_gradient.hpp"
+#include "tauext/bundle.hpp"
+
+namespace nb = nanobind;
+using namespace tauext;
+
+namespace {
+
+template <class T, int Dim>
+using Array = nb::ndarray<const T, nb::numpy, nb::ndim<Dim>, nb::c_contig, nb::device::cpu>;
+
+template <class T>
+std::span<const T> span_of(const Array<T, 1>& a) {
+  return {a.data(), a.shape(0)};
+}
+
+// Hands a vector over to NumPy without a copy.
+template <class T>
+nb::ndarray<nb::numpy, T> to_numpy(std::vector<T>&& values, std::initializer_list<std::size_t> shape) {
+  auto* owned = new std::vector<T>(std::move(values));
+  nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
+  return nb::ndarray<nb::numpy, T>(owned->data(), shape, owner);
+}
+
+RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
+                   const Array<double, 2>& tau) {
+  const auto N = t_ns.shape(0), n = q.shape(1);
+  if (n < 1 || n > kMaxJoints) throw Error("recordings have 1 to 32 joints, not " + std::to_string(n));
+  for (const Array<double, 2>* signal : {&q, &dq, &tau})
+    if (signal->shape(0) != N || signal->shape(1) != n)
+      throw Error("q, dq and tau must have the shape (" + std::to_string(N) + ", " + std::to_string(n) + ")");
+  return {static_cast<std::int64_t>(N), static_cast<int>(n), t_ns.data(), q.data(), dq.data(), tau.data()};
+}
+
+// The rows from which windows are read; `inputs` is kept alive beside them.
+struct PythonWindows {
+  std::vector<LstmInput> inputs;
+  WindowRows rows;
+
+  PythonWindows(const Array<float, 2>& features, int stride, int length, const std::vector<std::pair<int, int>>& map) {
+    for (const auto& [column, lag] : map) inputs.push_back({column, lag});
+    rows = {features.data(), static_cast<std::int64_t>(features.shape(0)), static_cast<int>(features.shape(1)), stride,
+            length, inputs};
+  }
+};
+
+std::vector<std::pair<int, int>> input_pairs(const std::vector<LstmInput>& inputs) {
+  std::vector<std::pair<int, int>> pairs;
+  for (const LstmInput& input : inputs) pairs.emplace_back(input.column, input.lag);
+  return pairs;
+}
+
+template <class T>
+void bind_list(nb::class_<Bundle>& cls, const char* name, std::vector<T> Bundle::*member) {
+  cls.def_prop_rw(
+      name, [member](const Bundle& b) { return b.*member; },
+      [member](Bundle& b, std::vector<T> values) { b.*member = std::move(values); });
+}
+
+void bind_tree(nb::module_& m) {
+  nb::enum_<JointType>(m, "JointType").value("revolute", JointType::revolute).value("prismatic", JointType::prismatic);
+  nb::class_<Link>(m, "Link", "One moving link and the joint that carries it; the joint axis is the link frame's +z.")
+      .def(nb::init<>())
+      .def_rw("joint_name", &Link::joint_name)
+      .def_rw("parent", &Link::parent)
+      .def_rw("type", &Link::type)
+      .def_rw("rotation", &Link::rotation)
+      .def_rw("translation", &Link::translation)
+      .def_rw("mass", &Link::mass)
+      .def_rw("com", &Link::com)
+      .def_rw("inertia", &Link::inertia)
+      .def_rw("rotor_inertia", &Link::rotor_inertia);
+  nb::class_<Tree>(m, "Tree", "Kinematic tree of 1 to 32 moving joints in topological order.")
+      .def(nb::init<std::vector<Link>, std::array<double, 3>>(), nb::arg("links"), nb::arg("gravity"))
+      .def_prop_ro("size", &Tree::size)
+      .def_prop_ro("links", [](const Tree& t) { return t.links(); })
+      .def_prop_ro("gravity", &Tree::gravity)
+      .def(
+          "momentum",
+          [](const Tree& tree, const Array<double, 2>& q, const Array<double, 2>& dq) {
+            const std::size_t N = q.shape(0), n = static_cast<std::size_t>(tree.size());
+            if (q.shape(1) != n || dq.shape(1) != n || dq.shape(0) != N)
+              throw Error("q and dq must have the shape (samples, " + std::to_string(n) + ")");
+            std::vector<double> p(N * n), beta(N * n);
+            {
+              nb::gil_scoped_release released;
+              for (std::size_t k = 0; k < N; ++k)
+                tree.momentum(std::span(q.data() + k * n, n), std::span(dq.data() + k * n, n),
+                              std::span(p).subspan(k * n, n), std::span(beta).subspan(k * n, n));
+            }
+            return nb::make_tuple(to_numpy(std::move(p), {N, n}), to_numpy(std::move(beta), {N, n}));
+          },
+          nb::arg("q"), nb::arg("dq"),
+          "Generalised momentum p = M dq [N m s] and beta = g - C^T dq [N m] of states (samples, n).");
+}
+
+void bind_observer(nb::module_& m) {
+  nb::enum_<TorqueTiming>(m, "TorqueTiming")
+      .value("held", TorqueTiming::held)
+      .value("instant", TorqueTiming::instant)
+      .value("averaged", TorqueTiming::averaged);
+  nb::class_<ObserverSettings>(m, "ObserverSettings", "Gain K0 [1/s], torque timing, sample period, network stride.")
+      .def(
+          "__init__",
+          [](ObserverSettings* s, double gain_per_s, TorqueTiming timing, std::int64_t sample_period_ns,
+             int network_stride) { new (s) ObserverSettings{gain_per_s, timing, sample_period_ns, network_stride}; },
+          nb::kw_only(), nb::arg("gain_per_s"), nb::arg("timing"), nb::arg("sample_period_ns"),
+          nb::arg("network_stride"))
+      .def_ro("gain_per_s", &ObserverSettings::gain_per_s)
+      .def_ro("timing", &ObserverSettings::timing)
+      .def_ro("sample_period_ns", &ObserverSettings::sample_period_ns)
+      .def_ro("network_stride", &ObserverSettings::network_stride);
+  nb::class_<Observation>(m, "Observation", "Residuals of a recording and where its samples stand on the regular clock.")
+      .def_ro("row_count", &Observation::row_count)
+      .def_ro("held_rows", &Observation::held_rows)
+      .def_ro("restarts", &Observation::restarts)
+      .def_prop_ro(
+          "residual",
+          [](Observation& o) {
+            const std::size_t N = o.row.size();
+            return nb::ndarray<nb::numpy, double>(o.residual.data(), {N, N ? o.residual.size() / N : 0}, nb::handle());
+          },
+          nb::rv_policy::reference_internal)
+      .def_prop_ro(
+          "row", [](Observation& o) { return nb::ndarray<nb::numpy, std::int64_t>(o.row.data(), {o.row.size()}, nb::handle()); },
+          nb::rv_policy::reference_internal)
+      .def_prop_ro(
+          "stretch_begin",
+          [](Observation& o) {
+            return nb::ndarray<nb::numpy, std::int64_t>(o.stretch_begin.data(), {o.row.size()}, nb::handle());
+          },
+          nb::rv_policy::reference_internal)
+      .def_prop_ro(
+          "warm",
+          [](Observation& o) { return nb::ndarray<nb::numpy, std::uint8_t>(o.warm.data(), {o.row.size()}, nb::handle()); },
+          nb::rv_policy::reference_internal);
+  m.def(
+      "observe",
+      [](const Tree& tree, const ObserverSettings& settings, const Array<std::int64_t, 1>& t_ns,
+         const Array<double, 2>& q, const Array<double, 2>& dq, const Array<double, 2>& tau) {
+        const RecordingView recording = view(t_ns, q, dq, tau);
+        nb::gil_scoped_release released;
+        return observe(tree, settings, recording);
+      },
+      nb::arg("tree"), nb::arg("settings"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"));
+  m.def(
+      "feature_rows",
+      [](const Observation& observation, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q,
+         const Array<double, 2>& dq, const Array<double, 2>& tau, const Array<float, 1>& factors) {
+        const RecordingView recording = view(t_ns, q, dq, tau);
+        if (observation.row.size() != t_ns.shape(0)) throw Error("the observation is of another recording");
+        return to_numpy(feature_rows(recording, observation, span_of(factors)),
+                        {static_cast<std::size_t>(observation.row_count), 2 * static_cast<std::size_t>(recording.joints)});
+      },
+      nb::arg("observation"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("factors"));
+}
+
+void bind_lstm(nb::module_& m) {
+  nb::class_<LstmShape>(m, "LstmShape", "Sizes of the network; parameters are W_x, W_h, b, W_head, b_head, gates i f g o.")
+      .def(
+          "__init__",
+          [](LstmShape* s, int inputs, int hidden, int outputs) {
+            LstmShape shape{inputs, hidden, outputs};
+            shape.validate();
+            new (s) LstmShape(shape);
+          },
+          nb::arg("inputs"), nb::arg("hidden"), nb::arg("outputs"))
+      .def_ro("inputs", &LstmShape::inputs)
+      .def_ro("hidden", &LstmShape::hidden)
+      .def_ro("outputs", &LstmShape::outputs)
+      .def_prop_ro("parameter_count", &LstmShape::parameter_count);
+  m.def(
+      "lstm_forward",
+      [](const LstmShape& shape, const Array<float, 1>& parameters, const Array<float, 2>& rows, int stride, int length,
+         const std::vector<std::pair<int, int>>& inputs, const Array<std::int64_t, 1>& ends, int threads) {
+        const PythonWindows windows(rows, stride, length, inputs);
+        std::vector<float> out(ends.shape(0) * shape.outputs);
+        {
+          nb::gil_scoped_release released;
+          lstm_forward(shape, span_of(parameters), windows.rows, span_of(ends), out, threads);
+        }
+        return to_numpy(std::move(out), {ends.shape(0), static_cast<std::size_t>(shape.outputs)});
+      },
+      nb::arg("shape"), nb::arg("parameters"), nb::arg("rows"), nb::arg("stride"), nb::arg("length"), nb::arg("inputs"),
+      nb::arg("ends"), nb::arg("threads"), "Output of the windows that end at `ends`: (ends, outputs), scaled units.");
+  m.def(
+      "lstm_gradient",
+      [](const LstmShape& shape, const Array<float, 1>& parameters, const Array<float, 2>& rows, int stride, int length,
+         const std::vector<std::pair<int, int>>& inputs, const Array<std::int64_t, 1>& ends,
+         const Array<float, 2>& targets, int threads) {
+        const PythonWindows windows(rows, stride, length, inputs);
+        if (targets.shape(1) != static_cast<std::size_t>(shape.outputs))
+          throw Error("targets must have the shape (windows, " + std::to_string(shape.outputs) + ")");
+        std::vector<float> gradient(shape.parameter_count());
+        double loss;
+        {
+          nb::gil_scoped_release released;
+          loss = learn::lstm_gradient(shape, span_of(parameters), windows.rows, span_of(ends),
+                                      {targets.data(), targets.size()}, gradient, threads);
+        }
+        return nb::make_tuple(loss, to_numpy(std::move(gradient), {shape.parameter_count()}));
+      },
+      nb::arg("shape"), nb::arg("parameters"), nb::arg("rows"), nb::arg("stride"), nb::arg("length"), nb::arg("inputs"),
+      nb::arg("ends"), nb::arg("targets"), nb::arg("threads"), "Mean squared error and its gradient.");
+  m.def(
+      "lstm_activations",
+      [](const Array<float, 1>& x) {
+        const std::size_t N = x.shape(0);
+        std::vector<float> sigmoid(N), tangent(N);
+        lstm_activations(span_of(x), sigmoid, tangent);
+        return nb::make_tuple(to_numpy(std::move(sigmoid), {N}), to_numpy(std::move(tangent), {N}));
+      },
+      nb::arg("x"), "sigmoid(x) and tanh(x) as the network computes them.");
+}
+
+void bind_bundle(nb::module_& m) {
+  nb::class_<Bundle> bundle(m, "Bundle", "Everything the chain needs to run, in one file.");
+  bundle.def(nb::init<>())
+      .def_rw("name", &Bundle::name)
+      .def_rw("provenance", &Bundle::provenance)
+      .def_rw("gravity", &Bundle::gravity)
+      .def_rw("observer", &Bundle::observer)
+      .def_rw("window_steps", &Bundle::window_steps)
+      .def_rw("shape", &Bundle::shape)
+      .def_prop_ro("joints", &Bundle::joints)
+      .def_prop_ro("has_network", &Bundle::has_network)
+      .def_prop_rw(
+          "inputs", [](const Bundle& b) { return input_pairs(b.inputs); },
+          [](Bundle& b, const std::vector<std::pair<int, int>>& pairs) {
+            b.inputs.clear();
+            for (const auto& [column, lag] : pairs) b.inputs.push_back({column, lag});
+          })
+      .def_prop_rw(
+          "near_stiction_rad_s", [](const Bundle& b) { return b.limits.near_stiction_rad_s; },
+          [](Bundle& b, double v) { b.limits.near_stiction_rad_s = v; })
+      .def_prop_rw(
+          "sliding_limit_nm", [](const Bundle& b) { return b.limits.sliding_nm; },
+          [](Bundle& b, std::vector<double> v) { b.limits.sliding_nm = std::move(v); })
+      .def_prop_rw(
+          "near_stiction_limit_nm", [](const Bundle& b) { return b.limits.near_stiction_nm; },
+          [](Bundle& b, std::vector<double> v) { b.limits.near_stiction_nm = std::move(v); })
+      .def(
+          "set_reference",
+          [](Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
+             const Array<double, 2>& tau) {
+            const RecordingView v = view(t_ns, q, dq, tau);
+            const auto cells = static_cast<std::size_t>(v.samples) * v.joints;
+            b.reference = {{v.t_ns, v.t_ns + v.samples}, {v.q, v.q + cells}, {v.dq, v.dq + cells},
+                           {v.tau, v.tau + cells},       {},                 {}};
+            answer_reference(b);
+          },
+          nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"),
+          "Keep this stretch of free motion and the chain's answer at its last sample, to be replayed at load.")
+      .def("save", [](const Bundle& b, const std::string& path) { save(b, path); }, nb::arg("path"))
+      .def_static("load", [](const std::string& path) { return load(path); }, nb::arg("path"));
+  bind_list(bundle, "links", &Bundle::links);
+  bind_list(bundle, "input_factors", &Bundle::input_factors);
+  bind_list(bundle, "parameters", &Bundle::parameters);
+  bind_list(bundle, "output_scale_nm", &Bundle::output_scale_nm);
+  m.def(
+      "estimate",
+      [](const Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
+         const Array<double, 2>& tau, int threads) {
+        const RecordingView recording = view(t_ns, q, dq, tau);
+        Estimates e;
+        {
+          nb::gil_scoped_release released;
+          e = estimate(b, recording, threads);
+        }
+        const std::size_t N = t_ns.shape(0), n = q.shape(1);
+        nb::dict out;
+        out["r"] = to_numpy(std::move(e.residual), {N, n});
+        out["network"] = to_numpy(std::move(e.network), {N, n});
+        out["tau_ext"] = to_numpy(std::move(e.tau_ext), {N, n});
+        out["limit_nm"] = to_numpy(std::move(e.limit_nm), {N, n});
+        out["near_stiction"] = to_numpy(std::move(e.near_stiction), {N, n});
+        out["healthy"] = to_numpy(std::move(e.healthy), {N});
+        out["detection"] = to_numpy(std::move(e.detection), {N});
+        return out;
+      },
+      nb::arg("bundle"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("threads"),
+      "The whole chain on a recording; see Estimates in bundle.hpp.");
+}
+
+}  // namespace
+
+NB_MODULE(_core, m) {
+  m.attr("__version__") = TAUEXT_VERSION;
+  m.attr("MAX_JOINTS") = kMaxJoints;
+  nb::exception<Error>(m, "CoreError");
+  bind_tree(m);
+  bind_observer(m);
+  bind_lstm(m);
+  bind_bundle(m);
+}

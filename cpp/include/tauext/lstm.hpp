@@ -1,0 +1,63 @@
+// Many-to-one LSTM with a linear head, evaluated on windows that are read in place.
+#pragma once
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "tauext/types.hpp"
+
+namespace tauext {
+
+// One layer. Parameters are one flat float array, in this order and with these shapes (row-major); gates stand in the
+// order i, f, g, o (input, forget, cell, output), H rows each:
+//   W_x (4H, inputs) | W_h (4H, H) | b (4H) | W_head (outputs, H) | b_head (outputs)
+struct LstmShape {
+  int inputs = 0, hidden = 0, outputs = 0;
+
+  std::size_t parameter_count() const noexcept {
+    const auto F = static_cast<std::size_t>(inputs), H = static_cast<std::size_t>(hidden),
+               O = static_cast<std::size_t>(outputs);
+    return 4 * H * (F + H + 1) + O * (H + 1);
+  }
+  // Throws Error where a size is not in 1..kMaxLstmInputs, 1..kMaxLstmHidden, 1..kMaxJoints.
+  void validate() const;
+};
+inline constexpr int kMaxLstmInputs = 512;
+inline constexpr int kMaxLstmHidden = 256;
+
+// Input f of a network step is column `column` of the row `lag` network steps before that step's row.
+struct LstmInput {
+  int column = 0;
+  int lag = 0;  // 0 or more network steps
+};
+
+// Rows of scaled features in time order, from which windows are read in place: a window of `length` network steps that
+// ends at row e takes the rows e - (length - 1) stride, ..., e - stride, e.
+struct WindowRows {
+  const float* rows = nullptr;  // (row_count, columns)
+  std::int64_t row_count = 0;
+  int columns = 0;
+  int stride = 1;  // rows per network step
+  int length = 0;  // network steps in a window
+  std::span<const LstmInput> inputs;
+
+  int largest_lag() const noexcept;
+  // Rows before its end that a window reaches back to.
+  std::int64_t reach() const noexcept {
+    return static_cast<std::int64_t>(length - 1 + largest_lag()) * stride;
+  }
+  // Throws Error where shape.inputs, a column, a lag or an end does not fit the rows.
+  void validate(const LstmShape& shape, std::span<const std::int64_t> ends) const;
+};
+
+// Output of the network on the window that ends at each row of `ends`: out (ends, outputs), scaled units.
+// Each window starts from zero state. Every window's arithmetic is the same wherever it stands in `ends`, so the result
+// does not depend on the batch or on `threads` (>= 1). Throws Error on sizes that do not fit.
+void lstm_forward(const LstmShape& shape, std::span<const float> parameters, const WindowRows& windows,
+                  std::span<const std::int64_t> ends, std::span<float> out, int threads);
+
+// sigmoid and tanh as the network computes them, for the test of their stated error: at most 5e-7 absolute.
+void lstm_activations(std::span<const float> x, std::span<float> sigmoid, std::span<float> tanh);
+
+}  // namespace tauext

@@ -1,0 +1,42 @@
+// First-order momentum observer: the disturbance torque on every joint without measuring acceleration.
+#pragma once
+#include <cstdint>
+#include <span>
+
+#include "tauext/types.hpp"
+
+namespace tauext {
+
+// dr/dt = K0 (tau_dist - r) [DeLuca2003], for steps of any length dt:
+//   d_k = (p_k - p_{k-1})/dt - mean over the step of (tau_m - beta),  a = exp(-K0 dt),  r_k = a r_{k-1} + (1 - a) d_k.
+// The mean of tau_m follows from what a torque sample means (TorqueTiming); that of beta is the trapezoid.
+// Sign: r is positive where the environment pushes the joint in its positive direction; friction and modelling error
+// of the estimated model stand in it with their own signs.
+// A constant push from rest gives r(t) = (1 - exp(-K0 t)) tau_ext at every sample, whatever the steps.
+class MomentumObserver {
+ public:
+  // gain_per_s: K0 > 0, [1/s]. Throws Error otherwise, or where joints is not 1 to kMaxJoints.
+  MomentumObserver(int joints, double gain_per_s, TorqueTiming timing);
+
+  // Forget everything: the next sample starts anew with r = 0.
+  void reset() noexcept { started_ = false; }
+
+  // One sample; residual [N m] is written. The first sample after a reset only starts the observer and gives zeros.
+  // Returns false, and changes nothing, where t_ns is not later than the last sample.
+  bool step(std::int64_t t_ns, std::span<const double> momentum, std::span<const double> beta,
+            std::span<const double> tau_m, std::span<double> residual) noexcept;
+
+  // Time since the start, [s]; r counts as warmed up after 10/K0.
+  double age_s() const noexcept { return started_ ? 1e-9 * static_cast<double>(t_ns_ - start_ns_) : 0.0; }
+  bool warm() const noexcept { return started_ && age_s() * gain_per_s_ >= 10.0; }
+
+ private:
+  int joints_;
+  double gain_per_s_;
+  TorqueTiming timing_;
+  bool started_ = false;
+  std::int64_t start_ns_ = 0, t_ns_ = 0;
+  JointVector momentum_{}, beta_{}, tau_m_{}, residual_{};
+};
+
+}  // namespace tauext

@@ -1,0 +1,50 @@
+// Kinematic tree and the one O(n) sweep that the momentum observer needs: p and beta, with no matrix.
+#pragma once
+#include <span>
+#include <string>
+#include <vector>
+
+#include "tauext/types.hpp"
+
+namespace tauext {
+
+enum class JointType : std::uint8_t { revolute, prismatic };
+
+// One moving link and the joint that carries it. The joint axis is the link frame's +z, its origin the frame's origin.
+struct Link {
+  std::string joint_name;
+  int parent = -1;  // index of the parent link, -1 for the base; always smaller than the link's own index
+  JointType type = JointType::revolute;
+  std::array<double, 9> rotation{};     // parent from link at q = 0, row-major
+  std::array<double, 3> translation{};  // joint origin in the parent's frame, [m]
+  double mass = 0;                      // [kg]
+  std::array<double, 3> com{};          // centre of mass in the link frame, [m]
+  std::array<double, 6> inertia{};      // about the centre of mass, link axes: xx, yy, zz, xy, xz, yz, [kg m^2]
+  double rotor_inertia = 0;             // motor inertia times gear ratio squared, [kg m^2] or [kg]
+};
+
+// A tree of 1 to kMaxJoints links in topological order. All masses zero is the "no model": p = beta = 0.
+class Tree {
+ public:
+  // gravity: acceleration of free fall in the base frame, [m/s^2], (0, 0, -9.81) for an upright base.
+  // Throws Error where a link is not finite, has negative mass, a rotation that is none, or a parent not before it.
+  Tree(std::vector<Link> links, std::array<double, 3> gravity);
+
+  // Generalised momentum p = M dq and beta = g - C^T dq = -dL/dq, with L = T - U.
+  // Outward: body velocities v_i; inward: composite momenta H_i and composite weights W_i;
+  // p_i = S_i . H_i + J_i dq_i, (C^T dq)_i = (v_parent x S_i) . H_i, g_i = -S_i . W_i.
+  // q [rad or m], dq [rad/s or m/s], p [N m s or N s], beta [N m or N]; every span holds size() values.
+  void momentum(std::span<const double> q, std::span<const double> dq, std::span<double> p,
+                std::span<double> beta) const noexcept;
+
+  int size() const noexcept { return static_cast<int>(links_.size()); }
+  const std::vector<Link>& links() const noexcept { return links_; }
+  const std::array<double, 3>& gravity() const noexcept { return gravity_; }
+
+ private:
+  std::vector<Link> links_;
+  std::array<double, 3> gravity_;
+  std::vector<double> subtree_mass_;  // of each link and all that it carries, [kg]
+};
+
+}  // namespace tauext

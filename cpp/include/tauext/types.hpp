@@ -1,0 +1,28 @@
+// Sizes, enumerations and the error type that every part of the core shares.
+#pragma once
+#include <array>
+#include <cstdint>
+#include <span>
+#include <stdexcept>
+#include <string>
+
+namespace tauext {
+
+inline constexpr int kMaxJoints = 32;
+
+using JointVector = std::array<double, kMaxJoints>;
+
+// What a torque sample means; getting it wrong puts a false residual of tenths to whole newton metres into the observer.
+enum class TorqueTiming : std::uint8_t {
+  held,      // acts from its stamp to the next one: a commanded torque
+  instant,   // a measurement at its stamp
+  averaged,  // the mean over the step that ends at its stamp
+};
+
+// Thrown by constructors and loaders only, never by anything that runs once a sample.
+class Error : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+}  // namespace tauext

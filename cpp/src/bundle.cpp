@@ -1,0 +1,293 @@
+// The file: "TAUEXT\r\n" | major u32 | minor u32 | payload bytes u64 | CRC-32 of the payload u32 | payload, little-endian.
+// The payload is the fields of Bundle in the order of fields() below, which both reads and writes them: numbers as they
+// are, a text or list as its length (u64) and its elements.
+#include "tauext/bundle.hpp"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstdio>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <type_traits>
+
+namespace tauext {
+namespace {
+
+static_assert(std::endian::native == std::endian::little, "bundles are little-endian");
+
+constexpr char kMagic[] = {'T', 'A', 'U', 'E', 'X', 'T', '\r', '\n'};
+constexpr std::size_t kHeaderBytes = sizeof kMagic + 4 + 4 + 8 + 4;
+constexpr std::uint32_t kMinor = 0;
+
+std::uint32_t crc32(std::span<const char> bytes) noexcept {  // the polynomial of zlib and Ethernet
+  std::uint32_t crc = 0xFFFFFFFFu;
+  for (char byte : bytes) {
+    crc ^= static_cast<unsigned char>(byte);
+    for (int bit = 0; bit < 8; ++bit) crc = (crc >> 1) ^ (0xEDB88320u & (0u - (crc & 1u)));
+  }
+  return ~crc;
+}
+
+class Writer {
+ public:
+  static constexpr bool reading = false;
+  std::vector<char> bytes;
+  void raw(const void* data, std::size_t size) {
+    const char* from = static_cast<const char*>(data);
+    bytes.insert(bytes.end(), from, from + size);
+  }
+  std::size_t length(std::size_t count, std::size_t) {
+    const std::uint64_t n = count;
+    raw(&n, sizeof n);
+    return count;
+  }
+};
+
+class Reader {
+ public:
+  static constexpr bool reading = true;
+  explicit Reader(std::span<const char> payload) : left_(payload) {}
+  void raw(void* data, std::size_t size) {
+    if (size > left_.size()) throw Error("it ends in the middle of its contents");
+    std::memcpy(data, left_.data(), size);
+    left_ = left_.subspan(size);
+  }
+  // A length is checked against what is left before anything is allocated.
+  std::size_t length(std::size_t, std::size_t element_bytes) {
+    std::uint64_t n;
+    raw(&n, sizeof n);
+    if (n > left_.size() / element_bytes) throw Error("a length in it is larger than the file");
+    return static_cast<std::size_t>(n);
+  }
+  bool done() const noexcept { return left_.empty(); }
+
+ private:
+  std::span<const char> left_;
+};
+
+template <class File, class T>
+  requires(std::is_arithmetic_v<T> || std::is_enum_v<T>)
+void field(File& file, T& value) {
+  file.raw(&value, sizeof value);
+}
+template <class File, class T, std::size_t N>
+void field(File& file, std::array<T, N>& values) {
+  file.raw(values.data(), sizeof values);
+}
+template <class File>
+void field(File& file, std::string& text) {
+  text.resize(file.length(text.size(), 1));
+  file.raw(text.data(), text.size());
+}
+template <class File>
+void field(File& file, LstmInput& input) {
+  field(file, input.column);
+  field(file, input.lag);
+}
+template <class File>
+void field(File& file, Link& link) {
+  field(file, link.joint_name);
+  field(file, link.parent);
+  field(file, link.type);
+  field(file, link.rotation);
+  field(file, link.translation);
+  field(file, link.mass);
+  field(file, link.com);
+  field(file, link.inertia);
+  field(file, link.rotor_inertia);
+}
+template <class File, class T>
+void field(File& file, std::vector<T>& list) {
+  constexpr std::size_t least_bytes = std::is_arithmetic_v<T> ? sizeof(T) : 8;
+  list.resize(file.length(list.size(), least_bytes));
+  for (T& element : list) field(file, element);
+}
+
+template <class File>
+void fields(File& file, Bundle& b) {
+  field(file, b.name);
+  field(file, b.provenance);
+  field(file, b.links);
+  field(file, b.gravity);
+  field(file, b.observer.gain_per_s);
+  field(file, b.observer.timing);
+  field(file, b.observer.sample_period_ns);
+  field(file, b.observer.network_stride);
+  field(file, b.window_steps);
+  field(file, b.inputs);
+  field(file, b.input_factors);
+  field(file, b.shape.inputs);
+  field(file, b.shape.hidden);
+  field(file, b.shape.outputs);
+  field(file, b.parameters);
+  field(file, b.output_scale_nm);
+  field(file, b.limits.near_stiction_rad_s);
+  field(file, b.limits.sliding_nm);
+  field(file, b.limits.near_stiction_nm);
+  field(file, b.reference.t_ns);
+  field(file, b.reference.q);
+  field(file, b.reference.dq);
+  field(file, b.reference.tau);
+  field(file, b.reference.residual);
+  field(file, b.reference.network);
+}
+
+template <class T>
+void expect_length(const char* what, const std::vector<T>& list, std::size_t expected) {
+  if (list.size() != expected)
+    throw Error(std::string(what) + " has " + std::to_string(list.size()) + " values where " +
+                std::to_string(expected) + " belong");
+}
+
+template <class T>
+void expect_finite(const char* what, const std::vector<T>& list) {
+  for (T value : list)
+    if (!std::isfinite(value)) throw Error(std::string(what) + " holds a value that is not finite");
+}
+
+template <class T>
+void expect_positive(const char* what, const std::vector<T>& list) {
+  for (T value : list)
+    if (!(value > 0) || !std::isfinite(value))
+      throw Error(std::string(what) + " = " + std::to_string(value) + " must be > 0");
+}
+
+// Residual and network at the reference's last sample.
+struct Answer {
+  std::vector<double> residual, network;
+};
+
+Answer replay(const Bundle& b) {
+  const Reference& ref = b.reference;
+  const RecordingView view{static_cast<std::int64_t>(ref.t_ns.size()), b.joints(), ref.t_ns.data(),
+                           ref.q.data(), ref.dq.data(), ref.tau.data()};
+  const Observation observation = observe(Tree(b.links, b.gravity), b.observer, view);
+  const std::size_t last = ref.t_ns.size() - 1, n = b.links.size();
+  Answer answer{{observation.residual.end() - static_cast<std::ptrdiff_t>(n), observation.residual.end()},
+                std::vector<double>(n, 0.0)};
+  if (b.has_network()) {
+    const std::vector<float> rows = feature_rows(view, observation, b.input_factors);
+    const WindowRows windows{rows.data(),    observation.row_count, 2 * b.joints(), b.observer.network_stride,
+                             b.window_steps, b.inputs};
+    std::vector<float> y(n);
+    lstm_forward(b.shape, b.parameters, windows, std::span(&observation.row[last], 1), y, 1);
+    for (std::size_t j = 0; j < n; ++j) answer.network[j] = b.output_scale_nm[j] * static_cast<double>(y[j]);
+  }
+  return answer;
+}
+
+void expect_reference(const Bundle& b) {
+  const Answer answer = replay(b);
+  double scale = 1.0;
+  for (const auto* list : {&b.reference.residual, &b.reference.network})
+    for (double value : *list) scale = std::max(scale, std::fabs(value));
+  for (std::size_t j = 0; j < b.links.size(); ++j) {
+    const double error = std::max(std::fabs(answer.residual[j] - b.reference.residual[j]),
+                                  std::fabs(answer.network[j] - b.reference.network[j]));
+    if (!(error <= kReferenceTolerance * scale))
+      throw Error("joint '" + b.links[j].joint_name + "': replaying its reference differs by " + std::to_string(error) +
+                  " N m, more than " + std::to_string(kReferenceTolerance * scale));
+  }
+}
+
+}  // namespace
+
+void Bundle::validate() const {
+  const Tree tree(links, gravity);
+  const auto n = links.size();
+  const MomentumObserver probe(tree.size(), observer.gain_per_s, observer.timing);
+  const SampleClock clock(observer.sample_period_ns, observer.network_stride);
+  if (observer.timing > TorqueTiming::averaged) throw Error("its torque timing is none of held, instant, averaged");
+  if (has_network()) {
+    shape.validate();
+    expect_length("shape.outputs", std::vector<char>(static_cast<std::size_t>(shape.outputs)), n);
+    expect_length("parameters", parameters, shape.parameter_count());
+    expect_finite("parameters", parameters);
+    expect_length("input_factors", input_factors, 2 * n);
+    expect_positive("input_factors", input_factors);
+    expect_length("output_scale_nm", output_scale_nm, n);
+    expect_positive("output_scale_nm", output_scale_nm);
+    if (window_steps < 1 || window_steps > 100000)
+      throw Error("window_steps = " + std::to_string(window_steps) + " must be 1 to 100000");
+    WindowRows windows{nullptr, 0, static_cast<int>(2 * n), observer.network_stride, window_steps, inputs};
+    windows.validate(shape, {});
+  }
+  expect_length("limits.sliding_nm", limits.sliding_nm, n);
+  expect_length("limits.near_stiction_nm", limits.near_stiction_nm, n);
+  expect_positive("limits.sliding_nm", limits.sliding_nm);
+  expect_positive("limits.near_stiction_nm", limits.near_stiction_nm);
+  if (!(limits.near_stiction_rad_s >= 0)) throw Error("limits.near_stiction_rad_s must be >= 0");
+  const auto samples = reference.t_ns.size();
+  if (samples == 0) throw Error("its reference is empty");
+  expect_length("reference.q", reference.q, samples * n);
+  expect_length("reference.dq", reference.dq, samples * n);
+  expect_length("reference.tau", reference.tau, samples * n);
+  expect_length("reference.residual", reference.residual, n);
+  expect_length("reference.network", reference.network, n);
+  expect_reference(*this);
+}
+
+void answer_reference(Bundle& bundle) {
+  Answer answer = replay(bundle);
+  bundle.reference.residual = std::move(answer.residual);
+  bundle.reference.network = std::move(answer.network);
+}
+
+void save(const Bundle& bundle, const std::string& path) {
+  bundle.validate();
+  Writer writer;
+  fields(writer, const_cast<Bundle&>(bundle));  // a Writer only reads
+  const std::uint32_t version[] = {kBundleMajor, kMinor};
+  const std::uint64_t size = writer.bytes.size();
+  const std::uint32_t crc = crc32(writer.bytes);
+  const std::string temporary = path + ".part";
+  {
+    std::ofstream file(temporary, std::ios::binary | std::ios::trunc);
+    file.write(kMagic, sizeof kMagic);
+    file.write(reinterpret_cast<const char*>(version), sizeof version);
+    file.write(reinterpret_cast<const char*>(&size), sizeof size);
+    file.write(reinterpret_cast<const char*>(&crc), sizeof crc);
+    file.write(writer.bytes.data(), static_cast<std::streamsize>(size));
+    file.flush();
+    if (!file) {
+      std::remove(temporary.c_str());
+      throw Error(path + ": cannot be written");
+    }
+  }
+  std::filesystem::rename(temporary, path);
+}
+
+Bundle load(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  if (!file) throw Error(path + ": cannot be opened");
+  const std::vector<char> bytes((std::istreambuf_iterator<char>(file)), {});
+  try {
+    if (bytes.size() < kHeaderBytes || std::memcmp(bytes.data(), kMagic, sizeof kMagic) != 0)
+      throw Error("it is not a tauext bundle");
+    std::uint32_t version[2], crc;
+    std::uint64_t size;
+    std::memcpy(version, bytes.data() + 8, 8);
+    std::memcpy(&size, bytes.data() + 16, 8);
+    std::memcpy(&crc, bytes.data() + 24, 4);
+    if (version[0] != kBundleMajor)
+      throw Error("its format is version " + std::to_string(version[0]) + ", this program reads version " +
+                  std::to_string(kBundleMajor));
+    const std::span<const char> payload = std::span(bytes).subspan(kHeaderBytes);
+    if (payload.size() != size)
+      throw Error("it is truncated or has something appended: " + std::to_string(payload.size()) + " bytes where " +
+                  std::to_string(size) + " belong");
+    if (crc32(payload) != crc) throw Error("its checksum does not match: it is damaged");
+    Reader reader(payload);
+    Bundle bundle;
+    fields(reader, bundle);
+    if (!reader.done()) throw Error("it has contents that this version does not know");
+    bundle.validate();
+    return bundle;
+  } catch (const Error& e) {
+    throw Error(path + ": " + e.what());
+  }
+}
+
+}  // namespace tauext

@@ -1,0 +1,165 @@
+#include "tauext/lstm.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "lstm_lanes.hpp"
+
+namespace tauext {
+
+void LstmShape::validate() const {
+  if (inputs < 1 || inputs > kMaxLstmInputs)
+    throw Error("an LSTM has 1 to " + std::to_string(kMaxLstmInputs) + " inputs, not " + std::to_string(inputs));
+  if (hidden < 1 || hidden > kMaxLstmHidden)
+    throw Error("an LSTM has 1 to " + std::to_string(kMaxLstmHidden) + " hidden units, not " + std::to_string(hidden));
+  if (outputs < 1 || outputs > kMaxJoints)
+    throw Error("an LSTM has 1 to " + std::to_string(kMaxJoints) + " outputs, not " + std::to_string(outputs));
+}
+
+int WindowRows::largest_lag() const noexcept {
+  int lag = 0;
+  for (const LstmInput& input : inputs) lag = std::max(lag, input.lag);
+  return lag;
+}
+
+void WindowRows::validate(const LstmShape& shape, std::span<const std::int64_t> ends) const {
+  if (columns < 1 || row_count < 0 || stride < 1 || length < 1)
+    throw Error("windows need at least one column, a stride and a length of at least 1");
+  if (static_cast<int>(inputs.size()) != shape.inputs)
+    throw Error("the network has " + std::to_string(shape.inputs) + " inputs, the windows " +
+                std::to_string(inputs.size()));
+  for (const LstmInput& input : inputs)
+    if (input.column < 0 || input.column >= columns || input.lag < 0)
+      throw Error("input column " + std::to_string(input.column) + " with lag " + std::to_string(input.lag) +
+                  " does not exist in rows of " + std::to_string(columns) + " columns");
+  const std::int64_t first = reach();
+  for (std::int64_t end : ends)
+    if (end < first || end >= row_count)
+      throw Error("a window cannot end at row " + std::to_string(end) + ": it reaches back " + std::to_string(first) +
+                  " rows and there are " + std::to_string(row_count));
+}
+
+namespace lanes {
+
+Packed::Packed(const LstmShape& shape, std::span<const float> parameters)
+    : inputs(shape.inputs), hidden(shape.hidden), padded(padded_hidden(shape.hidden)), outputs(shape.outputs) {
+  const int F = inputs, H = hidden, P = padded, K = F + P;
+  gates = make_buffer(static_cast<std::size_t>(P) * (K + 1) * 4);
+  recurrent = make_buffer(static_cast<std::size_t>(P) * 4 * P);
+  head = make_buffer(static_cast<std::size_t>(outputs) * (P + 1));
+  const float* w_x = parameters.data();
+  const float* w_h = w_x + static_cast<std::ptrdiff_t>(4) * H * F;
+  const float* b = w_h + static_cast<std::ptrdiff_t>(4) * H * H;
+  const float* w_head = b + 4 * H;
+  const float* b_head = w_head + static_cast<std::ptrdiff_t>(outputs) * H;
+  for (int u = 0; u < H; ++u)
+    for (int gate = 0; gate < 4; ++gate) {
+      float* block = gates.get() + static_cast<std::ptrdiff_t>(u / kUnits) * (K + 1) * kUnits * 4;
+      const int at = (u % kUnits) * 4 + gate, row = gate * H + u;
+      for (int k = 0; k < F; ++k) block[k * kUnits * 4 + at] = w_x[row * F + k];
+      for (int k = 0; k < H; ++k) block[(F + k) * kUnits * 4 + at] = w_h[row * H + k];
+      block[K * kUnits * 4 + at] = b[row];
+      for (int k = 0; k < H; ++k) recurrent[(u * 4 + gate) * P + k] = w_h[row * H + k];
+    }
+  for (int o = 0; o < outputs; ++o) {
+    for (int k = 0; k < H; ++k) head[o * (P + 1) + k] = w_head[o * H + k];
+    head[o * (P + 1) + P] = b_head[o];
+  }
+}
+
+int lane_count() noexcept {
+#if defined(__x86_64__)
+  static const int count = __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
+                                   __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq")
+                               ? 16
+                           : __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") ? 8
+                                                                                             : 4;
+  return count;
+#else
+  return 4;
+#endif
+}
+
+}  // namespace lanes
+
+namespace {
+
+using namespace lanes;
+
+constexpr int kWindowsPerChunk = 256;
+
+struct Forward {
+  const LstmShape& shape;
+  const Packed packed;
+  const WindowRows& windows;
+  std::span<const std::int64_t> ends;
+  std::span<float> out;
+};
+
+template <int L>
+TAUEXT_INLINE void forward_chunk(const Forward& job, int chunk) {
+  const Packed& w = job.packed;
+  const int F = w.inputs, P = w.padded, O = w.outputs;
+  const Buffer scratch = make_buffer(static_cast<std::size_t>(F + P + 4 * P + P + P) * L);
+  float* in = scratch.get();
+  float* h = in + F * L;
+  float* gates = h + P * L;
+  float* c = gates + 4 * P * L;
+  float* tanh_c = c + P * L;
+  const Buffer next_h = make_buffer(static_cast<std::size_t>(P) * L);
+  const auto first = static_cast<std::size_t>(chunk) * kWindowsPerChunk;
+  const std::size_t last = std::min(first + kWindowsPerChunk, job.ends.size());
+  for (std::size_t group = first; group < last; group += L) {
+    std::int64_t ends[L];
+    for (int l = 0; l < L; ++l) ends[l] = job.ends[std::min(group + l, last - 1)];
+    std::memset(h, 0, sizeof(float) * P * L);
+    std::memset(c, 0, sizeof(float) * P * L);
+    for (int t = 0; t < job.windows.length; ++t) {
+      gather<L>(job.windows, ends, t, in);
+      step<L>(w, in, c, gates, c, tanh_c, next_h.get());
+      std::memcpy(h, next_h.get(), sizeof(float) * P * L);
+    }
+    for (int o = 0; o < O; ++o) {
+      const V<L> y = head<L>(w, h, o);
+      for (int l = 0; l < L && group + l < last; ++l) job.out[(group + l) * O + o] = y[l];
+    }
+  }
+}
+
+TAUEXT_TARGET_16 void forward_16(const Forward& job, int chunk) { forward_chunk<16>(job, chunk); }
+TAUEXT_TARGET_8 void forward_8(const Forward& job, int chunk) { forward_chunk<8>(job, chunk); }
+void forward_4(const Forward& job, int chunk) { forward_chunk<4>(job, chunk); }
+
+void forward_any(int chunk, int, void* context) {
+  const auto& job = *static_cast<const Forward*>(context);
+  const int count = lane_count();
+  if (count == 16) return forward_16(job, chunk);
+  if (count == 8) return forward_8(job, chunk);
+  forward_4(job, chunk);
+}
+
+}  // namespace
+
+void lstm_forward(const LstmShape& shape, std::span<const float> parameters, const WindowRows& windows,
+                  std::span<const std::int64_t> ends, std::span<float> out, int threads) {
+  shape.validate();
+  windows.validate(shape, ends);
+  if (parameters.size() != shape.parameter_count())
+    throw Error("the network has " + std::to_string(shape.parameter_count()) + " parameters, not " +
+                std::to_string(parameters.size()));
+  if (out.size() != ends.size() * shape.outputs) throw Error("the output needs one row a window");
+  Forward job{shape, Packed(shape, parameters), windows, ends, out};
+  const int chunks = static_cast<int>((ends.size() + kWindowsPerChunk - 1) / kWindowsPerChunk);
+  parallel_chunks(chunks, threads, forward_any, &job);
+}
+
+void lstm_activations(std::span<const float> x, std::span<float> sigmoid, std::span<float> tanh) {
+  for (std::size_t k = 0; k < x.size(); ++k) {
+    V<4> i = splat<4>(x[k]), f = i, g = i, o = i;
+    activate_gates<4>(i, f, g, o);
+    sigmoid[k] = i[0];
+    tanh[k] = g[0];
+  }
+}
+
+}  // namespace tauext

@@ -1,0 +1,191 @@
+// The LSTM step on L windows at once, one window a SIMD lane; forward and gradient are both built from it.
+//
+// Vectors are the compiler's own (vector_size), so the same source becomes AVX-512, AVX2, SSE2 or NEON; every function
+// here is inlined into a wrapper that names its instruction set (TAUEXT_TARGET_*). No lambda: it would not inherit the
+// wrapper's instruction set.
+#pragma once
+#include <cstdint>
+#include <cstdlib>
+#include <cstring>
+#include <memory>
+#include <new>
+#include <vector>
+
+#include "tauext/lstm.hpp"
+
+
+#define TAUEXT_INLINE [[gnu::always_inline]] inline
+
+namespace tauext::lanes {
+
+template <int L>
+struct Types {
+  typedef float V __attribute__((vector_size(4 * L)));
+  typedef std::int32_t I __attribute__((vector_size(4 * L)));
+};
+template <int L>
+using V = typename Types<L>::V;
+
+inline constexpr std::size_t kAlignment = 64;
+inline constexpr int kUnits = 4;  // hidden units computed together: 16 accumulators, and the padding of H
+
+struct Free {
+  void operator()(float* p) const noexcept { std::free(p); }
+};
+using Buffer = std::unique_ptr<float[], Free>;
+
+// Zeroed, aligned for the widest vector.
+inline Buffer make_buffer(std::size_t floats) {
+  const std::size_t bytes = (floats * sizeof(float) + kAlignment - 1) / kAlignment * kAlignment;
+  void* memory = std::aligned_alloc(kAlignment, bytes ? bytes : kAlignment);
+  if (!memory) throw std::bad_alloc();
+  std::memset(memory, 0, bytes);
+  return Buffer(static_cast<float*>(memory));
+}
+
+inline int padded_hidden(int hidden) noexcept { return (hidden + kUnits - 1) / kUnits * kUnits; }
+
+// Weights in the order in which the step reads them. Padding units have zero weights, so they stay at zero and pass
+// nothing on.
+struct Packed {
+  int inputs, hidden, padded, outputs;
+  Buffer gates;      // [padded/kUnits][inputs + padded + 1][kUnits][4]: last row is the bias
+  Buffer recurrent;  // [padded (unit)][4][padded (k)]: W_h for the backward pass
+  Buffer head;       // [outputs][padded + 1]: last is the bias
+
+  Packed(const LstmShape& shape, std::span<const float> parameters);
+};
+
+template <int L>
+TAUEXT_INLINE V<L> splat(float x) noexcept {
+  return x - V<L>{};
+}
+template <int L>
+TAUEXT_INLINE V<L> load(const float* p) noexcept {
+  V<L> v;
+  __builtin_memcpy(&v, __builtin_assume_aligned(p, sizeof v), sizeof v);
+  return v;
+}
+template <int L>
+TAUEXT_INLINE void store(float* p, V<L> v) noexcept {
+  __builtin_memcpy(__builtin_assume_aligned(p, sizeof v), &v, sizeof v);
+}
+
+// 1 + exp(-x) with x clamped to +-20 (the activations' saturation error there is 2e-9), NaN kept.
+// 2^y = 2^n 2^f, f in [-1/2, 1/2]; the polynomial is the minimax of degree 6, relative error 2e-9.
+template <int L>
+TAUEXT_INLINE V<L> one_plus_exp_minus(V<L> x) noexcept {
+  using I = typename Types<L>::I;
+  const V<L> high = splat<L>(20.0f), low = splat<L>(-20.0f);
+  x = x > high ? high : x;
+  x = x < low ? low : x;
+  const V<L> y = x * -1.44269504f;
+  const V<L> magic = splat<L>(12582912.0f);  // 1.5 * 2^23: adding it rounds y to an integer in the low mantissa bits
+  const V<L> shifted = y + magic;
+  const V<L> f = y - (shifted - magic);
+  V<L> p = f * 0.0001534581242594868f + 0.0013399930903688073f;
+  p = p * f + 0.009618489071726799f;
+  p = p * f + 0.05550328642129898f;
+  p = p * f + 0.24022646248340607f;
+  p = p * f + 0.6931471824645996f;
+  p = p * f + 1.0f;
+  const I exponent = (I)shifted << 23;  // n, moved into the exponent; the magic bits fall off
+  return (V<L>)((I)p + exponent) + 1.0f;
+}
+
+// Gates of one unit: sigmoid(i), sigmoid(f), tanh(g), sigmoid(o) with a single division.
+template <int L>
+TAUEXT_INLINE void activate_gates(V<L>& i, V<L>& f, V<L>& g, V<L>& o) noexcept {
+  const V<L> a = one_plus_exp_minus<L>(i), b = one_plus_exp_minus<L>(f);
+  const V<L> c = one_plus_exp_minus<L>(g + g), d = one_plus_exp_minus<L>(o);
+  const V<L> ab = a * b, cd = c * d;
+  const V<L> r = 1.0f / (ab * cd);
+  const V<L> r_ab = r * cd, r_cd = r * ab;
+  i = r_ab * b;
+  f = r_ab * a;
+  g = (r_cd * d) * 2.0f - 1.0f;
+  o = r_cd * c;
+}
+
+template <int L>
+TAUEXT_INLINE V<L> tanh(V<L> x) noexcept {
+  return 2.0f / one_plus_exp_minus<L>(x + x) - 1.0f;
+}
+
+// in (inputs + padded) vectors: the step's inputs, then h of the step before. Writes gates (padded, 4), c (padded), the
+// tanh of the new c (padded) and the new h (padded). c_before may be c itself.
+template <int L>
+TAUEXT_INLINE void step(const Packed& w, const float* in, const float* c_before, float* gates, float* c, float* tanh_c,
+                        float* h) noexcept {
+  const int K = w.inputs + w.padded;
+  const float* weights = w.gates.get();
+  for (int u = 0; u < w.padded; u += kUnits) {
+    V<L> sum[kUnits][4];
+    const float* bias = weights + static_cast<std::ptrdiff_t>(K) * kUnits * 4;
+#pragma GCC unroll 16
+    for (int a = 0; a < kUnits * 4; ++a) sum[a / 4][a % 4] = splat<L>(bias[a]);
+    for (int k = 0; k < K; ++k) {
+      const V<L> x = load<L>(in + k * L);
+#pragma GCC unroll 16
+      for (int a = 0; a < kUnits * 4; ++a) sum[a / 4][a % 4] += x * weights[a];
+      weights += kUnits * 4;
+    }
+    weights += kUnits * 4;  // the bias row
+#pragma GCC unroll 4
+    for (int a = 0; a < kUnits; ++a) {
+      V<L> i = sum[a][0], f = sum[a][1], g = sum[a][2], o = sum[a][3];
+      activate_gates<L>(i, f, g, o);
+      const V<L> cell = f * load<L>(c_before + (u + a) * L) + i * g;
+      const V<L> t = tanh<L>(cell);
+      float* gate = gates + (u + a) * 4 * L;
+      store<L>(gate, i);
+      store<L>(gate + L, f);
+      store<L>(gate + 2 * L, g);
+      store<L>(gate + 3 * L, o);
+      store<L>(c + (u + a) * L, cell);
+      store<L>(tanh_c + (u + a) * L, t);
+      store<L>(h + (u + a) * L, o * t);
+    }
+  }
+}
+
+// Inputs of network step t of L windows into in (inputs, L).
+template <int L>
+TAUEXT_INLINE void gather(const WindowRows& windows, const std::int64_t* ends, int t, float* in) noexcept {
+  const std::int64_t back = static_cast<std::int64_t>(windows.length - 1 - t) * windows.stride;
+  const int F = static_cast<int>(windows.inputs.size());
+  for (int f = 0; f < F; ++f) {
+    const LstmInput input = windows.inputs[f];
+    const float* column = windows.rows + input.column;
+    const std::int64_t offset = back + static_cast<std::int64_t>(input.lag) * windows.stride;
+    for (int l = 0; l < L; ++l) in[f * L + l] = column[(ends[l] - offset) * windows.columns];
+  }
+}
+
+// Output o of the head for h (padded).
+template <int L>
+TAUEXT_INLINE V<L> head(const Packed& w, const float* h, int o) noexcept {
+  const float* weights = w.head.get() + static_cast<std::ptrdiff_t>(o) * (w.padded + 1);
+  V<L> sum = splat<L>(weights[w.padded]);
+  for (int k = 0; k < w.padded; ++k) sum += load<L>(h + k * L) * weights[k];
+  return sum;
+}
+
+// The widest instruction set of this machine: 16, 8 or 4 lanes.
+int lane_count() noexcept;
+
+// Runs body(chunk) for chunk = 0 .. chunks - 1 on `threads` threads, the caller's among them. Which thread takes which
+// chunk is left open: a chunk must write only what is its own. The first exception is thrown again here.
+void parallel_chunks(int chunks, int threads, void (*body)(int chunk, int thread, void* context), void* context);
+
+}  // namespace tauext::lanes
+
+// The instruction set of the wrapper around a 16- and an 8-lane instance; lane_count() chooses at run time. Explicit
+// wrappers rather than target_clones, because the number of lanes, and with it the register tiling, differs.
+#if defined(__x86_64__)
+#define TAUEXT_TARGET_16 [[gnu::target("arch=x86-64-v4")]]
+#define TAUEXT_TARGET_8 [[gnu::target("arch=x86-64-v3")]]
+#else
+#define TAUEXT_TARGET_16
+#define TAUEXT_TARGET_8
+#endif

@@ -1,0 +1,5 @@
+"""Limits, and the claims they support."""
+
+from tauext.calibrate.limits import Limits, paper_limits
+
+__all__ = ["Limits", "paper_limits"]

@@ -1,0 +1,45 @@
+"""A dataset folder as the commands see it: robot file, split, recordings loaded when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from tauext.data import Recording, Split, load, load_split
+from tauext.errors import ConfigError
+
+ROBOT_FILES = ("robot.xml", "robot.urdf")
+
+
+@dataclass(frozen=True)
+class Dataset:
+    folder: Path
+    split: Split
+
+    @classmethod
+    def open(cls, folder: Path) -> Dataset:
+        """Raise ConfigError where the folder is no dataset; says how to make one."""
+        if not folder.is_dir():
+            raise ConfigError(f"{folder}: there is no such dataset folder; `tauext simulate --out {folder}` makes one")
+        return cls(folder, load_split(folder))
+
+    def recordings(self, part: str) -> list[Recording]:
+        """All recordings of `train`, `validation`, `test` or `collisions`, in order."""
+        return [load(self.folder / name) for name in getattr(self.split, part)]
+
+    def loaders(self, part: str) -> list[Callable[[], Recording]]:
+        """The same, each loaded when called."""
+        return [partial(load, self.folder / name) for name in getattr(self.split, part)]
+
+    def robot_file(self, given: Path | None) -> Path:
+        """The robot file given, or the one in the folder."""
+        if given is not None:
+            if not given.is_file():
+                raise ConfigError(f"{given}: there is no such robot file; give a URDF or MJCF")
+            return given
+        for name in ROBOT_FILES:
+            if (self.folder / name).is_file():
+                return self.folder / name
+        raise ConfigError(f"{self.folder}: it holds no {' or '.join(ROBOT_FILES)}; give one with --robot")

@@ -1,0 +1,61 @@
+"""`tauext evaluate`: bundles on test free motion and on collisions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from tauext.cli.dataset import Dataset
+from tauext.errors import ConfigError
+
+
+def evaluate(data: Path, bundles: tuple[Path, ...], out: Path, seed: int = 0, threads: int = 0) -> None:
+    """Errors and false alarms on test free motion, collisions found and delays, and the estimates behind them.
+
+    Args:
+        data: dataset folder; its test and collision recordings are used.
+        bundles: bundles (*.tauext) to compare, named in the results by their file names.
+        out: results folder to write: results.json and estimates/.
+        seed: of the choice of the ten collisions.
+        threads: 0: one a core. The result does not depend on it.
+    """
+    for path in bundles:
+        if not path.is_file():
+            raise ConfigError(f"{path}: there is no such bundle; `tauext train` makes one")
+    names = [path.stem for path in bundles]
+    if len(set(names)) < len(names):
+        raise ConfigError(f"bundles must differ in their file names, not only in their folders: {', '.join(names)}")
+    evaluate_bundles(Dataset.open(data), dict(zip(names, bundles, strict=True)), out, seed, threads)
+    print(out / "results.json")
+
+
+def evaluate_bundles(
+    dataset: Dataset, bundles: Mapping[str, Path], out: Path, seed: int, threads: int, scale: str | None = None
+) -> None:
+    """Write results.json, estimates, run.json and wall times for bundles by the name of their case."""
+    import os
+    import time
+
+    from tauext import _core
+    from tauext import evaluate as evaluation
+    from tauext.cli.progress import ProgressBar
+    from tauext.cli.run_files import command_line, provenance, write_json
+
+    started = time.monotonic()
+    loaded = {name: _core.Bundle.load(str(path)) for name, path in bundles.items()}
+    with ProgressBar("evaluate") as bar:
+        results = evaluation.evaluate(
+            loaded,
+            dataset.loaders("test"),
+            dataset.loaders("collisions"),
+            out / "estimates",
+            seed,
+            threads or os.cpu_count() or 1,
+            lambda what, done, total: bar.update(done, total, "recordings"),
+        )
+    run = provenance("tauext evaluate", {"bundles": list(bundles)}, seed)
+    source = {"command": command_line(), "dataset": dataset.folder.name, "scale": scale}
+    keep = {key: run[key] for key in ("version", "seed", "machine")}
+    write_json(run, out / "run.json")
+    write_json({"evaluate_s": time.monotonic() - started}, out / "wall_time_s.json")
+    write_json({"format": 1, "provenance": source | keep} | results, out / "results.json")

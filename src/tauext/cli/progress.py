@@ -1,0 +1,53 @@
+"""A progress bar on a terminal, plain lines elsewhere; always on stderr, so that stdout stays clean."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+
+PLAIN_LINE_EVERY_S = 10.0
+
+
+class ProgressBar:
+    """One bar at a time: `with ProgressBar("train exact") as bar: bar.update(done, total, "loss 0.01")`."""
+
+    def __init__(self, title: str):
+        self._title = title
+        self._bar = self._task = None
+        self._started = self._last_line = time.monotonic()
+
+    def __enter__(self) -> ProgressBar:
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+            columns = (
+                TextColumn("{task.description}"),
+                BarColumn(),
+                TextColumn("{task.completed:.0f}/{task.total:.0f}  {task.fields[note]}"),
+                TimeElapsedColumn(),
+                TextColumn("left"),
+                TimeRemainingColumn(),
+            )
+            self._bar = Progress(*columns, console=Console(stderr=True))
+            self._task = self._bar.add_task(self._title, total=1, note="")
+            self._bar.start()
+        return self
+
+    def update(self, done: int, total: int, note: str = "") -> None:
+        """Show that `done` of `total` are done; on a plain stream at most a line every few seconds."""
+        if self._bar is not None:
+            self._bar.update(self._task, completed=done, total=total, note=note)
+            return
+        now = time.monotonic()
+        if done < total and now - self._last_line < PLAIN_LINE_EVERY_S:
+            return
+        self._last_line = now
+        elapsed = now - self._started
+        left = f", {elapsed / done * (total - done):.0f} s left" if 0 < done < total else ""
+        print(f"{self._title}: {done}/{total} {note}, {elapsed:.0f} s{left}", file=sys.stderr, flush=True)
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._bar is not None:
+            self._bar.stop()

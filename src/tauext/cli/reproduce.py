@@ -1,0 +1,30 @@
+"""`tauext reproduce`: the paper from beginning to end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from tauext.cli.train import CaseName
+
+
+def reproduce(
+    out: Path,
+    scale: Literal["smoke", "quick", "full"] = "quick",
+    cases: tuple[CaseName, ...] = ("exact", "mass", "com", "mass+com", "none"),
+    seed: int = 0,
+) -> None:
+    """Simulate, train five models, evaluate and report: the whole paper in one command.
+
+    What is finished is kept: the same command goes on where it was interrupted.
+
+    Args:
+        out: folder for data, bundles, results and report.
+        scale: smoke: seconds, numbers mean nothing. quick: minutes, the shape of every result. full: the paper's own
+            numbers, hours.
+        cases: model cases to train.
+        seed: of everything.
+    """
+    from tauext.reproduce import SCALES, reproduce_paper
+
+    print(reproduce_paper(out, scale, SCALES[scale], cases, seed))

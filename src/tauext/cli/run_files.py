@@ -1,0 +1,53 @@
+"""What a command writes beside its output: settings, versions and seed in run.json, wall times apart from it."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+from dataclasses import asdict, is_dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from tauext import __version__
+
+LIBRARIES = ("numpy", "mujoco", "pyarrow")
+
+
+def write_json(content: Any, path: Path) -> None:
+    """Write under a temporary name, then rename; numbers and order as they are, so the same content gives the same bytes."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
+    os.replace(part, path)
+
+
+def provenance(command: str, settings: Any, seed: int | None) -> dict:
+    """Which command, version, settings and seed made an output."""
+    plain = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else settings
+    return {
+        "command": command,
+        "version": __version__,
+        "seed": seed,
+        "settings": json.loads(json.dumps(plain, default=str)),
+        "python": platform.python_version(),
+        "libraries": {name: version(name) for name in LIBRARIES},
+        "machine": machine(),
+    }
+
+
+def machine() -> str:
+    """Processor, cores and system, as a reader of a benchmark wants them."""
+    processor = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        names = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
+        processor = names[0] if names else processor
+    return f"{processor}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}"
+
+
+def command_line() -> str:
+    """The command as typed, without the path of the program."""
+    return " ".join(["tauext", *sys.argv[1:]])

@@ -1,0 +1,100 @@
+"""`tauext show`: what is in a bundle or a recording."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from tauext.errors import ConfigError
+
+
+def show(file: Path, json_output: bool = False) -> None:
+    """Say what is in a bundle (*.tauext) or a recording (*.parquet).
+
+    Args:
+        file: bundle or recording.
+        json_output: print JSON for scripts.
+    """
+    if not file.is_file():
+        raise ConfigError(f"{file}: there is no such file; give a bundle (*.tauext) or a recording (*.parquet)")
+    if file.suffix == ".tauext":
+        content = describe_bundle(file)
+    elif file.suffix == ".parquet":
+        content = describe_recording(file)
+    else:
+        raise ConfigError(f"{file}: its name must end in .tauext (bundle) or .parquet (recording)")
+    if json_output:
+        print(json.dumps(content, indent=1))
+        return
+    width = max(map(len, content))
+    for key, value in content.items():
+        if isinstance(value, dict):
+            value = ", ".join(f"{k} {_text(v)}" for k, v in value.items())
+        print(f"{key:<{width}}  {_text(value)}")
+
+
+def describe_bundle(file: Path) -> dict:
+    """Plain content of a bundle; loading it also replays its reference."""
+    from tauext import _core
+
+    bundle = _core.Bundle.load(str(file))
+    names = [link.joint_name for link in bundle.links]
+    facts = json.loads(bundle.provenance)
+    period_s = bundle.observer.sample_period_ns * 1e-9
+    network_period_s = period_s * bundle.observer.network_stride
+    content = {
+        "bundle": bundle.name,
+        "joints": names,
+        "model": {
+            "masses [kg]": [link.mass for link in bundle.links],
+            "rotor inertias [kg m2]": [link.rotor_inertia for link in bundle.links],
+        },
+        "observer": {"gain [1/s]": bundle.observer.gain_per_s, "torque is": bundle.observer.timing.name},
+        "sample rate [Hz]": 1 / period_s,
+        "network": "none: the plain observer",
+        "limits sliding [Nm]": dict(zip(names, bundle.sliding_limit_nm, strict=True)),
+        "limits near stiction [Nm]": dict(zip(names, bundle.near_stiction_limit_nm, strict=True)),
+        "near stiction below [rad/s]": bundle.near_stiction_rad_s,
+        "reference": "replayed, equal",
+        "made by": {key: facts.get(key) for key in ("command", "version", "seed", "recipe", "case", "steps", "batch")},
+    }
+    if bundle.has_network:
+        content["network"] = {
+            "inputs": bundle.shape.inputs,
+            "hidden": bundle.shape.hidden,
+            "outputs": bundle.shape.outputs,
+            "parameters": bundle.shape.parameter_count,
+            "window": f"{bundle.window_steps} steps of {network_period_s * 1e3:g} ms",
+        }
+    return content
+
+
+def describe_recording(file: Path) -> dict:
+    """Plain content of a recording."""
+    from tauext.data import load
+
+    recording = load(file)
+    signals = [s for s in ("tau_jts", "tau_ext", "tau_ext_sensor", "q_des", "temperature", "contact", "contact_link")]
+    touched = "unknown" if recording.contact is None else f"{(recording.contact == 1).mean():.1%} of the samples"
+    return {
+        "recording": recording.name,
+        "joints": list(recording.joints),
+        "duration [s]": recording.duration_s,
+        "samples": recording.samples,
+        "rate [Hz]": recording.rate_hz,
+        "torque is": recording.torque_timing,
+        "also holds": [s for s in signals if getattr(recording, s) is not None],
+        "in contact": touched,
+        "largest |q| [rad]": dict(zip(recording.joints, abs(recording.q).max(axis=0).tolist(), strict=True)),
+        "largest |dq| [rad/s]": dict(zip(recording.joints, abs(recording.dq).max(axis=0).tolist(), strict=True)),
+        "largest |tau| [Nm]": dict(zip(recording.joints, abs(recording.tau).max(axis=0).tolist(), strict=True)),
+        "source": recording.source,
+    }
+
+
+def _text(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return ", ".join(_text(v) for v in value)
+    return str(value)

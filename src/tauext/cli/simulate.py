@@ -1,0 +1,33 @@
+"""`tauext simulate`: a dataset from the virtual rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tauext.config import require
+
+
+def simulate(out: Path, minutes: float = 90.0, collision_recordings: int = 10, seed: int = 0) -> None:
+    """Simulate the paper's rig: free motion and collisions, recorded at 1 kHz.
+
+    Args:
+        out: dataset folder to write: recordings, robot.xml, split.json.
+        minutes: free motion in all, cut in recordings of at most 90 s, at least 20 of them.
+        collision_recordings: recordings with about ten collisions each.
+        seed: of motions, noise and collisions.
+    """
+    from tauext.cli.progress import ProgressBar
+    from tauext.rig import RigConfig, simulate_dataset
+
+    require(minutes > 0, "minutes", minutes, "> 0")
+    require(collision_recordings >= 0, "collision_recordings", collision_recordings, ">= 0")
+    with ProgressBar("simulate") as bar:
+        simulate_dataset(
+            out,
+            RigConfig(),
+            seed,
+            minutes,
+            collision_recordings,
+            lambda what, done, total: bar.update(done, total, what),
+        )
+    print(out)

@@ -1,0 +1,114 @@
+"""`tauext train`: a bundle from recordings of free motion."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from tauext.cli.dataset import Dataset
+from tauext.config import PAPER_CASES, ModelCase, TrainConfig
+from tauext.errors import ConfigError
+
+if TYPE_CHECKING:
+    from tauext._core import Tree
+    from tauext.data import Recording
+
+CaseName = Literal["exact", "mass", "com", "mass+com", "none"]
+
+
+def train(
+    data: Path,
+    out: Path,
+    case: CaseName = "exact",
+    robot: Path | None = None,
+    config: Annotated[TrainConfig, tyro.conf.arg(name="")] = TrainConfig(),  # noqa: B008
+) -> None:
+    """Train on a dataset's free motion, find the limits on its validation recordings, write one bundle.
+
+    Args:
+        data: dataset folder (`tauext simulate` makes one).
+        out: bundle to write, NAME.tauext. An interrupted run goes on from its checkpoint beside it.
+        case: the estimated model: the robot file as it is, mass and/or centre of mass halved, or no model at all.
+        robot: URDF or MJCF of the arm; default: the dataset's own.
+        config: recipe, seed and sizes.
+    """
+    if out.suffix != ".tauext":
+        raise ConfigError(f"{out}: a bundle's name ends in .tauext")
+    dataset = Dataset.open(data)
+    training, validation = dataset.recordings("train"), dataset.recordings("validation")
+    tree = estimated_model(dataset.robot_file(robot), training[0], PAPER_CASES[case])
+    train_bundle(tree, PAPER_CASES[case], training, validation, config, out)
+    print(out)
+
+
+def estimated_model(robot: Path, recording: Recording, case: ModelCase) -> Tree:
+    """The robot file's joints that the recording has, as the case's wrong or missing model."""
+    from tauext.robot import empty, load, perturbed
+
+    tree = load(robot, joints=recording.joints)
+    return empty(tree) if case.no_model else perturbed(tree, case.mass_factor, case.com_factor)
+
+
+def train_bundle(
+    tree: Tree,
+    case: ModelCase,
+    training: list[Recording],
+    validation: list[Recording],
+    config: TrainConfig,
+    out: Path,
+) -> None:
+    """Train, calibrate and write the bundle, with its run file and wall time beside it."""
+    import os
+
+    from tauext.calibrate import paper_limits
+    from tauext.cli.progress import ProgressBar
+    from tauext.cli.run_files import provenance, write_json
+    from tauext.learn import Progress, build_chain, build_windows, find_scaling, make_bundle
+    from tauext.learn import train as train_network
+
+    out.parent.mkdir(parents=True, exist_ok=True)
+    run = provenance("tauext train", {"case": asdict(case), "config": asdict(config)}, config.seed)
+    run["recordings"] = {"train": [r.name for r in training], "validation": [r.name for r in validation]}
+    chain = build_chain(tree, training[0], config.observer)
+    scaling = network = None
+    if config.recipe == "paper":
+        scaling = find_scaling(chain, training)
+        with ProgressBar(f"train {case.name}") as bar:
+
+            def show(p: Progress) -> None:
+                bar.update(p.step, p.steps, f"loss {p.loss:.3g} validation {p.validation_loss:.3g}")
+
+            network = train_network(
+                chain,
+                build_windows(chain, scaling, training),
+                build_windows(chain, scaling, validation),
+                config,
+                checkpoint_path=out.with_suffix(".checkpoint.npz"),
+                settings={key: run[key] for key in ("settings", "recordings")} | {"robot": model_digest(tree)},
+                report=show,
+            )
+    bundle = make_bundle(out.stem, chain, config.observer.near_stiction_rad_s, validation[0], scaling, network)
+    limits = paper_limits(bundle, validation, config.threads or os.cpu_count() or 1)
+    bundle.sliding_limit_nm = limits.sliding_nm.tolist()
+    bundle.near_stiction_limit_nm = limits.near_stiction_nm.tolist()
+    facts = {"recipe": config.recipe, "case": case.name, "epochs": config.epochs, "batch": config.batch}
+    facts["steps"] = network.steps if network else 0
+    facts["robot_sha256"] = training[0].robot_sha256
+    bundle.provenance = json.dumps(facts | run, sort_keys=True)
+    history = [list(entry) for entry in network.history] if network else []
+    write_json(facts | run | {"loss_history": history}, out.with_suffix(".run.json"))
+    write_json({"train_s": network.seconds if network else 0.0}, out.with_suffix(".wall_time_s.json"))
+    bundle.save(str(out))
+
+
+def model_digest(tree: Tree) -> str:
+    """A checkpoint of another estimated model must not be resumed: SHA-256 of the model's numbers."""
+    import hashlib
+
+    fields = ("joint_name", "parent", "rotation", "translation", "mass", "com", "inertia", "rotor_inertia")
+    numbers = [[getattr(link, field) for field in fields] for link in tree.links]
+    return hashlib.sha256(json.dumps([numbers, tree.gravity]).encode()).hexdigest()

@@ -1,0 +1,103 @@
+"""Settings with their defaults: the one place where a default stands. The docstring under a field is its help text."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+from tauext.errors import ConfigError
+
+Recipe = Literal["paper", "observer"]
+
+
+@dataclass(frozen=True)
+class ModelCase:
+    """How the estimated model differs from the robot file: what the paper calls a model case."""
+
+    name: str
+    mass_factor: float = 1.0
+    """Every link's mass times this; inertia about the centre of mass unchanged."""
+    com_factor: float = 1.0
+    """Every centre of mass moved toward its joint by this factor."""
+    no_model: bool = False
+    """Zero throughout, rotor inertia included: the observer sees minus the low-passed motor torque."""
+
+
+PAPER_CASES = {
+    case.name: case
+    for case in (
+        ModelCase("exact"),
+        ModelCase("mass", mass_factor=0.5),
+        ModelCase("com", com_factor=0.5),
+        ModelCase("mass+com", mass_factor=0.5, com_factor=0.5),
+        ModelCase("none", no_model=True),
+    )
+}
+
+
+@dataclass(frozen=True)
+class ObserverConfig:
+    """The momentum observer and the rates of the chain."""
+
+    gain_per_s: float = 20.0
+    """Observer gain K0, [1/s]: the residual lags the true disturbance by 1/K0."""
+    network_period_s: float = 0.01
+    """Wanted time between two network steps, [s]; the nearest whole multiple of the sample period is used."""
+    window_s: float = 1.0
+    """Wanted length of the network's window, [s]."""
+    near_stiction_rad_s: float = 0.02
+    """Below this joint speed, [rad/s], a joint counts as near stiction and has a limit of its own."""
+
+    def __post_init__(self) -> None:
+        for name in ("gain_per_s", "network_period_s", "window_s", "near_stiction_rad_s"):
+            require(math.isfinite(getattr(self, name)) and getattr(self, name) > 0, name, getattr(self, name), "> 0")
+
+    def sample_period_ns(self, rate_hz: float) -> int:
+        """Sample period of a recording of this rate, [ns]."""
+        return round(1e9 / rate_hz)
+
+    def network_stride(self, rate_hz: float) -> int:
+        """Samples in a network period: the whole number of sample periods nearest to it, at least 1."""
+        return max(1, round(self.network_period_s * rate_hz))
+
+    def window_steps(self, rate_hz: float) -> int:
+        """Network steps in a window, at least 1."""
+        return max(1, round(self.window_s * rate_hz / self.network_stride(rate_hz)))
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """What is trained, and for how long. The defaults are the paper's recipe."""
+
+    recipe: Recipe = "paper"
+    """paper: the many-to-one LSTM. observer: no network at all, the plain momentum observer."""
+    hidden: int = 20
+    """Hidden units of the LSTM."""
+    epochs: int = 500
+    """Passes over all training windows."""
+    batch: int = 1000
+    """Windows a step."""
+    learning_rate: float = 0.001
+    """Step size of Adam (its decay rates are 0.9 and 0.999)."""
+    max_steps: int | None = None
+    """Stop after so many steps even if epochs are left."""
+    seed: int = 0
+    """Of the initial weights and of the order of the windows."""
+    threads: int = 0
+    """Threads of the gradient, 0: one a core. The result does not depend on it."""
+    observer: ObserverConfig = field(default_factory=ObserverConfig)
+
+    def __post_init__(self) -> None:
+        for name in ("hidden", "epochs", "batch"):
+            require(getattr(self, name) >= 1, name, getattr(self, name), ">= 1")
+        require(self.max_steps is None or self.max_steps >= 1, "max_steps", self.max_steps, ">= 1")
+        require(self.learning_rate > 0, "learning_rate", self.learning_rate, "> 0")
+        require(self.threads >= 0, "threads", self.threads, ">= 0")
+        require(self.seed >= 0, "seed", self.seed, ">= 0")
+
+
+def require(ok: bool, name: str, value: object, rule: str) -> None:
+    """Raise ConfigError `name = value must be rule` unless ok."""
+    if not ok:
+        raise ConfigError(f"{name} = {value} must be {rule}")

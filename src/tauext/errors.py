@@ -1,0 +1,25 @@
+"""The errors that tauext raises for bad input: what, the value, the rule, the choices, in one message."""
+
+
+class TauextError(Exception):
+    """Base of every error that a user can cause; the command line prints it on one line and exits with 2."""
+
+
+class RobotError(TauextError):
+    """A robot file, joint choice or model perturbation that cannot be used."""
+
+
+class RecordingError(TauextError):
+    """A recording that is damaged, incomplete or breaks the format's rules."""
+
+
+class ConfigError(TauextError):
+    """A setting, path or combination of settings that cannot be used."""
+
+
+class BundleError(TauextError):
+    """A bundle that is damaged, of a newer version, or does not fit the recording it is used on."""
+
+
+class TrainingError(TauextError):
+    """Training that cannot succeed: constant target, diverging loss, too little data."""

@@ -1,0 +1,71 @@
+"""Puts what training found into a bundle."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tauext import _core
+from tauext.config import ObserverConfig
+from tauext.data import Recording
+from tauext.errors import TrainingError
+from tauext.learn.train import TrainedNetwork
+from tauext.learn.training_set import Chain, Scaling
+
+
+def build_chain(tree: _core.Tree, recording: Recording, config: ObserverConfig) -> Chain:
+    """The estimated model and the settings that follow from the recording's rate and torque timing.
+
+    Raises:
+        TrainingError: the recording's joints are not the model's.
+    """
+    names = tuple(link.joint_name for link in tree.links)
+    if recording.joints != names:
+        raise TrainingError(
+            f"{recording.name}: its joints {', '.join(recording.joints)} are not the model's {', '.join(names)}"
+        )
+    settings = _core.ObserverSettings(
+        gain_per_s=config.gain_per_s,
+        timing=getattr(_core.TorqueTiming, recording.torque_timing),
+        sample_period_ns=config.sample_period_ns(recording.rate_hz),
+        network_stride=config.network_stride(recording.rate_hz),
+    )
+    return Chain(tree, settings, config.window_steps(recording.rate_hz))
+
+
+def make_bundle(
+    name: str,
+    chain: Chain,
+    near_stiction_rad_s: float,
+    reference: Recording,
+    scaling: Scaling | None = None,
+    network: TrainedNetwork | None = None,
+) -> _core.Bundle:
+    """A bundle without limits yet (all 1 Nm; see tauext.calibrate): with a network, or the plain observer.
+
+    Args:
+        reference: a recording of free motion; its first window is kept, and replayed whenever the bundle is loaded.
+
+    Raises:
+        TrainingError: the reference recording is shorter than a window.
+    """
+    n = chain.tree.size
+    bundle = _core.Bundle()
+    bundle.name = name
+    bundle.links = chain.tree.links
+    bundle.gravity = chain.tree.gravity
+    bundle.observer = chain.observer
+    bundle.window_steps = chain.window_steps
+    if network is not None and scaling is not None:
+        bundle.shape = network.shape
+        bundle.inputs = chain.inputs
+        bundle.input_factors = scaling.input_factors.tolist()
+        bundle.parameters = network.parameters.tolist()
+        bundle.output_scale_nm = scaling.output_scale_nm.tolist()
+    bundle.near_stiction_rad_s = near_stiction_rad_s
+    bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [1.0] * n
+    samples = chain.reach * chain.observer.network_stride + 1
+    if reference.samples < samples:
+        raise TrainingError(f"{reference.name}: {reference.samples} samples are fewer than a window's {samples}")
+    first = [np.ascontiguousarray(a[:samples]) for a in (reference.t_ns, reference.q, reference.dq, reference.tau)]
+    bundle.set_reference(*first)
+    return bundle

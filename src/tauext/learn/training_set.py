@@ -1,0 +1,126 @@
+"""Windows and targets for training, read in place from the recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tauext import _core
+from tauext.data import Recording
+from tauext.errors import TrainingError
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The parts of the chain that stand before training: estimated model, observer and window."""
+
+    tree: _core.Tree
+    observer: _core.ObserverSettings
+    window_steps: int
+
+    @property
+    def inputs(self) -> list[tuple[int, int]]:
+        """(column, lag) of each network input: q(k), dq(k), dq(k-1) of all joints, as in the paper."""
+        n = self.tree.size
+        return [(c, 0) for c in range(2 * n)] + [(c, 1) for c in range(n, 2 * n)]
+
+    @property
+    def reach(self) -> int:
+        """Network steps before its last one that a window needs: its length, since one input lags by one step."""
+        return self.window_steps
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Factors that bring inputs and outputs to magnitude 1 over the training recordings."""
+
+    input_factors: np.ndarray  # (2 n,) float32, 1/rad and s/rad
+    output_scale_nm: np.ndarray  # (n,) float64
+
+
+@dataclass(frozen=True)
+class WindowSet:
+    """Rows at the network period of several recordings one after the other, and the windows that may end in them."""
+
+    rows: np.ndarray  # (rows, 2 n) float32, scaled
+    ends: np.ndarray  # (windows,) int64: the row that ends each window
+    targets: np.ndarray  # (windows, n) float32, scaled residual of the observer
+
+    @property
+    def windows(self) -> int:
+        return len(self.ends)
+
+
+def find_scaling(chain: Chain, recordings: Sequence[Recording]) -> Scaling:
+    """Largest magnitude of every input column and, after the observer's warm-up, of every output.
+
+    Raises:
+        TrainingError: a residual that is constant (nothing to learn), or no recording longer than the warm-up.
+    """
+    n = chain.tree.size
+    largest = np.zeros(2 * n)
+    low, high = np.full(n, np.inf), np.full(n, -np.inf)
+    for recording in recordings:
+        observation = _observe(chain, recording)
+        residual = observation.residual[observation.warm.astype(bool)]
+        largest = np.maximum(largest, np.abs(np.hstack([recording.q, recording.dq])).max(axis=0))
+        if len(residual):
+            low, high = np.minimum(low, residual.min(axis=0)), np.maximum(high, residual.max(axis=0))
+    if not np.isfinite(low).all():
+        warm_s = 10 / chain.observer.gain_per_s
+        raise TrainingError(f"no training recording is longer than the observer's warm-up of {warm_s:g} s")
+    for joint, (a, b) in enumerate(zip(low, high, strict=True)):
+        if b - a <= 1e-9 * max(1.0, abs(a)):
+            name = recordings[0].joints[joint]
+            raise TrainingError(
+                f"joint '{name}': the observer's residual is constant ({a:g} Nm) over all training recordings, so there "
+                "is nothing to learn; is its torque recorded, and does the arm move?"
+            )
+    factors = 1.0 / np.where(largest > 0, largest, 1.0)
+    return Scaling(factors.astype(np.float32), np.maximum(np.abs(low), np.abs(high)))
+
+
+def build_windows(chain: Chain, scaling: Scaling, recordings: Sequence[Recording]) -> WindowSet:
+    """All windows of one phase: their ends lie a network period apart, counted from the start of each stretch.
+
+    The observer's warm-up and windows that would reach across a restart are left out; ticks that only hold an older
+    sample are never targets.
+
+    Raises:
+        TrainingError: no recording holds a whole window.
+    """
+    stride = chain.observer.network_stride
+    rows, ends, targets, offset = [], [], [], 0
+    for recording in recordings:
+        observation = _observe(chain, recording)
+        features = _core.feature_rows(
+            observation, recording.t_ns, recording.q, recording.dq, recording.tau, scaling.input_factors
+        )
+        row, begin = observation.row, observation.stretch_begin
+        stretches = np.unique(begin)
+        # Network rows: every stride-th tick of each stretch; first network row of each stretch.
+        limits = np.append(stretches, observation.row_count)
+        network_rows = np.concatenate([np.arange(a, b, stride) for a, b in zip(limits[:-1], limits[1:], strict=True)])
+        first_network_row = np.searchsorted(network_rows, stretches)
+        steps, phase = np.divmod(row - begin, stride)
+        usable = (phase == 0) & observation.warm.astype(bool) & (steps >= chain.reach)
+        end = first_network_row[np.searchsorted(stretches, begin)] + steps
+        rows.append(features[network_rows])
+        ends.append(end[usable] + offset)
+        targets.append(observation.residual[usable] / scaling.output_scale_nm)
+        offset += len(network_rows)
+    result = WindowSet(
+        np.ascontiguousarray(np.concatenate(rows)),
+        np.concatenate(ends).astype(np.int64),
+        np.concatenate(targets).astype(np.float32),
+    )
+    if result.windows == 0:
+        needed = chain.reach * stride * chain.observer.sample_period_ns * 1e-9
+        raise TrainingError(f"no recording holds a whole window: {needed:g} s after the observer's warm-up are needed")
+    return result
+
+
+def _observe(chain: Chain, recording: Recording) -> _core.Observation:
+    return _core.observe(chain.tree, chain.observer, recording.t_ns, recording.q, recording.dq, recording.tau)

@@ -1,0 +1,76 @@
+"""The paper's experiment in its five steps, at three scales."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from tauext.cli.dataset import Dataset
+from tauext.cli.evaluate import evaluate_bundles
+from tauext.cli.progress import ProgressBar
+from tauext.cli.train import estimated_model, train_bundle
+from tauext.config import PAPER_CASES, TrainConfig
+from tauext.errors import ConfigError
+from tauext.report import write_report
+from tauext.rig import RigConfig, simulate_dataset
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How much data and how many steps: never a time limit, so the result is the same on a slow machine."""
+
+    minutes: float
+    """Free motion in all."""
+    collision_recordings: int
+    """Recordings with about ten collisions each."""
+    epochs: int
+    batch: int
+    max_steps: int | None = None
+
+
+SCALES = {
+    "smoke": Scale(minutes=2.0, collision_recordings=1, epochs=1, batch=64, max_steps=20),
+    "quick": Scale(minutes=20.0, collision_recordings=6, epochs=20, batch=250),
+    "full": Scale(minutes=90.0, collision_recordings=20, epochs=500, batch=1000),
+}
+
+
+def reproduce_paper(out: Path, scale_name: str, scale: Scale, cases: Sequence[str], seed: int) -> Path:
+    """Simulate, train, evaluate, report; returns the report. Steps that are done with these settings are not repeated."""
+    data, bundles = out / "data", {case: out / "bundles" / f"{case}.tauext" for case in cases}
+    with ProgressBar("simulate") as bar:
+        simulate_dataset(
+            data,
+            RigConfig(),
+            seed,
+            scale.minutes,
+            scale.collision_recordings,
+            lambda what, done, total: bar.update(done, total, what),
+        )
+    dataset = Dataset.open(data)
+    config = TrainConfig(epochs=scale.epochs, batch=scale.batch, max_steps=scale.max_steps, seed=seed)
+    missing = [case for case in cases if not finished(bundles[case], case, config)]
+    if missing:
+        training, validation = dataset.recordings("train"), dataset.recordings("validation")
+        for case in missing:
+            tree = estimated_model(dataset.robot_file(None), training[0], PAPER_CASES[case])
+            train_bundle(tree, PAPER_CASES[case], training, validation, config, bundles[case])
+    evaluate_bundles(dataset, bundles, out / "results", seed, threads=0, scale=scale_name)
+    return write_report(out / "results", data, out / "report")
+
+
+def finished(bundle: Path, case: str, config: TrainConfig) -> bool:
+    """Whether this bundle was already trained with these settings.
+
+    Raises:
+        ConfigError: a bundle of other settings stands there.
+    """
+    run = bundle.with_suffix(".run.json")
+    if not bundle.exists() or not run.exists():
+        return False
+    settings = json.loads(run.read_text())["settings"]
+    if settings == {"case": asdict(PAPER_CASES[case]), "config": asdict(config)}:
+        return True
+    raise ConfigError(f"{bundle}: it was trained with other settings; choose another --out or remove it")

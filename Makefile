@@ -1,7 +1,8 @@
 PYTHON ?= python3.11
 VENV := .venv
 PIP := $(VENV)/bin/pip --disable-pip-version-check -q
-STAMP := $(VENV)/.installed
+# An editable install knows the files it was made with, so a new file asks for a new one.
+STAMP := $(VENV)/.installed-$(shell find src -name '*.py' | sort | cksum | cut -d' ' -f1)
 
 .PHONY: help setup build reproduce test test-all lint bench clean
 help: ## Show this help
@@ -11,6 +12,7 @@ $(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(shell find cpp -name '
 	test -d $(VENV) || $(PYTHON) -m venv $(VENV)
 	$(PIP) install -c constraints.txt scikit-build-core nanobind cmake ninja
 	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(PIP) install -c constraints.txt --no-build-isolation -e '.[dev]'
+	rm -f $(VENV)/.installed-*
 	touch $@
 reproduce: setup ## The whole experiment at quick scale; prints where the report is
 	$(VENV)/bin/tauext reproduce --scale quick --out runs/quick

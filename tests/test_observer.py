@@ -52,7 +52,7 @@ def test_without_a_model_the_residual_is_the_low_passed_motor_torque_with_its_si
 
 
 def simulated_step(rate_hz: float) -> tuple[np.ndarray, ...]:
-    """The arm without friction in MuJoCo, held by its gravity torque; after 1 s a commanded step of 30 Nm on joint 1."""
+    """The arm without friction in MuJoCo, held by its gravity torque; after 1 s a step of 30 Nm on joint 1."""
     model = mujoco.MjModel.from_xml_string(PLANAR_MJCF)
     model.opt.timestep = 1e-5  # so that the integrator's own error does not show
     data = mujoco.MjData(model)

@@ -25,15 +25,20 @@ struct Rotation {
 
 struct Sweep {
   Rotation rotation;
-  Vec3 origin;       // of the link's frame, in the parent's
-  Vec3 omega, v;     // of the link, at its origin, link axes
-  Vec3 gravity;      // link axes
-  Vec3 linear;       // composite momentum of the subtree, link axes
-  Vec3 angular;      // the same, about the link's origin
-  Vec3 first_moment; // sum of m c over the subtree, about the link's origin
+  Vec3 origin;        // of the link's frame, in the parent's
+  Vec3 omega, v;      // of the link, at its origin, link axes
+  Vec3 gravity;       // link axes
+  Vec3 linear;        // composite momentum of the subtree, link axes
+  Vec3 angular;       // the same, about the link's origin
+  Vec3 first_moment;  // sum of m c over the subtree, about the link's origin
 };
 
 Vec3 vec(const std::array<double, 3>& a) noexcept { return {a[0], a[1], a[2]}; }
+
+Vec3 symmetric_product(const std::array<double, 6>& a, Vec3 w) noexcept {
+  return {a[0] * w.x + a[3] * w.y + a[4] * w.z, a[3] * w.x + a[1] * w.y + a[5] * w.z,
+          a[4] * w.x + a[5] * w.y + a[2] * w.z};
+}
 
 bool finite(std::span<const double> values) noexcept {
   for (double v : values)
@@ -42,14 +47,15 @@ bool finite(std::span<const double> values) noexcept {
 }
 
 void validate(const std::vector<Link>& links, const std::array<double, 3>& gravity) {
-  if (links.empty() || links.size() > kMaxJoints)
-    throw Error("a tree has 1 to " + std::to_string(kMaxJoints) + " moving joints, not " + std::to_string(links.size()));
+  const int n = static_cast<int>(links.size());
+  if (n < 1 || n > kMaxJoints)
+    throw Error("a tree has 1 to " + std::to_string(kMaxJoints) + " moving joints, not " + std::to_string(n));
   if (!finite(gravity)) throw Error("gravity must be finite");
-  for (std::size_t i = 0; i < links.size(); ++i) {
-    const Link& link = links[i];
+  for (const Link& link : links) {
     const std::string who = "joint '" + link.joint_name + "': ";
-    if (link.parent < -1 || link.parent >= static_cast<int>(i))
-      throw Error(who + "parent " + std::to_string(link.parent) + " must come before link " + std::to_string(i));
+    if (link.parent < -1 || link.parent >= n)
+      throw Error(who + "parent " + std::to_string(link.parent) + " must be -1 or one of the " + std::to_string(n) +
+                  " links");
     if (link.type != JointType::revolute && link.type != JointType::prismatic)
       throw Error(who + "the joint type must be revolute or prismatic");
     const double scalars[] = {link.mass, link.rotor_inertia};
@@ -70,79 +76,107 @@ void validate(const std::vector<Link>& links, const std::array<double, 3>& gravi
 
 }  // namespace
 
+std::vector<Tree::Body> Tree::sort_bodies(const std::vector<Link>& links) {
+  const int n = static_cast<int>(links.size());
+  std::vector<int> place(n, -1);  // of a link among the bodies
+  std::vector<Body> bodies;
+  while (static_cast<int>(bodies.size()) < n) {
+    const std::size_t before = bodies.size();
+    for (int i = 0; i < n; ++i) {
+      const Link& link = links[i];
+      if (place[i] >= 0 || (link.parent >= 0 && place[link.parent] < 0)) continue;
+      place[i] = static_cast<int>(bodies.size());
+      const auto& c = link.com;
+      const double m = link.mass;
+      auto inertia = link.inertia;
+      inertia[0] += m * (c[1] * c[1] + c[2] * c[2]);
+      inertia[1] += m * (c[0] * c[0] + c[2] * c[2]);
+      inertia[2] += m * (c[0] * c[0] + c[1] * c[1]);
+      inertia[3] -= m * c[0] * c[1];
+      inertia[4] -= m * c[0] * c[2];
+      inertia[5] -= m * c[1] * c[2];
+      bodies.push_back({i, link.parent < 0 ? -1 : place[link.parent], link.type, link.rotation, link.translation, m, m,
+                        {m * c[0], m * c[1], m * c[2]}, inertia, link.rotor_inertia});
+    }
+    if (bodies.size() == before)
+      for (int i = 0; i < n; ++i)
+        if (place[i] < 0)
+          throw Error("joint '" + links[i].joint_name + "': its chain of parents ends in a ring, never at the base");
+  }
+  for (int k = n; k-- > 0;)
+    if (bodies[k].parent >= 0) bodies[bodies[k].parent].subtree_mass += bodies[k].subtree_mass;
+  return bodies;
+}
+
 Tree::Tree(std::vector<Link> links, std::array<double, 3> gravity) : links_(std::move(links)), gravity_(gravity) {
   validate(links_, gravity_);
-  subtree_mass_.resize(links_.size());
-  for (std::size_t i = links_.size(); i-- > 0;) {
-    subtree_mass_[i] += links_[i].mass;
-    if (links_[i].parent >= 0) subtree_mass_[links_[i].parent] += subtree_mass_[i];
-  }
+  bodies_ = sort_bodies(links_);
 }
 
 void Tree::momentum(std::span<const double> q, std::span<const double> dq, std::span<double> p,
                     std::span<double> beta) const noexcept {
   std::array<Sweep, kMaxJoints> sweep;  // left uninitialised: every field is written before it is read
+  std::array<double, kMaxJoints> sine, cosine;  // all at once: they do not wait for one another, the sweep's steps do
   const int n = size();
-
   for (int i = 0; i < n; ++i) {
-    const Link& link = links_[i];
-    Sweep& s = sweep[i];
-    const auto& r = link.rotation;
+    sine[i] = std::sin(q[i]);
+    cosine[i] = std::cos(q[i]);
+  }
+
+  for (int k = 0; k < n; ++k) {
+    const Body& body = bodies_[k];
+    Sweep& s = sweep[k];
+    const auto& r = body.rotation;
     s.rotation = {{r[0], r[3], r[6]}, {r[1], r[4], r[7]}, {r[2], r[5], r[8]}};
-    s.origin = vec(link.translation);
-    const bool revolute = link.type == JointType::revolute;
+    s.origin = vec(body.translation);
+    const bool revolute = body.type == JointType::revolute;
     if (revolute) {
-      const double c = std::cos(q[i]), sn = std::sin(q[i]);
+      const double c = cosine[body.joint], sn = sine[body.joint];
       const Vec3 x = s.rotation.x, y = s.rotation.y;
       s.rotation.x = c * x + sn * y;
       s.rotation.y = -sn * x + c * y;
     } else {
-      s.origin = s.origin + q[i] * s.rotation.z;
+      s.origin = s.origin + q[body.joint] * s.rotation.z;
     }
-    if (link.parent < 0) {
+    if (body.parent < 0) {
       s.omega = s.v = {0, 0, 0};
       s.gravity = s.rotation.to_link(vec(gravity_));
     } else {
-      const Sweep& parent = sweep[link.parent];
+      const Sweep& parent = sweep[body.parent];
       s.omega = s.rotation.to_link(parent.omega);
       s.v = s.rotation.to_link(parent.v + cross(parent.omega, s.origin));
       s.gravity = s.rotation.to_link(parent.gravity);
     }
-    (revolute ? s.omega.z : s.v.z) += dq[i];
-    const Vec3 c = vec(link.com);
-    const auto& I = link.inertia;
-    const Vec3 w = s.omega;
-    s.linear = link.mass * (s.v + cross(w, c));
-    s.angular = Vec3{I[0] * w.x + I[3] * w.y + I[4] * w.z, I[3] * w.x + I[1] * w.y + I[5] * w.z,
-                     I[4] * w.x + I[5] * w.y + I[2] * w.z} +
-                cross(c, s.linear);
-    s.first_moment = link.mass * c;
+    (revolute ? s.omega.z : s.v.z) += dq[body.joint];
+    s.first_moment = vec(body.first_moment);
+    s.linear = body.mass * s.v + cross(s.omega, s.first_moment);
+    s.angular = symmetric_product(body.inertia, s.omega) + cross(s.first_moment, s.v);
   }
 
-  for (int i = n; i-- > 0;) {
-    const Link& link = links_[i];
-    const Sweep& s = sweep[i];
+  for (int k = n; k-- > 0;) {
+    const Body& body = bodies_[k];
+    const Sweep& s = sweep[k];
     // v x S needs the parent's velocity only: the joint's own part is parallel to S and drops out.
-    double coriolis_transpose, gravity;
-    if (link.type == JointType::revolute) {
-      p[i] = s.angular.z;
+    double momentum, coriolis_transpose, gravity;
+    if (body.type == JointType::revolute) {
+      momentum = s.angular.z;
       coriolis_transpose =
           s.omega.y * s.angular.x - s.omega.x * s.angular.y + s.v.y * s.linear.x - s.v.x * s.linear.y;
       gravity = s.first_moment.y * s.gravity.x - s.first_moment.x * s.gravity.y;
     } else {
-      p[i] = s.linear.z;
+      momentum = s.linear.z;
       coriolis_transpose = s.omega.y * s.linear.x - s.omega.x * s.linear.y;
-      gravity = -subtree_mass_[i] * s.gravity.z;
+      gravity = -body.subtree_mass * s.gravity.z;
     }
-    p[i] += link.rotor_inertia * dq[i];
-    beta[i] = gravity - coriolis_transpose;
-    if (link.parent >= 0) {
-      Sweep& parent = sweep[link.parent];
+    p[body.joint] = momentum + body.rotor_inertia * dq[body.joint];
+    beta[body.joint] = gravity - coriolis_transpose;
+    if (body.parent >= 0) {
+      Sweep& parent = sweep[body.parent];
       const Vec3 linear = s.rotation.to_parent(s.linear);
       parent.linear = parent.linear + linear;
       parent.angular = parent.angular + s.rotation.to_parent(s.angular) + cross(s.origin, linear);
       parent.first_moment =
-          parent.first_moment + s.rotation.to_parent(s.first_moment) + subtree_mass_[i] * s.origin;
+          parent.first_moment + s.rotation.to_parent(s.first_moment) + body.subtree_mass * s.origin;
     }
   }
 }

@@ -38,7 +38,7 @@ SCALES = {
 
 
 def reproduce_paper(out: Path, scale_name: str, scale: Scale, cases: Sequence[str], seed: int) -> Path:
-    """Simulate, train, evaluate, report; returns the report. Steps that are done with these settings are not repeated."""
+    """Simulate, train, evaluate, report; returns the report. What is done with these settings is not repeated."""
     data, bundles = out / "data", {case: out / "bundles" / f"{case}.tauext" for case in cases}
     with ProgressBar("simulate") as bar:
         simulate_dataset(

@@ -13,7 +13,7 @@ enum class JointType : std::uint8_t { revolute, prismatic };
 // One moving link and the joint that carries it. The joint axis is the link frame's +z, its origin the frame's origin.
 struct Link {
   std::string joint_name;
-  int parent = -1;  // index of the parent link, -1 for the base; always smaller than the link's own index
+  int parent = -1;  // index of the parent link, -1 for the base; it may come before or after the link itself
   JointType type = JointType::revolute;
   std::array<double, 9> rotation{};     // parent from link at q = 0, row-major
   std::array<double, 3> translation{};  // joint origin in the parent's frame, [m]
@@ -23,11 +23,12 @@ struct Link {
   double rotor_inertia = 0;             // motor inertia times gear ratio squared, [kg m^2] or [kg]
 };
 
-// A tree of 1 to kMaxJoints links in topological order. All masses zero is the "no model": p = beta = 0.
+// A tree of 1 to kMaxJoints links in any order: the order of the links is that of q, dq, p and beta.
+// All masses, inertias and rotor inertias zero is the "no model": p = beta = 0.
 class Tree {
  public:
   // gravity: acceleration of free fall in the base frame, [m/s^2], (0, 0, -9.81) for an upright base.
-  // Throws Error where a link is not finite, has negative mass, a rotation that is none, or a parent not before it.
+  // Throws Error where a link is not finite, has negative mass, a rotation that is none, or does not hang on the base.
   Tree(std::vector<Link> links, std::array<double, 3> gravity);
 
   // Generalised momentum p = M dq and beta = g - C^T dq = -dL/dq, with L = T - U.
@@ -42,9 +43,22 @@ class Tree {
   const std::array<double, 3>& gravity() const noexcept { return gravity_; }
 
  private:
+  // What the sweep needs of a link, all in the link's frame and about its origin.
+  struct Body {
+    int joint, parent;  // index in q, and of the parent among the bodies
+    JointType type;
+    std::array<double, 9> rotation;
+    std::array<double, 3> translation;
+    double mass, subtree_mass;           // of the link, and of it and all that it carries
+    std::array<double, 3> first_moment;  // mass times centre of mass
+    std::array<double, 6> inertia;       // as in Link, but about the origin
+    double rotor_inertia;
+  };
+  static std::vector<Body> sort_bodies(const std::vector<Link>& links);
+
   std::vector<Link> links_;
   std::array<double, 3> gravity_;
-  std::vector<double> subtree_mass_;  // of each link and all that it carries, [kg]
+  std::vector<Body> bodies_;  // parents before their children
 };
 
 }  // namespace tauext

@@ -17,7 +17,7 @@ LIBRARIES = ("numpy", "mujoco", "pyarrow")
 
 
 def write_json(content: Any, path: Path) -> None:
-    """Write under a temporary name, then rename; numbers and order as they are, so the same content gives the same bytes."""
+    """Write under a temporary name, then rename; the same content gives the same bytes."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from tauext.errors import ConfigError
 
 
-def show(file: Path, json_output: bool = False) -> None:
+def show(file: tyro.conf.Positional[Path], as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> None:
     """Say what is in a bundle (*.tauext) or a recording (*.parquet).
 
     Args:
         file: bundle or recording.
-        json_output: print JSON for scripts.
+        as_json: print JSON for scripts.
     """
     if not file.is_file():
         raise ConfigError(f"{file}: there is no such file; give a bundle (*.tauext) or a recording (*.parquet)")
@@ -23,7 +26,7 @@ def show(file: Path, json_output: bool = False) -> None:
         content = describe_recording(file)
     else:
         raise ConfigError(f"{file}: its name must end in .tauext (bundle) or .parquet (recording)")
-    if json_output:
+    if as_json:
         print(json.dumps(content, indent=1))
         return
     width = max(map(len, content))

@@ -11,7 +11,7 @@ BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
 
 @dataclass(frozen=True)
 class Adam:
-    """m and v are running means of the gradient and its square; both start at zero and are corrected for it [Kingma2015]."""
+    """Running means m of the gradient and v of its square, corrected for their start at zero [Kingma2015]."""
 
     m: np.ndarray
     v: np.ndarray

@@ -58,7 +58,7 @@ def train(
     The same seed and data give the same bytes for any number of threads, whether or not the run was interrupted.
 
     Args:
-        checkpoint_path: where the state is kept while training; resumed from, saved on KeyboardInterrupt, and removed at
+        checkpoint_path: where the state is kept while training; resumed from, saved on KeyboardInterrupt, removed at
             the end.
         settings: what a checkpoint must agree on to be resumed.
         report: called every few hundred steps.

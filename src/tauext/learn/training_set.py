@@ -72,11 +72,12 @@ def find_scaling(chain: Chain, recordings: Sequence[Recording]) -> Scaling:
         warm_s = 10 / chain.observer.gain_per_s
         raise TrainingError(f"no training recording is longer than the observer's warm-up of {warm_s:g} s")
     for joint, (a, b) in enumerate(zip(low, high, strict=True)):
-        if b - a <= 1e-9 * max(1.0, abs(a)):
+        # e^-10 of the first residual is still fading out where the warm-up ends.
+        if b - a <= 1e-6 + 1e-4 * max(abs(a), abs(b)):
             name = recordings[0].joints[joint]
             raise TrainingError(
-                f"joint '{name}': the observer's residual is constant ({a:g} Nm) over all training recordings, so there "
-                "is nothing to learn; is its torque recorded, and does the arm move?"
+                f"joint '{name}': the observer's residual is constant ({a:g} Nm) over all training recordings, so "
+                "there is nothing to learn; is its torque recorded, and does the arm move?"
             )
     factors = 1.0 / np.where(largest > 0, largest, 1.0)
     return Scaling(factors.astype(np.float32), np.maximum(np.abs(low), np.abs(high)))

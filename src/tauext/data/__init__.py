@@ -1,0 +1,17 @@
+"""Recordings, their file, and which recording serves for training, validation and test."""
+
+from tauext.data.recording import Recording
+from tauext.data.recording_file import Description, describe, load, save
+from tauext.data.split import Split, load_split, save_split, split_recordings
+
+__all__ = [
+    "Description",
+    "Recording",
+    "Split",
+    "describe",
+    "load",
+    "load_split",
+    "save",
+    "save_split",
+    "split_recordings",
+]

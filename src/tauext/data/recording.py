@@ -1,0 +1,213 @@
+"""One recording of a robot arm: a type that promises its content was checked."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from tauext.errors import RecordingError
+
+TorqueTiming = Literal["held", "instant", "averaged"]
+TORQUE_TIMINGS = get_args(TorqueTiming)
+REQUIRED_SIGNALS = ("q", "dq", "tau")
+OPTIONAL_SIGNALS = ("tau_jts", "tau_ext", "tau_ext_sensor", "q_des", "temperature")
+SIGNALS = REQUIRED_SIGNALS + OPTIONAL_SIGNALS
+"""What a recording may hold of every joint, in the order of its file."""
+FLAGS = ("contact", "contact_link")
+RATE_TOLERANCE = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Signals of one stretch of motion, validated when made: nobody checks them again.
+
+    Arrays are contiguous and read-only; a writable one that is passed in is copied. Stamps may be uneven and may have
+    gaps. Signals are (samples, joints) float64, joints in the order of `joints`.
+
+    Raises:
+        RecordingError: names the column, the row, the value and the rule that it breaks.
+    """
+
+    name: str
+    """The stem of its file."""
+    joints: tuple[str, ...]
+    t_ns: np.ndarray
+    """(samples,) int64, sample times, [ns], strictly increasing."""
+    q: np.ndarray
+    """Measured position, [rad]."""
+    dq: np.ndarray
+    """Measured velocity, [rad/s]."""
+    tau: np.ndarray
+    """Motor torque seen at the joint, after the gear, friction not subtracted, [N m]."""
+    rate_hz: float
+    """Nominal sample rate: the median step of t_ns agrees with it within 20 %."""
+    torque_timing: TorqueTiming
+    """held: acts from its stamp to the next; instant: measured at its stamp; averaged: over the step before it."""
+    source: str
+    """Where it comes from, free text."""
+    robot_sha256: str
+    """Of the robot file."""
+    tau_jts: np.ndarray | None = None
+    """Torque that the drive exerts on the link through a joint torque sensor, [N m]."""
+    tau_ext: np.ndarray | None = None
+    """True external torque (simulation) or the best known, [N m]."""
+    tau_ext_sensor: np.ndarray | None = None
+    """External torque from the joint torque sensor, low-passed: the reference of estimates, [N m]."""
+    q_des: np.ndarray | None = None
+    """Commanded position, [rad]."""
+    temperature: np.ndarray | None = None
+    """Motor temperature, [°C]."""
+    contact: np.ndarray | None = None
+    """(samples,) int8: 1 in contact, 0 free, -1 unknown."""
+    contact_link: np.ndarray | None = None
+    """(samples,) int8: index of the joint that carries the touched link, -1 where nothing touches."""
+    provenance: dict[str, Any] = field(default_factory=dict)
+    """What made it; anything that JSON can hold."""
+
+    def __post_init__(self) -> None:
+        self._set("joints", check_joints(self.joints, self._here))
+        self._set("t_ns", self._checked_times())
+        for signal in SIGNALS:
+            if getattr(self, signal) is not None or signal in REQUIRED_SIGNALS:
+                self._set(signal, self._checked_signal(signal))
+        if self.contact is not None:
+            self._set("contact", self._checked_flags("contact", -1, 1, "0 (free), 1 (contact) or -1 (unknown)"))
+        if self.contact_link is not None:
+            last = len(self.joints) - 1
+            rule = f"the index of a joint, 0 to {last}, or -1 where nothing touches"
+            self._set("contact_link", self._checked_flags("contact_link", -1, last, rule))
+        if self.torque_timing not in TORQUE_TIMINGS:
+            self._refuse(f"torque_timing = {self.torque_timing!r} must be one of {', '.join(TORQUE_TIMINGS)}")
+        self._set("rate_hz", self._checked_rate())
+        for name in ("name", "source", "robot_sha256"):
+            if not isinstance(getattr(self, name), str):
+                self._refuse(f"{name} = {getattr(self, name)!r} must be text")
+        self._set("provenance", self._checked_provenance())
+
+    @property
+    def samples(self) -> int:
+        """Number of samples, at least 1."""
+        return len(self.t_ns)
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first sample to the last, [s]; 0 for a single sample."""
+        return float(self.t_ns[-1] - self.t_ns[0]) * 1e-9
+
+    @property
+    def time_s(self) -> np.ndarray:
+        """Sample times counted from the first sample, (samples,) float64, [s]."""
+        return (self.t_ns - self.t_ns[0]) * 1e-9
+
+    @property
+    def _here(self) -> str:
+        return f"recording '{self.name}'"
+
+    def _refuse(self, message: str) -> None:
+        raise RecordingError(f"{self._here}: {message}")
+
+    def _set(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+
+    def _checked_times(self) -> np.ndarray:
+        t_ns = np.asarray(self.t_ns)
+        if t_ns.ndim != 1:
+            self._refuse(f"t_ns has shape {t_ns.shape}, must be (samples,)")
+        if t_ns.size == 0:
+            self._refuse("it has no samples; at least one is needed")
+        if not np.issubdtype(t_ns.dtype, np.integer):
+            self._refuse(f"t_ns is {t_ns.dtype}, must be int64 nanoseconds")
+        t_ns = read_only(t_ns, np.int64)
+        late = np.flatnonzero(t_ns[1:] <= t_ns[:-1])
+        if late.size:
+            row = int(late[0]) + 1
+            self._refuse(
+                f"t_ns at row {row} is {t_ns[row]}, after {t_ns[row - 1]} at row {row - 1}; "
+                "times must strictly increase"
+            )
+        return t_ns
+
+    def _checked_signal(self, signal: str) -> np.ndarray:
+        shape, given = (len(self.t_ns), len(self.joints)), np.asarray(getattr(self, signal))
+        if given.dtype.kind not in "fiu":
+            self._refuse(f"{signal} is {given.dtype}, must be float64")
+        if given.shape != shape:
+            self._refuse(f"{signal} has shape {given.shape}, must be {shape}: (samples, joints)")
+        values = read_only(given, np.float64)
+        finite = np.isfinite(values)
+        if not finite.all():
+            row, joint = np.argwhere(~finite)[0]
+            value = values[row, joint]
+            self._refuse(f"{signal}_{self.joints[joint]} at row {row} is {value}; every value must be finite")
+        return values
+
+    def _checked_flags(self, name: str, low: int, high: int, rule: str) -> np.ndarray:
+        given = np.asarray(getattr(self, name))
+        if given.dtype.kind not in "iub":
+            self._refuse(f"{name} is {given.dtype}, must be int8")
+        if given.shape != self.t_ns.shape:
+            self._refuse(f"{name} has shape {given.shape}, must be {self.t_ns.shape}: (samples,)")
+        outside = np.flatnonzero((given < low) | (given > high))
+        if outside.size:
+            self._refuse(f"{name} at row {outside[0]} is {given[outside[0]]}, must be {rule}")
+        return read_only(given, np.int8)
+
+    def _checked_rate(self) -> float:
+        rate_hz = float(self.rate_hz)
+        if not (math.isfinite(rate_hz) and rate_hz > 0):
+            self._refuse(f"rate_hz = {rate_hz:g} must be > 0")
+        if self.samples > 1:
+            step_ns = float(np.median(np.diff(self.t_ns)))
+            if abs(step_ns * 1e-9 * rate_hz - 1) > RATE_TOLERANCE:
+                self._refuse(
+                    f"rate_hz = {rate_hz:g} disagrees with the median step of t_ns, {step_ns * 1e-6:g} ms "
+                    f"({1e9 / step_ns:g} Hz); they must agree within {RATE_TOLERANCE:.0%}; are the times in ns?"
+                )
+        return rate_hz
+
+    def _checked_provenance(self) -> dict[str, Any]:
+        try:
+            text = json.dumps(self.provenance, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise RecordingError(f"{self._here}: provenance must be plain JSON ({error})") from error
+        if not isinstance(plain := json.loads(text), dict):
+            self._refuse(f"provenance is {type(self.provenance).__name__}, must be a dict")
+        return plain
+
+
+def check_joints(joints: Any, here: str) -> tuple[str, ...]:
+    """Joint names as a tuple: at least one, none twice, and no two that would share a column of the file.
+
+    Raises:
+        RecordingError: a name that breaks a rule; `here` says where it stands.
+    """
+    names = tuple(joints) if isinstance(joints, tuple | list) else (joints,)
+    if not names:
+        raise RecordingError(f"{here}: it has no joints; at least one is needed")
+    for name in names:
+        if not isinstance(name, str) or not name:
+            raise RecordingError(f"{here}: joint name {name!r} must be text, not empty")
+    columns: dict[str, str] = {}
+    for name in names:
+        if names.count(name) > 1:
+            raise RecordingError(f"{here}: joint '{name}' is named {names.count(name)} times; names must differ")
+        for signal in SIGNALS:
+            other = columns.setdefault(f"{signal}_{name}", name)
+            if other != name:
+                raise RecordingError(
+                    f"{here}: joints '{other}' and '{name}' would share the column {signal}_{name}; rename one"
+                )
+    return names
+
+
+def read_only(values: np.ndarray, dtype: type) -> np.ndarray:
+    """The array as a contiguous, read-only one of this type: itself where it is that already, else a copy."""
+    if values.dtype == dtype and values.flags.c_contiguous and not values.flags.writeable:
+        return values
+    values = np.array(values, dtype=dtype, order="C")
+    values.flags.writeable = False
+    return values

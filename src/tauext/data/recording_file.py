@@ -1,0 +1,234 @@
+"""The Parquet file of a recording; docs/files.md is its contract."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from tauext.data.recording import FLAGS, REQUIRED_SIGNALS, SIGNALS, Recording, check_joints
+from tauext.errors import RecordingError
+
+FORMAT = 1
+UNITS = {"t": "ns", "q": "rad", "dq": "rad/s", "tau": "N m"}
+TEXTS = ("tauext_format", "joints", "units", "rate_hz", "torque_timing", "source", "robot_sha256", "provenance")
+"""Keys of the schema's metadata, all needed."""
+MAGIC = b"PAR1"
+
+
+@dataclass(frozen=True)
+class Description:
+    """What the head of a recording's file says; the samples are not read."""
+
+    name: str
+    joints: tuple[str, ...]
+    signals: tuple[str, ...]
+    """Signals that it holds, per joint or not, `t_ns` left out."""
+    samples: int
+    rate_hz: float
+    torque_timing: str
+    source: str
+    robot_sha256: str
+    provenance: dict[str, Any]
+
+
+def save(recording: Recording, path: Path | str) -> None:
+    """Write a recording under a temporary name in the same folder, then rename; its name becomes the stem of `path`.
+
+    The same recording gives the same bytes. Folders are not made.
+
+    Raises:
+        RecordingError: the name does not end in .parquet, or the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix != ".parquet":
+        raise RecordingError(f"{path}: the name of a recording's file must end in .parquet")
+    held = [signal for signal in SIGNALS if getattr(recording, signal) is not None]
+    columns = {"t_ns": recording.t_ns}
+    for signal in held:
+        by_joint = np.ascontiguousarray(getattr(recording, signal).T)
+        columns |= {f"{signal}_{joint}": by_joint[j] for j, joint in enumerate(recording.joints)}
+    floats = list(columns)[1:]
+    flags = [flag for flag in FLAGS if getattr(recording, flag) is not None]
+    columns |= {flag: getattr(recording, flag) for flag in flags}
+    table = pa.table(columns).replace_schema_metadata(
+        {
+            "tauext_format": str(FORMAT),
+            "joints": json.dumps(recording.joints),
+            "units": json.dumps(UNITS),
+            "rate_hz": repr(recording.rate_hz),
+            "torque_timing": recording.torque_timing,
+            "source": recording.source,
+            "robot_sha256": recording.robot_sha256,
+            "provenance": json.dumps(recording.provenance),
+        }
+    )
+    part = path.with_name(path.name + ".part")
+    try:
+        pq.write_table(
+            table,
+            part,
+            compression="zstd",
+            compression_level=1,
+            use_dictionary=flags,
+            column_encoding={"t_ns": "DELTA_BINARY_PACKED"} | dict.fromkeys(floats, "BYTE_STREAM_SPLIT"),
+            write_page_checksum=True,
+        )
+        os.replace(part, path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise RecordingError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def load(path: Path | str) -> Recording:
+    """Read a recording; its name is the stem of `path`. The file is only read, whatever is wrong with it.
+
+    Raises:
+        RecordingError: names the file, what is wrong in it and what would be right.
+    """
+    path = Path(path)
+    with opened(path) as file:
+        head = read_head(path, file)
+        check_columns(path, head, file.schema_arrow)
+        columns = file.read()
+    arrays = {flag: to_numpy(path, columns, flag) for flag in ("t_ns", *FLAGS) if flag in columns.column_names}
+    for signal in head.signals:
+        if signal not in FLAGS:
+            values = np.empty((head.samples, len(head.joints)))
+            for j, joint in enumerate(head.joints):
+                values[:, j] = to_numpy(path, columns, f"{signal}_{joint}")
+            values.flags.writeable = False
+            arrays[signal] = values
+    keep = ("name", "joints", "rate_hz", "torque_timing", "source", "robot_sha256", "provenance")
+    try:
+        return Recording(**{name: getattr(head, name) for name in keep}, **arrays)
+    except RecordingError as error:
+        what = str(error).removeprefix(f"recording '{path.stem}': ")
+        raise RecordingError(f"{path}: {what}") from error
+
+
+def describe(path: Path | str) -> Description:
+    """Joints, signals, rate and number of samples from the head of the file alone: milliseconds for any length.
+
+    Raises:
+        RecordingError: as load, but for faults of the samples, which are not read.
+    """
+    path = Path(path)
+    with opened(path) as file:
+        head = read_head(path, file)
+        check_columns(path, head, file.schema_arrow)
+        return head
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[pq.ParquetFile]:
+    """The Parquet file at this path, open for reading; its own errors come out as RecordingError."""
+    try:
+        with path.open("rb") as raw:
+            begins = raw.read(4) == MAGIC
+            raw.seek(max(0, raw.seek(0, os.SEEK_END) - 4))
+            ends = raw.read(4) == MAGIC
+        if not begins:
+            raise RecordingError(f"{path}: not a Parquet file: it begins otherwise; recordings are Parquet files")
+        if not ends:
+            raise RecordingError(f"{path}: truncated: the end of a Parquet file is missing; copy or record it again")
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            yield file
+    except FileNotFoundError as error:
+        raise RecordingError(f"{path}: there is no such recording") from error
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
+        cause = str(error).splitlines()[0]
+        raise RecordingError(f"{path}: cannot be read ({cause}); if it is damaged, copy or record it again") from error
+
+
+def read_head(path: Path, file: pq.ParquetFile) -> Description:
+    """The metadata, each entry checked."""
+    metadata = file.schema_arrow.metadata or {}
+    texts = {key: metadata[key.encode()].decode(errors="replace") for key in TEXTS if key.encode() in metadata}
+    if "tauext_format" not in texts:
+        raise RecordingError(f"{path}: not a recording: its metadata has no tauext_format; tauext writes '{FORMAT}'")
+    if texts["tauext_format"] != str(FORMAT):
+        raise RecordingError(
+            f"{path}: its format is '{texts['tauext_format']}', this version reads '{FORMAT}'; update tauext"
+        )
+    for key in TEXTS:
+        if key not in texts:
+            raise RecordingError(f"{path}: its metadata has no '{key}'; needed are {', '.join(TEXTS)}")
+    units = parse_json(path, "units", texts["units"], dict)
+    for quantity, unit in UNITS.items():
+        if units.get(quantity) != unit:
+            raise RecordingError(
+                f"{path}: the unit of {quantity} is {units.get(quantity, 'missing')!r}, must be '{unit}'; "
+                f"convert the columns and write the recording again"
+            )
+    joints = check_joints(parse_json(path, "joints", texts["joints"], list), str(path))
+    try:
+        rate_hz = float(texts["rate_hz"])
+    except ValueError as error:
+        raise RecordingError(f"{path}: rate_hz = '{texts['rate_hz']}' must be a number, in Hz") from error
+    names = set(file.schema_arrow.names)
+    held = tuple(s for s in SIGNALS if any(f"{s}_{joint}" in names for joint in joints))
+    return Description(
+        name=path.stem,
+        joints=joints,
+        signals=held + tuple(flag for flag in FLAGS if flag in names),
+        samples=file.metadata.num_rows,
+        rate_hz=rate_hz,
+        torque_timing=texts["torque_timing"],
+        source=texts["source"],
+        robot_sha256=texts["robot_sha256"],
+        provenance=parse_json(path, "provenance", texts["provenance"], dict),
+    )
+
+
+def check_columns(path: Path, head: Description, schema: pa.Schema) -> None:
+    """Every column is there once, of its type; a signal stands for all joints or for none."""
+    per_joint = [signal for signal in SIGNALS if signal in head.signals or signal in REQUIRED_SIGNALS]
+    expected = {"t_ns": pa.int64()}
+    expected |= {f"{signal}_{joint}": pa.float64() for signal in per_joint for joint in head.joints}
+    expected |= {flag: pa.int8() for flag in FLAGS if flag in head.signals}
+    for name, kind in expected.items():
+        count = schema.names.count(name)
+        if count != 1:
+            what = "is missing" if count == 0 else f"stands there {count} times"
+            rule = f"a signal stands for all joints ({', '.join(head.joints)}) or for none"
+            raise RecordingError(f"{path}: column '{name}' {what}" + (f"; {rule}" if name != "t_ns" else ""))
+        if schema.field(name).type != kind:
+            raise RecordingError(f"{path}: column '{name}' is {schema.field(name).type}, must be {kind}")
+    for name in schema.names:
+        if name not in expected:
+            raise RecordingError(
+                f"{path}: column '{name}' is none of a recording's; they are t_ns, {', '.join(FLAGS)} and "
+                f"<signal>_<joint> with signals {', '.join(SIGNALS)} and joints {', '.join(head.joints)}"
+            )
+
+
+def to_numpy(path: Path, columns: pa.Table, name: str) -> np.ndarray:
+    """One column; an entry that is missing is an error."""
+    column = columns.column(name)
+    if column.null_count:
+        row = int(np.flatnonzero(column.is_null().to_numpy())[0])
+        raise RecordingError(f"{path}: {name} at row {row} is missing; every sample must have a value")
+    values = column.to_numpy()
+    values.flags.writeable = False
+    return values
+
+
+def parse_json(path: Path, key: str, text: str, kind: type) -> Any:
+    """The JSON value under this key of the metadata."""
+    try:
+        value = json.loads(text)
+    except ValueError as error:
+        raise RecordingError(f"{path}: metadata '{key}' is not JSON ({error})") from error
+    if not isinstance(value, kind):
+        wanted = "list" if kind is list else "object"
+        raise RecordingError(f"{path}: metadata '{key}' is {text[:60]}, must be a JSON {wanted}")
+    return value

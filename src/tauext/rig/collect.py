@@ -1,0 +1,146 @@
+"""A dataset folder from the virtual rig: recordings, robot file, split and what made them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+
+from tauext import __version__
+from tauext.data import save, save_split, split_recordings
+from tauext.errors import ConfigError
+from tauext.rig.arm import arm_xml
+from tauext.rig.config import RigConfig
+from tauext.rig.recording import simulate_recording
+from tauext.rig.scene import Kind
+
+LEAST_RECORDINGS = 20
+"""Of free motion: whole recordings are dealt to train, validation and test."""
+LEAST_LENGTH_S = 3.0
+"""Of a recording: the observer's warm-up and the network's window take the first 1.5 s."""
+
+Progress = Callable[[str, int, int], None]
+
+
+def simulate_dataset(
+    out_dir: Path,
+    config: RigConfig,
+    seed: int,
+    minutes: float,
+    collision_recordings: int,
+    progress: Progress | None = None,
+) -> None:
+    """Write a dataset folder as docs/files.md describes it.
+
+    Every recording has random streams of its own and is written when it is whole: an interrupted run goes on where it
+    stopped, and the files do not depend on the number of threads.
+
+    Args:
+        out_dir: made where it does not exist; may hold an interrupted or finished run of the same settings.
+        minutes: free motion in all.
+        collision_recordings: recordings with collisions, by pulses and by pads in turn.
+        progress: called with what was just written, how many recordings are there, and how many there will be.
+
+    Raises:
+        ConfigError: the folder holds another dataset, or recordings would be too short to be of use.
+    """
+    count, length_s = _cut(minutes, config)
+    kinds: list[Kind] = ["free"] * count + [("pulses", "pads")[k % 2] for k in range(collision_recordings)]
+    names = [f"free-{k:03d}.parquet" for k in range(count)]
+    names += [f"collisions-{k:03d}.parquet" for k in range(collision_recordings)]
+    robot = arm_xml(config)
+    robot_sha256 = hashlib.sha256(robot.encode()).hexdigest()
+    started = time.monotonic()
+    _claim(out_dir, _settings(config, seed, minutes, collision_recordings))
+    _write(out_dir / "robot.xml", robot)
+
+    def make(k: int) -> str:
+        path = out_dir / names[k]
+        if path.exists():
+            return kinds[k]
+        number, seconds = (k, length_s) if k < count else (k - count, config.collision_recording_s)
+        save(simulate_recording(config, kinds[k], seconds, seed, number, robot_sha256), path)
+        return kinds[k]
+
+    pool = ThreadPoolExecutor(os.cpu_count())
+    try:
+        for done, future in enumerate(as_completed([pool.submit(make, k) for k in range(len(names))]), start=1):
+            kind = future.result()
+            if progress is not None:
+                progress("free motion" if kind == "free" else f"collisions by {kind}", done, len(names))
+    finally:
+        pool.shutdown(cancel_futures=True)
+    split = split_recordings(names[:count], seed, minimum=LEAST_RECORDINGS, collisions=names[count:])
+    save_split(split, out_dir)
+    _write_json(out_dir / "wall_time_s.json", {"simulate": round(time.monotonic() - started, 3)})
+
+
+def _cut(minutes: float, config: RigConfig) -> tuple[int, float]:
+    """How many recordings of free motion, and their length in seconds: at least twenty, of at most recording_s."""
+    count = max(LEAST_RECORDINGS, round(60.0 * minutes / config.recording_s))
+    length_s = 60.0 * minutes / count
+    if length_s < LEAST_LENGTH_S:
+        raise ConfigError(
+            f"minutes = {minutes:g} must be >= {LEAST_RECORDINGS * LEAST_LENGTH_S / 60.0:g}: "
+            f"{LEAST_RECORDINGS} recordings of at least {LEAST_LENGTH_S:g} s"
+        )
+    return count, length_s
+
+
+def _settings(config: RigConfig, seed: int, minutes: float, collision_recordings: int) -> dict:
+    """What the recordings depend on, as plain JSON."""
+    settings = {"minutes": minutes, "collision_recordings": collision_recordings, "config": asdict(config)}
+    return {
+        "format": 1,
+        "command": "simulate",
+        "version": __version__,
+        "seed": seed,
+        "settings": json.loads(json.dumps(settings)),
+        "libraries": {name: version(name) for name in ("mujoco", "numpy", "pyarrow")},
+    }
+
+
+def _claim(out_dir: Path, settings: dict) -> None:
+    """Make the folder, or find it to be of these settings; run.json says which they are."""
+    run = out_dir / "run.json"
+    if run.exists():
+        try:
+            found = json.loads(run.read_text())
+        except ValueError as error:
+            raise ConfigError(f"{run}: not readable ({error}); choose another folder") from error
+        if found != settings:
+            raise ConfigError(
+                f"{out_dir}: holds a dataset of other settings ({_first_difference(found, settings)}); "
+                "choose another folder or remove it"
+            )
+        return
+    if out_dir.exists() and (not out_dir.is_dir() or any(out_dir.iterdir())):
+        raise ConfigError(f"{out_dir}: is not empty and holds no simulated dataset; choose another folder")
+    out_dir.mkdir(parents=True, exist_ok=True)
+    _write_json(run, settings)
+
+
+def _first_difference(found: object, wanted: object, name: str = "run.json") -> str:
+    """Where two JSON values differ first: `name: found, not wanted`."""
+    if isinstance(found, dict) and isinstance(wanted, dict):
+        for key in wanted.keys() | found.keys():
+            if found.get(key) != wanted.get(key):
+                return _first_difference(found.get(key), wanted.get(key), str(key))
+    return f"{name}: {found}, not {wanted}"
+
+
+def _write_json(path: Path, content: dict) -> None:
+    _write(path, json.dumps(content, indent=1) + "\n")
+
+
+def _write(path: Path, text: str) -> None:
+    """Write under a temporary name, then rename."""
+    part = path.with_name(path.name + ".part")
+    part.write_text(text)
+    os.replace(part, path)

@@ -1,0 +1,105 @@
+"""Load a robot file: read it, choose the joints, make the tree."""
+
+import hashlib
+import math
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+
+from tauext._core import Tree
+from tauext.errors import RobotError
+from tauext.robot.constraints import check_constraints
+from tauext.robot.joint_choice import choose_joints
+from tauext.robot.tree_from_mujoco import LEAST, make_tree
+from tauext.robot.urdf import read_urdf
+
+
+def load(
+    path: str | os.PathLike[str],
+    joints: Sequence[str] | None = None,
+    locked: Mapping[str, float] | None = None,
+    gravity: Sequence[float] | None = None,
+) -> Tree:
+    """Read a URDF or MJCF file into the tree of its moving joints.
+
+    Links, masses, inertia and rotor inertia are read (`armature` of joints and actuators, a motor's times its gear
+    squared); friction, springs, limits, contacts and gravity compensation are not part of a tree. Of a URDF, `visual`
+    and `collision` are dropped before anything is read, so missing meshes are no obstacle.
+
+    q = 0 of the tree is q = 0 of the file, and link i of the tree belongs to joints[i], in whatever order they are
+    asked for: a link need not come after its parent. What a locked joint carries becomes part of the link before it.
+
+    Args:
+        path: URDF or MJCF file.
+        joints: joints in use, in the order of the recordings' columns; None: every joint that is not in `locked`,
+            depth first from the base.
+        locked: position at which joints that are not in use are held, [rad or m]; one that is not named is held at
+            the file's own rest position: 0, or `ref` in MJCF.
+        gravity: acceleration of free fall in the base frame (3,), [m/s^2]; None: the file's, (0, 0, -9.81) if it says
+            nothing.
+
+    Raises:
+        RobotError: the file is missing, cannot be read or is no fixed-base tree of hinges and slides; a link that moves
+            has no mass; a joint is unknown, named twice, both used and locked, or follows another one.
+    """
+    path = Path(path)
+    model = _compile(path)
+    choice = choose_joints(model, joints, locked or {}, str(path))
+    check_constraints(model, choice.joint_ids, str(path))
+    return make_tree(model, choice.joint_ids, choice.qpos, _gravity(model, gravity), str(path))
+
+
+def robot_sha256(path: str | os.PathLike[str]) -> str:
+    """SHA-256 of a robot file's bytes, hexadecimal: by it a recording tells its robot. Includes are not followed.
+
+    Raises:
+        RobotError: the file cannot be read.
+    """
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        raise RobotError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _compile(path: Path) -> mujoco.MjModel:
+    if not path.is_file():
+        raise RobotError(f"{path}: no such file; a robot is a URDF or MJCF file")
+    try:
+        root = _root_tag(path)
+        if root == "robot":
+            spec = read_urdf(path)
+        elif root == "mujoco":
+            spec = mujoco.MjSpec.from_file(str(path))
+        else:
+            raise RobotError(f"{path}: its root element is <{root}>; a URDF has <robot>, an MJCF <mujoco>")
+        # MuJoCo refuses a moving body without mass even where its joint is locked; make_tree knows better.
+        spec.compiler.boundmass = max(spec.compiler.boundmass, LEAST)
+        spec.compiler.boundinertia = max(spec.compiler.boundinertia, LEAST)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return spec.compile()
+    except ElementTree.ParseError as error:
+        raise RobotError(f"{path}: not readable as XML: {error}") from error
+    except (ValueError, OSError, mujoco.FatalError) as error:
+        raise RobotError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from error
+
+
+def _root_tag(path: Path) -> str:
+    with path.open("rb") as file:
+        for _, element in ElementTree.iterparse(file, events=("start",)):
+            return element.tag
+    raise ElementTree.ParseError("no element found")
+
+
+def _gravity(model: mujoco.MjModel, asked: Sequence[float] | None) -> list[float]:
+    if asked is None:
+        off = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+        return [0.0, 0.0, 0.0] if off else model.opt.gravity.tolist()
+    values = [float(value) for value in asked]
+    if len(values) != 3 or not all(math.isfinite(value) for value in values):
+        raise RobotError(f"gravity = {values} must be three finite numbers, e.g. (0, 0, -9.81) m/s^2")
+    return values

@@ -1,0 +1,184 @@
+"""A made-up dataset and results folder in the real formats: plausible to look at, and true of no robot."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import lfilter
+
+from tauext.data import Recording, Split, save, save_split
+from tauext.data.estimates import OK, WARMING_UP, Estimates, save_estimates
+from tauext.evaluate.collisions import choose_ten, find_collisions, found_curve, judge
+from tauext.evaluate.free_motion import FreeMotionErrors
+
+RATE_HZ = 1000
+WARM_S = 1.5
+NEAR_STICTION_RAD_S = 0.02
+MODEL_ERROR_NM = {"exact": 0.0, "mass": 28.0, "com": 18.0, "mass+com": 38.0, "none": 55.0}
+CASES = tuple(MODEL_ERROR_NM)
+
+
+def make_results(
+    folder: Path,
+    joints: int = 2,
+    cases: Sequence[str] = CASES,
+    seconds: float = 40.0,
+    test_recordings: int = 2,
+    collision_recordings: int = 2,
+    scale: str = "quick",
+    seed: int = 0,
+) -> tuple[Path, Path]:
+    """Write `folder/data` and `folder/results`; returns (results, data). Twelve collisions or so in each 60 s."""
+    rng = np.random.default_rng(seed)
+    data, results = folder / "data", folder / "results"
+    data.mkdir(parents=True)
+    free = [make_recording(f"free-{k:03d}", joints, seconds, False, rng) for k in range(test_recordings)]
+    touched = [make_recording(f"collisions-{k:03d}", joints, seconds, True, rng) for k in range(collision_recordings)]
+    for recording in free + touched:
+        save(recording, data / f"{recording.name}.parquet")
+    others = [f"free-{k:03d}.parquet" for k in range(len(free), len(free) + 2)]
+    for name in others:
+        save(free[0], data / name)
+    names = [[f"{r.name}.parquet" for r in part] for part in (free, touched)]
+    save_split(Split((others[0],), (others[1],), names[0], names[1]), data)
+
+    limits = {case: np.linspace(4.4, 2.6, joints) * (1 + 0.04 * k) for k, case in enumerate(cases)}
+    touches = [touch for recording in touched for touch in find_collisions(recording)]
+    ten = choose_ten(touches, np.max(list(limits.values()), axis=0), seed)
+    entries = []
+    for case in cases:
+        (results / "estimates" / case).mkdir(parents=True)
+        errors, verdicts = FreeMotionErrors(joints), []
+        for recording in free + touched:
+            estimates = make_estimates(recording, case, limits[case], rng)
+            save_estimates(estimates, results / "estimates" / case / f"{recording.name}.parquet")
+            if recording in free:
+                errors.add(recording, estimates)
+            verdicts += [judge(touch, recording, estimates) for touch in touches if touch.recording == recording.name]
+        found = {verdict["id"]: verdict["found"] for verdict in verdicts}
+        entries.append(
+            {
+                "name": case,
+                "bundle": f"{case}.tauext",
+                "recipe": "paper",
+                "steps": 11340,
+                "epochs": 20,
+                "batch": 1000,
+                "train_minutes": 3.4,
+                "free_motion": errors.summary(),
+                "limits": {"sliding_nm": limits[case].tolist(), "near_stiction_nm": (2 * limits[case]).tolist()},
+                "collisions": verdicts,
+                "ten_found": sum(found[one] for one in ten),
+                "found_curve": found_curve(touches, verdicts, limits[case]),
+            }
+        )
+    content = {
+        "format": 1,
+        "provenance": {
+            "command": "tauext reproduce --scale quick --seed 0",
+            "version": "0.1.0",
+            "seed": seed,
+            "machine": "a made-up processor, 2 cores, Linux x86_64",
+            "dataset": "data",
+            "scale": scale,
+        },
+        "joints": list(free[0].joints),
+        "near_stiction_rad_s": NEAR_STICTION_RAD_S,
+        "ten_collisions": ten,
+        "collisions": [touch.summary() for touch in touches],
+        "cases": entries,
+    }
+    (results / "results.json").write_text(json.dumps(content, indent=1, allow_nan=False))
+    return results, data
+
+
+def make_recording(name: str, joints: int, seconds: float, contacts: bool, rng: np.random.Generator) -> Recording:
+    """Rest-to-rest moves; contacts are half-sine pushes, their reference the push behind the sensor's low-pass."""
+    samples = round(seconds * RATE_HZ)
+    t_s = np.arange(samples) / RATE_HZ
+    q = make_motion(samples, joints, rng)
+    dq = np.gradient(q, 1 / RATE_HZ, axis=0)
+    tau_ext = np.zeros((samples, joints))
+    contact, link = np.zeros(samples, np.int8), np.full(samples, -1, np.int8)
+    if contacts:
+        for start_s in np.arange(4.0, seconds - 3.0, 5.0) + rng.uniform(0, 1):
+            push = (t_s >= start_s) & (t_s < start_s + rng.uniform(0.15, 0.6))
+            shape = np.sin(np.pi * np.linspace(0, 1, push.sum())) ** 0.5
+            share = rng.uniform(0.3, 1.0, joints) * np.linspace(1.0, 0.4, joints)
+            tau_ext[push] = rng.choice([-1, 1]) * rng.uniform(3, 30) * shape[:, None] * share
+            contact[push], link[push] = 1, joints - 1
+    tau = friction(dq) + 40 * np.cos(q) * np.linspace(1, 0.3, joints) - tau_ext + rng.normal(0, 0.5, q.shape)
+    return Recording(
+        name=name,
+        joints=tuple(f"joint{j + 1}" for j in range(joints)),
+        t_ns=np.arange(samples) * (1_000_000_000 // RATE_HZ),
+        q=q,
+        dq=dq,
+        tau=tau,
+        rate_hz=float(RATE_HZ),
+        torque_timing="held",
+        source="made up for tests of the report",
+        robot_sha256="0" * 64,
+        tau_ext=tau_ext,
+        tau_ext_sensor=low_pass(tau_ext + rng.normal(0, 0.5, q.shape)),
+        contact=contact,
+        contact_link=link,
+        provenance={"contacts": "pulses" if contacts else "none"},
+    )
+
+
+def make_motion(samples: int, joints: int, rng: np.random.Generator) -> np.ndarray:
+    """Quintic moves of a few seconds with short pauses, (samples, joints), [rad]."""
+    q, here, row = np.zeros((samples, joints)), np.zeros(joints), 0
+    while row < samples:
+        there = rng.uniform(-np.pi, np.pi, joints)
+        length = round(np.abs(there - here).max() / np.deg2rad(rng.uniform(20, 50)) * RATE_HZ)
+        s = np.linspace(0, 1, max(length, 2))[:, None]
+        move = here + (there - here) * (10 * s**3 - 15 * s**4 + 6 * s**5)
+        move = np.vstack([move, np.repeat(there[None], rng.integers(0, 400), axis=0)])
+        q[row : row + len(move)] = move[: samples - row]
+        here, row = there, row + len(move)
+    return q
+
+
+def friction(dq: np.ndarray) -> np.ndarray:
+    return np.linspace(11, 6, dq.shape[1]) * np.tanh(dq / 0.01) + np.linspace(8, 4, dq.shape[1]) * dq
+
+
+def low_pass(x: np.ndarray) -> np.ndarray:
+    """First order at 20 rad/s, as observer and sensor reference have it."""
+    a = np.exp(-20 / RATE_HZ)
+    return lfilter([1 - a], [1, -a], x, axis=0)
+
+
+def make_estimates(recording: Recording, case: str, limit_nm: np.ndarray, rng: np.random.Generator) -> Estimates:
+    """An observer that sees friction, the case's model error and the push; a network that errs most near stiction."""
+    n = len(recording.joints)
+    model = MODEL_ERROR_NM.get(case, 10.0) * np.cos(recording.q) * np.linspace(1, 0.3, n)
+    uncertainty = low_pass(-friction(recording.dq) - model)
+    near = np.abs(recording.dq) < NEAR_STICTION_RAD_S
+    white = rng.standard_normal(recording.q.shape)
+    slow = lfilter([0.02], [1, -0.98], white, axis=0) * 10
+    network = uncertainty + slow * np.where(near, 1.2, 0.35) * np.linspace(1, 0.6, n)
+    residual = uncertainty + low_pass(recording.tau_ext) + rng.normal(0, 0.05, network.shape)
+    tau_ext = residual - network
+    warm = recording.time_s < WARM_S
+    network[warm] = tau_ext[warm] = np.nan
+    limit = np.where(near, 2 * limit_nm, limit_nm)
+    with np.errstate(invalid="ignore"):
+        detection = (np.abs(tau_ext) > limit).any(axis=1) & ~warm
+    single = np.float32
+    return Estimates(
+        joints=recording.joints,
+        t_ns=recording.t_ns,
+        r=residual.astype(single),
+        network=network.astype(single),
+        tau_ext=tau_ext.astype(single),
+        limit=limit.astype(single),
+        near_stiction=near,
+        health=np.where(warm, WARMING_UP, OK).astype(np.int8),
+        detection=detection,
+    )

@@ -1,0 +1,267 @@
+"""p and beta of the sweep: against Pinocchio and MuJoCo, finite differences, and what must not change them."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from trees import ARMS, branched, planar_rig, random_states, seven_axis, six_axis, urdf
+
+from tauext import _core
+from tauext.robot import empty, load, perturbed
+
+MODELS = Path(os.environ.get("TAUEXT_DATA", "")) / "models"
+FILE_ARMS = {
+    "panda": {"panda_finger_joint1": 0.02, "panda_finger_joint2": 0.02},
+    "ur10_robot": {},
+    "kinova": {},
+}
+
+
+@pytest.fixture(params=ARMS)
+def parts(request):
+    return ARMS[request.param]()
+
+
+def read(folder, parts, **options) -> _core.Tree:
+    path = folder / "arm.urdf"
+    path.write_text(urdf(parts))
+    return load(path, **options)
+
+
+def assert_relative(found, expected, tolerance):
+    """Every joint to `tolerance` of its own largest value, or of a thousandth of the arm's: a vertical first joint has
+    beta = 0 at all times."""
+    found, expected = np.asarray(found), np.asarray(expected)
+    scale = np.maximum(np.abs(expected).max(axis=0), 1e-3 * np.abs(expected).max())
+    worst = (np.abs(found - expected).max(axis=0) / scale).max()
+    assert worst <= tolerance, f"relative difference {worst:.3g}, wanted {tolerance:.3g}"
+
+
+def test_p_and_beta_equal_those_of_pinocchio(tmp_path, parts):
+    pinocchio = pytest.importorskip("pinocchio_oracle")
+    tree = read(tmp_path, parts)
+    model = pinocchio.read_model(urdf(parts), {part.joint: part.rotor_inertia for part in parts})
+    q, dq = random_states(len(parts), 1000, seed=1)
+    joints = [link.joint_name for link in tree.links]
+    # Both round in the 16th digit; 1e-10 leaves room for the readers' own trigonometry and inertia axes.
+    for found, expected in zip(tree.momentum(q, dq), pinocchio.momentum(model, q, dq, joints), strict=True):
+        assert_relative(found, expected, 1e-10)
+
+
+@pytest.mark.parametrize("name", FILE_ARMS)
+def test_p_and_beta_of_published_arms_equal_those_of_pinocchio(name):
+    path = MODELS / f"{name}.urdf"
+    if not os.environ.get("TAUEXT_DATA") or not path.is_file():
+        pytest.skip("TAUEXT_DATA names no folder with models/")
+    pinocchio = pytest.importorskip("pinocchio_oracle")
+    tree = load(path, locked=FILE_ARMS[name])
+    model = pinocchio.locked(pinocchio.read_model(path.read_text()), FILE_ARMS[name])
+    q, dq = random_states(tree.size, 1000, seed=2)
+    joints = [link.joint_name for link in tree.links]
+    for found, expected in zip(tree.momentum(q, dq), pinocchio.momentum(model, q, dq, joints), strict=True):
+        assert_relative(found, expected, 1e-10)
+
+
+MUJOCO_ONLY = """
+<mujoco>
+  <compiler angle="radian"/>
+  <option gravity="1.2 -0.7 -9.3"/>
+  <worldbody>
+    <body name="wrist" pos="0.1 0.2 0.3" quat="0.9 0.1 -0.3 0.2">
+      <joint name="pan" axis="0.2 0.1 1" pos="0.03 -0.02 0.1" ref="0.4" armature="0.05"/>
+      <joint name="lift" type="slide" axis="1 0.3 0" ref="-0.2"/>
+      <joint name="roll" axis="0 1 0.2" pos="-0.1 0.04 0"/>
+      <geom type="box" size="0.1 0.2 0.05" pos="0.1 0 0.02" euler="0.3 0.2 0.1" mass="4"/>
+      <body name="plate" pos="0 0.1 0" euler="0.4 0 0.2">
+        <geom type="capsule" size="0.03 0.1" pos="0 0 0.1" mass="1"/>
+        <body name="finger" pos="0 0 0.2">
+          <joint name="bend" axis="0 1 0" pos="0 0 -0.02"/>
+          <geom type="ellipsoid" size="0.02 0.05 0.08" pos="0.02 0.01 0.05" mass="0.4"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <dcmotor name="bend_motor" joint="bend" gear="20" armature="0.0002" motorconst="0.1" resistance="1"/>
+    <motor name="lift_motor" joint="lift" gear="-3" armature="0.1"/>
+  </actuator>
+</mujoco>
+"""
+
+
+class MujocoOracle:
+    """p = M dq; beta = c + g - (dM/dt) dq, since dM/dt = C + C^T; dM/dt by differences of p along dq."""
+
+    STEP_S = 1e-3
+
+    def __init__(self, xml: str, rotor_inertia: dict[str, float]):
+        self.model = mujoco.MjSpec.from_string(xml).compile()
+        for joint, inertia in rotor_inertia.items():
+            self.model.dof_armature[self.model.joint(joint).dofadr] = inertia
+        self.data = mujoco.MjData(self.model)
+
+    def p(self, q, dq):
+        self.data.qpos[:], self.data.qvel[:] = q, dq
+        mujoco.mj_forward(self.model, self.data)
+        out = np.empty(self.model.nv)
+        mujoco.mj_mulM(self.model, self.data, out, np.array(dq))
+        return out
+
+    def beta(self, q, dq):
+        h = self.STEP_S
+        ahead = [self.p(q + k * h * dq, dq) for k in (-2, -1, 1, 2)]
+        rate = (ahead[0] - 8 * ahead[1] + 8 * ahead[2] - ahead[3]) / (12 * h)
+        self.p(q, dq)
+        return self.data.qfrc_bias - rate
+
+
+@pytest.mark.parametrize("name", [*ARMS, "mujoco_only"])
+def test_p_and_beta_equal_those_of_mujoco(tmp_path, name):
+    if name == "mujoco_only":
+        (tmp_path / "arm.xml").write_text(MUJOCO_ONLY)
+        tree, oracle = load(tmp_path / "arm.xml"), MujocoOracle(MUJOCO_ONLY, {})
+    else:
+        arm = ARMS[name]()
+        tree = read(tmp_path, arm)
+        oracle = MujocoOracle(urdf(arm), {part.joint: part.rotor_inertia for part in arm})
+    q, dq = random_states(tree.size, 100, seed=3)
+    p, beta = tree.momentum(q, dq)
+    assert_relative(p, [oracle.p(*state) for state in zip(q, dq, strict=True)], 1e-10)
+    # Fourth-order differences over 1 ms: truncation (2 rad/s * 7 joints * 1e-3 s)^4 / 30 ~ 1e-9, rounding ~ 1e-12.
+    assert_relative(beta, [oracle.beta(*state) for state in zip(q, dq, strict=True)], 1e-8)
+    at_rest = tree.momentum(q, np.zeros_like(q))[1]
+    assert_relative(at_rest, [gravity_torque(oracle, row) for row in q], 1e-10)
+
+
+def gravity_torque(oracle: MujocoOracle, q: np.ndarray) -> np.ndarray:
+    oracle.p(q, np.zeros_like(q))
+    return np.array(oracle.data.qfrc_bias)
+
+
+def potential(tree: _core.Tree, q: np.ndarray) -> float:
+    """U = -sum of m g.c over the links: forward kinematics in the base frame, parents first."""
+    placed: list[tuple[np.ndarray, np.ndarray]] = []
+    energy = 0.0
+    for link, position in zip(tree.links, q, strict=True):
+        turn, origin = placed[link.parent] if link.parent >= 0 else (np.eye(3), np.zeros(3))
+        origin = origin + turn @ np.array(link.translation)
+        turn = turn @ np.reshape(link.rotation, (3, 3))
+        if link.type == _core.JointType.revolute:
+            c, s = np.cos(position), np.sin(position)
+            turn = turn @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        else:
+            origin = origin + position * turn[:, 2]
+        placed.append((turn, origin))
+        energy -= link.mass * np.dot(tree.gravity, origin + turn @ np.array(link.com))
+    return energy
+
+
+def lagrangian(tree: _core.Tree, q: np.ndarray, dq: np.ndarray) -> float:
+    p, _ = tree.momentum(q[None], dq[None])
+    return 0.5 * dq @ p[0] - potential(tree, q)
+
+
+def test_beta_is_minus_the_gradient_of_the_lagrangian(tmp_path, parts):
+    tree = read(tmp_path, parts)
+    h = 1e-5
+    for q, dq in zip(*random_states(tree.size, 20, seed=4), strict=True):
+        _, beta = tree.momentum(q[None], dq[None])
+        gradient = [
+            (lagrangian(tree, q + h * unit, dq) - lagrangian(tree, q - h * unit, dq)) / (2 * h)
+            for unit in np.eye(tree.size)
+        ]
+        # Central differences: truncation h^2/6 of the third derivative ~ 1e-10, rounding eps/h ~ 1e-10 of L.
+        scale = abs(lagrangian(tree, q, dq)) + np.abs(beta).max()
+        np.testing.assert_allclose(-beta[0], gradient, rtol=0, atol=2e-9 * scale)
+
+
+def test_p_is_the_gradient_of_the_lagrangian_over_speed(tmp_path, parts):
+    tree = read(tmp_path, parts)
+    for q, dq in zip(*random_states(tree.size, 20, seed=5), strict=True):
+        p, _ = tree.momentum(q[None], dq[None])
+        # L is quadratic in dq, so a central difference of any step is exact but for rounding.
+        gradient = [(lagrangian(tree, q, dq + unit) - lagrangian(tree, q, dq - unit)) / 2 for unit in np.eye(tree.size)]
+        np.testing.assert_allclose(p[0], gradient, rtol=0, atol=1e-12 * abs(lagrangian(tree, q, dq)) + 1e-12)
+
+
+def test_coriolis_forces_do_no_work_beyond_the_change_of_the_mass_matrix(tmp_path, parts):
+    """dM/dt = C + C^T gives dq.(dM/dt)dq = 2 dq.C^T dq = -2 dq.beta without gravity."""
+    tree = read(tmp_path, parts, gravity=(0, 0, 0))
+    q, dq = random_states(tree.size, 100, seed=6)
+    h = 1e-3
+    ahead = [tree.momentum(q + k * h * dq, dq)[0] for k in (-2, -1, 1, 2)]
+    rate = (ahead[0] - 8 * ahead[1] + 8 * ahead[2] - ahead[3]) / (12 * h)
+    left, right = np.sum(dq * rate, axis=1), -2 * np.sum(dq * tree.momentum(q, dq)[1], axis=1)
+    np.testing.assert_allclose(left, right, rtol=0, atol=1e-7 * np.abs(right).max())  # as for MuJoCo's beta
+
+
+def test_gravity_alone_is_left_at_rest_and_nothing_without_gravity(tmp_path, parts):
+    q, _ = random_states(len(parts), 50, seed=7)
+    p, beta = read(tmp_path, parts).momentum(q, np.zeros_like(q))
+    assert not p.any() and beta.any()
+    assert not read(tmp_path, parts, gravity=(0, 0, 0)).momentum(q, np.zeros_like(q))[1].any()
+
+
+@pytest.mark.parametrize("order", [[0, 1, 4, 5, 2, 3], [5, 4, 3, 2, 1, 0], [4, 0, 5, 1, 2, 3]])
+def test_permuting_the_joints_permutes_the_results_even_where_a_child_comes_before_its_parent(tmp_path, order):
+    arm = branched()
+    plain = read(tmp_path, arm)
+    permuted = read(tmp_path, arm, joints=[plain.links[i].joint_name for i in order])
+    assert order[0] == 0 or any(link.parent > i for i, link in enumerate(permuted.links))
+    q, dq = random_states(len(arm), 100, seed=8)
+    for left, right in zip(plain.momentum(q, dq), permuted.momentum(q[:, order], dq[:, order]), strict=True):
+        assert_relative(right, left[:, order], 1e-13)  # sums over branches in another order
+
+
+@pytest.mark.parametrize("arm", [six_axis, branched])
+def test_a_locked_joint_equals_one_at_rest_at_that_position(tmp_path, arm):
+    parts, position = arm(), 0.7
+    held, free = parts[2].joint, [0, 1, 3, 4, 5]
+    q, dq = random_states(len(parts), 100, seed=9)
+    q[:, 2], dq[:, 2] = position, 0.0
+    whole = read(tmp_path, parts).momentum(q, dq)
+    fused = read(tmp_path, parts, locked={held: position}).momentum(q[:, free].copy(), dq[:, free].copy())
+    for left, right in zip(whole, fused, strict=True):
+        assert_relative(right, left[:, free], 1e-12)
+
+
+def test_a_perturbed_model_equals_the_arm_built_that_way(tmp_path):
+    parts = planar_rig()  # joint frames are the links' frames, so the centre of mass scales in the file alike
+    changed = [replace(part, mass=0.5 * part.mass, com=0.5 * part.com) for part in parts]
+    q, dq = random_states(2, 100, seed=10)
+    found = perturbed(read(tmp_path, parts), mass_factor=0.5, com_factor=0.5).momentum(q, dq)
+    for left, right in zip(found, read(tmp_path, changed).momentum(q, dq), strict=True):
+        assert_relative(left, right, 1e-14)
+
+
+def test_halving_the_mass_halves_gravity_and_leaves_rotor_inertia(tmp_path, parts):
+    tree = read(tmp_path, parts)
+    half = perturbed(tree, mass_factor=0.5)
+    q, dq = random_states(tree.size, 50, seed=11)
+    rest = np.zeros_like(dq)
+    np.testing.assert_allclose(half.momentum(q, rest)[1], 0.5 * tree.momentum(q, rest)[1], rtol=1e-12, atol=1e-11)
+    assert [link.rotor_inertia for link in half.links] == [link.rotor_inertia for link in tree.links]
+    assert [link.inertia for link in half.links] == [link.inertia for link in tree.links]
+
+
+def test_perturbing_by_one_changes_nothing_and_no_model_is_zero(tmp_path, parts):
+    tree = read(tmp_path, parts)
+    q, dq = random_states(tree.size, 50, seed=12)
+    for left, right in zip(perturbed(tree).momentum(q, dq), tree.momentum(q, dq), strict=True):
+        np.testing.assert_array_equal(left, right)
+    p, beta = empty(tree).momentum(q, dq)
+    assert not p.any() and not beta.any()
+    assert [link.joint_name for link in empty(tree).links] == [link.joint_name for link in tree.links]
+
+
+def test_a_state_that_is_not_a_number_gives_no_number(tmp_path):
+    tree = read(tmp_path, seven_axis())
+    q, dq = random_states(7, 2, seed=13)
+    q[0, 3], dq[1, 3] = np.nan, np.inf
+    for values in tree.momentum(q, dq):
+        assert not np.isfinite(values).all(axis=1).any()

@@ -1,0 +1,210 @@
+"""Metrics, collisions and delays against values worked out by hand."""
+
+import json
+
+import numpy as np
+import pytest
+from arms import prismatic_mass
+from numpy.testing import assert_allclose
+
+from tauext import _core
+from tauext.config import ObserverConfig
+from tauext.data import Recording
+from tauext.data.estimates import OK, WARMING_UP, Estimates, load_estimates, save_estimates
+from tauext.errors import BundleError, ConfigError, RecordingError
+from tauext.evaluate import evaluate
+from tauext.evaluate.collisions import choose_ten, find_collisions, found_curve, judge
+from tauext.evaluate.free_motion import FreeMotionErrors, count_episodes
+from tauext.learn import build_chain, make_bundle
+
+MASS = 2.0
+
+
+def recording(name: str = "made", samples: int = 3000, **changes) -> Recording:
+    """One sliding mass at rest."""
+    zeros = np.zeros((samples, 1))
+    content = {
+        "name": name,
+        "joints": ("slide",),
+        "t_ns": np.arange(samples, dtype=np.int64) * 1_000_000,
+        "q": zeros,
+        "dq": zeros,
+        "tau": zeros,
+        "rate_hz": 1000.0,
+        "torque_timing": "held",
+        "source": "test",
+        "robot_sha256": "",
+    }
+    return Recording(**(content | changes))
+
+
+def pushed(name: str, force: float, begin: int = 1000, end: int = 1400, samples: int = 3000) -> Recording:
+    """The mass pushed by a constant force between two samples, and what an ideal sensor says of it."""
+    push = np.zeros((samples, 1))
+    push[begin:end] = force
+    dq = np.vstack([[0.0], np.cumsum(push[:-1], axis=0)]) * 1e-3 / MASS
+    a = np.exp(-0.02)
+    sensor = np.zeros_like(push)
+    for k in range(1, samples):
+        sensor[k] = a * sensor[k - 1] + (1 - a) * push[k - 1]
+    contact = (push[:, 0] != 0).astype(np.int8)
+    return recording(
+        name, samples, dq=dq, tau_ext=push, tau_ext_sensor=sensor, contact=contact, contact_link=contact - 1
+    )
+
+
+def observer_bundle(limit_nm: float = 2.0) -> _core.Bundle:
+    made = recording()
+    chain = build_chain(prismatic_mass(MASS), made, ObserverConfig())
+    bundle = make_bundle("observer", chain, 0.02, made)
+    bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [limit_nm]
+    bundle.provenance = json.dumps({"recipe": "observer", "steps": 0})
+    return bundle
+
+
+def estimates_of(tau_ext: np.ndarray, limit: float, warm_from: int = 0) -> Estimates:
+    tau_ext = np.asarray(tau_ext, dtype=np.float32).reshape(-1, 1)
+    healthy = np.arange(len(tau_ext)) >= warm_from
+    zeros = np.zeros_like(tau_ext)
+    return Estimates(
+        joints=("slide",),
+        t_ns=np.arange(len(tau_ext), dtype=np.int64) * 1_000_000,
+        r=tau_ext,
+        network=zeros,
+        tau_ext=tau_ext,
+        limit=zeros + np.float32(limit),
+        near_stiction=np.arange(len(tau_ext))[:, None] % 2 == 0,
+        health=np.where(healthy, OK, WARMING_UP).astype(np.int8),
+        detection=healthy & (np.abs(tau_ext[:, 0]) > limit),
+    )
+
+
+def test_a_push_is_found_after_the_time_that_the_observer_needs_to_reach_the_limit(tmp_path):
+    # r(t) = F (1 - exp(-K0 t)) passes the limit at t = -ln(1 - limit/F)/K0; the sensor has the same low-pass.
+    force, limit = 10.0, 2.0
+    hit = pushed("hit", force)
+    results = evaluate({"observer": observer_bundle(limit)}, [recording], [lambda: hit], tmp_path, seed=0, threads=1)
+    (verdict,) = results["cases"][0]["collisions"]
+    expected = -np.log(1 - limit / force) / 20.0
+    assert verdict["found"] and verdict["joint"] == "slide"
+    assert expected <= verdict["delay_s"] <= expected + 1.001e-3  # the first sample after it
+    assert verdict["delay_against_sensor_s"] == pytest.approx(0.0, abs=1.001e-3)
+    (collision,) = results["collisions"]
+    assert (collision["start_s"], collision["end_s"]) == (1.0, 1.399)
+    assert collision["true_peak_nm"] == [force]
+    assert collision["sensor_peak_nm"][0] == pytest.approx(force * (1 - np.exp(-20 * 0.4)), rel=1e-3)
+    assert results["ten_collisions"] == [collision["id"]] and results["cases"][0]["ten_found"] == 1
+
+
+def test_a_push_below_the_limit_is_missed_and_counts_as_missed_in_the_curve(tmp_path):
+    weak = pushed("weak", 1.5)
+    results = evaluate({"observer": observer_bundle(2.0)}, [recording], [lambda: weak], tmp_path, seed=0, threads=1)
+    (verdict,) = results["cases"][0]["collisions"]
+    assert not verdict["found"] and verdict["delay_s"] is None and verdict["delay_against_sensor_s"] is None
+    entry = next(e for e in results["cases"][0]["found_curve"] if e["collisions"])
+    assert (entry["peak_over_limit_from"], entry["collisions"], entry["found"]) == (0.5, 1, 0)
+
+
+def test_free_motion_numbers_equal_those_of_all_samples_in_one_array():
+    rng = np.random.default_rng(1)
+    parts = [rng.normal(0, 3, 500), rng.normal(0, 1, 700)]
+    errors = FreeMotionErrors(1)
+    for part in parts:
+        errors.add(recording(samples=len(part)), estimates_of(part, limit=1e9, warm_from=100))
+    summary = errors.summary()
+    kept = np.concatenate([part[100:] for part in parts]).astype(np.float32).astype(float)
+    near = np.concatenate([np.arange(100, len(part)) % 2 == 0 for part in parts])
+    assert_allclose(summary["l1_nm"], [np.abs(kept).mean()], rtol=1e-12)
+    assert_allclose(summary["l2_nm"], [np.sqrt((kept**2).mean())], rtol=1e-12)
+    assert_allclose(summary["mse_nm2"], [(kept**2).mean()], rtol=1e-12)
+    assert_allclose(summary["rmse_near_stiction_nm"], [np.sqrt((kept[near] ** 2).mean())], rtol=1e-12)
+    assert_allclose(summary["rmse_sliding_nm"], [np.sqrt((kept[~near] ** 2).mean())], rtol=1e-12)
+    assert summary["samples"] == 1000 and summary["hours"] == pytest.approx(1 / 3600)
+    assert summary["false_alarms"] == 0
+
+
+def test_what_does_not_exist_is_null_and_not_zero():
+    errors = FreeMotionErrors(1)
+    errors.add(recording(samples=10), estimates_of(np.full(10, np.nan), 1.0, warm_from=10))
+    summary = errors.summary()
+    assert summary["rmse_sliding_nm"] == [None] and summary["false_alarms_per_hour"] is None
+    json.dumps(summary, allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    "at, episodes", [([], 0), ([5], 1), ([5, 6, 7], 1), ([5, 505], 1), ([5, 506], 2), ([0, 600, 1200, 1201], 3)]
+)
+def test_detections_less_than_half_a_second_apart_are_one_false_alarm(at, episodes):
+    flags = np.zeros(2000, dtype=bool)
+    flags[at] = True
+    assert count_episodes(flags, quiet_samples=500) == episodes
+
+
+def test_a_bouncing_touch_is_one_collision_and_one_after_a_pause_another():
+    contact = np.zeros(3000, dtype=np.int8)
+    contact[100:150] = contact[300:340] = contact[1000:1001] = 1
+    found = find_collisions(recording(contact=contact))
+    assert [(c.begin, c.end) for c in found] == [(100, 340), (1000, 1001)]
+    assert [c.id for c in found] == ["made:0", "made:1"]
+    assert find_collisions(recording()) == []
+
+
+def test_an_alarm_that_was_on_before_the_touch_does_not_find_it():
+    contact = np.zeros(3000, dtype=np.int8)
+    contact[1000:1200] = 1
+    made = recording(contact=contact)
+    (collision,) = find_collisions(made)
+    stuck = np.zeros(3000)
+    stuck[900:1500] = 5.0
+    assert not judge(collision, made, estimates_of(stuck, 1.0))["found"]
+    stuck[1050:1060] = 0.0  # released and raised again while in contact
+    verdict = judge(collision, made, estimates_of(stuck, 1.0))
+    assert verdict["found"] and verdict["delay_s"] == pytest.approx(0.060)
+
+
+def test_the_ten_are_drawn_by_seed_among_those_of_twice_the_limit():
+    recordings = [pushed(f"push-{k:02d}", force=k + 1.0) for k in range(30)]
+    touches = [find_collisions(r)[0] for r in recordings]
+    limit = np.array([5.0])
+    ten = choose_ten(touches, limit, seed=3)
+    assert len(ten) == 10 and ten == choose_ten(touches, limit, seed=3) and ten != choose_ten(touches, limit, seed=4)
+    assert all(c.sensor_peak_nm[0] >= 10.0 for c in touches if c.id in ten)
+    assert choose_ten(touches[:12], limit, seed=3) == [c.id for c in touches[:12] if c.sensor_peak_nm[0] >= 10.0]
+    curve = found_curve(touches, [{"found": True}] * 30, limit)
+    assert sum(entry["collisions"] for entry in curve) == 30 == sum(entry["found"] for entry in curve)
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"joints": ("other",)}, "is for joints slide; recording made has other"),
+        ({"t_ns": np.arange(3000, dtype=np.int64) * 2_000_000, "rate_hz": 500.0}, "runs at 1000 Hz"),
+        ({"torque_timing": "instant"}, "torques that are held"),
+    ],
+)
+def test_a_recording_that_does_not_fit_is_refused_by_name(tmp_path, changes, message):
+    made = recording(**changes)
+    with pytest.raises(BundleError, match=message):
+        evaluate({"observer": observer_bundle()}, [lambda: made], [], tmp_path, seed=0, threads=1)
+
+
+def test_a_test_recording_with_contacts_and_an_empty_test_set_are_refused(tmp_path):
+    with pytest.raises(ConfigError, match="holds contacts"):
+        evaluate({"observer": observer_bundle()}, [lambda: pushed("hit", 9)], [], tmp_path, seed=0, threads=1)
+    with pytest.raises(ConfigError, match="no test recording"):
+        evaluate({"observer": observer_bundle()}, [], [], tmp_path, seed=0, threads=1)
+    with pytest.raises(ConfigError, match="no bundle"):
+        evaluate({}, [recording], [], tmp_path, seed=0, threads=1)
+
+
+def test_estimates_come_back_from_their_file_as_they_were(tmp_path):
+    made = estimates_of(np.r_[np.full(5, np.nan), np.arange(10.0)], 3.0, warm_from=5)
+    save_estimates(made, tmp_path / "e.parquet")
+    loaded = load_estimates(tmp_path / "e.parquet")
+    for field in Estimates.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(loaded, field), getattr(made, field))
+    (tmp_path / "e.parquet").write_bytes(b"PAR1 not really")
+    with pytest.raises(RecordingError, match="not a readable estimates file"):
+        load_estimates(tmp_path / "e.parquet")
+    with pytest.raises(RecordingError, match="no such estimates"):
+        load_estimates(tmp_path / "missing.parquet")

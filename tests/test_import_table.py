@@ -1,0 +1,61 @@
+"""Who may import whom: the table that keeps the stages apart."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parent.parent / "src" / "tauext"
+EVERYTHING = {"*"}
+# folder or module: (ours, outside libraries); `errors` and `config` are open to all.
+TABLE = {
+    "errors": (set(), set()),
+    "config": (set(), set()),
+    "robot": ({"_core"}, {"numpy", "mujoco"}),
+    "data": ({"_core"}, {"numpy", "pyarrow"}),
+    "rig": ({"robot", "data"}, {"numpy", "mujoco"}),
+    "learn": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
+    "calibrate": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
+    "evaluate": ({"_core", "robot", "data"}, {"numpy"}),
+    "report": ({"data"}, {"numpy", "matplotlib", "jinja2"}),
+    "cli": (EVERYTHING, {"tyro", "rich"}),
+    "reproduce": (EVERYTHING, set()),
+    "__init__": ({"_core"}, set()),
+    "__main__": ({"cli"}, set()),
+}
+STANDARD = set(__import__("sys").stdlib_module_names)
+
+
+def imports_of(file: Path) -> set[str]:
+    """Dotted names of everything that the file imports, also inside functions."""
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{file}: relative imports hide where a name comes from"
+            if node.module == "tauext":
+                found |= {f"tauext.{alias.name}" for alias in node.names}
+            else:
+                found.add(node.module)
+    return found
+
+
+@pytest.mark.parametrize("file", sorted(SOURCE.rglob("*.py")), ids=lambda f: str(f.relative_to(SOURCE)))
+def test_file_imports_only_what_the_table_allows(file):
+    part = file.relative_to(SOURCE).parts[0].removesuffix(".py")
+    assert part in TABLE, f"{part} is new: say in the table what it may import"
+    ours, libraries = TABLE[part]
+    for name in imports_of(file):
+        top, *rest = name.split(".")
+        if top == "tauext":
+            target = rest[0] if rest else "__init__"
+            allowed = ours == EVERYTHING or target in ours | {part, "errors", "config", "__version__"}
+        else:
+            allowed = top in STANDARD | libraries
+        assert allowed, f"{part} may not import {name}"
+
+
+def test_the_table_names_no_folder_that_is_gone():
+    existing = {p.name.removesuffix(".py") for p in SOURCE.iterdir()}
+    assert set(TABLE) <= existing

@@ -1,0 +1,176 @@
+"""Windows, training loop and bundle writing, on small recordings made here."""
+
+import json
+
+import numpy as np
+import pytest
+from arms import planar_arm
+
+from tauext import _core
+from tauext.calibrate import paper_limits
+from tauext.config import ObserverConfig, TrainConfig
+from tauext.data import Recording
+from tauext.errors import ConfigError, TrainingError
+from tauext.learn import build_chain, build_windows, find_scaling, make_bundle, train
+
+SMALL = ObserverConfig(window_s=0.1)  # windows of ten network steps
+
+
+def recording(seed: int, seconds: float = 4.0, missing: slice | None = None, **changes) -> Recording:
+    """A smooth motion of two joints with a torque that holds friction: something to learn."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds * 1000)) * 1e-3
+    phase, speed = rng.uniform(0, 6, 2), rng.uniform(1, 3, 2)
+    q = np.sin(speed * t[:, None] + phase)
+    dq = speed * np.cos(speed * t[:, None] + phase)
+    tau = 5 * np.tanh(dq / 0.05) + 2 * dq
+    keep = np.ones(len(t), dtype=bool)
+    if missing:
+        keep[missing] = False
+    signals = {"t_ns": np.round(t * 1e9).astype(np.int64)[keep], "q": q[keep], "dq": dq[keep], "tau": tau[keep]}
+    meta = {"rate_hz": 1000.0, "torque_timing": "held", "source": "test", "robot_sha256": ""}
+    named = {"name": f"made-{seed}", "joints": ("shoulder", "elbow")}
+    return Recording(**(named | signals | meta | changes))
+
+
+def prepared(recordings):
+    chain = build_chain(planar_arm(), recordings[0], SMALL)
+    scaling = find_scaling(chain, recordings)
+    return chain, scaling, build_windows(chain, scaling, recordings)
+
+
+def test_windows_hold_the_papers_inputs_and_the_observers_residual():
+    made = recording(1)
+    chain, scaling, windows = prepared([made])
+    observation = _core.observe(chain.tree, chain.observer, made.t_ns, made.q, made.dq, made.tau)
+    # Network samples are every tenth; the first that is warm (0.5 s) and has ten steps and one lag behind it is 500.
+    assert windows.windows == (4000 - 500) // 10
+    first = windows.ends[0] * 10
+    assert first == 500
+    np.testing.assert_allclose(windows.targets[0] * scaling.output_scale_nm, observation.residual[first], rtol=1e-6)
+    row = windows.rows[windows.ends[0]] / scaling.input_factors
+    np.testing.assert_allclose(row, np.r_[made.q[first], made.dq[first]], rtol=1e-6)
+    assert chain.inputs == [(0, 0), (1, 0), (2, 0), (3, 0), (2, 1), (3, 1)]  # q(k), dq(k), dq(k-1)
+
+
+def test_no_window_reaches_across_a_restart_or_starts_in_the_observers_warm_up():
+    chain, _, whole = prepared([recording(1)])
+    _, _, broken = prepared([recording(1, missing=slice(2003, 2103))])
+    # Both stretches lose the 0.5 s of warm-up: 350 windows shrink by those of the gap and of the second warm-up.
+    assert whole.windows == 350
+    assert broken.windows == (2003 - 500 + 9) // 10 + (4000 - 2103 - 500 + 9) // 10
+    reach = chain.reach
+    assert (broken.ends - reach >= 0).all()
+
+
+def test_windows_of_several_recordings_never_mix():
+    parts = [recording(1), recording(2)]
+    chain, scaling, both = prepared(parts)
+    separate = [build_windows(chain, scaling, [part]) for part in parts]
+    assert both.windows == sum(s.windows for s in separate)
+    second = both.ends[separate[0].windows :] - len(separate[0].rows)
+    np.testing.assert_array_equal(second, separate[1].ends)
+    np.testing.assert_array_equal(both.rows[len(separate[0].rows) :], separate[1].rows)
+
+
+def test_training_lowers_the_loss_and_the_same_seed_gives_the_same_bytes_on_any_number_of_threads():
+    chain, _, windows = prepared([recording(k) for k in range(4)])
+    config = TrainConfig(hidden=8, epochs=20, batch=100, learning_rate=0.01, threads=1)
+    one = train(chain, windows, windows, config)
+    two = train(chain, windows, windows, TrainConfig(hidden=8, epochs=20, batch=100, learning_rate=0.01, threads=2))
+    other = train(chain, windows, windows, TrainConfig(hidden=8, epochs=20, batch=100, learning_rate=0.01, seed=1))
+    assert one.parameters.tobytes() == two.parameters.tobytes()
+    assert one.parameters.tobytes() != other.parameters.tobytes()
+    assert one.history[-1][2] < 0.5 * np.mean(windows.targets**2)
+
+
+def test_an_interrupted_run_goes_on_to_the_same_bytes(tmp_path):
+    chain, _, windows = prepared([recording(k) for k in range(4)])
+    config = TrainConfig(hidden=4, epochs=60, batch=200)
+    whole = train(chain, windows, windows, config)
+
+    def interrupt(progress):
+        raise KeyboardInterrupt
+
+    path = tmp_path / "checkpoint.npz"
+    with pytest.raises(KeyboardInterrupt):
+        train(chain, windows, windows, config, path, {"case": "exact"}, interrupt)
+    assert path.exists()
+    resumed = train(chain, windows, windows, config, path, {"case": "exact"})
+    assert resumed.parameters.tobytes() == whole.parameters.tobytes()
+    assert [entry[0] for entry in resumed.history] == [entry[0] for entry in whole.history]
+    assert not path.exists()
+
+
+def test_a_checkpoint_of_other_settings_is_refused_and_kept(tmp_path):
+    chain, _, windows = prepared([recording(1)])
+    path = tmp_path / "checkpoint.npz"
+
+    def interrupt(progress):
+        raise KeyboardInterrupt
+
+    config = TrainConfig(hidden=4, epochs=1, batch=100)
+    with pytest.raises(KeyboardInterrupt):
+        train(chain, windows, windows, config, path, {"case": "exact", "seed": 0}, interrupt)
+    with pytest.raises(ConfigError, match=r"other settings \(seed\)"):
+        train(chain, windows, windows, config, path, {"case": "exact", "seed": 1})
+    assert path.exists()
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(ConfigError, match="cannot be read"):
+        train(chain, windows, windows, config, path, {"case": "exact", "seed": 0})
+
+
+def test_a_constant_target_is_an_error_that_names_the_joint():
+    # At rest in one pose without torque the residual is the constant gravity torque once it has settled.
+    zeros = np.zeros((4000, 2))
+    still = recording(1, q=zeros, dq=zeros, tau=zeros)
+    with pytest.raises(TrainingError, match="'shoulder'.*constant"):
+        find_scaling(build_chain(planar_arm(), still, SMALL), [still])
+
+
+def test_a_diverging_loss_is_an_error_that_names_the_learning_rate():
+    chain, _, windows = prepared([recording(1)])
+    with pytest.raises(TrainingError, match="diverges.*learning_rate = 1e\\+06"):
+        train(chain, windows, windows, TrainConfig(hidden=4, epochs=5, batch=100, learning_rate=1e6))
+
+
+@pytest.mark.parametrize(
+    "seconds, message", [(0.3, "longer than the observer's warm-up"), (0.55, "fewer than a batch")]
+)
+def test_too_little_data_is_an_error(seconds, message):
+    with pytest.raises(TrainingError, match=message):
+        chain, _, windows = prepared([recording(1, seconds=seconds)])
+        train(chain, windows, windows, TrainConfig(hidden=4, epochs=1, batch=100))
+
+
+def test_a_bundle_says_of_a_recording_what_the_network_was_trained_on(tmp_path):
+    made = [recording(k) for k in range(3)]
+    chain, scaling, windows = prepared(made)
+    network = train(chain, windows, windows, TrainConfig(hidden=4, epochs=2, batch=100))
+    bundle = make_bundle("small", chain, 0.02, made[0], scaling, network)
+    limits = paper_limits(bundle, made[1:], threads=1)
+    bundle.sliding_limit_nm, bundle.near_stiction_limit_nm = (
+        limits.sliding_nm.tolist(),
+        limits.near_stiction_nm.tolist(),
+    )
+    bundle.provenance = json.dumps({"made": "here"})
+    path = tmp_path / "small.tauext"
+    bundle.save(str(path))
+    loaded = _core.Bundle.load(str(path))
+    said = _core.estimate(loaded, made[0].t_ns, made[0].q, made[0].dq, made[0].tau, 2)
+    at = windows.ends[:350] * 10  # the first recording's windows are the first
+    expected = _core.lstm_forward(
+        network.shape, network.parameters, windows.rows, 1, chain.window_steps, chain.inputs, windows.ends[:350], 1
+    )
+    np.testing.assert_array_equal(said["network"][at], expected * scaling.output_scale_nm)
+    np.testing.assert_array_equal(said["tau_ext"][at], (said["r"] - said["network"])[at])
+    # On the recordings that set the limit nothing exceeds it.
+    for one in made[1:]:
+        assert not _core.estimate(loaded, one.t_ns, one.q, one.dq, one.tau, 1)["detection"].any()
+    assert np.isnan(said["network"][:500]).all() and not said["healthy"][:500].any()
+
+
+def test_a_recording_of_other_joints_is_refused_by_name():
+    made = recording(1, joints=("a", "b"))
+    with pytest.raises(TrainingError, match="a, b are not the model's shoulder, elbow"):
+        build_chain(planar_arm(), made, SMALL)

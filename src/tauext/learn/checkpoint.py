@@ -20,6 +20,7 @@ class TrainState:
 
     at: tuple[np.ndarray, Adam]  # parameters (float64) and the optimiser's state
     history: list[tuple[int, float, float]]  # (step, training loss, validation loss), scaled units
+    best: np.ndarray  # float32, the parameters of the lowest validation loss so far
     seconds: float = 0.0
 
 
@@ -35,6 +36,7 @@ def save(state: TrainState, settings: dict, path: Path) -> None:
             v=adam.v,
             steps=adam.steps,
             history=np.array(state.history, dtype=float).reshape(-1, 3),
+            best=state.best,
             seconds=state.seconds,
             settings=json.dumps(settings, sort_keys=True),
         )
@@ -56,6 +58,7 @@ def load(settings: dict, path: Path) -> TrainState | None:
             state = TrainState(
                 (stored["parameters"], Adam(stored["m"], stored["v"], int(stored["steps"]))),
                 [(int(step), float(loss), float(validation)) for step, loss, validation in stored["history"]],
+                stored["best"],
                 float(stored["seconds"]),
             )
     except (OSError, KeyError, ValueError, BadZipFile) as error:

@@ -53,7 +53,11 @@ def train(
     settings: dict | None = None,
     report: Callable[[Progress], None] = lambda progress: None,
 ) -> TrainedNetwork:
-    """Train the paper's network: mean squared error, Adam, shuffled windows, the weights of the last step.
+    """Train the paper's network: mean squared error, Adam, shuffled windows.
+
+    The weights of the lowest validation loss are kept (looked at every REPORT_EVERY_STEPS): at the paper's learning
+    rate the loss jumps up now and then and recovers, and the last step would be a draw of luck. The paper does not say
+    which weights it keeps.
 
     The same seed and data give the same bytes for any number of threads, whether or not the run was interrupted.
 
@@ -91,7 +95,9 @@ def train(
         return float(np.mean(np.square(out - validation.targets[shown], dtype=np.float64)))
 
     state = checkpoint_path and checkpoint.load(settings or {}, checkpoint_path)
-    state = state or TrainState((initial_parameters(shape, config.seed), Adam.start(shape.parameter_count)), [])
+    if state is None:
+        start = initial_parameters(shape, config.seed)
+        state = TrainState((start, Adam.start(shape.parameter_count)), [], start.astype(np.float32))
     resumed_at, resumed_seconds = state.at[1].steps, state.seconds
     started = saved = time.monotonic()
     running_loss = state.history[-1][1] if state.history else None
@@ -123,7 +129,11 @@ def train(
             running_loss = loss if running_loss is None else 0.99 * running_loss + 0.01 * loss
             done += 1
             if done % REPORT_EVERY_STEPS == 0 or done == steps:
-                state.history.append((done, running_loss, validation_loss(state.at[0].astype(np.float32))))
+                candidate = state.at[0].astype(np.float32)
+                validated = validation_loss(candidate)
+                if not state.history or validated < min(entry[2] for entry in state.history):
+                    state.best = candidate
+                state.history.append((done, running_loss, validated))
                 state.seconds = resumed_seconds + time.monotonic() - started
                 pace = (state.seconds - resumed_seconds) / (done - resumed_at)
                 report(Progress(done, steps, *state.history[-1][1:], pace * (steps - done)))
@@ -137,8 +147,7 @@ def train(
         raise
     if checkpoint_path:
         checkpoint_path.unlink(missing_ok=True)
-    parameters, adam = state.at
-    return TrainedNetwork(shape, parameters.astype(np.float32), state.history, adam.steps, state.seconds)
+    return TrainedNetwork(shape, state.best, state.history, state.at[1].steps, state.seconds)
 
 
 def initial_parameters(shape: _core.LstmShape, seed: int) -> np.ndarray:

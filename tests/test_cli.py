@@ -1,0 +1,180 @@
+"""The commands as a user types them: README, help, wrong input, interruption. All at smoke scale."""
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from tauext import _core
+from tauext.cli import main
+
+README = (Path(__file__).parent.parent / "README.md").read_text()
+SMALLER = {
+    "--minutes 20": "--minutes 2",
+    "--collision-recordings 6": "--collision-recordings 1",
+    "--config.epochs 20 --config.batch 250": "--config.max-steps 20 --config.batch 50",
+    "--scale quick": "--scale smoke",
+}
+
+
+def readme_commands() -> list[str]:
+    return re.findall(r"^    (tauext \w+ .*)$", README, flags=re.MULTILINE)
+
+
+@pytest.fixture(scope="module")
+def workplace(tmp_path_factory):
+    """A folder in which every command of the README was run in its order, at smoke scale."""
+    folder = tmp_path_factory.mktemp("readme")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for command in readme_commands():
+            for quick, smoke in SMALLER.items():
+                command = command.replace(quick, smoke)
+            assert main(shlex.split(command)[1:]) == 0, command
+    return folder
+
+
+def run(capsys, *arguments: object) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of one command."""
+    capsys.readouterr()
+    try:
+        code = main([str(a) for a in arguments])
+    except SystemExit as stop:  # the argument parser's own way out
+        code = stop.code or 0
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def test_every_command_of_the_readme_works_as_written(workplace):
+    assert len(readme_commands()) >= 7
+    for made in ("data/split.json", "exact.tauext", "results/results.json", "report/report.html", "quick/report"):
+        assert (workplace / "runs" / made).exists(), made
+
+
+def test_the_python_of_the_readme_runs(workplace, monkeypatch):
+    monkeypatch.chdir(workplace)
+    (block,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    exec(compile(block, "README.md", "exec"), {})
+
+
+def test_every_make_target_and_link_of_the_readme_exists():
+    root = Path(__file__).parent.parent
+    targets = set(re.findall(r"^([a-z-]+):", (root / "Makefile").read_text(), flags=re.MULTILINE))
+    assert set(re.findall(r"\bmake ([a-z-]+)", README)) <= targets
+    for link in re.findall(r"\]\(([^)#:]+)\)", README):
+        assert (root / link).exists(), link
+
+
+def test_reproduce_covers_all_five_cases_and_prints_the_report_last(workplace, capsys, monkeypatch):
+    monkeypatch.chdir(workplace)
+    code, out, _ = run(capsys, "reproduce", "--scale", "smoke", "--out", "runs/quick")
+    assert code == 0 and out.splitlines()[-1] == "runs/quick/report/report.html"
+    results = json.loads((workplace / "runs/quick/results/results.json").read_text())
+    assert [case["name"] for case in results["cases"]] == ["exact", "mass", "com", "mass+com", "none"]
+    assert results["provenance"]["scale"] == "smoke"
+
+
+def test_reproduce_a_second_time_gives_the_same_results_and_trains_nothing_anew(workplace, capsys, monkeypatch):
+    monkeypatch.chdir(workplace)
+    bundle, results = Path("runs/quick/bundles/exact.tauext"), Path("runs/quick/results/results.json")
+    before, written = results.read_bytes(), bundle.stat().st_mtime_ns
+    assert run(capsys, "reproduce", "--scale", "smoke", "--out", "runs/quick")[0] == 0
+    assert bundle.stat().st_mtime_ns == written
+    assert json.loads(results.read_bytes())["cases"] == json.loads(before)["cases"]
+
+
+def test_the_same_seed_gives_the_same_bundle_bytes_in_another_folder(workplace, capsys, tmp_path):
+    data = workplace / "runs/quick/data"
+    options = ("--data", data, "--case", "none", "--config.max-steps", 20, "--config.batch", 64, "--config.epochs", 1)
+    assert run(capsys, "train", *options, "--out", tmp_path / "none.tauext")[0] == 0
+    assert (tmp_path / "none.tauext").read_bytes() == (workplace / "runs/quick/bundles/none.tauext").read_bytes()
+
+
+def test_show_tells_what_a_bundle_and_a_recording_hold(workplace, capsys):
+    code, out, _ = run(capsys, "show", workplace / "runs/none.tauext")
+    assert code == 0 and "100 steps of 10 ms" in out and "joint1" in out and "2202" in out
+    code, out, _ = run(capsys, "show", workplace / "runs/none.tauext", "--json")
+    assert json.loads(out)["network"]["hidden"] == 20
+    code, out, _ = run(capsys, "show", workplace / "runs/data/collisions-000.parquet", "--json")
+    assert code == 0 and json.loads(out)["rate [Hz]"] == 1000.0
+
+
+def test_the_plain_observer_is_a_bundle_too(workplace, capsys, tmp_path):
+    data, out = workplace / "runs/data", tmp_path / "observer.tauext"
+    assert run(capsys, "train", "--data", data, "--config.recipe", "observer", "--out", out)[0] == 0
+    assert not _core.Bundle.load(str(out)).has_network
+    assert run(capsys, "evaluate", "--data", data, "--bundles", out, "--out", tmp_path / "results")[0] == 0
+
+
+@pytest.mark.parametrize("command", ["", "simulate", "train", "evaluate", "report", "show", "reproduce"])
+def test_help_answers_for_every_command(capsys, command):
+    code, out, _ = run(capsys, *([command] if command else []), "--help")
+    assert code == 0 and "usage: tauext" in out
+
+
+WRONG = [
+    (("train", "--data", "nowhere", "--out", "a.tauext"), ["nowhere", "tauext simulate"]),
+    (("train", "--data", "{data}", "--out", "a.bundle"), ["a.bundle", ".tauext"]),
+    (("train", "--data", "{data}", "--out", "a.tauext", "--robot", "arm.urdf"), ["arm.urdf", "robot file"]),
+    (("train", "--data", "{data}", "--out", "a.tauext", "--robot", "{other}"), ["joint1", "shoulder"]),
+    (("train", "--data", "{data}", "--out", "a.tauext", "--config.batch", "0"), ["batch", ">= 1"]),
+    (("evaluate", "--data", "{data}", "--bundles", "gone.tauext", "--out", "r"), ["gone.tauext", "tauext train"]),
+    (("evaluate", "--data", "{data}", "--bundles", "{broken}", "--out", "r"), ["broken.tauext", "not a tauext bundle"]),
+    (("report", "--results", "nowhere", "--data", "{data}", "--out", "r"), ["nowhere"]),
+    (("show", "gone.tauext"), ["gone.tauext"]),
+    (("show", "{other}"), [".tauext", ".parquet"]),
+    (("simulate", "--out", "{data}", "--minutes", "3"), ["minutes"]),
+    (("simulate", "--out", "x", "--minutes", "-1"), ["minutes", "> 0"]),
+]
+
+
+@pytest.mark.parametrize("arguments, says", WRONG, ids=lambda value: "-".join(map(str, value))[:60])
+def test_wrong_input_gets_one_line_that_says_what_is_wrong_and_exit_code_2(
+    workplace, capsys, tmp_path, monkeypatch, arguments, says
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "broken.tauext").write_text("no bundle")
+    (tmp_path / "other.xml").write_text(
+        '<mujoco><worldbody><body><joint name="shoulder" type="hinge"/>'
+        '<inertial pos="0 0 1" mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>'
+    )
+    paths = {"data": workplace / "runs/data", "other": "other.xml", "broken": "broken.tauext"}
+    code, out, err = run(capsys, *(a.format(**paths) for a in arguments))
+    assert code == 2 and out == ""
+    assert len(err.strip().splitlines()) == 1, err
+    assert err.startswith("tauext: error: ")
+    for part in says:
+        assert part in err
+
+
+@pytest.mark.parametrize("arguments", [("trian",), ("train", "--dta", "x"), ("train", "--data", "x", "--case", "bent")])
+def test_a_mistyped_command_option_or_choice_exits_with_2(capsys, arguments):
+    code, out, err = run(capsys, *arguments)
+    assert code == 2 and out == "" and arguments[-1] in err
+
+
+def test_ctrl_c_while_training_keeps_a_checkpoint_that_the_same_command_goes_on_from(
+    workplace, capsys, tmp_path, monkeypatch
+):
+    out = tmp_path / "none.tauext"
+    options = ("train", "--data", workplace / "runs/quick/data", "--case", "none", "--out", out)
+    options += ("--config.max-steps", 20, "--config.batch", 64, "--config.epochs", 1)
+    with monkeypatch.context() as patch:
+        calls = []
+        step = _core.lstm_gradient
+
+        def interrupted(*arguments):
+            calls.append(1)
+            if len(calls) == 8:
+                raise KeyboardInterrupt
+            return step(*arguments)
+
+        patch.setattr(_core, "lstm_gradient", interrupted)
+        code, _, err = run(capsys, *options)
+    assert code == 130 and "goes on from there" in err
+    assert (tmp_path / "none.checkpoint.npz").exists() and not out.exists()
+    assert run(capsys, *options)[0] == 0
+    assert out.read_bytes() == (workplace / "runs/quick/bundles/none.tauext").read_bytes()
+    assert not (tmp_path / "none.checkpoint.npz").exists()

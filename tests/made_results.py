@@ -28,7 +28,7 @@ def make_results(
     seconds: float = 40.0,
     test_recordings: int = 2,
     collision_recordings: int = 2,
-    scale: str = "quick",
+    scale: str | None = "quick",
     seed: int = 0,
 ) -> tuple[Path, Path]:
     """Write `folder/data` and `folder/results`; returns (results, data). Twelve collisions or so in each 60 s."""

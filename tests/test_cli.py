@@ -14,7 +14,7 @@ README = (Path(__file__).parent.parent / "README.md").read_text()
 SMALLER = {
     "--minutes 20": "--minutes 2",
     "--collision-recordings 6": "--collision-recordings 1",
-    "--config.epochs 20 --config.batch 250": "--config.max-steps 20 --config.batch 50",
+    "--epochs 30 --batch 128": "--max-steps 20 --batch 50",
     "--scale quick": "--scale smoke",
 }
 
@@ -87,7 +87,7 @@ def test_reproduce_a_second_time_gives_the_same_results_and_trains_nothing_anew(
 
 def test_the_same_seed_gives_the_same_bundle_bytes_in_another_folder(workplace, capsys, tmp_path):
     data = workplace / "runs/quick/data"
-    options = ("--data", data, "--case", "none", "--config.max-steps", 20, "--config.batch", 64, "--config.epochs", 1)
+    options = ("--data", data, "--case", "none", "--max-steps", 20, "--batch", 64, "--epochs", 1)
     assert run(capsys, "train", *options, "--out", tmp_path / "none.tauext")[0] == 0
     assert (tmp_path / "none.tauext").read_bytes() == (workplace / "runs/quick/bundles/none.tauext").read_bytes()
 
@@ -103,7 +103,7 @@ def test_show_tells_what_a_bundle_and_a_recording_hold(workplace, capsys):
 
 def test_the_plain_observer_is_a_bundle_too(workplace, capsys, tmp_path):
     data, out = workplace / "runs/data", tmp_path / "observer.tauext"
-    assert run(capsys, "train", "--data", data, "--config.recipe", "observer", "--out", out)[0] == 0
+    assert run(capsys, "train", "--data", data, "--recipe", "observer", "--out", out)[0] == 0
     assert not _core.Bundle.load(str(out)).has_network
     assert run(capsys, "evaluate", "--data", data, "--bundles", out, "--out", tmp_path / "results")[0] == 0
 
@@ -119,7 +119,7 @@ WRONG = [
     (("train", "--data", "{data}", "--out", "a.bundle"), ["a.bundle", ".tauext"]),
     (("train", "--data", "{data}", "--out", "a.tauext", "--robot", "arm.urdf"), ["arm.urdf", "robot file"]),
     (("train", "--data", "{data}", "--out", "a.tauext", "--robot", "{other}"), ["joint1", "shoulder"]),
-    (("train", "--data", "{data}", "--out", "a.tauext", "--config.batch", "0"), ["batch", ">= 1"]),
+    (("train", "--data", "{data}", "--out", "a.tauext", "--batch", "0"), ["batch", ">= 1"]),
     (("evaluate", "--data", "{data}", "--bundles", "gone.tauext", "--out", "r"), ["gone.tauext", "tauext train"]),
     (("evaluate", "--data", "{data}", "--bundles", "{broken}", "--out", "r"), ["broken.tauext", "not a tauext bundle"]),
     (("report", "--results", "nowhere", "--data", "{data}", "--out", "r"), ["nowhere"]),
@@ -160,7 +160,7 @@ def test_ctrl_c_while_training_keeps_a_checkpoint_that_the_same_command_goes_on_
 ):
     out = tmp_path / "none.tauext"
     options = ("train", "--data", workplace / "runs/quick/data", "--case", "none", "--out", out)
-    options += ("--config.max-steps", 20, "--config.batch", 64, "--config.epochs", 1)
+    options += ("--max-steps", 20, "--batch", 64, "--epochs", 1)
     with monkeypatch.context() as patch:
         calls = []
         step = _core.lstm_gradient

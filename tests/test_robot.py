@@ -257,6 +257,19 @@ def test_a_moving_link_without_mass_is_named(tmp_path):
         load(write(tmp_path, urdf(planar_rig(), only_collision + joint)))
 
 
+def test_numbers_that_make_no_sense_are_refused(tmp_path):
+    with refused(r"arm\.xml: link 'upper': mass = -1\.0 kg and inertia \[0.01, 0.01, 0.002\] must be >= 0"):
+        load(write(tmp_path, two_links().replace('mass="1"', 'mass="-1"', 1)))
+    with refused(r"link 'shoulder_link': mass = -8\.191 kg"):
+        load(write(tmp_path, urdf(planar_rig()).replace('mass value="8', 'mass value="-8')))
+    with refused(r"link 'lower': mass = 1\.0 kg and inertia \[-0.01, 0.01, 0.002\] must be >= 0"):
+        load(write(tmp_path, two_links().replace('inertia="0.01', 'inertia="-0.01').replace('"-0.01', '"0.01', 1)))
+    with refused(r"arm\.xml: joint 'a': rotor inertia = -1\.0+ must be >= 0"):
+        load(write(tmp_path, two_links('armature="-1"')))
+    with refused(r"arm\.xml: joint 'b': every number of a link must be finite"):
+        load(write(tmp_path, two_links(second='pos="nan 0 0"')))
+
+
 def test_joints_that_do_not_exist_are_refused_with_those_that_do(tmp_path):
     path = write(tmp_path, two_links())
     with refused("no joint 'elbow'; its joints are a, b"):

@@ -40,6 +40,10 @@ Vec3 symmetric_product(const std::array<double, 6>& a, Vec3 w) noexcept {
           a[4] * w.x + a[5] * w.y + a[2] * w.z};
 }
 
+Rotation columns(const std::array<double, 9>& r) noexcept {
+  return {{r[0], r[3], r[6]}, {r[1], r[4], r[7]}, {r[2], r[5], r[8]}};
+}
+
 bool finite(std::span<const double> values) noexcept {
   for (double v : values)
     if (!std::isfinite(v)) return false;
@@ -65,12 +69,11 @@ void validate(const std::vector<Link>& links, const std::array<double, 3>& gravi
     if (link.mass < 0) throw Error(who + "mass = " + std::to_string(link.mass) + " kg must be >= 0");
     if (link.rotor_inertia < 0)
       throw Error(who + "rotor inertia = " + std::to_string(link.rotor_inertia) + " must be >= 0");
-    for (int a = 0; a < 3; ++a)
-      for (int b = 0; b < 3; ++b) {
-        double product = 0;
-        for (int row = 0; row < 3; ++row) product += link.rotation[3 * row + a] * link.rotation[3 * row + b];
-        if (std::fabs(product - (a == b ? 1.0 : 0.0)) > 1e-9) throw Error(who + "its rotation is not orthonormal");
-      }
+    const Rotation r = columns(link.rotation);
+    const Vec3 z = cross(r.x, r.y);
+    for (double difference :
+         {dot(r.x, r.x) - 1, dot(r.y, r.y) - 1, dot(r.x, r.y), z.x - r.z.x, z.y - r.z.y, z.z - r.z.z})
+      if (std::fabs(difference) > 1e-9) throw Error(who + "its rotation is not one: orthonormal, right-handed");
   }
 }
 
@@ -126,8 +129,7 @@ void Tree::momentum(std::span<const double> q, std::span<const double> dq, std::
   for (int k = 0; k < n; ++k) {
     const Body& body = bodies_[k];
     Sweep& s = sweep[k];
-    const auto& r = body.rotation;
-    s.rotation = {{r[0], r[3], r[6]}, {r[1], r[4], r[7]}, {r[2], r[5], r[8]}};
+    s.rotation = columns(body.rotation);
     s.origin = vec(body.translation);
     const bool revolute = body.type == JointType::revolute;
     if (revolute) {

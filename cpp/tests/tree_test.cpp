@@ -119,7 +119,8 @@ void links_may_stand_in_any_order() {
     shuffled_q[i] = q[order[i]];
     shuffled_dq[i] = dq[order[i]];
   }
-  const Answer a = sweep(Tree(links, {1, -9, 2}), q, dq), b = sweep(Tree(shuffled, {1, -9, 2}), shuffled_q, shuffled_dq);
+  const Answer a = sweep(Tree(links, {1, -9, 2}), q, dq);
+  const Answer b = sweep(Tree(shuffled, {1, -9, 2}), shuffled_q, shuffled_dq);
   for (int i = 0; i < 4; ++i) {
     CHECK_CLOSE(b.p[i], a.p[order[i]], 1e-13);
     CHECK_CLOSE(b.beta[i], a.beta[order[i]], 1e-13);
@@ -164,6 +165,8 @@ void bad_links_are_refused() {
   refused([](auto& links) { links[1].com[2] = std::nan(""); });
   refused([](auto& links) { links[1].inertia[5] = std::numeric_limits<double>::infinity(); });
   refused([](auto& links) { links[1].rotation[0] = 0.999; });
+  refused([](auto& links) { links[1].rotation = {1, 0, 0, 0, 1, 0, 0, 0, -1}; });  // a reflection
+  refused([](auto& links) { links[1].rotation[1] = 1e-8; });                       // a shear
   refused([](auto& links) { links[1].type = static_cast<JointType>(7); });
   CHECK_THROWS(Tree(planar_links(), {0, 0, std::nan("")}), Error);
 }

@@ -32,7 +32,7 @@ class Scale:
 
 SCALES = {
     "smoke": Scale(minutes=2.0, collision_recordings=1, epochs=1, batch=64, max_steps=20),
-    "quick": Scale(minutes=20.0, collision_recordings=6, epochs=20, batch=250),
+    "quick": Scale(minutes=20.0, collision_recordings=6, epochs=30, batch=128),
     "full": Scale(minutes=90.0, collision_recordings=20, epochs=500, batch=1000),
 }
 

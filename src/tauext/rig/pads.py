@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from tauext.errors import ConfigError
 from tauext.rig.arm import LINK_RADIUS_M, LINK_SPACING_M
 from tauext.rig.config import RigConfig
 from tauext.rig.motions import quintic
@@ -34,7 +35,14 @@ def draw_pads(config: RigConfig, q_free: np.ndarray, settle: int, rng: np.random
     A pad's path is planned in its link's frame, along the path `q_free` (samples, joints) that the arm takes untouched:
     wait aside, enter the plane at `clearance_m`, approach to `depth_m` past the surface, hold, withdraw, leave. The
     first `settle` samples count as no part of the recording.
+
+    Raises:
+        ConfigError: the gap between collisions is too short to change place, or the recording for its collisions.
     """
+    if config.gap_s < 2.0 * ENTER_S + CHANGE_S:
+        raise ConfigError(
+            f"gap_s = {config.gap_s:g} must be >= {2.0 * ENTER_S + CHANGE_S:g}: a pad changes place in it"
+        )
     pads, samples, rate = config.pads, len(q_free), config.rate_hz
     events = [_draw_push(config, rng) for _ in range(config.collisions_per_recording)]
     lengths = [approach + hold + approach for approach, hold, *_ in events]

@@ -1,6 +1,5 @@
 """The simulated scene: the plain arm plus drives, friction, and what may touch it."""
 
-from dataclasses import dataclass
 from typing import Literal
 
 import mujoco
@@ -14,22 +13,16 @@ PULSE_GEARS = ((1, 0, 0, 0, 0, 0), (0, 0, 1, 0, 0, 0), (0, 0, 0, 0, 1, 0))
 """What pulls on a link: force along its x and z, torque about the plane's normal, at and in the link's frame."""
 
 
-@dataclass(frozen=True)
-class Scene:
-    """A compiled model and where its signals lie.
+PADDING_IMPEDANCE = (0.2, 0.95, 0.01, 0.5, 2.0)
+"""MuJoCo's solimp of a pad: hardens from 0.2 to 0.95 over its first centimetre, so that a touch begins softly."""
+
+
+def build_scene(config: RigConfig, kind: Kind) -> mujoco.MjModel:
+    """Compile the arm with its drives and friction, and with the means to touch it.
 
     Controls run: per joint (q_des, dq_des); then per link the three of PULSE_GEARS, or per pad and axis (x, y, z) the
     pair (position, velocity). Sensors run: per joint (drive, bristles and ripple, all actuators); then per link, with
-    pads, (found, force xyz, torque xyz, position xyz) of what touches it.
-    """
-
-    model: mujoco.MjModel
-    joints: int
-    kind: Kind
-
-
-def build_scene(config: RigConfig, kind: Kind) -> Scene:
-    """Compile the arm with its drives and friction, and with the means to touch it.
+    pads, (found, force xyz, torque xyz, position xyz) of what touches it. Joints of the arm come before those of pads.
 
     Friction stands in a second, passive dcmotor, since a dcmotor reports its force net of its own friction: so the
     drive's sensor reads the commanded torque alone.
@@ -73,7 +66,8 @@ def build_scene(config: RigConfig, kind: Kind) -> Scene:
             _add_pulse_inputs(spec, i)
         elif kind == "pads":
             _add_pad(spec, i, config)
-    return Scene(model=spec.compile(), joints=len(names), kind=kind)
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    return spec.compile()
 
 
 def _add_drive(spec: mujoco.MjSpec, joint: str, stiffness: float, damping: float) -> None:
@@ -108,7 +102,7 @@ def _add_pad(spec: mujoco.MjSpec, link: int, config: RigConfig) -> None:
         contype=0,
         conaffinity=1,
         solref=[pads.padding_s, 1.0],
-        solimp=[0.2, 0.95, 0.01, 0.5, 2.0],
+        solimp=PADDING_IMPEDANCE,
         priority=1,
     )
     for k, axis in enumerate("xyz"):

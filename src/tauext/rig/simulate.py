@@ -8,8 +8,10 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
+from tauext.errors import ConfigError
 from tauext.rig.config import RigConfig
-from tauext.rig.scene import Scene
+
+DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
 
 @dataclass(frozen=True)
@@ -34,15 +36,24 @@ class Truth:
         return Truth(**{f.name: getattr(self, f.name)[samples:] for f in fields(self)})
 
 
-def roll_out(config: RigConfig, scene: Scene, q_start: np.ndarray, controls: np.ndarray) -> Truth:
-    """Simulate a recording from rest at `q_start` (every position, pads included) under `controls` (samples, nu)."""
-    model, n = scene.model, scene.joints
+def roll_out(config: RigConfig, model: mujoco.MjModel, q_start: np.ndarray, controls: np.ndarray) -> Truth:
+    """Simulate a scene from rest at `q_start` (every position, pads included) under `controls` (samples, nu).
+
+    Raises:
+        ConfigError: the simulation diverged.
+    """
+    n = len(config.links)
     data = mujoco.MjData(model)
     data.qpos[:] = q_start
     state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
     mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     with rollout.Rollout(nthread=0) as roller:
         states, sensors = roller.rollout(model, data, state[None], controls[None])
+    if any(data.warning[kind].number for kind in DIVERGED):
+        raise ConfigError(
+            f"the simulation of {config.name} diverged; damping / rate_hz of drives and friction must stay well below "
+            "the inertia that they move, and stiffness / rate_hz^2 too"
+        )
     states = np.vstack([state, states[0]])
     q, dq = states[:, 1 : 1 + n], states[:, 1 + model.nq : 1 + model.nq + n]
     drive, bristles, actuators = (sensors[0, :, k : 3 * n : 3] for k in range(3))

@@ -44,7 +44,8 @@ def load(
 
     Raises:
         RobotError: the file is missing, cannot be read or is no fixed-base tree of hinges and slides; a link that moves
-            has no mass; a joint is unknown, named twice, both used and locked, or follows another one.
+            has no mass; a number makes no sense; a joint is unknown, named twice, both used and locked, or follows
+            another one.
     """
     path = Path(path)
     model = _compile(path)
@@ -76,6 +77,7 @@ def _compile(path: Path) -> mujoco.MjModel:
             spec = mujoco.MjSpec.from_file(str(path))
         else:
             raise RobotError(f"{path}: its root element is <{root}>; a URDF has <robot>, an MJCF <mujoco>")
+        _refuse_negative_mass(spec, path)
         # MuJoCo refuses a moving body without mass even where its joint is locked; make_tree knows better.
         spec.compiler.boundmass = max(spec.compiler.boundmass, LEAST)
         spec.compiler.boundinertia = max(spec.compiler.boundinertia, LEAST)
@@ -86,6 +88,15 @@ def _compile(path: Path) -> mujoco.MjModel:
         raise RobotError(f"{path}: not readable as XML: {error}") from error
     except (ValueError, OSError, mujoco.FatalError) as error:
         raise RobotError(f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}") from error
+
+
+def _refuse_negative_mass(spec: mujoco.MjSpec, path: Path) -> None:
+    """The least mass and inertia that MuJoCo is told below would hide it."""
+    for body in spec.bodies:
+        if body.explicitinertial and not (body.mass >= 0 and (body.inertia >= 0).all()):
+            raise RobotError(
+                f"{path}: link {body.name!r}: mass = {body.mass} kg and inertia {body.inertia.tolist()} must be >= 0"
+            )
 
 
 def _root_tag(path: Path) -> str:

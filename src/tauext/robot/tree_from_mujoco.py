@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from tauext._core import JointType, Link, Tree
+from tauext._core import CoreError, JointType, Link, Tree
 from tauext.errors import RobotError
 
 LEAST = 2e-15
@@ -32,7 +32,7 @@ def make_tree(
     several joints on one body.
 
     Raises:
-        RobotError: a link that moves has no mass.
+        RobotError: a link that moves has no mass, or a number of it makes no sense.
     """
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
@@ -63,7 +63,10 @@ def make_tree(
                 "every moving link needs one, its own or of a link fixed to it"
             )
         links.append(link)
-    return Tree(links, list(gravity))
+    try:
+        return Tree(links, list(gravity))
+    except CoreError as error:
+        raise RobotError(f"{where}: {error}") from error
 
 
 def _joints_of(model: mujoco.MjModel, body: int) -> range:

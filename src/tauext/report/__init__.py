@@ -1,0 +1,5 @@
+"""Figures and one self-contained page from results, estimates and recordings; it computes nothing but what it draws."""
+
+from tauext.report.write import write_report
+
+__all__ = ["write_report"]

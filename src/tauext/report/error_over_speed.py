@@ -1,0 +1,104 @@
+"""Figure 6: error of the estimate over joint speed, on test recordings."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, LogNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from tauext.report.drawing import Drawing
+from tauext.report.results import Case, Results
+from tauext.report.signals import NotAvailable, Signals
+from tauext.report.style import LIMIT, NEAR_STICTION, SLIDING, WIDTH_IN, case_label, label_joint
+
+BINS = (300, 200)
+CLOSE_UP = 5
+"""The right column shows this many times the near-stiction speed."""
+INK = LinearSegmentedColormap.from_list("ink", ["#7fb2d9", "#0072b2", "#00314f"])
+
+
+def draw_error_over_speed(results: Results, signals: Signals) -> Drawing:
+    """One row a joint: all speeds, and the neighbourhood of standstill; every healthy sample of the test set counts.
+
+    Raises:
+        NotAvailable: no test recording has estimates of the case.
+    """
+    case = results.case("exact")
+    speed, error, used = collect(case, signals)
+    n, near = len(results.joints), results.near_stiction_rad_s
+    figure = Figure(figsize=(WIDTH_IN, 0.7 + (2.5 if n <= 3 else 1.7) * n), layout="constrained")
+    grid = figure.subplots(n, 2, sharey="row", squeeze=False, width_ratios=[3, 2])
+    for joint, name in enumerate(results.joints):
+        fastest, largest = np.abs(speed[:, joint]).max(), np.abs(error[:, joint]).max()
+        limits = case.limit_sliding_nm[joint], case.limit_near_stiction_nm[joint]
+        top = 1.08 * max(largest, *(limit or 0 for limit in limits)) or 1.0
+        for axes, reach in zip(grid[joint], (1.03 * fastest or 1.0, CLOSE_UP * near), strict=True):
+            shade(axes, near, reach)
+            counts, x, y = np.histogram2d(
+                speed[:, joint], error[:, joint], bins=BINS, range=[[-reach, reach], [-top, top]]
+            )
+            dots = np.ma.masked_equal(counts.T, 0)
+            axes.pcolormesh(x, y, dots, cmap=INK, norm=LogNorm(1, max(counts.max(), 10)), rasterized=True, zorder=3)
+            draw_limits(axes, *limits, near, reach)
+            axes.set(xlim=(-reach, reach), ylim=(-top, top))
+            axes.xaxis.set_major_locator(MaxNLocator(6))
+        label_joint(grid[joint, 0], name, "error, Nm")
+    for axes, title in zip(grid[0], ("all speeds", f"close-up of |speed| < {CLOSE_UP * near:g} rad/s"), strict=True):
+        axes.set_title(title)
+    for axes in grid[-1]:
+        axes.set_xlabel("joint speed, rad/s")
+    legend = [
+        Patch(color=SLIDING, label="sliding region"),
+        Patch(color=NEAR_STICTION, label=f"near stiction, |speed| < {near:g} rad/s"),
+        Patch(color="#0072b2", label="samples, darker where more"),
+    ]
+    if any(limit is not None for limit in case.limit_sliding_nm):
+        legend.append(Line2D([], [], color=LIMIT, linestyle="--", label="limit"))
+    figure.legend(handles=legend, loc="outside upper left", ncols=4)
+    left = sorted(set(case.recordings) - set(used))
+    return Drawing(
+        figure,
+        f"Figure 6. Error of the estimate over joint speed, {case_label(case.name)}, {len(speed):,} samples of "
+        f"{len(used)} test recordings. Nothing touches the arm, so the whole estimate is error; it is largest near "
+        f"stiction, which is why that region has a limit of its own."
+        + (f" Left out, since their files are missing: {', '.join(left)}." if left else ""),
+    )
+
+
+def collect(case: Case, signals: Signals) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Speed and error of every healthy sample, each (samples, joints), and the recordings that they come from."""
+    speeds, errors, used = [], [], []
+    for name in case.recordings:
+        try:
+            recording = signals.recording(name)
+            said = signals.estimates(case.name, recording)
+        except NotAvailable:
+            continue
+        rows = said.healthy & np.isfinite(said.tau_ext).all(axis=1)
+        speeds.append(recording.dq[rows])
+        errors.append(said.tau_ext[rows])
+        used.append(name)
+    if sum(map(len, speeds)) == 0:
+        raise NotAvailable(f"no test recording is there with its estimates of case {case_label(case.name)}")
+    return np.concatenate(speeds), np.concatenate(errors), used
+
+
+def shade(axes: Axes, near: float, reach: float) -> None:
+    """Sliding region and near-stiction band as background."""
+    axes.axvspan(-reach, reach, color=SLIDING, linewidth=0, zorder=0)
+    axes.axvspan(-near, near, color=NEAR_STICTION, linewidth=0, zorder=1)
+
+
+def draw_limits(axes: Axes, sliding: float | None, near_stiction: float | None, near: float, reach: float) -> None:
+    """Both limits, each over its region, on both sides of zero."""
+    for sign in (-1, 1):
+        if sliding is not None:
+            axes.hlines(
+                [sign * sliding] * 2, [-reach, near], [-near, reach], color=LIMIT, linestyle="--", lw=1, zorder=4
+            )
+        if near_stiction is not None:
+            axes.hlines(sign * near_stiction, -near, near, color=LIMIT, linestyle="--", lw=1, zorder=4)

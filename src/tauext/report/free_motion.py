@@ -1,0 +1,58 @@
+"""Figure 5: observer and network output over time in free motion."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from tauext.report.drawing import Drawing, missing_cases
+from tauext.report.results import Results
+from tauext.report.signals import NotAvailable, Signals
+from tauext.report.style import OBSERVER, OBSERVER_WIDTH, WIDTH_IN, case_colours, case_label, label_joint
+
+EXCERPT_S = 30.0
+
+
+def draw_free_motion(results: Results, signals: Signals) -> Drawing:
+    """One column a case, one row a joint: the first test recording, from where the estimate begins.
+
+    Raises:
+        NotAvailable: no test recording or no estimates of it.
+    """
+    names = [case.name for case in results.cases]
+    recordings = [name for case in results.cases for name in case.recordings]
+    if not recordings:
+        raise NotAvailable("the results name no test recording of free motion")
+    recording = signals.recording(recordings[0])
+    estimates, missing = signals.by_case(names, recording)
+    healthy = np.flatnonzero(next(iter(estimates.values())).healthy)
+    if len(healthy) == 0:
+        raise NotAvailable(f"{recording.name} is shorter than the warm-up of observer and network")
+    time_s = recording.time_s
+    rows = (time_s >= time_s[healthy[0]]) & (time_s <= time_s[healthy[0]] + EXCERPT_S)
+    colours, n = case_colours(names), len(recording.joints)
+    width = min(WIDTH_IN, 1.5 + 3.2 * len(estimates))
+    figure = Figure(figsize=(width, 0.7 + (1.75 if n <= 3 else 1.25) * n), layout="constrained")
+    grid = figure.subplots(n, len(estimates), sharex=True, sharey="row", squeeze=False)
+    for column, (case, said) in enumerate(estimates.items()):
+        for joint in range(n):
+            axes = grid[joint, column]
+            axes.plot(time_s[rows], said.r[rows, joint], color=OBSERVER, linewidth=OBSERVER_WIDTH)
+            axes.plot(time_s[rows], said.network[rows, joint], color=colours[case])
+            axes.margins(x=0)
+        grid[0, column].set_title(case_label(case), color=colours[case], fontweight="bold")
+        grid[-1, column].set_xlabel("time, s")
+    for joint, name in enumerate(recording.joints):
+        label_joint(grid[joint, 0], name)
+    handles = [
+        Line2D([], [], color=OBSERVER, linewidth=OBSERVER_WIDTH, label="observer r"),
+        Line2D([], [], color="#333333", label="network, in the colour of its model"),
+    ]
+    figure.legend(handles=handles, loc="outside upper left", ncols=2)
+    return Drawing(
+        figure,
+        f"Figure 5. Free motion, test recording {recording.name}: output of the momentum observer (grey) and of the "
+        f"network trained for that model. In free motion the observer shows what the model gets wrong, and the network "
+        f"learns it. Axes of a row have one scale." + missing_cases(missing),
+    )

@@ -1,0 +1,128 @@
+"""The page: what was done, headline numbers, tables and figures, in one HTML file that asks no host for anything."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from pathlib import Path
+
+from jinja2 import Environment, StrictUndefined
+
+from tauext.report import paper, tables
+from tauext.report.results import Case, Numbers, Results
+from tauext.report.style import case_colours, case_label
+
+TEMPLATE = Path(__file__).with_name("page.html.j2")
+PIXELS_PER_INCH = 100
+SCALES = {
+    "smoke": "Scale smoke: seconds of data and training, to test that everything runs. The numbers mean nothing.",
+    "quick": "Scale quick: less data and training than the paper's. It shows the shape of every result; the numbers of "
+    "the paper need scale full.",
+    "full": "Scale full: as much data and training as the paper's.",
+}
+
+
+@dataclass(frozen=True)
+class PageFigure:
+    """A figure as the page shows it: a PNG and its caption, or, without one, the reason."""
+
+    png: bytes | None
+    caption: str
+    width_in: float = 0.0
+
+    @property
+    def width_px(self) -> int:
+        return round(self.width_in * PIXELS_PER_INCH)
+
+    @property
+    def source(self) -> str:
+        return "data:image/png;base64," + base64.b64encode(self.png or b"").decode()
+
+
+@dataclass(frozen=True)
+class Tile:
+    """One case in three numbers."""
+
+    case: str
+    colour: str
+    found: str
+    false_alarms: str
+    error: str
+
+
+def render_page(results: Results, figures: dict[str, PageFigure]) -> str:
+    """The whole page.
+
+    Args:
+        figures: by the names that the template uses.
+    """
+    colours = case_colours([case.name for case in results.cases])
+    ten = [results.collisions[one] for one in results.ten if one in results.collisions]
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+        facts=facts(results),
+        notice=SCALES.get(str(results.provenance.get("scale"))),
+        compared=tables.has_paper(results),
+        colours=colours,
+        tiles=[tile(case, results, colours[case.name]) for case in results.cases],
+        near_stiction=f"{results.near_stiction_rad_s:g}",
+        table_one=tables.table_one(results),
+        regions=tables.regions(results),
+        extremes=tables.extremes(results),
+        alarms=tables.alarms(results),
+        ten_collisions=tables.collisions(results, ten) if ten else None,
+        all_collisions=tables.collisions(results, results.collisions.values()) if results.collisions else None,
+        collision_count=len(results.collisions),
+        ten_count=len(ten),
+        paper=paper,
+        figures=figures,
+    )
+
+
+def facts(results: Results) -> list[tuple[str, str]]:
+    """What made these results, as pairs of a word and its value."""
+    told = {
+        "command": "command",
+        "scale": "scale",
+        "seed": "seed",
+        "dataset": "dataset",
+        "machine": "machine",
+        "version": "tauext version",
+    }
+    pairs = [
+        (words, str(results.provenance[key])) for key, words in told.items() if results.provenance.get(key) is not None
+    ]
+    pairs.append(("joints", ", ".join(results.joints)))
+    steps = {case.name: f"{case.steps:,} steps" for case in results.cases if case.steps is not None}
+    minutes = {case.name: f"{case.train_minutes:.1f} min" for case in results.cases if case.train_minutes is not None}
+    return pairs + [
+        (word, by_case(values)) for word, values in (("training", steps), ("training time", minutes)) if values
+    ]
+
+
+def by_case(values: dict[str, str]) -> str:
+    """A value of every case; once where all say the same."""
+    if len(values) > 1 and len(set(values.values())) == 1:
+        return f"{next(iter(values.values()))} each"
+    return ", ".join(f"{case_label(name)} {value}" for name, value in values.items())
+
+
+def tile(case: Case, results: Results, colour: str) -> Tile:
+    """Headline of one case; what does not exist is said to be so."""
+    found = f"{case.ten_found} of {len(results.ten)}" if case.ten_found is not None and results.ten else "none tried"
+    if case.false_alarms is None or case.hours is None:
+        alarms = "false alarms: not available"
+    else:
+        plural = "" if case.false_alarms == 1 else "s"
+        alarms = f"{case.false_alarms:,} false alarm{plural} in {case.hours:.2f} h"
+    return Tile(case_label(case.name), colour, found, alarms, f"L1 {short_list(case.l1_nm)}")
+
+
+def short_list(values: Numbers) -> str:
+    """Two or three joints' numbers in full, more as their range."""
+    known = [value for value in values if value is not None]
+    if not known:
+        return "not available"
+    if len(values) <= 3:
+        return " / ".join(tables.number(value, 2) for value in values) + " Nm"
+    return f"{min(known):.2f} to {max(known):.2f} Nm"

@@ -1,0 +1,89 @@
+"""What results.json holds, as the report uses it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+Numbers = tuple[float | None, ...]
+"""One number a joint; None where it does not exist."""
+
+
+@dataclass(frozen=True)
+class Collision:
+    """One physical touch; times count from its recording's first sample."""
+
+    id: str
+    recording: str
+    kind: str
+    start_s: float
+    end_s: float
+    link: int
+    sensor_peak_nm: Numbers
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What one case made of one collision; None where a time does not exist."""
+
+    found: bool
+    joint: str | None
+    delay_s: float | None
+    sensor_delay_s: float | None
+    delay_against_sensor_s: float | None
+
+
+@dataclass(frozen=True)
+class CurveBin:
+    """Collisions whose sensor peak lies between two multiples of the limit, and how many were found."""
+
+    low: float
+    high: float | None
+    collisions: int
+    found: int
+
+
+@dataclass(frozen=True)
+class Case:
+    """Everything that was found for one bundle."""
+
+    name: str
+    bundle: str
+    recipe: str | None
+    steps: int | None
+    epochs: int | None
+    batch: int | None
+    train_minutes: float | None
+    recordings: tuple[str, ...]
+    hours: float | None
+    samples: int | None
+    false_alarms: int | None
+    false_alarms_per_hour: float | None
+    l1_nm: Numbers
+    l2_nm: Numbers
+    mse_nm2: Numbers
+    rmse_near_stiction_nm: Numbers
+    rmse_sliding_nm: Numbers
+    near_stiction_share: Numbers
+    observer_peak_nm: Numbers
+    limit_sliding_nm: Numbers
+    limit_near_stiction_nm: Numbers
+    verdicts: dict[str, Verdict]
+    ten_found: int | None
+    found_curve: tuple[CurveBin, ...]
+
+
+@dataclass(frozen=True)
+class Results:
+    """One run of `tauext evaluate`."""
+
+    provenance: dict[str, Any]
+    joints: tuple[str, ...]
+    near_stiction_rad_s: float
+    ten: tuple[str, ...]
+    collisions: dict[str, Collision]
+    cases: tuple[Case, ...]
+
+    def case(self, name: str) -> Case:
+        """The case of this name, or else the first."""
+        return next((case for case in self.cases if case.name == name), self.cases[0])

@@ -1,0 +1,159 @@
+"""Reads results.json; docs/files.md is its contract."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tauext.errors import ConfigError
+from tauext.report.results import Case, Collision, CurveBin, Numbers, Results, Verdict
+
+FORMAT = 1
+
+
+def load_results(folder: Path) -> Results:
+    """Read `results.json` of a results folder. A number may be null, or absent: it is None then.
+
+    Raises:
+        ConfigError: no such file, not JSON, another format, or an entry of the wrong kind, with its place.
+    """
+    path = folder / "results.json"
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse_constant)
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path}: there are no such results; `tauext evaluate` writes them") from error
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: not readable as JSON ({error}); evaluate again") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        found = content.get("format") if isinstance(content, dict) else None
+        raise ConfigError(f"{path}: its format is {found!r}, this version reads {FORMAT}")
+    return read_results(Entry(str(path), content))
+
+
+def refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is no JSON number; null stands for a number that does not exist")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One JSON object of results.json and its place, for messages."""
+
+    place: str
+    content: dict[str, Any]
+
+    def get(self, key: str, kinds: type | tuple[type, ...], needed: bool = False) -> Any:
+        """The value under this key, None where it is null or absent."""
+        value = self.content.get(key)
+        if value is None and not needed:
+            return None
+        right = isinstance(value, kinds) and (kinds is bool or not isinstance(value, bool))
+        if not right:
+            names = [kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,))]
+            raise ConfigError(f"{self.place}: '{key}' is {json.dumps(value)[:60]}, must be {' or '.join(names)}")
+        return value
+
+    def number(self, key: str, needed: bool = False) -> float | None:
+        return self.get(key, (int, float), needed)
+
+    def text(self, key: str, needed: bool = False) -> str | None:
+        return self.get(key, str, needed)
+
+    def entries(self, key: str, needed: bool = False) -> list[Entry]:
+        """The objects of a list; none where it is absent."""
+        items = [Entry(f"{self.place}, {key}[{k}]", e) for k, e in enumerate(self.get(key, list, needed) or [])]
+        for item in items:
+            if not isinstance(item.content, dict):
+                raise ConfigError(f"{item.place}: is {json.dumps(item.content)[:60]}, must be an object")
+        return items
+
+    def object(self, key: str) -> Entry:
+        return Entry(f"{self.place}, {key}", self.get(key, dict) or {})
+
+    def texts(self, key: str, needed: bool = False) -> tuple[str, ...]:
+        items = self.get(key, list, needed) or []
+        if not all(isinstance(item, str) for item in items):
+            raise ConfigError(f"{self.place}: '{key}' must be a list of names")
+        return tuple(items)
+
+    def numbers(self, key: str, joints: int) -> Numbers:
+        """One number or null a joint."""
+        items = self.get(key, list)
+        if items is None:
+            return (None,) * joints
+        if len(items) != joints or not all(type(item) in (int, float, type(None)) for item in items):
+            raise ConfigError(f"{self.place}: '{key}' must be a list of {joints} numbers or null, one a joint")
+        return tuple(items)
+
+
+def read_results(top: Entry) -> Results:
+    """The whole of results.json."""
+    joints = top.texts("joints", needed=True)
+    entries = top.entries("cases", needed=True)
+    if not joints or not entries:
+        raise ConfigError(f"{top.place}: it holds no {'case' if joints else 'joints'}; evaluate at least one bundle")
+    cases = tuple(read_case(entry, len(joints)) for entry in entries)
+    collisions = [read_collision(entry, len(joints)) for entry in top.entries("collisions")]
+    return Results(
+        provenance=top.object("provenance").content,
+        joints=joints,
+        near_stiction_rad_s=top.number("near_stiction_rad_s", needed=True),
+        ten=top.texts("ten_collisions"),
+        collisions={collision.id: collision for collision in collisions},
+        cases=cases,
+    )
+
+
+def read_collision(entry: Entry, joints: int) -> Collision:
+    link = entry.get("link", int)
+    return Collision(
+        id=entry.text("id", needed=True),
+        recording=entry.text("recording", needed=True).removesuffix(".parquet"),
+        kind=entry.text("kind") or "unknown",
+        start_s=entry.number("start_s", needed=True),
+        end_s=entry.number("end_s", needed=True),
+        link=-1 if link is None else link,
+        sensor_peak_nm=entry.numbers("sensor_peak_nm", joints),
+    )
+
+
+def read_case(entry: Entry, joints: int) -> Case:
+    free, limits = entry.object("free_motion"), entry.object("limits")
+    name = entry.text("name", needed=True)
+    return Case(
+        name=name,
+        bundle=entry.text("bundle") or f"{name}.tauext",
+        recipe=entry.text("recipe"),
+        **{key: entry.get(key, int) for key in ("steps", "epochs", "batch", "ten_found")},
+        train_minutes=entry.number("train_minutes"),
+        recordings=tuple(recording.removesuffix(".parquet") for recording in free.texts("recordings")),
+        **{key: free.get(key, int) for key in ("samples", "false_alarms")},
+        **{key: free.number(key) for key in ("hours", "false_alarms_per_hour")},
+        **{key: free.numbers(key, joints) for key in ("l1_nm", "l2_nm", "mse_nm2", "observer_peak_nm")},
+        rmse_near_stiction_nm=free.numbers("rmse_near_stiction_nm", joints),
+        rmse_sliding_nm=free.numbers("rmse_sliding_nm", joints),
+        near_stiction_share=free.numbers("near_stiction_share", joints),
+        limit_sliding_nm=limits.numbers("sliding_nm", joints),
+        limit_near_stiction_nm=limits.numbers("near_stiction_nm", joints),
+        verdicts={e.text("id", needed=True): read_verdict(e) for e in entry.entries("collisions")},
+        found_curve=tuple(read_bin(e) for e in entry.entries("found_curve")),
+    )
+
+
+def read_verdict(entry: Entry) -> Verdict:
+    times = ("delay_s", "sensor_delay_s", "delay_against_sensor_s")
+    return Verdict(
+        found=entry.get("found", bool, needed=True),
+        joint=entry.text("joint"),
+        **{key: entry.number(key) for key in times},
+    )
+
+
+def read_bin(entry: Entry) -> CurveBin:
+    return CurveBin(
+        low=entry.number("peak_over_limit_from", needed=True),
+        high=entry.number("peak_over_limit_to"),
+        collisions=entry.get("collisions", int, needed=True),
+        found=entry.get("found", int, needed=True),
+    )

@@ -1,0 +1,75 @@
+"""How figures look: one colour a case throughout, text that is legible at the page's width, no decoration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from matplotlib.axes import Axes
+
+from tauext.report.paper import CASE_LABELS
+
+WIDTH_IN = 10.0
+"""Of every figure; the page shows an inch as 100 pixels, so that 9 points are 12.5 pixels."""
+DPI = 180
+
+OBSERVER = "#b0b0b0"
+OBSERVER_WIDTH = 3.2
+SENSOR = "#000000"
+CONTACT = "#fbe3cf"
+NEAR_STICTION = "#f5d5b8"
+SLIDING = "#e9f1f8"
+LIMIT = "#404040"
+
+# Okabe and Ito's palette, told apart by colour-blind readers; black is the sensor's.
+CASE_COLOURS = {"exact": "#0072b2", "mass": "#e69f00", "com": "#009e73", "mass+com": "#cc79a7", "none": "#d55e00"}
+OTHER_COLOURS = ("#56b4e9", "#7f3c8d", "#6b6b00", "#8b4513", "#708090")
+
+RC = {
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "axes.labelsize": 9,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.fontsize": 9,
+    "legend.frameon": False,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": "#555555",
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.grid.axis": "y",
+    "grid.color": "#e3e3e3",
+    "grid.linewidth": 0.5,
+    "xtick.color": "#333333",
+    "ytick.color": "#333333",
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "lines.linewidth": 1.1,
+    "lines.solid_joinstyle": "round",
+    "figure.facecolor": "white",
+    "figure.constrained_layout.h_pad": 0.05,
+    "figure.constrained_layout.w_pad": 0.04,
+}
+
+
+def case_label(name: str) -> str:
+    """A case as it stands in figures and tables; names that are not the paper's stay as they are."""
+    return CASE_LABELS.get(name, name)
+
+
+def case_colours(names: Sequence[str]) -> dict[str, str]:
+    """A colour for every case: the paper's have their own, others take the rest in order and then again."""
+    others = [name for name in names if name not in CASE_COLOURS]
+    given = {name: OTHER_COLOURS[k % len(OTHER_COLOURS)] for k, name in enumerate(others)}
+    return {name: CASE_COLOURS.get(name) or given[name] for name in names}
+
+
+def sentence(text: str) -> str:
+    """With a capital at its start, the rest as it is."""
+    return text[:1].upper() + text[1:]
+
+
+def label_joint(axes: Axes, joint: str, quantity: str = "torque, Nm") -> None:
+    """Name a row by its joint."""
+    axes.set_ylabel(f"{joint}\n{quantity}")

@@ -1,0 +1,201 @@
+"""Figure 8: three collisions on one joint; the sensor's torque, every case's estimate, limit and delays."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from tauext.data import Recording
+from tauext.data.estimates import Estimates
+from tauext.report.drawing import Drawing, missing_cases
+from tauext.report.results import Collision, Results, Verdict
+from tauext.report.signals import NotAvailable, Signals
+from tauext.report.style import CONTACT, LIMIT, SENSOR, WIDTH_IN, case_colours, case_label
+
+SHOWN = 3
+BEFORE_S, AFTER_S = 0.2, 0.45
+CLOSE_BEFORE_S, CLOSE_AFTER_S = 0.02, 0.025
+SENSOR_MARK = {"marker": "s", "markersize": 5, "markerfacecolor": "white", "markeredgewidth": 1.4, "zorder": 6}
+FOUND_MARK = {"marker": "o", "markersize": 5.5, "zorder": 7}
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One collision on one joint: what the sensor and every available case said of it."""
+
+    collision: Collision
+    recording: Recording
+    said: dict[str, Estimates]
+    verdicts: dict[str, Verdict]
+    joint: int
+
+    def rows(self, begin_s: float, end_s: float) -> np.ndarray:
+        """Samples between two times that count from the onset of contact."""
+        since_s = self.since_s()
+        return (since_s >= begin_s) & (since_s <= end_s)
+
+    def since_s(self) -> np.ndarray:
+        return self.recording.time_s - self.collision.start_s
+
+    def side(self) -> int:
+        """+1 or -1: where the sensor goes."""
+        sensor = self.recording.tau_ext_sensor[self.rows(0, self.length_s + AFTER_S), self.joint]
+        return 1 if sensor[np.argmax(np.abs(sensor))] >= 0 else -1
+
+    @property
+    def length_s(self) -> float:
+        return self.collision.end_s - self.collision.start_s
+
+    def impact_end_s(self) -> float:
+        """End of the close-up, from the onset: shortly after sensor and every case have gone over the limit."""
+        delays_s = [t for v in self.verdicts.values() for t in (v.delay_s, v.sensor_delay_s) if t is not None]
+        return max(delays_s, default=0.1) + CLOSE_AFTER_S
+
+
+def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
+    """Above, whole collisions; below, the moment of impact and the delay of every case. One column a collision.
+
+    Raises:
+        NotAvailable: no collision was chosen or found, or the files of one are missing.
+    """
+    joint, collisions = choose(results)
+    names = [case.name for case in results.cases]
+    colours = case_colours(names)
+    figure = Figure(figsize=(WIDTH_IN, 5.9 + 0.2 * len(names)), layout="constrained")
+    heights = [2.6, 2.6, 0.25 * len(names) + 0.2]
+    grid = figure.subplots(3, len(collisions), squeeze=False, height_ratios=heights)
+    missing: set[str] = set()
+    for column, collision in enumerate(collisions):
+        recording = signals.recording(collision.recording)
+        if recording.tau_ext_sensor is None:
+            raise NotAvailable(f"{recording.name} has no joint torque sensor to compare with")
+        said, without = signals.by_case(names, recording)
+        missing |= set(without)
+        if not ((recording.time_s >= collision.start_s) & (recording.time_s <= collision.end_s)).any():
+            raise NotAvailable(f"collision {collision.id} lies outside its recording")
+        verdicts = {c.name: c.verdicts[collision.id] for c in results.cases if collision.id in c.verdicts}
+        scene = Scene(collision, recording, said, verdicts, joint)
+        draw_whole(grid[0, column], scene, colours)
+        draw_impact(grid[1, column], scene, colours, results.joints[joint])
+        draw_delays(grid[2, column], scene, names, colours, results.joints[joint], labels=column == 0)
+        grid[2, column].sharex(grid[1, column])
+        grid[1, column].tick_params(labelbottom=False)
+    for row in grid[:2]:
+        row[0].set_ylabel(f"{results.joints[joint]}\nexternal torque, Nm")
+    grid[2, 0].set_ylabel("delay")
+    drawn = [name for name in names if name not in missing]
+    figure.legend(handles=legend(drawn, colours), loc="outside upper left", ncols=5)
+    return Drawing(
+        figure,
+        f"Figure 8. {results.joints[joint]}, {len(collisions)} collisions: above, the external torque from the joint "
+        f"torque sensor and the estimate of every case; below, the moment of impact. Each case has a limit of its own; "
+        f"a bar runs from where the sensor goes over that limit to where the estimate does, and the number is the "
+        f"delay against the sensor. Time 0 is the onset of contact."
+        + missing_cases([n for n in names if n in missing]),
+    )
+
+
+def choose(results: Results) -> tuple[int, list[Collision]]:
+    """The first joint if three of the ten collisions were found there by the first case, else the joint with most.
+
+    Of those, the three whose sensor peaks are largest, in order of time; fewer where there are fewer.
+    """
+    verdicts = results.cases[0].verdicts
+    ten = [results.collisions[one] for one in results.ten if one in results.collisions]
+    found = [c for c in ten if c.id in verdicts and verdicts[c.id].joint in results.joints]
+    if not found:
+        raise NotAvailable(f"{case_label(results.cases[0].name)} found none of the chosen collisions")
+    counts = Counter(verdicts[c.id].joint for c in found)
+    name = results.joints[0] if counts[results.joints[0]] >= SHOWN else counts.most_common(1)[0][0]
+    joint = results.joints.index(name)
+    there = [c for c in found if verdicts[c.id].joint == name]
+    strongest = sorted(there, key=lambda c: -(c.sensor_peak_nm[joint] or 0.0))[:SHOWN]
+    return joint, [c for c in there if c in strongest]
+
+
+def draw_curves(axes: Axes, scene: Scene, rows: np.ndarray, colours: dict[str, str], unit_s: float) -> None:
+    """Sensor, estimates and the first case's limit, on the side where the sensor goes."""
+    time = scene.since_s()[rows] / unit_s
+    for case, estimates in scene.said.items():
+        axes.plot(time, estimates.tau_ext[rows, scene.joint], color=colours[case], zorder=4)
+    axes.plot(time, scene.recording.tau_ext_sensor[rows, scene.joint], color=SENSOR, linewidth=2, zorder=3)
+    limit = next(iter(scene.said.values())).limit[rows, scene.joint]
+    axes.plot(time, scene.side() * limit, color=LIMIT, linestyle="--", linewidth=1, zorder=2)
+    axes.margins(x=0)
+
+
+def draw_whole(axes: Axes, scene: Scene, colours: dict[str, str]) -> None:
+    """The collision from before it until the estimate has come back."""
+    axes.axvspan(0, scene.length_s, color=CONTACT, linewidth=0, zorder=0)
+    draw_curves(axes, scene, scene.rows(-BEFORE_S, scene.length_s + AFTER_S), colours, unit_s=1.0)
+    axes.set_title(f"{scene.recording.name}, {scene.collision.start_s:.2f} s")
+    axes.set_xlabel("time since contact, s")
+
+
+def draw_impact(axes: Axes, scene: Scene, colours: dict[str, str], joint: str) -> None:
+    """From shortly before the contact until every case has found it; a dot where a case goes over its limit here."""
+    end_s = scene.impact_end_s()
+    axes.axvspan(0, min(end_s, scene.length_s) * 1e3, color=CONTACT, linewidth=0, zorder=0)
+    draw_curves(axes, scene, scene.rows(-CLOSE_BEFORE_S, end_s), colours, unit_s=1e-3)
+    for case, estimates in scene.said.items():
+        verdict = scene.verdicts.get(case)
+        if verdict and verdict.delay_s is not None and verdict.joint == joint:
+            at = min(np.searchsorted(scene.since_s(), verdict.delay_s - 1e-6), scene.recording.samples - 1)
+            height = estimates.tau_ext[at, scene.joint]
+            axes.plot(verdict.delay_s * 1e3, height, color=colours[case], **FOUND_MARK)
+
+
+def draw_delays(axes: Axes, scene: Scene, names: list[str], colours: dict[str, str], joint: str, labels: bool) -> None:
+    """One lane a case, from where the sensor goes over the limit to where the estimate does."""
+    middle_ms = 500 * (scene.impact_end_s() - CLOSE_BEFORE_S)
+    for lane, case in enumerate(names):
+        verdict = scene.verdicts.get(case)
+        times_ms = [t * 1e3 for t in (verdict.sensor_delay_s, verdict.delay_s) if t is not None] if verdict else []
+        if verdict and verdict.found and len(times_ms) == 2:
+            axes.plot(times_ms, [lane, lane], color=colours[case], linewidth=2)
+            axes.plot(times_ms[0], lane, color=colours[case], **SENSOR_MARK)
+            axes.plot(times_ms[1], lane, color=colours[case], **FOUND_MARK)
+        late = min(times_ms, default=0.0) > middle_ms
+        axes.annotate(
+            delay_text(verdict, joint),
+            (min(times_ms) if late else max(times_ms, default=0.0), lane),
+            xytext=(-7 if late else 7, 0),
+            textcoords="offset points",
+            ha="right" if late else "left",
+            va="center",
+        )
+    axes.set_ylim(len(names) - 0.4, -0.6)
+    axes.set_yticks(range(len(names)), map(case_label, names) if labels else [""] * len(names))
+    axes.tick_params(axis="y", length=0)
+    axes.set_xlabel("time since contact, ms")
+
+
+def delay_text(verdict: Verdict | None, joint: str) -> str:
+    """What stands in a lane; another joint is named where that one found the collision."""
+    if verdict is None:
+        return "not available"
+    if not verdict.found:
+        return "not found"
+    against = verdict.delay_against_sensor_s
+    text = "no sensor" if against is None else f"{round(against * 1e3):+d} ms".replace("+0", "0").replace("-", "−")
+    return text if verdict.joint in (joint, None) else f"{text} ({verdict.joint})"
+
+
+def legend(drawn: list[str], colours: dict[str, str]) -> list[Line2D | Patch]:
+    """Sensor first, then the cases, then the marks."""
+    grey = "#555555"
+    lines = [Line2D([], [], color=SENSOR, linewidth=2, label="sensor reference")]
+    lines += [Line2D([], [], color=colours[name], label=case_label(name)) for name in drawn]
+    lines += [
+        Line2D([], [], color=LIMIT, linestyle="--", label=f"limit ({case_label(drawn[0])})"),
+        Patch(color=CONTACT, label="contact"),
+        Line2D([], [], color=grey, linestyle="none", **SENSOR_MARK, label="sensor over the limit"),
+        Line2D([], [], color=grey, linestyle="none", **FOUND_MARK, label="estimate over the limit"),
+    ]
+    return lines

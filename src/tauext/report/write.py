@@ -1,0 +1,76 @@
+"""Draws every figure and writes the page."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import matplotlib
+
+from tauext.errors import ConfigError
+from tauext.report.collisions_over_time import draw_collisions
+from tauext.report.drawing import Drawing
+from tauext.report.error_over_speed import draw_error_over_speed
+from tauext.report.found_curve import draw_found_curve
+from tauext.report.free_motion import draw_free_motion
+from tauext.report.page import PageFigure, render_page
+from tauext.report.results_file import load_results
+from tauext.report.signals import NotAvailable, Signals
+from tauext.report.style import DPI, RC
+from tauext.report.three_collisions import draw_three_collisions
+
+
+def write_report(results_dir: Path, dataset_dir: Path, out_dir: Path) -> Path:
+    """Write `figures/*.png` and `report.html`, one page that needs no other file; returns its path.
+
+    What is missing (a case, a recording, estimates, a number) is said on the page where it would stand.
+
+    Args:
+        results_dir: what `tauext evaluate` wrote.
+        dataset_dir: the dataset that was evaluated.
+
+    Raises:
+        ConfigError: results.json is missing or damaged, or out_dir cannot be written.
+        RecordingError: a recording or an estimates file is damaged, or they do not belong together.
+    """
+    results = load_results(results_dir)
+    signals = Signals(dataset_dir, results_dir, results.joints)
+    draw: dict[str, Callable[[], Drawing]] = {
+        "figure-5-free-motion": partial(draw_free_motion, results, signals),
+        "figure-6-error-over-speed": partial(draw_error_over_speed, results, signals),
+        "figure-7-collisions": partial(draw_collisions, results, signals),
+        "figure-8-three-collisions": partial(draw_three_collisions, results, signals),
+        "found-curve": partial(draw_found_curve, results),
+    }
+    page = out_dir / "report.html"
+    try:
+        (out_dir / "figures").mkdir(parents=True, exist_ok=True)
+        figures = {name: make_figure(one, out_dir / "figures" / f"{name}.png") for name, one in draw.items()}
+        write_whole(page, render_page(results, figures).encode())
+    except OSError as error:
+        raise ConfigError(f"{out_dir}: the report cannot be written ({error.strerror or error})") from error
+    return page
+
+
+def make_figure(draw: Callable[[], Drawing], path: Path) -> PageFigure:
+    """Draw and save one figure; where it cannot be drawn, the reason in its place, and no old file left."""
+    title = path.stem.replace("-", " ").capitalize()
+    with matplotlib.rc_context(RC):
+        try:
+            drawing = draw()
+        except NotAvailable as reason:
+            path.unlink(missing_ok=True)
+            return PageFigure(png=None, caption=f"{title} is not available: {reason}.")
+        part = path.with_name(path.name + ".part")
+        drawing.figure.savefig(part, format="png", dpi=DPI, metadata={"Software": None})
+    os.replace(part, path)
+    return PageFigure(png=path.read_bytes(), caption=drawing.caption, width_in=drawing.figure.get_figwidth())
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Under a temporary name first, so that an interrupted run leaves no half page."""
+    part = path.with_name(path.name + ".part")
+    part.write_bytes(content)
+    os.replace(part, path)

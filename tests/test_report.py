@@ -1,0 +1,323 @@
+"""The report draws every figure for any number of joints and cases, and says what is missing instead of failing."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+
+import pytest
+from made_results import make_results
+
+from tauext.errors import ConfigError, RecordingError, TauextError
+from tauext.report import paper, write_report
+from tauext.report.collisions_over_time import draw_collisions
+from tauext.report.error_over_speed import draw_error_over_speed
+from tauext.report.found_curve import draw_found_curve
+from tauext.report.free_motion import draw_free_motion
+from tauext.report.page import PageFigure, render_page
+from tauext.report.results_file import load_results
+from tauext.report.signals import NotAvailable, Signals
+from tauext.report.style import CASE_COLOURS, OTHER_COLOURS, case_colours
+from tauext.report.three_collisions import choose, draw_three_collisions
+
+FIGURES = ("figure-5-free-motion", "figure-6-error-over-speed", "figure-7-collisions", "figure-8-three-collisions")
+ALL_FIGURES = (*FIGURES, "found-curve")
+DRAWERS = (draw_free_motion, draw_error_over_speed, draw_collisions, draw_three_collisions)
+NO_FIGURES = dict.fromkeys(ALL_FIGURES, PageFigure(png=None, caption="none"))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Results and dataset folder; tests that change them work on a copy."""
+    return make_results(tmp_path_factory.mktemp("made"), seconds=30)
+
+
+@pytest.fixture
+def copied(made, tmp_path):
+    return tuple(shutil.copytree(folder, tmp_path / folder.name) for folder in made)
+
+
+def signals_of(folders) -> Signals:
+    results, data = folders
+    return Signals(data, results, load_results(results).joints)
+
+
+def change(results, edit) -> None:
+    path = results / "results.json"
+    content = json.loads(path.read_text())
+    edit(content)
+    path.write_text(json.dumps(content))
+
+
+def page_of(results) -> str:
+    return render_page(load_results(results), NO_FIGURES)
+
+
+def words_of(page: str) -> str:
+    return " ".join(re.sub(r"<style>.*?</style>|<[^>]+>", " ", page, flags=re.S).split())
+
+
+# The whole report
+
+
+def test_the_report_is_one_page_with_every_figure_inside_and_asks_no_host(made, tmp_path):
+    path = write_report(*made, tmp_path / "report")
+    page = path.read_text()
+    assert path == tmp_path / "report" / "report.html"
+    assert sorted(p.name for p in (tmp_path / "report" / "figures").iterdir()) == sorted(
+        f"{n}.png" for n in ALL_FIGURES
+    )
+    assert page.count('src="data:image/png;base64,') == len(ALL_FIGURES)
+    assert "not available" not in page
+    for outside in ("http:", "https:", "//cdn", "<script", "<link", "@import", "url("):
+        assert outside not in page
+    for source in re.findall(r'src="(.{5})', page):
+        assert source == "data:"
+
+
+def test_the_same_results_give_the_same_bytes_and_no_file_is_left_over(made, tmp_path):
+    first, second = (write_report(*made, tmp_path / name) for name in ("a", "b"))
+    assert first.read_bytes() == second.read_bytes()
+    assert not list(tmp_path.rglob("*.part"))
+
+
+def test_a_report_of_seven_joints_and_cases_of_other_names_is_drawn(tmp_path):
+    folders = make_results(tmp_path, joints=7, cases=("mine", "exact"), seconds=20, scale=None)
+    page = write_report(*folders, tmp_path / "report").read_text()
+    assert "not available" not in page
+    assert "joint7" in page and "mine" in page
+    assert ">paper</th>" not in page and "ICRA" not in page
+
+
+def test_a_report_without_dataset_and_estimates_still_has_its_tables(copied, tmp_path):
+    results, data = copied
+    shutil.rmtree(data)
+    shutil.rmtree(results / "estimates")
+    page = write_report(results, data, tmp_path / "report").read_text()
+    assert page.count("is not available: the dataset has no recording") == 3
+    assert "Figure 6 error over speed is not available: no test recording is there with its estimates" in page
+    assert "0.402" in page
+    assert [p.name for p in (tmp_path / "report" / "figures").iterdir()] == ["found-curve.png"]
+
+
+# Numbers on the page
+
+
+def test_ours_stand_beside_the_papers(made):
+    page = words_of(page_of(made[0]))
+    ours = load_results(made[0]).case("exact")
+    for case in paper.L1_NM:
+        for published in (paper.L1_NM[case], paper.L2_NM[case], paper.MSE_NM2[case]):
+            assert f"{published[0]:.3f}" in page and f"{published[1]:.3f}" in page
+    assert f"joint1 {ours.l1_nm[0]:.3f} 0.402 {ours.l2_nm[0]:.3f} 0.661 {ours.mse_nm2[0]:.3f} 0.435 11,340" in page
+    assert f"{ours.limit_sliding_nm[0]:.2f} 4.62" in page
+    assert "0.418" in page and "1.344" in page
+    assert f"{ours.false_alarms} false alarms in {ours.hours:.2f} h" in page
+    assert f"{ours.ten_found} of {len(load_results(made[0]).ten)}" in page
+
+
+def test_the_papers_numbers_agree_among_themselves():
+    """MSE is the square of L2, to the rounding of the printed digits."""
+    for case, l2_nm in paper.L2_NM.items():
+        for l2, mse in zip(l2_nm, paper.MSE_NM2[case], strict=True):
+            assert mse == pytest.approx(l2**2, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    "scale, words", [("smoke", "The numbers mean nothing"), ("full", "as much data"), (None, None)]
+)
+def test_the_scale_is_said_plainly(scale, words, copied):
+    change(copied[0], lambda content: content["provenance"].update(scale=scale))
+    page = page_of(copied[0])
+    assert ('class="notice"' in page) == (words is not None)
+    assert words is None or words in page
+
+
+def test_names_are_text_and_never_markup(copied):
+    def edit(content):
+        content["provenance"]["machine"] = "<b>fast</b> & loud"
+        content["cases"][0]["name"] = "<i>exact"
+
+    change(copied[0], edit)
+    page = page_of(copied[0])
+    assert "&lt;b&gt;fast&lt;/b&gt; &amp; loud" in page and "<i>exact" not in page
+
+
+def test_numbers_that_do_not_exist_are_dashes(copied):
+    def edit(content):
+        case = content["cases"][0]
+        for key in ("l1_nm", "rmse_near_stiction_nm"):
+            case["free_motion"][key] = [None, 0.5]
+        for key in ("hours", "false_alarms", "false_alarms_per_hour", "l2_nm", "observer_peak_nm"):
+            case["free_motion"][key] = None
+        for key in ("steps", "epochs", "train_minutes", "limits", "ten_found"):
+            del case[key]
+        case["collisions"] = []
+        content["provenance"] = {}
+
+    change(copied[0], edit)
+    page = words_of(page_of(copied[0]))
+    assert "exact joint1 – 0.402 – 0.661" in page
+    assert "false alarms: not available" in page
+    assert "exact none tried" in page
+
+
+def test_results_without_collisions_say_so(copied):
+    def edit(content):
+        content["ten_collisions"], content["collisions"] = [], []
+        for case in content["cases"]:
+            case["collisions"], case["found_curve"], case["ten_found"] = [], [], 0
+
+    change(copied[0], edit)
+    results = load_results(copied[0])
+    assert "the results hold no collisions" in page_of(copied[0])
+    for draw in (draw_collisions, draw_three_collisions):
+        with pytest.raises(NotAvailable):
+            draw(results, signals_of(copied))
+    with pytest.raises(NotAvailable):
+        draw_found_curve(results)
+
+
+# Figures
+
+
+def test_figure_five_has_a_column_a_case_and_a_row_a_joint(made):
+    drawing = draw_free_motion(load_results(made[0]), signals_of(made))
+    titles = [axes.get_title() for axes in drawing.figure.axes]
+    assert [title for title in titles if title] == ["exact", "mass", "CoM", "mass + CoM", "no model"]
+    assert len(titles) == 10
+
+
+def test_figure_six_shades_the_region_of_the_results(copied):
+    change(copied[0], lambda content: content.update(near_stiction_rad_s=0.05))
+    drawing = draw_error_over_speed(load_results(copied[0]), signals_of(copied))
+    assert drawing.figure.axes[1].get_xlim() == pytest.approx((-0.25, 0.25))
+
+
+def test_figure_seven_shows_the_chosen_collisions_without_a_model(made):
+    results = load_results(made[0])
+    drawing = draw_collisions(results, signals_of(made))
+    top, bottom = drawing.figure.axes
+    assert [text.get_text() for text in top.texts] == [str(k + 1) for k in range(len(results.ten))]
+    onsets = [f"{results.collisions[one].start_s:.2f} s" for one in results.ten]
+    assert [tick.get_text() for tick in bottom.get_xticklabels()] == onsets
+    assert drawing.caption.startswith("Figure 7. No model:")
+
+
+def test_figure_eight_is_of_the_first_joint_where_three_were_found_there(made):
+    results = load_results(made[0])
+    joint, collisions = choose(results)
+    assert joint == 0 and len(collisions) == 3
+    assert all(results.cases[0].verdicts[c.id].joint == "joint1" for c in collisions)
+    drawing = draw_three_collisions(results, signals_of(made))
+    lanes = [text.get_text() for axes in drawing.figure.axes[6:] for text in axes.texts]
+    expected = [case.verdicts[c.id].delay_against_sensor_s * 1e3 for c in collisions for case in results.cases]
+    assert [int(lane.split()[0].replace("−", "-")) for lane in lanes] == [round(ms) for ms in expected]
+
+
+def test_a_case_without_estimates_is_left_out_and_named(copied):
+    results, _ = copied
+    shutil.rmtree(results / "estimates" / "mass")
+    for draw in (draw_free_motion, draw_three_collisions):
+        drawing = draw(load_results(results), signals_of(copied))
+        assert "since their estimates are missing: mass." in drawing.caption
+    shutil.rmtree(results / "estimates" / "exact")
+    with pytest.raises(NotAvailable, match="no test recording is there with its estimates of case exact"):
+        draw_error_over_speed(load_results(results), signals_of(copied))
+    shutil.rmtree(results / "estimates" / "none")
+    with pytest.raises(NotAvailable, match="no estimates of case none for collisions-000"):
+        draw_collisions(load_results(results), signals_of(copied))
+
+
+def test_figures_need_no_other_case_than_the_one_there_is(copied):
+    change(copied[0], lambda content: content.update(cases=content["cases"][2:3]))
+    for draw in DRAWERS:
+        assert draw(load_results(copied[0]), signals_of(copied)).figure.axes
+    assert draw_found_curve(load_results(copied[0])).figure.axes
+
+
+def test_a_case_keeps_its_colour_whatever_stands_beside_it():
+    assert case_colours(["none", "mine"])["none"] == case_colours(list(CASE_COLOURS))["none"]
+    many = [f"case-{k}" for k in range(len(OTHER_COLOURS) + 1)]
+    assert case_colours(many)["case-0"] == OTHER_COLOURS[0] == case_colours(many)[many[-1]]
+    assert len({*CASE_COLOURS.values(), *OTHER_COLOURS}) == len(CASE_COLOURS) + len(OTHER_COLOURS)
+
+
+# Faults
+
+
+def test_estimates_of_another_recording_are_refused(copied):
+    results, data = copied
+    shutil.copy(data / "free-001.parquet", data / "free-000.parquet")
+    folder = results / "estimates" / "exact"
+    shutil.copy(make_results(data.parent / "short", seconds=20)[1] / "free-000.parquet", data / "free-000.parquet")
+    with pytest.raises(RecordingError, match="samples 30000, its recording 20000; evaluate this dataset again"):
+        draw_free_motion(load_results(results), signals_of(copied))
+    (folder / "free-000.parquet").write_bytes(b"PAR1")
+    with pytest.raises(RecordingError, match="not a readable estimates file"):
+        draw_error_over_speed(load_results(results), signals_of(copied))
+
+
+def test_a_dataset_of_another_robot_is_refused(copied, tmp_path):
+    results, _ = copied
+    other = make_results(tmp_path / "other", joints=3, cases=("exact",), seconds=20)[1]
+    with pytest.raises(RecordingError, match="its joints are joint1, joint2, joint3, the results' joint1, joint2"):
+        write_report(results, other, tmp_path / "report")
+
+
+def cut(content):
+    content["cases"][0]["free_motion"]["l1_nm"] = [0.1]
+
+
+FAULTS = {
+    "newer": (lambda c: c.update(format=2), "its format is 2, this version reads 1"),
+    "no joints": (lambda c: c.update(joints=[]), "it holds no joints"),
+    "no cases": (lambda c: c.update(cases=[]), "it holds no case; evaluate at least one bundle"),
+    "cases null": (lambda c: c.update(cases=None), "'cases' is null, must be list"),
+    "a case that is text": (lambda c: c.update(cases=["exact"]), 'cases[0]: is "exact", must be an object'),
+    "nameless case": (lambda c: c["cases"][1].pop("name"), "cases[1]: 'name' is null, must be str"),
+    "one number for two joints": (cut, "cases[0], free_motion: 'l1_nm' must be a list of 2 numbers or null"),
+    "text for a number": (
+        lambda c: c["cases"][0]["free_motion"].update(hours="1"),
+        "'hours' is \"1\", must be int or float",
+    ),
+    "verdict without found": (
+        lambda c: c["cases"][0]["collisions"][0].pop("found"),
+        "cases[0], collisions[0]: 'found' is null, must be bool",
+    ),
+    "collision without start": (
+        lambda c: c["collisions"][0].pop("start_s"),
+        "collisions[0]: 'start_s' is null, must be int or float",
+    ),
+    "true for a count": (lambda c: c["cases"][0].update(ten_found=True), "'ten_found' is true, must be int"),
+    "not a number": (lambda c: c["cases"][0]["free_motion"].update(hours=float("nan")), "NaN is no JSON number"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_wrong_results_are_refused_with_their_place(fault, copied):
+    edit, message = FAULTS[fault]
+    change(copied[0], edit)
+    with pytest.raises(ConfigError) as caught:
+        load_results(copied[0])
+    assert str(caught.value).startswith(f"{copied[0] / 'results.json'}")
+    assert message in str(caught.value)
+
+
+def test_missing_results_and_an_unwritable_folder_are_refused(made, tmp_path):
+    with pytest.raises(ConfigError, match="there are no such results; `tauext evaluate` writes them"):
+        write_report(tmp_path, tmp_path, tmp_path / "report")
+    (tmp_path / "file").touch()
+    with pytest.raises(TauextError, match="the report cannot be written"):
+        write_report(*made, tmp_path / "file")
+
+
+def test_an_old_figure_does_not_outlive_its_data(copied, tmp_path):
+    results, data = copied
+    out = tmp_path / "report"
+    (out / "figures").mkdir(parents=True)
+    (out / "figures" / "figure-5-free-motion.png").write_bytes(b"old")
+    shutil.rmtree(results / "estimates")
+    write_report(results, data, out)
+    assert not (out / "figures" / "figure-5-free-motion.png").exists()

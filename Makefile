@@ -30,6 +30,7 @@ lint: setup ## Style of the Python code
 	$(VENV)/bin/ruff format --check src tests benchmarks
 bench: build ## Dynamics sweep and network, with ratios to what else one would use
 	$(VENV)/bin/python benchmarks/dynamics.py
+	build/cpp/tree_bench
 	build/cpp/lstm_bench
 clean: ## Remove builds; recordings and runs stay
 	rm -rf build $(VENV)

@@ -80,7 +80,7 @@ void bind_tree(nb::module_& m) {
       .def_rw("com", &Link::com)
       .def_rw("inertia", &Link::inertia)
       .def_rw("rotor_inertia", &Link::rotor_inertia);
-  nb::class_<Tree>(m, "Tree", "Kinematic tree of 1 to 32 moving joints in topological order.")
+  nb::class_<Tree>(m, "Tree", "Kinematic tree of 1 to 32 moving joints, in any order.")
       .def(nb::init<std::vector<Link>, std::array<double, 3>>(), nb::arg("links"), nb::arg("gravity"))
       .def_prop_ro("size", &Tree::size)
       .def_prop_ro("links", [](const Tree& t) { return t.links(); })

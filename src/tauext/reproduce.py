@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from tauext.cli.dataset import Dataset
 from tauext.cli.evaluate import evaluate_bundles
 from tauext.cli.progress import ProgressBar
-from tauext.cli.train import estimated_model, train_bundle
+from tauext.cli.train import estimated_model, train_bundle, training_settings
 from tauext.config import PAPER_CASES, TrainConfig
 from tauext.errors import ConfigError
 from tauext.report import write_report
@@ -32,7 +32,7 @@ class Scale:
 
 SCALES = {
     "smoke": Scale(minutes=2.0, collision_recordings=1, epochs=1, batch=64, max_steps=20),
-    "quick": Scale(minutes=20.0, collision_recordings=6, epochs=30, batch=128),
+    "quick": Scale(minutes=45.0, collision_recordings=10, epochs=13, batch=128),
     "full": Scale(minutes=90.0, collision_recordings=20, epochs=500, batch=1000),
 }
 
@@ -71,6 +71,6 @@ def finished(bundle: Path, case: str, config: TrainConfig) -> bool:
     if not bundle.exists() or not run.exists():
         return False
     settings = json.loads(run.read_text())["settings"]
-    if settings == {"case": asdict(PAPER_CASES[case]), "config": asdict(config)}:
+    if settings == training_settings(PAPER_CASES[case], config):
         return True
     raise ConfigError(f"{bundle}: it was trained with other settings; choose another --out or remove it")

@@ -71,7 +71,7 @@ def train_bundle(
     from tauext.learn import train as train_network
 
     out.parent.mkdir(parents=True, exist_ok=True)
-    run = provenance("tauext train", {"case": asdict(case), "config": asdict(config)}, config.seed)
+    run = provenance("tauext train", training_settings(case, config), config.seed)
     run["recordings"] = {"train": [r.name for r in training], "validation": [r.name for r in validation]}
     chain = build_chain(tree, training[0], config.observer)
     scaling = network = None
@@ -103,6 +103,13 @@ def train_bundle(
     write_json(facts | run | {"loss_history": history}, out.with_suffix(".run.json"))
     write_json({"train_s": network.seconds if network else 0.0}, out.with_suffix(".wall_time_s.json"))
     bundle.save(str(out))
+
+
+def training_settings(case: ModelCase, config: TrainConfig) -> dict:
+    """What the trained bundle depends on beside the data; not the number of threads."""
+    settings = {"case": asdict(case), "config": asdict(config)}
+    del settings["config"]["threads"]
+    return settings
 
 
 def model_digest(tree: Tree) -> str:

@@ -23,8 +23,11 @@ build: build/cpp/CMakeCache.txt ## The C++ library, its tests and benchmarks
 test: build ## All tests, Python and C++
 	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" ctest --test-dir build/cpp --output-on-failure
 	$(VENV)/bin/python -m pytest -m 'not slow'
-test-all: lint test ## Slow tests as well
+test-all: lint test ## Slow tests, and the C++ tests under the sanitizers
 	$(VENV)/bin/python -m pytest -m slow
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake -S . -B build/sanitize -G Ninja -DTAUEXT_TESTS=ON -DTAUEXT_SANITIZE=ON
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build build/sanitize
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" ctest --test-dir build/sanitize --output-on-failure
 lint: setup ## Style of the Python code
 	$(VENV)/bin/ruff check src tests benchmarks
 	$(VENV)/bin/ruff format --check src tests benchmarks

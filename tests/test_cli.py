@@ -125,7 +125,7 @@ WRONG = [
     (("report", "--results", "nowhere", "--data", "{data}", "--out", "r"), ["nowhere"]),
     (("show", "gone.tauext"), ["gone.tauext"]),
     (("show", "{other}"), [".tauext", ".parquet"]),
-    (("simulate", "--out", "{data}", "--minutes", "3"), ["minutes"]),
+    (("simulate", "--out", "{data}", "--minutes", "3", "--collision-recordings", "1"), ["minutes: 2.0, not 3.0"]),
     (("simulate", "--out", "x", "--minutes", "-1"), ["minutes", "> 0"]),
 ]
 

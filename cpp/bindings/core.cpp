@@ -297,7 +297,7 @@ void bind_bundle(nb::module_& m) {
 NB_MODULE(_core, m) {
   m.attr("__version__") = TAUEXT_VERSION;
   m.attr("MAX_JOINTS") = kMaxJoints;
-  nb::exception<Error>(m, "CoreError");
+  nb::exception<Error>(m, "CoreError", nb::module_::import_("tauext.errors").attr("TauextError"));
   bind_tree(m);
   bind_observer(m);
   bind_lstm(m);

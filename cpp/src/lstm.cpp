@@ -138,6 +138,21 @@ void forward_any(int chunk, int, void* context) {
   forward_4(job, chunk);
 }
 
+template <int L>
+TAUEXT_INLINE void activations(std::span<const float> x, std::span<float> sigmoid, std::span<float> tanh) {
+  for (std::size_t k = 0; k < x.size(); ++k) {
+    V<L> i = splat<L>(x[k]), f = i, g = i, o = i;
+    activate_gates<L>(i, f, g, o);
+    sigmoid[k] = i[0];
+    tanh[k] = g[0];
+  }
+}
+
+using Floats = std::span<float>;
+TAUEXT_TARGET_16 void activations_16(std::span<const float> x, Floats s, Floats t) { activations<16>(x, s, t); }
+TAUEXT_TARGET_8 void activations_8(std::span<const float> x, Floats s, Floats t) { activations<8>(x, s, t); }
+void activations_4(std::span<const float> x, Floats s, Floats t) { activations<4>(x, s, t); }
+
 }  // namespace
 
 void lstm_forward(const LstmShape& shape, std::span<const float> parameters, const WindowRows& windows,
@@ -154,12 +169,10 @@ void lstm_forward(const LstmShape& shape, std::span<const float> parameters, con
 }
 
 void lstm_activations(std::span<const float> x, std::span<float> sigmoid, std::span<float> tanh) {
-  for (std::size_t k = 0; k < x.size(); ++k) {
-    V<4> i = splat<4>(x[k]), f = i, g = i, o = i;
-    activate_gates<4>(i, f, g, o);
-    sigmoid[k] = i[0];
-    tanh[k] = g[0];
-  }
+  const int count = lane_count();
+  if (count == 16) return activations_16(x, sigmoid, tanh);
+  if (count == 8) return activations_8(x, sigmoid, tanh);
+  activations_4(x, sigmoid, tanh);
 }
 
 }  // namespace tauext

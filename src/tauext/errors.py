@@ -1,4 +1,7 @@
-"""The errors that tauext raises for bad input: what, the value, the rule, the choices, in one message."""
+"""The errors that tauext raises for bad input: what, the value, the rule, the choices, in one message.
+
+The C++ core's own error, `tauext._core.CoreError`, is a TauextError too.
+"""
 
 
 class TauextError(Exception):

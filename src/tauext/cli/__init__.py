@@ -6,7 +6,6 @@ import sys
 
 import tyro
 
-from tauext import _core
 from tauext.cli.evaluate import evaluate
 from tauext.cli.report import report
 from tauext.cli.reproduce import reproduce
@@ -28,7 +27,7 @@ def main(argv: list[str] | None = None) -> int:
         app.command(command)
     try:
         app.cli(prog="tauext", description=DESCRIPTION, args=argv)
-    except (TauextError, _core.CoreError) as error:
+    except TauextError as error:
         print(f"tauext: error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

@@ -42,7 +42,7 @@ def describe_bundle(file: Path) -> dict:
 
     bundle = _core.Bundle.load(str(file))
     names = [link.joint_name for link in bundle.links]
-    facts = json.loads(bundle.provenance)
+    facts = json.loads(bundle.provenance or "{}")
     period_s = bundle.observer.sample_period_ns * 1e-9
     network_period_s = period_s * bundle.observer.network_stride
     content = {

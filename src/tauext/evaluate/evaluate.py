@@ -91,7 +91,7 @@ def _case(
     verdicts: list[dict],
     ten: list[str],
 ) -> dict:
-    trained = json.loads(bundle.provenance)
+    trained = json.loads(bundle.provenance or "{}")
     found = {verdict["id"]: verdict["found"] for verdict in verdicts}
     return {
         "name": name,

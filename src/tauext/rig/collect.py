@@ -129,7 +129,7 @@ def _claim(out_dir: Path, settings: dict) -> None:
 def _first_difference(found: object, wanted: object, name: str = "run.json") -> str:
     """Where two JSON values differ first: `name: found, not wanted`."""
     if isinstance(found, dict) and isinstance(wanted, dict):
-        for key in wanted.keys() | found.keys():
+        for key in sorted(wanted.keys() | found.keys()):
             if found.get(key) != wanted.get(key):
                 return _first_difference(found.get(key), wanted.get(key), str(key))
     return f"{name}: {found}, not {wanted}"

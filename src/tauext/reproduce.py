@@ -32,7 +32,7 @@ class Scale:
 
 SCALES = {
     "smoke": Scale(minutes=2.0, collision_recordings=1, epochs=1, batch=64, max_steps=20),
-    "quick": Scale(minutes=45.0, collision_recordings=10, epochs=13, batch=128),
+    "quick": Scale(minutes=45.0, collision_recordings=20, epochs=20, batch=128),
     "full": Scale(minutes=90.0, collision_recordings=20, epochs=500, batch=1000),
 }
 

@@ -19,6 +19,8 @@ WARM_S = 1.5
 NEAR_STICTION_RAD_S = 0.02
 MODEL_ERROR_NM = {"exact": 0.0, "mass": 28.0, "com": 18.0, "mass+com": 38.0, "none": 55.0}
 CASES = tuple(MODEL_ERROR_NM)
+SEVEN_CASES = ("none-paper", "exact-paper", *CASES)
+STEPS = {"paper": 189_000, "dense": 20_000}
 
 
 def make_results(
@@ -49,7 +51,9 @@ def make_results(
     touches = [touch for recording in touched for touch in find_collisions(recording)]
     ten = choose_ten(touches, np.max(list(limits.values()), axis=0), seed)
     entries = []
+    variants = any(case.endswith("-paper") for case in cases)
     for case in cases:
+        recipe = "dense" if variants and not case.endswith("-paper") else "paper"
         (results / "estimates" / case).mkdir(parents=True)
         errors, verdicts = FreeMotionErrors(joints), []
         for recording in free + touched:
@@ -63,9 +67,9 @@ def make_results(
             {
                 "name": case,
                 "bundle": f"{case}.tauext",
-                "recipe": "paper",
-                "steps": 11340,
-                "epochs": 20,
+                "recipe": recipe,
+                "steps": STEPS[recipe],
+                "epochs": 500,
                 "batch": 1000,
                 "train_minutes": 3.4,
                 "free_motion": errors.summary(),
@@ -73,6 +77,7 @@ def make_results(
                 "collisions": verdicts,
                 "ten_found": sum(found[one] for one in ten),
                 "found_curve": found_curve(touches, verdicts, limits[case]),
+                "loss_history": make_loss_history(STEPS[recipe], rng),
             }
         )
     content = {
@@ -93,6 +98,15 @@ def make_results(
     }
     (results / "results.json").write_text(json.dumps(content, indent=1, allow_nan=False))
     return results, data
+
+
+def make_loss_history(steps: int, rng: np.random.Generator) -> list[list[float]]:
+    """A loss that falls, jumps up now and then and recovers; the validation loss flattens first."""
+    at = np.unique(np.linspace(0, steps, 151).astype(int)[1:])
+    jumps = lfilter([1], [1, -0.7], rng.random(len(at)) < 0.02)
+    training = (0.08 * (at / 200) ** -0.75 + 4e-4) * np.exp(rng.normal(0, 0.12, len(at)) + jumps)
+    validation = (0.03 * (at / 200) ** -0.6 + 9e-4) * np.exp(rng.normal(0, 0.05, len(at)) + jumps)
+    return [list(entry) for entry in zip(at.tolist(), training.tolist(), validation.tolist(), strict=True)]
 
 
 def make_recording(name: str, joints: int, seconds: float, contacts: bool, rng: np.random.Generator) -> Recording:
@@ -157,7 +171,7 @@ def low_pass(x: np.ndarray) -> np.ndarray:
 def make_estimates(recording: Recording, case: str, limit_nm: np.ndarray, rng: np.random.Generator) -> Estimates:
     """An observer that sees friction, the case's model error and the push; a network that errs most near stiction."""
     n = len(recording.joints)
-    model = MODEL_ERROR_NM.get(case, 10.0) * np.cos(recording.q) * np.linspace(1, 0.3, n)
+    model = MODEL_ERROR_NM.get(case.removesuffix("-paper"), 10.0) * np.cos(recording.q) * np.linspace(1, 0.3, n)
     uncertainty = low_pass(-friction(recording.dq) - model)
     near = np.abs(recording.dq) < NEAR_STICTION_RAD_S
     white = rng.standard_normal(recording.q.shape)

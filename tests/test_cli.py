@@ -74,6 +74,7 @@ def test_reproduce_covers_all_five_cases_and_prints_the_report_last(workplace, c
     results = json.loads((workplace / "runs/quick/results/results.json").read_text())
     assert [case["name"] for case in results["cases"]] == ["exact", "mass", "com", "mass+com", "none"]
     assert results["provenance"]["scale"] == "smoke"
+    assert all(case["loss_history"][-1][0] == case["steps"] for case in results["cases"])
 
 
 def test_reproduce_a_second_time_gives_the_same_results_and_trains_nothing_anew(workplace, capsys, monkeypatch):

@@ -12,9 +12,10 @@ from tauext.config import ObserverConfig
 from tauext.data import Recording
 from tauext.data.estimates import OK, WARMING_UP, Estimates, load_estimates, save_estimates
 from tauext.errors import BundleError, ConfigError, RecordingError
-from tauext.evaluate import evaluate
+from tauext.evaluate import evaluate, read_loss_history
 from tauext.evaluate.collisions import choose_ten, find_collisions, found_curve, judge
 from tauext.evaluate.free_motion import FreeMotionErrors, count_episodes
+from tauext.evaluate.loss_history import thin
 from tauext.learn import build_chain, make_bundle
 
 MASS = 2.0
@@ -208,3 +209,58 @@ def test_estimates_come_back_from_their_file_as_they_were(tmp_path):
         load_estimates(tmp_path / "e.parquet")
     with pytest.raises(RecordingError, match="no such estimates"):
         load_estimates(tmp_path / "missing.parquet")
+
+
+# Loss history of training, from the run file beside a bundle
+
+
+def test_a_loss_history_stands_in_the_results_of_its_case(tmp_path):
+    history = [[200, 0.1, 0.05], [400, 0.02, 0.03]]
+    (tmp_path / "observer.run.json").write_text(json.dumps({"recipe": "observer", "loss_history": history}))
+    bundle = observer_bundle()
+    histories = {"observer": read_loss_history(bundle, tmp_path / "observer.tauext")}
+    bundles = {"observer": bundle, "copied": bundle}
+    results = evaluate(bundles, [recording], [], tmp_path, seed=0, threads=1, loss_histories=histories)
+    assert [case["loss_history"] for case in results["cases"]] == [history, None]
+
+
+def test_a_bundle_without_a_run_file_or_without_training_has_no_loss_history(tmp_path):
+    assert read_loss_history(observer_bundle(), tmp_path / "copied.tauext") is None
+    for content in ({}, {"loss_history": []}, {"loss_history": None}):
+        (tmp_path / "observer.run.json").write_text(json.dumps(content))
+        assert read_loss_history(observer_bundle(), tmp_path / "observer.tauext") is None
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("{", "not a readable run file"),
+        ("[1]", "it is no JSON object"),
+        ('{"loss_history": 3}', "'loss_history' is no list"),
+        (
+            '{"loss_history": [[1, 0.1]]}',
+            r"loss_history\[0\] is \[1, 0.1\], must be \[step, training, validation loss\]",
+        ),
+        ('{"loss_history": [[1, 0.1, true]]}', r"loss_history\[0\] is"),
+        ('{"loss_history": [[2, 0.1, 0.1], [2, 0.1, 0.1]]}', r"loss_history\[1\] is .*steps must grow"),
+        ('{"loss_history": [[1, NaN, 0.1]]}', "losses be finite"),
+        ('{"recipe": "paper", "steps": 0}', "it is of another training than observer.tauext \\('recipe' differs\\)"),
+    ],
+)
+def test_a_run_file_that_is_damaged_or_of_another_bundle_is_refused_with_the_way_out(tmp_path, text, message):
+    (tmp_path / "observer.run.json").write_text(text)
+    with pytest.raises(ConfigError, match=message) as caught:
+        read_loss_history(observer_bundle(), tmp_path / "observer.tauext")
+    assert "remove it to do without its loss history" in str(caught.value)
+
+
+@pytest.mark.parametrize("entries", [1, 199, 200, 201, 945, 5000])
+def test_a_thinned_history_keeps_both_ends_and_the_lowest_validation_loss(entries):
+    rng = np.random.default_rng(entries)
+    history = [[200 * (k + 1), *rng.random(2)] for k in range(entries)]
+    kept = thin(history)
+    assert len(kept) <= 200
+    assert kept[0] == history[0] and kept[-1] == history[-1] and min(history, key=lambda e: e[2]) in kept
+    assert kept == sorted(kept) and kept == thin(history)
+    assert entries > 200 or kept == history
+    assert entries <= 200 or len(kept) >= 150

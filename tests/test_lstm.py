@@ -11,6 +11,13 @@ GOLDEN = np.load(Path(__file__).parent / "golden" / "lstm.npz")
 STEP_INPUTS = [(f, 0) for f in range(6)]
 
 
+def beside(rows: np.ndarray, ends: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    """Targets of windows as rows beside the features; rows that end no window have none."""
+    target_rows = np.full((len(rows), targets.shape[1]), np.nan, dtype=np.float32)
+    target_rows[ends] = targets
+    return target_rows
+
+
 def as_rows(windows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Windows (N, T, F) one after the other as rows (N T, F), and the row that ends each."""
     count, length, inputs = windows.shape
@@ -37,7 +44,7 @@ def test_gradient_equals_stored_pytorch_gradient():
     rows, ends = as_rows(GOLDEN["windows"])
     shape = _core.LstmShape(6, 20, 2)
     loss, gradient = _core.lstm_gradient(
-        shape, GOLDEN["parameters"], rows, 1, 100, STEP_INPUTS, ends, GOLDEN["targets"], 1
+        shape, GOLDEN["parameters"], rows, 1, 100, STEP_INPUTS, ends, beside(rows, ends, GOLDEN["targets"]), 1, 1
     )
     assert loss == pytest.approx(float(GOLDEN["loss"]), rel=1e-6)
     error = np.linalg.norm(gradient - GOLDEN["gradient"]) / np.linalg.norm(GOLDEN["gradient"])
@@ -57,7 +64,9 @@ def test_gradient_equals_finite_differences(hidden, inputs, outputs, count):
         out = _core.lstm_forward(shape, p.astype(np.float32), rows, 1, 12, step_inputs, ends, 1)
         return float(np.mean((out.astype(float) - targets) ** 2))
 
-    _, gradient = _core.lstm_gradient(shape, parameters, rows, 1, 12, step_inputs, ends, targets, 2)
+    _, gradient = _core.lstm_gradient(
+        shape, parameters, rows, 1, 12, step_inputs, ends, beside(rows, ends, targets), 1, 2
+    )
     rng = np.random.default_rng(1)
     for _ in range(20):
         direction = rng.normal(size=parameters.size)
@@ -86,7 +95,9 @@ def test_forward_and_gradient_equal_pytorch():
     torch.nn.functional.mse_loss(output, torch.from_numpy(targets).double()).backward()
     expected = np.concatenate([t.grad.numpy().ravel() for t in tensors])
     out = _core.lstm_forward(shape, parameters, rows, 1, 100, step_inputs, ends, 2)
-    _, gradient = _core.lstm_gradient(shape, parameters, rows, 1, 100, step_inputs, ends, targets, 2)
+    _, gradient = _core.lstm_gradient(
+        shape, parameters, rows, 1, 100, step_inputs, ends, beside(rows, ends, targets), 1, 2
+    )
     np.testing.assert_allclose(out, output.detach().numpy(), atol=1e-6, rtol=0)
     assert np.linalg.norm(gradient - expected) / np.linalg.norm(expected) < 1e-5
 
@@ -95,9 +106,11 @@ def test_gradient_bytes_do_not_depend_on_the_number_of_threads():
     shape = _core.LstmShape(6, 20, 2)
     parameters, windows, targets = random_case(4, shape, 30, 333)
     rows, ends = as_rows(windows)
-    one = _core.lstm_gradient(shape, parameters, rows, 1, 30, STEP_INPUTS, ends, targets, 1)
+    one = _core.lstm_gradient(shape, parameters, rows, 1, 30, STEP_INPUTS, ends, beside(rows, ends, targets), 1, 1)
     for threads in (2, 3, 8):
-        many = _core.lstm_gradient(shape, parameters, rows, 1, 30, STEP_INPUTS, ends, targets, threads)
+        many = _core.lstm_gradient(
+            shape, parameters, rows, 1, 30, STEP_INPUTS, ends, beside(rows, ends, targets), 1, threads
+        )
         assert many[0] == one[0]
         assert many[1].tobytes() == one[1].tobytes()
 

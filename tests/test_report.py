@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 
 import pytest
-from made_results import make_results
+from made_results import SEVEN_CASES, make_results
 
 from tauext.errors import ConfigError, RecordingError, TauextError
 from tauext.report import paper, write_report
@@ -15,14 +16,16 @@ from tauext.report.collisions_over_time import draw_collisions
 from tauext.report.error_over_speed import draw_error_over_speed
 from tauext.report.found_curve import draw_found_curve
 from tauext.report.free_motion import draw_free_motion
+from tauext.report.naming import case_label
 from tauext.report.page import PageFigure, render_page
 from tauext.report.results_file import load_results
 from tauext.report.signals import NotAvailable, Signals
-from tauext.report.style import CASE_COLOURS, OTHER_COLOURS, case_colours
+from tauext.report.style import CASE_COLOURS, OTHER_COLOURS, VARIANT_COLOURS, case_colours
 from tauext.report.three_collisions import choose, draw_three_collisions
+from tauext.report.training_loss import draw_training_loss
 
 FIGURES = ("figure-5-free-motion", "figure-6-error-over-speed", "figure-7-collisions", "figure-8-three-collisions")
-ALL_FIGURES = (*FIGURES, "found-curve")
+ALL_FIGURES = (*FIGURES, "found-curve", "training-loss")
 DRAWERS = (draw_free_motion, draw_error_over_speed, draw_collisions, draw_three_collisions)
 NO_FIGURES = dict.fromkeys(ALL_FIGURES, PageFigure(png=None, caption="none"))
 
@@ -31,6 +34,12 @@ NO_FIGURES = dict.fromkeys(ALL_FIGURES, PageFigure(png=None, caption="none"))
 def made(tmp_path_factory):
     """Results and dataset folder; tests that change them work on a copy."""
     return make_results(tmp_path_factory.mktemp("made"), seconds=30)
+
+
+@pytest.fixture(scope="module")
+def seven(tmp_path_factory):
+    """Seven cases, two of them of another recipe and evaluated first."""
+    return make_results(tmp_path_factory.mktemp("seven"), seconds=20, cases=SEVEN_CASES)
 
 
 @pytest.fixture
@@ -98,7 +107,7 @@ def test_a_report_without_dataset_and_estimates_still_has_its_tables(copied, tmp
     assert page.count("is not available: the dataset has no recording") == 3
     assert "Figure 6 error over speed is not available: no test recording is there with its estimates" in page
     assert "0.402" in page
-    assert [p.name for p in (tmp_path / "report" / "figures").iterdir()] == ["found-curve.png"]
+    assert {p.name for p in (tmp_path / "report" / "figures").iterdir()} == {"found-curve.png", "training-loss.png"}
 
 
 # Numbers on the page
@@ -110,7 +119,7 @@ def test_ours_stand_beside_the_papers(made):
     for case in paper.L1_NM:
         for published in (paper.L1_NM[case], paper.L2_NM[case], paper.MSE_NM2[case]):
             assert f"{published[0]:.3f}" in page and f"{published[1]:.3f}" in page
-    assert f"joint1 {ours.l1_nm[0]:.3f} 0.402 {ours.l2_nm[0]:.3f} 0.661 {ours.mse_nm2[0]:.3f} 0.435 11,340" in page
+    assert f"joint1 {ours.l1_nm[0]:.3f} 0.402 {ours.l2_nm[0]:.3f} 0.661 {ours.mse_nm2[0]:.3f} 0.435 189,000" in page
     assert f"{ours.limit_sliding_nm[0]:.2f} 4.62" in page
     assert "0.418" in page and "1.344" in page
     assert f"{ours.false_alarms} false alarms in {ours.hours:.2f} h" in page
@@ -241,7 +250,100 @@ def test_a_case_keeps_its_colour_whatever_stands_beside_it():
     assert case_colours(["none", "mine"])["none"] == case_colours(list(CASE_COLOURS))["none"]
     many = [f"case-{k}" for k in range(len(OTHER_COLOURS) + 1)]
     assert case_colours(many)["case-0"] == OTHER_COLOURS[0] == case_colours(many)[many[-1]]
-    assert len({*CASE_COLOURS.values(), *OTHER_COLOURS}) == len(CASE_COLOURS) + len(OTHER_COLOURS)
+    assert case_colours(["none-paper", "none"]) == {"none-paper": VARIANT_COLOURS["none"], "none": CASE_COLOURS["none"]}
+    assert case_colours(["none-paper", "none-long"])["none-long"] == OTHER_COLOURS[0]
+    palettes = [*CASE_COLOURS.values(), *VARIANT_COLOURS.values(), *OTHER_COLOURS]
+    assert len({*palettes}) == len(palettes)
+
+
+# Cases of one model, trained by different recipes
+
+
+@pytest.mark.parametrize(
+    "name, recipe, label",
+    [
+        ("none", "dense", "no model"),
+        ("exact-paper", "paper", "exact, paper recipe"),
+        ("exact-paper", None, "exact, paper"),
+        ("mass+com-2h", "dense", "mass + CoM, 2h"),
+        ("exactly", "paper", "exactly"),
+        ("my-paper", "paper", "my-paper"),
+    ],
+)
+def test_a_case_is_called_by_its_model_and_what_sets_it_apart(name, recipe, label):
+    assert case_label(name, recipe) == label
+
+
+def test_cases_stand_in_the_papers_order_with_other_recipes_behind_their_models_own(seven):
+    results = load_results(seven[0])
+    assert [case.name for case in results.cases] == [
+        "exact",
+        "exact-paper",
+        "mass",
+        "com",
+        "mass+com",
+        "none",
+        "none-paper",
+    ]
+    without = replace(results, cases=tuple(case for case in results.cases if case.name not in ("none", "exact")))
+    assert (without.case("none").name, without.case("exact").name) == ("none-paper", "exact-paper")
+
+
+def test_the_papers_numbers_stand_beside_both_recipes_and_the_recipe_is_named(seven):
+    page = words_of(page_of(seven[0]))
+    for label, name, trained in (
+        ("exact", "exact", "dense 20,000"),
+        ("exact, paper recipe", "exact-paper", "paper 189,000"),
+    ):
+        ours = load_results(seven[0]).case(name)
+        measures = f"{ours.l1_nm[0]:.3f} 0.402 {ours.l2_nm[0]:.3f} 0.661 {ours.mse_nm2[0]:.3f} 0.435"
+        assert f"{label} joint1 {measures} {trained}" in page
+    assert "exact 20,000 steps; exact, paper recipe 189,000 steps; mass 20,000 steps" in page
+
+
+def test_seven_cases_are_drawn_in_every_figure(seven, tmp_path):
+    page = write_report(*seven, tmp_path / "report").read_text()
+    assert "not available" not in page
+    assert page.count('class="tile"') == 7 and "/ 4)" in page  # rows of four and three
+    drawing = draw_free_motion(load_results(seven[0]), signals_of(seven))
+    titles = [axes.get_title() for axes in drawing.figure.axes if axes.get_title()]
+    assert titles[:2] == ["exact", "exact,\npaper recipe"] and len(titles) == 7
+
+
+# Training loss
+
+
+def test_recipes_of_one_model_share_a_panel_of_the_training_loss(seven):
+    drawing = draw_training_loss(load_results(seven[0]))
+    panels = drawing.figure.axes
+    assert [axes.get_title() for axes in panels] == ["exact", "mass", "CoM", "mass + CoM", "no model"]
+    assert [text.get_text() for text in panels[0].get_legend().get_texts()] == ["dense recipe", "paper recipe"]
+    assert panels[1].get_legend() is None
+    history = load_results(seven[0]).case("mass").loss_history
+    training, validation, lowest = (line.get_xydata().tolist() for line in panels[1].get_lines())
+    assert training == [[step, loss] for step, loss, _ in history]
+    assert validation == [[step, loss] for step, _, loss in history]
+    assert lowest == [min(validation, key=lambda point: point[1])]
+    assert "No history" not in drawing.caption
+
+
+@pytest.mark.parametrize("count", range(1, 8))
+def test_as_many_panels_as_cases_of_other_names_have_a_history(count, copied):
+    def edit(content):
+        content["cases"] = [content["cases"][0] | {"name": f"case {k}"} for k in range(count)]
+
+    change(copied[0], edit)
+    drawing = draw_training_loss(load_results(copied[0]))
+    assert [axes.get_title() for axes in drawing.figure.axes] == [f"case {k}" for k in range(count)]
+    drawing.figure.draw_without_rendering()
+
+
+def test_cases_without_a_loss_history_are_named_and_without_any_there_is_no_figure(copied):
+    change(copied[0], lambda content: content["cases"][1].update(loss_history=None))
+    assert draw_training_loss(load_results(copied[0])).caption.endswith("No history: mass.")
+    change(copied[0], lambda content: [case.pop("loss_history") for case in content["cases"]])
+    with pytest.raises(NotAvailable, match="the results hold no loss history"):
+        draw_training_loss(load_results(copied[0]))
 
 
 # Faults
@@ -289,6 +391,10 @@ FAULTS = {
     "collision without start": (
         lambda c: c["collisions"][0].pop("start_s"),
         "collisions[0]: 'start_s' is null, must be int or float",
+    ),
+    "loss without step": (
+        lambda c: c["cases"][0].update(loss_history=[[0.5, 0.1, 0.1]]),
+        "cases[0]: 'loss_history' holds [0.5, 0.1, 0.1], must be [step, training, validation loss]",
     ),
     "true for a count": (lambda c: c["cases"][0].update(ten_found=True), "'ten_found' is true, must be int"),
     "not a number": (lambda c: c["cases"][0]["free_motion"].update(hours=float("nan")), "NaN is no JSON number"),

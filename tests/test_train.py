@@ -12,6 +12,8 @@ from tauext.config import ObserverConfig, TrainConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
 from tauext.learn import build_chain, build_windows, find_scaling, make_bundle, train
+from tauext.learn.core_backend import CoreBackend
+from tauext.learn.recipes import DenseRecipe
 
 SMALL = ObserverConfig(window_s=0.1)  # windows of ten network steps
 
@@ -47,7 +49,9 @@ def test_windows_hold_the_papers_inputs_and_the_observers_residual():
     assert windows.windows == (4000 - 500) // 10
     first = windows.ends[0] * 10
     assert first == 500
-    np.testing.assert_allclose(windows.targets[0] * scaling.output_scale_nm, observation.residual[first], rtol=1e-6)
+    np.testing.assert_allclose(
+        windows.target_rows[windows.ends[0]] * scaling.output_scale_nm, observation.residual[first], rtol=1e-6
+    )
     row = windows.rows[windows.ends[0]] / scaling.input_factors
     np.testing.assert_allclose(row, np.r_[made.q[first], made.dq[first]], rtol=1e-6)
     assert chain.inputs == [(0, 0), (1, 0), (2, 0), (3, 0), (2, 1), (3, 1)]  # q(k), dq(k), dq(k-1)
@@ -81,7 +85,7 @@ def test_training_lowers_the_loss_and_the_same_seed_gives_the_same_bytes_on_any_
     other = train(chain, windows, windows, TrainConfig(hidden=8, epochs=20, batch=100, learning_rate=0.01, seed=1))
     assert one.parameters.tobytes() == two.parameters.tobytes()
     assert one.parameters.tobytes() != other.parameters.tobytes()
-    assert one.history[-1][2] < 0.5 * np.mean(windows.targets**2)
+    assert one.history[-1][2] < 0.5 * np.mean(windows.target_rows[windows.ends] ** 2)
 
 
 def test_an_interrupted_run_goes_on_to_the_same_bytes(tmp_path):
@@ -174,3 +178,67 @@ def test_a_recording_of_other_joints_is_refused_by_name():
     made = recording(1, joints=("a", "b"))
     with pytest.raises(TrainingError, match="a, b are not the model's shoulder, elbow"):
         build_chain(planar_arm(), made, SMALL)
+
+
+def test_dense_sequences_lie_whole_in_one_stretch_of_one_recording():
+    parts = [recording(1), recording(2, missing=slice(2003, 2103)), recording(3)]
+    chain, _, windows = prepared(parts)
+    config = TrainConfig(recipe="dense", targets=20, batch=500, max_steps=10).resolved()
+    recipe = DenseRecipe(chain, windows, config)
+    ends = np.unique(np.concatenate([recipe.ends(step) for step in range(10)]))
+    first_row = dict(zip(windows.ends, windows.first_rows, strict=True))
+    assert recipe.length == chain.window_steps - 1 + 20
+    assert all(end - (recipe.length - 1) - 1 >= first_row[end] for end in ends)  # one more for the lag of dq
+    assert len(ends) > 200
+    np.testing.assert_array_equal(recipe.ends(3), recipe.ends(3))
+    assert not np.array_equal(recipe.ends(3), recipe.ends(4))
+
+
+def test_a_dense_sequence_with_one_target_is_the_papers_window():
+    chain, _, windows = prepared([recording(1)])
+    config = TrainConfig(recipe="dense", targets=1, batch=50, max_steps=5).resolved()
+    recipe = DenseRecipe(chain, windows, config)
+    assert (recipe.length, recipe.targets) == (chain.window_steps, 1)
+    dense = CoreBackend(chain, windows, 6, recipe.length, recipe.targets, threads=1)
+    paper = CoreBackend(chain, windows, 6, chain.window_steps, 1, threads=1)
+    start = dense.initial_parameters(0).astype(np.float32)
+    assert dense.gradient(start, recipe.ends(0))[1].tobytes() == paper.gradient(start, recipe.ends(0))[1].tobytes()
+
+
+def test_the_dense_learning_rate_rises_and_falls_to_zero():
+    chain, _, windows = prepared([recording(1)])
+    recipe = DenseRecipe(chain, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
+    rates = np.array([recipe.learning_rate(step) for step in range(1000)])
+    assert rates.max() == pytest.approx(0.01, rel=0.03) and 40 <= rates.argmax() <= 60
+    assert (rates > 0).all() and rates[-1] < 1e-6
+    assert (np.diff(rates[:50]) > 0).all() and (np.diff(rates[51:]) < 0).all()
+
+
+def test_dense_training_stops_early_only_when_the_falling_rate_brings_nothing():
+    chain, _, windows = prepared([recording(1)])
+    recipe = DenseRecipe(chain, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
+    best_early = [(step, 1.0, 0.5 if step == 300 else 1.0) for step in range(100, 801, 100)]
+    best_late = [(step, 1.0, 0.5 if step == 700 else 1.0) for step in range(100, 801, 100)]
+    assert recipe.gives_up(best_early) and not recipe.gives_up(best_late)
+    assert not recipe.gives_up(best_early[:-1]) and not recipe.gives_up([])
+
+
+def test_in_equal_arithmetic_the_dense_recipe_gets_further_than_the_papers():
+    chain, _, windows = prepared([recording(k, seconds=6.0) for k in range(6)])
+    steps = 300
+    # A dense sequence of 29 steps costs about three windows of ten: a third of the sequences.
+    dense = TrainConfig(recipe="dense", hidden=8, targets=20, batch=32, max_steps=steps)
+    paper = TrainConfig(hidden=8, batch=96, max_steps=steps, epochs=1000)
+    losses = [min(h[2] for h in train(chain, windows, windows, config).history) for config in (dense, paper)]
+    assert losses[0] < 0.5 * losses[1]
+
+
+def test_sequences_longer_than_every_recording_are_refused():
+    chain, _, windows = prepared([recording(1, seconds=2.0)])
+    with pytest.raises(TrainingError, match="sequence of 309 steps.*lower targets = 300"):
+        train(chain, windows, windows, TrainConfig(recipe="dense", targets=300, max_steps=5))
+
+
+def test_epochs_are_refused_where_a_recipe_has_none():
+    with pytest.raises(ConfigError, match="epochs = 3 must be left out"):
+        TrainConfig(recipe="dense", epochs=3)

@@ -1,4 +1,4 @@
-// Time of one gradient and of one forward pass: median, minimum and maximum over repetitions.
+// Time of one gradient, of one forward pass of windows from anywhere, and of one over a recording: median, minimum and maximum over repetitions.
 //   lstm_bench [batch 1000] [length 100] [inputs 6] [hidden 20] [outputs 2] [threads 1] [repetitions 21]
 #include <algorithm>
 #include <chrono>
@@ -19,7 +19,7 @@ int main(int argc, char** argv) {
   std::vector<float> parameters(shape.parameter_count()), gradient(parameters.size());
   for (float& p : parameters) p = uniform(random);
   const std::int64_t row_count = 300000;
-  std::vector<float> rows(row_count * inputs), targets(static_cast<std::size_t>(batch) * outputs), out(targets.size());
+  std::vector<float> rows(row_count * inputs), targets(row_count * outputs), out(static_cast<std::size_t>(batch) * outputs);
   for (float& x : rows) x = uniform(random);
   for (float& y : targets) y = uniform(random);
   std::vector<tauext::LstmInput> map(inputs);
@@ -39,6 +39,8 @@ int main(int argc, char** argv) {
     std::printf("%-9s batch %d, length %d, F %d, H %d, outputs %d, threads %d: median %.3f ms (min %.3f, max %.3f)\n",
                 name, batch, length, inputs, hidden, outputs, threads, ms[2 + repetitions / 2], ms[2], ms.back());
   };
-  time("gradient", [&] { tauext::learn::lstm_gradient(shape, parameters, windows, ends, targets, gradient, threads); });
-  time("forward", [&] { tauext::lstm_forward(shape, parameters, windows, ends, out, threads); });
+  time("gradient", [&] { tauext::learn::lstm_gradient(shape, parameters, windows, ends, targets, 1, gradient, threads); });
+  time("random", [&] { tauext::lstm_forward(shape, parameters, windows, ends, out, threads); });
+  for (int k = 0; k < batch; ++k) ends[k] = length + k;
+  time("recording", [&] { tauext::lstm_forward(shape, parameters, windows, ends, out, threads); });
 }

@@ -197,21 +197,22 @@ void bind_lstm(nb::module_& m) {
       "lstm_gradient",
       [](const LstmShape& shape, const Array<float, 1>& parameters, const Array<float, 2>& rows, int stride, int length,
          const std::vector<std::pair<int, int>>& inputs, const Array<std::int64_t, 1>& ends,
-         const Array<float, 2>& targets, int threads) {
+         const Array<float, 2>& target_rows, int targets, int threads) {
         const PythonWindows windows(rows, stride, length, inputs);
-        if (targets.shape(1) != static_cast<std::size_t>(shape.outputs))
-          throw Error("targets must have the shape (windows, " + std::to_string(shape.outputs) + ")");
+        if (target_rows.shape(1) != static_cast<std::size_t>(shape.outputs))
+          throw Error("target_rows must have the shape (rows, " + std::to_string(shape.outputs) + ")");
         std::vector<float> gradient(shape.parameter_count());
         double loss;
         {
           nb::gil_scoped_release released;
           loss = learn::lstm_gradient(shape, span_of(parameters), windows.rows, span_of(ends),
-                                      {targets.data(), targets.size()}, gradient, threads);
+                                      {target_rows.data(), target_rows.size()}, targets, gradient, threads);
         }
         return nb::make_tuple(loss, to_numpy(std::move(gradient), {shape.parameter_count()}));
       },
       nb::arg("shape"), nb::arg("parameters"), nb::arg("rows"), nb::arg("stride"), nb::arg("length"), nb::arg("inputs"),
-      nb::arg("ends"), nb::arg("targets"), nb::arg("threads"), "Mean squared error and its gradient.");
+      nb::arg("ends"), nb::arg("target_rows"), nb::arg("targets"), nb::arg("threads"),
+      "Mean squared error over the last `targets` steps of each sequence, and its gradient.");
   m.def(
       "lstm_activations",
       [](const Array<float, 1>& x) {

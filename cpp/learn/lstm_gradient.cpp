@@ -1,6 +1,7 @@
 #include "lstm_gradient.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <vector>
 
 #include "../src/lstm_lanes.hpp"
@@ -10,9 +11,11 @@ namespace {
 
 using namespace lanes;
 
-constexpr int kWindowsPerChunk = 64;
 constexpr int kTimeBlock = 4;  // steps whose deltas and inputs stay in the first cache while weight sums pass through
 constexpr int kInputTile = 6;  // inputs of a weight-gradient tile; 4 gates x 6 inputs = 24 accumulators
+
+// Sequences in a chunk follow from the batch alone, never from the threads: a small batch is cut finer.
+std::size_t chunk_size(std::size_t batch) noexcept { return batch >= 512 ? 64 : batch >= 256 ? 32 : 16; }
 
 int tiles(int inputs_with_bias) noexcept { return (inputs_with_bias + kInputTile - 1) / kInputTile; }
 
@@ -45,7 +48,8 @@ struct Job {
   const Packed packed;
   const WindowRows& windows;
   std::span<const std::int64_t> ends;
-  std::span<const float> targets;
+  std::span<const float> target_rows;
+  int targets;
   std::vector<double> loss;                   // a chunk
   std::vector<std::vector<double>> gradient;  // a chunk, layout of the parameters
 };
@@ -64,18 +68,32 @@ TAUEXT_INLINE void forward_with_history(const Job& job, const std::int64_t* ends
   }
 }
 
-// Loss of the group's first `count` lanes; leaves dL/dy, dL/dh of the last step, and adds to the head's sums.
+// h = o tanh(c) of step t, whose gates are still gates; zero before the first.
 template <int L>
-TAUEXT_INLINE double head_backward(const Job& job, std::size_t group, int count, Workspace<L>& m) {
+TAUEXT_INLINE void hidden_of_step(int t, const Workspace<L>& m, float* h) noexcept {
+  if (t < 0) {
+    std::memset(h, 0, sizeof(float) * m.P * L);
+    return;
+  }
+  const float* gate = m.gates.get() + static_cast<std::ptrdiff_t>(t) * m.P * 4 * L;
+  const float* tanh_cell = m.tanh_cells.get() + static_cast<std::ptrdiff_t>(t) * m.P * L;
+  for (int u = 0; u < m.P; ++u) store<L>(h + u * L, load<L>(gate + (u * 4 + 3) * L) * load<L>(tanh_cell + u * L));
+}
+
+// Loss of step t of the group's first `count` lanes; adds to dL/dh and to the head's sums.
+template <int L>
+TAUEXT_INLINE double head_backward(const Job& job, const std::int64_t* ends, int t, int count, Workspace<L>& m) {
   const int P = m.P, O = m.O;
   double loss = 0;
-  const float scale = 2.0f / (static_cast<float>(job.ends.size()) * static_cast<float>(O));
-  for (int k = 0; k < P; ++k) store<L>(m.d_hidden.get() + k * L, V<L>{});
+  const float scale = 2.0f / (static_cast<float>(job.ends.size()) * static_cast<float>(O) * static_cast<float>(job.targets));
+  const std::int64_t back = static_cast<std::int64_t>(m.T - 1 - t) * job.windows.stride;
+  hidden_of_step<L>(t, m, m.hidden.get());
   for (int o = 0; o < O; ++o) {
     const V<L> y = head<L>(job.packed, m.hidden.get(), o);
     V<L> d_y{};
     for (int l = 0; l < count; ++l) {
-      const float error = y[l] - job.targets[(group + l) * O + o];
+      const float error = y[l] - job.target_rows[(ends[l] - back) * O + o];
+      if (std::isnan(error) && !std::isnan(y[l])) continue;  // this row has no target
       loss += static_cast<double>(error) * error;
       d_y[l] = scale * error;
     }
@@ -163,26 +181,22 @@ TAUEXT_INLINE void add_weight_sums(const float* delta, int steps, Workspace<L>& 
     }
 }
 
+// The way back through a group's history; returns the loss of its first `count` lanes.
 template <int L>
-TAUEXT_INLINE void backward(const Job& job, const std::int64_t* ends, Workspace<L>& m) {
+TAUEXT_INLINE double backward(const Job& job, const std::int64_t* ends, int count, Workspace<L>& m) {
   const int P = m.P;
+  double loss = 0;
   std::memset(m.d_cell.get(), 0, sizeof(float) * P * L);
+  std::memset(m.d_hidden.get(), 0, sizeof(float) * P * L);
   for (int block_end = m.T; block_end > 0;) {
     const int block_begin = std::max(0, block_end - kTimeBlock);
     for (int t = block_end; t-- > block_begin;) {
       float* x = m.inputs.get() + static_cast<std::ptrdiff_t>(t - block_begin) * m.K_tiled * L;
       gather<L>(job.windows, ends, t, x);
-      float* h = x + m.F * L;
-      if (t == 0) {
-        std::memset(h, 0, sizeof(float) * P * L);
-      } else {  // h = o tanh(c) of the step before, whose gates are still gates
-        const float* gate = m.gates.get() + static_cast<std::ptrdiff_t>(t - 1) * P * 4 * L;
-        const float* tanh_cell = m.tanh_cells.get() + static_cast<std::ptrdiff_t>(t - 1) * P * L;
-        for (int u = 0; u < P; ++u)
-          store<L>(h + u * L, load<L>(gate + (u * 4 + 3) * L) * load<L>(tanh_cell + u * L));
-      }
+      hidden_of_step<L>(t - 1, m, x + m.F * L);
       store<L>(x + m.K * L, splat<L>(1.0f));
       for (int k = m.K + 1; k < m.K_tiled; ++k) store<L>(x + k * L, V<L>{});
+      if (t >= m.T - job.targets) loss += head_backward<L>(job, ends, t, count, m);
       deltas<L>(t, m);
       if (t > 0)
         hidden_backward<L>(job.packed, m.gates.get() + static_cast<std::ptrdiff_t>(t) * P * 4 * L, m.d_hidden.get());
@@ -191,6 +205,7 @@ TAUEXT_INLINE void backward(const Job& job, const std::int64_t* ends, Workspace<
                        m);
     block_end = block_begin;
   }
+  return loss;
 }
 
 // Sum over the lanes of vector `index`, in lane order.
@@ -232,16 +247,15 @@ TAUEXT_INLINE void reduce(const LstmShape& shape, const Workspace<L>& m, std::ve
 template <int L>
 TAUEXT_INLINE void gradient_chunk(Job& job, int chunk) {
   Workspace<L> m(job.packed, job.windows.length);
-  const auto first = static_cast<std::size_t>(chunk) * kWindowsPerChunk;
-  const std::size_t last = std::min(first + kWindowsPerChunk, job.ends.size());
+  const std::size_t size = chunk_size(job.ends.size()), first = static_cast<std::size_t>(chunk) * size;
+  const std::size_t last = std::min(first + size, job.ends.size());
   double loss = 0;
   for (std::size_t group = first; group < last; group += L) {
     const int count = static_cast<int>(std::min<std::size_t>(L, last - group));
     std::int64_t ends[L];
     for (int l = 0; l < L; ++l) ends[l] = job.ends[group + std::min(l, count - 1)];
     forward_with_history<L>(job, ends, m);
-    loss += head_backward<L>(job, group, count, m);
-    backward<L>(job, ends, m);
+    loss += backward<L>(job, ends, count, m);
   }
   job.loss[chunk] = loss;
   reduce<L>(job.shape, m, job.gradient[chunk]);
@@ -262,17 +276,27 @@ void gradient_any(int chunk, int, void* context) {
 }  // namespace
 
 double lstm_gradient(const LstmShape& shape, std::span<const float> parameters, const WindowRows& windows,
-                     std::span<const std::int64_t> ends, std::span<const float> targets, std::span<float> gradient,
-                     int threads) {
+                     std::span<const std::int64_t> ends, std::span<const float> target_rows, int targets,
+                     std::span<float> gradient, int threads) {
   shape.validate();
   windows.validate(shape, ends);
   const std::size_t count = shape.parameter_count();
   if (parameters.size() != count || gradient.size() != count)
     throw Error("the network has " + std::to_string(count) + " parameters, not " + std::to_string(parameters.size()));
   if (ends.empty()) throw Error("a gradient needs at least one window");
-  if (targets.size() != ends.size() * shape.outputs) throw Error("the targets need one row a window");
-  const auto chunks = (ends.size() + kWindowsPerChunk - 1) / kWindowsPerChunk;
-  Job job{shape, Packed(shape, parameters), windows, ends, targets, std::vector<double>(chunks),
+  if (target_rows.size() != static_cast<std::size_t>(windows.row_count) * shape.outputs)
+    throw Error("the targets need one row beside each row of features");
+  if (targets < 1 || targets > windows.length)
+    throw Error("targets = " + std::to_string(targets) + " must be 1 to the sequence's length of " +
+                std::to_string(windows.length));
+  const auto chunks = (ends.size() - 1) / chunk_size(ends.size()) + 1;
+  Job job{shape,
+          Packed(shape, parameters),
+          windows,
+          ends,
+          target_rows,
+          targets,
+          std::vector<double>(chunks),
           std::vector<std::vector<double>>(chunks, std::vector<double>(count))};
   parallel_chunks(static_cast<int>(chunks), threads, gradient_any, &job);
   double loss = 0;
@@ -282,7 +306,7 @@ double lstm_gradient(const LstmShape& shape, std::span<const float> parameters, 
     for (const auto& part : job.gradient) sum += part[k];
     gradient[k] = static_cast<float>(sum);
   }
-  return loss / (static_cast<double>(ends.size()) * shape.outputs);
+  return loss / (static_cast<double>(ends.size()) * shape.outputs * targets);
 }
 
 }  // namespace tauext::learn

@@ -96,27 +96,62 @@ struct Forward {
   std::span<float> out;
 };
 
+// b + W_x x of the rows first .. last, into out (padded, 4) lines of `rows` values each.
+template <int L>
+TAUEXT_INLINE void project(const Packed& w, const WindowRows& windows, std::int64_t first, std::int64_t last, float* in,
+                           float* out, std::ptrdiff_t rows) noexcept {
+  const std::ptrdiff_t bias_row = w.inputs + w.padded;
+  for (std::int64_t row = first; row <= last; row += L) {
+    gather_rows<L>(windows, row, last, in);
+    for (int u = 0; u < w.padded; ++u) {
+      const float* block = w.gates.get() + (u / kUnits) * (bias_row + 1) * kUnits * 4 + (u % kUnits) * 4;
+#pragma GCC unroll 4
+      for (int gate = 0; gate < 4; ++gate) {
+        V<L> sum = splat<L>(block[bias_row * kUnits * 4 + gate]);
+        for (int k = 0; k < w.inputs; ++k) sum += load<L>(in + k * L) * block[k * kUnits * 4 + gate];
+        store<L>(out + (u * 4 + gate) * rows + (row - first), sum);
+      }
+    }
+  }
+}
+
+// Windows that end at consecutive rows, as in the evaluation of a recording, share the projection of their inputs.
 template <int L>
 TAUEXT_INLINE void forward_chunk(const Forward& job, int chunk) {
   const Packed& w = job.packed;
+  const WindowRows& windows = job.windows;
   const int F = w.inputs, P = w.padded, O = w.outputs;
-  const Buffer scratch = make_buffer(static_cast<std::size_t>(F + P + 4 * P + P + P) * L);
-  float* in = scratch.get();
-  float* h = in + F * L;
-  float* gates = h + P * L;
-  float* c = gates + 4 * P * L;
-  float* tanh_c = c + P * L;
-  const Buffer next_h = make_buffer(static_cast<std::size_t>(P) * L);
   const auto first = static_cast<std::size_t>(chunk) * kWindowsPerChunk;
   const std::size_t last = std::min(first + kWindowsPerChunk, job.ends.size());
+  bool consecutive = true;
+  for (std::size_t k = first + 1; k < last; ++k) consecutive = consecutive && job.ends[k] == job.ends[k - 1] + 1;
+
+  const Buffer in = make_buffer(static_cast<std::size_t>(F + P) * L), gates = make_buffer(static_cast<std::size_t>(P) * 4 * L);
+  const Buffer c = make_buffer(static_cast<std::size_t>(P) * L), tanh_c = make_buffer(static_cast<std::size_t>(P) * L);
+  const Buffer next_h = make_buffer(static_cast<std::size_t>(P) * L);
+  float* h = in.get() + F * L;
+  const std::int64_t back = static_cast<std::int64_t>(windows.length - 1) * windows.stride;
+  const std::int64_t first_row = job.ends[first] - back;
+  // Lines end on a whole vector, with one to spare for the lanes past the last window.
+  const std::ptrdiff_t rows = (job.ends[last - 1] - first_row + 1 + 2 * L - 1) / L * L;
+  Buffer projected;
+  if (consecutive) {
+    projected = make_buffer(static_cast<std::size_t>(P) * 4 * static_cast<std::size_t>(rows));
+    project<L>(w, windows, first_row, job.ends[last - 1], in.get(), projected.get(), rows);
+  }
   for (std::size_t group = first; group < last; group += L) {
     std::int64_t ends[L];
     for (int l = 0; l < L; ++l) ends[l] = job.ends[std::min(group + l, last - 1)];
     std::memset(h, 0, sizeof(float) * P * L);
-    std::memset(c, 0, sizeof(float) * P * L);
-    for (int t = 0; t < job.windows.length; ++t) {
-      gather<L>(job.windows, ends, t, in);
-      step<L>(w, in, c, gates, c, tanh_c, next_h.get());
+    std::memset(c.get(), 0, sizeof(float) * P * L);
+    for (int t = 0; t < windows.length; ++t) {
+      if (consecutive) {
+        const std::ptrdiff_t row = job.ends[group] - first_row - back + static_cast<std::ptrdiff_t>(t) * windows.stride;
+        step<L, true>(w, in.get(), c.get(), gates.get(), c.get(), tanh_c.get(), next_h.get(), {projected.get() + row, rows});
+      } else {
+        gather<L>(windows, ends, t, in.get());
+        step<L>(w, in.get(), c.get(), gates.get(), c.get(), tanh_c.get(), next_h.get());
+      }
       std::memcpy(h, next_h.get(), sizeof(float) * P * L);
     }
     for (int o = 0; o < O; ++o) {

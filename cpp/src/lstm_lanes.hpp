@@ -67,6 +67,12 @@ TAUEXT_INLINE V<L> load(const float* p) noexcept {
   return v;
 }
 template <int L>
+TAUEXT_INLINE V<L> load_anywhere(const float* p) noexcept {
+  V<L> v;
+  __builtin_memcpy(&v, p, sizeof v);
+  return v;
+}
+template <int L>
 TAUEXT_INLINE void store(float* p, V<L> v) noexcept {
   __builtin_memcpy(__builtin_assume_aligned(p, sizeof v), &v, sizeof v);
 }
@@ -112,19 +118,34 @@ TAUEXT_INLINE V<L> tanh(V<L> x) noexcept {
   return 2.0f / one_plus_exp_minus<L>(x + x) - 1.0f;
 }
 
+// b + W_x x of consecutive rows, so that overlapping windows share it: (padded, 4) lines of `rows` values.
+struct Projection {
+  const float* values = nullptr;
+  std::ptrdiff_t rows = 0;
+};
+
 // in (inputs + padded) vectors: the step's inputs, then h of the step before. Writes gates (padded, 4), c (padded), the
-// tanh of the new c (padded) and the new h (padded). c_before may be c itself.
-template <int L>
+// tanh of the new c (padded) and the new h (padded). c_before may be c itself. With kProjected the sums start from
+// projection.values, whose first line begins at the first lane's row, and the step's inputs are not read; the order of
+// the additions is the same, and so is the result to the last bit.
+template <int L, bool kProjected = false>
 TAUEXT_INLINE void step(const Packed& w, const float* in, const float* c_before, float* gates, float* c, float* tanh_c,
-                        float* h) noexcept {
+                        float* h, Projection projection = {}) noexcept {
   const int K = w.inputs + w.padded;
   const float* weights = w.gates.get();
   for (int u = 0; u < w.padded; u += kUnits) {
     V<L> sum[kUnits][4];
-    const float* bias = weights + static_cast<std::ptrdiff_t>(K) * kUnits * 4;
+    if constexpr (kProjected) {
 #pragma GCC unroll 16
-    for (int a = 0; a < kUnits * 4; ++a) sum[a / 4][a % 4] = splat<L>(bias[a]);
-    for (int k = 0; k < K; ++k) {
+      for (int a = 0; a < kUnits * 4; ++a)
+        sum[a / 4][a % 4] = load_anywhere<L>(projection.values + (u * 4 + a) * projection.rows);
+      weights += static_cast<std::ptrdiff_t>(w.inputs) * kUnits * 4;
+    } else {
+      const float* bias = weights + static_cast<std::ptrdiff_t>(K) * kUnits * 4;
+#pragma GCC unroll 16
+      for (int a = 0; a < kUnits * 4; ++a) sum[a / 4][a % 4] = splat<L>(bias[a]);
+    }
+    for (int k = kProjected ? w.inputs : 0; k < K; ++k) {
       const V<L> x = load<L>(in + k * L);
 #pragma GCC unroll 16
       for (int a = 0; a < kUnits * 4; ++a) sum[a / 4][a % 4] += x * weights[a];
@@ -145,6 +166,20 @@ TAUEXT_INLINE void step(const Packed& w, const float* in, const float* c_before,
       store<L>(c + (u + a) * L, cell);
       store<L>(tanh_c + (u + a) * L, t);
       store<L>(h + (u + a) * L, o * t);
+    }
+  }
+}
+
+// Inputs of L consecutive rows from `first` on into in (inputs, L); rows past `last` repeat it.
+template <int L>
+TAUEXT_INLINE void gather_rows(const WindowRows& windows, std::int64_t first, std::int64_t last, float* in) noexcept {
+  const int F = static_cast<int>(windows.inputs.size());
+  for (int f = 0; f < F; ++f) {
+    const LstmInput input = windows.inputs[f];
+    const std::int64_t lag = static_cast<std::int64_t>(input.lag) * windows.stride;
+    for (int l = 0; l < L; ++l) {
+      const std::int64_t row = first + l < last ? first + l : last;
+      in[f * L + l] = windows.rows[(row - lag) * windows.columns + input.column];
     }
   }
 }

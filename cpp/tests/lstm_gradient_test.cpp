@@ -23,7 +23,7 @@ struct Case {
     for (std::size_t k = 0; k < shape.parameter_count(); ++k) parameters.push_back(normal(random));
     const int row_count = length * (count + 1);
     for (int k = 0; k < row_count * features; ++k) rows.push_back(normal(random));
-    for (int k = 0; k < count * outputs; ++k) targets.push_back(normal(random));
+    for (int k = 0; k < row_count * outputs; ++k) targets.push_back(normal(random));
     for (int f = 0; f < features; ++f) inputs.push_back({f, f % 2});
     for (int k = 0; k < count; ++k) ends.push_back(length + k * (length - 1));
     windows = {rows.data(), row_count, features, 1, length, inputs};
@@ -32,16 +32,17 @@ struct Case {
 
 // Sizes that are no multiple of any tile, lane or chunk: every remainder loop runs, also under the sanitizers.
 void gradient_equals_finite_differences_at_odd_sizes() {
-  for (int count : {1, 17, 65, 131}) {
+  for (int targets : {1, 2, 11})
+    for (int count : {1, 17, 65, 131}) {
     Case c(9, 5, 3, 11, count);
     std::vector<float> gradient(c.parameters.size()), scratch(gradient.size());
-    learn::lstm_gradient(c.shape, c.parameters, c.windows, c.ends, c.targets, gradient, 2);
+    learn::lstm_gradient(c.shape, c.parameters, c.windows, c.ends, c.targets, targets, gradient, 2);
     for (std::size_t k = 0; k < gradient.size(); k += 53) {
       const float before = c.parameters[k], h = 4e-3f;
       c.parameters[k] = before + h;
-      const double up = learn::lstm_gradient(c.shape, c.parameters, c.windows, c.ends, c.targets, scratch, 1);
+      const double up = learn::lstm_gradient(c.shape, c.parameters, c.windows, c.ends, c.targets, targets, scratch, 1);
       c.parameters[k] = before - h;
-      const double down = learn::lstm_gradient(c.shape, c.parameters, c.windows, c.ends, c.targets, scratch, 1);
+      const double down = learn::lstm_gradient(c.shape, c.parameters, c.windows, c.ends, c.targets, targets, scratch, 1);
       c.parameters[k] = before;
       CHECK_CLOSE(gradient[k], (up - down) / (2 * static_cast<double>(h)), 2e-4);  // float rounding 1e-7 over h
     }
@@ -50,19 +51,34 @@ void gradient_equals_finite_differences_at_odd_sizes() {
 
 void an_exact_fit_has_no_loss_and_no_gradient() {
   Case c(20, 6, 2, 100, 40);
-  lstm_forward(c.shape, c.parameters, c.windows, c.ends, c.targets, 1);
+  std::vector<float> out(c.ends.size() * 2);
+  lstm_forward(c.shape, c.parameters, c.windows, c.ends, out, 1);
+  for (std::size_t k = 0; k < c.ends.size(); ++k)
+    for (int o = 0; o < 2; ++o) c.targets[c.ends[k] * 2 + o] = out[k * 2 + o];
   std::vector<float> gradient(c.parameters.size());
-  const double loss = learn::lstm_gradient(c.shape, c.parameters, c.windows, c.ends, c.targets, gradient, 1);
+  const double loss = learn::lstm_gradient(c.shape, c.parameters, c.windows, c.ends, c.targets, 1, gradient, 1);
   CHECK(loss == 0.0);  // forward and gradient run the same step, so the outputs are the same to the last bit
   for (float g : gradient) CHECK(g == 0.0f);
+}
+
+void a_row_without_a_target_counts_as_no_error() {
+  Case c(4, 3, 2, 6, 20);
+  std::vector<float> gradient(c.parameters.size());
+  for (float& y : c.targets) y = NAN;
+  CHECK(learn::lstm_gradient(c.shape, c.parameters, c.windows, c.ends, c.targets, 3, gradient, 1) == 0.0);
+  for (float g : gradient) CHECK(g == 0.0f);
+  c.parameters[0] = NAN;  // but a network that says NaN is no small loss
+  CHECK(std::isnan(learn::lstm_gradient(c.shape, c.parameters, c.windows, c.ends, c.targets, 3, gradient, 1)));
 }
 
 void sizes_that_do_not_fit_are_refused() {
   Case c(4, 3, 2, 5, 8);
   std::vector<float> gradient(c.parameters.size());
-  const auto call = [&] { return learn::lstm_gradient(c.shape, c.parameters, c.windows, c.ends, c.targets, gradient, 1); };
+  const auto call = [&] { return learn::lstm_gradient(c.shape, c.parameters, c.windows, c.ends, c.targets, 1, gradient, 1); };
   c.ends.back() = 3;  // reaches back before the first row: length 5 and a lag
   CHECK_THROWS(call(), Error);
+  CHECK_THROWS(learn::lstm_gradient(c.shape, c.parameters, c.windows, std::span(c.ends).first(2), c.targets, 6, gradient, 1),
+               Error);  // more targets than steps
   c.ends.clear();
   CHECK_THROWS(call(), Error);
 }
@@ -72,6 +88,7 @@ void sizes_that_do_not_fit_are_refused() {
 int main() {
   gradient_equals_finite_differences_at_odd_sizes();
   an_exact_fit_has_no_loss_and_no_gradient();
+  a_row_without_a_target_counts_as_no_error();
   sizes_that_do_not_fit_are_refused();
   return check::result();
 }

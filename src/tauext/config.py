@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from tauext.errors import ConfigError
 
-Recipe = Literal["paper", "observer"]
+Recipe = Literal["paper", "dense", "observer"]
+Backend = Literal["core", "torch"]
 
 
 @dataclass(frozen=True)
@@ -68,20 +69,26 @@ class ObserverConfig:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """What is trained, and for how long. The defaults are the paper's recipe."""
+    """What is trained, how, and for how long. None: the recipe's own value."""
 
     recipe: Recipe = "paper"
-    """paper: the many-to-one LSTM. observer: no network at all, the plain momentum observer."""
+    """paper: windows, as published. dense: the same network from longer sequences that teach a target at every step;
+    far fewer steps. observer: no network at all, the plain momentum observer."""
     hidden: int = 20
     """Hidden units of the LSTM."""
-    epochs: int = 500
-    """Passes over all training windows."""
-    batch: int = 1000
-    """Windows a step."""
-    learning_rate: float = 0.001
-    """Step size of Adam (its decay rates are 0.9 and 0.999)."""
+    epochs: int | None = None
+    """Passes over all training windows (paper: 500; dense draws its sequences at random and has none)."""
     max_steps: int | None = None
-    """Stop after so many steps even if epochs are left."""
+    """Stop after so many steps (paper: no limit but its epochs; dense: 45,000)."""
+    batch: int | None = None
+    """Windows or sequences a step (paper: 1000, dense: 64)."""
+    learning_rate: float | None = None
+    """Step size of Adam (its decay rates are 0.9 and 0.999); dense rises to it and falls to zero
+    (paper: 0.001, dense: 0.01)."""
+    targets: int = 100
+    """Dense only: targets a sequence teaches after its burn-in of one window."""
+    backend: Backend = "core"
+    """core: gradient in C++. torch: PyTorch, on a GPU where there is one (needs the extra tauext[torch])."""
     seed: int = 0
     """Of the initial weights and of the order of the windows."""
     threads: int = 0
@@ -89,12 +96,25 @@ class TrainConfig:
     observer: ObserverConfig = field(default_factory=ObserverConfig)
 
     def __post_init__(self) -> None:
-        for name in ("hidden", "epochs", "batch"):
-            require(getattr(self, name) >= 1, name, getattr(self, name), ">= 1")
-        require(self.max_steps is None or self.max_steps >= 1, "max_steps", self.max_steps, ">= 1")
-        require(self.learning_rate > 0, "learning_rate", self.learning_rate, "> 0")
+        for name in ("hidden", "epochs", "max_steps", "batch", "targets"):
+            value = getattr(self, name)
+            require(value is None or value >= 1, name, value, ">= 1")
+        require(self.recipe != "dense" or self.epochs is None, "epochs", self.epochs, "left out with recipe dense")
+        require(self.learning_rate is None or self.learning_rate > 0, "learning_rate", self.learning_rate, "> 0")
         require(self.threads >= 0, "threads", self.threads, ">= 0")
         require(self.seed >= 0, "seed", self.seed, ">= 0")
+
+    def resolved(self) -> TrainConfig:
+        """With the recipe's own values where None stands."""
+        own = RECIPE_VALUES[self.recipe]
+        return replace(self, **{name: value for name, value in own.items() if getattr(self, name) is None})
+
+
+RECIPE_VALUES = {
+    "paper": {"epochs": 500, "batch": 1000, "learning_rate": 0.001},
+    "dense": {"max_steps": 45_000, "batch": 64, "learning_rate": 0.01},
+    "observer": {},
+}
 
 
 def require(ok: bool, name: str, value: object, rule: str) -> None:

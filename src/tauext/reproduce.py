@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tauext.cli.dataset import Dataset
@@ -25,21 +25,27 @@ class Scale:
     """Free motion in all."""
     collision_recordings: int
     """Recordings with about ten collisions each."""
-    epochs: int
-    batch: int
-    max_steps: int | None = None
+    training: TrainConfig
+    """Of every case."""
+    paper_cases: tuple[str, ...] = ()
+    """Cases that are trained by the paper's whole recipe as well; their bundles are named CASE-paper."""
 
 
 SCALES = {
-    "smoke": Scale(minutes=2.0, collision_recordings=1, epochs=1, batch=64, max_steps=20),
-    "quick": Scale(minutes=45.0, collision_recordings=20, epochs=20, batch=128),
-    "full": Scale(minutes=90.0, collision_recordings=20, epochs=500, batch=1000),
+    "smoke": Scale(minutes=2.0, collision_recordings=1, training=TrainConfig(epochs=1, batch=64, max_steps=20)),
+    "quick": Scale(minutes=45.0, collision_recordings=20, training=TrainConfig(epochs=20, batch=128)),
+    "full": Scale(
+        minutes=90.0,
+        collision_recordings=20,
+        training=TrainConfig(recipe="dense"),
+        paper_cases=("exact", "none"),
+    ),
 }
 
 
 def reproduce_paper(out: Path, scale_name: str, scale: Scale, cases: Sequence[str], seed: int) -> Path:
     """Simulate, train, evaluate, report; returns the report. What is done with these settings is not repeated."""
-    data, bundles = out / "data", {case: out / "bundles" / f"{case}.tauext" for case in cases}
+    data = out / "data"
     with ProgressBar("simulate") as bar:
         simulate_dataset(
             data,
@@ -50,13 +56,16 @@ def reproduce_paper(out: Path, scale_name: str, scale: Scale, cases: Sequence[st
             lambda what, done, total: bar.update(done, total, what),
         )
     dataset = Dataset.open(data)
-    config = TrainConfig(epochs=scale.epochs, batch=scale.batch, max_steps=scale.max_steps, seed=seed)
-    missing = [case for case in cases if not finished(bundles[case], case, config)]
+    jobs = {case: (case, replace(scale.training, seed=seed)) for case in cases}
+    jobs |= {f"{case}-paper": (case, TrainConfig(seed=seed)) for case in scale.paper_cases if case in cases}
+    bundles = {name: out / "bundles" / f"{name}.tauext" for name in jobs}
+    missing = [name for name, (case, config) in jobs.items() if not finished(bundles[name], case, config)]
     if missing:
         training, validation = dataset.recordings("train"), dataset.recordings("validation")
-        for case in missing:
+        for name in missing:
+            case, config = jobs[name]
             tree = estimated_model(dataset.robot_file(None), training[0], PAPER_CASES[case])
-            train_bundle(tree, PAPER_CASES[case], training, validation, config, bundles[case])
+            train_bundle(tree, PAPER_CASES[case], training, validation, config, bundles[name])
     evaluate_bundles(dataset, bundles, out / "results", seed, threads=0, scale=scale_name)
     return write_report(out / "results", data, out / "report")
 

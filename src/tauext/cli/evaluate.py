@@ -32,7 +32,10 @@ def evaluate(data: Path, bundles: tuple[Path, ...], out: Path, seed: int = 0, th
 def evaluate_bundles(
     dataset: Dataset, bundles: Mapping[str, Path], out: Path, seed: int, threads: int, scale: str | None = None
 ) -> None:
-    """Write results.json, estimates, run.json and wall times for bundles by the name of their case."""
+    """Write results.json, estimates, run.json and wall times for bundles by the name of their case.
+
+    Where a bundle's NAME.run.json stands beside it, the loss history of its training goes into results.json too.
+    """
     import os
     import time
 
@@ -43,6 +46,7 @@ def evaluate_bundles(
 
     started = time.monotonic()
     loaded = {name: _core.Bundle.load(str(path)) for name, path in bundles.items()}
+    histories = {name: evaluation.read_loss_history(loaded[name], path) for name, path in bundles.items()}
     with ProgressBar("evaluate") as bar:
         results = evaluation.evaluate(
             loaded,
@@ -52,6 +56,7 @@ def evaluate_bundles(
             seed,
             threads or os.cpu_count() or 1,
             lambda what, done, total: bar.update(done, total, "recordings"),
+            histories,
         )
     run = provenance("tauext evaluate", {"bundles": list(bundles)}, seed)
     source = {"command": command_line(), "dataset": dataset.folder.name, "scale": scale}

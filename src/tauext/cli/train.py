@@ -75,9 +75,9 @@ def train_bundle(
     run["recordings"] = {"train": [r.name for r in training], "validation": [r.name for r in validation]}
     chain = build_chain(tree, training[0], config.observer)
     scaling = network = None
-    if config.recipe == "paper":
+    if config.recipe != "observer":
         scaling = find_scaling(chain, training)
-        with ProgressBar(f"train {case.name}") as bar:
+        with ProgressBar(f"train {out.stem}") as bar:
 
             def show(p: Progress) -> None:
                 bar.update(p.step, p.steps, f"loss {p.loss:.3g} validation {p.validation_loss:.3g}")
@@ -95,7 +95,8 @@ def train_bundle(
     limits = paper_limits(bundle, validation, config.threads or os.cpu_count() or 1)
     bundle.sliding_limit_nm = limits.sliding_nm.tolist()
     bundle.near_stiction_limit_nm = limits.near_stiction_nm.tolist()
-    facts = {"recipe": config.recipe, "case": case.name, "epochs": config.epochs, "batch": config.batch}
+    resolved = config.resolved()
+    facts = {"recipe": config.recipe, "case": case.name, "epochs": resolved.epochs, "batch": resolved.batch}
     facts["steps"] = network.steps if network else 0
     facts["robot_sha256"] = training[0].robot_sha256
     bundle.provenance = json.dumps(facts | run, sort_keys=True)
@@ -107,9 +108,11 @@ def train_bundle(
 
 def training_settings(case: ModelCase, config: TrainConfig) -> dict:
     """What the trained bundle depends on beside the data; not the number of threads."""
-    settings = {"case": asdict(case), "config": asdict(config)}
-    del settings["config"]["threads"]
-    return settings
+    plain = asdict(config.resolved())
+    unused = {"paper": ("threads", "targets"), "dense": ("threads", "epochs"), "observer": ("threads", "targets")}
+    if config.backend == "core":
+        del plain["backend"]
+    return {"case": asdict(case), "config": {k: v for k, v in plain.items() if k not in unused[config.recipe]}}
 
 
 def model_digest(tree: Tree) -> str:

@@ -2,5 +2,6 @@
 
 from tauext.evaluate.estimating import estimate
 from tauext.evaluate.evaluate import evaluate
+from tauext.evaluate.loss_history import read_loss_history
 
-__all__ = ["estimate", "evaluate"]
+__all__ = ["estimate", "evaluate", "read_loss_history"]

@@ -15,6 +15,7 @@ from tauext.errors import ConfigError
 from tauext.evaluate.collisions import Collision, choose_ten, find_collisions, found_curve, judge
 from tauext.evaluate.estimating import estimate, expect_fit
 from tauext.evaluate.free_motion import FreeMotionErrors
+from tauext.evaluate.loss_history import LossHistory
 
 Loader = Callable[[], Recording]
 
@@ -27,6 +28,7 @@ def evaluate(
     seed: int,
     threads: int,
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+    loss_histories: Mapping[str, LossHistory | None] | None = None,
 ) -> dict:
     """Results of every bundle: the content of results.json but for its provenance.
 
@@ -38,6 +40,7 @@ def evaluate(
         collisions: recordings with contacts.
         estimates_dir: gets one folder a case, with the estimates of every recording.
         seed: of the choice of ten collisions.
+        loss_histories: of the bundles' training, by the name of their case; only passed on.
 
     Raises:
         BundleError: a recording does not fit a bundle.
@@ -72,6 +75,7 @@ def evaluate(
             verdicts[name] += [judge(collision, recording, estimates) for collision in found]
         progress("evaluate", number + 1, total)
 
+    histories = loss_histories or {}
     largest_limit = np.max([bundle.sliding_limit_nm for bundle in bundles.values()], axis=0)
     ten = choose_ten(touches, largest_limit, seed)
     return {
@@ -79,7 +83,10 @@ def evaluate(
         "near_stiction_rad_s": next(iter(bundles.values())).near_stiction_rad_s,
         "ten_collisions": ten,
         "collisions": [collision.summary() for collision in touches],
-        "cases": [_case(name, bundle, errors[name], touches, verdicts[name], ten) for name, bundle in bundles.items()],
+        "cases": [
+            _case(name, bundle, errors[name], touches, verdicts[name], ten) | {"loss_history": histories.get(name)}
+            for name, bundle in bundles.items()
+        ],
     }
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -16,12 +16,24 @@ from tauext.errors import TrainingError
 from tauext.learn import checkpoint
 from tauext.learn.adam import Adam
 from tauext.learn.checkpoint import TrainState
+from tauext.learn.core_backend import CoreBackend
+from tauext.learn.recipes import make_recipe
 from tauext.learn.training_set import Chain, WindowSet
 
-VALIDATION_WINDOWS = 20_000  # at most so many, evenly spread, are looked at in each report
-REPORT_EVERY_STEPS = 200
 CHECKPOINT_EVERY_S = 30.0
 LARGEST_LOSS = 1e3  # targets lie within +-1, so a useful loss is far below 1
+
+
+class Backend(Protocol):
+    """What computes; the loop below holds the parameters, as one vector of float64, and passes them as float32."""
+
+    def initial_parameters(self, seed: int) -> np.ndarray: ...
+
+    def gradient(self, parameters: np.ndarray, ends: np.ndarray) -> tuple[float, np.ndarray]:
+        """Mean squared error of the training sequences that end at these rows, and its gradient."""
+
+    def predict(self, parameters: np.ndarray, windows: WindowSet, ends: np.ndarray) -> np.ndarray:
+        """Output of the windows that end at these rows of a set: (ends, n), scaled units."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +64,12 @@ def train(
     checkpoint_path: Path | None = None,
     settings: dict | None = None,
     report: Callable[[Progress], None] = lambda progress: None,
+    backend: Backend | None = None,
 ) -> TrainedNetwork:
-    """Train the paper's network: mean squared error, Adam, shuffled windows.
+    """Train the network by a recipe: mean squared error, Adam.
 
-    The weights of the lowest validation loss are kept (looked at every REPORT_EVERY_STEPS): at the paper's learning
-    rate the loss jumps up now and then and recovers, and the last step would be a draw of luck. The paper does not say
-    which weights it keeps.
+    The weights of the lowest validation loss are kept: at the paper's learning rate the loss jumps up now and then and
+    recovers, and the last step would be a draw of luck. The paper does not say which weights it keeps.
 
     The same seed and data give the same bytes for any number of threads, whether or not the run was interrupted.
 
@@ -66,69 +78,43 @@ def train(
             the end.
         settings: what a checkpoint must agree on to be resumed.
         report: called every few hundred steps.
+        backend: what computes, of any kind of network; default: the one that the config names.
 
     Raises:
-        TrainingError: fewer windows than a batch, or a loss that diverges.
+        TrainingError: too little data for the recipe, or a loss that diverges.
     """
-    shape = _core.LstmShape(len(chain.inputs), config.hidden, chain.tree.size)
-    batch = config.batch
-    steps_an_epoch = training.windows // batch
-    if steps_an_epoch == 0:
-        raise TrainingError(
-            f"{training.windows} training windows are fewer than a batch of {batch}; record more motion"
-        )
-    steps = min(config.epochs * steps_an_epoch, config.max_steps or np.iinfo(np.int64).max)
-    threads = config.threads or os.cpu_count() or 1
-    shown = slice(None, None, max(1, validation.windows // VALIDATION_WINDOWS))
+    config = config.resolved()
+    recipe = make_recipe(chain, training, config)
+    backend = backend or make_backend(chain, training, config, recipe.length, recipe.targets)
+    shown = validation.ends[:: max(1, validation.windows // recipe.validation_windows)].copy()
 
     def validation_loss(parameters: np.ndarray) -> float:
-        out = _core.lstm_forward(
-            shape,
-            parameters,
-            validation.rows,
-            1,
-            chain.window_steps,
-            chain.inputs,
-            validation.ends[shown].copy(),
-            threads,
-        )
-        return float(np.mean(np.square(out - validation.targets[shown], dtype=np.float64)))
+        error = backend.predict(parameters, validation, shown) - validation.target_rows[shown]
+        return float(np.mean(np.square(error, dtype=np.float64)))
 
     state = checkpoint_path and checkpoint.load(settings or {}, checkpoint_path)
     if state is None:
-        start = initial_parameters(shape, config.seed)
-        state = TrainState((start, Adam.start(shape.parameter_count)), [], start.astype(np.float32))
+        start = backend.initial_parameters(config.seed)
+        state = TrainState((start, Adam.start(len(start))), [], start.astype(np.float32))
     resumed_at, resumed_seconds = state.at[1].steps, state.seconds
     started = saved = time.monotonic()
     running_loss = state.history[-1][1] if state.history else None
-    order_of, order = -1, None
     try:
-        while (done := state.at[1].steps) < steps:
-            epoch, index = divmod(done, steps_an_epoch)
-            if order_of != epoch:
-                order_of, order = epoch, np.random.default_rng([config.seed, epoch]).permutation(training.windows)
-            chosen = order[index * batch : (index + 1) * batch]
+        while (done := state.at[1].steps) < recipe.steps and not recipe.gives_up(state.history):
             parameters, adam = state.at
-            loss, gradient = _core.lstm_gradient(
-                shape,
-                parameters.astype(np.float32),
-                training.rows,
-                1,
-                chain.window_steps,
-                chain.inputs,
-                training.ends[chosen],
-                training.targets[chosen],
-                threads,
-            )
+            loss, gradient = backend.gradient(parameters.astype(np.float32), recipe.ends(done))
             if not loss <= LARGEST_LOSS:
                 raise TrainingError(
                     f"the loss diverges ({loss:g} at step {done}, in units of the largest residual squared); "
                     f"lower learning_rate = {config.learning_rate:g}"
                 )
-            state.at = adam.step(parameters, gradient, config.learning_rate)
+            norm = float(np.linalg.norm(gradient))
+            if norm > recipe.largest_gradient:
+                gradient = gradient * (recipe.largest_gradient / norm)
+            state.at = adam.step(parameters, gradient, recipe.learning_rate(done))
             running_loss = loss if running_loss is None else 0.99 * running_loss + 0.01 * loss
             done += 1
-            if done % REPORT_EVERY_STEPS == 0 or done == steps:
+            if done % recipe.report_every == 0 or done == recipe.steps:
                 candidate = state.at[0].astype(np.float32)
                 validated = validation_loss(candidate)
                 if not state.history or validated < min(entry[2] for entry in state.history):
@@ -136,7 +122,7 @@ def train(
                 state.history.append((done, running_loss, validated))
                 state.seconds = resumed_seconds + time.monotonic() - started
                 pace = (state.seconds - resumed_seconds) / (done - resumed_at)
-                report(Progress(done, steps, *state.history[-1][1:], pace * (steps - done)))
+                report(Progress(done, recipe.steps, *state.history[-1][1:], pace * (recipe.steps - done)))
                 if checkpoint_path and time.monotonic() - saved > CHECKPOINT_EVERY_S:
                     checkpoint.save(state, settings or {}, checkpoint_path)
                     saved = time.monotonic()
@@ -147,14 +133,14 @@ def train(
         raise
     if checkpoint_path:
         checkpoint_path.unlink(missing_ok=True)
+    shape = _core.LstmShape(len(chain.inputs), config.hidden, chain.tree.size)
     return TrainedNetwork(shape, state.best, state.history, state.at[1].steps, state.seconds)
 
 
-def initial_parameters(shape: _core.LstmShape, seed: int) -> np.ndarray:
-    """Uniform in +-1/sqrt(hidden), forget gates open by a bias of 1: (parameter_count,) float64."""
-    rng = np.random.default_rng([seed, 0x1517])
-    bound = 1 / np.sqrt(shape.hidden)
-    parameters = rng.uniform(-bound, bound, shape.parameter_count)
-    forget = 4 * shape.hidden * (shape.inputs + shape.hidden) + shape.hidden
-    parameters[forget : forget + shape.hidden] += 1.0
-    return parameters
+def make_backend(chain: Chain, training: WindowSet, config: TrainConfig, length: int, targets: int) -> Backend:
+    """The backend that the config names, for sequences of this length and so many targets."""
+    if config.backend == "torch":
+        from tauext.learn.torch_backend import TorchBackend, lstm_module
+
+        return TorchBackend(lstm_module(chain, config.hidden, config.seed), chain, training, length, targets)
+    return CoreBackend(chain, training, config.hidden, length, targets, config.threads)

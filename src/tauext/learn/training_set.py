@@ -45,8 +45,9 @@ class WindowSet:
     """Rows at the network period of several recordings one after the other, and the windows that may end in them."""
 
     rows: np.ndarray  # (rows, 2 n) float32, scaled
+    target_rows: np.ndarray  # (rows, n) float32, scaled residual of the observer; NaN where a row has no target
     ends: np.ndarray  # (windows,) int64: the row that ends each window
-    targets: np.ndarray  # (windows, n) float32, scaled residual of the observer
+    first_rows: np.ndarray  # (windows,) int64: the first row of the stretch that each window stands in
 
     @property
     def windows(self) -> int:
@@ -92,8 +93,8 @@ def build_windows(chain: Chain, scaling: Scaling, recordings: Sequence[Recording
     Raises:
         TrainingError: no recording holds a whole window.
     """
-    stride = chain.observer.network_stride
-    rows, ends, targets, offset = [], [], [], 0
+    stride, n = chain.observer.network_stride, chain.tree.size
+    rows, target_rows, ends, first_rows, offset = [], [], [], [], 0
     for recording in recordings:
         observation = _observe(chain, recording)
         features = _core.feature_rows(
@@ -106,16 +107,21 @@ def build_windows(chain: Chain, scaling: Scaling, recordings: Sequence[Recording
         network_rows = np.concatenate([np.arange(a, b, stride) for a, b in zip(limits[:-1], limits[1:], strict=True)])
         first_network_row = np.searchsorted(network_rows, stretches)
         steps, phase = np.divmod(row - begin, stride)
-        usable = (phase == 0) & observation.warm.astype(bool) & (steps >= chain.reach)
-        end = first_network_row[np.searchsorted(stretches, begin)] + steps
+        first = first_network_row[np.searchsorted(stretches, begin)]
+        has_target = (phase == 0) & observation.warm.astype(bool)
+        targets = np.full((len(network_rows), n), np.nan, dtype=np.float32)
+        targets[(first + steps)[has_target]] = observation.residual[has_target] / scaling.output_scale_nm
+        usable = has_target & (steps >= chain.reach)
         rows.append(features[network_rows])
-        ends.append(end[usable] + offset)
-        targets.append(observation.residual[usable] / scaling.output_scale_nm)
+        target_rows.append(targets)
+        ends.append((first + steps)[usable] + offset)
+        first_rows.append(first[usable] + offset)
         offset += len(network_rows)
     result = WindowSet(
         np.ascontiguousarray(np.concatenate(rows)),
+        np.concatenate(target_rows),
         np.concatenate(ends).astype(np.int64),
-        np.concatenate(targets).astype(np.float32),
+        np.concatenate(first_rows).astype(np.int64),
     )
     if result.windows == 0:
         needed = chain.reach * stride * chain.observer.sample_period_ns * 1e-9

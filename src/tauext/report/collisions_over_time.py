@@ -21,7 +21,6 @@ from tauext.report.style import (
     OBSERVER_WIDTH,
     WIDTH_IN,
     case_colours,
-    case_label,
     label_joint,
     sentence,
 )
@@ -83,7 +82,7 @@ def draw_collisions(results: Results, signals: Signals) -> Drawing:
     places = "; ".join(f"{recording}: {', '.join(numbers)}" for recording, numbers in where.items())
     return Drawing(
         figure,
-        f"Figure 7. {sentence(case_label(case.name))}: observer and network while {len(excerpts)} collisions "
+        f"Figure 7. {sentence(case.label)}: observer and network while {len(excerpts)} collisions "
         f"happen. The network goes on as if nothing touched the arm; what the two differ by is the external torque. "
         f"Excerpts of about {LENGTH_S:g} s are joined at the vertical lines. Recordings: {places}.",
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from tauext.report.style import case_label
+from tauext.report.results import Results
 
 
 @dataclass(frozen=True)
@@ -16,8 +16,8 @@ class Drawing:
     caption: str
 
 
-def missing_cases(names: Sequence[str]) -> str:
+def missing_cases(results: Results, names: Sequence[str]) -> str:
     """A sentence for the caption: which cases are not drawn, and why; empty where all are."""
     if not names:
         return ""
-    return f" Not drawn, since their estimates are missing: {', '.join(map(case_label, names))}."
+    return f" Not drawn, since their estimates are missing: {'; '.join(results.labels[n] for n in names)}."

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from tauext.report.drawing import Drawing
 from tauext.report.results import Case, Results
 from tauext.report.signals import NotAvailable, Signals
-from tauext.report.style import LIMIT, NEAR_STICTION, SLIDING, WIDTH_IN, case_label, label_joint
+from tauext.report.style import LIMIT, NEAR_STICTION, SLIDING, WIDTH_IN, label_joint
 
 BINS = (300, 200)
 CLOSE_UP = 5
@@ -62,7 +62,7 @@ def draw_error_over_speed(results: Results, signals: Signals) -> Drawing:
     left = sorted(set(case.recordings) - set(used))
     return Drawing(
         figure,
-        f"Figure 6. Error of the estimate over joint speed, {case_label(case.name)}, {len(speed):,} samples of "
+        f"Figure 6. Error of the estimate over joint speed, {case.label}, {len(speed):,} samples of "
         f"{len(used)} test recordings. Nothing touches the arm, so the whole estimate is error; it is largest near "
         f"stiction, which is why that region has a limit of its own."
         + (f" Left out, since their files are missing: {', '.join(left)}." if left else ""),
@@ -83,7 +83,7 @@ def collect(case: Case, signals: Signals) -> tuple[np.ndarray, np.ndarray, list[
         errors.append(said.tau_ext[rows])
         used.append(name)
     if sum(map(len, speeds)) == 0:
-        raise NotAvailable(f"no test recording is there with its estimates of case {case_label(case.name)}")
+        raise NotAvailable(f"no test recording is there with its estimates of case {case.label}")
     return np.concatenate(speeds), np.concatenate(errors), used
 
 

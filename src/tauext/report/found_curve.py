@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from tauext.report.drawing import Drawing
 from tauext.report.results import Results
 from tauext.report.signals import NotAvailable
-from tauext.report.style import WIDTH_IN, case_colours, case_label
+from tauext.report.style import WIDTH_IN, case_colours
 
 
 def draw_found_curve(results: Results) -> Drawing:
@@ -33,7 +33,7 @@ def draw_found_curve(results: Results) -> Drawing:
         sizes = [12 * bins[edges[at]].collisions ** 0.5 + 10 for at in places]
         shifted = [at + shift for at in places]
         axes.plot(shifted, shares, color=colours[case.name], linewidth=0.8, alpha=0.6)
-        axes.scatter(shifted, shares, sizes, color=colours[case.name], zorder=3, label=case_label(case.name))
+        axes.scatter(shifted, shares, sizes, color=colours[case.name], zorder=3, label=case.label)
     first_over = next((at for at, (low, _) in enumerate(edges) if low >= 1), None)
     if first_over is not None:
         axes.axvline(first_over - 0.5, color="#555555", linestyle="--", linewidth=1)
@@ -49,7 +49,7 @@ def draw_found_curve(results: Results) -> Drawing:
     axes.set_xticks(range(len(edges)), [bin_label(results, edge) for edge in edges])
     axes.set(xlabel="peak of the sensor reference over the limit; below, collisions in the bin", ylabel="found, %")
     axes.set(ylim=(-6, 106), xlim=(-0.5, len(edges) - 0.5))
-    figure.legend(loc="outside upper left", ncols=len(names) if len(names) < 7 else 6)
+    figure.legend(loc="outside upper left", ncols=-(-len(names) // -(-len(names) // 5)))
     return Drawing(
         figure,
         "Collisions found over how hard they were: the peak of the sensor reference on the joint where it is largest "

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from tauext.report.drawing import Drawing, missing_cases
 from tauext.report.results import Results
 from tauext.report.signals import NotAvailable, Signals
-from tauext.report.style import OBSERVER, OBSERVER_WIDTH, WIDTH_IN, case_colours, case_label, label_joint
+from tauext.report.style import OBSERVER, OBSERVER_WIDTH, WIDTH_IN, case_colours, label_joint
 
 EXCERPT_S = 30.0
 
@@ -41,7 +41,7 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
             axes.plot(time_s[rows], said.r[rows, joint], color=OBSERVER, linewidth=OBSERVER_WIDTH)
             axes.plot(time_s[rows], said.network[rows, joint], color=colours[case])
             axes.margins(x=0)
-        grid[0, column].set_title(case_label(case), color=colours[case], fontweight="bold")
+        grid[0, column].set_title(results.labels[case].replace(", ", ",\n"), color=colours[case], fontweight="bold")
         grid[-1, column].set_xlabel("time, s")
     for joint, name in enumerate(recording.joints):
         label_joint(grid[joint, 0], name)
@@ -54,5 +54,5 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
         figure,
         f"Figure 5. Free motion, test recording {recording.name}: output of the momentum observer (grey) and of the "
         f"network trained for that model. In free motion the observer shows what the model gets wrong, and the network "
-        f"learns it. Axes of a row have one scale." + missing_cases(missing),
+        f"learns it. Axes of a row have one scale." + missing_cases(results, missing),
     )

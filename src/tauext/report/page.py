@@ -10,10 +10,12 @@ from jinja2 import Environment, StrictUndefined
 
 from tauext.report import paper, tables
 from tauext.report.results import Case, Numbers, Results
-from tauext.report.style import case_colours, case_label
+from tauext.report.style import case_colours
 
 TEMPLATE = Path(__file__).with_name("page.html.j2")
 PIXELS_PER_INCH = 100
+MOST_TILES = 5
+"""In one row; more stand in rows of about the same number."""
 SCALES = {
     "smoke": "Scale smoke: seconds of data and training, to test that everything runs. The numbers mean nothing.",
     "quick": "Scale quick: less data and training than the paper's. It shows the shape of every result; the numbers of "
@@ -64,6 +66,7 @@ def render_page(results: Results, figures: dict[str, PageFigure]) -> str:
         notice=SCALES.get(str(results.provenance.get("scale"))),
         compared=tables.has_paper(results),
         colours=colours,
+        tile_columns=-(-len(results.cases) // -(-len(results.cases) // MOST_TILES)),
         tiles=[tile(case, results, colours[case.name]) for case in results.cases],
         near_stiction=f"{results.near_stiction_rad_s:g}",
         table_one=tables.table_one(results),
@@ -93,18 +96,18 @@ def facts(results: Results) -> list[tuple[str, str]]:
         (words, str(results.provenance[key])) for key, words in told.items() if results.provenance.get(key) is not None
     ]
     pairs.append(("joints", ", ".join(results.joints)))
-    steps = {case.name: f"{case.steps:,} steps" for case in results.cases if case.steps is not None}
-    minutes = {case.name: f"{case.train_minutes:.1f} min" for case in results.cases if case.train_minutes is not None}
+    steps = {case.label: f"{case.steps:,} steps" for case in results.cases if case.steps is not None}
+    minutes = {case.label: f"{case.train_minutes:.1f} min" for case in results.cases if case.train_minutes is not None}
     return pairs + [
         (word, by_case(values)) for word, values in (("training", steps), ("training time", minutes)) if values
     ]
 
 
 def by_case(values: dict[str, str]) -> str:
-    """A value of every case; once where all say the same."""
+    """A value of every case, by its label; once where all say the same."""
     if len(values) > 1 and len(set(values.values())) == 1:
         return f"{next(iter(values.values()))} each"
-    return ", ".join(f"{case_label(name)} {value}" for name, value in values.items())
+    return "; ".join(f"{label} {value}" for label, value in values.items())
 
 
 def tile(case: Case, results: Results, colour: str) -> Tile:
@@ -114,8 +117,8 @@ def tile(case: Case, results: Results, colour: str) -> Tile:
         alarms = "false alarms: not available"
     else:
         plural = "" if case.false_alarms == 1 else "s"
-        alarms = f"{case.false_alarms:,} false alarm{plural} in {case.hours:.2f} h"
-    return Tile(case_label(case.name), colour, found, alarms, f"L1 {short_list(case.l1_nm)}")
+        alarms = f"{case.false_alarms:,} false alarm{plural} in {case.hours:.2f}\N{NO-BREAK SPACE}h"
+    return Tile(case.label, colour, found, alarms, f"L1 {short_list(case.l1_nm)}")
 
 
 def short_list(values: Numbers) -> str:

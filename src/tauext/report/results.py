@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from tauext.report.naming import case_label, model_of
+
 Numbers = tuple[float | None, ...]
 """One number a joint; None where it does not exist."""
 
@@ -71,6 +73,17 @@ class Case:
     verdicts: dict[str, Verdict]
     ten_found: int | None
     found_curve: tuple[CurveBin, ...]
+    loss_history: tuple[tuple[int, float, float], ...]
+    """Step, training loss, validation loss; empty where nothing was recorded."""
+
+    @property
+    def model(self) -> str | None:
+        """The paper's model that it is of, by its name."""
+        return model_of(self.name)
+
+    @property
+    def label(self) -> str:
+        return case_label(self.name, self.recipe)
 
 
 @dataclass(frozen=True)
@@ -83,7 +96,14 @@ class Results:
     ten: tuple[str, ...]
     collisions: dict[str, Collision]
     cases: tuple[Case, ...]
+    """In the paper's order, whatever the order of evaluation; other names follow."""
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """What the cases are called, by their names."""
+        return {case.name: case.label for case in self.cases}
 
     def case(self, name: str) -> Case:
-        """The case of this name, or else the first."""
-        return next((case for case in self.cases if case.name == name), self.cases[0])
+        """The case of this name, or else the first of that model, or else the first."""
+        alike = [case for case in self.cases if case.name == name] or [c for c in self.cases if c.model == name]
+        return (alike or self.cases)[0]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tauext.errors import ConfigError
+from tauext.report.naming import place
 from tauext.report.results import Case, Collision, CurveBin, Numbers, Results, Verdict
 
 FORMAT = 1
@@ -86,6 +87,17 @@ class Entry:
             raise ConfigError(f"{self.place}: '{key}' must be a list of {joints} numbers or null, one a joint")
         return tuple(items)
 
+    def loss_history(self, key: str) -> tuple[tuple[int, float, float], ...]:
+        """Triples of a step and its two losses."""
+        items = self.get(key, list) or []
+        for item in items:
+            kinds = [type(number) for number in item] if isinstance(item, list) else []
+            if len(kinds) != 3 or kinds[0] is not int or not {*kinds} <= {int, float}:
+                raise ConfigError(
+                    f"{self.place}: '{key}' holds {json.dumps(item)[:60]}, must be [step, training, validation loss]"
+                )
+        return tuple(map(tuple, items))
+
 
 def read_results(top: Entry) -> Results:
     """The whole of results.json."""
@@ -101,7 +113,7 @@ def read_results(top: Entry) -> Results:
         near_stiction_rad_s=top.number("near_stiction_rad_s", needed=True),
         ten=top.texts("ten_collisions"),
         collisions={collision.id: collision for collision in collisions},
-        cases=cases,
+        cases=tuple(sorted(cases, key=lambda case: place(case.name))),
     )
 
 
@@ -138,6 +150,7 @@ def read_case(entry: Entry, joints: int) -> Case:
         limit_near_stiction_nm=limits.numbers("near_stiction_nm", joints),
         verdicts={e.text("id", needed=True): read_verdict(e) for e in entry.entries("collisions")},
         found_curve=tuple(read_bin(e) for e in entry.entries("found_curve")),
+        loss_history=entry.loss_history("loss_history"),
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from matplotlib.axes import Axes
 
-from tauext.report.paper import CASE_LABELS
+from tauext.report.naming import model_of
 
 WIDTH_IN = 10.0
 """Of every figure; the page shows an inch as 100 pixels, so that 9 points are 12.5 pixels."""
@@ -22,7 +22,9 @@ LIMIT = "#404040"
 
 # Okabe and Ito's palette, told apart by colour-blind readers; black is the sensor's.
 CASE_COLOURS = {"exact": "#0072b2", "mass": "#e69f00", "com": "#009e73", "mass+com": "#cc79a7", "none": "#d55e00"}
-OTHER_COLOURS = ("#56b4e9", "#7f3c8d", "#6b6b00", "#8b4513", "#708090")
+VARIANT_COLOURS = {"exact": "#56b4e9", "mass": "#8f6200", "com": "#00563f", "mass+com": "#85406a", "none": "#7d3000"}
+"""Of a second case of the same model: its colour, lighter or darker."""
+OTHER_COLOURS = ("#7f3c8d", "#6b6b00", "#00a0a8", "#a0522d", "#708090", "#b3123f", "#1f2f70")
 
 RC = {
     "font.size": 9,
@@ -53,16 +55,17 @@ RC = {
 }
 
 
-def case_label(name: str) -> str:
-    """A case as it stands in figures and tables; names that are not the paper's stay as they are."""
-    return CASE_LABELS.get(name, name)
-
-
 def case_colours(names: Sequence[str]) -> dict[str, str]:
-    """A colour for every case: the paper's have their own, others take the rest in order and then again."""
-    others = [name for name in names if name not in CASE_COLOURS]
-    given = {name: OTHER_COLOURS[k % len(OTHER_COLOURS)] for k, name in enumerate(others)}
-    return {name: CASE_COLOURS.get(name) or given[name] for name in names}
+    """A colour for every case: the paper's and one more of each model have their own, others the rest in order."""
+    colours: dict[str, str] = {}
+    others = 0
+    for name in names:
+        own = CASE_COLOURS.get(name) or VARIANT_COLOURS.get(model_of(name) or "")
+        if own is None or own in colours.values():
+            own = OTHER_COLOURS[others % len(OTHER_COLOURS)]
+            others += 1
+        colours[name] = own
+    return colours
 
 
 def sentence(text: str) -> str:

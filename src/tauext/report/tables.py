@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from tauext.report import paper
 from tauext.report.results import Case, Collision, Numbers, Results, Verdict
-from tauext.report.style import case_label
 
 NONE = "–"
 
@@ -50,7 +49,7 @@ def milliseconds(value_s: float | None, signed: bool = False) -> str:
 
 def has_paper(results: Results) -> bool:
     """Whether the paper's arm has as many joints and some case is the paper's."""
-    return len(results.joints) == paper.JOINTS and any(case.name in paper.L1_NM for case in results.cases)
+    return len(results.joints) == paper.JOINTS and any(case.model in paper.L1_NM for case in results.cases)
 
 
 @dataclass(frozen=True)
@@ -64,11 +63,13 @@ class Measure:
     factor: float = 1.0
 
 
-def by_joint(results: Results, measures: Iterable[Measure], last: Callable[[Case], str] | None = None) -> Table:
+def by_joint(
+    results: Results, measures: Iterable[Measure], last: Mapping[str, Callable[[Case], str]] | None = None
+) -> Table:
     """One row a case and joint; where the paper gives a measure, ours and the paper's stand side by side.
 
     Args:
-        last: text of a last column, `steps`, once a case.
+        last: texts of the last columns by their headings, once a case.
     """
     measures = tuple(measures)
     show_paper = has_paper(results)
@@ -78,25 +79,25 @@ def by_joint(results: Results, measures: Iterable[Measure], last: Callable[[Case
     for known in published:
         columns += ["ours"] if known is None else ["ours", "paper"]
     if last:
-        groups.append(("", 1))
-        columns.append("steps")
+        groups.append(("training", len(last)))
+        columns += last
     rows = []
     for case in results.cases:
         for joint, name in enumerate(results.joints):
-            cells = [case_label(case.name) if joint == 0 else "", name]
+            cells = [case.label if joint == 0 else "", name]
             for measure, known in zip(measures, published, strict=True):
                 ours = measure.ours(case)[joint]
                 cells.append(number(None if ours is None else measure.factor * ours, measure.digits))
                 if known is not None:
-                    cells.append(number(known[case.name][joint] if case.name in known else None, measure.digits))
-            if last:
-                cells.append(last(case) if joint == 0 else "")
+                    cells.append(number(known[case.model][joint] if case.model in known else None, measure.digits))
+            cells += [text(case) if joint == 0 else "" for text in (last or {}).values()]
             rows.append(Row(tuple(cells), case.name if joint == 0 else None, opens=joint == 0))
     return Table(tuple(groups), tuple(columns), tuple(rows), words=2)
 
 
 def table_one(results: Results) -> Table:
-    """The paper's Table I: errors on test free motion."""
+    """The paper's Table I: errors on test free motion; how each was trained, where that differs."""
+    last = {"recipe": lambda case: case.recipe or NONE} if len({case.recipe for case in results.cases}) > 1 else {}
     return by_joint(
         results,
         (
@@ -104,7 +105,7 @@ def table_one(results: Results) -> Table:
             Measure("L2 (RMSE), Nm", lambda case: case.l2_nm, paper.L2_NM),
             Measure("MSE, N²m²", lambda case: case.mse_nm2, paper.MSE_NM2),
         ),
-        last=lambda case: whole(case.steps),
+        last=last | {"steps": lambda case: whole(case.steps)},
     )
 
 
@@ -137,8 +138,8 @@ def alarms(results: Results) -> Table:
     columns += ["hours", "false alarms", "per hour", "recipe", "epochs", "batch", "steps"]
     rows = []
     for case in results.cases:
-        known = paper.FOUND if case.name in paper.L1_NM else None
-        cells = [case_label(case.name), whole(case.ten_found), *([whole(known)] if show_paper else []), found_of(case)]
+        known = paper.FOUND if case.model in paper.L1_NM else None
+        cells = [case.label, whole(case.ten_found), *([whole(known)] if show_paper else []), found_of(case)]
         cells += [number(case.hours, 2), whole(case.false_alarms), number(case.false_alarms_per_hour, 1)]
         cells += [case.recipe or NONE, whole(case.epochs), whole(case.batch), whole(case.steps)]
         rows.append(Row(tuple(cells), case.name, opens=True))
@@ -156,9 +157,9 @@ def collisions(results: Results, chosen: Iterable[Collision]) -> Table:
 
     The first column is the number that the collision has in figure 7, where it stands in it.
     """
-    names = [case.name for case in results.cases]
-    groups = (("", 5), ("sensor peak, Nm", len(results.joints)), ("delay (against the sensor), ms", len(names)))
-    columns = ("figure 7", "recording", "kind", "touched", "onset, s", *results.joints, *map(case_label, names))
+    headings = [in_lines(case.label) for case in results.cases]
+    groups = (("", 5), ("sensor peak, Nm", len(results.joints)), ("delay (against the sensor), ms", len(headings)))
+    columns = ("figure 7", "recording", "kind", "touched", "onset, s", *results.joints, *headings)
     rows = []
     for collision in chosen:
         link = results.joints[collision.link] if 0 <= collision.link < len(results.joints) else NONE
@@ -168,6 +169,11 @@ def collisions(results: Results, chosen: Iterable[Collision]) -> Table:
         cells += [verdict_text(case.verdicts.get(collision.id)) for case in results.cases]
         rows.append(Row(tuple(cells)))
     return Table(groups, columns, tuple(rows), words=4)
+
+
+def in_lines(label: str) -> str:
+    """A case as the heading of a narrow column."""
+    return label.replace(", ", ",\n").replace(" + ", " +\n").replace(" recipe", "\nrecipe")
 
 
 def verdict_text(verdict: Verdict | None) -> str:

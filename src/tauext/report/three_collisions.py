@@ -16,7 +16,7 @@ from tauext.data.estimates import Estimates
 from tauext.report.drawing import Drawing, missing_cases
 from tauext.report.results import Collision, Results, Verdict
 from tauext.report.signals import NotAvailable, Signals
-from tauext.report.style import CONTACT, LIMIT, SENSOR, WIDTH_IN, case_colours, case_label
+from tauext.report.style import CONTACT, LIMIT, SENSOR, WIDTH_IN, case_colours
 
 SHOWN = 3
 BEFORE_S, AFTER_S = 0.2, 0.45
@@ -83,21 +83,28 @@ def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
         scene = Scene(collision, recording, said, verdicts, joint)
         draw_whole(grid[0, column], scene, colours)
         draw_impact(grid[1, column], scene, colours, results.joints[joint])
-        draw_delays(grid[2, column], scene, names, colours, results.joints[joint], labels=column == 0)
+        draw_delays(
+            grid[2, column],
+            scene,
+            names,
+            colours,
+            results.joints[joint],
+            labels=[] if column else [results.labels[name] for name in names],
+        )
         grid[2, column].sharex(grid[1, column])
         grid[1, column].tick_params(labelbottom=False)
     for row in grid[:2]:
         row[0].set_ylabel(f"{results.joints[joint]}\nexternal torque, Nm")
     grid[2, 0].set_ylabel("delay")
     drawn = [name for name in names if name not in missing]
-    figure.legend(handles=legend(drawn, colours), loc="outside upper left", ncols=5)
+    figure.legend(handles=legend(results, drawn, colours), loc="outside upper left", ncols=5)
     return Drawing(
         figure,
         f"Figure 8. {results.joints[joint]}, {len(collisions)} collisions: above, the external torque from the joint "
         f"torque sensor and the estimate of every case; below, the moment of impact. Each case has a limit of its own; "
         f"a bar runs from where the sensor goes over that limit to where the estimate does, and the number is the "
         f"delay against the sensor. Time 0 is the onset of contact."
-        + missing_cases([n for n in names if n in missing]),
+        + missing_cases(results, [n for n in names if n in missing]),
     )
 
 
@@ -110,7 +117,7 @@ def choose(results: Results) -> tuple[int, list[Collision]]:
     ten = [results.collisions[one] for one in results.ten if one in results.collisions]
     found = [c for c in ten if c.id in verdicts and verdicts[c.id].joint in results.joints]
     if not found:
-        raise NotAvailable(f"{case_label(results.cases[0].name)} found none of the chosen collisions")
+        raise NotAvailable(f"{results.cases[0].label} found none of the chosen collisions")
     counts = Counter(verdicts[c.id].joint for c in found)
     name = results.joints[0] if counts[results.joints[0]] >= SHOWN else counts.most_common(1)[0][0]
     joint = results.joints.index(name)
@@ -151,7 +158,9 @@ def draw_impact(axes: Axes, scene: Scene, colours: dict[str, str], joint: str) -
             axes.plot(verdict.delay_s * 1e3, height, color=colours[case], **FOUND_MARK)
 
 
-def draw_delays(axes: Axes, scene: Scene, names: list[str], colours: dict[str, str], joint: str, labels: bool) -> None:
+def draw_delays(
+    axes: Axes, scene: Scene, names: list[str], colours: dict[str, str], joint: str, labels: list[str]
+) -> None:
     """One lane a case, from where the sensor goes over the limit to where the estimate does."""
     middle_ms = 500 * (scene.impact_end_s() - CLOSE_BEFORE_S)
     for lane, case in enumerate(names):
@@ -171,7 +180,7 @@ def draw_delays(axes: Axes, scene: Scene, names: list[str], colours: dict[str, s
             va="center",
         )
     axes.set_ylim(len(names) - 0.4, -0.6)
-    axes.set_yticks(range(len(names)), map(case_label, names) if labels else [""] * len(names))
+    axes.set_yticks(range(len(names)), labels or [""] * len(names))
     axes.tick_params(axis="y", length=0)
     axes.set_xlabel("time since contact, ms")
 
@@ -187,13 +196,13 @@ def delay_text(verdict: Verdict | None, joint: str) -> str:
     return text if verdict.joint in (joint, None) else f"{text} ({verdict.joint})"
 
 
-def legend(drawn: list[str], colours: dict[str, str]) -> list[Line2D | Patch]:
+def legend(results: Results, drawn: list[str], colours: dict[str, str]) -> list[Line2D | Patch]:
     """Sensor first, then the cases, then the marks."""
     grey = "#555555"
     lines = [Line2D([], [], color=SENSOR, linewidth=2, label="sensor reference")]
-    lines += [Line2D([], [], color=colours[name], label=case_label(name)) for name in drawn]
+    lines += [Line2D([], [], color=colours[name], label=results.labels[name]) for name in drawn]
     lines += [
-        Line2D([], [], color=LIMIT, linestyle="--", label=f"limit ({case_label(drawn[0])})"),
+        Line2D([], [], color=LIMIT, linestyle="--", label=f"limit ({results.labels[drawn[0]]})"),
         Patch(color=CONTACT, label="contact"),
         Line2D([], [], color=grey, linestyle="none", **SENSOR_MARK, label="sensor over the limit"),
         Line2D([], [], color=grey, linestyle="none", **FOUND_MARK, label="estimate over the limit"),

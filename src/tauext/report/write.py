@@ -20,6 +20,7 @@ from tauext.report.results_file import load_results
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import DPI, RC
 from tauext.report.three_collisions import draw_three_collisions
+from tauext.report.training_loss import draw_training_loss
 
 
 def write_report(results_dir: Path, dataset_dir: Path, out_dir: Path) -> Path:
@@ -38,6 +39,7 @@ def write_report(results_dir: Path, dataset_dir: Path, out_dir: Path) -> Path:
     results = load_results(results_dir)
     signals = Signals(dataset_dir, results_dir, results.joints)
     draw: dict[str, Callable[[], Drawing]] = {
+        "training-loss": partial(draw_training_loss, results),
         "figure-5-free-motion": partial(draw_free_motion, results, signals),
         "figure-6-error-over-speed": partial(draw_error_over_speed, results, signals),
         "figure-7-collisions": partial(draw_collisions, results, signals),

@@ -1,0 +1,127 @@
+"""What a step is taught, and how large it is: the paper's recipe, and the dense one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from tauext.config import TrainConfig
+from tauext.errors import TrainingError
+from tauext.learn.training_set import Chain, WindowSet
+
+
+class Recipe(Protocol):
+    """Sequences of `length` network steps from zero state, of which the last `targets` teach."""
+
+    steps: int
+    length: int
+    targets: int
+    largest_gradient: float  # a gradient of a larger norm is shortened to it
+    report_every: int  # steps
+    validation_windows: int  # at most so many, evenly spread, are looked at in each report
+
+    def ends(self, step: int) -> np.ndarray:
+        """Rows that end the sequences of this step; the same for the same seed and step, whatever came before."""
+
+    def learning_rate(self, step: int) -> float: ...
+
+    def gives_up(self, history: list[tuple[int, float, float]]) -> bool:
+        """Whether to stop early, after these (step, training loss, validation loss)."""
+
+
+@dataclass
+class PaperRecipe:
+    """One target a window, all windows in a new random order each epoch, constant learning rate [Lim2021]."""
+
+    chain: Chain
+    training: WindowSet
+    config: TrainConfig
+    targets = 1
+    largest_gradient = math.inf
+    report_every = 200
+    validation_windows = 20_000
+
+    def __post_init__(self) -> None:
+        batch = self.config.batch
+        self.length = self.chain.window_steps
+        self.steps_an_epoch = self.training.windows // batch
+        if self.steps_an_epoch == 0:
+            raise TrainingError(
+                f"{self.training.windows} training windows are fewer than a batch of {batch}; record more"
+            )
+        self.steps = min(self.config.epochs * self.steps_an_epoch, self.config.max_steps or 1 << 62)
+        self._order_of = -1
+
+    def ends(self, step: int) -> np.ndarray:
+        epoch, index = divmod(step, self.steps_an_epoch)
+        if self._order_of != epoch:
+            self._order_of = epoch
+            self._order = np.random.default_rng([self.config.seed, epoch]).permutation(self.training.windows)
+        batch = self.config.batch
+        return self.training.ends[self._order[index * batch : (index + 1) * batch]]
+
+    def learning_rate(self, step: int) -> float:
+        return self.config.learning_rate
+
+    def gives_up(self, history: list[tuple[int, float, float]]) -> bool:
+        return False
+
+
+@dataclass
+class DenseRecipe:
+    """Sequences drawn at random; after a burn-in as long as the window every step has a target.
+
+    A state that has seen a whole window hardly depends on what came before, so these states stand for those of a
+    window from zero state, which is what the network is used on. One sequence of 199 steps teaches 100 targets, which
+    cost the paper's recipe 10,000 steps. The learning rate rises over the first twentieth of the training and falls to
+    zero along a cosine.
+    """
+
+    chain: Chain
+    training: WindowSet
+    config: TrainConfig
+    largest_gradient = 0.1
+    report_every = 500
+    validation_windows = 10_000
+    warm_up = 0.05
+    tail = (0.6, 0.8)  # the share of the steps over which the falling learning rate must bring something
+
+    def __post_init__(self) -> None:
+        self.targets = self.config.targets
+        self.length = self.chain.window_steps - 1 + self.targets
+        self.steps = self.config.max_steps
+        reach = self.chain.reach - self.chain.window_steps + self.length  # with the lag of the inputs
+        ends = self.training.ends
+        self._ends = ends[ends - reach >= self.training.first_rows]
+        if len(self._ends) == 0:
+            period_s = 1e-9 * self.chain.observer.sample_period_ns * self.chain.observer.network_stride
+            raise TrainingError(
+                f"no training recording holds a sequence of {self.length} steps ({self.length * period_s:g} s without "
+                f"a gap); lower targets = {self.targets} or record longer"
+            )
+
+    def ends(self, step: int) -> np.ndarray:
+        chosen = np.random.default_rng([self.config.seed, step]).integers(len(self._ends), size=self.config.batch)
+        return self._ends[chosen]
+
+    def learning_rate(self, step: int) -> float:
+        done = step / self.steps
+        if done < self.warm_up:
+            return self.config.learning_rate * (step + 1) / (self.warm_up * self.steps + 1)
+        return 0.5 * self.config.learning_rate * (1 + math.cos(math.pi * (done - self.warm_up) / (1 - self.warm_up)))
+
+    def gives_up(self, history: list[tuple[int, float, float]]) -> bool:
+        """At a high learning rate the validation loss jumps; that its fall brings nothing shows only near the end."""
+        begin, end = (share * self.steps for share in self.tail)
+        if not history or history[-1][0] < end:
+            return False
+        late = [validation for step, _, validation in history if step > begin]
+        return min(late) > min(validation for _, _, validation in history)
+
+
+def make_recipe(chain: Chain, training: WindowSet, config: TrainConfig) -> Recipe:
+    """The recipe that a resolved config names."""
+    return {"paper": PaperRecipe, "dense": DenseRecipe}[config.recipe](chain, training, config)

@@ -15,6 +15,7 @@ SMALLER = {
     "--minutes 20": "--minutes 2",
     "--collision-recordings 6": "--collision-recordings 1",
     "--epochs 30 --batch 128": "--max-steps 20 --batch 50",
+    "--recipe dense --max-steps 10000": "--recipe dense --max-steps 20 --batch 8",
     "--scale quick": "--scale smoke",
 }
 

@@ -214,13 +214,25 @@ def test_the_dense_learning_rate_rises_and_falls_to_zero():
     assert (np.diff(rates[:50]) > 0).all() and (np.diff(rates[51:]) < 0).all()
 
 
-def test_dense_training_stops_early_only_when_the_falling_rate_brings_nothing():
+def test_dense_training_prefers_settled_weights_unless_earlier_ones_are_clearly_better():
     chain, _, windows = prepared([recording(1)])
     recipe = DenseRecipe(chain, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
-    best_early = [(step, 1.0, 0.5 if step == 300 else 1.0) for step in range(100, 801, 100)]
-    best_late = [(step, 1.0, 0.5 if step == 700 else 1.0) for step in range(100, 801, 100)]
-    assert recipe.gives_up(best_early) and not recipe.gives_up(best_late)
-    assert not recipe.gives_up(best_early[:-1]) and not recipe.gives_up([])
+    assert recipe.score(900, 1.0) < recipe.score(700, 0.8)  # a lucky draw at a high rate
+    assert recipe.score(900, 1.0) > recipe.score(300, 0.5)  # the network overfitted since
+
+
+def test_dense_training_stops_early_only_when_it_has_settled_and_gets_no_better():
+    chain, _, windows = prepared([recording(1)])
+    recipe = DenseRecipe(chain, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
+
+    def history(best_at: int, until: int):
+        return [(step, 1.0, 0.5 if step == best_at else 1.0) for step in range(50, until + 1, 50)]
+
+    assert recipe.gives_up(history(best_at=800, until=900))
+    assert recipe.gives_up(history(best_at=300, until=900))
+    assert not recipe.gives_up(history(best_at=850, until=900))
+    assert not recipe.gives_up(history(best_at=300, until=850))
+    assert not recipe.gives_up([])
 
 
 def test_in_equal_arithmetic_the_dense_recipe_gets_further_than_the_papers():

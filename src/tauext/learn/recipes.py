@@ -28,6 +28,9 @@ class Recipe(Protocol):
 
     def learning_rate(self, step: int) -> float: ...
 
+    def score(self, step: int, validation_loss: float) -> float:
+        """By which weights are compared after so many steps; those of the lowest are kept."""
+
     def gives_up(self, history: list[tuple[int, float, float]]) -> bool:
         """Whether to stop early, after these (step, training loss, validation loss)."""
 
@@ -66,6 +69,9 @@ class PaperRecipe:
     def learning_rate(self, step: int) -> float:
         return self.config.learning_rate
 
+    def score(self, step: int, validation_loss: float) -> float:
+        return validation_loss
+
     def gives_up(self, history: list[tuple[int, float, float]]) -> bool:
         return False
 
@@ -87,7 +93,9 @@ class DenseRecipe:
     report_every = 500
     validation_windows = 10_000
     warm_up = 0.05
-    tail = (0.6, 0.8)  # the share of the steps over which the falling learning rate must bring something
+    settled = 0.8  # the share of the steps after which the learning rate is low
+    unsettled_handicap = 1.5
+    patience = 0.1  # the share of the steps without a better score after which a settled training stops
 
     def __post_init__(self) -> None:
         self.targets = self.config.targets
@@ -113,13 +121,16 @@ class DenseRecipe:
             return self.config.learning_rate * (step + 1) / (self.warm_up * self.steps + 1)
         return 0.5 * self.config.learning_rate * (1 + math.cos(math.pi * (done - self.warm_up) / (1 - self.warm_up)))
 
+    def score(self, step: int, validation_loss: float) -> float:
+        """At a high learning rate the validation loss jumps, and its lowest value is luck: weights from then must be
+        clearly better than settled ones, as they are where a network overfits."""
+        return validation_loss * (1.0 if step >= self.settled * self.steps else self.unsettled_handicap)
+
     def gives_up(self, history: list[tuple[int, float, float]]) -> bool:
-        """At a high learning rate the validation loss jumps; that its fall brings nothing shows only near the end."""
-        begin, end = (share * self.steps for share in self.tail)
-        if not history or history[-1][0] < end:
+        scores = [(self.score(step, validation), step) for step, _, validation in history]
+        if not scores or scores[-1][1] < (self.settled + self.patience) * self.steps:
             return False
-        late = [validation for step, _, validation in history if step > begin]
-        return min(late) > min(validation for _, _, validation in history)
+        return min(scores)[1] <= scores[-1][1] - self.patience * self.steps
 
 
 def make_recipe(chain: Chain, training: WindowSet, config: TrainConfig) -> Recipe:

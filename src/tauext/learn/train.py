@@ -68,8 +68,8 @@ def train(
 ) -> TrainedNetwork:
     """Train the network by a recipe: mean squared error, Adam.
 
-    The weights of the lowest validation loss are kept: at the paper's learning rate the loss jumps up now and then and
-    recovers, and the last step would be a draw of luck. The paper does not say which weights it keeps.
+    The weights of the lowest validation loss are kept (see Recipe.score): at the paper's learning rate the loss jumps
+    up now and then and recovers, and the last step would be a draw of luck. The paper does not say which it keeps.
 
     The same seed and data give the same bytes for any number of threads, whether or not the run was interrupted.
 
@@ -117,7 +117,8 @@ def train(
             if done % recipe.report_every == 0 or done == recipe.steps:
                 candidate = state.at[0].astype(np.float32)
                 validated = validation_loss(candidate)
-                if not state.history or validated < min(entry[2] for entry in state.history):
+                score = recipe.score(done, validated)
+                if all(score < recipe.score(step, earlier) for step, _, earlier in state.history):
                     state.best = candidate
                 state.history.append((done, running_loss, validated))
                 state.seconds = resumed_seconds + time.monotonic() - started

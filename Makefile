@@ -4,7 +4,7 @@ PIP := $(VENV)/bin/pip --disable-pip-version-check -q
 # An editable install knows the files it was made with, so a new file asks for a new one.
 STAMP := $(VENV)/.installed-$(shell find src -name '*.py' | sort | cksum | cut -d' ' -f1)
 
-.PHONY: help setup build reproduce test test-all lint bench clean
+.PHONY: help setup build reproduce test test-all lint bench bench-train clean
 help: ## Show this help
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-10s %s\n", $$1, $$2}'
 setup: $(STAMP) ## Environment and build, in .venv
@@ -35,5 +35,7 @@ bench: build ## Dynamics sweep and network, with ratios to what else one would u
 	$(VENV)/bin/python benchmarks/dynamics.py
 	build/cpp/tree_bench
 	build/cpp/lstm_bench
+bench-train: setup ## Training and evaluation against PyTorch, where it is installed
+	$(VENV)/bin/python benchmarks/train.py
 clean: ## Remove builds; recordings and runs stay
 	rm -rf build $(VENV)

@@ -1,0 +1,286 @@
+"""Time and accuracy of a training step and of an evaluation beside PyTorch's on the same threads.
+
+    python benchmarks/train.py [--rounds 9] [--quick]
+
+Step: gradient and Adam for 1000 windows of 100 steps. The core gathers its windows from the rows within the measured
+time, and so does tauext's own PyTorch backend; plain torch.nn.LSTM and torch.optim.Adam have them ready. Evaluation:
+every window of ten minutes at 100 Hz, read from rows. Of PyTorch's ways (a step with the batch or time first; windows
+as a view or gathered, 1000 or 4000 at once) the fastest is shown. Everything runs in turns in one process. A turn begins
+with a pause, since PyTorch's threads spin for a while after their work, and a run that is not counted. Without PyTorch
+only tauext is measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import re
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import tauext
+from tauext import _core
+from tauext.errors import ConfigError
+from tauext.learn import Chain, WindowSet
+from tauext.learn.adam import Adam
+from tauext.learn.core_backend import CoreBackend
+
+try:
+    from tauext.learn import torch_backend
+
+    torch, why_not = torch_backend.torch, ""
+except ConfigError as error:
+    torch, why_not = None, str(error)
+
+STEPS, HIDDEN, BATCH = 100, 20, 1000
+LEARNING_RATE = 0.001
+PAUSE_S = 0.1
+CORE, BACKEND = "tauext", "tauext, backend torch"
+
+Way = Callable[[], object]
+
+
+@dataclass
+class Case:
+    """What is measured in turns; the ratio to PyTorch's fastest way is wanted to be at least this."""
+
+    name: str
+    threads: int
+    wanted: float
+    ways: dict[str, Way]
+    accuracy: dict[str, tuple[float | None, float | None]]  # of outputs (absolute) and gradient (relative)
+    runs: int  # in a turn
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--quick", action="store_true", help="two rounds and one minute of recording")
+    options = parser.parse_args()
+    rounds, windows = (2, 6_000) if options.quick else (options.rounds, 60_000)
+
+    print(f"{processor()}, {os.cpu_count()} cores, Python {platform.python_version()}, NumPy {np.__version__}")
+    print(f"tauext {tauext.__version__}: {compiler_flags()}, instruction set chosen at run time")
+    if torch:
+        capability = torch.backends.cpu.get_cpu_capability()
+        print(f"PyTorch {torch.__version__} on the CPU: {capability}, oneDNN {torch.backends.mkldnn.is_available()}")
+    else:
+        print(f"PyTorch is not measured: {why_not}")
+    print(f"H = {HIDDEN}, {rounds} rounds in turns; ms: median (min max); ratio of medians\n")
+    print(f"{'':42}{'threads':>8}  {'way':31}{'ms':>8}{'(min':>9}{'max)':>9}{'ratio':>7}   outputs, gradient")
+
+    busy, own = busy_seconds(), time.process_time()
+    for joints, wanted in ((2, (6.0, 7.0)), (7, (5.0, 5.0))):
+        for threads in (1, 2):
+            show(step_case(joints, threads, wanted[threads - 1]), rounds)
+    for threads in (1, 2):
+        show(evaluation_case(windows, threads, 4.0), rounds)
+    others = (busy_seconds() - busy) - (time.process_time() - own)
+    print("\noutputs: largest difference to double precision; gradient: relative difference, likewise")
+    print(
+        f"other processes took {max(others, 0.0):.1f} s of processor time meanwhile (more than a few spoil the numbers)"
+    )
+
+
+def step_case(joints: int, threads: int, wanted: float) -> Case:
+    """Gradient and Adam, from rows and window ends to new parameters."""
+    chain, windows = made_windows(joints, 30_000)
+    ends = np.random.default_rng(1).choice(windows.ends, BATCH, replace=False)
+    core = CoreBackend(chain, windows, HIDDEN, STEPS, targets=1, threads=threads)
+    start = core.initial_parameters(0).astype(np.float32)
+    ways: dict[str, Way] = {CORE: in_the_loop(core, ends)}
+    accuracy = {}
+    if torch:
+        x, y = written_out(chain, windows, ends), windows.target_rows[ends]
+        exact = double_precision(core.shape, start, x, y)
+        own = torch_backend.TorchBackend(torch_backend.lstm_module(chain, HIDDEN, 0), chain, windows, STEPS, targets=1)
+        for layout in ("batch first", "time first"):
+            way, result = pytorch_step(core.shape, start, x, y, layout)
+            ways[f"PyTorch, {layout}"] = way
+            accuracy[f"PyTorch, {layout}"] = differences(result, exact)
+        ways[BACKEND] = in_the_loop(own, ends)
+        for name, backend in ((CORE, core), (BACKEND, own)):
+            result = backend.predict(start, windows, ends), backend.gradient(start, ends)[1]
+            accuracy[name] = differences(result, exact)
+    name = f"step: {BATCH} x {STEPS}, F {len(chain.inputs)}, {joints} outputs"
+    return Case(name, threads, wanted, ways, accuracy, runs=10)
+
+
+def evaluation_case(count: int, threads: int, wanted: float) -> Case:
+    """Output of windows that end at every row of a recording."""
+    chain, windows = made_windows(2, count)
+    core = CoreBackend(chain, windows, HIDDEN, STEPS, targets=1, threads=threads)
+    start = core.initial_parameters(0).astype(np.float32)
+    ways: dict[str, Way] = {CORE: lambda: core.predict(start, windows, windows.ends)}
+    accuracy = {}
+    if torch:
+        some = windows.ends[:: max(1, count // BATCH)]
+        exact = double_precision(core.shape, start, written_out(chain, windows, some), windows.target_rows[some])[0]
+        own = torch_backend.TorchBackend(torch_backend.lstm_module(chain, HIDDEN, 0), chain, windows, STEPS, targets=1)
+        for reading in ("view", "gathered"):
+            for batch in (1000, 4000):
+                way = pytorch_evaluation(core.shape, start, chain, windows, reading, batch)
+                ways[f"PyTorch, {reading}, {batch} at once"] = way
+        ways[BACKEND] = lambda: own.predict(start, windows, windows.ends)
+        for name, way in ways.items():
+            accuracy[name] = differences((way()[:: max(1, count // BATCH)], None), (exact, None))
+    return Case(f"evaluation: {count} windows x {STEPS}, F 6", threads, wanted, ways, accuracy, runs=1)
+
+
+def made_windows(joints: int, count: int) -> tuple[Chain, WindowSet]:
+    """Random rows at the network period and every window that ends in them; the chain lends its inputs alone."""
+    links = []
+    for k in range(joints):
+        link = _core.Link()
+        link.joint_name, link.parent, link.rotation = f"joint{k + 1}", k - 1, [1.0, 0, 0, 0, 1, 0, 0, 0, 1]
+        links.append(link)
+    observer = _core.ObserverSettings(
+        gain_per_s=20.0, timing=_core.TorqueTiming.held, sample_period_ns=10_000_000, network_stride=1
+    )
+    chain = Chain(_core.Tree(links, [0, 0, -9.81]), observer, STEPS)
+    rng = np.random.default_rng(joints)
+    rows = rng.uniform(-1, 1, (count + chain.reach, 2 * joints)).astype(np.float32)
+    targets = rng.uniform(-1, 1, (len(rows), joints)).astype(np.float32)
+    ends = np.arange(chain.reach, len(rows), dtype=np.int64)
+    return chain, WindowSet(rows, targets, ends, np.zeros_like(ends))
+
+
+def written_out(chain: Chain, windows: WindowSet, ends: np.ndarray) -> np.ndarray:
+    """The windows that end at these rows: (N, T, F)."""
+    steps = ends[:, None] + np.arange(1 - STEPS, 1)
+    return np.stack([windows.rows[steps - lag, column] for column, lag in chain.inputs], axis=-1)
+
+
+def in_the_loop(backend: CoreBackend | torch_backend.TorchBackend, ends: np.ndarray) -> Way:
+    """A step as tauext's training loop makes it."""
+    parameters = backend.initial_parameters(0)
+    at = [(parameters, Adam.start(len(parameters)))]
+
+    def step() -> None:
+        parameters, adam = at[0]
+        _, gradient = backend.gradient(parameters.astype(np.float32), ends)
+        at[0] = adam.step(parameters, gradient, LEARNING_RATE)
+
+    return step
+
+
+def pytorch_step(
+    shape: _core.LstmShape, parameters: np.ndarray, x: np.ndarray, y: np.ndarray, layout: str
+) -> tuple[Way, tuple[np.ndarray, np.ndarray]]:
+    """A step as one writes it with PyTorch, its windows and targets ready; and its first output and gradient."""
+    lstm, head = torch_backend.lstm_from_parameters(shape, parameters)
+    lstm.batch_first = layout == "batch first"
+    windows, targets = torch.from_numpy(x), torch.from_numpy(y)
+    if not lstm.batch_first:
+        windows = windows.transpose(0, 1).contiguous()
+    trained = torch_backend.in_core_order(lstm, head)
+    optimiser = torch.optim.Adam(trained, lr=LEARNING_RATE, fused=True)
+
+    def backward() -> torch.Tensor:
+        optimiser.zero_grad()
+        hidden = lstm(windows)[0]
+        output = head(hidden[:, -1] if lstm.batch_first else hidden[-1])
+        torch.nn.functional.mse_loss(output, targets).backward()
+        return output
+
+    def step() -> None:
+        backward()
+        optimiser.step()
+
+    first = backward().detach().numpy()
+    return step, (first, torch_backend.flat([p.grad for p in trained]).numpy())
+
+
+def pytorch_evaluation(
+    shape: _core.LstmShape, parameters: np.ndarray, chain: Chain, windows: WindowSet, reading: str, batch: int
+) -> Way:
+    """All windows of the rows, so many at once, time first: out of a view into the rows, or gathered by index."""
+    lstm, head = torch_backend.lstm_from_parameters(shape, parameters)
+    lstm.batch_first = False
+    inputs = np.stack([np.roll(windows.rows[:, column], lag) for column, lag in chain.inputs], axis=-1)
+    rows, ends, steps = torch.from_numpy(inputs), torch.from_numpy(windows.ends), torch.arange(1 - STEPS, 1)
+
+    def evaluate() -> np.ndarray:
+        if reading == "view":
+            view = rows[chain.reach - STEPS + 1 :].unfold(0, STEPS, 1).permute(2, 0, 1)  # (T, N, F)
+            batches = view.split(batch, dim=1)
+        else:
+            batches = (rows[some + steps[:, None]] for some in ends.split(batch))
+        with torch.no_grad():
+            return torch.cat([head(lstm(x)[0][-1]) for x in batches]).numpy()
+
+    return evaluate
+
+
+def double_precision(
+    shape: _core.LstmShape, parameters: np.ndarray, x: np.ndarray, y: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Output and gradient of PyTorch in double precision."""
+    lstm, head = (part.double() for part in torch_backend.lstm_from_parameters(shape, parameters))
+    output = head(lstm(torch.from_numpy(x).double())[0][:, -1])
+    torch.nn.functional.mse_loss(output, torch.from_numpy(y).double()).backward()
+    gradient = torch_backend.flat([p.grad for p in torch_backend.in_core_order(lstm, head)])
+    return output.detach().numpy(), gradient.numpy()
+
+
+def differences(result: tuple, exact: tuple) -> tuple[float | None, float | None]:
+    gradient = None if exact[1] is None else np.linalg.norm(result[1] - exact[1]) / np.linalg.norm(exact[1])
+    return np.abs(result[0] - exact[0]).max(), gradient
+
+
+def show(case: Case, rounds: int) -> None:
+    """Measure the ways in turns and print a line for ours, for PyTorch's fastest and for our PyTorch backend."""
+    times: dict[str, list[float]] = {name: [] for name in case.ways}
+    if torch:
+        torch.set_num_threads(case.threads)
+    for _ in range(rounds):
+        for name, way in case.ways.items():
+            time.sleep(PAUSE_S)
+            way()
+            for _ in range(case.runs):
+                start = time.perf_counter()
+                way()
+                times[name].append(1e3 * (time.perf_counter() - start))
+    medians = {name: statistics.median(ms) for name, ms in times.items()}
+    fastest = min((name for name in times if name.startswith("PyTorch")), key=medians.get, default=None)
+    for name in (CORE, fastest, BACKEND):
+        if name not in times:
+            continue
+        ms, ratio = times[name], medians[name] / medians[CORE]
+        first = f"{case.name:42}{case.threads:8}" if name == CORE else " " * 50
+        wanted = f" (wanted {case.wanted:.0f})" if name == fastest else ""
+        accuracy = ", ".join("-" if a is None else f"{a:.0e}" for a in case.accuracy.get(name, (None, None)))
+        line = f"{first}  {name:31}{medians[name]:8.2f}{min(ms):9.2f}{max(ms):9.2f}{ratio:7.1f}   {accuracy}{wanted}"
+        print(line, flush=True)
+
+
+def busy_seconds() -> float:
+    """Processor time of all processes since start-up; zero where it is not told."""
+    stat = Path("/proc/stat")
+    if not stat.exists():
+        return 0.0
+    user, nice, system, *_ = (int(ticks) for ticks in stat.read_text().split("\n")[0].split()[1:])
+    return (user + nice + system) / os.sysconf("SC_CLK_TCK")
+
+
+def compiler_flags() -> str:
+    """As CMakeLists.txt gives them, warnings left out."""
+    cmake = (Path(__file__).parent.parent / "CMakeLists.txt").read_text()
+    flags = re.search(r"target_compile_options\(tauext_flags INTERFACE ([^)]*)\)", cmake).group(1).split()
+    return " ".join(["C++20", *(flag for flag in flags if not flag.startswith("-W"))])
+
+
+def processor() -> str:
+    info = Path("/proc/cpuinfo")
+    names = [line.partition(": ")[2] for line in info.read_text().splitlines() if line.startswith("model name")]
+    return names[0] if names else platform.processor()
+
+
+if __name__ == "__main__":
+    main()

@@ -5,9 +5,9 @@
 Step: gradient and Adam for 1000 windows of 100 steps. The core gathers its windows from the rows within the measured
 time, and so does tauext's own PyTorch backend; plain torch.nn.LSTM and torch.optim.Adam have them ready. Evaluation:
 every window of ten minutes at 100 Hz, read from rows. Of PyTorch's ways (a step with the batch or time first; windows
-as a view or gathered, 1000 or 4000 at once) the fastest is shown. Everything runs in turns in one process. A turn begins
-with a pause, since PyTorch's threads spin for a while after their work, and a run that is not counted. Without PyTorch
-only tauext is measured.
+as a view or gathered, 1000 or 4000 at once) the fastest is shown. Everything runs in turns in one process. A turn
+begins with a pause, since PyTorch's threads spin for a while after their work, and with a run that is not counted.
+Without PyTorch only tauext is measured.
 """
 
 from __future__ import annotations

@@ -38,6 +38,8 @@ class TorchBackend:
     The parameters are one vector: the module's trainable ones, each flattened, in the order of `module.parameters()`.
     Rows and targets lie on the device; windows are gathered there. On a CPU the same module, data and
     `torch.get_num_threads()` give the same bytes; dropout, if any, draws from PyTorch's own generator.
+    PyTorch's LSTM on a CPU sums the gradient of the biases in single precision: at 1000 windows of 100 steps the whole
+    gradient is 1e-5 to 6e-5 off, where the core's is 1e-7.
 
     Args:
         module: maps windows (B, T, F) to the residual at their last step (B, n), scaled units; inputs stand in the

@@ -1,46 +1,18 @@
 // Python module tauext._core: checks shapes and forwards. The interpreter lock is released in every call over many samples.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
-#include <optional>
-
+#include "arrays.hpp"
 #include "lstm_gradient.hpp"
 #include "tauext/bundle.hpp"
 
 namespace nb = nanobind;
 using namespace tauext;
+using namespace tauext::bindings;
 
 namespace {
-
-template <class T, int Dim>
-using Array = nb::ndarray<const T, nb::numpy, nb::ndim<Dim>, nb::c_contig, nb::device::cpu>;
-
-template <class T>
-std::span<const T> span_of(const Array<T, 1>& a) {
-  return {a.data(), a.shape(0)};
-}
-
-// Hands a vector over to NumPy without a copy.
-template <class T>
-nb::ndarray<nb::numpy, T> to_numpy(std::vector<T>&& values, std::initializer_list<std::size_t> shape) {
-  auto* owned = new std::vector<T>(std::move(values));
-  nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
-  return nb::ndarray<nb::numpy, T>(owned->data(), shape, owner);
-}
-
-RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
-                   const Array<double, 2>& tau) {
-  const auto N = t_ns.shape(0), n = q.shape(1);
-  if (n < 1 || n > kMaxJoints) throw Error("recordings have 1 to 32 joints, not " + std::to_string(n));
-  for (const Array<double, 2>* signal : {&q, &dq, &tau})
-    if (signal->shape(0) != N || signal->shape(1) != n)
-      throw Error("q, dq and tau must have the shape (" + std::to_string(N) + ", " + std::to_string(n) + ")");
-  return {static_cast<std::int64_t>(N), static_cast<int>(n), t_ns.data(), q.data(), dq.data(), tau.data()};
-}
 
 // The rows from which windows are read; `inputs` is kept alive beside them.
 struct PythonWindows {
@@ -65,6 +37,20 @@ void bind_list(nb::class_<Bundle>& cls, const char* name, std::vector<T> Bundle:
   cls.def_prop_rw(
       name, [member](const Bundle& b) { return b.*member; },
       [member](Bundle& b, std::vector<T> values) { b.*member = std::move(values); });
+}
+
+// sliding_limit_nm, near_stiction_limit_nm and hold_s of the collision, and the same with contact_ before them.
+void bind_level(nb::class_<Bundle>& cls, const std::string& prefix, Level Limits::*level) {
+  cls.def_prop_rw(
+         (prefix + "sliding_limit_nm").c_str(), [level](const Bundle& b) { return (b.limits.*level).sliding_nm; },
+         [level](Bundle& b, std::vector<double> v) { (b.limits.*level).sliding_nm = std::move(v); })
+      .def_prop_rw(
+          (prefix + "near_stiction_limit_nm").c_str(),
+          [level](const Bundle& b) { return (b.limits.*level).near_stiction_nm; },
+          [level](Bundle& b, std::vector<double> v) { (b.limits.*level).near_stiction_nm = std::move(v); })
+      .def_prop_rw(
+          (prefix + "hold_s").c_str(), [level](const Bundle& b) { return (b.limits.*level).hold_s; },
+          [level](Bundle& b, double v) { (b.limits.*level).hold_s = v; });
 }
 
 void bind_tree(nb::module_& m) {
@@ -242,14 +228,17 @@ void bind_bundle(nb::module_& m) {
             for (const auto& [column, lag] : pairs) b.inputs.push_back({column, lag});
           })
       .def_prop_rw(
+          "contact_release_s", [](const Bundle& b) { return b.limits.contact_release_s; },
+          [](Bundle& b, double v) { b.limits.contact_release_s = v; })
+      .def_prop_rw(
+          "torque_limit_nm", [](const Bundle& b) { return b.signals.torque_limit_nm; },
+          [](Bundle& b, std::vector<double> v) { b.signals.torque_limit_nm = std::move(v); })
+      .def_prop_rw(
+          "largest_torque_nm", [](const Bundle& b) { return b.signals.largest_torque_nm; },
+          [](Bundle& b, std::vector<double> v) { b.signals.largest_torque_nm = std::move(v); })
+      .def_prop_rw(
           "near_stiction_rad_s", [](const Bundle& b) { return b.limits.near_stiction_rad_s; },
           [](Bundle& b, double v) { b.limits.near_stiction_rad_s = v; })
-      .def_prop_rw(
-          "sliding_limit_nm", [](const Bundle& b) { return b.limits.sliding_nm; },
-          [](Bundle& b, std::vector<double> v) { b.limits.sliding_nm = std::move(v); })
-      .def_prop_rw(
-          "near_stiction_limit_nm", [](const Bundle& b) { return b.limits.near_stiction_nm; },
-          [](Bundle& b, std::vector<double> v) { b.limits.near_stiction_nm = std::move(v); })
       .def(
           "set_reference",
           [](Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
@@ -263,7 +252,18 @@ void bind_bundle(nb::module_& m) {
           nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"),
           "Keep this stretch of free motion and the chain's answer at its last sample, to be replayed at load.")
       .def("save", [](const Bundle& b, const std::string& path) { save(b, path); }, nb::arg("path"))
-      .def_static("load", [](const std::string& path) { return load(path); }, nb::arg("path"));
+      .def_static("load", [](const std::string& path) { return load(path); }, nb::arg("path"))
+      .def(
+          "to_bytes",
+          [](const Bundle& b) {
+            const std::vector<char> bytes = to_bytes(b);
+            return nb::bytes(bytes.data(), bytes.size());
+          },
+          "The bundle as its file holds it.")
+      .def_static(
+          "from_bytes", [](nb::bytes bytes) { return from_bytes({bytes.c_str(), bytes.size()}); }, nb::arg("bytes"));
+  bind_level(bundle, "", &Limits::collision);
+  bind_level(bundle, "contact_", &Limits::contact);
   bind_list(bundle, "links", &Bundle::links);
   bind_list(bundle, "input_factors", &Bundle::input_factors);
   bind_list(bundle, "parameters", &Bundle::parameters);
@@ -303,4 +303,5 @@ NB_MODULE(_core, m) {
   bind_observer(m);
   bind_lstm(m);
   bind_bundle(m);
+  bind_monitor(m);
 }

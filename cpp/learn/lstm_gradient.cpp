@@ -62,7 +62,7 @@ TAUEXT_INLINE void forward_with_history(const Job& job, const std::int64_t* ends
   for (int t = 0; t < m.T; ++t) {
     gather<L>(job.windows, ends, t, in);
     float* cell = m.cells.get() + static_cast<std::ptrdiff_t>(t) * P * L;
-    step<L>(job.packed, in, cell, m.gates.get() + static_cast<std::ptrdiff_t>(t) * P * 4 * L, cell + P * L,
+    step<L>(job.packed, in, in + m.F * L, cell, m.gates.get() + static_cast<std::ptrdiff_t>(t) * P * 4 * L, cell + P * L,
             m.tanh_cells.get() + static_cast<std::ptrdiff_t>(t) * P * L, m.hidden.get());
     std::memcpy(in + m.F * L, m.hidden.get(), sizeof(float) * P * L);
   }

@@ -21,15 +21,6 @@ constexpr char kMagic[] = {'T', 'A', 'U', 'E', 'X', 'T', '\r', '\n'};
 constexpr std::size_t kHeaderBytes = sizeof kMagic + 4 + 4 + 8 + 4;
 constexpr std::uint32_t kMinor = 0;
 
-std::uint32_t crc32(std::span<const char> bytes) noexcept {  // the polynomial of zlib and Ethernet
-  std::uint32_t crc = 0xFFFFFFFFu;
-  for (char byte : bytes) {
-    crc ^= static_cast<unsigned char>(byte);
-    for (int bit = 0; bit < 8; ++bit) crc = (crc >> 1) ^ (0xEDB88320u & (0u - (crc & 1u)));
-  }
-  return ~crc;
-}
-
 class Writer {
  public:
   static constexpr bool reading = false;
@@ -124,8 +115,14 @@ void fields(File& file, Bundle& b) {
   field(file, b.parameters);
   field(file, b.output_scale_nm);
   field(file, b.limits.near_stiction_rad_s);
-  field(file, b.limits.sliding_nm);
-  field(file, b.limits.near_stiction_nm);
+  for (Level* level : {&b.limits.collision, &b.limits.contact}) {
+    field(file, level->sliding_nm);
+    field(file, level->near_stiction_nm);
+    field(file, level->hold_s);
+  }
+  field(file, b.limits.contact_release_s);
+  field(file, b.signals.torque_limit_nm);
+  field(file, b.signals.largest_torque_nm);
   field(file, b.reference.t_ns);
   field(file, b.reference.q);
   field(file, b.reference.dq);
@@ -209,16 +206,13 @@ void Bundle::validate() const {
     expect_positive("input_factors", input_factors);
     expect_length("output_scale_nm", output_scale_nm, n);
     expect_positive("output_scale_nm", output_scale_nm);
-    if (window_steps < 1 || window_steps > 100000)
-      throw Error("window_steps = " + std::to_string(window_steps) + " must be 1 to 100000");
+    if (window_steps < 1 || window_steps > kMaxWindowSteps)
+      throw Error("window_steps = " + std::to_string(window_steps) + " must be 1 to " + std::to_string(kMaxWindowSteps));
     WindowRows windows{nullptr, 0, static_cast<int>(2 * n), observer.network_stride, window_steps, inputs};
     windows.validate(shape, {});
   }
-  expect_length("limits.sliding_nm", limits.sliding_nm, n);
-  expect_length("limits.near_stiction_nm", limits.near_stiction_nm, n);
-  expect_positive("limits.sliding_nm", limits.sliding_nm);
-  expect_positive("limits.near_stiction_nm", limits.near_stiction_nm);
-  if (!(limits.near_stiction_rad_s >= 0)) throw Error("limits.near_stiction_rad_s must be >= 0");
+  limits.validate(joints());
+  signals.validate(joints());
   const auto samples = reference.t_ns.size();
   if (samples == 0) throw Error("its reference is empty");
   expect_length("reference.q", reference.q, samples * n);
@@ -235,21 +229,61 @@ void answer_reference(Bundle& bundle) {
   bundle.reference.network = std::move(answer.network);
 }
 
-void save(const Bundle& bundle, const std::string& path) {
+std::uint32_t crc32(std::span<const char> bytes, std::uint32_t crc) noexcept {
+  crc = ~crc;
+  for (char byte : bytes) {
+    crc ^= static_cast<unsigned char>(byte);
+    for (int bit = 0; bit < 8; ++bit) crc = (crc >> 1) ^ (0xEDB88320u & (0u - (crc & 1u)));
+  }
+  return ~crc;
+}
+
+std::vector<char> to_bytes(const Bundle& bundle) {
   bundle.validate();
-  Writer writer;
-  fields(writer, const_cast<Bundle&>(bundle));  // a Writer only reads
+  Writer payload, file;
+  fields(payload, const_cast<Bundle&>(bundle));  // a Writer only reads
   const std::uint32_t version[] = {kBundleMajor, kMinor};
-  const std::uint64_t size = writer.bytes.size();
-  const std::uint32_t crc = crc32(writer.bytes);
+  const std::uint64_t size = payload.bytes.size();
+  const std::uint32_t crc = crc32(payload.bytes);
+  file.raw(kMagic, sizeof kMagic);
+  file.raw(version, sizeof version);
+  file.raw(&size, sizeof size);
+  file.raw(&crc, sizeof crc);
+  file.raw(payload.bytes.data(), payload.bytes.size());
+  return std::move(file.bytes);
+}
+
+Bundle from_bytes(std::span<const char> bytes) {
+  if (bytes.size() < kHeaderBytes || std::memcmp(bytes.data(), kMagic, sizeof kMagic) != 0)
+    throw Error("it is not a tauext bundle");
+  std::uint32_t version[2], crc;
+  std::uint64_t size;
+  std::memcpy(version, bytes.data() + 8, 8);
+  std::memcpy(&size, bytes.data() + 16, 8);
+  std::memcpy(&crc, bytes.data() + 24, 4);
+  if (version[0] != kBundleMajor)
+    throw Error("its format is version " + std::to_string(version[0]) + ", this program reads version " +
+                std::to_string(kBundleMajor) +
+                (version[0] < kBundleMajor ? "; train it again" : "; it was made by a newer tauext"));
+  const std::span<const char> payload = bytes.subspan(kHeaderBytes);
+  if (payload.size() != size)
+    throw Error("it is truncated or has something appended: " + std::to_string(payload.size()) + " bytes where " +
+                std::to_string(size) + " belong");
+  if (crc32(payload) != crc) throw Error("its checksum does not match: it is damaged");
+  Reader reader(payload);
+  Bundle bundle;
+  fields(reader, bundle);
+  if (!reader.done()) throw Error("it has contents that this version does not know");
+  bundle.validate();
+  return bundle;
+}
+
+void save(const Bundle& bundle, const std::string& path) {
+  const std::vector<char> bytes = to_bytes(bundle);
   const std::string temporary = path + ".part";
   {
     std::ofstream file(temporary, std::ios::binary | std::ios::trunc);
-    file.write(kMagic, sizeof kMagic);
-    file.write(reinterpret_cast<const char*>(version), sizeof version);
-    file.write(reinterpret_cast<const char*>(&size), sizeof size);
-    file.write(reinterpret_cast<const char*>(&crc), sizeof crc);
-    file.write(writer.bytes.data(), static_cast<std::streamsize>(size));
+    file.write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
     file.flush();
     if (!file) {
       std::remove(temporary.c_str());
@@ -264,27 +298,7 @@ Bundle load(const std::string& path) {
   if (!file) throw Error(path + ": cannot be opened");
   const std::vector<char> bytes((std::istreambuf_iterator<char>(file)), {});
   try {
-    if (bytes.size() < kHeaderBytes || std::memcmp(bytes.data(), kMagic, sizeof kMagic) != 0)
-      throw Error("it is not a tauext bundle");
-    std::uint32_t version[2], crc;
-    std::uint64_t size;
-    std::memcpy(version, bytes.data() + 8, 8);
-    std::memcpy(&size, bytes.data() + 16, 8);
-    std::memcpy(&crc, bytes.data() + 24, 4);
-    if (version[0] != kBundleMajor)
-      throw Error("its format is version " + std::to_string(version[0]) + ", this program reads version " +
-                  std::to_string(kBundleMajor));
-    const std::span<const char> payload = std::span(bytes).subspan(kHeaderBytes);
-    if (payload.size() != size)
-      throw Error("it is truncated or has something appended: " + std::to_string(payload.size()) + " bytes where " +
-                  std::to_string(size) + " belong");
-    if (crc32(payload) != crc) throw Error("its checksum does not match: it is damaged");
-    Reader reader(payload);
-    Bundle bundle;
-    fields(reader, bundle);
-    if (!reader.done()) throw Error("it has contents that this version does not know");
-    bundle.validate();
-    return bundle;
+    return from_bytes(bytes);
   } catch (const Error& e) {
     throw Error(path + ": " + e.what());
   }

@@ -49,7 +49,7 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
     for (int j = 0; j < n; ++j) {
       const std::size_t at = k * n + j;
       out.near_stiction[at] = bundle.limits.near_stiction(recording.dq[at]);
-      out.limit_nm[at] = bundle.limits.limit_nm(j, recording.dq[at]);
+      out.limit_nm[at] = bundle.limits.limit_nm(bundle.limits.collision, j, recording.dq[at]);
       if (out.healthy[k] && std::fabs(out.tau_ext[at]) > out.limit_nm[at]) out.detection[k] = 1;
     }
   return out;

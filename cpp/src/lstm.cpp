@@ -1,6 +1,7 @@
 #include "tauext/lstm.hpp"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 
 #include "lstm_lanes.hpp"
@@ -67,18 +68,27 @@ Packed::Packed(const LstmShape& shape, std::span<const float> parameters)
   }
 }
 
-int lane_count() noexcept {
+namespace {
+std::atomic<int> lane_limit{0};
+
+int machine_lanes() noexcept {
 #if defined(__x86_64__)
-  static const int count = __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
-                                   __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq")
-                               ? 16
-                           : __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") ? 8
-                                                                                             : 4;
-  return count;
-#else
-  return 4;
+  if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512bw") &&
+      __builtin_cpu_supports("avx512dq"))
+    return 16;
+  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return 8;
 #endif
+  return 4;
 }
+}  // namespace
+
+int lane_count() noexcept {
+  static const int machine = machine_lanes();
+  const int limit = lane_limit.load(std::memory_order_relaxed);
+  return limit ? std::min(limit, machine) : machine;
+}
+
+void limit_lane_count(int lanes) noexcept { lane_limit.store(lanes, std::memory_order_relaxed); }
 
 }  // namespace lanes
 
@@ -126,10 +136,8 @@ TAUEXT_INLINE void forward_chunk(const Forward& job, int chunk) {
   bool consecutive = true;
   for (std::size_t k = first + 1; k < last; ++k) consecutive = consecutive && job.ends[k] == job.ends[k - 1] + 1;
 
-  const Buffer in = make_buffer(static_cast<std::size_t>(F + P) * L), gates = make_buffer(static_cast<std::size_t>(P) * 4 * L);
-  const Buffer c = make_buffer(static_cast<std::size_t>(P) * L), tanh_c = make_buffer(static_cast<std::size_t>(P) * L);
-  const Buffer next_h = make_buffer(static_cast<std::size_t>(P) * L);
-  float* h = in.get() + F * L;
+  const Buffer in = make_buffer(static_cast<std::size_t>(F) * L), c = make_buffer(static_cast<std::size_t>(P) * L);
+  Buffer h = make_buffer(static_cast<std::size_t>(P) * L), next_h = make_buffer(static_cast<std::size_t>(P) * L);
   const std::int64_t back = static_cast<std::int64_t>(windows.length - 1) * windows.stride;
   const std::int64_t first_row = job.ends[first] - back;
   // Lines end on a whole vector, with one to spare for the lanes past the last window.
@@ -142,20 +150,21 @@ TAUEXT_INLINE void forward_chunk(const Forward& job, int chunk) {
   for (std::size_t group = first; group < last; group += L) {
     std::int64_t ends[L];
     for (int l = 0; l < L; ++l) ends[l] = job.ends[std::min(group + l, last - 1)];
-    std::memset(h, 0, sizeof(float) * P * L);
+    std::memset(h.get(), 0, sizeof(float) * P * L);
     std::memset(c.get(), 0, sizeof(float) * P * L);
     for (int t = 0; t < windows.length; ++t) {
       if (consecutive) {
         const std::ptrdiff_t row = job.ends[group] - first_row - back + static_cast<std::ptrdiff_t>(t) * windows.stride;
-        step<L, true>(w, in.get(), c.get(), gates.get(), c.get(), tanh_c.get(), next_h.get(), {projected.get() + row, rows});
+        step<L, Start::rows, false>(w, nullptr, h.get(), c.get(), nullptr, c.get(), nullptr, next_h.get(),
+                                    {projected.get() + row, rows});
       } else {
         gather<L>(windows, ends, t, in.get());
-        step<L>(w, in.get(), c.get(), gates.get(), c.get(), tanh_c.get(), next_h.get());
+        step<L, Start::inputs, false>(w, in.get(), h.get(), c.get(), nullptr, c.get(), nullptr, next_h.get());
       }
-      std::memcpy(h, next_h.get(), sizeof(float) * P * L);
+      std::swap(h, next_h);
     }
     for (int o = 0; o < O; ++o) {
-      const V<L> y = head<L>(w, h, o);
+      const V<L> y = head<L>(w, h.get(), o);
       for (int l = 0; l < L && group + l < last; ++l) job.out[(group + l) * O + o] = y[l];
     }
   }

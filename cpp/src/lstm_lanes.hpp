@@ -13,7 +13,6 @@
 
 #include "tauext/lstm.hpp"
 
-
 #define TAUEXT_INLINE [[gnu::always_inline]] inline
 
 namespace tauext::lanes {
@@ -118,37 +117,48 @@ TAUEXT_INLINE V<L> tanh(V<L> x) noexcept {
   return 2.0f / one_plus_exp_minus<L>(x + x) - 1.0f;
 }
 
-// b + W_x x of consecutive rows, so that overlapping windows share it: (padded, 4) lines of `rows` values.
+// Where the sums of a step begin. With the projection b + W_x x made beforehand the step's inputs are not read; the order
+// of the additions is the same, and so is the result to the last bit.
+enum class Start {
+  inputs,  // at the bias; the inputs are added here
+  rows,    // at projections of consecutive rows: (padded, 4) lines of `rows` values, whose first line begins at lane 0
+  shared,  // at one projection for all lanes: (4, padded)
+};
 struct Projection {
   const float* values = nullptr;
   std::ptrdiff_t rows = 0;
 };
 
-// in (inputs + padded) vectors: the step's inputs, then h of the step before. Writes gates (padded, 4), c (padded), the
-// tanh of the new c (padded) and the new h (padded). c_before may be c itself. With kProjected the sums start from
-// projection.values, whose first line begins at the first lane's row, and the step's inputs are not read; the order of
-// the additions is the same, and so is the result to the last bit.
-template <int L, bool kProjected = false>
-TAUEXT_INLINE void step(const Packed& w, const float* in, const float* c_before, float* gates, float* c, float* tanh_c,
-                        float* h, Projection projection = {}) noexcept {
+// x (inputs) and h_before (padded) vectors. Writes c (padded) and h (padded); c_before may be c itself, h_before not h.
+// For the backward pass kKeep also writes gates (padded, 4) and the tanh of the new c (padded).
+template <int L, Start kStart = Start::inputs, bool kKeep = true>
+TAUEXT_INLINE void step(const Packed& w, const float* x, const float* h_before, const float* c_before, float* gates,
+                        float* c, float* tanh_c, float* h, Projection projection = {}) noexcept {
   const int K = w.inputs + w.padded;
   const float* weights = w.gates.get();
   for (int u = 0; u < w.padded; u += kUnits) {
     V<L> sum[kUnits][4];
-    if constexpr (kProjected) {
-#pragma GCC unroll 16
-      for (int a = 0; a < kUnits * 4; ++a)
-        sum[a / 4][a % 4] = load_anywhere<L>(projection.values + (u * 4 + a) * projection.rows);
-      weights += static_cast<std::ptrdiff_t>(w.inputs) * kUnits * 4;
-    } else {
+    if constexpr (kStart == Start::inputs) {
       const float* bias = weights + static_cast<std::ptrdiff_t>(K) * kUnits * 4;
 #pragma GCC unroll 16
       for (int a = 0; a < kUnits * 4; ++a) sum[a / 4][a % 4] = splat<L>(bias[a]);
-    }
-    for (int k = kProjected ? w.inputs : 0; k < K; ++k) {
-      const V<L> x = load<L>(in + k * L);
+      for (int k = 0; k < w.inputs; ++k) {
+        const V<L> value = load<L>(x + k * L);
 #pragma GCC unroll 16
-      for (int a = 0; a < kUnits * 4; ++a) sum[a / 4][a % 4] += x * weights[a];
+        for (int a = 0; a < kUnits * 4; ++a) sum[a / 4][a % 4] += value * weights[k * kUnits * 4 + a];
+      }
+    } else {
+#pragma GCC unroll 16
+      for (int a = 0; a < kUnits * 4; ++a)
+        sum[a / 4][a % 4] = kStart == Start::rows
+                                ? load_anywhere<L>(projection.values + (u * 4 + a) * projection.rows)
+                                : splat<L>(projection.values[(a % 4) * w.padded + u + a / 4]);
+    }
+    weights += static_cast<std::ptrdiff_t>(w.inputs) * kUnits * 4;
+    for (int k = 0; k < w.padded; ++k) {
+      const V<L> value = load<L>(h_before + k * L);
+#pragma GCC unroll 16
+      for (int a = 0; a < kUnits * 4; ++a) sum[a / 4][a % 4] += value * weights[a];
       weights += kUnits * 4;
     }
     weights += kUnits * 4;  // the bias row
@@ -158,13 +168,15 @@ TAUEXT_INLINE void step(const Packed& w, const float* in, const float* c_before,
       activate_gates<L>(i, f, g, o);
       const V<L> cell = f * load<L>(c_before + (u + a) * L) + i * g;
       const V<L> t = tanh<L>(cell);
-      float* gate = gates + (u + a) * 4 * L;
-      store<L>(gate, i);
-      store<L>(gate + L, f);
-      store<L>(gate + 2 * L, g);
-      store<L>(gate + 3 * L, o);
+      if constexpr (kKeep) {
+        float* gate = gates + (u + a) * 4 * L;
+        store<L>(gate, i);
+        store<L>(gate + L, f);
+        store<L>(gate + 2 * L, g);
+        store<L>(gate + 3 * L, o);
+        store<L>(tanh_c + (u + a) * L, t);
+      }
       store<L>(c + (u + a) * L, cell);
-      store<L>(tanh_c + (u + a) * L, t);
       store<L>(h + (u + a) * L, o * t);
     }
   }
@@ -208,6 +220,8 @@ TAUEXT_INLINE V<L> head(const Packed& w, const float* h, int o) noexcept {
 
 // The widest instruction set of this machine: 16, 8 or 4 lanes.
 int lane_count() noexcept;
+// For tests: fewer lanes than this machine has; 0 takes it back.
+void limit_lane_count(int lanes) noexcept;
 
 // Runs body(chunk) for chunk = 0 .. chunks - 1 on `threads` threads, the caller's among them. Which thread takes which
 // chunk is left open: a chunk must write only what is its own. The first exception is thrown again here.

@@ -19,7 +19,7 @@ bool MomentumObserver::step(std::int64_t t_ns, std::span<const double> momentum,
     start_ns_ = t_ns;
     residual_.fill(0.0);
   } else {
-    const double dt = 1e-9 * static_cast<double>(t_ns - t_ns_);
+    const double dt = 1e-9 * static_cast<double>(elapsed_ns(t_ns, t_ns_));
     const double weight = -std::expm1(-gain_per_s_ * dt);  // 1 - a, exact for small steps
     for (int i = 0; i < joints_; ++i) {
       double mean_tau = tau_m_[i];  // held: the last command acted until now

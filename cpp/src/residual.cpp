@@ -6,18 +6,18 @@ namespace tauext {
 
 ResidualStage::ResidualStage(const Tree& tree, const ObserverSettings& settings)
     : tree_(tree),
-      clock_(settings.sample_period_ns, settings.network_stride),
-      observer_(tree.size(), settings.gain_per_s, settings.timing) {}
+      state_{SampleClock(settings.sample_period_ns, settings.network_stride),
+             MomentumObserver(tree.size(), settings.gain_per_s, settings.timing)} {}
 
 SampleClock::Tick ResidualStage::step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
                                       std::span<const double> tau, std::span<double> residual) noexcept {
-  const SampleClock::Tick tick = clock_.step(t_ns);
+  const SampleClock::Tick tick = state_.clock.step(t_ns);
   if (tick.kind == SampleClock::Kind::not_later) return tick;
-  if (tick.kind == SampleClock::Kind::restart) observer_.reset();
+  if (tick.kind == SampleClock::Kind::restart) state_.observer.reset();
   JointVector momentum, beta;
   const auto n = static_cast<std::size_t>(tree_.size());
   tree_.momentum(q, dq, std::span(momentum).first(n), std::span(beta).first(n));
-  observer_.step(t_ns, std::span(momentum).first(n), std::span(beta).first(n), tau, residual);
+  state_.observer.step(t_ns, std::span(momentum).first(n), std::span(beta).first(n), tau, residual);
   return tick;
 }
 

@@ -10,13 +10,14 @@ namespace tauext {
 SampleClock::SampleClock(std::int64_t sample_period_ns, int network_stride)
     : sample_period_ns_(sample_period_ns), network_stride_(network_stride) {
   if (sample_period_ns < 1) throw Error("sample period = " + std::to_string(sample_period_ns) + " ns must be > 0");
-  if (network_stride < 1)
-    throw Error("network period = " + std::to_string(network_stride) + " samples must be at least 1");
+  if (network_stride < 1 || network_stride > kMaxNetworkStride)
+    throw Error("network period = " + std::to_string(network_stride) + " samples must be 1 to " +
+                std::to_string(kMaxNetworkStride));
 }
 
 SampleClock::Tick SampleClock::step(std::int64_t t_ns) noexcept {
   if (started_ && t_ns <= t_ns_) return {Kind::not_later, 0};
-  const double elapsed = static_cast<double>(t_ns - t_ns_) / static_cast<double>(sample_period_ns_) + carry_;
+  const double elapsed = static_cast<double>(elapsed_ns(t_ns, t_ns_)) / static_cast<double>(sample_period_ns_) + carry_;
   const bool first = !started_;
   started_ = true;
   t_ns_ = t_ns;

@@ -1,6 +1,7 @@
 #include "tauext/bundle.hpp"
 
 #include <cmath>
+#include <cstdint>
 #include <cstdio>
 #include <cstring>
 #include <filesystem>
@@ -8,6 +9,7 @@
 #include <random>
 
 #include "check.hpp"
+#include "made_bundle.hpp"
 
 using namespace tauext;
 
@@ -24,46 +26,8 @@ void write(const std::string& path, const std::vector<char>& bytes) {
   std::ofstream(path, std::ios::binary).write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
 }
 
-// Two links, a random network with a window of 5 steps of 10 samples.
-Bundle make_bundle() {
-  Bundle b;
-  b.name = "test";
-  b.provenance = "{}";
-  for (int i = 0; i < 2; ++i) {
-    Link link;
-    link.joint_name = i ? "elbow" : "shoulder";
-    link.parent = i - 1;
-    link.rotation = {1, 0, 0, 0, 1, 0, 0, 0, 1};
-    link.translation = {0.3 * i, 0, 0};
-    link.mass = 5;
-    link.com = {0.1, 0.02, 0};
-    link.inertia = {0.1, 0.1, 0.1, 0, 0, 0};
-    b.links.push_back(link);
-  }
-  b.gravity = {0, -9.81, 0};
-  b.observer = {20.0, TorqueTiming::held, 1'000'000, 10};
-  b.window_steps = 5;
-  for (int c = 0; c < 4; ++c) b.inputs.push_back({c, 0});
-  b.inputs.push_back({2, 1});
-  b.inputs.push_back({3, 1});
-  b.input_factors = {0.3f, 0.4f, 0.5f, 0.6f};
-  b.shape = {6, 7, 2};
-  std::mt19937 random(1);
-  std::normal_distribution<float> normal(0, 0.4f);
-  for (std::size_t k = 0; k < b.shape.parameter_count(); ++k) b.parameters.push_back(normal(random));
-  b.output_scale_nm = {10, 5};
-  b.limits = {0.02, {4, 2}, {8, 4}};
-  for (int k = 0; k < 60; ++k) {
-    b.reference.t_ns.push_back(k * 1'000'000);
-    for (int j = 0; j < 2; ++j) {
-      b.reference.q.push_back(std::sin(0.01 * k + j));
-      b.reference.dq.push_back(10 * std::cos(0.01 * k + j));
-      b.reference.tau.push_back(3.0 * j + 0.1 * k);
-    }
-  }
-  answer_reference(b);
-  return b;
-}
+// Two joints, a random network with a window of 5 steps of 10 samples.
+Bundle make_bundle() { return made::bundle(2, 7, 5, 10, 1); }
 
 void a_saved_bundle_loads_the_same_and_says_the_same() {
   const Bundle b = make_bundle();
@@ -73,7 +37,7 @@ void a_saved_bundle_loads_the_same_and_says_the_same() {
   save(loaded, again);
   CHECK(read(path) == read(again));
   const Reference& r = b.reference;
-  const RecordingView view{60, 2, r.t_ns.data(), r.q.data(), r.dq.data(), r.tau.data()};
+  const RecordingView view{static_cast<std::int64_t>(r.t_ns.size()), 2, r.t_ns.data(), r.q.data(), r.dq.data(), r.tau.data()};
   const Estimates one = estimate(b, view, 1), two = estimate(loaded, view, 2);
   CHECK(one.residual == two.residual);
   CHECK(!std::filesystem::exists(path + ".part"));
@@ -96,41 +60,86 @@ void every_truncation_and_every_flipped_byte_is_refused() {
   }
 }
 
-void refused(const char* part_of_message, const Bundle& b) {
+// `make` must throw an Error whose message holds the part.
+template <class Make>
+void refused(const char* part_of_message, Make make) {
   try {
-    save(b, folder + "/refused.tauext");
+    make();
     check::that(false, part_of_message, __FILE__, __LINE__);
   } catch (const Error& e) {
-    if (!std::strstr(e.what(), part_of_message)) std::printf("message was: %s\n", e.what());
-    check::that(std::strstr(e.what(), part_of_message) != nullptr, part_of_message, __FILE__, __LINE__);
+    const bool said = std::strstr(e.what(), part_of_message) != nullptr;
+    if (!said) std::printf("message was: %s\n", e.what());
+    check::that(said, part_of_message, __FILE__, __LINE__);
   }
 }
 
-void contents_that_do_not_fit_are_refused_by_name() {
+// A good bundle is spoilt by `change`, then written.
+template <class Change>
+void refused_after(const char* part_of_message, Change change) {
   Bundle b = make_bundle();
-  b.parameters.pop_back();
-  refused("parameters", b);
-  b = make_bundle();
-  b.parameters[3] = NAN;
-  refused("parameters", b);
-  b = make_bundle();
-  b.limits.sliding_nm[1] = -1;
-  refused("limits.sliding_nm", b);
-  b = make_bundle();
-  b.inputs[0].column = 4;
-  refused("column 4", b);
-  b = make_bundle();
-  b.reference.network[0] += 0.1;
-  refused("replaying its reference", b);
-  b = make_bundle();
-  b.links[1].mass *= 1.5;  // another robot than the one the reference was made with
-  refused("replaying its reference", b);
-  b = make_bundle();
-  b.observer.gain_per_s = 0;
-  refused("gain", b);
-  b = make_bundle();
-  b.reference = {};
-  refused("reference is empty", b);
+  change(b);
+  refused(part_of_message, [&] { save(b, folder + "/refused.tauext"); });
+}
+
+void contents_that_do_not_fit_are_refused_by_name() {
+  refused_after("parameters", [](Bundle& b) { b.parameters.pop_back(); });
+  refused_after("parameters", [](Bundle& b) { b.parameters[3] = NAN; });
+  refused_after("parameters", [](Bundle& b) { b.parameters[4] = INFINITY; });
+  refused_after("parameters", [](Bundle& b) { b.shape.hidden = 8; });
+  refused_after("the network has 5 inputs", [](Bundle& b) {
+    b.shape.inputs = 5;
+    b.parameters.resize(b.shape.parameter_count());
+  });
+  refused_after("shape.outputs", [](Bundle& b) {
+    b.shape.outputs = 3;
+    b.parameters.resize(b.shape.parameter_count());
+  });
+  refused_after("input_factors", [](Bundle& b) { b.input_factors[0] = 0; });
+  refused_after("output_scale_nm", [](Bundle& b) { b.output_scale_nm.push_back(1); });
+  refused_after("window_steps = 0", [](Bundle& b) { b.window_steps = 0; });
+  refused_after("column 4", [](Bundle& b) { b.inputs[0].column = 4; });
+  refused_after("gain", [](Bundle& b) { b.observer.gain_per_s = 0; });
+  refused_after("reference is empty", [](Bundle& b) { b.reference = {}; });
+  refused_after("reference.tau", [](Bundle& b) { b.reference.tau.pop_back(); });
+  refused_after("replaying its reference", [](Bundle& b) { b.reference.network[0] += 0.1; });
+  // Another robot than the one the reference was made with.
+  refused_after("replaying its reference", [](Bundle& b) { b.links[1].mass *= 1.5; });
+}
+
+void limits_and_signals_that_make_no_sense_are_refused_by_name() {
+  refused_after("limits.collision.sliding_nm", [](Bundle& b) { b.limits.collision.sliding_nm[1] = -1; });
+  refused_after("limits.collision.near_stiction_nm", [](Bundle& b) { b.limits.collision.near_stiction_nm[0] = NAN; });
+  refused_after("limits.collision.hold_s", [](Bundle& b) { b.limits.collision.hold_s = -0.001; });
+  refused_after("limits.contact.sliding_nm", [](Bundle& b) { b.limits.contact.sliding_nm.pop_back(); });
+  refused_after("limits.contact.hold_s", [](Bundle& b) { b.limits.contact.hold_s = NAN; });
+  refused_after("limits.contact_release_s", [](Bundle& b) { b.limits.contact_release_s = INFINITY; });
+  refused_after("limits.near_stiction_rad_s", [](Bundle& b) { b.limits.near_stiction_rad_s = NAN; });
+  refused_after("signals.torque_limit_nm", [](Bundle& b) { b.signals.torque_limit_nm[0] = 0; });
+  refused_after("signals.torque_limit_nm", [](Bundle& b) { b.signals.torque_limit_nm[0] = NAN; });
+  refused_after("signals.torque_limit_nm", [](Bundle& b) { b.signals.torque_limit_nm.clear(); });
+  refused_after("signals.largest_torque_nm", [](Bundle& b) { b.signals.largest_torque_nm[1] = INFINITY; });
+}
+
+void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
+  const std::vector<char> good = to_bytes(make_bundle());
+  const auto with_version = [&](std::uint32_t major) {
+    std::vector<char> bytes = good;
+    std::memcpy(bytes.data() + 8, &major, sizeof major);
+    return [bytes] { from_bytes(bytes); };
+  };
+  refused("version 3, this program reads version 2; it was made by a newer tauext", with_version(3));
+  refused("version 1, this program reads version 2; train it again", with_version(1));
+  std::vector<char> bytes = good;
+  bytes.push_back(0);
+  refused("something appended", [&] { from_bytes(bytes); });
+  // The same with a header that knows of it.
+  const std::uint64_t size = bytes.size() - 28;
+  const std::uint32_t crc = crc32(std::span(bytes).subspan(28));
+  std::memcpy(bytes.data() + 16, &size, sizeof size);
+  std::memcpy(bytes.data() + 24, &crc, sizeof crc);
+  refused("does not know", [&] { from_bytes(bytes); });
+  refused("not a tauext bundle", [] { from_bytes(std::vector<char>(64, 'x')); });
+  refused("cannot be opened", [] { load(folder + "/none.tauext"); });
 }
 
 void the_plain_observer_needs_no_network() {
@@ -150,6 +159,8 @@ int main() {
   a_saved_bundle_loads_the_same_and_says_the_same();
   every_truncation_and_every_flipped_byte_is_refused();
   contents_that_do_not_fit_are_refused_by_name();
+  limits_and_signals_that_make_no_sense_are_refused_by_name();
+  other_versions_and_bytes_that_do_not_belong_are_refused_by_name();
   the_plain_observer_needs_no_network();
   std::filesystem::remove_all(folder);
   return check::result();

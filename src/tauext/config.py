@@ -68,6 +68,22 @@ class ObserverConfig:
 
 
 @dataclass(frozen=True)
+class AlarmConfig:
+    """From a joint over its limit to an alarm."""
+
+    collision_hold_s: float = 0.01
+    """A joint must stay over its collision limit for so long before the collision is latched, [s]."""
+    contact_hold_s: float = 0.0
+    """The same before a contact is reported, which falls back by itself, [s]; 0: at the first sample."""
+    contact_release_s: float = 0.1
+    """A contact is over when no joint has been over its limit for so long, [s]."""
+
+    def __post_init__(self) -> None:
+        for name in ("collision_hold_s", "contact_hold_s", "contact_release_s"):
+            require(0 <= getattr(self, name) <= 60, name, getattr(self, name), "0 to 60")
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """What is trained, how, and for how long. None: the recipe's own value."""
 
@@ -94,6 +110,7 @@ class TrainConfig:
     threads: int = 0
     """Threads of the gradient, 0: one a core. The result does not depend on it."""
     observer: ObserverConfig = field(default_factory=ObserverConfig)
+    alarm: AlarmConfig = field(default_factory=AlarmConfig)
 
     def __post_init__(self) -> None:
         for name in ("hidden", "epochs", "max_steps", "batch", "targets"):

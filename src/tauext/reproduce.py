@@ -64,8 +64,9 @@ def reproduce_paper(out: Path, scale_name: str, scale: Scale, cases: Sequence[st
         training, validation = dataset.recordings("train"), dataset.recordings("validation")
         for name in missing:
             case, config = jobs[name]
-            tree = estimated_model(dataset.robot_file(None), training[0], PAPER_CASES[case])
-            train_bundle(tree, PAPER_CASES[case], training, validation, config, bundles[name])
+            robot = dataset.robot_file(None)
+            tree = estimated_model(robot, training[0], PAPER_CASES[case])
+            train_bundle(tree, robot, PAPER_CASES[case], training, validation, config, bundles[name])
     evaluate_bundles(dataset, bundles, out / "results", seed, threads=0, scale=scale_name)
     return write_report(out / "results", data, out / "report")
 

@@ -1,17 +1,19 @@
 // Everything the chain needs to run, in one file.
 #pragma once
 #include <cstdint>
+#include <span>
 #include <string>
 #include <vector>
 
 #include "tauext/limits.hpp"
 #include "tauext/lstm.hpp"
 #include "tauext/residual.hpp"
+#include "tauext/signal_watch.hpp"
 #include "tauext/tree.hpp"
 
 namespace tauext {
 
-inline constexpr std::uint32_t kBundleMajor = 1;
+inline constexpr std::uint32_t kBundleMajor = 2;
 
 // A short stretch of free motion and what the chain said at its last sample; replayed at load.
 struct Reference {
@@ -36,6 +38,7 @@ struct Bundle {
   std::vector<float> parameters;
   std::vector<double> output_scale_nm;  // a joint
   Limits limits;
+  SignalRanges signals;
   Reference reference;
 
   int joints() const noexcept { return static_cast<int>(links.size()); }
@@ -49,7 +52,7 @@ struct Estimates {
   std::vector<double> residual;       // (samples, joints), [N m]
   std::vector<double> network;        // (samples, joints), [N m]; NaN while warming up, 0 where there is no network
   std::vector<double> tau_ext;        // residual - network; NaN while warming up
-  std::vector<double> limit_nm;       // (samples, joints)
+  std::vector<double> limit_nm;       // (samples, joints): of a collision
   std::vector<std::uint8_t> near_stiction;  // (samples, joints)
   std::vector<std::uint8_t> healthy;  // (samples): observer warm and window full
   std::vector<std::uint8_t> detection;  // (samples): healthy, and some |tau_ext| over its limit
@@ -61,8 +64,13 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
 // Fills the answers of bundle.reference from its samples. Throws Error where they are too few to fill a window.
 void answer_reference(Bundle& bundle);
 
-// Both throw Error with the reason; save writes under a temporary name and renames.
+// All throw Error with the reason; save writes under a temporary name and renames. Every length is checked against what
+// is there before it is used, the checksum before anything else, and the reference is replayed.
 void save(const Bundle& bundle, const std::string& path);
 Bundle load(const std::string& path);
+std::vector<char> to_bytes(const Bundle& bundle);
+Bundle from_bytes(std::span<const char> bytes);
+// CRC-32 of zlib and Ethernet, continued from `crc`.
+std::uint32_t crc32(std::span<const char> bytes, std::uint32_t crc = 0) noexcept;
 
 }  // namespace tauext

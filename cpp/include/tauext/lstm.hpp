@@ -25,6 +25,7 @@ struct LstmShape {
 };
 inline constexpr int kMaxLstmInputs = 512;
 inline constexpr int kMaxLstmHidden = 256;
+inline constexpr int kMaxWindowSteps = 10000;
 
 // Input f of a network step is column `column` of the row `lag` network steps before that step's row.
 struct LstmInput {

@@ -37,12 +37,20 @@ class ResidualStage {
   // residual [N m] is written; where the tick says restart, the observer began anew with this sample.
   SampleClock::Tick step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
                          std::span<const double> tau, std::span<double> residual) noexcept;
-  bool warm() const noexcept { return observer_.warm(); }
+  bool warm() const noexcept { return state_.observer.warm(); }
+  // The next sample starts anew, whenever it comes.
+  void reset() noexcept { state_.clock.reset(); }
+
+  struct State {
+    SampleClock clock;
+    MomentumObserver observer;
+  };
+  const State& state() const noexcept { return state_; }
+  void restore(const State& state) noexcept { state_ = state; }
 
  private:
   Tree tree_;
-  SampleClock clock_;
-  MomentumObserver observer_;
+  State state_;
 };
 
 // The residual of a whole recording, and where each sample stands on the regular clock. Row numbers run through the

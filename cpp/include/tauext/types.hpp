@@ -9,6 +9,7 @@
 namespace tauext {
 
 inline constexpr int kMaxJoints = 32;
+inline constexpr int kMaxNetworkStride = 10000;  // samples in a network period
 
 using JointVector = std::array<double, kMaxJoints>;
 
@@ -18,6 +19,11 @@ enum class TorqueTiming : std::uint8_t {
   instant,   // a measurement at its stamp
   averaged,  // the mean over the step that ends at its stamp
 };
+
+// later - earlier >= 0 for any two stamps: their difference may not fit a signed number.
+inline std::uint64_t elapsed_ns(std::int64_t later_ns, std::int64_t earlier_ns) noexcept {
+  return static_cast<std::uint64_t>(later_ns) - static_cast<std::uint64_t>(earlier_ns);
+}
 
 // Thrown by constructors and loaders only, never by anything that runs once a sample.
 class Error : public std::runtime_error {

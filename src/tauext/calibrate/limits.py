@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext import _core
+from tauext.config import AlarmConfig
 from tauext.data import Recording
 from tauext.errors import TrainingError
 
@@ -47,3 +48,12 @@ def paper_limits(bundle: _core.Bundle, recordings: Sequence[Recording], threads:
             "recordings, so its limit cannot be found; record motion of every joint"
         )
     return Limits(sliding, np.maximum(near, sliding))
+
+
+def set_limits(bundle: _core.Bundle, limits: Limits, alarm: AlarmConfig) -> None:
+    """Put limits and hold times into a bundle. The paper has one limit: contact and collision differ in time only."""
+    bundle.sliding_limit_nm = bundle.contact_sliding_limit_nm = limits.sliding_nm.tolist()
+    bundle.near_stiction_limit_nm = bundle.contact_near_stiction_limit_nm = limits.near_stiction_nm.tolist()
+    bundle.hold_s = alarm.collision_hold_s
+    bundle.contact_hold_s = alarm.contact_hold_s
+    bundle.contact_release_s = alarm.contact_release_s

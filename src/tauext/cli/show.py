@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -58,6 +59,15 @@ def describe_bundle(file: Path) -> dict:
         "limits sliding [Nm]": dict(zip(names, bundle.sliding_limit_nm, strict=True)),
         "limits near stiction [Nm]": dict(zip(names, bundle.near_stiction_limit_nm, strict=True)),
         "near stiction below [rad/s]": bundle.near_stiction_rad_s,
+        "collision held for [s]": bundle.hold_s,
+        "contact limits sliding [Nm]": dict(zip(names, bundle.contact_sliding_limit_nm, strict=True)),
+        "contact limits near stiction [Nm]": dict(zip(names, bundle.contact_near_stiction_limit_nm, strict=True)),
+        "contact held for, released after [s]": [bundle.contact_hold_s, bundle.contact_release_s],
+        "largest torque in training [Nm]": dict(zip(names, bundle.largest_torque_nm, strict=True)),
+        "torque limits of the drives [Nm]": {
+            name: limit if math.isfinite(limit) else "not known"
+            for name, limit in zip(names, bundle.torque_limit_nm, strict=True)
+        },
         "reference": "replayed, equal",
         "made by": {key: facts.get(key) for key in ("command", "version", "seed", "recipe", "case", "steps", "batch")},
     }

@@ -40,8 +40,9 @@ def train(
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
     dataset = Dataset.open(data)
     training, validation = dataset.recordings("train"), dataset.recordings("validation")
-    tree = estimated_model(dataset.robot_file(robot), training[0], PAPER_CASES[case])
-    train_bundle(tree, PAPER_CASES[case], training, validation, config, out)
+    robot_file = dataset.robot_file(robot)
+    tree = estimated_model(robot_file, training[0], PAPER_CASES[case])
+    train_bundle(tree, robot_file, PAPER_CASES[case], training, validation, config, out)
     print(out)
 
 
@@ -55,6 +56,7 @@ def estimated_model(robot: Path, recording: Recording, case: ModelCase) -> Tree:
 
 def train_bundle(
     tree: Tree,
+    robot: Path,
     case: ModelCase,
     training: list[Recording],
     validation: list[Recording],
@@ -64,11 +66,12 @@ def train_bundle(
     """Train, calibrate and write the bundle, with its run file and wall time beside it."""
     import os
 
-    from tauext.calibrate import paper_limits
+    from tauext.calibrate import paper_limits, set_limits
     from tauext.cli.progress import ProgressBar
     from tauext.cli.run_files import provenance, write_json
-    from tauext.learn import Progress, build_chain, build_windows, find_scaling, make_bundle
+    from tauext.learn import Progress, build_chain, build_windows, find_scaling, make_bundle, set_signal_ranges
     from tauext.learn import train as train_network
+    from tauext.robot import torque_limits
 
     out.parent.mkdir(parents=True, exist_ok=True)
     run = provenance("tauext train", training_settings(case, config), config.seed)
@@ -93,8 +96,8 @@ def train_bundle(
             )
     bundle = make_bundle(out.stem, chain, config.observer.near_stiction_rad_s, validation[0], scaling, network)
     limits = paper_limits(bundle, validation, config.threads or os.cpu_count() or 1)
-    bundle.sliding_limit_nm = limits.sliding_nm.tolist()
-    bundle.near_stiction_limit_nm = limits.near_stiction_nm.tolist()
+    set_limits(bundle, limits, config.alarm)
+    set_signal_ranges(bundle, training, torque_limits(robot, training[0].joints))
     resolved = config.resolved()
     facts = {"recipe": config.recipe, "case": case.name, "epochs": resolved.epochs, "batch": resolved.batch}
     facts["steps"] = network.steps if network else 0

@@ -1,6 +1,6 @@
 """From recordings of free motion to a network that knows what the observer shows when nothing touches the arm."""
 
-from tauext.learn.bundle_writing import build_chain, make_bundle
+from tauext.learn.bundle_writing import build_chain, make_bundle, set_signal_ranges
 from tauext.learn.train import Progress, TrainedNetwork, train
 from tauext.learn.training_set import Chain, Scaling, WindowSet, build_windows, find_scaling
 
@@ -14,5 +14,6 @@ __all__ = [
     "build_windows",
     "find_scaling",
     "make_bundle",
+    "set_signal_ranges",
     "train",
 ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from tauext import _core
@@ -10,6 +12,9 @@ from tauext.data import Recording
 from tauext.errors import TrainingError
 from tauext.learn.train import TrainedNetwork
 from tauext.learn.training_set import Chain, Scaling
+
+LEAST_TORQUE_NM = 1.0
+"""A joint that needed no torque in training may yet need some: least torque that counts as the largest."""
 
 
 def build_chain(tree: _core.Tree, recording: Recording, config: ObserverConfig) -> Chain:
@@ -40,7 +45,8 @@ def make_bundle(
     scaling: Scaling | None = None,
     network: TrainedNetwork | None = None,
 ) -> _core.Bundle:
-    """A bundle without limits yet (all 1 Nm; see tauext.calibrate): with a network, or the plain observer.
+    """A bundle without limits yet (all 1 Nm, no hold times; see tauext.calibrate.set_limits), with a network or the
+    plain observer. Its signal ranges are those of the reference until set_signal_ranges sees more.
 
     Args:
         reference: a recording of free motion; its first window is kept, and replayed whenever the bundle is loaded.
@@ -63,9 +69,27 @@ def make_bundle(
         bundle.output_scale_nm = scaling.output_scale_nm.tolist()
     bundle.near_stiction_rad_s = near_stiction_rad_s
     bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [1.0] * n
+    bundle.contact_sliding_limit_nm = bundle.contact_near_stiction_limit_nm = [1.0] * n
+    set_signal_ranges(bundle, [reference])
     samples = chain.reach * chain.observer.network_stride + 1
     if reference.samples < samples:
         raise TrainingError(f"{reference.name}: {reference.samples} samples are fewer than a window's {samples}")
     first = [np.ascontiguousarray(a[:samples]) for a in (reference.t_ns, reference.q, reference.dq, reference.tau)]
     bundle.set_reference(*first)
     return bundle
+
+
+def set_signal_ranges(
+    bundle: _core.Bundle, recordings: Sequence[Recording], torque_limit_nm: Sequence[float] | None = None
+) -> None:
+    """What the monitor must know of the arm's signals to tell a broken one.
+
+    Args:
+        recordings: free motion; the largest |tau| of each joint is kept. An encoder that stands still while the torque
+            moves by more is a fault.
+        torque_limit_nm: what each drive can give at most, infinite where unknown; None: unknown throughout. A drive at
+            its limit is a fault, since it no longer gives what it is told.
+    """
+    largest = np.max([np.abs(recording.tau).max(axis=0) for recording in recordings], axis=0)
+    bundle.largest_torque_nm = np.maximum(largest, LEAST_TORQUE_NM).tolist()
+    bundle.torque_limit_nm = list(torque_limit_nm) if torque_limit_nm is not None else [float("inf")] * bundle.joints

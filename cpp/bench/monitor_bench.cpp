@@ -1,0 +1,437 @@
+// Time of every sample in the monitor, in its network alone, in a window computed anew and in a paced loop; one JSON
+// object on stdout.
+//   monitor_bench [joints 2] [steps 1000000] [paced_s 10] [bundle -]
+//   monitor_bench --dump FILE [joints 2] [bundle -]
+#include <algorithm>
+#include <cerrno>
+#include <chrono>
+#include <cmath>
+#include <cstdarg>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <limits>
+#include <string>
+#include <string_view>
+#include <thread>
+#include <vector>
+
+#if defined(__linux__)
+#include <sched.h>
+#include <sys/mman.h>
+#include <sys/prctl.h>
+#include <time.h>
+#endif
+
+#include "../src/lstm_lanes.hpp"
+#include "../tests/made_bundle.hpp"
+#include "tauext/monitor.hpp"
+
+using namespace tauext;
+
+namespace {
+
+constexpr char kUsage[] =
+    "usage: monitor_bench [joints 2] [steps 1000000] [paced_s 10] [bundle -]\n"
+    "       monitor_bench --dump FILE [joints 2] [bundle -]\n"
+    "\n"
+    "Prints one JSON object: p50, p99, p99.9 and maximum [ns] of what a sample takes.\n"
+    "  joints   1 to 32; with a bundle, the bundle's\n"
+    "  steps    samples back to back, after the warm-up\n"
+    "  paced_s  seconds of a loop that sleeps until each sample is due; 0: none\n"
+    "  bundle   a file; -: made here, H = 20, windows of 100 steps of 10 samples at 1 kHz\n"
+    "  --dump   writes, as float32: the network's parameters (LstmShape's order), the scaled inputs of one window\n"
+    "           (steps, inputs) and the network's output for it; prints the sizes\n";
+
+constexpr int kHidden = 20, kWindowSteps = 100, kStride = 10;
+constexpr std::int64_t kWarmUpSamples = 10'000;  // beyond health ok
+constexpr std::int64_t kRecomputed = 20'000;
+constexpr int kPriority = 80;                    // of SCHED_FIFO: under the kernel's own threads that must run
+
+std::int64_t now_ns() noexcept {
+  using namespace std::chrono;
+  return duration_cast<nanoseconds>(steady_clock::now().time_since_epoch()).count();
+}
+
+std::string format(const char* pattern, ...) {
+  char text[512];
+  va_list values;
+  va_start(values, pattern);
+  std::vsnprintf(text, sizeof text, pattern, values);
+  va_end(values);
+  return text;
+}
+
+std::string quoted(std::string_view text) {
+  std::string out = "\"";
+  for (const char c : text) {
+    if (c == '"' || c == '\\') out += '\\';
+    out += static_cast<unsigned char>(c) < ' ' ? ' ' : c;
+  }
+  return out + '"';
+}
+
+// What the operating system grants. Pages are locked as they stand when called: with MCL_FUTURE a small limit would
+// make the next allocation fail instead.
+struct RealTime {
+  int core = -1;
+  bool locked = true, fifo = false;
+
+  RealTime() {
+#if defined(__linux__)
+    cpu_set_t allowed, one;
+    CPU_ZERO(&one);
+    if (sched_getaffinity(0, sizeof allowed, &allowed) == 0)
+      for (int cpu = 0; cpu < CPU_SETSIZE; ++cpu)
+        if (CPU_ISSET(cpu, &allowed)) core = cpu;
+    if (core >= 0) CPU_SET(core, &one);
+    if (core >= 0 && sched_setaffinity(0, sizeof one, &one) != 0) core = -1;
+    sched_param priority{};
+    priority.sched_priority = kPriority;
+    fifo = sched_setscheduler(0, SCHED_FIFO, &priority) == 0;
+    prctl(PR_SET_TIMERSLACK, 1UL);  // without FIFO the kernel may wake a sleeper 50 us late, to save power
+#endif
+  }
+  void lock_memory() noexcept {
+#if defined(__linux__)
+    locked = mlockall(MCL_CURRENT) == 0 && locked;
+#else
+    locked = false;
+#endif
+  }
+};
+
+void sleep_until(std::int64_t t_ns) noexcept {
+#if defined(__linux__)
+  const timespec until{static_cast<time_t>(t_ns / 1'000'000'000), static_cast<long>(t_ns % 1'000'000'000)};
+  while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, nullptr) == EINTR) {
+  }
+#else
+  std::this_thread::sleep_until(std::chrono::steady_clock::time_point(std::chrono::nanoseconds(t_ns)));
+#endif
+}
+
+// The kernel stops a FIFO thread that never sleeps for 50 ms in every second, and others want the core as well.
+class Breath {
+ public:
+  void take(std::int64_t t_ns) noexcept {
+    if (t_ns < next_ns_) return;
+    if (next_ns_ != 0) sleep_until(t_ns + 5'000'000);
+    next_ns_ = now_ns() + 50'000'000;
+  }
+
+ private:
+  std::int64_t next_ns_ = 0;
+};
+
+// A time a sample; all memory is there, and touched, beforehand.
+class Times {
+ public:
+  explicit Times(std::int64_t capacity) : ns_(static_cast<std::size_t>(capacity), 1) {}
+  void clear() noexcept { count_ = 0; }
+  void add(std::int64_t ns) noexcept {
+    constexpr std::int64_t most = std::numeric_limits<std::uint32_t>::max();
+    ns_[count_++] = static_cast<std::uint32_t>(std::clamp<std::int64_t>(ns, 0, most));
+  }
+  std::string json(std::int64_t deadline_ns) {
+    const auto end = ns_.begin() + static_cast<std::ptrdiff_t>(count_);
+    std::sort(ns_.begin(), end);
+    if (count_ == 0) return "null";
+    double sum = 0;
+    for (auto at = ns_.begin(); at != end; ++at) sum += *at;
+    const auto quantile = [&](double p) {
+      const auto rank = static_cast<std::size_t>(std::ceil(p * static_cast<double>(count_)));
+      return static_cast<unsigned>(ns_[std::max<std::size_t>(rank, 1) - 1]);
+    };
+    const auto late = end - std::upper_bound(ns_.begin(), end, static_cast<std::uint32_t>(deadline_ns));
+    return format("{\"count\": %zu, \"mean_ns\": %.1f, \"p50_ns\": %u, \"p99_ns\": %u, \"p99_9_ns\": %u, "
+                  "\"max_ns\": %u, \"over_deadline\": %td}",
+                  count_, sum / static_cast<double>(count_), quantile(0.5), quantile(0.99), quantile(0.999),
+                  static_cast<unsigned>(ns_[count_ - 1]), late);
+  }
+
+ private:
+  std::vector<std::uint32_t> ns_;
+  std::size_t count_ = 0;
+};
+
+// The answer, what follows it, and both from the first reading of the clock to the last.
+struct Parts {
+  Times answer, rest, both;
+  explicit Parts(std::int64_t capacity) : answer(capacity), rest(capacity), both(capacity) {}
+  void clear() noexcept { answer.clear(), rest.clear(), both.clear(); }
+  void add(std::int64_t start, std::int64_t middle, std::int64_t end) noexcept {
+    answer.add(middle - start), rest.add(end - middle), both.add(end - start);
+  }
+  std::string json(const char* answer_name, std::int64_t deadline_ns) {
+    return format("\"%s\": ", answer_name) + answer.json(deadline_ns) + ", \"advance\": " + rest.json(deadline_ns) +
+           ", \"both\": " + both.json(deadline_ns);
+  }
+};
+
+struct Motion {
+  JointVector q{}, dq{}, tau{};
+  int joints;
+  std::int64_t period_ns;
+  explicit Motion(const Bundle& b) : joints(b.joints()), period_ns(b.observer.sample_period_ns) {}
+  Sample at(std::int64_t k) noexcept {
+    made::signal(k, joints, q.data(), dq.data(), tau.data());
+    const auto n = static_cast<std::size_t>(joints);
+    return {k * period_ns, std::span(q).first(n), std::span(dq).first(n), std::span(tau).first(n)};
+  }
+  void row(std::int64_t k, const std::vector<float>& factors, float* to) noexcept {
+    at(k);
+    for (int j = 0; j < joints; ++j) {
+      to[j] = static_cast<float>(q[j]) * factors[j];
+      to[joints + j] = static_cast<float>(dq[j]) * factors[joints + j];
+    }
+  }
+};
+
+// The next sample's number, once health is ok and kWarmUpSamples are through.
+std::int64_t warm_up(Monitor& monitor, Motion& motion, const Bundle& b) {
+  const double observer_samples = 20.0 / b.observer.gain_per_s * 1e9 / static_cast<double>(b.observer.sample_period_ns);
+  const std::int64_t limit = 2 * static_cast<std::int64_t>(b.window_steps + 1) * b.observer.network_stride +
+                             static_cast<std::int64_t>(observer_samples) + 10'000;
+  std::int64_t k = 0;
+  while (monitor.last().health != Health::ok && k < limit) monitor.step(motion.at(k++));
+  if (monitor.last().health != Health::ok) {
+    std::string causes;
+    for (std::uint32_t cause = 0; cause < kCauseCount; ++cause)
+      if (monitor.last().causes >> cause & 1) causes += std::string(" ") + name(static_cast<Cause>(1u << cause)) + ",";
+    throw Error("after " + std::to_string(k) + " samples the monitor says: " + name(monitor.last().health) + causes +
+                " and nothing can be measured");
+  }
+  for (const std::int64_t end = k + kWarmUpSamples; k < end; ++k) monitor.step(motion.at(k));
+  return k;
+}
+
+std::string monitor_part(const Bundle& b, NetworkRate rate, std::int64_t steps, RealTime& real_time, Parts& parts) {
+  Monitor monitor(b, rate);
+  Motion motion(b);
+  Breath breath;
+  parts.clear();
+  real_time.lock_memory();
+  const std::int64_t first = warm_up(monitor, motion, b);
+  std::int64_t not_ok = 0;
+  for (std::int64_t k = first; k < first + steps; ++k) {
+    const Sample sample = motion.at(k);
+    const std::int64_t start = now_ns();
+    const Estimate& estimate = monitor.estimate(sample);
+    const std::int64_t middle = now_ns();
+    monitor.advance();
+    const std::int64_t end = now_ns();
+    parts.add(start, middle, end);
+    not_ok += estimate.health != Health::ok;
+    breath.take(end);
+  }
+  return "{" + parts.json("estimate", motion.period_ns) + format(", \"samples_not_ok\": %lld}", (long long)not_ok);
+}
+
+std::string network_part(const Bundle& b, std::int64_t steps, RealTime& real_time, Parts& parts) {
+  if (!b.has_network()) return "null";
+  SlidingLstm network(b.shape, b.parameters, b.inputs, 2 * b.joints(), b.observer.network_stride, b.window_steps,
+                      NetworkRate::every_sample);
+  Motion motion(b);
+  Breath breath;
+  std::vector<float> row(2 * b.links.size()), out(b.links.size());
+  parts.clear();
+  real_time.lock_memory();
+  std::int64_t k = 0;
+  bool answered = false;
+  for (std::int64_t left = kWarmUpSamples; left > 0; left -= answered) {
+    motion.row(k++, b.input_factors, row.data());
+    network.push(row, 1);
+    answered = network.answer(out);
+    network.advance();
+  }
+  for (const std::int64_t last = k + steps; k < last; ++k) {
+    motion.row(k, b.input_factors, row.data());
+    const std::int64_t start = now_ns();
+    network.push(row, 1);
+    network.answer(out);
+    const std::int64_t middle = now_ns();
+    network.advance();
+    const std::int64_t end = now_ns();
+    parts.add(start, middle, end);
+    breath.take(end);
+  }
+  return "{" + parts.json("answer", motion.period_ns) + "}";
+}
+
+// Rows of the motion, enough for `windows` windows that end at consecutive rows, and the first of these ends.
+struct Rows {
+  std::vector<float> values;
+  WindowRows windows;
+  std::int64_t first_end;
+  Rows(const Bundle& b, std::int64_t count)
+      : windows{nullptr, 0, 2 * b.joints(), b.observer.network_stride, b.window_steps, b.inputs},
+        first_end(windows.reach()) {
+    windows.row_count = first_end + count;
+    values.resize(static_cast<std::size_t>(windows.row_count * windows.columns));
+    windows.rows = values.data();
+    Motion motion(b);
+    for (std::int64_t k = 0; k < windows.row_count; ++k)
+      motion.row(k, b.input_factors, values.data() + k * windows.columns);
+  }
+};
+
+std::string recomputed_part(const Bundle& b, RealTime& real_time, Parts& parts) {
+  if (!b.has_network()) return "null";
+  constexpr std::int64_t before = 200;  // unmeasured
+  const Rows rows(b, kRecomputed + before);
+  Breath breath;
+  std::vector<float> out(b.links.size());
+  parts.clear();
+  real_time.lock_memory();
+  for (std::int64_t k = 0; k < kRecomputed + before; ++k) {
+    const std::int64_t row = rows.first_end + k, start = now_ns();
+    lstm_forward(b.shape, b.parameters, rows.windows, std::span(&row, 1), out, 1);
+    const std::int64_t end = now_ns();
+    if (k >= before) parts.both.add(end - start);
+    breath.take(end);
+  }
+  return parts.both.json(b.observer.sample_period_ns);
+}
+
+// As in a control loop: between two samples the core sleeps or does other work, and caches grow cold. A tick that has
+// passed when the step ends is left out, and the loop goes on at the next.
+std::string paced_part(const Bundle& b, double paced_s, RealTime& real_time, Parts& parts) {
+  if (paced_s <= 0) return "null";
+  Monitor monitor(b);
+  Motion motion(b);
+  const double periods = paced_s * 1e9 / static_cast<double>(motion.period_ns);
+  const std::int64_t ticks = std::max<std::int64_t>(1, std::llround(periods));
+  Times lateness(ticks);
+  parts.clear();
+  real_time.lock_memory();
+  std::int64_t k = warm_up(monitor, motion, b), missed = 0, left_out = 0, not_ok = 0;
+  std::int64_t due = now_ns() + motion.period_ns;
+  for (const std::int64_t last = k + ticks; k < last;) {
+    const Sample sample = motion.at(k);
+    sleep_until(due);
+    const std::int64_t start = now_ns();
+    const Estimate& estimate = monitor.estimate(sample);
+    const std::int64_t middle = now_ns();
+    monitor.advance();
+    const std::int64_t end = now_ns();
+    parts.add(start, middle, end);
+    lateness.add(start - due);
+    not_ok += estimate.health != Health::ok;
+    missed += end > due + motion.period_ns;
+    for (due += motion.period_ns, ++k; due < end; due += motion.period_ns, ++k) ++left_out;
+  }
+  return format("{\"seconds\": %.3f, ", paced_s) + parts.json("estimate", motion.period_ns) +
+         ", \"wake_up_lateness\": " + lateness.json(motion.period_ns) +
+         format(", \"missed_deadlines\": %lld, \"ticks_left_out\": %lld, \"samples_not_ok\": %lld}",
+                (long long)missed, (long long)left_out, (long long)not_ok);
+}
+
+std::string clock_part(Parts& parts, std::int64_t count) {
+  parts.clear();
+  for (std::int64_t k = 0; k < count; ++k) {
+    const std::int64_t start = now_ns(), end = now_ns();
+    parts.both.add(end - start);
+  }
+  return parts.both.json(1'000'000);
+}
+
+std::string sizes(const Bundle& b) {
+  return format("\"joints\": %d, \"inputs\": %d, \"hidden\": %d, \"outputs\": %d, \"window_steps\": %d, "
+                "\"stride\": %d, \"sample_period_ns\": %lld",
+                b.joints(), b.shape.inputs, b.shape.hidden, b.shape.outputs, b.window_steps, b.observer.network_stride,
+                (long long)b.observer.sample_period_ns);
+}
+
+void dump(const Bundle& b, const std::string& path) {
+  if (!b.has_network()) throw Error("the bundle has no network");
+  const Rows rows(b, 1);
+  const WindowRows& w = rows.windows;
+  std::vector<float> out(b.links.size()), sliding(b.links.size()), window;
+  lstm_forward(b.shape, b.parameters, w, std::span(&rows.first_end, 1), out, 1);
+  SlidingLstm network(b.shape, b.parameters, b.inputs, w.columns, w.stride, w.length, NetworkRate::every_sample);
+  bool answered = false;
+  for (std::int64_t row = 0; row < w.row_count; ++row) {
+    network.push(std::span(w.rows + row * w.columns, static_cast<std::size_t>(w.columns)), 1);
+    answered = network.answer(sliding);
+    network.advance();
+  }
+  if (!answered || std::memcmp(sliding.data(), out.data(), out.size() * sizeof(float)) != 0)
+    throw Error("the network at every sample and its window computed anew differ");
+  for (int t = 0; t < w.length; ++t)
+    for (const LstmInput& input : b.inputs) {
+      const std::int64_t back = static_cast<std::int64_t>(w.length - 1 - t + input.lag) * w.stride;
+      window.push_back(w.rows[(rows.first_end - back) * w.columns + input.column]);
+    }
+  std::FILE* file = std::fopen(path.c_str(), "wb");
+  if (!file) throw Error(path + ": cannot be opened");
+  std::size_t written = 0;
+  const auto write = [&](const std::vector<float>& list) {
+    written += std::fwrite(list.data(), sizeof(float), list.size(), file);
+  };
+  write(b.parameters), write(window), write(out);
+  if (std::fclose(file) != 0 || written != b.parameters.size() + window.size() + out.size())
+    throw Error(path + ": cannot be written");
+  std::printf("{%s}\n", sizes(b).c_str());
+}
+
+double number(const char* what, const char* text, double least, double largest) {
+  char* end = nullptr;
+  const double value = std::strtod(text, &end);
+  if (end == text || *end != 0 || !(value >= least && value <= largest))
+    throw Error(std::string(what) + " = " + text + " must be a number from " + format("%g to %g", least, largest));
+  return value;
+}
+
+double whole(const char* what, const char* text, double least, double largest) {
+  const double value = number(what, text, least, largest);
+  if (value != std::floor(value)) throw Error(std::string(what) + " = " + text + " must be a whole number");
+  return value;
+}
+
+Bundle get_bundle(const char* joints_text, const char* path) {
+  const int joints = static_cast<int>(whole("joints", joints_text, 1, kMaxJoints));
+  if (std::string_view(path) == "-") return made::bundle(joints, kHidden, kWindowSteps, kStride, 1);
+  return load(path);
+}
+
+void measure(const Bundle& b, const char* bundle_name, std::int64_t steps, double paced_s) {
+  const double ticks = paced_s * 1e9 / static_cast<double>(b.observer.sample_period_ns);
+  constexpr std::int64_t clock_readings = 100'000;
+  Parts parts(std::max({steps, kRecomputed, clock_readings, static_cast<std::int64_t>(ticks) + 1}));
+  RealTime real_time;
+  std::string json = "{" + sizes(b) + ", \"bundle\": " + quoted(bundle_name);
+  json += ", \"compiler\": " + quoted(__VERSION__);
+  json += format(", \"lanes\": %d, \"steps\": %lld", lanes::lane_count(), (long long)steps);
+  json += ", \"monitor\": " + monitor_part(b, NetworkRate::every_sample, steps, real_time, parts);
+  json += ", \"network\": " + network_part(b, steps, real_time, parts);
+  json += ", \"recomputed_window\": " + recomputed_part(b, real_time, parts);
+  json += ", \"monitor_network_period\": " + monitor_part(b, NetworkRate::network_period, steps, real_time, parts);
+  json += ", \"paced\": " + paced_part(b, paced_s, real_time, parts);
+  json += ", \"clock\": " + clock_part(parts, clock_readings);  // two readings, one after the other
+  json += format(", \"core\": %d, \"memory_locked\": %s, \"fifo\": %s}", real_time.core,
+                 real_time.locked ? "true" : "false", real_time.fifo ? "true" : "false");
+  std::puts(json.c_str());
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  const auto argument = [&](int at, const char* otherwise) { return argc > at ? argv[at] : otherwise; };
+  try {
+    if (std::string_view(argument(1, "")) == "--dump") {
+      if (argc < 3 || argc > 5) throw Error("--dump needs a file and takes joints and a bundle");
+      dump(get_bundle(argument(3, "2"), argument(4, "-")), argv[2]);
+      return 0;
+    }
+    if (argc > 5) throw Error("too many arguments");
+    const auto steps = static_cast<std::int64_t>(whole("steps", argument(2, "1000000"), 1, 1e9));
+    const double paced_s = number("paced_s", argument(3, "10"), 0, 3600);
+    const char* path = argument(4, "-");
+    measure(get_bundle(argument(1, "2"), path), path, steps, paced_s);
+  } catch (const std::exception& e) {
+    std::fprintf(stderr, "monitor_bench: %s\n\n%s", e.what(), kUsage);
+    return 2;
+  }
+  return 0;
+}

@@ -1,0 +1,44 @@
+// NumPy arrays in and out of the core.
+#pragma once
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <span>
+#include <string>
+#include <vector>
+
+#include "tauext/residual.hpp"
+
+namespace tauext::bindings {
+
+namespace nb = nanobind;
+
+template <class T, int Dim>
+using Array = nb::ndarray<const T, nb::numpy, nb::ndim<Dim>, nb::c_contig, nb::device::cpu>;
+
+template <class T>
+std::span<const T> span_of(const Array<T, 1>& a) {
+  return {a.data(), a.shape(0)};
+}
+
+// Hands a vector over to NumPy without a copy.
+template <class T>
+nb::ndarray<nb::numpy, T> to_numpy(std::vector<T>&& values, std::initializer_list<std::size_t> shape) {
+  auto* owned = new std::vector<T>(std::move(values));
+  nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
+  return nb::ndarray<nb::numpy, T>(owned->data(), shape, owner);
+}
+
+inline RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
+                   const Array<double, 2>& tau) {
+  const auto N = t_ns.shape(0), n = q.shape(1);
+  if (n < 1 || n > kMaxJoints) throw Error("recordings have 1 to 32 joints, not " + std::to_string(n));
+  for (const Array<double, 2>* signal : {&q, &dq, &tau})
+    if (signal->shape(0) != N || signal->shape(1) != n)
+      throw Error("q, dq and tau must have the shape (" + std::to_string(N) + ", " + std::to_string(n) + ")");
+  return {static_cast<std::int64_t>(N), static_cast<int>(n), t_ns.data(), q.data(), dq.data(), tau.data()};
+}
+
+void bind_monitor(nb::module_& m);
+
+}  // namespace tauext::bindings

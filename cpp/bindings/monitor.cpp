@@ -1,0 +1,218 @@
+// The monitor and its flight recorder in Python: the same objects as a controller's.
+#include "tauext/monitor.hpp"
+
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <optional>
+
+#include "arrays.hpp"
+#include "tauext/flight_recorder.hpp"
+
+namespace tauext::bindings {
+namespace {
+
+std::vector<std::string> cause_names(std::uint32_t causes) {
+  std::vector<std::string> names;
+  for (std::uint32_t k = 0; k < kCauseCount; ++k)
+    if (causes >> k & 1) names.emplace_back(name(static_cast<Cause>(1u << k)));
+  return names;
+}
+
+Sample sample_of(std::int64_t t_ns, const Array<double, 1>& q, const Array<double, 1>& dq, const Array<double, 1>& tau) {
+  return {t_ns, span_of(q), span_of(dq), span_of(tau)};
+}
+
+std::vector<std::uint8_t> bits(const std::vector<std::uint32_t>& words, std::size_t joints) {
+  std::vector<std::uint8_t> out;
+  for (std::uint32_t word : words)
+    for (std::size_t j = 0; j < joints; ++j) out.push_back(word >> j & 1);
+  return out;
+}
+
+// What the monitor says of many samples; signals in rows of n joints.
+nb::dict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
+             const Array<double, 2>& tau, FlightRecorder* recorder) {
+  const RecordingView r = view(t_ns, q, dq, tau);
+  if (r.joints != monitor.joints())
+    throw Error("the monitor has " + std::to_string(monitor.joints()) + " joints, the samples " + std::to_string(r.joints));
+  const auto N = static_cast<std::size_t>(r.samples), n = static_cast<std::size_t>(r.joints);
+  constexpr JointVector Estimate::*kTorques[] = {&Estimate::residual, &Estimate::uncertainty, &Estimate::tau_ext,
+                                                 &Estimate::limit_nm, &Estimate::margin_nm};
+  std::vector<double> torques[5];
+  std::vector<std::uint32_t> near_stiction(N), causes(N);
+  std::vector<std::uint8_t> health(N), alarm(N), detection(N);
+  std::vector<std::int8_t> alarm_joint(N), cause_joint(N);
+  {
+    nb::gil_scoped_release released;
+    for (auto& torque : torques) torque.resize(N * n);
+    for (std::size_t k = 0; k < N; ++k) {
+      const Sample sample{r.t_ns[k], {r.q + k * n, n}, {r.dq + k * n, n}, {r.tau + k * n, n}};
+      const Estimate& e = monitor.step(sample);
+      if (recorder) recorder->push(sample, e);
+      for (std::size_t which = 0; which < 5; ++which)
+        std::copy_n((e.*kTorques[which]).data(), n, torques[which].data() + k * n);
+      near_stiction[k] = e.near_stiction;
+      health[k] = static_cast<std::uint8_t>(e.health);
+      causes[k] = e.causes;
+      cause_joint[k] = static_cast<std::int8_t>(e.cause_joint);
+      alarm[k] = static_cast<std::uint8_t>(e.alarm);
+      alarm_joint[k] = static_cast<std::int8_t>(e.alarm_joint);
+      detection[k] = e.detection;
+    }
+  }
+  nb::dict out;
+  constexpr const char* kNames[] = {"residual", "uncertainty", "tau_ext", "limit_nm", "margin_nm"};
+  for (std::size_t which = 0; which < 5; ++which) out[kNames[which]] = to_numpy(std::move(torques[which]), {N, n});
+  out["near_stiction"] = to_numpy(bits(near_stiction, n), {N, n});
+  out["health"] = to_numpy(std::move(health), {N});
+  out["causes"] = to_numpy(std::move(causes), {N});
+  out["cause_joint"] = to_numpy(std::move(cause_joint), {N});
+  out["alarm"] = to_numpy(std::move(alarm), {N});
+  out["alarm_joint"] = to_numpy(std::move(alarm_joint), {N});
+  out["detection"] = to_numpy(std::move(detection), {N});
+  return out;
+}
+
+std::optional<nb::dict> take(FlightRecorder& recorder, std::size_t n) {
+  Flight f;
+  {
+    nb::gil_scoped_release released;
+    if (!recorder.take(f)) return std::nullopt;
+  }
+  const std::size_t N = f.t_ns.size();
+  nb::dict out;
+  out["event_row"] = f.event_row;
+  out["event"] = f.event;
+  out["near_stiction"] = to_numpy(bits(f.near_stiction, n), {N, n});
+  out["t_ns"] = to_numpy(std::move(f.t_ns), {N});
+  out["q"] = to_numpy(std::move(f.q), {N, n});
+  out["dq"] = to_numpy(std::move(f.dq), {N, n});
+  out["tau"] = to_numpy(std::move(f.tau), {N, n});
+  out["residual"] = to_numpy(std::move(f.residual), {N, n});
+  out["uncertainty"] = to_numpy(std::move(f.uncertainty), {N, n});
+  out["tau_ext"] = to_numpy(std::move(f.tau_ext), {N, n});
+  out["limit_nm"] = to_numpy(std::move(f.limit_nm), {N, n});
+  out["causes"] = to_numpy(std::move(f.causes), {N});
+  out["health"] = to_numpy(std::move(f.health), {N});
+  out["alarm"] = to_numpy(std::move(f.alarm), {N});
+  out["detection"] = to_numpy(std::move(f.detection), {N});
+  return out;
+}
+
+void bind_estimate(nb::module_& m) {
+  nb::enum_<Alarm>(m, "Alarm").value("none", Alarm::none).value("contact", Alarm::contact).value("collision", Alarm::collision);
+  nb::enum_<Health>(m, "Health")
+      .value("warming_up", Health::warming_up)
+      .value("ok", Health::ok)
+      .value("stale", Health::stale)
+      .value("fault", Health::fault);
+  m.def("cause_names", &cause_names, nb::arg("causes"), "Names of the bits of `causes`.");
+  nb::class_<Estimate> estimate(m, "Estimate", "What the monitor says of one sample; torques that do not exist are NaN.");
+  estimate.def_ro("t_ns", &Estimate::t_ns)
+      .def_ro("health", &Estimate::health)
+      .def_prop_ro("causes", [](const Estimate& e) { return cause_names(e.causes); })
+      .def_ro("cause_joint", &Estimate::cause_joint)
+      .def_ro("alarm", &Estimate::alarm)
+      .def_ro("alarm_joint", &Estimate::alarm_joint)
+      .def_ro("alarm_t_ns", &Estimate::alarm_t_ns)
+      .def_ro("detection", &Estimate::detection)
+      .def_prop_ro("clear", &Estimate::clear, "Healthy and no alarm: the only thing that means no collision.")
+      .def_prop_ro("near_stiction", [](const Estimate& e) {
+        std::vector<bool> near;
+        for (int j = 0; j < e.joints; ++j) near.push_back(e.near_stiction >> j & 1);
+        return near;
+      });
+  const auto bind_torques = [&](const char* torque, JointVector Estimate::*values) {
+    estimate.def_prop_ro(torque, [values](const Estimate& e) {
+      return std::vector<double>((e.*values).begin(), (e.*values).begin() + e.joints);
+    });
+  };
+  bind_torques("residual", &Estimate::residual);
+  bind_torques("uncertainty", &Estimate::uncertainty);
+  bind_torques("tau_ext", &Estimate::tau_ext);
+  bind_torques("limit_nm", &Estimate::limit_nm);
+  bind_torques("margin_nm", &Estimate::margin_nm);
+}
+
+}  // namespace
+
+void bind_monitor(nb::module_& m) {
+  bind_estimate(m);
+  struct Recorder : FlightRecorder {  // remembers how many joints it has
+    std::size_t joints;
+    Recorder(int n, std::int64_t period_ns, const FlightSettings& s)
+        : FlightRecorder(n, period_ns, s), joints(static_cast<std::size_t>(n)) {}
+  };
+  nb::class_<Recorder>(m, "FlightRecorder", "The last seconds before an alarm or fault, for another thread to take.")
+      .def(
+          "__init__",
+          [](Recorder* r, int joints, std::int64_t sample_period_ns, double before_s, double after_s, bool contacts) {
+            new (r) Recorder(joints, sample_period_ns, {before_s, after_s, contacts});
+          },
+          nb::arg("joints"), nb::arg("sample_period_ns"), nb::arg("before_s") = 5.0, nb::arg("after_s") = 1.0,
+          nb::arg("contacts") = false)
+      .def("finish", [](Recorder& r) { return r.finish(); }, "False: the flight before must be taken first.")
+      .def("take", [](Recorder& r) { return take(r, r.joints); }, "A flight as arrays, or None.")
+      .def_prop_ro("events", [](const Recorder& r) { return r.events(); })
+      .def_prop_ro("missed", [](const Recorder& r) { return r.missed(); });
+
+  using Signal = const Array<double, 1>&;
+  nb::class_<Monitor>(m, "Monitor", "The chain inside a control loop: one sample in, torque, alarm and health out.")
+      .def(
+          "__init__",
+          [](Monitor* monitor, const Bundle& bundle, bool own_rate) {
+            new (monitor) Monitor(bundle, own_rate ? NetworkRate::network_period : NetworkRate::every_sample);
+          },
+          nb::arg("bundle"), nb::arg("own_rate") = false)
+      .def(
+          "step",
+          [](Monitor& self, std::int64_t t_ns, Signal q, Signal dq, Signal tau) {
+            return self.step(sample_of(t_ns, q, dq, tau));
+          },
+          nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), "estimate() and advance().")
+      .def(
+          "estimate",
+          [](Monitor& self, std::int64_t t_ns, Signal q, Signal dq, Signal tau) {
+            return self.estimate(sample_of(t_ns, q, dq, tau));
+          },
+          nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), "The answer; advance() may follow later.")
+      .def("advance", &Monitor::advance)
+      .def("no_sample", [](Monitor& self, std::int64_t now_ns) { return self.no_sample(now_ns); }, nb::arg("now_ns"))
+      .def("acknowledge", &Monitor::acknowledge, "End a latched alarm, and nothing else.")
+      .def("reset", &Monitor::reset)
+      .def(
+          "run",
+          [](Monitor& self, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
+             const Array<double, 2>& tau, Recorder* recorder) { return run(self, t_ns, q, dq, tau, recorder); },
+          nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("recorder") = nb::none(),
+          "step() for every row; a dict of arrays.")
+      .def_prop_ro("last", [](const Monitor& self) { return self.last(); })
+      .def_prop_ro("joints", &Monitor::joints)
+      .def_prop_ro("joint_names",
+                   [](const Monitor& self) {
+                     std::vector<std::string> names;
+                     for (int j = 0; j < self.joints(); ++j) names.push_back(self.joint_name(j));
+                     return names;
+                   })
+      .def_prop_ro("sample_period_ns", &Monitor::sample_period_ns)
+      .def_prop_ro("samples", &Monitor::samples)
+      .def_prop_ro("bridged_ticks", &Monitor::bridged_ticks)
+      .def_prop_ro("restarts", &Monitor::restarts)
+      .def("save_state",
+           [](const Monitor& self) {
+             std::vector<std::byte> state(self.state_bytes());
+             self.save_state(state);
+             return nb::bytes(reinterpret_cast<const char*>(state.data()), state.size());
+           })
+      .def(
+          "restore_state",
+          [](Monitor& self, nb::bytes state) {
+            if (!self.restore_state({reinterpret_cast<const std::byte*>(state.c_str()), state.size()}))
+              throw Error("the state is damaged, or of another bundle, network rate or build");
+          },
+          nb::arg("state"));
+}
+
+}  // namespace tauext::bindings

@@ -1,0 +1,96 @@
+// Feeds bundles of any content to the reader: it must answer with a bundle or an Error, and allocate in proportion to
+// the file. The input is a payload; it gets a right header here, since no fuzzer guesses a checksum. `make fuzz` runs it.
+//
+//   bundle_fuzz -write_seeds=cpp/fuzz/corpus                 payloads of a few made bundles
+//   bundle_fuzz -merge=1 cpp/fuzz/corpus build/fuzz/found    takes in what runs have found, as little as covers the same
+#include <algorithm>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <fstream>
+#include <new>
+#include <string>
+#include <vector>
+
+#include "made_bundle.hpp"
+#include "tauext/monitor.hpp"
+
+namespace {
+
+constexpr std::size_t kHeaderBytes = 28;  // see bundle.cpp
+
+std::vector<char> with_header(std::span<const char> payload) {
+  const std::uint32_t version[] = {tauext::kBundleMajor, 0}, crc = tauext::crc32(payload);
+  const std::uint64_t size = payload.size();
+  std::vector<char> bytes(kHeaderBytes + payload.size());
+  std::memcpy(bytes.data(), "TAUEXT\r\n", 8);
+  std::memcpy(bytes.data() + 8, version, 8);
+  std::memcpy(bytes.data() + 16, &size, 8);
+  std::memcpy(bytes.data() + 24, &crc, 4);
+  std::memcpy(bytes.data() + kHeaderBytes, payload.data(), payload.size());
+  return bytes;
+}
+
+// What is accepted must run, whatever it says.
+void run(const tauext::Bundle& bundle) {
+  tauext::Monitor monitor(bundle);
+  const auto n = static_cast<std::size_t>(monitor.joints());
+  const std::int64_t period_ns = std::min(monitor.sample_period_ns(), std::int64_t{1} << 40);
+  double q[tauext::kMaxJoints], dq[tauext::kMaxJoints], tau[tauext::kMaxJoints];
+  for (std::int64_t k = 0; k < 20; ++k) {
+    made::signal(k, monitor.joints(), q, dq, tau);
+    const std::int64_t t_ns = k * period_ns;
+    monitor.step({k == 15 ? t_ns / 2 : t_ns, {q, n}, {dq, n}, {tau, n}});
+  }
+}
+
+void read(std::span<const char> bytes) {
+  try {
+    run(tauext::from_bytes(bytes));
+  } catch (const tauext::Error&) {  // as it should
+  } catch (const std::bad_alloc&) {  // a size within the limits may still be more than there is
+  }
+}
+
+void write_seed(const std::string& path, const tauext::Bundle& bundle) {
+  const std::vector<char> bytes = tauext::to_bytes(bundle);
+  std::ofstream file(path, std::ios::binary);
+  file.write(bytes.data() + kHeaderBytes, static_cast<std::streamsize>(bytes.size() - kHeaderBytes));
+  if (!file.flush()) {
+    std::fprintf(stderr, "%s: cannot be written\n", path.c_str());
+    std::exit(1);
+  }
+}
+
+void write_seeds(const std::string& folder) {
+  write_seed(folder + "/observer", made::bundle(1, 0, 1, 1, 1));
+  write_seed(folder + "/network", made::bundle(2, 3, 2, 2, 1));
+  write_seed(folder + "/one_step_window", made::bundle(1, 2, 1, 3, 1));
+  tauext::Bundle b = made::bundle(3, 0, 1, 1, 1);
+  b.links[1].type = tauext::JointType::prismatic;
+  b.links[2].parent = 0;
+  b.observer.timing = tauext::TorqueTiming::instant;
+  b.reference.t_ns[1] = 2 * made::kPeriodNs;  // a bridged tick
+  tauext::answer_reference(b);
+  write_seed(folder + "/branched", b);
+}
+
+}  // namespace
+
+extern "C" int LLVMFuzzerInitialize(int* argc, char*** argv) {
+  const char option[] = "-write_seeds=";
+  for (int i = 1; i < *argc; ++i)
+    if (std::strncmp((*argv)[i], option, sizeof option - 1) == 0) {
+      write_seeds((*argv)[i] + sizeof option - 1);
+      std::exit(0);
+    }
+  return 0;
+}
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  const std::span<const char> payload(reinterpret_cast<const char*>(data), size);
+  read(with_header(payload));
+  read(payload);
+  return 0;
+}

@@ -1,0 +1,51 @@
+// From tau_ext to an alarm: limits, hold time, latch.
+#pragma once
+#include <cstdint>
+#include <span>
+
+#include "tauext/limits.hpp"
+#include "tauext/types.hpp"
+
+namespace tauext {
+
+enum class Alarm : std::uint8_t {
+  none,
+  contact,    // over the contact limit for its hold time; falls back by itself
+  collision,  // over the collision limit for its hold time; stays until acknowledged
+};
+
+// Judges one sample after the other. Knows nothing of health: the caller says whether tau_ext can be trusted.
+class AlarmStage {
+ public:
+  struct State {
+    Alarm alarm = Alarm::none;
+    int joint = -1;                 // that raised the alarm to its level
+    std::int64_t raised_t_ns = 0;   // when it did
+    // A joint over its limit since then; the least number while it is not.
+    std::array<std::int64_t, kMaxJoints> collision_since_ns, contact_since_ns;
+    std::int64_t contact_seen_ns = 0;  // last sample that showed, or could not rule out, a contact
+  };
+
+  // Throws Error where the limits do not fit the joints.
+  AlarmStage(int joints, const Limits& limits);
+
+  // One sample. Writes the collision limit of every joint [N m], whether it is near stiction, and returns whether some
+  // |tau_ext| exceeds its collision limit (a detection). With trusted = false nothing is detected, what was held so far
+  // starts anew, and a standing alarm stays: what cannot be seen has not gone.
+  bool step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> dq, bool trusted,
+            std::span<double> limit_nm, std::uint32_t& near_stiction) noexcept;
+
+  // Ends any alarm; one whose cause lasts comes back after its hold time.
+  void acknowledge() noexcept;
+
+  const State& state() const noexcept { return state_; }
+  void restore(const State& state) noexcept { state_ = state; }
+
+ private:
+  int joints_;
+  Limits limits_;
+  std::uint64_t collision_hold_ns_, contact_hold_ns_, contact_release_ns_;
+  State state_;
+};
+
+}  // namespace tauext

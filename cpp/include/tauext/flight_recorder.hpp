@@ -1,0 +1,71 @@
+// The last seconds before an alarm or fault, kept for another thread to write down.
+#pragma once
+#include <atomic>
+#include <cstdint>
+#include <vector>
+
+#include "tauext/monitor.hpp"
+
+namespace tauext {
+
+struct FlightSettings {
+  double before_s = 5;  // kept from before the event
+  double after_s = 1;   // and after it
+  bool contacts = false;  // a contact is an event too
+};
+
+// Samples and estimates around one event, oldest first.
+struct Flight {
+  std::int64_t event_row = 0;
+  std::vector<std::int64_t> t_ns;                                               // (samples)
+  std::vector<double> q, dq, tau, residual, uncertainty, tau_ext, limit_nm;     // (samples, joints)
+  std::vector<std::uint32_t> near_stiction, causes;                             // (samples): bits
+  std::vector<std::uint8_t> health, alarm, detection;                           // (samples)
+  Estimate event;  // what the monitor said at the event
+};
+
+// An event is a rise of the alarm (to collision; to contact where asked for) or health becoming a fault after it was
+// ok or warming up. Two rings, made beforehand: when what comes after the event is in, the full one changes hands and
+// push() goes on in the other. push() never waits: a flight whose predecessor is not taken in time is given up, and
+// counted.
+class FlightRecorder {
+ public:
+  // Throws Error where a time is negative, not finite or over ten minutes, or both are 0.
+  FlightRecorder(int joints, std::int64_t sample_period_ns, const FlightSettings& settings);
+
+  // The control thread, once a sample, after the monitor. A sample of the wrong size is kept as NaN.
+  void push(const Sample& sample, const Estimate& estimate) noexcept;
+  // The control thread, at the end: an event still waiting for what comes after it changes hands as it is. False where
+  // the flight before it has not been taken yet: to be called again.
+  bool finish() noexcept;
+
+  // Another thread: true where a flight was taken, oldest row first; its ring is free again.
+  bool take(Flight& flight);
+  // Events so far, those within another one's flight among them; and flights that were given up.
+  std::uint64_t events() const noexcept { return events_.load(std::memory_order_relaxed); }
+  std::uint64_t missed() const noexcept { return missed_.load(std::memory_order_relaxed); }
+
+ private:
+  struct Ring {
+    std::vector<std::int64_t> t_ns;
+    std::vector<double> signals;  // (capacity, 7 joints)
+    std::vector<std::uint32_t> near_stiction, causes;
+    std::vector<std::uint8_t> health, alarm, detection;
+    std::int64_t next = 0, count = 0;  // row to be written, rows written
+    std::int64_t event = -1;           // row count at the event, -1 without one
+    Estimate estimate;
+  };
+  void hand_over() noexcept;
+
+  int joints_;
+  std::int64_t capacity_, after_;
+  bool contacts_;
+  Ring rings_[2];
+  int active_ = 0;  // the control thread's ring
+  Alarm alarm_ = Alarm::none;
+  Health health_ = Health::warming_up;
+  std::atomic<int> handed_{-1};  // ring that waits for take(), -1: none
+  std::atomic<std::uint64_t> events_{0}, missed_{0};
+};
+
+}  // namespace tauext

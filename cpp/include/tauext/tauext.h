@@ -1,0 +1,127 @@
+/* The monitor for C and whatever calls C: an opaque handle, status codes, no exception across it.
+ *
+ *   tauext_monitor* monitor;
+ *   char message[256];
+ *   if (tauext_monitor_open("arm.tauext", TAUEXT_EVERY_SAMPLE, &monitor, message, sizeof message) != TAUEXT_OK) ...
+ *   tauext_estimate e = {.size = sizeof e};
+ *   tauext_monitor_step(monitor, t_ns, q, dq, tau, &e);      every sample period
+ *
+ * A torque is positive where it pushes the joint in its positive direction; tau is the motor's torque seen at the joint.
+ * tauext_monitor_estimate, _advance, _step, _no_sample, _acknowledge, _reset, _save_state and _restore_state do not
+ * allocate, lock, log or call the system. One thread at a time for each monitor. */
+#ifndef TAUEXT_H
+#define TAUEXT_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define TAUEXT_MAX_JOINTS 32
+
+typedef enum tauext_status {
+  TAUEXT_OK = 0,
+  TAUEXT_BAD_ARGUMENT = 1, /* a null pointer, a size that does not fit */
+  TAUEXT_BAD_BUNDLE = 2,   /* the message says what is wrong with it */
+  TAUEXT_NO_MEMORY = 3,
+  TAUEXT_BAD_STATE = 4     /* of another monitor, or damaged */
+} tauext_status;
+
+typedef enum tauext_network_rate { TAUEXT_EVERY_SAMPLE = 0, TAUEXT_NETWORK_PERIOD = 1 } tauext_network_rate;
+
+typedef enum tauext_health {
+  TAUEXT_WARMING_UP = 0, /* there is no estimate yet */
+  TAUEXT_HEALTHY = 1,
+  TAUEXT_STALE = 2,      /* the last estimate is held */
+  TAUEXT_FAULT = 3       /* the signals cannot be true or cannot be used */
+} tauext_health;
+
+typedef enum tauext_alarm { TAUEXT_NO_ALARM = 0, TAUEXT_CONTACT = 1, TAUEXT_COLLISION = 2 } tauext_alarm;
+
+/* Bits of tauext_estimate.causes; monitor.hpp explains them. */
+typedef enum tauext_cause {
+  TAUEXT_NOT_FINITE = 1,
+  TAUEXT_WRONG_SIZE = 2,
+  TAUEXT_LATE_SAMPLE = 4,
+  TAUEXT_TIME_BACKWARDS = 8,
+  TAUEXT_MISSING_SAMPLE = 16,
+  TAUEXT_GAP = 32,
+  TAUEXT_WRONG_RATE = 64,
+  TAUEXT_TORQUE_SATURATED = 128,
+  TAUEXT_ENCODER_STILL = 256
+} tauext_cause;
+
+/* What the monitor says of one sample. A torque that does not exist is NaN. Only (health == TAUEXT_HEALTHY &&
+ * alarm == TAUEXT_NO_ALARM) may be read as "no collision". */
+typedef struct tauext_estimate {
+  size_t size; /* set by the caller: sizeof(tauext_estimate), at least up to `residual`; no more is written */
+  int64_t t_ns;
+  int32_t joints;
+  int32_t health;         /* tauext_health */
+  uint32_t causes;        /* bits of tauext_cause */
+  int32_t cause_joint;    /* -1: none */
+  int32_t alarm;          /* tauext_alarm */
+  int32_t alarm_joint;    /* -1: none */
+  int64_t alarm_t_ns;
+  int32_t detection;      /* 1: some |tau_ext| over its collision limit, at this sample */
+  uint32_t near_stiction; /* a bit a joint */
+  double residual[TAUEXT_MAX_JOINTS];    /* [N m] */
+  double uncertainty[TAUEXT_MAX_JOINTS]; /* [N m] */
+  double tau_ext[TAUEXT_MAX_JOINTS];     /* [N m] */
+  double limit_nm[TAUEXT_MAX_JOINTS];
+  double margin_nm[TAUEXT_MAX_JOINTS];
+} tauext_estimate;
+
+typedef struct tauext_monitor tauext_monitor;
+
+/* The core is compiled with hidden symbols; these are what a shared library around it shows. */
+#if defined(__GNUC__)
+#pragma GCC visibility push(default)
+#endif
+
+const char* tauext_version(void);
+const char* tauext_status_name(tauext_status status);
+const char* tauext_health_name(int32_t health);
+const char* tauext_alarm_name(int32_t alarm);
+/* Of a single bit; "" for none. */
+const char* tauext_cause_name(uint32_t cause);
+
+/* On any status but TAUEXT_OK *monitor is NULL and message, unless NULL, holds the reason, cut to message_size. */
+tauext_status tauext_monitor_open(const char* bundle_path, tauext_network_rate rate, tauext_monitor** monitor,
+                                  char* message, size_t message_size);
+/* The same for a bundle in memory, which is not needed afterwards. */
+tauext_status tauext_monitor_open_bytes(const void* bundle, size_t bundle_size, tauext_network_rate rate,
+                                        tauext_monitor** monitor, char* message, size_t message_size);
+void tauext_monitor_close(tauext_monitor* monitor); /* NULL is allowed */
+
+int32_t tauext_monitor_joints(const tauext_monitor* monitor);
+const char* tauext_monitor_joint_name(const tauext_monitor* monitor, int32_t joint); /* NULL: no such joint */
+int64_t tauext_monitor_sample_period_ns(const tauext_monitor* monitor);
+
+/* q [rad], dq [rad/s], tau [N m]: one value a joint. estimate may be NULL. A bad signal is no error of the call: it is
+ * answered in estimate->health. */
+tauext_status tauext_monitor_step(tauext_monitor* monitor, int64_t t_ns, const double* q, const double* dq,
+                                  const double* tau, tauext_estimate* estimate);
+/* step in two: the answer, and what can wait until the command has been sent. */
+tauext_status tauext_monitor_estimate(tauext_monitor* monitor, int64_t t_ns, const double* q, const double* dq,
+                                      const double* tau, tauext_estimate* estimate);
+tauext_status tauext_monitor_advance(tauext_monitor* monitor);
+/* The loop ran and no sample came. */
+tauext_status tauext_monitor_no_sample(tauext_monitor* monitor, int64_t now_ns, tauext_estimate* estimate);
+tauext_status tauext_monitor_acknowledge(tauext_monitor* monitor);
+tauext_status tauext_monitor_reset(tauext_monitor* monitor);
+
+size_t tauext_monitor_state_bytes(const tauext_monitor* monitor);
+tauext_status tauext_monitor_save_state(const tauext_monitor* monitor, void* state, size_t size);
+tauext_status tauext_monitor_restore_state(tauext_monitor* monitor, const void* state, size_t size);
+
+#if defined(__GNUC__)
+#pragma GCC visibility pop
+#endif
+
+#ifdef __cplusplus
+}
+#endif
+#endif

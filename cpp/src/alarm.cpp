@@ -1,0 +1,99 @@
+#include "tauext/alarm.hpp"
+
+#include <cmath>
+#include <limits>
+
+namespace tauext {
+namespace {
+
+void expect_positive(const std::string& what, const std::vector<double>& values, int joints) {
+  if (static_cast<int>(values.size()) != joints)
+    throw Error(what + " has " + std::to_string(values.size()) + " values where " + std::to_string(joints) + " belong");
+  for (double value : values)
+    if (!(value > 0) || !std::isfinite(value)) throw Error(what + " = " + std::to_string(value) + " must be > 0");
+}
+
+void expect_time(const std::string& what, double seconds) {
+  if (!(seconds >= 0 && seconds <= 60)) throw Error(what + " = " + std::to_string(seconds) + " s must be 0 to 60");
+}
+
+std::uint64_t to_ns(double seconds) noexcept { return static_cast<std::uint64_t>(std::llround(seconds * 1e9)); }
+
+constexpr std::int64_t kNever = std::numeric_limits<std::int64_t>::min();
+
+}  // namespace
+
+void Limits::validate(int joints) const {
+  if (!(near_stiction_rad_s >= 0)) throw Error("limits.near_stiction_rad_s must be >= 0");
+  for (const Level* level : {&collision, &contact}) {
+    const std::string here = level == &collision ? "limits.collision." : "limits.contact.";
+    expect_positive(here + "sliding_nm", level->sliding_nm, joints);
+    expect_positive(here + "near_stiction_nm", level->near_stiction_nm, joints);
+    expect_time(here + "hold_s", level->hold_s);
+  }
+  expect_time("limits.contact_release_s", contact_release_s);
+}
+
+AlarmStage::AlarmStage(int joints, const Limits& limits)
+    : joints_(joints),
+      limits_(limits),
+      collision_hold_ns_(to_ns(limits.collision.hold_s)),
+      contact_hold_ns_(to_ns(limits.contact.hold_s)),
+      contact_release_ns_(to_ns(limits.contact_release_s)) {
+  limits.validate(joints);
+  acknowledge();
+}
+
+void AlarmStage::acknowledge() noexcept {
+  state_ = {};
+  state_.collision_since_ns.fill(kNever);
+  state_.contact_since_ns.fill(kNever);
+}
+
+bool AlarmStage::step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> dq, bool trusted,
+                      std::span<double> limit_nm, std::uint32_t& near_stiction) noexcept {
+  bool detection = false, touching = false;
+  near_stiction = 0;
+  // The joint that raises an alarm is the one furthest over its limit of those that have been over it long enough.
+  int collision_joint = -1, contact_joint = -1;
+  double collision_excess = 0, contact_excess = 0;
+  for (int j = 0; j < joints_; ++j) {
+    limit_nm[j] = limits_.limit_nm(limits_.collision, j, dq[j]);
+    if (limits_.near_stiction(dq[j])) near_stiction |= std::uint32_t{1} << j;
+    const double size = trusted ? std::fabs(tau_ext[j]) : 0.0;
+    const auto held = [&](bool over, std::int64_t& since_ns, std::uint64_t hold_ns) noexcept {
+      if (!over) since_ns = kNever;
+      if (over && since_ns == kNever) since_ns = t_ns;
+      return over && elapsed_ns(t_ns, since_ns) >= hold_ns;
+    };
+    const double contact_limit = limits_.limit_nm(limits_.contact, j, dq[j]);
+    const bool over = size > limit_nm[j], over_contact = size > contact_limit;
+    detection = detection || over;
+    touching = touching || over_contact;
+    if (held(over, state_.collision_since_ns[j], collision_hold_ns_) && size / limit_nm[j] > collision_excess) {
+      collision_excess = size / limit_nm[j];
+      collision_joint = j;
+    }
+    if (held(over_contact, state_.contact_since_ns[j], contact_hold_ns_) && size / contact_limit > contact_excess) {
+      contact_excess = size / contact_limit;
+      contact_joint = j;
+    }
+  }
+  if (touching || !trusted) state_.contact_seen_ns = t_ns;
+  if (state_.alarm != Alarm::collision && collision_joint >= 0) {
+    state_.alarm = Alarm::collision;
+    state_.joint = collision_joint;
+    state_.raised_t_ns = t_ns;
+  } else if (state_.alarm == Alarm::none && contact_joint >= 0) {
+    state_.alarm = Alarm::contact;
+    state_.joint = contact_joint;
+    state_.raised_t_ns = t_ns;
+  } else if (state_.alarm == Alarm::contact && trusted && !touching &&
+             elapsed_ns(t_ns, state_.contact_seen_ns) >= contact_release_ns_) {
+    state_.alarm = Alarm::none;
+    state_.joint = -1;
+  }
+  return detection;
+}
+
+}  // namespace tauext

@@ -1,0 +1,214 @@
+// tauext.h over tauext::Monitor: checks pointers, turns exceptions into status codes, copies.
+#include "tauext/tauext.h"
+
+#include <algorithm>
+#include <cstddef>
+#include <cstring>
+#include <exception>
+#include <memory>
+#include <new>
+#include <span>
+#include <string>
+
+#include "tauext/monitor.hpp"
+
+struct tauext_monitor {
+  tauext::Monitor monitor;
+};
+
+namespace {
+
+using tauext::Alarm;
+using tauext::Health;
+using tauext::NetworkRate;
+
+// The C names are numbers of their own: they may not drift from the C++ ones.
+static_assert(TAUEXT_MAX_JOINTS == tauext::kMaxJoints);
+static_assert(TAUEXT_EVERY_SAMPLE == static_cast<int>(NetworkRate::every_sample));
+static_assert(TAUEXT_NETWORK_PERIOD == static_cast<int>(NetworkRate::network_period));
+static_assert(TAUEXT_WARMING_UP == static_cast<int>(Health::warming_up));
+static_assert(TAUEXT_HEALTHY == static_cast<int>(Health::ok));
+static_assert(TAUEXT_STALE == static_cast<int>(Health::stale));
+static_assert(TAUEXT_FAULT == static_cast<int>(Health::fault));
+static_assert(TAUEXT_NO_ALARM == static_cast<int>(Alarm::none));
+static_assert(TAUEXT_CONTACT == static_cast<int>(Alarm::contact));
+static_assert(TAUEXT_COLLISION == static_cast<int>(Alarm::collision));
+static_assert(+TAUEXT_NOT_FINITE == +tauext::kNotFinite);
+static_assert(+TAUEXT_WRONG_SIZE == +tauext::kWrongSize);
+static_assert(+TAUEXT_LATE_SAMPLE == +tauext::kLateSample);
+static_assert(+TAUEXT_TIME_BACKWARDS == +tauext::kTimeBackwards);
+static_assert(+TAUEXT_MISSING_SAMPLE == +tauext::kMissingSample);
+static_assert(+TAUEXT_GAP == +tauext::kGap);
+static_assert(+TAUEXT_WRONG_RATE == +tauext::kWrongRate);
+static_assert(+TAUEXT_TORQUE_SATURATED == +tauext::kTorqueSaturated);
+static_assert(+TAUEXT_ENCODER_STILL == +tauext::kEncoderStill);
+static_assert(TAUEXT_ENCODER_STILL == 1 << (tauext::kCauseCount - 1), "a cause has been added");
+
+// A caller built with a shorter tauext_estimate gets as much of it as it has room for, but never less than what says
+// whether the rest can be trusted.
+constexpr std::size_t kLeastSize = offsetof(tauext_estimate, residual);
+
+bool has_room(const tauext_estimate* to) noexcept { return !to || to->size >= kLeastSize; }
+
+void write(const tauext::Estimate& from, tauext_estimate* to) noexcept {
+  if (!to) return;
+  tauext_estimate e{};
+  e.size = to->size;
+  e.t_ns = from.t_ns;
+  e.joints = from.joints;
+  e.health = static_cast<std::int32_t>(from.health);
+  e.causes = from.causes;
+  e.cause_joint = from.cause_joint;
+  e.alarm = static_cast<std::int32_t>(from.alarm);
+  e.alarm_joint = from.alarm_joint;
+  e.alarm_t_ns = from.alarm_t_ns;
+  e.detection = from.detection;
+  e.near_stiction = from.near_stiction;
+  std::ranges::copy(from.residual, e.residual);
+  std::ranges::copy(from.uncertainty, e.uncertainty);
+  std::ranges::copy(from.tau_ext, e.tau_ext);
+  std::ranges::copy(from.limit_nm, e.limit_nm);
+  std::ranges::copy(from.margin_nm, e.margin_nm);
+  std::memcpy(to, &e, std::min(to->size, sizeof e));
+}
+
+tauext::Sample sample(const tauext_monitor* m, std::int64_t t_ns, const double* q, const double* dq,
+                      const double* tau) noexcept {
+  const auto n = static_cast<std::size_t>(m->monitor.joints());
+  return {t_ns, {q, n}, {dq, n}, {tau, n}};
+}
+
+void say(const char* text, char* message, std::size_t message_size) noexcept {
+  if (!message || message_size == 0) return;
+  const std::size_t length = std::min(std::strlen(text), message_size - 1);
+  std::memcpy(message, text, length);
+  message[length] = '\0';
+}
+
+// What both ways to open have in common; load() gives the bundle, or throws.
+template <class Load>
+tauext_status open(Load load, bool arguments, tauext_network_rate rate, tauext_monitor** monitor, char* message,
+                   std::size_t message_size) noexcept {
+  say("", message, message_size);
+  if (monitor) *monitor = nullptr;
+  if (!monitor || !arguments) {
+    say("a null pointer where the bundle or the monitor belongs", message, message_size);
+    return TAUEXT_BAD_ARGUMENT;
+  }
+  if (rate != TAUEXT_EVERY_SAMPLE && rate != TAUEXT_NETWORK_PERIOD) {
+    say("the network rate must be TAUEXT_EVERY_SAMPLE (0) or TAUEXT_NETWORK_PERIOD (1)", message, message_size);
+    return TAUEXT_BAD_ARGUMENT;
+  }
+  try {
+    *monitor = new tauext_monitor{tauext::Monitor(load(), static_cast<NetworkRate>(rate))};
+    return TAUEXT_OK;
+  } catch (const std::bad_alloc&) {
+    say("not enough memory for the monitor", message, message_size);
+    return TAUEXT_NO_MEMORY;
+  } catch (const std::exception& e) {
+    say(e.what(), message, message_size);
+  } catch (...) {
+    say("the bundle cannot be read", message, message_size);
+  }
+  return TAUEXT_BAD_BUNDLE;
+}
+
+}  // namespace
+
+const char* tauext_version(void) { return TAUEXT_VERSION; }
+
+const char* tauext_status_name(tauext_status status) {
+  switch (status) {
+    case TAUEXT_OK: return "ok";
+    case TAUEXT_BAD_ARGUMENT: return "bad argument";
+    case TAUEXT_BAD_BUNDLE: return "bad bundle";
+    case TAUEXT_NO_MEMORY: return "no memory";
+    case TAUEXT_BAD_STATE: return "bad state";
+  }
+  return "";
+}
+
+const char* tauext_health_name(int32_t health) {
+  return health < TAUEXT_WARMING_UP || health > TAUEXT_FAULT ? "" : tauext::name(static_cast<Health>(health));
+}
+
+const char* tauext_alarm_name(int32_t alarm) {
+  return alarm < TAUEXT_NO_ALARM || alarm > TAUEXT_COLLISION ? "" : tauext::name(static_cast<Alarm>(alarm));
+}
+
+const char* tauext_cause_name(uint32_t cause) { return tauext::name(static_cast<tauext::Cause>(cause)); }
+
+tauext_status tauext_monitor_open(const char* bundle_path, tauext_network_rate rate, tauext_monitor** monitor,
+                                  char* message, size_t message_size) {
+  return open([&] { return tauext::load(bundle_path); }, bundle_path != nullptr, rate, monitor, message, message_size);
+}
+
+tauext_status tauext_monitor_open_bytes(const void* bundle, size_t bundle_size, tauext_network_rate rate,
+                                        tauext_monitor** monitor, char* message, size_t message_size) {
+  const auto load = [&] { return tauext::from_bytes({static_cast<const char*>(bundle), bundle_size}); };
+  return open(load, bundle != nullptr, rate, monitor, message, message_size);
+}
+
+void tauext_monitor_close(tauext_monitor* monitor) { delete monitor; }
+
+int32_t tauext_monitor_joints(const tauext_monitor* monitor) { return monitor ? monitor->monitor.joints() : 0; }
+
+const char* tauext_monitor_joint_name(const tauext_monitor* monitor, int32_t joint) {
+  if (!monitor || joint < 0 || joint >= monitor->monitor.joints()) return nullptr;
+  return monitor->monitor.joint_name(joint).c_str();
+}
+
+int64_t tauext_monitor_sample_period_ns(const tauext_monitor* monitor) {
+  return monitor ? monitor->monitor.sample_period_ns() : 0;
+}
+
+tauext_status tauext_monitor_step(tauext_monitor* monitor, int64_t t_ns, const double* q, const double* dq,
+                                  const double* tau, tauext_estimate* estimate) {
+  const tauext_status status = tauext_monitor_estimate(monitor, t_ns, q, dq, tau, estimate);
+  return status == TAUEXT_OK ? tauext_monitor_advance(monitor) : status;
+}
+
+tauext_status tauext_monitor_estimate(tauext_monitor* monitor, int64_t t_ns, const double* q, const double* dq,
+                                      const double* tau, tauext_estimate* estimate) {
+  if (!monitor || !q || !dq || !tau || !has_room(estimate)) return TAUEXT_BAD_ARGUMENT;
+  write(monitor->monitor.estimate(sample(monitor, t_ns, q, dq, tau)), estimate);
+  return TAUEXT_OK;
+}
+
+tauext_status tauext_monitor_advance(tauext_monitor* monitor) {
+  if (!monitor) return TAUEXT_BAD_ARGUMENT;
+  monitor->monitor.advance();
+  return TAUEXT_OK;
+}
+
+tauext_status tauext_monitor_no_sample(tauext_monitor* monitor, int64_t now_ns, tauext_estimate* estimate) {
+  if (!monitor || !has_room(estimate)) return TAUEXT_BAD_ARGUMENT;
+  write(monitor->monitor.no_sample(now_ns), estimate);
+  return TAUEXT_OK;
+}
+
+tauext_status tauext_monitor_acknowledge(tauext_monitor* monitor) {
+  if (!monitor) return TAUEXT_BAD_ARGUMENT;
+  monitor->monitor.acknowledge();
+  return TAUEXT_OK;
+}
+
+tauext_status tauext_monitor_reset(tauext_monitor* monitor) {
+  if (!monitor) return TAUEXT_BAD_ARGUMENT;
+  monitor->monitor.reset();
+  return TAUEXT_OK;
+}
+
+size_t tauext_monitor_state_bytes(const tauext_monitor* monitor) {
+  return monitor ? monitor->monitor.state_bytes() : 0;
+}
+
+tauext_status tauext_monitor_save_state(const tauext_monitor* monitor, void* state, size_t size) {
+  if (!monitor || !state) return TAUEXT_BAD_ARGUMENT;
+  return monitor->monitor.save_state({static_cast<std::byte*>(state), size}) ? TAUEXT_OK : TAUEXT_BAD_ARGUMENT;
+}
+
+tauext_status tauext_monitor_restore_state(tauext_monitor* monitor, const void* state, size_t size) {
+  if (!monitor || !state) return TAUEXT_BAD_ARGUMENT;
+  return monitor->monitor.restore_state({static_cast<const std::byte*>(state), size}) ? TAUEXT_OK : TAUEXT_BAD_STATE;
+}

@@ -1,0 +1,126 @@
+#include "tauext/flight_recorder.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace tauext {
+namespace {
+constexpr int kSignals = 7;  // q, dq, tau, residual, uncertainty, tau_ext, limit
+}
+
+FlightRecorder::FlightRecorder(int joints, std::int64_t sample_period_ns, const FlightSettings& settings)
+    : joints_(joints), contacts_(settings.contacts) {
+  if (joints < 1 || joints > kMaxJoints)
+    throw Error("a flight recorder has 1 to " + std::to_string(kMaxJoints) + " joints, not " + std::to_string(joints));
+  if (sample_period_ns < 1)
+    throw Error("sample period = " + std::to_string(sample_period_ns) + " ns must be > 0");
+  for (double seconds : {settings.before_s, settings.after_s})
+    if (!(seconds >= 0 && seconds <= 600))
+      throw Error("a flight recorder keeps 0 to 600 s before and after an event, not " + std::to_string(seconds));
+  const double period_s = 1e-9 * static_cast<double>(sample_period_ns);
+  after_ = std::llround(settings.after_s / period_s);
+  capacity_ = std::llround(settings.before_s / period_s) + 1 + after_;
+  const auto rows = static_cast<std::size_t>(capacity_);
+  if (rows * static_cast<std::size_t>(joints) > 20'000'000)
+    throw Error("a flight recorder cannot keep " + std::to_string(capacity_) + " samples of " +
+                std::to_string(joints) + " joints; ask for fewer seconds");
+  for (Ring& ring : rings_) {
+    ring.t_ns.resize(rows);
+    ring.signals.resize(rows * kSignals * static_cast<std::size_t>(joints));
+    for (auto* bits : {&ring.near_stiction, &ring.causes}) bits->resize(rows);
+    for (auto* words : {&ring.health, &ring.alarm, &ring.detection}) words->resize(rows);
+  }
+}
+
+void FlightRecorder::push(const Sample& sample, const Estimate& e) noexcept {
+  Ring& ring = rings_[active_];
+  const auto row = static_cast<std::size_t>(ring.next);
+  const auto n = static_cast<std::size_t>(joints_);
+  ring.t_ns[row] = sample.t_ns;
+  double* to = ring.signals.data() + row * kSignals * n;
+  for (const std::span<const double> signal : {sample.q, sample.dq, sample.tau}) {
+    for (std::size_t j = 0; j < n; ++j)
+      to[j] = signal.size() == n ? signal[j] : std::numeric_limits<double>::quiet_NaN();
+    to += n;
+  }
+  for (const JointVector* signal : {&e.residual, &e.uncertainty, &e.tau_ext, &e.limit_nm})
+    to = std::copy_n(signal->data(), n, to);
+  ring.near_stiction[row] = e.near_stiction;
+  ring.causes[row] = e.causes;
+  ring.health[row] = static_cast<std::uint8_t>(e.health);
+  ring.alarm[row] = static_cast<std::uint8_t>(e.alarm);
+  ring.detection[row] = e.detection;
+  ring.next = ring.next + 1 == capacity_ ? 0 : ring.next + 1;
+  ++ring.count;
+
+  const bool rises = e.alarm > alarm_ && (e.alarm == Alarm::collision || contacts_);
+  const bool breaks = e.health == Health::fault && health_ != Health::fault;
+  alarm_ = e.alarm;
+  health_ = e.health;
+  if (rises || breaks) {
+    events_.fetch_add(1, std::memory_order_relaxed);
+    if (ring.event < 0) {  // otherwise it stands in the flight of the event before it
+      ring.event = ring.count;
+      ring.estimate = e;
+    }
+  }
+  if (ring.event >= 0 && ring.count >= ring.event + after_) hand_over();
+}
+
+bool FlightRecorder::finish() noexcept {
+  if (rings_[active_].event < 0) return true;
+  if (handed_.load(std::memory_order_acquire) >= 0) return false;
+  hand_over();
+  return true;
+}
+
+// A flight that nobody has taken yet keeps its ring; the new one then waits in the active ring for as long as that has
+// room, and is given up when its event would be overwritten.
+void FlightRecorder::hand_over() noexcept {
+  Ring& ring = rings_[active_];
+  if (handed_.load(std::memory_order_acquire) >= 0) {
+    if (ring.count >= ring.event + capacity_ - 1) {
+      ring.event = -1;
+      missed_.fetch_add(1, std::memory_order_relaxed);
+    }
+    return;
+  }
+  const int full = active_;
+  active_ = 1 - active_;
+  rings_[active_].next = rings_[active_].count = 0;
+  rings_[active_].event = -1;
+  handed_.store(full, std::memory_order_release);
+}
+
+bool FlightRecorder::take(Flight& flight) {
+  const int full = handed_.load(std::memory_order_acquire);
+  if (full < 0) return false;
+  const Ring& ring = rings_[full];
+  const auto n = static_cast<std::size_t>(joints_);
+  const std::int64_t rows = std::min(ring.count, capacity_);
+  const std::int64_t oldest = ring.count - rows;  // counted from the ring's first row
+  flight = {};
+  flight.event_row = ring.event - 1 - oldest;
+  flight.event = ring.estimate;
+  std::vector<double>* const signals[kSignals] = {&flight.q,           &flight.dq,      &flight.tau,     &flight.residual,
+                                                  &flight.uncertainty, &flight.tau_ext, &flight.limit_nm};
+  for (std::int64_t k = 0; k < rows; ++k) {
+    const auto at = static_cast<std::size_t>((oldest + k) % capacity_);
+    flight.t_ns.push_back(ring.t_ns[at]);
+    const double* from = ring.signals.data() + at * kSignals * n;
+    for (std::vector<double>* signal : signals) {
+      signal->insert(signal->end(), from, from + n);
+      from += n;
+    }
+    flight.near_stiction.push_back(ring.near_stiction[at]);
+    flight.causes.push_back(ring.causes[at]);
+    flight.health.push_back(ring.health[at]);
+    flight.alarm.push_back(ring.alarm[at]);
+    flight.detection.push_back(ring.detection[at]);
+  }
+  handed_.store(-1, std::memory_order_release);
+  return true;
+}
+
+}  // namespace tauext

@@ -1,0 +1,114 @@
+#include "tauext/alarm.hpp"
+
+#include <cmath>
+
+#include "check.hpp"
+
+using namespace tauext;
+
+namespace {
+
+constexpr std::int64_t kMs = 1'000'000;
+
+Limits make_limits() {
+  Limits limits;
+  limits.near_stiction_rad_s = 0.02;
+  limits.collision = {{10, 5}, {20, 10}, 0.005};
+  limits.contact = {{4, 2}, {8, 4}, 0.002};
+  limits.contact_release_s = 0.05;
+  return limits;
+}
+
+struct Stage {
+  AlarmStage alarm{2, make_limits()};
+  double limit_nm[2];
+  std::uint32_t near_stiction = 0;
+  bool detection = false;
+
+  const AlarmStage::State& step(std::int64_t t_ms, double tau_1, double tau_2, bool trusted = true, double dq = 1.0) {
+    const double tau[] = {tau_1, tau_2}, speed[] = {dq, 1.0};
+    detection = alarm.step(t_ms * kMs, tau, speed, trusted, limit_nm, near_stiction);
+    return alarm.state();
+  }
+};
+
+// tau rises by 1 Nm each millisecond: over 4 Nm from 5 ms on, over 10 Nm from 11 ms on.
+void a_ramp_raises_contact_and_collision_after_their_hold_times() {
+  Stage s;
+  for (int t = 0; t <= 30; ++t) {
+    const Alarm alarm = s.step(t, -t, 0).alarm;
+    CHECK(alarm == (t >= 16 ? Alarm::collision : t >= 7 ? Alarm::contact : Alarm::none));
+    CHECK(s.detection == (t >= 11));
+  }
+  CHECK(s.alarm.state().joint == 0 && s.alarm.state().raised_t_ns == 16 * kMs);
+}
+
+void a_contact_falls_back_and_a_collision_does_not() {
+  Stage s;
+  for (int t = 0; t < 10; ++t) s.step(t, 0, 3);
+  CHECK(s.alarm.state().alarm == Alarm::contact && s.alarm.state().joint == 1);
+  for (int t = 10; t < 59; ++t) CHECK(s.step(t, 0, 0).alarm == Alarm::contact);
+  CHECK(s.step(59, 0, 0).alarm == Alarm::none && s.alarm.state().joint == -1);  // 50 ms after the last touch at 9 ms
+  for (int t = 60; t < 70; ++t) s.step(t, 0, 7);
+  for (int t = 70; t < 1000; ++t) CHECK(s.step(t, 0, 0).alarm == Alarm::collision);
+  s.alarm.acknowledge();
+  CHECK(s.step(1000, 0, 0).alarm == Alarm::none);
+  for (int t = 1001; t < 1005; ++t) s.step(t, 0, 7);
+  s.alarm.acknowledge();
+  for (int t = 1005; t < 1010; ++t) CHECK(s.step(t, 0, 7).alarm != Alarm::collision);  // its hold time begins anew
+  CHECK(s.step(1010, 0, 7).alarm == Alarm::collision);
+}
+
+void one_sample_under_the_limit_begins_the_hold_time_anew() {
+  Stage s;
+  for (int t = 0; t < 100; ++t) CHECK(s.step(t, t % 5 == 4 ? 3 : 11, 0).alarm != Alarm::collision);
+}
+
+void near_stiction_has_its_own_limits() {
+  Stage s;
+  for (int t = 0; t < 20; ++t) CHECK(s.step(t, 15, 0, true, 0.01).alarm != Alarm::collision);
+  CHECK(s.near_stiction == 1 && s.limit_nm[0] == 20 && s.limit_nm[1] == 5);
+  CHECK(s.alarm.state().alarm == Alarm::contact);
+}
+
+void what_cannot_be_trusted_neither_raises_nor_ends_an_alarm() {
+  Stage s;
+  for (int t = 0; t < 100; ++t) CHECK(s.step(t, 50, 50, false).alarm == Alarm::none && !s.detection);
+  for (int t = 100; t < 104; ++t) s.step(t, 5, 0);
+  CHECK(s.alarm.state().alarm == Alarm::contact);
+  for (int t = 104; t < 500; ++t) CHECK(s.step(t, NAN, NAN, false).alarm == Alarm::contact);
+  for (int t = 500; t < 549; ++t) CHECK(s.step(t, 0, 0).alarm == Alarm::contact);  // 50 ms of evidence
+  CHECK(s.step(549, 0, 0).alarm == Alarm::none);
+}
+
+void the_joint_furthest_over_its_limit_is_named() {
+  Stage s;
+  for (int t = 0; t < 10; ++t) s.step(t, 12, 9);
+  CHECK(s.alarm.state().alarm == Alarm::collision && s.alarm.state().joint == 1);
+}
+
+void bad_limits_are_refused() {
+  Limits limits = make_limits();
+  CHECK_THROWS(AlarmStage(3, limits), Error);
+  limits.contact.near_stiction_nm[1] = 0;
+  CHECK_THROWS(AlarmStage(2, limits), Error);
+  limits = make_limits();
+  limits.collision.hold_s = NAN;
+  CHECK_THROWS(AlarmStage(2, limits), Error);
+  limits = make_limits();
+  limits.contact_release_s = 61;
+  CHECK_THROWS(AlarmStage(2, limits), Error);
+}
+
+}  // namespace
+
+int main() {
+  a_ramp_raises_contact_and_collision_after_their_hold_times();
+  a_contact_falls_back_and_a_collision_does_not();
+  one_sample_under_the_limit_begins_the_hold_time_anew();
+  near_stiction_has_its_own_limits();
+  what_cannot_be_trusted_neither_raises_nor_ends_an_alarm();
+  the_joint_furthest_over_its_limit_is_named();
+  bad_limits_are_refused();
+  return check::result();
+}

@@ -1,0 +1,271 @@
+// The C API says what the C++ monitor says, to the last bit, and lets no exception or overrun through.
+#include "tauext/tauext.h"
+
+#include <cstddef>
+#include <cstring>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "check.hpp"
+#include "made_bundle.hpp"
+#include "tauext/monitor.hpp"
+
+extern "C" int estimates_of_c_program(const void* bundle, size_t bundle_size, size_t samples, const double* q,
+                                      const double* dq, const double* tau, double* tau_ext, int32_t* alarms);
+
+namespace {
+
+constexpr int kJoints = 3;
+constexpr int kSamples = 4000;
+
+struct Signals {
+  double q[kJoints], dq[kJoints], tau[kJoints];
+  explicit Signals(std::int64_t k) { made::signal(k, kJoints, q, dq, tau); }
+  tauext::Sample sample(std::int64_t t_ns) const { return {t_ns, q, dq, tau}; }
+};
+
+const tauext::Bundle& bundle() {
+  static const tauext::Bundle made = made::bundle(kJoints, 6, 8, 10, 1);
+  return made;
+}
+const std::vector<char>& bytes() {
+  static const std::vector<char> made = tauext::to_bytes(bundle());
+  return made;
+}
+
+tauext_monitor* open(tauext_network_rate rate = TAUEXT_EVERY_SAMPLE) {
+  tauext_monitor* monitor = nullptr;
+  char message[256];
+  const tauext_status status =
+      tauext_monitor_open_bytes(bytes().data(), bytes().size(), rate, &monitor, message, sizeof message);
+  if (status != TAUEXT_OK) std::printf("message was: %s\n", message);
+  CHECK(status == TAUEXT_OK && monitor && message[0] == '\0');
+  return monitor;
+}
+
+tauext_estimate fresh() {
+  tauext_estimate e;
+  std::memset(&e, 0xA5, sizeof e);
+  e.size = sizeof e;
+  return e;
+}
+
+// Bit for bit, NaN and all.
+bool same(const tauext_estimate& c, const tauext::Estimate& e) {
+  const auto equal = [](const double* a, const tauext::JointVector& b) {
+    return std::memcmp(a, b.data(), sizeof b) == 0;
+  };
+  return c.size == sizeof c && c.t_ns == e.t_ns && c.joints == e.joints && c.health == static_cast<int>(e.health) &&
+         c.causes == e.causes && c.cause_joint == e.cause_joint && c.alarm == static_cast<int>(e.alarm) &&
+         c.alarm_joint == e.alarm_joint && c.alarm_t_ns == e.alarm_t_ns && c.detection == e.detection &&
+         c.near_stiction == e.near_stiction && equal(c.residual, e.residual) && equal(c.uncertainty, e.uncertainty) &&
+         equal(c.tau_ext, e.tau_ext) && equal(c.limit_nm, e.limit_nm) && equal(c.margin_nm, e.margin_nm);
+}
+
+void estimates_are_those_of_the_cpp_monitor_through_faults_and_alarms() {
+  for (const auto rate : {TAUEXT_EVERY_SAMPLE, TAUEXT_NETWORK_PERIOD}) {
+    tauext_monitor* c = open(rate);
+    tauext::Monitor cpp(bundle(), static_cast<tauext::NetworkRate>(rate));
+    CHECK(tauext_monitor_joints(c) == kJoints);
+    CHECK(std::strcmp(tauext_monitor_joint_name(c, 1), "joint2") == 0);
+    CHECK(tauext_monitor_sample_period_ns(c) == made::kPeriodNs);
+    int differ = 0, collisions = 0, faults = 0, healthy = 0;
+    for (int k = 0; k < kSamples; ++k) {
+      Signals s(k);
+      const std::int64_t t_ns = k * made::kPeriodNs;
+      tauext_estimate e = fresh();
+      if (k == 1200) s.q[1] = NAN;
+      if (k == 1800) {
+        CHECK(tauext_monitor_no_sample(c, t_ns, &e) == TAUEXT_OK);
+        differ += !same(e, cpp.no_sample(t_ns));
+        continue;
+      }
+      if (k == 3000) {
+        CHECK(tauext_monitor_acknowledge(c) == TAUEXT_OK);
+        cpp.acknowledge();
+      }
+      if (k == 3500) {
+        CHECK(tauext_monitor_reset(c) == TAUEXT_OK);
+        cpp.reset();
+      }
+      if (k % 2) {
+        CHECK(tauext_monitor_step(c, t_ns, s.q, s.dq, s.tau, &e) == TAUEXT_OK);
+      } else {
+        CHECK(tauext_monitor_estimate(c, t_ns, s.q, s.dq, s.tau, &e) == TAUEXT_OK);
+        CHECK(tauext_monitor_advance(c) == TAUEXT_OK);
+      }
+      differ += !same(e, cpp.step(s.sample(t_ns)));
+      collisions += e.alarm == TAUEXT_COLLISION;
+      faults += e.health == TAUEXT_FAULT;
+      healthy += e.health == TAUEXT_HEALTHY;
+    }
+    CHECK(differ == 0);
+    CHECK(collisions > 0 && collisions < kSamples);
+    CHECK(faults > 0 && healthy > 2000);
+    tauext_monitor_close(c);
+  }
+}
+
+void a_c_program_gets_the_same() {
+  std::vector<double> q, dq, tau, expected, got(kSamples * kJoints);
+  std::vector<std::int32_t> expected_alarms, alarms(kSamples);
+  tauext::Monitor cpp(bundle());
+  for (int k = 0; k < kSamples; ++k) {
+    const Signals s(k);
+    q.insert(q.end(), s.q, s.q + kJoints);
+    dq.insert(dq.end(), s.dq, s.dq + kJoints);
+    tau.insert(tau.end(), s.tau, s.tau + kJoints);
+    const tauext::Estimate& e = cpp.step(s.sample(k * made::kPeriodNs));
+    expected.insert(expected.end(), e.tau_ext.begin(), e.tau_ext.begin() + kJoints);
+    expected_alarms.push_back(static_cast<std::int32_t>(e.alarm));
+  }
+  CHECK(estimates_of_c_program(bytes().data(), bytes().size(), kSamples, q.data(), dq.data(), tau.data(), got.data(),
+                               alarms.data()) == 0);
+  CHECK(std::memcmp(got.data(), expected.data(), sizeof(double) * got.size()) == 0);
+  CHECK(alarms == expected_alarms);
+}
+
+void a_restored_state_goes_on_as_if_nothing_had_happened() {
+  tauext_monitor *whole = open(), *second = open(), *other_rate = open(TAUEXT_NETWORK_PERIOD);
+  std::vector<char> state(tauext_monitor_state_bytes(whole));
+  tauext_estimate a = fresh(), b = fresh();
+  for (int k = 0; k < 3000; ++k) {
+    const Signals s(k);
+    tauext_monitor_step(whole, k * made::kPeriodNs, s.q, s.dq, s.tau, &a);
+    if (k < 2000) continue;
+    if (k == 2000) {
+      CHECK(tauext_monitor_save_state(whole, state.data(), state.size()) == TAUEXT_OK);
+      CHECK(tauext_monitor_restore_state(second, state.data(), state.size()) == TAUEXT_OK);
+      continue;
+    }
+    tauext_monitor_step(second, k * made::kPeriodNs, s.q, s.dq, s.tau, &b);
+    CHECK(std::memcmp(&a, &b, sizeof a) == 0);
+  }
+  CHECK(tauext_monitor_save_state(whole, state.data(), state.size() - 1) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_restore_state(second, state.data(), state.size() - 1) == TAUEXT_BAD_STATE);
+  CHECK(tauext_monitor_restore_state(other_rate, state.data(), state.size()) == TAUEXT_BAD_STATE);
+  for (std::size_t at = 0; at < state.size(); at += 1 + state.size() / 97) {
+    if (at >= 20 && at < 24) continue;  // padding of the head
+    state[at] = static_cast<char>(state[at] ^ 0x20);
+    CHECK(tauext_monitor_restore_state(second, state.data(), state.size()) == TAUEXT_BAD_STATE);
+    state[at] = static_cast<char>(state[at] ^ 0x20);
+  }
+  for (tauext_monitor* m : {whole, second, other_rate}) tauext_monitor_close(m);
+}
+
+void no_more_is_written_than_the_caller_has_room_for() {
+  tauext_monitor* m = open();
+  const Signals s(0);
+  tauext_estimate e = fresh();
+  e.size = offsetof(tauext_estimate, tau_ext) + sizeof(double);
+  const tauext_estimate untouched = fresh();
+  CHECK(tauext_monitor_step(m, 0, s.q, s.dq, s.tau, &e) == TAUEXT_OK);
+  CHECK(e.size == offsetof(tauext_estimate, tau_ext) + sizeof(double));
+  CHECK(e.joints == kJoints && e.health == TAUEXT_WARMING_UP && std::isnan(e.tau_ext[0]));
+  CHECK(std::memcmp(&e.tau_ext[1], &untouched.tau_ext[1], sizeof e - e.size) == 0);
+  e = fresh();
+  e.size = sizeof e + 8;  // a caller of a later version
+  CHECK(tauext_monitor_step(m, made::kPeriodNs, s.q, s.dq, s.tau, &e) == TAUEXT_OK);
+  CHECK(e.size == sizeof e + 8 && e.t_ns == made::kPeriodNs);
+  e.size = offsetof(tauext_estimate, residual) - 1;
+  CHECK(tauext_monitor_step(m, 2 * made::kPeriodNs, s.q, s.dq, s.tau, &e) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_no_sample(m, 2 * made::kPeriodNs, &e) == TAUEXT_BAD_ARGUMENT);
+  CHECK(e.t_ns == made::kPeriodNs);
+  CHECK(tauext_monitor_step(m, 2 * made::kPeriodNs, s.q, s.dq, s.tau, nullptr) == TAUEXT_OK);
+  CHECK(tauext_monitor_no_sample(m, 3 * made::kPeriodNs, nullptr) == TAUEXT_OK);
+  tauext_monitor_close(m);
+}
+
+void null_pointers_are_bad_arguments() {
+  tauext_monitor* m = open();
+  const Signals s(0);
+  CHECK(tauext_monitor_step(nullptr, 0, s.q, s.dq, s.tau, nullptr) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_step(m, 0, nullptr, s.dq, s.tau, nullptr) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_estimate(m, 0, s.q, nullptr, s.tau, nullptr) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_estimate(m, 0, s.q, s.dq, nullptr, nullptr) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_advance(nullptr) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_no_sample(nullptr, 0, nullptr) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_acknowledge(nullptr) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_reset(nullptr) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_save_state(nullptr, nullptr, 0) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_save_state(m, nullptr, tauext_monitor_state_bytes(m)) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_restore_state(m, nullptr, tauext_monitor_state_bytes(m)) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_joints(nullptr) == 0);
+  CHECK(tauext_monitor_sample_period_ns(nullptr) == 0);
+  CHECK(tauext_monitor_state_bytes(nullptr) == 0);
+  CHECK(tauext_monitor_joint_name(nullptr, 0) == nullptr);
+  CHECK(tauext_monitor_joint_name(m, -1) == nullptr);
+  CHECK(tauext_monitor_joint_name(m, kJoints) == nullptr);
+  tauext_monitor_close(m);
+  tauext_monitor_close(nullptr);
+}
+
+// The monitor's address is made not null beforehand, so that a call which leaves it alone is found out.
+tauext_status open_path(const char* path, tauext_network_rate rate, char* message, std::size_t size) {
+  auto* monitor = reinterpret_cast<tauext_monitor*>(message);
+  const tauext_status status = tauext_monitor_open(path, rate, &monitor, message, size);
+  CHECK((status == TAUEXT_OK) == (monitor != nullptr));
+  tauext_monitor_close(monitor);
+  return status;
+}
+
+void what_cannot_be_opened_says_why() {
+  char message[256];
+  const auto says = [&](const char* part) {
+    if (!std::strstr(message, part)) std::printf("message was: %s\n", message);
+    return std::strstr(message, part) != nullptr;
+  };
+  const auto none = std::filesystem::temp_directory_path() / "tauext_there_is_no_such.tauext";
+  CHECK(open_path(none.string().c_str(), TAUEXT_EVERY_SAMPLE, message, sizeof message) == TAUEXT_BAD_BUNDLE);
+  CHECK(says("tauext_there_is_no_such.tauext: cannot be opened"));
+  CHECK(open_path(nullptr, TAUEXT_EVERY_SAMPLE, message, sizeof message) == TAUEXT_BAD_ARGUMENT);
+  CHECK(says("null pointer"));
+  CHECK(open_path(none.string().c_str(), static_cast<tauext_network_rate>(2), message, sizeof message) ==
+        TAUEXT_BAD_ARGUMENT);
+  CHECK(says("network rate"));
+  CHECK(tauext_monitor_open_bytes(bytes().data(), bytes().size(), TAUEXT_EVERY_SAMPLE, nullptr, message,
+                                  sizeof message) == TAUEXT_BAD_ARGUMENT);
+
+  std::vector<char> damaged = bytes();
+  damaged[damaged.size() / 2] = static_cast<char>(damaged[damaged.size() / 2] ^ 1);
+  tauext_monitor* monitor = nullptr;
+  const auto open_damaged = [&](char* text, std::size_t size) {
+    return tauext_monitor_open_bytes(damaged.data(), damaged.size(), TAUEXT_EVERY_SAMPLE, &monitor, text, size);
+  };
+  CHECK(open_damaged(message, sizeof message) == TAUEXT_BAD_BUNDLE && !monitor);
+  CHECK(says("checksum"));
+  const std::string whole = message;
+  std::memset(message, 'x', sizeof message);
+  CHECK(open_damaged(message, 9) == TAUEXT_BAD_BUNDLE);
+  CHECK(message == whole.substr(0, 8) && message[9] == 'x');
+  CHECK(open_damaged(message, 1) == TAUEXT_BAD_BUNDLE && message[0] == '\0');
+  std::memset(message, 'x', sizeof message);
+  CHECK(open_damaged(message, 0) == TAUEXT_BAD_BUNDLE && message[0] == 'x');
+  CHECK(open_damaged(nullptr, sizeof message) == TAUEXT_BAD_BUNDLE);
+}
+
+void every_code_has_a_name() {
+  CHECK(std::strcmp(tauext_version(), TAUEXT_VERSION) == 0);
+  CHECK(std::strcmp(tauext_status_name(TAUEXT_BAD_STATE), "bad state") == 0);
+  CHECK(*tauext_status_name(TAUEXT_OK) && !*tauext_status_name(static_cast<tauext_status>(5)));
+  CHECK(std::strcmp(tauext_health_name(TAUEXT_HEALTHY), "ok") == 0);
+  CHECK(!*tauext_health_name(-1) && !*tauext_health_name(256));
+  CHECK(std::strcmp(tauext_alarm_name(TAUEXT_COLLISION), "collision") == 0);
+  CHECK(!*tauext_alarm_name(-1) && !*tauext_alarm_name(256));
+  for (std::uint32_t bit = 0; bit < tauext::kCauseCount; ++bit) CHECK(*tauext_cause_name(1u << bit));
+  CHECK(!*tauext_cause_name(0) && !*tauext_cause_name(3) && !*tauext_cause_name(1u << tauext::kCauseCount));
+}
+
+}  // namespace
+
+int main() {
+  estimates_are_those_of_the_cpp_monitor_through_faults_and_alarms();
+  a_c_program_gets_the_same();
+  a_restored_state_goes_on_as_if_nothing_had_happened();
+  no_more_is_written_than_the_caller_has_room_for();
+  null_pointers_are_bad_arguments();
+  what_cannot_be_opened_says_why();
+  every_code_has_a_name();
+  return check::result();
+}

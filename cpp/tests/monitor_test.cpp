@@ -1,0 +1,364 @@
+#include "tauext/monitor.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <random>
+#include <vector>
+
+#include "check.hpp"
+#include "made_bundle.hpp"
+
+using namespace tauext;
+
+namespace {
+
+constexpr std::int64_t kMs = 1'000'000;
+constexpr int kSteps = 30, kStride = 10;  // a window of 0.3 s; the observer needs 0.5 s
+
+struct Signals {
+  int joints;
+  std::vector<std::int64_t> t_ns;
+  std::vector<double> q, dq, tau;
+
+  std::int64_t samples() const { return static_cast<std::int64_t>(t_ns.size()); }
+  Sample at(std::int64_t k) const {
+    const auto n = static_cast<std::size_t>(joints), from = static_cast<std::size_t>(k) * n;
+    return {t_ns[static_cast<std::size_t>(k)], std::span(q).subspan(from, n), std::span(dq).subspan(from, n),
+            std::span(tau).subspan(from, n)};
+  }
+  RecordingView view() const { return {samples(), joints, t_ns.data(), q.data(), dq.data(), tau.data()}; }
+};
+
+// The made motion, sampled at these times.
+Signals sampled(int joints, const std::vector<std::int64_t>& t_ns) {
+  Signals s{joints, t_ns, {}, {}, {}};
+  for (std::int64_t t : t_ns) {
+    double q[kMaxJoints], dq[kMaxJoints], tau[kMaxJoints];
+    made::signal(t / kMs, joints, q, dq, tau);
+    s.q.insert(s.q.end(), q, q + joints);
+    s.dq.insert(s.dq.end(), dq, dq + joints);
+    s.tau.insert(s.tau.end(), tau, tau + joints);
+  }
+  return s;
+}
+
+Signals regular(int joints, int samples, std::int64_t first_ms = 0) {
+  std::vector<std::int64_t> t_ns;
+  for (int k = 0; k < samples; ++k) t_ns.push_back((first_ms + k) * kMs);
+  return sampled(joints, t_ns);
+}
+
+bool same(double a, double b) { return a == b || (std::isnan(a) && std::isnan(b)); }
+
+bool same(const Estimate& a, const Estimate& b) {
+  bool equal = a.t_ns == b.t_ns && a.health == b.health && a.causes == b.causes && a.cause_joint == b.cause_joint &&
+               a.alarm == b.alarm && a.alarm_joint == b.alarm_joint && a.alarm_t_ns == b.alarm_t_ns &&
+               a.detection == b.detection && a.near_stiction == b.near_stiction;
+  for (int j = 0; j < a.joints; ++j)
+    equal = equal && same(a.residual[j], b.residual[j]) && same(a.uncertainty[j], b.uncertainty[j]) &&
+            same(a.tau_ext[j], b.tau_ext[j]) && same(a.limit_nm[j], b.limit_nm[j]) &&
+            same(a.margin_nm[j], b.margin_nm[j]);
+  return equal;
+}
+
+// Jittering stamps, bridged gaps of one to ten ticks, and some gaps that restart.
+void online_equals_offline_to_the_last_bit() {
+  for (const int joints : {1, 2, 7}) {
+    for (const int hidden : {0, 20}) {
+      const Bundle bundle = made::bundle(joints, hidden, kSteps, kStride, 3);
+      std::mt19937 random(5);
+      std::vector<std::int64_t> t_ns{12345};
+      while (t_ns.size() < 6000) {
+        const auto draw = random() % 400;
+        std::int64_t step = kMs - 100'000 + static_cast<std::int64_t>(random() % 200'000);
+        if (draw < 6) step += static_cast<std::int64_t>(1 + random() % 10) * kMs;
+        if (draw == 399 && t_ns.size() % 3 == 0) step += 50 * kMs;
+        t_ns.push_back(t_ns.back() + step);
+      }
+      const Signals s = sampled(joints, t_ns);
+      const Estimates offline = estimate(bundle, s.view(), 2);
+      Monitor monitor(bundle);
+      int healthy = 0, detections = 0;
+      for (std::int64_t k = 0; k < s.samples(); ++k) {
+        const Estimate& e = monitor.step(s.at(k));
+        const auto row = static_cast<std::size_t>(k);
+        CHECK((e.health == Health::ok) == (offline.healthy[row] == 1));
+        CHECK(e.detection == (offline.detection[row] == 1));
+        healthy += e.health == Health::ok;
+        detections += e.detection;
+        for (std::size_t j = 0; j < static_cast<std::size_t>(joints); ++j) {
+          const std::size_t at = row * static_cast<std::size_t>(joints) + j;
+          CHECK(e.residual[j] == offline.residual[at]);
+          CHECK(same(e.uncertainty[j], offline.network[at]));
+          CHECK(same(e.tau_ext[j], offline.tau_ext[at]));
+          CHECK(e.limit_nm[j] == offline.limit_nm[at]);
+          CHECK(same(e.margin_nm[j], e.limit_nm[j] - std::fabs(e.tau_ext[j])));
+          CHECK((e.near_stiction >> j & 1) == offline.near_stiction[at]);
+        }
+      }
+      CHECK(healthy > 1000 && healthy < 5500 && detections > 0);
+      CHECK(monitor.samples() == 6000 && monitor.bridged_ticks() > 0 && monitor.restarts() > 0);
+    }
+  }
+}
+
+void the_network_at_its_own_rate_holds_its_last_value() {
+  const Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
+  const Signals s = regular(2, 2000);
+  Monitor every(bundle), own(bundle, NetworkRate::network_period);
+  double held[2] = {NAN, NAN};
+  for (std::int64_t k = 0; k < s.samples(); ++k) {
+    const Estimate& a = every.step(s.at(k));
+    const Estimate& b = own.step(s.at(k));
+    CHECK(a.health == b.health);
+    for (int j = 0; j < 2; ++j) {
+      if (k % kStride == 0) held[j] = a.uncertainty[j];
+      if (b.health == Health::ok && !std::isnan(held[j])) CHECK(b.uncertainty[j] == held[j]);
+      CHECK(a.residual[j] == b.residual[j]);
+    }
+  }
+}
+
+// Feeds samples [from, to) and returns the last estimate.
+Estimate feed(Monitor& monitor, const Signals& s, std::int64_t from, std::int64_t to) {
+  Estimate last;
+  for (std::int64_t k = from; k < to; ++k) last = monitor.step(s.at(k));
+  return last;
+}
+
+constexpr int kWarm = 700;  // samples after which observer and window are full
+
+// Whatever broke the chain: the monitor says fault, comes back by itself, and from there on says what a fresh one says
+// that saw only what came afterwards.
+template <class Break>
+void comes_back(std::uint32_t cause, Break&& broken, std::int64_t resumes_at_ms) {
+  const Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
+  Monitor monitor(bundle);
+  CHECK(feed(monitor, regular(2, kWarm), 0, kWarm).health == Health::ok);
+  const Estimate fault = broken(monitor);
+  CHECK(fault.health == Health::fault && fault.causes == cause && !fault.clear() && !fault.detection);
+  CHECK(std::isnan(fault.tau_ext[0]) && std::isnan(fault.margin_nm[1]));
+  const Signals after = regular(2, 1500, resumes_at_ms);
+  Monitor fresh(bundle);
+  for (std::int64_t k = 0; k < after.samples(); ++k) {
+    const Estimate a = monitor.step(after.at(k)), b = fresh.step(after.at(k));
+    CHECK(a.health == b.health);
+    CHECK(a.health == (k < 500 ? Health::warming_up : Health::ok));
+    CHECK(a.causes == (a.health == Health::ok ? 0 : cause));  // why it is warming up
+    for (int j = 0; j < 2; ++j) CHECK(a.residual[j] == b.residual[j] && same(a.tau_ext[j], b.tau_ext[j]));
+  }
+}
+
+void broken_signals_are_faults_and_the_monitor_comes_back() {
+  for (const double bad : {static_cast<double>(NAN), static_cast<double>(INFINITY), -static_cast<double>(INFINITY)})
+    for (int which = 0; which < 3; ++which)
+      comes_back(
+          kNotFinite,
+          [&](Monitor& m) {
+            Signals s = regular(2, 1, kWarm);
+            (which == 0 ? s.q : which == 1 ? s.dq : s.tau)[1] = bad;
+            const Estimate e = m.step(s.at(0));
+            CHECK(e.cause_joint == 1);
+            return e;
+          },
+          kWarm + 1);
+  comes_back(kNotFinite, [](Monitor& m) {
+    Signals s = regular(2, 1, kWarm);
+    s.tau[0] = 1e308;  // finite, but the observer overflows
+    m.step(s.at(0));
+    s = regular(2, 1, kWarm + 1);
+    s.tau[0] = -1e308;
+    s.dq[0] = 1e200;
+    return m.step(s.at(0));
+  }, kWarm + 2);
+  comes_back(kWrongSize, [](Monitor& m) {
+    const double one[1] = {0};
+    return m.step({kWarm * kMs, one, one, one});
+  }, kWarm + 1);
+  comes_back(kTimeBackwards, [](Monitor& m) { return m.step(regular(2, 1, kWarm - 100).at(0)); }, kWarm - 99);
+  comes_back(kGap, [](Monitor& m) { return m.no_sample((kWarm + 50) * kMs); }, kWarm + 60);
+}
+
+void a_gap_in_the_samples_warms_up_anew_and_says_why() {
+  const Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
+  Monitor monitor(bundle);
+  feed(monitor, regular(2, kWarm), 0, kWarm);
+  const Estimate e = monitor.step(regular(2, 1, kWarm + 100).at(0));
+  CHECK(e.health == Health::warming_up && e.causes == kGap);
+  CHECK(feed(monitor, regular(2, kWarm, kWarm + 101), 0, kWarm).health == Health::ok);
+  CHECK(monitor.restarts() == 1);
+}
+
+void late_and_missing_samples_are_stale_and_change_nothing() {
+  const Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
+  const Signals s = regular(2, 1000);
+  Monitor monitor(bundle), undisturbed(bundle);
+  const Estimate before = feed(monitor, s, 0, 800);
+  feed(undisturbed, s, 0, 800);
+  for (const std::int64_t late : {799, 798, 790}) {
+    const Estimate e = monitor.step(s.at(late));
+    CHECK(e.health == Health::stale && e.causes == kLateSample && !e.clear() && e.tau_ext[0] == before.tau_ext[0]);
+  }
+  Estimate e = monitor.no_sample(805 * kMs);
+  CHECK(e.health == Health::stale && e.causes == kMissingSample && e.tau_ext[1] == before.tau_ext[1]);
+  e = monitor.step(s.at(805));
+  CHECK(e.health == Health::ok && same(e, undisturbed.step(s.at(805))));
+  Monitor unstarted(bundle);
+  CHECK(unstarted.no_sample(0).health == Health::warming_up);
+  CHECK(unstarted.step(s.at(0)).causes == 0);
+}
+
+void another_rate_is_refused_and_the_right_one_taken_up_again() {
+  const Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
+  for (const double period_ms : {2.0, 0.5, 1.1, 0.9}) {
+    Monitor monitor(bundle);
+    feed(monitor, regular(2, kWarm), 0, kWarm);
+    std::vector<std::int64_t> t_ns;
+    for (int k = 1; k <= 3000; ++k) t_ns.push_back(kWarm * kMs + static_cast<std::int64_t>(k * period_ms * 1e6));
+    const Signals wrong = sampled(2, t_ns);
+    const Estimate e = feed(monitor, wrong, 0, 3000);
+    CHECK(e.health == Health::fault && (e.causes & kWrongRate) != 0);
+    const Signals right = regular(2, 8000, t_ns.back() / kMs + 1);
+    CHECK(feed(monitor, right, 0, 8000).health == Health::ok);
+  }
+  // A gap now and then, or jitter of a third of a period, is no other rate.
+  Monitor monitor(bundle);
+  std::mt19937 random(1);
+  std::vector<std::int64_t> t_ns;
+  for (int k = 0; k < 20000; ++k)
+    if (k % 1000 >= 10) t_ns.push_back(k * kMs + static_cast<std::int64_t>(random() % 600'000));
+  const Signals s = sampled(2, t_ns);
+  for (std::int64_t k = 0; k < s.samples(); ++k) CHECK((monitor.step(s.at(k)).causes & kWrongRate) == 0);
+}
+
+void a_saturated_drive_is_a_fault_that_hides_no_collision() {
+  Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
+  bundle.signals.torque_limit_nm = {150, 60};
+  Monitor monitor(bundle);
+  Signals s = regular(2, 3000);
+  for (std::int64_t k = 1000; k < 1100; ++k) s.tau[static_cast<std::size_t>(2 * k + 1)] = -60;
+  for (std::int64_t k = 0; k < 3000; ++k) {
+    const Estimate& e = monitor.step(s.at(k));
+    if (k >= 1000 && k < 1100) CHECK(e.health == Health::fault && e.causes == kTorqueSaturated && e.cause_joint == 1);
+    if (k >= 1100 && k < 1590) CHECK(e.health == Health::warming_up && e.causes == kTorqueSaturated);
+    if (k >= 1601) CHECK(e.health == Health::ok && e.causes == 0);
+    if (k == 1099) CHECK(e.alarm == Alarm::collision && e.alarm_joint == 1 && !std::isnan(e.tau_ext[1]));
+    if (k > 1100) CHECK(e.alarm == Alarm::collision && !e.clear());  // latched through fault, warm-up and health
+  }
+  monitor.acknowledge();
+  CHECK(monitor.last().alarm == Alarm::none && monitor.last().clear());
+}
+
+void an_encoder_that_stands_still_is_a_fault_and_a_resting_arm_is_not() {
+  const Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
+  // Joint 2's position freezes while its velocity goes on.
+  Signals s = regular(2, 6000);
+  for (std::size_t k = 2000; k < 3000; ++k) s.q[2 * k + 1] = s.q[2 * 2000 + 1];
+  Monitor moving(bundle);
+  bool seen = false;
+  for (std::int64_t k = 0; k < 6000; ++k) {
+    const Estimate& e = moving.step(s.at(k));
+    if ((e.causes & kEncoderStill) != 0 && k < 3000) seen = true, CHECK(e.cause_joint == 1 && k > 2099);
+    if (k == 2999) CHECK(e.health == Health::fault && e.causes == kEncoderStill);
+  }
+  CHECK(seen && moving.last().health == Health::ok);
+  // Both freeze while the torque swings by more than it ever did in training (100 Nm).
+  s = regular(2, 3000);
+  for (std::size_t k = 2000; k < 3000; ++k) {
+    s.q[2 * k] = s.q[2 * 2000];
+    s.dq[2 * k] = 0;
+    s.tau[2 * k] = 60 * std::sin(0.02 * static_cast<double>(k));
+  }
+  Monitor driven(bundle);
+  CHECK((feed(driven, s, 0, 3000).causes & kEncoderStill) != 0);
+  // Everything rests; the torque wanders as stiction lets it.
+  for (std::size_t k = 0; k < 3000; ++k)
+    for (std::size_t j = 0; j < 2; ++j) {
+      s.q[2 * k + j] = 0.3;
+      s.dq[2 * k + j] = 0;
+      s.tau[2 * k + j] = 5 * std::sin(0.01 * static_cast<double>(k));
+    }
+  Monitor resting(bundle);
+  for (std::int64_t k = 0; k < 3000; ++k) CHECK(resting.step(s.at(k)).causes == 0);
+}
+
+void reset_equals_fresh_and_acknowledge_ends_the_alarm_alone() {
+  const Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
+  const Signals s = regular(2, 2000);
+  Monitor used(bundle), fresh(bundle);
+  feed(used, s, 0, 1234);
+  used.reset();
+  CHECK(used.samples() == 0);
+  for (std::int64_t k = 0; k < 2000; ++k) CHECK(same(used.step(s.at(k)), fresh.step(s.at(k))));
+}
+
+void a_restored_monitor_goes_on_as_if_nothing_had_been() {
+  for (const NetworkRate rate : {NetworkRate::every_sample, NetworkRate::network_period}) {
+    const Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
+    const Signals s = regular(2, 3000);
+    Monitor one(bundle, rate), other(bundle, rate);
+    for (std::int64_t stop : {0, 1, 333, 1777}) {
+      one.reset();
+      feed(one, s, 0, stop);
+      std::vector<std::byte> state(one.state_bytes());
+      CHECK(one.save_state(state));
+      feed(other, s, 5, 99);
+      CHECK(other.restore_state(state));
+      for (std::int64_t k = stop; k < stop + 1000; ++k) CHECK(same(one.step(s.at(k)), other.step(s.at(k))));
+    }
+    std::vector<std::byte> state(one.state_bytes());
+    CHECK(one.save_state(state));
+    const Estimate before = other.last();
+    for (std::size_t at : {std::size_t{0}, std::size_t{5}, std::size_t{9}, state.size() / 2, state.size() - 1}) {
+      std::vector<std::byte> damaged = state;
+      damaged[at] ^= std::byte{1};
+      CHECK(!other.restore_state(damaged));
+    }
+    CHECK(!other.restore_state(std::span(state).first(state.size() - 1)));
+    CHECK(!one.save_state(std::span(state).first(10)));
+    Monitor foreign(made::bundle(2, 20, kSteps, kStride, 4), rate);  // other weights
+    CHECK(!foreign.restore_state(state));
+    CHECK(same(before, other.last()));
+  }
+}
+
+void a_left_out_advance_is_made_up_for() {
+  const Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
+  const Signals s = regular(2, 1500);
+  Monitor stepping(bundle), estimating(bundle);
+  for (std::int64_t k = 0; k < 1500; ++k) CHECK(same(stepping.step(s.at(k)), estimating.estimate(s.at(k))));
+}
+
+void names_are_told() {
+  for (std::uint32_t k = 0; k < kCauseCount; ++k) CHECK(name(static_cast<Cause>(1u << k))[0] != '\0');
+  CHECK(name(static_cast<Cause>(1u << kCauseCount))[0] == '\0');
+  CHECK(std::string(name(Health::warming_up)) == "warming up" && std::string(name(Alarm::collision)) == "collision");
+}
+
+void a_bundle_that_does_not_hold_together_makes_no_monitor() {
+  Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
+  bundle.signals.largest_torque_nm[0] = NAN;
+  CHECK_THROWS(Monitor(bundle), Error);
+  bundle = made::bundle(2, 20, kSteps, kStride, 3);
+  bundle.limits.contact.hold_s = -1;
+  CHECK_THROWS(Monitor(bundle), Error);
+}
+
+}  // namespace
+
+int main() {
+  online_equals_offline_to_the_last_bit();
+  the_network_at_its_own_rate_holds_its_last_value();
+  broken_signals_are_faults_and_the_monitor_comes_back();
+  a_gap_in_the_samples_warms_up_anew_and_says_why();
+  late_and_missing_samples_are_stale_and_change_nothing();
+  another_rate_is_refused_and_the_right_one_taken_up_again();
+  a_saturated_drive_is_a_fault_that_hides_no_collision();
+  an_encoder_that_stands_still_is_a_fault_and_a_resting_arm_is_not();
+  reset_equals_fresh_and_acknowledge_ends_the_alarm_alone();
+  a_restored_monitor_goes_on_as_if_nothing_had_been();
+  a_left_out_advance_is_made_up_for();
+  names_are_told();
+  a_bundle_that_does_not_hold_together_makes_no_monitor();
+  return check::result();
+}

@@ -1,0 +1,161 @@
+// What runs once a sample must not allocate and must not call the system: counted and enforced, on the optimised build,
+// each with a positive control. Left out under the sanitizers, which allocate themselves, and the second check under an
+// emulator, which passes no filter on.
+#include <cerrno>
+#include <cstddef>
+#include <cstdio>
+#include <cstdlib>
+#include <memory>
+#include <new>
+
+#include "check.hpp"
+#include "made_bundle.hpp"
+#include "tauext/flight_recorder.hpp"
+#include "tauext/monitor.hpp"
+
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#define TAUEXT_SANITIZED
+#endif
+
+#if defined(__linux__) && !defined(TAUEXT_SANITIZED)
+#include <linux/filter.h>
+#include <linux/seccomp.h>
+#include <malloc.h>
+#include <sys/prctl.h>
+#include <sys/syscall.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+static std::size_t allocations = 0;
+
+// glibc's own allocator under its other names; every new, malloc, realloc and aligned_alloc ends in one of these.
+extern "C" {
+void* __libc_malloc(std::size_t);
+void* __libc_calloc(std::size_t, std::size_t);
+void* __libc_realloc(void*, std::size_t);
+void* __libc_memalign(std::size_t, std::size_t);
+void* malloc(std::size_t size) { return ++allocations, __libc_malloc(size); }
+void* calloc(std::size_t count, std::size_t size) { return ++allocations, __libc_calloc(count, size); }
+void* realloc(void* p, std::size_t size) { return ++allocations, __libc_realloc(p, size); }
+void* memalign(std::size_t alignment, std::size_t size) { return ++allocations, __libc_memalign(alignment, size); }
+void* aligned_alloc(std::size_t alignment, std::size_t size) { return memalign(alignment, size); }
+int posix_memalign(void** p, std::size_t alignment, std::size_t size) {
+  *p = memalign(alignment, size);
+  return *p ? 0 : ENOMEM;
+}
+}
+
+using namespace tauext;
+
+namespace {
+
+struct Everything {
+  Monitor every, own, plain;
+  FlightRecorder recorder;
+  std::vector<std::byte> state;
+
+  explicit Everything(int joints)
+      : every(made::bundle(joints, 20, 30, 10, 1)),
+        own(made::bundle(joints, 20, 30, 10, 1), NetworkRate::network_period),
+        plain(made::bundle(joints, 0, 30, 10, 1)),
+        recorder(joints, 1'000'000, {0.5, 0.1, true}),
+        state(every.state_bytes()) {}
+
+  // Every path that a control loop can take: health, warm-up, gaps, bad samples, alarms, flights, saving.
+  void run(std::int64_t samples) noexcept {
+    double q[kMaxJoints], dq[kMaxJoints], tau[kMaxJoints];
+    const int joints = every.joints();
+    std::int64_t t_ns = 0;
+    for (std::int64_t k = 0; k < samples; ++k) {
+      made::signal(k, joints, q, dq, tau);
+      t_ns += 1'000'000;
+      if (k % 997 == 0) t_ns += 4'000'000;
+      if (k % 3001 == 0) t_ns += 40'000'000;
+      if (k % 2003 == 0) q[0] = std::nan("");
+      if (k % 2500 == 0) t_ns -= 100'000'000;
+      if (k % 1500 > 1400) tau[0] += 80;
+      const Sample sample{t_ns, {q, static_cast<std::size_t>(joints)}, {dq, static_cast<std::size_t>(joints)},
+                          {tau, static_cast<std::size_t>(k % 1777 ? joints : 1)}};
+      recorder.push(sample, every.step(sample));
+      own.estimate(sample);
+      plain.estimate(sample);
+      if (k % 10 == 0) own.advance();
+      if (k % 700 == 0) every.no_sample(t_ns + 3'000'000);
+      if (k % 1600 == 0) every.acknowledge();
+      if (k % 4000 == 0) every.save_state(state), every.restore_state(state);
+      if (k % 9000 == 0) every.reset();
+    }
+    recorder.finish();
+  }
+};
+
+void nothing_is_allocated() {
+  allocations = 0;
+  auto* volatile one = new int(1);
+  delete one;
+  std::vector<double>(100).swap(*std::make_unique<std::vector<double>>());
+  CHECK(allocations >= 3);  // the positive control
+  for (const int joints : {2, 7}) {
+    Everything everything(joints);
+    allocations = 0;
+    everything.run(20'000);
+    CHECK(allocations == 0);
+  }
+}
+
+// In a child whose every system call but its exit kills it.
+int exit_status_without_system_calls(void (*body)()) {
+  const pid_t child = fork();
+  if (child == 0) {
+    sock_filter program[] = {
+        BPF_STMT(BPF_LD | BPF_W | BPF_ABS, offsetof(seccomp_data, nr)),
+        BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, SYS_exit_group, 0, 1),
+        BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ALLOW),
+        BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_KILL_PROCESS),
+    };
+    const sock_fprog filter{4, program};
+    if (prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0 || prctl(PR_SET_SECCOMP, SECCOMP_MODE_FILTER, &filter) != 0)
+      _exit(77);
+    body();
+    _exit(0);
+  }
+  int status = 0;
+  waitpid(child, &status, 0);
+  return status;
+}
+
+Everything* subject = nullptr;
+
+void the_system_is_not_called() {
+  const int control = exit_status_without_system_calls([] { syscall(SYS_getpid); });
+  if (WIFEXITED(control) && WEXITSTATUS(control) != 0) {
+    std::printf("no system call filter here (an emulator?): that check is left out\n");
+    return;
+  }
+  if (WIFEXITED(control)) {
+    std::printf("the system call filter does nothing here (an emulator?): that check is left out\n");
+    return;
+  }
+  CHECK(WIFSIGNALED(control) && WTERMSIG(control) == SIGSYS);  // the positive control
+  for (const int joints : {2, 7}) {
+    Everything everything(joints);
+    subject = &everything;
+    const int status = exit_status_without_system_calls([] { subject->run(20'000); });
+    CHECK(WIFEXITED(status) && WEXITSTATUS(status) == 0);
+  }
+}
+
+}  // namespace
+
+int main() {
+  nothing_is_allocated();
+  the_system_is_not_called();
+  return check::result();
+}
+
+#else
+int main() {
+  std::printf("left out: this build is sanitized, or not for Linux\n");
+  return 0;
+}
+#endif

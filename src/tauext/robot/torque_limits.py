@@ -1,0 +1,65 @@
+"""What a robot file says its drives can give at most."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+
+from tauext.errors import RobotError
+
+
+def torque_limits(path: str | os.PathLike[str], joints: Sequence[str]) -> np.ndarray:
+    """Largest torque of each joint's drive (n,), [N m or N]; infinite where the file states none.
+
+    URDF: `effort` of the joint's limit, where 0 states none. MJCF: the joint's `actuatorfrcrange`, and the `forcerange`
+    of a motor on it times its gear, whichever is less.
+
+    Args:
+        path: a file that `tauext.robot.load` reads.
+        joints: names of moving joints, in the order of the recordings' columns.
+
+    Raises:
+        RobotError: an effort that is no number >= 0, or a file that cannot be read.
+    """
+    path = Path(path)
+    try:
+        root = ElementTree.parse(path).getroot()
+        if root.tag == "robot":
+            return np.array([_effort(root, joint, path) for joint in joints])
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except (OSError, ValueError, ElementTree.ParseError, mujoco.FatalError) as error:
+        raise RobotError(f"{path}: its torque limits cannot be read: {' '.join(str(error).split())}") from error
+    return np.array([_drive_limit(model, model.joint(joint).id) for joint in joints])
+
+
+def _effort(robot: ElementTree.Element, name: str, path: Path) -> float:
+    for joint in robot.findall("joint"):
+        limit = joint.find("limit")
+        if joint.get("name") != name or limit is None or limit.get("effort") is None:
+            continue
+        text = limit.get("effort", "")
+        try:
+            effort = float(text)
+        except ValueError:
+            effort = np.nan
+        if not effort >= 0:
+            raise RobotError(f"{path}: joint {name!r}: effort = {text!r} must be a number >= 0")
+        return effort if effort > 0 else np.inf
+    return np.inf
+
+
+def _drive_limit(model: mujoco.MjModel, joint: int) -> float:
+    limits = [np.inf]
+    if model.jnt_actfrclimited[joint]:
+        limits.append(float(np.abs(model.jnt_actfrcrange[joint]).max()))
+    at_joint = [int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)]
+    for drive in range(model.nu):
+        on_it = model.actuator_trntype[drive] in at_joint and model.actuator_trnid[drive, 0] == joint
+        if on_it and model.actuator_forcelimited[drive]:
+            limits.append(float(np.abs(model.actuator_forcerange[drive] * model.actuator_gear[drive, 0]).max()))
+    return min(limits) or np.inf

@@ -1,0 +1,170 @@
+"""The monitor through Python: against a slow twin of the whole chain in NumPy, the batch evaluation, and itself."""
+
+import numpy as np
+import pytest
+from arms import ROTOR_INERTIA, planar_arm
+
+from tauext import _core
+from tauext.calibrate import Limits, set_limits
+from tauext.config import AlarmConfig, ObserverConfig
+from tauext.data import Recording
+from tauext.errors import TauextError
+from tauext.learn import Scaling, build_chain, find_scaling, make_bundle, set_signal_ranges
+from tauext.learn.train import TrainedNetwork
+
+HIDDEN, GAIN_PER_S = 20, 20.0
+
+
+def recording(seed: int, samples: int = 2500, push_nm: float = 0.0) -> Recording:
+    """A smooth motion of two joints at 1 kHz; a push on the elbow from sample 1800 to 1900."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(samples) * 1e-3
+    phase, speed = rng.uniform(0, 6, 2), rng.uniform(1, 3, 2)
+    q = np.sin(speed * t[:, None] + phase)
+    dq = speed * np.cos(speed * t[:, None] + phase)
+    tau = 5 * np.tanh(dq / 0.05) + 2 * dq
+    tau[1800:1900, 1] += push_nm
+    signals = {"t_ns": np.arange(samples, dtype=np.int64) * 1_000_000, "q": q, "dq": dq, "tau": tau}
+    meta = {"rate_hz": 1000.0, "torque_timing": "held", "source": "test", "robot_sha256": ""}
+    return Recording(name=f"made-{seed}", joints=("shoulder", "elbow"), **signals, **meta)
+
+
+def bundle_of_real_size() -> tuple[_core.Bundle, Scaling]:
+    """The paper's sizes with random weights: two joints, 20 units, windows of 100 steps of 10 ms."""
+    made = recording(1)
+    chain = build_chain(planar_arm(), made, ObserverConfig(gain_per_s=GAIN_PER_S))
+    scaling = find_scaling(chain, [made])
+    shape = _core.LstmShape(6, HIDDEN, 2)
+    parameters = np.random.default_rng(2).normal(0, 0.4, shape.parameter_count).astype(np.float32)
+    network = TrainedNetwork(shape, parameters, [], 0, 0.0)
+    bundle = make_bundle("random", chain, 0.02, made, scaling, network)
+    healthy = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)["tau_ext"][1000:]
+    largest = np.abs(healthy).max(axis=0)
+    set_limits(bundle, Limits(1.05 * largest, 1.1 * largest), AlarmConfig())
+    set_signal_ranges(bundle, [made])
+    return bundle, scaling
+
+
+def twin_residual(made: Recording) -> np.ndarray:
+    """The observer with the textbook matrices of two planar links, from the recurrence of docs/method.md."""
+    (m1, m2), (c1, c2), (i1, i2), link = (8.191, 9.920), (0.12079, 0.16078), (0.06, 0.07), 0.3
+    (q1, q2), (w1, w2) = made.q.T, made.dq.T
+    own, coupled = i2 + m2 * c2**2, m2 * link * c2
+    first = i1 + m1 * c1**2 + m2 * link**2 + own + ROTOR_INERTIA[0]
+    p = np.stack(
+        [
+            (first + 2 * coupled * np.cos(q2)) * w1 + (own + coupled * np.cos(q2)) * w2,
+            (own + coupled * np.cos(q2)) * w1 + (own + ROTOR_INERTIA[1]) * w2,
+        ],
+        axis=1,
+    )
+    weight_2 = 9.81 * m2 * c2 * np.cos(q1 + q2)
+    weight_1 = 9.81 * (m1 * c1 + m2 * link) * np.cos(q1) + weight_2
+    beta = np.stack([weight_1, weight_2 + coupled * np.sin(q2) * (w1**2 + w1 * w2)], axis=1)
+    a, r = np.exp(-GAIN_PER_S * 1e-3), np.zeros_like(p)
+    for k in range(1, len(p)):
+        disturbance = (p[k] - p[k - 1]) / 1e-3 - (made.tau[k - 1] - (beta[k - 1] + beta[k]) / 2)
+        r[k] = a * r[k - 1] + (1 - a) * disturbance
+    return r
+
+
+def twin_network(bundle: _core.Bundle, scaling: Scaling, made: Recording, end: int) -> np.ndarray:
+    """The window that ends at this sample, recomputed from its first step in float64."""
+
+    def sigmoid(x):
+        return 1 / (1 + np.exp(-x))
+
+    H = HIDDEN
+    parts = np.cumsum([4 * H * 6, 4 * H * H, 4 * H, 2 * H])
+    w_x, w_h, b, w_head, b_head = np.split(np.array(bundle.parameters, dtype=float), parts)
+    w_x, w_h, w_head = w_x.reshape(4 * H, 6), w_h.reshape(4 * H, H), w_head.reshape(2, H)
+    x = np.hstack([made.q, made.dq]) * scaling.input_factors
+    h = c = np.zeros(H)
+    for k in range(end - 990, end + 1, 10):
+        gates = w_x @ np.r_[x[k], x[k - 10, 2:]] + w_h @ h + b
+        i, f, g, o = np.split(gates, 4)
+        c = sigmoid(f) * c + sigmoid(i) * np.tanh(g)
+        h = sigmoid(o) * np.tanh(c)
+    return w_head @ h + b_head
+
+
+def test_the_monitor_equals_a_slow_twin_of_the_whole_chain():
+    bundle, scaling = bundle_of_real_size()
+    made = recording(3)
+    said = _core.Monitor(bundle).run(made.t_ns, made.q, made.dq, made.tau)
+    np.testing.assert_allclose(said["residual"], twin_residual(made), atol=1e-9, rtol=0)
+    warm = said["health"] == 1
+    assert warm.argmax() == 1000 and warm[1000:].all()  # a window reaches back over its 99 steps and the lag
+    for end in np.random.default_rng(4).integers(1000, made.samples, 40):
+        # 1e-6 in units of the network: float32 against float64 through 100 steps.
+        network = said["uncertainty"][end] / scaling.output_scale_nm
+        np.testing.assert_allclose(network, twin_network(bundle, scaling, made, end), atol=1e-6, rtol=0)
+    np.testing.assert_array_equal(said["tau_ext"][warm], (said["residual"] - said["uncertainty"])[warm])
+    np.testing.assert_array_equal(said["margin_nm"][warm], (said["limit_nm"] - np.abs(said["tau_ext"]))[warm])
+
+
+def test_online_equals_offline_bit_for_bit_at_every_sample():
+    bundle, _ = bundle_of_real_size()
+    made = recording(5, push_nm=-60)
+    online = _core.Monitor(bundle).run(made.t_ns, made.q, made.dq, made.tau)
+    offline = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 2)
+    for ours, theirs in (("residual", "r"), ("uncertainty", "network"), ("tau_ext", "tau_ext"), ("limit_nm",) * 2):
+        np.testing.assert_array_equal(online[ours], offline[theirs])
+    np.testing.assert_array_equal(online["detection"], offline["detection"])
+    np.testing.assert_array_equal(online["health"] == 1, offline["healthy"] == 1)
+    np.testing.assert_array_equal(online["near_stiction"], offline["near_stiction"])
+    assert offline["detection"].any()
+
+
+def test_a_push_raises_contact_then_a_latched_collision_and_run_equals_step():
+    bundle, _ = bundle_of_real_size()
+    made = recording(1, push_nm=-60)  # the motor gives way by 60 Nm, as if something pushed the elbow forward
+    stepped, batch = _core.Monitor(bundle), _core.Monitor(bundle).run(made.t_ns, made.q, made.dq, made.tau)
+    for k in range(made.samples):
+        estimate = stepped.step(int(made.t_ns[k]), made.q[k], made.dq[k], made.tau[k])
+        assert [estimate.health.value, estimate.alarm.value] == [batch["health"][k], batch["alarm"][k]]
+        np.testing.assert_array_equal(estimate.tau_ext, batch["tau_ext"][k])
+        assert estimate.clear == (batch["health"][k] == 1 and batch["alarm"][k] == 0)
+    raised, latched = np.argmax(batch["alarm"] == 1), np.argmax(batch["alarm"] == 2)
+    assert 1800 < raised < latched == raised + 10  # held for 10 ms
+    assert batch["alarm_joint"][latched] == 1 and batch["tau_ext"][latched, 1] > 0
+    assert (batch["alarm"][latched:] == 2).all()
+    assert stepped.last.alarm == _core.Alarm.collision and stepped.last.alarm_t_ns == made.t_ns[latched]
+    stepped.acknowledge()
+    assert stepped.last.clear
+
+
+def test_a_fault_has_a_name_and_the_state_outlives_it():
+    bundle, _ = bundle_of_real_size()
+    made = recording(1)
+    monitor = _core.Monitor(bundle)
+    monitor.run(made.t_ns, made.q, made.dq, made.tau)
+    state = monitor.save_state()
+    broken = made.q[0].copy()
+    broken[1] = np.nan
+    estimate = monitor.step(int(made.t_ns[-1]) + 1_000_000, broken, made.dq[0], made.tau[0])
+    assert (estimate.health, estimate.causes, estimate.cause_joint) == (_core.Health.fault, ["not finite"], 1)
+    assert np.isnan(estimate.tau_ext).all() and not estimate.clear
+    monitor.restore_state(state)
+    assert monitor.last.clear and monitor.samples == made.samples
+    with pytest.raises(TauextError, match="another bundle, network rate or build"):
+        _core.Monitor(bundle, own_rate=True).restore_state(state)
+    with pytest.raises(TauextError, match="damaged"):
+        monitor.restore_state(state[:-1] + bytes([state[-1] ^ 1]))
+
+
+def test_a_bundle_survives_its_bytes_and_damaged_bytes_are_refused():
+    bundle, _ = bundle_of_real_size()
+    content = bundle.to_bytes()
+    assert _core.Bundle.from_bytes(content).to_bytes() == content
+    with pytest.raises(TauextError, match="truncated"):
+        _core.Bundle.from_bytes(content[:-1])
+    with pytest.raises(TauextError, match="made by a newer tauext"):
+        _core.Bundle.from_bytes(content[:8] + b"\x63" + content[9:])
+
+
+def test_samples_of_another_arm_are_refused():
+    bundle, _ = bundle_of_real_size()
+    three = np.zeros((5, 3))
+    with pytest.raises(TauextError, match="2 joints, the samples 3"):
+        _core.Monitor(bundle).run(np.arange(5), three, three, three)

@@ -1,41 +1,66 @@
 PYTHON ?= python3.11
 VENV := .venv
 PIP := $(VENV)/bin/pip --disable-pip-version-check -q
+# CMake, Ninja and CTest come with the environment.
+RUN := PATH="$(CURDIR)/$(VENV)/bin:$$PATH"
 # An editable install knows the files it was made with, so a new file asks for a new one.
 STAMP := $(VENV)/.installed-$(shell find src -name '*.py' | sort | cksum | cut -d' ' -f1)
+CORE := $(shell find cpp/include cpp/src cpp/learn cpp/bindings -type f)
 
-.PHONY: help setup build reproduce test test-all lint bench bench-train clean
+.PHONY: help setup build reproduce test test-all test-arm fuzz soak lint bench bench-train bench-monitor clean
 help: ## Show this help
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-10s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
 setup: $(STAMP) ## Environment and build, in .venv
-$(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(shell find cpp -name '*.[ch]pp' ! -path 'cpp/tests/*' ! -path 'cpp/bench/*')
+$(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(CORE)
 	test -d $(VENV) || $(PYTHON) -m venv $(VENV)
 	$(PIP) install -c constraints.txt scikit-build-core nanobind cmake ninja
-	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(PIP) install -c constraints.txt --no-build-isolation -e '.[dev]'
+	$(RUN) $(PIP) install -c constraints.txt --no-build-isolation -e '.[dev]'
 	rm -f $(VENV)/.installed-*
 	touch $@
 reproduce: setup ## The whole experiment at quick scale; prints where the report is
 	$(VENV)/bin/tauext reproduce --scale quick --out runs/quick
 build/cpp/CMakeCache.txt: $(STAMP)
-	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake -S . -B build/cpp -G Ninja -DTAUEXT_TESTS=ON
+	$(RUN) cmake -S . -B build/cpp -G Ninja -DTAUEXT_TESTS=ON
 build: build/cpp/CMakeCache.txt ## The C++ library, its tests and benchmarks
-	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build build/cpp
+	$(RUN) cmake --build build/cpp
 test: build ## All tests, Python and C++
-	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" ctest --test-dir build/cpp --output-on-failure
+	$(RUN) ctest --test-dir build/cpp --output-on-failure
 	$(VENV)/bin/python -m pytest -m 'not slow'
-test-all: lint test ## Slow tests, and the C++ tests under the sanitizers
+test-all: lint test test-arm fuzz soak ## Slow tests, and the C++ tests under the sanitizers, on Arm, fuzzed and soaked
 	$(VENV)/bin/python -m pytest -m slow
-	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake -S . -B build/sanitize -G Ninja -DTAUEXT_TESTS=ON -DTAUEXT_SANITIZE=ON
-	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build build/sanitize
-	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" ctest --test-dir build/sanitize --output-on-failure
+	$(call ctest,address,-DTAUEXT_SANITIZE=address)
+	$(call ctest,thread,-DTAUEXT_SANITIZE=thread)
+test-arm: setup ## The C++ tests, cross-compiled for 64-bit Arm, under qemu
+	$(call need,aarch64-linux-gnu-g++ qemu-aarch64,g++-aarch64-linux-gnu qemu-user)
+	$(call ctest,arm,-DCMAKE_TOOLCHAIN_FILE=cmake/aarch64-linux-gnu.cmake)
+fuzz: setup ## A minute of hostile bundles, with clang; finds stay in build/fuzz
+	$(call need,clang++,clang)
+	$(RUN) cmake -S . -B build/fuzz -G Ninja -DTAUEXT_FUZZ=ON -DCMAKE_CXX_COMPILER=clang++
+	$(RUN) cmake --build build/fuzz
+	mkdir -p build/fuzz/found
+	build/fuzz/bundle_fuzz -max_total_time=60 -max_len=65536 -rss_limit_mb=1024 -verbosity=0 -print_final_stats=1 \
+	  -artifact_prefix=build/fuzz/ build/fuzz/found cpp/fuzz/corpus
+soak: build ## A monitor after a day of samples beside a fresh one
+	build/cpp/soak_bench
 lint: setup ## Style of the Python code
-	$(VENV)/bin/ruff check src tests benchmarks
-	$(VENV)/bin/ruff format --check src tests benchmarks
+	$(VENV)/bin/ruff check src tests benchmarks examples
+	$(VENV)/bin/ruff format --check src tests benchmarks examples
 bench: build ## Dynamics sweep and network, with ratios to what else one would use
 	$(VENV)/bin/python benchmarks/dynamics.py
 	build/cpp/tree_bench
 	build/cpp/lstm_bench
 bench-train: setup ## Training and evaluation against PyTorch, where it is installed
 	$(VENV)/bin/python benchmarks/train.py
+bench-monitor: build ## The monitor in a control loop, beside ONNX Runtime and PyTorch where they are installed
+	$(VENV)/bin/python benchmarks/monitor.py
 clean: ## Remove builds; recordings and runs stay
 	rm -rf build $(VENV)
+
+# $(call ctest,folder,options): the C++ tests in a build of their own.
+define ctest
+	$(RUN) cmake -S . -B build/$(1) -G Ninja -DTAUEXT_TESTS=ON $(2)
+	$(RUN) cmake --build build/$(1)
+	$(RUN) ctest --test-dir build/$(1) --output-on-failure -j $(shell nproc)
+endef
+# $(call need,programs,packages)
+need = @for p in $(1); do command -v $$p >/dev/null || { echo "make $@ needs $$p: Debian packages $(2)" >&2; exit 1; }; done

@@ -49,8 +49,15 @@ def run(capsys, *arguments: object) -> tuple[int, str, str]:
 
 
 def test_every_command_of_the_readme_works_as_written(workplace):
-    assert len(readme_commands()) >= 7
-    for made in ("data/split.json", "exact.tauext", "results/results.json", "report/report.html", "quick/report"):
+    assert len(readme_commands()) >= 9
+    for made in (
+        "data/split.json",
+        "exact.tauext",
+        "results/results.json",
+        "report/report.html",
+        "flight-report",
+        "quick/report",
+    ):
         assert (workplace / "runs" / made).exists(), made
 
 
@@ -110,7 +117,7 @@ def test_the_plain_observer_is_a_bundle_too(workplace, capsys, tmp_path):
     assert run(capsys, "evaluate", "--data", data, "--bundles", out, "--out", tmp_path / "results")[0] == 0
 
 
-@pytest.mark.parametrize("command", ["", "simulate", "train", "evaluate", "report", "show", "reproduce"])
+@pytest.mark.parametrize("command", ["", "simulate", "train", "evaluate", "report", "run", "show", "reproduce"])
 def test_help_answers_for_every_command(capsys, command):
     code, out, _ = run(capsys, *([command] if command else []), "--help")
     assert code == 0 and "usage: tauext" in out

@@ -19,6 +19,7 @@ TABLE = {
     "calibrate": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
     "evaluate": ({"_core", "robot", "data"}, {"numpy"}),
     "report": ({"data"}, {"numpy", "matplotlib", "jinja2"}),
+    "monitor": ({"_core", "data"}, {"numpy"}),
     "cli": (EVERYTHING, {"tyro", "rich"}),
     "reproduce": (EVERYTHING, set()),
     "__init__": ({"_core"}, set()),

@@ -1,6 +1,7 @@
 // The monitor and its flight recorder in Python: the same objects as a controller's.
 #include "tauext/monitor.hpp"
 
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 

@@ -54,9 +54,12 @@ void FlightRecorder::push(const Sample& sample, const Estimate& e) noexcept {
   ring.next = ring.next + 1 == capacity_ ? 0 : ring.next + 1;
   ++ring.count;
 
-  const bool rises = e.alarm > alarm_ && (e.alarm == Alarm::collision || contacts_);
+  // An alarm that was acknowledged and rose again at the next sample never seemed to be gone.
+  const bool again = e.alarm == alarm_ && e.alarm_t_ns != alarm_t_ns_;
+  const bool rises = (e.alarm > alarm_ || again) && (e.alarm == Alarm::collision || (e.alarm == Alarm::contact && contacts_));
   const bool breaks = e.health == Health::fault && health_ != Health::fault;
   alarm_ = e.alarm;
+  alarm_t_ns_ = e.alarm_t_ns;
   health_ = e.health;
   if (rises || breaks) {
     events_.fetch_add(1, std::memory_order_relaxed);

@@ -104,6 +104,7 @@ void Monitor::blank(bool also_residual) noexcept {
     estimate_.uncertainty[j] = estimate_.tau_ext[j] = estimate_.margin_nm[j] = kNan;
     if (also_residual) estimate_.residual[j] = estimate_.limit_nm[j] = kNan;
   }
+  if (also_residual) estimate_.near_stiction = 0;
   estimate_.detection = false;
 }
 
@@ -138,11 +139,13 @@ bool Monitor::refused(const Sample& s) noexcept {
   const auto n = static_cast<std::size_t>(joints_);
   if (s.q.size() != n || s.dq.size() != n || s.tau.size() != n) {
     refuse(s.t_ns, Health::fault, kWrongSize, -1);
+    watch_.pass(s.t_ns);
     return true;
   }
   for (int j = 0; j < joints_; ++j)
     if (!std::isfinite(s.q[j]) || !std::isfinite(s.dq[j]) || !std::isfinite(s.tau[j])) {
       refuse(s.t_ns, Health::fault, kNotFinite, j);
+      watch_.pass(s.t_ns);
       return true;
     }
   if (!counters_.started || counters_.restart_next || s.t_ns > counters_.t_ns) return false;

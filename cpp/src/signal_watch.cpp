@@ -23,15 +23,25 @@ SignalWatch::SignalWatch(int joints, std::int64_t sample_period_ns, const Signal
   ranges.validate(joints);
 }
 
+// The step since the last sample, [ns]; enters the mean.
+double SignalWatch::take_step(std::int64_t t_ns) noexcept {
+  if (!state_.started) return sample_period_ns_;
+  const double step_ns = static_cast<double>(elapsed_ns(t_ns, state_.t_ns));
+  state_.t_ns = t_ns;
+  const double step = std::min(step_ns / sample_period_ns_, 2.0);
+  state_.steps += (step - state_.steps) * std::min(sample_period_ns_ * 1e-9, 0.1);
+  return step_ns;
+}
+
+void SignalWatch::pass(std::int64_t t_ns) noexcept {
+  if (state_.started && t_ns > state_.t_ns) take_step(t_ns);
+}
+
 SignalWatch::Verdict SignalWatch::step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
                                        std::span<const double> tau) noexcept {
   Verdict verdict;
-  const double step_ns = state_.started ? static_cast<double>(elapsed_ns(t_ns, state_.t_ns)) : sample_period_ns_;
+  const double step_ns = take_step(t_ns);
   const bool anew = !state_.started || step_ns > kLongestStep * sample_period_ns_;
-  if (state_.started) {
-    const double step = std::min(step_ns / sample_period_ns_, 2.0);
-    state_.steps += (step - state_.steps) * std::min(sample_period_ns_ * 1e-9, 0.1);
-  }
   verdict.wrong_rate = std::fabs(state_.steps - 1.0) > kRateTolerance;
   for (int j = 0; j < joints_; ++j) {
     if (verdict.saturated_joint < 0 && std::fabs(tau[j]) >= kSaturated * ranges_.torque_limit_nm[j])

@@ -83,6 +83,19 @@ void a_flight_that_nobody_takes_blocks_nothing_and_is_counted() {
   check_rows(f, 40, 60);  // the first one
 }
 
+void a_collision_that_rises_again_at_once_is_another_event() {
+  FlightRecorder recorder(2, kMs, {0.01, 0, false});
+  Source s;
+  Flight f;
+  for (int k = 0; k < 20; ++k) {
+    const Sample sample = s.at(k, k < 10 ? Alarm::none : Alarm::collision);
+    s.e.alarm_t_ns = (k < 15 ? 10 : 15) * kMs;  // acknowledged after sample 14, and there again at 15
+    recorder.push(sample, s.e);
+    CHECK(recorder.take(f) == (k == 10 || k == 15));
+  }
+  CHECK(recorder.events() == 2);
+}
+
 void a_sample_of_another_size_is_kept_as_nan() {
   FlightRecorder recorder(2, kMs, {0.01, 0, false});
   Source s;
@@ -132,6 +145,7 @@ void bad_settings_are_refused() {
 int main() {
   a_flight_holds_what_was_before_and_after_its_event();
   a_flight_that_nobody_takes_blocks_nothing_and_is_counted();
+  a_collision_that_rises_again_at_once_is_another_event();
   a_sample_of_another_size_is_kept_as_nan();
   two_threads_hand_flights_over();
   bad_settings_are_refused();

@@ -221,6 +221,15 @@ void another_rate_is_refused_and_the_right_one_taken_up_again() {
     const Signals right = regular(2, 8000, t_ns.back() / kMs + 1);
     CHECK(feed(monitor, right, 0, 8000).health == Health::ok);
   }
+  // Samples that cannot be used came in time: a cable that fails every second sample is no other rate.
+  Monitor failing(bundle);
+  Signals halves = regular(2, 4000);
+  for (std::size_t k = 1000; k < 2000; k += 2) halves.q[2 * k] = NAN;
+  for (std::int64_t k = 0; k < 4000; ++k) {
+    const Estimate& e = failing.step(halves.at(k));
+    CHECK((e.causes & kWrongRate) == 0);
+    if (k >= 2500) CHECK(e.health == Health::ok);  // half a second after the last bad one
+  }
   // A gap now and then, or jitter of a third of a period, is no other rate.
   Monitor monitor(bundle);
   std::mt19937 random(1);

@@ -87,6 +87,7 @@ void every_answer_is_the_recomputed_window() {
     if (random() % 7 == 0) gaps[k] = 1 + static_cast<int>(random() % 6);
   for (const int lanes : {4, 8, 16}) {
     lanes::limit_lane_count(lanes);
+    if (lanes::lane_count() != lanes) continue;  // this machine has fewer
     for (const int joints : {1, 2, 7})
       for (const int hidden : {3, 20})
         for (const NetworkRate rate : {NetworkRate::every_sample, NetworkRate::network_period}) {

@@ -63,6 +63,7 @@ class FlightRecorder {
   Ring rings_[2];
   int active_ = 0;  // the control thread's ring
   Alarm alarm_ = Alarm::none;
+  std::int64_t alarm_t_ns_ = 0;
   Health health_ = Health::warming_up;
   std::atomic<int> handed_{-1};  // ring that waits for take(), -1: none
   std::atomic<std::uint64_t> events_{0}, missed_{0};

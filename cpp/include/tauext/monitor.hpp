@@ -48,7 +48,7 @@ const char* name(Health health) noexcept;
 const char* name(Cause cause) noexcept;  // of a single bit: "not finite", ...
 
 // What the monitor says of one sample. A torque that does not exist is NaN: tau_ext, uncertainty and margin exist where
-// health is ok or stale, or kTorqueSaturated is all that is wrong.
+// health is ok or stale, or kTorqueSaturated is all that is or was wrong.
 struct Estimate {
   std::int64_t t_ns = 0;
   int joints = 0;

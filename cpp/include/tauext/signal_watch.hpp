@@ -51,12 +51,16 @@ class SignalWatch {
   // than kLongestStep sample periods nobody knows what happened meanwhile, and positions begin anew.
   Verdict step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
                std::span<const double> tau) noexcept;
+  // A sample whose values cannot be used came in time all the same.
+  void pass(std::int64_t t_ns) noexcept;
   void reset() noexcept { state_ = {}; }
 
   const State& state() const noexcept { return state_; }
   void restore(const State& state) noexcept { state_ = state; }
 
  private:
+  double take_step(std::int64_t t_ns) noexcept;
+
   int joints_;
   double sample_period_ns_;
   SignalRanges ranges_;

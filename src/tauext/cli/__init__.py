@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 import tyro
@@ -9,6 +10,7 @@ import tyro
 from tauext.cli.evaluate import evaluate
 from tauext.cli.report import report
 from tauext.cli.reproduce import reproduce
+from tauext.cli.run import run
 from tauext.cli.show import show
 from tauext.cli.simulate import simulate
 from tauext.cli.train import train
@@ -16,23 +18,26 @@ from tauext.errors import TauextError
 
 DESCRIPTION = (
     "External joint torque and collision detection for robot arms, from encoders and motor torque alone. "
-    "simulate (or your own recordings) -> train -> evaluate -> report; reproduce does all four."
+    "simulate (or your own recordings) -> train -> evaluate -> report; reproduce does all four. "
+    "train -> run: the monitor on recordings."
 )
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; 0 done, 2 bad input (one line on stderr), 130 interrupted."""
+    """Run one command; 0 done, 2 bad input (one line on stderr), 130 interrupted, 141 nobody reads stdout."""
     app = tyro.extras.SubcommandApp()
-    for command in (reproduce, simulate, train, evaluate, report, show):
+    for command in (reproduce, simulate, train, evaluate, report, run, show):
         app.command(command)
     try:
         app.cli(prog="tauext", description=DESCRIPTION, args=argv)
     except TauextError as error:
         print(f"tauext: error: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print(
-            "tauext: interrupted; what was finished is kept, and the same command goes on from there", file=sys.stderr
-        )
+    except KeyboardInterrupt as stop:
+        kept = str(stop) or "what was finished is kept, and the same command goes on from there"
+        print(f"tauext: interrupted; {kept}", file=sys.stderr)
         return 130
+    except BrokenPipeError:  # `tauext run --json | head`: nobody reads on, and Python must not flush what is left
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
     return 0

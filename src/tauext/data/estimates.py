@@ -1,9 +1,10 @@
-"""What a bundle said of a recording, sample by sample, and its file."""
+"""What a bundle said of a recording, sample by sample, and its file: from `tauext evaluate` or beside a flight."""
 
 from __future__ import annotations
 
 import json
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,6 +30,8 @@ class Estimates:
     near_stiction: np.ndarray  # (samples, joints) bool: region of the limit
     health: np.ndarray  # (samples,) int8
     detection: np.ndarray  # (samples,) bool: healthy and some |tau_ext| over its limit
+    alarm: np.ndarray | None = None  # (samples,) int8: 0 none, 1 contact, 2 collision; of a monitor only
+    causes: np.ndarray | None = None  # (samples,) uint32: bits, why health is not ok; of a monitor only
 
     @property
     def healthy(self) -> np.ndarray:
@@ -36,33 +39,47 @@ class Estimates:
 
 
 TORQUES = ("r", "network", "tau_ext", "limit")
+MONITORED = {"alarm": np.int8, "causes": np.uint32}
+"""Columns that only a monitor knows; a file holds them or not."""
 
 
 def save_estimates(estimates: Estimates, path: Path) -> None:
-    """Write under a temporary name, then rename."""
+    """Write under a temporary name, then rename; columns that are None are left out.
+
+    Raises:
+        RecordingError: the file cannot be written; what was written of it is removed.
+    """
     columns: dict[str, np.ndarray] = {"t_ns": estimates.t_ns}
     for signal in (*TORQUES, "near_stiction"):
         values = getattr(estimates, signal)
         columns |= {f"{signal}_{joint}": np.ascontiguousarray(values[:, j]) for j, joint in enumerate(estimates.joints)}
     columns |= {"health": estimates.health, "detection": estimates.detection}
+    for name, kind in MONITORED.items():
+        if getattr(estimates, name) is not None:
+            columns[name] = getattr(estimates, name).astype(kind)
     table = pa.table(columns).replace_schema_metadata(
         {"tauext_estimates_format": "1", "joints": json.dumps(estimates.joints)}
     )
     torques = [f"{signal}_{joint}" for signal in TORQUES for joint in estimates.joints]
     part = path.with_name(path.name + ".part")
-    pq.write_table(
-        table,
-        part,
-        compression="zstd",
-        compression_level=1,
-        use_dictionary=False,
-        column_encoding={name: "BYTE_STREAM_SPLIT" for name in torques},
-    )
-    os.replace(part, path)
+    try:
+        pq.write_table(
+            table,
+            part,
+            compression="zstd",
+            compression_level=1,
+            use_dictionary=False,
+            column_encoding={name: "BYTE_STREAM_SPLIT" for name in torques},
+        )
+        os.replace(part, path)
+    except OSError as error:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise RecordingError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
 def load_estimates(path: Path) -> Estimates:
-    """Read what save_estimates wrote.
+    """Read what save_estimates wrote; `alarm` and `causes` are None where the file has no such column.
 
     Raises:
         RecordingError: missing, damaged or foreign file.
@@ -75,8 +92,11 @@ def load_estimates(path: Path) -> Estimates:
             signal: np.stack([column[f"{signal}_{joint}"] for joint in joints], axis=1)
             for signal in (*TORQUES, "near_stiction")
         }
-        return Estimates(joints, column["t_ns"], **signals, health=column["health"], detection=column["detection"])
+        flags = {name: column[name] for name in ("health", "detection")}
+        return Estimates(joints, column["t_ns"], **signals, **flags, **{name: column.get(name) for name in MONITORED})
     except FileNotFoundError as error:
-        raise RecordingError(f"{path}: there are no such estimates; `tauext evaluate` writes them") from error
+        raise RecordingError(
+            f"{path}: there are no such estimates; `tauext evaluate` and `tauext run --flights` write them"
+        ) from error
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
         raise RecordingError(f"{path}: not a readable estimates file ({error}); evaluate again") from error

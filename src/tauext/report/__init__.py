@@ -1,5 +1,6 @@
 """Figures and one self-contained page from results, estimates and recordings; it computes nothing but what it draws."""
 
+from tauext.report.flight import write_flight_report
 from tauext.report.write import write_report
 
-__all__ = ["write_report"]
+__all__ = ["write_flight_report", "write_report"]

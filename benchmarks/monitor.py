@@ -1,0 +1,483 @@
+"""Time of the monitor at every sample beside ONNX Runtime and PyTorch on the same network and window.
+
+    python benchmarks/monitor.py [--steps 1000000] [--paced-s 10] [--rounds 3] [--calls 20000] [--json FILE]
+
+monitor_bench (make build) measures the monitor, its network alone, a window computed anew and a paced loop. ONNX
+Runtime and PyTorch run the same weights on the same window, a batch of one, one thread, called from Python; that their
+outputs equal the core's is checked first. Neither keeps a window's state from one sample to the next, and putting the
+window together is not counted for them. Everything runs in turns on one core, in SCHED_FIFO where that is granted.
+Of a number the median over the rounds is shown, of a maximum the largest and of missed deadlines the sum.
+What is not installed is left out: pip install 'tauext[bench]' brings ONNX Runtime, 'tauext[torch]' PyTorch.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import importlib
+import importlib.metadata
+import json
+import os
+import platform
+import re
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parent.parent
+TOLERANCE = 1e-5
+"""Of outputs, scaled: each library has its own sigmoid, tanh and order of additions."""
+OPSET, IR_VERSION = 17, 8
+"""Old enough for every ONNX Runtime that 'tauext[bench]' allows."""
+PRIORITY = 80
+WARM_UP_CALLS = 200
+ESTIMATE_P50_US = {2: 1.0, 7: 1.5}
+ESTIMATE_P99_9_US, BOTH_P50_US = 10.0, 12.0
+ANSWER_RATIO, BOTH_RATIO = 100.0, 3.0
+
+Way = Callable[[], np.ndarray]
+
+
+@dataclass
+class Network:
+    """The weights, one window and the core's answer, as monitor_bench writes them down."""
+
+    inputs: int
+    hidden: int
+    outputs: int
+    w_x: np.ndarray  # (4H, F); gates i, f, g, o
+    w_h: np.ndarray  # (4H, H)
+    b: np.ndarray  # (4H,)
+    w_head: np.ndarray  # (outputs, H)
+    b_head: np.ndarray  # (outputs,)
+    window: np.ndarray  # (steps, F)
+    answer: np.ndarray  # (outputs,)
+
+
+def main() -> None:
+    about = __doc__.partition("\n")
+    parser = argparse.ArgumentParser(
+        description=about[0], epilog=about[2], formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--bench", type=Path, default=ROOT / "build/cpp/monitor_bench", help="default: %(default)s")
+    parser.add_argument("--joints", type=int, nargs="+", default=[2, 7], help="default: 2 7")
+    parser.add_argument("--steps", type=int, default=1_000_000, help="samples back to back in a round (%(default)s)")
+    parser.add_argument("--paced-s", type=float, default=10.0, help="seconds of the paced loop; 0: none (%(default)s)")
+    parser.add_argument("--rounds", type=int, default=3, help="turns of everything (%(default)s)")
+    parser.add_argument("--calls", type=int, default=20_000, help="of each library in a round (%(default)s)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="every number of every round")
+    options = parser.parse_args()
+    if min(options.rounds, options.steps, options.calls) < 1 or options.paced_s < 0:
+        parser.error("--rounds, --steps and --calls must be at least 1, --paced-s at least 0")
+    if not os.access(options.bench, os.X_OK):
+        parser.error(f"there is no {options.bench}: make build")
+
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})  # the core that monitor_bench takes, too
+    libraries = {"ONNX Runtime": onnx_runtime(), "PyTorch": pytorch()}
+    about_machine = machine()
+    print(about_machine["text"])
+    for name, library in libraries.items():
+        print(f"{name} {library.version}" if isinstance(library, Library) else f"{name}: {library}")
+    print(f"{options.rounds} rounds in turns; a round: {options.steps} samples, {options.calls} calls of a library\n")
+
+    results = {}
+    before = processor_seconds()
+    for joints in options.joints:
+        results[joints] = one_arm(joints, options, {n: x for n, x in libraries.items() if isinstance(x, Library)})
+        show(joints, results[joints])
+    after = processor_seconds()
+    others_s, stolen_s = (after[k] - before[k] for k in range(2))
+    print(f"meanwhile other processes took {others_s:.1f} s of processor time and the host kept {stolen_s:.1f} s for")
+    print("itself: both lengthen the tails")
+
+    if options.json:
+        del about_machine["text"]
+        versions = {n: x.version if isinstance(x, Library) else x for n, x in libraries.items()}
+        run = {"steps": options.steps, "rounds": options.rounds, "calls": options.calls, "paced_s": options.paced_s}
+        everything = {"machine": about_machine, "libraries": versions, "run": run, "joints": results}
+        everything["meanwhile"] = {"others_s": others_s, "stolen_s": stolen_s}
+        options.json.write_text(json.dumps(everything, indent=1) + "\n")
+
+
+def one_arm(joints: int, options: argparse.Namespace, libraries: dict[str, Library]) -> dict:
+    """Every way in turns; medians over the rounds, and what each round gave."""
+    network = dumped(options.bench, joints)
+    ways: dict[str, Way] = {}
+    differences = {}
+    for name, library in libraries.items():
+        for how, way in library.ways(network).items():
+            differences[how] = float(np.abs(way().reshape(-1) - network.answer).max())
+            if not differences[how] <= TOLERANCE:
+                sys.exit(f"{how}, {joints} joints: its output differs from the core's by {differences[how]:.1e}")
+            ways[how] = way
+        overhead = library.empty_call()
+        if overhead:
+            ways[f"{name}, empty graph"] = overhead
+
+    rounds: list[dict] = []
+    for _ in range(options.rounds):
+        core = core_says(options.bench, joints, options.steps, options.paced_s)
+        rounds.append({"core": core, "libraries": {name: measured(way, options.calls) for name, way in ways.items()}})
+
+    core = merged([one["core"] for one in rounds])
+    times = {name: merged([one["libraries"][name] for one in rounds]) for name in ways}
+    fastest = {}
+    for name in libraries:
+        of_library = [how for how in differences if how.startswith(name)]
+        fastest[name] = min(of_library, key=lambda how: times[how]["p50_ns"])
+    result = {"core": core, "libraries": times, "fastest": fastest, "differences": differences, "rounds": rounds}
+    result["ratios"] = ratios(result)
+    result["bounds"] = bounds(joints, result)
+    return result
+
+
+def core_says(bench: Path, *arguments: object) -> dict:
+    """What monitor_bench prints."""
+    done = subprocess.run([str(bench), *map(str, arguments)], stdout=subprocess.PIPE, text=True)
+    if done.returncode:
+        sys.exit(f"{bench} ended with status {done.returncode}")
+    return json.loads(done.stdout)
+
+
+def dumped(bench: Path, joints: int) -> Network:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "network"
+        size = core_says(bench, "--dump", file, joints)
+        values = np.fromfile(file, np.dtype("<f4"))
+    f, h, o, steps = size["inputs"], size["hidden"], size["outputs"], size["window_steps"]
+    shapes = [(4 * h, f), (4 * h, h), (4 * h,), (o, h), (o,), (steps, f), (o,)]
+    ends = np.cumsum([np.prod(shape) for shape in shapes])
+    if ends[-1] != len(values):
+        sys.exit(f"{bench} wrote {len(values)} values where {ends[-1]} belong")
+    parts = [part.reshape(shape) for part, shape in zip(np.split(values, ends[:-1]), shapes, strict=True)]
+    return Network(f, h, o, *parts)
+
+
+class Library:
+    version: str
+
+    def ways(self, network: Network) -> dict[str, Way]:
+        """Each way to run one window, by name; names begin with the library's."""
+        raise NotImplementedError
+
+    def empty_call(self) -> Way | None:
+        """What a call costs that computes nothing."""
+        return None
+
+
+def onnx_runtime() -> Library | str:
+    try:
+        onnx, ort = importlib.import_module("onnx"), importlib.import_module("onnxruntime")
+    except ImportError:
+        return "not installed, not measured (pip install 'tauext[bench]')"
+    helper, numpy_helper = importlib.import_module("onnx.helper"), importlib.import_module("onnx.numpy_helper")
+
+    class OnnxRuntime(Library):
+        version = ort.__version__
+
+        def session(self, nodes: list, weights: dict[str, np.ndarray], x: tuple, y: tuple) -> object:
+            kind = onnx.TensorProto.FLOAT
+            graph = helper.make_graph(
+                nodes,
+                "network",
+                [helper.make_tensor_value_info("x", kind, x)],
+                [helper.make_tensor_value_info("y", kind, y)],
+                [numpy_helper.from_array(np.ascontiguousarray(value), name) for name, value in weights.items()],
+            )
+            model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
+            onnx.checker.check_model(model)
+            settings = ort.SessionOptions()
+            settings.intra_op_num_threads = settings.inter_op_num_threads = 1
+            settings.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+            settings.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
+            return ort.InferenceSession(model.SerializeToString(), settings, providers=["CPUExecutionProvider"])
+
+        def ways(self, network: Network) -> dict[str, Way]:
+            steps, f = network.window.shape
+            h, o = network.hidden, network.outputs
+            b = to_onnx_gates(network.b)
+            session = self.session(
+                [
+                    helper.make_node("LSTM", ["x", "W", "R", "B"], ["", "last"], hidden_size=h),
+                    helper.make_node("Reshape", ["last", "flat"], ["row"]),
+                    helper.make_node("Gemm", ["row", "W_head", "b_head"], ["y"], transB=1),
+                ],
+                {
+                    "W": to_onnx_gates(network.w_x)[None],
+                    "R": to_onnx_gates(network.w_h)[None],
+                    "B": np.concatenate([b, np.zeros_like(b)])[None],  # of the input and of the recurrence
+                    "flat": np.array([1, h], np.int64),
+                    "W_head": network.w_head,
+                    "b_head": network.b_head,
+                },
+                (steps, 1, f),
+                (1, o),
+            )
+            x, y = np.ascontiguousarray(network.window[:, None]), np.zeros((1, o), np.float32)
+            binding = session.io_binding()
+            binding.bind_input("x", "cpu", 0, np.float32, x.shape, x.ctypes.data)
+            binding.bind_output("y", "cpu", 0, np.float32, y.shape, y.ctypes.data)
+
+            def bound() -> np.ndarray:
+                session.run_with_iobinding(binding)
+                return y
+
+            bound.keep = x  # the binding knows its address alone
+            return {"ONNX Runtime, run": lambda: session.run(["y"], {"x": x})[0], "ONNX Runtime, bound": bound}
+
+        def empty_call(self) -> Way:
+            session = self.session([helper.make_node("Identity", ["x"], ["y"])], {}, (1,), (1,))
+            x = np.zeros(1, np.float32)
+            return lambda: session.run(["y"], {"x": x})[0]
+
+    return OnnxRuntime()
+
+
+def to_onnx_gates(rows: np.ndarray) -> np.ndarray:
+    """From i, f, g, o to ONNX's i, o, f, c."""
+    i, f, g, o = np.split(rows, 4)
+    return np.concatenate([i, o, f, g])
+
+
+def pytorch() -> Library | str:
+    try:
+        torch = importlib.import_module("torch")
+    except ImportError:
+        return "not installed, not measured (pip install 'tauext[torch]')"
+    torch.set_num_threads(1)
+
+    class PyTorch(Library):
+        version = torch.__version__
+
+        def ways(self, network: Network) -> dict[str, Way]:
+            def tensor(values: np.ndarray) -> object:
+                return torch.from_numpy(np.array(values))
+
+            lstm = torch.nn.LSTM(network.inputs, network.hidden)
+            head = torch.nn.Linear(network.hidden, network.outputs)
+            with torch.no_grad():
+                lstm.weight_ih_l0.copy_(tensor(network.w_x))
+                lstm.weight_hh_l0.copy_(tensor(network.w_h))
+                lstm.bias_ih_l0.copy_(tensor(network.b))
+                lstm.bias_hh_l0.zero_()
+                head.weight.copy_(tensor(network.w_head))
+                head.bias.copy_(tensor(network.b_head))
+            window = tensor(network.window[:, None])
+
+            def eager() -> np.ndarray:
+                with torch.inference_mode():
+                    return head(lstm(window)[1][0][0]).numpy()
+
+            return {"PyTorch, eager": eager}
+
+    return PyTorch()
+
+
+def measured(way: Way, calls: int) -> dict[str, float]:
+    """Times of single calls, as monitor_bench takes and sums them up; without the garbage collector."""
+    ns = np.zeros(WARM_UP_CALLS + calls, np.int64)
+    clock = time.perf_counter_ns
+    fifo = real_time(True)
+    gc.disable()
+    breath = clock()
+    for k in range(len(ns)):
+        start = clock()
+        way()
+        end = clock()
+        ns[k] = end - start
+        if end - breath > 50_000_000:  # the kernel stops a FIFO thread that never sleeps
+            time.sleep(0.005)
+            breath = clock()
+    gc.enable()
+    real_time(False)
+    ns = np.sort(ns[WARM_UP_CALLS:])
+
+    def quantile(p: float) -> int:
+        return int(ns[max(1, int(np.ceil(p * calls))) - 1])
+
+    return {
+        "count": calls,
+        "mean_ns": float(ns.mean()),
+        "p50_ns": quantile(0.5),
+        "p99_ns": quantile(0.99),
+        "p99_9_ns": quantile(0.999),
+        "max_ns": int(ns[-1]),
+        "over_deadline": int((ns > 1_000_000).sum()),
+        "fifo": fifo,
+    }
+
+
+def real_time(wanted: bool) -> bool:
+    """Whether this process now stands where it was wanted: in SCHED_FIFO or in the usual class."""
+    try:
+        policy, priority = (os.SCHED_FIFO, PRIORITY) if wanted else (os.SCHED_OTHER, 0)
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
+    except (AttributeError, OSError):
+        return False
+    return True
+
+
+def merged(rounds: list) -> object:
+    """One for several of the same form: the median of a number, the largest maximum, the sum of what was counted."""
+    first = rounds[0]
+    if isinstance(first, dict):
+        out = {}
+        for key in first:
+            values = [one[key] for one in rounds]
+            if key == "max_ns":
+                out[key] = max(values)
+            elif key in ("over_deadline", "missed_deadlines", "ticks_left_out", "samples_not_ok"):
+                out[key] = sum(values)
+            else:
+                out[key] = merged(values)
+        return out
+    if isinstance(first, bool):
+        return all(rounds)
+    if isinstance(first, str) or all(one == first for one in rounds):
+        return first
+    return statistics.median(rounds)
+
+
+def ratios(result: dict) -> dict[str, dict[str, float]]:
+    """Median time of each other way over ours: the network alone, like with like, and the whole monitor."""
+    core = result["core"]
+    ours = {
+        "network answer": core["network"]["answer"],
+        "network both": core["network"]["both"],
+        "monitor estimate": core["monitor"]["estimate"],
+        "monitor both": core["monitor"]["both"],
+    }
+    others = {name: result["libraries"][way]["p50_ns"] for name, way in result["fastest"].items()}
+    empty = result["libraries"].get("ONNX Runtime, empty graph")
+    if empty:
+        others["ONNX Runtime less an empty graph"] = others["ONNX Runtime"] - empty["p50_ns"]
+    others["recomputed window"] = core["recomputed_window"]["p50_ns"]
+    return {name: {what: ns / times["p50_ns"] for what, times in ours.items()} for name, ns in others.items()}
+
+
+def bounds(joints: int, result: dict) -> list[dict]:
+    """What tauext promises of its time, and whether it held."""
+    monitor, onnx = result["core"]["monitor"], result["ratios"].get("ONNX Runtime")
+    found = []
+
+    def expect(what: str, value: float | None, bound: float, at_least: bool = False) -> None:
+        held = None if value is None else bool(value >= bound if at_least else value <= bound)
+        found.append({"what": what, "value": value, "bound": bound, "at_least": at_least, "held": held})
+
+    if joints in ESTIMATE_P50_US:
+        expect("estimate() p50 [us]", monitor["estimate"]["p50_ns"] / 1e3, ESTIMATE_P50_US[joints])
+    expect("estimate() p99.9 [us]", monitor["estimate"]["p99_9_ns"] / 1e3, ESTIMATE_P99_9_US)
+    expect("estimate() and advance() p50 [us]", monitor["both"]["p50_ns"] / 1e3, BOTH_P50_US)
+    expect("ONNX Runtime / network's answer", onnx and onnx["network answer"], ANSWER_RATIO, True)
+    expect("ONNX Runtime / its answer and advance", onnx and onnx["network both"], BOTH_RATIO, True)
+    return found
+
+
+def show(joints: int, result: dict) -> None:
+    core = result["core"]
+    granted = [
+        f"{what} {'yes' if core[key] else 'no'}"
+        for what, key in (("SCHED_FIFO", "fifo"), ("memory locked", "memory_locked"))
+    ]
+    print(
+        f"{joints} joints: F {core['inputs']}, H {core['hidden']}, {core['window_steps']} steps of {core['stride']} "
+        f"samples of {core['sample_period_ns'] / 1e6:g} ms, {core['lanes']} lanes, compiler {core['compiler']}"
+    )
+    print(f"core {core['core']}, {', '.join(granted)}; reading the clock adds {core['clock']['p50_ns']:.0f} ns to each")
+    print(f"{'us':42}{'p50':>9}{'p99':>9}{'p99.9':>9}{'max':>10}{'missed':>8}")
+
+    def line(name: str, times: dict, note: str = "") -> None:
+        numbers = "".join(f"{times[key] / 1e3:9.2f}" for key in ("p50_ns", "p99_ns", "p99_9_ns"))
+        print(f"{name:42}{numbers}{times['max_ns'] / 1e3:10.1f}{times['over_deadline']:8}{note}")
+
+    for name, part, first in (
+        ("monitor", core["monitor"], "estimate"),
+        ("network alone", core["network"], "answer"),
+        ("monitor, network period", core["monitor_network_period"], "estimate"),
+        ("monitor, paced", core["paced"], "estimate"),
+    ):
+        if part:
+            line(f"{name}: {first}", part[first])
+            line("  advance", part["advance"])
+            line("  both", part["both"])
+    if core["paced"]:
+        line("  late wake-up", core["paced"]["wake_up_lateness"])
+        late, left_out = core["paced"]["missed_deadlines"], core["paced"]["ticks_left_out"]
+        print(f"  steps that ended after the next was due: {late}; ticks left out: {left_out}")
+    line("window computed anew", core["recomputed_window"])
+    for name, times in result["libraries"].items():
+        difference = result["differences"].get(name)
+        line(name, times, "" if difference is None else f"   differs by {difference:.0e}")
+    unhealthy = [
+        part["samples_not_ok"] for part in (core["monitor"], core["monitor_network_period"], core["paced"]) if part
+    ]
+    if any(unhealthy):
+        print(f"health was not ok at {sum(unhealthy)} samples: these times are not those of the whole chain")
+
+    columns = list(next(iter(result["ratios"].values())))
+    print(f"\n{'p50 over our p50 of':42}" + "".join(f"{name:>18}" for name in columns))
+    for name, values in result["ratios"].items():
+        print(f"{name:42}" + "".join(f"{values[column]:18.1f}" for column in columns))
+    print()
+    for bound in result["bounds"]:
+        sign = ">=" if bound["at_least"] else "<="
+        value = "not measured" if bound["value"] is None else f"{bound['value']:.2f}"
+        verdict = {True: "held", False: "MISSED", None: ""}[bound["held"]]
+        print(f"{bound['what']:42}{value:>12} {sign} {bound['bound']:g}  {verdict}")
+    print(flush=True)
+
+
+def machine() -> dict[str, str]:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    about = {
+        "processor": processor(),
+        "cores": str(os.cpu_count()),
+        "system": f"{platform.system()} {platform.release()}",
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "tauext": version,
+        "flags": compiler_flags(),
+    }
+    about["text"] = (
+        f"{about['processor']}, {about['cores']} cores, {about['system']}, Python {about['python']}, "
+        f"NumPy {about['numpy']}\ntauext {version}: {about['flags']}, instruction set chosen at run time"
+    )
+    return about
+
+
+def processor_seconds() -> tuple[float, float]:
+    """Processor time of all other processes since start-up, and what the host kept; zeros where it is not told."""
+    stat = Path("/proc/stat")
+    if not stat.exists():
+        return 0.0, 0.0
+    ticks = [int(value) for value in stat.read_text().split("\n")[0].split()[1:]]
+    here = os.times()
+    own = here.user + here.system + here.children_user + here.children_system
+    second = os.sysconf("SC_CLK_TCK")
+    return sum(ticks[:3]) / second - own, (ticks[7] if len(ticks) > 7 else 0) / second
+
+
+def compiler_flags() -> str:
+    """As CMakeLists.txt gives them, warnings left out."""
+    cmake = (ROOT / "CMakeLists.txt").read_text()
+    flags = re.search(r"target_compile_options\(tauext_flags INTERFACE ([^)]*)\)", cmake).group(1).split()
+    return " ".join(["C++20", *(flag for flag in flags if not flag.startswith("-W"))])
+
+
+def processor() -> str:
+    info = Path("/proc/cpuinfo")
+    names = [line.partition(": ")[2] for line in info.read_text().splitlines() if line.startswith("model name")]
+    return names[0] if names else platform.processor()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,58 @@
+"""A recording through the monitor, one sample after the other, as a control loop would send it.
+
+    python examples/03_replay.py ARM.tauext RECORDING.parquet
+
+Prints a line whenever health or alarm changes. A collision is acknowledged a second after it was raised, so that the
+next one is seen too; on an arm a person does that. `tauext run` does all this and more, faster, and writes files.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from tauext import _core
+from tauext.data import load
+from tauext.errors import TauextError
+from tauext.evaluate.estimating import expect_fit
+
+ACKNOWLEDGE_AFTER_NS = 1_000_000_000
+
+
+def describe(t_ns: int, joints: list[str], e: _core.Estimate) -> str:
+    """One line: when, health and why, alarm and where."""
+    line = f"{t_ns * 1e-9:.3f} s: health {e.health.name}, alarm {e.alarm.name}"
+    if e.alarm_joint >= 0:
+        line += f" on {joints[e.alarm_joint]} (tau_ext {e.tau_ext[e.alarm_joint]:.1f} N m)"
+    return ", ".join([line, *e.causes])
+
+
+def replay(bundle_path: str, recording_path: str) -> None:
+    bundle, recording = _core.Bundle.load(bundle_path), load(recording_path)
+    expect_fit(bundle, recording)  # joints, rate, what a torque sample means
+    monitor = _core.Monitor(bundle)
+    before, clear = None, 0
+    for t_ns, q, dq, tau in zip(recording.t_ns.tolist(), recording.q, recording.dq, recording.tau, strict=True):
+        e = monitor.step(t_ns, q, dq, tau)
+        clear += e.clear  # healthy and no alarm: the only thing that means "no collision"
+        if (e.health, e.alarm) != before:
+            print(describe(t_ns, monitor.joint_names, e))
+        if e.alarm == _core.Alarm.collision and t_ns - e.alarm_t_ns >= ACKNOWLEDGE_AFTER_NS:
+            monitor.acknowledge()
+        before = e.health, e.alarm
+    print(f"{recording.samples} samples, {clear} of them clear")
+
+
+def main() -> int:
+    if len(sys.argv) != 3:
+        print("usage: 03_replay.py ARM.tauext RECORDING.parquet", file=sys.stderr)
+        return 2
+    try:
+        replay(*sys.argv[1:])
+    except TauextError as error:  # a file that is missing, damaged or does not fit the other
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,120 @@
+"""The live view of `tauext run` on a terminal: events scroll above, one panel shows the arm as it is now."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import TYPE_CHECKING
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from tauext._core import Bundle, cause_names
+from tauext.cli.run_output import FlightCount
+from tauext.cli.run_text import TextLines
+from tauext.data import Recording
+from tauext.monitor import ALARMS, HEALTHS, Chunk, Tally
+
+if TYPE_CHECKING:
+    from tauext.cli.run import RunSettings
+
+REFRESH_S = 0.1
+BAR_CELLS = 40
+HEALTH_STYLES = {"ok": "green", "warming up": "yellow", "stale": "yellow", "fault": "bold red"}
+ALARM_STYLES = {"none": "green", "contact": "bold yellow", "collision": "bold white on red"}
+
+
+class LiveView(TextLines):
+    """Text lines, with a panel below them that is drawn anew ten times a second."""
+
+    def __init__(self, settings: RunSettings, console: Console | None = None):
+        super().__init__(settings)
+        self._console = console or Console()
+        self._live = Live(console=self._console, auto_refresh=False, transient=True)
+        self._drawn = 0.0
+
+    def __enter__(self) -> LiveView:
+        self._live.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._live.stop()
+
+    def say(self, line: str) -> None:
+        self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+    def start(self, bundle: Bundle, recording: Recording, number: int, of: int) -> None:
+        super().start(bundle, recording, number, of)
+        self._title, self._duration_s = recording.name, recording.duration_s
+        self._began = time.monotonic()
+
+    def chunk(self, chunk: Chunk, tally: Tally) -> None:
+        super().chunk(chunk, tally)
+        now = time.monotonic()
+        if now - self._drawn >= REFRESH_S:
+            self._drawn = now
+            self._live.update(self.panel(chunk, now - self._began), refresh=True)
+
+    def end(self, tally: Tally, flights: FlightCount, complete: bool) -> None:
+        self._live.update("", refresh=True)
+        super().end(tally, flights, complete)
+
+    def panel(self, chunk: Chunk, wall_s: float) -> Group:
+        """What the monitor said of the chunk's last sample; bars show the chunk's largest |tau_ext| of each joint."""
+        said = chunk.said
+        time_s = (int(chunk.t_ns[-1]) - self._start_ns) * 1e-9
+        speed = f", {time_s / wall_s:.1f} times as fast as recorded" if wall_s > 0.5 else ""
+        health, alarm = HEALTHS[said["health"][-1]], ALARMS[said["alarm"][-1]]
+        causes = ", ".join(cause_names(int(said["causes"][-1])))
+        status = Text.assemble(
+            "health ",
+            (health, HEALTH_STYLES[health]),
+            f" ({causes})" if causes else "",
+            "   alarm ",
+            (alarm, ALARM_STYLES[alarm]),
+        )
+        if said["alarm_joint"][-1] >= 0:
+            status.append(f" {self._joints[said['alarm_joint'][-1]]}")
+        return Group(
+            Text(f"{self._title}  {time_s:.2f} of {self._duration_s:.2f} s{speed}"), status, self.joints(chunk)
+        )
+
+    def joints(self, chunk: Chunk) -> Table:
+        """A row a joint: bar from -limit to +limit, tau_ext, limit, margin, region, speed."""
+        table = Table(box=None, pad_edge=False)
+        for title in ("joint", "tau_ext from −limit to +limit"):
+            table.add_column(title)
+        for title in ("tau_ext, Nm", "limit, Nm", "margin, Nm", "speed, rad/s"):
+            table.add_column(title, justify="right")
+        table.add_column("")
+        said = chunk.said
+        for j, joint in enumerate(self._joints):
+            tau_ext, limit = said["tau_ext"][:, j], said["limit_nm"][:, j]
+            k = chunk.peak_row(j)
+            near = "near stiction" if said["near_stiction"][-1, j] else ""
+            table.add_row(
+                joint,
+                bar(tau_ext[k] / limit[k]),
+                text_number(tau_ext[-1], "+"),
+                text_number(limit[-1]),
+                text_number(said["margin_nm"][-1, j], "+"),
+                f"{chunk.dq[-1, j]:+.3f}",
+                near,
+            )
+        return table
+
+
+def bar(share: float) -> Text:
+    """tau_ext over limit, -1 to +1, as a bar from the middle; red and full where it is over, empty where unknown."""
+    half = BAR_CELLS // 2
+    cells = min(half, round(abs(share) * half)) if math.isfinite(share) else 0
+    style = "red" if abs(share) > 1 else "yellow" if abs(share) > 0.7 else "green"
+    left = " " * (half - cells) + "█" * cells if share < 0 else " " * half
+    right = "█" * cells + " " * (half - cells) if share >= 0 else " " * half
+    return Text.assemble("▏", (left, style), "│", (right, style), "▕")
+
+
+def text_number(value: float, sign: str = "") -> str:
+    return f"{value:{sign}.2f}" if math.isfinite(value) else "–"

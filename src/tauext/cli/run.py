@@ -1,0 +1,212 @@
+"""`tauext run`: recordings through the monitor, as a control loop would run it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from tauext.config import require
+from tauext.errors import ConfigError, TauextError
+
+if TYPE_CHECKING:
+    from tauext._core import Bundle
+    from tauext.cli.run_output import FlightCount, Output
+    from tauext.data import Recording
+    from tauext.monitor import FlightWriter, Tally
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """Options of the command that the replay of one recording needs."""
+
+    speed: float | None
+    own_rate: bool
+    acknowledge_after_s: float | None
+    flights: Path | None
+    before_s: float
+    after_s: float
+    contacts: bool
+
+
+def run(
+    bundle: tyro.conf.Positional[Path],
+    recordings: tyro.conf.Positional[tuple[Path, ...]],
+    real_time: bool = False,
+    speed: float | None = None,
+    own_rate: bool = False,
+    acknowledge_after_s: float | None = None,
+    flights: Path | None = None,
+    before_s: float = 5.0,
+    after_s: float = 1.0,
+    contacts: bool = False,
+    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    status_hz: float = 0.0,
+) -> None:
+    """Replay recordings through the monitor: alarms, health and their causes as a control loop would see them.
+
+    The same core runs in the loop, so what is said here is said there, sample by sample, however fast the replay. Every
+    recording begins with a monitor that knows nothing: it warms up for about a second. On a terminal a live view is
+    shown; elsewhere a line an event, and a summary at the end.
+
+    Args:
+        bundle: bundle (*.tauext) to run.
+        recordings: recordings (*.parquet) of its robot, rate and torque timing.
+        real_time: as fast as they were recorded, by their time stamps: the same as --speed 1.
+        speed: so many times as fast as they were recorded. None: as fast as possible.
+        own_rate: run the network at its own rate (usually 100 Hz) and hold its value in between, for slow processors.
+        acknowledge_after_s: acknowledge a collision so many seconds after it was raised. None: never; then the first
+            collision of a recording stays and hides those after it.
+        flights: folder for flights: recording, estimates and an explanation in words around every collision and fault.
+            None: none are written. Files that are there are never overwritten.
+        before_s: seconds that a flight keeps from before its event.
+        after_s: and from after it.
+        contacts: flights of contacts, too.
+        as_json: JSON lines on stdout, an object an event: start, health, alarm, flight, status, end, summary.
+        status_hz: with --json, also the estimates so many times per second of the recording; 0: events only.
+    """
+    from tauext.cli.run_output import open_output
+
+    require(speed is None or 0 < speed < float("inf"), "speed", speed, "> 0")
+    require(not real_time or speed is None, "speed", speed, "left out with --real-time, which is speed 1")
+    after = acknowledge_after_s
+    require(after is None or 0 < after < float("inf"), "acknowledge_after_s", after, "> 0; left out: never")
+    require(0 <= status_hz < float("inf"), "status_hz", status_hz, ">= 0")
+    require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
+    chain = fitting_bundle(bundle, recordings)
+    settings = RunSettings(
+        1.0 if real_time else speed, own_rate, acknowledge_after_s, flights, before_s, after_s, contacts
+    )
+    check_flights(chain, settings)
+    with open_output(as_json, status_hz, settings) as output:
+        replay_all(chain, recordings, settings, output)
+
+
+def fitting_bundle(path: Path, recordings: tuple[Path, ...]) -> Bundle:
+    """The bundle, after a look at the head of every recording: all of them fit it.
+
+    Raises:
+        ConfigError: no such bundle, or no recording.
+        BundleError: joints, rate or torque timing of a recording are not the bundle's.
+    """
+    from tauext import _core
+    from tauext.data import describe
+    from tauext.evaluate.estimating import expect_fit
+
+    if not path.is_file():
+        raise ConfigError(f"{path}: there is no such bundle; `tauext train` makes one")
+    if not recordings:
+        raise ConfigError("there is nothing to replay: give one or more recordings (*.parquet) behind the bundle")
+    bundle = _core.Bundle.load(str(path))
+    for recording in recordings:
+        expect_fit(bundle, describe(recording))
+    return bundle
+
+
+def check_flights(bundle: Bundle, settings: RunSettings) -> None:
+    """Make the folder, and refuse what the recorder would refuse, before anything is replayed."""
+    from tauext import _core
+
+    if settings.flights is None:
+        return
+    try:
+        settings.flights.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{settings.flights}: no folder for flights ({error.strerror or error})") from error
+    _core.FlightRecorder(
+        bundle.joints, bundle.observer.sample_period_ns, settings.before_s, settings.after_s, settings.contacts
+    )
+
+
+def replay_all(bundle: Bundle, recordings: tuple[Path, ...], settings: RunSettings, output: Output) -> None:
+    """One recording after the other; after an interruption or a damaged one, still the summary of what was done.
+
+    Raises:
+        ConfigError: some flights could not be written.
+    """
+    from tauext.cli.run_output import FlightCount
+    from tauext.data import load
+    from tauext.monitor import Tally
+
+    total = Tally(tuple(link.joint_name for link in bundle.links), bundle.observer.sample_period_ns)
+    flights, done, stopped = FlightCount(), 0, None
+    try:
+        for number, path in enumerate(recordings, 1):
+            recording = load(path)
+            output.start(bundle, recording, number, len(recordings))
+            with counted(recording, total, flights, output) as (tally, own_flights):
+                replay_one(bundle, recording, settings, tally, own_flights, output)
+            done += 1
+    except (KeyboardInterrupt, TauextError) as error:
+        stopped = error
+    output.total(total, flights, done, interrupted=stopped is not None)
+    if isinstance(stopped, KeyboardInterrupt):
+        raise KeyboardInterrupt("the summary is of what was replayed until then, and its flights are kept")
+    if stopped is not None:
+        raise stopped
+    if flights.failed:
+        raise ConfigError(f"{flights.failed} of {flights.failed + flights.written} flights are lost: {flights.error}")
+
+
+@contextmanager
+def counted(
+    recording: Recording, total: Tally, flights: FlightCount, output: Output
+) -> Iterator[tuple[Tally, FlightCount]]:
+    """A tally and a count of flights for one recording; told and added to the total even if it ends early."""
+    from tauext.cli.run_output import FlightCount
+    from tauext.monitor import Tally
+
+    tally, own_flights = Tally(total.joints, total.sample_period_ns), FlightCount()
+    try:
+        yield tally, own_flights
+    finally:
+        total.merge(tally)
+        flights.merge(own_flights)
+        output.end(tally, own_flights, complete=tally.samples == recording.samples)
+
+
+def replay_one(
+    bundle: Bundle, recording: Recording, settings: RunSettings, tally: Tally, flights: FlightCount, output: Output
+) -> None:
+    """One recording through a new monitor, with a new flight recorder."""
+    from tauext import _core
+    from tauext.monitor import FlightSource, FlightWriter, Pace, replay, write_flight
+    from tauext.monitor.replay import CHUNK_S, PACED_CHUNK_S
+
+    monitor = _core.Monitor(bundle, settings.own_rate)
+    recorder = writer = None
+    chunk_s = CHUNK_S if settings.speed is None else PACED_CHUNK_S * settings.speed
+    if settings.flights is not None:
+        period_ns = monitor.sample_period_ns
+        recorder = _core.FlightRecorder(
+            monitor.joints, period_ns, settings.before_s, settings.after_s, settings.contacts
+        )
+        source = FlightSource.of(bundle, recording)
+        writer = FlightWriter(recorder, partial(write_flight, folder=settings.flights, source=source))
+        chunk_s = min(chunk_s, max(settings.after_s, PACED_CHUNK_S))
+    try:
+        with writer or nullcontext():
+            for chunk in replay(
+                monitor, recording, Pace(settings.speed), recorder, settings.acknowledge_after_s, chunk_s
+            ):
+                tally.add(chunk, monitor)
+                if writer is not None:
+                    writer.catch_up()
+                output.chunk(chunk, tally)
+                tell_flights(writer, flights, output)
+    finally:
+        tell_flights(writer, flights, output)
+        if recorder is not None:
+            flights.missed += recorder.missed
+
+
+def tell_flights(writer: FlightWriter | None, flights: FlightCount, output: Output) -> None:
+    """Pass on what became of flights since the last time."""
+    for news in writer.news() if writer is not None else ():
+        flights.add(news)
+        output.flight(news)

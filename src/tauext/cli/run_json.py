@@ -1,0 +1,81 @@
+"""`tauext run --json`: JSON lines for programs; docs/files.md lists them."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from tauext._core import Bundle, cause_names
+from tauext.cli.run_output import FlightCount
+from tauext.data import Recording
+from tauext.monitor import ALARMS, HEALTHS, Change, Chunk, FlightNews, HealthChange, StatusClock, Tally, status
+from tauext.monitor.status import number
+
+
+class JsonLines:
+    """One object an event, each written at once; times count from the recording's first sample."""
+
+    def __init__(self, status_hz: float):
+        self._status_ns = round(1e9 / status_hz) if status_hz else 0
+
+    def __enter__(self) -> JsonLines:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def start(self, bundle: Bundle, recording: Recording, number: int, of: int) -> None:
+        self._recording, self._joints, self._start_ns = recording.name, recording.joints, int(recording.t_ns[0])
+        self._clock = StatusClock(self._start_ns, self._status_ns) if self._status_ns else None
+        self._write(
+            "start",
+            bundle=bundle.name,
+            joints=recording.joints,
+            samples=recording.samples,
+            duration_s=recording.duration_s,
+            rate_hz=recording.rate_hz,
+            t_ns=self._start_ns,
+        )
+
+    def chunk(self, chunk: Chunk, tally: Tally) -> None:
+        """Changes and status lines in the order of their samples."""
+        lines = [(change.row, self._change(change)) for change in chunk.changes]
+        for k in self._clock.rows(chunk.t_ns) if self._clock else ():
+            where = {"row": chunk.first_row + k, **self._when(chunk.t_ns[k])}
+            lines.append((chunk.first_row + k, ("status", where | status(chunk, k))))
+        for _, (event, content) in sorted(lines, key=lambda line: line[0]):
+            self._write(event, **content)
+
+    def flight(self, news: FlightNews) -> None:
+        told = {"file": str(news.path)} if news.path else {"file": None, "error": news.error}
+        self._write("flight", what=news.what, **self._when(news.t_ns), **told)
+
+    def end(self, tally: Tally, flights: FlightCount, complete: bool) -> None:
+        self._write("end", complete=complete, **tally.summary(), flights=flights.summary())
+
+    def total(self, tally: Tally, flights: FlightCount, recordings: int, interrupted: bool) -> None:
+        content = {"recordings": recordings, "interrupted": interrupted, **tally.summary()}
+        print(json.dumps({"event": "summary", **content, "flights": flights.summary()}, allow_nan=False), flush=True)
+
+    def _when(self, t_ns: int) -> dict[str, Any]:
+        return {"t_ns": int(t_ns), "time_s": (int(t_ns) - self._start_ns) * 1e-9}
+
+    def _change(self, change: Change) -> tuple[str, dict[str, Any]]:
+        joint = self._joints[change.joint] if change.joint >= 0 else None
+        where = {"row": change.row, **self._when(change.t_ns)}
+        if isinstance(change, HealthChange):
+            said = {"health": HEALTHS[change.health], "was": HEALTHS[change.was], "causes": cause_names(change.causes)}
+            return "health", {**where, **said, "joint": joint}
+        return "alarm", {
+            **where,
+            "alarm": ALARMS[change.alarm],
+            "was": ALARMS[change.was],
+            "joint": joint,
+            "tau_ext_nm": number(change.tau_ext_nm),
+            "limit_nm": number(change.limit_nm),
+            "near_stiction": change.near_stiction if joint else None,
+            "acknowledged": change.acknowledged,
+        }
+
+    def _write(self, event: str, **content: Any) -> None:
+        print(json.dumps({"event": event, "recording": self._recording, **content}, allow_nan=False), flush=True)

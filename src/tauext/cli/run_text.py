@@ -1,0 +1,147 @@
+"""`tauext run` in lines of text, for people: a line an event and a summary."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tauext._core import Bundle, cause_names
+from tauext.cli.run_output import FlightCount
+from tauext.data import Recording
+from tauext.monitor import ALARMS, HEALTHS, AlarmChange, Chunk, FlightNews, HealthChange, Tally
+
+if TYPE_CHECKING:
+    from tauext.cli.run import RunSettings
+
+MOST_HEALTH_LINES = 10
+"""About health in one second of a recording; a bad cable can change it at every sample."""
+
+
+class TextLines:
+    """A line an event and a summary."""
+
+    def __init__(self, settings: RunSettings):
+        self._settings = settings
+
+    def __enter__(self) -> TextLines:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def say(self, line: str) -> None:
+        print(line, flush=True)
+
+    def start(self, bundle: Bundle, recording: Recording, number: int, of: int) -> None:
+        self._joints, self._start_ns, self._of = recording.joints, int(recording.t_ns[0]), of
+        self._latched_s: float | None = None
+        self._second, self._shown, self._hidden = 0, 0, 0
+        which = f" ({number} of {of})" if of > 1 else ""
+        self.say(
+            f"{recording.name}{which}: {recording.duration_s:.1f} s, {recording.samples:,} samples at "
+            f"{recording.rate_hz:g} Hz, bundle {bundle.name}"
+        )
+
+    def chunk(self, chunk: Chunk, tally: Tally) -> None:
+        for change in chunk.changes:
+            if isinstance(change, HealthChange):
+                self._health(change)
+            else:
+                self._alarm(change)
+
+    def flight(self, news: FlightNews) -> None:
+        self._event(news.t_ns, f"flight: {news.path}" if news.path else f"flight of the {news.what} lost: {news.error}")
+
+    def end(self, tally: Tally, flights: FlightCount, complete: bool) -> None:
+        self._tell_hidden()
+        if self._latched_s is not None:
+            self.say(
+                f"  the collision alarm stood from {self._latched_s:.3f} s to the end and hid what came after it; "
+                "--acknowledge-after-s ends it"
+            )
+        if self._of > 1:
+            for line in summary_lines(tally, flights, self._settings.flights):
+                self.say(f"  {line}")
+
+    def total(self, tally: Tally, flights: FlightCount, recordings: int, interrupted: bool) -> None:
+        if tally.samples:
+            stopped = ", interrupted" if interrupted else ""
+            self.say(f"{recordings} recording{'s' * (recordings != 1)} to the end{stopped}")
+            for line in summary_lines(tally, flights, self._settings.flights):
+                self.say(f"  {line}")
+
+    def _event(self, t_ns: int, text: str) -> None:
+        self.say(f"{(t_ns - self._start_ns) * 1e-9:11.3f} s  {text}")
+
+    def _health(self, change: HealthChange) -> None:
+        second = (change.t_ns - self._start_ns) // 1_000_000_000
+        if second != self._second:
+            self._tell_hidden()
+            self._second, self._shown = second, 0
+        if self._shown == MOST_HEALTH_LINES:
+            self._hidden += 1
+            return
+        self._shown += 1
+        self._event(change.t_ns, health_words(change, self._joints))
+
+    def _tell_hidden(self) -> None:
+        if self._hidden:
+            self.say(f"{self._second:11d} s  ... and {self._hidden} more changes of health in that second")
+        self._hidden = 0
+
+    def _alarm(self, change: AlarmChange) -> None:
+        collision = change.alarm == ALARMS.index("collision")
+        if self._settings.acknowledge_after_s is None and collision:
+            self._latched_s = (change.t_ns - self._start_ns) * 1e-9
+        self._event(change.t_ns, alarm_words(change, self._joints))
+
+
+def health_words(change: HealthChange, joints: tuple[str, ...]) -> str:
+    """`fault: not finite, joint2 (was ok)`."""
+    causes = ", ".join(cause_names(change.causes))
+    where = f", {joints[change.joint]}" if change.joint >= 0 else ""
+    why = f": {causes}{where}" if causes else ""
+    was = f" (was {HEALTHS[change.was]})" if change.was != change.health else ""
+    return f"{HEALTHS[change.health]}{why}{was}"
+
+
+def alarm_words(change: AlarmChange, joints: tuple[str, ...]) -> str:
+    """`COLLISION joint1: |tau_ext| 6.21 Nm, limit 4.62 Nm`."""
+    if change.acknowledged:
+        return f"{ALARMS[change.was]} acknowledged"
+    if change.joint < 0:
+        return f"no {ALARMS[change.was]} any more" if change.alarm == 0 else ALARMS[change.alarm]
+    region = " near stiction" if change.near_stiction else ""
+    return (
+        f"{ALARMS[change.alarm].upper()} {joints[change.joint]}: |tau_ext| {abs(change.tau_ext_nm):.2f} Nm, "
+        f"limit{region} {change.limit_nm:.2f} Nm"
+    )
+
+
+def summary_lines(tally: Tally, flights: FlightCount, folder: Path | None) -> list[str]:
+    """The summary of one recording or of all."""
+    told = tally.summary()
+    if not tally.samples:
+        return ["no samples"]
+    shares = [f"{name} {share:.2%}" for name, share in told["health_share"].items() if share]
+    alarms = []
+    for level, counts in told["alarms"].items():
+        raised = [f"{joint} {count}" for joint, count in counts.items() if count]
+        alarms.append(f"{level} {', '.join(raised) if raised else 'none'}")
+    margins = [f"{joint} {margin:+.2f} Nm" for joint, margin in told["worst_margin_nm"].items() if margin is not None]
+    lines = [
+        f"samples       {tally.samples:,} ({duration_text(tally.hours)}), {told['us_per_sample']:.2f} µs each",
+        f"health        {', '.join(shares)}",
+        f"alarms        {'; '.join(alarms)}" + (f"; {tally.acknowledged} acknowledged" if tally.acknowledged else ""),
+        f"worst margin  {', '.join(margins) if margins else 'none: there was no estimate'}",
+        f"chain         {tally.bridged_ticks} bridged ticks, {tally.restarts} restarts",
+    ]
+    if folder is not None:
+        lost = f", {flights.failed} could not be written" if flights.failed else ""
+        missed = f", {flights.missed} missed: they came too fast one after the other" if flights.missed else ""
+        lines.append(f"flights       {flights.written} written to {folder}{lost}{missed}")
+    return lines
+
+
+def duration_text(hours: float) -> str:
+    return f"{hours:.2f} h" if hours >= 1 else f"{hours * 60:.1f} min" if hours >= 1 / 60 else f"{hours * 3600:.1f} s"

@@ -1,0 +1,28 @@
+"""The monitor on recordings: replay through the core, what changed and when, and the flights around it."""
+
+from tauext.monitor.changes import ALARMS, HEALTHS, AlarmChange, Change, HealthChange
+from tauext.monitor.flight_files import FlightSource, write_flight
+from tauext.monitor.flight_writer import FlightNews, FlightWriter
+from tauext.monitor.pace import Pace
+from tauext.monitor.replay import Chunk, Samples, replay
+from tauext.monitor.status import StatusClock, status
+from tauext.monitor.tally import Tally
+
+__all__ = [
+    "ALARMS",
+    "HEALTHS",
+    "AlarmChange",
+    "Change",
+    "Chunk",
+    "FlightNews",
+    "FlightSource",
+    "FlightWriter",
+    "HealthChange",
+    "Pace",
+    "Samples",
+    "StatusClock",
+    "Tally",
+    "replay",
+    "status",
+    "write_flight",
+]

@@ -1,0 +1,100 @@
+"""What changed from one sample to the next: health and alarm. The rule knows samples, not chunks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+HEALTHS = ("warming up", "ok", "stale", "fault")
+"""By the core's number."""
+ALARMS = ("none", "contact", "collision")
+"""By the core's number."""
+WARMING_UP, OK, STALE, FAULT = range(4)
+NONE, CONTACT, COLLISION = range(3)
+
+
+@dataclass(frozen=True)
+class HealthChange:
+    """Health, or why it is not ok, is not what it was one sample before."""
+
+    row: int
+    """Of the sample, counted from the recording's first."""
+    t_ns: int
+    health: int
+    was: int
+    causes: int
+    """Bits; tauext._core.cause_names says them."""
+    joint: int
+    """The first that a cause concerns, -1 for none."""
+
+
+@dataclass(frozen=True)
+class AlarmChange:
+    """The alarm has another level than one sample before, or was acknowledged before this sample."""
+
+    row: int
+    t_ns: int
+    alarm: int
+    was: int
+    joint: int
+    """That raised it, -1 where it fell."""
+    tau_ext_nm: float = np.nan
+    """Of that joint at this sample; NaN where it fell."""
+    limit_nm: float = np.nan
+    """That |tau_ext| of that joint must exceed for a collision."""
+    near_stiction: bool = False
+    acknowledged: bool = False
+    """It did not fall by itself."""
+
+
+Change = HealthChange | AlarmChange
+
+
+class ChangeFinder:
+    """Finds every change in what the monitor said, chunk after chunk; the first sample follows a new monitor."""
+
+    def __init__(self) -> None:
+        self._last = {"health": WARMING_UP, "causes": 0, "alarm": NONE}
+
+    def acknowledged(self, row: int, t_ns: int) -> AlarmChange:
+        """The alarm was acknowledged just before this sample; one that stands at the sample was raised anew there."""
+        was, self._last["alarm"] = self._last["alarm"], NONE
+        return AlarmChange(row, int(t_ns), NONE, was, -1, acknowledged=True)
+
+    def find(self, first_row: int, t_ns: np.ndarray, said: dict[str, np.ndarray]) -> list[Change]:
+        """Changes at these samples in order; of one sample, its health before its alarm.
+
+        Args:
+            first_row: of the chunk, counted from the recording's first sample.
+            t_ns: (rows,), [ns].
+            said: what Monitor.run said of them, not empty.
+        """
+        before = {name: np.append(last, said[name][:-1]) for name, last in self._last.items()}
+        differs = {name: before[name] != said[name] for name in self._last}
+        self._last = {name: int(said[name][-1]) for name in self._last}
+        changes: list[Change] = []
+        for k in np.flatnonzero(differs["health"] | differs["causes"] | differs["alarm"]).tolist():
+            row, t = first_row + k, int(t_ns[k])
+            if differs["health"][k] or differs["causes"][k]:
+                health, causes, joint = (int(said[name][k]) for name in ("health", "causes", "cause_joint"))
+                changes.append(HealthChange(row, t, health, int(before["health"][k]), causes, joint))
+            if differs["alarm"][k]:
+                changes.append(self._alarm_change(row, t, k, int(before["alarm"][k]), said))
+        return changes
+
+    @staticmethod
+    def _alarm_change(row: int, t_ns: int, k: int, was: int, said: dict[str, np.ndarray]) -> AlarmChange:
+        alarm, joint = int(said["alarm"][k]), int(said["alarm_joint"][k])
+        if alarm <= was or joint < 0:
+            return AlarmChange(row, t_ns, alarm, was, -1)
+        return AlarmChange(
+            row,
+            t_ns,
+            alarm,
+            was,
+            joint,
+            float(said["tau_ext"][k, joint]),
+            float(said["limit_nm"][k, joint]),
+            bool(said["near_stiction"][k, joint]),
+        )

@@ -1,0 +1,76 @@
+"""Says in words how a contact or collision came about: which limit, by how much, what observer and network said."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tauext.monitor.causes import in_words
+from tauext.monitor.changes import HEALTHS, OK
+from tauext.monitor.flight_content import Flight, FlightSource
+
+MOST_OTHERS = 3
+
+
+def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
+    """By how much over which limit, and since when."""
+    event, row = flight["event"], flight["event_row"]
+    j = event.alarm_joint
+    limits = flight["limit_nm"][:, j]
+    if kind == "contact" and source.contact_sliding_nm:
+        near, sliding = source.contact_near_stiction_nm[j], source.contact_sliding_nm[j]
+        limits = np.where(flight["near_stiction"][:, j], near, sliding)
+    size, limit, speed = abs(event.tau_ext[j]), limits[row], flight["dq"][row, j]
+    region, edge = ("near stiction", "below") if event.near_stiction[j] else ("sliding", "not below")
+    text = (
+        f"|tau_ext| of {source.joints[j]} was {size:.3f} Nm, {size - limit:.3f} Nm over its {kind} limit of "
+        f"{limit:.3f} Nm ({region}: its speed was {speed:+.4f} rad/s, {edge} {source.near_stiction_rad_s:g})."
+    )
+    since = row
+    while since > 0 and abs(flight["tau_ext"][since - 1, j]) > limits[since - 1]:
+        since -= 1
+    if since < row:
+        ms = (flight["t_ns"][row] - flight["t_ns"][since]) * 1e-6
+        text += f" It had been over that limit for {ms:.1f} ms."
+    return text
+
+
+def doubt(flight: Flight) -> str:
+    """Health at the event, where it was not ok."""
+    event = flight["event"]
+    if event.health.value == OK:
+        return ""
+    health = HEALTHS[event.health.value]
+    return f"Health was {health} ({in_words(event.causes)}) at that sample: the estimate may be wrong."
+
+
+def chain(flight: Flight, source: FlightSource) -> str:
+    """What observer and network said of the joint."""
+    event = flight["event"]
+    j = event.alarm_joint
+    residual, uncertainty = event.residual[j], event.uncertainty[j]
+    if not source.has_network:
+        return f"The observer said {residual:+.3f} Nm; the bundle has no network, so this is tau_ext."
+    return (
+        f"The observer said {residual:+.3f} Nm, the network expected {uncertainty:+.3f} Nm of it in free motion; "
+        f"their difference is tau_ext = {event.tau_ext[j]:+.3f} Nm."
+    )
+
+
+def others(flight: Flight, source: FlightSource, kind: str) -> str:
+    """The other joints that are nearest to their limits."""
+    row = flight["event_row"]
+    rest = [j for j in range(len(source.joints)) if j != flight["event"].alarm_joint]
+    if kind == "fault" or not rest:
+        return ""
+    share = np.abs(flight["tau_ext"][row]) / flight["limit_nm"][row]
+    nearest = sorted(rest, key=lambda j: -share[j])[:MOST_OTHERS]
+    return f"Other joints, nearest to their limits first: {loads(flight, row, source, nearest)}."
+
+
+def loads(flight: Flight, row: int, source: FlightSource, joints: list[int] | range) -> str:
+    """`joint2 1.100 of 2.600 Nm (42%)` for each joint."""
+    parts = []
+    for j in joints:
+        size, limit = abs(flight["tau_ext"][row, j]), flight["limit_nm"][row, j]
+        parts.append(f"{source.joints[j]} {size:.3f} of {limit:.3f} Nm ({size / limit:.0%})")
+    return ", ".join(parts)

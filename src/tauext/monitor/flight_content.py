@@ -1,0 +1,160 @@
+"""A flight of the core as a recording with its estimates; samples that a recording cannot hold are set aside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tauext import _core
+from tauext.data import Recording
+from tauext.data.estimates import Estimates
+from tauext.data.recording import RATE_TOLERANCE
+from tauext.monitor.changes import ALARMS, COLLISION, FAULT, HEALTHS
+
+Flight = dict[str, Any]
+"""As FlightRecorder.take gives it."""
+
+
+@dataclass(frozen=True)
+class FlightSource:
+    """Where flights come from: what their files must say beside the samples."""
+
+    recording: str
+    """Its name."""
+    bundle: str
+    """Its name."""
+    joints: tuple[str, ...]
+    start_ns: int
+    """Stamp of the first sample of all, [ns]: event times count from it."""
+    rate_hz: float
+    torque_timing: str
+    robot_sha256: str = ""
+    near_stiction_rad_s: float = 0.0
+    contact_sliding_nm: tuple[float, ...] = ()
+    """Limits of a contact, a joint; those of a collision stand in the flight."""
+    contact_near_stiction_nm: tuple[float, ...] = ()
+    has_network: bool = True
+
+    @classmethod
+    def of(cls, bundle: _core.Bundle, recording: Recording) -> FlightSource:
+        """A replay of this recording."""
+        return cls(
+            recording=recording.name,
+            bundle=bundle.name,
+            joints=recording.joints,
+            start_ns=int(recording.t_ns[0]),
+            rate_hz=recording.rate_hz,
+            torque_timing=recording.torque_timing,
+            robot_sha256=recording.robot_sha256,
+            near_stiction_rad_s=bundle.near_stiction_rad_s,
+            contact_sliding_nm=tuple(bundle.contact_sliding_limit_nm),
+            contact_near_stiction_nm=tuple(bundle.contact_near_stiction_limit_nm),
+            has_network=bundle.has_network,
+        )
+
+    def time_s(self, t_ns: int) -> float:
+        """Counted from the start, [s]."""
+        return (t_ns - self.start_ns) * 1e-9
+
+
+def event_kind(flight: Flight) -> str:
+    """What made the flight: `collision`, `contact` or `fault`.
+
+    Of an alarm and a fault at one sample a collision goes before the fault, and the fault before a contact.
+    """
+    event, row = flight["event"], flight["event_row"]
+    alarm, health = int(flight["alarm"][row]), flight["health"]
+    raised = alarm > (int(flight["alarm"][row - 1]) if row else 0) and event.alarm_t_ns == event.t_ns
+    broke = health[row] == FAULT and (row == 0 or health[row - 1] != FAULT)
+    return ALARMS[alarm] if raised and (alarm == COLLISION or not broke) else "fault"
+
+
+def rows_kept(flight: Flight) -> np.ndarray:
+    """Which samples a recording can hold, (samples,) bool: all values finite, and later than every one kept before."""
+    kept = np.all([np.isfinite(flight[signal]).all(axis=1) for signal in ("q", "dq", "tau")], axis=0)
+    t_ns = flight["t_ns"][kept]
+    if len(t_ns):
+        kept[np.flatnonzero(kept)[1:]] = t_ns[1:] > np.maximum.accumulate(t_ns)[:-1]
+    return kept
+
+
+def flight_rate_hz(t_ns: np.ndarray, nominal_hz: float) -> float:
+    """The nominal rate or, where the stamps say something else, the one of their median step."""
+    if len(t_ns) < 2:
+        return nominal_hz
+    measured_hz = 1e9 / float(np.median(np.diff(t_ns)))
+    return nominal_hz if abs(nominal_hz / measured_hz - 1) <= RATE_TOLERANCE else measured_hz
+
+
+def as_recording(
+    flight: Flight, kept: np.ndarray, name: str, source: FlightSource, provenance: dict[str, Any]
+) -> Recording:
+    """The samples that are kept, at least one."""
+    t_ns = flight["t_ns"][kept]
+    return Recording(
+        name=name,
+        joints=source.joints,
+        t_ns=t_ns,
+        q=flight["q"][kept],
+        dq=flight["dq"][kept],
+        tau=flight["tau"][kept],
+        rate_hz=flight_rate_hz(t_ns, source.rate_hz),
+        torque_timing=source.torque_timing,
+        source="flight recorder",
+        robot_sha256=source.robot_sha256,
+        provenance=provenance,
+    )
+
+
+def as_estimates(flight: Flight, kept: np.ndarray, source: FlightSource) -> Estimates:
+    """What the monitor said of the samples that are kept."""
+    torques = {"r": "residual", "network": "uncertainty", "tau_ext": "tau_ext", "limit": "limit_nm"}
+    return Estimates(
+        joints=source.joints,
+        t_ns=flight["t_ns"][kept],
+        **{name: flight[key][kept].astype(np.float32) for name, key in torques.items()},
+        near_stiction=flight["near_stiction"][kept].astype(bool),
+        health=flight["health"][kept].astype(np.int8),
+        detection=flight["detection"][kept].astype(bool),
+        alarm=flight["alarm"][kept].astype(np.int8),
+        causes=flight["causes"][kept].astype(np.uint32),
+    )
+
+
+def event_numbers(flight: Flight, source: FlightSource) -> dict[str, Any]:
+    """What the monitor said at the event, as plain JSON: a list has a value a joint, null where none exists."""
+    event, row = flight["event"], flight["event_row"]
+
+    def name(joint: int) -> str | None:
+        return source.joints[joint] if joint >= 0 else None
+
+    def numbers(values: Any) -> list[float | None]:
+        return [float(value) if np.isfinite(value) else None for value in values]
+
+    what = event_kind(flight)
+    return {
+        "what": what,
+        "t_ns": int(event.t_ns),
+        "time_s": source.time_s(event.t_ns),
+        "joint": name(event.cause_joint if what == "fault" else event.alarm_joint),
+        "health": HEALTHS[event.health.value],
+        "causes": list(event.causes),
+        "alarm": ALARMS[event.alarm.value],
+        "alarm_joint": name(event.alarm_joint),
+        "detection": bool(event.detection),
+        **{
+            key: numbers(getattr(event, field))
+            for key, field in (
+                ("residual_nm", "residual"),
+                ("uncertainty_nm", "uncertainty"),
+                ("tau_ext_nm", "tau_ext"),
+                ("limit_nm", "limit_nm"),
+                ("margin_nm", "margin_nm"),
+            )
+        },
+        "near_stiction": [bool(near) for near in event.near_stiction],
+        "dq_rad_s": numbers(flight["dq"][row]),
+        "tau_nm": numbers(flight["tau"][row]),
+    }

@@ -1,0 +1,90 @@
+"""The page of one flight: what happened in words and numbers, and its figures."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from jinja2 import Environment, StrictUndefined
+
+from tauext.errors import ConfigError
+from tauext.report.flight_figures import draw_close, draw_flight
+from tauext.report.flight_file import Flight, load_flight
+from tauext.report.page import PageFigure
+from tauext.report.write import make_figure, write_whole
+
+TEMPLATE = Path(__file__).with_name("flight.html.j2")
+
+
+def write_flight_report(flight_path: Path, out_dir: Path) -> Path:
+    """Write FLIGHT.html, one page that needs no other file, and figures/FLIGHT*.png; returns the page's path.
+
+    Args:
+        flight_path: FLIGHT.parquet as `tauext run --flights` wrote it, or a folder of flights: then its newest.
+
+    Raises:
+        ConfigError: there is no such flight, or out_dir cannot be written.
+        RecordingError: a file is damaged, no flight, or of another one.
+    """
+    flight = load_flight(flight_path)
+    name = flight.recording.name
+    draw = {name: partial(draw_flight, flight), f"{name}-close": partial(draw_close, flight)}
+    page = out_dir / f"{name}.html"
+    try:
+        (out_dir / "figures").mkdir(parents=True, exist_ok=True)
+        figures = [make_figure(one, out_dir / "figures" / f"{stem}.png") for stem, one in draw.items()]
+        write_whole(page, render_flight(flight, figures[::-1]).encode())
+    except OSError as error:
+        raise ConfigError(f"{out_dir}: the report cannot be written ({error.strerror or error})") from error
+    return page
+
+
+def render_flight(flight: Flight, figures: list[PageFigure]) -> str:
+    """The whole page."""
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+        name=flight.recording.name,
+        headline=flight.explanation[0],
+        explanation=flight.explanation[1:],
+        facts=facts(flight),
+        columns=COLUMNS,
+        rows=event_rows(flight),
+        figures=figures,
+    )
+
+
+def facts(flight: Flight) -> list[tuple[str, str]]:
+    """Where the flight comes from, as pairs of a word and its value."""
+    recording = flight.recording
+    known = {word: flight.facts.get(word) for word in ("recording", "bundle", "version")}
+    pairs = [(word, str(value)) for word, value in known.items() if value is not None]
+    kept = f"{recording.samples:,} at {recording.rate_hz:g} Hz"
+    if dropped := flight.facts.get("dropped_samples"):
+        kept += f"; {dropped} more could not be kept"
+    return [*pairs, ("samples", kept), ("torque is", recording.torque_timing)]
+
+
+COLUMNS = (
+    "joint",
+    "tau_ext, Nm",
+    "limit, Nm",
+    "margin, Nm",
+    "observer, Nm",
+    "network, Nm",
+    "motor torque, Nm",
+    "speed, rad/s",
+    "region",
+)
+FIELDS = ("tau_ext_nm", "limit_nm", "margin_nm", "residual_nm", "uncertainty_nm", "tau_nm", "dq_rad_s")
+
+
+def event_rows(flight: Flight) -> list[tuple[bool, list[str]]]:
+    """What was said of each joint at the event, and whether it is the event's joint; a dash where no number exists."""
+    rows, n = [], len(flight.recording.joints)
+    regions = flight.event.get("near_stiction") or [None] * n
+    for j, joint in enumerate(flight.recording.joints):
+        values = [(flight.event.get(field) or [None] * n)[j] for field in FIELDS]
+        cells = ["–" if value is None else f"{value:.3f}".replace("-", "−") for value in values]
+        region = {None: "–", True: "near stiction", False: "sliding"}[regions[j]]
+        rows.append((joint == flight.event["joint"], [joint, *cells, region]))
+    return rows

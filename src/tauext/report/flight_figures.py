@@ -1,0 +1,139 @@
+"""Figures of a flight: all joints from beginning to end, and the event from close by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from tauext.data.estimates import OK
+from tauext.report.drawing import Drawing
+from tauext.report.flight_file import Flight
+from tauext.report.style import LIMIT, NEAR_STICTION, OBSERVER, OBSERVER_WIDTH, WIDTH_IN
+
+TAU_EXT = "#0072b2"
+NETWORK = "#009e73"
+MEASURED = "#333333"
+EVENT = "#d55e00"
+NOT_OK = "#dcdcdc"
+CLOSE_BEFORE_S, CLOSE_AFTER_S = 0.15, 0.35
+COLUMNS = {
+    "tau_ext": "external torque, Nm",
+    "observer": "observer and network, Nm",
+    "tau": "motor torque, Nm",
+    "dq": "speed, rad/s",
+    "q": "position, rad",
+}
+
+
+def draw_flight(flight: Flight) -> Drawing:
+    """A row a joint: external torque with its limits, observer and network, motor torque, speed."""
+    joints, n = flight.recording.joints, len(flight.recording.joints)
+    columns = ("tau_ext", "observer", "tau", "dq")
+    figure = Figure(figsize=(WIDTH_IN, 0.9 + (1.75 if n <= 3 else 1.2) * n), layout="constrained")
+    grid = figure.subplots(n, len(columns), sharex=True, squeeze=False, width_ratios=(1.7, 1.2, 1, 1))
+    for joint, name in enumerate(joints):
+        for axes, column in zip(grid[joint], columns, strict=True):
+            draw_signal(axes, flight, column, joint, slice(None))
+        grid[joint, 0].set_ylabel(name, fontweight="bold" if name == flight.event["joint"] else "normal")
+    for axes, column in zip(grid[0], columns, strict=True):
+        axes.set_title(COLUMNS[column])
+    for axes in grid[-1]:
+        axes.set_xlabel("time since the event, s")
+    figure.legend(handles=legend(flight, columns), loc="outside upper left", ncols=4)
+    return Drawing(
+        figure,
+        f"All that the flight holds, {flight.since_s[0]:+.2f} s to {flight.since_s[-1]:+.2f} s around the event. "
+        "A joint is found in collision where its external torque leaves the limits."
+        + (f" {flight.event['joint']} is the event's joint." if flight.event["joint"] else ""),
+    )
+
+
+def draw_close(flight: Flight) -> Drawing:
+    """The event's joint around the event: four signals, one above the other."""
+    joint, fault = flight.joint, flight.event["what"] == "fault"
+    columns = ("tau_ext", "tau", "q", "dq") if fault else ("tau_ext", "observer", "tau", "dq")
+    rows = np.flatnonzero((flight.since_s >= -CLOSE_BEFORE_S) & (flight.since_s <= CLOSE_AFTER_S))
+    part = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0, 0)
+    figure = Figure(figsize=(WIDTH_IN, 5.2), layout="constrained")
+    grid = figure.subplots(2, 2, sharex=True)
+    for axes, column in zip(grid.flat, columns, strict=True):
+        draw_signal(axes, flight, column, joint, part, unit_s=1e-3)
+        axes.set_title(COLUMNS[column])
+    for axes in grid[-1]:
+        axes.set_xlim(-CLOSE_BEFORE_S * 1e3, CLOSE_AFTER_S * 1e3)
+        axes.set_xlabel("time since the event, ms")
+    figure.legend(handles=legend(flight, columns), loc="outside upper left", ncols=4)
+    name = flight.recording.joints[joint]
+    chosen = (
+        "the event's joint" if flight.event["joint"] else "the joint nearest to its limit, since no one had the event"
+    )
+    return Drawing(figure, f"The event from close by: {name}, {chosen}.")
+
+
+def draw_signal(axes: Axes, flight: Flight, column: str, joint: int, part: slice, unit_s: float = 1.0) -> None:
+    """One signal of one joint, over the regions that its limits and its health make."""
+    said, recording = flight.estimates, flight.recording
+    since = flight.since_s[part] / unit_s
+    period = 1 / recording.rate_hz / unit_s
+    if column in ("tau_ext", "observer"):
+        shade(axes, since, said.near_stiction[part, joint], NEAR_STICTION, 0)
+    shade(axes, since, said.health[part] != OK, NOT_OK, 1)
+    if column == "tau_ext":
+        limit = said.limit[part, joint]
+        for side in (-1, 1):
+            axes.plot(*broken(since, side * limit, period), color=LIMIT, linestyle="--", linewidth=0.9, zorder=3)
+        curves = [(said.tau_ext[part, joint], {"color": TAU_EXT})]
+    elif column == "observer":
+        curves = [
+            (said.r[part, joint], {"color": OBSERVER, "linewidth": OBSERVER_WIDTH}),
+            (said.network[part, joint], {"color": NETWORK}),
+        ]
+    else:
+        curves = [(getattr(recording, column)[part, joint], {"color": MEASURED, "linewidth": 0.8})]
+    for values, style in curves:
+        axes.plot(*broken(since, values, period), zorder=4, **style)
+    if not any(np.isfinite(values).any() for values, _ in curves):
+        axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color="#777777", zorder=6)
+    axes.axvline(0, color=EVENT, linewidth=1, zorder=5)
+    if len(since) > 1:
+        axes.set_xlim(min(since[0], 0), max(since[-1], 0))
+
+
+def shade(axes: Axes, since: np.ndarray, where: np.ndarray, colour: str, zorder: int) -> None:
+    """The axes' full height where the condition holds."""
+    if where.any():
+        axes.fill_between(
+            since, 0, 1, where=where, step="post", color=colour, linewidth=0, zorder=zorder,
+            transform=axes.get_xaxis_transform(),
+        )  # fmt: skip
+
+
+def broken(since: np.ndarray, values: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """The curve with a hole where samples are missing, so that no line is drawn over them."""
+    holes = np.flatnonzero(np.diff(since) > 2.5 * period) + 1
+    return np.insert(since, holes, np.nan), np.insert(values.astype(float), holes, np.nan)
+
+
+def legend(flight: Flight, columns: Sequence[str]) -> list[Line2D | Patch]:
+    """Curves, then marks and regions."""
+    lines = [
+        Line2D([], [], color=TAU_EXT, label="external torque"),
+        Line2D([], [], color=LIMIT, linestyle="--", linewidth=0.9, label="collision limit"),
+    ]
+    if "observer" in columns:
+        lines += [
+            Line2D([], [], color=OBSERVER, linewidth=OBSERVER_WIDTH, label="observer r"),
+            Line2D([], [], color=NETWORK, label="network"),
+        ]
+    return [
+        *lines,
+        Line2D([], [], color=MEASURED, linewidth=0.8, label="measured"),
+        Line2D([], [], color=EVENT, linewidth=1, label=flight.event["what"]),
+        Patch(color=NEAR_STICTION, label="near stiction"),
+        Patch(color=NOT_OK, label="health not ok"),
+    ]

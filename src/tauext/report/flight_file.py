@@ -1,0 +1,74 @@
+"""A flight as the report reads it: the recording, the estimates beside it, and what stands in its provenance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tauext.data import Recording, load
+from tauext.data.estimates import Estimates, load_estimates
+from tauext.errors import ConfigError, RecordingError
+
+ESTIMATES = ".estimates.parquet"
+NEEDED = {"what", "t_ns", "joint"}
+"""Of an event."""
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One event and the seconds around it."""
+
+    recording: Recording
+    estimates: Estimates
+    event: dict[str, Any]
+    """What the monitor said at the event."""
+    explanation: tuple[str, ...]
+    """A paragraph each; the first is the headline."""
+    facts: dict[str, Any]
+    """The rest of the provenance."""
+
+    @property
+    def since_s(self) -> np.ndarray:
+        """Time of every sample counted from the event, (samples,), [s]."""
+        return (self.recording.t_ns - self.event["t_ns"]) * 1e-9
+
+    @property
+    def joint(self) -> int:
+        """The event's joint or, where it concerns none, the one that came nearest to its limit."""
+        if self.event["joint"] in self.recording.joints:
+            return self.recording.joints.index(self.event["joint"])
+        share = np.abs(self.estimates.tau_ext) / self.estimates.limit
+        return int(np.argmax(np.nan_to_num(share).max(axis=0)))
+
+
+def load_flight(path: Path) -> Flight:
+    """Read FLIGHT.parquet and FLIGHT.estimates.parquet; of a folder, its newest flight.
+
+    Raises:
+        ConfigError: no such file, or no flight in the folder.
+        RecordingError: a file is damaged, no flight, or of another one.
+    """
+    path = newest(path) if path.is_dir() else path
+    recording = load(path)
+    facts = dict(recording.provenance)
+    event, explanation = facts.pop("event", None), facts.pop("explanation", None)
+    if not isinstance(event, dict) or not NEEDED <= event.keys() or not explanation:
+        raise RecordingError(
+            f"{path}: a recording, but no flight: its provenance has no event; `tauext run --flights` writes flights"
+        )
+    beside = path.with_name(path.stem + ESTIMATES)
+    estimates = load_estimates(beside)
+    if estimates.joints != recording.joints or not np.array_equal(estimates.t_ns, recording.t_ns):
+        raise RecordingError(f"{beside}: its joints or times are not those of {path.name}; it is of another flight")
+    return Flight(recording, estimates, event, tuple(explanation.splitlines()), facts)
+
+
+def newest(folder: Path) -> Path:
+    """The flight that was written last."""
+    flights = [path for path in folder.glob("*.parquet") if path.with_name(path.stem + ESTIMATES).is_file()]
+    if not flights:
+        raise ConfigError(f"{folder}: there are no flights in this folder; `tauext run --flights` writes them")
+    return max(flights, key=lambda path: (path.stat().st_mtime_ns, path.name))

@@ -1,0 +1,156 @@
+"""The examples, built and run as a user would: against an installed package, with a bundle and samples on disk."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_pushes import PUSHES, pushed, watching_bundle
+
+from tauext import _core
+from tauext.data import save
+
+ROOT = Path(__file__).parent.parent
+TOOLS = os.pathsep.join([os.path.dirname(sys.executable), os.environ["PATH"]])
+"""cmake and ninja stand beside the Python that the tests run with."""
+
+
+def run(*command: object, text: str = "") -> tuple[int, list[str], str]:
+    """Exit code, lines of stdout, stderr."""
+    environment = os.environ | {"PATH": TOOLS}
+    done = subprocess.run(
+        [str(part) for part in command], input=text, capture_output=True, text=True, env=environment, timeout=300
+    )
+    return done.returncode, done.stdout.splitlines(), done.stderr
+
+
+def build(source: Path, folder: Path, *options: str) -> None:
+    for command in (
+        ("cmake", "-S", source, "-B", folder, "-G", "Ninja", *options),
+        ("cmake", "--build", folder),
+    ):
+        code, out, err = run(*command)
+        assert code == 0, "\n".join([*out, err])
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory) -> Path:
+    """The folder of the C and C++ examples, built with find_package against an installed tauext."""
+    if shutil.which("g++") is None:
+        pytest.skip("the C and C++ examples need g++")
+    folder = tmp_path_factory.mktemp("examples")
+    build(ROOT, folder / "package")
+    code, _, err = run("cmake", "--install", folder / "package", "--prefix", folder / "installed")
+    assert code == 0, err
+    warnings = "-Wall -Wextra -Wpedantic -Wshadow -Werror"
+    build(
+        ROOT / "examples",
+        folder / "built",
+        f"-DCMAKE_PREFIX_PATH={folder / 'installed'}",
+        f"-DCMAKE_CXX_FLAGS={warnings}",
+        f"-DCMAKE_C_FLAGS={warnings}",
+    )
+    return folder / "built"
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory) -> Path:
+    """A folder with a bundle and a recording of two pushes."""
+    folder = tmp_path_factory.mktemp("place")
+    watching_bundle().save(str(folder / "watching.tauext"))
+    save(pushed(), folder / "pushed.parquet")
+    return folder
+
+
+def changes_of_monitor() -> list[str]:
+    """What a monitor says of the pushes, as the C program prints it: its own words for a health of two."""
+    made = pushed()
+    monitor = _core.Monitor(watching_bundle())
+    lines, before = [], None
+    for k, t_ns in enumerate(made.t_ns.tolist()):
+        e = monitor.step(t_ns, made.q[k], made.dq[k], made.tau[k])
+        if (e.health, e.alarm) != before:
+            lines.append(f"{t_ns * 1e-9:.3f} s: health {e.health.name.replace('_', ' ')}, alarm {e.alarm.name}")
+        before = e.health, e.alarm
+    return lines
+
+
+def test_the_control_loop_runs_and_says_how_long_an_estimate_takes(programs, place):
+    code, out, err = run(programs / "01_control_loop", place / "watching.tauext", 1.5)
+    assert code == 0, err
+    *rights, times, state = out
+    assert all(line.startswith(("no SCHED_FIFO: ", "no mlockall: ")) for line in rights)
+    found = re.fullmatch(r"1500 cycles, (\d+) deadlines missed; estimate\(\): median (\S+) us, worst (\S+) us", times)
+    assert found, times
+    assert 0 < float(found[2]) <= float(found[3])
+    assert int(found[1]) < 1500
+    found = re.fullmatch(r"clear in (\d+) cycles, stop in (\d+); at the end health is (.+), alarm (\w+)", state)
+    assert found, state
+    # Half a second of warm-up is not clear; whether the made-up torques are a collision is the bundle's business.
+    assert int(found[1]) + int(found[2]) <= 1000
+
+
+def test_the_c_program_finds_in_a_csv_what_the_monitor_finds_in_python(programs, place):
+    made = pushed()
+    columns = np.column_stack([made.q, made.dq, made.tau]).tolist()
+    rows = [",".join(map(repr, [t_ns, *values])) for t_ns, values in zip(made.t_ns.tolist(), columns, strict=True)]
+    csv = "\n".join(["t_ns,q_shoulder,q_elbow,dq_shoulder,dq_elbow,tau_shoulder,tau_elbow", *rows]) + "\n"
+    code, out, err = run(programs / "02_c_program", place / "watching.tauext", text=csv)
+    assert code == 0, err
+    expected = changes_of_monitor()
+    assert len(expected) > 3
+    assert [line.partition(" on ")[0] for line in out[:-1]] == expected
+    assert out[-1] == f"{made.samples} samples"
+    code, out, err = run(programs / "02_c_program", place / "watching.tauext", text="\n".join([*rows[:5], "7,1,2"]))
+    assert (code, out[-1]) == (2, "5 samples")
+    assert err == "line after sample 5: t_ns and 6 values belong there\n"
+
+
+def test_the_c_program_makes_its_own_samples_where_there_are_none(programs, place):
+    code, out, err = run(programs / "02_c_program", place / "watching.tauext", 1)
+    assert code == 0, err
+    assert out[0] == "0.000 s: health warming up, alarm none"
+    assert out[-1] == "1000 samples"
+
+
+def test_the_replay_prints_both_pushes(place):
+    code, out, err = run(
+        sys.executable, ROOT / "examples" / "03_replay.py", place / "watching.tauext", place / "pushed.parquet"
+    )
+    assert code == 0, err
+    assert out[0] == "7.000 s: health warming_up, alarm none"
+    collisions = [line for line in out if "alarm collision" in line]
+    assert len(collisions) == len(PUSHES)
+    for line, (start_s, joint, _), name in zip(collisions, PUSHES, ("shoulder", "elbow"), strict=True):
+        assert f" on {name} " in line and joint == ("shoulder", "elbow").index(name)
+        assert 0 <= float(line.split(" s:")[0]) - 7.0 - start_s < 0.1
+    assert re.fullmatch(r"6000 samples, \d+ of them clear", out[-1])
+
+
+@pytest.mark.parametrize("example", ["01_control_loop", "02_c_program", "03_replay.py"])
+@pytest.mark.parametrize("damage", ["missing", "cut"])
+def test_a_bundle_that_cannot_be_used_is_one_line_and_exit_code_two(programs, place, tmp_path, example, damage):
+    bundle = tmp_path / f"{damage}.tauext"
+    if damage == "cut":
+        bundle.write_bytes((place / "watching.tauext").read_bytes()[:-1])
+    command = [programs / example, bundle]
+    if example.endswith(".py"):
+        command = [sys.executable, ROOT / "examples" / example, bundle, place / "pushed.parquet"]
+    code, out, err = run(*command)
+    assert (code, out) == (2, [])
+    assert err.count("\n") == 1
+    assert f"{damage}.tauext: " in err
+
+
+@pytest.mark.parametrize("example", ["01_control_loop", "02_c_program", "03_replay.py"])
+def test_no_arguments_give_the_usage(programs, example):
+    command = [sys.executable, ROOT / "examples" / example] if example.endswith(".py") else [programs / example]
+    code, out, err = run(*command)
+    assert (code, out) == (2, [])
+    assert err.startswith("usage: ") and err.count("\n") == 1

@@ -1,0 +1,241 @@
+"""The report of a flight: one page, with the explanation and the numbers of the event, for any arm and any fault."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import no_model
+from made_pushes import JOINTS, cut_flight, damaged, pushed, watching_bundle
+from made_results import make_recording
+
+from tauext import _core
+from tauext.cli import main
+from tauext.config import ObserverConfig
+from tauext.data import load, save
+from tauext.data.estimates import load_estimates, save_estimates
+from tauext.errors import ConfigError, RecordingError
+from tauext.learn import build_chain, make_bundle
+from tauext.monitor import FlightSource, write_flight
+from tauext.report import write_flight_report
+from tauext.report.flight import event_rows
+from tauext.report.flight_figures import broken, draw_close, draw_flight
+from tauext.report.flight_file import load_flight
+
+
+@pytest.fixture(scope="module")
+def bundle():
+    return watching_bundle()
+
+
+def first_row(bundle, samples, **wanted) -> int:
+    """The first sample of which the monitor said this."""
+    said = _core.Monitor(bundle).run(samples.t_ns, samples.q, samples.dq, samples.tau)
+    return int(np.flatnonzero(np.all([said[key] == value for key, value in wanted.items()], axis=0))[0])
+
+
+@pytest.fixture(scope="module")
+def collision(bundle, tmp_path_factory):
+    """The path of a collision's flight."""
+    samples = pushed()
+    flight = cut_flight(bundle, samples, first_row(bundle, samples, alarm=2))
+    return write_flight(flight, tmp_path_factory.mktemp("collision"), FlightSource.of(bundle, samples))
+
+
+@pytest.fixture(scope="module")
+def fault(bundle, tmp_path_factory):
+    """The path of the flight of a fault at which no torque of the monitor exists."""
+    whole = pushed(pushes=())
+    tau = whole.tau.copy()
+    tau[200:204, 0] = np.nan
+    samples = damaged(whole, tau=tau)
+    flight = cut_flight(bundle, samples, 200, after=100)
+    assert not np.isfinite(flight["tau_ext"]).any()
+    return write_flight(flight, tmp_path_factory.mktemp("fault"), FlightSource.of(bundle, samples))
+
+
+def words_of(page: str) -> str:
+    return " ".join(re.sub(r"<style>.*?</style>|<[^>]+>", " ", page, flags=re.S).split())
+
+
+def test_the_page_holds_explanation_numbers_and_figures_and_asks_no_host(collision, tmp_path):
+    path = write_flight_report(collision, tmp_path / "out")
+    page = path.read_text()
+    assert path.name == f"{collision.stem}.html"
+    assert sorted(p.name for p in (tmp_path / "out" / "figures").iterdir()) == [
+        f"{collision.stem}-close.png",
+        f"{collision.stem}.png",
+    ]
+    assert page.count('src="data:image/png;base64,') == 2
+    for outside in ("http:", "https:", "//cdn", "<script", "<link", "@import", "url("):
+        assert outside not in page
+    words = words_of(page).replace("&#39;", "'").replace("&lt;", "<")
+    for line in collision.with_suffix(".txt").read_text().splitlines():
+        assert " ".join(line.split()) in words
+    event = load(collision).provenance["event"]
+    row = [event[key][0] for key in ("tau_ext_nm", "limit_nm", "margin_nm", "residual_nm", "uncertainty_nm", "tau_nm")]
+    assert " ".join(["shoulder", *(f"{value:.3f}".replace("-", "−") for value in row)]) in words
+
+
+def test_the_same_flight_gives_the_same_bytes_and_leaves_nothing_over(collision, tmp_path):
+    first, second = (write_flight_report(collision, tmp_path / name) for name in ("a", "b"))
+    assert first.read_bytes() == second.read_bytes()
+    assert not list(tmp_path.rglob("*.part"))
+
+
+def test_the_figure_shows_the_files_rows_and_marks_the_event(collision):
+    flight = load_flight(collision)
+    estimates = load_estimates(collision.with_name(f"{collision.stem}.estimates.parquet"))
+    drawing = draw_flight(flight)
+    assert len(drawing.figure.axes) == 2 * 4
+    top = drawing.figure.axes[0]
+    above, below, tau_ext, event = top.get_lines()
+    np.testing.assert_array_equal(tau_ext.get_ydata(), estimates.tau_ext[:, 0])
+    np.testing.assert_array_equal(below.get_ydata(), estimates.limit[:, 0])
+    np.testing.assert_array_equal(above.get_ydata(), -estimates.limit[:, 0])
+    assert list(event.get_xdata()) == [0, 0]
+    assert flight.since_s[1000] == 0 and flight.joint == 0
+    close = draw_close(flight)
+    assert len(close.figure.axes) == 4 and "shoulder, the event's joint" in close.caption
+    assert close.figure.axes[0].get_xlim() == (-150, 350)
+
+
+def test_a_fault_without_any_estimate_is_drawn_and_its_numbers_are_dashes(fault, tmp_path):
+    page = write_flight_report(fault, tmp_path).read_text()
+    words = words_of(page)
+    assert "Fault (not finite), first on joint shoulder" in words and "4 more could not be kept" in words
+    assert "There is no estimate of tau_ext up to the fault" in words
+    (joint, *cells), other = (cells for _, cells in event_rows(load_flight(fault)))
+    assert joint == "shoulder" and cells[:6] == ["–"] * 6
+    assert other[6] == f"{pushed(pushes=()).tau[200, 1]:.3f}"
+    assert [t.get_text() for t in draw_flight(load_flight(fault)).figure.axes[0].texts] == ["none"]
+
+
+def test_a_fault_of_no_joint_shows_the_one_nearest_to_its_limit(bundle, tmp_path):
+    whole = pushed(pushes=((2.0, 1, 1.5),))
+    t_ns = whole.t_ns.copy()
+    t_ns[2900:] -= 2_000_000_000
+    samples = damaged(whole, t_ns=t_ns)
+    path = write_flight(cut_flight(bundle, samples, 2900), tmp_path, FlightSource.of(bundle, samples))
+    flight = load_flight(path)
+    assert flight.event["joint"] is None and flight.recording.joints[flight.joint] == "elbow"
+    assert "nearest to its limit" in draw_close(flight).caption
+    assert "Fault (time backwards)" in words_of(write_flight_report(path, tmp_path / "out").read_text())
+
+
+def test_an_arm_of_seven_joints_is_drawn(tmp_path):
+    made = make_recording("seven", 7, 6.0, True, np.random.default_rng(5))
+    links = []
+    for k, name in enumerate(made.joints):
+        link = _core.Link()
+        link.joint_name, link.parent, link.rotation, link.mass = name, k - 1, [1.0, 0, 0, 0, 1, 0, 0, 0, 1], 1.0
+        links.append(link)
+    tree = no_model(_core.Tree(links, [0, 0, -9.81]))
+    chain = build_chain(tree, made, ObserverConfig())
+    bundle = make_bundle("seven", chain, 0.02, made)
+    bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [30.0] * 7
+    path = write_flight(
+        cut_flight(bundle, made, first_row(bundle, made, alarm=2)), tmp_path, FlightSource.of(bundle, made)
+    )
+    page = write_flight_report(path, tmp_path / "out").read_text()
+    assert all(f"joint{j + 1}" in page for j in range(7)) and page.count("<tr") == 8
+    drawing = draw_flight(load_flight(path))
+    assert len(drawing.figure.axes) == 28
+    drawing.figure.draw_without_rendering()
+
+
+def test_no_line_is_drawn_over_missing_samples():
+    since, values = broken(np.array([0.0, 1, 2, 7, 8]), np.arange(5), period=1.0)
+    assert np.isnan(since[3]) and np.isnan(values[3]) and since[[2, 4]].tolist() == [2.0, 7.0]
+    assert broken(np.array([0.0, 1, 3]), np.arange(3), 1.0)[0].tolist() == [0, 1, 3]
+    assert len(broken(np.array([]), np.array([]), 1.0)[0]) == 0
+
+
+def test_names_are_text_and_never_markup(bundle, tmp_path):
+    samples = pushed("<b>bold<", joints=("<i>one", "two"))
+    source = FlightSource.of(bundle, samples)
+    path = write_flight(cut_flight(bundle, samples, first_row(bundle, samples, alarm=2)), tmp_path, source)
+    page = write_flight_report(path, tmp_path / "out").read_text()
+    assert "<b>bold" not in page and "<i>one" not in page and "&lt;i&gt;one" in page
+
+
+# The command
+
+
+def run(capsys, *arguments: object) -> tuple[int, str, str]:
+    capsys.readouterr()
+    code = main(["report", *map(str, arguments)])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def test_the_command_prints_the_page_and_takes_the_newest_flight_of_a_folder(bundle, collision, tmp_path, capsys):
+    code, out, _ = run(capsys, "--flight", collision, "--out", tmp_path / "a")
+    assert code == 0 and out.strip() == str(tmp_path / "a" / f"{collision.stem}.html")
+    samples = pushed()
+    flight = cut_flight(bundle, samples, first_row(bundle, samples, alarm=2))
+    newer = write_flight(flight, collision.parent, FlightSource.of(bundle, samples))
+    code, out, _ = run(capsys, "--flight", collision.parent, "--out", tmp_path / "b")
+    assert code == 0 and out.strip().endswith(f"{newer.stem}.html") and newer.stem.endswith("-2")
+
+
+@pytest.mark.parametrize(
+    "arguments, says",
+    [
+        ((), "--results is missing"),
+        (("--results", "r"), "--data is missing"),
+        (("--flight", "f", "--results", "r"), "not both"),
+        (("--flight", "f", "--data", "d"), "not both"),
+        (("--flight", "gone.parquet"), "there is no such recording"),
+        (("--flight", "."), "there are no flights in this folder"),
+    ],
+)
+def test_neither_both_or_no_flight_gets_one_line(tmp_path, capsys, monkeypatch, arguments, says):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run(capsys, *arguments, "--out", "report")
+    assert (code, out) == (2, "") and len(err.splitlines()) == 1 and says in err
+    assert not (tmp_path / "report").exists()
+
+
+def test_what_is_no_flight_or_whose_files_do_not_belong_together_is_refused(collision, tmp_path):
+    save(pushed(), tmp_path / "plain.parquet")
+    with pytest.raises(RecordingError, match="a recording, but no flight"):
+        write_flight_report(tmp_path / "plain.parquet", tmp_path / "out")
+    flight = load(collision)
+    save(flight, tmp_path / "alone.parquet")
+    with pytest.raises(RecordingError, match="alone.estimates.parquet: there are no such estimates"):
+        write_flight_report(tmp_path / "alone.parquet", tmp_path / "out")
+    estimates = load_estimates(collision.with_name(f"{collision.stem}.estimates.parquet"))
+    save_estimates(replace(estimates, t_ns=estimates.t_ns + 1), tmp_path / "alone.estimates.parquet")
+    with pytest.raises(RecordingError, match="it is of another flight"):
+        write_flight_report(tmp_path / "alone.parquet", tmp_path / "out")
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match="the report cannot be written"):
+        write_flight_report(collision, tmp_path / "file")
+
+
+# The estimates beside a flight
+
+
+def test_alarm_and_causes_come_back_from_the_file_and_older_files_have_none(collision, tmp_path):
+    path = collision.with_name(f"{collision.stem}.estimates.parquet")
+    estimates = load_estimates(path)
+    assert (estimates.alarm.dtype, estimates.causes.dtype) == (np.int8, np.uint32)
+    assert set(estimates.alarm.tolist()) == {0, 1, 2}
+    save_estimates(replace(estimates, alarm=None, causes=None), tmp_path / "old.parquet")
+    old = load_estimates(tmp_path / "old.parquet")
+    assert old.alarm is None and old.causes is None
+    np.testing.assert_array_equal(old.tau_ext, estimates.tau_ext)
+    (tmp_path / "file").touch()
+    with pytest.raises(RecordingError, match="cannot be written"):
+        save_estimates(estimates, tmp_path / "file" / "e.parquet")
+
+
+def test_the_provenance_of_a_flight_is_plain_json(fault):
+    provenance = load(fault).provenance
+    text = json.dumps(provenance, allow_nan=False)
+    assert json.loads(text)["event"]["tau_ext_nm"] == [None, None]
+    assert provenance["event"]["causes"] == ["not finite"] and provenance["event"]["joint"] == JOINTS[0]

@@ -1,8 +1,10 @@
 // Feeds bundles of any content to the reader: it must answer with a bundle or an Error, and allocate in proportion to
 // the file. The input is a payload; it gets a right header here, since no fuzzer guesses a checksum. `make fuzz` runs it.
 //
-//   bundle_fuzz -write_seeds=cpp/fuzz/corpus                 payloads of a few made bundles
-//   bundle_fuzz -merge=1 cpp/fuzz/corpus build/fuzz/found    takes in what runs have found, as little as covers the same
+// cpp/fuzz/corpus holds payloads of a few made bundles, payloads that once broke the reader, named after what is wrong
+// with them, and what runs have found, as little of it as covers the same. After a change of the format:
+//   bundle_fuzz -write_seeds=cpp/fuzz/corpus
+//   bundle_fuzz -merge=1 -use_counters=0 cpp/fuzz/corpus build/fuzz/found
 #include <algorithm>
 #include <cstdint>
 #include <cstdio>

@@ -10,11 +10,11 @@ void expect_positive(const std::string& what, const std::vector<double>& values,
   if (static_cast<int>(values.size()) != joints)
     throw Error(what + " has " + std::to_string(values.size()) + " values where " + std::to_string(joints) + " belong");
   for (double value : values)
-    if (!(value > 0) || !std::isfinite(value)) throw Error(what + " = " + std::to_string(value) + " must be > 0");
+    if (!(value > 0) || !std::isfinite(value)) throw Error(what + " = " + to_text(value) + " must be > 0");
 }
 
 void expect_time(const std::string& what, double seconds) {
-  if (!(seconds >= 0 && seconds <= 60)) throw Error(what + " = " + std::to_string(seconds) + " s must be 0 to 60");
+  if (!(seconds >= 0 && seconds <= 60)) throw Error(what + " = " + to_text(seconds) + " s must be 0 to 60");
 }
 
 std::uint64_t to_ns(double seconds) noexcept { return static_cast<std::uint64_t>(std::llround(seconds * 1e9)); }
@@ -24,7 +24,8 @@ constexpr std::int64_t kNever = std::numeric_limits<std::int64_t>::min();
 }  // namespace
 
 void Limits::validate(int joints) const {
-  if (!(near_stiction_rad_s >= 0)) throw Error("limits.near_stiction_rad_s must be >= 0");
+  if (!(near_stiction_rad_s >= 0) || !std::isfinite(near_stiction_rad_s))
+    throw Error("limits.near_stiction_rad_s = " + to_text(near_stiction_rad_s) + " must be >= 0");
   for (const Level* level : {&collision, &contact}) {
     const std::string here = level == &collision ? "limits.collision." : "limits.contact.";
     expect_positive(here + "sliding_nm", level->sliding_nm, joints);

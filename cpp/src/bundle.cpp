@@ -23,7 +23,6 @@ constexpr std::uint32_t kMinor = 0;
 
 class Writer {
  public:
-  static constexpr bool reading = false;
   std::vector<char> bytes;
   void raw(const void* data, std::size_t size) {
     const char* from = static_cast<const char*>(data);
@@ -38,7 +37,6 @@ class Writer {
 
 class Reader {
  public:
-  static constexpr bool reading = true;
   explicit Reader(std::span<const char> payload) : left_(payload) {}
   void raw(void* data, std::size_t size) {
     if (size > left_.size()) throw Error("it ends in the middle of its contents");
@@ -148,7 +146,7 @@ template <class T>
 void expect_positive(const char* what, const std::vector<T>& list) {
   for (T value : list)
     if (!(value > 0) || !std::isfinite(value))
-      throw Error(std::string(what) + " = " + std::to_string(value) + " must be > 0");
+      throw Error(std::string(what) + " = " + to_text(value) + " must be > 0");
 }
 
 // Residual and network at the reference's last sample.
@@ -175,6 +173,25 @@ Answer replay(const Bundle& b) {
   return answer;
 }
 
+// Whoever writes a reference takes it from a recording without gaps; rows for the ticks of long ones would fill memory.
+void expect_regular(const Bundle& b) {
+  const std::vector<std::int64_t>& t_ns = b.reference.t_ns;
+  for (std::size_t k = 1; k < t_ns.size(); ++k)
+    if (t_ns[k] <= t_ns[k - 1]) throw Error("the times of its reference do not increase");
+  const double ticks = static_cast<double>(elapsed_ns(t_ns.back(), t_ns.front())) / static_cast<double>(b.observer.sample_period_ns);
+  const double samples = static_cast<double>(t_ns.size());
+  if (ticks > 2.0 * samples) throw Error("its reference of " + to_text(samples) + " samples has gaps");
+}
+
+void expect_names(const std::vector<Link>& links) {
+  for (std::size_t k = 0; k < links.size(); ++k) {
+    if (links[k].joint_name.empty()) throw Error("joint " + std::to_string(k) + " has no name");
+    for (std::size_t other = 0; other < k; ++other)
+      if (links[k].joint_name == links[other].joint_name)
+        throw Error("two joints are named '" + links[k].joint_name + "'");
+  }
+}
+
 void expect_reference(const Bundle& b) {
   const Answer answer = replay(b);
   double scale = 1.0;
@@ -184,8 +201,8 @@ void expect_reference(const Bundle& b) {
     const double error = std::max(std::fabs(answer.residual[j] - b.reference.residual[j]),
                                   std::fabs(answer.network[j] - b.reference.network[j]));
     if (!(error <= kReferenceTolerance * scale))
-      throw Error("joint '" + b.links[j].joint_name + "': replaying its reference differs by " + std::to_string(error) +
-                  " N m, more than " + std::to_string(kReferenceTolerance * scale));
+      throw Error("joint '" + b.links[j].joint_name + "': replaying its reference differs by " + to_text(error) +
+                  " N m, more than " + to_text(kReferenceTolerance * scale));
   }
 }
 
@@ -194,6 +211,7 @@ void expect_reference(const Bundle& b) {
 void Bundle::validate() const {
   const Tree tree(links, gravity);
   const auto n = links.size();
+  expect_names(links);
   const MomentumObserver probe(tree.size(), observer.gain_per_s, observer.timing);
   const SampleClock clock(observer.sample_period_ns, observer.network_stride);
   if (observer.timing > TorqueTiming::averaged) throw Error("its torque timing is none of held, instant, averaged");
@@ -220,6 +238,9 @@ void Bundle::validate() const {
   expect_length("reference.tau", reference.tau, samples * n);
   expect_length("reference.residual", reference.residual, n);
   expect_length("reference.network", reference.network, n);
+  for (const auto* list : {&reference.q, &reference.dq, &reference.tau}) expect_finite("reference", *list);
+  for (const auto* list : {&reference.residual, &reference.network}) expect_finite("reference", *list);
+  expect_regular(*this);
   expect_reference(*this);
 }
 
@@ -294,6 +315,8 @@ void save(const Bundle& bundle, const std::string& path) {
 }
 
 Bundle load(const std::string& path) {
+  std::error_code ignored;
+  if (std::filesystem::is_directory(path, ignored)) throw Error(path + ": is a folder; a bundle is a file");
   std::ifstream file(path, std::ios::binary);
   if (!file) throw Error(path + ": cannot be opened");
   const std::vector<char> bytes((std::istreambuf_iterator<char>(file)), {});

@@ -17,7 +17,7 @@ FlightRecorder::FlightRecorder(int joints, std::int64_t sample_period_ns, const 
     throw Error("sample period = " + std::to_string(sample_period_ns) + " ns must be > 0");
   for (double seconds : {settings.before_s, settings.after_s})
     if (!(seconds >= 0 && seconds <= 600))
-      throw Error("a flight recorder keeps 0 to 600 s before and after an event, not " + std::to_string(seconds));
+      throw Error("a flight recorder keeps 0 to 600 s before and after an event, not " + to_text(seconds));
   const double period_s = 1e-9 * static_cast<double>(sample_period_ns);
   after_ = std::llround(settings.after_s / period_s);
   capacity_ = std::llround(settings.before_s / period_s) + 1 + after_;

@@ -30,7 +30,7 @@ void WindowRows::validate(const LstmShape& shape, std::span<const std::int64_t> 
     throw Error("the network has " + std::to_string(shape.inputs) + " inputs, the windows " +
                 std::to_string(inputs.size()));
   for (const LstmInput& input : inputs)
-    if (input.column < 0 || input.column >= columns || input.lag < 0)
+    if (input.column < 0 || input.column >= columns || input.lag < 0 || input.lag > kMaxWindowSteps)
       throw Error("input column " + std::to_string(input.column) + " with lag " + std::to_string(input.lag) +
                   " does not exist in rows of " + std::to_string(columns) + " columns");
   const std::int64_t first = reach();
@@ -133,7 +133,9 @@ TAUEXT_INLINE void forward_chunk(const Forward& job, int chunk) {
   const int F = w.inputs, P = w.padded, O = w.outputs;
   const auto first = static_cast<std::size_t>(chunk) * kWindowsPerChunk;
   const std::size_t last = std::min(first + kWindowsPerChunk, job.ends.size());
-  bool consecutive = true;
+  // Worth it where the windows together have more steps than there are rows under them.
+  const std::int64_t windows_here = static_cast<std::int64_t>(last - first);
+  bool consecutive = (windows_here - 1) * windows.length >= static_cast<std::int64_t>(windows.length - 1) * windows.stride;
   for (std::size_t k = first + 1; k < last; ++k) consecutive = consecutive && job.ends[k] == job.ends[k - 1] + 1;
 
   const Buffer in = make_buffer(static_cast<std::size_t>(F) * L), c = make_buffer(static_cast<std::size_t>(P) * L);

@@ -9,7 +9,7 @@ MomentumObserver::MomentumObserver(int joints, double gain_per_s, TorqueTiming t
   if (joints < 1 || joints > kMaxJoints)
     throw Error("an observer has 1 to " + std::to_string(kMaxJoints) + " joints, not " + std::to_string(joints));
   if (!(gain_per_s > 0) || !std::isfinite(gain_per_s))
-    throw Error("observer gain = " + std::to_string(gain_per_s) + " 1/s must be > 0");
+    throw Error("observer gain = " + to_text(gain_per_s) + " 1/s must be > 0");
 }
 
 bool MomentumObserver::step(std::int64_t t_ns, std::span<const double> momentum, std::span<const double> beta,

@@ -6,10 +6,14 @@
 #include "tauext/types.hpp"
 
 namespace tauext {
+namespace {
+constexpr std::int64_t kLongestPeriodNs = 10'000'000'000;
+}
 
 SampleClock::SampleClock(std::int64_t sample_period_ns, int network_stride)
     : sample_period_ns_(sample_period_ns), network_stride_(network_stride) {
-  if (sample_period_ns < 1) throw Error("sample period = " + std::to_string(sample_period_ns) + " ns must be > 0");
+  if (sample_period_ns < 1 || sample_period_ns > kLongestPeriodNs)
+    throw Error("sample period = " + std::to_string(sample_period_ns) + " ns must be 1 ns to 10 s");
   if (network_stride < 1 || network_stride > kMaxNetworkStride)
     throw Error("network period = " + std::to_string(network_stride) + " samples must be 1 to " +
                 std::to_string(kMaxNetworkStride));

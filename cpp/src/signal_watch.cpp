@@ -12,7 +12,7 @@ void SignalRanges::validate(int joints) const {
                   std::to_string(joints) + " belong");
     for (double value : values)
       if (!(value > 0) || (!may_be_infinite && !std::isfinite(value)))
-        throw Error(std::string("signals.") + what + " = " + std::to_string(value) + " must be > 0");
+        throw Error(std::string("signals.") + what + " = " + to_text(value) + " must be > 0");
   };
   expect("torque_limit_nm", torque_limit_nm, true);
   expect("largest_torque_nm", largest_torque_nm, false);

@@ -102,6 +102,16 @@ void contents_that_do_not_fit_are_refused_by_name() {
   refused_after("reference is empty", [](Bundle& b) { b.reference = {}; });
   refused_after("reference.tau", [](Bundle& b) { b.reference.tau.pop_back(); });
   refused_after("replaying its reference", [](Bundle& b) { b.reference.network[0] += 0.1; });
+  refused_after("reference holds a value that is not finite", [](Bundle& b) { b.reference.network[0] = NAN; });
+  refused_after("reference holds a value that is not finite", [](Bundle& b) { b.reference.residual[1] = INFINITY; });
+  refused_after("reference holds a value that is not finite", [](Bundle& b) { b.reference.dq[3] = NAN; });
+  refused_after("has gaps", [](Bundle& b) { b.reference.t_ns.back() += 1'000'000'000'000; });
+  refused_after("do not increase", [](Bundle& b) { b.reference.t_ns[3] = b.reference.t_ns[2]; });
+  refused_after("lag 2147483647", [](Bundle& b) { b.inputs[1].lag = 2147483647; });
+  refused_after("sample period", [](Bundle& b) { b.observer.sample_period_ns = 4611686018427387903; });
+  refused_after("network period", [](Bundle& b) { b.observer.network_stride = kMaxNetworkStride + 1; });
+  refused_after("two joints are named", [](Bundle& b) { b.links[1].joint_name = b.links[0].joint_name; });
+  refused_after("has no name", [](Bundle& b) { b.links[0].joint_name.clear(); });
   // Another robot than the one the reference was made with.
   refused_after("replaying its reference", [](Bundle& b) { b.links[1].mass *= 1.5; });
 }
@@ -114,6 +124,7 @@ void limits_and_signals_that_make_no_sense_are_refused_by_name() {
   refused_after("limits.contact.hold_s", [](Bundle& b) { b.limits.contact.hold_s = NAN; });
   refused_after("limits.contact_release_s", [](Bundle& b) { b.limits.contact_release_s = INFINITY; });
   refused_after("limits.near_stiction_rad_s", [](Bundle& b) { b.limits.near_stiction_rad_s = NAN; });
+  refused_after("limits.near_stiction_rad_s", [](Bundle& b) { b.limits.near_stiction_rad_s = INFINITY; });
   refused_after("signals.torque_limit_nm", [](Bundle& b) { b.signals.torque_limit_nm[0] = 0; });
   refused_after("signals.torque_limit_nm", [](Bundle& b) { b.signals.torque_limit_nm[0] = NAN; });
   refused_after("signals.torque_limit_nm", [](Bundle& b) { b.signals.torque_limit_nm.clear(); });

@@ -82,8 +82,8 @@ struct Everything {
       if (k % 10 == 0) own.advance();
       if (k % 700 == 0) every.no_sample(t_ns + 3'000'000);
       if (k % 1600 == 0) every.acknowledge();
-      if (k % 4000 == 0) every.save_state(state), every.restore_state(state);
-      if (k % 9000 == 0) every.reset();
+      if (k % 1900 == 0) every.save_state(state), every.restore_state(state);
+      if (k % 5000 == 0) every.reset();
     }
     recorder.finish();
   }
@@ -98,7 +98,7 @@ void nothing_is_allocated() {
   for (const int joints : {2, 7}) {
     Everything everything(joints);
     allocations = 0;
-    everything.run(20'000);
+    everything.run(6'000);
     CHECK(allocations == 0);
   }
 }
@@ -140,7 +140,7 @@ void the_system_is_not_called() {
   for (const int joints : {2, 7}) {
     Everything everything(joints);
     subject = &everything;
-    const int status = exit_status_without_system_calls([] { subject->run(20'000); });
+    const int status = exit_status_without_system_calls([] { subject->run(6'000); });
     CHECK(WIFEXITED(status) && WEXITSTATUS(status) == 0);
   }
 }

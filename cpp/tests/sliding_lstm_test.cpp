@@ -80,8 +80,8 @@ void check_answers(const Network& n, NetworkRate rate, const std::vector<int>& t
 }
 
 void every_answer_is_the_recomputed_window() {
-  const std::vector<int> regular(700, 1);
-  std::vector<int> gaps(700, 1);  // up to one network period without a sample: all ticks from 1 to stride + 1
+  const std::vector<int> regular(320, 1);
+  std::vector<int> gaps(320, 1);  // up to one network period without a sample: all ticks from 1 to stride + 1
   std::mt19937 random(3);
   for (std::size_t k = 1; k < gaps.size(); ++k)
     if (random() % 7 == 0) gaps[k] = 1 + static_cast<int>(random() % 6);

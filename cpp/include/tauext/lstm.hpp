@@ -46,7 +46,7 @@ struct WindowRows {
   int largest_lag() const noexcept;
   // Rows before its end that a window reaches back to.
   std::int64_t reach() const noexcept {
-    return static_cast<std::int64_t>(length - 1 + largest_lag()) * stride;
+    return (static_cast<std::int64_t>(length) - 1 + largest_lag()) * stride;
   }
   // Throws Error where shape.inputs, a column, a lag or an end does not fit the rows.
   void validate(const LstmShape& shape, std::span<const std::int64_t> ends) const;

@@ -2,6 +2,7 @@
 #pragma once
 #include <array>
 #include <cstdint>
+#include <cstdio>
 #include <span>
 #include <stdexcept>
 #include <string>
@@ -23,6 +24,13 @@ enum class TorqueTiming : std::uint8_t {
 // later - earlier >= 0 for any two stamps: their difference may not fit a signed number.
 inline std::uint64_t elapsed_ns(std::int64_t later_ns, std::int64_t earlier_ns) noexcept {
   return static_cast<std::uint64_t>(later_ns) - static_cast<std::uint64_t>(earlier_ns);
+}
+
+// A number in a message: %g.
+inline std::string to_text(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%g", value);
+  return text;
 }
 
 // Thrown by constructors and loaders only, never by anything that runs once a sample.

@@ -66,7 +66,7 @@ def event_kind(flight: Flight) -> str:
     """
     event, row = flight["event"], flight["event_row"]
     alarm, health = int(flight["alarm"][row]), flight["health"]
-    raised = alarm > (int(flight["alarm"][row - 1]) if row else 0) and event.alarm_t_ns == event.t_ns
+    raised = alarm > 0 and event.alarm_t_ns == event.t_ns  # also one that was acknowledged and rose again at once
     broke = health[row] == FAULT and (row == 0 or health[row - 1] != FAULT)
     return ALARMS[alarm] if raised and (alarm == COLLISION or not broke) else "fault"
 

@@ -14,7 +14,7 @@ README = (Path(__file__).parent.parent / "README.md").read_text()
 SMALLER = {
     "--minutes 20": "--minutes 2",
     "--collision-recordings 6": "--collision-recordings 1",
-    "--epochs 30 --batch 128": "--max-steps 20 --batch 50",
+    "--out runs/exact.tauext": "--out runs/exact.tauext --max-steps 20 --batch 8",
     "--recipe dense --max-steps 10000": "--recipe dense --max-steps 20 --batch 8",
     "--scale quick": "--scale smoke",
 }
@@ -96,7 +96,7 @@ def test_reproduce_a_second_time_gives_the_same_results_and_trains_nothing_anew(
 
 def test_the_same_seed_gives_the_same_bundle_bytes_in_another_folder(workplace, capsys, tmp_path):
     data = workplace / "runs/quick/data"
-    options = ("--data", data, "--case", "none", "--max-steps", 20, "--batch", 64, "--epochs", 1)
+    options = ("--data", data, "--case", "none", "--recipe", "paper", "--max-steps", 20, "--batch", 64, "--epochs", 1)
     assert run(capsys, "train", *options, "--out", tmp_path / "none.tauext")[0] == 0
     assert (tmp_path / "none.tauext").read_bytes() == (workplace / "runs/quick/bundles/none.tauext").read_bytes()
 
@@ -169,7 +169,7 @@ def test_ctrl_c_while_training_keeps_a_checkpoint_that_the_same_command_goes_on_
 ):
     out = tmp_path / "none.tauext"
     options = ("train", "--data", workplace / "runs/quick/data", "--case", "none", "--out", out)
-    options += ("--max-steps", 20, "--batch", 64, "--epochs", 1)
+    options += ("--recipe", "paper", "--max-steps", 20, "--batch", 64, "--epochs", 1)
     with monkeypatch.context() as patch:
         calls = []
         step = _core.lstm_gradient

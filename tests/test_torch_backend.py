@@ -21,7 +21,7 @@ from tauext.learn.train import make_backend
 
 BACKEND = "tauext.learn.torch_backend"
 RECIPES = {
-    "paper": TrainConfig(hidden=8, epochs=1000, batch=100, max_steps=200),
+    "paper": TrainConfig(recipe="paper", hidden=8, epochs=1000, batch=100, max_steps=200),
     "dense": TrainConfig(recipe="dense", hidden=8, targets=20, batch=50, max_steps=200),
 }
 
@@ -98,7 +98,7 @@ def test_without_pytorch_one_line_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)  # what a missing module looks like
     monkeypatch.delitem(sys.modules, BACKEND, raising=False)
     with pytest.raises(ConfigError, match=r"backend = torch.*pip install 'tauext\[torch\]'") as raised:
-        train(chain, windows, windows, TrainConfig(hidden=4, epochs=1, batch=100, backend="torch"))
+        train(chain, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=1, batch=100, backend="torch"))
     assert "\n" not in str(raised.value)
 
 
@@ -136,7 +136,7 @@ def test_the_gradient_equals_the_cores_and_one_in_double_precision(torch, backen
 def test_both_backends_start_from_the_same_parameters(backend):
     chain, _, windows = prepared([recording(1)])
     for seed in (0, 7):
-        config = TrainConfig(hidden=5, seed=seed)
+        config = TrainConfig(recipe="paper", hidden=5, seed=seed)
         core, ours = (
             make_backend(chain, windows, dataclasses.replace(config, backend=name), chain.window_steps, 1)
             for name in ("core", "torch")
@@ -161,7 +161,7 @@ def test_losses_of_both_backends_agree_after_200_steps(backend, recipe):
 
 def test_the_same_seed_gives_the_same_bytes(backend):
     chain, _, windows = prepared([recording(k) for k in range(2)])
-    config = TrainConfig(hidden=8, epochs=2, batch=100, backend="torch")
+    config = TrainConfig(recipe="paper", hidden=8, epochs=2, batch=100, backend="torch")
     one, two = (train(chain, windows, windows, config).parameters.tobytes() for _ in range(2))
     other = train(chain, windows, windows, dataclasses.replace(config, seed=1)).parameters.tobytes()
     assert one == two != other
@@ -170,7 +170,7 @@ def test_the_same_seed_gives_the_same_bytes(backend):
 def test_weights_go_from_pytorch_into_a_bundle_and_back(torch, backend, tmp_path):
     made = recording(1)
     chain, scaling, windows = prepared([made])
-    network = train(chain, windows, windows, TrainConfig(hidden=20, epochs=1, batch=100))
+    network = train(chain, windows, windows, TrainConfig(recipe="paper", hidden=20, epochs=1, batch=100))
     torch.manual_seed(3)
     lstm, head = torch.nn.LSTM(6, 20, batch_first=True), torch.nn.Linear(20, 2)  # with two biases, both at work
     vector = backend.parameters_from_lstm(lstm, head)

@@ -79,10 +79,17 @@ def test_windows_of_several_recordings_never_mix():
 
 def test_training_lowers_the_loss_and_the_same_seed_gives_the_same_bytes_on_any_number_of_threads():
     chain, _, windows = prepared([recording(k) for k in range(4)])
-    config = TrainConfig(hidden=8, epochs=20, batch=100, learning_rate=0.01, threads=1)
+    config = TrainConfig(recipe="paper", hidden=8, epochs=20, batch=100, learning_rate=0.01, threads=1)
     one = train(chain, windows, windows, config)
-    two = train(chain, windows, windows, TrainConfig(hidden=8, epochs=20, batch=100, learning_rate=0.01, threads=2))
-    other = train(chain, windows, windows, TrainConfig(hidden=8, epochs=20, batch=100, learning_rate=0.01, seed=1))
+    two = train(
+        chain,
+        windows,
+        windows,
+        TrainConfig(recipe="paper", hidden=8, epochs=20, batch=100, learning_rate=0.01, threads=2),
+    )
+    other = train(
+        chain, windows, windows, TrainConfig(recipe="paper", hidden=8, epochs=20, batch=100, learning_rate=0.01, seed=1)
+    )
     assert one.parameters.tobytes() == two.parameters.tobytes()
     assert one.parameters.tobytes() != other.parameters.tobytes()
     assert one.history[-1][2] < 0.5 * np.mean(windows.target_rows[windows.ends] ** 2)
@@ -90,7 +97,7 @@ def test_training_lowers_the_loss_and_the_same_seed_gives_the_same_bytes_on_any_
 
 def test_an_interrupted_run_goes_on_to_the_same_bytes(tmp_path):
     chain, _, windows = prepared([recording(k) for k in range(4)])
-    config = TrainConfig(hidden=4, epochs=60, batch=200)
+    config = TrainConfig(recipe="paper", hidden=4, epochs=60, batch=200)
     whole = train(chain, windows, windows, config)
 
     def interrupt(progress):
@@ -113,7 +120,7 @@ def test_a_checkpoint_of_other_settings_is_refused_and_kept(tmp_path):
     def interrupt(progress):
         raise KeyboardInterrupt
 
-    config = TrainConfig(hidden=4, epochs=1, batch=100)
+    config = TrainConfig(recipe="paper", hidden=4, epochs=1, batch=100)
     with pytest.raises(KeyboardInterrupt):
         train(chain, windows, windows, config, path, {"case": "exact", "seed": 0}, interrupt)
     with pytest.raises(ConfigError, match=r"other settings \(seed\)"):
@@ -135,7 +142,7 @@ def test_a_constant_target_is_an_error_that_names_the_joint():
 def test_a_diverging_loss_is_an_error_that_names_the_learning_rate():
     chain, _, windows = prepared([recording(1)])
     with pytest.raises(TrainingError, match="diverges.*learning_rate = 1e\\+06"):
-        train(chain, windows, windows, TrainConfig(hidden=4, epochs=5, batch=100, learning_rate=1e6))
+        train(chain, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=5, batch=100, learning_rate=1e6))
 
 
 @pytest.mark.parametrize(
@@ -144,13 +151,13 @@ def test_a_diverging_loss_is_an_error_that_names_the_learning_rate():
 def test_too_little_data_is_an_error(seconds, message):
     with pytest.raises(TrainingError, match=message):
         chain, _, windows = prepared([recording(1, seconds=seconds)])
-        train(chain, windows, windows, TrainConfig(hidden=4, epochs=1, batch=100))
+        train(chain, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=1, batch=100))
 
 
 def test_a_bundle_says_of_a_recording_what_the_network_was_trained_on(tmp_path):
     made = [recording(k) for k in range(3)]
     chain, scaling, windows = prepared(made)
-    network = train(chain, windows, windows, TrainConfig(hidden=4, epochs=2, batch=100))
+    network = train(chain, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=2, batch=100))
     bundle = make_bundle("small", chain, 0.02, made[0], scaling, network)
     limits = paper_limits(bundle, made[1:], threads=1)
     bundle.sliding_limit_nm, bundle.near_stiction_limit_nm = (
@@ -240,7 +247,7 @@ def test_in_equal_arithmetic_the_dense_recipe_gets_further_than_the_papers():
     steps = 300
     # A dense sequence of 29 steps costs about three windows of ten: a third of the sequences.
     dense = TrainConfig(recipe="dense", hidden=8, targets=20, batch=32, max_steps=steps)
-    paper = TrainConfig(hidden=8, batch=96, max_steps=steps, epochs=1000)
+    paper = TrainConfig(recipe="paper", hidden=8, batch=96, max_steps=steps, epochs=1000)
     losses = [min(h[2] for h in train(chain, windows, windows, config).history) for config in (dense, paper)]
     assert losses[0] < 0.5 * losses[1]
 

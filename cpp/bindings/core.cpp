@@ -106,6 +106,37 @@ void bind_observer(nb::module_& m) {
       .def_ro("timing", &ObserverSettings::timing)
       .def_ro("sample_period_ns", &ObserverSettings::sample_period_ns)
       .def_ro("network_stride", &ObserverSettings::network_stride);
+  nb::enum_<TermKind>(m, "TermKind")
+      .value("constant", TermKind::constant)
+      .value("viscous", TermKind::viscous)
+      .value("coulomb", TermKind::coulomb)
+      .value("presliding", TermKind::presliding)
+      .value("load", TermKind::load)
+      .value("load_presliding", TermKind::load_presliding)
+      .value("ripple", TermKind::ripple)
+      .value("gravity", TermKind::gravity)
+      .value("quadratic", TermKind::quadratic)
+      .value("momentum", TermKind::momentum);
+  nb::class_<Term>(m, "Term", "A regressor of the prior; see prior.hpp for what a, b, c, form and speed mean to a kind.")
+      .def(
+          "__init__",
+          [](Term* t, TermKind kind, int a, int b, int c, int form, double speed) {
+            new (t) Term{kind, a, b, c, form, speed};
+          },
+          nb::arg("kind"), nb::arg("a") = 0, nb::arg("b") = 0, nb::arg("c") = 0, nb::arg("form") = 0,
+          nb::arg("speed") = 0.0)
+      .def_ro("kind", &Term::kind)
+      .def_ro("a", &Term::a)
+      .def_ro("b", &Term::b)
+      .def_ro("c", &Term::c)
+      .def_ro("form", &Term::form)
+      .def_ro("speed", &Term::speed);
+  nb::class_<PriorSettings>(m, "PriorSettings", "Presliding widths [rad], terms with weights (joints, terms), corrected links.")
+      .def(nb::init<>())
+      .def_rw("widths_rad", &PriorSettings::widths_rad)
+      .def_rw("terms", &PriorSettings::terms)
+      .def_rw("weights", &PriorSettings::weights)
+      .def_rw("corrected_links", &PriorSettings::corrected_links);
   nb::class_<Observation>(m, "Observation", "Residuals of a recording and where its samples stand on the regular clock.")
       .def_ro("row_count", &Observation::row_count)
       .def_ro("held_rows", &Observation::held_rows)
@@ -115,6 +146,20 @@ void bind_observer(nb::module_& m) {
           [](Observation& o) {
             const std::size_t N = o.row.size();
             return nb::ndarray<nb::numpy, double>(o.residual.data(), {N, N ? o.residual.size() / N : 0}, nb::handle());
+          },
+          nb::rv_policy::reference_internal)
+      .def_prop_ro(
+          "prior",
+          [](Observation& o) {
+            const std::size_t N = o.row.size();
+            return nb::ndarray<nb::numpy, double>(o.prior.data(), {o.prior.empty() ? 0 : N, N ? o.prior.size() / N : 0}, nb::handle());
+          },
+          nb::rv_policy::reference_internal)
+      .def_prop_ro(
+          "presliding",
+          [](Observation& o) {
+            const std::size_t N = o.row.size();
+            return nb::ndarray<nb::numpy, float>(o.presliding.data(), {N, N ? o.presliding.size() / N : 0}, nb::handle());
           },
           nb::rv_policy::reference_internal)
       .def_prop_ro(
@@ -133,12 +178,28 @@ void bind_observer(nb::module_& m) {
   m.def(
       "observe",
       [](const Tree& tree, const ObserverSettings& settings, const Array<std::int64_t, 1>& t_ns,
-         const Array<double, 2>& q, const Array<double, 2>& dq, const Array<double, 2>& tau) {
+         const Array<double, 2>& q, const Array<double, 2>& dq, const Array<double, 2>& tau, const PriorSettings& prior) {
         const RecordingView recording = view(t_ns, q, dq, tau);
         nb::gil_scoped_release released;
-        return observe(tree, settings, recording);
+        return observe(tree, settings, prior, recording);
       },
-      nb::arg("tree"), nb::arg("settings"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"));
+      nb::arg("tree"), nb::arg("settings"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"),
+      nb::arg("prior") = PriorSettings());
+  m.def(
+      "prior_regressors",
+      [](const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior,
+         const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
+         const Array<double, 2>& tau, const Array<std::int64_t, 1>& samples) {
+        const RecordingView recording = view(t_ns, q, dq, tau);
+        std::vector<double> out;
+        {
+          nb::gil_scoped_release released;
+          out = prior_regressors(tree, settings, prior, recording, span_of(samples));
+        }
+        return to_numpy(std::move(out), {samples.shape(0), prior.terms.size()});
+      },
+      nb::arg("tree"), nb::arg("settings"), nb::arg("prior"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"),
+      nb::arg("tau"), nb::arg("samples"), "The prior's terms, each filtered as the observer filters: (samples, terms).");
   m.def(
       "feature_rows",
       [](const Observation& observation, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q,
@@ -146,7 +207,7 @@ void bind_observer(nb::module_& m) {
         const RecordingView recording = view(t_ns, q, dq, tau);
         if (observation.row.size() != t_ns.shape(0)) throw Error("the observation is of another recording");
         return to_numpy(feature_rows(recording, observation, span_of(factors)),
-                        {static_cast<std::size_t>(observation.row_count), 2 * static_cast<std::size_t>(recording.joints)});
+                        {static_cast<std::size_t>(observation.row_count), factors.shape(0)});
       },
       nb::arg("observation"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("factors"));
 }
@@ -237,8 +298,23 @@ void bind_bundle(nb::module_& m) {
           "largest_torque_nm", [](const Bundle& b) { return b.signals.largest_torque_nm; },
           [](Bundle& b, std::vector<double> v) { b.signals.largest_torque_nm = std::move(v); })
       .def_prop_rw(
+          "region_width", [](const Bundle& b) { return b.limits.region_width; },
+          [](Bundle& b, int v) { b.limits.region_width = v; })
+      .def_prop_rw(
           "near_stiction_rad_s", [](const Bundle& b) { return b.limits.near_stiction_rad_s; },
           [](Bundle& b, double v) { b.limits.near_stiction_rad_s = v; })
+      .def(
+          "drop_network",
+          [](Bundle& b) {
+            b.shape = {};
+            b.inputs.clear();
+            b.input_factors.clear();
+            b.parameters.clear();
+            b.output_scale_nm.clear();
+            answer_reference(b);
+          },
+          "Leave the network out: what is left is observer and prior.")
+      .def("answer_reference", [](Bundle& b) { answer_reference(b); }, "Answer the kept reference anew, after a change.")
       .def(
           "set_reference",
           [](Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
@@ -246,7 +322,7 @@ void bind_bundle(nb::module_& m) {
             const RecordingView v = view(t_ns, q, dq, tau);
             const auto cells = static_cast<std::size_t>(v.samples) * v.joints;
             b.reference = {{v.t_ns, v.t_ns + v.samples}, {v.q, v.q + cells}, {v.dq, v.dq + cells},
-                           {v.tau, v.tau + cells},       {},                 {}};
+                           {v.tau, v.tau + cells}, {}, {}, {}};
             answer_reference(b);
           },
           nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"),
@@ -267,6 +343,7 @@ void bind_bundle(nb::module_& m) {
   bind_list(bundle, "links", &Bundle::links);
   bind_list(bundle, "input_factors", &Bundle::input_factors);
   bind_list(bundle, "parameters", &Bundle::parameters);
+  bundle.def_rw("prior", &Bundle::prior);
   bind_list(bundle, "output_scale_nm", &Bundle::output_scale_nm);
   m.def(
       "estimate",
@@ -281,12 +358,15 @@ void bind_bundle(nb::module_& m) {
         const std::size_t N = t_ns.shape(0), n = q.shape(1);
         nb::dict out;
         out["r"] = to_numpy(std::move(e.residual), {N, n});
+        out["prior"] = to_numpy(std::move(e.prior), {N, n});
         out["network"] = to_numpy(std::move(e.network), {N, n});
         out["tau_ext"] = to_numpy(std::move(e.tau_ext), {N, n});
+        out["doubt"] = to_numpy(std::move(e.doubt), {N, n});
         out["limit_nm"] = to_numpy(std::move(e.limit_nm), {N, n});
         out["near_stiction"] = to_numpy(std::move(e.near_stiction), {N, n});
         out["healthy"] = to_numpy(std::move(e.healthy), {N});
         out["detection"] = to_numpy(std::move(e.detection), {N});
+        out["alarm"] = to_numpy(std::move(e.alarm), {N});
         return out;
       },
       nb::arg("bundle"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("threads"),

@@ -39,9 +39,9 @@ nb::dict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<d
   if (r.joints != monitor.joints())
     throw Error("the monitor has " + std::to_string(monitor.joints()) + " joints, the samples " + std::to_string(r.joints));
   const auto N = static_cast<std::size_t>(r.samples), n = static_cast<std::size_t>(r.joints);
-  constexpr JointVector Estimate::*kTorques[] = {&Estimate::residual, &Estimate::uncertainty, &Estimate::tau_ext,
+  constexpr JointVector Estimate::*kTorques[] = {&Estimate::residual, &Estimate::prior, &Estimate::uncertainty, &Estimate::tau_ext,
                                                  &Estimate::limit_nm, &Estimate::margin_nm};
-  std::vector<double> torques[5];
+  std::vector<double> torques[6];
   std::vector<std::uint32_t> near_stiction(N), causes(N);
   std::vector<std::uint8_t> health(N), alarm(N), detection(N);
   std::vector<std::int8_t> alarm_joint(N), cause_joint(N);
@@ -52,7 +52,7 @@ nb::dict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<d
       const Sample sample{r.t_ns[k], {r.q + k * n, n}, {r.dq + k * n, n}, {r.tau + k * n, n}};
       const Estimate& e = monitor.step(sample);
       if (recorder) recorder->push(sample, e);
-      for (std::size_t which = 0; which < 5; ++which)
+      for (std::size_t which = 0; which < 6; ++which)
         std::copy_n((e.*kTorques[which]).data(), n, torques[which].data() + k * n);
       near_stiction[k] = e.near_stiction;
       health[k] = static_cast<std::uint8_t>(e.health);
@@ -64,8 +64,8 @@ nb::dict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<d
     }
   }
   nb::dict out;
-  constexpr const char* kNames[] = {"residual", "uncertainty", "tau_ext", "limit_nm", "margin_nm"};
-  for (std::size_t which = 0; which < 5; ++which) out[kNames[which]] = to_numpy(std::move(torques[which]), {N, n});
+  constexpr const char* kNames[] = {"residual", "prior", "uncertainty", "tau_ext", "limit_nm", "margin_nm"};
+  for (std::size_t which = 0; which < 6; ++which) out[kNames[which]] = to_numpy(std::move(torques[which]), {N, n});
   out["near_stiction"] = to_numpy(bits(near_stiction, n), {N, n});
   out["health"] = to_numpy(std::move(health), {N});
   out["causes"] = to_numpy(std::move(causes), {N});
@@ -92,6 +92,7 @@ std::optional<nb::dict> take(FlightRecorder& recorder, std::size_t n) {
   out["dq"] = to_numpy(std::move(f.dq), {N, n});
   out["tau"] = to_numpy(std::move(f.tau), {N, n});
   out["residual"] = to_numpy(std::move(f.residual), {N, n});
+  out["prior"] = to_numpy(std::move(f.prior), {N, n});
   out["uncertainty"] = to_numpy(std::move(f.uncertainty), {N, n});
   out["tau_ext"] = to_numpy(std::move(f.tau_ext), {N, n});
   out["limit_nm"] = to_numpy(std::move(f.limit_nm), {N, n});
@@ -131,6 +132,7 @@ void bind_estimate(nb::module_& m) {
     });
   };
   bind_torques("residual", &Estimate::residual);
+  bind_torques("prior", &Estimate::prior);
   bind_torques("uncertainty", &Estimate::uncertainty);
   bind_torques("tau_ext", &Estimate::tau_ext);
   bind_torques("limit_nm", &Estimate::limit_nm);

@@ -23,7 +23,10 @@ constexpr std::int64_t kNever = std::numeric_limits<std::int64_t>::min();
 
 }  // namespace
 
-void Limits::validate(int joints) const {
+void Limits::validate(int joints, int widths) const {
+  if (region_width < -1 || region_width >= widths)
+    throw Error("limits.region_width = " + std::to_string(region_width) + " must be -1 or one of " +
+                std::to_string(widths) + " presliding widths");
   if (!(near_stiction_rad_s >= 0) || !std::isfinite(near_stiction_rad_s))
     throw Error("limits.near_stiction_rad_s = " + to_text(near_stiction_rad_s) + " must be >= 0");
   for (const Level* level : {&collision, &contact}) {
@@ -35,13 +38,13 @@ void Limits::validate(int joints) const {
   expect_time("limits.contact_release_s", contact_release_s);
 }
 
-AlarmStage::AlarmStage(int joints, const Limits& limits)
+AlarmStage::AlarmStage(int joints, int widths, const Limits& limits)
     : joints_(joints),
       limits_(limits),
       collision_hold_ns_(to_ns(limits.collision.hold_s)),
       contact_hold_ns_(to_ns(limits.contact.hold_s)),
       contact_release_ns_(to_ns(limits.contact_release_s)) {
-  limits.validate(joints);
+  limits.validate(joints, widths);
   acknowledge();
 }
 
@@ -51,23 +54,22 @@ void AlarmStage::acknowledge() noexcept {
   state_.contact_since_ns.fill(kNever);
 }
 
-bool AlarmStage::step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> dq, bool trusted,
-                      std::span<double> limit_nm, std::uint32_t& near_stiction) noexcept {
+bool AlarmStage::step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> doubt,
+                      std::uint32_t near_stiction, bool trusted, std::span<double> limit_nm) noexcept {
   bool detection = false, touching = false;
-  near_stiction = 0;
   // The joint that raises an alarm is the one furthest over its limit of those that have been over it long enough.
   int collision_joint = -1, contact_joint = -1;
   double collision_excess = 0, contact_excess = 0;
   for (int j = 0; j < joints_; ++j) {
-    limit_nm[j] = limits_.limit_nm(limits_.collision, j, dq[j]);
-    if (limits_.near_stiction(dq[j])) near_stiction |= std::uint32_t{1} << j;
+    const bool near = near_stiction >> j & 1;
+    limit_nm[j] = limits_.limit_nm(limits_.collision, j, near) + doubt[j];
     const double size = trusted ? std::fabs(tau_ext[j]) : 0.0;
     const auto held = [&](bool over, std::int64_t& since_ns, std::uint64_t hold_ns) noexcept {
       if (!over) since_ns = kNever;
       if (over && since_ns == kNever) since_ns = t_ns;
       return over && elapsed_ns(t_ns, since_ns) >= hold_ns;
     };
-    const double contact_limit = limits_.limit_nm(limits_.contact, j, dq[j]);
+    const double contact_limit = limits_.limit_nm(limits_.contact, j, near) + doubt[j];
     const bool over = size > limit_nm[j], over_contact = size > contact_limit;
     detection = detection || over;
     touching = touching || over_contact;
@@ -80,6 +82,7 @@ bool AlarmStage::step(std::int64_t t_ns, std::span<const double> tau_ext, std::s
       contact_joint = j;
     }
   }
+  state_.held = collision_joint >= 0 ? Alarm::collision : contact_joint >= 0 ? Alarm::contact : Alarm::none;
   if (touching || !trusted) state_.contact_seen_ns = t_ns;
   if (state_.alarm != Alarm::collision && collision_joint >= 0) {
     state_.alarm = Alarm::collision;

@@ -87,6 +87,15 @@ void field(File& file, Link& link) {
   field(file, link.inertia);
   field(file, link.rotor_inertia);
 }
+template <class File>
+void field(File& file, Term& term) {
+  field(file, term.kind);
+  field(file, term.a);
+  field(file, term.b);
+  field(file, term.c);
+  field(file, term.form);
+  field(file, term.speed);
+}
 template <class File, class T>
 void field(File& file, std::vector<T>& list) {
   constexpr std::size_t least_bytes = std::is_arithmetic_v<T> ? sizeof(T) : 8;
@@ -112,7 +121,12 @@ void fields(File& file, Bundle& b) {
   field(file, b.shape.outputs);
   field(file, b.parameters);
   field(file, b.output_scale_nm);
+  field(file, b.prior.widths_rad);
+  field(file, b.prior.terms);
+  field(file, b.prior.weights);
+  field(file, b.prior.corrected_links);
   field(file, b.limits.near_stiction_rad_s);
+  field(file, b.limits.region_width);
   for (Level* level : {&b.limits.collision, &b.limits.contact}) {
     field(file, level->sliding_nm);
     field(file, level->near_stiction_nm);
@@ -126,6 +140,7 @@ void fields(File& file, Bundle& b) {
   field(file, b.reference.dq);
   field(file, b.reference.tau);
   field(file, b.reference.residual);
+  field(file, b.reference.prior);
   field(file, b.reference.network);
 }
 
@@ -149,22 +164,31 @@ void expect_positive(const char* what, const std::vector<T>& list) {
       throw Error(std::string(what) + " = " + to_text(value) + " must be > 0");
 }
 
-// Residual and network at the reference's last sample.
+template <class T>
+void expect_not_negative(const char* what, const std::vector<T>& list) {
+  for (T value : list)
+    if (!(value >= 0) || !std::isfinite(value))
+      throw Error(std::string(what) + " = " + std::to_string(value) + " must be >= 0");
+}
+
+// Residual, prior and network at the reference's last sample.
 struct Answer {
-  std::vector<double> residual, network;
+  std::vector<double> residual, prior, network;
 };
 
 Answer replay(const Bundle& b) {
   const Reference& ref = b.reference;
   const RecordingView view{static_cast<std::int64_t>(ref.t_ns.size()), b.joints(), ref.t_ns.data(),
                            ref.q.data(), ref.dq.data(), ref.tau.data()};
-  const Observation observation = observe(Tree(b.links, b.gravity), b.observer, view);
+  const Observation observation = observe(Tree(b.links, b.gravity), b.observer, b.prior, view);
   const std::size_t last = ref.t_ns.size() - 1, n = b.links.size();
   Answer answer{{observation.residual.end() - static_cast<std::ptrdiff_t>(n), observation.residual.end()},
+                std::vector<double>(n, 0.0),
                 std::vector<double>(n, 0.0)};
+  if (!b.prior.empty()) std::copy(observation.prior.end() - static_cast<std::ptrdiff_t>(n), observation.prior.end(), answer.prior.begin());
   if (b.has_network()) {
     const std::vector<float> rows = feature_rows(view, observation, b.input_factors);
-    const WindowRows windows{rows.data(),    observation.row_count, 2 * b.joints(), b.observer.network_stride,
+    const WindowRows windows{rows.data(),    observation.row_count, b.columns(), b.observer.network_stride,
                              b.window_steps, b.inputs};
     std::vector<float> y(n);
     lstm_forward(b.shape, b.parameters, windows, std::span(&observation.row[last], 1), y, 1);
@@ -195,11 +219,12 @@ void expect_names(const std::vector<Link>& links) {
 void expect_reference(const Bundle& b) {
   const Answer answer = replay(b);
   double scale = 1.0;
-  for (const auto* list : {&b.reference.residual, &b.reference.network})
+  for (const auto* list : {&b.reference.residual, &b.reference.prior, &b.reference.network})
     for (double value : *list) scale = std::max(scale, std::fabs(value));
   for (std::size_t j = 0; j < b.links.size(); ++j) {
-    const double error = std::max(std::fabs(answer.residual[j] - b.reference.residual[j]),
-                                  std::fabs(answer.network[j] - b.reference.network[j]));
+    const double error = std::max({std::fabs(answer.residual[j] - b.reference.residual[j]),
+                                   std::fabs(answer.prior[j] - b.reference.prior[j]),
+                                   std::fabs(answer.network[j] - b.reference.network[j])});
     if (!(error <= kReferenceTolerance * scale))
       throw Error("joint '" + b.links[j].joint_name + "': replaying its reference differs by " + to_text(error) +
                   " N m, more than " + to_text(kReferenceTolerance * scale));
@@ -220,16 +245,17 @@ void Bundle::validate() const {
     expect_length("shape.outputs", std::vector<char>(static_cast<std::size_t>(shape.outputs)), n);
     expect_length("parameters", parameters, shape.parameter_count());
     expect_finite("parameters", parameters);
-    expect_length("input_factors", input_factors, 2 * n);
+    expect_length("input_factors", input_factors, static_cast<std::size_t>(columns()));
     expect_positive("input_factors", input_factors);
     expect_length("output_scale_nm", output_scale_nm, n);
-    expect_positive("output_scale_nm", output_scale_nm);
+    expect_not_negative("output_scale_nm", output_scale_nm);
     if (window_steps < 1 || window_steps > kMaxWindowSteps)
       throw Error("window_steps = " + std::to_string(window_steps) + " must be 1 to " + std::to_string(kMaxWindowSteps));
-    WindowRows windows{nullptr, 0, static_cast<int>(2 * n), observer.network_stride, window_steps, inputs};
+    WindowRows windows{nullptr, 0, columns(), observer.network_stride, window_steps, inputs};
     windows.validate(shape, {});
   }
-  limits.validate(joints());
+  const Prior probe_prior(prior, gravity, joints(), observer.gain_per_s);
+  limits.validate(joints(), static_cast<int>(prior.widths_rad.size()));
   signals.validate(joints());
   const auto samples = reference.t_ns.size();
   if (samples == 0) throw Error("its reference is empty");
@@ -237,9 +263,10 @@ void Bundle::validate() const {
   expect_length("reference.dq", reference.dq, samples * n);
   expect_length("reference.tau", reference.tau, samples * n);
   expect_length("reference.residual", reference.residual, n);
+  expect_length("reference.prior", reference.prior, n);
   expect_length("reference.network", reference.network, n);
   for (const auto* list : {&reference.q, &reference.dq, &reference.tau}) expect_finite("reference", *list);
-  for (const auto* list : {&reference.residual, &reference.network}) expect_finite("reference", *list);
+  for (const auto* list : {&reference.residual, &reference.prior, &reference.network}) expect_finite("reference", *list);
   expect_regular(*this);
   expect_reference(*this);
 }
@@ -247,6 +274,7 @@ void Bundle::validate() const {
 void answer_reference(Bundle& bundle) {
   Answer answer = replay(bundle);
   bundle.reference.residual = std::move(answer.residual);
+  bundle.reference.prior = std::move(answer.prior);
   bundle.reference.network = std::move(answer.network);
 }
 

@@ -9,9 +9,13 @@ namespace tauext {
 Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads) {
   const int n = recording.joints;
   const auto N = static_cast<std::size_t>(recording.samples);
-  Observation observation = observe(Tree(bundle.links, bundle.gravity), bundle.observer, recording);
+  Observation observation = observe(Tree(bundle.links, bundle.gravity), bundle.observer, bundle.prior, recording);
   Estimates out;
   out.residual = std::move(observation.residual);
+  out.prior = std::move(observation.prior);
+  out.prior.resize(N * n);
+  out.doubt = std::move(observation.doubt);
+  out.doubt.resize(N * n);
   const double nan = std::numeric_limits<double>::quiet_NaN();
   out.network.assign(N * n, nan);
   out.tau_ext.assign(N * n, nan);
@@ -19,13 +23,14 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
   out.near_stiction.resize(N * n);
   out.healthy.assign(N, 0);
   out.detection.assign(N, 0);
+  out.alarm.assign(N, 0);
 
   std::vector<std::int64_t> sample, end;  // of every sample with a warm observer and a full window
   WindowRows windows;
   std::vector<float> rows, y;
   if (bundle.has_network()) {
     rows = feature_rows(recording, observation, bundle.input_factors);
-    windows = {rows.data(),         observation.row_count, 2 * n, bundle.observer.network_stride,
+    windows = {rows.data(),         observation.row_count, bundle.columns(), bundle.observer.network_stride,
                bundle.window_steps, bundle.inputs};
   }
   const std::int64_t reach = bundle.has_network() ? windows.reach() : 0;
@@ -42,16 +47,23 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
     for (int j = 0; j < n; ++j) {
       const std::size_t at = static_cast<std::size_t>(sample[w]) * n + j;
       out.network[at] = bundle.has_network() ? bundle.output_scale_nm[j] * static_cast<double>(y[w * n + j]) : 0.0;
-      out.tau_ext[at] = out.residual[at] - out.network[at];
+      out.tau_ext[at] = out.residual[at] - (out.prior[at] + out.network[at]);
     }
   }
-  for (std::size_t k = 0; k < N; ++k)
+  const int widths = static_cast<int>(bundle.prior.widths_rad.size()), region = bundle.limits.region_width;
+  AlarmStage alarm(n, widths, bundle.limits);
+  for (std::size_t k = 0; k < N; ++k) {
+    std::uint32_t near_stiction = 0;
     for (int j = 0; j < n; ++j) {
       const std::size_t at = k * n + j;
-      out.near_stiction[at] = bundle.limits.near_stiction(recording.dq[at]);
-      out.limit_nm[at] = bundle.limits.limit_nm(bundle.limits.collision, j, recording.dq[at]);
-      if (out.healthy[k] && std::fabs(out.tau_ext[at]) > out.limit_nm[at]) out.detection[k] = 1;
+      const double state = region < 0 ? 0.0 : observation.presliding[at * widths + region];
+      out.near_stiction[at] = bundle.limits.near_stiction(recording.dq[at], state);
+      if (out.near_stiction[at]) near_stiction |= std::uint32_t{1} << j;
     }
+    const std::span tau_ext = std::span(out.tau_ext).subspan(k * n, n);
+    out.detection[k] = alarm.step(recording.t_ns[k], tau_ext, std::span(out.doubt).subspan(k * n, n), near_stiction, out.healthy[k], std::span(out.limit_nm).subspan(k * n, n));
+    out.alarm[k] = static_cast<std::uint8_t>(alarm.state().held);
+  }
   return out;
 }
 

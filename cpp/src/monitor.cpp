@@ -24,7 +24,7 @@ std::span<const char> as_chars(std::span<const std::byte> bytes) noexcept {
 }
 
 SlidingLstm make_network(const Bundle& b, NetworkRate rate) {
-  return SlidingLstm(b.shape, b.parameters, b.inputs, 2 * b.joints(), b.observer.network_stride, b.window_steps, rate);
+  return SlidingLstm(b.shape, b.parameters, b.inputs, b.columns(), b.observer.network_stride, b.window_steps, rate);
 }
 
 }  // namespace
@@ -59,15 +59,17 @@ Monitor::Monitor(const Bundle& bundle, NetworkRate rate)
       sample_period_ns_(bundle.observer.sample_period_ns),
       network_period_ns_(sample_period_ns_ * bundle.observer.network_stride),
       gain_per_s_(bundle.observer.gain_per_s),
-      residual_(Tree(bundle.links, bundle.gravity), bundle.observer),
+      residual_(Tree(bundle.links, bundle.gravity), bundle.observer, bundle.prior),
       watch_(joints_, sample_period_ns_, bundle.signals),
       input_factors_(bundle.input_factors),
       output_scale_nm_(bundle.output_scale_nm),
-      alarm_(joints_, bundle.limits) {
+      limits_(bundle.limits),
+      alarm_(joints_, static_cast<int>(bundle.prior.widths_rad.size()), bundle.limits) {
   for (const Link& link : bundle.links) joint_names_.push_back(link.joint_name);
   if (bundle.has_network()) {
     network_.emplace(make_network(bundle, rate));
-    row_.resize(2 * bundle.links.size());
+    row_.resize(static_cast<std::size_t>(bundle.columns()));
+    states_.resize(row_.size() - 2 * bundle.links.size());
     network_out_.resize(bundle.links.size());
   }
   const std::vector<char> bytes = to_bytes(bundle);  // validates it, too
@@ -102,7 +104,7 @@ void Monitor::report_alarm() noexcept {
 void Monitor::blank(bool also_residual) noexcept {
   for (int j = 0; j < joints_; ++j) {
     estimate_.uncertainty[j] = estimate_.tau_ext[j] = estimate_.margin_nm[j] = kNan;
-    if (also_residual) estimate_.residual[j] = estimate_.limit_nm[j] = kNan;
+    if (also_residual) estimate_.residual[j] = estimate_.prior[j] = estimate_.limit_nm[j] = kNan;
   }
   if (also_residual) estimate_.near_stiction = 0;
   estimate_.detection = false;
@@ -170,7 +172,8 @@ void Monitor::hold(std::int64_t t_ns, std::uint32_t cause) noexcept {
 // Clock, dynamics and observer; returns the ticks since the last sample, 0 where this one began anew.
 std::int64_t Monitor::observe(const Sample& s) noexcept {
   if (counters_.restart_next) residual_.reset();
-  const SampleClock::Tick tick = residual_.step(s.t_ns, s.q, s.dq, s.tau, first_joints(estimate_.residual));
+  const SampleClock::Tick tick = residual_.step(s.t_ns, s.q, s.dq, s.tau, first_joints(estimate_.residual),
+                                                first_joints(estimate_.prior), first_joints(estimate_.doubt));
   if (tick.kind == SampleClock::Kind::restart) {
     if (counters_.started && !counters_.restart_next) {
       counters_.causes = kGap;
@@ -197,6 +200,8 @@ bool Monitor::predict(const Sample& s, std::int64_t ticks) noexcept {
     row_[j] = static_cast<float>(s.q[j]) * input_factors_[j];
     row_[n + j] = static_cast<float>(s.dq[j]) * input_factors_[n + j];
   }
+  residual_.presliding().write(states_);
+  for (std::size_t c = 0; c < states_.size(); ++c) row_[2 * n + c] = static_cast<float>(states_[c]) * input_factors_[2 * n + c];
   network_->push(row_, ticks);
   return network_->answer(network_out_);
 }
@@ -233,14 +238,21 @@ void Monitor::judge(const Sample& s, bool full, Findings& findings) noexcept {
   if (!full || !residual_.warm()) findings.trusted = false;
   if (findings.trusted) {
     for (int j = 0; j < joints_; ++j) {
-      estimate_.uncertainty[j] = network_ ? output_scale_nm_[j] * static_cast<double>(network_out_[j]) : 0.0;
+      const double network = network_ ? output_scale_nm_[j] * static_cast<double>(network_out_[j]) : 0.0;
+      estimate_.uncertainty[j] = estimate_.prior[j] + network;
       estimate_.tau_ext[j] = estimate_.residual[j] - estimate_.uncertainty[j];
     }
     expect_finite(estimate_.tau_ext);
   }
   if (!findings.trusted) blank((findings.causes & kNotFinite) != 0);
-  estimate_.detection = alarm_.step(s.t_ns, first_joints(estimate_.tau_ext), s.dq, findings.trusted,
-                                    first_joints(estimate_.limit_nm), estimate_.near_stiction);
+  estimate_.near_stiction = 0;
+  for (int j = 0; j < joints_; ++j) {
+    const double state =
+        limits_.region_width < 0 ? 0.0 : static_cast<float>(residual_.presliding().value(j, limits_.region_width));
+    if (limits_.near_stiction(s.dq[j], state)) estimate_.near_stiction |= std::uint32_t{1} << j;
+  }
+  estimate_.detection = alarm_.step(s.t_ns, first_joints(estimate_.tau_ext), first_joints(estimate_.doubt), estimate_.near_stiction, findings.trusted,
+                                    first_joints(estimate_.limit_nm));
   for (int j = 0; findings.trusted && j < joints_; ++j)
     estimate_.margin_nm[j] = estimate_.limit_nm[j] - std::fabs(estimate_.tau_ext[j]);
   report_alarm();

@@ -20,14 +20,15 @@ Limits make_limits() {
 }
 
 struct Stage {
-  AlarmStage alarm{2, make_limits()};
-  double limit_nm[2];
+  AlarmStage alarm{2, 0, make_limits()};
+  double limit_nm[2], doubt[2] = {0, 0};
   std::uint32_t near_stiction = 0;
   bool detection = false;
 
   const AlarmStage::State& step(std::int64_t t_ms, double tau_1, double tau_2, bool trusted = true, double dq = 1.0) {
-    const double tau[] = {tau_1, tau_2}, speed[] = {dq, 1.0};
-    detection = alarm.step(t_ms * kMs, tau, speed, trusted, limit_nm, near_stiction);
+    const double tau[] = {tau_1, tau_2};
+    near_stiction = make_limits().near_stiction(dq, 0) ? 1 : 0;
+    detection = alarm.step(t_ms * kMs, tau, doubt, near_stiction, trusted, limit_nm);
     return alarm.state();
   }
 };
@@ -39,6 +40,7 @@ void a_ramp_raises_contact_and_collision_after_their_hold_times() {
     const Alarm alarm = s.step(t, -t, 0).alarm;
     CHECK(alarm == (t >= 16 ? Alarm::collision : t >= 7 ? Alarm::contact : Alarm::none));
     CHECK(s.detection == (t >= 11));
+    CHECK(s.alarm.state().held == alarm);  // the ramp only rises
   }
   CHECK(s.alarm.state().joint == 0 && s.alarm.state().raised_t_ns == 16 * kMs);
 }
@@ -50,7 +52,7 @@ void a_contact_falls_back_and_a_collision_does_not() {
   for (int t = 10; t < 59; ++t) CHECK(s.step(t, 0, 0).alarm == Alarm::contact);
   CHECK(s.step(59, 0, 0).alarm == Alarm::none && s.alarm.state().joint == -1);  // 50 ms after the last touch at 9 ms
   for (int t = 60; t < 70; ++t) s.step(t, 0, 7);
-  for (int t = 70; t < 1000; ++t) CHECK(s.step(t, 0, 0).alarm == Alarm::collision);
+  for (int t = 70; t < 1000; ++t) CHECK(s.step(t, 0, 0).alarm == Alarm::collision && s.alarm.state().held == Alarm::none);
   s.alarm.acknowledge();
   CHECK(s.step(1000, 0, 0).alarm == Alarm::none);
   for (int t = 1001; t < 1005; ++t) s.step(t, 0, 7);
@@ -71,6 +73,20 @@ void near_stiction_has_its_own_limits() {
   CHECK(s.alarm.state().alarm == Alarm::contact);
 }
 
+void a_bent_presliding_state_is_near_stiction_at_any_speed() {
+  Limits limits = make_limits();
+  CHECK(limits.near_stiction(0.01, 1.0) && !limits.near_stiction(0.03, 0.0));
+  limits.region_width = 0;
+  CHECK(!limits.near_stiction(0.03, -1.0) && limits.near_stiction(5.0, 0.5) && limits.near_stiction(0.01, 1.0));
+}
+
+void doubt_raises_both_limits() {
+  Stage s;
+  s.doubt[0] = 7;
+  for (int t = 0; t < 20; ++t) CHECK(s.step(t, 16.9, 0).alarm == (t >= 2 ? Alarm::contact : Alarm::none));
+  CHECK(s.limit_nm[0] == 17 && s.limit_nm[1] == 5);
+}
+
 void what_cannot_be_trusted_neither_raises_nor_ends_an_alarm() {
   Stage s;
   for (int t = 0; t < 100; ++t) CHECK(s.step(t, 50, 50, false).alarm == Alarm::none && !s.detection);
@@ -89,15 +105,18 @@ void the_joint_furthest_over_its_limit_is_named() {
 
 void bad_limits_are_refused() {
   Limits limits = make_limits();
-  CHECK_THROWS(AlarmStage(3, limits), Error);
+  CHECK_THROWS(AlarmStage(3, 0, limits), Error);
   limits.contact.near_stiction_nm[1] = 0;
-  CHECK_THROWS(AlarmStage(2, limits), Error);
+  CHECK_THROWS(AlarmStage(2, 0, limits), Error);
   limits = make_limits();
   limits.collision.hold_s = NAN;
-  CHECK_THROWS(AlarmStage(2, limits), Error);
+  CHECK_THROWS(AlarmStage(2, 0, limits), Error);
   limits = make_limits();
   limits.contact_release_s = 61;
-  CHECK_THROWS(AlarmStage(2, limits), Error);
+  CHECK_THROWS(AlarmStage(2, 0, limits), Error);
+  limits = make_limits();
+  limits.region_width = 1;  // of one width, 0
+  CHECK_THROWS(AlarmStage(2, 1, limits), Error);
 }
 
 }  // namespace
@@ -107,6 +126,8 @@ int main() {
   a_contact_falls_back_and_a_collision_does_not();
   one_sample_under_the_limit_begins_the_hold_time_anew();
   near_stiction_has_its_own_limits();
+  a_bent_presliding_state_is_near_stiction_at_any_speed();
+  doubt_raises_both_limits();
   what_cannot_be_trusted_neither_raises_nor_ends_an_alarm();
   the_joint_furthest_over_its_limit_is_named();
   bad_limits_are_refused();

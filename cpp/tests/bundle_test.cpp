@@ -138,8 +138,8 @@ void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
     std::memcpy(bytes.data() + 8, &major, sizeof major);
     return [bytes] { from_bytes(bytes); };
   };
-  refused("version 3, this program reads version 2; it was made by a newer tauext", with_version(3));
-  refused("version 1, this program reads version 2; train it again", with_version(1));
+  refused("version 4, this program reads version 3; it was made by a newer tauext", with_version(kBundleMajor + 1));
+  refused("version 1, this program reads version 3; train it again", with_version(1));
   std::vector<char> bytes = good;
   bytes.push_back(0);
   refused("something appended", [&] { from_bytes(bytes); });

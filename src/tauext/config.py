@@ -8,8 +8,9 @@ from typing import Literal
 
 from tauext.errors import ConfigError
 
-Recipe = Literal["paper", "dense", "observer"]
+Recipe = Literal["tauext", "prior", "paper", "dense", "observer"]
 Backend = Literal["core", "torch"]
+Limits = Literal["auto", "promised", "paper"]
 
 
 @dataclass(frozen=True)
@@ -69,10 +70,20 @@ class ObserverConfig:
 
 @dataclass(frozen=True)
 class AlarmConfig:
-    """From a joint over its limit to an alarm."""
+    """From a joint over its limit to an alarm, and how often a false one may come."""
 
+    false_alarms: float = 1.0
+    """With calibration recordings: the whole arm may raise so many false collisions ..."""
+    in_hours: float = 8.0
+    """... in so many hours; limits and hold time follow."""
+    confidence: float = 0.95
+    """Of that promise."""
+    contacts_an_hour: float = 2.0
+    """And so many false contacts an hour, which fall back by themselves."""
+    holds_s: tuple[float, ...] = (0.0, 0.002, 0.005, 0.01, 0.02)
+    """Hold times of the collision to choose from, [s]; a longer one allows lower limits."""
     collision_hold_s: float = 0.01
-    """A joint must stay over its collision limit for so long before the collision is latched, [s]."""
+    """Without calibration recordings: a joint must stay over its collision limit for so long, [s]."""
     contact_hold_s: float = 0.0
     """The same before a contact is reported, which falls back by itself, [s]; 0: at the first sample."""
     contact_release_s: float = 0.1
@@ -81,28 +92,67 @@ class AlarmConfig:
     def __post_init__(self) -> None:
         for name in ("collision_hold_s", "contact_hold_s", "contact_release_s"):
             require(0 <= getattr(self, name) <= 60, name, getattr(self, name), "0 to 60")
+        for name in ("false_alarms", "in_hours", "contacts_an_hour"):
+            require(0 < getattr(self, name) < math.inf, name, getattr(self, name), "> 0")
+        require(0.5 <= self.confidence < 1, "confidence", self.confidence, "0.5 to below 1")
+        rising = all(a < b for a, b in zip(self.holds_s, self.holds_s[1:], strict=False))
+        rule = "one or more times from 0 on, rising, at most 60"
+        require(
+            bool(self.holds_s) and rising and 0 <= self.holds_s[0] <= self.holds_s[-1] <= 60,
+            "holds_s",
+            self.holds_s,
+            rule,
+        )
+
+
+@dataclass(frozen=True)
+class PriorConfig:
+    """What physics may explain before a network is asked (recipe tauext)."""
+
+    widths_rad: tuple[float, ...] = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
+    """Widths of the presliding states, [rad]: how far a joint bends before it slides."""
+    region_width_rad: float = 0.003
+    """A joint that has slid on by about this is sliding, and near stiction before, [rad]: the limit's region."""
+    coulomb_speeds_rad_s: tuple[float, ...] = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4)
+    """Smoothings of the sign of the speed, [rad/s]."""
+    most_ripples: int = 2
+    """Ripples of motor and gear that are searched for in each joint; 0: none."""
+    correct_model: bool = True
+    """Let the data correct mass, centre of mass and inertia of the estimated model."""
+
+    def __post_init__(self) -> None:
+        for name in ("widths_rad", "coulomb_speeds_rad_s"):
+            values = getattr(self, name)
+            rising = all(a < b < math.inf for a, b in zip((0.0, *values), values, strict=False))
+            require(rising and len(values) <= 8, name, values, "at most 8 numbers > 0, rising")
+        require(self.region_width_rad > 0, "region_width_rad", self.region_width_rad, "> 0")
+        require(len(self.coulomb_speeds_rad_s) > 0, "coulomb_speeds_rad_s", self.coulomb_speeds_rad_s, "at least one")
+        require(0 <= self.most_ripples <= 10, "most_ripples", self.most_ripples, "0 to 10")
 
 
 @dataclass(frozen=True)
 class TrainConfig:
     """What is trained, how, and for how long. None: the recipe's own value."""
 
-    recipe: Recipe = "paper"
-    """paper: windows, as published. dense: the same network from longer sequences that teach a target at every step;
-    far fewer steps. observer: no network at all, the plain momentum observer."""
+    recipe: Recipe = "tauext"
+    """tauext: presliding states, a prior fitted by ridge regression, and a network on what that leaves where it helps.
+    prior: the same without a network. paper: windows, as published. dense: the paper's network from longer sequences
+    that teach a target at every step; far fewer steps. observer: no network at all, the plain momentum observer."""
     hidden: int = 20
     """Hidden units of the LSTM."""
     epochs: int | None = None
     """Passes over all training windows (paper: 500; dense draws its sequences at random and has none)."""
     max_steps: int | None = None
-    """Stop after so many steps (paper: no limit but its epochs; dense: 45,000)."""
+    """Stop after so many steps (paper: no limit but its epochs; dense: 45,000; tauext: 10,000)."""
     batch: int | None = None
-    """Windows or sequences a step (paper: 1000, dense: 64)."""
+    """Windows or sequences a step (paper: 1000, dense and tauext: 64)."""
     learning_rate: float | None = None
-    """Step size of Adam (its decay rates are 0.9 and 0.999); dense rises to it and falls to zero
-    (paper: 0.001, dense: 0.01)."""
+    """Step size of Adam (its decay rates are 0.9 and 0.999); all but paper rise to it and fall to zero
+    (paper: 0.001, dense and tauext: 0.01)."""
     targets: int = 100
-    """Dense only: targets a sequence teaches after its burn-in of one window."""
+    """Not paper: targets a sequence teaches after its burn-in of one window."""
+    gate_margin: float = 0.03
+    """tauext: the network ships for a joint only if it lowers the RMSE on validation recordings by this share."""
     backend: Backend = "core"
     """core: gradient in C++. torch: PyTorch, on a GPU where there is one (needs the extra tauext[torch])."""
     seed: int = 0
@@ -110,13 +160,20 @@ class TrainConfig:
     threads: int = 0
     """Threads of the gradient, 0: one a core. The result does not depend on it."""
     observer: ObserverConfig = field(default_factory=ObserverConfig)
+    limits: Limits = "auto"
+    """promised: from the false alarms that alarm allows, on the dataset's calibration recordings. paper: the largest
+    errors on its validation recordings. auto: promised where there are calibration recordings, but for the recipes
+    paper and dense."""
     alarm: AlarmConfig = field(default_factory=AlarmConfig)
+    prior: PriorConfig = field(default_factory=PriorConfig)
 
     def __post_init__(self) -> None:
         for name in ("hidden", "epochs", "max_steps", "batch", "targets"):
             value = getattr(self, name)
             require(value is None or value >= 1, name, value, ">= 1")
-        require(self.recipe != "dense" or self.epochs is None, "epochs", self.epochs, "left out with recipe dense")
+        sequences = self.recipe in ("dense", "tauext")
+        require(not sequences or self.epochs is None, "epochs", self.epochs, f"left out with recipe {self.recipe}")
+        require(0 <= self.gate_margin < 1, "gate_margin", self.gate_margin, "0 to 1")
         require(self.learning_rate is None or self.learning_rate > 0, "learning_rate", self.learning_rate, "> 0")
         require(self.threads >= 0, "threads", self.threads, ">= 0")
         require(self.seed >= 0, "seed", self.seed, ">= 0")
@@ -128,6 +185,8 @@ class TrainConfig:
 
 
 RECIPE_VALUES = {
+    "tauext": {"max_steps": 10_000, "batch": 64, "learning_rate": 0.01},
+    "prior": {},
     "paper": {"epochs": 500, "batch": 1000, "learning_rate": 0.001},
     "dense": {"max_steps": 45_000, "batch": 64, "learning_rate": 0.01},
     "observer": {},

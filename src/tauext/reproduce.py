@@ -32,8 +32,10 @@ class Scale:
 
 
 SCALES = {
-    "smoke": Scale(minutes=2.0, collision_recordings=1, training=TrainConfig(epochs=1, batch=64, max_steps=20)),
-    "quick": Scale(minutes=45.0, collision_recordings=20, training=TrainConfig(epochs=20, batch=128)),
+    "smoke": Scale(
+        minutes=2.0, collision_recordings=1, training=TrainConfig(recipe="paper", epochs=1, batch=64, max_steps=20)
+    ),
+    "quick": Scale(minutes=45.0, collision_recordings=20, training=TrainConfig(recipe="paper", epochs=20, batch=128)),
     "full": Scale(
         minutes=90.0,
         collision_recordings=20,
@@ -57,7 +59,9 @@ def reproduce_paper(out: Path, scale_name: str, scale: Scale, cases: Sequence[st
         )
     dataset = Dataset.open(data)
     jobs = {case: (case, replace(scale.training, seed=seed)) for case in cases}
-    jobs |= {f"{case}-paper": (case, TrainConfig(seed=seed)) for case in scale.paper_cases if case in cases}
+    jobs |= {
+        f"{case}-paper": (case, TrainConfig(recipe="paper", seed=seed)) for case in scale.paper_cases if case in cases
+    }
     bundles = {name: out / "bundles" / f"{name}.tauext" for name in jobs}
     missing = [name for name, (case, config) in jobs.items() if not finished(bundles[name], case, config)]
     if missing:

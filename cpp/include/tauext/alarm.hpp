@@ -19,6 +19,7 @@ class AlarmStage {
  public:
   struct State {
     Alarm alarm = Alarm::none;
+    Alarm held = Alarm::none;       // the level that some joint is over at this sample, its hold time past; no latch
     int joint = -1;                 // that raised the alarm to its level
     std::int64_t raised_t_ns = 0;   // when it did
     // A joint over its limit since then; the least number while it is not.
@@ -27,13 +28,13 @@ class AlarmStage {
   };
 
   // Throws Error where the limits do not fit the joints.
-  AlarmStage(int joints, const Limits& limits);
+  AlarmStage(int joints, int widths, const Limits& limits);
 
-  // One sample. Writes the collision limit of every joint [N m], whether it is near stiction, and returns whether some
-  // |tau_ext| exceeds its collision limit (a detection). With trusted = false nothing is detected, what was held so far
+  // One sample; near_stiction holds a bit a joint, doubt [N m] raises the limits. Writes the collision limit of every
+  // joint [N m], doubt included, and returns whether some |tau_ext| exceeds it (a detection). With trusted = false nothing is detected, what was held so far
   // starts anew, and a standing alarm stays: what cannot be seen has not gone.
-  bool step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> dq, bool trusted,
-            std::span<double> limit_nm, std::uint32_t& near_stiction) noexcept;
+  bool step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> doubt,
+            std::uint32_t near_stiction, bool trusted, std::span<double> limit_nm) noexcept;
 
   // Ends any alarm; one whose cause lasts comes back after its hold time.
   void acknowledge() noexcept;

@@ -5,21 +5,23 @@
 #include <string>
 #include <vector>
 
+#include "tauext/alarm.hpp"
 #include "tauext/limits.hpp"
 #include "tauext/lstm.hpp"
+#include "tauext/prior.hpp"
 #include "tauext/residual.hpp"
 #include "tauext/signal_watch.hpp"
 #include "tauext/tree.hpp"
 
 namespace tauext {
 
-inline constexpr std::uint32_t kBundleMajor = 2;
+inline constexpr std::uint32_t kBundleMajor = 3;
 
 // A short stretch of free motion and what the chain said at its last sample; replayed at load.
 struct Reference {
   std::vector<std::int64_t> t_ns;
   std::vector<double> q, dq, tau;         // (samples, joints)
-  std::vector<double> residual, network;  // (joints), [N m]
+  std::vector<double> residual, prior, network;  // (joints), [N m]
 };
 // Processors differ in the last bits (fused operations); a damaged or foreign network differs by far more.
 inline constexpr double kReferenceTolerance = 1e-4;  // times the largest magnitude of the reference, at least 1 N m
@@ -36,13 +38,16 @@ struct Bundle {
   std::vector<float> input_factors;     // a column, 1 / largest magnitude in training
   LstmShape shape;
   std::vector<float> parameters;
-  std::vector<double> output_scale_nm;  // a joint
+  std::vector<double> output_scale_nm;  // a joint; 0 where the network did not earn its place
+  PriorSettings prior;
   Limits limits;
   SignalRanges signals;
   Reference reference;
 
   int joints() const noexcept { return static_cast<int>(links.size()); }
   bool has_network() const noexcept { return shape.hidden > 0; }
+  // Of feature_rows(): q, dq and presliding states of every joint.
+  int columns() const noexcept { return joints() * (2 + static_cast<int>(prior.widths_rad.size())); }
   // Throws Error, naming what does not fit.
   void validate() const;
 };
@@ -50,12 +55,15 @@ struct Bundle {
 // What the chain says of a recording, one row a sample.
 struct Estimates {
   std::vector<double> residual;       // (samples, joints), [N m]
+  std::vector<double> prior;          // (samples, joints), [N m]; 0 where there is none
   std::vector<double> network;        // (samples, joints), [N m]; NaN while warming up, 0 where there is no network
-  std::vector<double> tau_ext;        // residual - network; NaN while warming up
-  std::vector<double> limit_nm;       // (samples, joints): of a collision
+  std::vector<double> tau_ext;        // residual - (prior + network); NaN while warming up
+  std::vector<double> doubt;          // (samples, joints), [N m]: of the prior; 0 where there is none
+  std::vector<double> limit_nm;       // (samples, joints): of a collision, raised by the doubt
   std::vector<std::uint8_t> near_stiction;  // (samples, joints)
   std::vector<std::uint8_t> healthy;  // (samples): observer warm and window full
   std::vector<std::uint8_t> detection;  // (samples): healthy, and some |tau_ext| over its limit
+  std::vector<std::uint8_t> alarm;      // (samples): level of Alarm that is held at this sample, without latch
 };
 
 // The whole chain on a recording. Throws Error where the recording's joints, rate or times do not fit.

@@ -16,17 +16,23 @@ struct Level {
 };
 
 struct Limits {
-  double near_stiction_rad_s = 0;  // near stiction: |dq| below this
+  double near_stiction_rad_s = 0;  // near stiction: |dq| below this,
+  int region_width = -1;           // or the presliding state of this width bent; -1: only the speed tells
   Level collision;                 // latched until acknowledged
   Level contact;                   // falls back by itself ...
   double contact_release_s = 0;    // ... when |tau_ext| has been under its limit for so long
 
-  bool near_stiction(double dq) const noexcept { return std::fabs(dq) < near_stiction_rad_s; }
-  double limit_nm(const Level& level, int joint, double dq) const noexcept {
-    return near_stiction(dq) ? level.near_stiction_nm[joint] : level.sliding_nm[joint];
+  // A joint that has slid on by a width has a state of 1 or -1 for it, and one that turns round leaves it at once: a
+  // reversal is near stiction from its first sample until the joint slides again, however its speed flickers.
+  bool near_stiction(double dq, double state) const noexcept {
+    return std::fabs(dq) < near_stiction_rad_s || (region_width >= 0 && std::fabs(state) < kBent);
   }
-  // Throws Error, naming what does not fit `joints`.
-  void validate(int joints) const;
+  static constexpr double kBent = 0.9;
+  double limit_nm(const Level& level, int joint, bool near) const noexcept {
+    return near ? level.near_stiction_nm[joint] : level.sliding_nm[joint];
+  }
+  // Throws Error, naming what does not fit `joints` and `widths` presliding states a joint.
+  void validate(int joints, int widths) const;
 };
 
 }  // namespace tauext

@@ -61,9 +61,11 @@ struct Estimate {
   bool detection = false;           // some |tau_ext| over its collision limit, at this sample
   std::uint32_t near_stiction = 0;  // a bit a joint: which of its limits holds
   JointVector residual{};           // r of the observer, [N m]
-  JointVector uncertainty{};        // r expected in free motion, [N m]
+  JointVector prior{};              // what physics expects of r in free motion, [N m]
+  JointVector uncertainty{};        // r expected in free motion: prior + network, [N m]
   JointVector tau_ext{};            // residual - uncertainty, [N m]
-  JointVector limit_nm{};           // that |tau_ext| must exceed for a collision
+  JointVector doubt{};              // how far the prior may be off while presliding states are unknown, [N m]
+  JointVector limit_nm{};           // that |tau_ext| must exceed for a collision; doubt included
   JointVector margin_nm{};          // limit - |tau_ext|
 
   // The only thing that may be read as "no collision".
@@ -156,7 +158,8 @@ class Monitor {
   SignalWatch watch_;
   std::optional<SlidingLstm> network_;
   std::vector<float> input_factors_, row_, network_out_;
-  std::vector<double> output_scale_nm_;
+  std::vector<double> output_scale_nm_, states_;
+  Limits limits_;
   AlarmStage alarm_;
   Counters counters_;
   Estimate estimate_;

@@ -1,10 +1,12 @@
-// First half of the chain: sample -> momentum observer, at the sample rate.
+// First half of the chain: sample -> momentum observer, presliding states and prior, at the sample rate.
 #pragma once
 #include <cstdint>
 #include <span>
 #include <vector>
 
 #include "tauext/momentum_observer.hpp"
+#include "tauext/presliding.hpp"
+#include "tauext/prior.hpp"
 #include "tauext/sample_clock.hpp"
 #include "tauext/tree.hpp"
 #include "tauext/types.hpp"
@@ -29,34 +31,46 @@ struct RecordingView {
   const double* tau = nullptr;
 };
 
-// Clock, dynamics and observer together, one sample at a time.
+// Clock, dynamics, observer, presliding states and prior together, one sample at a time.
 class ResidualStage {
  public:
-  ResidualStage(const Tree& tree, const ObserverSettings& settings);
+  // Throws Error where the settings do not fit.
+  ResidualStage(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior);
 
-  // residual [N m] is written; where the tick says restart, the observer began anew with this sample.
+  // residual, prior and the prior's doubt [N m] are written; where the tick says restart, all began anew with this sample.
   SampleClock::Tick step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
-                         std::span<const double> tau, std::span<double> residual) noexcept;
-  bool warm() const noexcept { return state_.observer.warm(); }
+                         std::span<const double> tau, std::span<double> residual, std::span<double> prior,
+                         std::span<double> doubt) noexcept;
+  const Presliding& presliding() const noexcept { return presliding_; }
+  bool warm() const noexcept { return observer_.warm(); }
   // The next sample starts anew, whenever it comes.
-  void reset() noexcept { state_.clock.reset(); }
+  void reset() noexcept { clock_.reset(); }
 
   struct State {
     SampleClock clock;
     MomentumObserver observer;
+    Presliding::State presliding;
+    Prior::State prior;
   };
-  const State& state() const noexcept { return state_; }
-  void restore(const State& state) noexcept { state_ = state; }
+  State state() const noexcept { return {clock_, observer_, presliding_.state(), prior_.state()}; }
+  void restore(const State& state) noexcept;
 
  private:
   Tree tree_;
-  State state_;
+  SampleClock clock_;
+  MomentumObserver observer_;
+  Presliding presliding_;
+  Prior prior_;
+  bool has_prior_;
 };
 
 // The residual of a whole recording, and where each sample stands on the regular clock. Row numbers run through the
 // recording; bridged ticks have rows of their own, a restart begins a new stretch at the next row.
 struct Observation {
   std::vector<double> residual;             // (samples, joints), [N m]
+  std::vector<double> prior;                // (samples, joints), [N m]; empty where there is none
+  std::vector<double> doubt;                // (samples, joints), [N m]: how far the truth may lie from it; likewise
+  std::vector<float> presliding;            // (samples, joints x widths), in [-1, 1]
   std::vector<std::int64_t> row;            // (samples)
   std::vector<std::int64_t> stretch_begin;  // (samples): first row of the stretch that the sample stands in
   std::vector<std::uint8_t> warm;           // (samples): 10/K0 after the stretch began
@@ -66,10 +80,16 @@ struct Observation {
 };
 
 // Throws Error where times do not increase or the joints differ.
-Observation observe(const Tree& tree, const ObserverSettings& settings, const RecordingView& recording);
+Observation observe(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior,
+                    const RecordingView& recording);
 
-// Rows of features on the regular clock: q_1..q_n, dq_1..dq_n, each times its factor, in float;
-// (row_count, 2 joints). Bridged ticks hold the sample before.
+// The terms of a prior passed through the observer's filter one by one, for the fit: (rows, terms), one row for each of
+// `samples`, which rise. The same filter as Prior's: their weighted sum is the prior.
+std::vector<double> prior_regressors(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior,
+                                     const RecordingView& recording, std::span<const std::int64_t> samples);
+
+// Rows of features on the regular clock: q_1..q_n, dq_1..dq_n and the presliding states, each times its factor, in
+// float; (row_count, 2 joints + joints x widths). Bridged ticks hold the sample before.
 std::vector<float> feature_rows(const RecordingView& recording, const Observation& observation,
                                 std::span<const float> factors);
 

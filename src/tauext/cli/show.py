@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from tauext.errors import ConfigError
+
+if TYPE_CHECKING:
+    from tauext._core import Bundle
 
 
 def show(file: tyro.conf.Positional[Path], as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> None:
@@ -79,6 +82,45 @@ def describe_bundle(file: Path) -> dict:
             "parameters": bundle.shape.parameter_count,
             "window": f"{bundle.window_steps} steps of {network_period_s * 1e3:g} ms",
         }
+    if bundle.prior.terms:
+        if not bundle.has_network:
+            content["network"] = "none: observer and prior"
+        content |= describe_prior(bundle, facts)
+    for joint, reason in facts.get("gate", {}).items():
+        content[f"network of {joint}"] = reason
+    if "limits" in facts:
+        content["limits promise"] = facts["limits"]["sentence"]
+        content["limits were set for"] = (
+            f"{facts['limits']['set_for']}, hold time {facts['limits']['hold_s'] * 1e3:g} ms"
+        )
+    return content
+
+
+def describe_prior(bundle: Bundle, facts: dict) -> dict:
+    """What was fitted, as an engineer would compare it with a data sheet."""
+    content: dict = {
+        "prior": {
+            "terms": len(bundle.prior.terms),
+            "presliding widths [mrad]": [1e3 * w for w in bundle.prior.widths_rad],
+        }
+    }
+    fitted = facts.get("prior", {})
+    for joint, friction in fitted.get("friction", {}).items():
+        words = [
+            f"Coulomb {friction['coulomb_nm']:.3g} Nm",
+            f"viscous {friction['viscous_nm_s_rad']:.3g} Nm s/rad",
+            f"constant {friction['constant_nm']:.2g} Nm",
+            *(f"ripple {r['amplitude_nm']:.2g} Nm, {r['cycles_a_turn']} cycles a turn" for r in friction["ripple"]),
+        ]
+        if friction["not_supported"]:
+            words.append(f"not supported by the data: {', '.join(friction['not_supported'])}")
+        content[f"friction of {joint}"] = "; ".join(words)
+    for joint, corrections in fitted.get("model", {}).items():
+        told = {name: value for name, value in corrections.items() if isinstance(value, dict)}
+        words = [f"{name} {value['by']:+.3g} ± {value['standard_error']:.1g}" for name, value in told.items()]
+        left = [name.split(" ")[0] for name in corrections if name not in told]
+        words.append(f"not supported by the data: {', '.join(left)}")
+        content[f"model error of {joint}"] = "; ".join(words)
     return content
 
 

@@ -7,7 +7,14 @@ from pathlib import Path
 from tauext.config import require
 
 
-def simulate(out: Path, minutes: float = 90.0, collision_recordings: int = 10, seed: int = 0) -> None:
+def simulate(
+    out: Path,
+    minutes: float = 90.0,
+    collision_recordings: int = 10,
+    seed: int = 0,
+    calibration_hours: float = 0.0,
+    test_hours: float = 0.0,
+) -> None:
     """Simulate the paper's rig: free motion and collisions, recorded at 1 kHz.
 
     Args:
@@ -15,11 +22,15 @@ def simulate(out: Path, minutes: float = 90.0, collision_recordings: int = 10, s
         minutes: free motion in all, cut in recordings of at most 90 s, at least 20 of them.
         collision_recordings: recordings with about ten collisions each.
         seed: of motions, noise and collisions.
+        calibration_hours: free motion beside the minutes, for limits alone: 24 support a promise of 1 false alarm in 8.
+        test_hours: more free motion to test on.
     """
     from tauext.cli.progress import ProgressBar
     from tauext.rig import RigConfig, simulate_dataset
 
     require(minutes > 0, "minutes", minutes, "> 0")
+    require(calibration_hours >= 0, "calibration_hours", calibration_hours, ">= 0")
+    require(test_hours >= 0, "test_hours", test_hours, ">= 0")
     require(collision_recordings >= 0, "collision_recordings", collision_recordings, ">= 0")
     with ProgressBar("simulate") as bar:
         simulate_dataset(
@@ -29,5 +40,7 @@ def simulate(out: Path, minutes: float = 90.0, collision_recordings: int = 10, s
             minutes,
             collision_recordings,
             lambda what, done, total: bar.update(done, total, what),
+            calibration_hours,
+            test_hours,
         )
     print(out)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,6 +17,7 @@ from tauext.errors import ConfigError
 
 if TYPE_CHECKING:
     from tauext._core import Tree
+    from tauext.cli.progress import ProgressBar
     from tauext.data import Recording
 
 CaseName = Literal["exact", "mass", "com", "mass+com", "none"]
@@ -42,7 +45,8 @@ def train(
     training, validation = dataset.recordings("train"), dataset.recordings("validation")
     robot_file = dataset.robot_file(robot)
     tree = estimated_model(robot_file, training[0], PAPER_CASES[case])
-    train_bundle(tree, robot_file, PAPER_CASES[case], training, validation, config, out)
+    calibration = dataset.loaders("calibration")
+    train_bundle(tree, robot_file, PAPER_CASES[case], training, validation, config, out, calibration)
     print(out)
 
 
@@ -62,23 +66,39 @@ def train_bundle(
     validation: list[Recording],
     config: TrainConfig,
     out: Path,
+    calibration: Sequence[Callable[[], Recording]] = (),
 ) -> None:
     """Train, calibrate and write the bundle, with its run file and wall time beside it."""
     import os
 
-    from tauext.calibrate import paper_limits, set_limits
+    from tauext.calibrate import apply_promised, paper_limits, promised_limits, set_limits
     from tauext.cli.progress import ProgressBar
     from tauext.cli.run_files import provenance, write_json
-    from tauext.learn import Progress, build_chain, build_windows, find_scaling, make_bundle, set_signal_ranges
+    from tauext.learn import (
+        Progress,
+        apply_gate,
+        build_chain,
+        build_windows,
+        find_scaling,
+        fit_prior,
+        make_bundle,
+        set_signal_ranges,
+        with_presliding,
+    )
     from tauext.learn import train as train_network
+    from tauext.learn.prior_facts import prior_facts, region_width
     from tauext.robot import torque_limits
 
     out.parent.mkdir(parents=True, exist_ok=True)
     run = provenance("tauext train", training_settings(case, config), config.seed)
     run["recordings"] = {"train": [r.name for r in training], "validation": [r.name for r in validation]}
     chain = build_chain(tree, training[0], config.observer)
-    scaling = network = None
-    if config.recipe != "observer":
+    threads = config.threads or os.cpu_count() or 1
+    scaling = network = fit = None
+    if config.recipe in ("prior", "tauext"):
+        fit = fit_prior(with_presliding(chain, config.prior.widths_rad), training, config.prior)
+        chain = replace(chain, prior=fit.settings)
+    if config.recipe in ("paper", "dense", "tauext"):
         scaling = find_scaling(chain, training)
         with ProgressBar(f"train {out.stem}") as bar:
 
@@ -95,13 +115,27 @@ def train_bundle(
                 report=show,
             )
     bundle = make_bundle(out.stem, chain, config.observer.near_stiction_rad_s, validation[0], scaling, network)
-    limits = paper_limits(bundle, validation, config.threads or os.cpu_count() or 1)
-    set_limits(bundle, limits, config.alarm)
+    if fit is not None:
+        bundle.region_width = region_width(config.prior)
+    learned: dict = {} if fit is None else {"prior": prior_facts(fit, training[0].joints)}
+    if config.recipe == "tauext":
+        gate = apply_gate(bundle, validation, config.gate_margin, threads)
+        learned["gate"] = {link.joint_name: gate.reason(j, config.gate_margin) for j, link in enumerate(tree.links)}
+    if promises(config, calibration):
+        with ProgressBar(f"calibrate {out.stem}") as bar:
+            shown = shown_one_by_one(calibration, bar)
+            promised = promised_limits(bundle, shown, config.alarm, threads)
+        apply_promised(bundle, promised, config.alarm)
+        learned["limits"] = promised.facts()
+        print(promised.sentence(), file=sys.stderr)
+    else:
+        set_limits(bundle, paper_limits(bundle, validation, threads), config.alarm)
     set_signal_ranges(bundle, training, torque_limits(robot, training[0].joints))
     resolved = config.resolved()
     facts = {"recipe": config.recipe, "case": case.name, "epochs": resolved.epochs, "batch": resolved.batch}
     facts["steps"] = network.steps if network else 0
     facts["robot_sha256"] = training[0].robot_sha256
+    facts |= learned
     bundle.provenance = json.dumps(facts | run, sort_keys=True)
     history = [list(entry) for entry in network.history] if network else []
     write_json(facts | run | {"loss_history": history}, out.with_suffix(".run.json"))
@@ -109,13 +143,47 @@ def train_bundle(
     bundle.save(str(out))
 
 
+def promises(config: TrainConfig, calibration: Sequence[object]) -> bool:
+    """Whether limits are to follow from a budget of false alarms.
+
+    Raises:
+        ConfigError: they shall, and there is nothing to find them on.
+    """
+    if config.limits == "promised" and not calibration:
+        raise ConfigError(
+            "limits = promised needs calibration recordings, which the dataset has none of; "
+            "`tauext simulate --calibration-hours 24` makes some"
+        )
+    auto = bool(calibration) and config.recipe not in ("paper", "dense")
+    return config.limits == "promised" or (config.limits == "auto" and auto)
+
+
+def shown_one_by_one(loaders: Sequence[Callable[[], Recording]], bar: ProgressBar) -> Callable[[], Iterator[Recording]]:
+    """Loads one recording after the other and moves the bar."""
+
+    def load_all() -> Iterator[Recording]:
+        for done, load in enumerate(loaders, start=1):
+            yield load()
+            bar.update(done, len(loaders), "recordings")
+
+    return load_all
+
+
 def training_settings(case: ModelCase, config: TrainConfig) -> dict:
     """What the trained bundle depends on beside the data; not the number of threads."""
     plain = asdict(config.resolved())
-    unused = {"paper": ("threads", "targets"), "dense": ("threads", "epochs"), "observer": ("threads", "targets")}
+    network, sequences = ("prior", "gate_margin"), ("threads", "epochs")
+    unused = {
+        "tauext": sequences,
+        "prior": ("threads", "targets", "gate_margin"),
+        "paper": ("threads", "targets", *network),
+        "dense": (*sequences, *network),
+        "observer": ("threads", "targets", *network),
+    }
     if config.backend == "core":
         del plain["backend"]
-    return {"case": asdict(case), "config": {k: v for k, v in plain.items() if k not in unused[config.recipe]}}
+    settings = {"case": asdict(case), "config": {k: v for k, v in plain.items() if k not in unused[config.recipe]}}
+    return json.loads(json.dumps(settings))  # as a file gives them back: lists, no tuples
 
 
 def model_digest(tree: Tree) -> str:

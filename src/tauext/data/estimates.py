@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from tauext.errors import RecordingError
 
 WARMING_UP, OK, STALE, FAULT = range(4)  # health
+COLLISION = 2  # alarm
 
 
 @dataclass(frozen=True)
@@ -25,12 +26,13 @@ class Estimates:
     t_ns: np.ndarray  # (samples,) int64
     r: np.ndarray  # the observer
     network: np.ndarray  # NaN while warming up
-    tau_ext: np.ndarray  # r - network; NaN while warming up
+    tau_ext: np.ndarray  # r - prior - network; NaN while warming up
     limit: np.ndarray
     near_stiction: np.ndarray  # (samples, joints) bool: region of the limit
     health: np.ndarray  # (samples,) int8
     detection: np.ndarray  # (samples,) bool: healthy and some |tau_ext| over its limit
-    alarm: np.ndarray | None = None  # (samples,) int8: 0 none, 1 contact, 2 collision; of a monitor only
+    prior: np.ndarray | None = None  # (samples, joints); None where the bundle has none
+    alarm: np.ndarray | None = None  # (samples,) int8: 0 none, 1 contact, 2 collision; latched by a monitor
     causes: np.ndarray | None = None  # (samples,) uint32: bits, why health is not ok; of a monitor only
 
     @property
@@ -50,7 +52,8 @@ def save_estimates(estimates: Estimates, path: Path) -> None:
         RecordingError: the file cannot be written; what was written of it is removed.
     """
     columns: dict[str, np.ndarray] = {"t_ns": estimates.t_ns}
-    for signal in (*TORQUES, "near_stiction"):
+    torque_names = TORQUES if estimates.prior is None else (*TORQUES, "prior")
+    for signal in (*torque_names, "near_stiction"):
         values = getattr(estimates, signal)
         columns |= {f"{signal}_{joint}": np.ascontiguousarray(values[:, j]) for j, joint in enumerate(estimates.joints)}
     columns |= {"health": estimates.health, "detection": estimates.detection}
@@ -60,7 +63,7 @@ def save_estimates(estimates: Estimates, path: Path) -> None:
     table = pa.table(columns).replace_schema_metadata(
         {"tauext_estimates_format": "1", "joints": json.dumps(estimates.joints)}
     )
-    torques = [f"{signal}_{joint}" for signal in TORQUES for joint in estimates.joints]
+    torques = [f"{signal}_{joint}" for signal in torque_names for joint in estimates.joints]
     part = path.with_name(path.name + ".part")
     try:
         pq.write_table(
@@ -90,7 +93,8 @@ def load_estimates(path: Path) -> Estimates:
         column = {name: table.column(name).to_numpy() for name in table.column_names}
         signals = {
             signal: np.stack([column[f"{signal}_{joint}"] for joint in joints], axis=1)
-            for signal in (*TORQUES, "near_stiction")
+            for signal in (*TORQUES, "near_stiction", "prior")
+            if signal != "prior" or f"prior_{joints[0]}" in column
         }
         flags = {name: column[name] for name in ("health", "detection")}
         return Estimates(joints, column["t_ns"], **signals, **flags, **{name: column.get(name) for name in MONITORED})

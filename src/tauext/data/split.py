@@ -28,6 +28,8 @@ class Split:
     validation: tuple[str, ...]
     test: tuple[str, ...]
     collisions: tuple[str, ...] = ()
+    calibration: tuple[str, ...] = ()
+    """Free motion that only limits are found on; none: a dataset of the paper's kind."""
 
     def __post_init__(self) -> None:
         where: dict[str, str] = {}
@@ -44,6 +46,7 @@ class Split:
 
 
 PARTS = tuple(field.name for field in fields(Split))
+OPTIONAL = ("calibration",)
 
 
 def split_recordings(
@@ -111,6 +114,8 @@ def load_split(folder: Path | str) -> Split:
         found = content.get("format") if isinstance(content, dict) else None
         raise ConfigError(f"{path}: its format is {found!r}, this version reads {FORMAT}")
     for part in PARTS:
+        if part in OPTIONAL and part not in content:
+            content[part] = []
         if not isinstance(content.get(part), list):
             raise ConfigError(f"{path}: '{part}' must be a list of file names; the sets are {', '.join(PARTS)}")
     try:

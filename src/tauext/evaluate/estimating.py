@@ -24,10 +24,12 @@ def estimate(bundle: _core.Bundle, recording: Recording, threads: int) -> Estima
         r=said["r"].astype(np.float32),
         network=said["network"].astype(np.float32),
         tau_ext=said["tau_ext"].astype(np.float32),
+        prior=said["prior"].astype(np.float32) if bundle.prior.terms or bundle.prior.corrected_links else None,
         limit=said["limit_nm"].astype(np.float32),
         near_stiction=said["near_stiction"].astype(bool),
         health=np.where(said["healthy"].astype(bool), OK, WARMING_UP).astype(np.int8),
         detection=said["detection"].astype(bool),
+        alarm=said["alarm"].astype(np.int8),
     )
 
 

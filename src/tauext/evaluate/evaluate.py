@@ -55,7 +55,7 @@ def evaluate(
     for name in bundles:
         (estimates_dir / name).mkdir(parents=True, exist_ok=True)
     joints = [link.joint_name for link in next(iter(bundles.values())).links]
-    errors = {name: FreeMotionErrors(len(joints)) for name in bundles}
+    errors = {name: FreeMotionErrors(len(joints), bundle.near_stiction_rad_s) for name, bundle in bundles.items()}
     touches: list[Collision] = []
     verdicts: dict[str, list[dict]] = {name: [] for name in bundles}
     total = len(test) + len(collisions)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tauext.data import Recording
-from tauext.data.estimates import Estimates
+from tauext.data.estimates import COLLISION, Estimates
 
 FALSE_ALARM_QUIET_S = 0.5
 """Detections closer together than this are one false alarm."""
@@ -18,10 +18,15 @@ class FreeMotionErrors:
     """Sums over the healthy samples of test recordings, a joint each."""
 
     joints: int
+    near_stiction_rad_s: float = 0.02
+    """Of the paper's two regions, by which errors of all bundles are told apart, whatever their limits go by."""
     recordings: list[str] = field(default_factory=list)
     samples: int = 0
     seconds: float = 0.0
     false_alarms: int = 0
+    """Of single samples over a limit."""
+    false_collisions: int = 0
+    """That were held: what a monitor would have latched."""
 
     def __post_init__(self) -> None:
         zeros = np.zeros(self.joints)
@@ -32,7 +37,7 @@ class FreeMotionErrors:
         """Take in one recording of free motion."""
         healthy = estimates.healthy
         error = estimates.tau_ext[healthy].astype(float)
-        near = estimates.near_stiction[healthy]
+        near = np.abs(recording.dq[healthy]) < self.near_stiction_rad_s
         square = error**2
         self._l1 += np.abs(error).sum(axis=0)
         self._square += square.sum(axis=0)
@@ -42,7 +47,10 @@ class FreeMotionErrors:
         self.samples += int(healthy.sum())
         self.seconds += healthy.sum() / recording.rate_hz
         self.recordings.append(recording.name)
-        self.false_alarms += count_episodes(estimates.detection, round(FALSE_ALARM_QUIET_S * recording.rate_hz))
+        quiet = round(FALSE_ALARM_QUIET_S * recording.rate_hz)
+        self.false_alarms += count_episodes(estimates.detection, quiet)
+        if estimates.alarm is not None:
+            self.false_collisions += count_episodes(estimates.alarm == COLLISION, quiet)
 
     def summary(self) -> dict:
         """The entry `free_motion` of results.json."""
@@ -65,6 +73,7 @@ class FreeMotionErrors:
             "observer_peak_nm": numbers(self._largest_r),
             "false_alarms": self.false_alarms,
             "false_alarms_per_hour": self.false_alarms / hours if hours else None,
+            "false_collisions": self.false_collisions,
         }
 
 

@@ -1,19 +1,26 @@
 """From recordings of free motion to a network that knows what the observer shows when nothing touches the arm."""
 
-from tauext.learn.bundle_writing import build_chain, make_bundle, set_signal_ranges
+from tauext.learn.bundle_writing import build_chain, make_bundle, set_signal_ranges, with_presliding
+from tauext.learn.gate import Gate, apply_gate
+from tauext.learn.prior import PriorFit, fit_prior
 from tauext.learn.train import Progress, TrainedNetwork, train
 from tauext.learn.training_set import Chain, Scaling, WindowSet, build_windows, find_scaling
 
 __all__ = [
     "Chain",
+    "Gate",
+    "PriorFit",
     "Progress",
     "Scaling",
     "TrainedNetwork",
     "WindowSet",
+    "apply_gate",
     "build_chain",
     "build_windows",
     "find_scaling",
+    "fit_prior",
     "make_bundle",
     "set_signal_ranges",
     "train",
+    "with_presliding",
 ]

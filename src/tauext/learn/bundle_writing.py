@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,6 +38,13 @@ def build_chain(tree: _core.Tree, recording: Recording, config: ObserverConfig) 
     return Chain(tree, settings, config.window_steps(recording.rate_hz))
 
 
+def with_presliding(chain: Chain, widths_rad: Sequence[float]) -> Chain:
+    """The chain with presliding states of these widths, and no prior yet."""
+    prior = _core.PriorSettings()
+    prior.widths_rad = list(widths_rad)
+    return replace(chain, prior=prior)
+
+
 def make_bundle(
     name: str,
     chain: Chain,
@@ -61,6 +69,7 @@ def make_bundle(
     bundle.gravity = chain.tree.gravity
     bundle.observer = chain.observer
     bundle.window_steps = chain.window_steps
+    bundle.prior = chain.prior
     if network is not None and scaling is not None:
         bundle.shape = network.shape
         bundle.inputs = chain.inputs

@@ -135,4 +135,4 @@ class DenseRecipe:
 
 def make_recipe(chain: Chain, training: WindowSet, config: TrainConfig) -> Recipe:
     """The recipe that a resolved config names."""
-    return {"paper": PaperRecipe, "dense": DenseRecipe}[config.recipe](chain, training, config)
+    return {"paper": PaperRecipe, "dense": DenseRecipe, "tauext": DenseRecipe}[config.recipe](chain, training, config)

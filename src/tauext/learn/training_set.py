@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,17 +14,28 @@ from tauext.errors import TrainingError
 
 @dataclass(frozen=True)
 class Chain:
-    """The parts of the chain that stand before training: estimated model, observer and window."""
+    """The parts of the chain that stand before the network: estimated model, observer, window and prior."""
 
     tree: _core.Tree
     observer: _core.ObserverSettings
     window_steps: int
+    prior: _core.PriorSettings = field(default_factory=_core.PriorSettings)  # none: the paper's chain
+
+    @property
+    def widths_rad(self) -> list[float]:
+        """Of the presliding states."""
+        return self.prior.widths_rad
+
+    @property
+    def columns(self) -> int:
+        """Of the feature rows: q, dq and the presliding states of every joint."""
+        return self.tree.size * (2 + len(self.widths_rad))
 
     @property
     def inputs(self) -> list[tuple[int, int]]:
-        """(column, lag) of each network input: q(k), dq(k), dq(k-1) of all joints, as in the paper."""
+        """(column, lag) of each network input: q(k), dq(k) and the presliding states, then dq(k-1), as in the paper."""
         n = self.tree.size
-        return [(c, 0) for c in range(2 * n)] + [(c, 1) for c in range(n, 2 * n)]
+        return [(c, 0) for c in range(self.columns)] + [(c, 1) for c in range(n, 2 * n)]
 
     @property
     def reach(self) -> int:
@@ -36,7 +47,7 @@ class Chain:
 class Scaling:
     """Factors that bring inputs and outputs to magnitude 1 over the training recordings."""
 
-    input_factors: np.ndarray  # (2 n,) float32, 1/rad and s/rad
+    input_factors: np.ndarray  # (columns,) float32, 1/rad, s/rad; 1 for presliding states
     output_scale_nm: np.ndarray  # (n,) float64
 
 
@@ -44,8 +55,8 @@ class Scaling:
 class WindowSet:
     """Rows at the network period of several recordings one after the other, and the windows that may end in them."""
 
-    rows: np.ndarray  # (rows, 2 n) float32, scaled
-    target_rows: np.ndarray  # (rows, n) float32, scaled residual of the observer; NaN where a row has no target
+    rows: np.ndarray  # (rows, columns) float32, scaled
+    target_rows: np.ndarray  # (rows, n) float32, scaled: observer minus prior; NaN where a row has no target
     ends: np.ndarray  # (windows,) int64: the row that ends each window
     first_rows: np.ndarray  # (windows,) int64: the first row of the stretch that each window stands in
 
@@ -65,7 +76,7 @@ def find_scaling(chain: Chain, recordings: Sequence[Recording]) -> Scaling:
     low, high = np.full(n, np.inf), np.full(n, -np.inf)
     for recording in recordings:
         observation = _observe(chain, recording)
-        residual = observation.residual[observation.warm.astype(bool)]
+        residual = remainder(observation)[observation.warm.astype(bool)]
         largest = np.maximum(largest, np.abs(np.hstack([recording.q, recording.dq])).max(axis=0))
         if len(residual):
             low, high = np.minimum(low, residual.min(axis=0)), np.maximum(high, residual.max(axis=0))
@@ -81,6 +92,7 @@ def find_scaling(chain: Chain, recordings: Sequence[Recording]) -> Scaling:
                 "there is nothing to learn; is its torque recorded, and does the arm move?"
             )
     factors = 1.0 / np.where(largest > 0, largest, 1.0)
+    factors = np.r_[factors, np.ones(chain.columns - 2 * n)]
     return Scaling(factors.astype(np.float32), np.maximum(np.abs(low), np.abs(high)))
 
 
@@ -110,7 +122,7 @@ def build_windows(chain: Chain, scaling: Scaling, recordings: Sequence[Recording
         first = first_network_row[np.searchsorted(stretches, begin)]
         has_target = (phase == 0) & observation.warm.astype(bool)
         targets = np.full((len(network_rows), n), np.nan, dtype=np.float32)
-        targets[(first + steps)[has_target]] = observation.residual[has_target] / scaling.output_scale_nm
+        targets[(first + steps)[has_target]] = remainder(observation)[has_target] / scaling.output_scale_nm
         usable = has_target & (steps >= chain.reach)
         rows.append(features[network_rows])
         target_rows.append(targets)
@@ -129,5 +141,11 @@ def build_windows(chain: Chain, scaling: Scaling, recordings: Sequence[Recording
     return result
 
 
+def remainder(observation: _core.Observation) -> np.ndarray:
+    """What is left of r for the network: (samples, n), [N m]."""
+    return observation.residual - observation.prior if observation.prior.size else observation.residual
+
+
 def _observe(chain: Chain, recording: Recording) -> _core.Observation:
-    return _core.observe(chain.tree, chain.observer, recording.t_ns, recording.q, recording.dq, recording.tau)
+    signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+    return _core.observe(chain.tree, chain.observer, *signals, chain.prior)

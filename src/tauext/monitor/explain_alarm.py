@@ -44,10 +44,16 @@ def doubt(flight: Flight) -> str:
 
 
 def chain(flight: Flight, source: FlightSource) -> str:
-    """What observer and network said of the joint."""
+    """What observer, prior and network said of the joint."""
     event = flight["event"]
     j = event.alarm_joint
     residual, uncertainty = event.residual[j], event.uncertainty[j]
+    if source.has_prior:
+        network = uncertainty - event.prior[j]
+        said = f"the prior expected {event.prior[j]:+.3f} Nm of it in free motion"
+        said += f" and the network {network:+.3f} Nm more" if source.has_network else ""
+        left = f"what is left is tau_ext = {event.tau_ext[j]:+.3f} Nm"
+        return f"The observer said {residual:+.3f} Nm, {said}; {left}."
     if not source.has_network:
         return f"The observer said {residual:+.3f} Nm; the bundle has no network, so this is tau_ext."
     return (

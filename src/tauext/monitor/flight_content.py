@@ -36,6 +36,7 @@ class FlightSource:
     """Limits of a contact, a joint; those of a collision stand in the flight."""
     contact_near_stiction_nm: tuple[float, ...] = ()
     has_network: bool = True
+    has_prior: bool = False
 
     @classmethod
     def of(cls, bundle: _core.Bundle, recording: Recording) -> FlightSource:
@@ -52,6 +53,7 @@ class FlightSource:
             contact_sliding_nm=tuple(bundle.contact_sliding_limit_nm),
             contact_near_stiction_nm=tuple(bundle.contact_near_stiction_limit_nm),
             has_network=bundle.has_network,
+            has_prior=bool(bundle.prior.terms or bundle.prior.corrected_links),
         )
 
     def time_s(self, t_ns: int) -> float:
@@ -110,11 +112,14 @@ def as_recording(
 
 def as_estimates(flight: Flight, kept: np.ndarray, source: FlightSource) -> Estimates:
     """What the monitor said of the samples that are kept."""
-    torques = {"r": "residual", "network": "uncertainty", "tau_ext": "tau_ext", "limit": "limit_nm"}
+    torques = {"r": "residual", "tau_ext": "tau_ext", "limit": "limit_nm"}
+    prior = flight["prior"][kept]
     return Estimates(
         joints=source.joints,
         t_ns=flight["t_ns"][kept],
         **{name: flight[key][kept].astype(np.float32) for name, key in torques.items()},
+        network=(flight["uncertainty"][kept] - prior).astype(np.float32),
+        prior=prior.astype(np.float32) if source.has_prior else None,
         near_stiction=flight["near_stiction"][kept].astype(bool),
         health=flight["health"][kept].astype(np.int8),
         detection=flight["detection"][kept].astype(bool),

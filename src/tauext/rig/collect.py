@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -22,6 +22,8 @@ from tauext.rig.scene import Kind
 
 LEAST_RECORDINGS = 20
 """Of free motion: whole recordings are dealt to train, validation and test."""
+FIRST_CALIBRATION, FIRST_TEST = 1_000_000, 2_000_000
+"""Numbers of recordings of free motion that are not of the split: their random streams are their own."""
 LEAST_LENGTH_S = 3.0
 """Of a recording: the observer's warm-up and the network's window take the first 1.5 s."""
 
@@ -35,6 +37,8 @@ def simulate_dataset(
     minutes: float,
     collision_recordings: int,
     progress: Progress | None = None,
+    calibration_hours: float = 0.0,
+    test_hours: float = 0.0,
 ) -> None:
     """Write a dataset folder as docs/files.md describes it.
 
@@ -46,6 +50,8 @@ def simulate_dataset(
         minutes: free motion in all.
         collision_recordings: recordings with collisions, by pulses and by pads in turn.
         progress: called with what was just written, how many recordings are there, and how many there will be.
+        calibration_hours: free motion beside the `minutes`, for limits alone.
+        test_hours: more free motion to test on, beside that of the split.
 
     Raises:
         ConfigError: the folder holds another dataset, or recordings would be too short to be of use.
@@ -54,18 +60,31 @@ def simulate_dataset(
     kinds: list[Kind] = ["free"] * count + [("pulses", "pads")[k % 2] for k in range(collision_recordings)]
     names = [f"free-{k:03d}.parquet" for k in range(count)]
     names += [f"collisions-{k:03d}.parquet" for k in range(collision_recordings)]
+    more = {"calibration": calibration_hours, "test": test_hours}
+    more_names = {
+        part: [f"{part}-{k:04d}.parquet" for k in range(round(3600 * hours / config.recording_s))]
+        for part, hours in more.items()
+    }
+    numbers = {name: k for k, name in enumerate(names[:count])}
+    numbers |= {name: k for k, name in enumerate(names[count:])}
+    for part, first in (("calibration", FIRST_CALIBRATION), ("test", FIRST_TEST)):
+        numbers |= {name: first + k for k, name in enumerate(more_names[part])}
+        names += more_names[part]
+        kinds += ["free"] * len(more_names[part])
     robot = arm_xml(config)
     robot_sha256 = hashlib.sha256(robot.encode()).hexdigest()
     started = time.monotonic()
-    _claim(out_dir, _settings(config, seed, minutes, collision_recordings))
+    settings = {"minutes": minutes, "collision_recordings": collision_recordings}
+    settings |= {f"{part}_hours": hours for part, hours in more.items() if hours > 0}
+    _claim(out_dir, _settings(config, seed, settings))
     _write(out_dir / "robot.xml", robot)
 
     def make(k: int) -> str:
         path = out_dir / names[k]
         if path.exists():
             return kinds[k]
-        number, seconds = (k, length_s) if k < count else (k - count, config.collision_recording_s)
-        save(simulate_recording(config, kinds[k], seconds, seed, number, robot_sha256), path)
+        seconds = length_s if k < count else config.recording_s if kinds[k] == "free" else config.collision_recording_s
+        save(simulate_recording(config, kinds[k], seconds, seed, numbers[names[k]], robot_sha256), path)
         return kinds[k]
 
     pool = ThreadPoolExecutor(os.cpu_count())
@@ -76,8 +95,10 @@ def simulate_dataset(
                 progress("free motion" if kind == "free" else f"collisions by {kind}", done, len(names))
     finally:
         pool.shutdown(cancel_futures=True)
-    split = split_recordings(names[:count], seed, minimum=LEAST_RECORDINGS, collisions=names[count:])
-    save_split(split, out_dir)
+    collisions = names[count : count + collision_recordings]
+    split = split_recordings(names[:count], seed, minimum=LEAST_RECORDINGS, collisions=collisions)
+    more_test = (*split.test, *more_names["test"])
+    save_split(replace(split, test=more_test, calibration=tuple(more_names["calibration"])), out_dir)
     _write_json(out_dir / "wall_time_s.json", {"simulate": round(time.monotonic() - started, 3)})
 
 
@@ -93,9 +114,9 @@ def _cut(minutes: float, config: RigConfig) -> tuple[int, float]:
     return count, length_s
 
 
-def _settings(config: RigConfig, seed: int, minutes: float, collision_recordings: int) -> dict:
+def _settings(config: RigConfig, seed: int, settings: dict) -> dict:
     """What the recordings depend on, as plain JSON."""
-    settings = {"minutes": minutes, "collision_recordings": collision_recordings, "config": asdict(config)}
+    settings = settings | {"config": asdict(config)}
     return {
         "format": 1,
         "command": "simulate",

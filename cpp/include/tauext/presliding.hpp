@@ -1,0 +1,66 @@
+// Presliding states: what a joint's micro-motion since it last reversed tells of its static friction.
+#pragma once
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "tauext/types.hpp"
+
+namespace tauext {
+
+inline constexpr int kMaxWidths = 8;
+
+// A bank of stop operators (Maxwell-slip elements) on each joint's displacement, for widths w:
+//   z <- clip(z + (q_k - q_{k-1}), -w, w); the state is z / w, in [-1, 1].
+// It is -1 or 1 where the joint has slid on, and between them while it is still being bent. Where it begins is unknown:
+// the two ends of what is possible, -w and w at first, move alike until they meet, which they do as soon as the joint has
+// travelled 2 w; until then the state is their mean, and undetermined.
+// Steps are those of the sample rate: a bank is trained and run at one rate.
+class Presliding {
+ public:
+  struct State {
+    bool started = false;
+    JointVector q{};
+    std::array<double, kMaxJoints * kMaxWidths> low{}, high{};  // (joint, width), in widths
+  };
+
+  // widths [rad], 0 to kMaxWidths of them, > 0 and rising. Throws Error otherwise.
+  Presliding(int joints, std::span<const double> widths);
+
+  // Nothing is known any more: after a gap.
+  void reset() noexcept { state_.started = false; }
+  // One sample of finite positions.
+  void step(std::span<const double> q) noexcept;
+
+  int columns() const noexcept { return joints_ * width_count(); }
+  int width_count() const noexcept { return static_cast<int>(widths_.size()); }
+  // The state of a joint for a width.
+  double value(int joint, int width) const noexcept {
+    const std::size_t at = index(joint, width);
+    return 0.5 * (state_.low[at] + state_.high[at]);
+  }
+  // How far from value() the state may be: 0 once it is determined, 1 where nothing is known.
+  double doubt(int joint, int width) const noexcept {
+    const std::size_t at = index(joint, width);
+    return 0.5 * (state_.high[at] - state_.low[at]);
+  }
+  bool determined(int joint, int width) const noexcept {
+    const std::size_t at = index(joint, width);
+    return state_.low[at] == state_.high[at];
+  }
+  // All of them, in rows of one joint: columns() values.
+  void write(std::span<double> states) const noexcept;
+
+  const State& state() const noexcept { return state_; }
+  void restore(const State& state) noexcept { state_ = state; }
+
+ private:
+  std::size_t index(int joint, int width) const noexcept {
+    return static_cast<std::size_t>(joint) * widths_.size() + static_cast<std::size_t>(width);
+  }
+  int joints_;
+  std::vector<double> widths_;
+  State state_;
+};
+
+}  // namespace tauext

@@ -1,0 +1,89 @@
+// What r is in free motion as far as physics can say it: friction, load, gravity and errors of the model, linear in
+// coefficients that minutes of data determine.
+#pragma once
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "tauext/momentum_observer.hpp"
+#include "tauext/presliding.hpp"
+#include "tauext/tree.hpp"
+#include "tauext/types.hpp"
+
+namespace tauext {
+
+// A regressor. Joints are counted from 0; `speed` is a smoothing of the sign of a speed: tanh(dq / speed), [rad/s].
+// Those below `momentum` act as a torque, momentum as a generalised momentum of which the observer takes the derivative.
+enum class TermKind : std::uint8_t {
+  constant,    // 1
+  viscous,     // dq_a
+  coulomb,     // tanh(dq_a / speed)
+  presliding,  // state of joint a for width b
+  load,        // |beta_a| tanh(dq_a / speed): friction that grows with the load on the gear
+  load_presliding,  // |beta_a| times the state of joint a for width b
+  ripple,      // of motor and gear, b cycles a turn: form 0 sin(b q_a), 1 cos(b q_a)
+  gravity,     // form 0 sin a, 1 cos a, 2 sin a sin b, 3 sin a cos b, 4 cos a sin b, 5 cos a cos b
+  quadratic,   // dq_a dq_b times form 0 sin c, 1 cos c
+  momentum,    // dq_a times form 0 1, 1 cos b, 2 sin b
+};
+
+struct Term {
+  TermKind kind = TermKind::constant;
+  std::int32_t a = 0, b = 0, c = 0, form = 0;
+  double speed = 0;
+};
+
+struct PriorSettings {
+  std::vector<double> widths_rad;   // of the presliding states, also the network's
+  std::vector<Term> terms;          // empty: no prior
+  std::vector<double> weights;      // (joints, terms), [N m], [N m s] ... as the term asks
+  // The model as data corrected it, in the order of the bundle's links; empty: not corrected.
+  std::vector<Link> corrected_links;
+
+  bool empty() const noexcept { return terms.empty() && corrected_links.empty(); }
+  // Throws Error, naming what does not fit `joints`.
+  void validate(int joints) const;
+};
+
+// Evaluates terms and passes their weighted sum through the observer's own filter, so that it stands beside r:
+//   d_k = (P_k - P_{k-1})/dt + mean over the step of v,  a = exp(-K0 dt),  prior_k = a prior_{k-1} + (1 - a) d_k
+// with v the sum of the terms that act as torque and P of those that act as momentum; to both the corrected model adds
+// what the estimated one has too much: p - p_corrected and beta - beta_corrected.
+class Prior {
+ public:
+  struct State {
+    MomentumObserver filter, doubt_filter;
+  };
+
+  // Throws Error where the settings do not fit.
+  Prior(const PriorSettings& settings, const std::array<double, 3>& gravity, int joints, double gain_per_s);
+
+  void reset() noexcept {
+    state_.filter.reset();
+    state_.doubt_filter.reset();
+  }
+  // One sample: momentum and beta are those of the estimated model. Writes the prior of every joint, and how far the
+  // truth may lie from it because of presliding states that are not determined yet, both [N m].
+  void step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
+            std::span<const double> momentum, std::span<const double> beta, std::span<double> prior,
+            std::span<double> doubt) noexcept;
+
+  const State& state() const noexcept { return state_; }
+  void restore(const State& state) noexcept { state_ = state; }
+
+ private:
+  int joints_;
+  std::vector<Term> terms_;
+  std::vector<double> weights_;
+  std::optional<Tree> corrected_;
+  State state_;
+};
+
+// Value of a term at one sample; momentum terms give their momentum.
+double term_value(const Term& term, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
+                  std::span<const double> beta) noexcept;
+// How far from that the term may be while its presliding state is not determined.
+double term_doubt(const Term& term, const Presliding& presliding, std::span<const double> beta) noexcept;
+
+}  // namespace tauext

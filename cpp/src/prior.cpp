@@ -1,0 +1,108 @@
+#include "tauext/prior.hpp"
+
+#include <cmath>
+
+namespace tauext {
+namespace {
+constexpr int kMaxCycles = 10000;
+}
+
+void PriorSettings::validate(int joints) const {
+  const Presliding probe(joints, widths_rad);
+  const auto expect = [](bool ok, std::size_t term, const char* rule) {
+    if (!ok) throw Error("prior term " + std::to_string(term) + ": " + rule);
+  };
+  for (std::size_t m = 0; m < terms.size(); ++m) {
+    const Term& t = terms[m];
+    const auto joint = [joints](std::int32_t j) { return j >= 0 && j < joints; };
+    expect(t.kind <= TermKind::momentum, m, "its kind is unknown");
+    expect(joint(t.a), m, "joint a does not exist");
+    if (t.kind == TermKind::coulomb || t.kind == TermKind::load)
+      expect(t.speed > 0 && std::isfinite(t.speed), m, "its speed must be > 0");
+    if (t.kind == TermKind::presliding || t.kind == TermKind::load_presliding)
+      expect(t.b >= 0 && t.b < probe.width_count(), m, "its presliding width does not exist");
+    if (t.kind == TermKind::gravity || t.kind == TermKind::quadratic || t.kind == TermKind::momentum)
+      expect(joint(t.b), m, "joint b does not exist");
+    if (t.kind == TermKind::quadratic) expect(joint(t.c), m, "joint c does not exist");
+    if (t.kind == TermKind::ripple) expect(t.b >= 1 && t.b <= kMaxCycles, m, "its cycles a turn are not 1 to 10000");
+    const int forms = t.kind == TermKind::gravity    ? 6
+                      : t.kind == TermKind::momentum ? 3
+                      : t.kind == TermKind::quadratic || t.kind == TermKind::ripple ? 2
+                                                                                    : 1;
+    expect(t.form >= 0 && t.form < forms, m, "its form does not exist");
+  }
+  if (weights.size() != terms.size() * static_cast<std::size_t>(joints))
+    throw Error("prior.weights has " + std::to_string(weights.size()) + " values where " +
+                std::to_string(terms.size() * static_cast<std::size_t>(joints)) + " belong");
+  for (double weight : weights)
+    if (!std::isfinite(weight)) throw Error("prior.weights holds a value that is not finite");
+  if (!corrected_links.empty() && corrected_links.size() != static_cast<std::size_t>(joints))
+    throw Error("the prior's corrected model has " + std::to_string(corrected_links.size()) + " links where " +
+                std::to_string(joints) + " belong");
+}
+
+double term_value(const Term& t, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
+                  std::span<const double> beta) noexcept {
+  switch (t.kind) {
+    case TermKind::constant: return 1.0;
+    case TermKind::viscous: return dq[t.a];
+    case TermKind::coulomb: return std::tanh(dq[t.a] / t.speed);
+    case TermKind::presliding: return presliding.value(t.a, t.b);
+    case TermKind::load: return std::fabs(beta[t.a]) * std::tanh(dq[t.a] / t.speed);
+    case TermKind::load_presliding: return std::fabs(beta[t.a]) * presliding.value(t.a, t.b);
+    case TermKind::ripple: return t.form == 0 ? std::sin(t.b * q[t.a]) : std::cos(t.b * q[t.a]);
+    case TermKind::gravity: {
+      const double first = t.form == 0 || t.form == 2 || t.form == 3 ? std::sin(q[t.a]) : std::cos(q[t.a]);
+      if (t.form < 2) return first;
+      return first * (t.form == 2 || t.form == 4 ? std::sin(q[t.b]) : std::cos(q[t.b]));
+    }
+    case TermKind::quadratic: return dq[t.a] * dq[t.b] * (t.form == 0 ? std::sin(q[t.c]) : std::cos(q[t.c]));
+    case TermKind::momentum:
+      return dq[t.a] * (t.form == 0 ? 1.0 : t.form == 1 ? std::cos(q[t.b]) : std::sin(q[t.b]));
+  }
+  return 0.0;
+}
+
+double term_doubt(const Term& t, const Presliding& presliding, std::span<const double> beta) noexcept {
+  if (t.kind == TermKind::presliding) return presliding.doubt(t.a, t.b);
+  if (t.kind == TermKind::load_presliding) return std::fabs(beta[t.a]) * presliding.doubt(t.a, t.b);
+  return 0.0;
+}
+
+Prior::Prior(const PriorSettings& settings, const std::array<double, 3>& gravity, int joints, double gain_per_s)
+    : joints_(joints),
+      terms_(settings.terms),
+      weights_(settings.weights),
+      state_{MomentumObserver(joints, gain_per_s, TorqueTiming::held),
+             MomentumObserver(joints, gain_per_s, TorqueTiming::held)} {
+  settings.validate(joints);
+  if (!settings.corrected_links.empty()) corrected_.emplace(settings.corrected_links, gravity);
+}
+
+void Prior::step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
+                 std::span<const double> momentum, std::span<const double> beta, std::span<double> prior,
+                 std::span<double> doubt) noexcept {
+  const auto n = static_cast<std::size_t>(joints_);
+  JointVector p, v, unknown{};
+  constexpr JointVector zero{};
+  for (std::size_t i = 0; i < n; ++i) p[i] = v[i] = 0.0;
+  if (corrected_) {
+    corrected_->momentum(q, dq, std::span(p).first(n), std::span(v).first(n));
+    for (std::size_t i = 0; i < n; ++i) {
+      p[i] = momentum[i] - p[i];
+      v[i] = beta[i] - v[i];
+    }
+  }
+  for (std::size_t m = 0; m < terms_.size(); ++m) {
+    const double value = term_value(terms_[m], q, dq, presliding, beta);
+    JointVector& to = terms_[m].kind == TermKind::momentum ? p : v;
+    for (std::size_t i = 0; i < n; ++i) to[i] += weights_[i * terms_.size() + m] * value;
+    const double off = term_doubt(terms_[m], presliding, beta);
+    for (std::size_t i = 0; off > 0 && i < n; ++i) unknown[i] += std::fabs(weights_[i * terms_.size() + m]) * off;
+  }
+  // The filter is linear and never changes a sign, so that of a bound is the bound of what is filtered.
+  state_.filter.step(t_ns, std::span(p).first(n), std::span(v).first(n), std::span(zero).first(n), prior);
+  state_.doubt_filter.step(t_ns, std::span(zero).first(n), std::span(unknown).first(n), std::span(zero).first(n), doubt);
+}
+
+}  // namespace tauext

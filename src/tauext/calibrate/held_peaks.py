@@ -1,0 +1,233 @@
+r"""Peaks of the error in free motion, as an alarm with a hold time sees it.
+
+An alarm rises at sample k when |tau_ext| of a joint has been over its limit L without a break since a sample that is
+`hold_s` old or older. So it rises over L exactly where the held minimum does:
+
+.. math:: m(t_k) = \min_{s \le j \le k} |\tau_{ext}(t_j)|, \quad s = \max\{j : t_j \le t_k - hold\}, \qquad m(t_k) > L
+
+and m stands for |tau_ext| in everything that is said of limits. With no hold time m is |tau_ext| itself.
+
+A joint has one limit for sliding and one near stiction. A window with samples of both counts for both: an alarm there
+has every sample over its own limit, hence the window's minimum over the lower of the two. So the alarms of an arm are
+at most the sum of what is counted for its joints and regions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tauext import _core
+from tauext.data import Recording
+from tauext.errors import ConfigError, TrainingError
+
+REGIONS = ("sliding", "near_stiction")
+GAP_S = 0.5
+"""Alarms less than this apart are one false alarm, [s]."""
+KEEP = 4000
+"""Peaks that are kept of each joint and region: the largest. A tail is a twentieth of them at most."""
+
+
+def held_minimum(tau_abs: np.ndarray, healthy: np.ndarray, hold_samples: int | np.ndarray) -> np.ndarray:
+    """m of every sample: the least |tau_ext| of the last hold_samples + 1 samples, (samples,), [N m]; exact.
+
+    NaN where one of them is unhealthy or NaN, or would lie before the first: no alarm can rise there.
+
+    Args:
+        tau_abs: |tau_ext| of one joint, (samples,), [N m].
+        healthy: (samples,), bool.
+        hold_samples: one number for all samples, or one for each, (samples,), as `hold_lengths` gives.
+
+    Raises:
+        ConfigError: shapes that differ, or hold_samples < 0.
+    """
+    tau_abs, healthy, hold = np.asarray(tau_abs, dtype=float), np.asarray(healthy, dtype=bool), np.asarray(hold_samples)
+    if tau_abs.ndim != 1 or healthy.shape != tau_abs.shape or hold.shape not in ((), tau_abs.shape):
+        raise ConfigError(
+            f"held minimum: |tau_ext|, healthy and hold_samples have shapes {tau_abs.shape}, {healthy.shape} and "
+            f"{hold.shape}; they must be one and the same (samples,)"
+        )
+    if (hold < 0).any():
+        raise ConfigError(f"hold_samples = {hold.min()} must be >= 0")
+    least = np.full(len(tau_abs), -np.inf)
+    last = np.arange(len(tau_abs))
+    first = last - hold
+    whole = first >= 0
+    over = np.where(healthy & ~np.isnan(tau_abs), tau_abs, -np.inf)
+    least[whole] = _over_ranges(over, first[whole], last[whole], np.minimum)
+    return np.where(np.isneginf(least), np.nan, least)
+
+
+def hold_lengths(t_ns: np.ndarray, hold_s: float) -> np.ndarray:
+    """Samples back to the youngest that is hold_s old or older, (samples,), int64; k + 1, one too many, if none is.
+
+    From stamps and not from a rate, as in the alarm: where samples are missing, fewer of them fill the same time.
+
+    Args:
+        t_ns: sample times, increasing, (samples,), [ns].
+    """
+    return np.arange(1, len(t_ns) + 1) - np.searchsorted(t_ns, t_ns - round(hold_s * 1e9), side="right")
+
+
+def cluster_peaks(values: np.ndarray, times_s: np.ndarray, gap_s: float = GAP_S, floor: float = 0.0) -> np.ndarray:
+    """The largest value of each episode over a floor, (episodes,), in order of time. Over a limit: its false alarms.
+
+    An episode is a set of values > floor, each less than gap_s after the one before; NaN is never over the floor.
+
+    Args:
+        values: (samples,).
+        times_s: increasing, (samples,), [s].
+    """
+    at = np.flatnonzero(values > floor)
+    if len(at) == 0:
+        return np.zeros(0)
+    return np.maximum.reduceat(values[at], np.r_[0, 1 + np.flatnonzero(np.diff(times_s[at]) >= gap_s)])
+
+
+def separate_peaks(values: np.ndarray, t_ns: np.ndarray, gap_s: float = GAP_S, floor: float = 0.0) -> np.ndarray:
+    """Values > floor with none larger less than gap_s before or after, (peaks,), in order of time.
+
+    Of equal ones the first. Any two lie gap_s or more apart, and **over any level from the floor up there are at least
+    as many peaks as episodes**, because the largest value of each episode is a peak. The largest values of episodes
+    over a low floor are no substitute: one of those may be several alarms to a higher limit, which then would be
+    promised too few.
+
+    Args:
+        values: (samples,); NaN is no value.
+        t_ns: increasing, (samples,), [ns].
+    """
+    at = np.flatnonzero(values > floor)  # what is larger than a value over the floor is over it too
+    value, t, k, gap_ns = values[at], t_ns[at], np.arange(len(at)), round(gap_s * 1e9)
+    first, last = np.searchsorted(t, t - gap_ns, side="right"), np.searchsorted(t, t + gap_ns, side="left") - 1
+    is_peak = np.ones(len(at), dtype=bool)
+    some = first < k
+    is_peak[some] &= value[some] > _over_ranges(value, first[some], k[some] - 1, np.maximum)
+    some = last > k
+    is_peak[some] &= value[some] >= _over_ranges(value, k[some] + 1, last[some], np.maximum)
+    return value[is_peak]
+
+
+@dataclass(frozen=True, eq=False)
+class Peaks:
+    """Peaks of the held error in free motion, and the time in which they were seen."""
+
+    joints: tuple[str, ...]
+    hold_s: float
+    gap_s: float
+    hours: float
+    """Of healthy operation: what a budget of false alarms counts."""
+    region_hours: np.ndarray
+    """(joints, regions): how long a joint was in a region."""
+    nm: tuple[tuple[np.ndarray, ...], ...]
+    """[joint][region]: the largest peaks, falling, (peaks,), [N m]."""
+
+
+class PeakCollector:
+    """Takes in one recording after the other and keeps the largest peaks of every joint and region.
+
+    The floor under which peaks are left out is the least that is kept, once `keep` are there: what is kept at the end
+    are the largest of all recordings, in whatever order they came.
+
+    Raises:
+        ConfigError: a hold time outside 0 to 60 s, a gap not > 0 or keep < 1.
+    """
+
+    def __init__(self, joints: Sequence[str], hold_s: float, gap_s: float = GAP_S, keep: int = KEEP) -> None:
+        for ok, what, rule in (
+            (0 <= hold_s <= 60, f"hold_s = {hold_s}", "0 to 60"),
+            (gap_s > 0, f"gap_s = {gap_s}", "> 0"),
+            (keep >= 1, f"keep = {keep}", ">= 1"),
+        ):
+            if not ok:
+                raise ConfigError(f"{what} must be {rule}")
+        self._joints, self._hold_s, self._gap_s, self._keep = tuple(joints), hold_s, gap_s, keep
+        self._hours = 0.0
+        self._region_hours = np.zeros((len(self._joints), len(REGIONS)))
+        self._nm = [[np.zeros(0) for _ in REGIONS] for _ in self._joints]
+
+    def add(self, t_ns: np.ndarray, tau_ext: np.ndarray, near_stiction: np.ndarray, healthy: np.ndarray) -> None:
+        """Take in one recording of free motion; peaks of two recordings are separate however they follow.
+
+        Args:
+            t_ns: increasing, (samples,), [ns].
+            tau_ext: (samples, joints), [N m]; what it is while unhealthy does not matter.
+            near_stiction: (samples, joints), bool.
+            healthy: (samples,), bool.
+        """
+        healthy, near_stiction = np.asarray(healthy, dtype=bool), np.asarray(near_stiction, dtype=bool)
+        # A step counts where both its ends are healthy, so that warming up and long gaps do not.
+        step_h = np.where(healthy[1:] & healthy[:-1], np.diff(t_ns), 0) / 3.6e12
+        self._hours += float(step_h.sum())
+        hold = hold_lengths(t_ns, self._hold_s)
+        first = np.maximum(np.arange(len(t_ns)) - hold, 0)
+        for joint in range(len(self._joints)):
+            held = held_minimum(np.abs(tau_ext[:, joint]), healthy, hold)
+            near = near_stiction[:, joint]
+            for region, inside in enumerate((~near, near)):
+                self._region_hours[joint, region] += float(step_h @ inside[1:])
+                seen = np.r_[0, np.cumsum(inside)]
+                touched = seen[1:] > seen[first]
+                kept = self._nm[joint][region]
+                floor = kept[-1] if len(kept) == self._keep else 0.0
+                found = separate_peaks(np.where(touched, held, np.nan), t_ns, self._gap_s, float(floor))
+                self._nm[joint][region] = np.sort(np.r_[kept, found])[::-1][: self._keep]
+
+    def peaks(self) -> Peaks:
+        """What was found so far."""
+        nm = tuple(tuple(of_region.copy() for of_region in of_joint) for of_joint in self._nm)
+        return Peaks(self._joints, self._hold_s, self._gap_s, self._hours, self._region_hours.copy(), nm)
+
+
+def collect_peaks(
+    bundle: _core.Bundle,
+    recordings: Iterable[Recording],
+    holds_s: Sequence[float],
+    threads: int,
+    gap_s: float = GAP_S,
+    keep: int = KEEP,
+) -> tuple[Peaks, ...]:
+    """Run the bundle on recordings of free motion; the peaks for each hold time, in their order.
+
+    Recordings are taken one at a time: a generator that loads them needs the memory of one (and of the next while it
+    loads). They must fit the bundle, and be none that it was trained on.
+
+    Args:
+        threads: of the estimate, 0: one a core.
+
+    Raises:
+        TrainingError: a recording with contacts, or none with a healthy sample.
+        ConfigError: as PeakCollector.
+    """
+    collectors = [PeakCollector([link.joint_name for link in bundle.links], hold, gap_s, keep) for hold in holds_s]
+    for recording in recordings:
+        if recording.contact is not None and (recording.contact == 1).any():
+            raise TrainingError(f"{recording.name}: limits need free motion, and this recording holds contacts")
+        said = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads)
+        for collector in collectors:
+            # What the prior's doubt raises the limits by is no error that limits must stand.
+            error = np.maximum(np.abs(said["tau_ext"]) - said["doubt"], 0)
+            collector.add(recording.t_ns, error, said["near_stiction"], said["healthy"])
+        del said  # before the next recording is loaded
+    found = tuple(collector.peaks() for collector in collectors)
+    if any(peaks.hours == 0 for peaks in found):
+        raise TrainingError("no recording is long enough to warm up in; limits need healthy free motion")
+    return found
+
+
+def _over_ranges(values: np.ndarray, first: np.ndarray, last: np.ndarray, extreme: np.ufunc) -> np.ndarray:
+    """extreme(values[first..last]) for each pair of indices, first <= last, as two overlapping blocks of 2^p values.
+
+    Memory of one block size at a time; O(samples log of the longest range).
+    """
+    power = np.frexp(last - first + 1)[1] - 1
+    out = np.empty(len(first))
+    table = values  # table[i] = extreme(values[i .. i + 2^p - 1])
+    for p in range(int(power.max(initial=-1)) + 1):
+        if p:
+            half = 2 ** (p - 1)
+            table = extreme(table[:-half], table[half:])
+        now = power == p
+        out[now] = extreme(table[first[now]], table[last[now] - 2**p + 1])
+    return out

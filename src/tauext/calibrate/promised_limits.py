@@ -1,0 +1,136 @@
+"""Limits with a meaning: those that a budget of false alarms asks for, as far as the recordings can support it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tauext import _core
+from tauext.calibrate.held_peaks import REGIONS, Peaks, collect_peaks
+from tauext.calibrate.limits import Limits
+from tauext.calibrate.promise import FalseAlarmBudget, Promise, split
+from tauext.calibrate.tail import Tail, TooFewPeaks, fit_tail
+from tauext.config import AlarmConfig
+from tauext.data import Recording
+
+HARD_PUSH = 3.0
+"""Hold times are compared on a push of so many times the limit that no hold time at all would have."""
+
+
+@dataclass(frozen=True)
+class PromisedLimits:
+    """Limits of both levels, the hold time that belongs to them, and what they promise."""
+
+    collision: Limits
+    contact: Limits
+    hold_s: float
+    promise: Promise
+    budget: FalseAlarmBudget
+    """What the limits were set for: what was asked, or the smallest that the recordings support."""
+    tails: dict
+    """Facts of every fit, by joint and region."""
+
+    @property
+    def misfits(self) -> list[str]:
+        """Joints and regions whose tail is no generalised Pareto distribution: their limits are weakly founded."""
+        return [name for name, tail in self.tails.items() if not tail["fits"]]
+
+    def sentence(self) -> str:
+        """In words: what is promised, what the limits were set for, and what the data do not bear out."""
+        words = self.promise.sentence()
+        if not self.promise.is_supported:
+            words += f" The limits are set for {self.budget}."
+        if self.misfits:
+            words += (
+                f" The tail of {', '.join(self.misfits)} fits no known shape; its limit is a guess on the safe side."
+            )
+        return words
+
+    def facts(self) -> dict:
+        """All of it for JSON."""
+        return {
+            "sentence": self.sentence(),
+            "promise": self.promise.summary(),
+            "set_for": str(self.budget),
+            "hold_s": self.hold_s,
+            "tails": self.tails,
+        }
+
+
+def promised_limits(
+    bundle: _core.Bundle,
+    recordings: Callable[[], Iterable[Recording]],
+    alarm: AlarmConfig,
+    threads: int,
+) -> PromisedLimits:
+    """Limits from the tail of the error on calibration recordings, which nothing was trained or validated on.
+
+    The budget is split equally over joints and regions. Each limit is the level that peaks of the held error exceed at
+    most at its share of the rate, with the confidence of the promise. A longer hold time lowers the limits and delays
+    every alarm; the one is taken that finds a hard push first: behind an observer that reaches S (1 - exp(-K0 t)),
+
+        t = -ln(1 - limit(hold) / S) / K0 + hold,     S = HARD_PUSH limit(0)
+
+    on the mean over joints in the sliding region. Where the recordings are too short for the budget, the limits are set
+    for the smallest budget that they support, and the promise says how much is missing.
+
+    Args:
+        recordings: loads them one at a time; called once.
+
+    Raises:
+        TrainingError: recordings with contacts, or too few peaks to say anything.
+    """
+    n = bundle.joints
+    found = collect_peaks(bundle, recordings(), alarm.holds_s, threads)
+    asked = FalseAlarmBudget(alarm.false_alarms, alarm.in_hours)
+    promise = Promise(asked, found[0].hours, streams=n * len(REGIONS), confidence=alarm.confidence)
+    budget = asked if promise.is_supported else promise.supported
+    contact_budget = FalseAlarmBudget(alarm.contacts_an_hour, 1.0)
+    choices = [_limits(peaks, budget, alarm.confidence) for peaks in found]
+    first = choices[0][0].sliding_nm
+
+    def delay_s(choice: int) -> float:
+        share = np.minimum(choices[choice][0].sliding_nm / (HARD_PUSH * first), 0.999)
+        return float(np.mean(-np.log1p(-share)) / bundle.observer.gain_per_s + alarm.holds_s[choice])
+
+    best = min(range(len(found)), key=delay_s)
+    limits, tails = choices[best]
+    held = next(k for k, hold in enumerate(alarm.holds_s) if hold >= alarm.contact_hold_s or k == len(found) - 1)
+    contact, _ = _limits(found[held], contact_budget, 0.5)
+    contact = Limits(
+        np.minimum(contact.sliding_nm, limits.sliding_nm), np.minimum(contact.near_stiction_nm, limits.near_stiction_nm)
+    )
+    return PromisedLimits(limits, contact, alarm.holds_s[best], promise, budget, tails)
+
+
+def _limits(peaks: Peaks, budget: FalseAlarmBudget, confidence: float) -> tuple[Limits, dict]:
+    n = len(peaks.joints)
+    shares = split(budget, n, len(REGIONS))
+    levels, facts = np.zeros((n, len(REGIONS))), {}
+    for j, joint in enumerate(peaks.joints):
+        for r, region in enumerate(REGIONS):
+            tail = _tail(peaks, j, r)
+            levels[j, r] = tail.upper_level(float(shares[j, r]), confidence)
+            facts[f"{joint} {region}"] = tail.summary() | {"limit_nm": float(levels[j, r])}
+    return Limits(levels[:, 0], np.maximum(levels[:, 1], levels[:, 0])), facts
+
+
+def _tail(peaks: Peaks, joint: int, region: int) -> Tail:
+    """Of a region that a joint hardly enters too little is known: it takes the tail of both regions together."""
+    try:
+        return fit_tail(peaks.nm[joint][region], peaks.hours)
+    except TooFewPeaks:
+        return fit_tail(np.sort(np.concatenate(peaks.nm[joint]))[::-1], peaks.hours)
+
+
+def apply_promised(bundle: _core.Bundle, found: PromisedLimits, alarm: AlarmConfig) -> None:
+    """Put limits and hold times into a bundle."""
+    bundle.sliding_limit_nm = found.collision.sliding_nm.tolist()
+    bundle.near_stiction_limit_nm = found.collision.near_stiction_nm.tolist()
+    bundle.hold_s = found.hold_s
+    bundle.contact_sliding_limit_nm = found.contact.sliding_nm.tolist()
+    bundle.contact_near_stiction_limit_nm = found.contact.near_stiction_nm.tolist()
+    bundle.contact_hold_s = min(alarm.contact_hold_s, found.hold_s)
+    bundle.contact_release_s = alarm.contact_release_s

@@ -1,0 +1,340 @@
+"""The prior: what friction and model error show in r, fitted by ridge regression on filtered regressors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, combinations_with_replacement
+
+import numpy as np
+
+from tauext import _core
+from tauext.config import PriorConfig
+from tauext.data import Recording
+from tauext.errors import TrainingError
+from tauext.learn.training_set import Chain
+from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
+
+Kind = _core.TermKind
+RIDGES = 10.0 ** np.arange(-7, 2.0)
+FOLDS = 5
+ROTOR = PARAMETERS.index("rotor")
+LEAST_RMS = 1e-9  # a regressor that never exceeds it was not excited
+MOST_CYCLES = 400
+RIPPLE_DATA_S = 300.0  # so much motion is enough to find a ripple, and it takes a while
+RIPPLE_SHARE, RIPPLE_OUTSTANDS = 0.03, 5.0
+
+
+@dataclass(frozen=True)
+class PriorFit:
+    """A fitted prior and how well the data determine it."""
+
+    settings: _core.PriorSettings
+    ridge: float
+    error_nm: np.ndarray  # (n,) RMSE on recordings left out of the fit
+    weights: np.ndarray  # (n, terms)
+    standard_errors: np.ndarray  # (n, terms), over recordings
+    determined: np.ndarray  # (n, terms): 1: by the data alone, 0: by the ridge alone
+    corrections: np.ndarray  # (n, 11) of PARAMETERS; empty without a model
+    correction_errors: np.ndarray
+    corrections_determined: np.ndarray
+
+
+def own_terms(chain: Chain, config: PriorConfig, joint: int, ripple: Sequence[int]) -> list[_core.Term]:
+    """Friction and ripple of one joint: what it does alone."""
+    terms = [_core.Term(Kind.constant, joint), _core.Term(Kind.viscous, joint)]
+    terms += [_core.Term(Kind.coulomb, joint, speed=speed) for speed in config.coulomb_speeds_rad_s]
+    terms += [_core.Term(Kind.presliding, joint, b=width) for width in range(len(chain.widths_rad))]
+    if has_model(chain):
+        terms.append(_core.Term(Kind.load, joint, speed=config.coulomb_speeds_rad_s[0]))
+        if chain.widths_rad:
+            terms.append(_core.Term(Kind.load_presliding, joint, b=len(chain.widths_rad) // 2))
+    return terms + [_core.Term(Kind.ripple, joint, b=cycles, form=form) for cycles in ripple for form in (0, 1)]
+
+
+def shared_terms(chain: Chain) -> list[_core.Term]:
+    """Without a model: gravity and inertia from sines and cosines of single joints and pairs, for every joint."""
+    if has_model(chain):
+        return []
+    joints = range(chain.tree.size)
+    terms = [_core.Term(Kind.gravity, j, j, form=form) for j in joints for form in (0, 1)]
+    terms += [_core.Term(Kind.gravity, a, b, form=form) for a, b in combinations(joints, 2) for form in (2, 3, 4, 5)]
+    terms += [_core.Term(Kind.momentum, j, j, form=0) for j in joints]
+    terms += [_core.Term(Kind.momentum, a, b, form=form) for a in joints for b in near(a, joints) for form in (1, 2)]
+    terms += [
+        _core.Term(Kind.quadratic, a, b, c, form)
+        for a, b in combinations_with_replacement(joints, 2)
+        if b - a <= 1
+        for c in near(a, joints)
+        for form in (0, 1)
+    ]
+    return terms
+
+
+def near(joint: int, joints: range) -> list[int]:
+    """A joint and its neighbours, whose angles its inertia depends on most; all of them in a short arm."""
+    return [other for other in joints if len(joints) <= 3 or abs(other - joint) <= 1]
+
+
+def has_model(chain: Chain) -> bool:
+    return any(link.mass > 0 or link.rotor_inertia > 0 for link in chain.tree.links)
+
+
+@dataclass
+class _Problem:
+    """Normal equations of one part of the recordings; unknowns: own weights of each joint, then the shared ones."""
+
+    gram: np.ndarray
+    moment: np.ndarray
+    energy: np.ndarray  # (n,) sum of squares of each joint's target
+    rows: int
+
+    def __add__(self, other: _Problem) -> _Problem:
+        return _Problem(
+            self.gram + other.gram, self.moment + other.moment, self.energy + other.energy, self.rows + other.rows
+        )
+
+
+def fit_prior(chain: Chain, recordings: Sequence[Recording], config: PriorConfig) -> PriorFit:
+    """The prior of a chain whose prior holds nothing but presliding widths yet; ripple is searched for in what a first
+    fit leaves.
+
+    Raises:
+        TrainingError: no recording is longer than the observer's warm-up.
+    """
+    ripple: list[list[int]] = [[] for _ in range(chain.tree.size)]
+    for _ in range(config.most_ripples + 1):
+        fit = fit_terms(chain, recordings, config, ripple)
+        found = find_ripple(chain, recordings, fit, ripple) if len(ripple[0]) < config.most_ripples else []
+        if not any(found):
+            break
+        ripple = [known + new for known, new in zip(ripple, found, strict=True)]
+    return fit
+
+
+def find_ripple(
+    chain: Chain, recordings: Sequence[Recording], fit: PriorFit, known: Sequence[Sequence[int]]
+) -> list[list[int]]:
+    """For each joint the cycles a turn at which a ripple of motor and gear stands out of what a fit leaves.
+
+    Every whole number of cycles is tried: the share of the remainder's sum of squares that its sine and cosine,
+    filtered as the observer filters, explain by themselves. One counts that explains RIPPLE_SHARE of it and
+    RIPPLE_OUTSTANDS times as much as the median number.
+    """
+    n = chain.tree.size
+    explained, energy = np.zeros((n, MOST_CYCLES)), np.zeros(n)
+    moments, squares = np.zeros((n, MOST_CYCLES, 2)), np.zeros((n, MOST_CYCLES, 2))
+    looked_at_s = 0.0
+    for recording in recordings:
+        if looked_at_s >= RIPPLE_DATA_S:
+            break
+        looked_at_s += recording.duration_s
+        signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+        observation = _core.observe(chain.tree, chain.observer, *signals, fit.settings)
+        rows = np.flatnonzero(observation.warm.astype(bool))[:: chain.observer.network_stride].astype(np.int64)
+        left = (observation.residual - observation.prior)[rows]
+        energy += (left**2).sum(axis=0)
+        for joint in range(n):
+            settings = _core.PriorSettings()
+            settings.terms = [
+                _core.Term(Kind.ripple, joint, b=cycles, form=form)
+                for cycles in range(1, MOST_CYCLES + 1)
+                for form in (0, 1)
+            ]
+            settings.weights = [0.0] * (n * len(settings.terms))
+            values = _core.prior_regressors(chain.tree, chain.observer, settings, *signals, rows)
+            moments[joint] += (values.T @ left[:, joint]).reshape(-1, 2)
+            squares[joint] += (values**2).sum(axis=0).reshape(-1, 2)
+    explained = (moments**2 / np.maximum(squares, 1e-12)).sum(axis=2)
+    found = []
+    for joint in range(n):
+        best = int(np.argmax(explained[joint]))
+        stands_out = explained[joint, best] > RIPPLE_OUTSTANDS * np.median(explained[joint])
+        matters = explained[joint, best] > RIPPLE_SHARE * energy[joint]
+        found.append([best + 1] if stands_out and matters and best + 1 not in known[joint] else [])
+    return found
+
+
+def fit_terms(
+    chain: Chain, recordings: Sequence[Recording], config: PriorConfig, ripple: Sequence[Sequence[int]]
+) -> PriorFit:
+    """Ridge regression of r on regressors that went through the observer's filter.
+
+        minimise  sum_i |r_i - X_i w_i - Z_i theta|^2 / s_i^2 + lambda rows |(w, theta) scaled|^2
+
+    w_i: weights of joint i's own friction terms; theta: corrections of the model, common to all joints (without a
+    model: gravity and inertia terms, one set of weights a joint). Columns are scaled to unit RMS, s_i is the RMS of
+    r_i. lambda is chosen by cross-validation over recordings. A coefficient's standard error comes from leaving
+    out one part of the recordings after the other (jackknife).
+
+    Raises:
+        TrainingError: no recording is longer than the observer's warm-up.
+    """
+    n = chain.tree.size
+    own = [own_terms(chain, config, joint, ripple[joint]) for joint in range(n)]
+    shared = shared_terms(chain)
+    terms = [term for group in own for term in group] + shared
+    corrected = has_model(chain) and config.correct_model
+    warm_s = 10 / chain.observer.gain_per_s
+    usable = [recording for recording in recordings if recording.duration_s > warm_s + 1]
+    pieces = FOLDS if len(usable) < FOLDS else 1  # of each recording, so that there is something to leave out
+    parts = [
+        part
+        for recording in usable or recordings
+        for part in _problems(chain, recording, own, shared, terms, corrected, pieces)
+    ]
+    if not parts:
+        raise TrainingError("no training recording is longer than the observer's warm-up")
+    folds = [sum(parts[k::FOLDS][1:], start=parts[k]) for k in range(min(FOLDS, len(parts)))]
+    whole = sum(folds[1:], start=folds[0])
+    weight = 1 / np.maximum(whole.energy / whole.rows, 1e-12)
+    scale = np.sqrt(np.maximum(np.einsum("iaa,i->a", whole.gram, weight) / whole.rows, 0.0))
+    used, fixed = scale > LEAST_RMS, np.zeros(len(scale))
+
+    def solve(problem: _Problem, ridge: float) -> np.ndarray:
+        gram = np.einsum("iab,i->ab", problem.gram, weight)[np.ix_(used, used)] / np.outer(scale[used], scale[used])
+        known = np.einsum("iab,i,b->a", problem.gram, weight, fixed)
+        moment = (weight @ problem.moment - known)[used] / scale[used]
+        solution = fixed.copy()
+        solution[used] = np.linalg.solve(gram + ridge * problem.rows * np.eye(len(gram)), moment) / scale[used]
+        return solution
+
+    def squares(problem: _Problem, solution: np.ndarray) -> np.ndarray:
+        return (
+            problem.energy - 2 * problem.moment @ solution + np.einsum("iab,a,b->i", problem.gram, solution, solution)
+        )
+
+    def left_out(ridge: float) -> np.ndarray:
+        total = np.zeros(n)
+        for k, fold in enumerate(folds):
+            rest = [other for j, other in enumerate(folds) if j != k] or [fold]
+            total += squares(fold, solve(sum(rest[1:], start=rest[0]), ridge))
+        return np.maximum(total / whole.rows, 0.0)
+
+    while True:
+        errors = {ridge: left_out(ridge) for ridge in RIDGES}
+        ridge = float(min(errors, key=lambda one: float((errors[one] * weight).sum())))
+        solution = solve(whole, ridge)
+        impossible = _impossible(chain, solution, used) if corrected else []
+        if not impossible:
+            break
+        used[impossible] = False
+        fixed[[column for column in impossible if massless(chain, column, len(scale))]] = 1.0
+    leave_one = np.array([solve(_without(folds, k), ridge) for k in range(len(folds))])
+    spread = np.sqrt((len(folds) - 1) / len(folds) * ((leave_one - leave_one.mean(axis=0)) ** 2).sum(axis=0))
+    determined = np.zeros(len(scale))
+    gram = np.einsum("iab,i->ab", whole.gram, weight)[np.ix_(used, used)] / np.outer(scale[used], scale[used])
+    floor = ridge * whole.rows
+    determined[used] = 1 - floor * np.diag(np.linalg.inv(gram + floor * np.eye(len(gram))))
+    return _pack(chain, own, shared, terms, corrected, ridge, np.sqrt(errors[ridge]), solution, spread, determined)
+
+
+def _impossible(chain: Chain, solution: np.ndarray, used: np.ndarray) -> list[int]:
+    """Columns of corrections that would make a link that no link can be: they have to go, and the rest to be solved
+    anew. A mass that falls to zero or below keeps what the file says, or is 1 kg where the file says nothing: what it
+    adds shows in other parameters too, and they make up for it. A rotor inertia below zero keeps the file's."""
+    first, columns = len(solution) - len(PARAMETERS) * chain.tree.size, []
+    for k, link in enumerate(chain.tree.links):
+        at = first + len(PARAMETERS) * k
+        by = solution[at : at + len(PARAMETERS)]
+        if link.mass + by[0] <= 0 and used[at]:  # one that shows nowhere may be any
+            columns.append(at)
+        if link.rotor_inertia + by[ROTOR] < 0 and used[at + ROTOR]:
+            columns.append(at + ROTOR)
+    return [column for column in columns if used[column]]
+
+
+def massless(chain: Chain, column: int, columns: int) -> bool:
+    """Whether this column corrects the mass of a link that has none in the file."""
+    link, parameter = divmod(column - (columns - len(PARAMETERS) * chain.tree.size), len(PARAMETERS))
+    return parameter == 0 and chain.tree.links[link].mass == 0
+
+
+def _without(folds: list[_Problem], k: int) -> _Problem:
+    rest = [fold for j, fold in enumerate(folds) if j != k] or folds
+    return sum(rest[1:], start=rest[0])
+
+
+def _problems(chain, recording, own, shared, terms, corrected, pieces) -> list[_Problem]:
+    n = chain.tree.size
+    signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+    observation = _core.observe(chain.tree, chain.observer, *signals)
+    stride = chain.observer.network_stride
+    rows = np.flatnonzero(observation.warm.astype(bool))[::stride].astype(np.int64)
+    if len(rows) < 10:
+        return []
+    settings = _core.PriorSettings()
+    settings.widths_rad = chain.widths_rad
+    settings.terms = terms
+    settings.weights = [0.0] * (n * len(terms))
+    values = _core.prior_regressors(chain.tree, chain.observer, settings, *signals, rows)
+    ends = np.cumsum([len(group) for group in own])
+    per_joint = [values[:, end - len(group) : end] for group, end in zip(own, ends, strict=True)]
+    common = values[:, ends[-1] :]
+    model = _model_regressors(chain, recording, rows) if corrected else np.zeros((len(rows), n, 0))
+    width = ends[-1] + n * common.shape[1] + model.shape[2]
+    target = observation.residual[rows]
+    problems = []
+    for piece in np.array_split(np.arange(len(rows)), pieces):
+        gram, moment = np.zeros((n, width, width)), np.zeros((n, width))
+        for i in range(n):
+            X = np.zeros((len(piece), width))
+            X[:, ends[i] - len(own[i]) : ends[i]] = per_joint[i][piece]
+            at = ends[-1] + i * common.shape[1]
+            X[:, at : at + common.shape[1]] = common[piece]
+            X[:, width - model.shape[2] :] = model[piece, i]
+            gram[i], moment[i] = X.T @ X, X.T @ target[piece, i]
+        problems.append(_Problem(gram, moment, (target[piece] ** 2).sum(axis=0), len(piece)))
+    return problems
+
+
+def _model_regressors(chain: Chain, recording: Recording, rows: np.ndarray) -> np.ndarray:
+    """What a unit more of each link's inertial parameters in the *robot* takes from r: (rows, n, 11 n)."""
+    still = np.zeros_like(recording.tau)
+
+    def observed(tree: _core.Tree) -> np.ndarray:
+        said = _core.observe(tree, chain.observer, recording.t_ns, recording.q, recording.dq, still)
+        return said.residual[rows]
+
+    # r is linear in the parameters, so where the units are added does not matter; a first moment needs some mass.
+    links = chain.tree.links
+    starts = [inertial_parameters(link) for link in links]
+    for start in starts:
+        start[0] = start[0] or 1.0
+    started = [with_inertial_parameters(link, start) for link, start in zip(links, starts, strict=True)]
+    base = observed(_core.Tree(started, chain.tree.gravity))
+    columns = []
+    for k, link in enumerate(links):
+        for unit in np.eye(len(PARAMETERS)):
+            changed = list(started)
+            changed[k] = with_inertial_parameters(link, starts[k] + unit)
+            columns.append(base - observed(_core.Tree(changed, chain.tree.gravity)))
+    return np.stack(columns, axis=2)
+
+
+def _pack(chain, own, shared, terms, corrected, ridge, error, solution, spread, determined) -> PriorFit:
+    n = chain.tree.size
+    weights, errors, shares = np.zeros((3, n, len(terms)))
+    ends = np.cumsum([len(group) for group in own])
+    for to, values in ((weights, solution), (errors, spread), (shares, determined)):
+        for i in range(n):
+            to[i, ends[i] - len(own[i]) : ends[i]] = values[ends[i] - len(own[i]) : ends[i]]
+            at = ends[-1] + i * len(shared)
+            to[i, ends[-1] :] = values[at : at + len(shared)]
+    settings = _core.PriorSettings()
+    settings.widths_rad = chain.widths_rad
+    settings.terms = terms
+    settings.weights = weights.ravel().tolist()
+    corrections = correction_errors = correction_shares = np.zeros((n, 0))
+    if corrected:
+        corrections = solution[-len(PARAMETERS) * n :].reshape(n, len(PARAMETERS))
+        correction_errors = spread[-len(PARAMETERS) * n :].reshape(n, len(PARAMETERS))
+        correction_shares = determined[-len(PARAMETERS) * n :].reshape(n, len(PARAMETERS))
+        parameters = [inertial_parameters(link) + by for link, by in zip(chain.tree.links, corrections, strict=True)]
+        for p in parameters:
+            if p[0] <= 0 and np.any(p[1:ROTOR] != 0):
+                p[0] = 1.0  # it shows nowhere, and a first moment needs some
+        settings.corrected_links = [
+            with_inertial_parameters(link, p) for link, p in zip(chain.tree.links, parameters, strict=True)
+        ]
+    return PriorFit(settings, ridge, error, weights, errors, shares, corrections, correction_errors, correction_shares)

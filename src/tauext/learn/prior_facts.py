@@ -1,0 +1,86 @@
+"""A fitted prior in words that an engineer can check against a data sheet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tauext import _core
+from tauext.config import PriorConfig
+from tauext.learn.prior import PriorFit
+from tauext.robot.inertial import PARAMETERS
+
+Kind = _core.TermKind
+WELL_DETERMINED = 0.9  # share that the data, and not the ridge, determine
+STANDARD_ERRORS = 3.0  # between a value and zero
+UNITS = {"m": "kg", "h": "kg m", "I": "kg m2", "r": "kg m2"}
+
+
+def region_width(config: PriorConfig) -> int:
+    """Index of the width whose state tells sliding from near stiction; -1: there are no presliding states."""
+    wide = [k for k, width in enumerate(config.widths_rad) if width >= config.region_width_rad]
+    return wide[0] if wide else len(config.widths_rad) - 1
+
+
+def prior_facts(fit: PriorFit, joints: Sequence[str]) -> dict:
+    """Friction of every joint and implied errors of the model, as plain JSON; what the data cannot support says so.
+
+    Coulomb friction: what the terms that follow the sign of the motion add up to in steady sliding, with its sign
+    turned, since r shows minus the friction. A value is supported where the data determine it (and not the
+    ridge) and it differs from zero by some standard errors.
+    """
+    facts = {"ridge": fit.ridge, "error_nm": dict(zip(joints, fit.error_nm.tolist(), strict=True)), "friction": {}}
+    for j, name in enumerate(joints):
+        own = [m for m, term in enumerate(fit.settings.terms) if term.a == j and term.kind not in SHARED]
+        kinds = {kind: [m for m in own if fit.settings.terms[m].kind == kind] for kind in OWN}
+        sliding = kinds[Kind.coulomb] + kinds[Kind.presliding]
+        friction = {
+            "coulomb_nm": -float(fit.weights[j, sliding].sum()),
+            "viscous_nm_s_rad": -float(fit.weights[j, kinds[Kind.viscous]].sum()),
+            "constant_nm": -float(fit.weights[j, kinds[Kind.constant]].sum()),
+        }
+        cycles = sorted({fit.settings.terms[m].b for m in kinds[Kind.ripple]})
+        friction["ripple"] = [
+            {
+                "cycles_a_turn": c,
+                "amplitude_nm": math.hypot(*(fit.weights[j, m] for m in own if is_ripple(fit.settings.terms[m], c))),
+            }
+            for c in cycles
+        ]
+        unsupported = [m for m in kinds[Kind.viscous] + kinds[Kind.constant] if not supported(fit, j, m)]
+        friction["not_supported"] = [fit.settings.terms[m].kind.name for m in unsupported]
+        facts["friction"][name] = friction
+    if fit.corrections.size:
+        facts["model"] = {name: corrections(fit, j) for j, name in enumerate(joints)}
+    return facts
+
+
+SHARED = (Kind.gravity, Kind.quadratic, Kind.momentum)
+OWN = [
+    getattr(Kind, name)
+    for name in ("constant", "viscous", "coulomb", "presliding", "load", "load_presliding", "ripple")
+]
+
+
+def is_ripple(term: _core.Term, cycles: int) -> bool:
+    return term.kind == Kind.ripple and term.b == cycles
+
+
+def supported(fit: PriorFit, joint: int, term: int) -> bool:
+    """Whether the data determine this weight, and that it is not zero."""
+    weight, error = fit.weights[joint, term], fit.standard_errors[joint, term]
+    return bool(fit.determined[joint, term] > WELL_DETERMINED and abs(weight) > STANDARD_ERRORS * error)
+
+
+def corrections(fit: PriorFit, link: int) -> dict:
+    """How far each inertial parameter of a link lies from the robot file, where the data can tell."""
+    facts: dict = {}
+    for k, parameter in enumerate(PARAMETERS):
+        value, error = fit.corrections[link, k], fit.correction_errors[link, k]
+        told = fit.corrections_determined[link, k] > WELL_DETERMINED and np.isfinite(error)
+        facts[f"{parameter} [{UNITS[parameter[0]]}]"] = (
+            {"by": float(value), "standard_error": float(error)} if told else "not supported by the data"
+        )
+    return facts

@@ -1,0 +1,222 @@
+"""The held minimum and its peaks: against slow loops, the core's own alarm, and hand-made series."""
+
+import numpy as np
+import pytest
+from made_pushes import LIMIT_NM, pushed, watching_bundle
+
+from tauext import _core
+from tauext.calibrate import paper_limits
+from tauext.calibrate.held_peaks import (
+    PeakCollector,
+    cluster_peaks,
+    collect_peaks,
+    held_minimum,
+    hold_lengths,
+    separate_peaks,
+)
+from tauext.errors import ConfigError, TrainingError
+
+
+def slow_held_minimum(values, healthy, hold):
+    out = np.full(len(values), np.nan)
+    for k in range(len(values)):
+        first = k - hold[k]
+        if first >= 0 and healthy[first : k + 1].all() and not np.isnan(values[first : k + 1]).any():
+            out[k] = values[first : k + 1].min()
+    return out
+
+
+def noise(rng, samples, smooth=20):
+    """Rough series of half a second's memory at 40 Hz, >= 0, with ties: rounded to a tenth."""
+    return np.round(np.abs(np.convolve(rng.normal(size=samples + smooth), np.ones(smooth) / 4, "valid")[:samples]), 1)
+
+
+@pytest.mark.parametrize("hold", [0, 1, 2, 3, 7, 8, 10, 63, 64, 200, 1000])
+def test_held_minimum_equals_a_slow_loop(hold):
+    rng = np.random.default_rng(hold)
+    values, healthy = rng.exponential(size=700), rng.random(700) > 0.005
+    values[rng.integers(700, size=3)] = np.nan
+    slow = slow_held_minimum(values, healthy, np.full(700, hold))
+    np.testing.assert_array_equal(held_minimum(values, healthy, hold), slow)
+    varying = rng.integers(0, hold + 1, 700)
+    np.testing.assert_array_equal(held_minimum(values, healthy, varying), slow_held_minimum(values, healthy, varying))
+
+
+def test_a_hold_of_no_samples_gives_the_error_itself_where_it_is_healthy():
+    np.testing.assert_array_equal(held_minimum([3.0, 1.0, 2.0], [True, False, True], 0), [3.0, np.nan, 2.0])
+    assert len(held_minimum([], [], 5)) == 0
+
+
+def test_hold_lengths_follow_stamps_that_jitter_and_miss_samples():
+    rng = np.random.default_rng(1)
+    t_ns = np.cumsum(rng.integers(700_000, 1_300_000, 400))
+    t_ns[200:] += 6_000_000
+    for hold_s in (0.0, 0.001, 0.01, 0.5):
+        lengths = hold_lengths(t_ns, hold_s)
+        for k, length in enumerate(lengths):
+            old = np.flatnonzero(t_ns <= t_ns[k] - hold_s * 1e9)
+            assert k - length == (old[-1] if len(old) else -1)
+    regular = np.arange(50) * 1_000_000
+    assert (hold_lengths(regular, 0.01)[10:] == 10).all()
+
+
+@pytest.mark.parametrize("hold_s", [0.0, 0.005, 0.02])
+def test_the_held_minimum_is_over_a_limit_exactly_while_the_cores_alarm_stands(hold_s):
+    """With one limit and no release time, a contact stands at samples that are over it long enough, and no other."""
+    rng = np.random.default_rng(4)
+    tau = np.zeros((6000, 2))
+    tau[:, 0] = 12 * np.repeat(rng.normal(size=240), 25)
+    made = pushed(tau=tau)
+    keep = np.ones(made.samples, dtype=bool)
+    for start in rng.integers(1000, 5900, 60):
+        keep[start : start + rng.integers(1, 6)] = False  # bridged: the monitor's network period is ten samples
+    samples = [np.ascontiguousarray(signal[keep]) for signal in (made.t_ns, made.q, made.dq, made.tau)]
+    bundle = watching_bundle(network=False)
+    bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [1e6] * 2
+    bundle.contact_sliding_limit_nm = bundle.contact_near_stiction_limit_nm = [LIMIT_NM] * 2
+    bundle.contact_hold_s, bundle.contact_release_s = hold_s, 0.0
+    said = _core.Monitor(bundle).run(*samples)
+    healthy = np.isfinite(said["tau_ext"]).all(axis=1)
+    assert healthy.sum() > 5000
+    held = held_minimum(np.abs(said["tau_ext"][:, 0]), healthy, hold_lengths(samples[0], hold_s))
+    stands = said["alarm"] == 1
+    assert (np.diff(stands.astype(int)) == 1).sum() > 20
+    np.testing.assert_array_equal(held[healthy] > LIMIT_NM, stands[healthy])
+
+
+def test_an_alarm_with_two_limits_rises_only_where_the_minimum_of_a_touched_region_is_over_its_limit():
+    rng = np.random.default_rng(8)
+    hold, limits = 6, (3.0, 2.0)
+    for _ in range(20):
+        tau = noise(rng, 3000)
+        near = np.repeat(rng.random(300) < 0.5, 10)
+        run, alarms = 0, []
+        for k in range(3000):
+            run = run + 1 if tau[k] > limits[int(near[k])] else 0
+            if run > hold:
+                alarms.append(k)
+        held = held_minimum(tau, np.ones(3000, dtype=bool), hold)
+        touched = [np.array([flags[max(0, k - hold) : k + 1].any() for k in range(3000)]) for flags in (~near, near)]
+        counted = [touched[region] & (held > limits[region]) for region in range(2)]
+        assert (counted[0] | counted[1])[alarms].all()
+
+
+def test_episodes_on_a_hand_made_series():
+    times = np.array([0.0, 0.1, 0.2, 0.7, 1.3, 1.8, 5.0])
+    values = np.array([1.0, 3.0, 0.5, 2.0, 4.0, 1.5, np.nan])
+    # Over 0.9: 0.0, 0.1 | 0.7 (0.6 later) | 1.3 (0.6 later) | 1.8 (0.5 later, so not less than the gap apart).
+    np.testing.assert_array_equal(cluster_peaks(values, times, 0.5, 0.9), [3.0, 2.0, 4.0, 1.5])
+    # Over 0.4 also 0.2, which links 0.1 to 0.7; and 0.5 s are less than 0.55.
+    np.testing.assert_array_equal(cluster_peaks(values, times, 0.55, 0.4), [3.0, 4.0])
+    assert len(cluster_peaks(values, times, 0.5, 9.0)) == 0
+
+
+def test_separate_peaks_equal_a_slow_loop_and_lie_a_gap_apart():
+    rng = np.random.default_rng(2)
+    for seed in range(10):
+        t_ns = np.cumsum(rng.integers(20_000_000, 30_000_000, 1500))
+        values = noise(np.random.default_rng(seed), 1500)
+        values[rng.integers(1500, size=20)] = np.nan
+        floor = [0.0, 1.0][seed % 2]
+        slow = []
+        for k in np.flatnonzero(values > floor):
+            near = np.flatnonzero(np.abs(t_ns - t_ns[k]) < 500_000_000)
+            before, after = values[near[near < k]], values[near[near > k]]
+            if not (before >= values[k]).any() and not (after > values[k]).any():
+                slow.append(k)
+        np.testing.assert_array_equal(separate_peaks(values, t_ns, 0.5, floor), values[slow])
+        assert (np.diff(t_ns[slow]) >= 500_000_000).all()
+
+
+def test_over_every_level_there_are_at_least_as_many_separate_peaks_as_episodes():
+    rng = np.random.default_rng(3)
+    t_ns = np.arange(20_000) * 25_000_000
+    values = noise(rng, 20_000)
+    peaks = separate_peaks(values, t_ns)
+    low = cluster_peaks(values, t_ns * 1e-9, floor=0.0)
+    missed = False
+    for level in np.linspace(0, values.max(), 60)[:-1]:
+        episodes = len(cluster_peaks(values, t_ns * 1e-9, floor=level))
+        assert (peaks > level).sum() >= episodes
+        missed |= (low > level).sum() < episodes
+    assert missed  # what largest values of episodes over a low floor would do
+
+
+def parts(seed, count=6, samples=4000):
+    """Made estimates of two joints: (t_ns, tau_ext, near_stiction, healthy) a recording at 100 Hz."""
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        tau = np.stack([noise(rng, samples), noise(rng, samples)], axis=1) * rng.choice([-1, 1], (samples, 2))
+        healthy = np.arange(samples) >= 100
+        healthy[2000:2050] = False
+        near = np.repeat(rng.random((samples // 50, 2)) < 0.3, 50, axis=0)
+        yield np.arange(samples) * 10_000_000, tau, near, healthy
+
+
+def test_a_collector_keeps_the_largest_peaks_in_whatever_order_recordings_come():
+    collectors = [PeakCollector(["a", "b"], 0.02, keep=keep) for keep in (10**6, 25, 25)]
+    recordings = list(parts(5))
+    for recording, backwards in zip(recordings, reversed(recordings), strict=True):
+        collectors[0].add(*recording)
+        collectors[1].add(*recording)
+        collectors[2].add(*backwards)
+    every, some, again = (collector.peaks() for collector in collectors)
+    for joint in range(2):
+        for region in range(2):
+            assert len(every.nm[joint][region]) > 100
+            np.testing.assert_array_equal(some.nm[joint][region], every.nm[joint][region][:25])
+            np.testing.assert_array_equal(again.nm[joint][region], every.nm[joint][region][:25])
+
+
+def test_hours_are_those_of_healthy_steps_and_regions_share_them():
+    collector = PeakCollector(["a", "b"], 0.0)
+    for part in parts(6, count=2):
+        collector.add(*part)
+    peaks = collector.peaks()
+    # Of 4000 samples the first 100 are not healthy and 50 others: two runs of 1900 and 1950 samples.
+    assert peaks.hours == pytest.approx(2 * (1899 + 1949) * 0.01 / 3600, rel=1e-12)
+    np.testing.assert_allclose(peaks.region_hours.sum(axis=1), peaks.hours, rtol=1e-12)
+
+
+def test_a_window_with_samples_of_both_regions_counts_for_both():
+    tau = np.array([0, 0, 0, 5, 5, 5, 5, 0, 0, 0.0])[:, None]
+    near = np.array([0, 0, 0, 0, 0, 1, 1, 1, 1, 1], dtype=bool)[:, None]
+    collector = PeakCollector(["a"], 0.03)
+    collector.add(np.arange(10) * 10_000_000, tau, near, np.ones(10, dtype=bool))
+    assert [list(nm) for nm in collector.peaks().nm[0]] == [[5.0], [5.0]]
+
+
+def test_without_hold_the_largest_peaks_are_the_papers_limits():
+    bundle = watching_bundle()
+    recordings = [pushed(f"swing-{k}", pushes=((2.0 + k, 0, 3.0 + k), (3.5, 1, 2.0))) for k in range(3)]
+    held, peaks = collect_peaks(bundle, iter(recordings), holds_s=(0.01, 0.0), threads=1)
+    limits = paper_limits(bundle, recordings, threads=1)
+    largest = np.array([[nm.max(initial=0) for nm in joint] for joint in peaks.nm])
+    np.testing.assert_array_equal(largest[:, 0], limits.sliding_nm)
+    np.testing.assert_array_equal(largest.max(axis=1), limits.near_stiction_nm)
+    assert (held.joints, held.hold_s, peaks.hold_s) == (("shoulder", "elbow"), 0.01, 0.0)
+    assert all((held.nm[j][0][:1] < peaks.nm[j][0][:1]).all() for j in range(2))
+
+
+def test_recordings_with_contacts_or_without_a_healthy_sample_are_refused():
+    bundle = watching_bundle()
+    touched = pushed("touched", contact=np.arange(6000) // 5999)
+    with pytest.raises(TrainingError, match="touched: limits need free motion, and this recording holds contacts"):
+        collect_peaks(bundle, [touched], (0.0,), threads=1)
+    with pytest.raises(TrainingError, match="no recording is long enough to warm up in"):
+        collect_peaks(bundle, [pushed("short", seconds=0.3, pushes=())], (0.0,), threads=1)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: held_minimum(np.ones(3), np.ones(2, bool), 1), r"shapes \(3,\), \(2,\) and \(\); they must be one"),
+        (lambda: held_minimum(np.ones(3), np.ones(3, bool), -1), "hold_samples = -1 must be >= 0"),
+        (lambda: PeakCollector(["a"], -0.1), "hold_s = -0.1 must be 0 to 60"),
+        (lambda: PeakCollector(["a"], 0.0, gap_s=0.0), "gap_s = 0.0 must be > 0"),
+        (lambda: PeakCollector(["a"], 0.0, keep=0), "keep = 0 must be >= 1"),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(ConfigError, match=message):
+        call()

@@ -1,0 +1,158 @@
+"""Budgets of false alarms: what they are, what their hours support, and whether a test kept them."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, poisson
+
+from tauext.calibrate.promise import (
+    FalseAlarmBudget,
+    Promise,
+    duration,
+    hours_to_support,
+    is_consistent,
+    is_kept,
+    rate_interval,
+    split,
+    upper_rate,
+)
+from tauext.errors import ConfigError
+
+ONE_IN_EIGHT = FalseAlarmBudget(1, 8)
+
+
+def test_a_budget_is_a_rate_and_says_itself_in_words():
+    assert FalseAlarmBudget(2, 8).rate_per_hour == 0.25
+    assert str(ONE_IN_EIGHT) == "1 in 8 h"
+    assert str(FalseAlarmBudget(1, 0.1)) == "1 in 6 minutes"
+
+
+def test_shares_are_equal_and_sum_to_the_whole():
+    shares = split(ONE_IN_EIGHT, joints=7, regions=2)
+    assert shares.shape == (7, 2)
+    assert (shares == shares[0, 0]).all()
+    assert shares.sum() == pytest.approx(ONE_IN_EIGHT.rate_per_hour, rel=1e-12)
+
+
+@pytest.mark.parametrize("events", [0, 1, 3, 40, 1000])
+@pytest.mark.parametrize("confidence", [0.5, 0.95, 0.999])
+def test_the_interval_is_that_of_chi_squared_quantiles(events, confidence):
+    alpha, hours = 1 - confidence, 7.0
+    low, high = rate_interval(events, hours, confidence)
+    assert low == pytest.approx(chi2.ppf(alpha / 2, 2 * events) / (2 * hours) if events else 0.0, rel=1e-9)
+    assert high == pytest.approx(chi2.ppf(1 - alpha / 2, 2 * events + 2) / (2 * hours), rel=1e-9)
+
+
+def test_known_values_of_the_interval():
+    assert upper_rate(0, 24) * 24 == pytest.approx(3.0, abs=0.005)
+    assert upper_rate(0, 24) == pytest.approx(-math.log(0.05) / 24, rel=1e-12)
+    low, high = rate_interval(10, 1)  # Garwood's table: 4.80 to 18.39
+    assert (low, high) == (pytest.approx(4.795, abs=1e-3), pytest.approx(18.390, abs=1e-3))
+
+
+@pytest.mark.parametrize("rate", [0.01, 0.3, 1.7, 6.0, 25.0])
+def test_the_interval_covers_the_true_rate_at_least_as_often_as_it_says(rate):
+    counts = np.arange(200)
+    chance = poisson.pmf(counts, rate)
+    covered = [low <= rate <= high for low, high in (rate_interval(int(k), 1.0) for k in counts)]
+    assert chance @ covered >= 0.95
+    assert chance @ [rate <= upper_rate(int(k), 1.0) for k in counts] >= 0.95
+
+
+def test_a_promise_is_consistent_with_what_lies_in_the_interval_and_kept_by_fewer():
+    # 24 h at 1 in 8 h: 3 expected.
+    rate = ONE_IN_EIGHT.rate_per_hour
+    assert [is_consistent(k, 24, rate) for k in (0, 3, 7, 8, 20)] == [True, True, True, False, False]
+    assert [is_kept(k, 24, rate) for k in (0, 3, 6, 7, 20)] == [True, True, True, False, False]
+    assert poisson.sf(6, 3.0) < 0.05 < poisson.sf(5, 3.0)  # P(7 or more), P(6 or more)
+    assert not is_consistent(2, 240, rate) and is_kept(2, 240, rate)  # far fewer than promised
+
+
+def test_three_times_the_hours_of_one_alarm_are_needed():
+    assert hours_to_support(ONE_IN_EIGHT) == pytest.approx(24.0, abs=0.05)
+    assert upper_rate(0, hours_to_support(ONE_IN_EIGHT)) == pytest.approx(ONE_IN_EIGHT.rate_per_hour, rel=1e-12)
+    assert hours_to_support(ONE_IN_EIGHT, 0.99) == pytest.approx(36.84, abs=0.01)
+
+
+def test_twenty_minutes_refuse_to_promise_eight_hours_and_say_how_much_more_to_record():
+    promise = Promise(ONE_IN_EIGHT, hours=1 / 3, streams=4)
+    assert not promise.is_supported
+    assert promise.supported.hours * 60 == pytest.approx(6.68, abs=0.005)
+    assert promise.sentence() == (
+        "At most 1 false alarm in 8 h cannot be promised: 20 minutes of calibration support 1 in 6.67 minutes at best "
+        "(at 95 % confidence); record 23.7 h more of free motion, 24 h in all."
+    )
+
+
+def test_enough_hours_support_the_budget_and_say_how_far_the_tails_are_stretched():
+    assert Promise(ONE_IN_EIGHT, hours=24.0, streams=14).sentence() == (
+        "At most 1 false alarm in 8 h: supported by 24 h of calibration (at 95 % confidence). Each of 14 limits has an "
+        "equal share, 1 in 112 h, 4.7 times the recorded time."
+    )
+    assert Promise(ONE_IN_EIGHT, hours=240.0, streams=14).sentence().endswith("within the recorded time.")
+    assert Promise(FalseAlarmBudget(2, 8), hours=24.0).sentence() == (
+        "At most 2 false alarms in 8 h: supported by 24 h of calibration (at 95 % confidence)."
+    )
+
+
+@pytest.mark.parametrize("hours", [0.01, 1 / 3, 2.9, 8.0, 23.9, 500.0])
+def test_what_is_advised_is_enough(hours):
+    promise = Promise(ONE_IN_EIGHT, hours)
+    assert Promise(ONE_IN_EIGHT, hours + promise.missing_hours).is_supported
+    assert Promise(promise.supported, hours).is_supported
+    # Also as it is worded: the supported budget is rounded down, what is missing up.
+    factor = {"h": 1, "minutes": 60, "s": 3600}
+    number, unit = duration(promise.supported.hours, "down").split()
+    assert Promise(FalseAlarmBudget(1, float(number) / factor[unit]), hours).is_supported
+    if promise.missing_hours:
+        number, unit = duration(promise.missing_hours, "up").split()
+        assert Promise(ONE_IN_EIGHT, hours + float(number) / factor[unit]).is_supported
+
+
+def test_the_summary_is_json_and_holds_the_sentence():
+    promise = Promise(ONE_IN_EIGHT, hours=1 / 3, streams=14)
+    read = json.loads(json.dumps(promise.summary()))
+    assert read["sentence"] == promise.sentence()
+    assert read["asked"] == {"alarms": 1, "hours": 8, "rate_per_hour": 0.125, "text": "1 in 8 h"}
+    assert read["supported"] is False
+    assert read["missing_hours"] == pytest.approx(23.63, abs=0.005)
+    assert read["extrapolation"] == pytest.approx(112 * 3)
+
+
+@pytest.mark.parametrize(
+    ("hours", "nearest", "up", "down"),
+    [
+        (8.0, "8 h", "8 h", "8 h"),
+        (23.6325, "23.6 h", "23.7 h", "23.6 h"),
+        (112.4, "112 h", "113 h", "112 h"),
+        (0.11127, "6.68 minutes", "6.68 minutes", "6.67 minutes"),
+        (0.01, "36 s", "36 s", "36 s"),
+        (1e-5, "0.036 s", "0.036 s", "0.036 s"),
+    ],
+)
+def test_durations_in_words(hours, nearest, up, down):
+    assert (duration(hours), duration(hours, "up"), duration(hours, "down")) == (nearest, up, down)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: FalseAlarmBudget(0, 8), "false alarm budget: alarms = 0 must be > 0"),
+        (lambda: FalseAlarmBudget(1, math.nan), "false alarm budget: hours = nan must be > 0"),
+        (lambda: split(ONE_IN_EIGHT, 0, 2), "false alarm budget: joints = 0 must be >= 1"),
+        (lambda: split(ONE_IN_EIGHT, 2, 0), "false alarm budget: regions = 0 must be >= 1"),
+        (lambda: rate_interval(-1, 8), "events = -1 must be a whole number >= 0"),
+        (lambda: is_consistent(1.5, 8, 0.1), "events = 1.5 must be a whole number >= 0"),
+        (lambda: is_kept(1, 0, 0.1), "hours = 0 must be > 0"),
+        (lambda: upper_rate(1, 8, 1.0), "confidence = 1.0 must lie between 0 and 1"),
+        (lambda: hours_to_support(ONE_IN_EIGHT, 0), "confidence = 0 must lie between 0 and 1"),
+        (lambda: Promise(ONE_IN_EIGHT, -1.0), "hours = -1.0 must be > 0"),
+        (lambda: Promise(ONE_IN_EIGHT, 1.0, streams=0), "promise: streams = 0 must be >= 1"),
+    ],
+)
+def test_bad_input_is_named(make, message):
+    with pytest.raises(ConfigError) as refused:
+        make()
+    assert str(refused.value) == message

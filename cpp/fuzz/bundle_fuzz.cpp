@@ -1,8 +1,8 @@
 // Feeds bundles of any content to the reader: it must answer with a bundle or an Error, and allocate in proportion to
 // the file. The input is a payload; it gets a right header here, since no fuzzer guesses a checksum. `make fuzz` runs it.
 //
-// cpp/fuzz/corpus holds payloads of a few made bundles, payloads that once broke the reader, named after what is wrong
-// with them, and what runs have found, as little of it as covers the same. After a change of the format:
+// cpp/fuzz/corpus holds payloads of a few made bundles and what runs have found, as little of it as covers the same.
+// After a change of the format:
 //   bundle_fuzz -write_seeds=cpp/fuzz/corpus
 //   bundle_fuzz -merge=1 -use_counters=0 cpp/fuzz/corpus build/fuzz/found
 #include <algorithm>
@@ -76,6 +76,17 @@ void write_seeds(const std::string& folder) {
   b.reference.t_ns[1] = 2 * made::kPeriodNs;  // a bridged tick
   tauext::answer_reference(b);
   write_seed(folder + "/branched", b);
+  b = made::bundle(2, 3, 2, 2, 1);
+  b.prior.widths_rad = {1e-3, 3e-3};
+  for (int kind = 0; kind <= static_cast<int>(tauext::TermKind::momentum); ++kind)
+    b.prior.terms.push_back({static_cast<tauext::TermKind>(kind), kind % 2, 1, 0, 0, 0.1});
+  b.prior.weights.assign(2 * b.prior.terms.size(), 0.3);
+  b.prior.corrected_links = b.links;
+  b.prior.corrected_links[1].mass *= 0.9;
+  b.limits.region_width = 1;
+  b.input_factors.resize(static_cast<std::size_t>(b.columns()), 1.0f);
+  tauext::answer_reference(b);
+  write_seed(folder + "/prior", b);
 }
 
 }  // namespace

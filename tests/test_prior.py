@@ -451,6 +451,11 @@ def test_no_ripple_is_found_where_there_is_none():
     assert ripples_of(fit) == []
 
 
+def test_no_ripple_is_searched_for_in_less_than_45_seconds():
+    fit = fit_prior(chain_of(planar_arm()), recordings(rippling((37, 1.2)), count=1, seconds=20.0), SEARCHED)
+    assert ripples_of(fit) == []
+
+
 def test_a_known_ripple_is_not_found_again():
     chain, made = chain_of(planar_arm()), recordings(rippling((37, 1.2)), count=2)
     fit = fit_terms(chain, made, ONE_SPEED, [[], []])
@@ -539,6 +544,16 @@ def test_an_inertia_that_is_too_large_beside_no_rotor_inertia_is_corrected():
     fit = fit_prior(chain, made, CORRECTED)
     left = np.vstack([remaining(chain, fit, one) for one in made])
     np.testing.assert_allclose(np.sqrt(np.mean(left**2, axis=0)), FILTERED_NOISE_NM, rtol=0.06)
+
+
+def test_a_rotor_inertia_that_the_robot_does_not_have_is_taken_away():
+    """Noise decides whether what is left of it comes out just above or just below zero; both must do."""
+    true = with_links(planar_arm(), rotor_inertia=(0.0, 0.0))
+    chain = chain_of(planar_arm())
+    for first_seed in (0, 30):
+        fit = fit_prior(chain, recordings(unloaded, tree=true, first_seed=first_seed), CORRECTED)
+        assert all(link.rotor_inertia >= 0 for link in fit.settings.corrected_links)
+        np.testing.assert_allclose(fit.error_nm, FILTERED_NOISE_NM, rtol=0.06)
 
 
 @pytest.mark.parametrize("massless", [0, 1])

@@ -22,6 +22,7 @@ ROTOR = PARAMETERS.index("rotor")
 LEAST_RMS = 1e-9  # a regressor that never exceeds it was not excited
 MOST_CYCLES = 400
 RIPPLE_DATA_S = 300.0  # so much motion is enough to find a ripple, and it takes a while
+RIPPLE_LEAST_S = 45.0  # in less, noise looks like one
 RIPPLE_SHARE, RIPPLE_OUTSTANDS = 0.03, 5.0
 
 
@@ -105,7 +106,8 @@ def fit_prior(chain: Chain, recordings: Sequence[Recording], config: PriorConfig
     ripple: list[list[int]] = [[] for _ in range(chain.tree.size)]
     for _ in range(config.most_ripples + 1):
         fit = fit_terms(chain, recordings, config, ripple)
-        found = find_ripple(chain, recordings, fit, ripple) if len(ripple[0]) < config.most_ripples else []
+        most = max(len(known) for known in ripple) >= config.most_ripples
+        found = [] if most else find_ripple(chain, recordings, fit, ripple)
         if not any(found):
             break
         ripple = [known + new for known, new in zip(ripple, found, strict=True)]
@@ -146,6 +148,8 @@ def find_ripple(
             moments[joint] += (values.T @ left[:, joint]).reshape(-1, 2)
             squares[joint] += (values**2).sum(axis=0).reshape(-1, 2)
     explained = (moments**2 / np.maximum(squares, 1e-12)).sum(axis=2)
+    if looked_at_s < RIPPLE_LEAST_S:
+        return [[] for _ in range(n)]
     found = []
     for joint in range(n):
         best = int(np.argmax(explained[joint]))
@@ -219,7 +223,8 @@ def fit_terms(
         if not impossible:
             break
         used[impossible] = False
-        fixed[[column for column in impossible if massless(chain, column, len(scale))]] = 1.0
+        for column in impossible:
+            fixed[column] = nearest_possible(chain, column, len(scale))
     leave_one = np.array([solve(_without(folds, k), ridge) for k in range(len(folds))])
     spread = np.sqrt((len(folds) - 1) / len(folds) * ((leave_one - leave_one.mean(axis=0)) ** 2).sum(axis=0))
     determined = np.zeros(len(scale))
@@ -232,7 +237,7 @@ def fit_terms(
 def _impossible(chain: Chain, solution: np.ndarray, used: np.ndarray) -> list[int]:
     """Columns of corrections that would make a link that no link can be: they have to go, and the rest to be solved
     anew. A mass that falls to zero or below keeps what the file says, or is 1 kg where the file says nothing: what it
-    adds shows in other parameters too, and they make up for it. A rotor inertia below zero keeps the file's."""
+    adds shows in other parameters too, and they make up for it. A rotor inertia below zero is none."""
     first, columns = len(solution) - len(PARAMETERS) * chain.tree.size, []
     for k, link in enumerate(chain.tree.links):
         at = first + len(PARAMETERS) * k
@@ -244,10 +249,12 @@ def _impossible(chain: Chain, solution: np.ndarray, used: np.ndarray) -> list[in
     return [column for column in columns if used[column]]
 
 
-def massless(chain: Chain, column: int, columns: int) -> bool:
-    """Whether this column corrects the mass of a link that has none in the file."""
+def nearest_possible(chain: Chain, column: int, columns: int) -> float:
+    """The correction that an impossible one is replaced by; see _impossible."""
     link, parameter = divmod(column - (columns - len(PARAMETERS) * chain.tree.size), len(PARAMETERS))
-    return parameter == 0 and chain.tree.links[link].mass == 0
+    if parameter == ROTOR:
+        return -chain.tree.links[link].rotor_inertia
+    return 0.0 if chain.tree.links[link].mass > 0 else 1.0
 
 
 def _without(folds: list[_Problem], k: int) -> _Problem:

@@ -37,7 +37,8 @@ def paper_limits(bundle: _core.Bundle, recordings: Sequence[Recording], threads:
             raise TrainingError(f"{recording.name}: limits need free motion, and this recording holds contacts")
         estimate = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads)
         healthy = estimate["healthy"].astype(bool)
-        error = np.abs(estimate["tau_ext"][healthy])
+        # What the prior's doubt raises the limits by is no error that limits must stand.
+        error = np.maximum(np.abs(estimate["tau_ext"]) - estimate["doubt"], 0)[healthy]
         stuck = estimate["near_stiction"][healthy].astype(bool)
         sliding = np.maximum(sliding, np.where(stuck, 0, error).max(axis=0, initial=0))
         near = np.maximum(near, np.where(stuck, error, 0).max(axis=0, initial=0))

@@ -15,6 +15,7 @@ from tauext.errors import BundleError, ConfigError, RecordingError
 from tauext.evaluate import evaluate, read_loss_history
 from tauext.evaluate.collisions import choose_ten, find_collisions, found_curve, judge
 from tauext.evaluate.free_motion import FreeMotionErrors, count_episodes
+from tauext.evaluate.latched import held
 from tauext.evaluate.loss_history import thin
 from tauext.learn import build_chain, make_bundle
 
@@ -104,6 +105,27 @@ def test_a_push_below_the_limit_is_missed_and_counts_as_missed_in_the_curve(tmp_
     assert not verdict["found"] and verdict["delay_s"] is None and verdict["delay_against_sensor_s"] is None
     entry = next(e for e in results["cases"][0]["found_curve"] if e["collisions"])
     assert (entry["peak_over_limit_from"], entry["collisions"], entry["found"]) == (0.5, 1, 0)
+
+
+def test_a_push_is_latched_after_limit_and_hold_time_and_strong_where_it_must_be(tmp_path):
+    bundle = observer_bundle(2.0)
+    bundle.hold_s = 0.02
+    results = evaluate({"observer": bundle}, [recording], [lambda: pushed("pushed", 5.0)], tmp_path, seed=0, threads=1)
+    latched = results["cases"][0]["latched"]
+    # 5 (1 - exp(-20 t)) > 2 from 25.5 ms on, and from 46 ms, 20 held ms later, a collision; over 3 Nm from 46 ms on.
+    assert latched["collisions"] == latched["latched"] == latched["strong"] == latched["strong_latched"] == 1
+    assert abs(latched["delay_against_sensor_median_s"]) <= 0.001  # the sensor filters alike
+    weak = evaluate({"observer": bundle}, [recording], [lambda: pushed("pushed", 2.5)], tmp_path, seed=0, threads=1)
+    assert weak["cases"][0]["latched"]["latched"] == 1 and weak["cases"][0]["latched"]["strong"] == 0
+    short = evaluate({"o": bundle}, [recording], [lambda: pushed("p", 5.0, 1000, 1030)], tmp_path, seed=0, threads=1)
+    assert short["cases"][0]["latched"]["strong"] == 0
+
+
+def test_held_flags_equal_a_slow_count():
+    over = np.random.default_rng(1).uniform(size=(300, 2)) < 0.8
+    for hold in (0, 1, 5):
+        slow = [[k >= hold and over[k - hold : k + 1, j].all() for j in range(2)] for k in range(300)]
+        np.testing.assert_array_equal(held(over, hold), slow)
 
 
 def test_free_motion_numbers_equal_those_of_all_samples_in_one_array():

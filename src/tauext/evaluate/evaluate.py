@@ -15,6 +15,7 @@ from tauext.errors import ConfigError
 from tauext.evaluate.collisions import Collision, choose_ten, find_collisions, found_curve, judge
 from tauext.evaluate.estimating import estimate, expect_fit
 from tauext.evaluate.free_motion import FreeMotionErrors
+from tauext.evaluate.latched import judge_latched, latched_summary
 from tauext.evaluate.loss_history import LossHistory
 
 Loader = Callable[[], Recording]
@@ -58,6 +59,7 @@ def evaluate(
     errors = {name: FreeMotionErrors(len(joints), bundle.near_stiction_rad_s) for name, bundle in bundles.items()}
     touches: list[Collision] = []
     verdicts: dict[str, list[dict]] = {name: [] for name in bundles}
+    latched: dict[str, list[dict]] = {name: [] for name in bundles}
     total = len(test) + len(collisions)
     for number, load in enumerate([*test, *collisions]):
         recording = load()
@@ -73,6 +75,7 @@ def evaluate(
             if free:
                 errors[name].add(recording, estimates)
             verdicts[name] += [judge(collision, recording, estimates) for collision in found]
+            latched[name] += [judge_latched(collision, recording, estimates, bundle.hold_s) for collision in found]
         progress("evaluate", number + 1, total)
 
     histories = loss_histories or {}
@@ -84,7 +87,8 @@ def evaluate(
         "ten_collisions": ten,
         "collisions": [collision.summary() for collision in touches],
         "cases": [
-            _case(name, bundle, errors[name], touches, verdicts[name], ten) | {"loss_history": histories.get(name)}
+            _case(name, bundle, errors[name], touches, verdicts[name], ten)
+            | {"latched": latched_summary(latched[name]), "loss_history": histories.get(name)}
             for name, bundle in bundles.items()
         ],
     }

@@ -192,7 +192,7 @@ Answer replay(const Bundle& b) {
                              b.window_steps, b.inputs};
     std::vector<float> y(n);
     lstm_forward(b.shape, b.parameters, windows, std::span(&observation.row[last], 1), y, 1);
-    for (std::size_t j = 0; j < n; ++j) answer.network[j] = b.output_scale_nm[j] * static_cast<double>(y[j]);
+    for (std::size_t j = 0; j < n; ++j) answer.network[j] = network_torque_nm(b.output_scale_nm[j], y[j]);
   }
   return answer;
 }

@@ -46,7 +46,7 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
     out.healthy[sample[w]] = 1;
     for (int j = 0; j < n; ++j) {
       const std::size_t at = static_cast<std::size_t>(sample[w]) * n + j;
-      out.network[at] = bundle.has_network() ? bundle.output_scale_nm[j] * static_cast<double>(y[w * n + j]) : 0.0;
+      out.network[at] = bundle.has_network() ? network_torque_nm(bundle.output_scale_nm[j], y[w * n + j]) : 0.0;
       out.tau_ext[at] = out.residual[at] - (out.prior[at] + out.network[at]);
     }
   }

@@ -214,6 +214,10 @@ void lstm_forward(const LstmShape& shape, std::span<const float> parameters, con
   parallel_chunks(chunks, threads, forward_any, &job);
 }
 
+[[gnu::noinline]] double network_torque_nm(double scale_nm, float output) noexcept {
+  return scale_nm * static_cast<double>(output);
+}
+
 void lstm_activations(std::span<const float> x, std::span<float> sigmoid, std::span<float> tanh) {
   const int count = lane_count();
   if (count == 16) return activations_16(x, sigmoid, tanh);

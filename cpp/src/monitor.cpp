@@ -238,7 +238,7 @@ void Monitor::judge(const Sample& s, bool full, Findings& findings) noexcept {
   if (!full || !residual_.warm()) findings.trusted = false;
   if (findings.trusted) {
     for (int j = 0; j < joints_; ++j) {
-      const double network = network_ ? output_scale_nm_[j] * static_cast<double>(network_out_[j]) : 0.0;
+      const double network = network_ ? network_torque_nm(output_scale_nm_[j], network_out_[j]) : 0.0;
       estimate_.uncertainty[j] = estimate_.prior[j] + network;
       estimate_.tau_ext[j] = estimate_.residual[j] - estimate_.uncertainty[j];
     }

@@ -58,6 +58,10 @@ struct WindowRows {
 void lstm_forward(const LstmShape& shape, std::span<const float> parameters, const WindowRows& windows,
                   std::span<const std::int64_t> ends, std::span<float> out, int threads);
 
+// What a scaled output stands for, [N m]. A function of its own, so that no caller fuses its product with a sum of its
+// own: batch and monitor must agree to the last bit.
+double network_torque_nm(double scale_nm, float output) noexcept;
+
 // sigmoid and tanh as the network computes them, for the test of their stated error: at most 5e-7 absolute.
 void lstm_activations(std::span<const float> x, std::span<float> sigmoid, std::span<float> tanh);
 

@@ -26,6 +26,7 @@ class PromisedLimits:
     collision: Limits
     contact: Limits
     hold_s: float
+    contact_hold_s: float
     promise: Promise
     budget: FalseAlarmBudget
     """What the limits were set for: what was asked, or the smallest that the recordings support."""
@@ -102,7 +103,7 @@ def promised_limits(
     contact = Limits(
         np.minimum(contact.sliding_nm, limits.sliding_nm), np.minimum(contact.near_stiction_nm, limits.near_stiction_nm)
     )
-    return PromisedLimits(limits, contact, alarm.holds_s[best], promise, budget, tails)
+    return PromisedLimits(limits, contact, alarm.holds_s[best], alarm.holds_s[held], promise, budget, tails)
 
 
 def _limits(peaks: Peaks, budget: FalseAlarmBudget, confidence: float) -> tuple[Limits, dict]:
@@ -132,5 +133,5 @@ def apply_promised(bundle: _core.Bundle, found: PromisedLimits, alarm: AlarmConf
     bundle.hold_s = found.hold_s
     bundle.contact_sliding_limit_nm = found.contact.sliding_nm.tolist()
     bundle.contact_near_stiction_limit_nm = found.contact.near_stiction_nm.tolist()
-    bundle.contact_hold_s = min(alarm.contact_hold_s, found.hold_s)
+    bundle.contact_hold_s = found.contact_hold_s
     bundle.contact_release_s = alarm.contact_release_s

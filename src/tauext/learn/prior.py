@@ -124,7 +124,9 @@ def find_ripple(
     RIPPLE_OUTSTANDS times as much as the median number.
     """
     n = chain.tree.size
-    explained, energy = np.zeros((n, MOST_CYCLES)), np.zeros(n)
+    if sum(recording.duration_s for recording in recordings) < RIPPLE_LEAST_S:
+        return [[] for _ in range(n)]
+    energy = np.zeros(n)
     moments, squares = np.zeros((n, MOST_CYCLES, 2)), np.zeros((n, MOST_CYCLES, 2))
     looked_at_s = 0.0
     for recording in recordings:
@@ -148,8 +150,6 @@ def find_ripple(
             moments[joint] += (values.T @ left[:, joint]).reshape(-1, 2)
             squares[joint] += (values**2).sum(axis=0).reshape(-1, 2)
     explained = (moments**2 / np.maximum(squares, 1e-12)).sum(axis=2)
-    if looked_at_s < RIPPLE_LEAST_S:
-        return [[] for _ in range(n)]
     found = []
     for joint in range(n):
         best = int(np.argmax(explained[joint]))
@@ -211,8 +211,7 @@ def fit_terms(
     def left_out(ridge: float) -> np.ndarray:
         total = np.zeros(n)
         for k, fold in enumerate(folds):
-            rest = [other for j, other in enumerate(folds) if j != k] or [fold]
-            total += squares(fold, solve(sum(rest[1:], start=rest[0]), ridge))
+            total += squares(fold, solve(_without(folds, k), ridge))
         return np.maximum(total / whole.rows, 0.0)
 
     while True:
@@ -246,7 +245,7 @@ def _impossible(chain: Chain, solution: np.ndarray, used: np.ndarray) -> list[in
             columns.append(at)
         if link.rotor_inertia + by[ROTOR] < 0 and used[at + ROTOR]:
             columns.append(at + ROTOR)
-    return [column for column in columns if used[column]]
+    return columns
 
 
 def nearest_possible(chain: Chain, column: int, columns: int) -> float:

@@ -1,0 +1,89 @@
+"""Limits from a budget, and the gate: on a mass whose motor torque is noise, so that every error is known."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import prismatic_mass
+
+from tauext import _core
+from tauext.calibrate import apply_promised, promised_limits
+from tauext.calibrate.held_peaks import cluster_peaks
+from tauext.config import AlarmConfig, ObserverConfig
+from tauext.data import Recording
+from tauext.errors import TrainingError
+from tauext.learn import apply_gate, build_chain, find_scaling, make_bundle
+from tauext.learn.train import TrainedNetwork
+
+BUDGET = AlarmConfig(false_alarms=1, in_hours=0.02, contacts_an_hour=600)
+
+
+def noisy(seed: int, seconds: float = 60.0, **changes) -> Recording:
+    """A mass that slides at 1 m/s with a white motor torque of 20 Nm: r is its first-order low-pass, about 2 Nm."""
+    samples = round(seconds * 1000)
+    tau = np.random.default_rng(seed).normal(0, 20, (samples, 1))
+    t_ns = np.arange(samples, dtype=np.int64) * 1_000_000
+    dq = np.where(np.arange(samples) % 4000 < 2000, 1.0, 0.001)[:, None]  # and creeps half of the time
+    signals = {"t_ns": t_ns, "q": np.cumsum(dq, axis=0) * 1e-3, "dq": dq, "tau": tau}
+    meta = {"rate_hz": 1000.0, "torque_timing": "held", "source": "test", "robot_sha256": ""}
+    return Recording(**({"name": f"noisy-{seed}", "joints": ("slide",)} | signals | meta | changes))
+
+
+def observer() -> _core.Bundle:
+    made = noisy(0)
+    chain = build_chain(prismatic_mass(1e-9), made, ObserverConfig())
+    return make_bundle("observer", chain, 0.02, made)
+
+
+def test_the_promised_rate_is_kept_on_recordings_that_were_not_calibrated_on():
+    bundle = observer()
+    found = promised_limits(bundle, lambda: (noisy(k) for k in range(1, 6)), BUDGET, 1)
+    assert found.promise.is_supported and found.budget == found.promise.asked and "supported" in found.sentence()
+    apply_promised(bundle, found, BUDGET)
+    assert bundle.hold_s == found.hold_s and bundle.contact_hold_s == 0
+    assert bundle.contact_sliding_limit_nm[0] <= bundle.sliding_limit_nm[0] <= bundle.near_stiction_limit_nm[0]
+    alarms = 0
+    for k in range(10, 16):
+        made = noisy(k)
+        said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
+        alarms += len(cluster_peaks((said["alarm"] == 2).astype(float), made.time_s, floor=0.5))
+    # 0.1 h at 50 an hour are 5 alarms at most; 12 would be seen in less than 1 of 100 such tests.
+    assert alarms < 12
+    json.dumps(found.facts(), allow_nan=False)
+
+
+def test_too_little_calibration_is_refused_and_says_how_much_more():
+    found = promised_limits(observer(), lambda: [noisy(1)], replace(BUDGET, in_hours=8.0), 1)
+    assert not found.promise.is_supported and found.budget == found.promise.supported
+    assert "cannot be promised" in found.sentence() and "24 h in all" in found.sentence()
+
+
+def test_recordings_with_contacts_are_refused():
+    touched = noisy(1, contact=np.ones(60_000, dtype=np.int8))
+    with pytest.raises(TrainingError, match="need free motion"):
+        promised_limits(observer(), lambda: [touched], BUDGET, 1)
+
+
+@pytest.mark.parametrize("weight, opened", [(0.0, False), (0.7, True)])
+def test_a_network_ships_only_where_it_lowers_the_error(weight, opened):
+    """r is 20 Nm s times a slow speed; the network knows nothing of it, or most of it."""
+    t = np.arange(20_000) * 1e-3
+    dq = 0.5 * np.sin(t)[:, None]
+    made = noisy(1, seconds=20.0, dq=dq, q=np.cumsum(dq, axis=0) * 1e-3, tau=-20 * dq)
+    chain = build_chain(prismatic_mass(1e-9), made, ObserverConfig(window_s=0.05))
+    scaling = find_scaling(chain, [made])
+    shape = _core.LstmShape(3, 1, 1)
+    # One unit, open gates, cell tanh(weight dq): W_x (4, 3), W_h (4, 1), b (4), head.
+    w_x = np.zeros((4, 3))
+    w_x[2, 1] = weight
+    parameters = np.r_[w_x.ravel(), np.zeros(4), [9, -9, 0, 9], [1.8], [0]].astype(np.float32)
+    bundle = make_bundle("net", chain, 0.02, made, scaling, TrainedNetwork(shape, parameters, [], 0, 0.0))
+    gate = apply_gate(bundle, [made], 0.03, 1)
+    assert gate.opened.tolist() == [opened] and bundle.has_network == opened
+    assert ("prior and network" if opened else "prior only") in gate.reason(0, 0.03)
+    said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
+    error = said["tau_ext"][said["healthy"].astype(bool)]
+    expected = (gate.network_rmse_nm if opened else gate.prior_rmse_nm)[0]
+    assert np.sqrt((error**2).mean()) == pytest.approx(expected, rel=1e-9)
+    bundle.from_bytes(bundle.to_bytes())

@@ -6,6 +6,7 @@ else. v is friction as it stands in r: negative where the joint moves forward.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -17,7 +18,9 @@ from tauext.config import PriorConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
 from tauext.learn import Chain, PriorFit, fit_prior
-from tauext.learn.prior import find_ripple, fit_terms, own_terms, shared_terms
+from tauext.learn.prior import fit_terms, own_terms, shared_terms
+from tauext.learn.ripple import find_ripple
+from tauext.learn.widths import encoder_count
 from tauext.robot import perturbed
 from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
 
@@ -241,9 +244,9 @@ FRICTION = {  # of shoulder and elbow, as it stands in r
     "presliding": (-2.0, -1.0),  # N m, of the wider state
     "load": (-0.08, -0.05),  # of |beta|
 }
-ONE_SPEED = PriorConfig(WIDTHS, coulomb_speeds_rad_s=(0.05,), most_ripples=0, correct_model=False)
-CORRECTED = PriorConfig(WIDTHS, coulomb_speeds_rad_s=(0.05,), most_ripples=0)
-SEARCHED = PriorConfig(WIDTHS, coulomb_speeds_rad_s=(0.05,), most_ripples=2, correct_model=False)
+SEARCHED = PriorConfig(WIDTHS, False, coulomb_speeds_rad_s=(0.05,), most_ripples=2, correct_model=False)
+CORRECTED = PriorConfig(WIDTHS, False, coulomb_speeds_rad_s=(0.05,), most_ripples=0)
+ONE_SPEED = replace(CORRECTED, correct_model=False)
 
 
 def loaded(q, dq, beta):
@@ -627,3 +630,38 @@ def test_no_presliding_widths_are_a_prior_without_presliding_states():
     config = PriorConfig((), coulomb_speeds_rad_s=(0.05,), most_ripples=0, correct_model=False)
     fit = fit_prior(chain_of(planar_arm(), ()), recordings(unloaded, count=2), config)
     assert {t.kind for t in fit.settings.terms} == {Kind.constant, Kind.viscous, Kind.coulomb, Kind.load}
+
+
+# --- widths that do not help
+
+
+def test_a_width_that_friction_knows_nothing_of_is_left_out_and_one_that_it_needs_is_kept():
+    widths = (5e-4, 2e-3, 2e-2, 6e-2)  # friction bends over the third; the last is the region's, and stays
+    config = replace(ONE_SPEED, widths_rad=widths, drop_widths=True, region_width_rad=6e-2)
+    all_of_them = fit_prior(chain_of(planar_arm(), widths), recordings(unloaded), replace(config, drop_widths=False))
+    fit = fit_prior(chain_of(planar_arm(), widths), recordings(unloaded), config)
+    assert fit.settings.widths_rad == [2e-2, 6e-2]
+    assert sorted(fit.dropped_widths) == [5e-4, 2e-3]
+    assert all("the error grows by" in reason for reason in fit.dropped_widths.values())
+    assert (fit.error_nm < 1.002 * all_of_them.error_nm).all()
+    assert {t.b for t in fit.settings.terms if t.kind == Kind.presliding} == {0, 1}
+
+
+def test_widths_within_two_counts_of_the_encoder_are_left_out():
+    def bent_narrowly(q, dq, beta):
+        return FRICTION["presliding"] * twin_presliding(q, 2e-3)
+
+    made = recordings(bent_narrowly)
+    coarse = [replace(one, q=np.round(one.q / 1.5e-3) * 1.5e-3) for one in made]
+    config = replace(ONE_SPEED, drop_widths=True)
+    assert encoder_count(coarse) == pytest.approx(1.5e-3, rel=1e-9)
+    fit = fit_prior(chain_of(planar_arm()), coarse, config)
+    assert list(fit.dropped_widths) == [2e-3] and "2 encoder counts of 0.0015 rad" in fit.dropped_widths[2e-3]
+    assert fit.settings.widths_rad == [2e-2]
+    # The same friction seen by a fine encoder needs that width.
+    assert fit_prior(chain_of(planar_arm()), made, config).settings.widths_rad == [2e-3, 2e-2]
+
+
+def test_an_encoder_that_never_moves_has_no_count():
+    still = recordings(unloaded, count=1)[0]
+    assert encoder_count([replace(still, q=np.ones_like(still.q))]) == 0.0

@@ -111,6 +111,8 @@ class PriorConfig:
 
     widths_rad: tuple[float, ...] = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
     """Widths of the presliding states, [rad]: how far a joint bends before it slides."""
+    drop_widths: bool = True
+    """Leave out widths that an encoder cannot resolve or that do not help on recordings left out of the fit."""
     region_width_rad: float = 0.003
     """A joint that has slid on by about this is sliding, and near stiction before, [rad]: the limit's region."""
     coulomb_speeds_rad_s: tuple[float, ...] = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4)

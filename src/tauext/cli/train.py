@@ -86,7 +86,8 @@ def train_bundle(
         with_presliding,
     )
     from tauext.learn import train as train_network
-    from tauext.learn.prior_facts import prior_facts, region_width
+    from tauext.learn.prior_facts import prior_facts
+    from tauext.learn.widths import region_width
     from tauext.robot import torque_limits
 
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -116,7 +117,7 @@ def train_bundle(
             )
     bundle = make_bundle(out.stem, chain, config.observer.near_stiction_rad_s, validation[0], scaling, network)
     if fit is not None:
-        bundle.region_width = region_width(config.prior)
+        bundle.region_width = region_width(chain.widths_rad, config.prior)
     learned: dict = {} if fit is None else {"prior": prior_facts(fit, training[0].joints)}
     if config.recipe == "tauext":
         gate = apply_gate(bundle, validation, config.gate_margin, threads)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import combinations, combinations_with_replacement
 
 import numpy as np
@@ -12,18 +12,14 @@ from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data import Recording
 from tauext.errors import TrainingError
+from tauext.learn.regression import FOLDS, NormalEquations, Regression
+from tauext.learn.ripple import find_ripple
 from tauext.learn.training_set import Chain
+from tauext.learn.widths import idle_widths
 from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
 
 Kind = _core.TermKind
-RIDGES = 10.0 ** np.arange(-7, 2.0)
-FOLDS = 5
 ROTOR = PARAMETERS.index("rotor")
-LEAST_RMS = 1e-9  # a regressor that never exceeds it was not excited
-MOST_CYCLES = 400
-RIPPLE_DATA_S = 300.0  # so much motion is enough to find a ripple, and it takes a while
-RIPPLE_LEAST_S = 45.0  # in less, noise looks like one
-RIPPLE_SHARE, RIPPLE_OUTSTANDS = 0.03, 5.0
 
 
 @dataclass(frozen=True)
@@ -39,6 +35,8 @@ class PriorFit:
     corrections: np.ndarray  # (n, 11) of PARAMETERS; empty without a model
     correction_errors: np.ndarray
     corrections_determined: np.ndarray
+    regression: Regression
+    dropped_widths: dict[float, str] = field(default_factory=dict)  # [rad]: and why
 
 
 def own_terms(chain: Chain, config: PriorConfig, joint: int, ripple: Sequence[int]) -> list[_core.Term]:
@@ -81,24 +79,10 @@ def has_model(chain: Chain) -> bool:
     return any(link.mass > 0 or link.rotor_inertia > 0 for link in chain.tree.links)
 
 
-@dataclass
-class _Problem:
-    """Normal equations of one part of the recordings; unknowns: own weights of each joint, then the shared ones."""
-
-    gram: np.ndarray
-    moment: np.ndarray
-    energy: np.ndarray  # (n,) sum of squares of each joint's target
-    rows: int
-
-    def __add__(self, other: _Problem) -> _Problem:
-        return _Problem(
-            self.gram + other.gram, self.moment + other.moment, self.energy + other.energy, self.rows + other.rows
-        )
-
-
 def fit_prior(chain: Chain, recordings: Sequence[Recording], config: PriorConfig) -> PriorFit:
-    """The prior of a chain whose prior holds nothing but presliding widths yet; ripple is searched for in what a first
-    fit leaves.
+    """The prior of a chain whose prior holds nothing but presliding widths yet.
+
+    Ripple is searched for in what a first fit leaves; then presliding widths that do not help are left out.
 
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
@@ -111,52 +95,12 @@ def fit_prior(chain: Chain, recordings: Sequence[Recording], config: PriorConfig
         if not any(found):
             break
         ripple = [known + new for known, new in zip(ripple, found, strict=True)]
+    dropped = idle_widths(chain, recordings, config, fit) if config.drop_widths else {}
+    if dropped:
+        prior = _core.PriorSettings()
+        prior.widths_rad = [width for width in chain.widths_rad if width not in dropped]
+        fit = replace(fit_terms(replace(chain, prior=prior), recordings, config, ripple), dropped_widths=dropped)
     return fit
-
-
-def find_ripple(
-    chain: Chain, recordings: Sequence[Recording], fit: PriorFit, known: Sequence[Sequence[int]]
-) -> list[list[int]]:
-    """For each joint the cycles a turn at which a ripple of motor and gear stands out of what a fit leaves.
-
-    Every whole number of cycles is tried: the share of the remainder's sum of squares that its sine and cosine,
-    filtered as the observer filters, explain by themselves. One counts that explains RIPPLE_SHARE of it and
-    RIPPLE_OUTSTANDS times as much as the median number.
-    """
-    n = chain.tree.size
-    if sum(recording.duration_s for recording in recordings) < RIPPLE_LEAST_S:
-        return [[] for _ in range(n)]
-    energy = np.zeros(n)
-    moments, squares = np.zeros((n, MOST_CYCLES, 2)), np.zeros((n, MOST_CYCLES, 2))
-    looked_at_s = 0.0
-    for recording in recordings:
-        if looked_at_s >= RIPPLE_DATA_S:
-            break
-        looked_at_s += recording.duration_s
-        signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-        observation = _core.observe(chain.tree, chain.observer, *signals, fit.settings)
-        rows = np.flatnonzero(observation.warm.astype(bool))[:: chain.observer.network_stride].astype(np.int64)
-        left = (observation.residual - observation.prior)[rows]
-        energy += (left**2).sum(axis=0)
-        for joint in range(n):
-            settings = _core.PriorSettings()
-            settings.terms = [
-                _core.Term(Kind.ripple, joint, b=cycles, form=form)
-                for cycles in range(1, MOST_CYCLES + 1)
-                for form in (0, 1)
-            ]
-            settings.weights = [0.0] * (n * len(settings.terms))
-            values = _core.prior_regressors(chain.tree, chain.observer, settings, *signals, rows)
-            moments[joint] += (values.T @ left[:, joint]).reshape(-1, 2)
-            squares[joint] += (values**2).sum(axis=0).reshape(-1, 2)
-    explained = (moments**2 / np.maximum(squares, 1e-12)).sum(axis=2)
-    found = []
-    for joint in range(n):
-        best = int(np.argmax(explained[joint]))
-        stands_out = explained[joint, best] > RIPPLE_OUTSTANDS * np.median(explained[joint])
-        matters = explained[joint, best] > RIPPLE_SHARE * energy[joint]
-        found.append([best + 1] if stands_out and matters and best + 1 not in known[joint] else [])
-    return found
 
 
 def fit_terms(
@@ -189,48 +133,17 @@ def fit_terms(
     ]
     if not parts:
         raise TrainingError("no training recording is longer than the observer's warm-up")
-    folds = [sum(parts[k::FOLDS][1:], start=parts[k]) for k in range(min(FOLDS, len(parts)))]
-    whole = sum(folds[1:], start=folds[0])
-    weight = 1 / np.maximum(whole.energy / whole.rows, 1e-12)
-    scale = np.sqrt(np.maximum(np.einsum("iaa,i->a", whole.gram, weight) / whole.rows, 0.0))
-    used, fixed = scale > LEAST_RMS, np.zeros(len(scale))
-
-    def solve(problem: _Problem, ridge: float) -> np.ndarray:
-        gram = np.einsum("iab,i->ab", problem.gram, weight)[np.ix_(used, used)] / np.outer(scale[used], scale[used])
-        known = np.einsum("iab,i,b->a", problem.gram, weight, fixed)
-        moment = (weight @ problem.moment - known)[used] / scale[used]
-        solution = fixed.copy()
-        solution[used] = np.linalg.solve(gram + ridge * problem.rows * np.eye(len(gram)), moment) / scale[used]
-        return solution
-
-    def squares(problem: _Problem, solution: np.ndarray) -> np.ndarray:
-        return (
-            problem.energy - 2 * problem.moment @ solution + np.einsum("iab,a,b->i", problem.gram, solution, solution)
-        )
-
-    def left_out(ridge: float) -> np.ndarray:
-        total = np.zeros(n)
-        for k, fold in enumerate(folds):
-            total += squares(fold, solve(_without(folds, k), ridge))
-        return np.maximum(total / whole.rows, 0.0)
-
+    regression = Regression(parts)
     while True:
-        errors = {ridge: left_out(ridge) for ridge in RIDGES}
-        ridge = float(min(errors, key=lambda one: float((errors[one] * weight).sum())))
-        solution = solve(whole, ridge)
-        impossible = _impossible(chain, solution, used) if corrected else []
+        ridge, error = regression.choose_ridge()
+        solution = regression.solve(regression.whole, ridge)
+        impossible = _impossible(chain, solution, regression.used) if corrected else []
         if not impossible:
             break
-        used[impossible] = False
         for column in impossible:
-            fixed[column] = nearest_possible(chain, column, len(scale))
-    leave_one = np.array([solve(_without(folds, k), ridge) for k in range(len(folds))])
-    spread = np.sqrt((len(folds) - 1) / len(folds) * ((leave_one - leave_one.mean(axis=0)) ** 2).sum(axis=0))
-    determined = np.zeros(len(scale))
-    gram = np.einsum("iab,i->ab", whole.gram, weight)[np.ix_(used, used)] / np.outer(scale[used], scale[used])
-    floor = ridge * whole.rows
-    determined[used] = 1 - floor * np.diag(np.linalg.inv(gram + floor * np.eye(len(gram))))
-    return _pack(chain, own, shared, terms, corrected, ridge, np.sqrt(errors[ridge]), solution, spread, determined)
+            regression.fix(column, nearest_possible(chain, column, len(solution)))
+    spread, determined = regression.standard_errors(ridge), regression.determined(ridge)
+    return _pack(chain, own, shared, terms, corrected, ridge, error, solution, spread, determined, regression)
 
 
 def _impossible(chain: Chain, solution: np.ndarray, used: np.ndarray) -> list[int]:
@@ -256,12 +169,7 @@ def nearest_possible(chain: Chain, column: int, columns: int) -> float:
     return 0.0 if chain.tree.links[link].mass > 0 else 1.0
 
 
-def _without(folds: list[_Problem], k: int) -> _Problem:
-    rest = [fold for j, fold in enumerate(folds) if j != k] or folds
-    return sum(rest[1:], start=rest[0])
-
-
-def _problems(chain, recording, own, shared, terms, corrected, pieces) -> list[_Problem]:
+def _problems(chain, recording, own, shared, terms, corrected, pieces) -> list[NormalEquations]:
     n = chain.tree.size
     signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
     observation = _core.observe(chain.tree, chain.observer, *signals)
@@ -290,7 +198,7 @@ def _problems(chain, recording, own, shared, terms, corrected, pieces) -> list[_
             X[:, at : at + common.shape[1]] = common[piece]
             X[:, width - model.shape[2] :] = model[piece, i]
             gram[i], moment[i] = X.T @ X, X.T @ target[piece, i]
-        problems.append(_Problem(gram, moment, (target[piece] ** 2).sum(axis=0), len(piece)))
+        problems.append(NormalEquations(gram, moment, (target[piece] ** 2).sum(axis=0), len(piece)))
     return problems
 
 
@@ -318,7 +226,7 @@ def _model_regressors(chain: Chain, recording: Recording, rows: np.ndarray) -> n
     return np.stack(columns, axis=2)
 
 
-def _pack(chain, own, shared, terms, corrected, ridge, error, solution, spread, determined) -> PriorFit:
+def _pack(chain, own, shared, terms, corrected, ridge, error, solution, spread, determined, regression) -> PriorFit:
     n = chain.tree.size
     weights, errors, shares = np.zeros((3, n, len(terms)))
     ends = np.cumsum([len(group) for group in own])
@@ -343,4 +251,5 @@ def _pack(chain, own, shared, terms, corrected, ridge, error, solution, spread, 
         settings.corrected_links = [
             with_inertial_parameters(link, p) for link, p in zip(chain.tree.links, parameters, strict=True)
         ]
-    return PriorFit(settings, ridge, error, weights, errors, shares, corrections, correction_errors, correction_shares)
+    corrections = (corrections, correction_errors, correction_shares)
+    return PriorFit(settings, ridge, error, weights, errors, shares, *corrections, regression)

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from tauext import _core
-from tauext.config import PriorConfig
 from tauext.learn.prior import PriorFit
 from tauext.robot.inertial import PARAMETERS
 
@@ -16,12 +15,6 @@ Kind = _core.TermKind
 WELL_DETERMINED = 0.9  # share that the data, and not the ridge, determine
 STANDARD_ERRORS = 3.0  # between a value and zero
 UNITS = {"m": "kg", "h": "kg m", "I": "kg m2", "r": "kg m2"}
-
-
-def region_width(config: PriorConfig) -> int:
-    """Index of the width whose state tells sliding from near stiction; -1: there are no presliding states."""
-    wide = [k for k, width in enumerate(config.widths_rad) if width >= config.region_width_rad]
-    return wide[0] if wide else len(config.widths_rad) - 1
 
 
 def prior_facts(fit: PriorFit, joints: Sequence[str]) -> dict:
@@ -32,6 +25,7 @@ def prior_facts(fit: PriorFit, joints: Sequence[str]) -> dict:
     ridge) and it differs from zero by some standard errors.
     """
     facts = {"ridge": fit.ridge, "error_nm": dict(zip(joints, fit.error_nm.tolist(), strict=True)), "friction": {}}
+    facts["dropped_widths_mrad"] = {f"{1e3 * width:g}": reason for width, reason in fit.dropped_widths.items()}
     for j, name in enumerate(joints):
         own = [m for m, term in enumerate(fit.settings.terms) if term.a == j and term.kind not in SHARED]
         kinds = {kind: [m for m in own if fit.settings.terms[m].kind == kind] for kind in OWN}

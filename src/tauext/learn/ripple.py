@@ -1,0 +1,65 @@
+"""Torque ripple of motor and gear, searched for in what a fit leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tauext import _core
+from tauext.data import Recording
+from tauext.learn.training_set import Chain
+
+if TYPE_CHECKING:
+    from tauext.learn.prior import PriorFit
+
+MOST_CYCLES = 400
+RIPPLE_DATA_S = 300.0  # so much motion is enough to find a ripple, and it takes a while
+RIPPLE_LEAST_S = 45.0  # in less, noise looks like one
+RIPPLE_SHARE, RIPPLE_OUTSTANDS = 0.03, 5.0
+
+
+def find_ripple(
+    chain: Chain, recordings: Sequence[Recording], fit: PriorFit, known: Sequence[Sequence[int]]
+) -> list[list[int]]:
+    """For each joint the cycles a turn at which a ripple of motor and gear stands out of what a fit leaves.
+
+    Every whole number of cycles is tried: the share of the remainder's sum of squares that its sine and cosine,
+    filtered as the observer filters, explain by themselves. One counts that explains RIPPLE_SHARE of it and
+    RIPPLE_OUTSTANDS times as much as the median number.
+    """
+    n = chain.tree.size
+    if sum(recording.duration_s for recording in recordings) < RIPPLE_LEAST_S:
+        return [[] for _ in range(n)]
+    energy = np.zeros(n)
+    moments, squares = np.zeros((n, MOST_CYCLES, 2)), np.zeros((n, MOST_CYCLES, 2))
+    looked_at_s = 0.0
+    for recording in recordings:
+        if looked_at_s >= RIPPLE_DATA_S:
+            break
+        looked_at_s += recording.duration_s
+        signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+        observation = _core.observe(chain.tree, chain.observer, *signals, fit.settings)
+        rows = np.flatnonzero(observation.warm.astype(bool))[:: chain.observer.network_stride].astype(np.int64)
+        left = (observation.residual - observation.prior)[rows]
+        energy += (left**2).sum(axis=0)
+        for joint in range(n):
+            settings = _core.PriorSettings()
+            settings.terms = [
+                _core.Term(_core.TermKind.ripple, joint, b=cycles, form=form)
+                for cycles in range(1, MOST_CYCLES + 1)
+                for form in (0, 1)
+            ]
+            settings.weights = [0.0] * (n * len(settings.terms))
+            values = _core.prior_regressors(chain.tree, chain.observer, settings, *signals, rows)
+            moments[joint] += (values.T @ left[:, joint]).reshape(-1, 2)
+            squares[joint] += (values**2).sum(axis=0).reshape(-1, 2)
+    explained = (moments**2 / np.maximum(squares, 1e-12)).sum(axis=2)
+    found = []
+    for joint in range(n):
+        best = int(np.argmax(explained[joint]))
+        stands_out = explained[joint, best] > RIPPLE_OUTSTANDS * np.median(explained[joint])
+        matters = explained[joint, best] > RIPPLE_SHARE * energy[joint]
+        found.append([best + 1] if stands_out and matters and best + 1 not in known[joint] else [])
+    return found

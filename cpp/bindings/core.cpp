@@ -95,17 +95,31 @@ void bind_observer(nb::module_& m) {
       .value("held", TorqueTiming::held)
       .value("instant", TorqueTiming::instant)
       .value("averaged", TorqueTiming::averaged);
-  nb::class_<ObserverSettings>(m, "ObserverSettings", "Gain K0 [1/s], torque timing, sample period, network stride.")
+  nb::enum_<ResidualMethod>(m, "ResidualMethod", "What r is; see comparison_residuals.hpp.")
+      .value("momentum", ResidualMethod::momentum)
+      .value("direct", ResidualMethod::direct)
+      .value("velocity", ResidualMethod::velocity)
+      .value("energy", ResidualMethod::energy);
+  nb::class_<ObserverSettings>(m, "ObserverSettings",
+                               "Gain K0 [1/s], torque timing, sample period, network stride; method of the residual "
+                               "and the rates of its filters [1/s], 0: none.")
       .def(
           "__init__",
           [](ObserverSettings* s, double gain_per_s, TorqueTiming timing, std::int64_t sample_period_ns,
-             int network_stride) { new (s) ObserverSettings{gain_per_s, timing, sample_period_ns, network_stride}; },
+             int network_stride, ResidualMethod method, double high_pass_per_s, double low_pass_per_s) {
+            new (s) ObserverSettings{gain_per_s, timing,          sample_period_ns, network_stride,
+                                     method,     high_pass_per_s, low_pass_per_s};
+          },
           nb::kw_only(), nb::arg("gain_per_s"), nb::arg("timing"), nb::arg("sample_period_ns"),
-          nb::arg("network_stride"))
+          nb::arg("network_stride"), nb::arg("method") = ResidualMethod::momentum, nb::arg("high_pass_per_s") = 0.0,
+          nb::arg("low_pass_per_s") = 0.0)
       .def_ro("gain_per_s", &ObserverSettings::gain_per_s)
       .def_ro("timing", &ObserverSettings::timing)
       .def_ro("sample_period_ns", &ObserverSettings::sample_period_ns)
-      .def_ro("network_stride", &ObserverSettings::network_stride);
+      .def_ro("network_stride", &ObserverSettings::network_stride)
+      .def_ro("method", &ObserverSettings::method)
+      .def_ro("high_pass_per_s", &ObserverSettings::high_pass_per_s)
+      .def_ro("low_pass_per_s", &ObserverSettings::low_pass_per_s);
   nb::enum_<TermKind>(m, "TermKind")
       .value("constant", TermKind::constant)
       .value("viscous", TermKind::viscous)

@@ -1,5 +1,6 @@
 // Feeds bundles of any content to the reader: it must answer with a bundle or an Error, and allocate in proportion to
-// the file. The input is a payload; it gets a right header here, since no fuzzer guesses a checksum. `make fuzz` runs it.
+// the file. The input is a payload; it gets a right header of every version that is read, since no fuzzer guesses a
+// checksum. `make fuzz` runs it.
 //
 // cpp/fuzz/corpus holds payloads of a few made bundles and what runs have found, as little of it as covers the same.
 // After a change of the format:
@@ -22,8 +23,8 @@ namespace {
 
 constexpr std::size_t kHeaderBytes = 28;  // see bundle.cpp
 
-std::vector<char> with_header(std::span<const char> payload) {
-  const std::uint32_t version[] = {tauext::kBundleMajor, 0}, crc = tauext::crc32(payload);
+std::vector<char> with_header(std::uint32_t major, std::span<const char> payload) {
+  const std::uint32_t version[] = {major, 0}, crc = tauext::crc32(payload);
   const std::uint64_t size = payload.size();
   std::vector<char> bytes(kHeaderBytes + payload.size());
   std::memcpy(bytes.data(), "TAUEXT\r\n", 8);
@@ -76,6 +77,12 @@ void write_seeds(const std::string& folder) {
   b.reference.t_ns[1] = 2 * made::kPeriodNs;  // a bridged tick
   tauext::answer_reference(b);
   write_seed(folder + "/branched", b);
+  b = made::bundle(2, 0, 1, 1, 1);
+  b.observer.method = tauext::ResidualMethod::velocity;
+  b.observer.high_pass_per_s = 1;
+  b.observer.low_pass_per_s = 50;
+  tauext::answer_reference(b);
+  write_seed(folder + "/velocity", b);
   b = made::bundle(2, 3, 2, 2, 1);
   b.prior.widths_rad = {1e-3, 3e-3};
   for (int kind = 0; kind <= static_cast<int>(tauext::TermKind::momentum); ++kind)
@@ -103,7 +110,8 @@ extern "C" int LLVMFuzzerInitialize(int* argc, char*** argv) {
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   const std::span<const char> payload(reinterpret_cast<const char*>(data), size);
-  read(with_header(payload));
+  for (std::uint32_t major = tauext::kOldestBundleMajor; major <= tauext::kBundleMajor; ++major)
+    read(with_header(major, payload));
   read(payload);
   return 0;
 }

@@ -1,6 +1,7 @@
 // The file: "TAUEXT\r\n" | major u32 | minor u32 | payload bytes u64 | CRC-32 of the payload u32 | payload, little-endian.
 // The payload is the fields of Bundle in the order of fields() below, which both reads and writes them: numbers as they
-// are, a text or list as its length (u64) and its elements.
+// are, a text or list as its length (u64) and its elements. A field that came with major version v stands under
+// `if (file.major >= v)`.
 #include "tauext/bundle.hpp"
 
 #include <algorithm>
@@ -23,6 +24,7 @@ constexpr std::uint32_t kMinor = 0;
 
 class Writer {
  public:
+  static constexpr std::uint32_t major = kBundleMajor;
   std::vector<char> bytes;
   void raw(const void* data, std::size_t size) {
     const char* from = static_cast<const char*>(data);
@@ -37,7 +39,8 @@ class Writer {
 
 class Reader {
  public:
-  explicit Reader(std::span<const char> payload) : left_(payload) {}
+  const std::uint32_t major;  // of the file
+  Reader(std::uint32_t file_major, std::span<const char> payload) : major(file_major), left_(payload) {}
   void raw(void* data, std::size_t size) {
     if (size > left_.size()) throw Error("it ends in the middle of its contents");
     std::memcpy(data, left_.data(), size);
@@ -113,6 +116,11 @@ void fields(File& file, Bundle& b) {
   field(file, b.observer.timing);
   field(file, b.observer.sample_period_ns);
   field(file, b.observer.network_stride);
+  if (file.major >= 4) {
+    field(file, b.observer.method);
+    field(file, b.observer.high_pass_per_s);
+    field(file, b.observer.low_pass_per_s);
+  }
   field(file, b.window_steps);
   field(file, b.inputs);
   field(file, b.input_factors);
@@ -237,8 +245,7 @@ void Bundle::validate() const {
   const Tree tree(links, gravity);
   const auto n = links.size();
   expect_names(links);
-  const MomentumObserver probe(tree.size(), observer.gain_per_s, observer.timing);
-  const SampleClock clock(observer.sample_period_ns, observer.network_stride);
+  const ResidualStage probe(tree, observer, prior);
   if (observer.timing > TorqueTiming::averaged) throw Error("its torque timing is none of held, instant, averaged");
   if (has_network()) {
     shape.validate();
@@ -254,7 +261,6 @@ void Bundle::validate() const {
     WindowRows windows{nullptr, 0, columns(), observer.network_stride, window_steps, inputs};
     windows.validate(shape, {});
   }
-  const Prior probe_prior(prior, gravity, joints(), observer.gain_per_s);
   limits.validate(joints(), static_cast<int>(prior.widths_rad.size()));
   signals.validate(joints());
   const auto samples = reference.t_ns.size();
@@ -310,16 +316,16 @@ Bundle from_bytes(std::span<const char> bytes) {
   std::memcpy(version, bytes.data() + 8, 8);
   std::memcpy(&size, bytes.data() + 16, 8);
   std::memcpy(&crc, bytes.data() + 24, 4);
-  if (version[0] != kBundleMajor)
-    throw Error("its format is version " + std::to_string(version[0]) + ", this program reads version " +
-                std::to_string(kBundleMajor) +
+  if (version[0] < kOldestBundleMajor || version[0] > kBundleMajor)
+    throw Error("its format is version " + std::to_string(version[0]) + ", this program reads versions " +
+                std::to_string(kOldestBundleMajor) + " to " + std::to_string(kBundleMajor) +
                 (version[0] < kBundleMajor ? "; train it again" : "; it was made by a newer tauext"));
   const std::span<const char> payload = bytes.subspan(kHeaderBytes);
   if (payload.size() != size)
     throw Error("it is truncated or has something appended: " + std::to_string(payload.size()) + " bytes where " +
                 std::to_string(size) + " belong");
   if (crc32(payload) != crc) throw Error("its checksum does not match: it is damaged");
-  Reader reader(payload);
+  Reader reader(version[0], payload);
   Bundle bundle;
   fields(reader, bundle);
   if (!reader.done()) throw Error("it has contents that this version does not know");

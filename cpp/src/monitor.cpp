@@ -10,7 +10,7 @@ namespace tauext {
 namespace {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-constexpr std::uint32_t kStateVersion = 1;
+constexpr std::uint32_t kStateVersion = 2;
 
 // What a saved state begins with.
 struct StateHead {
@@ -58,7 +58,7 @@ Monitor::Monitor(const Bundle& bundle, NetworkRate rate)
     : joints_(bundle.joints()),
       sample_period_ns_(bundle.observer.sample_period_ns),
       network_period_ns_(sample_period_ns_ * bundle.observer.network_stride),
-      gain_per_s_(bundle.observer.gain_per_s),
+      slowest_per_s_(bundle.observer.slowest_per_s()),
       residual_(Tree(bundle.links, bundle.gravity), bundle.observer, bundle.prior),
       watch_(joints_, sample_period_ns_, bundle.signals),
       input_factors_(bundle.input_factors),
@@ -219,7 +219,7 @@ Monitor::Findings Monitor::examine(const Sample& s) noexcept {
     counters_.saturated_ns = s.t_ns;
   }
   const double since_s = 1e-9 * static_cast<double>(elapsed_ns(s.t_ns, counters_.saturated_ns));
-  if (counters_.saturated && since_s * gain_per_s_ >= 10.0) counters_.saturated = false;
+  if (counters_.saturated && since_s * slowest_per_s_ >= 10.0) counters_.saturated = false;
   return findings;
 }
 

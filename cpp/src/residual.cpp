@@ -7,14 +7,25 @@ namespace tauext {
 ResidualStage::ResidualStage(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior)
     : tree_(tree),
       clock_(settings.sample_period_ns, settings.network_stride),
+      method_(settings.method),
       observer_(tree.size(), settings.gain_per_s, settings.timing),
+      comparison_(tree, settings.method, settings.gain_per_s, settings.timing),
+      filter_(tree.size(), settings.high_pass_per_s, settings.low_pass_per_s),
       presliding_(tree.size(), prior.widths_rad),
       prior_(prior, tree.gravity(), tree.size(), settings.gain_per_s),
-      has_prior_(!prior.empty()) {}
+      has_prior_(!prior.empty()) {
+  const bool filtered = settings.high_pass_per_s > 0 || settings.low_pass_per_s > 0;
+  if (has_prior_ && (method_ != ResidualMethod::momentum || filtered))
+    throw Error(std::string("a prior is filtered as the momentum observer filters; it does not fit the method ") +
+                name(method_) + " with a high-pass of " + to_text(settings.high_pass_per_s) + " and a low-pass of " +
+                to_text(settings.low_pass_per_s) + " 1/s; presliding widths alone do");
+}
 
 void ResidualStage::restore(const State& state) noexcept {
   clock_ = state.clock;
   observer_ = state.observer;
+  comparison_ = state.comparison;
+  filter_ = state.filter;
   presliding_.restore(state.presliding);
   prior_.restore(state.prior);
 }
@@ -26,13 +37,19 @@ SampleClock::Tick ResidualStage::step(std::int64_t t_ns, std::span<const double>
   if (tick.kind == SampleClock::Kind::not_later) return tick;
   if (tick.kind == SampleClock::Kind::restart) {
     observer_.reset();
+    comparison_.reset();
+    filter_.reset();
     presliding_.reset();
     prior_.reset();
   }
   JointVector momentum, beta;
   const auto n = static_cast<std::size_t>(tree_.size());
   tree_.momentum(q, dq, std::span(momentum).first(n), std::span(beta).first(n));
-  observer_.step(t_ns, std::span(momentum).first(n), std::span(beta).first(n), tau, residual);
+  if (method_ == ResidualMethod::momentum)
+    observer_.step(t_ns, std::span(momentum).first(n), std::span(beta).first(n), tau, residual);
+  else
+    comparison_.step(tree_, t_ns, q, dq, std::span(momentum).first(n), std::span(beta).first(n), tau, residual);
+  filter_.step(t_ns, method_ == ResidualMethod::momentum ? observer_.warm() : comparison_.warm(), residual);
   presliding_.step(q);
   if (has_prior_)
     prior_.step(t_ns, q, dq, presliding_, std::span(momentum).first(n), std::span(beta).first(n), prior, doubt);

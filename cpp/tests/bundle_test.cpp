@@ -99,6 +99,21 @@ void contents_that_do_not_fit_are_refused_by_name() {
   refused_after("window_steps = 0", [](Bundle& b) { b.window_steps = 0; });
   refused_after("column 4", [](Bundle& b) { b.inputs[0].column = 4; });
   refused_after("gain", [](Bundle& b) { b.observer.gain_per_s = 0; });
+  refused_after("none of momentum, direct", [](Bundle& b) { b.observer.method = static_cast<ResidualMethod>(4); });
+  refused_after("high_pass_per_s = -1", [](Bundle& b) { b.observer.high_pass_per_s = -1; });
+  refused_after("low_pass_per_s = nan", [](Bundle& b) { b.observer.low_pass_per_s = NAN; });
+  refused_after("the velocity observer needs a model", [](Bundle& b) {
+    b.observer.method = ResidualMethod::velocity;
+    for (Link& link : b.links) link.mass = link.rotor_inertia = 0, link.inertia = {};
+  });
+  refused_after("a prior is filtered as the momentum observer", [](Bundle& b) {
+    b.prior.corrected_links = b.links;
+    b.observer.method = ResidualMethod::energy;
+  });
+  refused_after("a prior is filtered as the momentum observer", [](Bundle& b) {
+    b.prior.corrected_links = b.links;
+    b.observer.low_pass_per_s = 30;
+  });
   refused_after("reference is empty", [](Bundle& b) { b.reference = {}; });
   refused_after("reference.tau", [](Bundle& b) { b.reference.tau.pop_back(); });
   refused_after("replaying its reference", [](Bundle& b) { b.reference.network[0] += 0.1; });
@@ -138,8 +153,8 @@ void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
     std::memcpy(bytes.data() + 8, &major, sizeof major);
     return [bytes] { from_bytes(bytes); };
   };
-  refused("version 4, this program reads version 3; it was made by a newer tauext", with_version(kBundleMajor + 1));
-  refused("version 1, this program reads version 3; train it again", with_version(1));
+  refused("version 5, this program reads versions 3 to 4; it was made by a newer tauext", with_version(kBundleMajor + 1));
+  refused("version 2, this program reads versions 3 to 4; train it again", with_version(kOldestBundleMajor - 1));
   std::vector<char> bytes = good;
   bytes.push_back(0);
   refused("something appended", [&] { from_bytes(bytes); });
@@ -151,6 +166,22 @@ void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
   refused("does not know", [&] { from_bytes(bytes); });
   refused("not a tauext bundle", [] { from_bytes(std::vector<char>(64, 'x')); });
   refused("cannot be opened", [] { load(folder + "/none.tauext"); });
+}
+
+// Widths alone are no prior: they tell the region of a limit.
+void every_method_and_filter_is_kept_and_widths_go_with_them() {
+  for (const ResidualMethod method : {ResidualMethod::direct, ResidualMethod::velocity, ResidualMethod::energy}) {
+    Bundle b = made::bundle(2, 0, 5, 10, 1);
+    b.observer.method = method;
+    b.observer.high_pass_per_s = 2;
+    b.observer.low_pass_per_s = 30;
+    b.prior.widths_rad = {1e-3, 3e-3};
+    b.limits.region_width = 1;
+    answer_reference(b);
+    const Bundle loaded = from_bytes(to_bytes(b));
+    CHECK(loaded.observer.method == method);
+    CHECK(loaded.observer.high_pass_per_s == 2 && loaded.observer.low_pass_per_s == 30);
+  }
 }
 
 void the_plain_observer_needs_no_network() {
@@ -172,6 +203,7 @@ int main() {
   contents_that_do_not_fit_are_refused_by_name();
   limits_and_signals_that_make_no_sense_are_refused_by_name();
   other_versions_and_bytes_that_do_not_belong_are_refused_by_name();
+  every_method_and_filter_is_kept_and_widths_go_with_them();
   the_plain_observer_needs_no_network();
   std::filesystem::remove_all(folder);
   return check::result();

@@ -62,44 +62,68 @@ bool same(const Estimate& a, const Estimate& b) {
 }
 
 // Jittering stamps, bridged gaps of one to ten ticks, and some gaps that restart.
-void online_equals_offline_to_the_last_bit() {
-  for (const int joints : {1, 2, 7}) {
-    for (const int hidden : {0, 20}) {
-      const Bundle bundle = made::bundle(joints, hidden, kSteps, kStride, 3);
-      std::mt19937 random(5);
-      std::vector<std::int64_t> t_ns{12345};
-      while (t_ns.size() < 3500) {
-        const auto draw = random() % 400;
-        std::int64_t step = kMs - 100'000 + static_cast<std::int64_t>(random() % 200'000);
-        if (draw < 6) step += static_cast<std::int64_t>(1 + random() % 10) * kMs;
-        if (draw == 399 && t_ns.size() % 3 == 0) step += 50 * kMs;
-        t_ns.push_back(t_ns.back() + step);
-      }
-      const Signals s = sampled(joints, t_ns);
-      const Estimates offline = estimate(bundle, s.view(), 2);
-      Monitor monitor(bundle);
-      int healthy = 0, detections = 0;
-      for (std::int64_t k = 0; k < s.samples(); ++k) {
-        const Estimate& e = monitor.step(s.at(k));
-        const auto row = static_cast<std::size_t>(k);
-        CHECK((e.health == Health::ok) == (offline.healthy[row] == 1));
-        CHECK(e.detection == (offline.detection[row] == 1));
-        healthy += e.health == Health::ok;
-        detections += e.detection;
-        for (std::size_t j = 0; j < static_cast<std::size_t>(joints); ++j) {
-          const std::size_t at = row * static_cast<std::size_t>(joints) + j;
-          CHECK(e.residual[j] == offline.residual[at]);
-          CHECK(same(e.uncertainty[j], offline.network[at]));
-          CHECK(same(e.tau_ext[j], offline.tau_ext[at]));
-          CHECK(e.limit_nm[j] == offline.limit_nm[at]);
-          CHECK(same(e.margin_nm[j], e.limit_nm[j] - std::fabs(e.tau_ext[j])));
-          CHECK((e.near_stiction >> j & 1) == offline.near_stiction[at]);
-        }
-      }
-      CHECK(healthy > 1000 && healthy < 3400 && detections > 0);
-      CHECK(monitor.samples() == 3500 && monitor.bridged_ticks() > 0 && monitor.restarts() > 0);
+Signals irregular(int joints) {
+  std::mt19937 random(5);
+  std::vector<std::int64_t> t_ns{12345};
+  while (t_ns.size() < 3500) {
+    const auto draw = random() % 400;
+    std::int64_t step = kMs - 100'000 + static_cast<std::int64_t>(random() % 200'000);
+    if (draw < 6) step += static_cast<std::int64_t>(1 + random() % 10) * kMs;
+    if (draw == 399 && t_ns.size() % 3 == 0) step += 50 * kMs;
+    t_ns.push_back(t_ns.back() + step);
+  }
+  return sampled(joints, t_ns);
+}
+
+void online_equals_offline(const Bundle& bundle) {
+  const int joints = bundle.joints();
+  const Signals s = irregular(joints);
+  const Estimates offline = estimate(bundle, s.view(), 2);
+  Monitor monitor(bundle);
+  int healthy = 0, detections = 0;
+  for (std::int64_t k = 0; k < s.samples(); ++k) {
+    const Estimate& e = monitor.step(s.at(k));
+    const auto row = static_cast<std::size_t>(k);
+    CHECK((e.health == Health::ok) == (offline.healthy[row] == 1));
+    CHECK(e.detection == (offline.detection[row] == 1));
+    healthy += e.health == Health::ok;
+    detections += e.detection;
+    for (std::size_t j = 0; j < static_cast<std::size_t>(joints); ++j) {
+      const std::size_t at = row * static_cast<std::size_t>(joints) + j;
+      CHECK(e.residual[j] == offline.residual[at]);
+      CHECK(same(e.uncertainty[j], offline.network[at]));
+      CHECK(same(e.tau_ext[j], offline.tau_ext[at]));
+      CHECK(e.limit_nm[j] == offline.limit_nm[at]);
+      CHECK(same(e.margin_nm[j], e.limit_nm[j] - std::fabs(e.tau_ext[j])));
+      CHECK((e.near_stiction >> j & 1) == offline.near_stiction[at]);
     }
   }
+  CHECK(healthy > 1000 && healthy < 3400 && detections > 0);
+  CHECK(monitor.samples() == 3500 && monitor.bridged_ticks() > 0 && monitor.restarts() > 0);
+}
+
+void online_equals_offline_to_the_last_bit() {
+  for (const int joints : {1, 2, 7})
+    for (const int hidden : {0, 20}) online_equals_offline(made::bundle(joints, hidden, kSteps, kStride, 3));
+}
+
+// The made bundle of two joints with another residual and both filters; its limits are low enough to be crossed.
+Bundle compared(ResidualMethod method, int hidden) {
+  Bundle bundle = made::bundle(2, hidden, kSteps, kStride, 3);
+  bundle.observer.method = method;
+  bundle.observer.high_pass_per_s = 2;
+  bundle.observer.low_pass_per_s = 40;
+  for (Level* level : {&bundle.limits.collision, &bundle.limits.contact})
+    level->sliding_nm = level->near_stiction_nm = {0.5, 0.5};
+  answer_reference(bundle);
+  return bundle;
+}
+constexpr ResidualMethod kMethods[] = {ResidualMethod::momentum, ResidualMethod::direct, ResidualMethod::velocity,
+                                       ResidualMethod::energy};
+
+void online_equals_offline_for_every_method() {
+  for (const ResidualMethod method : kMethods)
+    for (const int hidden : {0, 20}) online_equals_offline(compared(method, hidden));
 }
 
 void the_network_at_its_own_rate_holds_its_last_value() {
@@ -331,6 +355,27 @@ void a_restored_monitor_goes_on_as_if_nothing_had_been() {
   }
 }
 
+void a_restored_monitor_goes_on_with_every_method() {
+  const Signals s = regular(2, 2000);
+  for (const ResidualMethod method : kMethods) {
+    Monitor one(compared(method, 0)), other(compared(method, 0));
+    for (std::int64_t stop : {1, 333, 777}) {
+      one.reset();
+      feed(one, s, 0, stop);
+      std::vector<std::byte> state(one.state_bytes());
+      CHECK(one.save_state(state));
+      feed(other, s, 5, 99);
+      CHECK(other.restore_state(state));
+      for (std::int64_t k = stop; k < stop + 1000; ++k) CHECK(same(one.step(s.at(k)), other.step(s.at(k))));
+      CHECK(one.last().health == Health::ok);
+    }
+    std::vector<std::byte> state(one.state_bytes());
+    CHECK(one.save_state(state));
+    Monitor foreign(made::bundle(2, 0, kSteps, kStride, 3));  // of the plain momentum observer
+    CHECK(!foreign.restore_state(state));
+  }
+}
+
 void a_left_out_advance_is_made_up_for() {
   const Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
   const Signals s = regular(2, 1500);
@@ -357,6 +402,7 @@ void a_bundle_that_does_not_hold_together_makes_no_monitor() {
 
 int main() {
   online_equals_offline_to_the_last_bit();
+  online_equals_offline_for_every_method();
   the_network_at_its_own_rate_holds_its_last_value();
   broken_signals_are_faults_and_the_monitor_comes_back();
   a_gap_in_the_samples_warms_up_anew_and_says_why();
@@ -366,6 +412,7 @@ int main() {
   an_encoder_that_stands_still_is_a_fault_and_a_resting_arm_is_not();
   reset_equals_fresh_and_acknowledge_ends_the_alarm_alone();
   a_restored_monitor_goes_on_as_if_nothing_had_been();
+  a_restored_monitor_goes_on_with_every_method();
   a_left_out_advance_is_made_up_for();
   names_are_told();
   a_bundle_that_does_not_hold_together_makes_no_monitor();

@@ -49,8 +49,18 @@ using namespace tauext;
 
 namespace {
 
+// The residual that does most: a mass matrix and a system of equations a sample, and both filters.
+Bundle compared(int joints) {
+  Bundle bundle = made::bundle(joints, 0, 30, 10, 1);
+  bundle.observer.method = ResidualMethod::velocity;
+  bundle.observer.high_pass_per_s = 2;
+  bundle.observer.low_pass_per_s = 40;
+  answer_reference(bundle);
+  return bundle;
+}
+
 struct Everything {
-  Monitor every, own, plain;
+  Monitor every, own, plain, velocity;
   FlightRecorder recorder;
   std::vector<std::byte> state;
 
@@ -58,6 +68,7 @@ struct Everything {
       : every(made::bundle(joints, 20, 30, 10, 1)),
         own(made::bundle(joints, 20, 30, 10, 1), NetworkRate::network_period),
         plain(made::bundle(joints, 0, 30, 10, 1)),
+        velocity(compared(joints)),
         recorder(joints, 1'000'000, {0.5, 0.1, true}),
         state(every.state_bytes()) {}
 
@@ -79,6 +90,7 @@ struct Everything {
       recorder.push(sample, every.step(sample));
       own.estimate(sample);
       plain.estimate(sample);
+      velocity.estimate(sample);
       if (k % 10 == 0) own.advance();
       if (k % 700 == 0) every.no_sample(t_ns + 3'000'000);
       if (k % 1600 == 0) every.acknowledge();

@@ -152,7 +152,7 @@ class Monitor {
   int joints_;
   std::vector<std::string> joint_names_;
   std::int64_t sample_period_ns_, network_period_ns_;
-  double gain_per_s_;
+  double slowest_per_s_;
   std::uint32_t fingerprint_;  // CRC-32 of the bundle and of what else a state depends on
   ResidualStage residual_;
   SignalWatch watch_;

@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from scipy.signal import lfilter
 
 from tauext.data import Recording, Split, save, save_split
-from tauext.data.estimates import OK, WARMING_UP, Estimates, save_estimates
-from tauext.evaluate.collisions import choose_ten, find_collisions, found_curve, judge
-from tauext.evaluate.free_motion import FreeMotionErrors
+from tauext.data.estimates import COLLISION, OK, WARMING_UP, Estimates, save_estimates
+from tauext.evaluate.case import CaseMeasures
+from tauext.evaluate.collisions import choose_ten, find_collisions
+from tauext.evaluate.reference import sensor_reference
+from tauext.evaluate.sanity import sanity_detectors
 
 RATE_HZ = 1000
 WARM_S = 1.5
@@ -55,33 +58,39 @@ def make_results(
     for case in cases:
         recipe = "dense" if variants and not case.endswith("-paper") else "paper"
         (results / "estimates" / case).mkdir(parents=True)
-        errors, verdicts = FreeMotionErrors(joints), []
+        promise = {"asked": {"rate_per_hour": 0.125}, "supported": True}
+        trained = {"recipe": recipe, "case": case, "steps": STEPS[recipe], "epochs": 500, "batch": 1000}
+        bundle = SimpleNamespace(  # what is measured of a bundle beside its estimates
+            name=case,
+            joints=joints,
+            near_stiction_rad_s=NEAR_STICTION_RAD_S,
+            hold_s=0.0,
+            observer=SimpleNamespace(gain_per_s=20.0),
+            sliding_limit_nm=limits[case].tolist(),
+            near_stiction_limit_nm=(2 * limits[case]).tolist(),
+            provenance=json.dumps(trained | {"limits": {"promise": promise}}),
+        )
+        measures = CaseMeasures(case, bundle)
         for recording in free + touched:
             estimates = make_estimates(recording, case, limits[case], rng)
             save_estimates(estimates, results / "estimates" / case / f"{recording.name}.parquet")
             if recording in free:
-                errors.add(recording, estimates)
-            verdicts += [judge(touch, recording, estimates) for touch in touches if touch.recording == recording.name]
-        found = {verdict["id"]: verdict["found"] for verdict in verdicts}
-        entries.append(
-            {
-                "name": case,
-                "bundle": f"{case}.tauext",
-                "recipe": recipe,
-                "steps": STEPS[recipe],
-                "epochs": 500,
-                "batch": 1000,
-                "train_minutes": 3.4,
-                "free_motion": errors.summary(),
-                "limits": {"sliding_nm": limits[case].tolist(), "near_stiction_nm": (2 * limits[case]).tolist()},
-                "collisions": verdicts,
-                "ten_found": sum(found[one] for one in ten),
-                "found_curve": found_curve(touches, verdicts, limits[case]),
-                "loss_history": make_loss_history(STEPS[recipe], rng),
-            }
-        )
+                measures.add_free(recording, estimates)
+            else:
+                here = [touch for touch in touches if touch.recording == recording.name]
+                measures.add_touched(here, recording, estimates, sensor_reference(recording, 20.0))
+        history = make_loss_history(STEPS[recipe], rng)
+        entries.append(measures.summary(touches, ten, history) | {"train_minutes": 3.4})
+    ignorant = sanity_detectors(seed)
+    for number, recording in enumerate(free + touched):
+        for detector in ignorant:
+            if recording in free:
+                detector.add_free(number, recording)
+            else:
+                here = [touch for touch in touches if touch.recording == recording.name]
+                detector.add_collisions(number, here, recording, estimates)
     content = {
-        "format": 1,
+        "format": 2,
         "provenance": {
             "command": "tauext reproduce --scale quick --seed 0",
             "version": "0.1.0",
@@ -95,6 +104,7 @@ def make_results(
         "ten_collisions": ten,
         "collisions": [touch.summary() for touch in touches],
         "cases": entries,
+        "sanity": [detector.summary() for detector in ignorant],
     }
     (results / "results.json").write_text(json.dumps(content, indent=1, allow_nan=False))
     return results, data
@@ -195,4 +205,5 @@ def make_estimates(recording: Recording, case: str, limit_nm: np.ndarray, rng: n
         near_stiction=near,
         health=np.where(warm, WARMING_UP, OK).astype(np.int8),
         detection=detection,
+        alarm=np.where(detection, COLLISION, 0).astype(np.int8),
     )

@@ -4,81 +4,16 @@ import json
 
 import numpy as np
 import pytest
-from arms import prismatic_mass
 from numpy.testing import assert_allclose
+from sliding_mass import estimates_of, observer_bundle, pushed, recording
 
-from tauext import _core
-from tauext.config import ObserverConfig
-from tauext.data import Recording
-from tauext.data.estimates import OK, WARMING_UP, Estimates, load_estimates, save_estimates
+from tauext.data.estimates import Estimates, load_estimates, save_estimates
 from tauext.errors import BundleError, ConfigError, RecordingError
 from tauext.evaluate import evaluate, read_loss_history
 from tauext.evaluate.collisions import choose_ten, find_collisions, found_curve, judge
 from tauext.evaluate.free_motion import FreeMotionErrors, count_episodes
 from tauext.evaluate.latched import held
 from tauext.evaluate.loss_history import thin
-from tauext.learn import build_chain, make_bundle
-
-MASS = 2.0
-
-
-def recording(name: str = "made", samples: int = 3000, **changes) -> Recording:
-    """One sliding mass at rest."""
-    zeros = np.zeros((samples, 1))
-    content = {
-        "name": name,
-        "joints": ("slide",),
-        "t_ns": np.arange(samples, dtype=np.int64) * 1_000_000,
-        "q": zeros,
-        "dq": zeros,
-        "tau": zeros,
-        "rate_hz": 1000.0,
-        "torque_timing": "held",
-        "source": "test",
-        "robot_sha256": "",
-    }
-    return Recording(**(content | changes))
-
-
-def pushed(name: str, force: float, begin: int = 1000, end: int = 1400, samples: int = 3000) -> Recording:
-    """The mass pushed by a constant force between two samples, and what an ideal sensor says of it."""
-    push = np.zeros((samples, 1))
-    push[begin:end] = force
-    dq = np.vstack([[0.0], np.cumsum(push[:-1], axis=0)]) * 1e-3 / MASS
-    a = np.exp(-0.02)
-    sensor = np.zeros_like(push)
-    for k in range(1, samples):
-        sensor[k] = a * sensor[k - 1] + (1 - a) * push[k - 1]
-    contact = (push[:, 0] != 0).astype(np.int8)
-    return recording(
-        name, samples, dq=dq, tau_ext=push, tau_ext_sensor=sensor, contact=contact, contact_link=contact - 1
-    )
-
-
-def observer_bundle(limit_nm: float = 2.0) -> _core.Bundle:
-    made = recording()
-    chain = build_chain(prismatic_mass(MASS), made, ObserverConfig())
-    bundle = make_bundle("observer", chain, 0.02, made)
-    bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [limit_nm]
-    bundle.provenance = json.dumps({"recipe": "observer", "steps": 0})
-    return bundle
-
-
-def estimates_of(tau_ext: np.ndarray, limit: float, warm_from: int = 0) -> Estimates:
-    tau_ext = np.asarray(tau_ext, dtype=np.float32).reshape(-1, 1)
-    healthy = np.arange(len(tau_ext)) >= warm_from
-    zeros = np.zeros_like(tau_ext)
-    return Estimates(
-        joints=("slide",),
-        t_ns=np.arange(len(tau_ext), dtype=np.int64) * 1_000_000,
-        r=tau_ext,
-        network=zeros,
-        tau_ext=tau_ext,
-        limit=zeros + np.float32(limit),
-        near_stiction=np.arange(len(tau_ext))[:, None] % 2 == 0,
-        health=np.where(healthy, OK, WARMING_UP).astype(np.int8),
-        detection=healthy & (np.abs(tau_ext[:, 0]) > limit),
-    )
 
 
 def test_a_push_is_found_after_the_time_that_the_observer_needs_to_reach_the_limit(tmp_path):

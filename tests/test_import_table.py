@@ -17,7 +17,7 @@ TABLE = {
     "learn": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
     "learn/torch_backend": ({"_core"}, {"numpy", "torch"}),
     "calibrate": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
-    "evaluate": ({"_core", "robot", "data"}, {"numpy"}),
+    "evaluate": ({"_core", "robot", "data", "calibrate"}, {"numpy"}),
     "report": ({"data"}, {"numpy", "matplotlib", "jinja2"}),
     "monitor": ({"_core", "data"}, {"numpy"}),
     "cli": (EVERYTHING, {"tyro", "rich"}),

@@ -12,22 +12,28 @@ from made_results import SEVEN_CASES, make_results
 
 from tauext.errors import ConfigError, RecordingError, TauextError
 from tauext.report import paper, write_report
+from tauext.report.after_contact import draw_after_contact
 from tauext.report.collisions_over_time import draw_collisions
 from tauext.report.error_over_speed import draw_error_over_speed
 from tauext.report.found_curve import draw_found_curve
 from tauext.report.free_motion import draw_free_motion
+from tauext.report.learning_curves import draw_learning_curves
+from tauext.report.methods_table import methods
+from tauext.report.missed_curve import draw_missed_curve
 from tauext.report.naming import case_label
 from tauext.report.page import PageFigure, render_page
 from tauext.report.results_file import load_results
 from tauext.report.signals import NotAvailable, Signals
-from tauext.report.style import CASE_COLOURS, OTHER_COLOURS, VARIANT_COLOURS, case_colours
+from tauext.report.strength import draw_strength
+from tauext.report.style import CASE_COLOURS, OTHER_COLOURS, VARIANT_COLOURS, case_colours, case_strokes
 from tauext.report.three_collisions import choose, draw_three_collisions
 from tauext.report.training_loss import draw_training_loss
 
 FIGURES = ("figure-5-free-motion", "figure-6-error-over-speed", "figure-7-collisions", "figure-8-three-collisions")
-ALL_FIGURES = (*FIGURES, "found-curve", "training-loss")
+OF_METHODS = ("missed-curve", "strength", "after-contact")
+ALL_FIGURES = (*FIGURES, "found-curve", "training-loss", *OF_METHODS)
 DRAWERS = (draw_free_motion, draw_error_over_speed, draw_collisions, draw_three_collisions)
-NO_FIGURES = dict.fromkeys(ALL_FIGURES, PageFigure(png=None, caption="none"))
+NO_FIGURES = dict.fromkeys((*ALL_FIGURES, "learning-curves"), PageFigure(png=None, caption="none"))
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +113,8 @@ def test_a_report_without_dataset_and_estimates_still_has_its_tables(copied, tmp
     assert page.count("is not available: the dataset has no recording") == 3
     assert "Figure 6 error over speed is not available: no test recording is there with its estimates" in page
     assert "0.402" in page
-    assert {p.name for p in (tmp_path / "report" / "figures").iterdir()} == {"found-curve.png", "training-loss.png"}
+    drawn = {p.stem for p in (tmp_path / "report" / "figures").iterdir()}
+    assert drawn == {"found-curve", "training-loss", *OF_METHODS}
 
 
 # Numbers on the page
@@ -248,8 +255,12 @@ def test_figures_need_no_other_case_than_the_one_there_is(copied):
 
 def test_a_case_keeps_its_colour_whatever_stands_beside_it():
     assert case_colours(["none", "mine"])["none"] == case_colours(list(CASE_COLOURS))["none"]
-    many = [f"case-{k}" for k in range(len(OTHER_COLOURS) + 1)]
-    assert case_colours(many)["case-0"] == OTHER_COLOURS[0] == case_colours(many)[many[-1]]
+    assert case_colours(["none", "mine"])["mine"] == OTHER_COLOURS[0]
+    many = [f"case-{k}" for k in range(17)]
+    assert len({*case_colours(many).values()}) == 17 == len({*case_colours(["exact", *many[1:]]).values()})
+    assert case_colours(many)["case-0"] == CASE_COLOURS["exact"]  # free where no case is the paper's
+    strokes = case_strokes(many[:12]).values()
+    assert len({(stroke["marker"], str(stroke["linestyle"])) for stroke in strokes}) == 12
     assert case_colours(["none-paper", "none"]) == {"none-paper": VARIANT_COLOURS["none"], "none": CASE_COLOURS["none"]}
     assert case_colours(["none-paper", "none-long"])["none-long"] == OTHER_COLOURS[0]
     palettes = [*CASE_COLOURS.values(), *VARIANT_COLOURS.values(), *OTHER_COLOURS]
@@ -308,6 +319,100 @@ def test_seven_cases_are_drawn_in_every_figure(seven, tmp_path):
     drawing = draw_free_motion(load_results(seven[0]), signals_of(seven))
     titles = [axes.get_title() for axes in drawing.figure.axes if axes.get_title()]
     assert titles[:2] == ["exact", "exact,\npaper recipe"] and len(titles) == 7
+
+
+# Methods compared
+
+
+def rename(count):
+    """A change to so many cases of other names, the first ones' copies."""
+
+    def edit(content):
+        content["cases"] = [content["cases"][k % 5] | {"name": f"method {k}"} for k in range(count)]
+
+    return edit
+
+
+def test_a_method_has_one_row_and_detectors_that_know_nothing_stand_under_it(made):
+    results = load_results(made[0])
+    table = methods(results)
+    assert [row.cells[0] for row in table.rows] == [*results.labels.values(), "always", "never", "random"]
+    assert {len(row.cells) for row in table.rows} == {len(table.columns)} == {sum(span for _, span in table.groups)}
+    latched = results.cases[0].measured.latched
+    assert f"{latched.strong_latched} of {latched.strong}" in table.rows[0].cells
+    assert f"0 of {len(results.collisions)} (in alarm at {len(results.collisions)})" in table.rows[5].cells
+
+
+@pytest.mark.parametrize(
+    "kept, consistent, word", [(None, None, "–"), (False, False, "no"), (True, True, "yes"), (True, False, "far below")]
+)
+def test_a_promise_is_said_to_be_kept_or_not(kept, consistent, word, copied):
+    entries = {"promise_kept": kept, "promise_consistent": consistent}
+    change(copied[0], lambda content: content["cases"][0]["free_motion"].update(entries))
+    assert word in methods(load_results(copied[0])).rows[0].cells[-5]
+
+
+def test_the_mark_of_a_method_stands_at_its_own_false_collisions_and_misses(made):
+    results = load_results(made[0])
+    axes = draw_missed_curve(results).figure.axes[0]
+    marks = {tuple(line.get_xydata()[0]) for line in axes.get_lines() if len(line.get_xydata()) == 1}
+    for case in results.cases:
+        false, latched = case.measured.false_collisions, case.measured.latched
+        at = [mark for mark in marks if mark[0] == pytest.approx(false.count / case.hours)]
+        at = at or [mark for mark in marks if false.count == 0 and mark[0] < 0.4 / case.hours]  # in the strip
+        missed = 100 * (1 - latched.latched / latched.collisions)
+        assert any(mark[1] <= missed + 1e-9 for mark in at)  # one that was on before the onset is not latched anew
+
+
+@pytest.mark.parametrize("count", [1, 12])
+def test_figures_of_any_number_of_methods_are_drawn_and_crowded_ones_show_the_first_five(count, copied):
+    change(copied[0], rename(count))
+    results, signals = load_results(copied[0]), signals_of(copied)
+    for draw in (draw_missed_curve, draw_strength, draw_after_contact):
+        drawing = draw(results)
+        drawing.figure.draw_without_rendering()
+        labels = [text.get_text() for text in drawing.figure.legends[0].get_texts()]
+        assert [label for label in labels if label != "random alarms"] == [f"method {k}" for k in range(count)]
+    for k, case in enumerate(results.cases):
+        shutil.copytree(copied[0] / "estimates" / list(CASE_COLOURS)[k % 5], copied[0] / "estimates" / case.name)
+    for draw in (draw_free_motion, draw_three_collisions):
+        assert ("Only the first 5 of 12 cases are drawn." in draw(results, signals).caption) == (count == 12)
+
+
+def test_figures_of_methods_say_what_is_missing(copied):
+    def strip(content):
+        for case in content["cases"]:
+            for key in ("latched", "missed_curve", "by_strength", "after_contact"):
+                del case[key]
+
+    change(copied[0], strip)
+    results = load_results(copied[0])
+    for draw in (draw_missed_curve, draw_strength, draw_after_contact, draw_learning_curves):
+        with pytest.raises(NotAvailable):
+            draw(results)
+    assert methods(results).rows[0].cells[-4:] == ("–",) * 4
+
+
+def test_learning_curves_have_a_line_a_recipe_and_a_panel_a_joint(copied):
+    def edit(content):
+        for k, case in enumerate(content["cases"]):
+            case |= {"name": f"m{k}", "case": "exact", "recipe": ("dense", "prior")[k % 2]}
+            case["training_minutes"] = (1, 2, 30, 40, 50)[k]
+
+    change(copied[0], edit)
+    results = load_results(copied[0])
+    panels = draw_learning_curves(results).figure.axes
+    assert [axes.get_title() for axes in panels] == ["joint1", "joint2"]
+    dense, prior = (line.get_xydata().tolist() for line in panels[1].get_lines())
+    assert dense == [[m, results.case(f"m{k}").l1_nm[1]] for k, m in ((0, 1), (2, 30), (4, 50))]
+    assert len(prior) == 2
+
+
+def test_test_recordings_whose_estimates_were_not_kept_are_counted_and_not_listed(copied):
+    names = [f"free-{k:03d}" for k in range(2, 400)]
+    change(copied[0], lambda content: content["cases"][0]["free_motion"]["recordings"].extend(names))
+    drawing = draw_error_over_speed(load_results(copied[0]), signals_of(copied))
+    assert drawing.caption.endswith(" 398 more test recordings have no estimates kept.")
 
 
 # Training loss
@@ -373,7 +478,8 @@ def cut(content):
 
 
 FAULTS = {
-    "newer": (lambda c: c.update(format=2), "its format is 2, this version reads 1"),
+    "newer": (lambda c: c.update(format=3), "its format is 3, this version reads 2"),
+    "older": (lambda c: c.update(format=1), "its format is 1, this version reads 2; evaluate again"),
     "no joints": (lambda c: c.update(joints=[]), "it holds no joints"),
     "no cases": (lambda c: c.update(cases=[]), "it holds no case; evaluate at least one bundle"),
     "cases null": (lambda c: c.update(cases=None), "'cases' is null, must be list"),

@@ -9,7 +9,14 @@ from tauext.cli.dataset import Dataset
 from tauext.errors import ConfigError
 
 
-def evaluate(data: Path, bundles: tuple[Path, ...], out: Path, seed: int = 0, threads: int = 0) -> None:
+def evaluate(
+    data: Path,
+    bundles: tuple[Path, ...],
+    out: Path,
+    seed: int = 0,
+    threads: int = 0,
+    keep_free_estimates: int = 20,
+) -> None:
     """Errors and false alarms on test free motion, collisions found and delays, and the estimates behind them.
 
     Args:
@@ -18,6 +25,7 @@ def evaluate(data: Path, bundles: tuple[Path, ...], out: Path, seed: int = 0, th
         out: results folder to write: results.json and estimates/.
         seed: of the choice of the ten collisions.
         threads: 0: one a core. The result does not depend on it.
+        keep_free_estimates: write the estimates of so many test recordings of free motion, the first, for figures.
     """
     for path in bundles:
         if not path.is_file():
@@ -25,15 +33,24 @@ def evaluate(data: Path, bundles: tuple[Path, ...], out: Path, seed: int = 0, th
     names = [path.stem for path in bundles]
     if len(set(names)) < len(names):
         raise ConfigError(f"bundles must differ in their file names, not only in their folders: {', '.join(names)}")
-    evaluate_bundles(Dataset.open(data), dict(zip(names, bundles, strict=True)), out, seed, threads)
+    named = dict(zip(names, bundles, strict=True))
+    evaluate_bundles(Dataset.open(data), named, out, seed, threads, keep_free_estimates=keep_free_estimates)
     print(out / "results.json")
 
 
 def evaluate_bundles(
-    dataset: Dataset, bundles: Mapping[str, Path], out: Path, seed: int, threads: int, scale: str | None = None
+    dataset: Dataset,
+    bundles: Mapping[str, Path],
+    out: Path,
+    seed: int,
+    threads: int,
+    scale: str | None = None,
+    keep_free_estimates: int = 20,
+    sanity: bool = False,
 ) -> None:
     """Write results.json, estimates, run.json and wall times for bundles by the name of their case.
 
+    With sanity, detectors that know nothing (always, never, random) are judged beside them.
     Where a bundle's NAME.run.json stands beside it, the loss history of its training goes into results.json too.
     """
     import os
@@ -57,10 +74,12 @@ def evaluate_bundles(
             threads or os.cpu_count() or 1,
             lambda what, done, total: bar.update(done, total, "recordings"),
             histories,
+            keep_free_estimates,
+            sanity,
         )
     run = provenance("tauext evaluate", {"bundles": list(bundles)}, seed)
     source = {"command": command_line(), "dataset": dataset.folder.name, "scale": scale}
     keep = {key: run[key] for key in ("version", "seed", "machine")}
     write_json(run, out / "run.json")
     write_json({"evaluate_s": time.monotonic() - started}, out / "wall_time_s.json")
-    write_json({"format": 1, "provenance": source | keep} | results, out / "results.json")
+    write_json({"format": 2, "provenance": source | keep} | results, out / "results.json")

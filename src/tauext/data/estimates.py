@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from tauext.errors import RecordingError
 
 WARMING_UP, OK, STALE, FAULT = range(4)  # health
-COLLISION = 2  # alarm
+CONTACT, COLLISION = 1, 2  # alarm
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,11 @@ class Estimates:
     @property
     def healthy(self) -> np.ndarray:
         return self.health == OK
+
+    @property
+    def uncertainty(self) -> np.ndarray:
+        """What is taken for no contact: prior and network, (samples, joints), [N m]."""
+        return self.network if self.prior is None else self.prior + self.network
 
 
 TORQUES = ("r", "network", "tau_ext", "limit")

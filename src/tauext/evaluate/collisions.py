@@ -88,8 +88,9 @@ def judge(collision: Collision, recording: Recording, estimates: Estimates) -> d
     found = _first_rise(estimates.detection[window], bool(estimates.detection[before]))
     sensor = None
     if recording.tau_ext_sensor is not None:
-        over = (np.abs(recording.tau_ext_sensor) > estimates.limit).any(axis=1)
-        sensor = _first_rise(over[window], bool(over[before]))
+        part = slice(before, window.stop)
+        over = (np.abs(recording.tau_ext_sensor[part]) > estimates.limit[part]).any(axis=1)
+        sensor = _first_rise(over[collision.begin - before :], bool(over[0]))
     result = {"id": collision.id, "found": found is not None, "joint": None, "delay_s": None}
     if found is not None:
         margin = np.abs(estimates.tau_ext[window][found]) / estimates.limit[window][found]
@@ -109,8 +110,8 @@ def _first_rise(flags: np.ndarray, before: bool) -> int | None:
 def choose_ten(collisions: list[Collision], largest_limit_nm: np.ndarray, seed: int) -> list[str]:
     """Ids of ten collisions, drawn by seed, whose sensor reference peaks at twice the limit or more on some joint.
 
-    largest_limit_nm: the largest sliding limit over all cases, a joint, so that the set is the same for every case. All
-    of them where fewer than ten are that strong.
+    largest_limit_nm: the largest sliding limit over all cases, or their median, a joint, so that the set is the same
+    for every case. All of them where fewer than ten are that strong.
     """
     strong = [c.id for c in collisions if (c.sensor_peak_nm >= 2 * largest_limit_nm).any()]
     if len(strong) <= 10:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -12,11 +11,12 @@ from tauext import _core
 from tauext.data import Recording
 from tauext.data.estimates import save_estimates
 from tauext.errors import ConfigError
-from tauext.evaluate.collisions import Collision, choose_ten, find_collisions, found_curve, judge
+from tauext.evaluate.case import CaseMeasures
+from tauext.evaluate.collisions import Collision, choose_ten, find_collisions
 from tauext.evaluate.estimating import estimate, expect_fit
-from tauext.evaluate.free_motion import FreeMotionErrors
-from tauext.evaluate.latched import judge_latched, latched_summary
 from tauext.evaluate.loss_history import LossHistory
+from tauext.evaluate.reference import sensor_reference
+from tauext.evaluate.sanity import sanity_detectors
 
 Loader = Callable[[], Recording]
 
@@ -30,6 +30,8 @@ def evaluate(
     threads: int,
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
     loss_histories: Mapping[str, LossHistory | None] | None = None,
+    keep_free_estimates: int = 20,
+    sanity: bool = False,
 ) -> dict:
     """Results of every bundle: the content of results.json but for its provenance.
 
@@ -39,13 +41,16 @@ def evaluate(
         bundles: by the name of their case.
         test: recordings of free motion that neither training nor validation saw.
         collisions: recordings with contacts.
-        estimates_dir: gets one folder a case, with the estimates of every recording.
-        seed: of the choice of ten collisions.
+        estimates_dir: gets one folder a case, with the estimates of every collision recording and some of free motion.
+        seed: of the choice of ten collisions, and of random alarms.
         loss_histories: of the bundles' training, by the name of their case; only passed on.
+        keep_free_estimates: so many test recordings, the first, have their estimates written: hours of them would fill
+            a disk, and figures need minutes.
+        sanity: add detectors that know nothing, see sanity.py.
 
     Raises:
         BundleError: a recording does not fit a bundle.
-        ConfigError: no bundle or no test recording.
+        ConfigError: no bundle or no test recording, or keep_free_estimates < 0.
     """
     if not bundles:
         raise ConfigError("there is nothing to evaluate: no bundle was given")
@@ -53,13 +58,13 @@ def evaluate(
         raise ConfigError(
             "there is no test recording: errors and false alarms need free motion that training never saw"
         )
+    if keep_free_estimates < 0:
+        raise ConfigError(f"keep_free_estimates = {keep_free_estimates} must be >= 0")
     for name in bundles:
         (estimates_dir / name).mkdir(parents=True, exist_ok=True)
-    joints = [link.joint_name for link in next(iter(bundles.values())).links]
-    errors = {name: FreeMotionErrors(len(joints), bundle.near_stiction_rad_s) for name, bundle in bundles.items()}
+    measures = {name: CaseMeasures(name, bundle) for name, bundle in bundles.items()}
+    ignorant = sanity_detectors(seed) if sanity else []
     touches: list[Collision] = []
-    verdicts: dict[str, list[dict]] = {name: [] for name in bundles}
-    latched: dict[str, list[dict]] = {name: [] for name in bundles}
     total = len(test) + len(collisions)
     for number, load in enumerate([*test, *collisions]):
         recording = load()
@@ -68,49 +73,35 @@ def evaluate(
         if free and found:
             raise ConfigError(f"{recording.name}: a test recording of free motion holds contacts")
         touches += found
+        gains = set() if free else {bundle.observer.gain_per_s for bundle in bundles.values()}
+        references = {gain: sensor_reference(recording, gain) for gain in gains}
         for name, bundle in bundles.items():
             expect_fit(bundle, recording)
             estimates = estimate(bundle, recording, threads)
-            save_estimates(estimates, estimates_dir / name / f"{recording.name}.parquet")
+            if not free or number < keep_free_estimates:
+                save_estimates(estimates, estimates_dir / name / f"{recording.name}.parquet")
             if free:
-                errors[name].add(recording, estimates)
-            verdicts[name] += [judge(collision, recording, estimates) for collision in found]
-            latched[name] += [judge_latched(collision, recording, estimates, bundle.hold_s) for collision in found]
+                measures[name].add_free(recording, estimates)
+            else:
+                measures[name].add_touched(found, recording, estimates, references[bundle.observer.gain_per_s])
+        for detector in ignorant:
+            if free:
+                detector.add_free(number, recording)
+            else:
+                detector.add_collisions(number, found, recording, estimates)
         progress("evaluate", number + 1, total)
 
     histories = loss_histories or {}
-    largest_limit = np.max([bundle.sliding_limit_nm for bundle in bundles.values()], axis=0)
-    ten = choose_ten(touches, largest_limit, seed)
+    first = next(iter(bundles.values()))
+    limits = np.array([bundle.sliding_limit_nm for bundle in bundles.values()])
+    ten = choose_ten(touches, limits.max(axis=0), seed)
+    if len(ten) < 10:  # one hopeless method among many must not leave the others without collisions to show
+        ten = choose_ten(touches, np.median(limits, axis=0), seed)
     return {
-        "joints": joints,
-        "near_stiction_rad_s": next(iter(bundles.values())).near_stiction_rad_s,
+        "joints": [link.joint_name for link in first.links],
+        "near_stiction_rad_s": first.near_stiction_rad_s,
         "ten_collisions": ten,
         "collisions": [collision.summary() for collision in touches],
-        "cases": [
-            _case(name, bundle, errors[name], touches, verdicts[name], ten)
-            | {"latched": latched_summary(latched[name]), "loss_history": histories.get(name)}
-            for name, bundle in bundles.items()
-        ],
-    }
-
-
-def _case(
-    name: str,
-    bundle: _core.Bundle,
-    errors: FreeMotionErrors,
-    touches: list[Collision],
-    verdicts: list[dict],
-    ten: list[str],
-) -> dict:
-    trained = json.loads(bundle.provenance or "{}")
-    found = {verdict["id"]: verdict["found"] for verdict in verdicts}
-    return {
-        "name": name,
-        "bundle": f"{bundle.name}.tauext",
-        **{key: trained.get(key) for key in ("recipe", "steps", "epochs", "batch")},
-        "free_motion": errors.summary(),
-        "limits": {"sliding_nm": bundle.sliding_limit_nm, "near_stiction_nm": bundle.near_stiction_limit_nm},
-        "collisions": verdicts,
-        "ten_found": sum(found[one] for one in ten),
-        "found_curve": found_curve(touches, verdicts, np.array(bundle.sliding_limit_nm)),
+        "cases": [measured.summary(touches, ten, histories.get(name)) for name, measured in measures.items()],
+        "sanity": [detector.summary() for detector in ignorant],
     }

@@ -16,23 +16,28 @@ STRONG_FOR_S = 0.02
 """... for so long beside the hold time: then it must be found."""
 
 
-def judge_latched(collision: Collision, recording: Recording, estimates: Estimates, hold_s: float) -> dict:
+def judge_latched(
+    collision: Collision, recording: Recording, estimates: Estimates, hold_s: float, reference: np.ndarray | None
+) -> dict:
     """Was it latched, how long after its onset, how long after the sensor would have been, and was it strong?
 
-    The sensor reference is low-passed as the observer is, so that the observer's own lag is not held against the
-    method; it gets the same limit at every sample, and the same hold time. What was over its limit before the touch
-    began does not find it.
+    The reference is low-passed as the observer is (`sensor_reference`), so that the observer's own lag is not held
+    against the method; it gets the same limit at every sample, and the same hold time. What was over its limit before
+    the touch began does not find it.
     """
-    window = slice(collision.begin, min(collision.end + round(GRACE_S * recording.rate_hz), recording.samples))
     hold = round(hold_s * recording.rate_hz)
-    latched = _first_rise(estimates.alarm == COLLISION, window)
+    long = hold + round(STRONG_FOR_S * recording.rate_hz)
+    # The sample before the onset, and as many before that as the longest hold time asks for.
+    first = max(collision.begin - 1 - long, 0)
+    last = min(collision.end + round(GRACE_S * recording.rate_hz), recording.samples)
+    part, window = slice(first, last), slice(collision.begin - first, last - first)
+    latched = _first_rise(estimates.alarm[part] == COLLISION, window)
     sensor, strong = None, False
-    if recording.tau_ext_sensor is not None:
-        size = np.abs(recording.tau_ext_sensor)
-        sensor = _first_rise(held(size > estimates.limit, hold).any(axis=1), window)
-        long = hold + round(STRONG_FOR_S * recording.rate_hz)
-        strong = bool(held(size > STRONG * estimates.limit, long)[window].any())
-    seconds = (recording.t_ns[window] - recording.t_ns[collision.begin]) * 1e-9
+    if reference is not None:
+        size, limit = np.abs(reference[part]), estimates.limit[part]
+        sensor = _first_rise(held(size > limit, hold).any(axis=1), window)
+        strong = bool(held(size > STRONG * limit, long)[window].any())
+    seconds = (recording.t_ns[collision.begin : last] - recording.t_ns[collision.begin]) * 1e-9
     both = latched is not None and sensor is not None
     return {
         "id": collision.id,

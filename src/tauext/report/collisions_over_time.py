@@ -118,7 +118,7 @@ def draw_excerpt(axes: Axes, excerpt: Excerpt, joint: int, colour: str, results:
             axes.axvspan(*span, color=CONTACT, linewidth=0, zorder=0)
     shown_s = excerpt.shown(excerpt.recording.time_s[rows])
     axes.plot(shown_s, excerpt.said.r[rows, joint], color=OBSERVER, linewidth=OBSERVER_WIDTH)
-    axes.plot(shown_s, excerpt.said.network[rows, joint], color=colour)
+    axes.plot(shown_s, excerpt.said.uncertainty[rows, joint], color=colour)
     if excerpt.shown_at_s > 0:
         axes.axvline(excerpt.shown_at_s, color=JOINT_AT, linewidth=0.7)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
@@ -16,6 +18,7 @@ from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import LIMIT, NEAR_STICTION, SLIDING, WIDTH_IN, label_joint
 
 BINS = (300, 200)
+MOST_NAMED = 5
 CLOSE_UP = 5
 """The right column shows this many times the near-stiction speed."""
 INK = LinearSegmentedColormap.from_list("ink", ["#7fb2d9", "#0072b2", "#00314f"])
@@ -64,9 +67,17 @@ def draw_error_over_speed(results: Results, signals: Signals) -> Drawing:
         figure,
         f"Figure 6. Error of the estimate over joint speed, {case.label}, {len(speed):,} samples of "
         f"{len(used)} test recordings. Nothing touches the arm, so the whole estimate is error; it is largest near "
-        f"stiction, which is why that region has a limit of its own."
-        + (f" Left out, since their files are missing: {', '.join(left)}." if left else ""),
+        f"stiction, which is why that region has a limit of its own." + left_out(left),
     )
+
+
+def left_out(names: Sequence[str]) -> str:
+    """A sentence for the caption: an evaluation of many hours keeps the estimates of a few recordings only."""
+    if not names:
+        return ""
+    if len(names) > MOST_NAMED:
+        return f" {len(names)} more test recordings have no estimates kept."
+    return f" Left out, since their files are missing: {', '.join(names)}."
 
 
 def collect(case: Case, signals: Signals) -> tuple[np.ndarray, np.ndarray, list[str]]:

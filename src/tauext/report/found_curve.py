@@ -17,15 +17,15 @@ def draw_found_curve(results: Results) -> Drawing:
         NotAvailable: the results hold no collision.
     """
     edges = sorted(
-        {(b.low, b.high) for case in results.cases for b in case.found_curve if b.collisions}, key=lambda e: e[0]
+        {(b.low, b.high) for case in results.shown for b in case.found_curve if b.collisions}, key=lambda e: e[0]
     )
     if not edges:
         raise NotAvailable("the results hold no collisions")
-    names = [case.name for case in results.cases]
-    colours = case_colours(names)
+    names = [case.name for case in results.shown]
+    colours = case_colours([case.name for case in results.cases])
     figure = Figure(figsize=(WIDTH_IN, 3.4), layout="constrained")
     axes = figure.subplots()
-    for k, case in enumerate(results.cases):
+    for k, case in enumerate(results.shown):
         shift = 0.09 * (k - (len(names) - 1) / 2) if len(names) < 9 else 0.0
         bins = {(b.low, b.high): b for b in case.found_curve if b.collisions}
         places = [at for at, edge in enumerate(edges) if edge in bins]
@@ -54,13 +54,13 @@ def draw_found_curve(results: Results) -> Drawing:
         figure,
         "Collisions found over how hard they were: the peak of the sensor reference on the joint where it is largest "
         "in units of that joint's sliding limit. Limits differ a little from case to case, and so do the counts; "
-        "a larger dot stands for more collisions.",
+        "a larger dot stands for more collisions." + results.shown_note,
     )
 
 
 def bin_label(results: Results, edge: tuple[float, float | None]) -> str:
     """Range of a bin, and how many collisions fall in it; a range where cases differ."""
     low, high = edge
-    counts = [b.collisions for case in results.cases for b in case.found_curve if (b.low, b.high) == edge]
+    counts = [b.collisions for case in results.shown for b in case.found_curve if (b.low, b.high) == edge]
     count = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)}–{max(counts)}"
     return (f"{low:g}–{high:g}" if high is not None else f"over {low:g}") + f"\n{count}"

@@ -20,7 +20,7 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
     Raises:
         NotAvailable: no test recording or no estimates of it.
     """
-    names = [case.name for case in results.cases]
+    names = [case.name for case in results.shown]
     recordings = [name for case in results.cases for name in case.recordings]
     if not recordings:
         raise NotAvailable("the results name no test recording of free motion")
@@ -31,7 +31,7 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
         raise NotAvailable(f"{recording.name} is shorter than the warm-up of observer and network")
     time_s = recording.time_s
     rows = (time_s >= time_s[healthy[0]]) & (time_s <= time_s[healthy[0]] + EXCERPT_S)
-    colours, n = case_colours(names), len(recording.joints)
+    colours, n = case_colours([case.name for case in results.cases]), len(recording.joints)
     width = min(WIDTH_IN, 1.5 + 3.2 * len(estimates))
     figure = Figure(figsize=(width, 0.7 + (1.75 if n <= 3 else 1.25) * n), layout="constrained")
     grid = figure.subplots(n, len(estimates), sharex=True, sharey="row", squeeze=False)
@@ -39,20 +39,21 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
         for joint in range(n):
             axes = grid[joint, column]
             axes.plot(time_s[rows], said.r[rows, joint], color=OBSERVER, linewidth=OBSERVER_WIDTH)
-            axes.plot(time_s[rows], said.network[rows, joint], color=colours[case])
+            axes.plot(time_s[rows], said.uncertainty[rows, joint], color=colours[case])
             axes.margins(x=0)
         grid[0, column].set_title(results.labels[case].replace(", ", ",\n"), color=colours[case], fontweight="bold")
         grid[-1, column].set_xlabel("time, s")
     for joint, name in enumerate(recording.joints):
         label_joint(grid[joint, 0], name)
+    what = "network" if all(said.prior is None for said in estimates.values()) else "prior and network"
     handles = [
         Line2D([], [], color=OBSERVER, linewidth=OBSERVER_WIDTH, label="observer r"),
-        Line2D([], [], color="#333333", label="network, in the colour of its model"),
+        Line2D([], [], color="#333333", label=f"{what}, in the colour of its model"),
     ]
     figure.legend(handles=handles, loc="outside upper left", ncols=2)
     return Drawing(
         figure,
         f"Figure 5. Free motion, test recording {recording.name}: output of the momentum observer (grey) and of the "
         f"network trained for that model. In free motion the observer shows what the model gets wrong, and the network "
-        f"learns it. Axes of a row have one scale." + missing_cases(results, missing),
+        f"learns it. Axes of a row have one scale." + missing_cases(results, missing) + results.shown_note,
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 from jinja2 import Environment, StrictUndefined
 
 from tauext.report import paper, tables
+from tauext.report.methods_table import methods
 from tauext.report.results import Case, Numbers, Results
 from tauext.report.style import case_colours
 
@@ -69,6 +70,8 @@ def render_page(results: Results, figures: dict[str, PageFigure]) -> str:
         tile_columns=-(-len(results.cases) // -(-len(results.cases) // MOST_TILES)),
         tiles=[tile(case, results, colours[case.name]) for case in results.cases],
         near_stiction=f"{results.near_stiction_rad_s:g}",
+        methods=methods(results),
+        sanity=results.sanity,
         table_one=tables.table_one(results),
         regions=tables.regions(results),
         extremes=tables.extremes(results),

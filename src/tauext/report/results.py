@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from tauext.report.methods import Measured, SanityRow
 from tauext.report.naming import case_label, model_of
 
 Numbers = tuple[float | None, ...]
 """One number a joint; None where it does not exist."""
+ROOM, SHOWN = 7, 5
+"""Figures with a column a case have room for so many; of more, the first few are shown."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,8 @@ class Case:
     found_curve: tuple[CurveBin, ...]
     loss_history: tuple[tuple[int, float, float], ...]
     """Step, training loss, validation loss; empty where nothing was recorded."""
+    measured: Measured
+    """Beyond the paper's own measures."""
 
     @property
     def model(self) -> str | None:
@@ -97,6 +102,18 @@ class Results:
     collisions: dict[str, Collision]
     cases: tuple[Case, ...]
     """In the paper's order, whatever the order of evaluation; other names follow."""
+    sanity: tuple[SanityRow, ...] = ()
+
+    @property
+    def shown(self) -> tuple[Case, ...]:
+        """Those that stand in figures with a column, a lane or a curve over time for each: all, or the first few."""
+        return self.cases if len(self.cases) <= ROOM else self.cases[:SHOWN]
+
+    @property
+    def shown_note(self) -> str:
+        """A sentence for the caption of such a figure; empty where all are shown."""
+        left = len(self.cases) - len(self.shown)
+        return f" Only the first {len(self.shown)} of {len(self.cases)} cases are drawn." if left else ""
 
     @property
     def labels(self) -> dict[str, str]:

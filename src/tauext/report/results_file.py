@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tauext.errors import ConfigError
+from tauext.report.entry import Entry
+from tauext.report.methods_file import read_measured, read_sanity
 from tauext.report.naming import place
-from tauext.report.results import Case, Collision, CurveBin, Numbers, Results, Verdict
+from tauext.report.results import Case, Collision, CurveBin, Results, Verdict
 
-FORMAT = 1
+FORMAT = 2
 
 
 def load_results(folder: Path) -> Results:
@@ -29,74 +29,12 @@ def load_results(folder: Path) -> Results:
         raise ConfigError(f"{path}: not readable as JSON ({error}); evaluate again") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         found = content.get("format") if isinstance(content, dict) else None
-        raise ConfigError(f"{path}: its format is {found!r}, this version reads {FORMAT}")
+        raise ConfigError(f"{path}: its format is {found!r}, this version reads {FORMAT}; evaluate again")
     return read_results(Entry(str(path), content))
 
 
 def refuse_constant(name: str) -> None:
     raise ValueError(f"{name} is no JSON number; null stands for a number that does not exist")
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One JSON object of results.json and its place, for messages."""
-
-    place: str
-    content: dict[str, Any]
-
-    def get(self, key: str, kinds: type | tuple[type, ...], needed: bool = False) -> Any:
-        """The value under this key, None where it is null or absent."""
-        value = self.content.get(key)
-        if value is None and not needed:
-            return None
-        right = isinstance(value, kinds) and (kinds is bool or not isinstance(value, bool))
-        if not right:
-            names = [kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,))]
-            raise ConfigError(f"{self.place}: '{key}' is {json.dumps(value)[:60]}, must be {' or '.join(names)}")
-        return value
-
-    def number(self, key: str, needed: bool = False) -> float | None:
-        return self.get(key, (int, float), needed)
-
-    def text(self, key: str, needed: bool = False) -> str | None:
-        return self.get(key, str, needed)
-
-    def entries(self, key: str, needed: bool = False) -> list[Entry]:
-        """The objects of a list; none where it is absent."""
-        items = [Entry(f"{self.place}, {key}[{k}]", e) for k, e in enumerate(self.get(key, list, needed) or [])]
-        for item in items:
-            if not isinstance(item.content, dict):
-                raise ConfigError(f"{item.place}: is {json.dumps(item.content)[:60]}, must be an object")
-        return items
-
-    def object(self, key: str) -> Entry:
-        return Entry(f"{self.place}, {key}", self.get(key, dict) or {})
-
-    def texts(self, key: str, needed: bool = False) -> tuple[str, ...]:
-        items = self.get(key, list, needed) or []
-        if not all(isinstance(item, str) for item in items):
-            raise ConfigError(f"{self.place}: '{key}' must be a list of names")
-        return tuple(items)
-
-    def numbers(self, key: str, joints: int) -> Numbers:
-        """One number or null a joint."""
-        items = self.get(key, list)
-        if items is None:
-            return (None,) * joints
-        if len(items) != joints or not all(type(item) in (int, float, type(None)) for item in items):
-            raise ConfigError(f"{self.place}: '{key}' must be a list of {joints} numbers or null, one a joint")
-        return tuple(items)
-
-    def loss_history(self, key: str) -> tuple[tuple[int, float, float], ...]:
-        """Triples of a step and its two losses."""
-        items = self.get(key, list) or []
-        for item in items:
-            kinds = [type(number) for number in item] if isinstance(item, list) else []
-            if len(kinds) != 3 or kinds[0] is not int or not {*kinds} <= {int, float}:
-                raise ConfigError(
-                    f"{self.place}: '{key}' holds {json.dumps(item)[:60]}, must be [step, training, validation loss]"
-                )
-        return tuple(map(tuple, items))
 
 
 def read_results(top: Entry) -> Results:
@@ -114,6 +52,7 @@ def read_results(top: Entry) -> Results:
         ten=top.texts("ten_collisions"),
         collisions={collision.id: collision for collision in collisions},
         cases=tuple(sorted(cases, key=lambda case: place(case.name))),
+        sanity=tuple(read_sanity(entry) for entry in top.entries("sanity")),
     )
 
 
@@ -151,6 +90,7 @@ def read_case(entry: Entry, joints: int) -> Case:
         verdicts={e.text("id", needed=True): read_verdict(e) for e in entry.entries("collisions")},
         found_curve=tuple(read_bin(e) for e in entry.entries("found_curve")),
         loss_history=entry.loss_history("loss_history"),
+        measured=read_measured(entry, joints),
     )
 
 

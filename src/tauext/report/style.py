@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from tauext.report.naming import model_of
 
@@ -25,6 +26,12 @@ CASE_COLOURS = {"exact": "#0072b2", "mass": "#e69f00", "com": "#009e73", "mass+c
 VARIANT_COLOURS = {"exact": "#56b4e9", "mass": "#8f6200", "com": "#00563f", "mass+com": "#85406a", "none": "#7d3000"}
 """Of a second case of the same model: its colour, lighter or darker."""
 OTHER_COLOURS = ("#7f3c8d", "#6b6b00", "#00a0a8", "#a0522d", "#708090", "#b3123f", "#1f2f70")
+
+MARKS = "osD^vPX<>*hp"
+LINES = ("-", (0, (5, 1.5)), (0, (1.5, 1)), (0, (6, 1.5, 1.5, 1.5)))
+LEGEND_COLUMNS = 6
+GREY = "#8a8a8a"
+"""Of what is there to compare with, and is no method."""
 
 RC = {
     "font.size": 9,
@@ -56,16 +63,47 @@ RC = {
 
 
 def case_colours(names: Sequence[str]) -> dict[str, str]:
-    """A colour for every case: the paper's and one more of each model have their own, others the rest in order."""
+    """A colour for every case: the paper's and one more of each model have their own, others the rest in order.
+
+    The plain observer is what methods are compared with, hence grey. Where no case is of the paper's, its colours are
+    free, and taken first: they are told apart best.
+    """
+    known = CASE_COLOURS | {"observer": GREY}
+    own = {name: known.get(name) or VARIANT_COLOURS.get(model_of(name) or "") for name in names}
+    paper = [*CASE_COLOURS.values(), *VARIANT_COLOURS.values()]
+    free = (*OTHER_COLOURS, *(c for c in paper if c not in own.values()))
+    if not set(own.values()) & set(paper):
+        free = (*CASE_COLOURS.values(), *OTHER_COLOURS, *VARIANT_COLOURS.values())
     colours: dict[str, str] = {}
     others = 0
     for name in names:
-        own = CASE_COLOURS.get(name) or VARIANT_COLOURS.get(model_of(name) or "")
-        if own is None or own in colours.values():
-            own = OTHER_COLOURS[others % len(OTHER_COLOURS)]
+        colour = own[name]
+        if colour is None or colour in colours.values():
+            colour = free[others % len(free)]
             others += 1
-        colours[name] = own
+        colours[name] = colour
     return colours
+
+
+def case_strokes(names: Sequence[str]) -> dict[str, dict]:
+    """Keyword arguments of a curve for every case: its colour, a mark of its own and one of four kinds of line.
+
+    So a dozen curves are told apart without their colours.
+    """
+    colours = case_colours(names)
+    return {
+        name: {"color": colours[name], "marker": MARKS[k % len(MARKS)], "linestyle": LINES[k // 3 % len(LINES)]}
+        for k, name in enumerate(names)
+    }
+
+
+def use_log_height(axes: Axes) -> None:
+    """A logarithmic vertical axis with plain numbers at 1, 2 and 5 of every decade."""
+    axes.set_yscale("log")
+    axis = axes.yaxis
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def sentence(text: str) -> str:

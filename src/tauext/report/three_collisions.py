@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 from tauext.data import Recording
 from tauext.data.estimates import Estimates
 from tauext.report.drawing import Drawing, missing_cases
-from tauext.report.results import Collision, Results, Verdict
+from tauext.report.results import Case, Collision, Results, Verdict
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import CONTACT, LIMIT, SENSOR, WIDTH_IN, case_colours
 
@@ -65,8 +65,8 @@ def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
         NotAvailable: no collision was chosen or found, or the files of one are missing.
     """
     joint, collisions = choose(results)
-    names = [case.name for case in results.cases]
-    colours = case_colours(names)
+    names = [case.name for case in results.shown]
+    colours = case_colours([case.name for case in results.cases])
     figure = Figure(figsize=(WIDTH_IN, 5.9 + 0.2 * len(names)), layout="constrained")
     heights = [2.6, 2.6, 0.25 * len(names) + 0.2]
     grid = figure.subplots(3, len(collisions), squeeze=False, height_ratios=heights)
@@ -79,7 +79,7 @@ def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
         missing |= set(without)
         if not ((recording.time_s >= collision.start_s) & (recording.time_s <= collision.end_s)).any():
             raise NotAvailable(f"collision {collision.id} lies outside its recording")
-        verdicts = {c.name: c.verdicts[collision.id] for c in results.cases if collision.id in c.verdicts}
+        verdicts = {c.name: c.verdicts[collision.id] for c in results.shown if collision.id in c.verdicts}
         scene = Scene(collision, recording, said, verdicts, joint)
         draw_whole(grid[0, column], scene, colours)
         draw_impact(grid[1, column], scene, colours, results.joints[joint])
@@ -104,20 +104,26 @@ def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
         f"torque sensor and the estimate of every case; below, the moment of impact. Each case has a limit of its own; "
         f"a bar runs from where the sensor goes over that limit to where the estimate does, and the number is the "
         f"delay against the sensor. Time 0 is the onset of contact."
-        + missing_cases(results, [n for n in names if n in missing]),
+        + missing_cases(results, [n for n in names if n in missing])
+        + results.shown_note,
     )
 
 
 def choose(results: Results) -> tuple[int, list[Collision]]:
-    """The first joint if three of the ten collisions were found there by the first case, else the joint with most.
+    """The first joint if three of the ten collisions were found there, else the joint with most; by the case shown that
+    found most of them, of several the first.
 
     Of those, the three whose sensor peaks are largest, in order of time; fewer where there are fewer.
     """
-    verdicts = results.cases[0].verdicts
     ten = [results.collisions[one] for one in results.ten if one in results.collisions]
-    found = [c for c in ten if c.id in verdicts and verdicts[c.id].joint in results.joints]
+
+    def found_by(case: Case) -> list[Collision]:
+        return [c for c in ten if c.id in case.verdicts and case.verdicts[c.id].joint in results.joints]
+
+    best = max(results.shown, key=lambda case: len(found_by(case)))
+    found, verdicts = found_by(best), best.verdicts
     if not found:
-        raise NotAvailable(f"{results.cases[0].label} found none of the chosen collisions")
+        raise NotAvailable(f"{best.label} found none of the chosen collisions")
     counts = Counter(verdicts[c.id].joint for c in found)
     name = results.joints[0] if counts[results.joints[0]] >= SHOWN else counts.most_common(1)[0][0]
     joint = results.joints.index(name)
@@ -192,7 +198,7 @@ def delay_text(verdict: Verdict | None, joint: str) -> str:
     if not verdict.found:
         return "not found"
     against = verdict.delay_against_sensor_s
-    text = "no sensor" if against is None else f"{round(against * 1e3):+d} ms".replace("+0", "0").replace("-", "−")
+    text = "sensor below" if against is None else f"{round(against * 1e3):+d} ms".replace("+0", "0").replace("-", "−")
     return text if verdict.joint in (joint, None) else f"{text} ({verdict.joint})"
 
 

@@ -10,14 +10,18 @@ from pathlib import Path
 import matplotlib
 
 from tauext.errors import ConfigError
+from tauext.report.after_contact import draw_after_contact
 from tauext.report.collisions_over_time import draw_collisions
 from tauext.report.drawing import Drawing
 from tauext.report.error_over_speed import draw_error_over_speed
 from tauext.report.found_curve import draw_found_curve
 from tauext.report.free_motion import draw_free_motion
+from tauext.report.learning_curves import draw_learning_curves
+from tauext.report.missed_curve import draw_missed_curve
 from tauext.report.page import PageFigure, render_page
 from tauext.report.results_file import load_results
 from tauext.report.signals import NotAvailable, Signals
+from tauext.report.strength import draw_strength
 from tauext.report.style import DPI, RC
 from tauext.report.three_collisions import draw_three_collisions
 from tauext.report.training_loss import draw_training_loss
@@ -39,6 +43,10 @@ def write_report(results_dir: Path, dataset_dir: Path, out_dir: Path) -> Path:
     results = load_results(results_dir)
     signals = Signals(dataset_dir, results_dir, results.joints)
     draw: dict[str, Callable[[], Drawing]] = {
+        "missed-curve": partial(draw_missed_curve, results),
+        "strength": partial(draw_strength, results),
+        "after-contact": partial(draw_after_contact, results),
+        "learning-curves": partial(draw_learning_curves, results),
         "training-loss": partial(draw_training_loss, results),
         "figure-5-free-motion": partial(draw_free_motion, results, signals),
         "figure-6-error-over-speed": partial(draw_error_over_speed, results, signals),

@@ -1,0 +1,91 @@
+"""Reads what results.json holds beyond the paper's own measures."""
+
+from __future__ import annotations
+
+from tauext.errors import ConfigError
+from tauext.report.entry import Entry
+from tauext.report.methods import (
+    Aftermath,
+    CurvePoint,
+    FalseCollisions,
+    Latched,
+    Measured,
+    SanityRow,
+    StrengthBin,
+)
+
+
+def read_measured(entry: Entry, joints: int) -> Measured:
+    """Of one case's entry."""
+    after = entry.object("after_contact")
+    free = after.object("free_motion")
+    return Measured(
+        training_minutes=entry.number("training_minutes"),
+        model_case=entry.text("case"),
+        false_collisions=read_false_collisions(entry.object("free_motion")),
+        latched=read_latched(entry.object("latched")),
+        missed_curve=tuple(read_point(e) for e in entry.entries("missed_curve")),
+        by_strength=tuple(read_strength(e) for e in entry.entries("by_strength")),
+        after_contact=tuple(read_aftermath(e, joints) for e in after.entries("bins")),
+        after_nothing=read_aftermath(free, joints) if free.content else None,
+        rmse_during_contact_nm=entry.numbers("rmse_during_contact_nm", joints),
+    )
+
+
+def read_false_collisions(free: Entry) -> FalseCollisions:
+    interval = free.get("false_collisions_interval_per_hour", list) or [None, None]
+    if len(interval) != 2 or not all(type(end) in (int, float, type(None)) for end in interval):
+        raise ConfigError(f"{free.place}: 'false_collisions_interval_per_hour' must be two numbers")
+    return FalseCollisions(
+        count=free.get("false_collisions", int),
+        low=interval[0],
+        high=interval[1],
+        promised=free.number("promised_per_hour"),
+        kept=free.get("promise_kept", bool),
+        consistent=free.get("promise_consistent", bool),
+    )
+
+
+def read_latched(entry: Entry) -> Latched | None:
+    if not entry.content:
+        return None
+    counts = ("collisions", "latched", "strong", "strong_latched")
+    return Latched(
+        **{key: entry.get(key, int, needed=True) for key in counts},
+        delay_median_s=entry.number("delay_against_sensor_median_s"),
+        delay_p95_s=entry.number("delay_against_sensor_p95_s"),
+    )
+
+
+def read_point(entry: Entry) -> CurvePoint:
+    return CurvePoint(
+        scale=entry.number("scale", needed=True),
+        false_per_hour=entry.number("false_per_hour"),
+        missed=entry.get("missed", int, needed=True),
+    )
+
+
+def read_strength(entry: Entry) -> StrengthBin:
+    return StrengthBin(
+        low_nm=entry.number("peak_nm_from", needed=True),
+        high_nm=entry.number("peak_nm_to"),
+        **{key: entry.get(key, int, needed=True) for key in ("collisions", "latched")},
+        **{key: entry.number(key) for key in ("delay_median_s", "delay_p95_s")},
+    )
+
+
+def read_aftermath(entry: Entry, joints: int) -> Aftermath:
+    return Aftermath(
+        hours=entry.number("hours", needed=True),
+        **{key: entry.number(key) for key in ("from_s", "to_s", "contacts_per_hour", "collisions_per_hour")},
+        rmse_nm=entry.numbers("rmse_nm", joints),
+    )
+
+
+def read_sanity(entry: Entry) -> SanityRow:
+    return SanityRow(
+        name=entry.text("name", needed=True),
+        **{key: entry.number(key) for key in ("false_per_hour", "time_in_alarm_share")},
+        **{key: entry.get(key, int, needed=True) for key in ("collisions", "found", "latched")},
+        worth=entry.text("worth") or "",
+    )

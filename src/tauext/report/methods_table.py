@@ -1,0 +1,67 @@
+"""The table of methods: one row a case, every joint, and detectors that know nothing under it."""
+
+from __future__ import annotations
+
+from tauext.report.methods import FalseCollisions, SanityRow
+from tauext.report.results import Case, Results
+from tauext.report.tables import NONE, Row, Table, milliseconds, number, whole
+
+
+def methods(results: Results) -> Table:
+    """Errors and limits a joint, false collisions against what was promised, collisions latched, delay."""
+    n = len(results.joints)
+    joints = results.joints
+    groups = [("", 1), ("L1, Nm", n), ("RMSE sliding, Nm", n), ("RMSE near stiction, Nm", n)]
+    groups += [("limit sliding, Nm", n), ("limit near stiction, Nm", n), ("false collisions, test free motion", 4)]
+    groups += [("collisions latched", 2), ("delay against\nthe sensor, ms", 2)]
+    columns = ["method", *joints * 5, "count", "an hour,\n95 % interval", "promised\nan hour", "kept"]
+    columns += ["of all", "of strong", "median", "95 %"]
+    rows = [Row(method_cells(case), case.name, opens=True) for case in results.cases]
+    rows += [Row(sanity_cells(row, n), opens=k == 0) for k, row in enumerate(results.sanity)]
+    return Table(tuple(groups), tuple(columns), tuple(rows), words=1)
+
+
+def method_cells(case: Case) -> tuple[str, ...]:
+    measured = case.measured
+    false, latched = measured.false_collisions, measured.latched
+    cells = [case.label]
+    for values, digits in (
+        (case.l1_nm, 3),
+        (case.rmse_sliding_nm, 3),
+        (case.rmse_near_stiction_nm, 3),
+        (case.limit_sliding_nm, 2),
+        (case.limit_near_stiction_nm, 2),
+    ):
+        cells += [number(value, digits) for value in values]
+    cells += [whole(false.count), interval(false.low, false.high), rate(false.promised), kept(false)]
+    if latched is None or not latched.collisions:
+        return (*cells, NONE, NONE, NONE, NONE)
+    cells += [f"{latched.latched} of {latched.collisions}", f"{latched.strong_latched} of {latched.strong}"]
+    cells += [milliseconds(delay, signed=True) for delay in (latched.delay_median_s, latched.delay_p95_s)]
+    return tuple(cells)
+
+
+def sanity_cells(row: SanityRow, joints: int) -> tuple[str, ...]:
+    """Not one error or limit; `found` counts an alarm at any moment of a collision, `latched` one that rises in it."""
+    share = row.time_in_alarm_share
+    in_alarm = "" if share is None else f"in alarm {100 * share:.3g} % of the time"
+    found = f"{row.latched} of {row.collisions} (in alarm at {row.found})"
+    return (row.name, *[""] * (5 * joints), rate(row.false_per_hour) + "/h", in_alarm, "", "", found, "", "", "")
+
+
+def kept(false: FalseCollisions) -> str:
+    """Whether the test leaves the promise standing; `far below` where it shows that less would have done."""
+    if false.kept is None:
+        return NONE
+    if not false.kept:
+        return "no"
+    return "yes" if false.consistent is not False else "yes, far below"
+
+
+def interval(low: float | None, high: float | None) -> str:
+    return NONE if low is None or high is None else f"{rate(low)} to {rate(high)}"
+
+
+def rate(value: float | None) -> str:
+    """A rate an hour to three digits."""
+    return NONE if value is None else f"{value:.3g}"

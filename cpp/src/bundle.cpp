@@ -24,6 +24,7 @@ constexpr std::uint32_t kMinor = 0;
 class Writer {
  public:
   std::vector<char> bytes;
+  static constexpr std::uint32_t major() noexcept { return kBundleMajor; }
   void raw(const void* data, std::size_t size) {
     const char* from = static_cast<const char*>(data);
     bytes.insert(bytes.end(), from, from + size);
@@ -37,7 +38,8 @@ class Writer {
 
 class Reader {
  public:
-  explicit Reader(std::span<const char> payload) : left_(payload) {}
+  Reader(std::span<const char> payload, std::uint32_t major) : left_(payload), major_(major) {}
+  std::uint32_t major() const noexcept { return major_; }
   void raw(void* data, std::size_t size) {
     if (size > left_.size()) throw Error("it ends in the middle of its contents");
     std::memcpy(data, left_.data(), size);
@@ -54,6 +56,7 @@ class Reader {
 
  private:
   std::span<const char> left_;
+  std::uint32_t major_;
 };
 
 template <class File, class T>
@@ -133,6 +136,13 @@ void fields(File& file, Bundle& b) {
     field(file, level->hold_s);
   }
   field(file, b.limits.contact_release_s);
+  if (file.major() >= 4) {
+    field(file, b.drift.time_constant_s);
+    field(file, b.drift.size_nm);
+    field(file, b.drift.rate_share_per_s);
+    field(file, b.drift.freeze_share);
+    field(file, b.drift.freeze_s);
+  }
   field(file, b.signals.torque_limit_nm);
   field(file, b.signals.largest_torque_nm);
   field(file, b.reference.t_ns);
@@ -256,6 +266,7 @@ void Bundle::validate() const {
   }
   const Prior probe_prior(prior, gravity, joints(), observer.gain_per_s);
   limits.validate(joints(), static_cast<int>(prior.widths_rad.size()));
+  drift.validate(joints());
   signals.validate(joints());
   const auto samples = reference.t_ns.size();
   if (samples == 0) throw Error("its reference is empty");
@@ -310,16 +321,16 @@ Bundle from_bytes(std::span<const char> bytes) {
   std::memcpy(version, bytes.data() + 8, 8);
   std::memcpy(&size, bytes.data() + 16, 8);
   std::memcpy(&crc, bytes.data() + 24, 4);
-  if (version[0] != kBundleMajor)
-    throw Error("its format is version " + std::to_string(version[0]) + ", this program reads version " +
-                std::to_string(kBundleMajor) +
+  if (version[0] < kOldestBundleMajor || version[0] > kBundleMajor)
+    throw Error("its format is version " + std::to_string(version[0]) + ", this program reads versions " +
+                std::to_string(kOldestBundleMajor) + " to " + std::to_string(kBundleMajor) +
                 (version[0] < kBundleMajor ? "; train it again" : "; it was made by a newer tauext"));
   const std::span<const char> payload = bytes.subspan(kHeaderBytes);
   if (payload.size() != size)
     throw Error("it is truncated or has something appended: " + std::to_string(payload.size()) + " bytes where " +
                 std::to_string(size) + " belong");
   if (crc32(payload) != crc) throw Error("its checksum does not match: it is damaged");
-  Reader reader(payload);
+  Reader reader(payload, version[0]);
   Bundle bundle;
   fields(reader, bundle);
   if (!reader.done()) throw Error("it has contents that this version does not know");

@@ -1,5 +1,6 @@
 #include "tauext/bundle.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
@@ -138,8 +139,8 @@ void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
     std::memcpy(bytes.data() + 8, &major, sizeof major);
     return [bytes] { from_bytes(bytes); };
   };
-  refused("version 4, this program reads version 3; it was made by a newer tauext", with_version(kBundleMajor + 1));
-  refused("version 1, this program reads version 3; train it again", with_version(1));
+  refused("version 5, this program reads versions 3 to 4; it was made by a newer tauext", with_version(kBundleMajor + 1));
+  refused("version 2, this program reads versions 3 to 4; train it again", with_version(kOldestBundleMajor - 1));
   std::vector<char> bytes = good;
   bytes.push_back(0);
   refused("something appended", [&] { from_bytes(bytes); });
@@ -151,6 +152,53 @@ void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
   refused("does not know", [&] { from_bytes(bytes); });
   refused("not a tauext bundle", [] { from_bytes(std::vector<char>(64, 'x')); });
   refused("cannot be opened", [] { load(folder + "/none.tauext"); });
+}
+
+// A file of version 3 is one of version 4 without what stands behind the contact's release time.
+void a_bundle_of_version_3_is_read_and_has_no_drift_tracker() {
+  Bundle b = make_bundle();
+  b.limits.contact_release_s = 0.0625;  // its bytes stand nowhere else
+  const std::vector<char> good = to_bytes(b);
+  const char* release = reinterpret_cast<const char*>(&b.limits.contact_release_s);
+  const auto at = std::search(good.begin(), good.end(), release, release + sizeof(double)) + sizeof(double);
+  std::vector<char> old(good.begin(), at);
+  old.insert(old.end(), at + 5 * sizeof(double), good.end());  // four numbers and the length of an empty list
+  const std::uint32_t major = 3, crc = crc32(std::span(old).subspan(28));
+  const std::uint64_t size = old.size() - 28;
+  std::memcpy(old.data() + 8, &major, sizeof major);
+  std::memcpy(old.data() + 16, &size, sizeof size);
+  std::memcpy(old.data() + 24, &crc, sizeof crc);
+  const Bundle loaded = from_bytes(old);
+  CHECK(!loaded.drift.on() && to_bytes(loaded) == good);
+}
+
+Bundle make_tracking_bundle() {
+  Bundle b = make_bundle();
+  b.drift = {120, {3, 2}, 0.01, 0.5, 1.0};
+  return b;
+}
+
+void a_drift_tracker_is_saved_and_one_that_makes_no_sense_is_refused_by_name() {
+  const Bundle b = make_tracking_bundle(), loaded = from_bytes(to_bytes(b));
+  CHECK(loaded.drift.time_constant_s == 120 && loaded.drift.size_nm == b.drift.size_nm);
+  CHECK(loaded.drift.rate_share_per_s == 0.01 && loaded.drift.freeze_share == 0.5 && loaded.drift.freeze_s == 1);
+  refused_after("drift.time_constant_s = 0.5", [](Bundle& c) { c.drift.time_constant_s = 0.5; });
+  refused_after("drift.time_constant_s", [](Bundle& c) { c.drift.time_constant_s = NAN; });
+  refused_after("drift.time_constant_s", [](Bundle& c) { c.drift.time_constant_s = -1; });
+  const auto spoilt = [](const char* part, void (*change)(DriftSettings&)) {
+    refused_after(part, [&](Bundle& c) {
+      c = make_tracking_bundle();
+      change(c.drift);
+    });
+  };
+  spoilt("drift.size_nm has 1", [](DriftSettings& d) { d.size_nm.pop_back(); });
+  spoilt("drift.size_nm = -1", [](DriftSettings& d) { d.size_nm[1] = -1; });
+  spoilt("drift.size_nm", [](DriftSettings& d) { d.size_nm[0] = INFINITY; });
+  spoilt("drift.rate_share_per_s = 0", [](DriftSettings& d) { d.rate_share_per_s = 0; });
+  spoilt("drift.rate_share_per_s", [](DriftSettings& d) { d.rate_share_per_s = NAN; });
+  spoilt("drift.freeze_share = 1.1", [](DriftSettings& d) { d.freeze_share = 1.1; });
+  spoilt("drift.freeze_share", [](DriftSettings& d) { d.freeze_share = -0.1; });
+  spoilt("drift.freeze_s = 61", [](DriftSettings& d) { d.freeze_s = 61; });
 }
 
 void the_plain_observer_needs_no_network() {
@@ -172,6 +220,8 @@ int main() {
   contents_that_do_not_fit_are_refused_by_name();
   limits_and_signals_that_make_no_sense_are_refused_by_name();
   other_versions_and_bytes_that_do_not_belong_are_refused_by_name();
+  a_bundle_of_version_3_is_read_and_has_no_drift_tracker();
+  a_drift_tracker_is_saved_and_one_that_makes_no_sense_is_refused_by_name();
   the_plain_observer_needs_no_network();
   std::filesystem::remove_all(folder);
   return check::result();

@@ -286,6 +286,13 @@ void bind_lstm(nb::module_& m) {
 }
 
 void bind_bundle(nb::module_& m) {
+  nb::class_<DriftSettings>(m, "DriftSettings", "Tracker of slow changes; see drift.hpp. time_constant_s = 0: there is none.")
+      .def(nb::init<>())
+      .def_rw("time_constant_s", &DriftSettings::time_constant_s)
+      .def_rw("size_nm", &DriftSettings::size_nm)
+      .def_rw("rate_share_per_s", &DriftSettings::rate_share_per_s)
+      .def_rw("freeze_share", &DriftSettings::freeze_share)
+      .def_rw("freeze_s", &DriftSettings::freeze_s);
   nb::class_<Bundle> bundle(m, "Bundle", "Everything the chain needs to run, in one file.");
   bundle.def(nb::init<>())
       .def_rw("name", &Bundle::name)
@@ -358,6 +365,7 @@ void bind_bundle(nb::module_& m) {
   bind_list(bundle, "input_factors", &Bundle::input_factors);
   bind_list(bundle, "parameters", &Bundle::parameters);
   bundle.def_rw("prior", &Bundle::prior);
+  bundle.def_rw("drift", &Bundle::drift);
   bind_list(bundle, "output_scale_nm", &Bundle::output_scale_nm);
   m.def(
       "estimate",
@@ -374,6 +382,7 @@ void bind_bundle(nb::module_& m) {
         out["r"] = to_numpy(std::move(e.residual), {N, n});
         out["prior"] = to_numpy(std::move(e.prior), {N, n});
         out["network"] = to_numpy(std::move(e.network), {N, n});
+        out["drift"] = to_numpy(std::move(e.drift), {N, n});
         out["tau_ext"] = to_numpy(std::move(e.tau_ext), {N, n});
         out["doubt"] = to_numpy(std::move(e.doubt), {N, n});
         out["limit_nm"] = to_numpy(std::move(e.limit_nm), {N, n});

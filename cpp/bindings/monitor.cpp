@@ -32,6 +32,12 @@ std::vector<std::uint8_t> bits(const std::vector<std::uint32_t>& words, std::siz
   return out;
 }
 
+std::vector<bool> joint_bits(std::uint32_t word, int joints) {
+  std::vector<bool> out;
+  for (int j = 0; j < joints; ++j) out.push_back(word >> j & 1);
+  return out;
+}
+
 // What the monitor says of many samples; signals in rows of n joints.
 nb::dict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
              const Array<double, 2>& tau, FlightRecorder* recorder) {
@@ -39,10 +45,10 @@ nb::dict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<d
   if (r.joints != monitor.joints())
     throw Error("the monitor has " + std::to_string(monitor.joints()) + " joints, the samples " + std::to_string(r.joints));
   const auto N = static_cast<std::size_t>(r.samples), n = static_cast<std::size_t>(r.joints);
-  constexpr JointVector Estimate::*kTorques[] = {&Estimate::residual, &Estimate::prior, &Estimate::uncertainty, &Estimate::tau_ext,
-                                                 &Estimate::limit_nm, &Estimate::margin_nm};
-  std::vector<double> torques[6];
-  std::vector<std::uint32_t> near_stiction(N), causes(N);
+  constexpr JointVector Estimate::*kTorques[] = {&Estimate::residual, &Estimate::prior,    &Estimate::drift,    &Estimate::uncertainty,
+                                                 &Estimate::tau_ext,  &Estimate::limit_nm, &Estimate::margin_nm};
+  std::vector<double> torques[7];
+  std::vector<std::uint32_t> near_stiction(N), drift_saturated(N), causes(N);
   std::vector<std::uint8_t> health(N), alarm(N), detection(N);
   std::vector<std::int8_t> alarm_joint(N), cause_joint(N);
   {
@@ -52,9 +58,10 @@ nb::dict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<d
       const Sample sample{r.t_ns[k], {r.q + k * n, n}, {r.dq + k * n, n}, {r.tau + k * n, n}};
       const Estimate& e = monitor.step(sample);
       if (recorder) recorder->push(sample, e);
-      for (std::size_t which = 0; which < 6; ++which)
+      for (std::size_t which = 0; which < 7; ++which)
         std::copy_n((e.*kTorques[which]).data(), n, torques[which].data() + k * n);
       near_stiction[k] = e.near_stiction;
+      drift_saturated[k] = e.drift_saturated;
       health[k] = static_cast<std::uint8_t>(e.health);
       causes[k] = e.causes;
       cause_joint[k] = static_cast<std::int8_t>(e.cause_joint);
@@ -64,9 +71,10 @@ nb::dict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<d
     }
   }
   nb::dict out;
-  constexpr const char* kNames[] = {"residual", "prior", "uncertainty", "tau_ext", "limit_nm", "margin_nm"};
-  for (std::size_t which = 0; which < 6; ++which) out[kNames[which]] = to_numpy(std::move(torques[which]), {N, n});
+  constexpr const char* kNames[] = {"residual", "prior", "drift", "uncertainty", "tau_ext", "limit_nm", "margin_nm"};
+  for (std::size_t which = 0; which < 7; ++which) out[kNames[which]] = to_numpy(std::move(torques[which]), {N, n});
   out["near_stiction"] = to_numpy(bits(near_stiction, n), {N, n});
+  out["drift_saturated"] = to_numpy(bits(drift_saturated, n), {N, n});
   out["health"] = to_numpy(std::move(health), {N});
   out["causes"] = to_numpy(std::move(causes), {N});
   out["cause_joint"] = to_numpy(std::move(cause_joint), {N});
@@ -93,6 +101,7 @@ std::optional<nb::dict> take(FlightRecorder& recorder, std::size_t n) {
   out["tau"] = to_numpy(std::move(f.tau), {N, n});
   out["residual"] = to_numpy(std::move(f.residual), {N, n});
   out["prior"] = to_numpy(std::move(f.prior), {N, n});
+  out["drift"] = to_numpy(std::move(f.drift), {N, n});
   out["uncertainty"] = to_numpy(std::move(f.uncertainty), {N, n});
   out["tau_ext"] = to_numpy(std::move(f.tau_ext), {N, n});
   out["limit_nm"] = to_numpy(std::move(f.limit_nm), {N, n});
@@ -121,11 +130,8 @@ void bind_estimate(nb::module_& m) {
       .def_ro("alarm_t_ns", &Estimate::alarm_t_ns)
       .def_ro("detection", &Estimate::detection)
       .def_prop_ro("clear", &Estimate::clear, "Healthy and no alarm: the only thing that means no collision.")
-      .def_prop_ro("near_stiction", [](const Estimate& e) {
-        std::vector<bool> near;
-        for (int j = 0; j < e.joints; ++j) near.push_back(e.near_stiction >> j & 1);
-        return near;
-      });
+      .def_prop_ro("near_stiction", [](const Estimate& e) { return joint_bits(e.near_stiction, e.joints); })
+      .def_prop_ro("drift_saturated", [](const Estimate& e) { return joint_bits(e.drift_saturated, e.joints); });
   const auto bind_torques = [&](const char* torque, JointVector Estimate::*values) {
     estimate.def_prop_ro(torque, [values](const Estimate& e) {
       return std::vector<double>((e.*values).begin(), (e.*values).begin() + e.joints);
@@ -133,6 +139,7 @@ void bind_estimate(nb::module_& m) {
   };
   bind_torques("residual", &Estimate::residual);
   bind_torques("prior", &Estimate::prior);
+  bind_torques("drift", &Estimate::drift);
   bind_torques("uncertainty", &Estimate::uncertainty);
   bind_torques("tau_ext", &Estimate::tau_ext);
   bind_torques("limit_nm", &Estimate::limit_nm);

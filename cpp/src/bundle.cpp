@@ -57,6 +57,7 @@ class Reader {
 
  private:
   std::span<const char> left_;
+  std::uint32_t major_;
 };
 
 template <class File, class T>
@@ -141,6 +142,13 @@ void fields(File& file, Bundle& b) {
     field(file, level->hold_s);
   }
   field(file, b.limits.contact_release_s);
+  if (file.major >= 4) {
+    field(file, b.drift.time_constant_s);
+    field(file, b.drift.size_nm);
+    field(file, b.drift.rate_share_per_s);
+    field(file, b.drift.freeze_share);
+    field(file, b.drift.freeze_s);
+  }
   field(file, b.signals.torque_limit_nm);
   field(file, b.signals.largest_torque_nm);
   field(file, b.reference.t_ns);
@@ -262,6 +270,7 @@ void Bundle::validate() const {
     windows.validate(shape, {});
   }
   limits.validate(joints(), static_cast<int>(prior.widths_rad.size()));
+  drift.validate(joints());
   signals.validate(joints());
   const auto samples = reference.t_ns.size();
   if (samples == 0) throw Error("its reference is empty");

@@ -69,6 +69,8 @@ void write(const tauext::Estimate& from, tauext_estimate* to) noexcept {
   std::ranges::copy(from.tau_ext, e.tau_ext);
   std::ranges::copy(from.limit_nm, e.limit_nm);
   std::ranges::copy(from.margin_nm, e.margin_nm);
+  std::ranges::copy(from.drift, e.drift);
+  e.drift_saturated = from.drift_saturated;
   std::memcpy(to, &e, std::min(to->size, sizeof e));
 }
 

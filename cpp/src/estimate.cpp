@@ -19,6 +19,7 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
   const double nan = std::numeric_limits<double>::quiet_NaN();
   out.network.assign(N * n, nan);
   out.tau_ext.assign(N * n, nan);
+  out.drift.resize(N * n);
   out.limit_nm.resize(N * n);
   out.near_stiction.resize(N * n);
   out.healthy.assign(N, 0);
@@ -47,11 +48,11 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
     for (int j = 0; j < n; ++j) {
       const std::size_t at = static_cast<std::size_t>(sample[w]) * n + j;
       out.network[at] = bundle.has_network() ? network_torque_nm(bundle.output_scale_nm[j], y[w * n + j]) : 0.0;
-      out.tau_ext[at] = out.residual[at] - (out.prior[at] + out.network[at]);
     }
   }
   const int widths = static_cast<int>(bundle.prior.widths_rad.size()), region = bundle.limits.region_width;
   AlarmStage alarm(n, widths, bundle.limits);
+  DriftTracker tracker(bundle.drift, bundle.limits, n, bundle.observer.gain_per_s);
   for (std::size_t k = 0; k < N; ++k) {
     std::uint32_t near_stiction = 0;
     for (int j = 0; j < n; ++j) {
@@ -60,8 +61,14 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
       out.near_stiction[at] = bundle.limits.near_stiction(recording.dq[at], state);
       if (out.near_stiction[at]) near_stiction |= std::uint32_t{1} << j;
     }
-    const std::span tau_ext = std::span(out.tau_ext).subspan(k * n, n);
-    out.detection[k] = alarm.step(recording.t_ns[k], tau_ext, std::span(out.doubt).subspan(k * n, n), near_stiction, out.healthy[k], std::span(out.limit_nm).subspan(k * n, n));
+    const auto row = [&](std::vector<double>& values) { return std::span(values).subspan(k * n, n); };
+    if (observation.row[k] == observation.stretch_begin[k]) tracker.restart();
+    tracker.step(recording.t_ns[k], std::span(recording.dq + k * n, static_cast<std::size_t>(n)), row(out.drift));
+    for (std::size_t at = k * n; out.healthy[k] && at < (k + 1) * n; ++at)
+      out.tau_ext[at] = out.residual[at] - (out.prior[at] + out.network[at] + out.drift[at]);
+    out.detection[k] = alarm.step(recording.t_ns[k], row(out.tau_ext), row(out.doubt), near_stiction, out.healthy[k],
+                                  row(out.limit_nm));
+    tracker.learn(row(out.tau_ext), row(out.doubt), near_stiction, out.healthy[k]);
     out.alarm[k] = static_cast<std::uint8_t>(alarm.state().held);
   }
   return out;

@@ -6,7 +6,7 @@
 
 namespace tauext {
 namespace {
-constexpr int kSignals = 8;  // q, dq, tau, residual, prior, uncertainty, tau_ext, limit
+constexpr int kSignals = 9;  // q, dq, tau, residual, prior, drift, uncertainty, tau_ext, limit
 }
 
 FlightRecorder::FlightRecorder(int joints, std::int64_t sample_period_ns, const FlightSettings& settings)
@@ -44,7 +44,7 @@ void FlightRecorder::push(const Sample& sample, const Estimate& e) noexcept {
       to[j] = signal.size() == n ? signal[j] : std::numeric_limits<double>::quiet_NaN();
     to += n;
   }
-  for (const JointVector* signal : {&e.residual, &e.prior, &e.uncertainty, &e.tau_ext, &e.limit_nm})
+  for (const JointVector* signal : {&e.residual, &e.prior, &e.drift, &e.uncertainty, &e.tau_ext, &e.limit_nm})
     to = std::copy_n(signal->data(), n, to);
   ring.near_stiction[row] = e.near_stiction;
   ring.causes[row] = e.causes;
@@ -106,8 +106,9 @@ bool FlightRecorder::take(Flight& flight) {
   flight = {};
   flight.event_row = ring.event - 1 - oldest;
   flight.event = ring.estimate;
-  std::vector<double>* const signals[kSignals] = {&flight.q,     &flight.dq,          &flight.tau,     &flight.residual,
-                                                  &flight.prior, &flight.uncertainty, &flight.tau_ext, &flight.limit_nm};
+  std::vector<double>* const signals[kSignals] = {&flight.q,     &flight.dq,    &flight.tau,
+                                                  &flight.residual, &flight.prior, &flight.drift,
+                                                  &flight.uncertainty, &flight.tau_ext, &flight.limit_nm};
   for (std::int64_t k = 0; k < rows; ++k) {
     const auto at = static_cast<std::size_t>((oldest + k) % capacity_);
     flight.t_ns.push_back(ring.t_ns[at]);

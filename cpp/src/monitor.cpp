@@ -64,7 +64,8 @@ Monitor::Monitor(const Bundle& bundle, NetworkRate rate)
       input_factors_(bundle.input_factors),
       output_scale_nm_(bundle.output_scale_nm),
       limits_(bundle.limits),
-      alarm_(joints_, static_cast<int>(bundle.prior.widths_rad.size()), bundle.limits) {
+      alarm_(joints_, static_cast<int>(bundle.prior.widths_rad.size()), bundle.limits),
+      drift_(bundle.drift, bundle.limits, joints_, bundle.observer.gain_per_s) {
   for (const Link& link : bundle.links) joint_names_.push_back(link.joint_name);
   if (bundle.has_network()) {
     network_.emplace(make_network(bundle, rate));
@@ -83,6 +84,7 @@ void Monitor::reset() noexcept {
   watch_.reset();
   if (network_) network_->restart();
   alarm_.acknowledge();
+  drift_.reset();
   counters_ = {};
   estimate_ = {};
   estimate_.joints = joints_;
@@ -104,7 +106,8 @@ void Monitor::report_alarm() noexcept {
 void Monitor::blank(bool also_residual) noexcept {
   for (int j = 0; j < joints_; ++j) {
     estimate_.uncertainty[j] = estimate_.tau_ext[j] = estimate_.margin_nm[j] = kNan;
-    if (also_residual) estimate_.residual[j] = estimate_.prior[j] = estimate_.limit_nm[j] = kNan;
+    if (also_residual)
+      estimate_.residual[j] = estimate_.prior[j] = estimate_.drift[j] = estimate_.limit_nm[j] = kNan;
   }
   if (also_residual) estimate_.near_stiction = 0;
   estimate_.detection = false;
@@ -169,7 +172,7 @@ void Monitor::hold(std::int64_t t_ns, std::uint32_t cause) noexcept {
   estimate_.detection = false;
 }
 
-// Clock, dynamics and observer; returns the ticks since the last sample, 0 where this one began anew.
+// Clock, dynamics, observer and drift; returns the ticks since the last sample, 0 where this one began anew.
 std::int64_t Monitor::observe(const Sample& s) noexcept {
   if (counters_.restart_next) residual_.reset();
   const SampleClock::Tick tick = residual_.step(s.t_ns, s.q, s.dq, s.tau, first_joints(estimate_.residual),
@@ -181,10 +184,12 @@ std::int64_t Monitor::observe(const Sample& s) noexcept {
     }
     counters_.restarts += counters_.started;
     counters_.saturated = false;
+    drift_.restart();
     if (network_) network_->restart();
   } else {
     counters_.bridged += static_cast<std::uint64_t>(tick.advance - 1);
   }
+  drift_.step(s.t_ns, s.dq, first_joints(estimate_.drift));
   ++counters_.samples;
   counters_.restart_next = false;
   counters_.started = true;
@@ -239,7 +244,7 @@ void Monitor::judge(const Sample& s, bool full, Findings& findings) noexcept {
   if (findings.trusted) {
     for (int j = 0; j < joints_; ++j) {
       const double network = network_ ? network_torque_nm(output_scale_nm_[j], network_out_[j]) : 0.0;
-      estimate_.uncertainty[j] = estimate_.prior[j] + network;
+      estimate_.uncertainty[j] = estimate_.prior[j] + network + estimate_.drift[j];
       estimate_.tau_ext[j] = estimate_.residual[j] - estimate_.uncertainty[j];
     }
     expect_finite(estimate_.tau_ext);
@@ -251,8 +256,12 @@ void Monitor::judge(const Sample& s, bool full, Findings& findings) noexcept {
         limits_.region_width < 0 ? 0.0 : static_cast<float>(residual_.presliding().value(j, limits_.region_width));
     if (limits_.near_stiction(s.dq[j], state)) estimate_.near_stiction |= std::uint32_t{1} << j;
   }
-  estimate_.detection = alarm_.step(s.t_ns, first_joints(estimate_.tau_ext), first_joints(estimate_.doubt), estimate_.near_stiction, findings.trusted,
-                                    first_joints(estimate_.limit_nm));
+  estimate_.detection =
+      alarm_.step(s.t_ns, first_joints(estimate_.tau_ext), first_joints(estimate_.doubt), estimate_.near_stiction,
+                  findings.trusted, first_joints(estimate_.limit_nm));
+  drift_.learn(first_joints(estimate_.tau_ext), first_joints(estimate_.doubt), estimate_.near_stiction,
+               findings.trusted && findings.causes == 0 && !counters_.saturated);
+  estimate_.drift_saturated = drift_.saturated();
   for (int j = 0; findings.trusted && j < joints_; ++j)
     estimate_.margin_nm[j] = estimate_.limit_nm[j] - std::fabs(estimate_.tau_ext[j]);
   report_alarm();
@@ -294,7 +303,7 @@ const Estimate& Monitor::no_sample(std::int64_t now_ns) noexcept {
 // What a state holds, in this order; all of it plain bytes.
 std::size_t Monitor::state_bytes() const noexcept {
   return sizeof(StateHead) + sizeof counters_ + sizeof(ResidualStage::State) + sizeof(SignalWatch::State) +
-         sizeof(AlarmStage::State) + sizeof estimate_ + (network_ ? network_->state_bytes() : 0);
+         sizeof(AlarmStage::State) + sizeof(DriftTracker::State) + sizeof estimate_ + (network_ ? network_->state_bytes() : 0);
 }
 
 bool Monitor::save_state(std::span<std::byte> state) const noexcept {
@@ -309,6 +318,7 @@ bool Monitor::save_state(std::span<std::byte> state) const noexcept {
   put(residual_.state());
   put(watch_.state());
   put(alarm_.state());
+  put(drift_.state());
   put(estimate_);
   if (network_) network_->save(left);
   const StateHead head{kStateVersion, fingerprint_, state.size(), crc32(as_chars(state.subspan(sizeof head))), 0};
@@ -333,6 +343,7 @@ bool Monitor::restore_state(std::span<const std::byte> state) noexcept {
   residual_.restore(take(residual_.state()));
   watch_.restore(take(watch_.state()));
   alarm_.restore(take(alarm_.state()));
+  drift_.restore(take(drift_.state()));
   estimate_ = take(estimate_);
   if (network_) network_->restore(left);
   return true;

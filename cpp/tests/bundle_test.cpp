@@ -1,5 +1,6 @@
 #include "tauext/bundle.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
@@ -184,6 +185,35 @@ void every_method_and_filter_is_kept_and_widths_go_with_them() {
   }
 }
 
+Bundle make_tracking_bundle() {
+  Bundle b = make_bundle();
+  b.drift = {120, {3, 2}, 0.01, 0.5, 1.0};
+  return b;
+}
+
+void a_drift_tracker_is_saved_and_one_that_makes_no_sense_is_refused_by_name() {
+  const Bundle b = make_tracking_bundle(), loaded = from_bytes(to_bytes(b));
+  CHECK(loaded.drift.time_constant_s == 120 && loaded.drift.size_nm == b.drift.size_nm);
+  CHECK(loaded.drift.rate_share_per_s == 0.01 && loaded.drift.freeze_share == 0.5 && loaded.drift.freeze_s == 1);
+  refused_after("drift.time_constant_s = 0.5", [](Bundle& c) { c.drift.time_constant_s = 0.5; });
+  refused_after("drift.time_constant_s", [](Bundle& c) { c.drift.time_constant_s = NAN; });
+  refused_after("drift.time_constant_s", [](Bundle& c) { c.drift.time_constant_s = -1; });
+  const auto spoilt = [](const char* part, void (*change)(DriftSettings&)) {
+    refused_after(part, [&](Bundle& c) {
+      c = make_tracking_bundle();
+      change(c.drift);
+    });
+  };
+  spoilt("drift.size_nm has 1", [](DriftSettings& d) { d.size_nm.pop_back(); });
+  spoilt("drift.size_nm = -1", [](DriftSettings& d) { d.size_nm[1] = -1; });
+  spoilt("drift.size_nm", [](DriftSettings& d) { d.size_nm[0] = INFINITY; });
+  spoilt("drift.rate_share_per_s = 0", [](DriftSettings& d) { d.rate_share_per_s = 0; });
+  spoilt("drift.rate_share_per_s", [](DriftSettings& d) { d.rate_share_per_s = NAN; });
+  spoilt("drift.freeze_share = 1.1", [](DriftSettings& d) { d.freeze_share = 1.1; });
+  spoilt("drift.freeze_share", [](DriftSettings& d) { d.freeze_share = -0.1; });
+  spoilt("drift.freeze_s = 61", [](DriftSettings& d) { d.freeze_s = 61; });
+}
+
 void the_plain_observer_needs_no_network() {
   Bundle b = make_bundle();
   b.shape = {};
@@ -204,6 +234,7 @@ int main() {
   limits_and_signals_that_make_no_sense_are_refused_by_name();
   other_versions_and_bytes_that_do_not_belong_are_refused_by_name();
   every_method_and_filter_is_kept_and_widths_go_with_them();
+  a_drift_tracker_is_saved_and_one_that_makes_no_sense_is_refused_by_name();
   the_plain_observer_needs_no_network();
   std::filesystem::remove_all(folder);
   return check::result();

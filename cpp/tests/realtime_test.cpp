@@ -59,13 +59,19 @@ Bundle compared(int joints) {
   return bundle;
 }
 
+Bundle tracking(int joints) {
+  Bundle bundle = made::bundle(joints, 20, 30, 10, 1);
+  bundle.drift = {10, std::vector<double>(static_cast<std::size_t>(joints), 2.0), 0.02, 0.9, 0.1};
+  return bundle;
+}
+
 struct Everything {
   Monitor every, own, plain, velocity;
   FlightRecorder recorder;
   std::vector<std::byte> state;
 
   explicit Everything(int joints)
-      : every(made::bundle(joints, 20, 30, 10, 1)),
+      : every(tracking(joints)),
         own(made::bundle(joints, 20, 30, 10, 1), NetworkRate::network_period),
         plain(made::bundle(joints, 0, 30, 10, 1)),
         velocity(compared(joints)),

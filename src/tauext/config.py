@@ -133,6 +133,33 @@ class PriorConfig:
 
 
 @dataclass(frozen=True)
+class DriftConfig:
+    """How the monitor follows slow changes of friction and offset (recipes tauext and prior)."""
+
+    time_constant_s: float = 120.0
+    """Of the tracker, [s], at least 1; 0: no tracker."""
+    size_share: float = 0.3
+    """Most that each of a joint's three coefficients may reach: this share of its friction at 0.5 rad/s."""
+    least_size_nm: float = 0.1
+    """But at least this, [N m]."""
+    rate_share_per_s: float = 1 / 60
+    """A coefficient may change by this share of its most in a second."""
+    freeze_share: float = 0.5
+    """Nothing is learned while some joint's |tau_ext| is over this share of its limit, above 0 ..."""
+    freeze_s: float = 1.0
+    """... and for so long afterwards, [s]."""
+
+    def __post_init__(self) -> None:
+        time_s = self.time_constant_s
+        require(time_s == 0 or 1 <= time_s <= 1e6, "time_constant_s", time_s, "0 (no tracker) or 1 to 1e6")
+        for name in ("size_share", "least_size_nm"):
+            require(0 <= getattr(self, name) < math.inf, name, getattr(self, name), ">= 0")
+        for name in ("rate_share_per_s", "freeze_share"):
+            require(0 < getattr(self, name) <= 1, name, getattr(self, name), "above 0, at most 1")
+        require(0 <= self.freeze_s <= 60, "freeze_s", self.freeze_s, "0 to 60")
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """What is trained, how, and for how long. None: the recipe's own value."""
 
@@ -168,6 +195,7 @@ class TrainConfig:
     paper and dense."""
     alarm: AlarmConfig = field(default_factory=AlarmConfig)
     prior: PriorConfig = field(default_factory=PriorConfig)
+    drift: DriftConfig = field(default_factory=DriftConfig)
 
     def __post_init__(self) -> None:
         for name in ("hidden", "epochs", "max_steps", "batch", "targets"):

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "tauext/alarm.hpp"
+#include "tauext/drift.hpp"
 #include "tauext/limits.hpp"
 #include "tauext/lstm.hpp"
 #include "tauext/prior.hpp"
@@ -42,6 +43,7 @@ struct Bundle {
   std::vector<double> output_scale_nm;  // a joint; 0 where the network did not earn its place
   PriorSettings prior;
   Limits limits;
+  DriftSettings drift;
   SignalRanges signals;
   Reference reference;
 
@@ -58,7 +60,8 @@ struct Estimates {
   std::vector<double> residual;       // (samples, joints), [N m]
   std::vector<double> prior;          // (samples, joints), [N m]; 0 where there is none
   std::vector<double> network;        // (samples, joints), [N m]; NaN while warming up, 0 where there is no network
-  std::vector<double> tau_ext;        // residual - (prior + network); NaN while warming up
+  std::vector<double> drift;          // (samples, joints), [N m]: what the tracker takes off; 0 where there is none
+  std::vector<double> tau_ext;        // residual - (prior + network + drift); NaN while warming up
   std::vector<double> doubt;          // (samples, joints), [N m]: of the prior; 0 where there is none
   std::vector<double> limit_nm;       // (samples, joints): of a collision, raised by the doubt
   std::vector<std::uint8_t> near_stiction;  // (samples, joints)

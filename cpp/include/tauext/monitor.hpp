@@ -9,6 +9,7 @@
 
 #include "tauext/alarm.hpp"
 #include "tauext/bundle.hpp"
+#include "tauext/drift.hpp"
 #include "tauext/residual.hpp"
 #include "tauext/signal_watch.hpp"
 #include "tauext/sliding_lstm.hpp"
@@ -60,9 +61,11 @@ struct Estimate {
   std::int64_t alarm_t_ns = 0;      // when it did
   bool detection = false;           // some |tau_ext| over its collision limit, at this sample
   std::uint32_t near_stiction = 0;  // a bit a joint: which of its limits holds
+  std::uint32_t drift_saturated = 0;  // a bit a joint: its drift is at the bound, and training anew is due
   JointVector residual{};           // r of the observer, [N m]
   JointVector prior{};              // what physics expects of r in free motion, [N m]
-  JointVector uncertainty{};        // r expected in free motion: prior + network, [N m]
+  JointVector drift{};              // what the tracker has learned since, [N m]; 0 without one
+  JointVector uncertainty{};        // r expected in free motion: prior + network + drift, [N m]
   JointVector tau_ext{};            // residual - uncertainty, [N m]
   JointVector doubt{};              // how far the prior may be off while presliding states are unknown, [N m]
   JointVector limit_nm{};           // that |tau_ext| must exceed for a collision; doubt included
@@ -161,6 +164,7 @@ class Monitor {
   std::vector<double> output_scale_nm_, states_;
   Limits limits_;
   AlarmStage alarm_;
+  DriftTracker drift_;
   Counters counters_;
   Estimate estimate_;
 };

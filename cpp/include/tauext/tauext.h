@@ -72,6 +72,9 @@ typedef struct tauext_estimate {
   double tau_ext[TAUEXT_MAX_JOINTS];     /* [N m] */
   double limit_nm[TAUEXT_MAX_JOINTS];
   double margin_nm[TAUEXT_MAX_JOINTS];
+  double drift[TAUEXT_MAX_JOINTS];       /* [N m], part of uncertainty: slow changes since training */
+  uint32_t drift_saturated;              /* a bit a joint: drift at its bound, train anew; health stays as it is */
+  uint32_t unused;                       /* 0 */
 } tauext_estimate;
 
 typedef struct tauext_monitor tauext_monitor;

@@ -8,7 +8,18 @@ from typing import Any
 from tauext._core import Bundle, cause_names
 from tauext.cli.run_output import FlightCount
 from tauext.data import Recording
-from tauext.monitor import ALARMS, HEALTHS, Change, Chunk, FlightNews, HealthChange, StatusClock, Tally, status
+from tauext.monitor import (
+    ALARMS,
+    HEALTHS,
+    Change,
+    Chunk,
+    DriftChange,
+    FlightNews,
+    HealthChange,
+    StatusClock,
+    Tally,
+    status,
+)
 from tauext.monitor.status import number
 
 
@@ -63,6 +74,8 @@ class JsonLines:
     def _change(self, change: Change) -> tuple[str, dict[str, Any]]:
         joint = self._joints[change.joint] if change.joint >= 0 else None
         where = {"row": change.row, **self._when(change.t_ns)}
+        if isinstance(change, DriftChange):
+            return "drift", {**where, "joint": joint, "advice": "recalibrate"}
         if isinstance(change, HealthChange):
             said = {"health": HEALTHS[change.health], "was": HEALTHS[change.was], "causes": cause_names(change.causes)}
             return "health", {**where, **said, "joint": joint}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from tauext._core import Bundle, cause_names
 from tauext.cli.run_output import FlightCount
 from tauext.data import Recording
-from tauext.monitor import ALARMS, HEALTHS, AlarmChange, Chunk, FlightNews, HealthChange, Tally
+from tauext.monitor import ALARMS, HEALTHS, AlarmChange, Chunk, DriftChange, FlightNews, HealthChange, Tally
 
 if TYPE_CHECKING:
     from tauext.cli.run import RunSettings
@@ -46,6 +46,8 @@ class TextLines:
         for change in chunk.changes:
             if isinstance(change, HealthChange):
                 self._health(change)
+            elif isinstance(change, DriftChange):
+                self._event(change.t_ns, f"recalibrate: joint {self._joints[change.joint]}'s drift is at its bound")
             else:
                 self._alarm(change)
 

@@ -86,6 +86,17 @@ def describe_bundle(file: Path) -> dict:
         if not bundle.has_network:
             content["network"] = "none: observer and prior"
         content |= describe_prior(bundle, facts)
+    if bundle.drift.time_constant_s:
+        content["drift tracker"] = {
+            "time constant [s]": bundle.drift.time_constant_s,
+            "learns nothing over this share of a contact limit": bundle.drift.freeze_share,
+            "and so long afterwards [s]": bundle.drift.freeze_s,
+        }
+        content["drift of a coefficient at most [Nm]"] = dict(zip(names, bundle.drift.size_nm, strict=True))
+        content["and a minute at most [Nm]"] = {
+            name: min(1.0, 60 * bundle.drift.rate_share_per_s) * size
+            for name, size in zip(names, bundle.drift.size_nm, strict=True)
+        }
     for joint, reason in facts.get("gate", {}).items():
         content[f"network of {joint}"] = reason
     if "limits" in facts:

@@ -81,7 +81,9 @@ def train_bundle(
         build_windows,
         find_scaling,
         fit_prior,
+        freeze_drift,
         make_bundle,
+        set_drift,
         set_signal_ranges,
         with_presliding,
     )
@@ -122,6 +124,8 @@ def train_bundle(
     if config.recipe == "tauext":
         gate = apply_gate(bundle, validation, config.gate_margin, threads)
         learned["gate"] = {link.joint_name: gate.reason(j, config.gate_margin) for j, link in enumerate(tree.links)}
+    if fit is not None:
+        set_drift(bundle, fit, config.drift)  # behind the gate, which judges what the prior leaves, not what drifts
     if promises(config, calibration):
         with ProgressBar(f"calibrate {out.stem}") as bar:
             shown = shown_one_by_one(calibration, bar)
@@ -131,6 +135,8 @@ def train_bundle(
         print(promised.sentence(), file=sys.stderr)
     else:
         set_limits(bundle, paper_limits(bundle, validation, threads), config.alarm)
+    if fit is not None:
+        freeze_drift(bundle, config.drift)
     set_signal_ranges(bundle, training, torque_limits(robot, training[0].joints))
     resolved = config.resolved()
     facts = {"recipe": config.recipe, "case": case.name, "epochs": resolved.epochs, "batch": resolved.batch}
@@ -173,7 +179,7 @@ def shown_one_by_one(loaders: Sequence[Callable[[], Recording]], bar: ProgressBa
 def training_settings(case: ModelCase, config: TrainConfig) -> dict:
     """What the trained bundle depends on beside the data; not the number of threads."""
     plain = asdict(config.resolved())
-    network, sequences = ("prior", "gate_margin"), ("threads", "epochs")
+    network, sequences = ("prior", "gate_margin", "drift"), ("threads", "epochs")
     unused = {
         "tauext": sequences,
         "prior": ("threads", "targets", "gate_margin"),

@@ -26,12 +26,13 @@ class Estimates:
     t_ns: np.ndarray  # (samples,) int64
     r: np.ndarray  # the observer
     network: np.ndarray  # NaN while warming up
-    tau_ext: np.ndarray  # r - prior - network; NaN while warming up
+    tau_ext: np.ndarray  # r - prior - network - drift; NaN while warming up
     limit: np.ndarray
     near_stiction: np.ndarray  # (samples, joints) bool: region of the limit
     health: np.ndarray  # (samples,) int8
     detection: np.ndarray  # (samples,) bool: healthy and some |tau_ext| over its limit
     prior: np.ndarray | None = None  # (samples, joints); None where the bundle has none
+    drift: np.ndarray | None = None  # (samples, joints): what the tracker takes off; None where the bundle has none
     alarm: np.ndarray | None = None  # (samples,) int8: 0 none, 1 contact, 2 collision; latched by a monitor
     causes: np.ndarray | None = None  # (samples,) uint32: bits, why health is not ok; of a monitor only
 
@@ -46,6 +47,8 @@ class Estimates:
 
 
 TORQUES = ("r", "network", "tau_ext", "limit")
+OPTIONAL = ("prior", "drift")
+"""Torques that some bundles have; a file holds their columns or not."""
 MONITORED = {"alarm": np.int8, "causes": np.uint32}
 """Columns that only a monitor knows; a file holds them or not."""
 
@@ -57,7 +60,7 @@ def save_estimates(estimates: Estimates, path: Path) -> None:
         RecordingError: the file cannot be written; what was written of it is removed.
     """
     columns: dict[str, np.ndarray] = {"t_ns": estimates.t_ns}
-    torque_names = TORQUES if estimates.prior is None else (*TORQUES, "prior")
+    torque_names = [*TORQUES, *(signal for signal in OPTIONAL if getattr(estimates, signal) is not None)]
     for signal in (*torque_names, "near_stiction"):
         values = getattr(estimates, signal)
         columns |= {f"{signal}_{joint}": np.ascontiguousarray(values[:, j]) for j, joint in enumerate(estimates.joints)}
@@ -98,8 +101,8 @@ def load_estimates(path: Path) -> Estimates:
         column = {name: table.column(name).to_numpy() for name in table.column_names}
         signals = {
             signal: np.stack([column[f"{signal}_{joint}"] for joint in joints], axis=1)
-            for signal in (*TORQUES, "near_stiction", "prior")
-            if signal != "prior" or f"prior_{joints[0]}" in column
+            for signal in (*TORQUES, "near_stiction", *OPTIONAL)
+            if signal not in OPTIONAL or f"{signal}_{joints[0]}" in column
         }
         flags = {name: column[name] for name in ("health", "detection")}
         return Estimates(joints, column["t_ns"], **signals, **flags, **{name: column.get(name) for name in MONITORED})

@@ -25,6 +25,7 @@ def estimate(bundle: _core.Bundle, recording: Recording, threads: int) -> Estima
         network=said["network"].astype(np.float32),
         tau_ext=said["tau_ext"].astype(np.float32),
         prior=said["prior"].astype(np.float32) if bundle.prior.terms or bundle.prior.corrected_links else None,
+        drift=said["drift"].astype(np.float32) if bundle.drift.time_constant_s else None,
         limit=said["limit_nm"].astype(np.float32),
         near_stiction=said["near_stiction"].astype(bool),
         health=np.where(said["healthy"].astype(bool), OK, WARMING_UP).astype(np.int8),

@@ -1,6 +1,13 @@
 """From recordings of free motion to a network that knows what the observer shows when nothing touches the arm."""
 
-from tauext.learn.bundle_writing import build_chain, make_bundle, set_signal_ranges, with_presliding
+from tauext.learn.bundle_writing import (
+    build_chain,
+    freeze_drift,
+    make_bundle,
+    set_drift,
+    set_signal_ranges,
+    with_presliding,
+)
 from tauext.learn.gate import Gate, apply_gate
 from tauext.learn.prior import PriorFit, fit_prior
 from tauext.learn.train import Progress, TrainedNetwork, train
@@ -19,7 +26,9 @@ __all__ = [
     "build_windows",
     "find_scaling",
     "fit_prior",
+    "freeze_drift",
     "make_bundle",
+    "set_drift",
     "set_signal_ranges",
     "train",
     "with_presliding",

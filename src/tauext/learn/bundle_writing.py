@@ -8,12 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from tauext import _core
-from tauext.config import ObserverConfig
+from tauext.config import DriftConfig, ObserverConfig
 from tauext.data import Recording
 from tauext.errors import TrainingError
+from tauext.learn.prior import PriorFit
+from tauext.learn.prior_facts import friction_nm
 from tauext.learn.train import TrainedNetwork
 from tauext.learn.training_set import Chain, Scaling
 
+DRIFT_SPEED_RAD_S = 0.5
+"""A joint's friction at this speed is what its drift is measured by."""
 LEAST_TORQUE_NM = 1.0
 """A joint that needed no torque in training may yet need some: least torque that counts as the largest."""
 
@@ -102,3 +106,22 @@ def set_signal_ranges(
     largest = np.max([np.abs(recording.tau).max(axis=0) for recording in recordings], axis=0)
     bundle.largest_torque_nm = np.maximum(largest, LEAST_TORQUE_NM).tolist()
     bundle.torque_limit_nm = list(torque_limit_nm) if torque_limit_nm is not None else [float("inf")] * bundle.joints
+
+
+def set_drift(bundle: _core.Bundle, fit: PriorFit, config: DriftConfig) -> None:
+    """Let the bundle follow slow changes of friction and offset, within a share of the friction that the prior found.
+
+    No torque freezes it yet: that follows from the limits, and they are not known; see freeze_drift.
+    """
+    drift = _core.DriftSettings()
+    drift.time_constant_s = config.time_constant_s
+    size_nm = np.maximum(config.size_share * friction_nm(fit, DRIFT_SPEED_RAD_S), config.least_size_nm)
+    drift.size_nm = size_nm.tolist()
+    drift.rate_share_per_s = config.rate_share_per_s
+    drift.freeze_s = config.freeze_s
+    bundle.drift = drift
+
+
+def freeze_drift(bundle: _core.Bundle, config: DriftConfig) -> None:
+    """With its limits found, the bundle learns no drift while something touches the arm."""
+    bundle.drift.freeze_share = config.freeze_share

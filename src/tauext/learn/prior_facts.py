@@ -51,6 +51,23 @@ def prior_facts(fit: PriorFit, joints: Sequence[str]) -> dict:
     return facts
 
 
+def friction_nm(fit: PriorFit, speed_rad_s: float) -> np.ndarray:
+    """Size of the friction that the prior expects of each joint in steady sliding at this speed > 0: (n,), [N m].
+
+    Coulomb and presliding terms (their states are 1 then) and the viscous one; not those that grow with the load.
+    """
+    terms, level = fit.settings.terms, np.zeros(len(fit.weights))
+    value = {
+        Kind.coulomb: lambda term: math.tanh(speed_rad_s / term.speed),
+        Kind.presliding: lambda term: 1.0,
+        Kind.viscous: lambda term: speed_rad_s,
+    }
+    for m, term in enumerate(terms):
+        if term.kind in value:
+            level[term.a] += fit.weights[term.a, m] * value[term.kind](term)
+    return np.abs(level)
+
+
 SHARED = (Kind.gravity, Kind.quadratic, Kind.momentum)
 OWN = [
     getattr(Kind, name)

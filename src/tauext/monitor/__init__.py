@@ -1,6 +1,6 @@
 """The monitor on recordings: replay through the core, what changed and when, and the flights around it."""
 
-from tauext.monitor.changes import ALARMS, HEALTHS, AlarmChange, Change, HealthChange
+from tauext.monitor.changes import ALARMS, HEALTHS, AlarmChange, Change, DriftChange, HealthChange
 from tauext.monitor.flight_files import FlightSource, write_flight
 from tauext.monitor.flight_writer import FlightNews, FlightWriter
 from tauext.monitor.pace import Pace
@@ -14,6 +14,7 @@ __all__ = [
     "AlarmChange",
     "Change",
     "Chunk",
+    "DriftChange",
     "FlightNews",
     "FlightSource",
     "FlightWriter",

@@ -1,4 +1,4 @@
-"""What changed from one sample to the next: health and alarm. The rule knows samples, not chunks."""
+"""What changed from one sample to the next: health, alarm, a drift at its bound. The rule knows samples, not chunks."""
 
 from __future__ import annotations
 
@@ -48,7 +48,16 @@ class AlarmChange:
     """It did not fall by itself."""
 
 
-Change = HealthChange | AlarmChange
+@dataclass(frozen=True)
+class DriftChange:
+    """The drift of a joint is at its bound, for the first time since the monitor was made: train anew."""
+
+    row: int
+    t_ns: int
+    joint: int
+
+
+Change = HealthChange | AlarmChange | DriftChange
 
 
 class ChangeFinder:
@@ -56,6 +65,7 @@ class ChangeFinder:
 
     def __init__(self) -> None:
         self._last = {"health": WARMING_UP, "causes": 0, "alarm": NONE}
+        self._saturated: set[int] = set()
 
     def acknowledged(self, row: int, t_ns: int) -> AlarmChange:
         """The alarm was acknowledged just before this sample; one that stands at the sample was raised anew there."""
@@ -63,7 +73,7 @@ class ChangeFinder:
         return AlarmChange(row, int(t_ns), NONE, was, -1, acknowledged=True)
 
     def find(self, first_row: int, t_ns: np.ndarray, said: dict[str, np.ndarray]) -> list[Change]:
-        """Changes at these samples in order; of one sample, its health before its alarm.
+        """Changes at these samples in order; of one sample, its health before its alarm, then drift.
 
         Args:
             first_row: of the chunk, counted from the recording's first sample.
@@ -81,7 +91,13 @@ class ChangeFinder:
                 changes.append(HealthChange(row, t, health, int(before["health"][k]), causes, joint))
             if differs["alarm"][k]:
                 changes.append(self._alarm_change(row, t, k, int(before["alarm"][k]), said))
-        return changes
+        return sorted(changes + self._drift(first_row, t_ns, said["drift_saturated"]), key=lambda change: change.row)
+
+    def _drift(self, first_row: int, t_ns: np.ndarray, saturated: np.ndarray) -> list[DriftChange]:
+        new = [j for j in np.flatnonzero(saturated.any(axis=0)).tolist() if j not in self._saturated]
+        self._saturated.update(new)
+        rows = [int(np.argmax(saturated[:, j])) for j in new]
+        return [DriftChange(first_row + k, int(t_ns[k]), j) for k, j in zip(rows, new, strict=True)]
 
     @staticmethod
     def _alarm_change(row: int, t_ns: int, k: int, was: int, said: dict[str, np.ndarray]) -> AlarmChange:

@@ -37,6 +37,7 @@ class FlightSource:
     contact_near_stiction_nm: tuple[float, ...] = ()
     has_network: bool = True
     has_prior: bool = False
+    has_drift: bool = False
 
     @classmethod
     def of(cls, bundle: _core.Bundle, recording: Recording) -> FlightSource:
@@ -54,6 +55,7 @@ class FlightSource:
             contact_near_stiction_nm=tuple(bundle.contact_near_stiction_limit_nm),
             has_network=bundle.has_network,
             has_prior=bool(bundle.prior.terms or bundle.prior.corrected_links),
+            has_drift=bundle.drift.time_constant_s > 0,
         )
 
     def time_s(self, t_ns: int) -> float:
@@ -113,13 +115,14 @@ def as_recording(
 def as_estimates(flight: Flight, kept: np.ndarray, source: FlightSource) -> Estimates:
     """What the monitor said of the samples that are kept."""
     torques = {"r": "residual", "tau_ext": "tau_ext", "limit": "limit_nm"}
-    prior = flight["prior"][kept]
+    prior, drift = flight["prior"][kept], flight["drift"][kept]
     return Estimates(
         joints=source.joints,
         t_ns=flight["t_ns"][kept],
         **{name: flight[key][kept].astype(np.float32) for name, key in torques.items()},
-        network=(flight["uncertainty"][kept] - prior).astype(np.float32),
+        network=(flight["uncertainty"][kept] - prior - drift).astype(np.float32),
         prior=prior.astype(np.float32) if source.has_prior else None,
+        drift=drift.astype(np.float32) if source.has_drift else None,
         near_stiction=flight["near_stiction"][kept].astype(bool),
         health=flight["health"][kept].astype(np.int8),
         detection=flight["detection"][kept].astype(bool),

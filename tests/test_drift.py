@@ -1,0 +1,200 @@
+"""The drift tracker's settings and what people and files are told of it; cpp/tests/drift_test.cpp tests its law."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import planar_arm
+from made_pushes import cut_flight
+from test_train import recording
+
+from tauext import _core
+from tauext.cli.show import describe_bundle
+from tauext.cli.train import training_settings
+from tauext.config import PAPER_CASES, DriftConfig, ObserverConfig, PriorConfig, TrainConfig
+from tauext.data import Recording, save
+from tauext.data.estimates import load_estimates, save_estimates
+from tauext.errors import ConfigError, TauextError
+from tauext.evaluate.estimating import estimate
+from tauext.learn import build_chain, fit_prior, freeze_drift, make_bundle, set_drift, with_presliding
+from tauext.learn.prior_facts import friction_nm
+from tauext.monitor import DriftChange, FlightSource
+from tauext.monitor.changes import ChangeFinder
+from tauext.monitor.flight_content import as_estimates, rows_kept
+
+CONFIG = DriftConfig(time_constant_s=5.0, rate_share_per_s=0.2)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    """An arm with a friction of 5 tanh(dq / 0.05) + 2 dq, nothing else unknown; see test_train.recording."""
+    made = [with_dynamics(recording(k, seconds=10.0)) for k in range(4)]
+    chain = build_chain(planar_arm(), made[0], ObserverConfig())
+    settings = PriorConfig((), coulomb_speeds_rad_s=(0.05,), most_ripples=0, correct_model=False)
+    fit = fit_prior(with_presliding(chain, ()), made, settings)
+    bundle = make_bundle("drifting", replace(chain, prior=fit.settings), 0.02, made[0])
+    return bundle, fit
+
+
+def with_dynamics(made: Recording, friction: float = 1.0) -> Recording:
+    """Its friction times this, and what moves the arm beside it: the true model's residual is minus the friction."""
+    tree = planar_arm()
+    p, beta = tree.momentum(made.q, made.dq)
+    held = np.vstack([np.diff(p, axis=0) / 1e-3 + 0.5 * (beta[1:] + beta[:-1]), beta[-1:]])
+    return replace(made, tau=held + friction * made.tau)
+
+
+def tracking(bundle: _core.Bundle, fit, config: DriftConfig = CONFIG) -> _core.Bundle:
+    copy = _core.Bundle.from_bytes(bundle.to_bytes())
+    set_drift(copy, fit, config)
+    return copy
+
+
+def test_the_bounds_are_a_share_of_the_friction_that_the_prior_found(fitted):
+    bundle, fit = fitted
+    # Held torques act half a sample late on friction that the prior takes as the trapezoid: below 1 % here.
+    np.testing.assert_allclose(friction_nm(fit, 0.5), 5.0 + 2.0 * 0.5, rtol=0.02)
+    drifting = tracking(bundle, fit)
+    np.testing.assert_allclose(drifting.drift.size_nm, 0.3 * friction_nm(fit, 0.5))
+    assert drifting.drift.freeze_share == 0
+    freeze_drift(drifting, CONFIG)
+    assert _core.Bundle.from_bytes(drifting.to_bytes()).drift.freeze_share == 0.5
+    assert tracking(bundle, fit, replace(CONFIG, size_share=0.0)).drift.size_nm == [0.1, 0.1]
+
+
+def test_lower_friction_is_followed_and_the_monitor_says_the_same(fitted):
+    bundle, fit = fitted
+    made = with_dynamics(recording(9, seconds=60.0), friction=0.9)
+    signals = (made.t_ns, made.q, made.dq, made.tau)
+    last = slice(-20_000, None)
+    drifting = tracking(bundle, fit)
+    before = _core.estimate(bundle, *signals, 1)["tau_ext"][last]
+    said = _core.estimate(drifting, *signals, 1)
+    after = said["tau_ext"][last]
+    assert (np.sqrt((after**2).mean(axis=0)) < 0.5 * np.sqrt((before**2).mean(axis=0))).all()
+    run = _core.Monitor(drifting).run(*signals)
+    np.testing.assert_array_equal(run["drift"], said["drift"])
+    np.testing.assert_array_equal(run["tau_ext"], said["tau_ext"])
+    np.testing.assert_array_equal(run["uncertainty"][600:], (said["prior"] + said["network"] + said["drift"])[600:])
+
+
+def test_in_a_minute_a_coefficient_changes_by_no_more_than_its_rate(fitted):
+    bundle, fit = fitted
+    slow = tracking(bundle, fit, replace(CONFIG, time_constant_s=1.0, rate_share_per_s=1 / 600))
+    made = with_dynamics(recording(9, seconds=60.0))
+    said = _core.estimate(slow, made.t_ns, made.q, made.dq, made.tau - 20.0, 1)
+    assert (np.abs(said["drift"]).max(axis=0) <= 3 * np.array(slow.drift.size_nm) * 60 / 600).all()
+    assert (np.abs(said["drift"]).max(axis=0) > 0).all()
+
+
+def test_a_push_over_the_share_of_the_limit_is_not_learned_away(fitted):
+    bundle, fit = fitted
+    drifting = tracking(bundle, fit)
+    freeze_drift(drifting, CONFIG)
+    drifting.contact_sliding_limit_nm = drifting.contact_near_stiction_limit_nm = [4.0, 4.0]
+    drifting.sliding_limit_nm = drifting.near_stiction_limit_nm = [4.0, 4.0]
+    made = with_dynamics(recording(9, seconds=30.0))
+    pushed = made.tau.copy()
+    pushed[5000:, 0] -= 10.0  # what a drive gives less that is pushed in the positive direction
+    free, said = (_core.estimate(drifting, made.t_ns, made.q, made.dq, tau, 1) for tau in (made.tau, pushed))
+    seen = said["tau_ext"][10_000:, 0] - free["tau_ext"][10_000:, 0]
+    # Between touch and freeze lie the 12 ms in which r rises over 2 Nm; what is learned without the push stays below.
+    np.testing.assert_allclose(seen, 10.0, atol=0.05)
+
+
+def test_estimates_hold_drift_where_there_is_a_tracker(fitted, tmp_path):
+    bundle, fit = fitted
+    made = with_dynamics(recording(9), friction=0.8)
+    for one, has in ((bundle, False), (tracking(bundle, fit), True)):
+        save_estimates(estimate(one, made, 1), tmp_path / "made.estimates.parquet")
+        loaded = load_estimates(tmp_path / "made.estimates.parquet")
+        assert (loaded.drift is not None) == has
+    left = loaded.r - loaded.prior - loaded.network - loaded.drift
+    np.testing.assert_allclose(loaded.tau_ext[600:], left[600:], atol=1e-5)  # float32
+
+
+def test_a_tracker_that_is_off_changes_no_bit(fitted):
+    bundle, fit = fitted
+    made = recording(9)
+    signals = (made.t_ns, made.q, made.dq, made.tau, 1)
+    without, off = (
+        _core.estimate(b, *signals) for b in (bundle, tracking(bundle, fit, DriftConfig(time_constant_s=0)))
+    )
+    for key, values in without.items():
+        assert values.tobytes() == off[key].tobytes(), key
+
+
+def test_a_flight_tells_drift_from_the_network(fitted):
+    bundle, fit = fitted
+    drifting = tracking(bundle, fit)
+    made = with_dynamics(recording(9, seconds=20.0), friction=0.8)
+    flight = cut_flight(drifting, made, 15_000)
+    source = FlightSource.of(drifting, made)
+    estimates = as_estimates(flight, rows_kept(flight), source)
+    assert np.abs(estimates.drift).max() > 0.1
+    np.testing.assert_allclose(estimates.network, 0, atol=1e-9)  # the bundle has none
+
+
+def test_a_drift_at_its_bound_is_told_once(fitted, tmp_path, capsys):
+    from tauext.cli import main
+
+    bundle, fit = fitted
+    drifting = tracking(bundle, fit, replace(CONFIG, size_share=0.01, time_constant_s=1.0))
+    drifting.sliding_limit_nm = drifting.near_stiction_limit_nm = [50.0, 50.0]
+    drifting.contact_sliding_limit_nm = drifting.contact_near_stiction_limit_nm = [50.0, 50.0]
+    drifting.save(str(tmp_path / "drifting.tauext"))
+    made = with_dynamics(recording(9, seconds=20.0), friction=0.5)
+    save(made, tmp_path / "made.parquet")
+    main(["run", str(tmp_path / "drifting.tauext"), str(tmp_path / "made.parquet")])
+    told = capsys.readouterr().out
+    assert told.count("recalibrate: joint shoulder's drift is at its bound") == 1 == told.count("joint elbow's")
+    main(["run", str(tmp_path / "drifting.tauext"), str(tmp_path / "made.parquet"), "--json"])
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    drifts = [event for event in events if event["event"] == "drift"]
+    said = _core.Monitor(drifting).run(made.t_ns, made.q, made.dq, made.tau)["drift_saturated"]
+    first = {joint: int(np.argmax(said[:, j])) for j, joint in enumerate(made.joints)}
+    assert {event["joint"]: event["row"] for event in drifts} == first
+    content = describe_bundle(tmp_path / "drifting.tauext")
+    assert content["drift of a coefficient at most [Nm]"]["shoulder"] == drifting.drift.size_nm[0]
+
+
+def test_drift_is_found_at_the_same_row_whatever_the_chunks():
+    saturated = np.zeros((10, 2), dtype=np.uint8)
+    saturated[4:6, 1] = saturated[8:, :] = 1
+    quiet = {key: np.zeros(10, dtype=np.uint8) for key in ("health", "causes", "alarm")}
+    for size in (1, 3, 10):
+        finder, found = ChangeFinder(), []
+        for k in range(0, 10, size):
+            rows = slice(k, k + size)
+            said = {key: values[rows] for key, values in quiet.items()} | {"drift_saturated": saturated[rows]}
+            found += finder.find(k, np.arange(10)[rows], said)
+        assert found == [DriftChange(4, 4, 1), DriftChange(8, 8, 0)]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"time_constant_s": 0.5}, "time_constant_s = 0.5 must be 0 "),
+        ({"size_share": -1.0}, "size_share = -1.0 must be >= 0"),
+        ({"rate_share_per_s": 0.0}, "rate_share_per_s = 0.0 must be above 0"),
+        ({"freeze_share": 0.0}, "freeze_share = 0.0 must be above 0"),
+        ({"freeze_s": float("nan")}, "freeze_s = nan must be 0 to 60"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(changes, message):
+    with pytest.raises(ConfigError, match=message):
+        DriftConfig(**changes)
+
+
+def test_a_bundle_of_settings_that_make_no_sense_is_refused(fitted):
+    drifting = tracking(*fitted)
+    drifting.drift.freeze_share = 2.0
+    with pytest.raises(TauextError, match="drift.freeze_share = 2 must be 0"):
+        drifting.to_bytes()
+
+
+def test_only_recipes_with_a_prior_depend_on_drift():
+    for recipe in ("tauext", "prior", "paper", "dense", "observer"):
+        settings = training_settings(PAPER_CASES["exact"], TrainConfig(recipe=recipe))
+        assert ("drift" in settings["config"]) == (recipe in ("tauext", "prior"))

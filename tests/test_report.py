@@ -533,3 +533,12 @@ def test_an_old_figure_does_not_outlive_its_data(copied, tmp_path):
     shutil.rmtree(results / "estimates")
     write_report(results, data, out)
     assert not (out / "figures" / "figure-5-free-motion.png").exists()
+
+
+def test_a_figure_of_one_case_is_not_of_the_plain_observer_where_there_is_another(copied):
+    def edit(content):
+        for k, case in enumerate(content["cases"]):
+            case |= {"name": f"method {k}", "recipe": "prior" if k else "observer"}
+
+    change(copied[0], edit)
+    assert load_results(copied[0]).case("none").name == "method 1"

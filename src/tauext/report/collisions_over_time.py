@@ -70,9 +70,10 @@ def draw_collisions(results: Results, signals: Signals) -> Drawing:
         label_joint(axes, name)
         axes.set_xlim(0, excerpts[-1].shown_at_s + excerpts[-1].length_s)
     label_excerpts(grid[0], grid[-1], excerpts)
+    what = "network" if excerpts[0].said.prior is None else "prior and network"
     handles = [
         Line2D([], [], color=OBSERVER, linewidth=OBSERVER_WIDTH, label="observer r"),
-        Line2D([], [], color=colour, label="network"),
+        Line2D([], [], color=colour, label=what),
         Patch(color=CONTACT, label="contact"),
     ]
     figure.legend(handles=handles, loc="outside upper left", ncols=3)
@@ -82,9 +83,9 @@ def draw_collisions(results: Results, signals: Signals) -> Drawing:
     places = "; ".join(f"{recording}: {', '.join(numbers)}" for recording, numbers in where.items())
     return Drawing(
         figure,
-        f"Figure 7. {sentence(case.label)}: observer and network while {len(excerpts)} collisions "
-        f"happen. The network goes on as if nothing touched the arm; what the two differ by is the external torque. "
-        f"Excerpts of about {LENGTH_S:g} s are joined at the vertical lines. Recordings: {places}.",
+        f"Figure 7. {sentence(case.label)}: observer and {what} while {len(excerpts)} collisions "
+        f"happen. What was learned goes on as if nothing touched the arm; what the two differ by is the external "
+        f"torque. Excerpts of about {LENGTH_S:g} s are joined at the vertical lines. Recordings: {places}.",
     )
 
 

@@ -1,6 +1,7 @@
 """From recordings of free motion to a network that knows what the observer shows when nothing touches the arm."""
 
 from tauext.learn.bundle_writing import build_chain, make_bundle, set_signal_ranges, with_presliding
+from tauext.learn.friction import fit_friction
 from tauext.learn.gate import Gate, apply_gate
 from tauext.learn.prior import PriorFit, fit_prior
 from tauext.learn.train import Progress, TrainedNetwork, train
@@ -18,6 +19,7 @@ __all__ = [
     "build_chain",
     "build_windows",
     "find_scaling",
+    "fit_friction",
     "fit_prior",
     "make_bundle",
     "set_signal_ranges",

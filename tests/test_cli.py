@@ -117,7 +117,10 @@ def test_the_plain_observer_is_a_bundle_too(workplace, capsys, tmp_path):
     assert run(capsys, "evaluate", "--data", data, "--bundles", out, "--out", tmp_path / "results")[0] == 0
 
 
-@pytest.mark.parametrize("command", ["", "simulate", "train", "evaluate", "report", "run", "show", "reproduce"])
+COMMANDS = ["simulate", "train", "calibrate", "evaluate", "report", "run", "show", "reproduce"]
+
+
+@pytest.mark.parametrize("command", ["", *COMMANDS])
 def test_help_answers_for_every_command(capsys, command):
     code, out, _ = run(capsys, *([command] if command else []), "--help")
     assert code == 0 and "usage: tauext" in out
@@ -136,6 +139,12 @@ WRONG = [
     (("show", "{other}"), [".tauext", ".parquet"]),
     (("simulate", "--out", "{data}", "--minutes", "3", "--collision-recordings", "1"), ["minutes: 2.0, not 3.0"]),
     (("simulate", "--out", "x", "--minutes", "-1"), ["minutes", "> 0"]),
+    (("simulate", "--out", "x", "--encoder-bits", "11"), ["encoder_bits = 11", "12 to 24"]),
+    (("simulate", "--out", "x", "--friction", "0"), ["friction = 0", "0.1 to 10"]),
+    (
+        ("calibrate", "--bundle", "gone.tauext", "--data", "{data}", "--out", "a.tauext"),
+        ["gone.tauext", "tauext train"],
+    ),
 ]
 
 

@@ -168,6 +168,57 @@ def test_a_collector_keeps_the_largest_peaks_in_whatever_order_recordings_come()
             np.testing.assert_array_equal(again.nm[joint][region], every.nm[joint][region][:25])
 
 
+def slow_peaks(parts, hold_s, gap_ns=500_000_000):
+    """Sample by sample, as the held minimum, its regions and separate peaks are defined: [joint][region], falling."""
+    found = [[[], []], [[], []]]
+    for t_ns, tau, near, healthy in parts:
+        hold = hold_lengths(t_ns, hold_s)
+        for joint in range(2):
+            held = slow_held_minimum(np.abs(tau[:, joint]), healthy, hold)
+            for region, inside in enumerate((~near[:, joint], near[:, joint])):
+                touched = [inside[max(0, k - hold[k]) : k + 1].any() for k in range(len(t_ns))]
+                value = np.where(np.array(touched) & (held > 0), held, np.nan)
+                for k in np.flatnonzero(value > 0):
+                    first, last = np.searchsorted(t_ns, (t_ns[k] - gap_ns + 1, t_ns[k] + gap_ns))
+                    if not (value[first:k] >= value[k]).any() and not (value[k + 1 : last] > value[k]).any():
+                        found[joint][region].append(value[k])
+    return [[np.sort(nm)[::-1] for nm in of_joint] for of_joint in found]
+
+
+@pytest.mark.parametrize("hold_s", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("regular", [True, False])
+def test_a_collectors_peaks_equal_a_slow_loop_with_and_without_a_floor(hold_s, regular):
+    rng = np.random.default_rng(7)
+    recordings = list(parts(7, count=4, samples=2500))
+    if not regular:  # jitter and missing samples
+        keep = rng.random(2500) < 0.97
+        recordings = [
+            ((t + rng.integers(-2_000_000, 2_000_000, 2500))[keep], *(a[keep] for a in rest)) for t, *rest in recordings
+        ]
+    slow = slow_peaks(recordings, hold_s)
+    for keep_peaks in (10**6, 15):
+        collector = PeakCollector(["a", "b"], hold_s, keep=keep_peaks)
+        for recording in recordings:
+            collector.add(*recording)
+        for joint in range(2):
+            for region in range(2):
+                np.testing.assert_array_equal(
+                    collector.peaks().nm[joint][region], slow[joint][region][:keep_peaks], strict=True
+                )
+        assert min(len(nm) for of_joint in slow for nm in of_joint) > 30
+
+
+def test_the_number_of_threads_changes_no_peak():
+    bundle = watching_bundle()
+    recordings = [pushed(f"swing-{k}", seconds=3.0, pushes=((1.0 + 0.1 * k, 0, 3.0 + k),)) for k in range(7)]
+    one, many = (collect_peaks(bundle, iter(recordings), (0.0, 0.01), threads) for threads in (1, 9))
+    for a, b in zip(one, many, strict=True):
+        assert a.hours == b.hours and a.region_hours.tobytes() == b.region_hours.tobytes()
+        assert [[nm.tobytes() for nm in of_joint] for of_joint in a.nm] == [
+            [nm.tobytes() for nm in of_joint] for of_joint in b.nm
+        ]
+
+
 def test_hours_are_those_of_healthy_steps_and_regions_share_them():
     collector = PeakCollector(["a", "b"], 0.0)
     for part in parts(6, count=2):

@@ -17,7 +17,7 @@ from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn import Chain, PriorFit, fit_prior
+from tauext.learn import Chain, PriorFit, fit_friction, fit_prior
 from tauext.learn.prior import fit_terms, own_terms, shared_terms
 from tauext.learn.ripple import find_ripple
 from tauext.learn.widths import encoder_count
@@ -665,3 +665,32 @@ def test_widths_within_two_counts_of_the_encoder_are_left_out():
 def test_an_encoder_that_never_moves_has_no_count():
     still = recordings(unloaded, count=1)[0]
     assert encoder_count([replace(still, q=np.ones_like(still.q))]) == 0.0
+
+
+# --- textbook friction
+
+
+def test_textbook_friction_finds_its_three_numbers_a_joint_and_nothing_else():
+    def textbook(q, dq, beta):
+        return FRICTION["constant"] + FRICTION["viscous"] * dq + FRICTION["coulomb"] * np.tanh(dq / 0.03)
+
+    chain = chain_of(planar_arm(), ())
+    fit = fit_friction(chain, recordings(textbook))
+    assert [(t.kind, t.a) for t in fit.settings.terms] == [
+        (kind, joint) for joint in range(2) for kind in (Kind.constant, Kind.viscous, Kind.coulomb)
+    ]
+    assert not fit.settings.corrected_links and not fit.settings.widths_rad
+    for joint in range(2):
+        for kind in ("constant", "viscous", "coulomb"):
+            m = where(fit, joint, kind)
+            assert abs(fit.weights[joint, m] - FRICTION[kind][joint]) < 4 * fit.standard_errors[joint, m]
+            assert fit.weights[1 - joint, m] == 0
+    np.testing.assert_allclose(fit.error_nm, FILTERED_NOISE_NM, rtol=0.06)
+
+
+def test_textbook_friction_without_a_model_leaves_gravity_in_r():
+    chain, made = chain_of(no_model(planar_arm()), ()), recordings(unloaded)
+    fit = fit_friction(chain, made)
+    assert len(fit.settings.terms) == 6
+    gravity_nm = np.vstack([planar_arm().momentum(one.q, np.zeros_like(one.dq))[1] for one in made]).std(axis=0)
+    assert (fit.error_nm > 0.5 * gravity_nm).all()

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from tauext import _core
+from tauext.cli import main
 from tauext.data import load, load_split
 from tauext.errors import ConfigError
 from tauext.rig import RigConfig, collect, simulate_dataset
+from tauext.rig.config import changed_rig
 from tauext.rig.motions import draw_motion
 from tauext.rig.recording import simulate_motion
 from tauext.rig.sensors import low_pass
@@ -125,6 +127,25 @@ def test_progress_counts_up_to_every_recording(dataset):
     seen = []
     simulate_small(dataset, lambda what, done, total: seen.append((done, total)))
     assert seen == [(k, 22) for k in range(1, 23)]
+
+
+def test_the_defaults_of_what_the_command_changes_are_the_papers_rig():
+    assert changed_rig(20, 1.0) == RigConfig()
+
+
+def test_encoder_and_friction_are_options_of_the_command_and_stand_in_its_run_file(tmp_path):
+    folder = tmp_path / "data"
+    options = ["--minutes", "1", "--collision-recordings", "0", "--encoder-bits", "14", "--friction", "1.5"]
+    assert main(["simulate", "--out", str(folder), *options]) == 0
+    config = json.loads((folder / "run.json").read_text())["settings"]["config"]
+    assert config["sensors"]["encoder_counts"] == 2**14
+    for joint, paper in zip(config["friction"], RigConfig().friction, strict=True):
+        for name in ("coulomb_nm", "static_nm", "viscous_nm_s_rad"):
+            assert joint[name] == 1.5 * getattr(paper, name)
+        assert (joint["ripple_nm"], joint["bristle_nm_rad"]) == (paper.ripple_nm, paper.bristle_nm_rad)
+    counts = load(folder / "free-000.parquet").q / (2 * np.pi / 2**14)
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)  # of up to 1e4 counts
+    assert np.abs(counts % 2 - 1).min() < 1e-6  # no coarser
 
 
 def test_folder_of_other_settings_is_refused(dataset, tmp_path):

@@ -8,7 +8,20 @@ from typing import Literal
 
 from tauext.errors import ConfigError
 
-Recipe = Literal["tauext", "prior", "paper", "dense", "observer"]
+Recipe = Literal[
+    "tauext",
+    "prior",
+    "paper",
+    "dense",
+    "feedforward",
+    "observer",
+    "friction",
+    "highpass",
+    "bandpass",
+    "direct",
+    "velocity",
+    "energy",
+]
 Backend = Literal["core", "torch"]
 Limits = Literal["auto", "promised", "paper"]
 
@@ -160,26 +173,54 @@ class DriftConfig:
 
 
 @dataclass(frozen=True)
+class FilterConfig:
+    """Filters of the observer's r, which tell a collision from a model error by how fast it changes (recipes highpass
+    and bandpass)."""
+
+    high_pass_per_s: float = 5.0
+    """Cut-off of the first-order high-pass, [1/s]: what changes more slowly is taken for a model error."""
+    low_pass_per_s: float = 60.0
+    """bandpass: cut-off of the first-order low-pass beside it, [1/s]; above the observer's gain, since that is a
+    low-pass itself."""
+
+    def __post_init__(self) -> None:
+        for name in ("high_pass_per_s", "low_pass_per_s"):
+            require(0 < getattr(self, name) < math.inf, name, getattr(self, name), "> 0")
+        require(
+            self.low_pass_per_s > self.high_pass_per_s,
+            "low_pass_per_s",
+            self.low_pass_per_s,
+            f"> high_pass_per_s = {self.high_pass_per_s:g}",
+        )
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """What is trained, how, and for how long. None: the recipe's own value."""
 
     recipe: Recipe = "tauext"
     """tauext: presliding states, a prior fitted by ridge regression, and a network on what that leaves where it helps.
     prior: the same without a network. paper: windows, as published. dense: the paper's network from longer sequences
-    that teach a target at every step; far fewer steps. observer: no network at all, the plain momentum observer."""
+    that teach a target at every step; far fewer steps. observer: no network at all, the plain momentum observer.
+    To compare with: feedforward: a feed-forward network on x(k) alone. friction: constant, viscous and Coulomb
+    friction of each joint, fitted. highpass, bandpass: the observer's r filtered. direct, velocity, energy: observers
+    of other kinds."""
+    minutes: float | None = None
+    """Train on the first so many minutes of the training recordings, and a fifth as many (or one) of the validation
+    recordings; None: on all."""
     hidden: int = 20
     """Hidden units of the LSTM."""
     epochs: int | None = None
     """Passes over all training windows (paper: 500; dense draws its sequences at random and has none)."""
     max_steps: int | None = None
-    """Stop after so many steps (paper: no limit but its epochs; dense: 45,000; tauext: 10,000)."""
+    """Stop after so many steps (paper: no limit but its epochs; dense: 45,000; tauext, feedforward: 10,000)."""
     batch: int | None = None
-    """Windows or sequences a step (paper: 1000, dense and tauext: 64)."""
+    """Windows or sequences a step (paper and feedforward: 1000, dense and tauext: 64)."""
     learning_rate: float | None = None
     """Step size of Adam (its decay rates are 0.9 and 0.999); all but paper rise to it and fall to zero
-    (paper: 0.001, dense and tauext: 0.01)."""
+    (paper: 0.001, dense, tauext and feedforward: 0.01)."""
     targets: int = 100
-    """Not paper: targets a sequence teaches after its burn-in of one window."""
+    """dense and tauext: targets a sequence teaches after its burn-in of one window."""
     gate_margin: float = 0.03
     """tauext: the network ships for a joint only if it lowers the RMSE on validation recordings by this share."""
     backend: Backend = "core"
@@ -196,12 +237,14 @@ class TrainConfig:
     alarm: AlarmConfig = field(default_factory=AlarmConfig)
     prior: PriorConfig = field(default_factory=PriorConfig)
     drift: DriftConfig = field(default_factory=DriftConfig)
+    filters: FilterConfig = field(default_factory=FilterConfig)
 
     def __post_init__(self) -> None:
+        require(self.minutes is None or 0 < self.minutes < math.inf, "minutes", self.minutes, "> 0")
         for name in ("hidden", "epochs", "max_steps", "batch", "targets"):
             value = getattr(self, name)
             require(value is None or value >= 1, name, value, ">= 1")
-        sequences = self.recipe in ("dense", "tauext")
+        sequences = self.recipe in ("dense", "tauext", "feedforward")
         require(not sequences or self.epochs is None, "epochs", self.epochs, f"left out with recipe {self.recipe}")
         require(0 <= self.gate_margin < 1, "gate_margin", self.gate_margin, "0 to 1")
         require(self.learning_rate is None or self.learning_rate > 0, "learning_rate", self.learning_rate, "> 0")
@@ -219,7 +262,14 @@ RECIPE_VALUES = {
     "prior": {},
     "paper": {"epochs": 500, "batch": 1000, "learning_rate": 0.001},
     "dense": {"max_steps": 45_000, "batch": 64, "learning_rate": 0.01},
+    "feedforward": {"max_steps": 10_000, "batch": 1000, "learning_rate": 0.01},
     "observer": {},
+    "friction": {},
+    "highpass": {},
+    "bandpass": {},
+    "direct": {},
+    "velocity": {},
+    "energy": {},
 }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,9 +9,8 @@ from pathlib import Path
 from tauext.cli.dataset import Dataset
 from tauext.cli.evaluate import evaluate_bundles
 from tauext.cli.progress import ProgressBar
-from tauext.cli.train import estimated_model, train_bundle, training_settings
+from tauext.cli.train import estimated_model, finished, train_bundle
 from tauext.config import PAPER_CASES, TrainConfig
-from tauext.errors import ConfigError
 from tauext.report import write_report
 from tauext.rig import RigConfig, simulate_dataset
 
@@ -73,18 +71,3 @@ def reproduce_paper(out: Path, scale_name: str, scale: Scale, cases: Sequence[st
             train_bundle(tree, robot, PAPER_CASES[case], training, validation, config, bundles[name])
     evaluate_bundles(dataset, bundles, out / "results", seed, threads=0, scale=scale_name)
     return write_report(out / "results", data, out / "report")
-
-
-def finished(bundle: Path, case: str, config: TrainConfig) -> bool:
-    """Whether this bundle was already trained with these settings.
-
-    Raises:
-        ConfigError: a bundle of other settings stands there.
-    """
-    run = bundle.with_suffix(".run.json")
-    if not bundle.exists() or not run.exists():
-        return False
-    settings = json.loads(run.read_text())["settings"]
-    if settings == training_settings(PAPER_CASES[case], config):
-        return True
-    raise ConfigError(f"{bundle}: it was trained with other settings; choose another --out or remove it")

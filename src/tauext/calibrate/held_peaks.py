@@ -14,7 +14,10 @@ at most the sum of what is counted for its joints and regions.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import os
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +31,8 @@ GAP_S = 0.5
 """Alarms less than this apart are one false alarm, [s]."""
 KEEP = 4000
 """Peaks that are kept of each joint and region: the largest. A tail is a twentieth of them at most."""
+AT_A_TIME = 4
+"""Recordings that are estimated at a time, at most."""
 
 
 def held_minimum(tau_abs: np.ndarray, healthy: np.ndarray, hold_samples: int | np.ndarray) -> np.ndarray:
@@ -52,11 +57,15 @@ def held_minimum(tau_abs: np.ndarray, healthy: np.ndarray, hold_samples: int | n
     if (hold < 0).any():
         raise ConfigError(f"hold_samples = {hold.min()} must be >= 0")
     least = np.full(len(tau_abs), -np.inf)
-    last = np.arange(len(tau_abs))
-    first = last - hold
-    whole = first >= 0
     over = np.where(healthy & ~np.isnan(tau_abs), tau_abs, -np.inf)
-    least[whole] = _over_ranges(over, first[whole], last[whole], np.minimum)
+    length = _one_length(hold)
+    if length is not None:
+        least[length:] = _over_windows(over, length + 1)
+    else:
+        last = np.arange(len(tau_abs))
+        first = last - hold
+        whole = first >= 0
+        least[whole] = _over_ranges(over, first[whole], last[whole])
     return np.where(np.isneginf(least), np.nan, least)
 
 
@@ -68,7 +77,10 @@ def hold_lengths(t_ns: np.ndarray, hold_s: float) -> np.ndarray:
     Args:
         t_ns: sample times, increasing, (samples,), [ns].
     """
-    return np.arange(1, len(t_ns) + 1) - np.searchsorted(t_ns, t_ns - round(hold_s * 1e9), side="right")
+    so_far, hold_ns, steps = np.arange(1, len(t_ns) + 1), round(hold_s * 1e9), np.diff(t_ns)
+    if len(steps) and (steps == steps[0]).all():  # nothing to search for in a regular recording
+        return np.minimum(so_far, -(-hold_ns // int(steps[0])))
+    return so_far - np.searchsorted(t_ns, t_ns - hold_ns, side="right")
 
 
 def cluster_peaks(values: np.ndarray, times_s: np.ndarray, gap_s: float = GAP_S, floor: float = 0.0) -> np.ndarray:
@@ -99,14 +111,19 @@ def separate_peaks(values: np.ndarray, t_ns: np.ndarray, gap_s: float = GAP_S, f
         t_ns: increasing, (samples,), [ns].
     """
     at = np.flatnonzero(values > floor)  # what is larger than a value over the floor is over it too
-    value, t, k, gap_ns = values[at], t_ns[at], np.arange(len(at)), round(gap_s * 1e9)
-    first, last = np.searchsorted(t, t - gap_ns, side="right"), np.searchsorted(t, t + gap_ns, side="left") - 1
-    is_peak = np.ones(len(at), dtype=bool)
-    some = first < k
-    is_peak[some] &= value[some] > _over_ranges(value, first[some], k[some] - 1, np.maximum)
-    some = last > k
-    is_peak[some] &= value[some] >= _over_ranges(value, k[some] + 1, last[some], np.maximum)
-    return value[is_peak]
+    if len(at) == 0:
+        return np.zeros(0)
+    value, t, gap_ns = values[at], t_ns[at], max(1, round(gap_s * 1e9))
+    # Values of one block lie less than a gap apart, so only its largest, and of equal ones the first, can be a peak.
+    starts = np.r_[0, 1 + np.flatnonzero(np.diff(t // gap_ns))]
+    ends = np.append(starts[1:], len(at))
+    of_block = np.repeat(np.arange(len(starts)), ends - starts)
+    largest = np.flatnonzero(value == np.maximum.reduceat(value, starts)[of_block])
+    k = largest[np.unique(of_block[largest], return_index=True)[1]]
+    # What else is less than a gap away stands at the end of the block before and at the beginning of the next one.
+    first, last = np.searchsorted(t, t[k] - gap_ns, side="right"), np.searchsorted(t, t[k] + gap_ns, side="left")
+    before, after = _largest_between(value, first, starts), _largest_between(value, ends, last)
+    return value[k[(value[k] > before) & (value[k] >= after)]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,13 +182,15 @@ class PeakCollector:
         for joint in range(len(self._joints)):
             held = held_minimum(np.abs(tau_ext[:, joint]), healthy, hold)
             near = near_stiction[:, joint]
+            near_before = np.r_[0, np.cumsum(near)]
             for region, inside in enumerate((~near, near)):
                 self._region_hours[joint, region] += float(step_h @ inside[1:])
-                seen = np.r_[0, np.cumsum(inside)]
-                touched = seen[1:] > seen[first]
                 kept = self._nm[joint][region]
-                floor = kept[-1] if len(kept) == self._keep else 0.0
-                found = separate_peaks(np.where(touched, held, np.nan), t_ns, self._gap_s, float(floor))
+                floor = float(kept[-1]) if len(kept) == self._keep else 0.0
+                at = np.flatnonzero(held > floor)  # soon few, so what follows costs little
+                near_samples = near_before[at + 1] - near_before[first[at]]
+                touched = at[near_samples > 0 if region else near_samples < at + 1 - first[at]]
+                found = separate_peaks(held[touched], t_ns[touched], self._gap_s, floor)
                 self._nm[joint][region] = np.sort(np.r_[kept, found])[::-1][: self._keep]
 
     def peaks(self) -> Peaks:
@@ -190,44 +209,90 @@ def collect_peaks(
 ) -> tuple[Peaks, ...]:
     """Run the bundle on recordings of free motion; the peaks for each hold time, in their order.
 
-    Recordings are taken one at a time: a generator that loads them needs the memory of one (and of the next while it
-    loads). They must fit the bundle, and be none that it was trained on.
+    Recordings are taken one at a time, and the next few are estimated while the peaks of one are picked: a generator
+    that loads them needs the memory of AT_A_TIME and two more. They must fit the bundle, and be none that it was
+    trained on.
 
     Args:
-        threads: of the estimate, 0: one a core.
+        threads: of the estimates, 0: one a core. The result does not depend on it.
 
     Raises:
         TrainingError: a recording with contacts, or none with a healthy sample.
         ConfigError: as PeakCollector.
     """
     collectors = [PeakCollector([link.joint_name for link in bundle.links], hold, gap_s, keep) for hold in holds_s]
-    for recording in recordings:
-        if recording.contact is not None and (recording.contact == 1).any():
-            raise TrainingError(f"{recording.name}: limits need free motion, and this recording holds contacts")
-        said = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads)
+    for samples in _errors(bundle, recordings, threads or os.cpu_count() or 1):
         for collector in collectors:
-            # What the prior's doubt raises the limits by is no error that limits must stand.
-            error = np.maximum(np.abs(said["tau_ext"]) - said["doubt"], 0)
-            collector.add(recording.t_ns, error, said["near_stiction"], said["healthy"])
-        del said  # before the next recording is loaded
+            collector.add(*samples)
     found = tuple(collector.peaks() for collector in collectors)
     if any(peaks.hours == 0 for peaks in found):
         raise TrainingError("no recording is long enough to warm up in; limits need healthy free motion")
     return found
 
 
-def _over_ranges(values: np.ndarray, first: np.ndarray, last: np.ndarray, extreme: np.ufunc) -> np.ndarray:
-    """extreme(values[first..last]) for each pair of indices, first <= last, as two overlapping blocks of 2^p values.
+def _errors(bundle: _core.Bundle, recordings: Iterable[Recording], threads: int) -> Iterator[tuple[np.ndarray, ...]]:
+    """What PeakCollector.add takes, for each recording in their order; up to AT_A_TIME are estimated at a time, since
+    only the network's part of an estimate runs in several threads."""
+    workers = min(threads, AT_A_TIME)
+
+    def errors(recording: Recording) -> tuple[np.ndarray, ...]:
+        signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+        said = _core.estimate(bundle, *signals, threads // workers)
+        # What the prior's doubt raises the limits by is no error that limits must stand.
+        error = np.maximum(np.abs(said["tau_ext"]) - said["doubt"], 0)
+        return recording.t_ns, error, said["near_stiction"], said["healthy"]
+
+    with ThreadPoolExecutor(workers) as pool:
+        coming: deque[Future] = deque()
+        for recording in recordings:
+            if recording.contact is not None and (recording.contact == 1).any():
+                raise TrainingError(f"{recording.name}: limits need free motion, and this recording holds contacts")
+            coming.append(pool.submit(errors, recording))
+            if len(coming) > workers:
+                yield coming.popleft().result()
+        while coming:
+            yield coming.popleft().result()
+
+
+def _one_length(hold: np.ndarray) -> int | None:
+    """The hold time in samples where all samples have the same, but for those that reach before the first one."""
+    if hold.ndim == 0:
+        return int(hold)
+    length = int(hold[-1]) if len(hold) else 0
+    return length if (hold == np.minimum(np.arange(1, len(hold) + 1), length)).all() else None
+
+
+def _over_windows(values: np.ndarray, samples: int) -> np.ndarray:
+    """Least of each `samples` values in a row, (len(values) - samples + 1 or 0,), as two overlapping blocks of 2^p."""
+    if samples > len(values):
+        return np.zeros(0)
+    power, table = samples.bit_length() - 1, values
+    for p in range(power):
+        table = np.minimum(table[: -(2**p)], table[2**p :])
+    rest = samples - 2**power
+    return np.minimum(table[:-rest], table[rest:]) if rest else table
+
+
+def _over_ranges(values: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Least of values[first..last] for each pair of indices, first <= last, as two overlapping blocks of 2^p values.
 
     Memory of one block size at a time; O(samples log of the longest range).
     """
     power = np.frexp(last - first + 1)[1] - 1
     out = np.empty(len(first))
-    table = values  # table[i] = extreme(values[i .. i + 2^p - 1])
+    table = values  # table[i] = min(values[i .. i + 2^p - 1])
     for p in range(int(power.max(initial=-1)) + 1):
         if p:
             half = 2 ** (p - 1)
-            table = extreme(table[:-half], table[half:])
+            table = np.minimum(table[:-half], table[half:])
         now = power == p
-        out[now] = extreme(table[first[now]], table[last[now] - 2**p + 1])
+        out[now] = np.minimum(table[first[now]], table[last[now] - 2**p + 1])
+    return out
+
+
+def _largest_between(values: np.ndarray, first: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Largest of values[first..end - 1] for each pair of indices, -inf where there is none."""
+    out, some = np.full(len(first), -np.inf), first < end
+    pairs = np.stack([first[some], end[some]], axis=1).ravel()
+    out[some] = np.maximum.reduceat(np.append(values, -np.inf), pairs)[::2]  # an end may be one past the last value
     return out

@@ -7,6 +7,7 @@ import sys
 
 import tyro
 
+from tauext.cli.calibrate import calibrate
 from tauext.cli.evaluate import evaluate
 from tauext.cli.report import report
 from tauext.cli.reproduce import reproduce
@@ -19,14 +20,14 @@ from tauext.errors import TauextError
 DESCRIPTION = (
     "External joint torque and collision detection for robot arms, from encoders and motor torque alone. "
     "simulate (or your own recordings) -> train -> evaluate -> report; reproduce does all four. "
-    "train -> run: the monitor on recordings."
+    "train -> run: the monitor on recordings. calibrate: other limits for a trained bundle."
 )
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; 0 done, 2 bad input (one line on stderr), 130 interrupted, 141 nobody reads stdout."""
     app = tyro.extras.SubcommandApp()
-    for command in (reproduce, simulate, train, evaluate, report, run, show):
+    for command in (reproduce, simulate, train, calibrate, evaluate, report, run, show):
         app.command(command)
     try:
         app.cli(prog="tauext", description=DESCRIPTION, args=argv)

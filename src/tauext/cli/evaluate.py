@@ -6,13 +6,18 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from tauext.cli.dataset import Dataset
+from tauext.cli.train import CaseName
 from tauext.errors import ConfigError
 
 
 def evaluate(
     data: Path,
-    bundles: tuple[Path, ...],
     out: Path,
+    bundles: tuple[Path, ...] = (),
+    baselines: bool = False,
+    methods: tuple[str, ...] = (),
+    case: CaseName = "exact",
+    robot: Path | None = None,
     seed: int = 0,
     threads: int = 0,
     keep_free_estimates: int = 20,
@@ -21,20 +26,37 @@ def evaluate(
 
     Args:
         data: dataset folder; its test and collision recordings are used.
-        bundles: bundles (*.tauext) to compare, named in the results by their file names.
         out: results folder to write: results.json and estimates/.
-        seed: of the choice of the ten collisions.
+        bundles: bundles (*.tauext) to compare, named in the results by their file names.
+        baselines: also train every known method on the dataset, with limits for the same promise, into OUT/bundles, and
+            compare them; those that are there are used again. Beside them detectors that know nothing.
+        methods: of the baselines these alone: observer, friction, highpass, bandpass, velocity, energy, direct,
+            feedforward, paper-lstm, prior, tauext.
+        case: estimated model of the baselines.
+        robot: URDF or MJCF of the baselines; default: the dataset's own.
+        seed: of the baselines' training and of the choice of the ten collisions.
         threads: 0: one a core. The result does not depend on it.
         keep_free_estimates: write the estimates of so many test recordings of free motion, the first, for figures.
     """
     for path in bundles:
         if not path.is_file():
             raise ConfigError(f"{path}: there is no such bundle; `tauext train` makes one")
-    names = [path.stem for path in bundles]
+    if not bundles and not baselines:
+        raise ConfigError("there is nothing to evaluate: give --bundles, or --baselines to train every known method")
+    if methods and not baselines:
+        raise ConfigError("--methods chooses among the baselines; give --baselines, too")
+    dataset = Dataset.open(data)
+    paths = list(bundles)
+    if baselines:
+        from tauext.cli.baselines import train_baselines
+
+        trained = train_baselines(dataset, robot, case, out / "bundles", seed, threads, names=methods or None)
+        paths = [*trained.values(), *paths]
+    names = [path.stem for path in paths]
     if len(set(names)) < len(names):
         raise ConfigError(f"bundles must differ in their file names, not only in their folders: {', '.join(names)}")
-    named = dict(zip(names, bundles, strict=True))
-    evaluate_bundles(Dataset.open(data), named, out, seed, threads, keep_free_estimates=keep_free_estimates)
+    named = dict(zip(names, paths, strict=True))
+    evaluate_bundles(dataset, named, out, seed, threads, keep_free_estimates=keep_free_estimates, sanity=baselines)
     print(out / "results.json")
 
 

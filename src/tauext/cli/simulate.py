@@ -14,6 +14,8 @@ def simulate(
     seed: int = 0,
     calibration_hours: float = 0.0,
     test_hours: float = 0.0,
+    encoder_bits: int = 20,
+    friction: float = 1.0,
 ) -> None:
     """Simulate the paper's rig: free motion and collisions, recorded at 1 kHz.
 
@@ -24,18 +26,23 @@ def simulate(
         seed: of motions, noise and collisions.
         calibration_hours: free motion beside the minutes, for limits alone: 24 support a promise of 1 false alarm in 8.
         test_hours: more free motion to test on.
+        encoder_bits: resolution of the joints' encoders, counts in one turn as a power of two.
+        friction: factor on Coulomb, static and viscous friction of every joint.
     """
     from tauext.cli.progress import ProgressBar
-    from tauext.rig import RigConfig, simulate_dataset
+    from tauext.rig import simulate_dataset
+    from tauext.rig.config import changed_rig
 
     require(minutes > 0, "minutes", minutes, "> 0")
     require(calibration_hours >= 0, "calibration_hours", calibration_hours, ">= 0")
     require(test_hours >= 0, "test_hours", test_hours, ">= 0")
     require(collision_recordings >= 0, "collision_recordings", collision_recordings, ">= 0")
+    require(12 <= encoder_bits <= 24, "encoder_bits", encoder_bits, "12 to 24")
+    require(0.1 <= friction <= 10, "friction", friction, "0.1 to 10")
     with ProgressBar("simulate") as bar:
         simulate_dataset(
             out,
-            RigConfig(),
+            changed_rig(encoder_bits, friction),
             seed,
             minutes,
             collision_recordings,

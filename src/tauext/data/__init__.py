@@ -1,5 +1,6 @@
 """Recordings, their file, and which recording serves for training, validation and test."""
 
+from tauext.data.first_seconds import first_seconds, total_s
 from tauext.data.recording import Recording
 from tauext.data.recording_file import Description, describe, load, save
 from tauext.data.split import Split, load_split, save_split, split_recordings
@@ -9,9 +10,11 @@ __all__ = [
     "Recording",
     "Split",
     "describe",
+    "first_seconds",
     "load",
     "load_split",
     "save",
     "save_split",
     "split_recordings",
+    "total_s",
 ]

@@ -8,6 +8,7 @@ from tauext.learn.bundle_writing import (
     set_signal_ranges,
     with_presliding,
 )
+from tauext.learn.friction import fit_friction
 from tauext.learn.gate import Gate, apply_gate
 from tauext.learn.prior import PriorFit, fit_prior
 from tauext.learn.train import Progress, TrainedNetwork, train
@@ -25,6 +26,7 @@ __all__ = [
     "build_chain",
     "build_windows",
     "find_scaling",
+    "fit_friction",
     "fit_prior",
     "freeze_drift",
     "make_bundle",

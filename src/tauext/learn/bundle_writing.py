@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tauext import _core
-from tauext.config import DriftConfig, ObserverConfig
+from tauext.config import DriftConfig, FilterConfig, ObserverConfig, Recipe
 from tauext.data import Recording
 from tauext.errors import TrainingError
 from tauext.learn.prior import PriorFit
@@ -22,8 +22,18 @@ LEAST_TORQUE_NM = 1.0
 """A joint that needed no torque in training may yet need some: least torque that counts as the largest."""
 
 
-def build_chain(tree: _core.Tree, recording: Recording, config: ObserverConfig) -> Chain:
+def build_chain(
+    tree: _core.Tree,
+    recording: Recording,
+    config: ObserverConfig,
+    recipe: Recipe = "observer",
+    filters: FilterConfig | None = None,
+) -> Chain:
     """The estimated model and the settings that follow from the recording's rate and torque timing.
+
+    Args:
+        recipe: highpass and bandpass filter r; direct, velocity and energy take another observer than that of momentum.
+        filters: their cut-offs, None: the default ones.
 
     Raises:
         TrainingError: the recording's joints are not the model's.
@@ -38,8 +48,19 @@ def build_chain(tree: _core.Tree, recording: Recording, config: ObserverConfig) 
         timing=getattr(_core.TorqueTiming, recording.torque_timing),
         sample_period_ns=config.sample_period_ns(recording.rate_hz),
         network_stride=config.network_stride(recording.rate_hz),
+        **residual_settings(recipe, filters or FilterConfig()),
     )
-    return Chain(tree, settings, config.window_steps(recording.rate_hz))
+    return Chain(tree, settings, 1 if recipe == "feedforward" else config.window_steps(recording.rate_hz))
+
+
+def residual_settings(recipe: Recipe, filters: FilterConfig) -> dict:
+    """What a recipe changes in the observer itself."""
+    if recipe in ("direct", "velocity", "energy"):
+        return {"method": getattr(_core.ResidualMethod, recipe)}
+    if recipe in ("highpass", "bandpass"):
+        low_pass = {"low_pass_per_s": filters.low_pass_per_s} if recipe == "bandpass" else {}
+        return {"high_pass_per_s": filters.high_pass_per_s} | low_pass
+    return {}
 
 
 def with_presliding(chain: Chain, widths_rad: Sequence[float]) -> Chain:

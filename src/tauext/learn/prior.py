@@ -106,6 +106,18 @@ def fit_prior(chain: Chain, recordings: Sequence[Recording], config: PriorConfig
 def fit_terms(
     chain: Chain, recordings: Sequence[Recording], config: PriorConfig, ripple: Sequence[Sequence[int]]
 ) -> PriorFit:
+    """All terms of the prior, with these ripples of each joint: see fit_ridge."""
+    own = [own_terms(chain, config, joint, ripple[joint]) for joint in range(chain.tree.size)]
+    return fit_ridge(chain, recordings, own, shared_terms(chain), has_model(chain) and config.correct_model)
+
+
+def fit_ridge(
+    chain: Chain,
+    recordings: Sequence[Recording],
+    own: Sequence[Sequence[_core.Term]],
+    shared: Sequence[_core.Term],
+    corrected: bool,
+) -> PriorFit:
     """Ridge regression of r on regressors that went through the observer's filter.
 
         minimise  sum_i |r_i - X_i w_i - Z_i theta|^2 / s_i^2 + lambda rows |(w, theta) scaled|^2
@@ -115,14 +127,16 @@ def fit_terms(
     r_i. lambda is chosen by cross-validation over recordings. A coefficient's standard error comes from leaving
     out one part of the recordings after the other (jackknife).
 
+    Args:
+        own: terms of each joint alone.
+        shared: terms with a weight for every joint.
+        corrected: whether the model is corrected too; there must be one.
+
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
     """
     n = chain.tree.size
-    own = [own_terms(chain, config, joint, ripple[joint]) for joint in range(n)]
-    shared = shared_terms(chain)
-    terms = [term for group in own for term in group] + shared
-    corrected = has_model(chain) and config.correct_model
+    terms = [term for group in own for term in group] + list(shared)
     warm_s = 10 / chain.observer.gain_per_s
     usable = [recording for recording in recordings if recording.duration_s > warm_s + 1]
     pieces = FOLDS if len(usable) < FOLDS else 1  # of each recording, so that there is something to leave out

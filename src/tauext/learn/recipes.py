@@ -83,7 +83,8 @@ class DenseRecipe:
     A state that has seen a whole window hardly depends on what came before, so these states stand for those of a
     window from zero state, which is what the network is used on. One sequence of 199 steps teaches 100 targets, which
     cost the paper's recipe 10,000 steps. The learning rate rises over the first twentieth of the training and falls to
-    zero along a cosine.
+    zero along a cosine. A feed-forward network has a window of one step and no state to burn in: each of its sequences
+    is that step, and teaches one target.
     """
 
     chain: Chain
@@ -98,7 +99,7 @@ class DenseRecipe:
     patience = 0.1  # the share of the steps without a better score after which a settled training stops
 
     def __post_init__(self) -> None:
-        self.targets = self.config.targets
+        self.targets = 1 if self.config.recipe == "feedforward" else self.config.targets
         self.length = self.chain.window_steps - 1 + self.targets
         self.steps = self.config.max_steps
         reach = self.chain.reach - self.chain.window_steps + self.length  # with the lag of the inputs
@@ -135,4 +136,4 @@ class DenseRecipe:
 
 def make_recipe(chain: Chain, training: WindowSet, config: TrainConfig) -> Recipe:
     """The recipe that a resolved config names."""
-    return {"paper": PaperRecipe, "dense": DenseRecipe, "tauext": DenseRecipe}[config.recipe](chain, training, config)
+    return (PaperRecipe if config.recipe == "paper" else DenseRecipe)(chain, training, config)

@@ -1,6 +1,6 @@
 """Every number of the virtual rig, in frozen dataclasses; docs/rig.md says where each comes from."""
 
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 
 from tauext.errors import ConfigError
 
@@ -187,6 +187,22 @@ class RigConfig:
         for name, value in _numbers(self):
             if value < 0.0:
                 raise ConfigError(f"{name} = {value:g} must be >= 0")
+
+
+def changed_rig(encoder_bits: int, friction: float) -> RigConfig:
+    """The paper's rig with encoders of 2^encoder_bits counts a turn, and its Coulomb, static and viscous friction times
+    this factor. Bristles and ripple stay: a joint bends as stiffly as before, and further before it breaks away."""
+    rig = RigConfig()
+    joints = tuple(
+        replace(
+            joint,
+            coulomb_nm=friction * joint.coulomb_nm,
+            static_nm=friction * joint.static_nm,
+            viscous_nm_s_rad=friction * joint.viscous_nm_s_rad,
+        )
+        for joint in rig.friction
+    )
+    return replace(rig, friction=joints, sensors=replace(rig.sensors, encoder_counts=2**encoder_bits))
 
 
 def _numbers(config: object, prefix: str = "") -> list[tuple[str, float]]:

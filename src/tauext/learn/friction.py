@@ -1,0 +1,35 @@
+"""Textbook friction: what the prior is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from tauext import _core
+from tauext.data import Recording
+from tauext.learn.prior import Kind, PriorFit, fit_ridge
+from tauext.learn.training_set import Chain
+
+SMOOTHING_RAD_S = 0.03
+"""Of the sign of the speed: wide enough for the noise of a differentiated encoder, narrow beside any motion."""
+
+
+def fit_friction(chain: Chain, recordings: Sequence[Recording]) -> PriorFit:
+    r"""Constant, viscous and Coulomb friction of every joint, fitted to r as the prior is.
+
+    .. math:: \tau_f = c + v \dot q + k \tanh(\dot q / 0.03\,\mathrm{rad/s})
+
+    each through the observer's filter. The model is taken as it is: what it has wrong stays in r. Without a model that
+    is all of gravity and inertia, for which three numbers a joint cannot stand: such a fit is hopeless.
+
+    Raises:
+        TrainingError: no recording is longer than the observer's warm-up.
+    """
+    own = [
+        [
+            _core.Term(Kind.constant, joint),
+            _core.Term(Kind.viscous, joint),
+            _core.Term(Kind.coulomb, joint, speed=SMOOTHING_RAD_S),
+        ]
+        for joint in range(chain.tree.size)
+    ]
+    return fit_ridge(chain, recordings, own, shared=[], corrected=False)

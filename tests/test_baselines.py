@@ -1,0 +1,258 @@
+"""What tauext is compared with: each method a bundle, its limits set as tauext's, from few minutes too."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tauext import _core
+from tauext.cli import main
+from tauext.cli.baselines import BASELINES, train_baselines
+from tauext.cli.dataset import Dataset
+from tauext.cli.train import estimated_model, finished, train_bundle, training_settings
+from tauext.config import PAPER_CASES, AlarmConfig, FilterConfig, TrainConfig
+from tauext.errors import BundleError, ConfigError
+from tauext.rig import RigConfig, simulate_dataset
+from tauext.rig.recording import simulate_recording
+
+EXACT = PAPER_CASES["exact"]
+BUDGET = AlarmConfig(false_alarms=1, in_hours=0.005)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """20 recordings of 6 s and six of 10 s to calibrate on."""
+    folder = tmp_path_factory.mktemp("baselines") / "data"
+    config = replace(RigConfig(), recording_s=10.0)
+    simulate_dataset(folder, config, 1, 2.0, 0, calibration_hours=60 / 3600)
+    return Dataset.open(folder)
+
+
+def trained(dataset, out: Path, case="exact", **settings) -> _core.Bundle:
+    """The bundle of a recipe, loaded; no calibration."""
+    robot = dataset.robot_file(None)
+    training, validation = dataset.recordings("train"), dataset.recordings("validation")
+    tree = estimated_model(robot, training[0], PAPER_CASES[case])
+    train_bundle(tree, robot, PAPER_CASES[case], training, validation, TrainConfig(**settings), out)
+    return _core.Bundle.load(str(out))
+
+
+def said_of(bundle, recording) -> dict:
+    return _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, 1)
+
+
+def test_a_friction_bundle_is_the_observer_less_friction_with_limits_by_speed_alone(dataset, tmp_path):
+    friction = trained(dataset, tmp_path / "friction.tauext", recipe="friction")
+    observer = trained(dataset, tmp_path / "observer.tauext", recipe="observer")
+    assert len(friction.prior.terms) == 6 and friction.region_width == -1
+    assert not friction.prior.widths_rad and not friction.prior.corrected_links and not friction.has_network
+    made = dataset.recordings("test")[0]
+    ours, plain = said_of(friction, made), said_of(observer, made)
+    np.testing.assert_array_equal(ours["r"], plain["r"])
+    healthy = ours["healthy"].astype(bool)
+    rms = [np.sqrt(np.mean(said["tau_ext"][healthy] ** 2, axis=0)) for said in (ours, plain)]
+    # Friction is some 10 Nm; what Coulomb and viscous parts leave of LuGre, ripple and noise is far less.
+    assert (rms[0] < 0.3 * rms[1]).all()
+    facts = json.loads(friction.provenance)["prior"]["friction"]["joint1"]
+    assert facts["coulomb_nm"] == pytest.approx(RigConfig().friction[0].coulomb_nm, rel=0.2)
+
+
+def test_a_feed_forward_network_sees_one_step_and_no_state(dataset, tmp_path):
+    bundle = trained(dataset, tmp_path / "forward.tauext", recipe="feedforward", max_steps=300, batch=200, hidden=5)
+    assert (bundle.window_steps, bundle.shape.hidden, bundle.shape.inputs) == (1, 5, 6)
+    made = dataset.recordings("test")[0]
+    said = said_of(bundle, made)
+    factors, scale = np.array(bundle.input_factors), np.array(bundle.output_scale_nm)
+    x = np.hstack([made.q, made.dq]) * factors
+    x = np.hstack([x[10:], x[:-10, 2:]])  # q(k), dq(k), dq(k-1): a network step is ten samples
+    w = np.split(np.array(bundle.parameters), np.cumsum([4 * 5 * 6, 4 * 5 * 5, 4 * 5, 2 * 5]))
+    gates = (x @ w[0].reshape(20, 6).T + w[2]).reshape(-1, 4, 5)  # i, f, g, o; no state, so nothing to forget
+    sigmoid = 1 / (1 + np.exp(-gates))
+    h = sigmoid[:, 3] * np.tanh(sigmoid[:, 0] * np.tanh(gates[:, 2]))
+    expected = (h @ w[3].reshape(2, 5).T + w[4]) * scale
+    healthy = said["healthy"].astype(bool)[10:]
+    # Float32 with approximate exponentials, of up to 40 Nm.
+    np.testing.assert_allclose(said["network"][10:][healthy], expected[healthy], rtol=0, atol=1e-4)
+    left = before = np.zeros(2)
+    for one in dataset.recordings("train"):
+        said = said_of(bundle, one)
+        healthy = said["healthy"].astype(bool)
+        left = left + (said["tau_ext"][healthy] ** 2).sum(axis=0)
+        before = before + (said["r"][healthy] ** 2).sum(axis=0)
+    assert (left < 0.3 * before).all()  # it learned something
+
+
+@pytest.mark.parametrize("recipe", ["highpass", "bandpass", "direct", "velocity", "energy"])
+def test_other_observers_are_bundles_too(dataset, tmp_path, recipe):
+    filters = FilterConfig(high_pass_per_s=4.0, low_pass_per_s=50.0)
+    bundle = trained(dataset, tmp_path / f"{recipe}.tauext", recipe=recipe, filters=filters)
+    filtered = {"highpass": (4.0, 0.0), "bandpass": (4.0, 50.0)}.get(recipe, (0.0, 0.0))
+    method = "momentum" if recipe.endswith("pass") else recipe
+    assert bundle.observer.method == getattr(_core.ResidualMethod, method)
+    assert (bundle.observer.high_pass_per_s, bundle.observer.low_pass_per_s) == filtered
+    said = said_of(bundle, dataset.recordings("validation")[0])
+    assert said["healthy"].any() and not said["detection"].any()  # its limits are the largest errors there
+
+
+def test_the_velocity_observer_needs_a_model(dataset, tmp_path):
+    with pytest.raises(ConfigError, match="recipe = velocity needs a model, which the case 'none' has not"):
+        trained(dataset, tmp_path / "a.tauext", "none", recipe="velocity")
+
+
+def test_settings_that_a_recipe_does_not_use_are_not_compared():
+    other = TrainConfig(filters=FilterConfig(1.0, 2.0))
+    for recipe in ("tauext", "prior", "paper", "dense", "feedforward", "observer", "friction"):
+        assert training_settings(EXACT, replace(other, recipe=recipe)) == training_settings(
+            EXACT, TrainConfig(recipe=recipe)
+        )
+    for recipe in ("highpass", "bandpass"):
+        assert training_settings(EXACT, replace(other, recipe=recipe))["config"]["filters"]["high_pass_per_s"] == 1.0
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"high_pass_per_s": 0.0}, "high_pass_per_s = 0.0 must be > 0"),
+        ({"low_pass_per_s": float("nan")}, "low_pass_per_s = nan must be > 0"),
+        ({"low_pass_per_s": 4.0}, "low_pass_per_s = 4.0 must be > high_pass_per_s = 5"),
+    ],
+)
+def test_filters_that_pass_nothing_are_refused(changes, message):
+    with pytest.raises(ConfigError, match=message):
+        FilterConfig(**changes)
+
+
+# --- minutes
+
+
+def test_two_minutes_are_enough_for_the_whole_recipe(tmp_path):
+    made = [simulate_recording(RigConfig(), "free", 50.0, seed=3, number=k) for k in range(5)]
+    robot, out = tmp_path / "robot.xml", tmp_path / "two.tauext"
+    from tauext.rig.arm import arm_xml
+
+    robot.write_text(arm_xml(RigConfig()))
+    config = TrainConfig(recipe="tauext", minutes=2.0, max_steps=50, batch=8)
+    train_bundle(estimated_model(robot, made[0], EXACT), robot, EXACT, made[:3], made[3:], config, out)
+    bundle = _core.Bundle.load(str(out))
+    facts, run = json.loads(bundle.provenance), json.loads(out.with_suffix(".run.json").read_text())
+    assert facts["training_minutes"] == run["training_minutes"] == 2.0
+    assert run["settings"]["config"]["minutes"] == 2.0
+    assert [len(run["recordings"][part]) for part in ("train", "validation")] == [3, 2]  # 50 + 50 + 20 s, 50 + 10 s
+    said = said_of(bundle, made[4])
+    # Friction of some 10 Nm is gone; noise of the filtered torque alone is 0.1 Nm.
+    assert (np.sqrt(np.nanmean(said["tau_ext"] ** 2, axis=0)) < [1.5, 0.75]).all()
+
+
+def test_the_minutes_are_told_also_where_all_are_used(dataset, tmp_path):
+    bundle = trained(dataset, tmp_path / "all.tauext", recipe="observer")
+    assert json.loads(bundle.provenance)["training_minutes"] == pytest.approx(14 * 6 / 60)
+
+
+def test_more_minutes_than_there_are_are_refused(dataset, tmp_path):
+    with pytest.raises(ConfigError, match=r"minutes = 3 must be at most 1.4: the training recordings hold no more"):
+        trained(dataset, tmp_path / "a.tauext", recipe="observer", minutes=3.0)
+    with pytest.raises(ConfigError, match="minutes = -1 must be > 0"):
+        TrainConfig(minutes=-1)
+
+
+# --- calibrate
+
+
+def calibrated(bundle: Path, dataset, out: Path, *options: str) -> int:
+    return main(["calibrate", "--bundle", str(bundle), "--data", str(dataset.folder), "--out", str(out), *options])
+
+
+def test_calibrate_gives_a_bundle_the_limits_that_training_would_and_changes_nothing_else(dataset, tmp_path, capsys):
+    options = dict(recipe="observer", alarm=BUDGET)
+    plain = trained(dataset, tmp_path / "bundle.tauext", **options, limits="paper")
+    before = (tmp_path / "bundle.tauext").read_bytes()
+    robot, training = dataset.robot_file(None), dataset.recordings("train")
+    promised = tmp_path / "trained" / "bundle.tauext"
+    train_bundle(
+        estimated_model(robot, training[0], EXACT),
+        robot,
+        EXACT,
+        training,
+        dataset.recordings("validation"),
+        TrainConfig(**options, limits="promised"),
+        promised,
+        dataset.loaders("calibration"),
+    )
+    capsys.readouterr()
+    out = tmp_path / "new.tauext"
+    assert calibrated(tmp_path / "bundle.tauext", dataset, out, "--false-alarms", "1", "--in-hours", "0.005") == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("At most 1 false alarm in 18 s") and said[1] == str(out)
+    new, expected = _core.Bundle.load(str(out)), _core.Bundle.load(str(promised))
+    assert new.sliding_limit_nm != plain.sliding_limit_nm
+    facts, then = json.loads(new.provenance), json.loads(expected.provenance)
+    assert facts["limits"] == then["limits"] and facts["limits"]["sentence"] == said[0]
+    assert facts["limits"]["recordings"] == [f"calibration-{k:04d}" for k in range(6)]
+    assert facts["calibrated"]["settings"]["alarm"]["in_hours"] == 0.005
+    assert facts["settings"] == json.loads(plain.provenance)["settings"]  # of the training
+    new.provenance = expected.provenance
+    assert new.to_bytes() == expected.to_bytes()
+    assert (tmp_path / "bundle.tauext").read_bytes() == before
+    run = json.loads(out.with_suffix(".run.json").read_text())
+    assert run == facts | {"loss_history": []}
+
+
+def test_calibrate_refuses_what_it_cannot_serve_in_words(dataset, tmp_path, capsys):
+    path = tmp_path / "bundle.tauext"
+    bundle = trained(dataset, path, recipe="observer")
+    assert calibrated(tmp_path / "gone.tauext", dataset, tmp_path / "b.tauext") == 2
+    assert calibrated(path, dataset, tmp_path / "b.bundle") == 2
+    assert calibrated(path, dataset, path) == 2
+    assert calibrated(path, replace(dataset, folder=tmp_path), tmp_path / "b.tauext") == 2
+    words = ("there is no such bundle", "a bundle's name ends in .tauext", "stays as it is", "split.json")
+    for line, expected in zip(capsys.readouterr().err.splitlines(), words, strict=True):
+        assert line.startswith("tauext: error: ") and expected in line
+    links = bundle.links
+    links[0].joint_name = "other"
+    bundle.links = links
+    bundle.save(str(path))
+    assert calibrated(path, dataset, tmp_path / "b.tauext") == 2
+    assert "is for joints other, joint2; recording calibration-0000 has joint1, joint2" in capsys.readouterr().err
+    assert issubclass(BundleError, Exception) and not (tmp_path / "b.tauext").exists()
+
+
+def test_calibrate_without_calibration_recordings_says_how_to_make_some(dataset, tmp_path, capsys, monkeypatch):
+    trained(dataset, tmp_path / "bundle.tauext", recipe="observer")
+    monkeypatch.setattr(Dataset, "loaders", lambda self, part: [])
+    assert calibrated(tmp_path / "bundle.tauext", dataset, tmp_path / "b.tauext") == 2
+    assert "`tauext simulate --calibration-hours 24` makes some" in capsys.readouterr().err
+
+
+# --- all of them
+
+
+def test_baselines_are_trained_once_with_promised_limits(dataset, tmp_path):
+    names = ("friction", "observer")
+    bundles = train_baselines(dataset, None, "com", tmp_path, seed=0, threads=1, names=names)
+    assert list(bundles) == ["observer", "friction"]  # in the order of BASELINES
+    for name, path in bundles.items():
+        assert path == tmp_path / f"{name}.tauext"
+        facts = json.loads(_core.Bundle.load(str(path)).provenance)
+        assert (facts["recipe"], facts["case"]) == (name, "com") and "false alarm" in facts["limits"]["sentence"]
+    written = {path: path.stat().st_mtime_ns for path in bundles.values()}
+    again = train_baselines(dataset, None, "com", tmp_path, 0, 1, names=(*names, "prior"), skip=["prior"])
+    assert again == bundles and {path: path.stat().st_mtime_ns for path in again.values()} == written
+    assert finished(bundles["observer"], "com", TrainConfig(recipe="observer", limits="promised", threads=2))
+    with pytest.raises(ConfigError, match="observer.tauext: it was trained with other settings"):
+        train_baselines(dataset, None, "mass", tmp_path, 0, 1, names=names)
+
+
+def test_what_cannot_be_is_left_out_with_its_reason(dataset, tmp_path, capsys):
+    assert train_baselines(dataset, None, "none", tmp_path, 0, 1, names=("velocity",)) == {}
+    assert "velocity is left out: recipe = velocity needs a model" in capsys.readouterr().err
+    with pytest.raises(ConfigError, match="baseline 'observr' does not exist; they are observer, friction, "):
+        train_baselines(dataset, None, "exact", tmp_path, 0, 1, skip=("observr",))
+
+
+def test_the_baselines_stand_in_their_order_and_every_recipe_is_known():
+    names = [name for name, _ in BASELINES]
+    assert names[0] == "observer" and names[-2:] == ["prior", "tauext"] and len(set(names)) == 11
+    for _, recipe in BASELINES:
+        TrainConfig(recipe=recipe).resolved()

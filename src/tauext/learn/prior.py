@@ -135,7 +135,6 @@ def fit_ridge(
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
     """
-    n = chain.tree.size
     terms = [term for group in own for term in group] + list(shared)
     warm_s = 10 / chain.observer.gain_per_s
     usable = [recording for recording in recordings if recording.duration_s > warm_s + 1]

@@ -41,10 +41,10 @@ def evaluate(
     for path in bundles:
         if not path.is_file():
             raise ConfigError(f"{path}: there is no such bundle; `tauext train` makes one")
-    if not bundles and not baselines:
-        raise ConfigError("there is nothing to evaluate: give --bundles, or --baselines to train every known method")
     if methods and not baselines:
         raise ConfigError("--methods chooses among the baselines; give --baselines, too")
+    if not bundles and not baselines:
+        raise ConfigError("there is nothing to evaluate: give --bundles, or --baselines to train every known method")
     dataset = Dataset.open(data)
     paths = list(bundles)
     if baselines:

@@ -12,7 +12,7 @@ import tyro
 from tauext.errors import ConfigError
 
 if TYPE_CHECKING:
-    from tauext._core import Bundle
+    from tauext._core import Bundle, ObserverSettings
 
 
 def show(file: tyro.conf.Positional[Path], as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> None:
@@ -56,7 +56,7 @@ def describe_bundle(file: Path) -> dict:
             "masses [kg]": [link.mass for link in bundle.links],
             "rotor inertias [kg m2]": [link.rotor_inertia for link in bundle.links],
         },
-        "observer": {"gain [1/s]": bundle.observer.gain_per_s, "torque is": bundle.observer.timing.name},
+        "observer": describe_observer(bundle.observer),
         "sample rate [Hz]": 1 / period_s,
         "network": "none: the plain observer",
         "limits sliding [Nm]": dict(zip(names, bundle.sliding_limit_nm, strict=True)),
@@ -105,6 +105,21 @@ def describe_bundle(file: Path) -> dict:
             f"{facts['limits']['set_for']}, hold time {facts['limits']['hold_s'] * 1e3:g} ms"
         )
     return content
+
+
+def describe_observer(observer: ObserverSettings) -> dict:
+    """Its method where that is not the momentum observer, its gain, and its filters where it has any."""
+    content = {} if observer.method.name == "momentum" else {"method": METHODS[observer.method.name]}
+    content |= {"gain [1/s]": observer.gain_per_s, "torque is": observer.timing.name}
+    filters = {"high-pass [1/s]": observer.high_pass_per_s, "low-pass [1/s]": observer.low_pass_per_s}
+    return content | {name: cutoff for name, cutoff in filters.items() if cutoff > 0}
+
+
+METHODS = {
+    "direct": "direct residual",
+    "velocity": "velocity observer",
+    "energy": "energy observer: its residual and limits are in watts",
+}
 
 
 def describe_prior(bundle: Bundle, facts: dict) -> dict:

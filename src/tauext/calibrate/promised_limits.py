@@ -98,7 +98,10 @@ def promised_limits(
 
     best = min(range(len(found)), key=delay_s)
     limits, tails = choices[best]
+    # A contact is held at least as long as a collision: else its limits, which are no higher, would be crossed at once by
+    # what the collision's hold time was chosen to outlast.
     held = next(k for k, hold in enumerate(alarm.holds_s) if hold >= alarm.contact_hold_s or k == len(found) - 1)
+    held = max(held, best)
     contact, _ = _limits(found[held], contact_budget, 0.5)
     contact = Limits(
         np.minimum(contact.sliding_nm, limits.sliding_nm), np.minimum(contact.near_stiction_nm, limits.near_stiction_nm)

@@ -100,8 +100,8 @@ class AlarmConfig:
     contact_hold_s: float = 0.0
     """The same before a contact is reported, which falls back by itself, [s]; 0: at the first sample."""
     contact_release_s: float = 0.5
-    """A contact is over when no joint has been over its limit for so long, [s]. What the observer and the freed arm still
-    do in the first half second would else be a contact of its own now and then."""
+    """A contact is over when no joint has been over its limit for so long, [s]: what observer and freed arm still do in
+    the first half second would else be a contact of its own now and then."""
 
     def __post_init__(self) -> None:
         for name in ("collision_hold_s", "contact_hold_s", "contact_release_s"):

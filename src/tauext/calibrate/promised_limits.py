@@ -98,8 +98,8 @@ def promised_limits(
 
     best = min(range(len(found)), key=delay_s)
     limits, tails = choices[best]
-    # A contact is held at least as long as a collision: else its limits, which are no higher, would be crossed at once by
-    # what the collision's hold time was chosen to outlast.
+    # A contact is held at least as long as a collision: else what that hold time was chosen to outlast would cross the
+    # contact's limits at once, which are no higher.
     held = next(k for k, hold in enumerate(alarm.holds_s) if hold >= alarm.contact_hold_s or k == len(found) - 1)
     held = max(held, best)
     contact, _ = _limits(found[held], contact_budget, 0.5)

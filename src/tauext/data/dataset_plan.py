@@ -148,7 +148,8 @@ def _by_time(name: str, from_s: float, to_s: float, shares: Mapping[str, float],
     for k, (part, share) in enumerate(shares.items()):
         last = k == len(shares) - 1
         end = begin + share * (to_s - from_s)
-        claims.append(Claim(part, name, begin + (gap_s / 2 if k else 0), to_s if last else end - gap_s / 2))
+        span = begin + (gap_s / 2 if k else 0), to_s if last else end - gap_s / 2
+        claims.append(Claim(part, name, *(round(at, 6) for at in span)))
         begin = end
     if any(c.from_s >= c.to_s for c in claims):
         raise ConfigError(

@@ -82,11 +82,12 @@ def test_few_sources_are_each_split_by_time_with_a_gap_and_that_is_said(workplac
         "3 sources without contact: each split by time (train 70%, validation 15%, test 15%) with a gap of 2 s" in out
     )
     found = spans(workplace)
-    assert [found[part][2] for part in ("train", "validation", "test")] == [
+    assert [found[part][-1] for part in ("train", "validation", "test")] == [
         ("three", 0.0, 26.99),
         ("three", 29.0, 32.99),
         ("three", 35.0, 39.99),
     ]
+    assert "too short to be split by time, whole in train: one" in out and found["train"][0] == ("one", 0.0, 19.99)
     recording = load(workplace / "out/three-train.parquet")
     np.testing.assert_array_equal(recording.q[:, 1], motion(2700, joints=2)[1][:, 0])  # tip is elbow, sent first
     assert not (workplace / "out/three.parquet").exists()
@@ -255,7 +256,9 @@ def test_plans_follow_the_number_of_sources():
         "collisions": 2, "train": 6, "validation": 1, "test": 1,
     }  # fmt: skip
     assert said[0] == "8 sources without contact, split as whole recordings"
-    with pytest.raises(ConfigError, match="run: 8.0 s are too short to be split by time with gaps of 2 s"):
+    with pytest.raises(
+        ConfigError, match="run: 8.0 s are too short to be split by time into parts"
+    ):
         plan(described, {"run": SourceFacts(8.0, False)}, {})
 
 
@@ -270,5 +273,5 @@ def test_one_stretch_in_two_sets_is_refused():
 
 def test_a_recording_without_contacts_is_its_own_free_stretch(workplace, capsys):
     run(capsys, workplace)
-    recording = load(workplace / "out/one-train.parquet")
+    recording = load(workplace / "out/two-train.parquet")
     assert free_stretches(recording, 0.5, 1.0, 2.0) == [recording]

@@ -15,6 +15,8 @@ WHOLE_FROM = 6
 """So many sources without contact or more are split as whole recordings; fewer are cut by time."""
 FREE_SHARES = {"train": 0.7, "validation": 0.15, "test": 0.15}
 TOUCHED_SHARES = {"train": 0.6, "validation": 0.15, "collisions": 0.25}
+LEAST_PART_S = 2.0
+"""A window and the observer's warm-up must fit into a part, [s]."""
 VALIDATION_SHARE = 0.2
 """Of each training recording's end, where the description lists training but no validation."""
 
@@ -64,7 +66,8 @@ def plan(
     touched = [name for name, facts in sources.items() if facts.touched]
     free = [name for name in sources if name not in touched]
     gap_s = arm.split.gap_s
-    said = []
+    said: list[str] = []
+    short: list[str] = []
     claims = [Claim("collisions", name) for name in touched] if free else []
     if len(free) >= WHOLE_FROM:
         split = split_recordings(free, seed=0, minimum=WHOLE_FROM)
@@ -72,14 +75,15 @@ def plan(
         said.append(f"{len(free)} sources without contact, split as whole recordings")
     else:
         shares = FREE_SHARES if free else TOUCHED_SHARES
-        for name in free or touched:
-            claims += _by_time(name, 0.0, sources[name].duration_s, shares, gap_s)
+        spans = [(name, 0.0, sources[name].duration_s) for name in free or touched]
+        claims += _by_time(arm, spans, shares, short)
         listed = ", ".join(f"{part} {share:.0%}" for part, share in shares.items())
         kind = "without contact" if free else ", all with contacts"
         said.append(
             f"{len(free or touched)} sources {kind}: each split by time ({listed}) with a gap of {gap_s:g} s between "
             "the parts; test and training come from one run, so errors on the test set flatter"
         )
+        said += short
     if not free:  # what is free in the collisions' stretch is free motion that nobody trained on
         claims += [Claim("test", c.source, c.from_s, c.to_s) for c in claims if c.part == "collisions"]
     if free and touched:
@@ -98,13 +102,9 @@ def _listed(
     ]
     said = ["split as listed in [split]"]
     if arm.split.train and not arm.split.validation:
-        kept = [c for c in claims if c.part != "train"]
         shares = {"train": 1 - VALIDATION_SHARE, "validation": VALIDATION_SHARE}
-        for c in claims:
-            if c.part == "train":
-                end = min(c.to_s, sources[c.source].duration_s)
-                kept += _by_time(c.source, c.from_s, end, shares, arm.split.gap_s)
-        claims = kept
+        spans = [(c.source, c.from_s, min(c.to_s, sources[c.source].duration_s)) for c in claims if c.part == "train"]
+        claims = [c for c in claims if c.part != "train"] + _by_time(arm, spans, shares, said)
         said.append(
             f"no validation listed: the last {VALIDATION_SHARE:.0%} of each training recording, behind a gap of "
             f"{arm.split.gap_s:g} s"
@@ -142,18 +142,36 @@ def _parsed(
     return [(one, *span) for one in names]
 
 
-def _by_time(name: str, from_s: float, to_s: float, shares: Mapping[str, float], gap_s: float) -> list[Claim]:
-    """Successive claims of these shares; the gap between two lies in neither."""
-    claims, begin = [], from_s
-    for k, (part, share) in enumerate(shares.items()):
-        last = k == len(shares) - 1
-        end = begin + share * (to_s - from_s)
-        span = begin + (gap_s / 2 if k else 0), to_s if last else end - gap_s / 2
-        claims.append(Claim(part, name, *(round(at, 6) for at in span)))
-        begin = end
-    if any(c.from_s >= c.to_s for c in claims):
+def _by_time(
+    arm: Arm, spans: Sequence[tuple[str, float, float]], shares: Mapping[str, float], said: list[str]
+) -> list[Claim]:
+    """Successive claims of these shares on each span, with gaps that lie in no part.
+
+    A span that would leave a part shorter than 2 s serves whole for the first part, and that is said.
+
+    Raises:
+        ConfigError: all spans are so short.
+    """
+    gap_s = arm.split.gap_s
+    claims, short = [], []
+    for name, from_s, to_s in spans:
+        parts, begin = [], from_s
+        for k, (part, share) in enumerate(shares.items()):
+            end = begin + share * (to_s - from_s)
+            last = k == len(shares) - 1
+            span = begin + (gap_s / 2 if k else 0), to_s if last else end - gap_s / 2
+            parts.append(Claim(part, name, *(round(at, 6) for at in span)))
+            begin = end
+        if min(c.to_s - c.from_s for c in parts) < LEAST_PART_S:
+            short.append(name)
+            parts = [Claim(next(iter(shares)), name, from_s, to_s)]
+        claims += parts
+    if len(short) == len(spans):
+        longest = max(to_s - from_s for _, from_s, to_s in spans)
         raise ConfigError(
-            f"{name}: {to_s - from_s:.1f} s are too short to be split by time with gaps of {gap_s:g} s; record more, "
-            "or lower gap_s in [split]"
+            f"{', '.join(short)}: {longest:.1f} s are too short to be split by time into parts of at least "
+            f"{LEAST_PART_S:g} s with gaps of {gap_s:g} s; record more, lower gap_s, or list whole files in [split]"
         )
+    if short:
+        said.append(f"too short to be split by time, whole in {next(iter(shares))}: {', '.join(short)}")
     return claims

@@ -256,9 +256,7 @@ def test_plans_follow_the_number_of_sources():
         "collisions": 2, "train": 6, "validation": 1, "test": 1,
     }  # fmt: skip
     assert said[0] == "8 sources without contact, split as whole recordings"
-    with pytest.raises(
-        ConfigError, match="run: 8.0 s are too short to be split by time into parts"
-    ):
+    with pytest.raises(ConfigError, match="run: 8.0 s are too short to be split by time into parts"):
         plan(described, {"run": SourceFacts(8.0, False)}, {})
 
 

@@ -19,14 +19,16 @@ from tauext.data.velocity import derived_velocity
 from tauext.errors import RecordingError
 
 PIECE_S = 600.0
-"""A longer source becomes several recordings of about this length, [s]: memory stays bounded."""
+"""A longer source becomes several recordings of about this length, [s] ..."""
+PIECE_ROWS = 150_000
+"""... or about so many samples, whichever is less: memory stays bounded."""
 LATE_S = 1.0
 """A packet may come so much later than its stamp and still be sorted in, [s]."""
 MEASURED = ("q", "dq", "tau")
 
 
 def assemble(source: Source, arm: Arm, robot_sha256: str = "", rate_hz: float = 0.0) -> Iterator[Recording]:
-    """Recordings of a source, in the order of time: one, or several where it is longer than 15 minutes.
+    """Recordings of a source, in the order of time: one, or several where it is long (PIECE_S, PIECE_ROWS).
 
     Each is put in order, freed of repeats, merged onto one clock, brought to rad, rad/s and N m at the joint, and says
     in its provenance what was done (`done`: sentences; `counts`: the same as numbers).
@@ -74,10 +76,13 @@ def _pieces(source: Source, arm: Arm, columns: Columns) -> Iterator[tuple[dict[s
             begin = int(table[0].min())
         waiting[block.stream].append(table)
         newest[block.stream] = max(newest.get(block.stream, begin), int(table[0].max()))
-        if len(newest) == len(waiting) and min(newest.values()) - begin > (1.5 * PIECE_S + LATE_S) * 1e9:
-            end = begin + int(PIECE_S * 1e9)
-            yield {stream: _taken(waiting[stream], end) for stream in waiting}, False
-            begin = end
+        if len(newest) < len(waiting):
+            continue
+        passed = min(newest.values()) - begin - int(LATE_S * 1e9)
+        rows = sum(len(t_ns) for tables in waiting.values() for t_ns, _ in tables)
+        if passed > 1.5e9 * PIECE_S or (rows > 1.5 * PIECE_ROWS and passed > 0):
+            begin += passed * 2 // 3
+            yield {stream: _taken(waiting[stream], begin) for stream in waiting}, False
     if any(waiting.values()):
         missing = [stream for stream, tables in waiting.items() if not tables]
         if missing:

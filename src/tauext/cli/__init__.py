@@ -9,6 +9,7 @@ import tyro
 
 from tauext.cli.calibrate import calibrate
 from tauext.cli.evaluate import evaluate
+from tauext.cli.import_data import import_data
 from tauext.cli.report import report
 from tauext.cli.reproduce import reproduce
 from tauext.cli.run import run
@@ -19,7 +20,7 @@ from tauext.errors import TauextError
 
 DESCRIPTION = (
     "External joint torque and collision detection for robot arms, from encoders and motor torque alone. "
-    "simulate (or your own recordings) -> train -> evaluate -> report; reproduce does all four. "
+    "simulate (or import: your own recordings) -> train -> evaluate -> report; reproduce does all four. "
     "train -> run: the monitor on recordings. calibrate: other limits for a trained bundle."
 )
 
@@ -29,6 +30,7 @@ def main(argv: list[str] | None = None) -> int:
     app = tyro.extras.SubcommandApp()
     for command in (reproduce, simulate, train, calibrate, evaluate, report, run, show):
         app.command(command)
+    app.command(import_data, name="import")
     try:
         app.cli(prog="tauext", description=DESCRIPTION, args=argv)
     except TauextError as error:

@@ -1,7 +1,18 @@
 """Robot files to kinematic trees: load a URDF or MJCF, perturb the model, leave it out."""
 
-from tauext.robot.load import load, robot_sha256
+from tauext.robot.load import load, movable_joints, robot_sha256
 from tauext.robot.perturb import empty, perturbed
 from tauext.robot.torque_limits import torque_limits
+from tauext.robot.write import Payload, write_placeholder, write_robot
 
-__all__ = ["empty", "load", "perturbed", "robot_sha256", "torque_limits"]
+__all__ = [
+    "Payload",
+    "empty",
+    "load",
+    "movable_joints",
+    "perturbed",
+    "robot_sha256",
+    "torque_limits",
+    "write_placeholder",
+    "write_robot",
+]

@@ -54,6 +54,20 @@ def load(
     return make_tree(model, choice.joint_ids, choice.qpos, _gravity(model, gravity), str(path))
 
 
+def movable_joints(path: str | os.PathLike[str]) -> list[str]:
+    """Joints that a robot file lets choose from, depth first: named hinges and slides that follow no other joint.
+
+    Raises:
+        RobotError: the file is missing or cannot be read.
+    """
+    model = _compile(Path(path))
+    coupled = model.eq_type[: model.neq] == mujoco.mjtEq.mjEQ_JOINT
+    followers = set(model.eq_obj1id[: model.neq][coupled].tolist())
+    plain = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+    joints = [j for j in range(model.njnt) if int(model.jnt_type[j]) in plain and j not in followers]
+    return [model.joint(j).name for j in joints if model.joint(j).name]
+
+
 def robot_sha256(path: str | os.PathLike[str]) -> str:
     """SHA-256 of a robot file's bytes, hexadecimal: by it a recording tells its robot. Includes are not followed.
 

@@ -1,0 +1,295 @@
+"""Raw signals and a robot description to recordings; whatever is done to the numbers is written into each."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from tauext.data.columns import Columns, find_columns
+from tauext.data.description import TIME_UNITS, UNITS, Arm, SignalTable
+from tauext.data.importers import RawSignals, Source
+from tauext.data.merge import Table, base_stream, held, interpolated
+from tauext.data.recording import Recording
+from tauext.data.stamps import count_gaps, fresh, ordered
+from tauext.data.velocity import derived_velocity
+from tauext.errors import RecordingError
+
+PIECE_S = 600.0
+"""A longer source becomes several recordings of about this length, [s] ..."""
+PIECE_ROWS = 150_000
+"""... or about so many samples, whichever is less: memory stays bounded."""
+LATE_S = 1.0
+"""A packet may come so much later than its stamp and still be sorted in, [s]."""
+MEASURED = ("q", "dq", "tau")
+
+
+def assemble(source: Source, arm: Arm, robot_sha256: str = "", rate_hz: float = 0.0) -> Iterator[Recording]:
+    """Recordings of a source, in the order of time: one, or several where it is long (PIECE_S, PIECE_ROWS).
+
+    Each is put in order, freed of repeats, merged onto one clock, brought to rad, rad/s and N m at the joint, and says
+    in its provenance what was done (`done`: sentences; `counts`: the same as numbers).
+
+    Args:
+        rate_hz: nominal rate; 0: the description's, or else the median step's.
+
+    Raises:
+        ConfigError: a column that the description names is not there.
+        RecordingError: the source is damaged, or what it gives is no recording.
+    """
+    columns = find_columns(arm, source)
+    rate_hz = rate_hz or arm.time.rate_hz
+    start_ns: int | None = None
+    number = 0
+    for tables, last in _pieces(source, arm, columns):
+        counts, source_counts = Counter(source.counts), source.counts
+        source_counts.clear()
+        name = source.name if last and not number else f"{source.name}-{number:02d}"
+        try:
+            recording = _piece(source, arm, columns, tables, counts, start_ns, rate_hz)
+            recording = replace(recording, name=name, robot_sha256=robot_sha256)
+        except RecordingError as error:
+            raise RecordingError(f"{source.path}: {error}") from error
+        yield recording
+        start_ns = int(recording.t_ns[0]) if start_ns is None else start_ns
+        rate_hz = recording.rate_hz
+        number += 1
+    if not number:
+        raise RecordingError(f"{source.path}: it holds no samples")
+
+
+def _pieces(source: Source, arm: Arm, columns: Columns) -> Iterator[tuple[dict[str, Table], bool]]:
+    """Stamps and needed columns of every stream, cut where all have passed a piece's end, and if it is the last."""
+    waiting: dict[str, list[Table]] = {stream: [] for stream in columns.streams}
+    newest: dict[str, int] = {}
+    begin: int | None = None
+    rows_read = 0
+    for block in source.blocks():
+        table = _needed(source, arm, columns, block, rows_read)
+        rows_read += len(block.columns)
+        if table is None or not len(table[0]):
+            continue
+        if begin is None:
+            begin = int(table[0].min())
+        waiting[block.stream].append(table)
+        newest[block.stream] = max(newest.get(block.stream, begin), int(table[0].max()))
+        if len(newest) < len(waiting):
+            continue
+        passed = min(newest.values()) - begin - int(LATE_S * 1e9)
+        rows = sum(len(t_ns) for tables in waiting.values() for t_ns, _ in tables)
+        if passed > 1.5e9 * PIECE_S or (rows > 1.5 * PIECE_ROWS and passed > 0):
+            begin += passed * 2 // 3
+            yield {stream: _taken(waiting[stream], begin) for stream in waiting}, False
+    if any(waiting.values()):
+        missing = [stream for stream, tables in waiting.items() if not tables]
+        if missing:
+            raise RecordingError(f"{source.path}: no samples of {', '.join(missing)}")
+        yield {stream: _joined(tables) for stream, tables in waiting.items()}, True
+
+
+def _needed(source: Source, arm: Arm, columns: Columns, block: RawSignals, rows_read: int) -> Table | None:
+    """The block's stamps and the columns that are needed; None: it holds other joints' only."""
+    if block.stream not in columns.streams:
+        return None
+    names = columns.streams[block.stream]
+    place = {name: k for k, name in enumerate(block.names)}
+    if not any(name in place for name in names):
+        source.counts[f"messages on {block.stream} of other joints left out"] += len(block.columns)
+        return None
+    missing = [name for name in names if name not in place]
+    if missing:
+        raise RecordingError(f"{source.path}: some messages on {block.stream} lack {', '.join(missing)}")
+    values = block.columns[:, [place[name] for name in names]]
+    t_ns = block.t_ns
+    if "time" in columns.signals:
+        times = values[:, columns.signals["time"][1][0]]
+        known = np.isfinite(times)
+        if not known.all():
+            source.counts["samples dropped: no time"] += int((~known).sum())
+            times, values = times[known], values[known]
+        t_ns = np.round(times * TIME_UNITS[arm.time.unit]).astype(np.int64)
+    if t_ns is None:
+        if not arm.time.rate_hz:
+            raise RecordingError(
+                f"{source.path}: it has no clock: name its column of times in arm.toml ([time] column), or the rate of "
+                "its rows ([time] rate_hz)"
+            )
+        t_ns = np.round((rows_read + np.arange(len(values))) * (1e9 / arm.time.rate_hz)).astype(np.int64)
+    return t_ns, values
+
+
+def _joined(tables: list[Table]) -> Table:
+    return np.concatenate([t for t, _ in tables]), np.concatenate([v for _, v in tables])
+
+
+def _taken(tables: list[Table], end: int) -> Table:
+    """Rows before `end`; the others stay."""
+    t_ns, values = _joined(tables)
+    early = t_ns < end
+    tables[:] = [(t_ns[~early], values[~early])]
+    return t_ns[early], values[early]
+
+
+def _piece(
+    source: Source,
+    arm: Arm,
+    columns: Columns,
+    tables: dict[str, Table],
+    counts: Counter[str],
+    start_ns: int | None,
+    rate_hz: float,
+) -> Recording:
+    """One recording; its rate is the median step's where 0 is given."""
+    facts: dict[str, Any] = {}
+    tables = {stream: _cleaned(stream, table, arm, columns, counts) for stream, table in tables.items()}
+    t_ns, raw = _merged(tables, columns, counts, facts)
+    if not len(t_ns):
+        raise RecordingError(f"no sample is left of {sum(len(t) for t, _ in tables.values())}; {_sentences(counts)}")
+    signals = {key: _in_si(key, arm.signals[key], values, arm) for key, values in raw.items() if key != "contact"}
+    if "dq" not in signals:
+        low_pass = arm.signals["dq"].low_pass_hz
+        signals["dq"] = derived_velocity(t_ns, signals["q"], low_pass)
+        facts["velocity"] = (
+            f"derived from the position, low-pass {low_pass:g} Hz" if low_pass else "derived, no low-pass"
+        )
+    start_ns = int(t_ns[0]) if start_ns is None else start_ns
+    rate_hz = rate_hz or _nominal_rate(t_ns)
+    facts["longest_step_s"] = round(count_gaps(t_ns, counts), 6)
+    facts["start_s"] = round((int(t_ns[0]) - start_ns) * 1e-9, 9)
+    facts["torque"] = "amperes: the torque constant is unknown" if _constant_unknown(arm) else "N m"
+    counts = Counter({text: n for text, n in counts.items() if n})
+    done = [*source.notes, *(f"{n} {text}" for text, n in counts.items()), *_conversions(arm)]
+    if "velocity" in facts:
+        done.append(f"velocity {facts['velocity']}")
+    if "merged" in facts:
+        done.append(facts["merged"])
+    provenance = {"command": "tauext import", "file": source.path.name, "format": source.format} | facts
+    return Recording(
+        name=source.name,
+        joints=arm.robot.joints,
+        t_ns=t_ns,
+        rate_hz=rate_hz,
+        torque_timing=arm.signals["tau"].timing,
+        source=f"{source.path.name} ({source.format})",
+        robot_sha256="",
+        contact=_contact(arm, source, t_ns, start_ns, raw.get("contact")),
+        provenance=provenance | {"done": done, "counts": dict(counts)},
+        **signals,
+    )
+
+
+def _cleaned(stream: str, table: Table, arm: Arm, columns: Columns, counts: Counter[str]) -> Table:
+    """In order, finite where a joint's signal is concerned, each measurement once."""
+    t_ns, values = ordered(*table, counts)
+    of_joints = [
+        k for key, (at, places) in columns.signals.items() if at == stream and key in arm.signals for k in places
+    ]
+    finite = np.isfinite(values[:, of_joints]).all(axis=1)
+    if not finite.all():
+        counts["samples dropped: a value is missing or not finite"] += int((~finite).sum())
+        t_ns, values = t_ns[finite], values[finite]
+    measured = [
+        k for key in MEASURED for k in columns.signals.get(key, ("", []))[1] if columns.signals[key][0] == stream
+    ]
+    if measured and len(t_ns):
+        keep = fresh(t_ns, values[:, measured], arm.time.repeats == "drop", counts)
+        t_ns, values = t_ns[keep], values[keep]
+    return t_ns, values
+
+
+def _merged(
+    tables: dict[str, Table], columns: Columns, counts: Counter[str], facts: dict[str, Any]
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Every signal at the stamps of one stream, (samples, joints) each."""
+    signals = {key: at for key, at in columns.signals.items() if key != "time"}
+    essential = list(dict.fromkeys(signals[key][0] for key in MEASURED if key in signals))
+    base = base_stream(tables, signals["tau"][0], essential)
+    t_ns = tables[base][0]
+    known = np.ones(len(t_ns), bool)
+    values = {}
+    for key, (stream, places) in signals.items():
+        here = (tables[stream][0], tables[stream][1][:, places])
+        if stream == base:
+            values[key] = here[1]
+        elif key == "contact":
+            values[key] = held(t_ns, here, np.nan)
+        elif key == "temperature":
+            values[key] = held(t_ns, here, float(here[1][0, 0]))
+        else:
+            values[key], there = interpolated(t_ns, here, counts, f"{key} ({stream})")
+            known &= there
+    others = [stream for stream in tables if stream != base]
+    if others:
+        why = "the torque's" if base == signals["tau"][0] else "the slowest"
+        facts["merged"] = f"{', '.join(others)} brought to the stamps of {base} ({why}), linear in between"
+    return t_ns[known], {key: value[known] for key, value in values.items()}
+
+
+def _in_si(key: str, signal: SignalTable, values: np.ndarray, arm: Arm) -> np.ndarray:
+    """Joint side, SI: sign · unit · (torque constant) · gear, and a position's offset added."""
+    factor = np.full(len(arm.robot.joints), UNITS[key][signal.unit])
+    if signal.torque_constant and signal.torque_constant != "unknown":
+        factor *= signal.torque_constant
+    if signal.side == "motor":
+        gear = np.array(arm.gear_ratio)
+        factor = factor * gear if key == "tau" else factor / gear
+    if signal.sign:
+        factor = factor * signal.sign
+    converted = values * factor
+    return converted + np.array(signal.offset) * UNITS[key][signal.unit] if signal.offset else converted
+
+
+def _conversions(arm: Arm) -> list[str]:
+    """What _in_si did, in words, where it did anything."""
+    lines = []
+    for key, signal in arm.signals.items():
+        done = [] if UNITS[key][signal.unit] == 1 and not signal.is_current else [f"from {signal.unit}"]
+        if signal.is_current:
+            known = signal.torque_constant != "unknown"
+            done.append(f"times {', '.join(f'{k:g}' for k in signal.torque_constant)} Nm/A" if known else "left in A")
+        if signal.side == "motor":
+            done.append(f"{'times' if key == 'tau' else 'divided by'} gear ratio")
+        if any(s < 0 for s in signal.sign):
+            all_of_them = all(s < 0 for s in signal.sign)
+            names = [joint for joint, s in zip(arm.robot.joints, signal.sign, strict=True) if s < 0]
+            done.append("sign turned" + ("" if all_of_them else f" of {', '.join(names)}"))
+        if any(signal.offset):
+            done.append(f"offset {', '.join(f'{o:g}' for o in signal.offset)} {signal.unit} added")
+        if done:
+            lines.append(f"{key}: {', '.join(done)}")
+    return lines
+
+
+def _constant_unknown(arm: Arm) -> bool:
+    return arm.signals["tau"].torque_constant == "unknown"
+
+
+def _nominal_rate(t_ns: np.ndarray) -> float:
+    """From the median step; a whole number of Hz where that is within 1 %."""
+    if len(t_ns) < 2:
+        raise RecordingError("a single sample has no rate: give it in arm.toml ([time] rate_hz)")
+    rate_hz = 1e9 / float(np.median(np.diff(t_ns)))
+    return float(round(rate_hz)) if abs(round(rate_hz) / rate_hz - 1) < 0.01 else rate_hz
+
+
+def _contact(arm: Arm, source: Source, t_ns: np.ndarray, start_ns: int, label: np.ndarray | None) -> np.ndarray | None:
+    """1, 0 or -1 by the label's values, 1 within the intervals given; free elsewhere only where there is no label."""
+    spans = arm.contact.intervals.get(source.path.name, arm.contact.intervals.get(source.name))
+    if label is None and spans is None:
+        return None
+    contact = np.zeros(len(t_ns), np.int8)
+    if label is not None:
+        contact[:] = -1
+        contact[np.isin(label[:, 0], arm.contact.free_values)] = 0
+        contact[np.isin(label[:, 0], arm.contact.contact_values)] = 1
+    time_s = (t_ns - start_ns) * 1e-9
+    for begin, end in spans or ():
+        contact[(time_s >= begin) & (time_s <= end)] = 1
+    return contact
+
+
+def _sentences(counts: Counter[str]) -> str:
+    return "; ".join(f"{n} {text}" for text, n in counts.items() if n)

@@ -1,0 +1,177 @@
+"""Which stretch of which source serves for what: as the description lists it, or by rule and said so."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from tauext.data.description import Arm
+from tauext.data.split import PARTS, split_recordings
+from tauext.errors import ConfigError
+
+WHOLE_FROM = 6
+"""So many sources without contact or more are split as whole recordings; fewer are cut by time."""
+FREE_SHARES = {"train": 0.7, "validation": 0.15, "test": 0.15}
+TOUCHED_SHARES = {"train": 0.6, "validation": 0.15, "collisions": 0.25}
+LEAST_PART_S = 2.0
+"""A window and the observer's warm-up must fit into a part, [s]."""
+VALIDATION_SHARE = 0.2
+"""Of each training recording's end, where the description lists training but no validation."""
+
+
+@dataclass(frozen=True)
+class SourceFacts:
+    """What a plan needs to know of a source."""
+
+    duration_s: float
+    touched: bool
+    """Whether a sample is in contact."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A stretch of a source for one set, seconds from the source's first sample; its end is left out."""
+
+    part: str
+    source: str
+    from_s: float = 0.0
+    to_s: float = math.inf
+
+    def __str__(self) -> str:
+        if self.from_s == 0 and self.to_s == math.inf:
+            return self.source
+        return f"{self.source}[{self.from_s:.4g}:{'' if self.to_s == math.inf else f'{self.to_s:.4g}'}]"
+
+
+def plan(
+    arm: Arm, sources: Mapping[str, SourceFacts], files: Mapping[str, Sequence[str]]
+) -> tuple[list[Claim], list[str]]:
+    """Claims on the sources, and sentences that say by which rule.
+
+    Listed in [split]: as listed; without validation, the end of each training recording is held back for it. Not
+    listed: sources with contacts are for collisions, those without are split whole (from 6 on) or each by time with a
+    gap; where every source has contacts, each is split by time and its end kept whole for collisions.
+
+    Args:
+        sources: by name.
+        files: file name: names of the sources in it.
+
+    Raises:
+        ConfigError: a listed source that is not there, or one stretch in two sets.
+    """
+    if arm.split.named:
+        return _listed(arm, sources, files)
+    touched = [name for name, facts in sources.items() if facts.touched]
+    free = [name for name in sources if name not in touched]
+    gap_s = arm.split.gap_s
+    said: list[str] = []
+    short: list[str] = []
+    claims = [Claim("collisions", name) for name in touched] if free else []
+    if len(free) >= WHOLE_FROM:
+        split = split_recordings(free, seed=0, minimum=WHOLE_FROM)
+        claims += [Claim(part, name) for part in FREE_SHARES for name in getattr(split, part)]
+        said.append(f"{len(free)} sources without contact, split as whole recordings")
+    else:
+        shares = FREE_SHARES if free else TOUCHED_SHARES
+        spans = [(name, 0.0, sources[name].duration_s) for name in free or touched]
+        claims += _by_time(arm, spans, shares, short)
+        listed = ", ".join(f"{part} {share:.0%}" for part, share in shares.items())
+        kind = "without contact" if free else ", all with contacts"
+        said.append(
+            f"{len(free or touched)} sources {kind}: each split by time ({listed}) with a gap of {gap_s:g} s between "
+            "the parts; test and training come from one run, so errors on the test set flatter"
+        )
+        said += short
+    if not free:  # what is free in the collisions' stretch is free motion that nobody trained on
+        claims += [Claim("test", c.source, c.from_s, c.to_s) for c in claims if c.part == "collisions"]
+    if free and touched:
+        said.append(f"{len(touched)} sources with contacts: whole in collisions")
+    return claims, said
+
+
+def _listed(
+    arm: Arm, sources: Mapping[str, SourceFacts], files: Mapping[str, Sequence[str]]
+) -> tuple[list[Claim], list[str]]:
+    claims = [
+        Claim(part, name, from_s, to_s)
+        for part in PARTS
+        for text in getattr(arm.split, part)
+        for name, from_s, to_s in _parsed(arm, text, sources, files)
+    ]
+    said = ["split as listed in [split]"]
+    if arm.split.train and not arm.split.validation:
+        shares = {"train": 1 - VALIDATION_SHARE, "validation": VALIDATION_SHARE}
+        spans = [(c.source, c.from_s, min(c.to_s, sources[c.source].duration_s)) for c in claims if c.part == "train"]
+        claims = [c for c in claims if c.part != "train"] + _by_time(arm, spans, shares, said)
+        said.append(
+            f"no validation listed: the last {VALIDATION_SHARE:.0%} of each training recording, behind a gap of "
+            f"{arm.split.gap_s:g} s"
+        )
+    for k, one in enumerate(claims):
+        for other in claims[k + 1 :]:
+            apart = {one.part, other.part} == {"test", "collisions"} or one.source != other.source
+            if not apart and one.from_s < other.to_s and other.from_s < one.to_s:
+                raise ConfigError(
+                    f"{arm.path}: [split] {one.part}, {other.part} share a stretch of {one.source} ({one}, {other}); "
+                    "a stretch belongs to one set (test and collisions may share one)"
+                )
+    unused = [name for name in sources if name not in {c.source for c in claims}]
+    if unused:
+        said.append(f"in no set: {', '.join(unused)}")
+    return claims, said
+
+
+def _parsed(
+    arm: Arm, text: str, sources: Mapping[str, SourceFacts], files: Mapping[str, Sequence[str]]
+) -> list[tuple[str, float, float]]:
+    """NAME or NAME[t0:t1], either end left out; NAME is a file's, or a source's where a file holds several."""
+    match = re.fullmatch(r"(.*?)(?:\[([0-9.]*):([0-9.]*)\])?", text)
+    assert match
+    name, first, last = match.groups()
+    names = files.get(name, [name] if name in sources else [])
+    if not names:
+        raise ConfigError(f"{arm.path}: [split] '{name}' is none of the sources: {', '.join(files)}")
+    try:
+        span = float(first or 0), float(last or math.inf)
+    except ValueError as error:
+        raise ConfigError(f"{arm.path}: [split] '{text}' must be NAME or NAME[t0:t1], in seconds") from error
+    if not span[0] < span[1]:
+        raise ConfigError(f"{arm.path}: [split] '{text}': its end must come after its beginning")
+    return [(one, *span) for one in names]
+
+
+def _by_time(
+    arm: Arm, spans: Sequence[tuple[str, float, float]], shares: Mapping[str, float], said: list[str]
+) -> list[Claim]:
+    """Successive claims of these shares on each span, with gaps that lie in no part.
+
+    A span that would leave a part shorter than 2 s serves whole for the first part, and that is said.
+
+    Raises:
+        ConfigError: all spans are so short.
+    """
+    gap_s = arm.split.gap_s
+    claims, short = [], []
+    for name, from_s, to_s in spans:
+        parts, begin = [], from_s
+        for k, (part, share) in enumerate(shares.items()):
+            end = begin + share * (to_s - from_s)
+            last = k == len(shares) - 1
+            span = begin + (gap_s / 2 if k else 0), to_s if last else end - gap_s / 2
+            parts.append(Claim(part, name, *(round(at, 6) for at in span)))
+            begin = end
+        if min(c.to_s - c.from_s for c in parts) < LEAST_PART_S:
+            short.append(name)
+            parts = [Claim(next(iter(shares)), name, from_s, to_s)]
+        claims += parts
+    if len(short) == len(spans):
+        longest = max(to_s - from_s for _, from_s, to_s in spans)
+        raise ConfigError(
+            f"{', '.join(short)}: {longest:.1f} s are too short to be split by time into parts of at least "
+            f"{LEAST_PART_S:g} s with gaps of {gap_s:g} s; record more, lower gap_s, or list whole files in [split]"
+        )
+    if short:
+        said.append(f"too short to be split by time, whole in {next(iter(shares))}: {', '.join(short)}")
+    return claims

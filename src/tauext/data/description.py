@@ -1,0 +1,231 @@
+"""A robot and how its recordings are to be read: what each column is, and what the robot file does not say."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from tauext.data.recording import TorqueTiming
+from tauext.errors import ConfigError
+
+Side = Literal["joint", "motor"]
+Repeats = Literal["drop", "keep"]
+UNITS: dict[str, dict[str, float]] = {
+    "q": {"rad": 1.0, "deg": math.pi / 180},
+    "dq": {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30},
+    "tau": {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3, "A": 1.0, "mA": 1e-3},
+    "tau_ext": {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3},
+    "q_des": {"rad": 1.0, "deg": math.pi / 180},
+    "temperature": {"degC": 1.0},
+}
+"""Units of each signal, and what one of them is in rad, rad/s, N m (A for currents) or degrees Celsius."""
+CURRENTS = ("A", "mA")
+TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
+
+
+@dataclass(frozen=True)
+class RobotTable:
+    """[robot]"""
+
+    joints: tuple[str, ...]
+    model: str = ""
+    names: tuple[str, ...] = ()
+    gear_ratio: tuple[float, ...] = ()
+    rotor_inertia_kg_m2: tuple[float, ...] = ()
+    gravity_m_s2: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class PayloadTable:
+    """[payload]"""
+
+    link: str = ""
+    mass_kg: float = 0.0
+    com_m: tuple[float, ...] = (0.0, 0.0, 0.0)
+    inertia_kg_m2: tuple[float, ...] = (0.0,) * 6
+
+
+@dataclass(frozen=True)
+class TimeTable:
+    """[time]"""
+
+    column: str = ""
+    unit: str = "s"
+    rate_hz: float = 0.0
+    repeats: Repeats = "drop"
+
+
+@dataclass(frozen=True)
+class SignalTable:
+    """[signals.NAME]; which of the keys a signal has is in KEYS."""
+
+    columns: tuple[str, ...]
+    """One name that stands for all joints, or one a joint; none: the velocity is derived from the position."""
+    unit: str
+    topic: str = ""
+    side: Side = "joint"
+    sign: tuple[float, ...] = ()
+    offset: tuple[float, ...] = ()
+    low_pass_hz: float = 20.0
+    torque_constant: tuple[float, ...] | str = ()
+    """[N m/A] a joint, or "unknown"."""
+    timing: TorqueTiming = "instant"
+
+    @property
+    def is_current(self) -> bool:
+        """Whether it is a motor current, [A]."""
+        return self.unit in CURRENTS
+
+
+COMMON = ("columns", "topic", "unit", "sign")
+KEYS = {
+    "q": (*COMMON, "side", "offset"),
+    "dq": (*COMMON, "side", "low_pass_hz"),
+    "tau": (*COMMON, "side", "torque_constant", "timing"),
+    "tau_ext": COMMON,
+    "q_des": (*COMMON, "side", "offset"),
+    "temperature": ("columns", "topic", "unit"),
+}
+"""Keys of each table of [signals]."""
+
+
+@dataclass(frozen=True)
+class ContactTable:
+    """[contact]"""
+
+    column: str = ""
+    topic: str = ""
+    contact_values: tuple[float, ...] = (1.0,)
+    free_values: tuple[float, ...] = (0.0,)
+    intervals: dict[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+    before_s: float = 0.5
+    after_s: float = 1.0
+
+
+@dataclass(frozen=True)
+class SplitTable:
+    """[split]"""
+
+    train: tuple[str, ...] = ()
+    validation: tuple[str, ...] = ()
+    test: tuple[str, ...] = ()
+    collisions: tuple[str, ...] = ()
+    calibration: tuple[str, ...] = ()
+    gap_s: float = 2.0
+
+    @property
+    def named(self) -> bool:
+        """Whether any recording is named."""
+        return bool(self.train or self.validation or self.test or self.collisions or self.calibration)
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A robot and how its recordings are to be read; checked when made. Lists run over `robot.joints`.
+
+    Raises:
+        ConfigError: names the table, the key, the value and the rule.
+    """
+
+    robot: RobotTable
+    signals: dict[str, SignalTable]
+    payload: PayloadTable = PayloadTable()
+    time: TimeTable = TimeTable()
+    contact: ContactTable = field(default_factory=ContactTable)
+    split: SplitTable = SplitTable()
+    path: Path = Path("arm.toml")
+    """Its file; the robot model's path is relative to it."""
+
+    def __post_init__(self) -> None:
+        robot = self.robot
+        self._require(bool(robot.joints), "robot", "joints", [], "the names of the joints in use, at least one")
+        for key in ("joints", "names"):
+            listed = getattr(robot, key)
+            self._require(len(set(listed)) == len(listed), "robot", key, list(listed), "names that differ")
+        for key in ("names", "gear_ratio", "rotor_inertia_kg_m2"):
+            self._check_count("robot", key, getattr(robot, key))
+        self._require(all(g != 0 for g in robot.gear_ratio), "robot", "gear_ratio", robot.gear_ratio, "not 0")
+        inertia = robot.rotor_inertia_kg_m2
+        self._require(all(j >= 0 for j in inertia), "robot", "rotor_inertia_kg_m2", inertia, ">= 0")
+        self._require(len(robot.gravity_m_s2) in (0, 3), "robot", "gravity_m_s2", robot.gravity_m_s2, "three numbers")
+        self._check_payload()
+        self._require(self.time.rate_hz >= 0, "time", "rate_hz", self.time.rate_hz, ">= 0; 0: as measured")
+        for name in ("q", "tau"):
+            if name not in self.signals:
+                raise ConfigError(f"{self.path}: [signals.{name}] is missing; position and torque are needed")
+        for name, signal in self.signals.items():
+            self._check_signal(name, signal)
+        for name, spans in self.contact.intervals.items():
+            for span in spans:
+                self._require(
+                    len(span) == 2 and span[0] < span[1], "contact.intervals", name, span, "[t0, t1], t0 < t1"
+                )
+        for key in ("before_s", "after_s"):
+            value = getattr(self.contact, key)
+            self._require(value >= 0, "contact", key, value, ">= 0")
+        self._require(self.split.gap_s >= 0, "split", "gap_s", self.split.gap_s, ">= 0")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the joints in the recording."""
+        return self.robot.names or self.robot.joints
+
+    @property
+    def gear_ratio(self) -> tuple[float, ...]:
+        """Motor turns a joint turn, one a joint."""
+        return self.robot.gear_ratio or (1.0,) * len(self.robot.joints)
+
+    @property
+    def model(self) -> Path | None:
+        """The robot file; None: there is no model."""
+        return self.path.parent / self.robot.model if self.robot.model else None
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Topics that are named, each once."""
+        named = [*(signal.topic for signal in self.signals.values()), self.contact.topic]
+        return tuple(dict.fromkeys(topic for topic in named if topic))
+
+    def _check_payload(self) -> None:
+        payload = self.payload
+        self._require(payload.mass_kg >= 0, "payload", "mass_kg", payload.mass_kg, ">= 0")
+        self._require(len(payload.com_m) == 3, "payload", "com_m", payload.com_m, "three numbers")
+        rule = "six numbers: xx, yy, zz, xy, xz, yz"
+        self._require(len(payload.inertia_kg_m2) == 6, "payload", "inertia_kg_m2", payload.inertia_kg_m2, rule)
+        if payload.mass_kg:
+            self._require(bool(self.robot.model), "robot", "model", "''", "a robot file, where there is a payload")
+            self._require(bool(payload.link), "payload", "link", "''", "the link that carries the payload")
+
+    def _check_signal(self, name: str, signal: SignalTable) -> None:
+        table = f"signals.{name}"
+        self._require(signal.unit in UNITS[name], table, "unit", repr(signal.unit), f"one of {', '.join(UNITS[name])}")
+        none = not signal.columns
+        self._require(not none or name == "dq", table, "columns", "''", "given (only a velocity can be derived)")
+        if len(signal.columns) > 1:
+            self._check_count(table, "columns", signal.columns)
+        for key in ("sign", "offset"):
+            self._check_count(table, key, getattr(signal, key))
+        self._require(all(s in (-1, 1) for s in signal.sign), table, "sign", signal.sign, "1 or -1")
+        self._require(signal.low_pass_hz >= 0, table, "low_pass_hz", signal.low_pass_hz, ">= 0; 0: no low-pass")
+        if name != "tau":
+            return
+        constant = signal.torque_constant
+        if signal.is_current:
+            rule = 'Nm/A, one a joint, or "unknown" (to be fitted), since the unit is a current\'s'
+            self._require(bool(constant), table, "torque_constant", list(constant), rule)
+        else:
+            rule = f"left out, since the unit is {signal.unit}"
+            self._require(not constant, table, "torque_constant", constant, rule)
+        if constant != "unknown":
+            self._check_count(table, "torque_constant", constant)
+            self._require(all(k != 0 for k in constant), table, "torque_constant", constant, "not 0; signs go in sign")
+
+    def _check_count(self, table: str, key: str, values: tuple) -> None:
+        joints = len(self.robot.joints)
+        self._require(len(values) in (0, joints), table, key, list(values), f"as many as joints, {joints}")
+
+    def _require(self, ok: bool, table: str, key: str, value: object, rule: str) -> None:
+        if not ok:
+            raise ConfigError(f"{self.path}: [{table}] {key} = {value} must be {rule}")

@@ -1,0 +1,246 @@
+"""The commented arm.toml that a user begins with, filled in from the names in a file where they can be guessed."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+GUESSES = {
+    "q": r"(q|pos|position|positions|joint_pos(ition)?s?|act_pos\w*|actual_q|theta|angles?|observation\.state)",
+    "dq": r"(dq|qd|vel|velocity|velocities|joint_vel(ocitie)?s?|act_vel\w*|actual_qd|observation\.velocity)",
+    "tau": r"(tau(_?[jm])?|effort|efforts|torque|torques|joint_torques?|act_torque\w*|current|currents|i|actual_current"
+    r"|observation\.effort)",
+    "tau_ext": r"(tau_ext\w*|external_torques?)",
+    "q_des": r"(q_d(es)?|q_cmd|q_ref|target_q|ref_pos\w*|action)",
+    "temperature": r"(temp|temps|temperature|temperatures|joint_temperatures?)",
+    "time": r"(t|time|times|timestamp|stamp|time_s|t_s|t_ns|time_ns|timestamp_ns|time_cont)",
+    "label": r"(label|labels|contact|contacts|collision|collisions|touch)",
+}
+
+
+@dataclass
+class Guess:
+    """Names found in a file; empty where nothing fits."""
+
+    columns: dict[str, str] = field(default_factory=dict)
+    topic: str = ""
+    joint_names: tuple[str, ...] = ()
+    """As the recording names them; empty where it counts them."""
+    count: int = 0
+    """Number of joints, as q has columns."""
+
+
+def guess(streams: Mapping[str, Sequence[str]]) -> Guess:
+    """What the columns of a source may be, by their names alone."""
+    found = Guess()
+    for stream, names in streams.items():
+        groups = _groups(names)
+        for signal, pattern in GUESSES.items():
+            fits = [g for g in groups if re.fullmatch(pattern, _bare(g), re.IGNORECASE)]
+            single = signal in ("time", "label")
+            fits = [g for g in fits if (groups[g] == 1) == single or (single and g in names)]
+            if fits and signal not in found.columns:
+                found.columns[signal] = min(fits, key=len)
+                if signal == "q":
+                    found.topic, found.count = stream, groups[fits[0]]
+        base = found.columns.get("q", "")
+        elements = [n.removeprefix(f"{base}[")[:-1] for n in names if base and n.startswith(f"{base}[")]
+        if elements and not all(e.isdigit() for e in elements):
+            found.joint_names = tuple(elements)
+    return found
+
+
+def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics: Sequence[str] = ()) -> str:
+    """The text of an arm.toml with every key explained.
+
+    Args:
+        model: robot file as it shall be written.
+        joints: its joints.
+        topics: topics of the source, to choose from.
+    """
+    in_file = guessed.joint_names
+    count = len(in_file) or guessed.count
+    numbered = tuple(f"joint{k + 1}" for k in range(count or 2))
+    in_both = tuple(joint for joint in joints if joint in in_file)
+    used = in_both or (tuple(joints[:count]) if count else tuple(joints)) or in_file or numbered
+    in_file = in_both or in_file
+    differ = bool(in_file) and tuple(in_file) != used
+    columns = guessed.columns
+    topic = guessed.topic if len(topics) > 1 else ""
+    topic_line = f"topic = {json.dumps(topic)}" if topic else '# topic = "/joint_states"'
+    dq = columns.get("dq", "")
+    values = {
+        "MODEL": json.dumps(model),
+        "JOINTS": json.dumps(list(used)),
+        "NAMES": f"names = {json.dumps(list(in_file))}" if differ else '# names = ["Base", "Shoulder"]',
+        "TIME": json.dumps(columns.get("time", "")),
+        "TIME_UNIT": json.dumps("ns" if columns.get("time", "").endswith("_ns") else "s"),
+        "TOPIC": topic_line,
+        "TOPICS": f" The file holds {', '.join(topics)}." if topic else "",
+        "Q": json.dumps(columns.get("q", "position")),
+        "Q_UNIT": json.dumps("deg" if "deg" in columns.get("q", "") else "rad"),
+        "DQ": json.dumps(dq),
+        "DQ_UNIT": json.dumps("deg/s" if "deg" in dq else "rad/s"),
+        "TAU": json.dumps(columns.get("tau", "effort")),
+        "TAU_UNIT": json.dumps("A" if re.fullmatch(r"\w*current\w*|i", _bare(columns.get("tau", ""))) else "Nm"),
+        "LABEL": json.dumps(columns.get("label", "")),
+    }
+    values["CONSTANT"] = ("" if values["TAU_UNIT"] == '"A"' else "# ") + 'torque_constant = "unknown"'
+    optional = ""
+    for signal, text in OPTIONAL.items():
+        lines = text.replace("@COLUMNS@", json.dumps(columns.get(signal, signal)))
+        lines = lines.replace('"rad"', '"deg"') if "deg" in columns.get(signal, "") else lines
+        optional += lines if signal in columns else re.sub(r"(?m)^(?=[\[a-z])", "# ", lines)
+    text = TEMPLATE.replace("@OPTIONAL@", optional)
+    for key, value in values.items():
+        text = text.replace(f"@{key}@", value)
+    return text
+
+
+def _groups(names: Sequence[str]) -> dict[str, int]:
+    """Names that differ in one number or element only: their pattern, and how many there are; others by themselves."""
+    groups: dict[str, list[int]] = {}
+    for name in names:
+        if match := re.fullmatch(r"(.+)\[[^\]]*\]", name):
+            groups.setdefault(match[1], []).append(0)
+        elif match := re.fullmatch(r"(.*?\D)(\d+)(\D*)", name):
+            groups.setdefault(f"{match[1]}{{#}}{match[3]}", []).append(int(match[2]))
+        else:
+            groups.setdefault(name, []).append(0)
+    spelled: dict[str, int] = {}
+    for pattern, numbers in groups.items():
+        key = "index" if min(numbers) == 0 else "number"
+        spelled[pattern.replace("{#}", f"{{{key}}}")] = len(numbers)
+    return spelled
+
+
+def _bare(pattern: str) -> str:
+    """The pattern's last part without its counter: what a person calls the signal."""
+    name = re.sub(r"_?\{\w+\}_?", "", pattern)
+    return name if name.startswith(("observation.", "action")) else re.split(r"[./]", name)[-1]
+
+
+OPTIONAL = {
+    "q_des": """
+# Commanded position. Optional; keys as of q.
+[signals.q_des]
+columns = @COLUMNS@
+unit = "rad"
+""",
+    "tau_ext": """
+# External torque as the robot itself estimates it, to compare with; positive where the environment pushes the joint in
+# its positive direction (sign = -1 turns it). Optional.
+[signals.tau_ext]
+columns = @COLUMNS@
+unit = "Nm"
+""",
+    "temperature": """
+# Motor temperature, degC. Optional.
+[signals.temperature]
+columns = @COLUMNS@
+""",
+}
+
+TEMPLATE = """\
+# arm.toml: what tauext must know of a robot and of its recordings.
+# A list has one entry a joint, in the order of [robot] joints; one number instead stands for all joints.
+# Keys that are not known are refused. Lines that begin with # are comments or keys left at their default.
+
+[robot]
+# URDF or MJCF file, relative to this file. "": there is no model; train with --case none.
+model = @MODEL@
+# Joints in use, as the robot file names them, from the base on. All others are held at the file's rest position.
+joints = @JOINTS@
+# The same joints as the recording names them, where it names them otherwise.
+@NAMES@
+# Motor turns a joint turn. Used for signals of side = "motor" and for the rotor inertia.
+# gear_ratio = 1
+# Inertia of motor, rotor and whatever turns with it, before the gear, kg m^2; times gear_ratio squared it is the
+# joint's. It replaces what the robot file says; left out, the file's holds.
+# rotor_inertia_kg_m2 = 0.0001
+# Acceleration of free fall in the robot's base frame, for an arm that does not stand upright. Left out: the file's.
+# gravity_m_s2 = [0, 0, -9.81]
+
+# What the arm carries and the robot file does not know: a tool, a gripper, a sensor.
+# [payload]
+# link = "tool0"              # of the robot file
+# mass_kg = 0.0
+# com_m = [0, 0, 0]           # centre of mass in that link's frame
+# inertia_kg_m2 = [0, 0, 0, 0, 0, 0]  # about the centre of mass: xx, yy, zz, xy, xz, yz
+
+[time]
+# Column of the sample times. "" for bags and LeRobot folders, which bring stamps, or where rate_hz says it all.
+column = @TIME@
+# s, ms, us or ns.
+unit = @TIME_UNIT@
+# Nominal rate of the recordings, Hz. 0: as measured (the median step of the first recording).
+rate_hz = 0
+# Rows whose measured values all equal the row before, for at most 0.1 s, repeat one measurement: drop or keep them.
+repeats = "drop"
+
+# Signals. columns is an array whose elements are the joints ("position"), a pattern with {joint} (name in the
+# recording), {index} (from 0) or {number} (from 1), or a list of names. Every signal has:
+#   topic: of a bag, where several are read; signals of several topics are merged by their stamps.@TOPICS@
+#   unit, and sign: 1 or -1, -1 where the recording counts against the robot file.
+#   side: "joint", or "motor" where it is measured before the gear (then gear_ratio applies).
+
+[signals.q]
+# Joint position, rad or deg.
+columns = @Q@
+@TOPIC@
+unit = @Q_UNIT@
+side = "joint"
+sign = 1
+# Added after all else, in the unit above: where the recording's zero is not the robot file's.
+# offset = 0
+
+[signals.dq]
+# Joint velocity, rad/s, deg/s or rpm. columns = "": derived from the position, through a first-order low-pass.
+columns = @DQ@
+@TOPIC@
+unit = @DQ_UNIT@
+side = "joint"
+sign = 1
+# Cut-off of that low-pass, Hz; 0: none. Without effect on a measured velocity.
+low_pass_hz = 20
+
+[signals.tau]
+# Motor torque with friction not subtracted, or motor current: Nm, mNm, kNm, A or mA.
+# Positive where the motor drives the joint in its positive direction.
+columns = @TAU@
+@TOPIC@
+unit = @TAU_UNIT@
+side = "joint"
+sign = 1
+# For currents: Nm/A, at the motor where side = "motor", else at the joint; "unknown": it is to be fitted.
+@CONSTANT@
+# instant: measured at its stamp. held: commanded, acts from its stamp to the next. averaged: over the step before.
+timing = "instant"
+@OPTIONAL@
+[contact]
+# Column that says whether the arm is touched. "": there is none.
+column = @LABEL@
+# Its topic, where several are read.
+# topic = "/touch"
+# Values that mean contact and free; all others mean unknown.
+contact_values = [1]
+free_values = [0]
+# Contacts are cut out of training, validation, test and calibration, with this much before and after, s.
+before_s = 0.5
+after_s = 1.0
+# Where there is no label: contacts by file, in s after its first sample.
+# [contact.intervals]
+# "run2.bag" = [[40.7, 41.0]]
+
+# Which recording serves for what, by file name, or a part of it in s after its first sample: "run2.bag[0:40]".
+# Left out: recordings with contacts are for collisions, the others are split whole (6 or more) or each by time.
+# [split]
+# train = ["run1.bag"]
+# validation = []             # none: the last 20 % of each training recording
+# test = ["run2.bag[0:40]"]
+# collisions = ["run2.bag[40:]"]
+# calibration = []            # free motion for the limits alone
+# gap_s = 2.0                 # between two parts of one recording
+"""

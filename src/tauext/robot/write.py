@@ -1,0 +1,183 @@
+"""Write the robot file of a dataset: the arm's own, with payload, rotor inertia and gravity where they were given."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+
+from tauext.errors import RobotError
+
+NO_MODEL_MASS_KG = 1e-9
+"""Of each link of a placeholder: small enough to weigh nothing, since a link that moves must have a mass."""
+
+
+@dataclass(frozen=True)
+class Payload:
+    """What a link carries, rigidly."""
+
+    link: str
+    mass_kg: float
+    com_m: Sequence[float]
+    """In the link's frame."""
+    inertia_kg_m2: Sequence[float]
+    """About its centre of mass along the link's axes: xx, yy, zz, xy, xz, yz."""
+
+
+def write_robot(
+    source: Path,
+    folder: Path,
+    rotor_inertia: Mapping[str, tuple[float, float]],
+    payload: Payload | None = None,
+    gravity: Sequence[float] | None = None,
+) -> Path:
+    """Copy a URDF or MJCF into a folder as robot.urdf or robot.xml, with what was given put in; returns its path.
+
+    Without anything to put in a URDF is copied byte for byte. An MJCF is written anew as MuJoCo sees it, without shapes
+    and meshes, whose files would be missing.
+
+    Args:
+        rotor_inertia: joint: motor inertia [kg m^2] and gear ratio; it replaces what the file says of that joint.
+        gravity: acceleration of free fall in the base frame, [m/s^2].
+
+    Raises:
+        RobotError: the file cannot be read, or has no such joint or link.
+    """
+    try:
+        root = ElementTree.parse(source).getroot()
+        if root.tag == "robot":
+            if not (rotor_inertia or payload or gravity):
+                return _write(folder / "robot.urdf", source.read_bytes())
+            _change_urdf(root, source, rotor_inertia, payload, gravity)
+            ElementTree.indent(root)
+            return _write(folder / "robot.urdf", ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+        return _write(folder / "robot.xml", _changed_mjcf(source, rotor_inertia, payload, gravity).encode())
+    except FileNotFoundError as error:
+        raise RobotError(f"{source}: no such file; a robot is a URDF or MJCF file") from error
+    except ElementTree.ParseError as error:
+        raise RobotError(f"{source}: not readable as XML: {error}") from error
+    except (OSError, ValueError, mujoco.FatalError) as error:
+        raise RobotError(f"{source}: cannot be read: {' '.join(str(error).split())}") from error
+
+
+def write_placeholder(joints: Sequence[str], folder: Path) -> Path:
+    """A robot.urdf for an arm without a model: a chain of these joints whose links weigh nothing; returns its path.
+
+    It gives momentum and gravity of zero, to rounding; what it says of axes and lengths is made up.
+    """
+    root = ElementTree.Element("robot", name="no_model")
+    root.append(ElementTree.Comment(" no model was given: axes and lengths are made up, masses nil "))
+    ElementTree.SubElement(root, "link", name="base")
+    parent = "base"
+    for joint in joints:
+        link = ElementTree.SubElement(root, "link", name=f"{joint}_link")
+        _inertial(link, (0, 0, 0), NO_MODEL_MASS_KG, (NO_MODEL_MASS_KG,) * 3 + (0, 0, 0))
+        element = ElementTree.SubElement(root, "joint", name=joint, type="continuous")
+        ElementTree.SubElement(element, "parent", link=parent)
+        ElementTree.SubElement(element, "child", link=f"{joint}_link")
+        ElementTree.SubElement(element, "axis", xyz="0 0 1")
+        parent = f"{joint}_link"
+    ElementTree.indent(root)
+    return _write(folder / "robot.urdf", ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _change_urdf(
+    root: ElementTree.Element,
+    source: Path,
+    rotor_inertia: Mapping[str, tuple[float, float]],
+    payload: Payload | None,
+    gravity: Sequence[float] | None,
+) -> None:
+    joints = [joint.get("name", "") for joint in root.findall("joint")]
+    for joint, (inertia, gear) in rotor_inertia.items():
+        _require(source, "joint", joint, joints)
+        for transmission in root.findall("transmission"):
+            if [j.get("name") for j in transmission.findall("joint")] == [joint]:
+                for actuator in transmission.findall("actuator"):
+                    for old in [c for c in actuator if c.tag.rpartition("}")[2] == "rotor_inertia"]:
+                        actuator.remove(old)
+        transmission = ElementTree.SubElement(root, "transmission", name=f"tauext_{joint}")
+        ElementTree.SubElement(transmission, "joint", name=joint)
+        actuator = ElementTree.SubElement(transmission, "actuator", name=f"tauext_{joint}")
+        ElementTree.SubElement(actuator, "rotor_inertia").text = repr(inertia)
+        ElementTree.SubElement(actuator, "gear_ratio").text = repr(gear)
+    if payload:
+        _require(source, "link", payload.link, [link.get("name", "") for link in root.findall("link")])
+        carried = ElementTree.SubElement(root, "link", name="tauext_payload")
+        _inertial(carried, payload.com_m, payload.mass_kg, payload.inertia_kg_m2)
+        joint = ElementTree.SubElement(root, "joint", name="tauext_payload", type="fixed")
+        ElementTree.SubElement(joint, "parent", link=payload.link)
+        ElementTree.SubElement(joint, "child", link="tauext_payload")
+    if gravity:
+        extension = root.find("mujoco")
+        extension = ElementTree.SubElement(root, "mujoco") if extension is None else extension
+        option = extension.find("option")
+        option = ElementTree.SubElement(extension, "option") if option is None else option
+        option.set("gravity", " ".join(map(repr, gravity)))
+
+
+def _inertial(link: ElementTree.Element, com: Sequence[float], mass: float, inertia: Sequence[float]) -> None:
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "origin", xyz=" ".join(map(repr, com)), rpy="0 0 0")
+    ElementTree.SubElement(inertial, "mass", value=repr(mass))
+    xx, yy, zz, xy, xz, yz = map(repr, inertia)
+    ElementTree.SubElement(inertial, "inertia", ixx=xx, iyy=yy, izz=zz, ixy=xy, ixz=xz, iyz=yz)
+
+
+def _changed_mjcf(
+    source: Path,
+    rotor_inertia: Mapping[str, tuple[float, float]],
+    payload: Payload | None,
+    gravity: Sequence[float] | None,
+) -> str:
+    spec = mujoco.MjSpec.from_file(str(source))
+    model = spec.compile()
+    for body in spec.bodies[1:]:  # a mass that came from shapes must outlive them
+        row = model.body(body.name).id if body.name else body.id
+        body.mass, body.ipos, body.iquat = model.body_mass[row], model.body_ipos[row], model.body_iquat[row]
+        body.inertia, body.fullinertia = model.body_inertia[row], [float("nan")] + [0.0] * 5
+        body.explicitinertial = True
+    for shapes in (spec.pairs, spec.excludes, spec.sensors, spec.geoms, spec.skins, spec.meshes, spec.hfields):
+        for shape in list(shapes):
+            spec.delete(shape)
+    for looks in (spec.materials, spec.textures):
+        for look in list(looks):
+            spec.delete(look)
+    joints = {joint.name: joint for joint in spec.joints}
+    for name, (inertia, gear) in rotor_inertia.items():
+        _require(source, "joint", name, list(joints))
+        joints[name].armature = inertia * gear**2
+        for actuator in spec.actuators:
+            if actuator.target == name:
+                actuator.armature = 0.0
+    if payload:
+        bodies = {body.name: body for body in spec.bodies}
+        _require(source, "link", payload.link, list(bodies))
+        xx, yy, zz, xy, xz, yz = payload.inertia_kg_m2
+        carried = bodies[payload.link].add_body(name="tauext_payload", mass=payload.mass_kg, ipos=list(payload.com_m))
+        carried.fullinertia = [xx, yy, zz, xy, xz, yz]
+        carried.explicitinertial = True
+    if gravity:
+        spec.option.gravity = list(gravity)
+    spec.compiler.boundmass = spec.compiler.boundinertia = 1e-15  # a point mass has no inertia
+    spec.compile()
+    return spec.to_xml()
+
+
+def _require(source: Path, kind: str, name: str, there: list[str]) -> None:
+    if name not in there:
+        near = difflib.get_close_matches(name, there, 3, 0.3)
+        hint = f"near to it: {', '.join(near)}" if near else f"its {kind}s are {', '.join(there)}"
+        raise RobotError(f"{source}: no {kind} {name!r}; {hint}")
+
+
+def _write(path: Path, content: bytes) -> Path:
+    part = path.with_name(path.name + ".part")
+    part.write_bytes(content)
+    os.replace(part, path)
+    return path

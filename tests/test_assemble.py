@@ -1,0 +1,333 @@
+"""Raw signals and a description to a recording: what is converted, merged, dropped and kept, and that it says so."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_bags import JOINTS, joint_rows, motion, write_bag
+
+from tauext.data import assemble as assembling
+from tauext.data import description
+from tauext.data.assemble import assemble
+from tauext.data.description_file import parse_arm
+from tauext.data.description_template import Guess, guess, template
+from tauext.data.importers import RawSignals, Source, open_source
+from tauext.data.merge import interpolated
+from tauext.data.stamps import fresh, ordered
+from tauext.data.velocity import derived_velocity
+from tauext.errors import ConfigError, RecordingError
+
+ARM = """
+[robot]
+joints = ["a", "b"]
+gear_ratio = [100, -50]
+{robot}
+[time]
+{time}
+[signals.q]
+columns = "q"
+{q}
+[signals.dq]
+columns = "dq"
+{dq}
+[signals.tau]
+columns = "tau"
+{tau}
+{rest}
+"""
+
+
+def arm(robot="", time="", q="", dq="", tau="", rest=""):
+    return parse_arm(ARM.format(robot=robot, time=time, q=q, dq=dq, tau=tau, rest=rest))
+
+
+def a_source(t_ns, *, block: int = 100, **arrays) -> Source:
+    """Arrays (samples, joints) or (samples,) as the blocks of a source."""
+    columns = {}
+    for name, values in arrays.items():
+        values = np.asarray(values, float)
+        columns |= {name: values} if values.ndim == 1 else {f"{name}[{k}]": v for k, v in enumerate(values.T)}
+
+    def blocks():
+        for first in range(0, len(t_ns), block):
+            rows = slice(first, first + block)
+            yield RawSignals("", tuple(columns), t_ns[rows], np.column_stack(list(columns.values()))[rows])
+
+    return Source("run", Path("run.csv"), "test", blocks)
+
+
+def one(source, description):
+    (recording,) = assemble(source, description)
+    return recording
+
+
+def test_si_units_pass_unchanged():
+    t_ns, q, dq, tau = motion(joints=2)
+    recording = one(a_source(t_ns, q=q, dq=dq, tau=tau), arm())
+    for name, values in (("t_ns", t_ns), ("q", q), ("dq", dq), ("tau", tau)):
+        np.testing.assert_array_equal(getattr(recording, name), values)
+    assert recording.rate_hz == 100 and recording.provenance["done"] == []
+
+
+def test_units_signs_sides_and_offsets_are_applied_and_said():
+    t_ns, q, dq, tau = motion(joints=2)
+    gear, sign, offset_deg = np.array([100, -50]), np.array([1, -1]), np.array([0, 90])
+    raw_q = np.rad2deg(q) - offset_deg  # motor encoder in degrees, joint 2 counted the other way
+    source = a_source(t_ns, q=raw_q * gear * sign, dq=dq * 30 / np.pi, tau=tau / gear / 0.05 * 1e3)
+    described = arm(
+        q='unit = "deg"\nside = "motor"\nsign = [1, -1]\noffset = [0, 90]',
+        dq='unit = "rpm"',
+        tau='unit = "mA"\nside = "motor"\ntorque_constant = 0.05',
+    )
+    recording = one(source, described)
+    for name, values in (("q", q), ("dq", dq), ("tau", tau)):
+        np.testing.assert_allclose(getattr(recording, name), values, rtol=1e-12, atol=1e-12)
+    assert recording.provenance["done"] == [
+        "q: from deg, divided by gear ratio, sign turned of b, offset 0, 90 deg added",
+        "dq: from rpm",
+        "tau: from mA, times 0.05, 0.05 Nm/A, times gear ratio",
+    ]
+
+
+def test_an_unknown_torque_constant_leaves_amperes_and_says_so():
+    t_ns, q, dq, tau = motion(joints=2)
+    recording = one(a_source(t_ns, q=q, dq=dq, tau=tau), arm(tau='unit = "A"\ntorque_constant = "unknown"'))
+    np.testing.assert_array_equal(recording.tau, tau)
+    assert recording.provenance["torque"] == "amperes: the torque constant is unknown"
+
+
+def test_late_packets_repeats_and_gaps_are_handled_and_counted():
+    t_ns, q, dq, tau = motion(600, joints=2)
+    rows = list(range(600))
+    rows[50], rows[51] = 51, 50  # out of order
+    rows.insert(200, 199)  # the same packet twice
+    rows = [k for k in rows if not 300 <= k < 310]  # a gap
+    again = [k - 1 if k in (400, 420) else k for k in rows]  # stale values under a new stamp
+    source = a_source(t_ns[rows], q=q[again], dq=dq[again], tau=tau[again])
+    recording = one(source, arm())
+    kept = [k for k in range(600) if not 300 <= k < 310 and k not in (400, 420)]
+    np.testing.assert_array_equal(recording.t_ns, t_ns[kept])
+    np.testing.assert_array_equal(recording.tau, tau[kept])
+    assert recording.provenance["counts"] == {
+        "samples out of order, sorted by their stamps": 1,
+        "samples dropped: stamp and values repeat the sample before": 1,
+        "repeated samples dropped: all values equal the sample before": 2,
+        "gaps: steps of more than 1.5 median steps": 3,
+    }
+    assert recording.provenance["longest_step_s"] == pytest.approx(0.11)
+    kept_all = one(source, arm(time='repeats = "keep"'))
+    assert kept_all.samples == 590
+    assert "2 repeated samples kept: all values equal the sample before" in kept_all.provenance["done"]
+
+
+def test_an_arm_at_rest_is_no_repeated_sample():
+    values = np.zeros((50, 3))
+    values[:20] = np.arange(20)[:, None]
+    counts: Counter[str] = Counter()
+    assert fresh(np.arange(50) * 10**7, values, True, counts).all()
+    assert +counts == {"samples that stay the same for more than 0.1 s kept: at rest, or stuck": 29}
+
+
+def test_missing_values_are_dropped_and_counted():
+    t_ns, q, dq, tau = motion(joints=2)
+    tau[7, 1] = np.nan
+    recording = one(a_source(t_ns, q=q, dq=dq, tau=tau), arm())
+    assert recording.samples == 399
+    assert recording.provenance["counts"]["samples dropped: a value is missing or not finite"] == 1
+
+
+def test_sorting_agrees_with_a_slow_twin():
+    rng = np.random.default_rng(0)
+    t_ns = rng.integers(0, 60, 200)
+    values = rng.integers(0, 3, (200, 2)).astype(float)
+    first: dict[int, np.ndarray] = {}
+    for t, row in zip(t_ns, values, strict=True):
+        first.setdefault(int(t), row)
+    times, sorted_values = ordered(t_ns, values, Counter())
+    assert times.tolist() == sorted(first)
+    np.testing.assert_array_equal(sorted_values, [first[t] for t in sorted(first)])
+
+
+def test_a_long_source_becomes_pieces_that_join_without_a_seam(monkeypatch):
+    monkeypatch.setattr(assembling, "PIECE_S", 1.0)
+    monkeypatch.setattr(assembling, "LATE_S", 0.05)
+    t_ns, q, dq, tau = motion(1000, joints=2)
+    order = np.arange(1000)
+    order[98:102] = order[98:102][::-1]  # packets out of order across the seam
+    source = a_source(t_ns[order], block=7, q=q[order], dq=dq[order], tau=tau[order])
+    pieces = list(assemble(source, arm()))
+    assert 8 <= len(pieces) <= 10 and [p.name for p in pieces[:2]] == ["run-00", "run-01"]
+    np.testing.assert_array_equal(np.concatenate([p.t_ns for p in pieces]), t_ns)
+    np.testing.assert_array_equal(np.concatenate([p.tau for p in pieces]), tau)
+    assert pieces[3].provenance["start_s"] == pytest.approx((pieces[3].t_ns[0] - t_ns[0]) * 1e-9)
+    assert sum(p.provenance["counts"].get("samples out of order, sorted by their stamps", 0) for p in pieces) >= 2
+
+
+def test_topics_are_merged_onto_the_torques_stamps(tmp_path):
+    # Position at 100 Hz, torque on a topic of its own, 3 ms later; linear signals are interpolated without error.
+    line = np.arange(400)[:, None] * 0.01 + np.arange(3)
+    t_ns = motion()[0]
+    states = [(t, int(t), JOINTS, q, q, []) for t, q in zip(t_ns, line, strict=True)]
+    torques = [
+        (t, int(t) + 3_000_000, JOINTS[::-1], [], [], tau[::-1].copy()) for t, tau in zip(t_ns, 2 * line, strict=True)
+    ]
+    path = write_bag(tmp_path / "run", "sqlite3", {"/states": states, "/torques": torques})
+    described = parse_arm(
+        f"""
+        [robot]
+        joints = {list(JOINTS)}
+        [signals.q]
+        columns = "position"
+        topic = "/states"
+        [signals.dq]
+        columns = "velocity"
+        topic = "/states"
+        [signals.tau]
+        columns = "effort"
+        topic = "/torques"
+        """
+    )
+    recording = one(*open_source(path, described.topics), described)
+    np.testing.assert_array_equal(recording.t_ns, t_ns[:-1] + 3_000_000)  # the last has no position after it
+    np.testing.assert_allclose(recording.q, line[:-1] + 0.003, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(recording.tau, 2 * line[:-1])
+    assert (
+        recording.provenance["done"][-1]
+        == "/states brought to the stamps of /torques (the torque's), linear in between"
+    )
+
+
+def test_nothing_is_interpolated_across_a_gap():
+    times = np.array([0, 10, 20, 30, 90, 100], np.int64)
+    values, known = interpolated(np.array([-5, 5, 40, 90, 95, 101]), (times, times[:, None] * 2.0), Counter(), "q")
+    assert known.tolist() == [False, True, False, True, True, False]
+    np.testing.assert_array_equal(values[known, 0], [10, 180, 190])
+
+
+def test_a_derived_velocity_is_the_low_pass_of_a_ramps_slope():
+    # For a ramp from rest the filter's step response holds at every sample: v (1 - e^(-2 pi f t)).
+    t_ns = np.cumsum(np.random.default_rng(0).integers(8_000_000, 12_000_000, 300))
+    time_s = (t_ns - t_ns[0])[:, None] * 1e-9
+    begin = time_s[20]
+    q = np.where(time_s > begin, 3.0 * (time_s - begin), 0.0)
+    dq = derived_velocity(t_ns, q, 5.0)
+    expected = np.where(time_s > begin, 3.0 * (1 - np.exp(-2 * np.pi * 5.0 * (time_s - begin))), 0.0)
+    np.testing.assert_allclose(dq, expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(derived_velocity(t_ns, 3 * time_s, 0.0), 3.0, rtol=1e-9)
+
+
+def test_a_velocity_that_is_not_recorded_is_derived_and_said():
+    t_ns, q, _, tau = motion(joints=2)
+    described = parse_arm('[robot]\njoints = ["a", "b"]\n[signals.q]\ncolumns = "q"\n[signals.tau]\ncolumns = "tau"')
+    recording = one(a_source(t_ns, q=q, tau=tau), described)
+    np.testing.assert_array_equal(recording.dq, derived_velocity(t_ns, q, 20.0))
+    assert recording.provenance["done"] == ["velocity derived from the position, low-pass 20 Hz"]
+
+
+def test_labels_and_intervals_become_contact():
+    t_ns, q, dq, tau = motion(joints=2)
+    label = np.r_[np.zeros(100), np.full(100, 2.0), np.full(200, 7.0)]
+    rest = '[contact]\ncolumn = "label"\ncontact_values = [2, 3]\n[contact.intervals]\n"run.csv" = [[3.5, 3.6]]'
+    contact = one(a_source(t_ns, q=q, dq=dq, tau=tau, label=label), arm(rest=rest)).contact
+    np.testing.assert_array_equal(contact, np.r_[[0] * 100, [1] * 100, [-1] * 150, [1] * 11, [-1] * 39])
+    rest = '[contact.intervals]\n"run.csv" = [[1, 2]]\n"other.csv" = [[0, 1]]'
+    assert one(a_source(t_ns, q=q, dq=dq, tau=tau), arm(rest=rest)).contact.sum() == 101
+    assert one(a_source(t_ns, q=q, dq=dq, tau=tau), arm()).contact is None
+
+
+def test_a_source_without_a_clock_needs_a_column_of_times_or_a_rate():
+    t_ns, q, dq, tau = motion(joints=2)
+    source = a_source(t_ns, q=q, dq=dq, tau=tau, t=(t_ns - t_ns[0]) * 1e-6)
+    clockless = Source(
+        "run", Path("run.csv"), "test", lambda: (dataclasses.replace(b, t_ns=None) for b in source.blocks())
+    )
+    with pytest.raises(RecordingError, match="it has no clock: name its column of times"):
+        one(clockless, arm())
+    by_column = one(clockless, arm(time='column = "t"\nunit = "ms"'))
+    by_rate = one(clockless, arm(time="rate_hz = 100"))
+    np.testing.assert_array_equal(by_column.t_ns, t_ns - t_ns[0])
+    np.testing.assert_array_equal(by_rate.t_ns, t_ns - t_ns[0])
+
+
+MISTAKES = {
+    "unknown key": (
+        dict(tau="torque_const = 1"),
+        "unknown key 'torque_const' in .signals.tau.; the nearest known is 'tor",
+    ),
+    "unknown table": (dict(rest="[contcat]"), "unknown key 'contcat' at the top; the nearest known is 'contact'"),
+    "unit": (dict(q='unit = "degrees"'), r"\[signals.q\] unit = 'degrees' must be one of rad, deg"),
+    "sign": (dict(tau="sign = 2"), r"\[signals.tau\] sign = .* must be 1 or -1"),
+    "count": (dict(tau="sign = [1, 1, 1]"), r"sign = \[1.0, 1.0, 1.0\] must be as many as joints, 2"),
+    "type": (dict(time='rate_hz = "fast"'), r"\[time\] rate_hz = 'fast' must be a number"),
+    "choice": (dict(tau='timing = "later"'), "timing = 'later' must be one of held, instant, averaged"),
+    "current": (dict(tau='unit = "A"'), 'torque_constant = .* must be Nm/A, one a joint, or "unknown"'),
+    "constant": (dict(tau="torque_constant = 1"), "torque_constant = .* must be left out, since the unit is Nm"),
+    "names": (dict(robot='names = ["x", "x"]'), r"\[robot\] names = .* must be names that differ"),
+    "interval": (dict(rest='[contact.intervals]\n"a.bag" = [[2, 1]]'), r"must be \[t0, t1\], t0 < t1"),
+    "payload": (dict(rest="[payload]\nmass_kg = 1.0"), "model = '' must be a robot file, where there is a payload"),
+    "toml": (dict(rest="[["), "not readable as TOML"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_wrong_description_is_refused_by_key_value_and_rule(mistake):
+    entries, message = MISTAKES[mistake]
+    with pytest.raises(ConfigError, match=message):
+        arm(**entries)
+
+
+def test_columns_that_are_not_there_are_named_with_what_is_near():
+    t_ns, q, dq, tau = motion(joints=2)
+    source = a_source(t_ns, q=q, qd=dq, torque=tau)
+    with pytest.raises(ConfigError, match=r"\[signals.dq\] 'dq' is not in run.csv; near to it: .*derives the velocity"):
+        one(source, arm())
+    source = a_source(t_ns, q=np.c_[q, q], dq=dq, tau=tau)
+    with pytest.raises(ConfigError, match=r"its elements are 0, 1, 2, 3; \[robot\] names .* by \"q\[{index}\]\""):
+        one(source, arm())
+
+
+def test_joint_names_choose_columns_whatever_their_order(tmp_path):
+    path = write_bag(tmp_path / "run", "ros1", {"/joint_states": joint_rows()})
+    described = parse_arm(
+        '[robot]\njoints = ["j3", "j1"]\nnames = ["tip", "base"]\n[signals.q]\ncolumns = "position"\n'
+        '[signals.tau]\ncolumns = "effort[{joint}]"'
+    )
+    recording = one(*open_source(path), described)
+    np.testing.assert_array_equal(recording.q, motion()[1][:, [2, 0]])
+    np.testing.assert_array_equal(recording.tau, motion()[3][:, [2, 0]])
+
+
+def test_the_template_explains_every_key_and_is_itself_a_description():
+    text = template(Guess())
+    tables = (v for v in vars(description).values() if dataclasses.is_dataclass(v) and v.__name__.endswith("Table"))
+    for table in tables:
+        for key in dataclasses.fields(table):
+            assert re.search(rf"^(# )?\[?(\w+\.)?{key.name}\b", text, re.MULTILINE), f"{table.__name__}.{key.name}"
+    assert parse_arm(text).robot.joints == ("joint1", "joint2")
+    uncommented = re.sub(r"(?m)^# (?=(\[|[a-z_0-9]+ = |\"run2))", "", text)
+    with_all = parse_arm(uncommented.replace('unit = "Nm"', 'unit = "A"', 1))
+    assert with_all.split.gap_s == 2.0 and set(with_all.signals) == set(description.KEYS)
+
+
+def test_the_template_guesses_names_of_columns():
+    names = [f"{base}{k}" for base in ("tau_J", "q", "dq", "q_d", "tau_ext") for k in range(7)]
+    found = guess({"": [*names, "time", "label"]})
+    assert found.columns == {
+        "q": "q{index}",
+        "dq": "dq{index}",
+        "tau": "tau_J{index}",
+        "tau_ext": "tau_ext{index}",
+        "q_des": "q_d{index}",
+        "time": "time",
+        "label": "label",
+    }
+    states = [f"{a}[{j}]" for a in ("position", "effort") for j in JOINTS]
+    text = template(guess({"/joint_states": states}), "arm.urdf", ("j1", "j2", "j3", "finger"))
+    described = parse_arm(text)
+    assert described.robot.joints == ("j1", "j2", "j3") and described.names == JOINTS
+    assert not described.signals["dq"].columns

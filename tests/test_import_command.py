@@ -1,0 +1,275 @@
+"""`tauext import`: from files and a description to a dataset folder that training takes."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from made_bags import joint_rows, motion, write_bag
+from trees import planar_rig, random_states, six_axis, urdf
+
+from tauext.cli import main
+from tauext.data import load, load_split
+from tauext.data.dataset_plan import SourceFacts, plan
+from tauext.data.description_file import parse_arm
+from tauext.data.importers import open_source
+from tauext.data.parts import free_stretches
+from tauext.errors import ConfigError, RobotError
+from tauext.robot import Payload, movable_joints, write_placeholder, write_robot
+from tauext.robot import load as load_robot
+
+ARM = """
+[robot]
+model = "arm.urdf"
+joints = ["shoulder", "elbow"]
+names = ["base", "tip"]
+{robot}
+[signals.q]
+columns = "position"
+[signals.dq]
+columns = "velocity"
+[signals.tau]
+columns = "effort"
+{rest}
+"""
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory):
+    """Three bags of 20, 30 and 40 s."""
+    folder = tmp_path_factory.mktemp("bags")
+    for k, name in enumerate(("one", "two", "three")):
+        write_bag(folder / name, "ros1", {"/joint_states": joint_rows(("tip", "base"), 1000 * (k + 2))})
+    return folder
+
+
+@pytest.fixture
+def workplace(tmp_path, bags):
+    """A folder with a robot file and the bags."""
+    (tmp_path / "arm.urdf").write_text(urdf(planar_rig()))
+    for bag in bags.iterdir():
+        (tmp_path / bag.name).symlink_to(bag)
+    return tmp_path
+
+
+def run(capsys, workplace, rest: str = "", robot: str = "", sources=("one", "two", "three"), extra=()):
+    (workplace / "arm.toml").write_text(ARM.format(rest=rest, robot=robot))
+    files = [str(workplace / f"{name}.bag") for name in sources]
+    capsys.readouterr()
+    code = main(
+        ["import", "--source", *files, "--arm", str(workplace / "arm.toml"), "--out", str(workplace / "out"), *extra]
+    )
+    return code, *capsys.readouterr()
+
+
+def spans(workplace) -> dict[str, list[tuple[str, float, float]]]:
+    """Part: source, first and last time of each of its recordings, [s]."""
+    found: dict = {}
+    split = load_split(workplace / "out")
+    for part in ("train", "validation", "test", "collisions"):
+        for name in getattr(split, part):
+            t_ns = load(workplace / "out" / name).t_ns - motion(1)[0][0]
+            source = load(workplace / "out" / name).source.split(".")[0]
+            found.setdefault(part, []).append((source, round(t_ns[0] * 1e-9, 3), round(t_ns[-1] * 1e-9, 3)))
+    return found
+
+
+def test_few_sources_are_each_split_by_time_with_a_gap_and_that_is_said(workplace, capsys):
+    code, out, _ = run(capsys, workplace)
+    assert code == 0 and out.splitlines()[-1] == str(workplace / "out")
+    assert (
+        "3 sources without contact: each split by time (train 70%, validation 15%, test 15%) with a gap of 2 s" in out
+    )
+    found = spans(workplace)
+    assert [found[part][-1] for part in ("train", "validation", "test")] == [
+        ("three", 0.0, 26.99),
+        ("three", 29.0, 32.99),
+        ("three", 35.0, 39.99),
+    ]
+    assert "too short to be split by time, whole in train: one" in out and found["train"][0] == ("one", 0.0, 19.99)
+    recording = load(workplace / "out/three-train.parquet")
+    np.testing.assert_array_equal(recording.q[:, 1], motion(2700, joints=2)[1][:, 0])  # tip is elbow, sent first
+    assert not (workplace / "out/three.parquet").exists()
+    assert json.loads((workplace / "out/run.json").read_text())["settings"]["sources"] == [
+        "one.bag",
+        "two.bag",
+        "three.bag",
+    ]
+
+
+def test_listed_stretches_are_taken_and_validation_is_held_back(workplace, capsys):
+    code, out, _ = run(
+        capsys, workplace, '[split]\ntrain = ["one.bag"]\ntest = ["two.bag[0:15]"]\ncollisions = ["two.bag[15:]"]'
+    )
+    assert code == 0 and "no validation listed: the last 20% of each training recording" in out
+    assert "in no set: three" in out
+    found = spans(workplace)
+    assert found["train"] == [("one", 0.0, 14.99)] and found["validation"] == [("one", 17.0, 19.99)]
+    assert found["test"] == [("two", 0.0, 14.99)] and found["collisions"] == [("two", 15.0, 29.99)]
+
+
+def test_recordings_with_contacts_go_whole_to_collisions(workplace, capsys):
+    code, out, _ = run(capsys, workplace, '[contact.intervals]\n"two.bag" = [[5, 6]]')
+    assert code == 0 and "collisions: two.parquet" in out
+    assert {source for part in ("train", "validation", "test") for source, *_ in spans(workplace)[part]} == {
+        "one",
+        "three",
+    }
+
+
+def test_contacts_are_cut_out_of_training_where_it_is_listed(workplace, capsys):
+    rest = '[split]\ntrain = ["two.bag"]\nvalidation = ["one.bag"]\ntest = ["three.bag"]\n[contact]\nafter_s = 2\n'
+    assert run(capsys, workplace, rest + '[contact.intervals]\n"two.bag" = [[5, 6]]')[0] == 0
+    assert spans(workplace)["train"] == [("two", 0.0, 4.49), ("two", 8.01, 29.99)]
+    assert all((load(p).contact == 0).all() for p in (workplace / "out").glob("two-free-*.parquet"))
+
+
+def test_where_every_source_has_contacts_the_end_is_kept_whole_for_collisions(workplace, capsys):
+    rest = '[contact.intervals]\n"three.bag" = [[2, 2.5], [35, 35.5]]'
+    assert run(capsys, workplace, rest, sources=["three"])[0] == 0
+    found = spans(workplace)
+    assert found["collisions"] == [("three", 31.0, 39.99)]
+    assert found["train"] == [("three", 3.51, 22.99)]  # 1.5 s before the touch are too short
+    assert found["test"] == [("three", 31.0, 34.49), ("three", 36.51, 39.99)]
+
+
+def test_training_takes_what_an_import_wrote(workplace, capsys):
+    assert run(capsys, workplace)[0] == 0
+    bundle = workplace / "prior.tauext"
+    assert main(["train", "--data", str(workplace / "out"), "--recipe", "prior", "--out", str(bundle)]) == 0
+    assert bundle.exists()
+
+
+def test_payload_rotor_inertia_and_gravity_reach_the_robot_file(workplace, capsys):
+    robot = "rotor_inertia_kg_m2 = [1e-4, 2e-4]\ngear_ratio = [100, 50]\ngravity_m_s2 = [9.81, 0, 0]"
+    rest = '[payload]\nlink = "elbow_link"\nmass_kg = 1.5\ncom_m = [0.1, 0, 0]'
+    code, out, _ = run(capsys, workplace, rest, robot)
+    assert (
+        code == 0 and "rotor inertia at the joint, kg m^2: 1, 0.5" in out and "payload of 1.5 kg at elbow_link" in out
+    )
+    before, after = load_robot(workplace / "arm.urdf"), load_robot(workplace / "out/robot.urdf")
+    assert after.gravity == [9.81, 0, 0]
+    assert [link.rotor_inertia for link in after.links] == pytest.approx([1.0, 0.5])
+    assert after.links[1].mass == pytest.approx(before.links[1].mass + 1.5)
+
+
+@pytest.mark.parametrize("kind", ["urdf", "mjcf"])
+def test_a_payload_weighs_what_a_point_mass_does(tmp_path, kind):
+    # Potential energy of a point mass at the flange: its gravity torque is -m g dz/dq, by differences of its height.
+    path = tmp_path / "arm.urdf"
+    path.write_text(urdf(six_axis()))
+    link = "joint6_link"
+    if kind == "mjcf":
+        import mujoco
+
+        path = tmp_path / "arm.xml"
+        mujoco.MjModel.from_xml_path(str(tmp_path / "arm.urdf"))
+        mujoco.mj_saveLastXML(str(path), mujoco.MjModel.from_xml_path(str(tmp_path / "arm.urdf")))
+    heavy = write_robot(path, _folder(tmp_path), {}, Payload(link, 2.0, (0.1, 0.2, 0.3), (0,) * 6))
+    q, _ = random_states(6, 20, seed=0)
+    still = np.zeros_like(q)
+    extra = load_robot(heavy).momentum(q, still)[1] - load_robot(path).momentum(q, still)[1]
+    import mujoco
+
+    spec = mujoco.MjSpec.from_file(str(path))
+    next(b for b in spec.bodies if b.name == link).add_site(name="load", pos=[0.1, 0.2, 0.3])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+
+    def height(at):
+        data.qpos[:] = at
+        mujoco.mj_kinematics(model, data)
+        return data.site("load").xpos[2]
+
+    step = 1e-6
+    slope = [[(height(at + step * e) - height(at - step * e)) / (2 * step) for e in np.eye(6)] for at in q]
+    np.testing.assert_allclose(extra, 2.0 * 9.81 * np.array(slope), rtol=0, atol=1e-7)
+
+
+def _folder(tmp_path):
+    folder = tmp_path / "dataset"
+    folder.mkdir()
+    return folder
+
+
+def test_a_robot_file_without_changes_is_copied_and_a_wrong_name_refused(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(urdf(six_axis()))
+    folder = _folder(tmp_path)
+    assert write_robot(path, folder, {}).read_bytes() == path.read_bytes()
+    with pytest.raises(RobotError, match="no link 'tool'; "):
+        write_robot(path, folder, {}, Payload("tool", 1.0, (0, 0, 0), (0,) * 6))
+    with pytest.raises(RobotError, match="no joint 'joint9'; near to it: joint"):
+        write_robot(path, folder, {"joint9": (1.0, 1.0)})
+
+
+def test_a_placeholder_has_no_momentum_and_no_weight(tmp_path):
+    tree = load_robot(write_placeholder(("a", "b", "c"), tmp_path))
+    assert movable_joints(tmp_path / "robot.urdf") == ["a", "b", "c"]
+    q, dq = random_states(3, 20, seed=0)
+    momentum, bias = tree.momentum(q, dq)
+    assert np.abs(momentum).max() < 1e-7 and np.abs(bias).max() < 1e-7
+
+
+def test_an_import_that_fails_leaves_nothing_and_a_full_folder_is_refused(workplace, capsys):
+    code, _, err = run(capsys, workplace, '[split]\ntrain = ["four.bag"]')
+    assert code == 2 and "'four.bag' is none of the sources: one.bag, two.bag, three.bag" in err
+    assert not [p for p in workplace.iterdir() if p.name.startswith("out")]
+    (workplace / "out").mkdir()
+    assert run(capsys, workplace)[0] == 0
+    code, _, err = run(capsys, workplace)
+    assert code == 2 and "is not empty" in err
+
+
+def test_new_writes_a_description_that_imports_as_it_is(workplace, capsys):
+    new = workplace / "new.toml"
+    arguments = ["--source", str(workplace / "one.bag"), "--robot", str(workplace / "arm.urdf")]
+    assert main(["import", "--new", str(new), *arguments]) == 0
+    assert 'model = "arm.urdf"' in new.read_text() and 'names = ["tip", "base"]' in new.read_text()
+    assert main(["import", "--new", str(new), *arguments]) == 2  # nothing is overwritten
+    out = str(workplace / "out")
+    assert main(["import", "--source", str(workplace / "three.bag"), "--arm", str(new), "--out", out]) == 0
+    capsys.readouterr()
+    assert main(["import", "--source", out]) == 2 and "--arm is missing" in capsys.readouterr().err
+
+
+def test_a_lerobot_folder_gives_the_recordings_back(workplace, capsys):
+    assert run(capsys, workplace, extra=["--format", "lerobot"])[0] == 0
+    sources = open_source(workplace / "out")
+    assert [source.name for source in sources] == ["out-episode-000", "out-episode-001", "out-episode-002"]
+    (block,) = sources[1].blocks()
+    t_ns, q, _, tau = motion(3000, joints=2)
+    np.testing.assert_array_equal(block.t_ns, t_ns)
+    columns = dict(zip(block.names, block.columns.T, strict=True))
+    np.testing.assert_array_equal(columns["observation.state[elbow]"], q[:, 0])
+    np.testing.assert_array_equal(columns["observation.effort[shoulder]"], tau[:, 1])
+    info = json.loads((workplace / "out/meta/info.json").read_text())
+    assert info["codebase_version"] == "v3.0" and info["fps"] == 100 and info["total_frames"] == 9000
+
+
+def test_plans_follow_the_number_of_sources():
+    described = parse_arm('[robot]\njoints = ["a"]\n[signals.q]\ncolumns = "q"\n[signals.tau]\ncolumns = "tau"')
+    many = {f"run{k}": SourceFacts(60.0, k >= 8) for k in range(10)}
+    claims, said = plan(described, many, {})
+    assert {c.part: sum(o.part == c.part for o in claims) for c in claims} == {
+        "collisions": 2, "train": 6, "validation": 1, "test": 1,
+    }  # fmt: skip
+    assert said[0] == "8 sources without contact, split as whole recordings"
+    with pytest.raises(ConfigError, match="run: 8.0 s are too short to be split by time into parts"):
+        plan(described, {"run": SourceFacts(8.0, False)}, {})
+
+
+def test_one_stretch_in_two_sets_is_refused():
+    described = parse_arm(
+        '[robot]\njoints = ["a"]\n[signals.q]\ncolumns = "q"\n[signals.tau]\ncolumns = "tau"\n'
+        '[split]\ntrain = ["run.csv[:30]"]\ntest = ["run.csv[20:]"]'
+    )
+    with pytest.raises(ConfigError, match=r"share a stretch of run \(run\[20:\], run\[0:23\]\)"):
+        plan(described, {"run": SourceFacts(60.0, False)}, {"run.csv": ["run"]})
+
+
+def test_a_recording_without_contacts_is_its_own_free_stretch(workplace, capsys):
+    run(capsys, workplace)
+    recording = load(workplace / "out/two-train.parquet")
+    assert free_stretches(recording, 0.5, 1.0, 2.0) == [recording]

@@ -16,6 +16,7 @@ import sys
 from pathlib import Path
 
 HOURS = "--minutes 90 --collision-recordings 50 --calibration-hours 24.2 --test-hours 10"
+FEWER_HOURS = "--minutes 90 --collision-recordings 50 --calibration-hours 8.1 --test-hours 3.4"  # of other encoders
 CASES = ("exact", "mass", "com", "mass+com", "none")
 EVERY_METHOD = ("exact", "none")
 MINUTES = (2, 5, 10, 20, 45)
@@ -29,7 +30,7 @@ def steps(out: Path) -> list[tuple[Path, str]]:
     data = out / "data"
     found = [(data / "split.json", f"simulate --out {data} {HOURS}")]
     for case in CASES:
-        methods = "" if case in EVERY_METHOD else " --methods paper-lstm tauext"
+        methods = "" if case in EVERY_METHOD else " --methods prior"
         command = f"evaluate --data {data} --out {out / case} --baselines --case {case}{methods}"
         found.append((out / case / "results.json", command))
     for gain in GAINS:
@@ -53,8 +54,8 @@ def steps(out: Path) -> list[tuple[Path, str]]:
     found.append(evaluated(out / "short", out / "learning", curves))
     for bits in ENCODER_BITS:
         coarse = out / f"data-{bits}-bit"
-        found.append((coarse / "split.json", f"simulate --out {coarse} {HOURS} --encoder-bits {bits}"))
-        command = f"evaluate --data {coarse} --out {out / f'encoder-{bits}'} --baselines --methods prior"
+        found.append((coarse / "split.json", f"simulate --out {coarse} {FEWER_HOURS} --encoder-bits {bits}"))
+        command = f"evaluate --data {coarse} --out {out / f'encoder-{bits}'} --baselines --methods prior friction"
         found.append((out / f"encoder-{bits}" / "results.json", command))
     sticky, exact = out / "data-friction", out / "exact" / "bundles"
     hours = "--minutes 20 --collision-recordings 50 --test-hours 10 --friction 1.3"

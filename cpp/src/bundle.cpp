@@ -57,7 +57,6 @@ class Reader {
 
  private:
   std::span<const char> left_;
-  std::uint32_t major_;
 };
 
 template <class File, class T>

@@ -27,7 +27,7 @@ DESCRIPTION = (
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; 0 done, 1 check found a fault, 2 bad input (one line on stderr), 130 interrupted, 141 nobody reads."""
+    """Run one command; 0 done, 1 a fault (check), 2 bad input (one line on stderr), 130 interrupted, 141 no reader."""
     app = tyro.extras.SubcommandApp()
     for command in (reproduce, simulate, check, train, calibrate, evaluate, report, run, show):
         app.command(command)

@@ -15,7 +15,7 @@ from tauext.doctor.fit import columns_of, robust_solve, robust_spread
 from tauext.doctor.motion import Stretch
 from tauext.doctor.regressors import Rows, rows_of
 
-SEARCH_S = 120.0
+SEARCH_S = 60.0
 """Of motion, spread over all of it: the search fits dozens of arrangements."""
 GAIN = 1.0
 """Sum over joints of the logarithm of how much the error falls: two joints by 40 % each, say. Chance: hundredths."""

@@ -16,7 +16,7 @@ from tauext.doctor.contacts import contact_findings
 from tauext.doctor.delay import delay_findings, torque_lags
 from tauext.doctor.drift import drift_findings
 from tauext.doctor.effort import inverted, kind_findings, scale_findings, sign_findings, strong_joints
-from tauext.doctor.excitation import excitation_findings
+from tauext.doctor.excitation import SEARCH_S, excitation_findings, moving_s
 from tauext.doctor.finding import SEVERITIES, Finding
 from tauext.doctor.fit import LEAST_ROWS, JointFit, fit_joint
 from tauext.doctor.gravity import gravity_finding
@@ -124,9 +124,12 @@ def _torque(
     """Order, axes, sign, gravity, delay, kind and payload, friction over time: each on what the one before mended."""
     n = len(joints)
     rows = rows_of(motion, tree)
-    found, column = exchanged_efforts(rows, joints)
-    motion = [replace(s, tau=np.ascontiguousarray(s.tau[:, column])) for s in motion]
-    if tree is not None:
+    found: list[Finding] = []
+    long_enough = moving_s(motion) >= SEARCH_S
+    if long_enough:
+        found, column = exchanged_efforts(rows, joints)
+        motion = [replace(s, tau=np.ascontiguousarray(s.tau[:, column])) for s in motion]
+    if long_enough and tree is not None:
         arranged, motion = rearranged(motion, tree, joints)
         found += arranged
     rows = rows_of(motion, tree)
@@ -138,7 +141,7 @@ def _torque(
     rows = rows_of(motion, tree)
 
     lags = torque_lags(motion, rows)
-    late, lag_s = delay_findings(lags, joints, 1 / motion[0].rate_hz)
+    late, lag_s = delay_findings(lags, joints, 1 / motion[0].rate_hz) if long_enough else ([], 0.0)
     found += late
     if tree is not None:
         tilted, tree = gravity_finding(motion, tree, rows)
@@ -146,7 +149,7 @@ def _torque(
     rows = rows_of(motion, tree, lag_s)
     fits = [fit_joint(rows, j) for j in range(n)]
     if tree is not None:
-        scaled, tree = _scale(motion, tree, rows, fits, joints)
+        scaled, tree = _scale(motion, tree, rows, fits, joints, lag_s)
         found += scaled
         rows = rows_of(motion, tree, lag_s)
         fits = [fit_joint(rows, j) for j in range(n)]
@@ -154,7 +157,7 @@ def _torque(
 
 
 def _scale(
-    motion: list[Stretch], tree: _core.Tree, rows: Rows, fits: Sequence[JointFit], joints: Sequence[str]
+    motion: list[Stretch], tree: _core.Tree, rows: Rows, fits: Sequence[JointFit], joints: Sequence[str], lag_s: float
 ) -> tuple[list[Finding], _core.Tree]:
     """A payload where it explains the factors as well as they do themselves, else these; and the tree with it."""
     found, judged = kind_findings(rows, joints, fits, strong_joints(rows, fits))
@@ -165,11 +168,10 @@ def _scale(
     payload = payload_findings(load, joints, judged)
     if not payload:
         return factors, tree
-    explained = [j for j in judged if load.error_nm[j] < 1.5 * fits[j].error_nm]
-    rest = [finding for finding in factors if joints.index(finding.joint or "") not in explained]
-    if len(rest) >= len(factors) > 0:
-        return factors, tree
-    return payload + rest, loaded(tree, load)
+    tree_with, off = loaded(tree, load), [joints.index(finding.joint or "") for finding in factors]
+    then = rows_of(motion, tree_with, lag_s)
+    rest = scale_findings(joints, [fit_joint(then, j) for j in range(len(joints))], off)
+    return (factors, tree) if len(rest) >= len(factors) > 0 else (payload + rest, tree_with)
 
 
 def _facts(

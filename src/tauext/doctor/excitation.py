@@ -15,6 +15,8 @@ LEAST_RANGE_RAD = 0.2
 LEAST_SPEED_RAD_S = 0.1
 MOVING_RAD_S = 0.02
 LEAST_SHARE = 0.05
+SEARCH_S = 30.0
+"""Of motion, below which order, axes and delay of torque are not judged: of dozens of arrangements one will fit."""
 FRICTION_MIN, NETWORK_MIN = 1.0, 10.0
 """Minutes of motion: for a friction fit, five to ten reversals a joint at several speeds; for a network, see
 docs/method.md."""
@@ -34,10 +36,12 @@ def excitation_findings(recordings: Sequence[Recording], stretches: Sequence[Str
         seconds = np.concatenate([np.full(len(s.dq), 1 / s.rate_hz) for s in stretches])
         for j, joint in enumerate(joints):
             found += _joint(joint, float(ranges[j]), dq[:, j], seconds)
-        moving_min = float(seconds[(np.abs(dq) > MOVING_RAD_S).any(axis=1)].sum()) / 60
-    else:
-        moving_min = 0.0
-    return found + _length(moving_min, minutes)
+    return found + _length(moving_s(stretches) / 60, minutes)
+
+
+def moving_s(stretches: Sequence[Stretch]) -> float:
+    """Time in which some joint moves, [s]."""
+    return sum(float((np.abs(s.dq) > MOVING_RAD_S).any(axis=1).sum()) / s.rate_hz for s in stretches)
 
 
 def _joint(joint: str, travelled_rad: float, dq: np.ndarray, seconds: np.ndarray) -> list[Finding]:
@@ -65,4 +69,6 @@ def _length(moving_min: float, minutes: float) -> list[Finding]:
         f"a friction fit needs {FRICTION_MIN:g} minute of varied motion, a network {NETWORK_MIN:g}; limits promise at "
         f"most one false alarm in a third of the time they were found on, here {minutes / 3:.2g} minutes"
     )
+    if moving_min * 60 < SEARCH_S:
+        advice += f"; order, axes and delay of the torque were not judged: that needs {SEARCH_S:g} s of motion"
     return [Finding("too-short", "warning" if moving_min < FRICTION_MIN else "note", None, evidence, advice)]

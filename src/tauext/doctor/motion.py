@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -47,7 +48,12 @@ def low_pass(x: np.ndarray, cutoff_hz: float, rate_hz: float) -> np.ndarray:
     """Second-order Butterworth forwards and backwards over axis 0: no delay. Too high a cut-off: unchanged."""
     if cutoff_hz >= 0.45 * rate_hz:
         return x
-    return sosfiltfilt(butter(2, cutoff_hz, fs=rate_hz, output="sos"), x, axis=0)
+    return sosfiltfilt(_butterworth(cutoff_hz, rate_hz), x, axis=0)
+
+
+@cache
+def _butterworth(cutoff_hz: float, rate_hz: float) -> np.ndarray:
+    return butter(2, cutoff_hz, fs=rate_hz, output="sos")
 
 
 def stretches(recordings: Iterable[Recording]) -> list[Stretch]:

@@ -1,6 +1,6 @@
 """What the doctor finds: faults injected, faults named, false findings on good data.
 
-    python benchmarks/doctor.py [--minutes 2] [--good-minutes 11] [--arms six,seven,rig] [--data FILE ... --robot FILE]
+    python benchmarks/doctor.py [--minutes 1.2] [--good-minutes 12] [--arms six,seven,rig] [--data FILE --robot FILE]
 
 Every way of tests/doctor_faults.py to break recordings is tried on made motion of a six- and a seven-axis arm with
 known friction, and on recordings of the virtual rig. A finding beside the fault counts as other, unless it follows from
@@ -30,8 +30,8 @@ RATE_HZ = 100.0
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=2.0, help="of the data that are broken")
-    parser.add_argument("--good-minutes", type=float, default=11.0, help="long enough for no finding at all")
+    parser.add_argument("--minutes", type=float, default=1.2, help="of the data that are broken")
+    parser.add_argument("--good-minutes", type=float, default=12.0, help="long enough for no finding at all")
     parser.add_argument("--arms", default="six,seven,rig")
     parser.add_argument("--seeds", type=int, default=3, help="good data of so many seeds")
     parser.add_argument("--data", type=Path, nargs="*", default=[], help="real recordings, each checked alone")

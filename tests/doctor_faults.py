@@ -12,6 +12,7 @@ from made_motion import Made, made_motion
 
 from tauext import _core
 from tauext.data import Recording
+from tauext.data.recording import FLAGS, SIGNALS
 from tauext.doctor import Diagnosis, Finding
 from tauext.doctor.motion import low_pass
 from tauext.doctor.payload import with_load
@@ -120,7 +121,8 @@ def gapped(case: Case) -> Broken:
         keep = np.ones(r.samples, dtype=bool)
         for start in (r.samples // 3, r.samples // 2):
             keep[start : start + 50] = False
-        return {name: getattr(r, name)[keep] for name in ("t_ns", "q", "dq", "tau", "contact")}
+        held = [name for name in ("t_ns", *SIGNALS, *FLAGS) if getattr(r, name) is not None]
+        return {name: getattr(r, name)[keep] for name in held}
 
     return each(case, change)
 

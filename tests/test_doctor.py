@@ -139,6 +139,18 @@ def test_unreadable_robot_file_is_a_fault_and_the_signals_are_checked(six, tmp_p
     assert {"model-unusable", "velocity-sign"} <= codes
 
 
+def test_factors_that_a_load_explains_in_part_stay_factors(six):
+    """Currents of all joints, of which a lighter hand would explain one."""
+    recordings = [replace(r, tau=r.tau / np.linspace(14, 8, 6)) for r in six.made.recordings]
+    codes = {f.code for f in examine(recordings, six.urdf).findings}
+    assert codes == {"effort-scale", "too-short"}
+
+
+def test_joints_of_an_mjcf_are_taken_in_its_order_where_names_differ(rig):
+    recordings = [replace(r, joints=("a", "b")) for r in rig.made.recordings]
+    assert {f.code for f in examine(recordings, rig.urdf).findings} == {"joint-names", "too-short"}
+
+
 def test_command_writes_text_json_and_a_picture_a_joint(six, tmp_path, capsys):
     import json
 

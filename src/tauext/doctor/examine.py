@@ -159,7 +159,7 @@ def _torque(
 def _scale(
     motion: list[Stretch], tree: _core.Tree, rows: Rows, fits: Sequence[JointFit], joints: Sequence[str], lag_s: float
 ) -> tuple[list[Finding], _core.Tree]:
-    """A payload where it explains the factors as well as they do themselves, else these; and the tree with it."""
+    """A payload where it explains every factor, else the factors; and the tree with the payload."""
     found, judged = kind_findings(rows, joints, fits, strong_joints(rows, fits))
     factors = scale_findings(joints, fits, judged)
     if found or not judged:
@@ -171,7 +171,7 @@ def _scale(
     tree_with, off = loaded(tree, load), [joints.index(finding.joint or "") for finding in factors]
     then = rows_of(motion, tree_with, lag_s)
     rest = scale_findings(joints, [fit_joint(then, j) for j in range(len(joints))], off)
-    return (factors, tree) if len(rest) >= len(factors) > 0 else (payload + rest, tree_with)
+    return (factors, tree) if rest else (payload, tree_with)
 
 
 def _facts(

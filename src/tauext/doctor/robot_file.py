@@ -38,7 +38,7 @@ def open_robot(path: Path, joints: Sequence[str], gravity: Sequence[float] | Non
         raise RobotError(f"{path}: there is no such robot file; give a URDF or MJCF")
     root, names, found = read_xml(path), list(joints), []
     none = RobotFile(None, np.tile([-np.inf, np.inf], (len(joints), 1)), np.full(len(joints), np.inf), found)
-    known = moving_joints(root) if root is not None else names
+    known = moving_joints(root) if root is not None else _names(path, names)
     unknown = [name for name in names if name not in known]
     if unknown:
         told = f"{', '.join(unknown)} are not in {path.name}; its joints are {', '.join(known)}"
@@ -59,3 +59,11 @@ def open_robot(path: Path, joints: Sequence[str], gravity: Sequence[float] | Non
                 Finding("model-unusable", "fault", None, str(error), "mend the file, or check without --robot")
             )
         return none
+
+
+def _names(path: Path, otherwise: list[str]) -> list[str]:
+    """Joints of an MJCF file, or those asked for where it cannot be read: loading then says why."""
+    try:
+        return [link.joint_name for link in load(path).links]
+    except RobotError:
+        return otherwise

@@ -202,6 +202,7 @@ def test_calibrate_gives_a_bundle_the_limits_that_training_would_and_changes_not
 def test_calibrate_refuses_what_it_cannot_serve_in_words(dataset, tmp_path, capsys):
     path = tmp_path / "bundle.tauext"
     bundle = trained(dataset, path, recipe="observer")
+    capsys.readouterr()  # what training said of its limits
     assert calibrated(tmp_path / "gone.tauext", dataset, tmp_path / "b.tauext") == 2
     assert calibrated(path, dataset, tmp_path / "b.bundle") == 2
     assert calibrated(path, dataset, path) == 2

@@ -14,6 +14,7 @@ from tauext.calibrate.held_peaks import (
     hold_lengths,
     separate_peaks,
 )
+from tauext.config import FreeMotionConfig
 from tauext.errors import ConfigError, TrainingError
 
 
@@ -249,11 +250,15 @@ def test_without_hold_the_largest_peaks_are_the_papers_limits():
     assert all((held.nm[j][0][:1] < peaks.nm[j][0][:1]).all() for j in range(2))
 
 
-def test_recordings_with_contacts_or_without_a_healthy_sample_are_refused():
+def test_contacts_are_left_out_and_recordings_without_a_healthy_sample_refused():
     bundle = watching_bundle()
-    touched = pushed("touched", contact=np.arange(6000) // 5999)
-    with pytest.raises(TrainingError, match="touched: limits need free motion, and this recording holds contacts"):
-        collect_peaks(bundle, [touched], (0.0,), threads=1)
+    margins = FreeMotionConfig(before_s=0.5, after_s=0.25)
+    touched = pushed("touched", contact=(np.arange(6000) // 1000 == 3).astype(np.int8))
+    (whole,), (rest,) = (
+        collect_peaks(bundle, [one], (0.0,), threads=1, margins=margins) for one in (pushed("touched"), touched)
+    )
+    # A second of contact, half a second before it and a quarter after: of 6 s at 1 kHz.
+    assert (whole.hours - rest.hours) * 3600 == pytest.approx(1.75, abs=0.003)
     with pytest.raises(TrainingError, match="no recording is long enough to warm up in"):
         collect_peaks(bundle, [pushed("short", seconds=0.3, pushes=())], (0.0,), threads=1)
 

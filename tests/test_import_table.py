@@ -21,6 +21,8 @@ TABLE = {
     "learn": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
     "learn/torch_backend": ({"_core"}, {"numpy", "torch"}),
     "calibrate": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
+    "doctor": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
+    "doctor/picture": ({"report"}, {"numpy", "matplotlib"}),
     "evaluate": ({"_core", "robot", "data", "calibrate"}, {"numpy"}),
     "report": ({"data"}, {"numpy", "matplotlib", "jinja2"}),
     "monitor": ({"_core", "data"}, {"numpy"}),

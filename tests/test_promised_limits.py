@@ -74,9 +74,9 @@ def test_too_little_calibration_is_refused_and_says_how_much_more():
     assert "cannot be promised" in found.sentence() and "24 h in all" in found.sentence()
 
 
-def test_recordings_with_contacts_are_refused():
+def test_recordings_of_contacts_alone_are_refused():
     touched = noisy(1, contact=np.ones(60_000, dtype=np.int8))
-    with pytest.raises(TrainingError, match="need free motion"):
+    with pytest.raises(TrainingError, match="healthy free motion"):
         promised_limits(observer(), lambda: [touched], BUDGET, 1)
 
 

@@ -23,9 +23,10 @@ void PriorSettings::validate(int joints) const {
       expect(t.b >= 0 && t.b < probe.width_count(), m, "its presliding width does not exist");
     if (t.kind == TermKind::gravity || t.kind == TermKind::quadratic || t.kind == TermKind::momentum)
       expect(joint(t.b), m, "joint b does not exist");
-    if (t.kind == TermKind::quadratic) expect(joint(t.c), m, "joint c does not exist");
+    if (t.kind == TermKind::quadratic || (t.kind == TermKind::gravity && t.form >= 6))
+      expect(joint(t.c), m, "joint c does not exist");
     if (t.kind == TermKind::ripple) expect(t.b >= 1 && t.b <= kMaxCycles, m, "its cycles a turn are not 1 to 10000");
-    const int forms = t.kind == TermKind::gravity    ? 6
+    const int forms = t.kind == TermKind::gravity    ? 14
                       : t.kind == TermKind::momentum ? 3
                       : t.kind == TermKind::quadratic || t.kind == TermKind::ripple ? 2
                                                                                     : 1;
@@ -52,6 +53,11 @@ double term_value(const Term& t, std::span<const double> q, std::span<const doub
     case TermKind::load_presliding: return std::fabs(beta[t.a]) * presliding.value(t.a, t.b);
     case TermKind::ripple: return t.form == 0 ? std::sin(t.b * q[t.a]) : std::cos(t.b * q[t.a]);
     case TermKind::gravity: {
+      if (t.form >= 6) {
+        const int cosines = t.form - 6;
+        const auto part = [&](int bit, double angle) { return cosines & bit ? std::cos(angle) : std::sin(angle); };
+        return part(4, q[t.a]) * part(2, q[t.b]) * part(1, q[t.c]);
+      }
       const double first = t.form == 0 || t.form == 2 || t.form == 3 ? std::sin(q[t.a]) : std::cos(q[t.a]);
       if (t.form < 2) return first;
       return first * (t.form == 2 || t.form == 4 ? std::sin(q[t.b]) : std::cos(q[t.b]));

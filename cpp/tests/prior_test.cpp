@@ -77,7 +77,7 @@ PriorSettings of_every_kind(const std::vector<Link>& links, unsigned seed) {
       prior.terms.push_back({TermKind::ripple, j, 37, 0, form, 0});
       prior.terms.push_back({TermKind::quadratic, j, other, (j + 2) % n, form, 0});
     }
-    for (std::int32_t form = 0; form < 6; ++form) prior.terms.push_back({TermKind::gravity, j, other, 0, form, 0});
+    for (std::int32_t form = 0; form < 14; ++form) prior.terms.push_back({TermKind::gravity, j, other, (j + 2) % n, form, 0});
     for (std::int32_t form = 0; form < 3; ++form) prior.terms.push_back({TermKind::momentum, j, other, 0, form, 0});
   }
   std::mt19937 random(seed);
@@ -294,7 +294,7 @@ void invalid_settings_are_refused_by_name() {
     refused_term("prior term 3: joint a does not exist", {of, 2, 1, 0, 0, 0.1});
     refused_term("prior term 3: joint a does not exist", {of, -1, 1, 0, 0, 0.1});
     refused_term("prior term 3: its form does not exist", {of, 0, 1, 0, -1, 0.1});
-    const std::int32_t forms = of == TermKind::gravity ? 6 : of == TermKind::momentum ? 3
+    const std::int32_t forms = of == TermKind::gravity ? 14 : of == TermKind::momentum ? 3
                                : of == TermKind::quadratic || of == TermKind::ripple  ? 2
                                                                                       : 1;
     refused_term("prior term 3: its form does not exist", {of, 0, 1, 0, forms, 0.1});
@@ -311,8 +311,8 @@ void invalid_settings_are_refused_by_name() {
     refused_term("prior term 3: joint c does not exist", {TermKind::quadratic, 0, 0, joint, 0, 0});
   for (std::int32_t cycles : {-1, 0, 10001})
     refused_term("prior term 3: its cycles a turn are not 1 to 10000", {TermKind::ripple, 0, cycles, 0, 0, 0});
-  refused_after("prior.weights has 91 values where 92 belong", [](PriorSettings& p) { p.weights.pop_back(); });
-  refused_after("prior.weights has 92 values where 0 belong", [](PriorSettings& p) { p.terms.clear(); });
+  refused_after("prior.weights has 123 values where 124 belong", [](PriorSettings& p) { p.weights.pop_back(); });
+  refused_after("prior.weights has 124 values where 0 belong", [](PriorSettings& p) { p.terms.clear(); });
   refused_after("prior.weights holds a value that is not finite", [](PriorSettings& p) { p.weights[7] = NAN; });
   refused_after("prior.weights holds a value that is not finite", [](PriorSettings& p) { p.weights[7] = -INFINITY; });
   refused_after("the prior's corrected model has 1 links where 2 belong",

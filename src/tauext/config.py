@@ -23,7 +23,7 @@ Recipe = Literal[
     "energy",
 ]
 Backend = Literal["core", "torch"]
-Limits = Literal["auto", "promised", "paper"]
+Limits = Literal["auto", "promised", "supported", "paper"]
 
 
 @dataclass(frozen=True)
@@ -82,6 +82,20 @@ class ObserverConfig:
 
 
 @dataclass(frozen=True)
+class FreeMotionConfig:
+    """What is left out of recordings that hold contacts, which are used for what lies between."""
+
+    before_s: float = 0.2
+    """So long before a labelled contact is no free motion: labels come late, [s]."""
+    after_s: float = 1.0
+    """And so long after it: filters and windows must forget it, [s]."""
+
+    def __post_init__(self) -> None:
+        for name in ("before_s", "after_s"):
+            require(0 <= getattr(self, name) <= 60, name, getattr(self, name), "0 to 60")
+
+
+@dataclass(frozen=True)
 class AlarmConfig:
     """From a joint over its limit to an alarm, and how often a false one may come."""
 
@@ -95,6 +109,9 @@ class AlarmConfig:
     """And so many false contacts an hour, which fall back by themselves."""
     holds_s: tuple[float, ...] = (0.0, 0.002, 0.005, 0.01, 0.02)
     """Hold times of the collision to choose from, [s]; a longer one allows lower limits."""
+    friction_reserve: float = 0.2
+    """Without calibration recordings: limits are raised by this share of each joint's friction, since minutes of one
+    day do not show how it changes with temperature and time."""
     collision_hold_s: float = 0.01
     """Without calibration recordings: a joint must stay over its collision limit for so long, [s]."""
     contact_hold_s: float = 0.0
@@ -106,6 +123,7 @@ class AlarmConfig:
     def __post_init__(self) -> None:
         for name in ("collision_hold_s", "contact_hold_s", "contact_release_s"):
             require(0 <= getattr(self, name) <= 60, name, getattr(self, name), "0 to 60")
+        require(0 <= self.friction_reserve <= 1, "friction_reserve", self.friction_reserve, "0 to 1")
         for name in ("false_alarms", "in_hours", "contacts_an_hour"):
             require(0 < getattr(self, name) < math.inf, name, getattr(self, name), "> 0")
         require(0.5 <= self.confidence < 1, "confidence", self.confidence, "0.5 to below 1")
@@ -129,8 +147,9 @@ class PriorConfig:
     """Leave out widths that an encoder cannot resolve or that do not help on recordings left out of the fit."""
     region_width_rad: float = 0.003
     """A joint that has slid on by about this is sliding, and near stiction before, [rad]: the limit's region."""
-    coulomb_speeds_rad_s: tuple[float, ...] = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4)
-    """Smoothings of the sign of the speed, [rad/s]."""
+    coulomb_speeds_rad_s: tuple[float, ...] = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4, 1.5)
+    """Smoothings of the sign of the speed, [rad/s]; the widest bends the viscous friction, which grows less than the
+    speed."""
     most_ripples: int = 2
     """Ripples of motor and gear that are searched for in each joint; 0: none."""
     correct_model: bool = True
@@ -196,6 +215,20 @@ class FilterConfig:
 
 
 @dataclass(frozen=True)
+class EventsConfig:
+    """How alarms are held against labels that nobody vouches for."""
+
+    shortest_event_s: float = 0.0
+    """Labelled events shorter than this, [s], are left out: neither an event nor free time."""
+    tolerance_s: float = 0.1
+    """An alarm so long before an event's label or after it counts for the event, and is no false alarm, [s]."""
+
+    def __post_init__(self) -> None:
+        for name in ("shortest_event_s", "tolerance_s"):
+            require(0 <= getattr(self, name) <= 60, name, getattr(self, name), "0 to 60")
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """What is trained, how, and for how long. None: the recipe's own value."""
 
@@ -232,9 +265,13 @@ class TrainConfig:
     """Threads of the gradient, 0: one a core. The result does not depend on it."""
     observer: ObserverConfig = field(default_factory=ObserverConfig)
     limits: Limits = "auto"
-    """promised: from the false alarms that alarm allows, on the dataset's calibration recordings. paper: the largest
-    errors on its validation recordings. auto: promised where there are calibration recordings, but for the recipes
-    paper and dense."""
+    """promised: from the false alarms that alarm allows, on the dataset's calibration recordings. supported: for the
+    fewest that its validation recordings support, and what a fit says of training motion that was left out of it.
+    paper: the largest errors on its validation recordings. auto: paper for the recipes paper and dense; else promised
+    where there are calibration recordings and supported where there are none."""
+    fit_torque_constants: bool = False
+    """The recordings' tau is motor current or another multiple of torque: find one constant a joint from the model."""
+    margins: FreeMotionConfig = field(default_factory=FreeMotionConfig)
     alarm: AlarmConfig = field(default_factory=AlarmConfig)
     prior: PriorConfig = field(default_factory=PriorConfig)
     drift: DriftConfig = field(default_factory=DriftConfig)

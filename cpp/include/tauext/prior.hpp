@@ -23,7 +23,8 @@ enum class TermKind : std::uint8_t {
   load,        // |beta_a| tanh(dq_a / speed): friction that grows with the load on the gear
   load_presliding,  // |beta_a| times the state of joint a for width b
   ripple,      // of motor and gear, b cycles a turn: form 0 sin(b q_a), 1 cos(b q_a)
-  gravity,     // form 0 sin a, 1 cos a, 2 sin a sin b, 3 sin a cos b, 4 cos a sin b, 5 cos a cos b
+  gravity,     // form 0 sin a, 1 cos a, 2 sin a sin b, 3 sin a cos b, 4 cos a sin b, 5 cos a cos b;
+               // 6 to 13: a product of three, form - 6 = 4 [cos a] + 2 [cos b] + [cos c], sin where that is 0
   quadratic,   // dq_a dq_b times form 0 sin c, 1 cos c
   momentum,    // dq_a times form 0 1, 1 cos b, 2 sin b
 };

@@ -1,18 +1,23 @@
 """Limits, and the claims they support."""
 
-from tauext.calibrate.limits import Limits, paper_limits, set_limits
+from tauext.calibrate.judged import Judged
+from tauext.calibrate.limits import Limits, at_rest_sentence, paper_limits, raise_limits, set_limits, usual_speed_rad_s
 from tauext.calibrate.promise import FalseAlarmBudget, Promise, is_consistent, rate_interval
 from tauext.calibrate.promised_limits import PromisedLimits, apply_promised, promised_limits
 
 __all__ = [
     "FalseAlarmBudget",
+    "Judged",
     "Limits",
     "Promise",
     "PromisedLimits",
     "apply_promised",
+    "at_rest_sentence",
     "is_consistent",
     "paper_limits",
     "promised_limits",
+    "raise_limits",
     "rate_interval",
     "set_limits",
+    "usual_speed_rad_s",
 ]

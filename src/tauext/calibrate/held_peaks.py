@@ -23,6 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext import _core
+from tauext.calibrate.judged import Judged, errors
+from tauext.config import FreeMotionConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
 
@@ -201,13 +203,16 @@ class PeakCollector:
 
 def collect_peaks(
     bundle: _core.Bundle,
-    recordings: Iterable[Recording],
+    recordings: Iterable[Recording | Judged],
     holds_s: Sequence[float],
     threads: int,
     gap_s: float = GAP_S,
     keep: int = KEEP,
+    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
 ) -> tuple[Peaks, ...]:
     """Run the bundle on recordings of free motion; the peaks for each hold time, in their order.
+
+    Contacts and what is near them are left out.
 
     Recordings are taken one at a time, and the next few are estimated while the peaks of one are picked: a generator
     that loads them needs the memory of AT_A_TIME and two more. They must fit the bundle, and be none that it was
@@ -217,11 +222,11 @@ def collect_peaks(
         threads: of the estimates, 0: one a core. The result does not depend on it.
 
     Raises:
-        TrainingError: a recording with contacts, or none with a healthy sample.
+        TrainingError: no recording with a healthy sample of free motion.
         ConfigError: as PeakCollector.
     """
     collectors = [PeakCollector([link.joint_name for link in bundle.links], hold, gap_s, keep) for hold in holds_s]
-    for samples in _errors(bundle, recordings, threads or os.cpu_count() or 1):
+    for samples in _errors(bundle, recordings, threads or os.cpu_count() or 1, margins):
         for collector in collectors:
             collector.add(*samples)
     found = tuple(collector.peaks() for collector in collectors)
@@ -230,24 +235,16 @@ def collect_peaks(
     return found
 
 
-def _errors(bundle: _core.Bundle, recordings: Iterable[Recording], threads: int) -> Iterator[tuple[np.ndarray, ...]]:
+def _errors(
+    bundle: _core.Bundle, recordings: Iterable[Recording | Judged], threads: int, margins: FreeMotionConfig
+) -> Iterator[tuple[np.ndarray, ...]]:
     """What PeakCollector.add takes, for each recording in their order; up to AT_A_TIME are estimated at a time, since
     only the network's part of an estimate runs in several threads."""
     workers = min(threads, AT_A_TIME)
-
-    def errors(recording: Recording) -> tuple[np.ndarray, ...]:
-        signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-        said = _core.estimate(bundle, *signals, threads // workers)
-        # What the prior's doubt raises the limits by is no error that limits must stand.
-        error = np.maximum(np.abs(said["tau_ext"]) - said["doubt"], 0)
-        return recording.t_ns, error, said["near_stiction"], said["healthy"]
-
     with ThreadPoolExecutor(workers) as pool:
         coming: deque[Future] = deque()
         for recording in recordings:
-            if recording.contact is not None and (recording.contact == 1).any():
-                raise TrainingError(f"{recording.name}: limits need free motion, and this recording holds contacts")
-            coming.append(pool.submit(errors, recording))
+            coming.append(pool.submit(errors, bundle, recording, threads // workers, margins))
             if len(coming) > workers:
                 yield coming.popleft().result()
         while coming:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext import _core
-from tauext.config import AlarmConfig
-from tauext.data import Recording
+from tauext.calibrate.judged import Judged, errors
+from tauext.config import AlarmConfig, FreeMotionConfig
+from tauext.data import Recording, standing_joints
 from tauext.errors import TrainingError
 
 
@@ -19,36 +20,55 @@ class Limits:
 
     sliding_nm: np.ndarray  # (n,)
     near_stiction_nm: np.ndarray  # (n,), for |dq| below the bundle's near_stiction_rad_s
+    at_rest: tuple[str, ...] = ()
+    """Joints that stood still in every recording."""
 
 
-def paper_limits(bundle: _core.Bundle, recordings: Sequence[Recording], threads: int) -> Limits:
+def paper_limits(
+    bundle: _core.Bundle,
+    recordings: Sequence[Recording | Judged],
+    threads: int,
+    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
+) -> Limits:
     """Largest |tau_ext| of each joint on validation free motion, sliding and near stiction apart [Lim2021].
 
     Where a joint was never near stiction, or less wrong there, its near-stiction limit is the sliding one: a stuck
-    joint's friction is known no better than a moving one's.
+    joint's friction is known no better than a moving one's. A joint that never slid has in both regions the limit that
+    it has at rest: nothing is known of it in motion, and `warning` says so. Contacts, with margins, are left out.
 
     Raises:
-        TrainingError: a recording with contacts, or a joint that never slides after the warm-up.
+        TrainingError: no healthy sample of free motion, or a joint whose |tau_ext| is zero throughout.
     """
     n = bundle.joints
-    sliding, near = np.zeros(n), np.zeros(n)
+    sliding, near, samples = np.zeros(n), np.zeros(n), 0
     for recording in recordings:
-        if recording.contact is not None and (recording.contact == 1).any():
-            raise TrainingError(f"{recording.name}: limits need free motion, and this recording holds contacts")
-        estimate = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads)
-        healthy = estimate["healthy"].astype(bool)
-        # What the prior's doubt raises the limits by is no error that limits must stand.
-        error = np.maximum(np.abs(estimate["tau_ext"]) - estimate["doubt"], 0)[healthy]
-        stuck = estimate["near_stiction"][healthy].astype(bool)
+        _, error, stuck, counted = errors(bundle, recording, threads, margins)
+        error, stuck = error[counted], stuck[counted]
         sliding = np.maximum(sliding, np.where(stuck, 0, error).max(axis=0, initial=0))
         near = np.maximum(near, np.where(stuck, error, 0).max(axis=0, initial=0))
-    if (sliding == 0).any():
-        joint = bundle.links[int(np.argmin(sliding))].joint_name
+        samples += len(error)
+    if samples == 0:
         raise TrainingError(
-            f"joint '{joint}': it never moves faster than {bundle.near_stiction_rad_s:g} rad/s in the validation "
-            "recordings, so its limit cannot be found; record motion of every joint"
+            f"limits need free motion: of {len(recordings)} recordings none holds any that is longer than the warm-up "
+            f"and {margins.before_s:g} s before or {margins.after_s:g} s after every contact"
         )
-    return Limits(sliding, np.maximum(near, sliding))
+    names = [link.joint_name for link in bundle.links]
+    if (np.maximum(sliding, near) == 0).any():
+        name = names[int(np.argmin(np.maximum(sliding, near)))]
+        raise TrainingError(
+            f"joint '{name}': |tau_ext| is zero throughout the validation recordings, so its limit cannot be found; "
+            "is its torque recorded?"
+        )
+    stand = standing_joints([r.recording if isinstance(r, Judged) else r for r in recordings])
+    both = np.maximum(sliding, near)
+    sliding = np.where(stand | (sliding == 0), both, sliding)
+    return Limits(sliding, both, tuple(name for name, stands in zip(names, stand, strict=True) if stands))
+
+
+def at_rest_sentence(joints: Sequence[str], of: int) -> str:
+    """What limits of joints that stood still are worth, in words."""
+    which = "no joint moves" if len(joints) == of else f"{', '.join(joints)} stand{'s' * (len(joints) == 1)} still"
+    return f"limits at rest only: {which} in the recordings; in motion expect false alarms"
 
 
 def set_limits(bundle: _core.Bundle, limits: Limits, alarm: AlarmConfig) -> None:
@@ -58,3 +78,16 @@ def set_limits(bundle: _core.Bundle, limits: Limits, alarm: AlarmConfig) -> None
     bundle.hold_s = alarm.collision_hold_s
     bundle.contact_hold_s = alarm.contact_hold_s
     bundle.contact_release_s = alarm.contact_release_s
+
+
+def raise_limits(bundle: _core.Bundle, by_nm: np.ndarray) -> None:
+    """Raise every limit of a bundle, in both regions and of both alarms, by so much of each joint, (n,), [N m]."""
+    for kind in ("sliding", "near_stiction", "contact_sliding", "contact_near_stiction"):
+        name = f"{kind}_limit_nm"
+        setattr(bundle, name, (np.array(getattr(bundle, name)) + by_nm).tolist())
+
+
+def usual_speed_rad_s(recordings: Sequence[Recording | Judged]) -> np.ndarray:
+    """What a joint's speed stays below for 95 % of the recording where that is largest, (n,), [rad/s]."""
+    of = {id(r): r for r in (one.recording if isinstance(one, Judged) else one for one in recordings)}
+    return np.max([np.quantile(np.abs(recording.dq), 0.95, axis=0) for recording in of.values()], axis=0)

@@ -9,10 +9,11 @@ import numpy as np
 
 from tauext import _core
 from tauext.calibrate.held_peaks import REGIONS, Peaks, collect_peaks
+from tauext.calibrate.judged import Judged
 from tauext.calibrate.limits import Limits
 from tauext.calibrate.promise import FalseAlarmBudget, Promise, split
 from tauext.calibrate.tail import Tail, TooFewPeaks, fit_tail
-from tauext.config import AlarmConfig
+from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data import Recording
 
 HARD_PUSH = 3.0
@@ -62,9 +63,10 @@ class PromisedLimits:
 
 def promised_limits(
     bundle: _core.Bundle,
-    recordings: Callable[[], Iterable[Recording]],
+    recordings: Callable[[], Iterable[Recording | Judged]],
     alarm: AlarmConfig,
     threads: int,
+    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
 ) -> PromisedLimits:
     """Limits from the tail of the error on calibration recordings, which nothing was trained or validated on.
 
@@ -81,10 +83,10 @@ def promised_limits(
         recordings: loads them one at a time; called once.
 
     Raises:
-        TrainingError: recordings with contacts, or too few peaks to say anything.
+        TrainingError: no free motion, or too few peaks to say anything.
     """
     n = bundle.joints
-    found = collect_peaks(bundle, recordings(), alarm.holds_s, threads)
+    found = collect_peaks(bundle, recordings(), alarm.holds_s, threads, margins=margins)
     asked = FalseAlarmBudget(alarm.false_alarms, alarm.in_hours)
     promise = Promise(asked, found[0].hours, streams=n * len(REGIONS), confidence=alarm.confidence)
     budget = asked if promise.is_supported else promise.supported

@@ -8,6 +8,7 @@ import sys
 import tyro
 
 from tauext.cli.calibrate import calibrate
+from tauext.cli.check import check
 from tauext.cli.evaluate import evaluate
 from tauext.cli.import_data import import_data
 from tauext.cli.report import report
@@ -21,18 +22,19 @@ from tauext.errors import TauextError
 DESCRIPTION = (
     "External joint torque and collision detection for robot arms, from encoders and motor torque alone. "
     "simulate (or import: your own recordings) -> train -> evaluate -> report; reproduce does all four. "
+    "check: what recordings and robot file have wrong, before anyone trains. "
     "train -> run: the monitor on recordings. calibrate: other limits for a trained bundle."
 )
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; 0 done, 2 bad input (one line on stderr), 130 interrupted, 141 nobody reads stdout."""
+    """Run one command; 0 done, 1 a fault (check), 2 bad input (one line on stderr), 130 interrupted, 141 no reader."""
     app = tyro.extras.SubcommandApp()
-    for command in (reproduce, simulate, train, calibrate, evaluate, report, run, show):
+    for command in (reproduce, simulate, check, train, calibrate, evaluate, report, run, show):
         app.command(command)
     app.command(import_data, name="import")
     try:
-        app.cli(prog="tauext", description=DESCRIPTION, args=argv)
+        status = app.cli(prog="tauext", description=DESCRIPTION, args=argv)
     except TauextError as error:
         print(f"tauext: error: {error}", file=sys.stderr)
         return 2
@@ -43,4 +45,4 @@ def main(argv: list[str] | None = None) -> int:
     except BrokenPipeError:  # `tauext run --json | head`: nobody reads on, and Python must not flush what is left
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
-    return 0
+    return status if isinstance(status, int) else 0

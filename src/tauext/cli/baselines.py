@@ -66,7 +66,8 @@ def train_baselines(
             print(f"{name} is left out: {impossible}", file=sys.stderr)
             continue
         bundles[name] = folder / f"{name}.tauext"
-        config = TrainConfig(recipe=recipe, seed=seed, threads=threads, limits="promised" if calibration else "paper")
+        limits = "promised" if calibration else "supported"
+        config = TrainConfig(recipe=recipe, seed=seed, threads=threads, limits=limits)
         if not finished(bundles[name], case_name, config):
             missing[name] = config
     if missing:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from tauext.cli.dataset import Dataset
-from tauext.config import AlarmConfig
+from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -72,24 +72,31 @@ def calibrate(
 
 
 def calibrate_bundle(
-    bundle: Bundle, name: str, loaders: Sequence[Callable[[], Recording]], alarm: AlarmConfig, threads: int
+    bundle: Bundle,
+    name: str,
+    loaders: Sequence[Callable[[], Recording]],
+    alarm: AlarmConfig,
+    threads: int,
+    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
 ) -> tuple[PromisedLimits, dict]:
     """Put the limits into the bundle that the recordings support; what they promise, and the facts for its provenance.
 
     Raises:
         BundleError: a recording of another robot, rate or torque timing.
-        TrainingError: recordings with contacts, or too few peaks to say anything.
+        TrainingError: no free motion, or too few peaks to say anything.
     """
     from tauext.calibrate import apply_promised, promised_limits
     from tauext.cli.progress import ProgressBar
+    from tauext.data import scaled_torque, torque_constants_of
     from tauext.evaluate.estimating import expect_fit
 
+    constants = torque_constants_of(bundle.provenance)  # none yet while training, which scales by itself
     names: list[str] = []
     with ProgressBar(f"calibrate {name}") as bar:
 
         def load_all() -> Iterator[Recording]:
             for load in loaders:
-                recording = load()
+                recording = scaled_torque(load(), constants)
                 expect_fit(bundle, recording)
                 names.append(recording.name)
                 yield recording
@@ -97,7 +104,7 @@ def calibrate_bundle(
 
         # Limits that are to be replaced must not freeze the drift tracker while the new ones are found.
         freeze_share, bundle.drift.freeze_share = bundle.drift.freeze_share, 0.0
-        promised = promised_limits(bundle, load_all, alarm, threads)
+        promised = promised_limits(bundle, load_all, alarm, threads, margins)
         bundle.drift.freeze_share = freeze_share
     apply_promised(bundle, promised, alarm)
     return promised, promised.facts() | {"recordings": names}

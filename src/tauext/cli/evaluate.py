@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from tauext.cli.dataset import Dataset
 from tauext.cli.train import CaseName
+from tauext.config import EventsConfig
 from tauext.errors import ConfigError
 
 
@@ -21,6 +25,7 @@ def evaluate(
     seed: int = 0,
     threads: int = 0,
     keep_free_estimates: int = 20,
+    events: Annotated[EventsConfig, tyro.conf.arg(name="")] = EventsConfig(),  # noqa: B008
 ) -> None:
     """Errors and false alarms on test free motion, collisions found and delays, and the estimates behind them.
 
@@ -37,6 +42,7 @@ def evaluate(
         seed: of the baselines' training and of the choice of the ten collisions.
         threads: 0: one a core. The result does not depend on it.
         keep_free_estimates: write the estimates of so many test recordings of free motion, the first, for figures.
+        events: how alarms are held against labels.
     """
     for path in bundles:
         if not path.is_file():
@@ -56,7 +62,9 @@ def evaluate(
     if len(set(names)) < len(names):
         raise ConfigError(f"bundles must differ in their file names, not only in their folders: {', '.join(names)}")
     named = dict(zip(names, paths, strict=True))
-    evaluate_bundles(dataset, named, out, seed, threads, keep_free_estimates=keep_free_estimates, sanity=baselines)
+    evaluate_bundles(
+        dataset, named, out, seed, threads, keep_free_estimates=keep_free_estimates, sanity=baselines, events=events
+    )
     print(out / "results.json")
 
 
@@ -69,6 +77,7 @@ def evaluate_bundles(
     scale: str | None = None,
     keep_free_estimates: int = 20,
     sanity: bool = False,
+    events: EventsConfig = EventsConfig(),  # noqa: B008
 ) -> None:
     """Write results.json, estimates, run.json and wall times for bundles by the name of their case.
 
@@ -98,6 +107,8 @@ def evaluate_bundles(
             histories,
             keep_free_estimates,
             sanity,
+            events,
+            dataset.loaders("calibration") or dataset.loaders("validation") or dataset.loaders("train"),
         )
     run = provenance("tauext evaluate", {"bundles": list(bundles)}, seed)
     source = {"command": command_line(), "dataset": dataset.folder.name, "scale": scale}

@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -13,7 +14,7 @@ import tyro
 
 from tauext.cli.calibrate import NO_CALIBRATION, calibrate_bundle
 from tauext.cli.dataset import Dataset
-from tauext.config import PAPER_CASES, ModelCase, TrainConfig
+from tauext.config import PAPER_CASES, FreeMotionConfig, ModelCase, TrainConfig
 from tauext.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -44,6 +45,8 @@ def train(
     dataset = Dataset.open(data)
     training, validation = dataset.recordings("train"), dataset.recordings("validation")
     robot_file = dataset.robot_file(robot)
+    if not training:
+        raise ConfigError(f"{data}: split.json lists no training recording; one is enough")
     tree = estimated_model(robot_file, training[0], PAPER_CASES[case])
     calibration = dataset.loaders("calibration")
     train_bundle(tree, robot_file, PAPER_CASES[case], training, validation, config, out, calibration)
@@ -75,11 +78,13 @@ def train_bundle(
     """
     import os
 
-    from tauext.calibrate import paper_limits, set_limits
+    from tauext.calibrate import Judged, at_rest_sentence, paper_limits, set_limits
     from tauext.cli.progress import ProgressBar
     from tauext.cli.run_files import provenance, write_json
-    from tauext.data import total_s
+    from tauext.cli.train_limits import left_out_of_fit, set_supported_limits
+    from tauext.data import free_pieces, scaled_torque, standing_joints, total_s
     from tauext.learn import (
+        PriorFit,
         Progress,
         apply_gate,
         build_chain,
@@ -87,71 +92,125 @@ def train_bundle(
         find_scaling,
         fit_friction,
         fit_prior,
+        fit_torque_constants,
         freeze_drift,
         make_bundle,
+        reference_recording,
         set_drift,
         set_signal_ranges,
+        training_parts,
         with_presliding,
     )
     from tauext.learn import train as train_network
     from tauext.learn.prior_facts import prior_facts
+    from tauext.learn.training_set import TooShort
     from tauext.learn.widths import region_width
     from tauext.robot import torque_limits
 
     if impossible := why_impossible(config.recipe, case):
         raise ConfigError(impossible)
     training, validation = chosen_recordings(training, validation, config)
+    constants = None
+    if config.fit_torque_constants:
+        constants = fit_torque_constants(tree, free_pieces(training, config.margins), config.observer)
+        training, validation = ([scaled_torque(r, constants.used) for r in some] for some in (training, validation))
+        calibration = [partial(scaled, load, constants.used) for load in calibration]
+    parts = training_parts(training, validation, config)
+    first = training[0]
     out.parent.mkdir(parents=True, exist_ok=True)
     run = provenance("tauext train", training_settings(case, config), config.seed)
     run["recordings"] = {"train": [r.name for r in training], "validation": [r.name for r in validation]}
-    chain = build_chain(tree, training[0], config.observer, config.recipe, config.filters)
+    chain = build_chain(tree, first, config.observer, config.recipe, config.filters)
     threads = config.threads or os.cpu_count() or 1
-    scaling = network = fit = None
-    if config.recipe in ("prior", "tauext"):
-        fit = fit_prior(with_presliding(chain, config.prior.widths_rad), training, config.prior)
-    elif config.recipe == "friction":
-        fit = fit_friction(chain, training)
+    scaling = network = None
+    learned: dict = {}
+
+    def fitted(recordings: list[Recording]) -> PriorFit | None:
+        if config.recipe in ("prior", "tauext"):
+            return fit_prior(with_presliding(chain, config.prior.widths_rad), recordings, config.prior)
+        return fit_friction(chain, recordings) if config.recipe == "friction" else None
+
+    # Without steps there is nothing to validate: all of the motion is fitted, and left out in turn for the limits.
+    fit = fitted(parts.training if config.recipe == "tauext" and parts.network else parts.uncut)
+    bare = chain
     if fit is not None:
         chain = replace(chain, prior=fit.settings)
-    if config.recipe in ("paper", "dense", "tauext", "feedforward"):
-        scaling = find_scaling(chain, training)
+    if config.recipe in ("paper", "dense", "tauext", "feedforward") and parts.network:
+        scaling = find_scaling(chain, parts.training)
         with ProgressBar(f"train {out.stem}") as bar:
 
             def show(p: Progress) -> None:
                 bar.update(p.step, p.steps, f"loss {p.loss:.3g} validation {p.validation_loss:.3g}")
 
-            network = train_network(
-                chain,
-                build_windows(chain, scaling, training),
-                build_windows(chain, scaling, validation),
-                config,
-                checkpoint_path=out.with_suffix(".checkpoint.npz"),
-                settings={key: run[key] for key in ("settings", "recordings")} | {"robot": model_digest(tree)},
-                report=show,
-            )
-    bundle = make_bundle(out.stem, chain, config.observer.near_stiction_rad_s, validation[0], scaling, network)
+            try:
+                network = train_network(
+                    chain,
+                    build_windows(chain, scaling, parts.training),
+                    build_windows(chain, scaling, parts.validation),
+                    config,
+                    checkpoint_path=out.with_suffix(".checkpoint.npz"),
+                    settings={key: run[key] for key in ("settings", "recordings")} | {"robot": model_digest(tree)},
+                    report=show,
+                )
+            except TooShort as error:
+                if config.recipe != "tauext":
+                    raise
+                parts.notes.append(f"prior only: {error}")
+    reference = reference_recording(chain, [*validation, *training])
+    bundle = make_bundle(out.stem, chain, config.observer.near_stiction_rad_s, reference, scaling, network)
+    if config.recipe == "tauext":
+        if network is not None:
+            gate = apply_gate(bundle, parts.validation, config.gate_margin, threads)
+            learned["gate"] = {link.joint_name: gate.reason(j, config.gate_margin) for j, link in enumerate(tree.links)}
+        if not bundle.has_network and parts.network and not validation:
+            fit = fitted(parts.uncut)
+            chain = replace(bare, prior=fit.settings)
+            bundle = make_bundle(out.stem, chain, config.observer.near_stiction_rad_s, reference)
+            parts.notes.append("no joint has a network, so the prior was fitted to all of the motion in the end")
+    if fit is not None:
+        learned["prior"] = prior_facts(fit, first.joints)
     if fit is not None and chain.widths_rad:
         bundle.region_width = region_width(chain.widths_rad, config.prior)
-    learned: dict = {} if fit is None else {"prior": prior_facts(fit, training[0].joints)}
-    if config.recipe == "tauext":
-        gate = apply_gate(bundle, validation, config.gate_margin, threads)
-        learned["gate"] = {link.joint_name: gate.reason(j, config.gate_margin) for j, link in enumerate(tree.links)}
     if config.recipe in ("prior", "tauext"):
         set_drift(bundle, fit, config.drift)  # behind the gate, which judges what the prior leaves, not what drifts
-    if promises(config, calibration):
-        promised, learned["limits"] = calibrate_bundle(bundle, out.stem, calibration, config.alarm, threads)
+    by_fit = fit is not None and not bundle.has_network
+    # What was cut off to validate was trained on in the end where no network ships.
+    judged: list[Recording | Judged] = [] if by_fit and not validation else list(parts.limits)
+    unseen = judged.copy()
+    if by_fit:
+        judged += left_out_of_fit(bundle, chain, fit, reference)
+    if constants is not None:
+        parts.notes.extend(constants.sentences(first.joints))
+    stand = standing_joints([*training, *validation])
+    names = [name for name, stands in zip(first.joints, stand, strict=True) if stands]
+    if names:
+        parts.notes.append(at_rest_sentence(names, len(first.joints)))
+    kind = limits_kind(config, calibration)
+    if kind == "promised":
+        promised, learned["limits"] = calibrate_bundle(
+            bundle, out.stem, calibration, config.alarm, threads, config.margins
+        )
         print(promised.sentence(), file=sys.stderr)
+    elif kind == "supported":
+        words, learned["limits"] = set_supported_limits(bundle, judged, config, threads, fit)
+        parts.notes.append(words)
     else:
-        set_limits(bundle, paper_limits(bundle, validation, threads), config.alarm)
+        set_limits(bundle, paper_limits(bundle, unseen or judged, threads, config.margins), config.alarm)
     if fit is not None:
         freeze_drift(bundle, config.drift)
-    set_signal_ranges(bundle, training, torque_limits(robot, training[0].joints))
+    set_signal_ranges(bundle, training, torque_limits(robot, first.joints))
+    for note in parts.notes:
+        print(f"{out.stem}: {note}", file=sys.stderr)
     resolved = config.resolved()
     facts = {"recipe": config.recipe, "case": case.name, "epochs": resolved.epochs, "batch": resolved.batch}
     facts["steps"] = network.steps if network else 0
-    facts["training_minutes"] = round(total_s(training) / 60, 6)
-    facts["robot_sha256"] = training[0].robot_sha256
+    facts["training_minutes"] = round(total_s(parts.training if bundle.has_network else parts.uncut) / 60, 6)
+    facts["robot_sha256"] = first.robot_sha256
     facts |= learned
+    if constants is not None:
+        facts["torque_constants"] = constants.facts(first.joints)
+    if parts.notes:
+        facts["notes"] = parts.notes
     bundle.provenance = json.dumps(facts | run, sort_keys=True)
     history = [list(entry) for entry in network.history] if network else []
     write_json(facts | run | {"loss_history": history}, out.with_suffix(".run.json"))
@@ -159,16 +218,26 @@ def train_bundle(
     bundle.save(str(out))
 
 
-def promises(config: TrainConfig, calibration: Sequence[object]) -> bool:
-    """Whether limits are to follow from a budget of false alarms.
+def scaled(load: Callable[[], Recording], nm_per_unit: Sequence[float]) -> Recording:
+    """A loaded recording with its torque in N m."""
+    from tauext.data import scaled_torque
+
+    return scaled_torque(load(), nm_per_unit)
+
+
+def limits_kind(config: TrainConfig, calibration: Sequence[object]) -> str:
+    """How limits are found: promised, supported or paper.
 
     Raises:
-        ConfigError: they shall, and there is nothing to find them on.
+        ConfigError: they shall follow from a budget, and there is nothing to find them on.
     """
     if config.limits == "promised" and not calibration:
         raise ConfigError(f"limits = promised {NO_CALIBRATION}")
-    auto = bool(calibration) and config.recipe not in ("paper", "dense")
-    return config.limits == "promised" or (config.limits == "auto" and auto)
+    if config.limits != "auto":
+        return config.limits
+    if config.recipe in ("paper", "dense"):
+        return "paper"
+    return "promised" if calibration else "supported"
 
 
 def why_impossible(recipe: str, case: ModelCase) -> str | None:
@@ -197,6 +266,8 @@ def chosen_recordings(
             f"minutes = {config.minutes:g} must be at most {most:g}: the training recordings hold no more"
         )
     window_s = 10 / config.observer.gain_per_s + config.observer.window_s  # with the observer's warm-up
+    if not validation:
+        return first_seconds(training, wanted_s), []
     return first_seconds(training, wanted_s), first_seconds(validation, max(wanted_s / 5, 60.0, window_s))
 
 
@@ -218,6 +289,10 @@ def training_settings(case: ModelCase, config: TrainConfig) -> dict:
         del plain["backend"]
     if config.minutes is None:
         del plain["minutes"]
+    if config.margins == FreeMotionConfig():
+        del plain["margins"]
+    if not config.fit_torque_constants:
+        del plain["fit_torque_constants"]
     settings = {"case": asdict(case), "config": {k: v for k, v in plain.items() if k not in unused}}
     return json.loads(json.dumps(settings))  # as a file gives them back: lists, no tuples
 

@@ -1,9 +1,12 @@
 """Recordings, their file, and which recording serves for training, validation and test."""
 
 from tauext.data.first_seconds import first_seconds, total_s
+from tauext.data.free_motion import free_pieces, free_samples, split_by_time
 from tauext.data.recording import Recording
 from tauext.data.recording_file import Description, describe, load, save
+from tauext.data.scaled import scaled_torque, torque_constants_of
 from tauext.data.split import Split, load_split, save_split, split_recordings
+from tauext.data.standing import standing_joints
 
 __all__ = [
     "Description",
@@ -11,10 +14,16 @@ __all__ = [
     "Split",
     "describe",
     "first_seconds",
+    "free_pieces",
+    "free_samples",
     "load",
     "load_split",
     "save",
+    "scaled_torque",
     "save_split",
+    "split_by_time",
     "split_recordings",
+    "standing_joints",
+    "torque_constants_of",
     "total_s",
 ]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
-from tauext.data.recording import FLAGS, SIGNALS, Recording
+from tauext.data.free_motion import cut
+from tauext.data.recording import Recording
 
 
 def length_s(recording: Recording) -> float:
@@ -25,12 +25,10 @@ def first_seconds(recordings: Sequence[Recording], seconds: float) -> list[Recor
         if left < 1 / recording.rate_hz:
             break
         whole = length_s(recording) <= left + 1e-6
-        taken.append(recording if whole else _cut(recording, left))
+        taken.append(recording if whole else cut(recording, slice(0, _samples(recording, left))))
         left -= length_s(recording)
     return taken
 
 
-def _cut(recording: Recording, seconds: float) -> Recording:
-    samples = int((recording.time_s < seconds - 1e-6).sum())
-    arrays = {name: getattr(recording, name) for name in ("t_ns", *SIGNALS, *FLAGS)}
-    return replace(recording, **{name: a[:samples] for name, a in arrays.items() if a is not None})
+def _samples(recording: Recording, seconds: float) -> int:
+    return int((recording.time_s < seconds - 1e-6).sum())

@@ -20,6 +20,8 @@ FILE_NAME = "split.json"
 class Split:
     """File names of a dataset's recordings, relative to its folder; a name stands in one set only.
 
+    Any number of each: whoever has one recording lists one. Twenty are the rule of split_recordings alone.
+
     Raises:
         ConfigError: a name that stands twice, or is not a plain file name.
     """
@@ -46,7 +48,8 @@ class Split:
 
 
 PARTS = tuple(field.name for field in fields(Split))
-OPTIONAL = ("calibration",)
+OPTIONAL = ("validation", "test", "collisions", "calibration")
+"""A list that is missing is empty; without validation recordings a part of the training recordings validates."""
 
 
 def split_recordings(

@@ -8,11 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from tauext import _core
+from tauext.config import EventsConfig
 from tauext.data import Recording
 from tauext.data.estimates import Estimates
 from tauext.evaluate.after_contact import AfterContact
 from tauext.evaluate.collisions import Collision, found_curve, judge
 from tauext.evaluate.during_contact import DuringContact
+from tauext.evaluate.events import EventMeasures
 from tauext.evaluate.free_motion import FreeMotionErrors
 from tauext.evaluate.latched import judge_latched, latched_summary
 from tauext.evaluate.loss_history import LossHistory
@@ -27,17 +29,22 @@ COPIED = ("recipe", "case", "training_minutes", "steps", "epochs", "batch")
 class CaseMeasures:
     """One bundle's numbers."""
 
-    def __init__(self, name: str, bundle: _core.Bundle) -> None:
+    def __init__(self, name: str, bundle: _core.Bundle, events: EventsConfig = EventsConfig()) -> None:  # noqa: B008
         self._name, self._bundle = name, bundle
         self._errors = FreeMotionErrors(bundle.joints, bundle.near_stiction_rad_s)
         self._curve = MissedCurve(bundle.hold_s)
         self._after = AfterContact(bundle.joints)
         self._during = DuringContact(bundle.joints)
+        self._events = EventMeasures(events, bundle.near_stiction_rad_s)
         self._verdicts: list[dict] = []
         self._latched: list[dict] = []
 
+    def add_events(self, recording: Recording, estimates: Estimates) -> None:
+        """Take in any recording, for events and free time; once each."""
+        self._events.add_estimates(recording, estimates)
+
     def add_free(self, recording: Recording, estimates: Estimates) -> None:
-        """Take in a test recording of free motion."""
+        """Take in a test recording, all of it free motion but what is not healthy."""
         self._errors.add(recording, estimates)
         self._curve.add_free(recording, estimates)
         self._after.add_free(recording, estimates)
@@ -79,5 +86,6 @@ class CaseMeasures:
             "missed_curve": self._curve.summary(),
             "after_contact": self._after.summary(),
             "rmse_during_contact_nm": self._during.rmse_nm(),
+            "events": self._events.summary(),
             "loss_history": loss_history,
         }

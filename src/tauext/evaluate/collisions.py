@@ -111,18 +111,23 @@ def choose_ten(collisions: list[Collision], largest_limit_nm: np.ndarray, seed: 
     """Ids of ten collisions, drawn by seed, whose sensor reference peaks at twice the limit or more on some joint.
 
     largest_limit_nm: the largest sliding limit over all cases, or their median, a joint, so that the set is the same
-    for every case. All of them where fewer than ten are that strong.
+    for every case. All of them where fewer than ten are that strong. Of recordings without a sensor any ten.
     """
-    strong = [c.id for c in collisions if (c.sensor_peak_nm >= 2 * largest_limit_nm).any()]
+    sensed = any(c.sensor_peak_nm.any() for c in collisions)
+    strong = [c.id for c in collisions if not sensed or (c.sensor_peak_nm >= 2 * largest_limit_nm).any()]
     if len(strong) <= 10:
         return strong
     return [strong[k] for k in sorted(np.random.default_rng([seed, 10]).choice(len(strong), 10, replace=False))]
 
 
 def found_curve(collisions: list[Collision], verdicts: list[dict], limit_nm: np.ndarray) -> list[dict]:
-    """Found collisions over the sensor's peak in units of the sliding limit (of the joint where that is largest)."""
-    ratio = np.array([(c.sensor_peak_nm / limit_nm).max() for c in collisions])
-    found = np.array([v["found"] for v in verdicts], dtype=bool)
+    """Found collisions over the sensor's peak in units of the sliding limit (of the joint where that is largest).
+
+    Those without a sensor are left out.
+    """
+    sensed = [k for k, c in enumerate(collisions) if c.sensor_peak_nm.any()]
+    ratio = np.array([(collisions[k].sensor_peak_nm / limit_nm).max() for k in sensed])
+    found = np.array([verdicts[k]["found"] for k in sensed], dtype=bool)
     upper = [*CURVE_EDGES[1:], np.inf]
     curve = []
     for low, high in zip(CURVE_EDGES, upper, strict=True):

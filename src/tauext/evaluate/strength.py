@@ -18,7 +18,7 @@ def by_strength(touches: Sequence[Collision], verdicts: Sequence[dict]) -> list[
         touches: their strength is the sensor reference's peak on the joint where that is largest, [N m].
         verdicts: what `judge_latched` said of them, in their order.
     """
-    peak_nm = np.array([touch.sensor_peak_nm.max() for touch in touches])
+    peak_nm = np.array([touch.sensor_peak_nm.max() or np.nan for touch in touches])  # NaN: no sensor, in no bin
     entries = []
     for low, high in zip(EDGES_NM, (*EDGES_NM[1:], np.inf), strict=True):
         inside = [verdicts[k] for k in np.flatnonzero((peak_nm >= low) & (peak_nm < high))]

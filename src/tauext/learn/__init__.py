@@ -4,22 +4,27 @@ from tauext.learn.bundle_writing import (
     build_chain,
     freeze_drift,
     make_bundle,
+    reference_recording,
     set_drift,
     set_signal_ranges,
     with_presliding,
 )
 from tauext.learn.friction import fit_friction
 from tauext.learn.gate import Gate, apply_gate
+from tauext.learn.parts import Parts, training_parts
 from tauext.learn.prior import PriorFit, fit_prior
+from tauext.learn.torque_constants import TorqueConstants, fit_torque_constants
 from tauext.learn.train import Progress, TrainedNetwork, train
 from tauext.learn.training_set import Chain, Scaling, WindowSet, build_windows, find_scaling
 
 __all__ = [
     "Chain",
     "Gate",
+    "Parts",
     "PriorFit",
     "Progress",
     "Scaling",
+    "TorqueConstants",
     "TrainedNetwork",
     "WindowSet",
     "apply_gate",
@@ -28,10 +33,13 @@ __all__ = [
     "find_scaling",
     "fit_friction",
     "fit_prior",
+    "fit_torque_constants",
     "freeze_drift",
     "make_bundle",
+    "reference_recording",
     "set_drift",
     "set_signal_ranges",
     "train",
+    "training_parts",
     "with_presliding",
 ]

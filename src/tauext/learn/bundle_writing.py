@@ -113,6 +113,12 @@ def make_bundle(
     return bundle
 
 
+def reference_recording(chain: Chain, recordings: Sequence[Recording]) -> Recording:
+    """The first that is long enough to be a bundle's reference; the first of all where none is."""
+    samples = chain.reach * chain.observer.network_stride + 1
+    return next((recording for recording in recordings if recording.samples >= samples), recordings[0])
+
+
 def set_signal_ranges(
     bundle: _core.Bundle, recordings: Sequence[Recording], torque_limit_nm: Sequence[float] | None = None
 ) -> None:

@@ -20,6 +20,16 @@ from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial
 
 Kind = _core.TermKind
 ROTOR = PARAMETERS.index("rotor")
+RIPPLE_HELPS = 0.01
+"""A ripple stays that lowers the error on left-out motion by this share: in minutes, noise may look like one."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """The same prior fitted without a fifth of the recordings, and where that lies: (recording, samples) each."""
+
+    settings: _core.PriorSettings
+    parts: list[tuple[Recording, slice]]
 
 
 @dataclass(frozen=True)
@@ -36,6 +46,7 @@ class PriorFit:
     correction_errors: np.ndarray
     corrections_determined: np.ndarray
     regression: Regression
+    left_out: list[LeftOut]  # one for each fold that leaves a possible model
     dropped_widths: dict[float, str] = field(default_factory=dict)  # [rad]: and why
 
 
@@ -58,6 +69,8 @@ def shared_terms(chain: Chain) -> list[_core.Term]:
     joints = range(chain.tree.size)
     terms = [_core.Term(Kind.gravity, j, j, form=form) for j in joints for form in (0, 1)]
     terms += [_core.Term(Kind.gravity, a, b, form=form) for a, b in combinations(joints, 2) for form in (2, 3, 4, 5)]
+    # Three neighbours: gravity of parallel axes is that of the sum of their angles, and of a wrist behind them.
+    terms += [_core.Term(Kind.gravity, j - 2, j - 1, j, form=form) for j in joints[2:] for form in range(6, 14)]
     terms += [_core.Term(Kind.momentum, j, j, form=0) for j in joints]
     terms += [_core.Term(Kind.momentum, a, b, form=form) for a in joints for b in near(a, joints) for form in (1, 2)]
     terms += [
@@ -88,13 +101,19 @@ def fit_prior(chain: Chain, recordings: Sequence[Recording], config: PriorConfig
         TrainingError: no recording is longer than the observer's warm-up.
     """
     ripple: list[list[int]] = [[] for _ in range(chain.tree.size)]
-    for _ in range(config.most_ripples + 1):
-        fit = fit_terms(chain, recordings, config, ripple)
-        most = max(len(known) for known in ripple) >= config.most_ripples
-        found = [] if most else find_ripple(chain, recordings, fit, ripple)
+    fit = fit_terms(chain, recordings, config, ripple)
+    for _ in range(config.most_ripples):
+        found = find_ripple(chain, recordings, fit, ripple)
         if not any(found):
             break
-        ripple = [known + new for known, new in zip(ripple, found, strict=True)]
+        tried = [known + new for known, new in zip(ripple, found, strict=True)]
+        more = fit_terms(chain, recordings, config, tried)
+        helps = more.error_nm < (1 - RIPPLE_HELPS) * fit.error_nm  # on motion left out of the fit
+        kept = [a if better else b for a, b, better in zip(tried, ripple, helps, strict=True)]
+        if kept == ripple:
+            break
+        fit = more if kept == tried else fit_terms(chain, recordings, config, kept)
+        ripple = kept
     dropped = idle_widths(chain, recordings, config, fit) if config.drop_widths else {}
     if dropped:
         prior = _core.PriorSettings()
@@ -139,14 +158,14 @@ def fit_ridge(
     warm_s = 10 / chain.observer.gain_per_s
     usable = [recording for recording in recordings if recording.duration_s > warm_s + 1]
     pieces = FOLDS if len(usable) < FOLDS else 1  # of each recording, so that there is something to leave out
-    parts = [
-        part
+    found = [
+        (problem, (recording, span))
         for recording in usable or recordings
-        for part in _problems(chain, recording, own, shared, terms, corrected, pieces)
+        for problem, span in _problems(chain, recording, own, shared, terms, corrected, pieces)
     ]
-    if not parts:
+    if not found:
         raise TrainingError("no training recording is longer than the observer's warm-up")
-    regression = Regression(parts)
+    regression = Regression([problem for problem, _ in found])
     while True:
         ridge, error = regression.choose_ridge()
         solution = regression.solve(regression.whole, ridge)
@@ -155,8 +174,32 @@ def fit_ridge(
             break
         for column in impossible:
             regression.fix(column, nearest_possible(chain, column, len(solution)))
-    spread, determined = regression.standard_errors(ridge), regression.determined(ridge)
-    return _pack(chain, own, shared, terms, corrected, ridge, error, solution, spread, determined, regression)
+    spread, determined = regression.standard_errors(regression.leave_one(ridge)), regression.determined(ridge)
+    left_out = []
+    for k in range(len(regression.folds) if len(regression.folds) > 1 else 0):
+        one = solve_possible(regression.copy(), regression.without(k), ridge, chain, corrected)
+        where = [where for _, where in found[k::FOLDS]]
+        left_out.append(LeftOut(_settings(chain, own, shared, terms, corrected, one), where))
+    settings = _settings(chain, own, shared, terms, corrected, solution)
+    weights, errors, shares = (_by_joint(chain, own, shared, values) for values in (solution, spread, determined))
+    corrections = [np.zeros((chain.tree.size, 0))] * 3
+    if corrected:
+        corrections = [one[-len(PARAMETERS) * chain.tree.size :] for one in (solution, spread, determined)]
+        corrections = [one.reshape(chain.tree.size, len(PARAMETERS)) for one in corrections]
+    return PriorFit(settings, ridge, error, weights, errors, shares, *corrections, regression, left_out)
+
+
+def solve_possible(
+    regression: Regression, equations: NormalEquations, ridge: float, chain: Chain, corrected: bool
+) -> np.ndarray:
+    """Coefficients that make no impossible link; columns that would are fixed in the regression."""
+    while True:
+        solution = regression.solve(equations, ridge)
+        impossible = _impossible(chain, solution, regression.used) if corrected else []
+        if not impossible:
+            return solution
+        for column in impossible:
+            regression.fix(column, nearest_possible(chain, column, len(solution)))
 
 
 def _impossible(chain: Chain, solution: np.ndarray, used: np.ndarray) -> list[int]:
@@ -182,7 +225,8 @@ def nearest_possible(chain: Chain, column: int, columns: int) -> float:
     return 0.0 if chain.tree.links[link].mass > 0 else 1.0
 
 
-def _problems(chain, recording, own, shared, terms, corrected, pieces) -> list[NormalEquations]:
+def _problems(chain, recording, own, shared, terms, corrected, pieces) -> list[tuple[NormalEquations, slice]]:
+    """The equations of each piece of a recording, and its samples."""
     n = chain.tree.size
     signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
     observation = _core.observe(chain.tree, chain.observer, *signals)
@@ -196,22 +240,27 @@ def _problems(chain, recording, own, shared, terms, corrected, pieces) -> list[N
     settings.weights = [0.0] * (n * len(terms))
     values = _core.prior_regressors(chain.tree, chain.observer, settings, *signals, rows)
     ends = np.cumsum([len(group) for group in own])
-    per_joint = [values[:, end - len(group) : end] for group, end in zip(own, ends, strict=True)]
-    common = values[:, ends[-1] :]
+    mine = [np.arange(end - len(group), end) for group, end in zip(own, ends, strict=True)]
+    terms_of = [np.r_[at, ends[-1] : len(terms)] for at in mine]  # its own and the shared ones
     model = _model_regressors(chain, recording, rows) if corrected else np.zeros((len(rows), n, 0))
-    width = ends[-1] + n * common.shape[1] + model.shape[2]
+    width = ends[-1] + n * len(shared) + model.shape[2]
+    columns = tuple(
+        np.r_[at, ends[-1] + i * len(shared) + np.arange(len(shared)), width - model.shape[2] : width]
+        for i, at in enumerate(mine)
+    )
     target = observation.residual[rows]
     problems = []
     for piece in np.array_split(np.arange(len(rows)), pieces):
-        gram, moment = np.zeros((n, width, width)), np.zeros((n, width))
-        for i in range(n):
-            X = np.zeros((len(piece), width))
-            X[:, ends[i] - len(own[i]) : ends[i]] = per_joint[i][piece]
-            at = ends[-1] + i * common.shape[1]
-            X[:, at : at + common.shape[1]] = common[piece]
-            X[:, width - model.shape[2] :] = model[piece, i]
-            gram[i], moment[i] = X.T @ X, X.T @ target[piece, i]
-        problems.append(NormalEquations(gram, moment, (target[piece] ** 2).sum(axis=0), len(piece)))
+        of_piece = slice(piece[0], piece[-1] + 1)
+        X, y, Z = values[of_piece], target[of_piece], model[of_piece]
+        squares, moments = X.T @ X, X.T @ y  # of all terms at once: most of them are common to all joints
+        gram, moment = [], []
+        for i, at in enumerate(terms_of):
+            mixed = X[:, at].T @ Z[:, i]
+            gram.append(np.block([[squares[np.ix_(at, at)], mixed], [mixed.T, Z[:, i].T @ Z[:, i]]]))
+            moment.append(np.r_[moments[at, i], Z[:, i].T @ y[:, i]])
+        span = slice(int(rows[piece[0]]), int(rows[piece[-1]]) + 1)
+        problems.append((NormalEquations(columns, gram, moment, (y**2).sum(axis=0), len(piece)), span))
     return problems
 
 
@@ -230,39 +279,39 @@ def _model_regressors(chain: Chain, recording: Recording, rows: np.ndarray) -> n
         start[0] = start[0] or 1.0
     started = [with_inertial_parameters(link, start) for link, start in zip(links, starts, strict=True)]
     base = observed(_core.Tree(started, chain.tree.gravity))
-    columns = []
+    values = np.empty((len(rows), len(links), len(PARAMETERS) * len(links)))
     for k, link in enumerate(links):
-        for unit in np.eye(len(PARAMETERS)):
+        for m, unit in enumerate(np.eye(len(PARAMETERS))):
             changed = list(started)
             changed[k] = with_inertial_parameters(link, starts[k] + unit)
-            columns.append(base - observed(_core.Tree(changed, chain.tree.gravity)))
-    return np.stack(columns, axis=2)
+            values[:, :, len(PARAMETERS) * k + m] = base - observed(_core.Tree(changed, chain.tree.gravity))
+    return values
 
 
-def _pack(chain, own, shared, terms, corrected, ridge, error, solution, spread, determined, regression) -> PriorFit:
-    n = chain.tree.size
-    weights, errors, shares = np.zeros((3, n, len(terms)))
+def _by_joint(chain: Chain, own: Sequence, shared: Sequence, solution: np.ndarray) -> np.ndarray:
+    """Values of all columns as one row of terms a joint, (n, terms); 0 for the terms of other joints."""
     ends = np.cumsum([len(group) for group in own])
-    for to, values in ((weights, solution), (errors, spread), (shares, determined)):
-        for i in range(n):
-            to[i, ends[i] - len(own[i]) : ends[i]] = values[ends[i] - len(own[i]) : ends[i]]
-            at = ends[-1] + i * len(shared)
-            to[i, ends[-1] :] = values[at : at + len(shared)]
+    values = np.zeros((chain.tree.size, ends[-1] + len(shared)))
+    for i, (end, group) in enumerate(zip(ends, own, strict=True)):
+        values[i, end - len(group) : end] = solution[end - len(group) : end]
+        at = ends[-1] + i * len(shared)
+        values[i, ends[-1] :] = solution[at : at + len(shared)]
+    return values
+
+
+def _settings(chain, own, shared, terms, corrected, solution) -> _core.PriorSettings:
+    """The prior that these coefficients make."""
     settings = _core.PriorSettings()
     settings.widths_rad = chain.widths_rad
     settings.terms = terms
-    settings.weights = weights.ravel().tolist()
-    corrections = correction_errors = correction_shares = np.zeros((n, 0))
+    settings.weights = _by_joint(chain, own, shared, solution).ravel().tolist()
     if corrected:
-        corrections = solution[-len(PARAMETERS) * n :].reshape(n, len(PARAMETERS))
-        correction_errors = spread[-len(PARAMETERS) * n :].reshape(n, len(PARAMETERS))
-        correction_shares = determined[-len(PARAMETERS) * n :].reshape(n, len(PARAMETERS))
-        parameters = [inertial_parameters(link) + by for link, by in zip(chain.tree.links, corrections, strict=True)]
+        by_link = solution[-len(PARAMETERS) * chain.tree.size :].reshape(-1, len(PARAMETERS))
+        parameters = [inertial_parameters(link) + by for link, by in zip(chain.tree.links, by_link, strict=True)]
         for p in parameters:
             if p[0] <= 0 and np.any(p[1:ROTOR] != 0):
                 p[0] = 1.0  # it shows nowhere, and a first moment needs some
         settings.corrected_links = [
             with_inertial_parameters(link, p) for link, p in zip(chain.tree.links, parameters, strict=True)
         ]
-    corrections = (corrections, correction_errors, correction_shares)
-    return PriorFit(settings, ridge, error, weights, errors, shares, *corrections, regression)
+    return settings

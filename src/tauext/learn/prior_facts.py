@@ -51,16 +51,19 @@ def prior_facts(fit: PriorFit, joints: Sequence[str]) -> dict:
     return facts
 
 
-def friction_nm(fit: PriorFit, speed_rad_s: float) -> np.ndarray:
+def friction_nm(fit: PriorFit, speed_rad_s: float | np.ndarray) -> np.ndarray:
     """Size of the friction that the prior expects of each joint in steady sliding at this speed > 0: (n,), [N m].
+
+    One speed for all joints, or one each, (n,), [rad/s].
 
     Coulomb and presliding terms (their states are 1 then) and the viscous one; not those that grow with the load.
     """
     terms, level = fit.settings.terms, np.zeros(len(fit.weights))
+    speeds = np.broadcast_to(speed_rad_s, level.shape)
     value = {
-        Kind.coulomb: lambda term: math.tanh(speed_rad_s / term.speed),
+        Kind.coulomb: lambda term: math.tanh(speeds[term.a] / term.speed),
         Kind.presliding: lambda term: 1.0,
-        Kind.viscous: lambda term: speed_rad_s,
+        Kind.viscous: lambda term: speeds[term.a],
     }
     for m, term in enumerate(terms):
         if term.kind in value:

@@ -10,7 +10,7 @@ import numpy as np
 
 from tauext.config import TrainConfig
 from tauext.errors import TrainingError
-from tauext.learn.training_set import Chain, WindowSet
+from tauext.learn.training_set import Chain, TooShort, WindowSet
 
 
 class Recipe(Protocol):
@@ -107,7 +107,7 @@ class DenseRecipe:
         self._ends = ends[ends - reach >= self.training.first_rows]
         if len(self._ends) == 0:
             period_s = 1e-9 * self.chain.observer.sample_period_ns * self.chain.observer.network_stride
-            raise TrainingError(
+            raise TooShort(
                 f"no training recording holds a sequence of {self.length} steps ({self.length * period_s:g} s without "
                 f"a gap); lower targets = {self.targets} or record longer"
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,21 +15,32 @@ LEAST_RMS = 1e-9  # a regressor that never exceeds it was not excited
 
 @dataclass
 class NormalEquations:
-    """Of one part of the recordings: gram (n, columns, columns) and moment (n, columns) of each joint's target."""
+    """Of one part of the recordings: each joint's target on the columns that it can depend on.
 
-    gram: np.ndarray
-    moment: np.ndarray
+    Without a model a joint has hundreds of columns of its own and shares none: seven joints as one dense matrix would
+    be fifty times as large.
+    """
+
+    columns: tuple[np.ndarray, ...]
+    """Of each joint: which of all columns are its own or shared, rising."""
+    gram: list[np.ndarray]
+    """(columns of the joint, the same) each."""
+    moment: list[np.ndarray]
     energy: np.ndarray  # (n,) sum of squares of each joint's target
     rows: int
 
     def __add__(self, other: NormalEquations) -> NormalEquations:
-        return NormalEquations(
-            self.gram + other.gram, self.moment + other.moment, self.energy + other.energy, self.rows + other.rows
-        )
+        gram = [a + b for a, b in zip(self.gram, other.gram, strict=True)]
+        moment = [a + b for a, b in zip(self.moment, other.moment, strict=True)]
+        return NormalEquations(self.columns, gram, moment, self.energy + other.energy, self.rows + other.rows)
 
     def squares(self, solution: np.ndarray) -> np.ndarray:
         """Sum of squares that a solution leaves, (n,)."""
-        return self.energy - 2 * self.moment @ solution + np.einsum("iab,a,b->i", self.gram, solution, solution)
+        left = self.energy.copy()
+        for i, (at, gram, moment) in enumerate(zip(self.columns, self.gram, self.moment, strict=True)):
+            w = solution[at]
+            left[i] += w @ gram @ w - 2 * moment @ w
+        return left
 
 
 class Regression:
@@ -45,10 +57,20 @@ class Regression:
         self.folds = [sum(parts[k::FOLDS][1:], start=parts[k]) for k in range(min(FOLDS, len(parts)))]
         self.whole = sum(self.folds[1:], start=self.folds[0])
         self._weight = 1 / np.maximum(self.whole.energy / self.whole.rows, 1e-12)
-        mean = np.einsum("iaa,i->a", self.whole.gram, self._weight) / self.whole.rows
+        width = 1 + max(int(at.max(initial=-1)) for at in self.whole.columns)
+        mean = np.zeros(width)
+        for at, gram, weight in zip(self.whole.columns, self.whole.gram, self._weight, strict=True):
+            mean[at] += weight * np.diag(gram) / self.whole.rows
         self._scale = np.sqrt(np.maximum(mean, 0.0))
         self.used = self._scale > LEAST_RMS
-        self._fixed = np.zeros(len(self._scale))
+        self._fixed = np.zeros(width)
+        self._groups = coupled(self.whole.columns)
+
+    def copy(self) -> Regression:
+        """The same, to be fixed otherwise."""
+        other = copy(self)
+        other.used, other._fixed = self.used.copy(), self._fixed.copy()
+        return other
 
     def fix(self, column: int, value: float) -> None:
         """Give a column's coefficient instead of finding it."""
@@ -56,12 +78,11 @@ class Regression:
 
     def solve(self, equations: NormalEquations, ridge: float) -> np.ndarray:
         """Coefficients of all columns, (columns,)."""
-        scale = self._scale[self.used]
-        known = np.einsum("iab,i,b->a", equations.gram, self._weight, self._fixed)
-        moment = (self._weight @ equations.moment - known)[self.used] / scale
         solution = self._fixed.copy()
-        gram = self._scaled_gram(equations)
-        solution[self.used] = np.linalg.solve(gram + ridge * equations.rows * np.eye(len(gram)), moment) / scale
+        for joints in self._groups:
+            columns, gram, moment = self._scaled(equations, joints)
+            floor = ridge * equations.rows * np.eye(len(gram))
+            solution[columns] = np.linalg.solve(gram + floor, moment) / self._scale[columns]
         return solution
 
     def choose_ridge(self) -> tuple[float, np.ndarray]:
@@ -70,30 +91,56 @@ class Regression:
         ridge = min(errors, key=lambda one: float((errors[one] * self._weight).sum()))
         return ridge, np.sqrt(errors[ridge])
 
-    def standard_errors(self, ridge: float) -> np.ndarray:
-        """Of every coefficient, from leaving out one fold after the other (jackknife), (columns,)."""
-        count = len(self.folds)
-        leave_one = np.array([self.solve(self._without(k), ridge) for k in range(count)])
+    def leave_one(self, ridge: float) -> np.ndarray:
+        """Coefficients without one fold after the other, (folds, columns)."""
+        return np.array([self.solve(self.without(k), ridge) for k in range(len(self.folds))])
+
+    def standard_errors(self, leave_one: np.ndarray) -> np.ndarray:
+        """Of every coefficient, from what `leave_one` found (jackknife), (columns,)."""
+        count = len(leave_one)
         return np.sqrt((count - 1) / count * ((leave_one - leave_one.mean(axis=0)) ** 2).sum(axis=0))
 
     def determined(self, ridge: float) -> np.ndarray:
         """1 where the data alone determine a coefficient, 0 where the ridge alone does, (columns,)."""
         shares, floor = np.zeros(len(self._scale)), ridge * self.whole.rows
-        gram = self._scaled_gram(self.whole)
-        shares[self.used] = 1 - floor * np.diag(np.linalg.inv(gram + floor * np.eye(len(gram))))
+        for joints in self._groups:
+            columns, gram, _ = self._scaled(self.whole, joints)
+            shares[columns] = 1 - floor * np.diag(np.linalg.inv(gram + floor * np.eye(len(gram))))
         return shares
 
-    def _scaled_gram(self, equations: NormalEquations) -> np.ndarray:
-        scale = self._scale[self.used]
-        gram = np.einsum("iab,i->ab", equations.gram, self._weight)[np.ix_(self.used, self.used)]
-        return gram / np.outer(scale, scale)
+    def without(self, k: int) -> NormalEquations:
+        """All folds but one; with a single fold, that one."""
+        rest = [fold for j, fold in enumerate(self.folds) if j != k] or self.folds
+        return sum(rest[1:], start=rest[0])
+
+    def _scaled(self, equations: NormalEquations, joints: list[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Used columns of joints that are solved together, and their weighted equations in scaled columns."""
+        columns = np.unique(np.concatenate([equations.columns[i] for i in joints]))
+        gram, moment = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
+        for i in joints:
+            at = np.searchsorted(columns, equations.columns[i])
+            known = equations.gram[i] @ self._fixed[equations.columns[i]]
+            gram[np.ix_(at, at)] += self._weight[i] * equations.gram[i]
+            moment[at] += self._weight[i] * (equations.moment[i] - known)
+        used = self.used[columns]
+        columns = columns[used]
+        scale = self._scale[columns]
+        return columns, gram[np.ix_(used, used)] / np.outer(scale, scale), moment[used] / scale
 
     def _left_out(self, ridge: float) -> np.ndarray:
         total = np.zeros(len(self.whole.energy))
         for k, fold in enumerate(self.folds):
-            total += fold.squares(self.solve(self._without(k), ridge))
+            total += fold.squares(self.solve(self.without(k), ridge))
         return np.maximum(total / self.whole.rows, 0.0)
 
-    def _without(self, k: int) -> NormalEquations:
-        rest = [fold for j, fold in enumerate(self.folds) if j != k] or self.folds
-        return sum(rest[1:], start=rest[0])
+
+def coupled(columns: Sequence[np.ndarray]) -> list[list[int]]:
+    """Joints in groups that share columns, directly or through others: each group is solved by itself."""
+    groups: list[tuple[list[int], set[int]]] = []
+    for joint, at in enumerate(columns):
+        joints, together = [joint], set(at.tolist())
+        for group in [g for g in groups if g[1] & together]:
+            groups.remove(group)
+            joints, together = sorted(joints + group[0]), together | group[1]
+        groups.append((joints, together))
+    return [joints for joints, _ in groups]

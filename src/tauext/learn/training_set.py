@@ -12,6 +12,10 @@ from tauext.data import Recording
 from tauext.errors import TrainingError
 
 
+class TooShort(TrainingError):
+    """Recordings that are too short for the windows or sequences of a network."""
+
+
 @dataclass(frozen=True)
 class Chain:
     """The parts of the chain that stand before the network: estimated model, observer, window and prior."""
@@ -137,7 +141,7 @@ def build_windows(chain: Chain, scaling: Scaling, recordings: Sequence[Recording
     )
     if result.windows == 0:
         needed = chain.reach * stride * chain.observer.sample_period_ns * 1e-9
-        raise TrainingError(f"no recording holds a whole window: {needed:g} s after the observer's warm-up are needed")
+        raise TooShort(f"no recording holds a whole window: {needed:g} s after the observer's warm-up are needed")
     return result
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from jinja2 import Environment, StrictUndefined
 
 from tauext.report import paper, tables
+from tauext.report.events import events_table
 from tauext.report.methods_table import methods
 from tauext.report.results import Case, Numbers, Results
 from tauext.report.style import case_colours
@@ -72,6 +73,8 @@ def render_page(results: Results, figures: dict[str, PageFigure]) -> str:
         near_stiction=f"{results.near_stiction_rad_s:g}",
         methods=methods(results),
         sanity=results.sanity,
+        events=events_table(results.events) if results.events else None,
+        labels=results.events[0] if results.events else None,
         table_one=tables.table_one(results),
         regions=tables.regions(results),
         extremes=tables.extremes(results),

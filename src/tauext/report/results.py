@@ -103,6 +103,8 @@ class Results:
     cases: tuple[Case, ...]
     """In the paper's order, whatever the order of evaluation; other names follow."""
     sanity: tuple[SanityRow, ...] = ()
+    events: tuple[Any, ...] = ()
+    """Of type MethodEvents: what labelled events and free time made of each method; empty where nothing is labelled."""
 
     @property
     def shown(self) -> tuple[Case, ...]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tauext.errors import ConfigError
 from tauext.report.entry import Entry
+from tauext.report.events import read_events
 from tauext.report.methods_file import read_measured, read_sanity
 from tauext.report.naming import place
 from tauext.report.results import Case, Collision, CurveBin, Results, Verdict
@@ -52,6 +53,7 @@ def read_results(top: Entry) -> Results:
         ten=top.texts("ten_collisions"),
         collisions={collision.id: collision for collision in collisions},
         cases=tuple(sorted(cases, key=lambda case: place(case.name))),
+        events=read_events(top),
         sanity=tuple(read_sanity(entry) for entry in top.entries("sanity")),
     )
 

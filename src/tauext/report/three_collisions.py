@@ -44,9 +44,18 @@ class Scene:
         return self.recording.time_s - self.collision.start_s
 
     def side(self) -> int:
-        """+1 or -1: where the sensor goes."""
-        sensor = self.recording.tau_ext_sensor[self.rows(0, self.length_s + AFTER_S), self.joint]
-        return 1 if sensor[np.argmax(np.abs(sensor))] >= 0 else -1
+        """+1 or -1: where the sensor goes, or the first estimate where there is none."""
+        shown = self.sensor
+        torque = next(iter(self.said.values())).tau_ext[:, self.joint] if shown is None else shown
+        torque = np.nan_to_num(torque[self.rows(0, self.length_s + AFTER_S)])
+        return 1 if torque[np.argmax(np.abs(torque))] >= 0 else -1
+
+    @property
+    def sensor(self) -> np.ndarray | None:
+        """Of the joint, (samples,); the robot's own external torque where there is no sensor, None without either."""
+        known = self.recording.tau_ext_sensor
+        known = self.recording.tau_ext if known is None else known
+        return None if known is None else known[:, self.joint]
 
     @property
     def length_s(self) -> float:
@@ -71,10 +80,10 @@ def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
     heights = [2.6, 2.6, 0.25 * len(names) + 0.2]
     grid = figure.subplots(3, len(collisions), squeeze=False, height_ratios=heights)
     missing: set[str] = set()
+    sensed = True
     for column, collision in enumerate(collisions):
         recording = signals.recording(collision.recording)
-        if recording.tau_ext_sensor is None:
-            raise NotAvailable(f"{recording.name} has no joint torque sensor to compare with")
+        sensed &= recording.tau_ext_sensor is not None
         said, without = signals.by_case(names, recording)
         missing |= set(without)
         if not ((recording.time_s >= collision.start_s) & (recording.time_s <= collision.end_s)).any():
@@ -97,13 +106,14 @@ def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
         row[0].set_ylabel(f"{results.joints[joint]}\nexternal torque, Nm")
     grid[2, 0].set_ylabel("delay")
     drawn = [name for name in names if name not in missing]
-    figure.legend(handles=legend(results, drawn, colours), loc="outside upper left", ncols=5)
+    figure.legend(handles=legend(results, drawn, colours, sensed), loc="outside upper left", ncols=5)
     return Drawing(
         figure,
         f"Figure 8. {results.joints[joint]}, {len(collisions)} collisions: above, the external torque from the joint "
         f"torque sensor and the estimate of every case; below, the moment of impact. Each case has a limit of its own; "
         f"a bar runs from where the sensor goes over that limit to where the estimate does, and the number is the "
         f"delay against the sensor. Time 0 is the onset of contact."
+        + ("" if sensed else " There is no sensor here: delays count from the onset, as it is labelled.")
         + missing_cases(results, [n for n in names if n in missing])
         + results.shown_note,
     )
@@ -137,7 +147,8 @@ def draw_curves(axes: Axes, scene: Scene, rows: np.ndarray, colours: dict[str, s
     time = scene.since_s()[rows] / unit_s
     for case, estimates in scene.said.items():
         axes.plot(time, estimates.tau_ext[rows, scene.joint], color=colours[case], zorder=4)
-    axes.plot(time, scene.recording.tau_ext_sensor[rows, scene.joint], color=SENSOR, linewidth=2, zorder=3)
+    if scene.sensor is not None:
+        axes.plot(time, scene.sensor[rows], color=SENSOR, linewidth=2, zorder=3)
     limit = next(iter(scene.said.values())).limit[rows, scene.joint]
     axes.plot(time, scene.side() * limit, color=LIMIT, linestyle="--", linewidth=1, zorder=2)
     axes.margins(x=0)
@@ -172,13 +183,15 @@ def draw_delays(
     for lane, case in enumerate(names):
         verdict = scene.verdicts.get(case)
         times_ms = [t * 1e3 for t in (verdict.sensor_delay_s, verdict.delay_s) if t is not None] if verdict else []
+        if verdict and verdict.found and verdict.sensor_delay_s is None:
+            axes.plot(times_ms[0], lane, color=colours[case], **FOUND_MARK)
         if verdict and verdict.found and len(times_ms) == 2:
             axes.plot(times_ms, [lane, lane], color=colours[case], linewidth=2)
             axes.plot(times_ms[0], lane, color=colours[case], **SENSOR_MARK)
             axes.plot(times_ms[1], lane, color=colours[case], **FOUND_MARK)
         late = min(times_ms, default=0.0) > middle_ms
         axes.annotate(
-            delay_text(verdict, joint),
+            delay_text(verdict, joint, scene.recording.tau_ext_sensor is not None),
             (min(times_ms) if late else max(times_ms, default=0.0), lane),
             xytext=(-7 if late else 7, 0),
             textcoords="offset points",
@@ -191,26 +204,34 @@ def draw_delays(
     axes.set_xlabel("time since contact, ms")
 
 
-def delay_text(verdict: Verdict | None, joint: str) -> str:
-    """What stands in a lane; another joint is named where that one found the collision."""
+def delay_text(verdict: Verdict | None, joint: str, sensed: bool) -> str:
+    """What stands in a lane; another joint is named where that one found the collision.
+
+    Without a sensor the delay is counted from the onset of contact as labelled.
+    """
     if verdict is None:
         return "not available"
     if not verdict.found:
         return "not found"
     against = verdict.delay_against_sensor_s
+    if against is None and not sensed:
+        text = f"{round(verdict.delay_s * 1e3)} ms"
+        return text if verdict.joint in (joint, None) else f"{text} ({verdict.joint})"
     text = "sensor below" if against is None else f"{round(against * 1e3):+d} ms".replace("+0", "0").replace("-", "−")
     return text if verdict.joint in (joint, None) else f"{text} ({verdict.joint})"
 
 
-def legend(results: Results, drawn: list[str], colours: dict[str, str]) -> list[Line2D | Patch]:
+def legend(results: Results, drawn: list[str], colours: dict[str, str], sensed: bool) -> list[Line2D | Patch]:
     """Sensor first, then the cases, then the marks."""
     grey = "#555555"
-    lines = [Line2D([], [], color=SENSOR, linewidth=2, label="sensor reference")]
+    reference = "sensor reference" if sensed else "recorded tau_ext, if any"
+    lines = [Line2D([], [], color=SENSOR, linewidth=2, label=reference)]
     lines += [Line2D([], [], color=colours[name], label=results.labels[name]) for name in drawn]
+    over = [Line2D([], [], color=grey, linestyle="none", **SENSOR_MARK, label="sensor over the limit")]
     lines += [
         Line2D([], [], color=LIMIT, linestyle="--", label=f"limit ({results.labels[drawn[0]]})"),
         Patch(color=CONTACT, label="contact"),
-        Line2D([], [], color=grey, linestyle="none", **SENSOR_MARK, label="sensor over the limit"),
+        *(over if sensed else []),
         Line2D([], [], color=grey, linestyle="none", **FOUND_MARK, label="estimate over the limit"),
     ]
     return lines

@@ -1,0 +1,40 @@
+"""What limits are found on: samples of free motion, and the error that a bundle makes there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tauext import _core
+from tauext.config import FreeMotionConfig
+from tauext.data import Recording, free_samples
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A recording, which of its samples count, and who is judged on them."""
+
+    recording: Recording
+    span: slice = field(default_factory=lambda: slice(None))
+    bundle: _core.Bundle | None = None
+    """A stand-in that was fitted without these samples; None: the bundle itself, which never saw them."""
+
+
+def errors(
+    bundle: _core.Bundle, judged: Recording | Judged, threads: int, margins: FreeMotionConfig
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Times, |tau_ext|, region and which samples count: (samples,), 2 x (samples, joints) and (samples,) bool.
+
+    Counted are healthy samples of free motion within the span. The whole recording runs through the chain, so that
+    filters are warm where the span begins.
+    """
+    judged = judged if isinstance(judged, Judged) else Judged(judged)
+    recording = judged.recording
+    said = _core.estimate(judged.bundle or bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads)
+    counted = np.zeros(recording.samples, dtype=bool)
+    counted[judged.span] = True
+    counted &= said["healthy"].astype(bool) & free_samples(recording, margins)
+    # What the prior's doubt raises the limits by is no error that limits must stand.
+    error = np.maximum(np.abs(said["tau_ext"]) - said["doubt"], 0)
+    return recording.t_ns, error, said["near_stiction"].astype(bool), counted

@@ -1,0 +1,76 @@
+"""Limits for whoever has minutes of data and no calibration recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from tauext.config import TrainConfig
+from tauext.errors import TrainingError
+
+if TYPE_CHECKING:
+    from tauext._core import Bundle
+    from tauext.calibrate import Judged
+    from tauext.data import Recording
+    from tauext.learn import Chain, PriorFit
+
+
+def left_out_of_fit(bundle: Bundle, chain: Chain, fit: PriorFit, reference: Recording) -> list[Judged]:
+    """Every fifth of the training motion, judged by a prior that was fitted to the other four.
+
+    So all of it tells how large errors on unseen motion are, where a tenth of it set apart would show few of them.
+    The stand-ins saw less than the bundle, hence are worse and never better than it on average.
+    """
+    from dataclasses import replace
+
+    from tauext.calibrate import Judged
+    from tauext.learn import make_bundle
+
+    judged = []
+    for fold in fit.left_out:
+        other = make_bundle(bundle.name, replace(chain, prior=fold.settings), bundle.near_stiction_rad_s, reference)
+        other.region_width, other.drift = bundle.region_width, bundle.drift
+        judged += [Judged(recording, span, other) for recording, span in fold.parts]
+    return judged
+
+
+def set_supported_limits(
+    bundle: Bundle,
+    judged: Sequence[Recording | Judged],
+    config: TrainConfig,
+    threads: int,
+    fit: PriorFit | None,
+) -> tuple[str, dict]:
+    """Put limits for the smallest budget of false alarms that this motion supports into the bundle.
+
+    Where it is too short even for that, the largest error. Either is raised by a share of the friction at the speed
+    that a joint stays below for 95 % of its motion: it changes with temperature and time, which minutes do not show.
+    Returned is what was done, in words, and the facts.
+    """
+    from tauext.calibrate import (
+        apply_promised,
+        paper_limits,
+        promised_limits,
+        raise_limits,
+        set_limits,
+        usual_speed_rad_s,
+    )
+    from tauext.learn.prior_facts import friction_nm
+
+    facts: dict = {}
+    try:
+        promised = promised_limits(bundle, lambda: judged, config.alarm, threads, config.margins)
+    except TrainingError as error:
+        set_limits(bundle, paper_limits(bundle, judged, threads, config.margins), config.alarm)
+        words = f"limits are the largest errors seen, and promise nothing ({error})"
+    else:
+        apply_promised(bundle, promised, config.alarm)
+        facts = promised.facts()
+        words = f"no calibration recordings. {promised.sentence()}"
+    if fit is None or not config.alarm.friction_reserve:
+        return words, facts
+    reserve = config.alarm.friction_reserve * friction_nm(fit, usual_speed_rad_s(judged))
+    raise_limits(bundle, reserve)
+    names = [link.joint_name for link in bundle.links]
+    facts["friction_reserve_nm"] = dict(zip(names, reserve.tolist(), strict=True))
+    return f"{words} They are raised by {config.alarm.friction_reserve:.0%} of the friction.", facts

@@ -1,0 +1,29 @@
+"""Recordings whose tau is a motor current: torque constants turn it into the torque that a bundle takes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tauext.data.recording import Recording
+
+
+def scaled_torque(recording: Recording, nm_per_unit: Sequence[float] | None) -> Recording:
+    """The recording with each joint's tau times its constant, [N m] a unit of the recording; itself with None.
+
+    Its provenance says so, under `torque_constants`.
+    """
+    if nm_per_unit is None:
+        return recording
+    factors = np.asarray(nm_per_unit, dtype=float)
+    provenance = recording.provenance | {"torque_constants": factors.tolist()}
+    return replace(recording, tau=recording.tau * factors, provenance=provenance)
+
+
+def torque_constants_of(provenance: str) -> list[float] | None:
+    """What recordings must be scaled by for a bundle of this provenance, by joint; None: they are in N m."""
+    constants = json.loads(provenance or "{}").get("torque_constants")
+    return None if constants is None else constants["used"]

@@ -1,0 +1,130 @@
+"""Joints in another order, axes that turn the other way: the arrangement that fits far better than the given one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from tauext import _core
+from tauext.doctor.finding import Finding
+from tauext.doctor.fit import columns_of, robust_solve, robust_spread
+from tauext.doctor.motion import Stretch
+from tauext.doctor.regressors import Rows, rows_of
+
+SEARCH_S = 60.0
+"""Of motion, spread over all of it: the search fits dozens of arrangements."""
+GAIN = 1.0
+"""Sum over joints of the logarithm of how much the error falls: two joints by 40 % each, say. Chance: hundredths."""
+HALVED = 0.6
+"""At least one joint's error falls to this share ..."""
+WORSE = 1.15
+"""... and none rises by more than this."""
+LEAST_EXPLAINED = 0.5
+"""What an effort explains of another joint's motion before the two can be called exchanged."""
+MOST_CHANGES = 3
+
+Change = Callable[[Stretch], Stretch]
+
+
+def search_stretches(stretches: Sequence[Stretch]) -> list[Stretch]:
+    """A share of every stretch, SEARCH_S in all."""
+    share = min(1.0, SEARCH_S / max(1e-9, sum(s.seconds for s in stretches)))
+
+    def part(s: Stretch) -> Stretch:
+        rows = slice(0, max(1, round(share * len(s.q))))
+        return replace(s, **{name: getattr(s, name)[rows] for name in ("q", "dq", "tau", "q_raw", "dq_raw")})
+
+    parts = [part(s) for s in stretches]
+    return [s for s in parts if s.seconds > 2.0] or [max(stretches, key=lambda s: s.seconds)]
+
+
+def exchanged_efforts(rows: Rows, joints: Sequence[str]) -> tuple[list[Finding], list[int]]:
+    """Torques that fit the motion of another joint; and for each joint the column that holds its torque."""
+    n = rows.joints
+    errors = np.empty((n, n))  # log error of torque column k as that of joint j
+    for k in range(n):
+        y = rows.tau[:, k]
+        for j in range(n):
+            columns = columns_of(rows, j)
+            errors[j, k] = np.log(robust_spread(y - columns @ robust_solve(columns, y)[0]) / max(y.std(), 1e-12) + 1e-9)
+    mine, column = linear_sum_assignment(errors)
+    gain = errors.diagonal().sum() - errors[mine, column].sum()
+    wrong = [j for j in range(n) if column[j] != j]
+    if not wrong or gain < GAIN or min(errors[j, j] - errors[j, column[j]] for j in wrong) < 0.2:
+        return [], list(range(n))
+    if max(1 - np.exp(2 * errors[j, column[j]]) for j in wrong) < LEAST_EXPLAINED:
+        return [], list(range(n))
+    found = []
+    for j in wrong:
+        error, own = (100 * np.exp(errors[j, k]) for k in (column[j], j))
+        evidence = (
+            f"its motion explains the effort of '{joints[column[j]]}' but for {error:.0f} % of its spread, "
+            f"its own effort but for {own:.0f} %"
+        )
+        found.append(Finding("joint-order", "fault", joints[j], evidence, "map efforts by name at import"))
+    return found, [int(k) for k in column]
+
+
+def rearranged(
+    stretches: Sequence[Stretch], tree: _core.Tree, joints: Sequence[str]
+) -> tuple[list[Finding], list[Stretch]]:
+    """Findings, and the stretches as the robot file would have them."""
+    found, few = [], search_stretches(stretches)
+    stretches = list(stretches)
+    now = _errors(few, tree)
+    for _ in range(MOST_CHANGES):
+        best = (GAIN, None, "", None, now)
+        for code, told, names, change, order in _changes(joints):
+            then = _errors([change(s) for s in few], tree)
+            ratio = then / now[order]  # each torque signal against itself
+            gain = -float(np.log(ratio).sum())
+            if gain > best[0] and ratio.min() < HALVED and ratio.max() < WORSE:
+                best = (gain, code, told, (names, change, ratio), then)
+        gain, code, told, detail, then = best
+        if detail is None:
+            break
+        names, change, ratio = detail
+        evidence = (
+            f"{told} the model's error falls to {ratio.min():.0%} at one joint and rises at none ({gain:.1f} nats)"
+        )
+        advice = "map joints by name at import" if code == "joint-order" else "negate q, dq and tau of it at import"
+        found += [Finding(code, "fault", name, evidence, advice) for name in names]
+        stretches, few, now = [change(s) for s in stretches], [change(s) for s in few], then
+    return found, stretches
+
+
+def _errors(stretches: Sequence[Stretch], tree: _core.Tree) -> np.ndarray:
+    """Robust error of each joint [N m], with one factor for the whole model: an arrangement must fit as a whole."""
+    rows = rows_of(stretches, tree)
+    errors = np.empty(rows.joints)
+    for j in range(rows.joints):
+        columns = np.column_stack([rows.model[:, j], 0 * rows.time_s, columns_of(rows, j)[:, 2:]])
+        errors[j] = robust_spread(rows.tau[:, j] - columns @ robust_solve(columns, rows.tau[:, j])[0])
+    return np.maximum(errors, 1e-9)
+
+
+def _changes(joints: Sequence[str]) -> list[tuple[str, str, list[str], Change, list[int]]]:
+    n, found = len(joints), []
+    for j in range(n):
+        sign = np.where(np.arange(n) == j, -1.0, 1.0)
+
+        def flip(s: Stretch, sign: np.ndarray = sign) -> Stretch:
+            names = ("q", "dq", "tau", "q_raw", "dq_raw")
+            return replace(s, **{name: getattr(s, name) * sign for name in names})
+
+        found.append(("joint-axis", "with its axis reversed", [joints[j]], flip, list(range(n))))
+    for a, b in combinations(range(n), 2):
+        order = list(range(n))
+        order[a], order[b] = b, a
+
+        def swap(s: Stretch, order: list[int] = order) -> Stretch:
+            names = ("q", "dq", "tau", "q_raw", "dq_raw")
+            return replace(s, **{name: np.ascontiguousarray(getattr(s, name)[:, order]) for name in names})
+
+        told = f"with '{joints[a]}' and '{joints[b]}' exchanged"
+        found.append(("joint-order", told, [joints[a], joints[b]], swap, order))
+    return found

@@ -1,0 +1,204 @@
+"""The doctor's round: signals first, then motion, then torque against model; what is found is mended for the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from tauext import _core
+from tauext.data import Recording
+from tauext.doctor.arrangement import exchanged_efforts, rearranged
+from tauext.doctor.clock import clock_findings
+from tauext.doctor.contacts import contact_findings
+from tauext.doctor.delay import delay_findings, torque_lags
+from tauext.doctor.drift import drift_findings
+from tauext.doctor.effort import inverted, kind_findings, scale_findings, sign_findings, strong_joints
+from tauext.doctor.excitation import SEARCH_S, excitation_findings, moving_s
+from tauext.doctor.finding import SEVERITIES, Finding
+from tauext.doctor.fit import LEAST_ROWS, JointFit, fit_joint
+from tauext.doctor.gravity import gravity_finding
+from tauext.doctor.limits import limit_findings
+from tauext.doctor.motion import Stretch, stretches
+from tauext.doctor.payload import fit_load, loaded, payload_findings
+from tauext.doctor.regressors import Rows, rows_of
+from tauext.doctor.robot_file import RobotFile, open_robot
+from tauext.doctor.sensors import noise_nm, sensor_findings, torque_step_nm
+from tauext.doctor.sign import sign_vote
+from tauext.doctor.units import degree_findings
+from tauext.doctor.velocity import DEGREES, VelocityFit, velocity_findings
+from tauext.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Findings, the worst first, and what was measured of every joint, findings or none."""
+
+    joints: tuple[str, ...]
+    findings: list[Finding]
+    facts: list[dict[str, float]]
+    """One a joint: what could be measured, by names that bear their units."""
+    rows: Rows | None = None
+    """The mended data that the last fit was made of; None where nothing moves."""
+    fits: list[JointFit] = field(default_factory=list)
+
+    @property
+    def faulty(self) -> bool:
+        return any(finding.severity == "fault" for finding in self.findings)
+
+
+def examine(
+    recordings: Sequence[Recording],
+    robot: Path | None = None,
+    gravity: Sequence[float] | None = None,
+    called_free: Collection[str] = (),
+) -> Diagnosis:
+    """Look for everything that recordings of one arm in free motion may have wrong.
+
+    A fault that is found is mended before the next step (degrees, order, sign, delay, gravity, payload), so that one
+    fault is one finding. Thresholds stand beside each check, with their reasons.
+
+    Args:
+        recordings: of the same joints; stretches labelled contact are left out of fits.
+        robot: URDF or MJCF; None: what needs a model is not looked for.
+        gravity: acceleration of free fall in the base frame; None: the file's.
+        called_free: names of recordings that are said to hold no contact.
+
+    Raises:
+        ConfigError: no recording, or recordings of different joints.
+        RobotError: there is no such robot file.
+    """
+    joints = _same_joints(recordings)
+    file = open_robot(robot, joints, gravity) if robot is not None else None
+    found = [*(file.findings if file else []), *contact_findings(recordings, called_free)]
+    found += clock_findings(recordings) + sensor_findings(recordings)
+
+    recordings, motion, velocities, units = _in_radians(recordings, file)
+    found += units + excitation_findings(recordings, motion)
+    found += limit_findings(recordings, file) if file else []
+
+    standing = any(finding.code == "never-moves" for finding in found)
+    rows, fits, lags = None, [], []
+    if not standing and motion and len(rows_of(motion, None).time_s) >= LEAST_ROWS:
+        torque_found, rows, fits, lags = _torque(motion, file.tree if file else None, joints, recordings)
+        found += torque_found
+    found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
+    return Diagnosis(joints, found, _facts(recordings, velocities, rows, fits, lags), rows, fits)
+
+
+def _same_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    if not recordings:
+        raise ConfigError("there is no recording to check; give at least one")
+    for r in recordings:
+        if r.joints != recordings[0].joints:
+            raise ConfigError(
+                f"recording '{r.name}' has the joints {', '.join(r.joints)}, '{recordings[0].name}' "
+                f"{', '.join(recordings[0].joints)}; recordings that are checked together are of one arm"
+            )
+    return recordings[0].joints
+
+
+def _in_radians(
+    recordings: Sequence[Recording], file: RobotFile | None
+) -> tuple[Sequence[Recording], list[Stretch], list[VelocityFit | None], list[Finding]]:
+    joints = recordings[0].joints
+    motion = stretches(recordings)
+    found, velocities, factors = velocity_findings(motion, joints) if motion else ([], [None] * len(joints), None)
+    if factors is not None and (factors != 1).any():
+        recordings = [replace(r, q=r.q / factors) for r in recordings]
+        motion = stretches(recordings)
+    degrees = degree_findings(recordings, motion, file.position_limits_rad if file else None)
+    if degrees:
+        names = [finding.joint for finding in degrees]
+        by = np.array([DEGREES if None in names or joint in names else 1.0 for joint in joints])
+        recordings = [replace(r, q=r.q / by, dq=r.dq / by) for r in recordings]
+        motion = stretches(recordings)
+    return recordings, motion, velocities, found + degrees
+
+
+def _torque(
+    motion: list[Stretch], tree: _core.Tree | None, joints: Sequence[str], recordings: Sequence[Recording]
+) -> tuple[list[Finding], Rows, list[JointFit], list[tuple[float, float, float]]]:
+    """Order, axes, sign, gravity, delay, kind and payload, friction over time: each on what the one before mended."""
+    n = len(joints)
+    rows = rows_of(motion, tree)
+    found: list[Finding] = []
+    long_enough = moving_s(motion) >= SEARCH_S
+    if long_enough:
+        found, column = exchanged_efforts(rows, joints)
+        motion = [replace(s, tau=np.ascontiguousarray(s.tau[:, column])) for s in motion]
+    if long_enough and tree is not None:
+        arranged, motion = rearranged(motion, tree, joints)
+        found += arranged
+    rows = rows_of(motion, tree)
+    fits = [fit_joint(rows, j) for j in range(n)]
+    votes = [sign_vote(rows, j, fit) for j, fit in enumerate(fits)]
+    found += sign_findings(joints, votes, fits)
+    signs = np.array([-1.0 if inverted(vote) else 1.0 for vote in votes])
+    motion = [replace(s, tau=s.tau * signs) for s in motion]
+    rows = rows_of(motion, tree)
+
+    lags = torque_lags(motion, rows)
+    late, lag_s = delay_findings(lags, joints, 1 / motion[0].rate_hz) if long_enough else ([], 0.0)
+    found += late
+    if tree is not None:
+        tilted, tree = gravity_finding(motion, tree, rows)
+        found += tilted
+    rows = rows_of(motion, tree, lag_s)
+    fits = [fit_joint(rows, j) for j in range(n)]
+    if tree is not None:
+        scaled, tree = _scale(motion, tree, rows, fits, joints, lag_s)
+        found += scaled
+        rows = rows_of(motion, tree, lag_s)
+        fits = [fit_joint(rows, j) for j in range(n)]
+    return found + drift_findings(rows, joints, fits, recordings), rows, fits, lags
+
+
+def _scale(
+    motion: list[Stretch], tree: _core.Tree, rows: Rows, fits: Sequence[JointFit], joints: Sequence[str], lag_s: float
+) -> tuple[list[Finding], _core.Tree]:
+    """A payload where it explains every factor, else the factors; and the tree with the payload."""
+    found, judged = kind_findings(rows, joints, fits, strong_joints(rows, fits))
+    factors = scale_findings(joints, fits, judged)
+    if found or not judged:
+        return found + factors, tree
+    load = fit_load(motion, tree, rows)
+    payload = payload_findings(load, joints, judged)
+    if not payload:
+        return factors, tree
+    tree_with, off = loaded(tree, load), [joints.index(finding.joint or "") for finding in factors]
+    then = rows_of(motion, tree_with, lag_s)
+    rest = scale_findings(joints, [fit_joint(then, j) for j in range(len(joints))], off)
+    return (factors, tree) if rest else (payload, tree_with)
+
+
+def _facts(
+    recordings: Sequence[Recording],
+    velocities: Sequence[VelocityFit | None],
+    rows: Rows | None,
+    fits: Sequence[JointFit],
+    lags: Sequence[tuple[float, float, float]],
+) -> list[dict[str, float]]:
+    facts, noise = [], noise_nm(recordings)
+    for j in range(len(recordings[0].joints)):
+        fact = {
+            "range_rad": max(float(np.ptp(r.q[:, j])) for r in recordings),
+            "speed_rad_s": max(float(np.abs(r.dq[:, j]).max()) for r in recordings),
+            "torque_nm": max(float(np.abs(r.tau[:, j]).max()) for r in recordings),
+            "torque_noise_nm": float(noise[j]),
+        }
+        step = torque_step_nm(recordings, j)
+        if step is not None:
+            fact["torque_step_nm"] = step
+        velocity = velocities[j]
+        if velocity is not None:
+            fact |= {"velocity_factor": velocity.factor, "velocity_delay_ms": velocity.lag_s * 1e3}
+        if fits and rows is not None:
+            fit = fits[j]
+            fact |= {"torque_spread_nm": fit.torque_nm, "error_nm": fit.error_nm, "torque_delay_ms": lags[j][0] * 1e3}
+            if fit.gravity_factor[0]:
+                fact |= {"gravity_factor": fit.gravity_factor[0], "gravity_factor_error": fit.gravity_factor[1]}
+        facts.append(fact)
+    return facts

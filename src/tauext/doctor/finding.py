@@ -1,0 +1,66 @@
+"""What the doctor says: a finding, and the codes that it may have."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Severity = Literal["fault", "warning", "note"]
+SEVERITIES: tuple[Severity, ...] = ("fault", "warning", "note")
+
+CODES = {
+    "clock-gaps": "samples are missing",
+    "clock-irregular": "the steps between samples differ",
+    "contact-in-free-motion": "labelled contacts in a recording that is called free",
+    "degrees": "positions, or positions and velocities, are in degrees",
+    "effort-external": "the torque is already an external torque",
+    "effort-gravity-compensated": "the torque has no gravity in it",
+    "effort-limit": "the torque exceeds the robot file's limit",
+    "effort-motor-side": "the torque is that of the motor, before the gear",
+    "effort-scale": "the torque is the model's times a constant: a current, another unit",
+    "effort-sign": "the torque is positive where it pushes in the negative direction",
+    "excitation-low": "a joint moves too little",
+    "gravity-direction": "gravity points elsewhere than in the robot file",
+    "inertia-impossible": "a link of the robot file has an inertia that no body can have",
+    "joint-axis": "an axis turns against the robot file's",
+    "joint-names": "joints are named otherwise than in the robot file",
+    "joint-order": "joints stand in another order",
+    "mass-missing": "a moving link of the robot file has no mass",
+    "model-unusable": "the robot file cannot be used",
+    "never-moves": "no joint moves",
+    "payload-absent": "the model carries something that is not mounted",
+    "payload-missing": "something is mounted that is not in the model",
+    "position-limit": "a position exceeds the robot file's limit",
+    "quantised": "the torque has few levels",
+    "repeated-rows": "rows are equal to the row before",
+    "saturated": "many samples stand at one extreme value",
+    "smoothed": "the torque has less noise than a measurement can have",
+    "stuck": "a signal stands still while its joint moves",
+    "temperature-drift": "friction changes with time",
+    "too-short": "the recordings are short",
+    "torque-delay": "the torque comes late, or early, against the motion",
+    "velocity-delay": "the velocity comes late against the position",
+    "velocity-mismatch": "the velocity is not the derivative of the position",
+    "velocity-sign": "the velocity has the opposite sign",
+    "velocity-unit": "the velocity is the derivative of the position times a constant",
+}
+"""Stable: scripts may rely on them."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong, or worth knowing."""
+
+    code: str
+    """One of CODES."""
+    severity: Severity
+    """fault: what is trained on this is wrong; warning: it may be, or is worse than it need be; note: good to know."""
+    joint: str | None
+    """None: all joints, or none in particular."""
+    evidence: str
+    """In numbers."""
+    advice: str
+    """What to do."""
+
+    def __post_init__(self) -> None:
+        assert self.code in CODES and self.severity in SEVERITIES

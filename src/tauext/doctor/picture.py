@@ -1,0 +1,85 @@
+"""Measured against predicted torque, a row a joint, and a picture of each joint alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from tauext.doctor.examine import Diagnosis
+from tauext.report.style import DPI, LIMIT, RC, WIDTH_IN, label_joint
+
+SHOWN_S = 60.0
+"""Of the motion, from its start: more would be a smear."""
+MEASURED, PREDICTED, LEFT = "#000000", "#0072b2", "#d55e00"
+BREAK_S = 0.5
+"""Between rows further apart no line is drawn."""
+
+
+def draw(diagnosis: Diagnosis, folder: Path) -> list[Path]:
+    """Write torque.png, all joints, and torque-1.png ..., one a joint over all of the motion; nothing without a fit."""
+    if diagnosis.rows is None:
+        return []
+    with matplotlib.rc_context(RC):
+        paths = [_save(_all(diagnosis), folder / "torque.png")]
+        for j in range(len(diagnosis.joints)):
+            paths.append(_save(_one(diagnosis, j), folder / f"torque-{j + 1}.png"))
+    return paths
+
+
+def _all(diagnosis: Diagnosis) -> Figure:
+    n = len(diagnosis.joints)
+    figure = Figure(figsize=(WIDTH_IN, 0.6 + 1.35 * n), layout="constrained")
+    grid = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]
+    time = diagnosis.rows.time_s
+    shown = time <= time[0] + SHOWN_S
+    for j, axes in enumerate(grid):
+        _curves(axes, diagnosis, j, shown)
+        label_joint(axes, diagnosis.joints[j], "Nm")
+    grid[-1].set_xlabel("time, s")
+    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+def _one(diagnosis: Diagnosis, j: int) -> Figure:
+    figure = Figure(figsize=(WIDTH_IN, 4.6), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1.4))
+    rows, fit = diagnosis.rows, diagnosis.fits[j]
+    _curves(above, diagnosis, j, np.ones(len(rows.time_s), dtype=bool), left=False)
+    label_joint(above, diagnosis.joints[j])
+    time, left = _broken(rows.time_s, rows.tau[:, j] - fit.predicted)
+    below.plot(time, left, color=LEFT, linewidth=0.8)
+    below.axhline(0, color=LIMIT, linewidth=0.6)
+    label_joint(below, "not explained")
+    below.set_xlabel("time, s")
+    above.set_title(
+        f"spread {fit.torque_nm:.3g} Nm: gravity {fit.gravity_nm:.3g}, inertia {fit.inertial_nm:.2g}, "
+        f"friction {fit.friction_nm:.3g}; not explained {fit.error_nm:.2g} Nm",
+        loc="left",
+    )
+    figure.legend(*above.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+def _curves(axes, diagnosis: Diagnosis, j: int, shown: np.ndarray, left: bool = True) -> None:
+    rows, predicted = diagnosis.rows, diagnosis.fits[j].predicted
+    curves = [("measured", rows.tau[:, j], MEASURED, 1.6), ("model and friction", predicted, PREDICTED, 0.9)]
+    if left:
+        curves.append(("difference", rows.tau[:, j] - predicted, LEFT, 0.8))
+    for label, values, colour, width in curves:
+        axes.plot(*_broken(rows.time_s[shown], values[shown]), color=colour, linewidth=width, label=label)
+
+
+def _broken(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """With NaN where rows are apart, so that no line is drawn across."""
+    gaps = np.flatnonzero(np.diff(time) > BREAK_S) + 1
+    return np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan)
+
+
+def _save(figure: Figure, path: Path) -> Path:
+    FigureCanvasAgg(figure)
+    figure.savefig(path, dpi=DPI)
+    return path

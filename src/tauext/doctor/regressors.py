@@ -1,0 +1,97 @@
+"""What a joint's torque may consist of, all through one zero-phase filter: rows of a linear regression."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tauext import _core
+from tauext.doctor.motion import FIT_CUTOFF_HZ, FIT_ROWS_HZ, Stretch, low_pass
+
+COULOMB_SPEEDS_RAD_S = (0.02, 0.2)
+"""Smoothings of the sign of the speed: a sharp reversal, and friction that still grows at a crawl."""
+FRICTION = 2 + len(COULOMB_SPEEDS_RAD_S)  # constant, viscous, Coulomb
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Regressors and torque at FIT_ROWS_HZ; arrays (rows, joints) [N m] but where said."""
+
+    time_s: np.ndarray  # (rows,)
+    recording: np.ndarray  # (rows,)
+    q: np.ndarray  # [rad]
+    dq: np.ndarray  # [rad/s]
+    tau: np.ndarray
+    gravity: np.ndarray  # of the model
+    inertial: np.ndarray  # of the model: M ddq + C dq, rotor inertia of the file included
+    acceleration: np.ndarray  # [rad/s^2]: what a rotor inertia of 1 kg m^2 more would take
+    friction: np.ndarray  # (rows, joints, FRICTION): 1, dq, tanh(dq / speed) ...
+
+    @property
+    def joints(self) -> int:
+        return self.q.shape[1]
+
+    @property
+    def has_model(self) -> bool:
+        return bool(self.gravity.any() or self.inertial.any())
+
+    @property
+    def model(self) -> np.ndarray:
+        return self.gravity + self.inertial
+
+
+def rows_of(stretches: Sequence[Stretch], tree: _core.Tree | None, lag_s: float = 0.0) -> Rows:
+    r"""LP(tau) beside LP(dp/dt + beta) and friction of the same motion.
+
+    With p = M dq and beta = g - C^T dq of the sweep, dp/dt + beta is the model's torque: no acceleration is needed, and
+    the low-pass, the same for all, keeps the equation.
+
+    Args:
+        tree: None: no model, its torques are 0.
+        lag_s: the torque is taken so much later than its stamp says; positive where torque lags behind motion.
+    """
+    parts = [_of_stretch(stretch, tree, lag_s) for stretch in stretches]
+    return Rows(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _of_stretch(stretch: Stretch, tree: _core.Tree | None, lag_s: float) -> tuple[np.ndarray, ...]:
+    q, dq, rate = stretch.q, stretch.dq, stretch.rate_hz
+    gravity = inertial = np.zeros_like(q)
+    if tree is not None:
+        momentum, beta = tree.momentum(q, dq)
+        gravity = tree.momentum(q, np.zeros_like(q))[1]
+        inertial = np.gradient(momentum, 1 / rate, axis=0) + beta - gravity
+    friction = [np.ones_like(dq), dq] + [np.tanh(dq / speed) for speed in COULOMB_SPEEDS_RAD_S]
+    time = picked(stretch.start_s + np.arange(len(q)) / rate, rate)
+    tau = delayed(stretch.tau, lag_s, rate)
+
+    def filtered(x: np.ndarray) -> np.ndarray:
+        return picked(low_pass(x, min(FIT_CUTOFF_HZ, rate / 6), rate), rate)
+
+    signals = (q, dq, tau, gravity, inertial, np.gradient(dq, 1 / rate, axis=0), np.stack(friction, axis=2))
+    return (time, np.full(len(time), stretch.recording), *(filtered(x) for x in signals))
+
+
+def torque_rows(stretches: Sequence[Stretch], lag_s: float) -> np.ndarray:
+    """The torque of `rows_of` alone, taken so much later: (rows, joints), [N m]."""
+    parts = []
+    for s in stretches:
+        tau = low_pass(delayed(s.tau, lag_s, s.rate_hz), min(FIT_CUTOFF_HZ, s.rate_hz / 6), s.rate_hz)
+        parts.append(picked(tau, s.rate_hz))
+    return np.concatenate(parts)
+
+
+def delayed(x: np.ndarray, lag_s: float, rate_hz: float) -> np.ndarray:
+    """x at t + lag, so that what came late stands where it belongs."""
+    if lag_s == 0:
+        return x
+    at = np.arange(len(x)) / rate_hz
+    return np.stack([np.interp(at + lag_s, at, column) for column in x.T], axis=1)
+
+
+def picked(x: np.ndarray, rate_hz: float) -> np.ndarray:
+    """Rows at FIT_ROWS_HZ, the ends left out, where a filter that runs both ways sees one side only."""
+    end = int(0.2 * rate_hz)
+    return x[end : len(x) - end : max(1, round(rate_hz / FIT_ROWS_HZ))]

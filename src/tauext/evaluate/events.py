@@ -1,0 +1,162 @@
+"""Alarms against labelled events whose edges are uncertain: found, false and how late, moving and resting apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tauext.config import EventsConfig
+from tauext.data import Recording
+from tauext.data.estimates import COLLISION, Estimates
+from tauext.evaluate.after_contact import beginnings
+from tauext.evaluate.free_motion import FALSE_ALARM_QUIET_S
+from tauext.evaluate.onset import onset_s
+
+JOINED_S = 0.05
+"""Labelled stretches closer together than this are one event: a label flickers."""
+MOVING_OVER_S = 0.25
+
+
+@dataclass(frozen=True)
+class Event:
+    """One labelled stretch; times count from its recording's first sample, [s]."""
+
+    id: str
+    recording: str
+    start_s: float
+    end_s: float
+    moving: bool
+
+
+def labelled_events(recording: Recording, config: EventsConfig, near_stiction_rad_s: float) -> tuple[list[Event], int]:
+    """The events of a recording that last shortest_event_s or longer, and how many were shorter."""
+    at = np.flatnonzero(recording.contact == 1) if recording.contact is not None else np.zeros(0, dtype=int)
+    if len(at) == 0:
+        return [], 0
+    time_s, moving = recording.time_s, is_moving(recording, near_stiction_rad_s)
+    breaks = np.flatnonzero(np.diff(time_s[at]) > JOINED_S)
+    firsts, lasts = at[np.append(0, breaks + 1)], at[np.append(breaks, len(at) - 1)]
+    events = [
+        Event(f"{recording.name}:{k}", recording.name, float(time_s[a]), float(time_s[b]), bool(moving[a]))
+        for k, (a, b) in enumerate(zip(firsts, lasts, strict=True))
+    ]
+    period_s = 1 / recording.rate_hz
+    long = [event for event in events if event.end_s - event.start_s + period_s >= config.shortest_event_s]
+    return long, len(events) - len(long)
+
+
+def is_moving(recording: Recording, near_stiction_rad_s: float) -> np.ndarray:
+    """Whether some joint is faster than near stiction on average over a quarter of a second before or after a sample.
+
+    By position, since the measured speed of a standing arm may be noise of more than that. (samples,) bool.
+    """
+    time_s, moving = recording.time_s, np.zeros(recording.samples, dtype=bool)
+    for step_s in (-MOVING_OVER_S, MOVING_OVER_S):
+        other = np.clip(np.searchsorted(time_s, time_s + step_s), 0, recording.samples - 1)
+        moving |= (np.abs(recording.q[other] - recording.q) > near_stiction_rad_s * MOVING_OVER_S).any(axis=1)
+    return moving
+
+
+def event_time(recording: Recording, tolerance_s: float) -> np.ndarray:
+    """Whether a sample is in a labelled stretch of any length, in the tolerance around it, or unknown: (samples,) bool.
+
+    All other time is free. A recording without a label is free throughout.
+    """
+    contact = recording.contact
+    if contact is None or (contact == -1).all():
+        return np.zeros(recording.samples, dtype=bool)
+    time_s, at = recording.time_s, np.flatnonzero(contact == 1)
+    first = np.searchsorted(time_s, time_s[at] - tolerance_s)
+    last = np.searchsorted(time_s, time_s[at] + tolerance_s, side="right")
+    steps = np.bincount(first, minlength=recording.samples + 1) - np.bincount(last, minlength=recording.samples + 1)
+    return (np.cumsum(steps)[:-1] > 0) | (contact == -1)
+
+
+@dataclass
+class EventMeasures:
+    """One method's alarms on all recordings, taken in one by one."""
+
+    config: EventsConfig
+    near_stiction_rad_s: float
+    _verdicts: list[dict] = field(default_factory=list)
+    _left_out: int = 0
+    _false: np.ndarray = field(default_factory=lambda: np.zeros(2, dtype=int))  # resting, moving
+    _free_s: np.ndarray = field(default_factory=lambda: np.zeros(2))
+
+    def add(
+        self, recording: Recording, alarm: np.ndarray, healthy: np.ndarray, share: np.ndarray, r: np.ndarray
+    ) -> None:
+        """Take in one recording, with contacts or without.
+
+        Args:
+            alarm: (samples,) bool.
+            healthy: (samples,) bool: an event that begins while nothing can be said is no event, such time is not free.
+            share: |tau_ext| over its limit, (samples, joints): the largest names the joint.
+            r: a signal to re-time onsets by where the recording has no tau_ext, (samples, joints), [N m].
+        """
+        events, short = labelled_events(recording, self.config, self.near_stiction_rad_s)
+        self._left_out += short
+        busy, moving = event_time(recording, self.config.tolerance_s), is_moving(recording, self.near_stiction_rad_s)
+        free = ~busy & healthy
+        quiet = round(FALSE_ALARM_QUIET_S * recording.rate_hz)
+        begun = beginnings(alarm, quiet)
+        for state in (0, 1):
+            here = free & (moving == bool(state))
+            self._free_s[state] += here.sum() / recording.rate_hz
+            self._false[state] += int(here[begun].sum())
+        rises = np.flatnonzero(alarm & ~np.append(False, alarm[:-1]))
+        time_s, tolerance_s = recording.time_s, self.config.tolerance_s
+        onsets = onset_s(recording, [(e.start_s - tolerance_s, e.end_s) for e in events], r, ~busy & healthy)
+        for event, onset in zip(events, onsets, strict=True):
+            if not healthy[np.searchsorted(time_s, event.start_s)]:
+                self._left_out += 1
+                continue
+            window = (event.start_s - tolerance_s <= time_s[rises]) & (time_s[rises] <= event.end_s + tolerance_s)
+            found = rises[window][0] if window.any() else None
+            self._verdicts.append(
+                {
+                    "id": event.id,
+                    "recording": event.recording,
+                    "start_s": event.start_s,
+                    "end_s": event.end_s,
+                    "onset_s": onset,
+                    "moving": event.moving,
+                    "found": found is not None,
+                    "joint": None if found is None else recording.joints[int(np.argmax(share[found]))],
+                    "delay_s": None if found is None else float(time_s[found] - event.start_s),
+                    "delay_from_onset_s": None if found is None or onset is None else float(time_s[found] - onset),
+                }
+            )
+
+    def add_estimates(self, recording: Recording, estimates: Estimates) -> None:
+        """Take in what a bundle said: collisions as a monitor would have latched them."""
+        alarm = estimates.healthy & (estimates.alarm == COLLISION)
+        share = np.abs(np.nan_to_num(estimates.tau_ext)) / estimates.limit
+        self.add(recording, alarm, estimates.healthy, share, estimates.r)
+
+    def summary(self) -> dict:
+        """The entry `events` of a case in results.json."""
+        parts = {"all": (0, 1), "resting": (0,), "moving": (1,)}
+        return {
+            "shortest_event_s": self.config.shortest_event_s,
+            "tolerance_s": self.config.tolerance_s,
+            "left_out": self._left_out,
+            **{name: self._part(states) for name, states in parts.items()},
+            "verdicts": self._verdicts,
+        }
+
+    def _part(self, states: Sequence[int]) -> dict:
+        chosen = [v for v in self._verdicts if v["moving"] in states]
+        hours, false = float(self._free_s[list(states)].sum()) / 3600, int(self._false[list(states)].sum())
+        entry: dict = {"events": len(chosen), "found": sum(v["found"] for v in chosen)}
+        for key in ("delay_s", "delay_from_onset_s"):
+            delays = [v[key] for v in chosen if v[key] is not None]
+            for suffix, quantile in (("median", 0.5), ("p95", 0.95)):
+                entry[f"{key.removesuffix('_s')}_{suffix}_s"] = float(np.quantile(delays, quantile)) if delays else None
+        return entry | {
+            "free_hours": hours,
+            "false_alarms": false,
+            "false_alarms_per_hour": false / hours if hours else None,
+        }

@@ -1,0 +1,126 @@
+"""Torque constants of arms that report motor currents, from the model: one factor a joint."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tauext import _core
+from tauext.config import ObserverConfig
+from tauext.data import Recording
+from tauext.errors import ConfigError, TrainingError
+from tauext.learn.bundle_writing import build_chain
+from tauext.learn.friction import SMOOTHING_RAD_S
+from tauext.learn.prior import Kind, has_model
+
+PIECES = 10
+WELL_DETERMINED = 0.1
+"""A constant counts as known whose standard error is at most this share of it ..."""
+LEAST_SHARE = 0.05
+"""... if gravity and inertia, as the model has them, make up this share of what friction leaves of the current."""
+
+
+@dataclass(frozen=True)
+class TorqueConstants:
+    """One constant a joint, in N m a unit of the recordings' tau; a negative one says that the sign is inverted."""
+
+    nm_per_unit: np.ndarray  # (n,)
+    standard_errors: np.ndarray  # (n,)
+    determined: np.ndarray  # (n,) bool
+
+    @property
+    def used(self) -> list[float]:
+        """What recordings are scaled by: 1 for a joint of which nothing is known, whose torque stays as it was."""
+        return np.where(self.determined, self.nm_per_unit, 1.0).tolist()
+
+    def facts(self, joints: Sequence[str]) -> dict:
+        """For provenance: what is used, in the order of the joints, and what was found of each."""
+        return {
+            "used": self.used,
+            "found": {
+                name: {
+                    "nm_per_unit": float(self.nm_per_unit[j]) if np.isfinite(self.nm_per_unit[j]) else None,
+                    "standard_error": float(self.standard_errors[j]) if np.isfinite(self.standard_errors[j]) else None,
+                    "determined": bool(self.determined[j]),
+                }
+                for j, name in enumerate(joints)
+            },
+        }
+
+    def sentences(self, joints: Sequence[str]) -> list[str]:
+        """What was found, in words."""
+        values = zip(joints, self.nm_per_unit, self.standard_errors, self.determined, strict=True)
+        known = [f"{name} {k:.3g} ± {error:.1g}" for name, k, error, determined in values if determined]
+        unknown = [name for name, determined in zip(joints, self.determined, strict=True) if not determined]
+        said = [f"torque constants, Nm a unit of tau: {', '.join(known)}"] if known else []
+        if unknown:
+            said.append(
+                f"torque constants of {', '.join(unknown)} are undetermined, gravity and inertia there are too small "
+                "beside friction: their torques, estimates and limits stay in the recordings' own unit"
+            )
+        return said
+
+
+def fit_torque_constants(tree: _core.Tree, recordings: Sequence[Recording], config: ObserverConfig) -> TorqueConstants:
+    r"""Constants k from free motion, where the torque of the model and friction are what the current i exerts.
+
+    .. math:: \mathrm{LP}(i) = \mathrm{LP}(\tau_{model}) / k + c + v\,\dot q + f \tanh(\dot q / 0.03\,\mathrm{rad/s})
+
+    by least squares a joint, each term behind the observer's low-pass, which takes the derivative of the momentum. The
+    current is the target and not a regressor, since it has the noise. The model is taken as it is: an unknown payload
+    goes into the constants. Standard errors come from leaving out one tenth of the motion after the other.
+
+    Raises:
+        ConfigError: no model, whose torque is what constants are measured by.
+        TrainingError: no recording is longer than the observer's warm-up.
+    """
+    chain, n = build_chain(tree, recordings[0], config), tree.size
+    if not has_model(chain):
+        raise ConfigError("torque constants are found by comparing with a model, and there is none (case 'none')")
+    own = [
+        [
+            _core.Term(Kind.constant, j),
+            _core.Term(Kind.viscous, j),
+            _core.Term(Kind.coulomb, j, speed=SMOOTHING_RAD_S),
+        ]
+        for j in range(n)
+    ]
+    settings = _core.PriorSettings()
+    settings.terms = [term for terms in own for term in terms]
+    settings.weights = [0.0] * (n * len(settings.terms))
+    stacked = []
+    for recording in recordings:
+        motion = (recording.t_ns, recording.q, recording.dq)
+        with_none = _core.observe(tree, chain.observer, *motion, np.zeros_like(recording.tau))
+        rows = np.flatnonzero(with_none.warm.astype(bool))[:: chain.observer.network_stride].astype(np.int64)
+        if len(rows) == 0:
+            continue
+        signals = (*motion, recording.tau)
+        current = with_none.residual - _core.observe(tree, chain.observer, *signals).residual
+        friction = _core.prior_regressors(tree, chain.observer, settings, *signals, rows)
+        stacked.append((with_none.residual[rows], current[rows], friction))
+    if not stacked:
+        raise TrainingError("no training recording is longer than the observer's warm-up")
+    model, current, friction = (np.concatenate([one[k] for one in stacked]) for k in range(3))
+    found = [_fit(model[:, j], current[:, j], friction[:, 3 * j : 3 * j + 3]) for j in range(n)]
+    return TorqueConstants(*(np.array([one[k] for one in found]) for k in range(3)))
+
+
+def _fit(model: np.ndarray, current: np.ndarray, friction: np.ndarray) -> tuple[float, float, bool]:
+    """Constant, standard error, and whether that is known, of one joint."""
+    columns = np.column_stack([model, friction])
+    pieces = [
+        (columns[at].T @ columns[at], columns[at].T @ current[at]) for at in np.array_split(range(len(model)), PIECES)
+    ]
+    gram, moment = (sum(piece[k] for piece in pieces) for k in range(2))
+    share = np.linalg.lstsq(gram, moment, rcond=None)[0]
+    leave_one = np.array([np.linalg.lstsq(gram - g, moment - m, rcond=None)[0][0] for g, m in pieces])
+    error = np.sqrt((PIECES - 1) / PIECES * ((leave_one - leave_one.mean()) ** 2).sum())
+    left = current - friction @ np.linalg.lstsq(friction, current, rcond=None)[0]
+    explained = 1 - np.sum((current - columns @ share) ** 2) / max(float(left @ left), 1e-300)
+    if not abs(share[0]) > 0:
+        return np.nan, np.nan, False
+    determined = error <= WELL_DETERMINED * abs(share[0]) and explained >= LEAST_SHARE
+    return 1 / share[0], error / share[0] ** 2, bool(determined)

@@ -1,0 +1,283 @@
+"""Ways to break good recordings and robot files, each with the finding that it must lead to."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from made_motion import Made, made_motion
+
+from tauext import _core
+from tauext.data import Recording
+from tauext.data.recording import FLAGS, SIGNALS
+from tauext.doctor import Diagnosis, Finding
+from tauext.doctor.motion import low_pass
+from tauext.doctor.payload import with_load
+from tauext.robot import load
+
+J = 1
+"""The joint that is broken: the second, which carries the arm."""
+DEG = 180 / np.pi
+
+
+class NotApplicable(Exception):
+    """This case cannot be broken in this way."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """Good data of an arm, which faults then change."""
+
+    made: Made
+    urdf: Path
+    minutes: float
+    rate_hz: float
+
+    @property
+    def tree(self) -> _core.Tree:
+        return load(self.urdf, self.made.recordings[0].joints)
+
+    def anew(self, tree: _core.Tree, **options: object) -> list[Recording]:
+        self.needs_urdf()
+        options = {"minutes": self.minutes, "rate_hz": self.rate_hz, "seed": 1} | options
+        return made_motion(tree, **options).recordings  # type: ignore[arg-type]
+
+    def needs_urdf(self) -> None:
+        if self.urdf.suffix != ".urdf":
+            raise NotApplicable
+
+
+Broken = tuple[list[Recording], str]
+"""Recordings, and the text of the robot file."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    name: str
+    code: str
+    joint: int | None
+    """Index of the joint that must be named; None: any or none."""
+    broken: Callable[[Case], Broken]
+    follows: tuple[str, ...] = ()
+    """Codes of findings that the fault rightly brings with it."""
+    planar: bool = True
+    """Whether two joints in one plane can show it."""
+
+
+def each(case: Case, change: Callable[[Recording, int], dict]) -> Broken:
+    return [replace(r, **change(r, k)) for k, r in enumerate(case.made.recordings)], case.urdf.read_text()
+
+
+def at(r: Recording, signal: str, j: int, change: Callable[[np.ndarray], np.ndarray]) -> dict:
+    x = getattr(r, signal).copy()
+    x[:, j] = change(x[:, j])
+    return {signal: x}
+
+
+def swapped(x: np.ndarray, a: int, b: int) -> np.ndarray:
+    order = list(range(x.shape[1]))
+    order[a], order[b] = b, a
+    return np.ascontiguousarray(x[:, order])
+
+
+def shifted(x: np.ndarray, seconds: float, rate_hz: float) -> np.ndarray:
+    t = np.arange(len(x)) / rate_hz
+    return np.interp(t - seconds, t, x)
+
+
+def held(x: np.ndarray, first: int, rows: int) -> np.ndarray:
+    x = x.copy()
+    for start in range(first, len(x) - rows, 10 * rows):
+        x[start : start + rows] = x[start]
+    return x
+
+
+def stuck(case: Case, signal: str, j: int) -> Broken:
+    return each(case, lambda r, k: at(r, signal, j, lambda x: held(x, 100, round(1.5 * r.rate_hz))))
+
+
+def repeated(case: Case) -> Broken:
+    rng = np.random.default_rng(0)
+
+    def change(r: Recording, k: int) -> dict:
+        rows = np.maximum.accumulate(np.where(rng.random(r.samples) < 0.5, np.arange(r.samples), 0))
+        return {name: getattr(r, name)[rows] for name in ("q", "dq", "tau")}
+
+    return each(case, change)
+
+
+def jittered(r: Recording, k: int) -> dict:
+    """Stamped when a message arrives, not when it was measured."""
+    period = 1e9 / r.rate_hz
+    late = np.random.default_rng(k).uniform(0, 0.8 * period, r.samples)
+    return {"t_ns": (r.t_ns + late).astype(np.int64)}
+
+
+def gapped(case: Case) -> Broken:
+    def change(r: Recording, k: int) -> dict:
+        keep = np.ones(r.samples, dtype=bool)
+        for start in (r.samples // 3, r.samples // 2):
+            keep[start : start + 50] = False
+        held = [name for name in ("t_ns", *SIGNALS, *FLAGS) if getattr(r, name) is not None]
+        return {name: getattr(r, name)[keep] for name in held}
+
+    return each(case, change)
+
+
+def uncompensated(case: Case) -> Broken:
+    return each(case, lambda r, k: {"tau": r.tau - case.made.gravity[k]})
+
+
+def external(case: Case) -> Broken:
+    """What is left of the torque where a driver subtracts its model: noise, and a little of everything."""
+    rng = np.random.default_rng(0)
+
+    def change(r: Recording, k: int) -> dict:
+        noise = low_pass(rng.standard_normal(r.tau.shape), 2.0, r.rate_hz)
+        return {
+            "tau": 0.02 * r.tau
+            + 0.05 * r.tau.std(axis=0) * (noise / noise.std() + 0.1 * rng.standard_normal(r.tau.shape))
+        }
+
+    return each(case, change)
+
+
+def drifting(case: Case) -> Broken:
+    case.needs_urdf()
+    made = made_motion(case.tree, 8.0, 50.0, seed=2)
+    whole, done, recordings = sum(r.samples for r in made.recordings), 0, []
+    for r, friction in zip(made.recordings, made.friction, strict=True):
+        share = (np.arange(r.samples)[:, None] + done) / whole
+        done += r.samples
+        warm = np.repeat(25 + 20 * share, len(r.joints), axis=1)
+        recordings.append(replace(r, tau=r.tau - 0.4 * share * friction, temperature=warm))
+    return recordings, case.urdf.read_text()
+
+
+def touched(r: Recording, k: int) -> dict:
+    contact = r.contact.copy()
+    contact[500:600] = 1
+    return {"contact": contact}
+
+
+def tilted(case: Case) -> Broken:
+    tree = _core.Tree(list(case.tree.links), [0.0, 9.81 * np.sin(0.7), -9.81 * np.cos(0.7)])
+    return case.anew(tree), case.urdf.read_text()
+
+
+def loaded(case: Case) -> Broken:
+    kg = max(2.0, 0.15 * sum(link.mass for link in case.tree.links))
+    return case.anew(with_load(case.tree, np.array([kg, 0.02 * kg, 0, 0.08 * kg]))), case.urdf.read_text()
+
+
+def coarse_nm(case: Case) -> float:
+    return 0.3 * float(case.made.recordings[0].tau[:, J].std())
+
+
+def most_nm(case: Case) -> float:
+    return float(np.quantile(case.made.recordings[0].tau[:, J], 0.9))
+
+
+def link_text(case: Case, change: Callable[[str], str], j: int) -> Broken:
+    """The robot file with the inertial element of joint j's link changed."""
+    case.needs_urdf()
+    text, joint = case.urdf.read_text(), case.made.recordings[0].joints[j]
+    link = re.search(rf'<joint name="{joint}".*?<child link="(.*?)"', text, re.S).group(1)  # type: ignore[union-attr]
+    whole = re.search(rf'<link name="{link}">.*?</link>', text, re.S).group(0)  # type: ignore[union-attr]
+    return case.made.recordings, text.replace(whole, change(whole))
+
+
+def file_text(case: Case, pattern: str, by: str) -> Broken:
+    case.needs_urdf()
+    return case.made.recordings, re.sub(pattern, by, case.urdf.read_text())
+
+
+FAULTS = [
+    Fault("effort of one joint negated", "effort-sign", J,
+          lambda c: each(c, lambda r, k: at(r, "tau", J, np.negative))),
+    Fault("effort of all joints negated", "effort-sign", J, lambda c: each(c, lambda r, k: {"tau": -r.tau})),
+    Fault("effort times 1.6", "effort-scale", J, lambda c: each(c, lambda r, k: at(r, "tau", J, lambda x: 1.6 * x)),
+          follows=("effort-limit",)),
+    Fault("effort is current, 8 to 14 Nm/A", "effort-scale", J,
+          lambda c: each(c, lambda r, k: {"tau": r.tau / np.linspace(14, 8, len(r.joints))})),
+    Fault("effort before a gear of 100", "effort-motor-side", J, lambda c: each(c, lambda r, k: {"tau": r.tau / 100})),
+    Fault("effort without gravity", "effort-gravity-compensated", J, uncompensated),
+    Fault("effort is external torque", "effort-external", J, external),
+    Fault("torque 40 ms late", "torque-delay", J,
+          lambda c: each(c, lambda r, k: {"tau": np.stack([shifted(x, 0.04, r.rate_hz) for x in r.tau.T], axis=1)})),
+    Fault("torque of one joint 40 ms early", "torque-delay", J,
+          lambda c: each(c, lambda r, k: at(r, "tau", J, lambda x: shifted(x, -0.04, r.rate_hz)))),
+    Fault("q and dq in degrees", "degrees", None, lambda c: each(c, lambda r, k: {"q": DEG * r.q, "dq": DEG * r.dq})),
+    Fault("q in degrees", "degrees", None, lambda c: each(c, lambda r, k: {"q": DEG * r.q})),
+    Fault("q and dq of one joint in degrees", "degrees", J,
+          lambda c: each(c, lambda r, k: at(r, "q", J, lambda x: DEG * x) | at(r, "dq", J, lambda x: DEG * x))),
+    Fault("dq in degrees a second", "velocity-unit", J, lambda c: each(c, lambda r, k: {"dq": DEG * r.dq})),
+    Fault("dq in turns a minute", "velocity-unit", J,
+          lambda c: each(c, lambda r, k: at(r, "dq", J, lambda x: x * 60 / (2 * np.pi)))),
+    Fault("dq negated", "velocity-sign", J, lambda c: each(c, lambda r, k: at(r, "dq", J, np.negative))),
+    Fault("dq 40 ms late", "velocity-delay", J,
+          lambda c: each(c, lambda r, k: at(r, "dq", J, lambda x: shifted(x, 0.04, r.rate_hz)))),
+    Fault("dq is something else", "velocity-mismatch", J,
+          lambda c: each(c, lambda r, k: at(r, "dq", J, lambda x: np.sin(np.arange(len(x)) / 97))),
+          follows=("stuck",)),
+    Fault("dq of two joints exchanged", "joint-order", J, lambda c: each(c, lambda r, k: {"dq": swapped(r.dq, 0, 1)}),
+          follows=("stuck",)),
+    Fault("efforts of two joints exchanged", "joint-order", J,
+          lambda c: each(c, lambda r, k: {"tau": swapped(r.tau, 0, 1)})),
+    Fault("all signals of two joints exchanged", "joint-order", J,
+          lambda c: each(c, lambda r, k: {n: swapped(getattr(r, n), 1, 3 if len(r.joints) > 3 else 0)
+                                          for n in ("q", "dq", "tau")})),
+    Fault("an axis reversed", "joint-axis", J,
+          lambda c: each(c, lambda r, k: at(r, "q", J, np.negative) | at(r, "dq", J, np.negative)
+                         | at(r, "tau", J, np.negative)), planar=False),
+    Fault("torque saturated", "saturated", J,
+          lambda c: each(c, lambda r, k: at(r, "tau", J, lambda x: np.minimum(x, most_nm(c))))),
+    Fault("dq saturated", "saturated", J,
+          lambda c: each(c, lambda r, k: at(r, "dq", J, lambda x: np.clip(x, -0.4, 0.4))),
+          follows=("velocity-mismatch", "velocity-unit")),
+    Fault("q stuck", "stuck", J, lambda c: stuck(c, "q", J), follows=("velocity-mismatch",)),
+    Fault("dq stuck", "stuck", J, lambda c: stuck(c, "dq", J),
+          follows=("velocity-delay", "velocity-mismatch", "velocity-unit")),
+    Fault("torque stuck", "stuck", J, lambda c: stuck(c, "tau", J)),
+    Fault("half of the rows repeated", "repeated-rows", None, repeated),
+    Fault("clock jitters", "clock-irregular", None, lambda c: each(c, jittered)),
+    Fault("gaps", "clock-gaps", None, gapped),
+    Fault("torque smoothed", "smoothed", None,
+          lambda c: each(c, lambda r, k: {"tau": low_pass(low_pass(r.tau, 3.0, r.rate_hz), 3.0, r.rate_hz)})),
+    Fault("torque in coarse steps", "quantised", J,
+          lambda c: each(c, lambda r, k: at(r, "tau", J, lambda x: np.round(x / coarse_nm(c)) * coarse_nm(c)))),
+    Fault("a joint hardly moves", "excitation-low", J, lambda c: (c.anew(c.tree, still=J), c.urdf.read_text())),
+    Fault("the arm stands", "never-moves", None,
+          lambda c: (c.anew(c.tree, ranges=0.01, minutes=0.5), c.urdf.read_text()), follows=("clock-gaps",)),
+    Fault("thirty seconds", "too-short", None, lambda c: (c.anew(c.tree, minutes=0.5), c.urdf.read_text())),
+    Fault("friction falls by 40 % as it warms up", "temperature-drift", J, drifting),
+    Fault("contacts in free motion", "contact-in-free-motion", None, lambda c: each(c, touched)),
+    Fault("base tilted by 40 degrees", "gravity-direction", None, tilted, planar=False),
+    Fault("a tool that is not in the model", "payload-missing", None, loaded),
+    Fault("a limit of position too narrow", "position-limit", J,
+          lambda c: file_text(c, r'lower="[^"]*" upper="[^"]*"', 'lower="-0.3" upper="0.3"')),
+    Fault("a limit of effort too low", "effort-limit", J, lambda c: file_text(c, r'effort="[^"]*"', 'effort="1"')),
+    Fault("an inertia that is not positive", "inertia-impossible", J,
+          lambda c: link_text(c, lambda x: re.sub(r'ixx="[^"]*"', 'ixx="-0.01"', x), J)),
+    Fault("an inertia against the triangle rule", "inertia-impossible", J,
+          lambda c: link_text(c, lambda x: re.sub(r'izz="[^"]*"', 'izz="9"', x), J)),
+    Fault("a moving link without mass", "mass-missing", J,
+          lambda c: link_text(c, lambda x: re.sub(r'<mass value="[^"]*"', '<mass value="0"', x), J)),
+    Fault("joints named otherwise", "joint-names", None,
+          lambda c: ([replace(r, joints=tuple(f"axis_{j}" for j in range(len(r.joints)))) for r in c.made.recordings],
+                     c.urdf.read_text())),
+]  # fmt: skip
+
+
+def is_named(fault: Fault, recordings: list[Recording], diagnosis: Diagnosis) -> bool:
+    """Whether a finding of the right code names the right joint, or all of them."""
+    joint = None if fault.joint is None else recordings[0].joints[fault.joint]
+    return any(f.code == fault.code and (joint is None or f.joint in (joint, None)) for f in diagnosis.findings)
+
+
+def beside(fault: Fault, diagnosis: Diagnosis) -> list[Finding]:
+    """Findings that have nothing to do with the fault; that a test's recordings are short is none."""
+    return [f for f in diagnosis.findings if f.code not in (fault.code, *fault.follows, "too-short")]

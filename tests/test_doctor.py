@@ -1,0 +1,178 @@
+"""The doctor names what is wrong, with its joint, and is silent on good data."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from doctor_faults import FAULTS, Case, Fault, beside, is_named
+from made_motion import made_motion
+from trees import six_axis, urdf
+
+from tauext.cli import main
+from tauext.data import save
+from tauext.doctor import CODES, examine
+from tauext.doctor.fit import fit_joint
+from tauext.doctor.motion import stretches
+from tauext.doctor.payload import fit_load, with_load
+from tauext.doctor.regressors import rows_of
+from tauext.doctor.velocity import compare
+from tauext.errors import ConfigError, RobotError
+from tauext.rig import RigConfig
+from tauext.rig.arm import arm_xml
+from tauext.rig.recording import simulate_recording
+from tauext.robot import load
+
+MINUTES, RATE_HZ = 1.2, 100.0
+
+
+@pytest.fixture(scope="module")
+def six(tmp_path_factory) -> Case:
+    path = tmp_path_factory.mktemp("arm") / "six.urdf"
+    path.write_text(urdf(six_axis()).replace('effort="100"', 'effort="3000"'))
+    return Case(made_motion(load(path), MINUTES, RATE_HZ, pieces=2), path, MINUTES, RATE_HZ)
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory) -> Case:
+    path = tmp_path_factory.mktemp("rig") / "robot.xml"
+    path.write_text(arm_xml(RigConfig()))
+    recordings = [simulate_recording(RigConfig(), "free", 45.0, 3, number) for number in range(2)]
+    return Case(replace(made_motion(load(path), 0.2), recordings=recordings), path, 1.5, 1000.0)
+
+
+def test_good_data_of_six_axes_has_no_finding_but_its_length(six):
+    assert {f.code for f in examine(six.made.recordings, six.urdf).findings} == {"too-short"}
+
+
+def test_good_data_of_the_rig_has_no_finding_but_its_length(rig):
+    assert {f.code for f in examine(rig.made.recordings, rig.urdf).findings} == {"too-short"}
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
+def test_fault_is_named_with_its_joint_and_nothing_else(six: Case, fault: Fault, tmp_path):
+    recordings, text = fault.broken(six)
+    (tmp_path / "robot.urdf").write_text(text)
+    diagnosis = examine(recordings, tmp_path / "robot.urdf")
+    assert is_named(fault, recordings, diagnosis), diagnosis.findings
+    assert not beside(fault, diagnosis)
+
+
+@pytest.mark.parametrize(
+    "name", ["effort of one joint negated", "q and dq in degrees", "torque 40 ms late", "dq negated"]
+)
+def test_fault_of_the_rig_is_named(rig: Case, name: str):
+    fault = next(fault for fault in FAULTS if fault.name == name)
+    recordings, _ = fault.broken(rig)
+    diagnosis = examine(recordings, rig.urdf)
+    assert is_named(fault, recordings, diagnosis) and not beside(fault, diagnosis)
+
+
+def test_every_code_but_two_has_a_fault_that_leads_to_it():
+    # an unusable file and a hand that is not mounted have tests of their own
+    assert set(CODES) - {fault.code for fault in FAULTS} == {"model-unusable", "payload-absent"}
+
+
+def test_effort_of_the_wrong_sign_is_found_without_a_model(six):
+    recordings = [replace(r, tau=-r.tau) for r in six.made.recordings]
+    diagnosis = examine(recordings)
+    found = {f.joint for f in diagnosis.findings if f.code == "effort-sign"}
+    assert found == set(recordings[0].joints)
+    assert not examine(six.made.recordings).faulty
+
+
+def test_a_tool_taken_off_is_payload_absent(six, tmp_path):
+    lighter = with_load(six.tree, np.array([-0.7 * six.tree.links[-1].mass, 0, 0, 0]))
+    assert "payload-absent" in {f.code for f in examine(six.anew(lighter), six.urdf).findings}
+
+
+def test_load_of_least_squares_is_the_load_that_was_mounted(six):
+    mounted = np.array([4.0, 0.2, -0.1, 0.4])
+    motion = stretches(six.anew(with_load(six.tree, mounted)))
+    load_found = fit_load(motion, six.tree, rows_of(motion, six.tree))
+    # noise of 1 % of the torque over a minute
+    assert load_found.mass_kg == pytest.approx(4.0, rel=0.02)
+    assert load_found.com_m == pytest.approx(mounted[1:] / 4.0, abs=0.01)
+
+
+def test_rows_hold_the_equation_of_motion(six):
+    """Without friction and noise the torque is gravity + inertial, whatever filter both went through."""
+    made = six.made
+    quiet = [replace(r, tau=r.tau - f) for r, f in zip(made.recordings, made.friction, strict=True)]
+    rows = rows_of(stretches(quiet), six.tree)
+    for j in range(rows.joints):
+        fit = fit_joint(rows, j)
+        assert fit.gravity_factor[0] == pytest.approx(1.0, abs=0.005)  # noise is 1 %
+        assert fit.error_nm < 0.01 * fit.torque_nm
+
+
+@pytest.mark.parametrize("late_s", [-0.05, 0.0, 0.003, 0.08])
+def test_velocity_delay_is_measured_to_a_millisecond(six, late_s):
+    def shift(r):
+        t = r.time_s
+        return replace(r, dq=np.stack([np.interp(t - late_s, t, x) for x in np.gradient(r.q, t, axis=0).T], axis=1))
+
+    assert compare(stretches([shift(r) for r in six.made.recordings]), 0).lag_s == pytest.approx(late_s, abs=1e-3)
+
+
+def test_one_wide_joint_is_not_in_degrees(six):
+    """A wrist may wind up: only two such joints, or a speed that no joint has, are degrees."""
+    wound = [replace(r, q=r.q + np.eye(6)[5] * 16.0) for r in six.made.recordings]
+    assert "degrees" not in {f.code for f in examine(wound).findings}
+
+
+def test_bad_input_is_refused(six, tmp_path):
+    with pytest.raises(ConfigError, match="no recording to check"):
+        examine([])
+    other = replace(six.made.recordings[0], joints=tuple("abcdef"))
+    with pytest.raises(ConfigError, match="are of one arm"):
+        examine([six.made.recordings[0], other])
+    with pytest.raises(RobotError, match="no such robot file"):
+        examine(six.made.recordings, tmp_path / "gone.urdf")
+
+
+def test_unreadable_robot_file_is_a_fault_and_the_signals_are_checked(six, tmp_path):
+    (tmp_path / "robot.urdf").write_text("<robot")
+    recordings = [replace(r, dq=-r.dq) for r in six.made.recordings]
+    codes = {f.code for f in examine(recordings, tmp_path / "robot.urdf").findings}
+    assert {"model-unusable", "velocity-sign"} <= codes
+
+
+def test_factors_that_a_load_explains_in_part_stay_factors(six):
+    """Currents of all joints, of which a lighter hand would explain one."""
+    recordings = [replace(r, tau=r.tau / np.linspace(14, 8, 6)) for r in six.made.recordings]
+    codes = {f.code for f in examine(recordings, six.urdf).findings}
+    assert codes == {"effort-scale", "too-short"}
+
+
+def test_joints_of_an_mjcf_are_taken_in_its_order_where_names_differ(rig):
+    recordings = [replace(r, joints=("a", "b")) for r in rig.made.recordings]
+    assert {f.code for f in examine(recordings, rig.urdf).findings} == {"joint-names", "too-short"}
+
+
+def test_command_writes_text_json_and_a_picture_a_joint(six, tmp_path, capsys):
+    import json
+
+    (tmp_path / "in").mkdir()
+    for r in six.made.recordings:
+        save(replace(r, tau=-r.tau), tmp_path / "in" / f"{r.name}.parquet")
+    arguments = ["check", "--data", str(tmp_path / "in"), "--robot", str(six.urdf), "--out", str(tmp_path / "out")]
+    assert main([*arguments, "--json"]) == 1
+    said = json.loads(capsys.readouterr().out)
+    assert said == json.loads((tmp_path / "out" / "check.json").read_text())
+    assert said["faulty"] and {f["code"] for f in said["findings"]} == {"effort-sign", "too-short"}
+    assert {p.name for p in (tmp_path / "out").glob("*.png")} == {
+        "torque.png",
+        *(f"torque-{j}.png" for j in range(1, 7)),
+    }
+
+
+def test_command_exits_0_without_a_fault_and_2_without_recordings(six, tmp_path, capsys):
+    for r in six.made.recordings:
+        save(r, tmp_path / f"{r.name}.parquet")
+    assert main(["check", "--data", str(tmp_path), "--robot", str(six.urdf)]) == 0
+    assert "0 faults" in capsys.readouterr().out
+    (tmp_path / "empty").mkdir()
+    assert main(["check", "--data", str(tmp_path / "empty")]) == 2
+    assert "no recording" in capsys.readouterr().err

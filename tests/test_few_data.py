@@ -1,0 +1,160 @@
+"""Training on what people have: one recording, contacts in it, currents, an arm that stands still."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arms import no_model, planar_arm
+
+from tauext import _core
+from tauext.cli.train import train_bundle
+from tauext.config import PAPER_CASES, ObserverConfig, TrainConfig
+from tauext.data import Recording, scaled_torque, torque_constants_of
+from tauext.errors import ConfigError, TrainingError
+from tauext.learn import fit_torque_constants, training_parts
+from tauext.learn.regression import NormalEquations, Regression, coupled
+
+RATE_HZ = 125.0
+EXACT = PAPER_CASES["exact"]
+
+
+def arm_torque(q: np.ndarray, dq: np.ndarray) -> np.ndarray:
+    """What the planar arm's drives exert without friction: p and beta of the core, dp/dt by differences."""
+    t_ns = np.arange(len(q), dtype=np.int64) * 8_000_000
+    settings = _core.ObserverSettings(
+        gain_per_s=1e4,  # so fast that r is the torque itself
+        timing=_core.TorqueTiming.averaged,
+        sample_period_ns=8_000_000,
+        network_stride=1,
+    )
+    return _core.observe(planar_arm(), settings, t_ns, q, dq, np.zeros_like(q)).residual
+
+
+def motion(seconds: float = 40.0, seed: int = 0, name: str = "made", still: bool = False, **changes) -> Recording:
+    """Two joints on a smooth way of many sines, friction and noise of the torque."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    speeds, phases = rng.uniform(0.3, 2.5, (2, 5)), rng.uniform(0, 6, (2, 5))
+    q = np.stack([np.sin(t[:, None] * s + p).sum(axis=1) * 0.5 for s, p in zip(speeds, phases, strict=True)], axis=1)
+    dq = np.stack(
+        [(s * np.cos(t[:, None] * s + p)).sum(axis=1) * 0.5 for s, p in zip(speeds, phases, strict=True)], axis=1
+    )
+    if still:
+        q, dq = np.zeros_like(q) + [0.3, 0.4], np.zeros_like(dq)
+    torque = arm_torque(q, dq) + 3 * np.tanh(dq / 0.03) + 2 * dq + rng.normal(0, 0.1, q.shape)
+    named = {"name": name, "joints": ("shoulder", "elbow"), "t_ns": np.arange(len(t), dtype=np.int64) * 8_000_000}
+    meta = {"rate_hz": RATE_HZ, "torque_timing": "averaged", "source": "test", "robot_sha256": ""}
+    return Recording(**(named | {"q": q, "dq": dq, "tau": torque} | meta | changes))
+
+
+def trained(tmp_path: Path, monkeypatch, training, validation=(), **settings):
+    """The bundle and its facts, with limits of torque left unknown."""
+    monkeypatch.setattr("tauext.robot.torque_limits", lambda robot, joints: [np.inf] * len(joints))
+    out = tmp_path / "made.tauext"
+    train_bundle(planar_arm(), Path(), EXACT, list(training), list(validation), TrainConfig(**settings), out)
+    bundle = _core.Bundle.load(str(out))
+    return bundle, json.loads(bundle.provenance)
+
+
+def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path, monkeypatch):
+    bundle, facts = trained(tmp_path, monkeypatch, [motion()], recipe="prior")
+    assert any("every fifth of the motion" in note for note in facts["notes"])
+    assert "friction_reserve_nm" in facts["limits"]
+    other = motion(seed=7)
+    said = _core.estimate(bundle, other.t_ns, other.q, other.dq, other.tau, 1)
+    healthy = said["healthy"].astype(bool)
+    assert healthy.sum() > 4000 and not said["detection"][healthy].any()
+    # What is left of friction and model on another motion is the torque's noise behind the observer, and little more.
+    assert (np.sqrt((said["tau_ext"][healthy] ** 2).mean(axis=0)) < 0.3).all()
+
+
+def test_validation_is_cut_off_by_time_with_a_gap_of_a_window_and_the_warm_up():
+    made = motion()
+    parts = training_parts([made], [], TrainConfig(recipe="dense"))
+    assert [len(some) for some in (parts.training, parts.validation, parts.limits, parts.uncut)] == [1, 1, 1, 1]
+    gap_s = (parts.validation[0].t_ns[0] - parts.training[0].t_ns[-1]) * 1e-9
+    assert gap_s >= 1.5 and parts.validation[0].duration_s == pytest.approx(0.2 * made.duration_s, abs=0.01)
+    assert parts.uncut[0] is made and any("last 20%" in note for note in parts.notes)
+    with pytest.raises(TrainingError, match="5.0 s, is too short to cut some off: 12.5 s are needed"):
+        training_parts([motion(seconds=5.0)], [], TrainConfig(recipe="dense"))
+
+
+def test_minutes_without_validation_recordings_get_no_network_and_all_of_them_are_fitted():
+    made = motion()
+    parts = training_parts([made], [], TrainConfig())
+    assert not parts.network and parts.uncut[0] is made and any("no network" in note for note in parts.notes)
+    assert training_parts([made], [motion(seed=1, name="other")], TrainConfig()).network
+
+
+def test_a_contact_in_training_changes_nothing_of_what_is_learned_beside_it(tmp_path, monkeypatch):
+    plain = motion()
+    contact = np.zeros(plain.samples, dtype=np.int8)
+    contact[2000:2200] = 1
+    hit = replace(plain, tau=plain.tau - 40.0 * contact[:, None], contact=contact)
+    parts = training_parts([hit], [], TrainConfig(recipe="prior"))
+    assert len(parts.training) == 2 and all((piece.contact == 0).all() for piece in parts.training)
+    bundle, facts = trained(tmp_path, monkeypatch, [hit], recipe="prior")
+    assert max(bundle.sliding_limit_nm) < 5.0
+    assert any("are left out: in contact" in note for note in facts["notes"])
+
+
+def test_a_standing_arm_has_limits_at_rest_and_nothing_to_learn(tmp_path, monkeypatch):
+    still = motion(seconds=10.0, still=True)
+    with pytest.raises(TrainingError, match="no joint moves in any of 1 training recordings.*--recipe observer"):
+        training_parts([still], [], TrainConfig())
+    bundle, facts = trained(tmp_path, monkeypatch, [still], recipe="observer", limits="paper")
+    assert any(note.startswith("limits at rest only: no joint moves") for note in facts["notes"])
+    assert bundle.sliding_limit_nm == bundle.near_stiction_limit_nm and min(bundle.sliding_limit_nm) > 0
+
+
+def test_currents_get_their_constants_back_and_a_recording_is_scaled_by_them():
+    constants = np.array([9.0, -0.7])
+    torque = motion(seconds=60.0)
+    current = replace(torque, tau=torque.tau / constants)
+    found = fit_torque_constants(planar_arm(), [current], ObserverConfig())
+    assert found.determined.all()
+    # Noise of 0.1 Nm on torques of tens of Nm; friction is fitted beside them.
+    np.testing.assert_allclose(found.nm_per_unit, constants, rtol=0.01)
+    scaled = scaled_torque(current, found.used)
+    np.testing.assert_allclose(scaled.tau, torque.tau, rtol=0.01, atol=1e-9)
+    facts = json.dumps({"torque_constants": found.facts(current.joints)}, sort_keys=True)
+    assert torque_constants_of(facts) == found.used and torque_constants_of("{}") is None
+
+
+def test_a_constant_that_friction_drowns_is_said_to_be_undetermined():
+    made = motion(seconds=20.0)
+    rng = np.random.default_rng(1)
+    drowned = replace(made, tau=np.column_stack([made.tau[:, 0], rng.normal(0, 50, made.samples)]))
+    found = fit_torque_constants(planar_arm(), [drowned], ObserverConfig())
+    assert found.determined.tolist() == [True, False] and found.used[1] == 1.0
+    assert "elbow are undetermined" in found.sentences(made.joints)[-1]
+    with pytest.raises(ConfigError, match="there is none"):
+        fit_torque_constants(no_model(planar_arm()), [made], ObserverConfig())
+
+
+def test_joints_that_share_no_column_are_solved_apart_with_the_result_of_one_dense_system():
+    rng = np.random.default_rng(3)
+    columns = (np.array([0, 1, 4]), np.array([2, 3]), np.array([4, 5]))
+    assert coupled(columns) == [[1], [0, 2]] or coupled(columns) == [[0, 2], [1]]
+    parts = []
+    for _ in range(5):
+        X, y = [rng.normal(size=(40, len(at))) for at in columns], rng.normal(size=(40, 3))
+        gram, moment = [x.T @ x for x in X], [x.T @ y[:, i] for i, x in enumerate(X)]
+        parts.append(NormalEquations(columns, gram, moment, (y**2).sum(axis=0), 40))
+    regression = Regression(parts)
+    regression.fix(3, 0.5)
+    ridge = 0.1
+    dense, right = np.zeros((6, 6)), np.zeros(6)
+    weight = 1 / (regression.whole.energy / 200)
+    for i, at in enumerate(columns):
+        dense[np.ix_(at, at)] += weight[i] * regression.whole.gram[i]
+        right[at] += weight[i] * regression.whole.moment[i]
+    scale = np.sqrt(np.diag(dense) / 200)
+    free = np.array([0, 1, 2, 4, 5])
+    left = dense[np.ix_(free, free)] / np.outer(scale[free], scale[free]) + ridge * 200 * np.eye(5)
+    slow = np.linalg.solve(left, (right - 0.5 * dense[:, 3])[free] / scale[free]) / scale[free]
+    found = regression.solve(regression.whole, ridge)
+    np.testing.assert_allclose(found[free], slow, rtol=1e-10)
+    assert found[3] == 0.5

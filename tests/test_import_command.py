@@ -125,6 +125,14 @@ def test_contacts_are_cut_out_of_training_where_it_is_listed(workplace, capsys):
     assert all((load(p).contact == 0).all() for p in (workplace / "out").glob("two-free-*.parquet"))
 
 
+def test_with_cut_false_a_listed_recording_keeps_its_contacts_and_their_label(workplace, capsys):
+    rest = '[split]\ntrain = ["two.bag"]\nvalidation = ["one.bag"]\ntest = ["three.bag"]\n[contact]\ncut = false\n'
+    assert run(capsys, workplace, rest + '[contact.intervals]\n"two.bag" = [[5, 6]]')[0] == 0
+    assert load_split(workplace / "out").train == ("two.parquet",)
+    contact = load(workplace / "out" / "two.parquet").contact
+    assert 0 < (contact == 1).sum() < len(contact)
+
+
 def test_where_every_source_has_contacts_the_end_is_kept_whole_for_collisions(workplace, capsys):
     rest = '[contact.intervals]\n"three.bag" = [[2, 2.5], [35, 35.5]]'
     assert run(capsys, workplace, rest, sources=["three"])[0] == 0

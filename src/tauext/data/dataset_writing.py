@@ -105,7 +105,7 @@ def _cut(path: Path, claims: list[Claim], arm: Arm, written: dict[str, list[str]
         if part is None:
             continue
         whole = [part]
-        if claim.part != "collisions":
+        if claim.part != "collisions" and arm.contact.cut:
             whole = free_stretches(part, arm.contact.before_s, arm.contact.after_s, LEAST_FREE_S)
         for recording in whole:
             if f"{recording.name}.parquet" in (name for names in written.values() for name in names):

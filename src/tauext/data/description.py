@@ -102,6 +102,7 @@ class ContactTable:
     intervals: dict[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     before_s: float = 0.5
     after_s: float = 1.0
+    cut: bool = True
 
 
 @dataclass(frozen=True)

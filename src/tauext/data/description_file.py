@@ -112,6 +112,12 @@ def _text(value: Any, _: int) -> str:
     return value
 
 
+def _flag(value: Any, _: int) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError
+    return value
+
+
 def _number(value: Any, _: int = 0) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise TypeError
@@ -153,6 +159,7 @@ def _one_of(choices: tuple[str, ...]) -> tuple[Callable[[Any, int], str], str]:
 
 READERS: dict[str, tuple[Callable[[Any, int], Any], str]] = {
     "str": (_text, "text"),
+    "bool": (_flag, "true or false"),
     "float": (_number, "a number"),
     "tuple[str, ...]": (_texts, "a text or a list of texts"),
     "tuple[float, ...]": (_numbers, "a number or a list of numbers"),

@@ -230,6 +230,9 @@ free_values = [0]
 # Contacts are cut out of training, validation, test and calibration, with this much before and after, s.
 before_s = 0.5
 after_s = 1.0
+# false: recordings keep their contacts, where the free stretches between them are short; training and limits leave
+# them out by their label all the same (--margins of train).
+# cut = false
 # Where there is no label: contacts by file, in s after its first sample.
 # [contact.intervals]
 # "run2.bag" = [[40.7, 41.0]]

@@ -9,48 +9,17 @@
 
 #include "check.hpp"
 #include "made_bundle.hpp"
+#include "made_signals.hpp"
 #include "tauext/monitor.hpp"
 
 using namespace tauext;
+using made::kMs, made::sampled, made::Signals;
 
 namespace {
 
-constexpr std::int64_t kMs = 1'000'000;
 constexpr int kSteps = 30, kStride = 10;  // a window of 0.3 s; the observer needs 0.5 s
 constexpr double kGain = 20.0;
 constexpr std::array<double, 3> kGravity{0, -9.81, 0};
-
-struct Signals {
-  int joints;
-  std::vector<std::int64_t> t_ns;
-  std::vector<double> q, dq, tau;
-
-  std::int64_t samples() const { return static_cast<std::int64_t>(t_ns.size()); }
-  Sample at(std::int64_t k) const {
-    const auto n = static_cast<std::size_t>(joints), from = static_cast<std::size_t>(k) * n;
-    return {t_ns[static_cast<std::size_t>(k)], std::span(q).subspan(from, n), std::span(dq).subspan(from, n),
-            std::span(tau).subspan(from, n)};
-  }
-  RecordingView view() const { return from(0); }
-  // Without the samples before k.
-  RecordingView from(std::int64_t k) const {
-    const std::int64_t cell = k * joints;
-    return {samples() - k, joints, t_ns.data() + k, q.data() + cell, dq.data() + cell, tau.data() + cell};
-  }
-};
-
-// The made motion, sampled at these times.
-Signals sampled(int joints, const std::vector<std::int64_t>& t_ns) {
-  Signals s{joints, t_ns, {}, {}, {}};
-  for (std::int64_t t : t_ns) {
-    double q[kMaxJoints], dq[kMaxJoints], tau[kMaxJoints];
-    made::signal(t / kMs, joints, q, dq, tau);
-    s.q.insert(s.q.end(), q, q + joints);
-    s.dq.insert(s.dq.end(), dq, dq + joints);
-    s.tau.insert(s.tau.end(), tau, tau + joints);
-  }
-  return s;
-}
 
 std::vector<std::int64_t> every_ms(int samples) {
   std::vector<std::int64_t> t_ns;

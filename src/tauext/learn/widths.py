@@ -37,11 +37,12 @@ def idle_widths(chain: Chain, recordings: Sequence[Recording], config: PriorConf
         columns = [m for m, term in enumerate(fit.settings.terms) if term.kind in BENT and term.b == k]
         was = regression.used[columns].copy()
         regression.used[columns] = False
-        _, without_nm = regression.choose_ridge()
-        growth = float((without_nm / all_nm - 1).max())
         if width < LEAST_COUNTS * count_rad:
             dropped[width] = f"narrower than {LEAST_COUNTS:g} encoder counts of {count_rad:.2g} rad"
-        elif growth < IDLE_SHARE:
+            continue
+        _, without_nm = regression.choose_ridge()
+        growth = float((without_nm / all_nm - 1).max())
+        if growth < IDLE_SHARE:
             dropped[width] = f"without it the error grows by {max(growth, 0.0):.2%}, less than {IDLE_SHARE:.1%}"
         else:
             regression.used[columns] = was

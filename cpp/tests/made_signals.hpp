@@ -1,0 +1,46 @@
+// The made motion as samples one by one and as a recording.
+#pragma once
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "made_bundle.hpp"
+#include "tauext/monitor.hpp"
+
+namespace made {
+
+inline constexpr std::int64_t kMs = 1'000'000;
+
+struct Signals {
+  int joints;
+  std::vector<std::int64_t> t_ns;
+  std::vector<double> q, dq, tau;
+
+  std::int64_t samples() const { return static_cast<std::int64_t>(t_ns.size()); }
+  tauext::Sample at(std::int64_t k) const {
+    const auto n = static_cast<std::size_t>(joints), from = static_cast<std::size_t>(k) * n;
+    return {t_ns[static_cast<std::size_t>(k)], std::span(q).subspan(from, n), std::span(dq).subspan(from, n),
+            std::span(tau).subspan(from, n)};
+  }
+  tauext::RecordingView view() const { return from(0); }
+  // Without the samples before k.
+  tauext::RecordingView from(std::int64_t k) const {
+    const std::int64_t cell = k * joints;
+    return {samples() - k, joints, t_ns.data() + k, q.data() + cell, dq.data() + cell, tau.data() + cell};
+  }
+};
+
+// The made motion, sampled at these times.
+inline Signals sampled(int joints, const std::vector<std::int64_t>& t_ns) {
+  Signals s{joints, t_ns, {}, {}, {}};
+  for (std::int64_t t : t_ns) {
+    double q[tauext::kMaxJoints], dq[tauext::kMaxJoints], tau[tauext::kMaxJoints];
+    made::signal(t / kMs, joints, q, dq, tau);
+    s.q.insert(s.q.end(), q, q + joints);
+    s.dq.insert(s.dq.end(), dq, dq + joints);
+    s.tau.insert(s.tau.end(), tau, tau + joints);
+  }
+  return s;
+}
+
+}  // namespace made

@@ -18,7 +18,9 @@ from tauext.config import PriorConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
 from tauext.learn import Chain, PriorFit, fit_friction, fit_prior
-from tauext.learn.prior import fit_terms, own_terms, shared_terms
+from tauext.learn.prior import Inertia, fit_terms
+from tauext.learn.prior_terms import CORRECTED as BY_CORRECTED
+from tauext.learn.prior_terms import ESTIMATED, has_model, own_terms, shared_terms
 from tauext.learn.ripple import find_ripple
 from tauext.learn.widths import encoder_count
 from tauext.robot import perturbed
@@ -128,6 +130,31 @@ def formulas(q: np.ndarray, dq: np.ndarray, beta: np.ndarray, z: list[np.ndarray
 
 
 EVERY_FORM = list(formulas(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)), [np.zeros((1, 3))] * 2))
+
+
+def test_a_load_may_be_that_of_the_corrected_model():
+    t_ns, q, dq, tau = wild_motion()
+    tree, observer = three_joint_arm(), settings()
+    corrected = with_links(tree, mass=(3.0, 2.0, 4.0))
+    _, beta = corrected.momentum(q, dq)
+    z = [twin_presliding(q, width, restarts=(400,)) for width in WIDTHS]
+    for kind, at, values in (
+        (Kind.load, {"speed": 0.2}, np.abs(beta[:, 1]) * np.tanh(dq[:, 1] / 0.2)),
+        (Kind.load_presliding, {"b": 1}, np.abs(beta[:, 1]) * z[1][:, 1]),
+    ):
+        prior = prior_of([_core.Term(kind, 1, form=BY_CORRECTED, **at)], [[2.0], [0.0], [-3.0]], WIDTHS)
+        prior.corrected_links = corrected.links
+        alone = prior_of([], np.zeros((3, 0)), WIDTHS)
+        alone.corrected_links = corrected.links
+        said, without = (_core.observe(tree, observer, t_ns, q, dq, tau, one).prior for one in (prior, alone))
+        expected = twin_filter(values, np.zeros_like(values), t_ns, (400,))
+        tolerance = 1e-10 * (1 + np.abs(values).max() + np.abs(without).max())
+        np.testing.assert_allclose(said - without, np.outer(expected, [2.0, 0.0, -3.0]), rtol=0, atol=tolerance)
+        regressors = _core.prior_regressors(tree, observer, prior, t_ns, q, dq, tau, np.arange(len(q), dtype=np.int64))
+        np.testing.assert_allclose(regressors[:, 0], expected, rtol=0, atol=tolerance)
+        prior.corrected_links = []
+        with pytest.raises(_core.CoreError, match="prior term 0: it asks for the load by the corrected model"):
+            _core.observe(tree, observer, t_ns, q, dq, tau, prior)
 
 
 def test_every_kind_of_term_has_a_formula_here():
@@ -250,6 +277,7 @@ FRICTION = {  # of shoulder and elbow, as it stands in r
 SEARCHED = PriorConfig(WIDTHS, False, coulomb_speeds_rad_s=(0.05,), most_ripples=2, correct_model=False)
 CORRECTED = PriorConfig(WIDTHS, False, coulomb_speeds_rad_s=(0.05,), most_ripples=0)
 ONE_SPEED = replace(CORRECTED, correct_model=False)
+BASIS = replace(ONE_SPEED, find_kinematics=False)
 
 
 def loaded(q, dq, beta):
@@ -404,7 +432,7 @@ def test_a_right_model_is_left_nearly_as_it_is():
 def test_without_a_model_gravity_and_inertia_terms_reach_the_noise():
     bare = no_model(planar_arm())
     chain = chain_of(bare)
-    fit = fit_prior(chain, recordings(unloaded), ONE_SPEED)
+    fit = fit_prior(chain, recordings(unloaded), BASIS)
     # 26 more weights a joint cost a few percent.
     assert (fit.error_nm < 1.08 * FILTERED_NOISE_NM).all()
     before = np.std(np.vstack([remaining_without(chain, made) for made in recordings(unloaded, count=1)]), axis=0)
@@ -422,7 +450,7 @@ def remaining_without(chain: Chain, made: Recording) -> np.ndarray:
 def test_the_filtered_basis_without_a_model_holds_the_planar_arm_exactly():
     """No noise, no friction: gravity, momentum and quadratic terms are the arm, so that only the ridge remains."""
     chain, made = chain_of(no_model(planar_arm())), recordings(None, noise_nm=0.0, count=5, seconds=10.0)
-    fit = fit_prior(chain, made, ONE_SPEED)
+    fit = fit_prior(chain, made, BASIS)
     largest = np.abs(remaining_without(chain, made[0])).max(axis=0)
     assert fit.ridge == 1e-7 and (fit.error_nm < 1e-3 * largest).all()
 
@@ -464,7 +492,7 @@ def test_no_ripple_is_searched_for_in_less_than_45_seconds():
 
 def test_a_known_ripple_is_not_found_again():
     chain, made = chain_of(planar_arm()), recordings(rippling((37, 1.2)), count=2)
-    fit = fit_terms(chain, made, ONE_SPEED, [[], []])
+    fit = fit_terms(chain, made, ONE_SPEED, [[], []], Inertia())
     assert find_ripple(chain, made, fit, [[], []]) == [[], [37]]
     assert find_ripple(chain, made, fit, [[], [37]]) == [[], []]
 
@@ -592,9 +620,10 @@ def test_the_terms_of_an_arm_of_any_size_fit_it():
         with_model = _core.Tree(links, [0, -9.81, 0])
         for tree in (with_model, no_model(with_model)):
             chain = chain_of(tree, PriorConfig().widths_rad)
-            terms = [t for joint in range(joints) for t in own_terms(chain, PriorConfig(), joint, [37, 100])]
-            terms += shared_terms(chain)
-            assert bool(shared_terms(chain)) == (tree is not with_model)
+            assert has_model(chain) == (tree is with_model)
+            load = ESTIMATED if has_model(chain) else None
+            terms = [t for joint in range(joints) for t in own_terms(chain, PriorConfig(), joint, [37, 100], load)]
+            terms += [] if has_model(chain) else shared_terms(chain)
             q = np.zeros((3, joints))
             prior = prior_of(terms, np.zeros((joints, len(terms))), chain.widths_rad)
             _core.observe(tree, chain.observer, regular_times(3, RATE_HZ), q, q, q, prior)

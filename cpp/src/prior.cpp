@@ -28,9 +28,11 @@ void PriorSettings::validate(int joints) const {
     if (t.kind == TermKind::ripple) expect(t.b >= 1 && t.b <= kMaxCycles, m, "its cycles a turn are not 1 to 10000");
     const int forms = t.kind == TermKind::gravity    ? 14
                       : t.kind == TermKind::momentum ? 3
-                      : t.kind == TermKind::quadratic || t.kind == TermKind::ripple ? 2
-                                                                                    : 1;
+                      : t.kind == TermKind::quadratic || t.kind == TermKind::ripple || is_load(t) ? 2
+                                                                                                  : 1;
     expect(t.form >= 0 && t.form < forms, m, "its form does not exist");
+    if (is_load(t) && t.form == 1)
+      expect(!corrected_links.empty(), m, "it asks for the load by the corrected model, and there is none");
   }
   if (weights.size() != terms.size() * static_cast<std::size_t>(joints))
     throw Error("prior.weights has " + std::to_string(weights.size()) + " values where " +
@@ -89,21 +91,23 @@ void Prior::step(std::int64_t t_ns, std::span<const double> q, std::span<const d
                  std::span<const double> momentum, std::span<const double> beta, std::span<double> prior,
                  std::span<double> doubt) noexcept {
   const auto n = static_cast<std::size_t>(joints_);
-  JointVector p, v, unknown{};
+  JointVector p, v, corrected_beta, unknown{};
   constexpr JointVector zero{};
   for (std::size_t i = 0; i < n; ++i) p[i] = v[i] = 0.0;
   if (corrected_) {
-    corrected_->momentum(q, dq, std::span(p).first(n), std::span(v).first(n));
+    corrected_->momentum(q, dq, std::span(p).first(n), std::span(corrected_beta).first(n));
     for (std::size_t i = 0; i < n; ++i) {
       p[i] = momentum[i] - p[i];
-      v[i] = beta[i] - v[i];
+      v[i] = beta[i] - corrected_beta[i];
     }
   }
+  const std::span<const double> loads[] = {beta, std::span(corrected_beta).first(n)};
   for (std::size_t m = 0; m < terms_.size(); ++m) {
-    const double value = term_value(terms_[m], q, dq, presliding, beta);
+    const std::span<const double> load = loads[is_load(terms_[m]) ? terms_[m].form : 0];
+    const double value = term_value(terms_[m], q, dq, presliding, load);
     JointVector& to = terms_[m].kind == TermKind::momentum ? p : v;
     for (std::size_t i = 0; i < n; ++i) to[i] += weights_[i * terms_.size() + m] * value;
-    const double off = term_doubt(terms_[m], presliding, beta);
+    const double off = term_doubt(terms_[m], presliding, load);
     for (std::size_t i = 0; off > 0 && i < n; ++i) unknown[i] += std::fabs(weights_[i * terms_.size() + m]) * off;
   }
   // The filter is linear and never changes a sign, so that of a bound is the bound of what is filtered.

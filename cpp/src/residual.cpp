@@ -124,7 +124,9 @@ std::vector<double> prior_regressors(const Tree& tree, const ObserverSettings& s
     filters.emplace_back(static_cast<int>(std::min<std::size_t>(kMaxJoints, M - first)), settings.gain_per_s,
                          TorqueTiming::held);
   std::vector<double> out(samples.size() * M);
-  JointVector momentum, beta, filtered;
+  std::optional<Tree> corrected;
+  if (!prior.corrected_links.empty()) corrected.emplace(prior.corrected_links, tree.gravity());
+  JointVector momentum, beta, corrected_beta, filtered;
   constexpr JointVector zero{};
   std::size_t next = 0;
   for (std::int64_t k = 0; k < recording.samples && next < samples.size(); ++k) {
@@ -135,6 +137,8 @@ std::vector<double> prior_regressors(const Tree& tree, const ObserverSettings& s
     }
     presliding.step(q);
     tree.momentum(q, dq, std::span(momentum).first(q.size()), std::span(beta).first(q.size()));
+    if (corrected) corrected->momentum(q, dq, std::span(momentum).first(q.size()), std::span(corrected_beta).first(q.size()));
+    const std::span<const double> loads[] = {std::span(beta).first(q.size()), std::span(corrected_beta).first(q.size())};
     const bool wanted = samples[next] == k;
     for (std::size_t f = 0; f < filters.size(); ++f) {
       const std::size_t first = f * kMaxJoints, count = std::min<std::size_t>(kMaxJoints, M - first);
@@ -142,7 +146,7 @@ std::vector<double> prior_regressors(const Tree& tree, const ObserverSettings& s
       for (std::size_t m = 0; m < count; ++m) {
         const Term& term = prior.terms[first + m];
         (term.kind == TermKind::momentum ? p : v)[m] =
-            term_value(term, q, dq, presliding, std::span(beta).first(q.size()));
+            term_value(term, q, dq, presliding, loads[is_load(term) ? term.form : 0]);
       }
       filters[f].step(recording.t_ns[k], std::span(p).first(count), std::span(v).first(count),
                       std::span(zero).first(count), std::span(filtered).first(count));

@@ -265,7 +265,8 @@ void invalid_settings_are_refused_by_name() {
     refused_term("prior term 3: its form does not exist", {of, 0, 1, 0, -1, 0.1});
     const std::int32_t forms = of == TermKind::gravity ? 14 : of == TermKind::momentum ? 3
                                : of == TermKind::quadratic || of == TermKind::ripple  ? 2
-                                                                                      : 1;
+                               : of == TermKind::load || of == TermKind::load_presliding ? 2
+                                                                                          : 1;
     refused_term("prior term 3: its form does not exist", {of, 0, 1, 0, forms, 0.1});
   }
   for (TermKind of : {TermKind::coulomb, TermKind::load})
@@ -284,6 +285,10 @@ void invalid_settings_are_refused_by_name() {
   refused_after("prior.weights has 124 values where 0 belong", [](PriorSettings& p) { p.terms.clear(); });
   refused_after("prior.weights holds a value that is not finite", [](PriorSettings& p) { p.weights[7] = NAN; });
   refused_after("prior.weights holds a value that is not finite", [](PriorSettings& p) { p.weights[7] = -INFINITY; });
+  refused_after("prior term 3: it asks for the load by the corrected model, and there is none", [](PriorSettings& p) {
+    p.terms[3] = {TermKind::load, 0, 0, 0, 1, 0.1};
+    p.corrected_links.clear();
+  });
   refused_after("the prior's corrected model has 1 links where 2 belong",
                 [](PriorSettings& p) { p.corrected_links.pop_back(); });
   refused_after("mass = ", [](PriorSettings& p) { p.corrected_links[1].mass = -1; });

@@ -154,6 +154,8 @@ class PriorConfig:
     """Ripples of motor and gear that are searched for in each joint; 0: none."""
     correct_model: bool = True
     """Let the data correct mass, centre of mass and inertia of the estimated model."""
+    find_kinematics: bool = True
+    """Without a model, look for the arm's axes and link lengths in its motion."""
 
     def __post_init__(self) -> None:
         for name in ("widths_rad", "coulomb_speeds_rad_s"):

@@ -20,8 +20,9 @@ enum class TermKind : std::uint8_t {
   viscous,     // dq_a
   coulomb,     // tanh(dq_a / speed)
   presliding,  // state of joint a for width b
-  load,        // |beta_a| tanh(dq_a / speed): friction that grows with the load on the gear
-  load_presliding,  // |beta_a| times the state of joint a for width b
+  load,        // |beta_a| tanh(dq_a / speed): friction that grows with the load on the gear;
+               // form 0 beta of the estimated model, 1 of the corrected one
+  load_presliding,  // |beta_a| times the state of joint a for width b; forms as load
   ripple,      // of motor and gear, b cycles a turn: form 0 sin(b q_a), 1 cos(b q_a)
   gravity,     // form 0 sin a, 1 cos a, 2 sin a sin b, 3 sin a cos b, 4 cos a sin b, 5 cos a cos b;
                // 6 to 13: a product of three, form - 6 = 4 [cos a] + 2 [cos b] + [cos c], sin where that is 0
@@ -81,7 +82,10 @@ class Prior {
   State state_;
 };
 
-// Value of a term at one sample; momentum terms give their momentum.
+inline bool is_load(const Term& term) noexcept {
+  return term.kind == TermKind::load || term.kind == TermKind::load_presliding;
+}
+// Value of a term at one sample; momentum terms give their momentum. beta is that of the model which a load term asks for.
 double term_value(const Term& term, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
                   std::span<const double> beta) noexcept;
 // How far from that the term may be while its presliding state is not determined.

@@ -141,6 +141,11 @@ def describe_prior(bundle: Bundle, facts: dict) -> dict:
         if friction["not_supported"]:
             words.append(f"not supported by the data: {', '.join(friction['not_supported'])}")
         content[f"friction of {joint}"] = "; ".join(words)
+    for joint, found in fitted.get("arm", {}).items():
+        words = ["axis " + " ".join(f"{value:.2g}" for value in found["axis"])]
+        if "angle_deg" in found:
+            words.append(f"{found['angle_deg']:.3g}° and {found['distance_m']:.2g} m from the axis before")
+        content[f"found in the motion of {joint}"] = "; ".join(words)
     for joint, corrections in fitted.get("model", {}).items():
         told = {name: value for name, value in corrections.items() if isinstance(value, dict)}
         words = [f"{name} {value['by']:+.3g} ± {value['standard_error']:.1g}" for name, value in told.items()]

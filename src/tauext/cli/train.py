@@ -127,7 +127,8 @@ def train_bundle(
 
     def fitted(recordings: list[Recording]) -> PriorFit | None:
         if config.recipe in ("prior", "tauext"):
-            return fit_prior(with_presliding(chain, config.prior.widths_rad), recordings, config.prior)
+            bent = with_presliding(chain, config.prior.widths_rad)
+            return fit_prior(bent, recordings, config.prior, lambda line: print(f"{out.stem}: {line}", file=sys.stderr))
         return fit_friction(chain, recordings) if config.recipe == "friction" else None
 
     # Without steps there is nothing to validate: all of the motion is fitted, and left out in turn for the limits.

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 from tauext import _core
 from tauext.data import Recording
-from tauext.learn.prior import Kind, PriorFit, fit_ridge
+from tauext.learn.prior import PriorFit, fit_ridge
+from tauext.learn.prior_terms import Kind
 from tauext.learn.training_set import Chain
 
 SMOOTHING_RAD_S = 0.03
@@ -32,4 +33,4 @@ def fit_friction(chain: Chain, recordings: Sequence[Recording]) -> PriorFit:
         ]
         for joint in range(chain.tree.size)
     ]
-    return fit_ridge(chain, recordings, own, shared=[], corrected=False)
+    return fit_ridge(chain, recordings, own, shared=[])

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 
@@ -12,16 +11,34 @@ from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data import Recording
 from tauext.errors import TrainingError
+from tauext.learn.find_kinematics import find_kinematics
+from tauext.learn.inertial_regressors import inertial_regressors
+from tauext.learn.kinematic_sample import KinematicSample
+from tauext.learn.kinematics import Kinematics
+from tauext.learn.possible_links import ROTOR, fix_impossible, solve_possible
+from tauext.learn.prior_terms import CORRECTED, ESTIMATED, has_model, own_terms, shared_terms
 from tauext.learn.regression import FOLDS, NormalEquations, Regression
 from tauext.learn.ripple import find_ripple
 from tauext.learn.training_set import Chain
 from tauext.learn.widths import idle_widths
 from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
 
-Kind = _core.TermKind
-ROTOR = PARAMETERS.index("rotor")
 RIPPLE_HELPS = 0.01
 """A ripple stays that lowers the error on left-out motion by this share: in minutes, noise may look like one."""
+LEAST_ROWS = 250  # 10 s of motion: an arm has some seventy unknowns
+FOUND_ARM_COSTS = 0.1
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """What the prior says of gravity and inertia, beside the estimated model: the default is sines and cosines."""
+
+    tree: _core.Tree | None = None
+    """Its inertial parameters are corrected; None: none are."""
+    load: int | None = None
+    """See own_terms."""
+    loads: tuple[_core.Link, ...] = ()
+    kinematics: Kinematics | None = None
 
 
 @dataclass(frozen=True)
@@ -47,87 +64,91 @@ class PriorFit:
     corrections_determined: np.ndarray
     regression: Regression
     left_out: list[LeftOut]  # one for each fold that leaves a possible model
+    kinematics: Kinematics | None = None  # found from the motion, where there is no model and this explains it
     dropped_widths: dict[float, str] = field(default_factory=dict)  # [rad]: and why
 
 
-def own_terms(chain: Chain, config: PriorConfig, joint: int, ripple: Sequence[int]) -> list[_core.Term]:
-    """Friction and ripple of one joint: what it does alone."""
-    terms = [_core.Term(Kind.constant, joint), _core.Term(Kind.viscous, joint)]
-    terms += [_core.Term(Kind.coulomb, joint, speed=speed) for speed in config.coulomb_speeds_rad_s]
-    terms += [_core.Term(Kind.presliding, joint, b=width) for width in range(len(chain.widths_rad))]
-    if has_model(chain):
-        terms.append(_core.Term(Kind.load, joint, speed=config.coulomb_speeds_rad_s[0]))
-        if chain.widths_rad:
-            terms.append(_core.Term(Kind.load_presliding, joint, b=len(chain.widths_rad) // 2))
-    return terms + [_core.Term(Kind.ripple, joint, b=cycles, form=form) for cycles in ripple for form in (0, 1)]
-
-
-def shared_terms(chain: Chain) -> list[_core.Term]:
-    """Without a model: gravity and inertia from sines and cosines of single joints and pairs, for every joint."""
-    if has_model(chain):
-        return []
-    joints = range(chain.tree.size)
-    terms = [_core.Term(Kind.gravity, j, j, form=form) for j in joints for form in (0, 1)]
-    terms += [_core.Term(Kind.gravity, a, b, form=form) for a, b in combinations(joints, 2) for form in (2, 3, 4, 5)]
-    # Three neighbours: gravity of parallel axes is that of the sum of their angles, and of a wrist behind them.
-    terms += [_core.Term(Kind.gravity, j - 2, j - 1, j, form=form) for j in joints[2:] for form in range(6, 14)]
-    terms += [_core.Term(Kind.momentum, j, j, form=0) for j in joints]
-    terms += [_core.Term(Kind.momentum, a, b, form=form) for a in joints for b in near(a, joints) for form in (1, 2)]
-    terms += [
-        _core.Term(Kind.quadratic, a, b, c, form)
-        for a, b in combinations_with_replacement(joints, 2)
-        if b - a <= 1
-        for c in near(a, joints)
-        for form in (0, 1)
-    ]
-    return terms
-
-
-def near(joint: int, joints: range) -> list[int]:
-    """A joint and its neighbours, whose angles its inertia depends on most; all of them in a short arm."""
-    return [other for other in joints if len(joints) <= 3 or abs(other - joint) <= 1]
-
-
-def has_model(chain: Chain) -> bool:
-    return any(link.mass > 0 or link.rotor_inertia > 0 for link in chain.tree.links)
-
-
-def fit_prior(chain: Chain, recordings: Sequence[Recording], config: PriorConfig) -> PriorFit:
+def fit_prior(
+    chain: Chain, recordings: Sequence[Recording], config: PriorConfig, tell: Callable[[str], None] | None = None
+) -> PriorFit:
     """The prior of a chain whose prior holds nothing but presliding widths yet.
 
-    Ripple is searched for in what a first fit leaves; then presliding widths that do not help are left out.
+    Without a model the arm itself is looked for first. Ripple is searched for in what a first fit leaves; then
+    presliding widths that do not help are left out.
+
+    Args:
+        tell: takes a line about what was found.
 
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
     """
+    inertia = Inertia(chain.tree if config.correct_model else None, ESTIMATED)
+    fit = None
+    if not has_model(chain):
+        inertia, fit = find_inertia(chain, recordings, config, tell or (lambda line: None))
     ripple: list[list[int]] = [[] for _ in range(chain.tree.size)]
-    fit = fit_terms(chain, recordings, config, ripple)
+    fit = fit or fit_terms(chain, recordings, config, ripple, inertia)
     for _ in range(config.most_ripples):
         found = find_ripple(chain, recordings, fit, ripple)
         if not any(found):
             break
         tried = [known + new for known, new in zip(ripple, found, strict=True)]
-        more = fit_terms(chain, recordings, config, tried)
+        more = fit_terms(chain, recordings, config, tried, inertia)
         helps = more.error_nm < (1 - RIPPLE_HELPS) * fit.error_nm  # on motion left out of the fit
         kept = [a if better else b for a, b, better in zip(tried, ripple, helps, strict=True)]
         if kept == ripple:
             break
-        fit = more if kept == tried else fit_terms(chain, recordings, config, kept)
+        fit = more if kept == tried else fit_terms(chain, recordings, config, kept, inertia)
         ripple = kept
     dropped = idle_widths(chain, recordings, config, fit) if config.drop_widths else {}
     if dropped:
         prior = _core.PriorSettings()
         prior.widths_rad = [width for width in chain.widths_rad if width not in dropped]
-        fit = replace(fit_terms(replace(chain, prior=prior), recordings, config, ripple), dropped_widths=dropped)
-    return fit
+        without = fit_terms(replace(chain, prior=prior), recordings, config, ripple, inertia)
+        fit = replace(without, dropped_widths=dropped)
+    return replace(fit, kinematics=inertia.kinematics)
+
+
+def find_inertia(
+    chain: Chain, recordings: Sequence[Recording], config: PriorConfig, tell: Callable[[str], None]
+) -> tuple[Inertia, PriorFit]:
+    """What stands for gravity and inertia where there is no model, and a first fit with it.
+
+    An arm found from its motion says what happens at poses that training never saw, which sines and cosines of
+    the angles cannot; those stay where they explain left-out motion better by FOUND_ARM_COSTS.
+    """
+    nothing: list[list[int]] = [[] for _ in range(chain.tree.size)]
+    basis = fit_terms(chain, recordings, config, nothing, Inertia())
+    turning = all(link.type == _core.JointType.revolute for link in chain.tree.links)
+    if not (config.find_kinematics and turning and np.any(chain.tree.gravity)):
+        return Inertia(), basis
+    own = [own_terms(chain, config, joint) for joint in range(chain.tree.size)]
+    sample = KinematicSample(chain.tree, chain.observer, recordings, own, chain.widths_rad)
+    if sample.rows < LEAST_ROWS:
+        return Inertia(), basis
+    joints = tuple(link.joint_name for link in chain.tree.links)
+    kinematics = find_kinematics(sample, joints, tell).kinematics
+    inertia = Inertia(kinematics.tree(joints, chain.tree.gravity), kinematics=kinematics)
+    fit = fit_terms(chain, recordings, config, nothing, inertia)
+    inertia = replace(inertia, load=CORRECTED, loads=tuple(fit.settings.corrected_links))
+    fit = fit_terms(chain, recordings, config, nothing, inertia)
+    rms = np.sqrt(fit.regression.whole.energy / fit.regression.whole.rows)
+    with_arm, without = (float(np.sqrt(np.mean((one.error_nm / rms) ** 2))) for one in (fit, basis))
+    tell(f"error on left-out motion: {with_arm:.1%} of r with the arm found, {without:.1%} with sines and cosines")
+    return (Inertia(), basis) if (1 - FOUND_ARM_COSTS) * with_arm > without else (inertia, fit)
 
 
 def fit_terms(
-    chain: Chain, recordings: Sequence[Recording], config: PriorConfig, ripple: Sequence[Sequence[int]]
+    chain: Chain,
+    recordings: Sequence[Recording],
+    config: PriorConfig,
+    ripple: Sequence[Sequence[int]],
+    inertia: Inertia,
 ) -> PriorFit:
     """All terms of the prior, with these ripples of each joint: see fit_ridge."""
-    own = [own_terms(chain, config, joint, ripple[joint]) for joint in range(chain.tree.size)]
-    return fit_ridge(chain, recordings, own, shared_terms(chain), has_model(chain) and config.correct_model)
+    own = [own_terms(chain, config, joint, ripple[joint], inertia.load) for joint in range(chain.tree.size)]
+    shared = [] if has_model(chain) or inertia.tree else shared_terms(chain)
+    return fit_ridge(chain, recordings, own, shared, inertia.tree, inertia.loads)
 
 
 def fit_ridge(
@@ -135,7 +156,8 @@ def fit_ridge(
     recordings: Sequence[Recording],
     own: Sequence[Sequence[_core.Term]],
     shared: Sequence[_core.Term],
-    corrected: bool,
+    corrected: _core.Tree | None = None,
+    loads: Sequence[_core.Link] = (),
 ) -> PriorFit:
     """Ridge regression of r on regressors that went through the observer's filter.
 
@@ -149,7 +171,8 @@ def fit_ridge(
     Args:
         own: terms of each joint alone.
         shared: terms with a weight for every joint.
-        corrected: whether the model is corrected too; there must be one.
+        corrected: the arm whose inertial parameters are corrected too; None: none is.
+        loads: links whose beta the load terms of form CORRECTED see; they are fitted anew here, with little difference.
 
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
@@ -161,7 +184,7 @@ def fit_ridge(
     found = [
         (problem, (recording, span))
         for recording in usable or recordings
-        for problem, span in _problems(chain, recording, own, shared, terms, corrected, pieces)
+        for problem, span in _problems(chain, recording, own, shared, terms, corrected, loads, pieces)
     ]
     if not found:
         raise TrainingError("no training recording is longer than the observer's warm-up")
@@ -169,15 +192,12 @@ def fit_ridge(
     while True:
         ridge, error = regression.choose_ridge()
         solution = regression.solve(regression.whole, ridge)
-        impossible = _impossible(chain, solution, regression.used) if corrected else []
-        if not impossible:
+        if not fix_impossible(regression, corrected, solution):
             break
-        for column in impossible:
-            regression.fix(column, nearest_possible(chain, column, len(solution)))
     spread, determined = regression.standard_errors(regression.leave_one(ridge)), regression.determined(ridge)
     left_out = []
     for k in range(len(regression.folds) if len(regression.folds) > 1 else 0):
-        one = solve_possible(regression.copy(), regression.without(k), ridge, chain, corrected)
+        one = solve_possible(regression.copy(), regression.without(k), ridge, corrected)
         where = [where for _, where in found[k::FOLDS]]
         left_out.append(LeftOut(_settings(chain, own, shared, terms, corrected, one), where))
     settings = _settings(chain, own, shared, terms, corrected, solution)
@@ -189,43 +209,7 @@ def fit_ridge(
     return PriorFit(settings, ridge, error, weights, errors, shares, *corrections, regression, left_out)
 
 
-def solve_possible(
-    regression: Regression, equations: NormalEquations, ridge: float, chain: Chain, corrected: bool
-) -> np.ndarray:
-    """Coefficients that make no impossible link; columns that would are fixed in the regression."""
-    while True:
-        solution = regression.solve(equations, ridge)
-        impossible = _impossible(chain, solution, regression.used) if corrected else []
-        if not impossible:
-            return solution
-        for column in impossible:
-            regression.fix(column, nearest_possible(chain, column, len(solution)))
-
-
-def _impossible(chain: Chain, solution: np.ndarray, used: np.ndarray) -> list[int]:
-    """Columns of corrections that would make a link that no link can be: they have to go, and the rest to be solved
-    anew. A mass that falls to zero or below keeps what the file says, or is 1 kg where the file says nothing: what it
-    adds shows in other parameters too, and they make up for it. A rotor inertia below zero is none."""
-    first, columns = len(solution) - len(PARAMETERS) * chain.tree.size, []
-    for k, link in enumerate(chain.tree.links):
-        at = first + len(PARAMETERS) * k
-        by = solution[at : at + len(PARAMETERS)]
-        if link.mass + by[0] <= 0 and used[at]:  # one that shows nowhere may be any
-            columns.append(at)
-        if link.rotor_inertia + by[ROTOR] < 0 and used[at + ROTOR]:
-            columns.append(at + ROTOR)
-    return columns
-
-
-def nearest_possible(chain: Chain, column: int, columns: int) -> float:
-    """The correction that an impossible one is replaced by; see _impossible."""
-    link, parameter = divmod(column - (columns - len(PARAMETERS) * chain.tree.size), len(PARAMETERS))
-    if parameter == ROTOR:
-        return -chain.tree.links[link].rotor_inertia
-    return 0.0 if chain.tree.links[link].mass > 0 else 1.0
-
-
-def _problems(chain, recording, own, shared, terms, corrected, pieces) -> list[tuple[NormalEquations, slice]]:
+def _problems(chain, recording, own, shared, terms, corrected, loads, pieces) -> list[tuple[NormalEquations, slice]]:
     """The equations of each piece of a recording, and its samples."""
     n = chain.tree.size
     signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
@@ -238,11 +222,14 @@ def _problems(chain, recording, own, shared, terms, corrected, pieces) -> list[t
     settings.widths_rad = chain.widths_rad
     settings.terms = terms
     settings.weights = [0.0] * (n * len(terms))
+    settings.corrected_links = list(loads)
     values = _core.prior_regressors(chain.tree, chain.observer, settings, *signals, rows)
     ends = np.cumsum([len(group) for group in own])
     mine = [np.arange(end - len(group), end) for group, end in zip(own, ends, strict=True)]
     terms_of = [np.r_[at, ends[-1] : len(terms)] for at in mine]  # its own and the shared ones
-    model = _model_regressors(chain, recording, rows) if corrected else np.zeros((len(rows), n, 0))
+    model = np.zeros((len(rows), n, 0))
+    if corrected is not None:
+        model = inertial_regressors(corrected, chain.observer, recording, rows)
     width = ends[-1] + n * len(shared) + model.shape[2]
     columns = tuple(
         np.r_[at, ends[-1] + i * len(shared) + np.arange(len(shared)), width - model.shape[2] : width]
@@ -264,30 +251,6 @@ def _problems(chain, recording, own, shared, terms, corrected, pieces) -> list[t
     return problems
 
 
-def _model_regressors(chain: Chain, recording: Recording, rows: np.ndarray) -> np.ndarray:
-    """What a unit more of each link's inertial parameters in the *robot* takes from r: (rows, n, 11 n)."""
-    still = np.zeros_like(recording.tau)
-
-    def observed(tree: _core.Tree) -> np.ndarray:
-        said = _core.observe(tree, chain.observer, recording.t_ns, recording.q, recording.dq, still)
-        return said.residual[rows]
-
-    # r is linear in the parameters, so where the units are added does not matter; a first moment needs some mass.
-    links = chain.tree.links
-    starts = [inertial_parameters(link) for link in links]
-    for start in starts:
-        start[0] = start[0] or 1.0
-    started = [with_inertial_parameters(link, start) for link, start in zip(links, starts, strict=True)]
-    base = observed(_core.Tree(started, chain.tree.gravity))
-    values = np.empty((len(rows), len(links), len(PARAMETERS) * len(links)))
-    for k, link in enumerate(links):
-        for m, unit in enumerate(np.eye(len(PARAMETERS))):
-            changed = list(started)
-            changed[k] = with_inertial_parameters(link, starts[k] + unit)
-            values[:, :, len(PARAMETERS) * k + m] = base - observed(_core.Tree(changed, chain.tree.gravity))
-    return values
-
-
 def _by_joint(chain: Chain, own: Sequence, shared: Sequence, solution: np.ndarray) -> np.ndarray:
     """Values of all columns as one row of terms a joint, (n, terms); 0 for the terms of other joints."""
     ends = np.cumsum([len(group) for group in own])
@@ -306,12 +269,12 @@ def _settings(chain, own, shared, terms, corrected, solution) -> _core.PriorSett
     settings.terms = terms
     settings.weights = _by_joint(chain, own, shared, solution).ravel().tolist()
     if corrected:
-        by_link = solution[-len(PARAMETERS) * chain.tree.size :].reshape(-1, len(PARAMETERS))
-        parameters = [inertial_parameters(link) + by for link, by in zip(chain.tree.links, by_link, strict=True)]
+        by_link = solution[-len(PARAMETERS) * corrected.size :].reshape(-1, len(PARAMETERS))
+        parameters = [inertial_parameters(link) + by for link, by in zip(corrected.links, by_link, strict=True)]
         for p in parameters:
             if p[0] <= 0 and np.any(p[1:ROTOR] != 0):
                 p[0] = 1.0  # it shows nowhere, and a first moment needs some
         settings.corrected_links = [
-            with_inertial_parameters(link, p) for link, p in zip(chain.tree.links, parameters, strict=True)
+            with_inertial_parameters(link, p) for link, p in zip(corrected.links, parameters, strict=True)
         ]
     return settings

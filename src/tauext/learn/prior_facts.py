@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tauext import _core
+from tauext.learn.kinematics import Kinematics
 from tauext.learn.prior import PriorFit
 from tauext.robot.inertial import PARAMETERS
 
@@ -46,8 +47,27 @@ def prior_facts(fit: PriorFit, joints: Sequence[str]) -> dict:
         unsupported = [m for m in kinds[Kind.viscous] + kinds[Kind.constant] if not supported(fit, j, m)]
         friction["not_supported"] = [fit.settings.terms[m].kind.name for m in unsupported]
         facts["friction"][name] = friction
-    if fit.corrections.size:
+    if fit.kinematics is not None:
+        facts["arm"] = {name: joint for name, joint in zip(joints, arm_found(fit.kinematics), strict=True)}
+    elif fit.corrections.size:
         facts["model"] = {name: corrections(fit, j) for j, name in enumerate(joints)}
+    return facts
+
+
+def arm_found(kinematics: Kinematics) -> list[dict]:
+    """Each joint's axis at q = 0, and how it stands to the one before: as in a table of Denavit and Hartenberg."""
+    facts = []
+    for k, (axis, origin) in enumerate(zip(kinematics.axes, kinematics.origins, strict=True)):
+        joint: dict = {"axis": axis.round(4).tolist()}
+        if k:
+            before, step = kinematics.axes[k - 1], origin - kinematics.origins[k - 1]
+            across = np.cross(before, axis)
+            sine = float(np.linalg.norm(across))
+            parallel = sine < 1e-6
+            distance = np.linalg.norm(np.cross(before, step)) if parallel else abs(step @ across) / sine
+            joint["angle_deg"] = round(math.degrees(math.atan2(sine, float(before @ axis))), 2)
+            joint["distance_m"] = round(float(distance), 4)
+        facts.append(joint)
     return facts
 
 

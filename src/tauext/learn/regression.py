@@ -91,6 +91,10 @@ class Regression:
         ridge = min(errors, key=lambda one: float((errors[one] * self._weight).sum()))
         return ridge, np.sqrt(errors[ridge])
 
+    def score(self, ridge: float) -> float:
+        """Mean over joints of the squared error on what was left out, as a share of the target's."""
+        return float((self._left_out(ridge) * self._weight).mean())
+
     def leave_one(self, ridge: float) -> np.ndarray:
         """Coefficients without one fold after the other, (folds, columns)."""
         return np.array([self.solve(self.without(k), ridge) for k in range(len(self.folds))])

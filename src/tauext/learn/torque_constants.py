@@ -13,7 +13,7 @@ from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
 from tauext.learn.bundle_writing import build_chain
 from tauext.learn.friction import SMOOTHING_RAD_S
-from tauext.learn.prior import Kind, has_model
+from tauext.learn.prior_terms import Kind, has_model
 
 PIECES = 10
 WELL_DETERMINED = 0.1

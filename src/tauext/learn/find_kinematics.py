@@ -18,7 +18,7 @@ BEAM = 8
 REFINED = 3
 STEPS = 12
 FIRST_SHIFT_M = 0.1
-MOST_TURN_RAD, MOST_SHIFT_M = 0.3, 0.2  # of one step
+MOST_TURN_RAD, MOST_SHIFT_M, MOST_RATIO = 0.3, 0.2, 0.5  # of one step
 DELTA = 1e-4  # [rad] or [m] of the numerical derivative
 GAINS_LITTLE = 1e-3
 OBLIQUE_HELPS = 0.3
@@ -30,14 +30,19 @@ ABOUT_ITS_ORIGIN = range(1, ROTOR)  # first moments and inertia: all that a link
 
 @dataclass(frozen=True)
 class Candidate:
-    """An arm, and its error on left-out motion as a share of r's."""
+    """An arm, and its squared error on left-out motion as a share of r's."""
 
     kinematics: Kinematics
     error: float
+    scales: np.ndarray
+    """(n,) of each joint's r against what the arm says; 1 where torques of all joints are in one unit."""
 
 
 def find_kinematics(
-    sample: KinematicSample, joints: Sequence[str], tell: Callable[[str], None] | None = None
+    sample: KinematicSample,
+    joints: Sequence[str],
+    tell: Callable[[str], None] | None = None,
+    one_unit: bool = True,
 ) -> Candidate:
     """The serial arm of revolute joints whose inertia explains r best beside each joint's friction.
 
@@ -49,13 +54,15 @@ def find_kinematics(
 
     Args:
         tell: takes a line a stage.
+        one_unit: torques of all joints are in N m; False: each in a unit of its own, of which only the ratios show.
     """
     tell = tell or (lambda line: None)
+    free = frozenset() if one_unit else frozenset({"scales"})
     best = directions(sample, joints)
     tell(f"axes at right angles: error {np.sqrt(best[0].error):.1%} of r")
-    found = min((refined(sample, joints, one, False) for one in best[:REFINED]), key=lambda one: one.error)
+    found = min((refined(sample, joints, one, free) for one in best[:REFINED]), key=lambda one: one.error)
     tell(f"with link lengths: {np.sqrt(found.error):.1%}")
-    oblique = refined(sample, joints, found, True)
+    oblique = refined(sample, joints, found, free | {"axes"})
     tell(f"with oblique axes: {np.sqrt(oblique.error):.1%}")
     return oblique if oblique.error < (1 - OBLIQUE_HELPS) ** 2 * found.error else found
 
@@ -76,7 +83,7 @@ def directions(sample: KinematicSample, joints: Sequence[str]) -> list[Candidate
                 together = np.concatenate([columns, of_link], axis=2)
                 longer.append((sample.regression(together).score(RIDGE), tried, together))
         beam = sorted(longer, key=lambda one: one[0])[:BEAM]
-    return [Candidate(arm(axes, n), error) for error, axes, _ in beam]
+    return [Candidate(arm(axes, n), error, np.ones(n)) for error, axes, _ in beam]
 
 
 def faces_x(axes: np.ndarray) -> bool:
@@ -91,19 +98,23 @@ def arm(axes: np.ndarray, joints: int) -> Kinematics:
     return Kinematics(axes, np.zeros_like(axes))
 
 
-def refined(sample: KinematicSample, joints: Sequence[str], start: Candidate, oblique: bool) -> Candidate:
-    """The same after Gauss-Newton steps in lengths, and in the axes if they may be oblique; it is at least as good on
-    left-out motion."""
+def refined(sample: KinematicSample, joints: Sequence[str], start: Candidate, free: frozenset[str]) -> Candidate:
+    """The same after Gauss-Newton steps in lengths; it is at least as good on left-out motion.
+
+    Args:
+        free: what may change beside them, of "axes" and "scales".
+    """
     n = sample.joints
     now = start.kinematics
     if not now.origins.any():  # there some lengths have no slope
         shifts = np.random.default_rng(0).normal(size=(n, 2)) * FIRST_SHIFT_M
         now = now.moved(np.zeros((n, 2)), shifts)
-    state = Fitted.of(sample, joints, now)
+    state = Fitted.of(sample, joints, now, start.scales)
     for _ in range(STEPS):
-        turns, shifts = state.step(sample, joints, oblique)
+        step = state.step(sample, joints, free)
         for share in (1.0, 0.5, 0.2, 0.05):
-            tried = Fitted.of(sample, joints, state.kinematics.moved(share * turns, share * shifts))
+            turns, shifts, ratios = (share * part for part in step)
+            tried = Fitted.of(sample, joints, state.kinematics.moved(turns, shifts), state.scales * np.exp(ratios))
             if tried.error < state.error:
                 break
         else:
@@ -111,7 +122,7 @@ def refined(sample: KinematicSample, joints: Sequence[str], start: Candidate, ob
         gained, state = 1 - tried.error / state.error, tried
         if gained < GAINS_LITTLE:
             break
-    return Candidate(state.kinematics, state.error) if state.error < start.error else start
+    return Candidate(state.kinematics, state.error, state.scales) if state.error < start.error else start
 
 
 @dataclass(frozen=True)
@@ -119,31 +130,44 @@ class Fitted:
     """An arm with the inertia that fits it best."""
 
     kinematics: Kinematics
+    scales: np.ndarray
     columns: np.ndarray
     error: float
     parameters: np.ndarray  # (n, 11)
 
     @classmethod
-    def of(cls, sample: KinematicSample, joints: Sequence[str], kinematics: Kinematics) -> Fitted:
+    def of(cls, sample: KinematicSample, joints: Sequence[str], kinematics: Kinematics, scales: np.ndarray) -> Fitted:
         n = sample.joints
         columns = sample.regressors(kinematics.tree(joints, sample.gravity), range(n), range(len(PARAMETERS)))
-        regression = sample.regression(columns)
+        regression = sample.regression(columns, scales)
         solution = regression.solve(regression.whole, RIDGE)
-        return cls(kinematics, columns, regression.score(RIDGE), solution[-n * len(PARAMETERS) :].reshape(n, -1))
+        parameters = solution[-n * len(PARAMETERS) :].reshape(n, -1)
+        return cls(kinematics, scales, columns, regression.score(RIDGE), parameters)
 
-    def step(self, sample: KinematicSample, joints: Sequence[str], oblique: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Turns and shifts that, with inertia and friction fitted anew, explain most of r: (n, 2), (n, 2)."""
+    def step(
+        self, sample: KinematicSample, joints: Sequence[str], free: frozenset[str]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Turns and shifts, (n, 2), and logarithms of scales, (n,), that explain most of r, all else fitted anew."""
         n, base = sample.joints, self._said(sample, joints, self.kinematics)
-        unknowns = np.eye(4 * n)[0 if oblique else 2 * n :]
+        unknowns = np.eye(4 * n)[0 if "axes" in free else 2 * n :]
         slopes = []
         for unknown in unknowns:
             turns, shifts = (DELTA * unknown).reshape(2, n, 2)
             slopes.append((self._said(sample, joints, self.kinematics.moved(turns, shifts)) - base) / DELTA)
-        both = np.concatenate([self.columns, np.stack(slopes, axis=2)], axis=2)
-        regression = sample.regression(both)
-        solution = regression.solve(regression.whole, RIDGE)[-len(unknowns) :]
-        turns, shifts = (solution @ unknowns).reshape(2, n, 2)
-        return np.clip(turns, -MOST_TURN_RAD, MOST_TURN_RAD), np.clip(shifts, -MOST_SHIFT_M, MOST_SHIFT_M)
+        of_scales = np.eye(n)[:, :, None] * base.T[None] if "scales" in free else np.zeros((0, n, len(base)))
+        both = [self.columns, np.stack(slopes, axis=2), of_scales.transpose(2, 1, 0)]
+        regression = sample.regression(np.concatenate(both, axis=2), self.scales)
+        found = len(unknowns) + len(of_scales)
+        solution = regression.solve(regression.whole, RIDGE)[-found:]
+        turns, shifts = (solution[: len(unknowns)] @ unknowns).reshape(2, n, 2)
+        ratios = np.zeros(n)
+        if len(of_scales):
+            ratios = solution[len(unknowns) :]
+        return (
+            np.clip(turns, -MOST_TURN_RAD, MOST_TURN_RAD),
+            np.clip(shifts, -MOST_SHIFT_M, MOST_SHIFT_M),
+            np.clip(ratios, -MOST_RATIO, MOST_RATIO),
+        )
 
     def _said(self, sample: KinematicSample, joints: Sequence[str], kinematics: Kinematics) -> np.ndarray:
         """What its inertia adds to r with these kinematics, (rows, n)."""

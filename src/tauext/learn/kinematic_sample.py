@@ -77,16 +77,21 @@ class KinematicSample:
         parts = [inertial_regressors(tree, self.observer, *part, of, parameters) for part in self.parts]
         return np.concatenate(parts)
 
-    def regression(self, shared: np.ndarray) -> Regression:
-        """Of r on every joint's own terms and on these columns, common to all joints: (rows, n, columns)."""
+    def regression(self, shared: np.ndarray, scales: np.ndarray | None = None) -> Regression:
+        """Of r on every joint's own terms and on these columns, common to all joints: (rows, n, columns).
+
+        Args:
+            scales: (n,) of each joint's r against what the columns say; None: 1.
+        """
+        scales = np.ones(self.joints) if scales is None else scales
         widths = [values.shape[1] for values in self.own]
         ends, common = np.cumsum(widths), np.arange(shared.shape[2])
         columns = tuple(np.r_[end - width : end, ends[-1] + common] for width, end in zip(widths, ends, strict=True))
         parts = []
         for fold in self._folds:
             gram, moment = [], []
-            for joint, values in enumerate(self.own):
-                X = np.hstack([values[fold], shared[fold, joint]])
+            for joint, (values, scale) in enumerate(zip(self.own, scales, strict=True)):
+                X = np.hstack([values[fold], scale * shared[fold, joint]])
                 gram.append(X.T @ X)
                 moment.append(X.T @ self.target[fold, joint])
             energy = (self.target[fold] ** 2).sum(axis=0)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tauext.robot import load
 from tauext.rig.sensors import encoder, low_pass, velocity
+from tauext.robot import load
 from unseen.arms import Maker, TrueArm, true_arm
 from unseen.contacts import Contact, draw_contacts, label
 from unseen.motions import draw_motion

@@ -56,7 +56,7 @@ def simulate(
     contacts: Sequence[Contact],
     warm_from_s: float,
 ) -> Run:
-    """Follow the setpoints at 1 kHz; the drive feeds forward what the known model says and leaves the rest to its gains.
+    """Follow the setpoints at 1 kHz; the drive feeds forward what the known model says.
 
     Friction is LuGre's: dz/dt = v - sigma0 |v| z / g(v), tau_f = sigma0 z + sigma1 dz/dt + viscous; the bristle's
     equation is solved exactly over a step of constant v.

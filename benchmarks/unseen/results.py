@@ -100,7 +100,13 @@ def markdown(cases: Sequence[Case], command: str) -> str:
             f"| {_ms(c, 'delay_from_onset_median_s')}, {_ms(c, 'delay_from_onset_p95_s')} "
             f"| {np.median(c.limit_nm / c.rmse_nm):.0f} |"
         )
-    lines += ["", "Found by kind:", "", "| arm | model | recipe | impacts | pushes | holds |", "|---|---|---|---|---|---|"]
+    lines += [
+        "",
+        "Found by kind:",
+        "",
+        "| arm | model | recipe | impacts | pushes | holds |",
+        "|---|---|---|---|---|---|",
+    ]
     for c in cases:
         by_kind = [f"{c.found[c.kinds == kind].sum()}/{(c.kinds == kind).sum()}" for kind in ("impact", "push", "hold")]
         lines.append(f"| {c.arm} | {c.model} | {c.recipe} | {' | '.join(by_kind)} |")

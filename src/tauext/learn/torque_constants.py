@@ -14,6 +14,7 @@ from tauext.errors import ConfigError, TrainingError
 from tauext.learn.bundle_writing import build_chain
 from tauext.learn.friction import SMOOTHING_RAD_S
 from tauext.learn.prior import Kind, has_model
+from tauext.robot import empty
 
 PIECES = 10
 WELL_DETERMINED = 0.1
@@ -66,11 +67,13 @@ class TorqueConstants:
 def fit_torque_constants(tree: _core.Tree, recordings: Sequence[Recording], config: ObserverConfig) -> TorqueConstants:
     r"""Constants k from free motion, where the torque of the model and friction are what the current i exerts.
 
-    .. math:: \mathrm{LP}(i) = \mathrm{LP}(\tau_{model}) / k + c + v\,\dot q + f \tanh(\dot q / 0.03\,\mathrm{rad/s})
+    .. math:: \mathrm{LP}(i) = \mathrm{LP}(\tau_{model}) / k + J\,\mathrm{LP}(\ddot q)
+              + c + v\,\dot q + f \tanh(\dot q / 0.03\,\mathrm{rad/s})
 
     by least squares a joint, each term behind the observer's low-pass, which takes the derivative of the momentum. The
-    current is the target and not a regressor, since it has the noise. The model is taken as it is: an unknown payload
-    goes into the constants. Standard errors come from leaving out one tenth of the motion after the other.
+    current is the target and not a regressor, since it has the noise. J is of rotors, which few URDFs know and which
+    outweigh the links at the wrists; else the model is taken as it is: an unknown payload goes into the constants.
+    Standard errors come from leaving out one tenth of the motion after the other.
 
     Raises:
         ConfigError: no model, whose torque is what constants are measured by.
@@ -90,6 +93,7 @@ def fit_torque_constants(tree: _core.Tree, recordings: Sequence[Recording], conf
     settings = _core.PriorSettings()
     settings.terms = [term for terms in own for term in terms]
     settings.weights = [0.0] * (n * len(settings.terms))
+    rotors = _unit_rotors(tree)
     stacked = []
     for recording in recordings:
         motion = (recording.t_ns, recording.q, recording.dq)
@@ -100,17 +104,27 @@ def fit_torque_constants(tree: _core.Tree, recordings: Sequence[Recording], conf
         signals = (*motion, recording.tau)
         current = with_none.residual - _core.observe(tree, chain.observer, *signals).residual
         friction = _core.prior_regressors(tree, chain.observer, settings, *signals, rows)
-        stacked.append((with_none.residual[rows], current[rows], friction))
+        push = _core.observe(rotors, chain.observer, *motion, np.zeros_like(recording.tau)).residual
+        stacked.append((with_none.residual[rows], current[rows], friction, push[rows]))
     if not stacked:
         raise TrainingError("no training recording is longer than the observer's warm-up")
-    model, current, friction = (np.concatenate([one[k] for one in stacked]) for k in range(3))
-    found = [_fit(model[:, j], current[:, j], friction[:, 3 * j : 3 * j + 3]) for j in range(n)]
+    model, current, friction, push = (np.concatenate([one[k] for one in stacked]) for k in range(4))
+    beside = [np.column_stack([friction[:, 3 * j : 3 * j + 3], push[:, j]]) for j in range(n)]
+    found = [_fit(model[:, j], current[:, j], beside[j]) for j in range(n)]
     return TorqueConstants(*(np.array([one[k] for one in found]) for k in range(3)))
 
 
-def _fit(model: np.ndarray, current: np.ndarray, friction: np.ndarray) -> tuple[float, float, bool]:
-    """Constant, standard error, and whether that is known, of one joint."""
-    columns = np.column_stack([model, friction])
+def _unit_rotors(tree: _core.Tree) -> _core.Tree:
+    """The same joints with nothing but a rotor inertia of 1 each, so that p = dq and beta = 0."""
+    links = empty(tree).links
+    for link in links:
+        link.rotor_inertia = 1.0
+    return _core.Tree(links, tree.gravity)
+
+
+def _fit(model: np.ndarray, current: np.ndarray, beside: np.ndarray) -> tuple[float, float, bool]:
+    """Constant, standard error, and whether that is known, of one joint; `beside` is friction and rotor."""
+    columns = np.column_stack([model, beside])
     pieces = [
         (columns[at].T @ columns[at], columns[at].T @ current[at]) for at in np.array_split(range(len(model)), PIECES)
     ]
@@ -118,7 +132,7 @@ def _fit(model: np.ndarray, current: np.ndarray, friction: np.ndarray) -> tuple[
     share = np.linalg.lstsq(gram, moment, rcond=None)[0]
     leave_one = np.array([np.linalg.lstsq(gram - g, moment - m, rcond=None)[0][0] for g, m in pieces])
     error = np.sqrt((PIECES - 1) / PIECES * ((leave_one - leave_one.mean()) ** 2).sum())
-    left = current - friction @ np.linalg.lstsq(friction, current, rcond=None)[0]
+    left = current - beside @ np.linalg.lstsq(beside, current, rcond=None)[0]
     explained = 1 - np.sum((current - columns @ share) ** 2) / max(float(left @ left), 1e-300)
     if not abs(share[0]) > 0:
         return np.nan, np.nan, False

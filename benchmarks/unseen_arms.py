@@ -45,7 +45,7 @@ def main() -> None:
             make(known[name], folder, options.seed, options.workers)
         for model in MODELS:
             judge(known[name], folder, model, options.recipes)
-            cases += read_cases(name, model, folder)
+            cases += read_cases(known[name], options.seed, model, folder)
     text = markdown(cases, "python benchmarks/unseen_arms.py MODELS OUT")
     (options.out / "README.md").write_text(text)
     print(text)

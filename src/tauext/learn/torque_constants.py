@@ -18,9 +18,12 @@ from tauext.robot import empty
 
 PIECES = 10
 WELL_DETERMINED = 0.1
-"""A constant counts as known whose standard error is at most this share of it ..."""
+"""A constant counts as known whose standard error is at most this share of it, if LEAST_SHARE holds."""
+GUESS = 0.5
+"""One that is known to this share only is a guess: of no use for reading N m, but nearer to the model's torque, which
+it must meet, than amperes are."""
 LEAST_SHARE = 0.05
-"""... if gravity and inertia, as the model has them, make up this share of what friction leaves of the current."""
+"""Gravity and inertia, as the model has them, must make up this share of what friction leaves of the current."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +35,15 @@ class TorqueConstants:
     determined: np.ndarray  # (n,) bool
 
     @property
+    def guessed(self) -> np.ndarray:
+        """(n,) bool: not determined, but used."""
+        with np.errstate(invalid="ignore"):
+            return ~self.determined & (self.nm_per_unit > 0) & (self.standard_errors <= GUESS * self.nm_per_unit)
+
+    @property
     def used(self) -> list[float]:
         """What recordings are scaled by: 1 for a joint of which nothing is known, whose torque stays as it was."""
-        return np.where(self.determined, self.nm_per_unit, 1.0).tolist()
+        return np.where(self.determined | self.guessed, self.nm_per_unit, 1.0).tolist()
 
     def facts(self, joints: Sequence[str]) -> dict:
         """For provenance: what is used, in the order of the joints, and what was found of each."""
@@ -52,14 +61,26 @@ class TorqueConstants:
 
     def sentences(self, joints: Sequence[str]) -> list[str]:
         """What was found, in words."""
-        values = zip(joints, self.nm_per_unit, self.standard_errors, self.determined, strict=True)
-        known = [f"{name} {k:.3g} ± {error:.1g}" for name, k, error, determined in values if determined]
-        unknown = [name for name, determined in zip(joints, self.determined, strict=True) if not determined]
-        said = [f"torque constants, Nm a unit of tau: {', '.join(known)}"] if known else []
-        if unknown:
+        words = [
+            f"{name} {k:.3g} ± {error:.1g}"
+            for name, k, error in zip(joints, self.nm_per_unit, self.standard_errors, strict=True)
+        ]
+
+        def listed(which: np.ndarray, texts: Sequence[str]) -> str:
+            return ", ".join(text for text, here in zip(texts, which, strict=True) if here)
+
+        said, unknown = [], ~(self.determined | self.guessed)
+        if self.determined.any():
+            said.append(f"torque constants, Nm a unit of tau: {listed(self.determined, words)}")
+        if self.guessed.any():
             said.append(
-                f"torque constants of {', '.join(unknown)} are undetermined, gravity and inertia there are too small "
-                "beside friction: their torques, estimates and limits stay in the recordings' own unit"
+                f"torque constants of {listed(self.guessed, words)} are guesses, gravity and inertia there are too "
+                "small beside friction: their torques, estimates and limits are no Nm to rely on"
+            )
+        if unknown.any():
+            said.append(
+                f"torque constants of {listed(unknown, joints)} are undetermined, gravity and inertia there are too "
+                "small beside friction: their torques, estimates and limits stay in the recordings' own unit"
             )
         return said
 

@@ -111,7 +111,7 @@ class AlarmConfig:
     """Hold times of the collision to choose from, [s]; a longer one allows lower limits."""
     friction_reserve: float = 0.2
     """Without calibration recordings: limits are raised by this share of each joint's friction, since minutes of one
-    day do not show how it changes with temperature and time; by half of it where the motion outlasts warming up."""
+    day do not show how it changes with temperature and time."""
     collision_hold_s: float = 0.01
     """Without calibration recordings: a joint must stay over its collision limit for so long, [s]."""
     contact_hold_s: float = 0.0

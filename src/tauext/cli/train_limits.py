@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -15,9 +14,6 @@ if TYPE_CHECKING:
     from tauext.data import Recording
     from tauext.learn import Chain, PriorFit
 
-WARM_UP_HOURS = 5 / 60
-"""In which a gear's friction does two thirds of its fall from a cold start; minutes to tens of them in the literature
-[Simoni2019]_. Motion that outlasts it shows that fall in its errors, and needs half the reserve: for other days."""
 EVEN_ODDS = 0.5
 """With which each limit keeps its share of the supported budget. That budget is the least that these minutes support
 at the promise's confidence; asked again of each of a dozen limits, that confidence doubled them beyond the largest
@@ -53,9 +49,8 @@ def set_supported_limits(
     """Put limits for the smallest budget of false alarms that this motion supports into the bundle.
 
     Where it is too short even for that, the largest error. Either is raised by a share of the friction at the speed
-    that a joint stays below for 95 % of its motion, since friction changes with temperature and time: friction_reserve
-    for seconds of motion, falling to half of it as the motion outlasts WARM_UP_HOURS. Returned is what was done, in
-    words, and the facts.
+    that a joint stays below for 95 % of its motion, since friction changes with temperature and time by more than
+    minutes show. Returned is what was done, in words, and the facts.
     """
     from tauext.calibrate import (
         apply_promised,
@@ -79,15 +74,8 @@ def set_supported_limits(
         words = f"no calibration recordings. {promised.sentence()}"
     if fit is None or not config.alarm.friction_reserve:
         return words, facts
-    share = config.alarm.friction_reserve * (1 + math.exp(-_hours(judged) / WARM_UP_HOURS)) / 2
-    reserve = share * friction_nm(fit, usual_speed_rad_s(judged))
+    reserve = config.alarm.friction_reserve * friction_nm(fit, usual_speed_rad_s(judged))
     raise_limits(bundle, reserve)
     names = [link.joint_name for link in bundle.links]
     facts["friction_reserve_nm"] = dict(zip(names, reserve.tolist(), strict=True))
-    return f"{words} They are raised by {share:.0%} of the friction.", facts
-
-
-def _hours(judged: Sequence[Recording | Judged]) -> float:
-    """Of all recordings, each once however many parts of it are judged, [h]."""
-    of = {id(one): one for one in (getattr(some, "recording", some) for some in judged)}
-    return sum(recording.duration_s for recording in of.values()) / 3600
+    return f"{words} They are raised by {config.alarm.friction_reserve:.0%} of the friction.", facts

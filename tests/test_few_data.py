@@ -15,6 +15,7 @@ from tauext.data import Recording, scaled_torque, torque_constants_of
 from tauext.errors import ConfigError, TrainingError
 from tauext.learn import fit_torque_constants, training_parts
 from tauext.learn.regression import NormalEquations, Regression, coupled
+from tauext.learn.torque_constants import TorqueConstants
 
 RATE_HZ = 125.0
 EXACT = PAPER_CASES["exact"]
@@ -121,6 +122,25 @@ def test_currents_get_their_constants_back_and_a_recording_is_scaled_by_them():
     np.testing.assert_allclose(scaled.tau, torque.tau, rtol=0.01, atol=1e-9)
     facts = json.dumps({"torque_constants": found.facts(current.joints)}, sort_keys=True)
     assert torque_constants_of(facts) == found.used and torque_constants_of("{}") is None
+
+
+def test_rotors_that_the_model_lacks_do_not_shrink_the_constants():
+    constants = np.array([9.0, 4.0])
+    torque = motion(seconds=60.0)
+    current = replace(torque, tau=torque.tau / constants)
+    links = planar_arm().links
+    for link in links:
+        link.rotor_inertia = 0.0
+    found = fit_torque_constants(_core.Tree(links, planar_arm().gravity), [current], ObserverConfig())
+    np.testing.assert_allclose(found.nm_per_unit, constants, rtol=0.01)  # noise as above
+
+
+def test_a_constant_known_to_a_third_serves_and_is_called_a_guess():
+    values = np.array([9.0, 4.0, 4.0]), np.array([0.1, 1.3, 3.0])
+    found = TorqueConstants(*values, np.array([True, False, False]))
+    assert found.used == [9.0, 4.0, 1.0]
+    said = found.sentences(("a", "b", "c"))
+    assert "Nm a unit of tau: a 9 ± 0.1" in said[0] and "b 4 ± 1 are guesses" in said[1] and "of c are" in said[2]
 
 
 def test_a_constant_that_friction_drowns_is_said_to_be_undetermined():

@@ -68,6 +68,21 @@ def test_contacts_keep_their_rate_where_collisions_take_a_hold_time():
     assert contacts < 90
 
 
+def test_limits_with_even_odds_keep_the_supported_budget_about():
+    bundle, asked = observer(), replace(BUDGET, in_hours=8.0)
+    sure = promised_limits(bundle, lambda: [noisy(1)], asked, 1)
+    even = promised_limits(bundle, lambda: [noisy(1)], asked, 1, level_confidence=0.5)
+    assert even.budget == sure.budget and even.collision.sliding_nm < sure.collision.sliding_nm
+    apply_promised(bundle, even, asked)
+    alarms = 0
+    for k in range(10, 16):
+        made = noisy(k)
+        said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
+        alarms += len(cluster_peaks((said["alarm"] == 2).astype(float), made.time_s, floor=0.5))
+    # 6 minutes at 1 in 20 s are 18; a level of even odds is crossed up to twice as often on average.
+    assert 1 < alarms < 50
+
+
 def test_too_little_calibration_is_refused_and_says_how_much_more():
     found = promised_limits(observer(), lambda: [noisy(1)], replace(BUDGET, in_hours=8.0), 1)
     assert not found.promise.is_supported and found.budget == found.promise.supported

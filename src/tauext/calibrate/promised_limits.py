@@ -67,6 +67,7 @@ def promised_limits(
     alarm: AlarmConfig,
     threads: int,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
+    level_confidence: float | None = None,
 ) -> PromisedLimits:
     """Limits from the tail of the error on calibration recordings, which nothing was trained or validated on.
 
@@ -81,6 +82,7 @@ def promised_limits(
 
     Args:
         recordings: loads them one at a time; called once.
+        level_confidence: with which each limit keeps its share of the budget; None: that of the promise.
 
     Raises:
         TrainingError: no free motion, or too few peaks to say anything.
@@ -91,7 +93,8 @@ def promised_limits(
     promise = Promise(asked, found[0].hours, streams=n * len(REGIONS), confidence=alarm.confidence)
     budget = asked if promise.is_supported else promise.supported
     contact_budget = FalseAlarmBudget(alarm.contacts_an_hour, 1.0)
-    choices = [_limits(peaks, budget, alarm.confidence) for peaks in found]
+    level_confidence = alarm.confidence if level_confidence is None else level_confidence
+    choices = [_limits(peaks, budget, level_confidence) for peaks in found]
     first = choices[0][0].sliding_nm
 
     def delay_s(choice: int) -> float:

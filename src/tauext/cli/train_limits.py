@@ -14,6 +14,11 @@ if TYPE_CHECKING:
     from tauext.data import Recording
     from tauext.learn import Chain, PriorFit
 
+EVEN_ODDS = 0.5
+"""With which each limit keeps its share of the supported budget. That budget is the least that these minutes support
+at the promise's confidence; asked again of each of a dozen limits, that confidence doubled them beyond the largest
+error ever seen, and half of all contacts stayed below."""
+
 
 def left_out_of_fit(bundle: Bundle, chain: Chain, fit: PriorFit, reference: Recording) -> list[Judged]:
     """Every fifth of the training motion, judged by a prior that was fitted to the other four.
@@ -44,8 +49,8 @@ def set_supported_limits(
     """Put limits for the smallest budget of false alarms that this motion supports into the bundle.
 
     Where it is too short even for that, the largest error. Either is raised by a share of the friction at the speed
-    that a joint stays below for 95 % of its motion: it changes with temperature and time, which minutes do not show.
-    Returned is what was done, in words, and the facts.
+    that a joint stays below for 95 % of its motion, since friction changes with temperature and time by more than
+    minutes show. Returned is what was done, in words, and the facts.
     """
     from tauext.calibrate import (
         apply_promised,
@@ -59,7 +64,7 @@ def set_supported_limits(
 
     facts: dict = {}
     try:
-        promised = promised_limits(bundle, lambda: judged, config.alarm, threads, config.margins)
+        promised = promised_limits(bundle, lambda: judged, config.alarm, threads, config.margins, EVEN_ODDS)
     except TrainingError as error:
         set_limits(bundle, paper_limits(bundle, judged, threads, config.margins), config.alarm)
         words = f"limits are the largest errors seen, and promise nothing ({error})"

@@ -14,12 +14,16 @@ from tauext.errors import ConfigError, TrainingError
 from tauext.learn.bundle_writing import build_chain
 from tauext.learn.friction import SMOOTHING_RAD_S
 from tauext.learn.prior_terms import Kind, has_model
+from tauext.robot import empty
 
 PIECES = 10
 WELL_DETERMINED = 0.1
-"""A constant counts as known whose standard error is at most this share of it ..."""
+"""A constant counts as known whose standard error is at most this share of it, if LEAST_SHARE holds."""
+GUESS = 0.5
+"""One that is known to this share only is a guess: of no use for reading N m, but nearer to the model's torque, which
+it must meet, than amperes are."""
 LEAST_SHARE = 0.05
-"""... if gravity and inertia, as the model has them, make up this share of what friction leaves of the current."""
+"""Gravity and inertia, as the model has them, must make up this share of what friction leaves of the current."""
 
 
 @dataclass(frozen=True)
@@ -31,9 +35,15 @@ class TorqueConstants:
     determined: np.ndarray  # (n,) bool
 
     @property
+    def guessed(self) -> np.ndarray:
+        """(n,) bool: not determined, but used."""
+        with np.errstate(invalid="ignore"):
+            return ~self.determined & (self.nm_per_unit > 0) & (self.standard_errors <= GUESS * self.nm_per_unit)
+
+    @property
     def used(self) -> list[float]:
         """What recordings are scaled by: 1 for a joint of which nothing is known, whose torque stays as it was."""
-        return np.where(self.determined, self.nm_per_unit, 1.0).tolist()
+        return np.where(self.determined | self.guessed, self.nm_per_unit, 1.0).tolist()
 
     def facts(self, joints: Sequence[str]) -> dict:
         """For provenance: what is used, in the order of the joints, and what was found of each."""
@@ -51,14 +61,26 @@ class TorqueConstants:
 
     def sentences(self, joints: Sequence[str]) -> list[str]:
         """What was found, in words."""
-        values = zip(joints, self.nm_per_unit, self.standard_errors, self.determined, strict=True)
-        known = [f"{name} {k:.3g} ± {error:.1g}" for name, k, error, determined in values if determined]
-        unknown = [name for name, determined in zip(joints, self.determined, strict=True) if not determined]
-        said = [f"torque constants, Nm a unit of tau: {', '.join(known)}"] if known else []
-        if unknown:
+        words = [
+            f"{name} {k:.3g} ± {error:.1g}"
+            for name, k, error in zip(joints, self.nm_per_unit, self.standard_errors, strict=True)
+        ]
+
+        def listed(which: np.ndarray, texts: Sequence[str]) -> str:
+            return ", ".join(text for text, here in zip(texts, which, strict=True) if here)
+
+        said, unknown = [], ~(self.determined | self.guessed)
+        if self.determined.any():
+            said.append(f"torque constants, Nm a unit of tau: {listed(self.determined, words)}")
+        if self.guessed.any():
             said.append(
-                f"torque constants of {', '.join(unknown)} are undetermined, gravity and inertia there are too small "
-                "beside friction: their torques, estimates and limits stay in the recordings' own unit"
+                f"torque constants of {listed(self.guessed, words)} are guesses, gravity and inertia there are too "
+                "small beside friction: their torques, estimates and limits are no Nm to rely on"
+            )
+        if unknown.any():
+            said.append(
+                f"torque constants of {listed(unknown, joints)} are undetermined, gravity and inertia there are too "
+                "small beside friction: their torques, estimates and limits stay in the recordings' own unit"
             )
         return said
 
@@ -66,11 +88,13 @@ class TorqueConstants:
 def fit_torque_constants(tree: _core.Tree, recordings: Sequence[Recording], config: ObserverConfig) -> TorqueConstants:
     r"""Constants k from free motion, where the torque of the model and friction are what the current i exerts.
 
-    .. math:: \mathrm{LP}(i) = \mathrm{LP}(\tau_{model}) / k + c + v\,\dot q + f \tanh(\dot q / 0.03\,\mathrm{rad/s})
+    .. math:: \mathrm{LP}(i) = \mathrm{LP}(\tau_{model}) / k + J\,\mathrm{LP}(\ddot q)
+              + c + v\,\dot q + f \tanh(\dot q / 0.03\,\mathrm{rad/s})
 
     by least squares a joint, each term behind the observer's low-pass, which takes the derivative of the momentum. The
-    current is the target and not a regressor, since it has the noise. The model is taken as it is: an unknown payload
-    goes into the constants. Standard errors come from leaving out one tenth of the motion after the other.
+    current is the target and not a regressor, since it has the noise. J is of rotors, which few URDFs know and which
+    outweigh the links at the wrists; else the model is taken as it is: an unknown payload goes into the constants.
+    Standard errors come from leaving out one tenth of the motion after the other.
 
     Raises:
         ConfigError: no model, whose torque is what constants are measured by.
@@ -90,6 +114,7 @@ def fit_torque_constants(tree: _core.Tree, recordings: Sequence[Recording], conf
     settings = _core.PriorSettings()
     settings.terms = [term for terms in own for term in terms]
     settings.weights = [0.0] * (n * len(settings.terms))
+    rotors = _unit_rotors(tree)
     stacked = []
     for recording in recordings:
         motion = (recording.t_ns, recording.q, recording.dq)
@@ -100,17 +125,27 @@ def fit_torque_constants(tree: _core.Tree, recordings: Sequence[Recording], conf
         signals = (*motion, recording.tau)
         current = with_none.residual - _core.observe(tree, chain.observer, *signals).residual
         friction = _core.prior_regressors(tree, chain.observer, settings, *signals, rows)
-        stacked.append((with_none.residual[rows], current[rows], friction))
+        push = _core.observe(rotors, chain.observer, *motion, np.zeros_like(recording.tau)).residual
+        stacked.append((with_none.residual[rows], current[rows], friction, push[rows]))
     if not stacked:
         raise TrainingError("no training recording is longer than the observer's warm-up")
-    model, current, friction = (np.concatenate([one[k] for one in stacked]) for k in range(3))
-    found = [_fit(model[:, j], current[:, j], friction[:, 3 * j : 3 * j + 3]) for j in range(n)]
+    model, current, friction, push = (np.concatenate([one[k] for one in stacked]) for k in range(4))
+    beside = [np.column_stack([friction[:, 3 * j : 3 * j + 3], push[:, j]]) for j in range(n)]
+    found = [_fit(model[:, j], current[:, j], beside[j]) for j in range(n)]
     return TorqueConstants(*(np.array([one[k] for one in found]) for k in range(3)))
 
 
-def _fit(model: np.ndarray, current: np.ndarray, friction: np.ndarray) -> tuple[float, float, bool]:
-    """Constant, standard error, and whether that is known, of one joint."""
-    columns = np.column_stack([model, friction])
+def _unit_rotors(tree: _core.Tree) -> _core.Tree:
+    """The same joints with nothing but a rotor inertia of 1 each, so that p = dq and beta = 0."""
+    links = empty(tree).links
+    for link in links:
+        link.rotor_inertia = 1.0
+    return _core.Tree(links, tree.gravity)
+
+
+def _fit(model: np.ndarray, current: np.ndarray, beside: np.ndarray) -> tuple[float, float, bool]:
+    """Constant, standard error, and whether that is known, of one joint; `beside` is friction and rotor."""
+    columns = np.column_stack([model, beside])
     pieces = [
         (columns[at].T @ columns[at], columns[at].T @ current[at]) for at in np.array_split(range(len(model)), PIECES)
     ]
@@ -118,7 +153,7 @@ def _fit(model: np.ndarray, current: np.ndarray, friction: np.ndarray) -> tuple[
     share = np.linalg.lstsq(gram, moment, rcond=None)[0]
     leave_one = np.array([np.linalg.lstsq(gram - g, moment - m, rcond=None)[0][0] for g, m in pieces])
     error = np.sqrt((PIECES - 1) / PIECES * ((leave_one - leave_one.mean()) ** 2).sum())
-    left = current - friction @ np.linalg.lstsq(friction, current, rcond=None)[0]
+    left = current - beside @ np.linalg.lstsq(beside, current, rcond=None)[0]
     explained = 1 - np.sum((current - columns @ share) ** 2) / max(float(left @ left), 1e-300)
     if not abs(share[0]) > 0:
         return np.nan, np.nan, False

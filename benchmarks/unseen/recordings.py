@@ -1,0 +1,145 @@
+"""Simulated recordings as a drive would log them: CSV files of currents, arm.toml, and apart from them the truth."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tauext.rig.sensors import encoder, low_pass, velocity
+from tauext.robot import load
+from unseen.arms import Maker, TrueArm, true_arm
+from unseen.contacts import Contact, draw_contacts, label
+from unseen.motions import draw_motion
+from unseen.simulation import RATE_HZ, Run, simulate
+
+DRIVE_VELOCITY_RAD_S = 200.0
+CLOCK_JITTER_S = 5e-5
+KNOWN_TO = 0.1
+LATER_WARM_S = 60.0
+"""How warm the arm is when the test begins: another time of the day, after a minute of work."""
+
+
+@dataclass(frozen=True)
+class Take:
+    """One recording to be made."""
+
+    name: str
+    part: str
+    minutes: float
+    contacts: int = 0
+    warm_from_s: float = 0.0
+
+
+TAKES = (
+    Take("train-1", "train", 3),
+    Take("train-2", "train", 3, 6, 180),
+    Take("train-3", "train", 3, 0, 360),
+    Take("train-4", "train", 3, 6, 540),
+    Take("free-1", "test", 5, 0, LATER_WARM_S),
+    Take("free-2", "test", 5, 0, LATER_WARM_S + 300),
+    Take("contacts-1", "collisions", 5, 25, LATER_WARM_S + 600),
+    Take("contacts-2", "collisions", 5, 25, 0),
+)
+
+
+def write_take(maker: Maker, seed: int, number: int, folder: Path) -> None:
+    """Simulate TAKES[number] of the arm that `seed` drew, and write NAME.csv and NAME.truth.json."""
+    arm = true_arm(maker, np.random.default_rng([seed, 0]))
+    take, rng = TAKES[number], np.random.default_rng([seed, 1 + number])
+    samples = round(take.minutes * 60 * RATE_HZ)
+    contacts = draw_contacts(take.contacts, take.minutes * 60, len(maker.joints), rng)
+    setpoints = draw_motion(maker, samples, RATE_HZ, rng)
+    known = load(maker.model, maker.joints)
+    run = simulate(arm, known, setpoints, maker.torque_nm, contacts, take.warm_from_s)
+    _write_csv(folder / f"{take.name}.csv", maker, arm, run, contacts, rng)
+    peaks = [_peak(run.tau_ext, c) for c in contacts]
+    truth = [asdict(c) | {"peak_nm": peak.tolist()} for c, peak in zip(contacts, peaks, strict=True)]
+    (folder / f"{take.name}.truth.json").write_text(json.dumps(truth, indent=1) + "\n")
+    np.savez_compressed(
+        folder / f"{take.name}.truth.npz",
+        motor_nm=run.motor_nm[::8].astype(np.float32),
+        friction_nm=run.friction_nm[::8].astype(np.float32),
+        tau_ext=run.tau_ext[::8].astype(np.float32),
+    )
+
+
+def description(maker: Maker, seed: int, model: bool) -> str:
+    """The text of arm.toml as its integrator would write it, torque constants off by up to 10 % or unknown.
+
+    Args:
+        model: whether the maker gave a URDF.
+    """
+    constants = told_constants(maker, seed, model)
+    numbers = ", ".join(f'"{number}"' for number in range(1, len(maker.joints) + 1))
+    by_part = {part: [f"{t.name}.csv" for t in TAKES if t.part == part] for part in ("train", "test", "collisions")}
+    return f"""\
+[robot]
+model = {json.dumps(str(maker.model.resolve()) if model else "")}
+joints = {json.dumps(list(maker.joints))}
+names = [{numbers}]
+
+[time]
+column = "time"
+
+[signals.q]
+columns = "position_{{joint}}"
+unit = "rad"
+
+[signals.dq]
+columns = "{"velocity_{joint}" if maker.measured_velocity else ""}"
+unit = "rad/s"
+
+[signals.tau]
+columns = "current_{{joint}}"
+unit = "A"
+torque_constant = {json.dumps(constants)}
+
+[contact]
+column = "touched"
+
+[split]
+train = {json.dumps(by_part["train"])}
+validation = []
+test = {json.dumps(by_part["test"])}
+collisions = {json.dumps(by_part["collisions"])}
+"""
+
+
+def told_constants(maker: Maker, seed: int, model: bool) -> list[float] | str:
+    """What the integrator believes: constants off by up to 10 %; "unknown" where a model may tell, as some makers say
+    nothing."""
+    arm = true_arm(maker, np.random.default_rng([seed, 0]))
+    wrong = np.random.default_rng([seed, 99]).uniform(1 - KNOWN_TO, 1 + KNOWN_TO, len(maker.joints))
+    return (arm.nm_per_ampere * wrong).round(3).tolist() if maker.constants_known or not model else "unknown"
+
+
+def _write_csv(
+    path: Path, maker: Maker, arm: TrueArm, run: Run, contacts: list[Contact], rng: np.random.Generator
+) -> None:
+    """What the controller logs at its own rate; its stamps jitter by a little."""
+    import pyarrow as pa
+    from pyarrow import csv
+
+    q = encoder(run.q, 2**maker.encoder_bits)
+    ampere = low_pass(run.motor_nm / arm.nm_per_ampere, 1 / arm.current_filter_s, 1 / RATE_HZ)
+    ampere += arm.current_noise_a * rng.standard_normal(ampere.shape)
+    ampere = np.round(ampere / arm.current_step_a) * arm.current_step_a
+    keep = slice(0, None, RATE_HZ // maker.rate_hz)
+    time_s = np.arange(len(q))[keep] / RATE_HZ
+    columns = {"time": (time_s + CLOCK_JITTER_S * rng.standard_normal(len(time_s))).round(6)}
+    signals = {"position": q, "current": ampere}
+    if maker.measured_velocity:
+        signals["velocity"] = velocity(q, DRIVE_VELOCITY_RAD_S, 1 / RATE_HZ)
+    for name, signal in signals.items():
+        for j in range(q.shape[1]):
+            columns[f"{name}_{j + 1}"] = signal[keep, j].round(7)
+    columns["touched"] = label(contacts, time_s)
+    csv.write_csv(pa.table(columns), path)
+
+
+def _peak(tau_ext: np.ndarray, contact: Contact) -> np.ndarray:
+    rows = slice(round(contact.start_s * RATE_HZ), round(contact.end_s * RATE_HZ) + 1)
+    return np.abs(tau_ext[rows]).max(axis=0)

@@ -1,0 +1,129 @@
+"""What the trial's README.md says: contacts found by true strength, false alarms, delays and held-out errors."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tauext import _core
+from tauext.data import load, load_split, torque_constants_of
+from unseen.arms import Maker, true_arm
+from unseen.recordings import TAKES, told_constants
+
+STRONG = 3.0
+"""A contact is strong where it turns some joint by so many times the error held out."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One bundle on one arm's test."""
+
+    arm: str
+    model: str
+    recipe: str
+    rmse_nm: np.ndarray
+    rmse_share: np.ndarray
+    """Of the RMS of the joint's torque."""
+    limit_nm: np.ndarray
+    found: np.ndarray
+    strength: np.ndarray
+    """Largest true peak torque over the error, a contact."""
+    kinds: np.ndarray
+    false_alarms: int
+    free_hours: float
+    delays: dict[str, float | None]
+
+
+def read_cases(maker: Maker, seed: int, model: str, folder: Path) -> list[Case]:
+    """The cases of FOLDER/results-MODEL, judged by the truth beside the CSV files."""
+    results = json.loads((folder / f"results-{model}" / "results.json").read_text())
+    truths = {
+        take.name: json.loads((folder / "csv" / f"{take.name}.truth.json").read_text())
+        for take in TAKES
+        if take.contacts
+    }
+    tests = [load(folder / model / name) for name in load_split(folder / model).test]
+    given = told_constants(maker, seed, model == "urdf")
+    true = true_arm(maker, np.random.default_rng([seed, 0])).nm_per_ampere / (1.0 if given == "unknown" else given)
+    torque = true * np.sqrt(np.mean(np.concatenate([test.tau for test in tests]) ** 2, axis=0))
+    cases = []
+    for case in results["cases"]:
+        bundle = _core.Bundle.load(str(folder / case["bundle"]))
+        nm = true / np.array(torque_constants_of(bundle.provenance) or 1.0)
+        rmse, events = nm * case["free_motion"]["l2_nm"], case["events"]
+        truth = [_of(verdict, truths[verdict["recording"]]) for verdict in events["verdicts"]]
+        cases.append(
+            Case(
+                arm=maker.name,
+                model=model,
+                recipe=case["recipe"],
+                rmse_nm=rmse,
+                rmse_share=rmse / torque,
+                limit_nm=nm * case["limits"]["sliding_nm"],
+                found=np.array([verdict["found"] for verdict in events["verdicts"]], dtype=bool),
+                strength=np.array([np.max(np.array(one["peak_nm"]) / rmse) for one in truth]),
+                kinds=np.array([one["kind"] for one in truth]),
+                false_alarms=events["all"]["false_alarms"],
+                free_hours=events["all"]["free_hours"],
+                delays={key: events["all"][key] for key in events["all"] if key.startswith("delay")},
+            )
+        )
+    return cases
+
+
+def _of(verdict: dict, truth: Sequence[dict]) -> dict:
+    """The contact that a verdict's label stands for: the nearest one."""
+    return min(truth, key=lambda one: abs(one["label_s"][0] - verdict["start_s"]))
+
+
+def markdown(cases: Sequence[Case], command: str) -> str:
+    """The text of README.md."""
+    lines = [
+        "# Arms that nobody tuned for",
+        "",
+        f"Written by `{command}`.",
+        "",
+        "Simulated arms with what real ones have: a model that is wrong (masses by 20 %, centres of mass by 2 cm, a",
+        "tool and rotor inertias missing), friction with memory, load and warmth, motor currents with wrong torque",
+        "constants or none, jittering stamps, labels late or early by 30 ms. Twelve minutes to train on, ten of free",
+        "motion and ten with 50 labelled contacts to test on. `urdf`: with the maker's model; `none`: without any.",
+        f"Limits are those that `train` chooses by itself. Strong: turns some joint by {STRONG:g} times its held-out",
+        "error or more. Torques are true ones, whatever constants the method believes.",
+        "",
+        "| arm | model | recipe | found | of strong | false alarms an hour (seen) | delay from label, ms: median, 95 % "
+        "| from onset, ms | limit over error |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for c in cases:
+        strong = c.strength > STRONG
+        lines.append(
+            f"| {c.arm} | {c.model} | {c.recipe} | {c.found.sum()}/{len(c.found)} "
+            f"| {c.found[strong].sum()}/{strong.sum()} | {c.false_alarms / c.free_hours:.1f} ({c.false_alarms}) "
+            f"| {_ms(c, 'delay_median_s')}, {_ms(c, 'delay_p95_s')} "
+            f"| {_ms(c, 'delay_from_onset_median_s')}, {_ms(c, 'delay_from_onset_p95_s')} "
+            f"| {np.median(c.limit_nm / c.rmse_nm):.0f} |"
+        )
+    lines += [
+        "",
+        "Found by kind:",
+        "",
+        "| arm | model | recipe | impacts | pushes | holds |",
+        "|---|---|---|---|---|---|",
+    ]
+    for c in cases:
+        by_kind = [f"{c.found[c.kinds == kind].sum()}/{(c.kinds == kind).sum()}" for kind in ("impact", "push", "hold")]
+        lines.append(f"| {c.arm} | {c.model} | {c.recipe} | {' | '.join(by_kind)} |")
+    lines += ["", "Held-out RMS error, Nm (% of the torque's RMS), joint by joint, and the sliding limits, Nm:", ""]
+    lines += ["| arm | model | recipe | error | limits |", "|---|---|---|---|---|"]
+    for c in cases:
+        errors = " · ".join(f"{e:.2f} ({s:.0%})" for e, s in zip(c.rmse_nm, c.rmse_share, strict=True))
+        lines.append(f"| {c.arm} | {c.model} | {c.recipe} | {errors} | {' · '.join(f'{x:.1f}' for x in c.limit_nm)} |")
+    return "\n".join([*lines, ""])
+
+
+def _ms(case: Case, key: str) -> str:
+    return "–" if case.delays[key] is None else f"{1e3 * case.delays[key]:.0f}"

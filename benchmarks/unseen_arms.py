@@ -1,0 +1,93 @@
+"""The whole chain on simulated arms that nobody tuned for: motor currents, a wrong URDF or none, labelled contacts.
+
+    python benchmarks/unseen_arms.py MODELS OUT [--arms ur5 panda ...] [--recipes prior friction] [--seed 0]
+
+MODELS: folder of ur5_robot.urdf, panda.urdf and kinova.urdf. OUT/ARM gets csv/ with the recordings and the truth, the
+datasets urdf/ and none/, bundles and results; what is there is used again. OUT/README.md gets the tables; that of
+docs/results/unseen-arms is one of these.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+from unseen.arms import Maker, makers
+from unseen.recordings import TAKES, description, write_take
+from unseen.results import markdown, read_cases
+
+MODELS = {"urdf": True, "none": False}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("models", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--arms", nargs="+", default=["ur5", "panda", "kinova", "seven_axis"])
+    parser.add_argument("--recipes", nargs="+", default=["prior", "friction"])
+    parser.add_argument("--seed", type=int, default=0, help="of the arms, their motion and their contacts")
+    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    options = parser.parse_args()
+    known = makers(options.models)
+    for name in options.arms:
+        if name not in known:
+            parser.error(f"--arms {name}: must be of {', '.join(known)}")
+        if not known[name].model.is_file():
+            parser.error(f"{known[name].model}: there is no such file; MODELS is the folder of the arms' URDFs")
+    cases = []
+    for name in options.arms:
+        folder = options.out / name
+        if not (folder / "none").is_dir():
+            make(known[name], folder, options.seed, options.workers)
+        for model in MODELS:
+            judge(known[name], folder, model, options.recipes)
+            cases += read_cases(known[name], options.seed, model, folder)
+    text = markdown(cases, "python benchmarks/unseen_arms.py MODELS OUT")
+    (options.out / "README.md").write_text(text)
+    print(text)
+
+
+def make(maker: Maker, folder: Path, seed: int, workers: int) -> None:
+    """Simulate every take of an arm and import it twice, with its URDF and without a model."""
+    raw = folder / "csv"
+    raw.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(workers) as pool:
+        for done in [pool.submit(write_take, maker, seed, number, raw) for number in range(len(TAKES))]:
+            done.result()
+    files = [str(raw / f"{take.name}.csv") for take in TAKES]
+    for name, model in MODELS.items():
+        arm = raw / f"arm-{name}.toml"
+        arm.write_text(description(maker, seed, model))
+        command(folder / f"import-{name}.txt", "import", "--source", *files, "--arm", arm, "--out", folder / name)
+
+
+def judge(maker: Maker, folder: Path, model: str, recipes: list[str]) -> None:
+    """Check, train and evaluate as a user would, each command's words beside its results."""
+    data, how = folder / model, [] if MODELS[model] else ["--case", "none"]
+    if MODELS[model] and not maker.constants_known:
+        how = ["--fit-torque-constants"]
+    command(folder / f"check-{model}.txt", "check", "--data", data, accept=(0, 1))
+    bundles = [folder / f"{model}-{recipe}.tauext" for recipe in recipes]
+    for recipe, bundle in zip(recipes, bundles, strict=True):
+        if not bundle.exists():
+            said = folder / f"train-{model}-{recipe}.txt"
+            command(said, "train", "--data", data, "--recipe", recipe, "--out", bundle, *how)
+    results = folder / f"results-{model}"
+    command(folder / f"evaluate-{model}.txt", "evaluate", "--data", data, "--out", results, "--bundles", *bundles)
+
+
+def command(said: Path, *arguments: str | Path, accept: tuple[int, ...] = (0,)) -> None:
+    """Run `tauext ARGUMENTS` and keep what it printed; RuntimeError where it failed."""
+    words = [sys.executable, "-m", "tauext", *map(str, arguments)]
+    ended = subprocess.run(words, capture_output=True, text=True, check=False)
+    said.write_text(ended.stdout + ended.stderr)
+    if ended.returncode not in accept:
+        raise RuntimeError(f"{' '.join(words)}:\n{ended.stdout}{ended.stderr}")
+
+
+if __name__ == "__main__":
+    main()

@@ -102,7 +102,7 @@ def fit_torque_constants(tree: _core.Tree, recordings: Sequence[Recording], conf
         friction = _core.prior_regressors(tree, chain.observer, settings, *signals, rows)
         stacked.append((with_none.residual[rows], current[rows], friction))
     if not stacked:
-        raise TrainingError("no training recording is longer than the observer's warm-up")
+        raise TrainingError(f"no training recording is longer than the observer's warm-up of {chain.warm_up_s:g} s")
     model, current, friction = (np.concatenate([one[k] for one in stacked]) for k in range(3))
     found = [_fit(model[:, j], current[:, j], friction[:, 3 * j : 3 * j + 3]) for j in range(n)]
     return TorqueConstants(*(np.array([one[k] for one in found]) for k in range(3)))

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.cli.train import estimated_model
+from tauext.cli.model_case import estimated_model
 from tauext.config import PAPER_CASES, ObserverConfig
 from tauext.data import Recording, load, load_split
 from tauext.evaluate.collisions import Collision, find_collisions

@@ -109,7 +109,7 @@ def test_late_packets_repeats_and_gaps_are_handled_and_counted():
     rows = [k for k in rows if not 300 <= k < 310]  # a gap
     again = [k - 1 if k in (400, 420) else k for k in rows]  # stale values under a new stamp
     source = a_source(t_ns[rows], q=q[again], dq=dq[again], tau=tau[again])
-    recording = one(source, arm())
+    recording = one(source, arm(time='repeats = "drop"'))
     kept = [k for k in range(600) if not 300 <= k < 310 and k not in (400, 420)]
     np.testing.assert_array_equal(recording.t_ns, t_ns[kept])
     np.testing.assert_array_equal(recording.tau, tau[kept])
@@ -120,9 +120,10 @@ def test_late_packets_repeats_and_gaps_are_handled_and_counted():
         "gaps: steps of more than 1.5 median steps": 3,
     }
     assert recording.provenance["longest_step_s"] == pytest.approx(0.11)
-    kept_all = one(source, arm(time='repeats = "keep"'))
-    assert kept_all.samples == 590
+    kept_all = one(source, arm())
+    assert kept_all.samples == 590 and kept_all.provenance["counts"]["gaps: steps of more than 1.5 median steps"] == 1
     assert "2 repeated samples kept: all values equal the sample before" in kept_all.provenance["done"]
+    assert kept_all.provenance["measured_hz"] == pytest.approx(587 / 5.99, abs=1e-3)  # 588 of them in 5.99 s
 
 
 def test_an_arm_at_rest_is_no_repeated_sample():
@@ -219,6 +220,20 @@ def test_a_derived_velocity_is_the_low_pass_of_a_ramps_slope():
     expected = np.where(time_s > begin, 3.0 * (1 - np.exp(-2 * np.pi * 5.0 * (time_s - begin))), 0.0)
     np.testing.assert_allclose(dq, expected, rtol=0, atol=1e-9)
     np.testing.assert_allclose(derived_velocity(t_ns, 3 * time_s, 0.0), 3.0, rtol=1e-9)
+
+
+def test_a_held_position_has_the_speed_of_its_measurement():
+    # A ramp read twice as often as it is measured: without a low-pass its speed is the ramp's at every row but the
+    # last, whose row is new; a difference to the row before would be 0 and 2 v in turn.
+    t_ns = np.arange(0, 400, dtype=np.int64) * 5_000_000
+    ramp = np.repeat(np.arange(200)[:, None] * 0.01 * np.array([1.0, -2.0]), 2, axis=0)
+    described = parse_arm(
+        '[robot]\njoints = ["a", "b"]\n[signals.q]\ncolumns = "q"\n[signals.tau]\ncolumns = "tau"\n'
+        '[signals.dq]\ncolumns = ""\nlow_pass_hz = 0'
+    )
+    recording = one(a_source(t_ns, q=ramp, tau=ramp), described)
+    assert recording.samples == 400 and recording.rate_hz == 200
+    np.testing.assert_allclose(recording.dq, np.tile([1.0, -2.0], (400, 1)), rtol=1e-9)
 
 
 def test_a_velocity_that_is_not_recorded_is_derived_and_said():

@@ -11,7 +11,9 @@ from tauext import _core
 from tauext.cli import main
 from tauext.cli.baselines import BASELINES, train_baselines
 from tauext.cli.dataset import Dataset
-from tauext.cli.train import estimated_model, finished, train_bundle, training_settings
+from tauext.cli.model_case import estimated_model
+from tauext.cli.train import train_bundle
+from tauext.cli.train_settings import finished, training_settings
 from tauext.config import PAPER_CASES, AlarmConfig, FilterConfig, TrainConfig
 from tauext.errors import BundleError, ConfigError
 from tauext.rig import RigConfig, simulate_dataset

@@ -11,7 +11,7 @@ from test_train import recording
 
 from tauext import _core
 from tauext.cli.show import describe_bundle
-from tauext.cli.train import training_settings
+from tauext.cli.train_settings import training_settings
 from tauext.config import PAPER_CASES, DriftConfig, ObserverConfig, PriorConfig, TrainConfig
 from tauext.data import Recording, save
 from tauext.data.estimates import load_estimates, save_estimates

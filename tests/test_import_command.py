@@ -79,17 +79,14 @@ def test_few_sources_are_each_split_by_time_with_a_gap_and_that_is_said(workplac
     code, out, _ = run(capsys, workplace)
     assert code == 0 and out.splitlines()[-1] == str(workplace / "out")
     assert (
-        "3 sources without contact: each split by time (train 70%, validation 15%, test 15%) with a gap of 2 s" in out
+        "3 sources without contact: each split by time (train 80%, test 20%) with a gap of 2 s" in out
+        and "validation is empty: train finds limits on training motion that it leaves out of the fit in turn" in out
     )
     found = spans(workplace)
-    assert [found[part][-1] for part in ("train", "validation", "test")] == [
-        ("three", 0.0, 26.99),
-        ("three", 29.0, 32.99),
-        ("three", 35.0, 39.99),
-    ]
-    assert "too short to be split by time, whole in train: one" in out and found["train"][0] == ("one", 0.0, 19.99)
+    assert "validation" not in found
+    assert [found[part][-1] for part in ("train", "test")] == [("three", 0.0, 30.99), ("three", 33.0, 39.99)]
     recording = load(workplace / "out/three-train.parquet")
-    np.testing.assert_array_equal(recording.q[:, 1], motion(2700, joints=2)[1][:, 0])  # tip is elbow, sent first
+    np.testing.assert_array_equal(recording.q[:, 1], motion(3100, joints=2)[1][:, 0])  # tip is elbow, sent first
     assert not (workplace / "out/three.parquet").exists()
     assert json.loads((workplace / "out/run.json").read_text())["settings"]["sources"] == [
         "one.bag",
@@ -98,21 +95,27 @@ def test_few_sources_are_each_split_by_time_with_a_gap_and_that_is_said(workplac
     ]
 
 
-def test_listed_stretches_are_taken_and_validation_is_held_back(workplace, capsys):
+def test_sources_too_short_to_be_split_serve_whole_and_that_is_said(workplace, capsys):
+    code, out, _ = run(capsys, workplace, "[split]\ngap_s = 8")
+    assert code == 0 and "too short to be split by time, whole in train: one" in out  # 4 s of it less half the gap
+    assert spans(workplace)["train"][0] == ("one", 0.0, 19.99)
+
+
+def test_listed_stretches_are_taken_and_nothing_is_held_back(workplace, capsys):
     code, out, _ = run(
         capsys, workplace, '[split]\ntrain = ["one.bag"]\ntest = ["two.bag[0:15]"]\ncollisions = ["two.bag[15:]"]'
     )
-    assert code == 0 and "no validation listed: the last 20% of each training recording" in out
+    assert code == 0 and "validation is empty" in out
     assert "in no set: three" in out
     found = spans(workplace)
-    assert found["train"] == [("one", 0.0, 14.99)] and found["validation"] == [("one", 17.0, 19.99)]
+    assert found["train"] == [("one", 0.0, 19.99)] and "validation" not in found
     assert found["test"] == [("two", 0.0, 14.99)] and found["collisions"] == [("two", 15.0, 29.99)]
 
 
 def test_recordings_with_contacts_go_whole_to_collisions(workplace, capsys):
     code, out, _ = run(capsys, workplace, '[contact.intervals]\n"two.bag" = [[5, 6]]')
     assert code == 0 and "collisions: two.parquet" in out
-    assert {source for part in ("train", "validation", "test") for source, *_ in spans(workplace)[part]} == {
+    assert {source for part in ("train", "test") for source, *_ in spans(workplace)[part]} == {
         "one",
         "three",
     }
@@ -138,7 +141,7 @@ def test_where_every_source_has_contacts_the_end_is_kept_whole_for_collisions(wo
     assert run(capsys, workplace, rest, sources=["three"])[0] == 0
     found = spans(workplace)
     assert found["collisions"] == [("three", 31.0, 39.99)]
-    assert found["train"] == [("three", 3.51, 22.99)]  # 1.5 s before the touch are too short
+    assert found["train"] == [("three", 3.51, 28.99)]  # 1.5 s before the touch are too short
     assert found["test"] == [("three", 31.0, 34.49), ("three", 36.51, 39.99)]
 
 
@@ -147,6 +150,34 @@ def test_training_takes_what_an_import_wrote(workplace, capsys):
     bundle = workplace / "prior.tauext"
     assert main(["train", "--data", str(workplace / "out"), "--recipe", "prior", "--out", str(bundle)]) == 0
     assert bundle.exists()
+
+
+def test_a_dataset_without_a_model_is_trained_without_one_and_goes_through_every_command(workplace, capsys):
+    arm = ARM.replace('model = "arm.urdf"\n', "")
+    (workplace / "arm.toml").write_text(arm.format(rest="", robot=""))
+    out, files = workplace / "out", [str(workplace / f"{name}.bag") for name in ("two", "three")]
+    assert main(["import", "--source", *files, "--arm", str(workplace / "arm.toml"), "--out", str(out)]) == 0
+    assert "robot: no model" in capsys.readouterr().out
+    bundle, results = workplace / "made.tauext", workplace / "results"
+    train = ["train", "--data", str(out), "--recipe", "friction", "--out", str(bundle)]
+    assert main([*train, "--case", "mass"]) == 2 and not bundle.exists()
+    assert "case = mass needs a model, and" in capsys.readouterr().err
+    assert main(train) == 0 and "the dataset has no model, so the case is 'none'" in capsys.readouterr().err
+    assert main(["show", str(bundle), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["made by"]["case"] == "none" and said["model"]["masses [kg]"] == [0, 0]
+    assert main(["check", "--data", str(out)]) in (0, 1)
+    assert capsys.readouterr().out.startswith("no robot model: ")
+    assert main(["check", "--data", str(out), "--json"]) in (0, 1)
+    codes = {finding["code"] for finding in json.loads(capsys.readouterr().out)["findings"]}
+    assert not codes & {"model-unusable", "mass-missing", "inertia-impossible", "payload-missing", "effort-scale"}
+    evaluate = ["evaluate", "--data", str(out), "--out", str(results)]
+    assert main([*evaluate, "--baselines", "--methods", "observer", "--case", "exact"]) == 2
+    assert main([*evaluate, "--bundles", str(bundle), "--baselines", "--methods", "observer"]) == 0
+    report = ["report", "--results", str(results), "--data", str(out), "--out", str(workplace / "report")]
+    assert main(report) == 0
+    with_robot = [*train, "--robot", str(workplace / "arm.urdf"), "--case", "mass"]
+    assert main(with_robot) == 0  # a model given beside the dataset is one
 
 
 def test_payload_rotor_inertia_and_gravity_reach_the_robot_file(workplace, capsys):
@@ -273,7 +304,7 @@ def test_one_stretch_in_two_sets_is_refused():
         '[robot]\njoints = ["a"]\n[signals.q]\ncolumns = "q"\n[signals.tau]\ncolumns = "tau"\n'
         '[split]\ntrain = ["run.csv[:30]"]\ntest = ["run.csv[20:]"]'
     )
-    with pytest.raises(ConfigError, match=r"share a stretch of run \(run\[20:\], run\[0:23\]\)"):
+    with pytest.raises(ConfigError, match=r"share a stretch of run \(run\[0:30\], run\[20:\]\)"):
         plan(described, {"run": SourceFacts(60.0, False)}, {"run.csv": ["run"]})
 
 

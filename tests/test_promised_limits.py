@@ -91,7 +91,7 @@ def test_too_little_calibration_is_refused_and_says_how_much_more():
 
 def test_recordings_of_contacts_alone_are_refused():
     touched = noisy(1, contact=np.ones(60_000, dtype=np.int8))
-    with pytest.raises(TrainingError, match="healthy free motion"):
+    with pytest.raises(TrainingError, match="limits need free motion"):
         promised_limits(observer(), lambda: [touched], BUDGET, 1)
 
 

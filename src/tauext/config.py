@@ -291,6 +291,11 @@ class TrainConfig:
         require(self.threads >= 0, "threads", self.threads, ">= 0")
         require(self.seed >= 0, "seed", self.seed, ">= 0")
 
+    @property
+    def warm_up_s(self) -> float:
+        """Of the recipe's observer and low-pass, [s]."""
+        return warm_up_s(self.observer.gain_per_s, self.filters.low_pass_per_s if self.recipe == "bandpass" else 0.0)
+
     def resolved(self) -> TrainConfig:
         """With the recipe's own values where None stands."""
         own = RECIPE_VALUES[self.recipe]
@@ -311,6 +316,15 @@ RECIPE_VALUES = {
     "velocity": {},
     "energy": {},
 }
+
+
+def warm_up_s(gain_per_s: float, low_pass_per_s: float = 0.0) -> float:
+    """When r counts as warmed up, [s] after its start: what it started from has faded to e^-10.
+
+    That is 10/K0, or 10 over the rate of the low-pass behind the observer where that is slower (0: none). The velocity
+    observer, where the inertia couples joints, takes longer.
+    """
+    return 10 / min(gain_per_s, low_pass_per_s or gain_per_s)
 
 
 def require(ok: bool, name: str, value: object, rule: str) -> None:

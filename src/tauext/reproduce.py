@@ -8,8 +8,10 @@ from pathlib import Path
 
 from tauext.cli.dataset import Dataset
 from tauext.cli.evaluate import evaluate_bundles
+from tauext.cli.model_case import estimated_model
 from tauext.cli.progress import ProgressBar
-from tauext.cli.train import estimated_model, finished, train_bundle
+from tauext.cli.train import train_bundle
+from tauext.cli.train_settings import finished
 from tauext.config import PAPER_CASES, TrainConfig
 from tauext.report import write_report
 from tauext.rig import RigConfig, simulate_dataset

@@ -23,10 +23,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext import _core
-from tauext.calibrate.judged import Judged, errors
+from tauext.calibrate.judged import Judged, errors, no_free_motion
 from tauext.config import FreeMotionConfig
 from tauext.data import Recording
-from tauext.errors import ConfigError, TrainingError
+from tauext.errors import ConfigError
 
 REGIONS = ("sliding", "near_stiction")
 GAP_S = 0.5
@@ -231,7 +231,7 @@ def collect_peaks(
             collector.add(*samples)
     found = tuple(collector.peaks() for collector in collectors)
     if any(peaks.hours == 0 for peaks in found):
-        raise TrainingError("no recording is long enough to warm up in; limits need healthy free motion")
+        raise no_free_motion(bundle, margins)
     return found
 
 

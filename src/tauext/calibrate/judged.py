@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tauext import _core
-from tauext.config import FreeMotionConfig
+from tauext.config import FreeMotionConfig, warm_up_s
 from tauext.data import Recording, free_samples
+from tauext.errors import TrainingError
 
 
 @dataclass(frozen=True)
@@ -38,3 +39,13 @@ def errors(
     # What the prior's doubt raises the limits by is no error that limits must stand.
     error = np.maximum(np.abs(said["tau_ext"]) - said["doubt"], 0)
     return recording.t_ns, error, said["near_stiction"].astype(bool), counted
+
+
+def no_free_motion(bundle: _core.Bundle, margins: FreeMotionConfig) -> TrainingError:
+    """What to raise where no recording holds a sample that counts."""
+    warm_s = warm_up_s(bundle.observer.gain_per_s, bundle.observer.low_pass_per_s)
+    window = " and the network's window" if bundle.has_network else ""
+    return TrainingError(
+        f"limits need free motion: no recording holds any beyond the warm-up of {warm_s:g} s{window}, with "
+        f"{margins.before_s:g} s before and {margins.after_s:g} s after every contact left out"
+    )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext import _core
-from tauext.calibrate.judged import Judged, errors
+from tauext.calibrate.judged import Judged, errors, no_free_motion
 from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data import Recording, standing_joints
 from tauext.errors import TrainingError
@@ -48,10 +48,7 @@ def paper_limits(
         near = np.maximum(near, np.where(stuck, error, 0).max(axis=0, initial=0))
         samples += len(error)
     if samples == 0:
-        raise TrainingError(
-            f"limits need free motion: of {len(recordings)} recordings none holds any that is longer than the warm-up "
-            f"and {margins.before_s:g} s before or {margins.after_s:g} s after every contact"
-        )
+        raise no_free_motion(bundle, margins)
     names = [link.joint_name for link in bundle.links]
     if (np.maximum(sliding, near) == 0).any():
         name = names[int(np.argmin(np.maximum(sliding, near)))]

@@ -7,7 +7,9 @@ from collections.abc import Collection
 from pathlib import Path
 
 from tauext.cli.dataset import Dataset
-from tauext.cli.train import CaseName, estimated_model, finished, train_bundle, why_impossible
+from tauext.cli.model_case import CaseName, chosen_case, estimated_model, why_impossible
+from tauext.cli.train import train_bundle
+from tauext.cli.train_settings import finished
 from tauext.config import PAPER_CASES, Recipe, TrainConfig
 from tauext.errors import ConfigError
 
@@ -32,7 +34,7 @@ BASELINES: tuple[tuple[str, Recipe], ...] = (
 def train_baselines(
     dataset: Dataset,
     robot: Path | None,
-    case_name: CaseName,
+    case_name: CaseName | None,
     folder: Path,
     seed: int,
     threads: int,
@@ -46,16 +48,20 @@ def train_baselines(
 
     Args:
         robot: URDF or MJCF; None: the dataset's own.
+        case_name: None: as chosen_case.
         names: train only these; None: all.
         skip: leave these out.
 
     Raises:
-        ConfigError: a name that is none of BASELINES, or a bundle of other settings in the folder.
+        ConfigError: a name that is none of BASELINES, a bundle of other settings in the folder, no training recording,
+            or a case that the dataset has no model for.
     """
     known = [name for name, _ in BASELINES]
     for name in (*(names or ()), *skip):
         if name not in known:
             raise ConfigError(f"baseline '{name}' does not exist; they are {', '.join(known)}")
+    robot_file = dataset.robot_file(robot)
+    case_name = chosen_case(case_name, robot_file)
     case, calibration = PAPER_CASES[case_name], dataset.loaders("calibration")
     bundles: dict[str, Path] = {}
     missing: dict[str, TrainConfig] = {}
@@ -71,8 +77,7 @@ def train_baselines(
         if not finished(bundles[name], case_name, config):
             missing[name] = config
     if missing:
-        training, validation = dataset.recordings("train"), dataset.recordings("validation")
-        robot_file = dataset.robot_file(robot)
+        training, validation = dataset.training(), dataset.recordings("validation")
         tree = estimated_model(robot_file, training[0], case)
         for name, config in missing.items():
             train_bundle(tree, robot_file, case, training, validation, config, bundles[name], calibration)

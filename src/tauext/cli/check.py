@@ -43,6 +43,8 @@ def check(
     recordings, free, robot = gather(data, robot)
     diagnosis = examine(recordings, robot, gravity, free)
     text, content = as_text(diagnosis), as_data(diagnosis)
+    if robot is None:
+        text = f"no robot model: order, scale, gravity and payload cannot be checked\n{text}"
     content["recordings"] = [recording.name for recording in recordings]
     if out is not None:
         from tauext.doctor.picture import draw
@@ -62,6 +64,7 @@ def gather(data: tuple[Path, ...], robot: Path | None) -> tuple[list[Recording],
         ConfigError: nothing to check.
     """
     from tauext.cli.dataset import ROBOT_FILES, Dataset
+    from tauext.robot import is_placeholder
 
     files: list[Path] = []
     free: set[str] = set()
@@ -77,6 +80,8 @@ def gather(data: tuple[Path, ...], robot: Path | None) -> tuple[list[Recording],
         else:
             files += sorted(path.glob("*.parquet"))
         robot = robot or next((path / name for name in ROBOT_FILES if (path / name).is_file()), None)
+    if robot is not None and is_placeholder(robot):
+        robot = None
     if not files:
         raise ConfigError(f"{', '.join(map(str, data)) or 'data'}: no recording (*.parquet) is there to check")
     return _evenly(files), free, robot

@@ -29,6 +29,12 @@ class Dataset:
         """All recordings of `train`, `validation`, `test` or `collisions`, in order."""
         return [load(self.folder / name) for name in getattr(self.split, part)]
 
+    def training(self) -> list[Recording]:
+        """The training recordings; raise ConfigError where there are none."""
+        if not self.split.train:
+            raise ConfigError(f"{self.folder}: split.json lists no training recording; one is enough")
+        return self.recordings("train")
+
     def loaders(self, part: str) -> list[Callable[[], Recording]]:
         """The same, each loaded when called."""
         return [partial(load, self.folder / name) for name in getattr(self.split, part)]

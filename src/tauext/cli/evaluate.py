@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from tauext.cli.dataset import Dataset
-from tauext.cli.train import CaseName
+from tauext.cli.model_case import CaseName
 from tauext.config import EventsConfig
 from tauext.errors import ConfigError
 
@@ -20,7 +20,7 @@ def evaluate(
     bundles: tuple[Path, ...] = (),
     baselines: bool = False,
     methods: tuple[str, ...] = (),
-    case: CaseName = "exact",
+    case: CaseName | None = None,
     robot: Path | None = None,
     seed: int = 0,
     threads: int = 0,
@@ -37,7 +37,7 @@ def evaluate(
             compare them; those that are there are used again. Beside them detectors that know nothing.
         methods: of the baselines these alone: observer, friction, highpass, bandpass, velocity, energy, direct,
             feedforward, paper-lstm, prior, tauext.
-        case: estimated model of the baselines.
+        case: estimated model of the baselines, as in train.
         robot: URDF or MJCF of the baselines; default: the dataset's own.
         seed: of the baselines' training and of the choice of the ten collisions.
         threads: 0: one a core. The result does not depend on it.

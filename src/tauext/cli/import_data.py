@@ -118,7 +118,7 @@ def _robot_file(arm: Arm, out: Path) -> Path:
     from tauext.robot import Payload, load, write_placeholder, write_robot
 
     if arm.model is None:
-        print("robot: no model; robot.urdf is a placeholder without masses: train with --case none")
+        print("robot: no model; robot.urdf is a placeholder without masses, and train takes the case none")
         return write_placeholder(arm.robot.joints, out)
     inertia = arm.robot.rotor_inertia_kg_m2
     rotors = dict(zip(arm.robot.joints, zip(inertia, arm.gear_ratio, strict=True), strict=True)) if inertia else {}

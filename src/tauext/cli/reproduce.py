@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from tauext.cli.train import CaseName
+from tauext.cli.model_case import CaseName
 
 
 def reproduce(

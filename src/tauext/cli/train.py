@@ -5,29 +5,29 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from tauext.cli.calibrate import NO_CALIBRATION, calibrate_bundle
+from tauext.cli.calibrate import calibrate_bundle
 from tauext.cli.dataset import Dataset
-from tauext.config import PAPER_CASES, FreeMotionConfig, ModelCase, TrainConfig
+from tauext.cli.model_case import CaseName, chosen_case, estimated_model, model_digest, why_impossible
+from tauext.cli.train_settings import training_settings
+from tauext.config import PAPER_CASES, ModelCase, TrainConfig
 from tauext.errors import ConfigError
 
 if TYPE_CHECKING:
     from tauext._core import Tree
     from tauext.data import Recording
 
-CaseName = Literal["exact", "mass", "com", "mass+com", "none"]
-
 
 def train(
     data: Path,
     out: Path,
-    case: CaseName = "exact",
+    case: CaseName | None = None,
     robot: Path | None = None,
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = TrainConfig(),  # noqa: B008
 ) -> None:
@@ -36,29 +36,20 @@ def train(
     Args:
         data: dataset folder (`tauext simulate` makes one).
         out: bundle to write, NAME.tauext. An interrupted run goes on from its checkpoint beside it.
-        case: the estimated model: the robot file as it is, mass and/or centre of mass halved, or no model at all.
+        case: the estimated model: the robot file as it is (exact), mass and/or centre of mass halved, or no model at
+            all (none). Left out: exact, or none where the dataset was imported without a model.
         robot: URDF or MJCF of the arm; default: the dataset's own.
         config: recipe, seed and sizes.
     """
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
     dataset = Dataset.open(data)
-    training, validation = dataset.recordings("train"), dataset.recordings("validation")
     robot_file = dataset.robot_file(robot)
-    if not training:
-        raise ConfigError(f"{data}: split.json lists no training recording; one is enough")
-    tree = estimated_model(robot_file, training[0], PAPER_CASES[case])
-    calibration = dataset.loaders("calibration")
-    train_bundle(tree, robot_file, PAPER_CASES[case], training, validation, config, out, calibration)
+    model = PAPER_CASES[chosen_case(case, robot_file)]
+    training, validation = dataset.training(), dataset.recordings("validation")
+    tree = estimated_model(robot_file, training[0], model)
+    train_bundle(tree, robot_file, model, training, validation, config, out, dataset.loaders("calibration"))
     print(out)
-
-
-def estimated_model(robot: Path, recording: Recording, case: ModelCase) -> Tree:
-    """The robot file's joints that the recording has, as the case's wrong or missing model."""
-    from tauext.robot import empty, load, perturbed
-
-    tree = load(robot, joints=recording.joints)
-    return empty(tree) if case.no_model else perturbed(tree, case.mass_factor, case.com_factor)
 
 
 def train_bundle(
@@ -81,7 +72,8 @@ def train_bundle(
     from tauext.calibrate import Judged, at_rest_sentence, paper_limits, set_limits
     from tauext.cli.progress import ProgressBar
     from tauext.cli.run_files import provenance, write_json
-    from tauext.cli.train_limits import left_out_of_fit, set_supported_limits
+    from tauext.cli.train_limits import left_out_of_fit, limits_kind, set_supported_limits
+    from tauext.cli.train_recordings import chosen_recordings, scaled
     from tauext.data import free_pieces, scaled_torque, standing_joints, total_s
     from tauext.learn import (
         PriorFit,
@@ -217,106 +209,3 @@ def train_bundle(
     write_json(facts | run | {"loss_history": history}, out.with_suffix(".run.json"))
     write_json({"train_s": network.seconds if network else 0.0}, out.with_suffix(".wall_time_s.json"))
     bundle.save(str(out))
-
-
-def scaled(load: Callable[[], Recording], nm_per_unit: Sequence[float]) -> Recording:
-    """A loaded recording with its torque in N m."""
-    from tauext.data import scaled_torque
-
-    return scaled_torque(load(), nm_per_unit)
-
-
-def limits_kind(config: TrainConfig, calibration: Sequence[object]) -> str:
-    """How limits are found: promised, supported or paper.
-
-    Raises:
-        ConfigError: they shall follow from a budget, and there is nothing to find them on.
-    """
-    if config.limits == "promised" and not calibration:
-        raise ConfigError(f"limits = promised {NO_CALIBRATION}")
-    if config.limits != "auto":
-        return config.limits
-    if config.recipe in ("paper", "dense"):
-        return "paper"
-    return "promised" if calibration else "supported"
-
-
-def why_impossible(recipe: str, case: ModelCase) -> str | None:
-    """Why there is no such bundle; None: there is."""
-    if recipe == "velocity" and case.no_model:
-        return f"recipe = velocity needs a model, which the case '{case.name}' has not: it divides by the inertia"
-    return None
-
-
-def chosen_recordings(
-    training: list[Recording], validation: list[Recording], config: TrainConfig
-) -> tuple[list[Recording], list[Recording]]:
-    """What config.minutes leaves of them: of validation at least a minute, or a window where that is longer.
-
-    Raises:
-        ConfigError: there are not so many minutes.
-    """
-    from tauext.data import first_seconds, total_s
-
-    if config.minutes is None:
-        return training, validation
-    wanted_s, there_s = 60 * config.minutes, total_s(training)
-    if wanted_s > there_s + 1e-6:
-        most = int(there_s / 0.6) / 100
-        raise ConfigError(
-            f"minutes = {config.minutes:g} must be at most {most:g}: the training recordings hold no more"
-        )
-    window_s = 10 / config.observer.gain_per_s + config.observer.window_s  # with the observer's warm-up
-    if not validation:
-        return first_seconds(training, wanted_s), []
-    return first_seconds(training, wanted_s), first_seconds(validation, max(wanted_s / 5, 60.0, window_s))
-
-
-def training_settings(case: ModelCase, config: TrainConfig) -> dict:
-    """What the trained bundle depends on beside the data; not the number of threads."""
-    plain = asdict(config.resolved())
-    network, sequences, filters = ("prior", "gate_margin", "drift"), ("threads", "epochs"), ("filters",)
-    no_network = ("threads", "targets", *network)
-    unused = {
-        "tauext": (*sequences, *filters),
-        "prior": ("threads", "targets", "gate_margin", *filters),
-        "paper": ("threads", "targets", *network, *filters),
-        "dense": (*sequences, *network, *filters),
-        "feedforward": (*sequences, "targets", *network, *filters),
-        "highpass": no_network,
-        "bandpass": no_network,
-    }.get(config.recipe, (*no_network, *filters))
-    if config.backend == "core":
-        del plain["backend"]
-    if config.minutes is None:
-        del plain["minutes"]
-    if config.margins == FreeMotionConfig():
-        del plain["margins"]
-    if not config.fit_torque_constants:
-        del plain["fit_torque_constants"]
-    settings = {"case": asdict(case), "config": {k: v for k, v in plain.items() if k not in unused}}
-    return json.loads(json.dumps(settings))  # as a file gives them back: lists, no tuples
-
-
-def finished(bundle: Path, case: str, config: TrainConfig) -> bool:
-    """Whether this bundle was already trained with these settings.
-
-    Raises:
-        ConfigError: a bundle of other settings stands there.
-    """
-    run = bundle.with_suffix(".run.json")
-    if not bundle.exists() or not run.exists():
-        return False
-    settings = json.loads(run.read_text())["settings"]
-    if settings == training_settings(PAPER_CASES[case], config):
-        return True
-    raise ConfigError(f"{bundle}: it was trained with other settings; choose another --out or remove it")
-
-
-def model_digest(tree: Tree) -> str:
-    """A checkpoint of another estimated model must not be resumed: SHA-256 of the model's numbers."""
-    import hashlib
-
-    fields = ("joint_name", "parent", "rotation", "translation", "mass", "com", "inertia", "rotor_inertia")
-    numbers = [[getattr(link, field) for field in fields] for link in tree.links]
-    return hashlib.sha256(json.dumps([numbers, tree.gravity]).encode()).hexdigest()

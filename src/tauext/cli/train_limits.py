@@ -1,12 +1,13 @@
-"""Limits for whoever has minutes of data and no calibration recordings."""
+"""How a training finds its limits, and those for whoever has minutes of data and no calibration recordings."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from tauext.cli.calibrate import NO_CALIBRATION
 from tauext.config import TrainConfig
-from tauext.errors import TrainingError
+from tauext.errors import ConfigError, TrainingError
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
@@ -18,6 +19,21 @@ EVEN_ODDS = 0.5
 """With which each limit keeps its share of the supported budget. That budget is the least that these minutes support
 at the promise's confidence; asked again of each of a dozen limits, that confidence doubled them beyond the largest
 error ever seen, and half of all contacts stayed below."""
+
+
+def limits_kind(config: TrainConfig, calibration: Sequence[object]) -> str:
+    """How limits are found: promised, supported or paper.
+
+    Raises:
+        ConfigError: they shall follow from a budget, and there is nothing to find them on.
+    """
+    if config.limits == "promised" and not calibration:
+        raise ConfigError(f"limits = promised {NO_CALIBRATION}")
+    if config.limits != "auto":
+        return config.limits
+    if config.recipe in ("paper", "dense"):
+        return "paper"
+    return "promised" if calibration else "supported"
 
 
 def left_out_of_fit(bundle: Bundle, chain: Chain, fit: PriorFit, reference: Recording) -> list[Judged]:

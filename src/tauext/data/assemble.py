@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from tauext.data.columns import Columns, find_columns
-from tauext.data.description import TIME_UNITS, UNITS, Arm, SignalTable
+from tauext.data.conversion import constant_unknown, conversions, in_si
+from tauext.data.description import TIME_UNITS, Arm
 from tauext.data.importers import RawSignals, Source
 from tauext.data.merge import Table, base_stream, held, interpolated
 from tauext.data.recording import Recording
@@ -30,7 +31,7 @@ MEASURED = ("q", "dq", "tau")
 def assemble(source: Source, arm: Arm, robot_sha256: str = "", rate_hz: float = 0.0) -> Iterator[Recording]:
     """Recordings of a source, in the order of time: one, or several where it is long (PIECE_S, PIECE_ROWS).
 
-    Each is put in order, freed of repeats, merged onto one clock, brought to rad, rad/s and N m at the joint, and says
+    Each is put in order, merged onto one clock, brought to rad, rad/s and N m at the joint, and says
     in its provenance what was done (`done`: sentences; `counts`: the same as numbers).
 
     Args:
@@ -148,10 +149,14 @@ def _piece(
     t_ns, raw = _merged(tables, columns, counts, facts)
     if not len(t_ns):
         raise RecordingError(f"no sample is left of {sum(len(t) for t, _ in tables.values())}; {_sentences(counts)}")
-    signals = {key: _in_si(key, arm.signals[key], values, arm) for key, values in raw.items() if key != "contact"}
+    signals = {key: in_si(key, arm.signals[key], values, arm) for key, values in raw.items() if key != "contact"}
+    own = fresh(t_ns, np.hstack([signals["q"], signals["tau"]]), True, Counter())
+    if not own.all():
+        facts["measured_hz"] = round(float((own.sum() - 1) / (t_ns[-1] - t_ns[0]) * 1e9), 3)
     if "dq" not in signals:
         low_pass = arm.signals["dq"].low_pass_hz
-        signals["dq"] = derived_velocity(t_ns, signals["q"], low_pass)
+        # A held position has the speed of its measurement: not 0, and then twice as much.
+        signals["dq"] = derived_velocity(t_ns[own], signals["q"][own], low_pass)[np.cumsum(own) - 1]
         facts["velocity"] = (
             f"derived from the position, low-pass {low_pass:g} Hz" if low_pass else "derived, no low-pass"
         )
@@ -159,9 +164,11 @@ def _piece(
     rate_hz = rate_hz or _nominal_rate(t_ns)
     facts["longest_step_s"] = round(count_gaps(t_ns, counts), 6)
     facts["start_s"] = round((int(t_ns[0]) - start_ns) * 1e-9, 9)
-    facts["torque"] = "amperes: the torque constant is unknown" if _constant_unknown(arm) else "N m"
+    facts["torque"] = "amperes: the torque constant is unknown" if constant_unknown(arm) else "N m"
     counts = Counter({text: n for text, n in counts.items() if n})
-    done = [*source.notes, *(f"{n} {text}" for text, n in counts.items()), *_conversions(arm)]
+    done = [*source.notes, *(f"{n} {text}" for text, n in counts.items()), *conversions(arm)]
+    if "measured_hz" in facts:
+        done.append(f"{facts['measured_hz']:.3g} samples a second are measurements of their own, the others hold them")
     if "velocity" in facts:
         done.append(f"velocity {facts['velocity']}")
     if "merged" in facts:
@@ -182,7 +189,7 @@ def _piece(
 
 
 def _cleaned(stream: str, table: Table, arm: Arm, columns: Columns, counts: Counter[str]) -> Table:
-    """In order, finite where a joint's signal is concerned, each measurement once."""
+    """In order, finite where a joint's signal is concerned; repeated measurements kept or dropped."""
     t_ns, values = ordered(*table, counts)
     of_joints = [
         k for key, (at, places) in columns.signals.items() if at == stream and key in arm.signals for k in places
@@ -226,45 +233,6 @@ def _merged(
         why = "the torque's" if base == signals["tau"][0] else "the slowest"
         facts["merged"] = f"{', '.join(others)} brought to the stamps of {base} ({why}), linear in between"
     return t_ns[known], {key: value[known] for key, value in values.items()}
-
-
-def _in_si(key: str, signal: SignalTable, values: np.ndarray, arm: Arm) -> np.ndarray:
-    """Joint side, SI: sign · unit · (torque constant) · gear, and a position's offset added."""
-    factor = np.full(len(arm.robot.joints), UNITS[key][signal.unit])
-    if signal.torque_constant and signal.torque_constant != "unknown":
-        factor *= signal.torque_constant
-    if signal.side == "motor":
-        gear = np.array(arm.gear_ratio)
-        factor = factor * gear if key == "tau" else factor / gear
-    if signal.sign:
-        factor = factor * signal.sign
-    converted = values * factor
-    return converted + np.array(signal.offset) * UNITS[key][signal.unit] if signal.offset else converted
-
-
-def _conversions(arm: Arm) -> list[str]:
-    """What _in_si did, in words, where it did anything."""
-    lines = []
-    for key, signal in arm.signals.items():
-        done = [] if UNITS[key][signal.unit] == 1 and not signal.is_current else [f"from {signal.unit}"]
-        if signal.is_current:
-            known = signal.torque_constant != "unknown"
-            done.append(f"times {', '.join(f'{k:g}' for k in signal.torque_constant)} Nm/A" if known else "left in A")
-        if signal.side == "motor":
-            done.append(f"{'times' if key == 'tau' else 'divided by'} gear ratio")
-        if any(s < 0 for s in signal.sign):
-            all_of_them = all(s < 0 for s in signal.sign)
-            names = [joint for joint, s in zip(arm.robot.joints, signal.sign, strict=True) if s < 0]
-            done.append("sign turned" + ("" if all_of_them else f" of {', '.join(names)}"))
-        if any(signal.offset):
-            done.append(f"offset {', '.join(f'{o:g}' for o in signal.offset)} {signal.unit} added")
-        if done:
-            lines.append(f"{key}: {', '.join(done)}")
-    return lines
-
-
-def _constant_unknown(arm: Arm) -> bool:
-    return arm.signals["tau"].torque_constant == "unknown"
 
 
 def _nominal_rate(t_ns: np.ndarray) -> float:

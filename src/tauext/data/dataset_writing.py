@@ -80,7 +80,9 @@ def write_dataset(
         for path in paths:
             _cut(path, [c for c in claims if c.source == name], arm, written)
     said += [f"{part}: {', '.join(names)}" for part, names in written.items() if names]
-    for part in ("train", "validation", "test"):
+    if written["train"] and not written["validation"]:
+        said.append("validation is empty: train finds limits on training motion that it leaves out of the fit in turn")
+    for part in ("train", "test"):
         if not written[part]:
             why = (
                 f"no stretch of {LEAST_FREE_S:g} s between contacts"

@@ -54,7 +54,7 @@ class TimeTable:
     column: str = ""
     unit: str = "s"
     rate_hz: float = 0.0
-    repeats: Repeats = "drop"
+    repeats: Repeats = "keep"
 
 
 @dataclass(frozen=True)

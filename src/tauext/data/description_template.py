@@ -149,7 +149,7 @@ TEMPLATE = """\
 # Keys that are not known are refused. Lines that begin with # are comments or keys left at their default.
 
 [robot]
-# URDF or MJCF file, relative to this file. "": there is no model; train with --case none.
+# URDF or MJCF file, relative to this file. "": there is no model; train takes the case none.
 model = @MODEL@
 # Joints in use, as the robot file names them, from the base on. All others are held at the file's rest position.
 joints = @JOINTS@
@@ -177,8 +177,10 @@ column = @TIME@
 unit = @TIME_UNIT@
 # Nominal rate of the recordings, Hz. 0: as measured (the median step of the first recording).
 rate_hz = 0
-# Rows whose measured values all equal the row before, for at most 0.1 s, repeat one measurement: drop or keep them.
-repeats = "drop"
+# Rows whose measured values all equal the row before, for at most 0.1 s, hold one measurement: keep or drop them.
+# keep: the clock stays regular, and a monitor behind the same reader sees such rows too. drop: for a reader several
+# times faster than the robot's state, where the monitor will be fed each state once.
+repeats = "keep"
 
 # Signals. columns is an array whose elements are the joints ("position"), a pattern with {joint} (name in the
 # recording), {index} (from 0) or {number} (from 1), or a list of names. Every signal has:
@@ -241,7 +243,7 @@ after_s = 1.0
 # Left out: recordings with contacts are for collisions, the others are split whole (6 or more) or each by time.
 # [split]
 # train = ["run1.bag"]
-# validation = []             # none: the last 20 % of each training recording
+# validation = []             # none: train finds limits on training motion that it leaves out in turn
 # test = ["run2.bag[0:40]"]
 # collisions = ["run2.bag[40:]"]
 # calibration = []            # free motion for the limits alone

@@ -1,4 +1,4 @@
-"""Samples in order of time, each measurement once: late packets, repeated stamps, repeated measurements, gaps."""
+"""Samples in order of time: late packets, repeated stamps, repeated measurements, gaps."""
 
 from __future__ import annotations
 

@@ -73,7 +73,10 @@ def _repeats(recordings: Sequence[Recording]) -> list[Finding]:
         f"distinct rows are {np.median(fresh):.3g} ms apart, "
         f"99 % within {np.percentile(fresh, 99):.3g} ms, {1e3 / fresh.mean():.0f} a second on average"
     )
-    advice = "the state is refreshed more slowly than it is logged: log it at its own rate, or drop repeats at import"
+    advice = (
+        "the state is refreshed more slowly than it is logged: log it at its own rate; where it is several times "
+        'slower, drop repeats at import ([time] repeats = "drop")'
+    )
     return [Finding("repeated-rows", severity, None, evidence, advice)]
 
 

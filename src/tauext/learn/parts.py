@@ -118,4 +118,4 @@ def split_validation(training: Sequence[Recording], config: TrainConfig) -> tupl
 
 def reach_s(config: TrainConfig) -> float:
     """How far the chain looks back: a window and the observer's warm-up, [s]."""
-    return config.observer.window_s + 10 / config.observer.gain_per_s
+    return config.observer.window_s + config.warm_up_s

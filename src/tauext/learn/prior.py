@@ -178,8 +178,7 @@ def fit_ridge(
         TrainingError: no recording is longer than the observer's warm-up.
     """
     terms = [term for group in own for term in group] + list(shared)
-    warm_s = 10 / chain.observer.gain_per_s
-    usable = [recording for recording in recordings if recording.duration_s > warm_s + 1]
+    usable = [recording for recording in recordings if recording.duration_s > chain.warm_up_s + 1]
     pieces = FOLDS if len(usable) < FOLDS else 1  # of each recording, so that there is something to leave out
     found = [
         (problem, (recording, span))
@@ -187,7 +186,7 @@ def fit_ridge(
         for problem, span in _problems(chain, recording, own, shared, terms, corrected, loads, pieces)
     ]
     if not found:
-        raise TrainingError("no training recording is longer than the observer's warm-up")
+        raise TrainingError(f"no training recording is longer than the observer's warm-up of {chain.warm_up_s:g} s")
     regression = Regression([problem for problem, _ in found])
     while True:
         ridge, error = regression.choose_ridge()

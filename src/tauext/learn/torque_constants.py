@@ -128,7 +128,7 @@ def fit_torque_constants(tree: _core.Tree, recordings: Sequence[Recording], conf
         push = _core.observe(rotors, chain.observer, *motion, np.zeros_like(recording.tau)).residual
         stacked.append((with_none.residual[rows], current[rows], friction, push[rows]))
     if not stacked:
-        raise TrainingError("no training recording is longer than the observer's warm-up")
+        raise TrainingError(f"no training recording is longer than the observer's warm-up of {chain.warm_up_s:g} s")
     model, current, friction, push = (np.concatenate([one[k] for one in stacked]) for k in range(4))
     beside = [np.column_stack([friction[:, 3 * j : 3 * j + 3], push[:, j]]) for j in range(n)]
     found = [_fit(model[:, j], current[:, j], beside[j]) for j in range(n)]

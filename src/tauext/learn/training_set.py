@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tauext import _core
+from tauext.config import warm_up_s
 from tauext.data import Recording
 from tauext.errors import TrainingError
 
@@ -40,6 +41,11 @@ class Chain:
         """(column, lag) of each network input: q(k), dq(k) and the presliding states, then dq(k-1), as in the paper."""
         n = self.tree.size
         return [(c, 0) for c in range(self.columns)] + [(c, 1) for c in range(n, 2 * n)]
+
+    @property
+    def warm_up_s(self) -> float:
+        """Of the observer and its filters, [s]."""
+        return warm_up_s(self.observer.gain_per_s, self.observer.low_pass_per_s)
 
     @property
     def reach(self) -> int:
@@ -85,8 +91,7 @@ def find_scaling(chain: Chain, recordings: Sequence[Recording]) -> Scaling:
         if len(residual):
             low, high = np.minimum(low, residual.min(axis=0)), np.maximum(high, residual.max(axis=0))
     if not np.isfinite(low).all():
-        warm_s = 10 / chain.observer.gain_per_s
-        raise TrainingError(f"no training recording is longer than the observer's warm-up of {warm_s:g} s")
+        raise TrainingError(f"no training recording is longer than the observer's warm-up of {chain.warm_up_s:g} s")
     for joint, (a, b) in enumerate(zip(low, high, strict=True)):
         # e^-10 of the first residual is still fading out where the warm-up ends.
         if b - a <= 1e-6 + 1e-4 * max(abs(a), abs(b)):
@@ -141,7 +146,10 @@ def build_windows(chain: Chain, scaling: Scaling, recordings: Sequence[Recording
     )
     if result.windows == 0:
         needed = chain.reach * stride * chain.observer.sample_period_ns * 1e-9
-        raise TooShort(f"no recording holds a whole window: {needed:g} s after the observer's warm-up are needed")
+        raise TooShort(
+            f"no recording holds a whole window: {needed:g} s after the observer's warm-up of {chain.warm_up_s:g} s "
+            "are needed"
+        )
     return result
 
 

@@ -3,11 +3,12 @@
 from tauext.robot.load import load, movable_joints, robot_sha256
 from tauext.robot.perturb import empty, perturbed
 from tauext.robot.torque_limits import torque_limits
-from tauext.robot.write import Payload, write_placeholder, write_robot
+from tauext.robot.write import Payload, is_placeholder, write_placeholder, write_robot
 
 __all__ = [
     "Payload",
     "empty",
+    "is_placeholder",
     "load",
     "movable_joints",
     "perturbed",

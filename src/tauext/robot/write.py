@@ -13,6 +13,8 @@ import mujoco
 
 from tauext.errors import RobotError
 
+NO_MODEL = "no_model"
+"""Name of a placeholder robot."""
 NO_MODEL_MASS_KG = 1e-9
 """Of each link of a placeholder: small enough to weigh nothing, since a link that moves must have a mass."""
 
@@ -70,7 +72,7 @@ def write_placeholder(joints: Sequence[str], folder: Path) -> Path:
 
     It gives momentum and gravity of zero, to rounding; what it says of axes and lengths is made up.
     """
-    root = ElementTree.Element("robot", name="no_model")
+    root = ElementTree.Element("robot", name=NO_MODEL)
     root.append(ElementTree.Comment(" no model was given: axes and lengths are made up, masses nil "))
     ElementTree.SubElement(root, "link", name="base")
     parent = "base"
@@ -84,6 +86,14 @@ def write_placeholder(joints: Sequence[str], folder: Path) -> Path:
         parent = f"{joint}_link"
     ElementTree.indent(root)
     return _write(folder / "robot.urdf", ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def is_placeholder(path: Path) -> bool:
+    """Whether a robot file is one of write_placeholder, which stands for no model; what cannot be read is none."""
+    try:
+        return ElementTree.parse(path).getroot().get("name") == NO_MODEL
+    except (OSError, ElementTree.ParseError):
+        return False
 
 
 def _change_urdf(

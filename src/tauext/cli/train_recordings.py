@@ -1,0 +1,43 @@
+"""Recordings as a training takes them: as many minutes as it shall, torque in N m."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from tauext.config import TrainConfig
+from tauext.errors import ConfigError
+
+if TYPE_CHECKING:
+    from tauext.data import Recording
+
+
+def chosen_recordings(
+    training: list[Recording], validation: list[Recording], config: TrainConfig
+) -> tuple[list[Recording], list[Recording]]:
+    """What config.minutes leaves of them: of validation at least a minute, or a window where that is longer.
+
+    Raises:
+        ConfigError: there are not so many minutes.
+    """
+    from tauext.data import first_seconds, total_s
+
+    if config.minutes is None:
+        return training, validation
+    wanted_s, there_s = 60 * config.minutes, total_s(training)
+    if wanted_s > there_s + 1e-6:
+        most = int(there_s / 0.6) / 100
+        raise ConfigError(
+            f"minutes = {config.minutes:g} must be at most {most:g}: the training recordings hold no more"
+        )
+    window_s = config.warm_up_s + config.observer.window_s
+    if not validation:
+        return first_seconds(training, wanted_s), []
+    return first_seconds(training, wanted_s), first_seconds(validation, max(wanted_s / 5, 60.0, window_s))
+
+
+def scaled(load: Callable[[], Recording], nm_per_unit: Sequence[float]) -> Recording:
+    """A loaded recording with its torque in N m."""
+    from tauext.data import scaled_torque
+
+    return scaled_torque(load(), nm_per_unit)

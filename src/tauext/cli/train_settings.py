@@ -1,0 +1,51 @@
+"""What a trained bundle depends on beside the data, so that it is told apart from one of other settings."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from tauext.config import PAPER_CASES, FreeMotionConfig, ModelCase, TrainConfig
+from tauext.errors import ConfigError
+
+
+def training_settings(case: ModelCase, config: TrainConfig) -> dict:
+    """What the trained bundle depends on beside the data; not the number of threads."""
+    plain = asdict(config.resolved())
+    network, sequences, filters = ("prior", "gate_margin", "drift"), ("threads", "epochs"), ("filters",)
+    no_network = ("threads", "targets", *network)
+    unused = {
+        "tauext": (*sequences, *filters),
+        "prior": ("threads", "targets", "gate_margin", *filters),
+        "paper": ("threads", "targets", *network, *filters),
+        "dense": (*sequences, *network, *filters),
+        "feedforward": (*sequences, "targets", *network, *filters),
+        "highpass": no_network,
+        "bandpass": no_network,
+    }.get(config.recipe, (*no_network, *filters))
+    if config.backend == "core":
+        del plain["backend"]
+    if config.minutes is None:
+        del plain["minutes"]
+    if config.margins == FreeMotionConfig():
+        del plain["margins"]
+    if not config.fit_torque_constants:
+        del plain["fit_torque_constants"]
+    settings = {"case": asdict(case), "config": {k: v for k, v in plain.items() if k not in unused}}
+    return json.loads(json.dumps(settings))  # as a file gives them back: lists, no tuples
+
+
+def finished(bundle: Path, case: str, config: TrainConfig) -> bool:
+    """Whether this bundle was already trained with these settings.
+
+    Raises:
+        ConfigError: a bundle of other settings stands there.
+    """
+    run = bundle.with_suffix(".run.json")
+    if not bundle.exists() or not run.exists():
+        return False
+    settings = json.loads(run.read_text())["settings"]
+    if settings == training_settings(PAPER_CASES[case], config):
+        return True
+    raise ConfigError(f"{bundle}: it was trained with other settings; choose another --out or remove it")

@@ -150,8 +150,24 @@ def test_a_constant_that_friction_drowns_is_said_to_be_undetermined():
     found = fit_torque_constants(planar_arm(), [drowned], ObserverConfig())
     assert found.determined.tolist() == [True, False] and found.used[1] == 1.0
     assert "elbow are undetermined" in found.sentences(made.joints)[-1]
-    with pytest.raises(ConfigError, match="there is none"):
-        fit_torque_constants(no_model(planar_arm()), [made], ObserverConfig())
+
+
+def test_without_a_model_the_ratios_of_the_constants_are_found():
+    constants = np.array([9.0, 4.0])
+    torque = motion(seconds=60.0)
+    current = replace(torque, tau=torque.tau / constants)
+    found = fit_torque_constants(no_model(planar_arm()), [current], ObserverConfig())
+    reference = found.relative_to
+    assert found.determined.all() and found.used[reference] == 1
+    np.testing.assert_allclose(found.nm_per_unit, constants / constants[reference], rtol=0.1)
+    said = " ".join(found.sentences(current.joints))
+    assert f"limits are in units of {current.joints[reference]}" in said and "Nm a unit" not in said
+    assert found.facts(current.joints)["relative_to"] == current.joints[reference]
+
+
+def test_without_a_model_and_without_motion_there_are_no_constants():
+    with pytest.raises(ConfigError, match="there is none .* takes turning joints, gravity and 10 s"):
+        fit_torque_constants(no_model(planar_arm()), [motion(seconds=5.0)], ObserverConfig())
 
 
 def test_joints_that_share_no_column_are_solved_apart_with_the_result_of_one_dense_system():

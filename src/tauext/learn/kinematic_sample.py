@@ -18,6 +18,7 @@ SAMPLE_S = 120.0
 PIECE_S = 10.0
 ROW_S = 0.04  # r changes little within it: 1/K0 is 0.05 s
 RIDGE = 1e-4
+LEAST_ROWS = 250  # 10 s of motion: an arm has some seventy unknowns
 
 
 class KinematicSample:

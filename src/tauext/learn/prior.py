@@ -11,9 +11,9 @@ from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data import Recording
 from tauext.errors import TrainingError
-from tauext.learn.find_kinematics import find_kinematics
+from tauext.learn.find_kinematics import can_be_found, find_kinematics
 from tauext.learn.inertial_regressors import inertial_regressors
-from tauext.learn.kinematic_sample import KinematicSample
+from tauext.learn.kinematic_sample import LEAST_ROWS, KinematicSample
 from tauext.learn.kinematics import Kinematics
 from tauext.learn.possible_links import ROTOR, fix_impossible, solve_possible
 from tauext.learn.prior_terms import CORRECTED, ESTIMATED, has_model, own_terms, shared_terms
@@ -25,7 +25,6 @@ from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial
 
 RIPPLE_HELPS = 0.01
 """A ripple stays that lowers the error on left-out motion by this share: in minutes, noise may look like one."""
-LEAST_ROWS = 250  # 10 s of motion: an arm has some seventy unknowns
 FOUND_ARM_COSTS = 0.1
 
 
@@ -119,8 +118,7 @@ def find_inertia(
     """
     nothing: list[list[int]] = [[] for _ in range(chain.tree.size)]
     basis = fit_terms(chain, recordings, config, nothing, Inertia())
-    turning = all(link.type == _core.JointType.revolute for link in chain.tree.links)
-    if not (config.find_kinematics and turning and np.any(chain.tree.gravity)):
+    if not (config.find_kinematics and can_be_found(chain)):
         return Inertia(), basis
     own = [own_terms(chain, config, joint) for joint in range(chain.tree.size)]
     sample = KinematicSample(chain.tree, chain.observer, recordings, own, chain.widths_rad)

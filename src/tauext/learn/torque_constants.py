@@ -12,8 +12,11 @@ from tauext.config import ObserverConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
 from tauext.learn.bundle_writing import build_chain
+from tauext.learn.find_kinematics import Fitted, can_be_found, find_kinematics
 from tauext.learn.friction import SMOOTHING_RAD_S
+from tauext.learn.kinematic_sample import LEAST_ROWS, ROW_S, KinematicSample
 from tauext.learn.prior_terms import Kind, has_model
+from tauext.learn.training_set import Chain
 from tauext.robot import empty
 
 PIECES = 10
@@ -33,6 +36,8 @@ class TorqueConstants:
     nm_per_unit: np.ndarray  # (n,)
     standard_errors: np.ndarray  # (n,)
     determined: np.ndarray  # (n,) bool
+    relative_to: int | None = None
+    """Joint in whose recorded unit all torques are then, where no model says what a N m is; None: they are in N m."""
 
     @property
     def guessed(self) -> np.ndarray:
@@ -47,7 +52,8 @@ class TorqueConstants:
 
     def facts(self, joints: Sequence[str]) -> dict:
         """For provenance: what is used, in the order of the joints, and what was found of each."""
-        return {
+        relative = {} if self.relative_to is None else {"relative_to": joints[self.relative_to]}
+        return relative | {
             "used": self.used,
             "found": {
                 name: {
@@ -69,13 +75,16 @@ class TorqueConstants:
         def listed(which: np.ndarray, texts: Sequence[str]) -> str:
             return ", ".join(text for text, here in zip(texts, which, strict=True) if here)
 
-        said, unknown = [], ~(self.determined | self.guessed)
+        unit, said, unknown = "Nm", [], ~(self.determined | self.guessed)
+        if self.relative_to is not None:
+            unit = f"units of {joints[self.relative_to]}"
+            said.append(f"without a model nothing says what a Nm is: torques, estimates and limits are in {unit}")
         if self.determined.any():
-            said.append(f"torque constants, Nm a unit of tau: {listed(self.determined, words)}")
+            said.append(f"torque constants, {unit} a unit of tau: {listed(self.determined, words)}")
         if self.guessed.any():
             said.append(
                 f"torque constants of {listed(self.guessed, words)} are guesses, gravity and inertia there are too "
-                "small beside friction: their torques, estimates and limits are no Nm to rely on"
+                f"small beside friction: their torques, estimates and limits are no {unit} to rely on"
             )
         if unknown.any():
             said.append(
@@ -96,13 +105,13 @@ def fit_torque_constants(tree: _core.Tree, recordings: Sequence[Recording], conf
     outweigh the links at the wrists; else the model is taken as it is: an unknown payload goes into the constants.
     Standard errors come from leaving out one tenth of the motion after the other.
 
+    Without a model they are compared with the arm that is found in the motion; then only their ratios show.
+
     Raises:
-        ConfigError: no model, whose torque is what constants are measured by.
+        ConfigError: no model, and no arm can be found: a joint slides, or too little motion.
         TrainingError: no recording is longer than the observer's warm-up.
     """
     chain, n = build_chain(tree, recordings[0], config), tree.size
-    if not has_model(chain):
-        raise ConfigError("torque constants are found by comparing with a model, and there is none (case 'none')")
     own = [
         [
             _core.Term(Kind.constant, j),
@@ -111,6 +120,8 @@ def fit_torque_constants(tree: _core.Tree, recordings: Sequence[Recording], conf
         ]
         for j in range(n)
     ]
+    if not has_model(chain):
+        return _relative_constants(chain, recordings, own)
     settings = _core.PriorSettings()
     settings.terms = [term for terms in own for term in terms]
     settings.weights = [0.0] * (n * len(settings.terms))
@@ -133,6 +144,28 @@ def fit_torque_constants(tree: _core.Tree, recordings: Sequence[Recording], conf
     beside = [np.column_stack([friction[:, 3 * j : 3 * j + 3], push[:, j]]) for j in range(n)]
     found = [_fit(model[:, j], current[:, j], beside[j]) for j in range(n)]
     return TorqueConstants(*(np.array([one[k] for one in found]) for k in range(3)))
+
+
+def _relative_constants(
+    chain: Chain, recordings: Sequence[Recording], own: Sequence[Sequence[_core.Term]]
+) -> TorqueConstants:
+    """Constants as multiples of that of the joint in which the arm found in the motion shows best."""
+    joints = tuple(link.joint_name for link in chain.tree.links)
+    sample = (
+        KinematicSample(chain.tree, chain.observer, recordings, own, chain.widths_rad) if can_be_found(chain) else None
+    )
+    if sample is None or sample.rows < LEAST_ROWS:
+        raise ConfigError(
+            "torque constants are found by comparing with a model, and there is none (case 'none'); nor can an arm be "
+            f"found in the motion, which takes turning joints, gravity and {LEAST_ROWS * ROW_S:g} s of it"
+        )
+    candidate = find_kinematics(sample, joints, one_unit=False)
+    fitted = Fitted.of(sample, joints, candidate.kinematics, candidate.scales)
+    said = fitted.columns @ fitted.parameters.ravel()
+    found = [_fit(said[:, j], sample.target[:, j], sample.own[j]) for j in range(len(joints))]
+    constants, errors, determined = (np.array([one[k] for one in found]) for k in range(3))
+    best = int(np.nanargmin(np.where(constants > 0, errors / np.abs(constants), np.inf)))
+    return TorqueConstants(constants / constants[best], errors / constants[best], determined, best)
 
 
 def _unit_rotors(tree: _core.Tree) -> _core.Tree:

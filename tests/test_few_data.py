@@ -10,6 +10,7 @@ from arms import no_model, planar_arm
 
 from tauext import _core
 from tauext.cli.train import train_bundle
+from tauext.cli.train_recordings import wants_constants
 from tauext.config import PAPER_CASES, ObserverConfig, TrainConfig
 from tauext.data import Recording, scaled_torque, torque_constants_of
 from tauext.errors import ConfigError, TrainingError
@@ -194,3 +195,15 @@ def test_joints_that_share_no_column_are_solved_apart_with_the_result_of_one_den
     found = regression.solve(regression.whole, ridge)
     np.testing.assert_allclose(found[free], slow, rtol=1e-10)
     assert found[3] == 0.5
+
+
+def test_currents_of_unknown_constants_are_told_by_their_recordings():
+    made = motion(seconds=40.0)
+    amperes = replace(made, provenance={"torque": "amperes: the torque constant is unknown"})
+    none, auto = PAPER_CASES["none"], TrainConfig()
+    assert wants_constants(auto, [amperes], EXACT) and wants_constants(auto, [amperes], none)
+    assert not wants_constants(auto, [made], EXACT)
+    assert not wants_constants(auto, [scaled_torque(amperes, [2.0, 3.0])], EXACT)
+    assert not wants_constants(auto, [replace(motion(seconds=20.0), provenance=amperes.provenance)], none)
+    assert not wants_constants(replace(auto, fit_torque_constants=False), [amperes], EXACT)
+    assert wants_constants(replace(auto, fit_torque_constants=True), [made], EXACT)

@@ -271,8 +271,9 @@ class TrainConfig:
     fewest that its validation recordings support, and what a fit says of training motion that was left out of it.
     paper: the largest errors on its validation recordings. auto: paper for the recipes paper and dense; else promised
     where there are calibration recordings and supported where there are none."""
-    fit_torque_constants: bool = False
-    """The recordings' tau is motor current or another multiple of torque: find one constant a joint from the model."""
+    fit_torque_constants: bool | None = None
+    """The recordings' tau is motor current or another multiple of torque: find one constant a joint from the model or,
+    without one, from the arm found in the motion. None: where they hold currents of unknown constants."""
     margins: FreeMotionConfig = field(default_factory=FreeMotionConfig)
     alarm: AlarmConfig = field(default_factory=AlarmConfig)
     prior: PriorConfig = field(default_factory=PriorConfig)

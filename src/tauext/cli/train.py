@@ -73,7 +73,7 @@ def train_bundle(
     from tauext.cli.progress import ProgressBar
     from tauext.cli.run_files import provenance, write_json
     from tauext.cli.train_limits import left_out_of_fit, limits_kind, set_supported_limits
-    from tauext.cli.train_recordings import chosen_recordings, scaled
+    from tauext.cli.train_recordings import chosen_recordings, scaled, wants_constants
     from tauext.data import free_pieces, scaled_torque, standing_joints, total_s
     from tauext.learn import (
         PriorFit,
@@ -103,7 +103,7 @@ def train_bundle(
         raise ConfigError(impossible)
     training, validation = chosen_recordings(training, validation, config)
     constants = None
-    if config.fit_torque_constants:
+    if wants_constants(config, training, case):
         constants = fit_torque_constants(tree, free_pieces(training, config.margins), config.observer)
         training, validation = ([scaled_torque(r, constants.used) for r in some] for some in (training, validation))
         calibration = [partial(scaled, load, constants.used) for load in calibration]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from tauext.config import TrainConfig
+from tauext.config import ModelCase, TrainConfig
 from tauext.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -41,3 +41,12 @@ def scaled(load: Callable[[], Recording], nm_per_unit: Sequence[float]) -> Recor
     from tauext.data import scaled_torque
 
     return scaled_torque(load(), nm_per_unit)
+
+
+def wants_constants(config: TrainConfig, training: list[Recording], case: ModelCase) -> bool:
+    """Whether torque constants are to be fitted; if nobody said, where a model or half a minute of motion tells them."""
+    from tauext.data import in_amperes, total_s
+
+    if config.fit_torque_constants is not None:
+        return config.fit_torque_constants
+    return in_amperes(training) and (not case.no_model or total_s(training) >= 30)

@@ -30,7 +30,7 @@ def training_settings(case: ModelCase, config: TrainConfig) -> dict:
         del plain["minutes"]
     if config.margins == FreeMotionConfig():
         del plain["margins"]
-    if not config.fit_torque_constants:
+    if config.fit_torque_constants is None:
         del plain["fit_torque_constants"]
     settings = {"case": asdict(case), "config": {k: v for k, v in plain.items() if k not in unused}}
     return json.loads(json.dumps(settings))  # as a file gives them back: lists, no tuples

@@ -10,6 +10,8 @@ import numpy as np
 
 from tauext.data.recording import Recording
 
+AMPERES = "amperes: the torque constant is unknown"
+
 
 def scaled_torque(recording: Recording, nm_per_unit: Sequence[float] | None) -> Recording:
     """The recording with each joint's tau times its constant, [N m] a unit of the recording; itself with None.
@@ -21,6 +23,11 @@ def scaled_torque(recording: Recording, nm_per_unit: Sequence[float] | None) -> 
     factors = np.asarray(nm_per_unit, dtype=float)
     provenance = recording.provenance | {"torque_constants": factors.tolist()}
     return replace(recording, tau=recording.tau * factors, provenance=provenance)
+
+
+def in_amperes(recordings: Sequence[Recording]) -> bool:
+    """Whether some were imported as currents whose constants nobody knew, and are not scaled yet."""
+    return any(r.provenance.get("torque") == AMPERES and "torque_constants" not in r.provenance for r in recordings)
 
 
 def torque_constants_of(provenance: str) -> list[float] | None:

@@ -44,7 +44,7 @@ def scaled(load: Callable[[], Recording], nm_per_unit: Sequence[float]) -> Recor
 
 
 def wants_constants(config: TrainConfig, training: list[Recording], case: ModelCase) -> bool:
-    """Whether torque constants are to be fitted; if nobody said, where a model or half a minute of motion tells them."""
+    """Whether torque constants are to be fitted; unless said, where a model or half a minute of motion tells them."""
     from tauext.data import in_amperes, total_s
 
     if config.fit_torque_constants is not None:

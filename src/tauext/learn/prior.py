@@ -28,6 +28,9 @@ RIPPLE_HELPS = 0.01
 FOUND_ARM_COSTS = 0.1
 
 
+LEAST_CYCLES = 5  # a turn: what comes back more seldom is gravity that is not quite right, and no gear
+
+
 @dataclass(frozen=True)
 class Inertia:
     """What the prior says of gravity and inertia, beside the estimated model: the default is sines and cosines."""
@@ -88,7 +91,7 @@ def fit_prior(
     ripple: list[list[int]] = [[] for _ in range(chain.tree.size)]
     fit = fit or fit_terms(chain, recordings, config, ripple, inertia)
     for _ in range(config.most_ripples):
-        found = find_ripple(chain, recordings, fit, ripple)
+        found = find_ripple(chain, recordings, fit, ripple, LEAST_CYCLES if inertia.tree or has_model(chain) else 1)
         if not any(found):
             break
         tried = [known + new for known, new in zip(ripple, found, strict=True)]
@@ -144,7 +147,8 @@ def fit_terms(
     inertia: Inertia,
 ) -> PriorFit:
     """All terms of the prior, with these ripples of each joint: see fit_ridge."""
-    own = [own_terms(chain, config, joint, ripple[joint], inertia.load) for joint in range(chain.tree.size)]
+    tops = np.max([np.abs(recording.dq).max(axis=0) for recording in recordings], axis=0)
+    own = [own_terms(chain, config, j, ripple[j], inertia.load, top) for j, top in enumerate(tops.tolist())]
     shared = [] if has_model(chain) or inertia.tree else shared_terms(chain)
     return fit_ridge(chain, recordings, own, shared, inertia.tree, inertia.loads)
 

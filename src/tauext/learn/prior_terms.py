@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import combinations, combinations_with_replacement
 
@@ -10,20 +11,33 @@ from tauext.config import PriorConfig
 from tauext.learn.training_set import Chain
 
 Kind = _core.TermKind
+LEVELS_OFF = 1.5
+"""Times its smoothing, a speed gives a Coulomb term 91 % of its value."""
 ESTIMATED, CORRECTED = 0, 1
 """Forms of the load terms: whose beta loads the gear."""
 
 
 def own_terms(
-    chain: Chain, config: PriorConfig, joint: int, ripple: Sequence[int] = (), load: int | None = None
+    chain: Chain,
+    config: PriorConfig,
+    joint: int,
+    ripple: Sequence[int] = (),
+    load: int | None = None,
+    top_speed_rad_s: float = math.inf,
 ) -> list[_core.Term]:
     """Friction and ripple of one joint: what it does alone.
 
+    A Coulomb term that training never saw level off is left out: beside the viscous one it may be anything, and their
+    difference grows beyond the speeds that were seen.
+
     Args:
+        top_speed_rad_s: of the joint in training.
         load: friction grows with the load by ESTIMATED or CORRECTED model; None: there is none that could tell.
     """
     terms = [_core.Term(Kind.constant, joint), _core.Term(Kind.viscous, joint)]
-    terms += [_core.Term(Kind.coulomb, joint, speed=speed) for speed in config.coulomb_speeds_rad_s]
+    narrowest, *wider = config.coulomb_speeds_rad_s
+    speeds = [narrowest, *(speed for speed in wider if LEVELS_OFF * speed <= top_speed_rad_s)]
+    terms += [_core.Term(Kind.coulomb, joint, speed=speed) for speed in speeds]
     terms += [_core.Term(Kind.presliding, joint, b=width) for width in range(len(chain.widths_rad))]
     if load is not None:
         terms.append(_core.Term(Kind.load, joint, form=load, speed=config.coulomb_speeds_rad_s[0]))

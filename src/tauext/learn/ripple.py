@@ -21,13 +21,21 @@ RIPPLE_SHARE, RIPPLE_OUTSTANDS = 0.03, 5.0
 
 
 def find_ripple(
-    chain: Chain, recordings: Sequence[Recording], fit: PriorFit, known: Sequence[Sequence[int]]
+    chain: Chain,
+    recordings: Sequence[Recording],
+    fit: PriorFit,
+    known: Sequence[Sequence[int]],
+    least_cycles: int = 1,
 ) -> list[list[int]]:
     """For each joint the cycles a turn at which a ripple of motor and gear stands out of what a fit leaves.
 
     Every whole number of cycles is tried: the share of the remainder's sum of squares that its sine and cosine,
     filtered as the observer filters, explain by themselves. One counts that explains RIPPLE_SHARE of it and
     RIPPLE_OUTSTANDS times as much as the median number.
+
+    Args:
+        known: cycles that the fit holds already.
+        least_cycles: fewer a turn are no ripple.
     """
     n = chain.tree.size
     if sum(recording.duration_s for recording in recordings) < RIPPLE_LEAST_S:
@@ -56,6 +64,7 @@ def find_ripple(
             moments[joint] += (values.T @ left[:, joint]).reshape(-1, 2)
             squares[joint] += (values**2).sum(axis=0).reshape(-1, 2)
     explained = (moments**2 / np.maximum(squares, 1e-12)).sum(axis=2)
+    explained[:, : least_cycles - 1] = 0
     found = []
     for joint in range(n):
         best = int(np.argmax(explained[joint]))

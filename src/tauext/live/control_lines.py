@@ -32,6 +32,8 @@ def obey(line: str, control: Control, by: str) -> str:
             return f"error: {line.strip()[:60]!r} must be {USAGE}"
     except TauextError as error:
         return f"error: {error}"
+    except ReferenceError:
+        return "error: the monitor has ended"
     return "ok"
 
 

@@ -169,8 +169,10 @@ class Loop:
         started = second = time.monotonic()
         due = math.inf
         before = 0
-        while not (self._stopped or self._source.ended):
+        while not self._source.ended:
             self._requested()
+            if self._stopped:
+                return
             now = time.monotonic()
             sample = self._source.next_sample(max(0.0, min(due - now, second + 1 - now, IDLE_S)))
             if sample is not None:

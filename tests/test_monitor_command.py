@@ -105,6 +105,7 @@ def test_lines_of_text_end_with_a_summary(place, capsys):
         ((*SOURCE, "--torque-constants", "x"), "--torque-constants is for source ur, not for replay"),
         (("watching.tauext", "--source", "franka:h"), "franka h has 7 joints, the bundle 2: shoulder, elbow"),
         ((*SOURCE[:-1], "0"), "speed = 0.0 must be > 0"),
+        ((*SOURCE[:-1], "0.5"), "speed = 0.5 must be >= 1"),
         ((*SOURCE, "--segment-s", "0.5"), "segment_s = 0.5 must be 1 to 3600"),
         ((*SOURCE, "--priority", "100"), "priority = 100 must be 1 to 99"),
         ((*SOURCE, "--status-hz", "1"), "status_hz = 1.0 must be left out unless --json is given"),

@@ -55,8 +55,8 @@ class SourceSettings:
 class Source(Protocol):
     """Gives one sample after the other, oldest first; used by one thread, and closed by it.
 
-    A source may read ahead in a thread of its own, into a SampleQueue: bounded, where the newest sample wins and what it
-    pushes out is counted. A source never waits longer than it is told, makes up no sample, and drops none uncounted.
+    A source may read ahead in a thread of its own, into a SampleQueue: bounded, where the newest sample wins and what
+    it pushes out is counted. A source never waits longer than it is told, makes up no sample, and drops none uncounted.
     """
 
     name: str

@@ -14,13 +14,31 @@ from made_ros2 import DOMAIN, until
 
 pytest.importorskip("cyclonedds")
 
-from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsParticipant
+from cyclonedds.builtin import (
+    BuiltinDataReader,
+    BuiltinTopicDcpsParticipant,
+    BuiltinTopicDcpsPublication,
+)
+from cyclonedds.core import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
 
 from tauext.errors import ConfigError
 from tauext.live import Event, LoopReport, Publisher, Sample, SourceCounts, Verdict
 from tauext.monitor import HealthChange
 from tauext.ros2 import Ros2Settings, connect
-from tauext.ros2.messages import ERROR, GRAPH_TYPES, OK, STALE, WARN, Bool, DiagnosticArray, JointState, String
+from tauext.ros2.messages import (
+    ERROR,
+    GRAPH_TYPES,
+    OK,
+    STALE,
+    TYPE_HASHES,
+    WARN,
+    Bool,
+    DiagnosticArray,
+    JointState,
+    String,
+)
 from tauext.ros2.node import GRAPH_TOPIC, Node, quality
 
 JOINTS = ("shoulder", "elbow")
@@ -260,10 +278,6 @@ def test_events_are_json(talking, peer, space):
 @pytest.mark.parametrize(("distro", "size"), [("jazzy", 16), ("humble", 24)])
 def test_the_graph_shows_one_node_with_its_readers_and_writers(settings, peer, distro, size):
     """As `ros2 node list` finds it: user data of the participant, and the message of its nodes and their endpoints."""
-    from cyclonedds.core import Qos
-    from cyclonedds.sub import DataReader
-    from cyclonedds.topic import Topic
-
     source, publisher = connect(dataclasses.replace(settings, distro=distro))
     publisher.open(JOINTS, Loop())
     info = GRAPH_TYPES[size][2]
@@ -280,7 +294,10 @@ def test_the_graph_shows_one_node_with_its_readers_and_writers(settings, peer, d
     assert len(node.reader_gid_seq) == 2 and len(node.writer_gid_seq) == 5
     assert bytes(node.writer_gid_seq[0].data) == publisher._torque.guid.bytes.ljust(size, b"\0")
     there = BuiltinDataReader(peer.participant, BuiltinTopicDcpsParticipant).take(64)
-    assert b"enclave=/;" in [one.qos.policies[0].data for one in there if one.key.bytes == gid]
+    assert b"enclave=/;" in [one.qos[Policy.Userdata].data for one in there if one.key.bytes == gid]
+    ends = BuiltinDataReader(peer.participant, BuiltinTopicDcpsPublication).take(500)
+    (hashed,) = [end.qos[Policy.Userdata].data for end in ends if end.key.bytes == publisher._torque.guid.bytes]
+    assert hashed == f"typehash=RIHS01_{TYPE_HASHES[JointState]};".encode()
     publisher.close()
 
 

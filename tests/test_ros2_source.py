@@ -252,9 +252,10 @@ def test_the_environment_chooses_domain_and_format(monkeypatch):
     monkeypatch.setenv("ROS_DISTRO", "humble")
     assert (Ros2Settings().domain_id, Ros2Settings().gid_bytes, Ros2Settings(domain=3).domain_id) == (42, 24, 3)
     assert Ros2Settings(distro="jazzy").gid_bytes == 16
-    monkeypatch.setenv("ROS_DOMAIN_ID", "x")
-    with pytest.raises(ConfigError, match="ROS_DOMAIN_ID = 'x' must be a whole number between 0 and 232"):
-        Ros2Settings()
+    for bad in ("x", "-1", "233"):
+        monkeypatch.setenv("ROS_DOMAIN_ID", bad)
+        with pytest.raises(ConfigError, match=f"ROS_DOMAIN_ID = '{bad}' must be a whole number between 0 and 232"):
+            connect(Ros2Settings())
 
 
 def test_names_must_be_as_many_as_joints(listen):

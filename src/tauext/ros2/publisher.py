@@ -6,7 +6,7 @@ import json
 import threading
 import time
 
-from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
+from cyclonedds.core import DDSException, GuardCondition, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 
 from tauext.errors import ConfigError
 from tauext.live import Control, Event, LoopReport, Verdict
@@ -17,10 +17,9 @@ from tauext.ros2.messages import Bool, DiagnosticArray, Header, JointState, Stri
 from tauext.ros2.node import Node
 from tauext.ros2.source import Ros2Source
 
+FOREVER_NS = 2**63 - 1
 BETWEEN_NS = 50_000_000
 """Between two diagnostics that a change asks for, so that a state that flickers does not fill the network."""
-ASK_S = 0.2
-"""How soon close() is seen by the thread that listens."""
 
 
 class Ros2Publisher:
@@ -44,7 +43,7 @@ class Ros2Publisher:
         self._said: dict[str, bool] = {}
         self._diagnosed_ns, self._due = 0, False
         self._listening: threading.Thread | None = None
-        self._closing = threading.Event()
+        self._closing: GuardCondition | None = None
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         node, settings = self._node, self._node.settings
@@ -71,7 +70,7 @@ class Ros2Publisher:
         node.announce()
         self._say_alarm(NONE)
         self._diagnose(time.monotonic_ns())
-        self._closing.clear()
+        self._closing = GuardCondition(node.participant)
         self._listening = threading.Thread(target=self._listen, name="ros2 asked", daemon=True)
         self._listening.start()
 
@@ -102,11 +101,11 @@ class Ros2Publisher:
         """What was said last is kept for nobody: latched topics end with their publisher."""
         if self._listening is None:
             return
-        self._closing.set()
+        self._closing.set(True)
         self._listening.join()
         entities = [self._torque, *self._alarms.values(), self._events, self._diagnostics]
         entities += [reader for reader, _ in self._asked.values()]
-        self._listening = self._torque = self._events = self._diagnostics = None
+        self._listening = self._closing = self._torque = self._events = self._diagnostics = None
         self._alarms, self._asked = {}, {}
         self._node.leave(entities)
 
@@ -144,11 +143,10 @@ class Ros2Publisher:
             topic: ReadCondition(reader, ViewState.Any | SampleState.NotRead | InstanceState.Any)
             for topic, (reader, _) in self._asked.items()
         }
-        for condition in new.values():
+        for condition in (self._closing, *new.values()):
             waitset.attach(condition)
-        while not self._closing.is_set():
-            if not waitset.wait(round(ASK_S * 1e9)):
-                continue
+        while not self._closing.read():
+            waitset.wait(FOREVER_NS)
             for topic, (reader, do) in self._asked.items():
                 for message in reader.take(8, new[topic]):
                     if message.sample_info.valid_data:

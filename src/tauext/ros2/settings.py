@@ -59,16 +59,16 @@ class Ros2Settings:
             raise ConfigError(f"ROS 2 depth = {self.depth} must be >= 1")
         if len(set(self.names)) < len(self.names):
             raise ConfigError(f"ROS 2 names {', '.join(self.names)}: each joint must have its own")
-        if not 0 <= self.domain_id <= DOMAINS:
-            raise ConfigError(f"ROS 2 domain = {self.domain_id} must lie between 0 and {DOMAINS}")
+        if self.domain is not None and not 0 <= self.domain <= DOMAINS:
+            raise ConfigError(f"ROS 2 domain = {self.domain} must lie between 0 and {DOMAINS}")
 
     @property
     def domain_id(self) -> int:
-        """domain, or what the environment says."""
+        """domain, or what the environment says; ConfigError where that is no domain."""
         if self.domain is not None:
             return self.domain
         text = os.environ.get("ROS_DOMAIN_ID") or "0"
-        if not text.isdecimal():
+        if not text.isdecimal() or int(text) > DOMAINS:
             raise ConfigError(f"ROS_DOMAIN_ID = {text!r} must be a whole number between 0 and {DOMAINS}")
         return int(text)
 

@@ -22,17 +22,9 @@ from tauext.ros2 import Ros2Settings, connect
 SOURCE = Path(__file__).parent / "interop" / "fastdds_peer.cpp"
 SPACE, TOPIC, SAMPLES = "/fast", "/fast_states", 4000
 PROFILES = """
-lower = 0.5
-upper = 3.0
-start = "plain"
-
-[profiles.plain]
-collision = 1.0
-contact = 1.0
-
-[profiles.careful]
-collision = 0.9
-contact = 0.9
+bounds = { lowest = 0.5, highest = 3.0 }
+start = { profile = "plain" }
+profiles = { plain = {}, careful = { collision = 1.5, contact = 1.5 } }
 """
 
 

@@ -5,7 +5,8 @@
 Three processes: one publishes seven joints at 1 kHz, one runs the monitor as `tauext monitor --source ros2` does, one
 takes the torques. Each writes down by CLOCK_MONOTONIC when it published or received the sample of every stamp; the
 times below are differences of these, of all samples but those of the first seconds, in which the three find each other.
---core pins the monitor and every thread of its network library; --priority puts its loop into SCHED_FIFO.
+--core pins the monitor and the threads of its network library, --priority puts all three processes into SCHED_FIFO, as
+`chrt -f 50 taskset -c 1 tauext monitor ...` does.
 A sample is lost where the monitor or the third process never received what was published for it.
 """
 
@@ -23,6 +24,8 @@ from pathlib import Path
 
 import numpy as np
 import seven_axis
+
+from tauext.live.real_time import ask_for_real_time
 
 SPACE, TOPIC, DOMAIN = "/latency", "/latency/joint_states", 91
 PERIOD_NS = 1_000_000
@@ -50,6 +53,8 @@ def main() -> None:
     options = parser.parse_args()
     os.environ["CYCLONEDDS_URI"] = LOOPBACK
     if options.role:
+        for text in ask_for_real_time(options.core if options.role == "monitor" else None, options.priority):
+            print(f"{options.role}: {text}")
         {"monitor": run_monitor, "peer": run_peer, "robot": run_robot}[options.role](options)
         return
     with tempfile.TemporaryDirectory() as folder:
@@ -104,7 +109,7 @@ def run_robot(options: argparse.Namespace) -> None:
 
 def run_monitor(options: argparse.Namespace) -> None:
     """The loop of `tauext monitor`, until nothing has come for a while."""
-    from tauext.live import Loop, LoopSettings
+    from tauext.live import Loop
     from tauext.ros2 import connect
 
     source, publisher = connect(settings(reliability=options.reliability))
@@ -134,10 +139,7 @@ def run_monitor(options: argparse.Namespace) -> None:
             pass
 
     log = Log()
-    asked = LoopSettings(core=options.core, priority=options.priority)
-    loop = Loop(
-        seven_axis.bundle(), source, [publisher, log], settings=asked, note=lambda text: print("monitor:", text)
-    )
+    loop = Loop(seven_axis.bundle(), source, [publisher, log], note=lambda text: print("monitor:", text))
     loop.run()
     counts = source.counts
     np.savez(

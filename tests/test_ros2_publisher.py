@@ -301,14 +301,6 @@ def test_the_graph_shows_one_node_with_its_readers_and_writers(settings, peer, d
     publisher.close()
 
 
-def test_a_subscriber_that_takes_nothing_never_holds_the_loop(talking, peer, space):
-    publisher, _ = talking
-    reading(peer, f"{space}/external_torque", JointState)
-    for _ in range(2000):
-        publisher.verdict(verdict(changed=False))
-    assert publisher.unsent <= 2000
-
-
 CHILD = """
     import made_ros2, sys, time
     from tauext.ros2 import Ros2Settings

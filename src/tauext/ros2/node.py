@@ -53,7 +53,7 @@ class Node:
         return self._readers[-1]
 
     def writer(self, name: str, of: type, kind: Kind, lasting: Lasting, depth: int = 1) -> DataWriter:
-        """To the topic `name`, which begins with /. write() never waits: a full history refuses with DDSException."""
+        """To the topic `name`, which begins with /. write() never waits: the oldest of its depth gives way."""
         qos = Qos(*quality(kind, lasting, depth), XCDR1, type_hash(of))
         self._writers.append(DataWriter(self.participant, self._topic(name, of), qos))
         return self._writers[-1]

@@ -30,7 +30,8 @@ class Ros2Publisher:
     Bool, latched: who subscribes later gets the last one. `event`: String, JSON, for reactions with publish = true.
     `diagnostics`: DiagnosticArray. Asked: `profile` (String: its name) and `acknowledge` (Bool: true).
 
-    A subscriber that does not keep up never holds the loop: what it cannot take is counted in `unsent`.
+    A subscriber that does not keep up never holds the loop: it misses what is older than a topic's depth. What the
+    library refuses to send is counted in `unsent`.
     """
 
     def __init__(self, node: Node, conditions: Conditions, source: Ros2Source | None = None):
@@ -131,7 +132,7 @@ class Ros2Publisher:
     def _send(self, writer, message) -> bool:
         try:
             writer.write(message)
-        except DDSException:  # its history is full of what a reliable subscriber has not taken yet
+        except DDSException:  # no reason to stop watching the arm
             self.unsent += 1
             return False
         return True

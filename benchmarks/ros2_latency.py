@@ -155,23 +155,21 @@ def run_monitor(options: argparse.Namespace) -> None:
 
 def run_peer(options: argparse.Namespace) -> None:
     """Takes the torques, until none has come for a while."""
-    from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
+    from cyclonedds.core import WaitSet
 
     from tauext.ros2.messages import JointState
     from tauext.ros2.node import Node
 
     node = Node(settings(node="peer"))
-    reader = node.reader(f"{SPACE}/external_torque", JointState, "reliable", "volatile", 1000)
-    new = ReadCondition(reader, ViewState.Any | SampleState.NotRead | InstanceState.Any)
+    inbox = node.inbox(f"{SPACE}/external_torque", JointState, "reliable", "volatile", 1000)
     waitset = WaitSet(node.participant)
-    waitset.attach(new)
+    waitset.attach(inbox.new)
     stamps, times = [], []
     while waitset.wait(round((SILENT_S if stamps else 60.0) * 1e9)):
         now_ns = time.monotonic_ns()
-        for message in reader.take(100, new):
-            if message.sample_info.valid_data:
-                stamps.append(message.header.stamp.ns)
-                times.append(now_ns)
+        for message in inbox.take()[0]:
+            stamps.append(message.header.stamp.ns)
+            times.append(now_ns)
     np.savez(options.out, stamps=np.array(stamps, np.int64), times=np.array(times, np.int64))
 
 

@@ -32,9 +32,9 @@ def test_torques_equal_the_monitor_offline_bit_for_bit_and_alarms_are_told():
     running.start()
     try:
         peer = Node(Ros2Settings(domain=DOMAIN, node="peer"))
-        torques = peer.reader(f"{SPACE}/external_torque", JointState, "reliable", "volatile", DEPTH)
-        alarms = peer.reader(f"{SPACE}/collision", Bool, "reliable", "transient-local", 8)
-        diagnostics = peer.reader(f"{SPACE}/diagnostics", DiagnosticArray, "reliable", "volatile", 100)
+        torques = peer.inbox(f"{SPACE}/external_torque", JointState, "reliable", "volatile", DEPTH).reader
+        alarms = peer.inbox(f"{SPACE}/collision", Bool, "reliable", "transient-local", 8).reader
+        diagnostics = peer.inbox(f"{SPACE}/diagnostics", DiagnosticArray, "reliable", "volatile", 100).reader
         acknowledge = peer.writer(f"{SPACE}/acknowledge", Bool, "reliable", "volatile", 8)
         robot = Robot(settings, joints=("hand", "elbow", "shoulder"))
         robot.meets()

@@ -115,7 +115,7 @@ def peer(settings):
 
 def reading(peer, topic, of, lasting="volatile"):
     """A reader that has met its writer."""
-    reader = peer.reader(topic, of, "reliable", lasting, 64)
+    reader = peer.inbox(topic, of, "reliable", lasting, 64).reader
     until(reader.get_matched_publications, f"a writer of {topic}")
     return reader
 
@@ -308,8 +308,8 @@ CHILD = """
     from tauext.ros2.node import Node
     space = sys.argv[1]
     node = Node(Ros2Settings(domain=int(sys.argv[2]), node="child", namespace=space))
-    torques = node.reader(space + "/external_torque", JointState, "reliable", "volatile", 64)
-    collision = node.reader(space + "/collision", Bool, "reliable", "transient-local", 1)
+    torques = node.inbox(space + "/external_torque", JointState, "reliable", "volatile", 64).reader
+    collision = node.inbox(space + "/collision", Bool, "reliable", "transient-local", 1).reader
     made_ros2.until(torques.get_matched_publications, "a writer")
     print("met", flush=True)
     for reader in (collision, torques):

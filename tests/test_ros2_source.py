@@ -8,9 +8,12 @@ from made_ros2 import DOMAIN, Robot, until
 
 pytest.importorskip("cyclonedds")
 
+from cyclonedds._clayer import ddspy_write
+
 from tauext.errors import ConfigError
 from tauext.live import SourceSettings
 from tauext.ros2 import Ros2Settings, connect, source
+from tauext.ros2.messages import JointState
 from tauext.ros2.sample_rate import LEARNT_FROM
 
 MS = 1_000_000
@@ -218,6 +221,18 @@ def test_a_gripper_on_the_same_topic_is_no_fault(listen, robot):
     arm.send()
     assert len(received(live)) == 1
     assert live.notes() == [] and live.counts.refused == 10
+
+
+def test_a_message_that_cannot_be_read_is_refused_and_the_next_is_read(listen, robot, topic):
+    live, arm = listen(), robot()
+    arm.meets()
+    whole = JointState(name=["elbow"]).serialize()
+    assert ddspy_write(arm.writer._ref, whole.replace(b"elbow", b"elb\xfew")) == 0
+    assert live.next_sample(0.05) is None
+    assert live.counts.refused == 1
+    assert live.notes()[0].startswith(f"{topic}: a message cannot be read (UnicodeDecodeError: ")
+    arm.send(LEARNT_FROM)
+    assert len(received(live)) == 1
 
 
 def test_a_publisher_that_offers_too_little_is_named(listen, robot, topic, monkeypatch):

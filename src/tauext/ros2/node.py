@@ -8,7 +8,16 @@ from tauext.errors import ConfigError
 from tauext.ros2.settings import Ros2Settings
 
 try:
-    from cyclonedds.core import DDSException, Entity, Policy, Qos
+    from cyclonedds.core import (
+        DDSException,
+        Entity,
+        InstanceState,
+        Policy,
+        Qos,
+        ReadCondition,
+        SampleState,
+        ViewState,
+    )
     from cyclonedds.domain import DomainParticipant
     from cyclonedds.pub import DataWriter
     from cyclonedds.sub import DataReader
@@ -46,11 +55,11 @@ class Node:
         qos = Qos(*quality("reliable", "transient-local", 1), XCDR1, type_hash(ParticipantEntitiesInfo))
         self._graph = DataWriter(self.participant, Topic(self.participant, GRAPH_TOPIC, info), qos)
 
-    def reader(self, name: str, of: type, kind: Kind, lasting: Lasting, depth: int) -> DataReader:
-        """Of the topic `name`, which begins with /."""
+    def inbox(self, name: str, of: type, kind: Kind, lasting: Lasting, depth: int) -> Inbox:
+        """Reader of the topic `name`, which begins with /."""
         qos = Qos(*quality(kind, lasting, depth), XCDR1, type_hash(of))
         self._readers.append(DataReader(self.participant, self._topic(name, of), qos))
-        return self._readers[-1]
+        return Inbox(self._readers[-1], depth)
 
     def writer(self, name: str, of: type, kind: Kind, lasting: Lasting, depth: int = 1) -> DataWriter:
         """To the topic `name`, which begins with /. write() never waits: the oldest of its depth gives way."""
@@ -86,6 +95,26 @@ class Node:
 
     def _gid(self, entity: Entity):
         return self._gid_type(entity.guid.bytes.ljust(self.settings.gid_bytes, b"\0"))
+
+
+class Inbox:
+    """A reader, and the condition that waits for what is new in it."""
+
+    def __init__(self, reader: DataReader, depth: int):
+        self.reader, self._depth = reader, depth
+        self.new = ReadCondition(reader, ViewState.Any | SampleState.NotRead | InstanceState.Any)
+
+    def take(self) -> tuple[list, str | None]:
+        """All that is new, and why there is nothing where a message cannot be read.
+
+        The library drops what breaks a type's structure, but hands on strings that are no UTF-8; with such a message
+        those are lost that came at once with it.
+        """
+        try:
+            taken = self.reader.take(self._depth, self.new)
+        except Exception as damaged:  # whatever others send must not end the loop
+            return [], f"a message cannot be read ({type(damaged).__name__}: {damaged})"
+        return [message for message in taken if message.sample_info.valid_data], None
 
 
 def quality(kind: Kind, lasting: Lasting, depth: int) -> tuple:

@@ -6,7 +6,7 @@ import json
 import threading
 import time
 
-from cyclonedds.core import DDSException, GuardCondition, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
+from cyclonedds.core import DDSException, GuardCondition, WaitSet
 
 from tauext.errors import ConfigError
 from tauext.live import Control, Event, LoopReport, Verdict
@@ -60,13 +60,9 @@ class Ros2Publisher:
             settings.full_name(settings.diagnostics), DiagnosticArray, "reliable", "volatile", 8
         )
         self._message = JointState(name=list(settings.names or joints))
-        asked = {name: settings.full_name(name) for name in ("profile", "acknowledge")}
         self._asked = {
-            asked["profile"]: (node.reader(asked["profile"], String, "reliable", "volatile", 8), self._use_profile),
-            asked["acknowledge"]: (
-                node.reader(asked["acknowledge"], Bool, "reliable", "volatile", 8),
-                self._acknowledge,
-            ),
+            name: (node.inbox(settings.full_name(name), of, "reliable", "volatile", 8), do)
+            for name, of, do in (("profile", String, self._use_profile), ("acknowledge", Bool, self._acknowledge))
         }
         node.announce()
         self._say_alarm(NONE)
@@ -105,7 +101,7 @@ class Ros2Publisher:
         self._closing.set(True)
         self._listening.join()
         entities = [self._torque, *self._alarms.values(), self._events, self._diagnostics]
-        entities += [reader for reader, _ in self._asked.values()]
+        entities += [inbox.reader for inbox, _ in self._asked.values()]
         self._listening = self._closing = self._torque = self._events = self._diagnostics = None
         self._alarms, self._asked = {}, {}
         self._node.leave(entities)
@@ -140,18 +136,17 @@ class Ros2Publisher:
     def _listen(self) -> None:
         """Its own thread: what is asked is rare, and must not wait for a sample."""
         waitset = WaitSet(self._node.participant)
-        new = {
-            topic: ReadCondition(reader, ViewState.Any | SampleState.NotRead | InstanceState.Any)
-            for topic, (reader, _) in self._asked.items()
-        }
-        for condition in (self._closing, *new.values()):
+        for condition in (self._closing, *(inbox.new for inbox, _ in self._asked.values())):
             waitset.attach(condition)
         while not self._closing.read():
             waitset.wait(FOREVER_NS)
-            for topic, (reader, do) in self._asked.items():
-                for message in reader.take(8, new[topic]):
-                    if message.sample_info.valid_data:
-                        do(message.data, f"ros2 {topic}")
+            for name, (inbox, do) in self._asked.items():
+                topic = self._node.settings.full_name(name)
+                messages, damaged = inbox.take()
+                if damaged:
+                    self._conditions.say(name, f"{topic}: {damaged}", time.monotonic_ns())
+                for message in messages:
+                    do(message.data, f"ros2 {topic}")
 
     def _use_profile(self, name: str, by: str) -> None:
         try:

@@ -6,7 +6,7 @@ import time
 from collections import deque
 
 import numpy as np
-from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
+from cyclonedds.core import WaitSet
 
 from tauext.errors import ConfigError
 from tauext.live import Sample, SourceCounts, SourceSettings
@@ -36,7 +36,7 @@ class Ros2Source:
         self.counts = SourceCounts()
         self.last_stamp_ns = 0
         """Of the last sample given, since 1970: what is said of it bears this stamp."""
-        self._reader = self._waitset = None
+        self._inbox = self._waitset = None
         self._pending: deque[JointState] = deque()
 
     def open(self, settings: SourceSettings) -> None:
@@ -56,10 +56,9 @@ class Ros2Source:
         self._torques: list[np.ndarray] = []
         self.counts = SourceCounts()
         self._lost_before, self._t_ns = 0, None
-        self._reader = self._node.reader(chosen.topic, JointState, chosen.reliability, chosen.durability, chosen.depth)
+        self._inbox = self._node.inbox(chosen.topic, JointState, chosen.reliability, chosen.durability, chosen.depth)
         self._waitset = WaitSet(self._node.participant)
-        self._new = ReadCondition(self._reader, ViewState.Any | SampleState.NotRead | InstanceState.Any)
-        self._waitset.attach(self._new)
+        self._waitset.attach(self._inbox.new)
         self._node.announce()
 
     def next_sample(self, timeout_s: float) -> Sample | None:
@@ -71,7 +70,7 @@ class Ros2Source:
                     return sample
             now_ns = time.monotonic_ns()
             left_ns = until_ns - now_ns
-            if self._reader is None or (left_ns <= 0 and timeout_s > 0):
+            if self._inbox is None or (left_ns <= 0 and timeout_s > 0):
                 return None
             if self._waitset.wait(max(left_ns, 0)) or timeout_s <= 0:
                 self._take()
@@ -90,19 +89,22 @@ class Ros2Source:
 
     def close(self) -> None:
         """Unsubscribe; a node that nobody else uses ends."""
-        if self._reader is None:
+        if self._inbox is None:
             return
-        reader, self._reader, self._waitset, self._new = self._reader, None, None, None
-        self._node.leave([reader])
+        inbox, self._inbox, self._waitset = self._inbox, None, None
+        self._node.leave([inbox.reader])
         self._pending.clear()
 
     def _take(self) -> None:
         received_ns, wall_ns = time.monotonic_ns(), time.time_ns()
         self._looked_ns = received_ns
-        for message in self._reader.take(self._node.settings.depth, self._new):
-            if message.sample_info.valid_data:
-                message.received_ns, message.wall_ns = received_ns, wall_ns
-                self._pending.append(message)
+        messages, damaged = self._inbox.take()
+        if damaged:
+            self.counts.received += 1
+            self._refuse("damaged", damaged, received_ns)
+        for message in messages:
+            message.received_ns, message.wall_ns = received_ns, wall_ns
+            self._pending.append(message)
 
     def _use(self, message: JointState) -> Sample | None:
         """The sample of a message, if it has one that the bundle's rate wants."""
@@ -170,8 +172,9 @@ class Ros2Source:
         if now_ns - self._looked_ns < LOOK_NS:
             return
         self._looked_ns = now_ns
-        matched = self._reader.get_matched_publications()
-        if not matched and self._reader.get_requested_incompatible_qos_status().total_count:
+        reader = self._inbox.reader
+        matched = reader.get_matched_publications()
+        if not matched and reader.get_requested_incompatible_qos_status().total_count:
             text = "a publisher offers less reliability or durability than is asked of it"
         elif not matched:
             text = f"no publisher of sensor_msgs/JointState in domain {self._node.settings.domain_id}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -150,6 +151,7 @@ def watch(
         ConfigError: something does not fit, before the first sample.
     """
     from tauext import _core
+    from tauext.cli.aside import Aside
     from tauext.cli.monitor_output import Outcome, OutputSink
     from tauext.cli.monitor_sources import connect
     from tauext.live import Loop, load_profiles, load_reactions, start_reactions
@@ -172,12 +174,14 @@ def watch(
     recorder = flights.recorder if flights else None
     with ExitStack() as stack:
         stack.callback(reactions.end)
-        loop = Loop(bundle, source, sinks, reactions, profiles, recorder, settings, output.note, output.switched)
-        shown = OutputSink(output, loop.monitor, reactions, flights)
-        loop.sinks.append(shown)
-        stack.enter_context(controlled(extras.control, loop))
+        loop = Loop(bundle, source, sinks, reactions, profiles, recorder, settings)
         stack.enter_context(output)
-        output.begin(source.name, bundle)
+        aside = stack.enter_context(Aside(lambda: loop.stop("an output that cannot be written")))
+        shown = OutputSink(output, aside, loop.monitor, reactions, flights)
+        loop.sinks.append(shown)
+        loop.note, loop.switched = shown.note, shown.switched
+        stack.enter_context(controlled(extras.control, loop))
+        aside.do(partial(output.begin, source.name, bundle))
         loop.run()
         shown.tell_news()
         if recorder is not None:
@@ -185,7 +189,7 @@ def watch(
         outcome = Outcome(shown.tally, loop.tick, loop.missing, source.counts, shown.flights)
         outcome.reactions = {thread.reaction.name: thread.count for thread in reactions.threads}
         outcome.recorded = record.count if record else None
-        output.finish(outcome)
+        aside.do(partial(output.finish, outcome))
 
 
 def flight_sink(bundle: Bundle, extras: Extras, source: str) -> FlightSink:
@@ -209,6 +213,7 @@ def controlled(path: Path | None, loop: Loop) -> Iterator[None]:
     import signal
     import sys
     import threading
+    import weakref
 
     from tauext.live.control_lines import ControlSocket, obey_lines
 
@@ -216,15 +221,16 @@ def controlled(path: Path | None, loop: Loop) -> Iterator[None]:
         signal.signal(number, before[number])
         loop.stop("Ctrl-C" if number == signal.SIGINT else "SIGTERM")
 
+    steered = weakref.proxy(loop)  # a thread that waits for a line for ever shall not keep it alive
     before = {}
     if threading.current_thread() is threading.main_thread():
         before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         if path == STDIN:
-            obey_lines(sys.stdin, loop)
+            obey_lines(sys.stdin, steered)
             yield
         elif path is not None:
-            with closing(ControlSocket(path, loop)):
+            with closing(ControlSocket(path, steered)):
                 yield
         else:
             yield

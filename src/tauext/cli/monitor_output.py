@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any, Protocol
 
-import numpy as np
-
 from tauext import _core
+from tauext.cli.aside import Aside
 from tauext.cli.live_view import LiveView
 from tauext.cli.run import RunSettings
 from tauext.cli.run_json import JsonLines
@@ -26,6 +26,7 @@ from tauext.live import (
     SourceCounts,
     Verdict,
 )
+from tauext.live.chunk import chunk_of
 from tauext.live.flight_sink import FlightSink
 from tauext.live.record_sink import RecordCount
 from tauext.monitor import Chunk, FlightNews, StatusClock, Tally
@@ -175,44 +176,58 @@ def open_output(as_json: bool, status_hz: float, settings: RunSettings) -> Monit
 
 
 class OutputSink:
-    """Gathers verdicts to chunks of a viewer's eye-blink, ended early by every change, and tells them to the output."""
+    """Counts verdicts, and has them told aside in chunks of a viewer's eye-blink, ended early by every change."""
 
     def __init__(
-        self, output: MonitorOutput, monitor: _core.Monitor, reactions: Reactions, flights: FlightSink | None = None
+        self,
+        output: MonitorOutput,
+        aside: Aside,
+        monitor: _core.Monitor,
+        reactions: Reactions,
+        flights: FlightSink | None = None,
     ):
         self.tally = Tally(tuple(monitor.joint_names), monitor.sample_period_ns)
         self.flights = FlightCount()
-        self._output, self._monitor, self._reactions, self._flight_sink = output, monitor, reactions, flights
+        self._output, self._aside, self._monitor = output, aside, monitor
+        self._reactions, self._flight_sink = reactions, flights
         self._most = max(1, round(PACED_CHUNK_S * 1e9 / monitor.sample_period_ns))
         self._verdicts: list[Verdict] = []
         self._seen = False
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
-        self._dq = np.zeros(len(joints))
+        pass
 
     def verdict(self, verdict: Verdict) -> None:
         if not self._seen:
             self._seen = True
-            self._output.first(verdict.t_ns)
+            self._aside.do(partial(self._output.first, verdict.t_ns))
         self._verdicts.append(verdict)
         if verdict.changes or len(self._verdicts) >= self._most:
             self._tell()
 
     def every_second(self, report: LoopReport) -> None:
         if not self._seen:
-            self._output.note("no sample yet")
+            self.note("no sample yet")
         self._tell()
 
     def close(self) -> None:
         self._tell()
 
+    def note(self, text: str) -> None:
+        """For the loop."""
+        self._aside.do(partial(self._output.note, text))
+
+    def switched(self, switch: ProfileSwitch) -> None:
+        """For the loop."""
+        self._aside.do(partial(self._output.switched, switch))
+
     def tell_news(self) -> None:
         """What became of reactions and flights."""
         for news in self._reactions.news():
-            self._output.reaction(news)
+            self._aside.do(partial(self._output.reaction, news))
         for flight in self._flight_sink.news() if self._flight_sink else ():
             self.flights.add(flight)
-            self._output.flight(flight)
+            self._aside.do(partial(self._output.flight, flight))
 
     def _tell(self) -> None:
         """Samples that did not come are shown, and not counted."""
@@ -223,14 +238,6 @@ class OutputSink:
         came = [one for one in told if one.sample is not None]
         changes = [change for one in told for change in one.changes]
         if came:
-            self._dq = came[-1].sample.dq
-            self.tally.add(chunk_of(came, [], self._dq), self._monitor)
+            self.tally.add(chunk_of(came, []), self._monitor)
         self.tally.add_changes(changes)
-        self._output.chunk(chunk_of(told, changes, self._dq), self.tally)
-
-
-def chunk_of(verdicts: list[Verdict], changes: list, dq: np.ndarray) -> Chunk:
-    """Verdicts in a row as the chunk that a replay gives. dq: of a sample that did not come."""
-    said = {key: np.concatenate([one.said[key] for one in verdicts]) for key in verdicts[0].said}
-    speeds = np.array([dq if one.sample is None else one.sample.dq for one in verdicts])
-    return Chunk(verdicts[0].row, np.array([one.t_ns for one in verdicts]), speeds, said, changes, 0.0)
+        self._aside.do(partial(self._output.chunk, chunk_of(told, changes), self.tally), may_be_left_out=not changes)

@@ -32,6 +32,8 @@ def obey(line: str, control: Control, by: str) -> str:
             return f"error: {line.strip()[:60]!r} must be {USAGE}"
     except TauextError as error:
         return f"error: {error}"
+    except ReferenceError:
+        return "error: the monitor has ended"
     return "ok"
 
 
@@ -86,10 +88,16 @@ class ControlSocket:
             threading.Thread(target=self._serve, args=(connection,), name="control", daemon=True).start()
 
     def _serve(self, connection: socket.socket) -> None:
-        with suppress(OSError, UnicodeDecodeError), connection, connection.makefile("rw", encoding="utf-8") as lines:
+        # Two files: writing to one that is read, too, drops what was read ahead.
+        with (
+            suppress(OSError, UnicodeDecodeError),
+            connection,
+            connection.makefile("r", encoding="utf-8") as lines,
+            connection.makefile("w", encoding="utf-8") as answers,
+        ):
             while line := lines.readline(LONGEST):
-                lines.write(obey(line, self._control, "control socket") + "\n")
-                lines.flush()
+                answers.write(obey(line, self._control, "control socket") + "\n")
+                answers.flush()
 
 
 def listened_to(path: Path) -> bool:

@@ -77,23 +77,22 @@ class Loop:
         profiles: Profiles | None = None,
         recorder: _core.FlightRecorder | None = None,
         settings: LoopSettings = LoopSettings(),
-        note: Callable[[str], None] = lambda text: None,
-        switched: Callable[[ProfileSwitch], None] = lambda switch: None,
     ):
-        """recorder: gets every sample, and NaN for a missing one; someone else takes its flights.
-
-        note, switched: are called in the loop's thread with what a person should know, and with every new profile.
-        """
+        """recorder: gets every sample, and NaN for a missing one; someone else takes its flights."""
         self.monitor = _core.Monitor(bundle, settings.own_rate)
         self.joints = tuple(self.monitor.joint_names)
         self.sinks = list(sinks)
         """Told of every verdict in this order; to be added to before run()."""
+        self.note: Callable[[str], None] = lambda text: None
+        """Called in the loop's thread with what a person should know; to be set before run(), as is switched."""
+        self.switched: Callable[[ProfileSwitch], None] = lambda switch: None
+        """The same with every new profile."""
         self.tick = Latencies()
         """From a sample's reception until every sink was told."""
         self.missing = self.samples = 0
         self._bundle, self._source, self._reactions = bundle, source, reactions or Reactions()
         self._profiles, self._profile, self._recorder = profiles, None, recorder
-        self._settings, self._note, self._switched = settings, note, switched
+        self._settings = settings
         constants = torque_constants_of(bundle.provenance)
         self._nm_per_unit = None if constants is None else np.asarray(constants, dtype=float)
         self._requests: queue.SimpleQueue[tuple[str, str, str]] = queue.SimpleQueue()
@@ -147,7 +146,7 @@ class Loop:
                 sink.open(self.joints, self)
                 opened.append(sink)
             for text in ask_for_real_time(self._settings.core, self._settings.priority):
-                self._note(text)
+                self.note(text)
             constants = self._nm_per_unit is not None
             self._source.open(
                 SourceSettings(self.joints, self.monitor.sample_period_ns, constants, self._bundle.observer.timing.name)
@@ -170,8 +169,10 @@ class Loop:
         started = second = time.monotonic()
         due = math.inf
         before = 0
-        while not (self._stopped or self._source.ended):
+        while not self._source.ended:
             self._requested()
+            if self._stopped:
+                return
             now = time.monotonic()
             sample = self._source.next_sample(max(0.0, min(due - now, second + 1 - now, IDLE_S)))
             if sample is not None:
@@ -244,11 +245,11 @@ class Loop:
 
     def _lose(self, sink: Sink, error: Exception) -> None:
         self.sinks.remove(sink)
-        self._note(f"{type(sink).__name__} is left out from here on: {type(error).__name__}: {error}")
+        self.note(f"{type(sink).__name__} is left out from here on: {type(error).__name__}: {error}")
 
     def _tell_notes(self) -> None:
         for text in self._source.notes():
-            self._note(text)
+            self.note(text)
 
     # What was asked for.
 
@@ -258,17 +259,17 @@ class Loop:
             if what == "profile":
                 self._switch(name, by)
             elif what == "acknowledge":
-                self._note(f"acknowledged by {by}")
+                self.note(f"acknowledged by {by}")
                 self._acknowledge()
             else:
-                self._note(f"stopped by {by}")
+                self.note(f"stopped by {by}")
                 self._stopped = True
 
     def _switch(self, name: str, by: str) -> None:
         old, self._profile = self._profile, self._profiles.named(name)
         self.monitor.set_limit_factors(self._profile.collision, self._profile.contact)
         last_ns = self._last.t_ns if self._last else None
-        self._switched(ProfileSwitch(last_ns, by, old.name if old else "", name))
+        self.switched(ProfileSwitch(last_ns, by, old.name if old else "", name))
 
     def _acknowledge_when_due(self, t_ns: int) -> None:
         if self._due_ns is not None and t_ns >= self._due_ns:

@@ -139,7 +139,8 @@ def run_monitor(options: argparse.Namespace) -> None:
             pass
 
     log = Log()
-    loop = Loop(seven_axis.bundle(), source, [publisher, log], note=lambda text: print("monitor:", text))
+    loop = Loop(seven_axis.bundle(), source, [publisher, log])
+    loop.note = lambda text: print("monitor:", text)
     loop.run()
     counts = source.counts
     np.savez(

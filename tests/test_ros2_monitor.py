@@ -27,7 +27,8 @@ def test_torques_equal_the_monitor_offline_bit_for_bit_and_alarms_are_told():
     source, publisher = connect(settings)
     # Samples come as fast as they can be sent, so none of them is late.
     notes: list[str] = []
-    loop = Loop(bundle, source, [publisher], settings=LoopSettings(missing_after_s=60.0), note=notes.append)
+    loop = Loop(bundle, source, [publisher], settings=LoopSettings(missing_after_s=60.0))
+    loop.note = notes.append
     running = threading.Thread(target=loop.run)
     running.start()
     try:

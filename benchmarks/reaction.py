@@ -19,12 +19,9 @@ from contextlib import chdir
 from pathlib import Path
 
 import numpy as np
+from seven_axis import bundle, motion
 
 from tauext import _core
-from tauext.config import ObserverConfig
-from tauext.data import Recording
-from tauext.learn import build_chain, find_scaling, make_bundle, set_signal_ranges
-from tauext.learn.train import TrainedNetwork
 from tauext.live import (
     Latencies,
     Loop,
@@ -36,13 +33,10 @@ from tauext.live import (
     SourceSettings,
     start_reactions,
 )
-from tauext.robot import load, movable_joints
 
-ROOT = Path(__file__).parent.parent
-URDF = ROOT / "benchmarks/seven_axis.urdf"
 PERIOD_NS = 1_000_000
 AIM_P99_US = 2000.0
-HIDDEN = 20
+SWING_S = 20.0
 PUSH_NM = 100.0
 
 
@@ -53,14 +47,14 @@ def main() -> None:
     parser.add_argument("--priority", type=int, help="SCHED_FIFO for both")
     parser.add_argument("--example", type=Path, help="01_control_loop, built (examples/README.md)")
     options = parser.parse_args()
-    bundle = seven_joint_bundle()
+    watching = bundle_with_contacts()
     source, timing = Ticking(options.seconds), Timing()
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "called.py").write_text("def react(facts):\n    pass\n")
         with chdir(folder):
             reactions = start_reactions([Reaction("callback", ("contact",), python="called:react")], source, [])
     settings = LoopSettings(core=options.core, priority=options.priority)
-    loop = Loop(bundle, source, [timing], reactions, settings=settings)
+    loop = Loop(watching, source, [timing], reactions, settings=settings)
     loop.note = print
     loop.run()
     (thread,) = reactions.threads
@@ -72,7 +66,7 @@ def main() -> None:
     if options.example is not None:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "seven.tauext"
-            bundle.save(str(path))
+            watching.save(str(path))
             print(f"C++, {options.example.name}:", flush=True)
             subprocess.run([options.example, path, f"{options.seconds:g}"], check=True)
 
@@ -106,6 +100,7 @@ class Ticking:
         self.counts = SourceCounts()
         self._samples = round(seconds * 1e9 / PERIOD_NS)
         self._waiting = SampleQueue(self.counts)
+        self._swing = motion(SWING_S)
 
     def open(self, settings: SourceSettings) -> None:
         threading.Thread(target=self._work, daemon=True).start()
@@ -130,51 +125,20 @@ class Ticking:
             left_s = (due_ns - time.monotonic_ns()) * 1e-9
             if left_s > 0:
                 time.sleep(left_s)
-            q, dq, tau = motion(k * 1e-3)
-            if k % 500 > 450:
-                tau = tau + PUSH_NM
-            self._waiting.put(Sample(due_ns, q, dq, tau, time.monotonic_ns()))
+            row = k % self._swing.samples
+            tau = self._swing.tau[row] + (PUSH_NM if k % 500 > 450 else 0.0)
+            self._waiting.put(Sample(due_ns, self._swing.q[row], self._swing.dq[row], tau, time.monotonic_ns()))
         self._waiting.close()
 
 
-def motion(t_s: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """q, dq, tau of seven joints that swing: (7,), or (samples, 7)."""
-    speed = 1.0 + 0.3 * np.arange(7)
-    angle = np.multiply.outer(t_s, speed)
-    dq = 0.5 * speed * np.cos(angle)
-    return 0.5 * np.sin(angle), dq, 2.0 * dq
-
-
-def seven_joint_bundle() -> _core.Bundle:
-    """The model, an observer and a network of the paper's size with random weights; limits over what it says of this
-    motion, and for a collision so high that none hides the contacts."""
-    samples = 20_000
-    q, dq, tau = motion(np.arange(samples) * 1e-3)
-    names = tuple(movable_joints(URDF))
-    made = Recording(
-        name="swing",
-        joints=names,
-        t_ns=np.arange(samples) * PERIOD_NS,
-        q=q,
-        dq=dq,
-        tau=tau,
-        rate_hz=1000.0,
-        torque_timing="held",
-        source="made",
-        robot_sha256="",
-    )
-    chain = build_chain(load(URDF), made, ObserverConfig())
-    scaling = find_scaling(chain, [made])
-    shape = _core.LstmShape(3 * len(names), HIDDEN, len(names))
-    parameters = np.random.default_rng(1).normal(0, 0.3, shape.parameter_count).astype(np.float32)
-    bundle = make_bundle("seven", chain, 0.02, made, scaling, TrainedNetwork(shape, parameters, [], 0, 0.0))
-    said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)["tau_ext"][2000:]
-    largest = np.abs(said).max(axis=0)
-    bundle.contact_sliding_limit_nm = bundle.contact_near_stiction_limit_nm = (1.2 * largest).tolist()
-    bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = (1.2 * largest + 10 * PUSH_NM).tolist()
-    bundle.contact_hold_s, bundle.hold_s, bundle.contact_release_s = 0.0, 0.01, 0.05
-    set_signal_ranges(bundle, [made])
-    return bundle
+def bundle_with_contacts() -> _core.Bundle:
+    """seven_axis's, with contact limits over what it says of its motion; no collision, which would hide contacts."""
+    made, swing = bundle(), motion(SWING_S)
+    said = _core.estimate(made, swing.t_ns, swing.q, swing.dq, swing.tau, 1)["tau_ext"][2000:]
+    limits = (1.2 * np.abs(said).max(axis=0)).tolist()
+    made.contact_sliding_limit_nm = made.contact_near_stiction_limit_nm = limits
+    made.contact_release_s = 0.05
+    return made
 
 
 if __name__ == "__main__":

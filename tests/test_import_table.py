@@ -29,6 +29,7 @@ TABLE = {
     "live": ({"_core", "data", "monitor"}, {"numpy"}),
     "live/ur_source": ({"_core", "data", "monitor"}, {"numpy", "rtde_receive", "dashboard_client"}),
     "live/franka_source": ({"_core", "data", "monitor"}, {"numpy", "pylibfranka"}),
+    "ros2": ({"_core", "monitor", "live"}, {"numpy", "cyclonedds"}),
     "cli": (EVERYTHING, {"tyro", "rich"}),
     "reproduce": (EVERYTHING, set()),
     "__init__": ({"_core"}, set()),

@@ -13,6 +13,7 @@ import tyro
 from tauext.cli.monitor_sources import SourceOptions
 from tauext.config import require
 from tauext.errors import ConfigError
+from tauext.ros2 import Ros2Settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,6 +46,7 @@ def monitor(
     source: str | None = None,
     speed: float | None = None,
     torque_constants: Path | None = None,
+    ros2: Ros2Settings = Ros2Settings(),  # noqa: B008
     reactions: Path | None = None,
     new_reactions: Path | None = None,
     profiles: Path | None = None,
@@ -71,9 +73,10 @@ def monitor(
 
     Args:
         bundle: bundle (*.tauext) to run.
-        source: where samples come from: replay:FILE, ur:HOST, franka:HOST.
+        source: where samples come from: replay:FILE, ur:HOST, franka:HOST, ros2.
         speed: of replay, so many times as fast as it was recorded. None: 1.
         torque_constants: of ur: file that says what a motor current is in Nm, a joint.
+        ros2: topics and quality of service; docs/ros2.md.
         reactions: file of what shall happen at a collision, contact or fault, and when it is over.
         new_reactions: write a commented reactions file here instead.
         profiles: file of named factors on the limits, switched while the monitor runs.
@@ -121,9 +124,8 @@ def monitor(
     settings = LoopSettings(own_rate, missing_s, acknowledge_after_s, duration_s, core, priority)
     extras = Extras(reactions, profiles, flights, before_s, after_s, contacts, record, segment_s, control)
     shown = RunSettings(None, own_rate, acknowledge_after_s, flights, before_s, after_s, contacts)
-    watch(
-        bundle, source, SourceOptions(speed, torque_constants), settings, extras, open_output(as_json, status_hz, shown)
-    )
+    options = SourceOptions(speed, torque_constants, None if ros2 == Ros2Settings() else ros2)
+    watch(bundle, source, options, settings, extras, open_output(as_json, status_hz, shown))
 
 
 def write_templates(reactions: Path | None, profiles: Path | None, also_run: bool) -> None:

@@ -11,6 +11,7 @@ from tauext.errors import ConfigError
 
 if TYPE_CHECKING:
     from tauext.live import Sink, Source
+    from tauext.ros2 import Ros2Settings
 
 
 @dataclass(frozen=True)
@@ -19,6 +20,7 @@ class SourceOptions:
 
     speed: float | None = None
     torque_constants: Path | None = None
+    ros2: Ros2Settings | None = None
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,14 @@ def franka(target: str, options: SourceOptions) -> Connection:
     return Connection(FrankaSource(target))
 
 
+def ros2(target: str, options: SourceOptions) -> Connection:
+    """ros2, joint states of a topic; torques, alarms and diagnostics go to others."""
+    from tauext.ros2 import Ros2Settings, connect
+
+    source, publisher = connect(options.ros2 or Ros2Settings())
+    return Connection(source, (publisher,))
+
+
 @dataclass(frozen=True)
 class Kind:
     """A kind of source."""
@@ -68,6 +78,7 @@ KINDS = {
     "replay": Kind("FILE", replay, ("speed",)),
     "ur": Kind("HOST", ur, ("torque_constants",)),
     "franka": Kind("HOST", franka),
+    "ros2": Kind("", ros2, ("ros2",)),
 }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import sys
 import threading
 import time
@@ -43,6 +44,14 @@ def wait_for(what, seconds: float = 20.0) -> None:
     while not what():
         assert time.monotonic() < until, "it did not happen"
         time.sleep(0.005)
+
+
+def gone(pid: int) -> bool:
+    """Whether the process has ended; who waits for it may have gone, too."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().split()[2] == "Z"
+    except OSError:
+        return True
 
 
 @pytest.fixture
@@ -203,13 +212,20 @@ def test_a_command_that_hangs_is_killed_with_all_it_started(tmp_path):
     process = ReactionProcess(Reaction("r", ("collision",), command=("sh", "-c", script), timeout_s=1.0))
     with pytest.raises(ReactionFailed, match="took longer than 1 s"):
         process.act(event())
-    pid = int((tmp_path / "pid").read_text())
+    wait_for(lambda: gone(int((tmp_path / "pid").read_text())))
 
-    def gone() -> bool:
-        state = Path(f"/proc/{pid}/stat")
-        return not state.exists() or state.read_text().split()[2] == "Z"
 
-    wait_for(gone)
+def test_a_monitor_that_is_killed_leaves_nothing_running(module, tmp_path):
+    module("import os, time\ndef react(facts):\n    open('pid', 'w').write(str(os.getpid()))\n    time.sleep(600)\n")
+    code = (
+        "from test_live_reactions import *\n"
+        "ReactionProcess(Reaction('r', ('collision',), python='called:react', timeout_s=600.0)).act(event())\n"
+    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])}
+    with subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, env=environment) as killed:
+        wait_for(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text())
+        killed.kill()
+    wait_for(lambda: gone(int((tmp_path / "pid").read_text())))
 
 
 def test_a_command_s_exit_status_is_told():

@@ -6,6 +6,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <array>
 #include <optional>
 
 #include "arrays.hpp"
@@ -38,50 +39,88 @@ std::vector<bool> joint_bits(std::uint32_t word, int joints) {
   return out;
 }
 
-// What the monitor says of many samples; signals in rows of n joints.
+// What the monitor says of sample after sample, as columns.
+class Columns {
+ public:
+  Columns(std::size_t samples, std::size_t joints) : joints_(joints) {
+    for (auto& torque : torques_) torque.reserve(samples * joints);
+  }
+  void add(const Estimate& e) {
+    for (std::size_t which = 0; which < kTorques.size(); ++which) {
+      const double* values = (e.*kTorques[which].values).data();
+      torques_[which].insert(torques_[which].end(), values, values + joints_);
+    }
+    near_stiction_.push_back(e.near_stiction);
+    drift_saturated_.push_back(e.drift_saturated);
+    health_.push_back(static_cast<std::uint8_t>(e.health));
+    causes_.push_back(e.causes);
+    cause_joint_.push_back(static_cast<std::int8_t>(e.cause_joint));
+    alarm_.push_back(static_cast<std::uint8_t>(e.alarm));
+    alarm_joint_.push_back(static_cast<std::int8_t>(e.alarm_joint));
+    detection_.push_back(e.detection);
+  }
+  nb::dict take() {
+    const std::size_t N = health_.size(), n = joints_;
+    nb::dict out;
+    for (std::size_t which = 0; which < kTorques.size(); ++which)
+      out[kTorques[which].name] = to_numpy(std::move(torques_[which]), {N, n});
+    out["near_stiction"] = to_numpy(bits(near_stiction_, n), {N, n});
+    out["drift_saturated"] = to_numpy(bits(drift_saturated_, n), {N, n});
+    out["health"] = to_numpy(std::move(health_), {N});
+    out["causes"] = to_numpy(std::move(causes_), {N});
+    out["cause_joint"] = to_numpy(std::move(cause_joint_), {N});
+    out["alarm"] = to_numpy(std::move(alarm_), {N});
+    out["alarm_joint"] = to_numpy(std::move(alarm_joint_), {N});
+    out["detection"] = to_numpy(std::move(detection_), {N});
+    return out;
+  }
+
+ private:
+  struct Torque {
+    const char* name;
+    JointVector Estimate::*values;
+  };
+  static constexpr std::array<Torque, 7> kTorques{{{"residual", &Estimate::residual},
+                                                   {"prior", &Estimate::prior},
+                                                   {"drift", &Estimate::drift},
+                                                   {"uncertainty", &Estimate::uncertainty},
+                                                   {"tau_ext", &Estimate::tau_ext},
+                                                   {"limit_nm", &Estimate::limit_nm},
+                                                   {"margin_nm", &Estimate::margin_nm}}};
+  std::size_t joints_;
+  std::array<std::vector<double>, kTorques.size()> torques_;
+  std::vector<std::uint32_t> near_stiction_, drift_saturated_, causes_;
+  std::vector<std::uint8_t> health_, alarm_, detection_;
+  std::vector<std::int8_t> alarm_joint_, cause_joint_;
+};
+
+// step() for many samples; signals in rows of n joints.
 nb::dict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
              const Array<double, 2>& tau, FlightRecorder* recorder) {
   const RecordingView r = view(t_ns, q, dq, tau);
   if (r.joints != monitor.joints())
     throw Error("the monitor has " + std::to_string(monitor.joints()) + " joints, the samples " + std::to_string(r.joints));
   const auto N = static_cast<std::size_t>(r.samples), n = static_cast<std::size_t>(r.joints);
-  constexpr JointVector Estimate::*kTorques[] = {&Estimate::residual, &Estimate::prior,    &Estimate::drift,    &Estimate::uncertainty,
-                                                 &Estimate::tau_ext,  &Estimate::limit_nm, &Estimate::margin_nm};
-  std::vector<double> torques[7];
-  std::vector<std::uint32_t> near_stiction(N), drift_saturated(N), causes(N);
-  std::vector<std::uint8_t> health(N), alarm(N), detection(N);
-  std::vector<std::int8_t> alarm_joint(N), cause_joint(N);
+  Columns said(N, n);
   {
     nb::gil_scoped_release released;
-    for (auto& torque : torques) torque.resize(N * n);
     for (std::size_t k = 0; k < N; ++k) {
       const Sample sample{r.t_ns[k], {r.q + k * n, n}, {r.dq + k * n, n}, {r.tau + k * n, n}};
       const Estimate& e = monitor.step(sample);
       if (recorder) recorder->push(sample, e);
-      for (std::size_t which = 0; which < 7; ++which)
-        std::copy_n((e.*kTorques[which]).data(), n, torques[which].data() + k * n);
-      near_stiction[k] = e.near_stiction;
-      drift_saturated[k] = e.drift_saturated;
-      health[k] = static_cast<std::uint8_t>(e.health);
-      causes[k] = e.causes;
-      cause_joint[k] = static_cast<std::int8_t>(e.cause_joint);
-      alarm[k] = static_cast<std::uint8_t>(e.alarm);
-      alarm_joint[k] = static_cast<std::int8_t>(e.alarm_joint);
-      detection[k] = e.detection;
+      said.add(e);
     }
   }
-  nb::dict out;
-  constexpr const char* kNames[] = {"residual", "prior", "drift", "uncertainty", "tau_ext", "limit_nm", "margin_nm"};
-  for (std::size_t which = 0; which < 7; ++which) out[kNames[which]] = to_numpy(std::move(torques[which]), {N, n});
-  out["near_stiction"] = to_numpy(bits(near_stiction, n), {N, n});
-  out["drift_saturated"] = to_numpy(bits(drift_saturated, n), {N, n});
-  out["health"] = to_numpy(std::move(health), {N});
-  out["causes"] = to_numpy(std::move(causes), {N});
-  out["cause_joint"] = to_numpy(std::move(cause_joint), {N});
-  out["alarm"] = to_numpy(std::move(alarm), {N});
-  out["alarm_joint"] = to_numpy(std::move(alarm_joint), {N});
-  out["detection"] = to_numpy(std::move(detection), {N});
-  return out;
+  return said.take();
+}
+
+// no_sample(); the recorder keeps a row of NaN.
+nb::dict run_missing(Monitor& monitor, std::int64_t now_ns, FlightRecorder* recorder) {
+  Columns said(1, static_cast<std::size_t>(monitor.joints()));
+  const Estimate& e = monitor.no_sample(now_ns);
+  if (recorder) recorder->push({now_ns, {}, {}, {}}, e);
+  said.add(e);
+  return said.take();
 }
 
 std::optional<nb::dict> take(FlightRecorder& recorder, std::size_t n) {
@@ -191,6 +230,15 @@ void bind_monitor(nb::module_& m) {
       .def("advance", &Monitor::advance)
       .def("no_sample", [](Monitor& self, std::int64_t now_ns) { return self.no_sample(now_ns); }, nb::arg("now_ns"))
       .def("acknowledge", &Monitor::acknowledge, "End a latched alarm, and nothing else.")
+      .def(
+          "set_limit_factors",
+          [](Monitor& self, Signal collision, Signal contact) {
+            if (!self.set_limit_factors(span_of(collision), span_of(contact)))
+              throw Error("limit factors must be " + std::to_string(self.joints()) + " numbers each for collision and " +
+                          "contact, one a joint, from " + to_text(LimitFactors::kLowest) + " to " +
+                          to_text(LimitFactors::kHighest));
+          },
+          nb::arg("collision"), nb::arg("contact"), "Limits are the bundle's times these from the next sample on.")
       .def("reset", &Monitor::reset)
       .def(
           "run",
@@ -198,6 +246,10 @@ void bind_monitor(nb::module_& m) {
              const Array<double, 2>& tau, Recorder* recorder) { return run(self, t_ns, q, dq, tau, recorder); },
           nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("recorder") = nb::none(),
           "step() for every row; a dict of arrays.")
+      .def(
+          "run_missing",
+          [](Monitor& self, std::int64_t now_ns, Recorder* recorder) { return run_missing(self, now_ns, recorder); },
+          nb::arg("now_ns"), nb::arg("recorder") = nb::none(), "no_sample(), told as run() tells a single row.")
       .def_prop_ro("last", [](const Monitor& self) { return self.last(); })
       .def_prop_ro("joints", &Monitor::joints)
       .def_prop_ro("joint_names",

@@ -1,5 +1,6 @@
 #include "tauext/alarm.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -54,6 +55,18 @@ void AlarmStage::acknowledge() noexcept {
   state_.contact_since_ns.fill(kNever);
 }
 
+bool AlarmStage::set_factors(std::span<const double> collision, std::span<const double> contact) noexcept {
+  const auto bounded = [&](std::span<const double> factors) noexcept {
+    return factors.size() == static_cast<std::size_t>(joints_) && std::ranges::all_of(factors, [](double factor) {
+             return factor >= LimitFactors::kLowest && factor <= LimitFactors::kHighest;  // NaN is neither
+           });
+  };
+  if (!bounded(collision) || !bounded(contact)) return false;
+  std::ranges::copy(collision, factors_.collision.begin());
+  std::ranges::copy(contact, factors_.contact.begin());
+  return true;
+}
+
 bool AlarmStage::step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> doubt,
                       std::uint32_t near_stiction, bool trusted, std::span<double> limit_nm) noexcept {
   bool detection = false, touching = false;
@@ -62,14 +75,14 @@ bool AlarmStage::step(std::int64_t t_ns, std::span<const double> tau_ext, std::s
   double collision_excess = 0, contact_excess = 0;
   for (int j = 0; j < joints_; ++j) {
     const bool near = near_stiction >> j & 1;
-    limit_nm[j] = limits_.limit_nm(limits_.collision, j, near) + doubt[j];
+    limit_nm[j] = factors_.collision[j] * limits_.limit_nm(limits_.collision, j, near) + doubt[j];
     const double size = trusted ? std::fabs(tau_ext[j]) : 0.0;
     const auto held = [&](bool over, std::int64_t& since_ns, std::uint64_t hold_ns) noexcept {
       if (!over) since_ns = kNever;
       if (over && since_ns == kNever) since_ns = t_ns;
       return over && elapsed_ns(t_ns, since_ns) >= hold_ns;
     };
-    const double contact_limit = limits_.limit_nm(limits_.contact, j, near) + doubt[j];
+    const double contact_limit = factors_.contact[j] * limits_.limit_nm(limits_.contact, j, near) + doubt[j];
     const bool over = size > limit_nm[j], over_contact = size > contact_limit;
     detection = detection || over;
     touching = touching || over_contact;

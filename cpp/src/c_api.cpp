@@ -195,6 +195,13 @@ tauext_status tauext_monitor_acknowledge(tauext_monitor* monitor) {
   return TAUEXT_OK;
 }
 
+tauext_status tauext_monitor_set_limit_factors(tauext_monitor* monitor, const double* collision,
+                                               const double* contact) {
+  if (!monitor || !collision || !contact) return TAUEXT_BAD_ARGUMENT;
+  const auto n = static_cast<std::size_t>(monitor->monitor.joints());
+  return monitor->monitor.set_limit_factors({collision, n}, {contact, n}) ? TAUEXT_OK : TAUEXT_BAD_ARGUMENT;
+}
+
 tauext_status tauext_monitor_reset(tauext_monitor* monitor) {
   if (!monitor) return TAUEXT_BAD_ARGUMENT;
   monitor->monitor.reset();

@@ -10,7 +10,7 @@ namespace tauext {
 namespace {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-constexpr std::uint32_t kStateVersion = 2;
+constexpr std::uint32_t kStateVersion = 3;
 
 // What a saved state begins with.
 struct StateHead {
@@ -84,6 +84,7 @@ void Monitor::reset() noexcept {
   watch_.reset();
   if (network_) network_->restart();
   alarm_.acknowledge();
+  alarm_.restore_factors({});
   drift_.reset();
   counters_ = {};
   estimate_ = {};
@@ -303,7 +304,8 @@ const Estimate& Monitor::no_sample(std::int64_t now_ns) noexcept {
 // What a state holds, in this order; all of it plain bytes.
 std::size_t Monitor::state_bytes() const noexcept {
   return sizeof(StateHead) + sizeof counters_ + sizeof(ResidualStage::State) + sizeof(SignalWatch::State) +
-         sizeof(AlarmStage::State) + sizeof(DriftTracker::State) + sizeof estimate_ + (network_ ? network_->state_bytes() : 0);
+         sizeof(AlarmStage::State) + sizeof(LimitFactors) + sizeof(DriftTracker::State) + sizeof estimate_ +
+         (network_ ? network_->state_bytes() : 0);
 }
 
 bool Monitor::save_state(std::span<std::byte> state) const noexcept {
@@ -318,6 +320,7 @@ bool Monitor::save_state(std::span<std::byte> state) const noexcept {
   put(residual_.state());
   put(watch_.state());
   put(alarm_.state());
+  put(alarm_.factors());
   put(drift_.state());
   put(estimate_);
   if (network_) network_->save(left);
@@ -343,6 +346,7 @@ bool Monitor::restore_state(std::span<const std::byte> state) noexcept {
   residual_.restore(take(residual_.state()));
   watch_.restore(take(watch_.state()));
   alarm_.restore(take(alarm_.state()));
+  alarm_.restore_factors(take(alarm_.factors()));
   drift_.restore(take(drift_.state()));
   estimate_ = take(estimate_);
   if (network_) network_->restore(left);

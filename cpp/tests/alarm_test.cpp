@@ -73,6 +73,22 @@ void near_stiction_has_its_own_limits() {
   CHECK(s.alarm.state().alarm == Alarm::contact);
 }
 
+// The ramp of the first test, one joint's limits doubled and halved: the same times at twice and half the torque.
+void factors_scale_the_torque_that_raises_an_alarm() {
+  for (const double factor : {0.5, 2.0}) {
+    Stage s;
+    const std::array<double, 2> factors{factor, 1};
+    CHECK(s.alarm.set_factors(factors, factors));
+    for (int t = 0; t <= 30; ++t) {
+      const Alarm alarm = s.step(t, -t * factor, 0).alarm;
+      CHECK(alarm == (t >= 16 ? Alarm::collision : t >= 7 ? Alarm::contact : Alarm::none));
+      CHECK(s.limit_nm[0] == 10 * factor && s.limit_nm[1] == 5);
+    }
+    s.alarm.acknowledge();
+    CHECK(s.alarm.factors().collision[0] == factor);
+  }
+}
+
 void a_bent_presliding_state_is_near_stiction_at_any_speed() {
   Limits limits = make_limits();
   CHECK(limits.near_stiction(0.01, 1.0) && !limits.near_stiction(0.03, 0.0));
@@ -126,6 +142,7 @@ int main() {
   a_contact_falls_back_and_a_collision_does_not();
   one_sample_under_the_limit_begins_the_hold_time_anew();
   near_stiction_has_its_own_limits();
+  factors_scale_the_torque_that_raises_an_alarm();
   a_bent_presliding_state_is_near_stiction_at_any_speed();
   doubt_raises_both_limits();
   what_cannot_be_trusted_neither_raises_nor_ends_an_alarm();

@@ -1,6 +1,7 @@
 // The C API says what the C++ monitor says, to the last bit, and lets no exception or overrun through.
 #include "tauext/tauext.h"
 
+#include <array>
 #include <cstddef>
 #include <cstring>
 #include <filesystem>
@@ -188,6 +189,12 @@ void null_pointers_are_bad_arguments() {
   CHECK(tauext_monitor_advance(nullptr) == TAUEXT_BAD_ARGUMENT);
   CHECK(tauext_monitor_no_sample(nullptr, 0, nullptr) == TAUEXT_BAD_ARGUMENT);
   CHECK(tauext_monitor_acknowledge(nullptr) == TAUEXT_BAD_ARGUMENT);
+  std::array<double, TAUEXT_MAX_JOINTS> twice, none{};
+  twice.fill(2);
+  CHECK(tauext_monitor_set_limit_factors(nullptr, twice.data(), twice.data()) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_set_limit_factors(m, twice.data(), nullptr) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_set_limit_factors(m, none.data(), twice.data()) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_set_limit_factors(m, twice.data(), twice.data()) == TAUEXT_OK);
   CHECK(tauext_monitor_reset(nullptr) == TAUEXT_BAD_ARGUMENT);
   CHECK(tauext_monitor_save_state(nullptr, nullptr, 0) == TAUEXT_BAD_ARGUMENT);
   CHECK(tauext_monitor_save_state(m, nullptr, tauext_monitor_state_bytes(m)) == TAUEXT_BAD_ARGUMENT);

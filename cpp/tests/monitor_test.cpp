@@ -397,6 +397,45 @@ void a_left_out_advance_is_made_up_for() {
   for (std::int64_t k = 0; k < 1500; ++k) CHECK(same(stepping.step(s.at(k)), estimating.estimate(s.at(k))));
 }
 
+// Limits follow at the next sample, doubt apart; what the chain says beside them does not move by a bit.
+void limit_factors_scale_the_limits_and_nothing_else() {
+  const Bundle bundle = tracking(made::bundle(2, 20, kSteps, kStride, 3));
+  const Signals s = regular(2, 2000);
+  Monitor plain(bundle), ones(bundle), scaled(bundle);
+  const std::vector<double> one{1, 1}, collision{2, 0.5}, contact{10, 3};
+  CHECK(ones.set_limit_factors(one, one) && scaled.set_limit_factors(collision, contact));
+  for (std::int64_t k = 0; k < 2000; ++k) {
+    const Estimate e = plain.step(s.at(k)), f = scaled.step(s.at(k));
+    CHECK(same(e, ones.step(s.at(k))));
+    for (int j = 0; j < 2; ++j) {
+      CHECK(same(e.residual[j], f.residual[j]) && same(e.tau_ext[j], f.tau_ext[j]) && same(e.drift[j], f.drift[j]));
+      // Factors of two are exact; doubt is the same on both sides, and its rounding is not.
+      const double expected = collision[static_cast<std::size_t>(j)] * (e.limit_nm[j] - e.doubt[j]) + f.doubt[j];
+      CHECK(std::fabs(f.limit_nm[j] - expected) <= 1e-12 * expected);
+    }
+  }
+}
+
+// A contact of 0.6 of its limit is one at a factor of 0.5; the factor outlives an acknowledgement and a saved state.
+void limit_factors_are_part_of_the_state() {
+  const Bundle bundle = made::bundle(2, 0, kSteps, kStride, 3);
+  const Signals s = regular(2, 1000);
+  Monitor one(bundle), other(bundle);
+  CHECK(one.set_limit_factors(std::vector{0.25, 4.0}, std::vector{0.5, 2.0}));
+  feed(one, s, 0, 500);
+  one.acknowledge();
+  std::vector<std::byte> state(one.state_bytes());
+  CHECK(one.save_state(state) && other.restore_state(state));
+  CHECK(other.limit_factors().collision[0] == 0.25 && other.limit_factors().contact[1] == 2.0);
+  for (std::int64_t k = 500; k < 1000; ++k) CHECK(same(one.step(s.at(k)), other.step(s.at(k))));
+  const std::vector<double> ones{1, 1}, low{1, 0.0999}, high{10.001, 1}, nan{NAN, 1}, three{1, 1, 1};
+  for (const std::vector<double>& bad : {low, high, nan, three, {}})
+    CHECK(!one.set_limit_factors(bad, ones) && !one.set_limit_factors(ones, bad));
+  CHECK(one.limit_factors().collision[0] == 0.25 && one.limit_factors().contact[0] == 0.5);
+  one.reset();
+  CHECK(one.limit_factors().collision[0] == 1 && one.limit_factors().contact[1] == 1);
+}
+
 void names_are_told() {
   for (std::uint32_t k = 0; k < kCauseCount; ++k) CHECK(name(static_cast<Cause>(1u << k))[0] != '\0');
   CHECK(name(static_cast<Cause>(1u << kCauseCount))[0] == '\0');
@@ -429,6 +468,8 @@ int main() {
   a_restored_monitor_goes_on_with_every_method();
   drift_outlives_gaps_and_faults();
   a_left_out_advance_is_made_up_for();
+  limit_factors_scale_the_limits_and_nothing_else();
+  limit_factors_are_part_of_the_state();
   names_are_told();
   a_bundle_that_does_not_hold_together_makes_no_monitor();
   return check::result();

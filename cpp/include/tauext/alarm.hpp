@@ -31,13 +31,19 @@ class AlarmStage {
   AlarmStage(int joints, int widths, const Limits& limits);
 
   // One sample; near_stiction holds a bit a joint, doubt [N m] raises the limits. Writes the collision limit of every
-  // joint [N m], doubt included, and returns whether some |tau_ext| exceeds it (a detection). With trusted = false nothing is detected, what was held so far
+  // joint [N m], its factor and doubt included, and returns whether some |tau_ext| exceeds it (a detection). With trusted = false nothing is detected, what was held so far
   // starts anew, and a standing alarm stays: what cannot be seen has not gone.
   bool step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> doubt,
             std::uint32_t near_stiction, bool trusted, std::span<double> limit_nm) noexcept;
 
   // Ends any alarm; one whose cause lasts comes back after its hold time.
   void acknowledge() noexcept;
+
+  // Limits are the bundle's times these from the next sample on. false, and nothing changed, unless there is one number
+  // a joint, each within LimitFactors' bounds.
+  bool set_factors(std::span<const double> collision, std::span<const double> contact) noexcept;
+  const LimitFactors& factors() const noexcept { return factors_; }
+  void restore_factors(const LimitFactors& factors) noexcept { factors_ = factors; }
 
   const State& state() const noexcept { return state_; }
   void restore(const State& state) noexcept { state_ = state; }
@@ -46,6 +52,7 @@ class AlarmStage {
   int joints_;
   Limits limits_;
   std::uint64_t collision_hold_ns_, contact_hold_ns_, contact_release_ns_;
+  LimitFactors factors_;  // outlive acknowledge()
   State state_;
 };
 

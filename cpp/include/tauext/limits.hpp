@@ -15,6 +15,16 @@ struct Level {
   double hold_s = 0;                     // 0: the first sample over the limit raises the alarm
 };
 
+// Factors on the limits of a bundle, chosen while the monitor runs: above 1 it takes more to raise an alarm.
+struct LimitFactors {
+  static constexpr double kLowest = 0.1, kHighest = 10;  // beyond it nothing is left of what calibration promised
+  JointVector collision, contact;
+  LimitFactors() noexcept {
+    collision.fill(1.0);
+    contact.fill(1.0);
+  }
+};
+
 struct Limits {
   double near_stiction_rad_s = 0;  // near stiction: |dq| below this,
   int region_width = -1;           // or the presliding state of this width bent; -1: only the speed tells

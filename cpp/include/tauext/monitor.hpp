@@ -98,6 +98,13 @@ class Monitor {
 
   // Ends a latched alarm, and nothing else; one whose cause lasts comes back.
   void acknowledge() noexcept;
+  // Limits are the bundle's times these, one a joint and each 0.1 to 10, from the next sample on: for phases of a task
+  // that bear more contact, or less. false, and nothing changed, where they are not. What the drift learns from does not
+  // depend on them. The limits' promise of false alarms holds at factors from 1 on.
+  bool set_limit_factors(std::span<const double> collision, std::span<const double> contact) noexcept {
+    return alarm_.set_factors(collision, contact);
+  }
+  const LimitFactors& limit_factors() const noexcept { return alarm_.factors(); }
   // As newly made.
   void reset() noexcept;
 

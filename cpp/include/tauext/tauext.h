@@ -7,8 +7,8 @@
  *   tauext_monitor_step(monitor, t_ns, q, dq, tau, &e);      every sample period
  *
  * A torque is positive where it pushes the joint in its positive direction; tau is the motor's torque seen at the joint.
- * tauext_monitor_estimate, _advance, _step, _no_sample, _acknowledge, _reset, _save_state and _restore_state do not
- * allocate, lock, log or call the system. One thread at a time for each monitor. */
+ * tauext_monitor_estimate, _advance, _step, _no_sample, _acknowledge, _set_limit_factors, _reset, _save_state and
+ * _restore_state do not allocate, lock, log or call the system. One thread at a time for each monitor. */
 #ifndef TAUEXT_H
 #define TAUEXT_H
 
@@ -114,6 +114,9 @@ tauext_status tauext_monitor_advance(tauext_monitor* monitor);
 /* The loop ran and no sample came. */
 tauext_status tauext_monitor_no_sample(tauext_monitor* monitor, int64_t now_ns, tauext_estimate* estimate);
 tauext_status tauext_monitor_acknowledge(tauext_monitor* monitor);
+/* Limits are the bundle's times these, a joint: 0.1 to 10, 1 leaves them as they are; else TAUEXT_BAD_ARGUMENT, and
+ * nothing is changed. */
+tauext_status tauext_monitor_set_limit_factors(tauext_monitor* monitor, const double* collision, const double* contact);
 tauext_status tauext_monitor_reset(tauext_monitor* monitor);
 
 size_t tauext_monitor_state_bytes(const tauext_monitor* monitor);

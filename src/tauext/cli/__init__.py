@@ -11,6 +11,7 @@ from tauext.cli.calibrate import calibrate
 from tauext.cli.check import check
 from tauext.cli.evaluate import evaluate
 from tauext.cli.import_data import import_data
+from tauext.cli.monitor import monitor
 from tauext.cli.report import report
 from tauext.cli.reproduce import reproduce
 from tauext.cli.run import run
@@ -23,14 +24,14 @@ DESCRIPTION = (
     "External joint torque and collision detection for robot arms, from encoders and motor torque alone. "
     "simulate (or import: your own recordings) -> train -> evaluate -> report; reproduce does all four. "
     "check: what recordings and robot file have wrong, before anyone trains. "
-    "train -> run: the monitor on recordings. calibrate: other limits for a trained bundle."
+    "train -> run: the monitor on recordings; monitor: on a live arm. calibrate: other limits for a trained bundle."
 )
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; 0 done, 1 a fault (check), 2 bad input (one line on stderr), 130 interrupted, 141 no reader."""
     app = tyro.extras.SubcommandApp()
-    for command in (reproduce, simulate, check, train, calibrate, evaluate, report, run, show):
+    for command in (reproduce, simulate, check, train, calibrate, evaluate, report, run, monitor, show):
         app.command(command)
     app.command(import_data, name="import")
     try:

@@ -65,7 +65,6 @@ class LiveView(TextLines):
         """What the monitor said of the chunk's last sample; bars show the chunk's largest |tau_ext| of each joint."""
         said = chunk.said
         time_s = (int(chunk.t_ns[-1]) - self._start_ns) * 1e-9
-        speed = f", {time_s / wall_s:.1f} times as fast as recorded" if wall_s > 0.5 else ""
         health, alarm = HEALTHS[said["health"][-1]], ALARMS[said["alarm"][-1]]
         causes = ", ".join(cause_names(int(said["causes"][-1])))
         status = Text.assemble(
@@ -77,9 +76,12 @@ class LiveView(TextLines):
         )
         if said["alarm_joint"][-1] >= 0:
             status.append(f" {self._joints[said['alarm_joint'][-1]]}")
-        return Group(
-            Text(f"{self._title}  {time_s:.2f} of {self._duration_s:.2f} s{speed}"), status, self.joints(chunk)
-        )
+        return Group(Text(self.heading(time_s, wall_s)), status, self.joints(chunk))
+
+    def heading(self, time_s: float, wall_s: float) -> str:
+        """The panel's first line."""
+        speed = f", {time_s / wall_s:.1f} times as fast as recorded" if wall_s > 0.5 else ""
+        return f"{self._title}  {time_s:.2f} of {self._duration_s:.2f} s{speed}"
 
     def joints(self, chunk: Chunk) -> Table:
         """A row a joint: bar from -limit to +limit, tau_ext, limit, margin, region, speed."""

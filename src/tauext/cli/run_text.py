@@ -120,8 +120,8 @@ def alarm_words(change: AlarmChange, joints: tuple[str, ...]) -> str:
     )
 
 
-def summary_lines(tally: Tally, flights: FlightCount, folder: Path | None) -> list[str]:
-    """The summary of one recording or of all."""
+def summary_lines(tally: Tally, flights: FlightCount, folder: Path | None, timing: str = "") -> list[str]:
+    """The summary of one recording or of all. timing: said of the samples instead of the core's time for each."""
     told = tally.summary()
     if not tally.samples:
         return ["no samples"]
@@ -132,7 +132,8 @@ def summary_lines(tally: Tally, flights: FlightCount, folder: Path | None) -> li
         alarms.append(f"{level} {', '.join(raised) if raised else 'none'}")
     margins = [f"{joint} {margin:+.2f} Nm" for joint, margin in told["worst_margin_nm"].items() if margin is not None]
     lines = [
-        f"samples       {tally.samples:,} ({duration_text(tally.hours)}), {told['us_per_sample']:.2f} µs each",
+        f"samples       {tally.samples:,} ({duration_text(tally.hours)}), "
+        + (timing or f"{told['us_per_sample']:.2f} µs each"),
         f"health        {', '.join(shares)}",
         f"alarms        {'; '.join(alarms)}" + (f"; {tally.acknowledged} acknowledged" if tally.acknowledged else ""),
         f"worst margin  {', '.join(margins) if margins else 'none: there was no estimate'}",

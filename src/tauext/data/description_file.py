@@ -52,11 +52,11 @@ def parse_arm(text: str, path: Path | str = "arm.toml") -> Arm:
         raise ConfigError(f"{path}: not readable as TOML: {error}") from error
     tables = {"robot": RobotTable, "payload": PayloadTable, "time": TimeTable}
     tables |= {"contact": ContactTable, "split": SplitTable}
-    _refuse_unknown(path, "", content, (*tables, "signals"))
+    refuse_unknown(path, "", content, (*tables, "signals"))
     if not isinstance(content.get("robot"), dict):
         raise ConfigError(f"{path}: the table [robot] is missing")
     signals = content.get("signals", {})
-    _refuse_unknown(path, "signals", signals, tuple(KEYS))
+    refuse_unknown(path, "signals", signals, tuple(KEYS))
     joints = content["robot"].get("joints", [])
     count = len(joints) if isinstance(joints, list) else 0
     read = {
@@ -78,7 +78,8 @@ def _a_table(path: Path, name: str, value: Any) -> dict | None:
     raise ConfigError(f"{path}: [{name}] is {value!r}, must be a table")
 
 
-def _refuse_unknown(path: Path, table: str, content: Any, known: tuple[str, ...]) -> None:
+def refuse_unknown(path: Path, table: str, content: Any, known: tuple[str, ...]) -> None:
+    """ConfigError unless the table of this name ("": the file's top) is one, and all of its keys are known."""
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: [{table}] is {content!r}, must be a table")
     where = f"in [{table}]" if table else "at the top"
@@ -92,7 +93,7 @@ def _refuse_unknown(path: Path, table: str, content: Any, known: tuple[str, ...]
 def _table(path: Path, name: str, cls: type, content: Any, keys: tuple[str, ...] | None, joints: int) -> Any:
     """The dataclass of a table, each value of its field's type."""
     known = {f.name: f for f in fields(cls)}
-    _refuse_unknown(path, name, content, keys or tuple(known))
+    refuse_unknown(path, name, content, keys or tuple(known))
     values = {}
     for key, value in content.items():
         read, rule = READERS[str(known[key].type)]

@@ -25,12 +25,15 @@ class Pace:
 
     def wait_until(self, t_ns: int) -> None:
         """Return when the sample of this stamp has been recorded; the first call starts the time and waits for none."""
-        if self.speed is None:
-            return
-        if self._began is None:
-            self._began = (self._clock(), t_ns)
-            return
-        clock_s, first_ns = self._began
-        left_s = clock_s + (t_ns - first_ns) * 1e-9 / self.speed - self._clock()
+        left_s = self.left_s(t_ns)
         if left_s > 0:
             self._sleep(left_s)
+
+    def left_s(self, t_ns: int) -> float:
+        """Until then, on the wall, [s]; 0 or negative where its time has come. The first call starts the time, too."""
+        if self.speed is None:
+            return 0.0
+        if self._began is None:
+            self._began = (self._clock(), t_ns)
+        clock_s, first_ns = self._began
+        return clock_s + (t_ns - first_ns) * 1e-9 / self.speed - self._clock()

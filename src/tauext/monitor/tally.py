@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from tauext import _core
-from tauext.monitor.changes import ALARMS, HEALTHS, NONE, AlarmChange
+from tauext.monitor.changes import ALARMS, HEALTHS, NONE, AlarmChange, Change
 from tauext.monitor.replay import Chunk
 
 
@@ -39,12 +40,16 @@ class Tally:
         self.core_s += chunk.core_s
         self.health += np.bincount(chunk.said["health"], minlength=len(HEALTHS))
         self.worst_margin_nm = np.fmin(self.worst_margin_nm, np.fmin.reduce(chunk.said["margin_nm"], axis=0))
-        for change in chunk.changes:
+        self.add_changes(chunk.changes)
+        self.bridged_ticks, self.restarts = monitor.bridged_ticks, monitor.restarts
+
+    def add_changes(self, changes: Iterable[Change]) -> None:
+        """Count alarms and acknowledgements alone."""
+        for change in changes:
             if isinstance(change, AlarmChange):
                 self.acknowledged += change.acknowledged
                 if change.joint >= 0:
                     self.alarms[change.alarm, change.joint] += 1
-        self.bridged_ticks, self.restarts = monitor.bridged_ticks, monitor.restarts
 
     def merge(self, other: Tally) -> None:
         """Add another recording's."""

@@ -1,0 +1,239 @@
+"""`tauext monitor`: a bundle on a live arm."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from tauext.cli.monitor_sources import SourceOptions
+from tauext.config import require
+from tauext.errors import ConfigError
+from tauext.ros2 import Ros2Settings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tauext._core import Bundle
+    from tauext.cli.monitor_output import MonitorOutput
+    from tauext.live import Loop, LoopSettings
+    from tauext.live.flight_sink import FlightSink
+
+STDIN = Path("-")
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What runs beside the loop."""
+
+    reactions: Path | None
+    profiles: Path | None
+    flights: Path | None
+    before_s: float
+    after_s: float
+    contacts: bool
+    record: Path | None
+    segment_s: float
+    control: Path | None
+
+
+def monitor(
+    bundle: Annotated[Path | None, tyro.conf.Positional] = None,
+    source: str | None = None,
+    speed: float | None = None,
+    torque_constants: Path | None = None,
+    ros2: Ros2Settings = Ros2Settings(),  # noqa: B008
+    reactions: Path | None = None,
+    new_reactions: Path | None = None,
+    profiles: Path | None = None,
+    new_profiles: Path | None = None,
+    control: Path | None = None,
+    own_rate: bool = False,
+    missing_after_ms: float | None = None,
+    acknowledge_after_s: float | None = None,
+    duration_s: float | None = None,
+    flights: Path | None = None,
+    before_s: float = 5.0,
+    after_s: float = 1.0,
+    contacts: bool = False,
+    record: Path | None = None,
+    segment_s: float = 60.0,
+    core: int | None = None,
+    priority: int | None = None,
+    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    status_hz: float = 0.0,
+) -> None:
+    """Watch a live arm: torque, contact and collision as they happen, and what shall follow from them.
+
+    Ctrl-C ends it with a summary. Docs: docs/live.md.
+
+    Args:
+        bundle: bundle (*.tauext) to run.
+        source: where samples come from: replay:FILE, ur:HOST, franka:HOST, ros2.
+        speed: of replay, so many times as fast as it was recorded. None: 1.
+        torque_constants: of ur: file that says what a motor current is in Nm, a joint.
+        ros2: topics and quality of service; docs/ros2.md.
+        reactions: file of what shall happen at a collision, contact or fault, and when it is over.
+        new_reactions: write a commented reactions file here instead.
+        profiles: file of named factors on the limits, switched while the monitor runs.
+        new_profiles: write a commented profiles file here instead.
+        control: listen for lines `profile NAME`, `acknowledge` and `stop`: on a socket of this name, or `-`: stdin.
+        own_rate: run the network at its own rate (usually 100 Hz) and hold its value in between, for slow processors.
+        missing_after_ms: a sample that has not come so long after the one before it is missing. None: two periods,
+            or a period and 2 ms where that is more.
+        acknowledge_after_s: acknowledge a collision so many seconds after it was raised. None: when asked to.
+        duration_s: end after so long. None: with the source, or when asked to.
+        flights: folder for flights: recording, estimates and an explanation in words around every collision and fault.
+        before_s: seconds that a flight keeps from before its event.
+        after_s: and from after it.
+        contacts: flights of contacts, too.
+        record: folder for recordings of all that came, to train with again.
+        segment_s: length of each.
+        core: pin the loop and what receives samples to this core.
+        priority: real-time priority for the loop and what receives samples, SCHED_FIFO, 1 to 99.
+        as_json: JSON lines on stdout, an object an event.
+        status_hz: with --json, also the estimates so many times per second; 0: events only.
+    """
+    if new_reactions is not None or new_profiles is not None:
+        write_templates(new_reactions, new_profiles, bundle is not None or source is not None)
+        return
+    if bundle is None or source is None:
+        missing = "--source" if bundle is not None else "the bundle"
+        raise ConfigError(f"{missing} is missing: tauext monitor ARM.tauext --source replay:FILE")
+    for name, value in (
+        ("speed", speed),
+        ("missing_after_ms", missing_after_ms),
+        ("acknowledge_after_s", acknowledge_after_s),
+        ("duration_s", duration_s),
+    ):
+        require(value is None or 0 < value < float("inf"), name, value, "> 0")
+    require(1 <= segment_s <= 3600, "segment_s", segment_s, "1 to 3600")
+    require(priority is None or 1 <= priority <= 99, "priority", priority, "1 to 99")
+    require(0 <= status_hz < float("inf"), "status_hz", status_hz, ">= 0")
+    require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
+
+    from tauext.cli.monitor_output import open_output
+    from tauext.cli.run import RunSettings
+    from tauext.live import LoopSettings
+
+    missing_s = None if missing_after_ms is None else missing_after_ms * 1e-3
+    settings = LoopSettings(own_rate, missing_s, acknowledge_after_s, duration_s, core, priority)
+    extras = Extras(reactions, profiles, flights, before_s, after_s, contacts, record, segment_s, control)
+    shown = RunSettings(None, own_rate, acknowledge_after_s, flights, before_s, after_s, contacts)
+    options = SourceOptions(speed, torque_constants, None if ros2 == Ros2Settings() else ros2)
+    watch(bundle, source, options, settings, extras, open_output(as_json, status_hz, shown))
+
+
+def write_templates(reactions: Path | None, profiles: Path | None, also_run: bool) -> None:
+    """Write the files that were asked for."""
+    from tauext.live.profiles import TEMPLATE as PROFILES
+    from tauext.live.reaction_file import TEMPLATE as REACTIONS
+    from tauext.live.toml_file import write_template
+
+    if also_run:
+        raise ConfigError("--new-reactions and --new-profiles write a template and watch nothing: leave the rest out")
+    for path, text in ((reactions, REACTIONS), (profiles, PROFILES)):
+        if path is not None:
+            write_template(path, text)
+            print(path)
+
+
+def watch(
+    path: Path, text: str, options: SourceOptions, settings: LoopSettings, extras: Extras, output: MonitorOutput
+) -> None:
+    """Connect everything, run the loop, tell the summary.
+
+    Raises:
+        ConfigError: something does not fit, before the first sample.
+    """
+    from tauext import _core
+    from tauext.cli.aside import Aside
+    from tauext.cli.monitor_output import Outcome, OutputSink
+    from tauext.cli.monitor_sources import connect
+    from tauext.live import Loop, load_profiles, load_reactions, start_reactions
+    from tauext.live.record_sink import RecordSink
+
+    if not path.is_file():
+        raise ConfigError(f"{path}: there is no such bundle; `tauext train` makes one")
+    bundle = _core.Bundle.load(str(path))
+    joints = tuple(link.joint_name for link in bundle.links)
+    connection = connect(text, options)
+    source = connection.source
+    profiles = None if extras.profiles is None else load_profiles(extras.profiles, joints)
+    rules = [] if extras.reactions is None else load_reactions(extras.reactions, joints)
+    flights = None if extras.flights is None else flight_sink(bundle, extras, source.name)
+    record = None
+    if extras.record is not None:
+        record = RecordSink(extras.record, bundle, source.name, extras.segment_s)
+    sinks = [*connection.sinks, *(sink for sink in (flights, record) if sink is not None)]
+    reactions = start_reactions(rules, source, connection.sinks)
+    recorder = flights.recorder if flights else None
+    with ExitStack() as stack:
+        stack.callback(reactions.end)
+        loop = Loop(bundle, source, sinks, reactions, profiles, recorder, settings)
+        stack.enter_context(output)
+        aside = stack.enter_context(Aside(lambda: loop.stop("an output that cannot be written")))
+        shown = OutputSink(output, aside, loop.monitor, reactions, flights)
+        loop.sinks.append(shown)
+        loop.note, loop.switched = shown.note, shown.switched
+        stack.enter_context(controlled(extras.control, loop))
+        aside.do(partial(output.begin, source.name, bundle))
+        loop.run()
+        shown.tell_news()
+        if recorder is not None:
+            shown.flights.missed = recorder.missed
+        outcome = Outcome(shown.tally, loop.tick, loop.missing, source.counts, shown.flights)
+        outcome.reactions = {thread.reaction.name: thread.count for thread in reactions.threads}
+        outcome.recorded = record.count if record else None
+        aside.do(partial(output.finish, outcome))
+
+
+def flight_sink(bundle: Bundle, extras: Extras, source: str) -> FlightSink:
+    """Writes flights into the folder, which is made."""
+    from tauext import _core
+    from tauext.live.flight_sink import FlightSink
+
+    try:
+        extras.flights.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{extras.flights}: no folder for flights ({error.strerror or error})") from error
+    recorder = _core.FlightRecorder(
+        bundle.joints, bundle.observer.sample_period_ns, extras.before_s, extras.after_s, extras.contacts
+    )
+    return FlightSink(extras.flights, bundle, recorder, source)
+
+
+@contextmanager
+def controlled(path: Path | None, loop: Loop) -> Iterator[None]:
+    """Ctrl-C and SIGTERM end the loop, a second one breaks it off; lines from stdin or a socket steer it."""
+    import signal
+    import sys
+    import threading
+    import weakref
+
+    from tauext.live.control_lines import ControlSocket, obey_lines
+
+    def stop(number: int, frame: object) -> None:
+        signal.signal(number, before[number])
+        loop.stop("Ctrl-C" if number == signal.SIGINT else "SIGTERM")
+
+    steered = weakref.proxy(loop)  # a thread that waits for a line for ever shall not keep it alive
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        if path == STDIN:
+            obey_lines(sys.stdin, steered)
+            yield
+        elif path is not None:
+            with closing(ControlSocket(path, steered)):
+                yield
+        else:
+            yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

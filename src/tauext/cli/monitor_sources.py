@@ -1,0 +1,100 @@
+"""The sources that `tauext monitor --source` knows; a new one is registered here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tauext.errors import ConfigError
+
+if TYPE_CHECKING:
+    from tauext.live import Sink, Source
+    from tauext.ros2 import Ros2Settings
+
+
+@dataclass(frozen=True)
+class SourceOptions:
+    """Options of the command that only some sources take; None: not given."""
+
+    speed: float | None = None
+    torque_constants: Path | None = None
+    ros2: Ros2Settings | None = None
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A source, and who publishes on its side."""
+
+    source: Source
+    sinks: tuple[Sink, ...] = ()
+
+
+def replay(target: str, options: SourceOptions) -> Connection:
+    """replay:FILE, a recording at its own pace or --speed times as fast."""
+    from tauext.live import ReplaySource
+
+    speed = options.speed or 1.0
+    if speed < 1:  # by the clock, every sample would be missing
+        raise ConfigError(f"speed = {speed:g} must be >= 1: a live loop takes samples that are slower for missing ones")
+    return Connection(ReplaySource(Path(target), speed))
+
+
+def ur(target: str, options: SourceOptions) -> Connection:
+    """ur:HOST."""
+    from tauext.live.ur_source import UrSource
+
+    return Connection(UrSource(target, options.torque_constants))
+
+
+def franka(target: str, options: SourceOptions) -> Connection:
+    """franka:HOST."""
+    from tauext.live.franka_source import FrankaSource
+
+    return Connection(FrankaSource(target))
+
+
+def ros2(target: str, options: SourceOptions) -> Connection:
+    """ros2, joint states of a topic; torques, alarms and diagnostics go to others."""
+    from tauext.ros2 import Ros2Settings, connect
+
+    source, publisher = connect(options.ros2 or Ros2Settings())
+    return Connection(source, (publisher,))
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of source."""
+
+    target: str
+    """What stands behind its colon; empty: nothing does."""
+    connect: Callable[[str, SourceOptions], Connection]
+    takes: tuple[str, ...] = ()
+    """Of SourceOptions."""
+
+
+KINDS = {
+    "replay": Kind("FILE", replay, ("speed",)),
+    "ur": Kind("HOST", ur, ("torque_constants",)),
+    "franka": Kind("HOST", franka),
+    "ros2": Kind("", ros2, ("ros2",)),
+}
+
+
+def connect(text: str, options: SourceOptions) -> Connection:
+    """The source of this text, KIND:TARGET; it is not open yet.
+
+    Raises:
+        ConfigError: an unknown kind, a target that is missing, an option that is for another kind; or the source's own.
+    """
+    kind, colon, target = text.partition(":")
+    choices = ", ".join(f"{name}:{known.target}" if known.target else name for name, known in KINDS.items())
+    known = KINDS.get(kind)
+    if known is None or bool(target) != bool(known.target) or (colon and not target):
+        raise ConfigError(f"--source {text!r} must be one of {choices}")
+    for name in SourceOptions.__dataclass_fields__:
+        if getattr(options, name) is not None and name not in known.takes:
+            those = ", ".join(other for other, one in KINDS.items() if name in one.takes)
+            raise ConfigError(f"--{name.replace('_', '-')} is for source {those}, not for {kind}")
+    return known.connect(target, options)

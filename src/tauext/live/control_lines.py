@@ -1,0 +1,110 @@
+"""Lines of text that steer the loop: from stdin, or from whoever connects to a socket in the file system."""
+
+from __future__ import annotations
+
+import os
+import socket
+import stat
+import sys
+import threading
+from contextlib import suppress
+from pathlib import Path
+from typing import TextIO
+
+from tauext.errors import ConfigError, TauextError
+from tauext.live.sink import Control
+
+LONGEST = 1000
+USAGE = "`profile NAME`, `acknowledge` or `stop`"
+
+
+def obey(line: str, control: Control, by: str) -> str:
+    """Do what one line asks for; `ok`, or `error: ...`."""
+    what, _, name = line.strip().partition(" ")
+    try:
+        if what == "profile" and name.strip():
+            control.use_profile(name.strip(), by)
+        elif what == "acknowledge" and not name:
+            control.acknowledge(by)
+        elif what == "stop" and not name:
+            control.stop(by)
+        else:
+            return f"error: {line.strip()[:60]!r} must be {USAGE}"
+    except TauextError as error:
+        return f"error: {error}"
+    except ReferenceError:
+        return "error: the monitor has ended"
+    return "ok"
+
+
+def obey_lines(lines: TextIO, control: Control, by: str = "stdin", answers: TextIO | None = None) -> threading.Thread:
+    """Obey line after line in a thread, until there are no more; what went wrong goes to answers, stderr by default."""
+
+    def work() -> None:
+        for line in lines:
+            said = obey(line, control, by) if line.strip() else "ok"
+            if said != "ok":
+                print(f"tauext: {said}", file=answers or sys.stderr, flush=True)
+
+    thread = threading.Thread(target=work, name="control lines", daemon=True)
+    thread.start()
+    return thread
+
+
+class ControlSocket:
+    """A socket at this path; every line that comes is obeyed and answered by a line. Only its owner may connect."""
+
+    def __init__(self, path: Path, control: Control):
+        """Raises ConfigError where there can be no socket, or another monitor listens there."""
+        self._path, self._control = path, control
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            if path.exists() and stat.S_ISSOCK(path.stat().st_mode) and not listened_to(path):
+                path.unlink()  # of a monitor that was killed
+            before = os.umask(0o177)
+            try:
+                self._socket.bind(str(path))
+            finally:
+                os.umask(before)
+            self._socket.listen()
+        except OSError as error:
+            self._socket.close()
+            raise ConfigError(f"{path}: no control socket ({error.strerror or error})") from error
+        threading.Thread(target=self._work, name="control socket", daemon=True).start()
+
+    def close(self) -> None:
+        """Nobody can connect any more, and the path is free."""
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+        self._path.unlink(missing_ok=True)
+
+    def _work(self) -> None:
+        while True:
+            try:
+                connection, _ = self._socket.accept()
+            except OSError:
+                return
+            threading.Thread(target=self._serve, args=(connection,), name="control", daemon=True).start()
+
+    def _serve(self, connection: socket.socket) -> None:
+        # Two files: writing to one that is read, too, drops what was read ahead.
+        with (
+            suppress(OSError, UnicodeDecodeError),
+            connection,
+            connection.makefile("r", encoding="utf-8") as lines,
+            connection.makefile("w", encoding="utf-8") as answers,
+        ):
+            while line := lines.readline(LONGEST):
+                answers.write(obey(line, self._control, "control socket") + "\n")
+                answers.flush()
+
+
+def listened_to(path: Path) -> bool:
+    """Whether someone listens at this socket."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
+        try:
+            trial.connect(str(path))
+        except OSError:
+            return False
+        return True

@@ -1,0 +1,55 @@
+"""From what the monitor says to what reactions react to."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from tauext import _core
+from tauext.live.sink import Event, EventKind, Verdict
+from tauext.monitor import ALARMS, HEALTHS, AlarmChange, HealthChange
+from tauext.monitor.changes import COLLISION, CONTACT, FAULT, NONE, OK
+from tauext.monitor.status import number
+
+TORQUES = ("tau_ext", "limit_nm", "margin_nm", "residual")
+
+
+class EventFinder:
+    """Finds the events of one verdict after the other."""
+
+    def __init__(self, joints: tuple[str, ...], facts: dict[str, Any]):
+        """facts: what every event shall say beside the monitor's numbers: bundle, source."""
+        self._joints, self._facts = joints, facts
+        self._unsettled = False
+
+    def find(self, verdict: Verdict) -> list[Event]:
+        """Usually none. At one sample a fault goes before an alarm."""
+        if not verdict.changes and not self._unsettled:
+            return []
+        events = []
+        for change in verdict.changes:
+            if isinstance(change, HealthChange) and change.health == FAULT and change.was != FAULT:
+                events.append(self._event("fault", change.joint, verdict))
+            elif isinstance(change, AlarmChange) and change.joint >= 0 and change.alarm in (CONTACT, COLLISION):
+                kind: EventKind = "collision" if change.alarm == COLLISION else "contact"
+                events.append(self._event(kind, change.joint, verdict))
+        if events:
+            self._unsettled = True
+        elif self._unsettled and verdict.said["health"][0] == OK and verdict.said["alarm"][0] == NONE:
+            self._unsettled = False
+            events.append(self._event("cleared", -1, verdict))
+        return events
+
+    def _event(self, kind: EventKind, joint: int, verdict: Verdict) -> Event:
+        said, sample = verdict.said, verdict.sample
+        facts = {
+            **self._facts,
+            "joints": list(self._joints),
+            "row": verdict.row,
+            "health": HEALTHS[said["health"][0]],
+            "causes": _core.cause_names(int(said["causes"][0])),
+            "alarm": ALARMS[said["alarm"][0]],
+            **{name.removesuffix("_nm") + "_nm": [number(v) for v in said[name][0].tolist()] for name in TORQUES},
+        }
+        received_ns = sample.received_ns if sample is not None else time.monotonic_ns()
+        return Event(kind, self._joints[joint] if joint >= 0 else None, verdict.t_ns, received_ns, facts)

@@ -1,0 +1,71 @@
+"""Flights of a live arm: written by a thread while the loop goes on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from tauext import _core
+from tauext.live.loop import Loop
+from tauext.live.record_sink import file_name
+from tauext.live.sink import Control, LoopReport, Verdict
+from tauext.monitor import FlightNews, FlightSource, FlightWriter, write_flight
+from tauext.monitor.flight_content import Flight
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What a flight's files say of where it comes from, as a recording would."""
+
+    name: str
+    joints: tuple[str, ...]
+    t_ns: np.ndarray
+    rate_hz: float
+    torque_timing: str
+    robot_sha256: str = ""
+
+
+class FlightSink:
+    """Writes the flights of a recorder that the loop fills."""
+
+    def __init__(self, folder: Path, bundle: _core.Bundle, recorder: _core.FlightRecorder, source: str):
+        """folder: exists. source: its name, for the files'."""
+        self.recorder = recorder
+        self._folder, self._bundle, self._name = folder, bundle, file_name(source)
+        self._source: FlightSource | None = None
+        self._writer = FlightWriter(recorder, self._write)
+        self._control: Control | None = None
+
+    def open(self, joints: tuple[str, ...], control: Control) -> None:
+        self._joints, self._control = joints, control
+        self._writer.__enter__()
+
+    def verdict(self, verdict: Verdict) -> None:
+        if self._source is None:
+            timing, rate_hz = self._bundle.observer.timing.name, 1e9 / self._bundle.observer.sample_period_ns
+            first = Origin(self._name, self._joints, np.array([verdict.t_ns]), rate_hz, timing)
+            self._source = FlightSource.of(self._bundle, first)
+
+    def every_second(self, report: LoopReport) -> None:
+        pass
+
+    def close(self) -> None:
+        """Everything is on disk, or told as lost."""
+        self._writer.__exit__(None, None, None)
+
+    def news(self) -> list[FlightNews]:
+        """What became of flights since the last call."""
+        return self._writer.news()
+
+    def _write(self, flight: Flight) -> Path:
+        profile = self._control.profile if isinstance(self._control, Loop) else None
+        source = self._source
+        if profile is not None:  # that holds now; the flight is a second old at most
+            contact = [
+                tuple((np.array(limits) * profile.contact).tolist())
+                for limits in (source.contact_sliding_nm, source.contact_near_stiction_nm)
+            ]
+            source = replace(source, contact_sliding_nm=contact[0], contact_near_stiction_nm=contact[1])
+        return write_flight(flight, self._folder, source)

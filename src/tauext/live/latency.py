@@ -1,0 +1,56 @@
+"""Quantiles of times that come one by one, in constant memory."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+BINS_PER_OCTAVE = 64
+OCTAVES = 40
+"""Up to 2^40 ns, 18 minutes; what is longer counts in the last bin, and in max."""
+
+
+class Latencies:
+    """A histogram whose bins are 1.1 % wide: quantiles are at most that much too large."""
+
+    def __init__(self) -> None:
+        self.count, self.max_ns = 0, 0
+        self._bins = [0] * (BINS_PER_OCTAVE * OCTAVES)
+
+    def add(self, ns: int) -> None:
+        """Count one time, [ns]; one that is negative counts as 1 ns."""
+        self.count += 1
+        self.max_ns = max(self.max_ns, ns)
+        place = int(math.log2(max(ns, 1)) * BINS_PER_OCTAVE)
+        self._bins[min(place, len(self._bins) - 1)] += 1
+
+    def merge(self, other: Latencies) -> None:
+        """Add the other's times."""
+        self.count, self.max_ns = self.count + other.count, max(self.max_ns, other.max_ns)
+        self._bins = [a + b for a, b in zip(self._bins, other._bins, strict=True)]
+
+    def quantile_us(self, share: float) -> float:
+        """The time that this share of all is not over, [µs]; NaN without any."""
+        if self.count == 0:
+            return math.nan
+        place = int(np.searchsorted(np.cumsum(self._bins), max(1, math.ceil(share * self.count))))
+        return min(2 ** ((place + 1) / BINS_PER_OCTAVE), self.max_ns) * 1e-3
+
+    def summary(self) -> dict[str, float | int | None]:
+        """Plain content for JSON; null where there is no time."""
+        if self.count == 0:
+            return {"count": 0, "p50_us": None, "p99_us": None, "max_us": None}
+        p50, p99 = self.quantile_us(0.5), self.quantile_us(0.99)
+        return {"count": self.count, "p50_us": p50, "p99_us": p99, "max_us": self.max_ns * 1e-3}
+
+    def text(self) -> str:
+        """`p50 120 µs, p99 310 µs, max 2 ms`."""
+        if self.count == 0:
+            return "none"
+        names = {"p50": self.quantile_us(0.5), "p99": self.quantile_us(0.99), "max": self.max_ns * 1e-3}
+        return ", ".join(f"{name} {_in_words(us)}" for name, us in names.items())
+
+
+def _in_words(us: float) -> str:
+    return f"{us:.0f} µs" if us < 1000 else f"{us * 1e-3:.2f} ms" if us < 1e6 else f"{us * 1e-6:.2f} s"

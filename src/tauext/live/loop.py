@@ -1,0 +1,286 @@
+"""The live loop: a sample in, the monitor's verdict out to sinks and reactions; nobody's delay is the monitor's."""
+
+from __future__ import annotations
+
+import gc
+import math
+import queue
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tauext import _core
+from tauext.data import torque_constants_of
+from tauext.errors import ConfigError
+from tauext.live.events import EventFinder
+from tauext.live.latency import Latencies
+from tauext.live.profiles import Profile, Profiles
+from tauext.live.reactions import Reactions
+from tauext.live.real_time import ask_for_real_time
+from tauext.live.sink import LoopReport, Sink, Verdict
+from tauext.live.source import Sample, Source, SourceSettings
+from tauext.monitor import Change
+from tauext.monitor.changes import COLLISION, ChangeFinder
+
+IDLE_S = 0.1
+"""Requests are looked at this often while no sample comes."""
+SWITCH_S = 0.0005
+"""Another thread of this process may hold the interpreter for so long, [s]; Python's own 5 ms are five samples."""
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """How the loop treats time and alarms."""
+
+    own_rate: bool = False
+    """The network at its own rate, for slow processors."""
+    missing_after_s: float | None = None
+    """A sample that has not come so long after the one before it is missing, [s]; None: two periods, or a period and
+    2 ms where that is more."""
+    acknowledge_after_s: float | None = None
+    """A collision is acknowledged so long after it was raised, by the source's clock, [s]; None: only when asked to."""
+    duration_s: float | None = None
+    """End after so long, [s]; None: not before the source, or when asked to."""
+    core: int | None = None
+    """Pin the loop, and what the source starts, to this core."""
+    priority: int | None = None
+    """And give them this real-time priority."""
+
+
+@dataclass(frozen=True)
+class ProfileSwitch:
+    """Another profile from the next sample on."""
+
+    t_ns: int | None
+    """Of the sample before it, by the source's clock, [ns]; None: none has come yet."""
+    by: str
+    old: str
+    new: str
+
+
+class Loop:
+    """Runs a bundle's monitor on a source until that ends, someone stops it, or Ctrl-C does.
+
+    The control of the loop (use_profile, acknowledge, stop) may be called by any thread.
+    """
+
+    def __init__(
+        self,
+        bundle: _core.Bundle,
+        source: Source,
+        sinks: Sequence[Sink] = (),
+        reactions: Reactions | None = None,
+        profiles: Profiles | None = None,
+        recorder: _core.FlightRecorder | None = None,
+        settings: LoopSettings = LoopSettings(),
+    ):
+        """recorder: gets every sample, and NaN for a missing one; someone else takes its flights."""
+        self.monitor = _core.Monitor(bundle, settings.own_rate)
+        self.joints = tuple(self.monitor.joint_names)
+        self.sinks = list(sinks)
+        """Told of every verdict in this order; to be added to before run()."""
+        self.note: Callable[[str], None] = lambda text: None
+        """Called in the loop's thread with what a person should know; to be set before run(), as is switched."""
+        self.switched: Callable[[ProfileSwitch], None] = lambda switch: None
+        """The same with every new profile."""
+        self.tick = Latencies()
+        """From a sample's reception until every sink was told."""
+        self.missing = self.samples = 0
+        self._bundle, self._source, self._reactions = bundle, source, reactions or Reactions()
+        self._profiles, self._profile, self._recorder = profiles, None, recorder
+        self._settings = settings
+        constants = torque_constants_of(bundle.provenance)
+        self._nm_per_unit = None if constants is None else np.asarray(constants, dtype=float)
+        self._requests: queue.SimpleQueue[tuple[str, str, str]] = queue.SimpleQueue()
+        self._changes = ChangeFinder()
+        self._events = EventFinder(self.joints, {"bundle": bundle.name, "source": source.name})
+        self._noted: list[Change] = []
+        self._due_ns: int | None = None
+        self._last: Sample | None = None
+        self._stopped = False
+        period_s = self.monitor.sample_period_ns * 1e-9
+        self._missing_after_s = settings.missing_after_s or period_s + max(period_s, 0.002)
+        self._second = Latencies()
+
+    # Control: any thread.
+
+    def use_profile(self, name: str, by: str) -> None:
+        """Change to this profile before the next sample."""
+        if self._profiles is None:
+            raise ConfigError(f"profile {name!r}: there are none; `tauext monitor --profiles FILE` reads some")
+        self._profiles.named(name)
+        self._requests.put(("profile", name, by))
+
+    def acknowledge(self, by: str) -> None:
+        """End a latched alarm before the next sample."""
+        self._requests.put(("acknowledge", "", by))
+
+    def stop(self, by: str) -> None:
+        """End the loop before the next sample."""
+        self._requests.put(("stop", "", by))
+
+    @property
+    def profile(self) -> Profile | None:
+        """The one that holds now."""
+        return self._profile
+
+    # The loop: one thread.
+
+    def run(self) -> None:
+        """Open the source and all sinks, run, and close them, whatever happens.
+
+        Raises:
+            KeyboardInterrupt: Ctrl-C, after everything was closed.
+            ConfigError: the source cannot be opened.
+        """
+        opened: list[Sink] = []
+        interval = sys.getswitchinterval()
+        try:
+            if self._profiles is not None:
+                self._switch(self._profiles.start, "start")
+            for sink in self.sinks:
+                sink.open(self.joints, self)
+                opened.append(sink)
+            for text in ask_for_real_time(self._settings.core, self._settings.priority):
+                self.note(text)
+            constants = self._nm_per_unit is not None
+            self._source.open(
+                SourceSettings(self.joints, self.monitor.sample_period_ns, constants, self._bundle.observer.timing.name)
+            )
+            sys.setswitchinterval(SWITCH_S)
+            gc.collect()
+            gc.freeze()  # what is there stays; collections during the loop look at what came since
+            self._run()
+        finally:
+            gc.unfreeze()
+            sys.setswitchinterval(interval)
+            self._source.close()
+            self._tell_notes()
+            self._reactions.end()
+            for sink in opened:
+                try:
+                    sink.close()
+                except Exception as error:
+                    self.note(f"{type(sink).__name__} did not end well: {type(error).__name__}: {error}")
+
+    def _run(self) -> None:
+        started = second = time.monotonic()
+        due = math.inf
+        before = 0
+        while not self._source.ended:
+            self._requested()
+            if self._stopped:
+                return
+            now = time.monotonic()
+            sample = self._source.next_sample(max(0.0, min(due - now, second + 1 - now, IDLE_S)))
+            if sample is not None:
+                self._sample(sample)
+                due = sample.received_ns * 1e-9 + self._missing_after_s
+            else:
+                now = time.monotonic()
+                if now >= due and self._last is not None and not self._source.ended:
+                    due = now + self._missed(now)
+            now = time.monotonic()
+            if now >= second + 1:
+                self._report((self.samples - before) / (now - second))
+                second, before = now, self.samples
+            if self._settings.duration_s is not None and now >= started + self._settings.duration_s:
+                return
+
+    def _sample(self, sample: Sample) -> None:
+        self._acknowledge_when_due(sample.t_ns)
+        if self._nm_per_unit is not None:
+            sample = replace(sample, tau=sample.tau * self._nm_per_unit)
+        said = self.monitor.run(
+            np.array([sample.t_ns]), sample.q[None], sample.dq[None], sample.tau[None], self._recorder
+        )
+        self._last = sample
+        self._tell(sample.t_ns, sample, said)
+        self.samples += 1
+        ns = time.monotonic_ns() - sample.received_ns
+        self.tick.add(ns)
+        self._second.add(ns)
+
+    def _missed(self, now: float) -> float:
+        """Tell the monitor that no sample came; after how long to look again, [s]: ever longer while none comes."""
+        self.missing += 1
+        silent_s = now - self._last.received_ns * 1e-9
+        t_ns = self._last.t_ns + round(silent_s * 1e9)
+        self._acknowledge_when_due(t_ns)
+        self._tell(t_ns, None, self.monitor.run_missing(t_ns, self._recorder))
+        return max(self.monitor.sample_period_ns * 1e-9, min(IDLE_S, silent_s / 10))
+
+    def _tell(self, t_ns: int, sample: Sample | None, said: dict[str, np.ndarray]) -> None:
+        """Changes, then events to reactions, which must not wait, then the verdict to sinks."""
+        changes = self._noted + self._changes.find(self.samples, np.array([t_ns]), said)
+        self._noted = []
+        verdict = Verdict(self.samples, t_ns, sample, said, tuple(changes))
+        for event in self._events.find(verdict):
+            self._reactions.put(event)
+        if said["alarm"][0] == COLLISION and self._settings.acknowledge_after_s is not None:
+            self._due_ns = self.monitor.last.alarm_t_ns + round(self._settings.acknowledge_after_s * 1e9)
+        for sink in tuple(self.sinks):
+            try:
+                sink.verdict(verdict)
+            except Exception as error:
+                self._lose(sink, error)
+
+    def _report(self, rate_hz: float) -> None:
+        """Once a second."""
+        quantiles = (self._second.quantile_us(0.5), self._second.quantile_us(0.99))
+        longest = self._second.max_ns * 1e-3 if self._second.count else math.nan
+        name = self._profile.name if self._profile else ""
+        counts = replace(self._source.counts)
+        now_ns = time.monotonic_ns()
+        report = LoopReport(now_ns, self.samples, self.missing, rate_hz, counts, *quantiles, longest, name)
+        self._second = Latencies()
+        self._tell_notes()
+        for sink in tuple(self.sinks):
+            try:
+                sink.every_second(report)
+            except Exception as error:
+                self._lose(sink, error)
+
+    def _lose(self, sink: Sink, error: Exception) -> None:
+        self.sinks.remove(sink)
+        self.note(f"{type(sink).__name__} is left out from here on: {type(error).__name__}: {error}")
+
+    def _tell_notes(self) -> None:
+        for text in self._source.notes():
+            self.note(text)
+
+    # What was asked for.
+
+    def _requested(self) -> None:
+        while not self._requests.empty():
+            what, name, by = self._requests.get()
+            if what == "profile":
+                self._switch(name, by)
+            elif what == "acknowledge":
+                self.note(f"acknowledged by {by}")
+                self._acknowledge()
+            else:
+                self.note(f"stopped by {by}")
+                self._stopped = True
+
+    def _switch(self, name: str, by: str) -> None:
+        old, self._profile = self._profile, self._profiles.named(name)
+        self.monitor.set_limit_factors(self._profile.collision, self._profile.contact)
+        last_ns = self._last.t_ns if self._last else None
+        self.switched(ProfileSwitch(last_ns, by, old.name if old else "", name))
+
+    def _acknowledge_when_due(self, t_ns: int) -> None:
+        if self._due_ns is not None and t_ns >= self._due_ns:
+            self._acknowledge()
+
+    def _acknowledge(self) -> None:
+        """As replay() does: the change belongs to the next sample."""
+        self._due_ns = None
+        if self.monitor.last.alarm == _core.Alarm.none:
+            return
+        self.monitor.acknowledge()
+        t_ns = self._last.t_ns if self._last else 0
+        self._noted.append(self._changes.acknowledged(self.samples, t_ns))

@@ -1,0 +1,133 @@
+"""reactions.toml: what shall happen at a collision, a contact, a fault, and when all is well again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from tauext.data.description_file import refuse_unknown
+from tauext.errors import ConfigError
+from tauext.live.sink import EVENT_KINDS, EventKind
+from tauext.live.toml_file import number, read_toml
+
+TEMPLATE = """\
+# What shall happen when the monitor finds something. Each [[reaction]] has a thread of its own: one that fails, hangs
+# or is slow delays neither the monitor nor the others. Events that come while it is at work wait; of those with the
+# same kind and joint the newest stands for all.
+#
+#   on               collision, contact, fault, cleared (healthy and no alarm, for the first time after any of them)
+#   joints           of collisions and contacts, and of faults of a joint; left out: all
+#   min_interval_s   an event of the same kind sooner than this after one that was taken is counted and left alone; 0
+#   timeout_s        a command or function that takes longer is killed; 5
+#   and one of:
+#   command          program and arguments, no shell. It finds the facts in TAUEXT_EVENT, TAUEXT_JOINT, TAUEXT_T_NS,
+#                    TAUEXT_TAU_EXT_NM, TAUEXT_LIMIT_NM, TAUEXT_HEALTH, TAUEXT_CAUSES, and all of them as JSON on stdin
+#   python           "module:function", called with the facts as a dict, in a process of its own; modules are looked
+#                    for in the folder that the monitor was started in, too
+#   publish = true   publishes the event where the source can (ros2)
+#   stop = true      makes the robot stop where the source can (ur: its program; franka: its motion)
+
+[[reaction]]
+name = "log"
+on = ["collision", "contact", "fault", "cleared"]
+command = ["logger", "-t", "tauext", "the monitor found something"]
+
+# [[reaction]]
+# name = "stop the arm"
+# on = ["collision", "fault"]
+# stop = true
+
+# [[reaction]]
+# name = "lamp"
+# on = ["collision", "cleared"]
+# joints = ["elbow"]
+# min_interval_s = 1.0
+# timeout_s = 2.0
+# python = "lamp:react"
+"""
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """One entry of the file: when, and what."""
+
+    name: str
+    on: tuple[EventKind, ...]
+    joints: tuple[str, ...] | None = None
+    """None: all."""
+    min_interval_s: float = 0.0
+    timeout_s: float = 5.0
+    command: tuple[str, ...] = ()
+    python: str = ""
+    publish: bool = False
+    stop: bool = False
+
+
+ACTIONS = ("command", "python", "publish", "stop")
+
+
+def load_reactions(path: Path, joints: Sequence[str]) -> list[Reaction]:
+    """Read a reactions.toml for an arm of these joints.
+
+    Raises:
+        ConfigError: names the file, the key, the value and the rule that it breaks.
+    """
+    content = read_toml(path, "--new-reactions")
+    refuse_unknown(path, "", content, ("reaction",))
+    tables = content.get("reaction", [])
+    if not isinstance(tables, list) or not tables:
+        raise ConfigError(f"{path}: there are no reactions: a table [[reaction]] for each is missing")
+    found = [_reaction(path, table, joints) for table in tables]
+    names = [reaction.name for reaction in found]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f"{path}: [[reaction]] name = {name!r} stands there {names.count(name)} times")
+    return found
+
+
+def _reaction(path: Path, table: Any, joints: Sequence[str]) -> Reaction:
+    refuse_unknown(path, "reaction", table, tuple(field.name for field in fields(Reaction)))
+    name = table.get("name")
+    if not isinstance(name, str) or not name.strip():
+        raise ConfigError(f"{path}: [[reaction]] name = {name!r} must be text, not empty")
+    here = f"{path}: [[reaction]] {name!r}:"
+    on = _names(f"{here} on", table.get("on", []), EVENT_KINDS, "events")
+    chosen = _names(f"{here} joints", table["joints"], joints, "joints") if "joints" in table else None
+    given = [key for key in ACTIONS if table.get(key) not in (None, False)]
+    if len(given) != 1:
+        what = f"{' and '.join(given)} are given" if given else "nothing to do is given"
+        raise ConfigError(f"{here} {what}; it must be one of {', '.join(ACTIONS)}")
+    command, function = table.get("command", []), table.get("python", "")
+    if not isinstance(command, list) or any(not isinstance(word, str) for word in command):
+        raise ConfigError(f'{here} command = {command!r} must be a list of texts: ["program", "argument"]')
+    if given == ["command"] and not (command and command[0]):
+        raise ConfigError(f"{here} command = {command!r} must begin with a program")
+    module, colon, rest = function.partition(":") if isinstance(function, str) else ("", "", "")
+    if function != "" and not (module and colon and rest.isidentifier()):
+        raise ConfigError(f'{here} python = {function!r} must be "module:function"')
+    for key in ("publish", "stop"):
+        if not isinstance(table.get(key, False), bool):
+            raise ConfigError(f"{here} {key} = {table[key]!r} must be true or false")
+    return Reaction(
+        name,
+        on,
+        chosen,
+        number(f"{here} min_interval_s", table.get("min_interval_s", 0.0), 0.0, 86400.0),
+        number(f"{here} timeout_s", table.get("timeout_s", 5.0), 0.01, 3600.0),
+        tuple(command),
+        function,
+        given == ["publish"],
+        given == ["stop"],
+    )
+
+
+def _names(where: str, value: Any, known: Sequence[str], what: str) -> tuple[Any, ...]:
+    listed = [value] if isinstance(value, str) else value
+    if not isinstance(listed, list) or not listed:
+        raise ConfigError(f"{where} = {value!r} must be a list of {what}: {', '.join(known)}")
+    for one in listed:
+        if one not in known:
+            raise ConfigError(f"{where} names {one!r}; {what} are {', '.join(known)}")
+    return tuple(listed)

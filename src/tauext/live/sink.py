@@ -1,0 +1,122 @@
+"""Who is told of every sample, and of what happens: publishers, outputs, recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+
+from tauext.live.source import Sample, SourceCounts
+from tauext.monitor import Change
+
+EventKind = Literal["collision", "contact", "fault", "cleared"]
+EVENT_KINDS: tuple[EventKind, ...] = ("collision", "contact", "fault", "cleared")
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What the monitor says of one sample or, with sample None, of one that did not come."""
+
+    row: int
+    """Samples before it."""
+    t_ns: int
+    """By the source's clock, [ns]; of a missing sample the time that has come since the last one."""
+    sample: Sample | None
+    said: Mapping[str, np.ndarray]
+    """As Monitor.run gives it, one row: tau_ext (1, joints) [N m], health (1,), ..."""
+    changes: tuple[Change, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What a reaction reacts to."""
+
+    kind: EventKind
+    """collision, contact: the alarm rose to it; fault: health became one; cleared: healthy and no alarm, for the first
+    time after any of the three."""
+    joint: str | None
+    """That raised the alarm, or that the fault concerns."""
+    t_ns: int
+    """Of the sample, by the source's clock, [ns]."""
+    received_ns: int
+    """When that sample came in, by time.monotonic_ns(); for one that did not come, when it was missed."""
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    """Plain content for JSON: alarm, health, causes, torques and limits a joint."""
+    merged: int = 1
+    """Events of this kind and joint that this one, the newest, stands for: more than one where they had to wait."""
+
+
+@dataclass(frozen=True)
+class LoopReport:
+    """The loop in the last second, and since its start."""
+
+    t_ns: int
+    """time.monotonic_ns() of the report."""
+    samples: int
+    """Since the start."""
+    missing: int
+    """Times that no sample came in time, since the start."""
+    rate_hz: float
+    """Of the samples in the last second."""
+    counts: SourceCounts
+    """The source's, since the start."""
+    tick_p50_us: float
+    """From a sample's reception until every sink was told, in the last second; NaN without a sample."""
+    tick_p99_us: float
+    tick_max_us: float
+    profile: str
+    """That holds now; empty without profiles."""
+
+
+class Sink(Protocol):
+    """Is told of every verdict, in the loop's thread and in order: it returns at once; what takes long goes elsewhere.
+
+    One that raises is told of once, and not called again; the loop goes on.
+    """
+
+    def open(self, joints: tuple[str, ...], control: Control) -> None:
+        """Before the first sample."""
+        ...
+
+    def verdict(self, verdict: Verdict) -> None:
+        """After every sample, and whenever one was missed."""
+        ...
+
+    def every_second(self, report: LoopReport) -> None:
+        """About once a second, also while no sample comes."""
+        ...
+
+    def close(self) -> None:
+        """After the last sample."""
+        ...
+
+
+@runtime_checkable
+class Publisher(Protocol):
+    """A sink that reactions with `publish = true` use, too."""
+
+    def publish_event(self, event: Event) -> None:
+        """Called by the thread of the reaction, beside verdict() of the loop."""
+        ...
+
+
+class Control(Protocol):
+    """What others may ask of the loop, from any thread: it is done before the next sample, and logged."""
+
+    def use_profile(self, name: str, by: str) -> None:
+        """Change to this profile. by: who asks, for the log: `ros2 /tauext/profile`.
+
+        Raises:
+            ConfigError: there is no such profile.
+        """
+        ...
+
+    def acknowledge(self, by: str) -> None:
+        """End a latched alarm."""
+        ...
+
+    def stop(self, by: str) -> None:
+        """End the loop cleanly."""
+        ...

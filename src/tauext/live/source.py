@@ -1,0 +1,97 @@
+"""Where live samples come from: one small interface for recordings, robots and networks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """One measurement of the whole arm; arrays are (joints,) float64 in the order of the bundle's joints."""
+
+    t_ns: int
+    """When it was measured, by the source's clock, [ns]; only differences matter."""
+    q: np.ndarray
+    """[rad]."""
+    dq: np.ndarray
+    """[rad/s]."""
+    tau: np.ndarray
+    """Motor torque seen at the joint, [N m], or what the bundle's recordings hold in its place: the loop multiplies it
+    by the torque constants in the bundle's provenance, if there are any. NaN where it was not measured."""
+    received_ns: int
+    """When it came into this process, by time.monotonic_ns()."""
+
+
+@dataclass
+class SourceCounts:
+    """What became of samples before the loop saw them, since open()."""
+
+    received: int = 0
+    lost: int = 0
+    """Never came: found by a gap of stamps or numbers."""
+    overrun: int = 0
+    """Came while the loop was late and were pushed out by newer ones."""
+    refused: int = 0
+    """Came and could not be used: another arm's, without velocity or torque."""
+
+
+@dataclass(frozen=True)
+class SourceSettings:
+    """What a source must know of the bundle."""
+
+    joints: tuple[str, ...]
+    """Names, in the order that samples must have."""
+    period_ns: int
+    """Of the bundle's samples, [ns]."""
+    torque_constants: bool = False
+    """The bundle holds torque constants: tau stays in the recordings' own unit."""
+    torque_timing: str = ""
+    """What a torque sample of the bundle means: held, instant or averaged."""
+
+
+class Source(Protocol):
+    """Gives one sample after the other, oldest first; used by one thread, and closed by it.
+
+    A source may read ahead in a thread of its own, into a SampleQueue: bounded, where the newest sample wins and what
+    it pushes out is counted. A source never waits longer than it is told, makes up no sample, and drops none uncounted.
+    """
+
+    name: str
+    """For people and files: `ur 192.168.0.2`."""
+    counts: SourceCounts
+
+    def open(self, settings: SourceSettings) -> None:
+        """Connect; refuse with ConfigError what cannot fit: joints that are not there, another rate.
+
+        A robot that is not there yet need not be an error: then next_sample() returns None until it is.
+        """
+        ...
+
+    def next_sample(self, timeout_s: float) -> Sample | None:
+        """The next sample; None where none came for timeout_s, or after the last one."""
+        ...
+
+    @property
+    def ended(self) -> bool:
+        """No sample will come any more: a recording is over, a robot has closed the connection for good."""
+        ...
+
+    def notes(self) -> list[str]:
+        """What a person should know and did not yet: `two publishers on /joint_states, the first is followed`."""
+        ...
+
+    def close(self) -> None:
+        """Disconnect; more than one call does no harm."""
+        ...
+
+
+@runtime_checkable
+class Stoppable(Protocol):
+    """A source that can make its robot stop."""
+
+    def stop(self) -> None:
+        """Called by the thread of a reaction, beside next_sample() of the loop; may take its time and may raise."""
+        ...

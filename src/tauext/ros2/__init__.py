@@ -1,0 +1,32 @@
+"""The monitor on ROS 2, without ROS: joint states in, torques, alarms and diagnostics out, over CycloneDDS.
+
+`tauext[ros2]` brings the library; the settings can be had without it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tauext.ros2.settings import Ros2Settings
+
+if TYPE_CHECKING:
+    from tauext.ros2.publisher import Ros2Publisher
+    from tauext.ros2.source import Ros2Source
+
+__all__ = ["Ros2Settings", "connect"]
+
+
+def connect(settings: Ros2Settings) -> tuple[Ros2Source, Ros2Publisher]:
+    """A source and a publisher that share one node.
+
+    Raises:
+        ConfigError: CycloneDDS is not installed, or the domain cannot be joined.
+    """
+    from tauext.ros2.conditions import Conditions
+    from tauext.ros2.node import Node
+    from tauext.ros2.publisher import Ros2Publisher
+    from tauext.ros2.source import Ros2Source
+
+    node, conditions = Node(settings), Conditions()
+    source = Ros2Source(node, conditions)
+    return source, Ros2Publisher(node, conditions, source)

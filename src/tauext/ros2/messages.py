@@ -1,0 +1,132 @@
+"""The ROS 2 messages that are sent and received, as DDS knows them: CDR bytes equal those of any ROS 2 node.
+
+Names follow the mangling of ROS 2: package::msg::dds_::Type_. Annotations are evaluated by cyclonedds when a class is
+made, so this file has no postponed ones.
+"""
+
+from dataclasses import dataclass, field
+
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.types import array, bounded_str, byte, float64, int32, sequence, uint8, uint32
+
+NS_PER_S = 1_000_000_000
+
+
+@dataclass
+class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
+    sec: int32 = 0
+    nanosec: uint32 = 0
+
+    @classmethod
+    def of_ns(cls, t_ns: int) -> "Time":
+        """t_ns: since 1970; outside of what 32 bits of seconds hold it is cut, as 2038 needs another message."""
+        sec, nanosec = divmod(t_ns, NS_PER_S)
+        return cls(min(max(sec, -(2**31)), 2**31 - 1), nanosec)
+
+    @property
+    def ns(self) -> int:
+        return self.sec * NS_PER_S + self.nanosec
+
+
+@dataclass
+class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
+    stamp: Time = field(default_factory=Time)
+    frame_id: str = ""
+
+
+@dataclass
+class JointState(IdlStruct, typename="sensor_msgs::msg::dds_::JointState_"):
+    header: Header = field(default_factory=Header)
+    name: sequence[str] = field(default_factory=list)
+    position: sequence[float64] = field(default_factory=list)
+    velocity: sequence[float64] = field(default_factory=list)
+    effort: sequence[float64] = field(default_factory=list)
+
+
+@dataclass
+class Bool(IdlStruct, typename="std_msgs::msg::dds_::Bool_"):
+    data: bool = False
+
+
+@dataclass
+class String(IdlStruct, typename="std_msgs::msg::dds_::String_"):
+    data: str = ""
+
+
+@dataclass
+class KeyValue(IdlStruct, typename="diagnostic_msgs::msg::dds_::KeyValue_"):
+    key: str = ""
+    value: str = ""
+
+
+OK, WARN, ERROR, STALE = range(4)
+
+
+@dataclass
+class DiagnosticStatus(IdlStruct, typename="diagnostic_msgs::msg::dds_::DiagnosticStatus_"):
+    level: byte = OK
+    name: str = ""
+    message: str = ""
+    hardware_id: str = ""
+    values: sequence[KeyValue] = field(default_factory=list)
+
+
+@dataclass
+class DiagnosticArray(IdlStruct, typename="diagnostic_msgs::msg::dds_::DiagnosticArray_"):
+    header: Header = field(default_factory=Header)
+    status: sequence[DiagnosticStatus] = field(default_factory=list)
+
+
+# What every participant says of its nodes on ros_discovery_info. The ids had 24 bytes up to Humble.
+@dataclass
+class Gid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
+    data: array[uint8, 16]
+
+
+@dataclass
+class NodeEntitiesInfo(IdlStruct, typename="rmw_dds_common::msg::dds_::NodeEntitiesInfo_"):
+    node_namespace: bounded_str[256]
+    node_name: bounded_str[256]
+    reader_gid_seq: sequence[Gid]
+    writer_gid_seq: sequence[Gid]
+
+
+@dataclass
+class ParticipantEntitiesInfo(IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"):
+    gid: Gid
+    node_entities_info_seq: sequence[NodeEntitiesInfo]
+
+
+@dataclass
+class LongGid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
+    data: array[uint8, 24]
+
+
+@dataclass
+class LongNodeEntitiesInfo(IdlStruct, typename="rmw_dds_common::msg::dds_::NodeEntitiesInfo_"):
+    node_namespace: bounded_str[256]
+    node_name: bounded_str[256]
+    reader_gid_seq: sequence[LongGid]
+    writer_gid_seq: sequence[LongGid]
+
+
+@dataclass
+class LongParticipantEntitiesInfo(IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"):
+    gid: LongGid
+    node_entities_info_seq: sequence[LongNodeEntitiesInfo]
+
+
+GRAPH_TYPES = {
+    16: (Gid, NodeEntitiesInfo, ParticipantEntitiesInfo),
+    24: (LongGid, LongNodeEntitiesInfo, LongParticipantEntitiesInfo),
+}
+"""By length of an id."""
+
+TYPE_HASHES = {
+    JointState: "a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
+    Bool: "feb91e995ff9ebd09c0cb3d2aed18b11077585839fb5db80193b62d74528f6c9",
+    String: "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
+    DiagnosticArray: "5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
+    ParticipantEntitiesInfo: "e725f4a506958c79f95dd693b965722c57b19cd18e7eff984f49561b93dc985d",
+}
+"""REP-2011 (RIHS01) of the types that topics have: nodes from Iron on warn of an endpoint that does not state it."""

@@ -1,0 +1,82 @@
+"""What a user chooses of the ROS 2 connection; the command line makes its options of it."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+from tauext.errors import ConfigError
+
+DOMAINS = 232
+"""Highest domain whose ports exist on every system."""
+LONG_GID_DISTROS = ("foxy", "galactic", "humble")
+"""Their messages about nodes hold ids of 24 bytes, later ones 16."""
+NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+
+
+@dataclass(frozen=True)
+class Ros2Settings:
+    """Topics, quality of service and domain; the defaults fit joint_state_broadcaster and robot drivers.
+
+    Raises:
+        ConfigError: a name that ROS 2 does not allow, or a number out of its range.
+    """
+
+    topic: str = "/joint_states"
+    """Of the arm's sensor_msgs/JointState: position [rad], velocity [rad/s], effort [N m]."""
+    names: tuple[str, ...] = ()
+    """The arm's joints as the messages name them, in the order of the bundle's joints; empty: as the bundle does."""
+    reliability: Literal["best-effort", "reliable"] = "best-effort"
+    """Asked of publishers. best-effort receives from both kinds; reliable refuses best-effort ones."""
+    durability: Literal["volatile", "transient-local"] = "volatile"
+    """Asked of publishers. transient-local also gets what was published before, and refuses volatile ones."""
+    depth: int = 64
+    """Samples that wait for a late monitor; older ones are lost, and counted."""
+    namespace: str = "/tauext"
+    """Of everything that is published: external_torque, contact, collision, event, diagnostics."""
+    diagnostics: str = "diagnostics"
+    """Topic of diagnostics; a name that begins with / stands for itself: /diagnostics, where aggregators listen."""
+    node: str = "tauext"
+    """As `ros2 node list` shows it, after the namespace."""
+    domain: int | None = None
+    """None: ROS_DOMAIN_ID, or 0."""
+    distro: str | None = None
+    """Of the ROS nodes around, since foxy, galactic and humble tell of nodes in another format. None: ROS_DISTRO, or a
+    later one."""
+
+    def __post_init__(self) -> None:
+        for field, rooted in (("topic", True), ("namespace", True), ("diagnostics", False), ("node", False)):
+            name = getattr(self, field)
+            if not NAME.fullmatch(name) or (rooted and name[0] != "/") or (field == "node" and "/" in name):
+                begins = "must begin with / and " if rooted else "must "
+                raise ConfigError(
+                    f"ROS 2 {field} {name!r} {begins}consist of letters, digits and _"
+                    f"{'' if field == 'node' else ' between slashes'}, no part beginning with a digit"
+                )
+        if self.depth < 1:
+            raise ConfigError(f"ROS 2 depth = {self.depth} must be >= 1")
+        if len(set(self.names)) < len(self.names):
+            raise ConfigError(f"ROS 2 names {', '.join(self.names)}: each joint must have its own")
+        if self.domain is not None and not 0 <= self.domain <= DOMAINS:
+            raise ConfigError(f"ROS 2 domain = {self.domain} must lie between 0 and {DOMAINS}")
+
+    @property
+    def domain_id(self) -> int:
+        """domain, or what the environment says; ConfigError where that is no domain."""
+        if self.domain is not None:
+            return self.domain
+        text = os.environ.get("ROS_DOMAIN_ID") or "0"
+        if not text.isdecimal() or int(text) > DOMAINS:
+            raise ConfigError(f"ROS_DOMAIN_ID = {text!r} must be a whole number between 0 and {DOMAINS}")
+        return int(text)
+
+    @property
+    def gid_bytes(self) -> int:
+        """Length of an id in messages about nodes."""
+        return 24 if (self.distro or os.environ.get("ROS_DISTRO", "")) in LONG_GID_DISTROS else 16
+
+    def full_name(self, name: str) -> str:
+        """Of a topic: under the namespace, unless it begins with /."""
+        return name if name.startswith("/") else f"{self.namespace}/{name}"

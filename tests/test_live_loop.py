@@ -1,0 +1,391 @@
+"""The live loop: what it says is what a replay says; faults of sources and sinks, profiles, control, recordings."""
+
+from __future__ import annotations
+
+import json
+import threading
+
+import numpy as np
+import pytest
+from made_live import Keeper, ScriptedSource, samples_of
+from made_pushes import JOINTS, pushed, watching_bundle
+
+from tauext import _core
+from tauext.data import load
+from tauext.errors import ConfigError, TauextError
+from tauext.live import (
+    Latencies,
+    Loop,
+    LoopSettings,
+    ReplaySource,
+    SampleQueue,
+    SourceCounts,
+    Stoppable,
+    load_profiles,
+)
+from tauext.live.control_lines import ControlSocket, obey
+from tauext.live.flight_sink import FlightSink
+from tauext.live.profiles import TEMPLATE
+from tauext.live.record_sink import RecordSink, file_name
+from tauext.monitor import AlarmChange, HealthChange, replay
+from tauext.monitor.changes import COLLISION, FAULT, OK, STALE
+
+
+@pytest.fixture(scope="module")
+def bundle():
+    return watching_bundle()
+
+
+def looped(bundle, source, *sinks, profiles=None, recorder=None, **settings) -> tuple[Loop, Keeper]:
+    keeper = Keeper()
+    loop = Loop(bundle, source, [keeper, *sinks], None, profiles, recorder, LoopSettings(**settings))
+    loop.told = []
+    loop.note = loop.told.append
+    loop.switches = []
+    loop.switched = loop.switches.append
+    loop.run()
+    return loop, keeper
+
+
+def joined(verdicts) -> dict[str, np.ndarray]:
+    return {key: np.concatenate([one.said[key] for one in verdicts]) for key in verdicts[0].said}
+
+
+# What it says.
+
+
+@pytest.mark.parametrize("acknowledge_after_s", [None, 0.1])
+def test_a_live_loop_says_what_a_replay_says(bundle, acknowledge_after_s):
+    recording = pushed()
+    loop, keeper = looped(bundle, ReplaySource(recording, None), acknowledge_after_s=acknowledge_after_s)
+    chunks = list(replay(_core.Monitor(bundle), recording, acknowledge_after_s=acknowledge_after_s))
+    expected = [change for chunk in chunks for change in chunk.changes]
+
+    def plain(changes):  # an acknowledgement has no sample of its own: here the last one's stamp, there the next one's
+        return [repr(c) if not getattr(c, "acknowledged", False) else (c.row, c.was) for c in changes]
+
+    assert plain(keeper.changes) == plain(expected)
+    said = joined(keeper.verdicts)
+    for key, values in said.items():
+        np.testing.assert_array_equal(values, np.concatenate([chunk.said[key] for chunk in chunks]), err_msg=key)
+    assert [v.row for v in keeper.verdicts] == list(range(recording.samples))
+    assert (loop.samples, loop.missing, loop.tick.count, keeper.closed) == (6000, 0, 6000, 1)
+
+
+def test_torques_are_multiplied_by_the_constants_of_the_bundle(bundle):
+    recording, constants = pushed(), np.array([0.5, -4.0])
+    scaled = watching_bundle()
+    scaled.provenance = json.dumps({"torque_constants": {"used": constants.tolist()}})
+    currents = samples_of(pushed(tau=recording.tau / constants))
+    (_, one), (_, other) = looped(bundle, ReplaySource(recording, None)), looped(scaled, ScriptedSource(currents))
+    np.testing.assert_array_equal(joined(one.verdicts)["tau_ext"], joined(other.verdicts)["tau_ext"])
+    assert other.verdicts[2100].sample.tau.tolist() == recording.tau[2100].tolist()
+
+
+def test_missing_samples_are_told_to_the_monitor_and_the_next_one_goes_on(bundle):
+    everything = samples_of(pushed(pushes=()))
+    waits = []
+
+    def until(count):
+        waits.append(count)
+        return lambda: loop.missing >= count
+
+    def still_stale():
+        return bool(keeper.verdicts and keeper.verdicts[-1].said["health"][0] != OK)
+
+    keeper = Keeper()
+    script = [*everything[:1000], still_stale, *everything[1001:2000], until(20), *everything[2500:3500]]
+    source = ScriptedSource(script)
+    loop = Loop(bundle, source, [keeper])
+    loop.run()
+    changes = [c for c in keeper.changes if isinstance(c, HealthChange)]
+    names = [(c.health, _core.cause_names(c.causes)) for c in changes]
+    assert names[1] == (STALE, ["missing sample"])
+    assert (FAULT, ["gap"]) in names and names[-1] == (OK, [])
+    missed = [v for v in keeper.verdicts if v.sample is None]
+    assert len(missed) == loop.missing >= 20 and loop.samples == 1000 + 999 + 1000
+    assert all(v.said["margin_nm"].shape == (1, 2) for v in missed)
+    # A gap of one sample is bridged, the long one begins anew.
+    assert (loop.monitor.bridged_ticks >= 1, loop.monitor.restarts) == (True, 1)
+
+
+def test_a_loop_ends_after_its_time_and_reports_every_second(bundle):
+    source = ScriptedSource([lambda: False])
+    loop, keeper = looped(bundle, source, duration_s=1.05)
+    (report,) = keeper.reports
+    assert (report.samples, report.missing, report.profile, source.closed) == (0, 0, "", 1)
+    assert np.isnan(report.tick_p50_us) and loop.samples == 0
+
+
+# Faults around it.
+
+
+def test_a_sink_that_raises_is_left_out_and_the_loop_goes_on(bundle):
+    def broken(verdict):
+        if verdict.row == 3:
+            raise OSError("no space left")
+
+    other = Keeper(broken)
+    loop, keeper = looped(bundle, ReplaySource(pushed(seconds=1.0), None), other)
+    assert len(keeper.verdicts) == 1000 and len(other.verdicts) == 4 and other.closed == 1
+    assert loop.told == ["Keeper is left out from here on: OSError: no space left"]
+
+
+def test_a_source_that_cannot_be_opened_leaves_nothing_open(bundle):
+    keeper = Keeper()
+    with pytest.raises(ConfigError, match="has joints shoulder, elbow, the bundle"):
+        Loop(watching_of_other_joints(), ReplaySource(pushed()), [keeper]).run()
+    assert keeper.closed == 1
+    with pytest.raises(ConfigError, match="has 500 Hz, the bundle 1000 Hz"):
+        slow = pushed(seconds=1.0)
+        half = {s: getattr(slow, s)[::2] for s in ("t_ns", "q", "dq", "tau")}
+        Loop(bundle, ReplaySource(pushed(seconds=1.0, rate_hz=500.0, **half))).run()
+
+
+def watching_of_other_joints():
+    bundle = watching_bundle()
+    links = bundle.links
+    links[0].joint_name = "base"
+    bundle.links = links
+    return bundle
+
+
+def test_a_replay_can_be_stopped_and_is_no_more_after_that(bundle):
+    source = ReplaySource(pushed(), None)
+    assert isinstance(source, Stoppable)
+    keeper = Keeper(lambda verdict: verdict.row == 99 and source.stop())
+    Loop(bundle, source, [keeper]).run()
+    assert len(keeper.verdicts) == 100 and source.ended and source.next_sample(0.0) is None
+
+
+def test_a_full_queue_loses_its_oldest_and_counts_it():
+    counts = SourceCounts()
+    waiting = SampleQueue(counts, capacity=3)
+    samples = samples_of(pushed(seconds=0.005))
+    for sample in samples:
+        waiting.put(sample)
+    assert (counts.received, counts.overrun) == (5, 2) and not waiting.ended
+    waiting.close()
+    assert [waiting.take(0.0).t_ns for _ in range(3)] == [sample.t_ns for sample in samples[2:]]
+    assert waiting.take(10.0) is None and waiting.ended  # closed: it does not wait
+
+
+def test_who_waits_at_a_queue_is_woken_by_a_sample():
+    waiting = SampleQueue(SourceCounts())
+    (sample,) = samples_of(pushed(seconds=0.001))
+    threading.Timer(0.01, waiting.put, [sample]).start()
+    assert waiting.take(30.0) is sample
+
+
+def test_quantiles_are_those_of_all_times_within_a_bin():
+    ns = np.random.default_rng(1).lognormal(11, 1.5, 5000).astype(int)
+    whole, halves = Latencies(), (Latencies(), Latencies())
+    for k, one in enumerate(ns.tolist()):
+        whole.add(one)
+        halves[k % 2].add(one)
+    halves[0].merge(halves[1])
+    for share in (0.5, 0.99, 1.0):
+        exact = np.quantile(ns, share, method="inverted_cdf") * 1e-3
+        for found in (whole, halves[0]):
+            assert exact <= found.quantile_us(share) * (1 + 1e-9) <= exact * 2 ** (1 / 64) * (1 + 1e-9)
+    assert whole.summary()["max_us"] == ns.max() * 1e-3
+    assert Latencies().summary()["p99_us"] is None and Latencies().text() == "none"
+
+
+# Control and profiles.
+
+
+def profiles_file(tmp_path, text: str):
+    path = tmp_path / "profiles.toml"
+    path.write_text(text)
+    return path
+
+
+TWO = """
+[bounds]
+lowest = 0.5
+highest = 3
+[start]
+profile = "usual"
+[profiles.usual]
+[profiles.pressing]
+contact = 3
+collision = { elbow = 2.0, others = 0.5 }
+"""
+
+
+def test_a_profile_scales_the_limits_from_the_next_sample_on_and_is_logged(bundle, tmp_path):
+    profiles = load_profiles(profiles_file(tmp_path, TWO), JOINTS)
+    recording = pushed(pushes=())
+
+    def ask(verdict):
+        if verdict.row == 999:
+            keeper.control.use_profile("pressing", "test")
+            with pytest.raises(ConfigError, match="'none' must be one of usual, pressing"):
+                keeper.control.use_profile("none", "test")
+
+    keeper = Keeper(ask)
+    loop = Loop(bundle, ReplaySource(recording, None), [keeper], profiles=profiles)
+    switches = []
+    loop.switched = switches.append
+    loop.run()
+    plain = _core.Monitor(bundle).run(recording.t_ns, recording.q, recording.dq, recording.tau)
+    said = joined(keeper.verdicts)
+    np.testing.assert_array_equal(said["limit_nm"][:1000], plain["limit_nm"][:1000])
+    np.testing.assert_array_equal(said["limit_nm"][1000:], plain["limit_nm"][1000:] * [0.5, 2.0])
+    np.testing.assert_array_equal(said["tau_ext"], plain["tau_ext"])
+    told = [(s.t_ns, s.by, s.old, s.new) for s in switches]
+    assert told == [(None, "start", "", "usual"), (int(recording.t_ns[999]), "test", "usual", "pressing")]
+
+
+def test_without_profiles_there_is_none_to_change_to(bundle):
+    with pytest.raises(ConfigError, match="--profiles FILE"):
+        Loop(bundle, ScriptedSource([])).use_profile("usual", "test")
+
+
+def test_an_alarm_is_acknowledged_and_the_loop_stopped_when_asked(bundle):
+    def ask(verdict):
+        if verdict.said["alarm"][0] == COLLISION and verdict.row == 2100:
+            assert obey("acknowledge\n", keeper.control, "a line") == "ok"
+        if verdict.row == 2500:
+            assert obey("stop", keeper.control, "a line") == "ok"
+
+    keeper = Keeper(ask)
+    loop = Loop(bundle, ReplaySource(pushed(), None), [keeper])
+    told = []
+    loop.note = told.append
+    loop.run()
+    found = [c for c in keeper.changes if isinstance(c, AlarmChange) and c.acknowledged]
+    assert [c.row for c in found] == [2101] and len(keeper.verdicts) == 2501
+    assert told == ["acknowledged by a line", "stopped by a line"]
+
+
+def test_lines_that_ask_for_nothing_known_are_answered():
+    assert obey("sing", None, "x") == "error: 'sing' must be `profile NAME`, `acknowledge` or `stop`"
+    assert obey("profile", None, "x").startswith("error:") and obey("stop now", None, "x").startswith("error:")
+
+
+def test_a_socket_obeys_lines_and_is_gone_afterwards(bundle, tmp_path):
+    import socket
+
+    class Asked:
+        def use_profile(self, name, by):
+            asked.append((name, by))
+
+    asked, path = [], tmp_path / "control"
+    path.touch()
+    with pytest.raises(ConfigError, match="no control socket"):
+        ControlSocket(path, Asked())  # a file that is none stays
+    path.unlink()
+    listening = ControlSocket(path, Asked())
+    with pytest.raises(ConfigError, match="no control socket"):
+        ControlSocket(path, Asked())  # another monitor's
+    with socket.socket(socket.AF_UNIX) as caller:
+        caller.connect(str(path))
+        with caller.makefile("rw") as lines:
+            lines.write("profile two words\nsing\n")
+            lines.flush()
+            assert lines.readline() == "ok\n" and lines.readline().startswith("error: 'sing'")
+    listening.close()
+    assert asked == [("two words", "control socket")] and not path.exists()
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (("highest = 3", "highest = 11"), r"\[bounds\] highest = 11 must be 1 to 10"),
+        (("lowest = 0.5", "lowest = 0.05"), r"\[bounds\] lowest = 0.05 must be 0.1 to 1"),
+        (("lowest = 0.5", ""), r"\[bounds\] lowest is missing"),
+        (("[bounds]\nlowest = 0.5\nhighest = 3", ""), r"the table \[bounds\] is missing"),
+        (("contact = 3", "contact = 3.01"), r"\[profiles.pressing\] contact = 3.01 must be 0.5 to 3"),
+        (("contact = 3", "contact = nan"), r"contact = nan must be a number"),
+        (("contact = 3", 'contact = "3"'), r"contact = '3' must be a number"),
+        (("elbow = 2.0", "elbow = 9"), r"collision.elbow = 9 must be 0.5 to 3"),
+        (("elbow = 2.0", "wrist = 2"), r"names 'wrist', which is no joint; they are shoulder, elbow, and others"),
+        (("contact = 3", "contcat = 3"), r"unknown key 'contcat' in \[profiles.pressing\]; the nearest"),
+        (('profile = "usual"', 'profile = "none"'), r"\[start\] profile = 'none' must be one of usual, pressing"),
+        (("[bounds]", "[bounds"), "not readable as TOML"),
+    ],
+)
+def test_a_profiles_file_that_breaks_a_rule_says_which(tmp_path, change, message):
+    assert change[0] in TWO
+    with pytest.raises(ConfigError, match=message):
+        load_profiles(profiles_file(tmp_path, TWO.replace(*change)), JOINTS)
+
+
+def test_the_template_of_profiles_is_one(tmp_path):
+    profiles = load_profiles(profiles_file(tmp_path, TEMPLATE), JOINTS)
+    assert profiles.start == "normal" and profiles.named("pressing").collision.tolist() == [1.5, 1.5]
+    with pytest.raises(ConfigError, match="--new-profiles"):
+        load_profiles(tmp_path / "none.toml", JOINTS)
+
+
+def test_the_core_refuses_factors_out_of_its_bounds(bundle):
+    monitor = _core.Monitor(bundle)
+    for bad in ([0.05, 1.0], [1.0, 11.0], [np.nan, 1.0], [1.0]):
+        with pytest.raises(TauextError, match="limit factors must be 2 numbers"):
+            monitor.set_limit_factors(np.array(bad), np.ones(2))
+
+
+# Flights and recordings.
+
+
+def test_flights_of_a_live_loop_are_written_with_the_profile_s_limits(bundle, tmp_path):
+    profiles = load_profiles(profiles_file(tmp_path, TWO.replace('"usual"', '"pressing"')), JOINTS)
+    recorder = _core.FlightRecorder(2, 1_000_000, 1.0, 0.2, True)
+    sink = FlightSink(tmp_path, bundle, recorder, "script 1/2")
+    recording = pushed(pushes=((2.0, 1, -4.5),))
+    looped(bundle, ReplaySource(recording, None), sink, profiles=profiles, recorder=recorder)
+    (news,) = sink.news()
+    assert news.what == "contact" and news.error is None and news.path.name.startswith("script-1-2-2.0")
+    text = news.path.with_suffix(".txt").read_text()
+    assert "over its contact limit of 3.000 Nm" in text  # 1 Nm times 3
+    flight = load(news.path)
+    row = int(np.searchsorted(recording.t_ns, flight.t_ns[0]))
+    np.testing.assert_array_equal(flight.q, recording.q[row : row + flight.samples])
+
+
+def test_a_gap_in_a_live_loop_has_a_flight(bundle, tmp_path):
+    everything = samples_of(pushed(pushes=()))
+    recorder = _core.FlightRecorder(2, 1_000_000, 1.0, 0.01)
+    sink = FlightSink(tmp_path, bundle, recorder, "script")
+    script = [*everything[:1000], lambda: loop.missing >= 20, *everything[1500:1600]]
+    loop = Loop(bundle, ScriptedSource(script), [sink], recorder=recorder)
+    loop.run()
+    (news,) = sink.news()
+    assert news.what == "fault" and "gap" in news.path.with_suffix(".txt").read_text()
+
+
+def test_recordings_hold_what_came_and_the_monitor_s_word_of_contact(bundle, tmp_path):
+    recording = pushed()
+    samples = samples_of(recording)
+    bad = recording.q[700] * np.nan
+    script = [*samples[:700], samples[700].__class__(samples[700].t_ns, bad, bad, bad, 0), samples[650], *samples[701:]]
+    sink = RecordSink(tmp_path / "kept", bundle, "script", segment_s=2.5)
+    _, keeper = looped(bundle, ScriptedSource(script), sink)
+    assert (sink.count.files, sink.count.samples, sink.count.unfit, sink.count.lost) == (3, 5999, 2, 0)
+    parts = [load(path) for path in sorted((tmp_path / "kept").iterdir())]
+    kept = np.delete(np.arange(6000), 700)
+    for signal in ("t_ns", "q", "dq", "tau"):
+        whole = np.concatenate([getattr(part, signal) for part in parts])
+        np.testing.assert_array_equal(whole, getattr(recording, signal)[kept], err_msg=signal)
+    verdicts = [
+        v for v in keeper.verdicts if v.sample.q is not bad and v.sample.q is not samples[650].q or v.row == 650
+    ]
+    said = joined(verdicts)
+    contact = np.where(said["alarm"] > 0, 1, np.where(said["health"] == OK, 0, -1))
+    np.testing.assert_array_equal(np.concatenate([part.contact for part in parts]), contact)
+    assert parts[0].provenance["bundle"] == "watching" and parts[0].torque_timing == "held"
+
+
+def test_recordings_of_currents_stay_currents(tmp_path):
+    recording = pushed(seconds=1.0, pushes=((0.5, 0, 3.0),))
+    bundle = watching_bundle()
+    bundle.provenance = json.dumps({"torque_constants": {"used": [2.0, -0.5]}})
+    sink = RecordSink(tmp_path, bundle, "script")
+    looped(bundle, ScriptedSource(samples_of(recording)), sink)
+    np.testing.assert_array_equal(load(next(tmp_path.iterdir())).tau, recording.tau)  # powers of two: exact
+
+
+def test_a_name_of_a_source_becomes_one_of_a_file():
+    assert file_name("ur 10.0.0.2") == "ur-10.0.0.2" and file_name("../x") == "x" and file_name("//") == "live"

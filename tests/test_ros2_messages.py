@@ -1,0 +1,111 @@
+"""Bytes, names and hashes of the ROS 2 messages, against rosbags, which knows them from their definitions."""
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+pytest.importorskip("cyclonedds")
+
+from tauext.ros2 import messages
+from tauext.ros2.messages import (
+    GRAPH_TYPES,
+    TYPE_HASHES,
+    Bool,
+    DiagnosticArray,
+    DiagnosticStatus,
+    Header,
+    JointState,
+    KeyValue,
+    String,
+    Time,
+)
+
+STORES = {16: get_typestore(Stores.ROS2_JAZZY), 24: get_typestore(Stores.ROS2_HUMBLE)}
+
+
+def graph_message(size):
+    gid, entities, info = GRAPH_TYPES[size]
+
+    def made(first):
+        return gid(bytes((first + k) % 256 for k in range(size)))
+
+    return info(made(0), [entities("/tauext", "tauext", [made(9)], [made(200), made(7)]), entities("/", "x", [], [])])
+
+
+MADE = {
+    "time": Time(-3, 999_999_999),
+    "header": Header(Time(1_700_000_000, 5), "base_link"),
+    "joint state": JointState(
+        Header(Time(1, 2), "b"), ["shoulder", "ell", "ü", ""], [0.1, -2.5, 1e300, 0.0], [float("inf")], [5e-324] * 3
+    ),
+    "no joint": JointState(),
+    "true": Bool(True),
+    "false": Bool(False),
+    "string": String("slow and careful"),
+    "no string": String(),
+    "key and value": KeyValue("limit_nm a", "3.5"),
+    "diagnostics": DiagnosticArray(
+        Header(Time(7, 8)),
+        [
+            DiagnosticStatus(
+                messages.STALE, "tauext: arm", "fault: gap", "/x", [KeyValue("a", "b"), KeyValue("", "c")]
+            ),
+            DiagnosticStatus(messages.OK, "n"),
+        ],
+    ),
+    "nodes": graph_message(16),
+    "nodes until Humble": graph_message(24),
+}
+
+
+def name_of(kind):
+    return kind.__idl_typename__.replace("::msg::dds_::", "/msg/").removesuffix("_")
+
+
+def as_rosbags(value, store):
+    """The same message as rosbags has it."""
+    if hasattr(type(value), "__idl_typename__"):
+        fields = {name: as_rosbags(part, store) for name, part in vars(value).items()}
+        return store.types[name_of(type(value))](**fields)
+    if isinstance(value, list) and value and isinstance(value[0], float):
+        return np.array(value)
+    if isinstance(value, bytes):
+        return np.frombuffer(value, dtype=np.uint8)
+    return [as_rosbags(part, store) for part in value] if isinstance(value, list) else value
+
+
+def as_rosbags_message(message):
+    store = STORES[24 if type(message).__name__.startswith("Long") else 16]
+    made = as_rosbags(message, store)
+    if isinstance(message, JointState):  # an empty list of numbers does not tell its type
+        for field in ("position", "velocity", "effort"):
+            setattr(made, field, np.array(getattr(message, field), dtype=np.float64))
+    return store, made
+
+
+@pytest.mark.parametrize("message", MADE.values(), ids=MADE.keys())
+def test_bytes_equal_those_of_rosbags(message):
+    store, made = as_rosbags_message(message)
+    assert bytes(store.serialize_cdr(made, name_of(type(message)))) == message.serialize(use_version_2=False)
+
+
+@pytest.mark.parametrize("message", MADE.values(), ids=MADE.keys())
+def test_bytes_of_rosbags_are_read(message):
+    store, made = as_rosbags_message(message)
+    assert type(message).deserialize(bytes(store.serialize_cdr(made, name_of(type(message))))) == message
+
+
+@pytest.mark.parametrize("kind", TYPE_HASHES, ids=lambda kind: kind.__name__)
+def test_hashes_are_those_that_follow_from_the_definitions(kind):
+    assert STORES[16].hash_rihs01(name_of(kind)) == f"RIHS01_{TYPE_HASHES[kind]}"
+
+
+@pytest.mark.parametrize("t_ns", [0, 1, -1, 1_700_000_000_123_456_789, -5_000_000_001])
+def test_times_hold_every_nanosecond_before_and_after_1970(t_ns):
+    time = Time.of_ns(t_ns)
+    assert time.ns == t_ns and 0 <= time.nanosec < 10**9
+
+
+def test_times_outside_of_the_message_are_cut():
+    assert Time.of_ns(2**40 * 10**9).sec == 2**31 - 1
+    assert Time.of_ns(-(2**40) * 10**9).sec == -(2**31)

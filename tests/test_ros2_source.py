@@ -1,0 +1,278 @@
+"""Joint states over DDS, as samples: each way in which a robot's topic is not what the monitor needs."""
+
+import time
+
+import numpy as np
+import pytest
+from made_ros2 import DOMAIN, Robot, until
+
+pytest.importorskip("cyclonedds")
+
+from cyclonedds._clayer import ddspy_write
+
+from tauext.errors import ConfigError
+from tauext.live import SourceSettings
+from tauext.ros2 import Ros2Settings, connect, source
+from tauext.ros2.messages import JointState
+from tauext.ros2.sample_rate import LEARNT_FROM
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def topic(request):
+    """One for each test, so that no test meets the publishers of another."""
+    return "/" + "".join(c if c.isalnum() else "_" for c in request.node.name)
+
+
+@pytest.fixture
+def listen(topic):
+    """Opens a source on the test's topic."""
+    opened = []
+
+    def listen(period_ms=1, timing="", joints=("a", "b"), **settings):
+        made, _ = connect(Ros2Settings(topic=topic, domain=DOMAIN, **settings))
+        made.open(SourceSettings(joints, round(period_ms * MS), torque_timing=timing))
+        opened.append(made)
+        return made
+
+    yield listen
+    for made in opened:
+        made.close()
+
+
+@pytest.fixture
+def robot(topic):
+    return lambda **how: Robot(Ros2Settings(topic=topic, domain=DOMAIN, node="robot"), **how)
+
+
+def received(live, timeout_s=0.05):
+    """All samples that are there."""
+    samples = []
+    while (sample := live.next_sample(timeout_s)) is not None:
+        samples.append(sample)
+    return samples
+
+
+def test_samples_have_the_arms_order_the_stamps_and_every_number(listen, robot):
+    live, arm = listen(), robot(joints=("b", "gripper", "a"))
+    arm.meets()
+    arm.send(LEARNT_FROM + 30)
+    samples = received(live)
+    assert len(samples) == 31
+    k = np.arange(LEARNT_FROM - 1, LEARNT_FROM + 30)
+    assert [sample.t_ns for sample in samples] == (10**18 + (k + 1) * MS).tolist()
+    np.testing.assert_array_equal([sample.q for sample in samples], np.stack([k, k], axis=1))
+    np.testing.assert_array_equal([sample.dq for sample in samples], np.stack([-k, -k], axis=1))
+    np.testing.assert_array_equal([sample.tau for sample in samples], np.stack([10 * k + 2, 10 * k], axis=1))
+    assert all(0 <= time.monotonic_ns() - sample.received_ns < 60 * 10**9 for sample in samples)
+    assert live.last_stamp_ns == samples[-1].t_ns
+    assert (live.counts.received, live.counts.lost, live.counts.refused) == (LEARNT_FROM + 30, 0, 0)
+    assert live.notes() == []
+
+
+def test_joints_under_other_names(listen, robot):
+    live, arm = listen(names=("joint_2", "joint_1")), robot(joints=("joint_1", "joint_2"))
+    arm.meets()
+    arm.send(LEARNT_FROM)
+    assert received(live)[0].tau.tolist() == [10 * 20 + 1, 10 * 20]
+
+
+def test_missing_joints_and_empty_fields_are_refused_and_named(listen, robot, topic):
+    live, arm = listen(), robot()
+    arm.meets()
+    arm.send(3, name=["a", "x"])
+    arm.send(2, velocity=[])
+    arm.send(2, effort=[1.0])
+    assert received(live) == []
+    assert live.counts.refused == live.counts.received == 7
+    assert live.notes() == [
+        f"{topic}: a message has no b among its joints a, x",
+        f"{topic}: velocity is empty: position, velocity and effort are needed",
+    ]
+    standing = live.conditions.standing(time.monotonic_ns())
+    assert f"{topic}: effort has 1 values for 2 names" in standing
+
+
+def test_nan_goes_to_the_monitor_and_is_named(listen, robot, topic):
+    live, arm = listen(), robot()
+    arm.meets()
+    arm.send(LEARNT_FROM)
+    arm.send(effort=[float("nan"), 2.0])
+    assert np.isnan(received(live)[-1].tau).tolist() == [True, False]
+    assert live.notes() == [f"{topic}: effort of a is not a number"]
+
+
+def test_zero_stamps_are_replaced_by_times_of_publication(listen, robot, topic):
+    live, arm = listen(), robot()
+    arm.meets()
+    before = time.time_ns()
+    for _ in range(LEARNT_FROM + 5):
+        arm.send(stamp_ns=0)
+        time.sleep(0.001)
+    samples = received(live)
+    assert live.notes()[0] == f"{topic}: stamps are zero: times of publication are used"
+    times = [sample.t_ns for sample in samples]
+    assert times == sorted(times) and before < times[0] < times[-1] < time.time_ns()
+
+
+def test_a_clock_that_is_set_back_costs_no_sample(listen, robot, topic):
+    live, arm = listen(), robot()
+    arm.meets()
+    arm.send(LEARNT_FROM)
+    arm.stamp_ns -= 3600 * 10**9
+    arm.send(10)
+    times = np.array([sample.t_ns for sample in received(live)])
+    assert len(times) == 11 and (np.diff(times) > 0).all()
+    assert (np.diff(times)[1:] == MS).all()
+    assert live.last_stamp_ns == arm.stamp_ns
+    assert live.notes() == [f"{topic}: the stamp went back by 3.6e+03 s: the time of reception is used"]
+
+
+def test_every_tenth_sample_of_a_fast_publisher(listen, robot):
+    live, arm = listen(period_ms=10, timing="instant"), robot()
+    arm.meets()
+    for _ in range(6):
+        arm.send(50)
+        received(live, 0.01) if arm.sent < 300 else None
+    assert live.counts.lost == 0
+    arm.send(60)
+    times = [sample.t_ns for sample in received(live)]
+    assert np.unique(np.diff(times)).tolist() == [10 * MS]
+
+
+def test_torques_that_mean_averages_are_averaged_over_what_is_left_out(listen, robot):
+    live, arm = listen(period_ms=10, timing="averaged"), robot()
+    arm.meets()
+    arm.send(60)
+    first, second = received(live)[-2:]
+    # Effort of the first joint is 10 k: ten samples up to the given one have a mean 45 below its own.
+    assert second.tau[0] == 10 * second.q[0] - 45
+    assert second.q[0] == first.q[0] + 10
+
+
+@pytest.mark.parametrize(("step_ms", "rule"), [(2, "less than"), (0.7, "no multiple of")])
+def test_another_rate_is_given_on_whole_and_named(listen, robot, topic, step_ms, rule):
+    live, arm = listen(), robot(step_ns=round(step_ms * MS))
+    arm.meets()
+    arm.send(LEARNT_FROM + 10)
+    assert len(received(live)) == 11
+    assert f"{topic}: {1000 / step_ms:.4g} samples a second are {rule} the bundle's 1000" in live.notes()[0]
+
+
+def test_samples_that_a_late_reader_lost_are_counted(listen, robot):
+    live, arm = listen(depth=16), robot()
+    arm.meets()
+    for _ in range(4):  # learnt without a loss
+        arm.send(10)
+        received(live, 0.01)
+    arm.send(100)
+    assert len(received(live)) == 16
+    assert live.counts.lost == 84
+
+
+def test_the_first_of_two_publishers_is_followed_and_the_second_takes_over(listen, robot, topic, monkeypatch):
+    live, first = listen(), robot()
+    first.meets()
+    first.send(LEARNT_FROM)
+    assert len(received(live)) == 1
+    second = robot()
+    second.meets()
+    second.stamp_ns = 5 * 10**17
+    second.send(5)
+    first.send(5)
+    assert [sample.q[0] for sample in received(live)] == [21, 22, 23, 24, 25]
+    assert live.notes() == [f"{topic}: two publishers: the first is followed"]
+    assert live.counts.refused == 5
+    last_ns = 10**18 + first.sent * MS
+    first.dies()
+    time.sleep(0.55)
+    second.send(LEARNT_FROM + 5)
+    samples = received(live)
+    assert [sample.q[0] for sample in samples] == [25, 26, 27, 28, 29, 30]
+    # Half a second of reception, whatever the second's clock says.
+    assert 0.5e9 < samples[0].t_ns - last_ns < 30e9
+    assert f"{topic}: another publisher is followed now" in live.notes()
+
+
+def test_a_publisher_that_returns_is_followed_again(listen, robot, topic, monkeypatch):
+    monkeypatch.setattr(source, "LOOK_NS", 10 * MS)
+    live = listen()
+    assert live.next_sample(0.03) is None
+    assert live.notes() == [f"{topic}: no publisher of sensor_msgs/JointState in domain {DOMAIN}"]
+    arm = robot()
+    arm.meets()
+    arm.send(LEARNT_FROM)
+    assert len(received(live)) == 1
+    arm.dies()
+    again = robot()
+    again.meets()
+    time.sleep(0.55)
+    again.send(LEARNT_FROM)
+    assert len(received(live)) == 1 and not live.ended
+
+
+def test_a_gripper_on_the_same_topic_is_no_fault(listen, robot):
+    live, arm, gripper = listen(), robot(), robot(joints=("finger",))
+    arm.meets(), gripper.meets()
+    arm.send(LEARNT_FROM)
+    assert len(received(live)) == 1
+    gripper.send(10)
+    arm.send()
+    assert len(received(live)) == 1
+    assert live.notes() == [] and live.counts.refused == 10
+
+
+def test_a_message_that_cannot_be_read_is_refused_and_the_next_is_read(listen, robot, topic):
+    live, arm = listen(), robot()
+    arm.meets()
+    whole = JointState(name=["elbow"]).serialize()
+    assert ddspy_write(arm.writer._ref, whole.replace(b"elbow", b"elb\xfew")) == 0
+    assert live.next_sample(0.05) is None
+    assert live.counts.refused == 1
+    assert live.notes()[0].startswith(f"{topic}: a message cannot be read (UnicodeDecodeError: ")
+    arm.send(LEARNT_FROM)
+    assert len(received(live)) == 1
+
+
+def test_a_publisher_that_offers_too_little_is_named(listen, robot, topic, monkeypatch):
+    monkeypatch.setattr(source, "LOOK_NS", 10 * MS)
+    live = listen(reliability="reliable")
+    robot(reliability="best-effort")
+    told = until(lambda: live.next_sample(0.02) or [n for n in live.notes() if "offers" in n], "the note")
+    assert told == [f"{topic}: a publisher offers less reliability or durability than is asked of it"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"topic": "joint_states"}, "ROS 2 topic 'joint_states' must begin with / and consist of letters"),
+        ({"topic": "/a b"}, "ROS 2 topic '/a b' must begin with /"),
+        ({"namespace": "/1"}, "ROS 2 namespace '/1' must begin with /"),
+        ({"node": "a/b"}, "ROS 2 node 'a/b' must consist of letters"),
+        ({"diagnostics": ""}, "ROS 2 diagnostics '' must consist of"),
+        ({"depth": 0}, "ROS 2 depth = 0 must be >= 1"),
+        ({"domain": 233}, "ROS 2 domain = 233 must lie between 0 and 232"),
+        ({"names": ("a", "a")}, "ROS 2 names a, a: each joint must have its own"),
+    ],
+)
+def test_bad_settings_are_named(settings, message):
+    with pytest.raises(ConfigError) as refused:
+        Ros2Settings(**settings)
+    assert str(refused.value).startswith(message)
+
+
+def test_the_environment_chooses_domain_and_format(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
+    monkeypatch.setenv("ROS_DISTRO", "humble")
+    assert (Ros2Settings().domain_id, Ros2Settings().gid_bytes, Ros2Settings(domain=3).domain_id) == (42, 24, 3)
+    assert Ros2Settings(distro="jazzy").gid_bytes == 16
+    for bad in ("x", "-1", "233"):
+        monkeypatch.setenv("ROS_DOMAIN_ID", bad)
+        with pytest.raises(ConfigError, match=f"ROS_DOMAIN_ID = '{bad}' must be a whole number between 0 and 232"):
+            connect(Ros2Settings())
+
+
+def test_names_must_be_as_many_as_joints(listen):
+    with pytest.raises(ConfigError, match="ROS 2 names x: 1 for the bundle's 2 joints a, b"):
+        listen(names=("x",))

@@ -32,6 +32,9 @@ from tauext.live.record_sink import RecordCount
 from tauext.monitor import Chunk, FlightNews, StatusClock, Tally
 from tauext.monitor.replay import PACED_CHUNK_S
 
+QUIET_S = 10
+"""Between two notes that nothing has come yet."""
+
 
 @dataclass
 class Outcome:
@@ -192,7 +195,7 @@ class OutputSink:
         self._reactions, self._flight_sink = reactions, flights
         self._most = max(1, round(PACED_CHUNK_S * 1e9 / monitor.sample_period_ns))
         self._verdicts: list[Verdict] = []
-        self._seen = False
+        self._seen, self._silent_s = False, 0
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         pass
@@ -207,7 +210,9 @@ class OutputSink:
 
     def every_second(self, report: LoopReport) -> None:
         if not self._seen:
-            self.note("no sample yet")
+            if self._silent_s % QUIET_S == 0:
+                self.note("no sample yet")
+            self._silent_s += 1
         self._tell()
 
     def close(self) -> None:

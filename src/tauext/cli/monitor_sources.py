@@ -35,7 +35,10 @@ def replay(target: str, options: SourceOptions) -> Connection:
     """replay:FILE, a recording at its own pace or --speed times as fast."""
     from tauext.live import ReplaySource
 
-    return Connection(ReplaySource(Path(target), options.speed or 1.0))
+    speed = options.speed or 1.0
+    if speed < 1:  # by the clock, every sample would be missing
+        raise ConfigError(f"speed = {speed:g} must be >= 1: a live loop takes samples that are slower for missing ones")
+    return Connection(ReplaySource(Path(target), speed))
 
 
 def ur(target: str, options: SourceOptions) -> Connection:

@@ -8,7 +8,6 @@ import queue
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -162,8 +161,10 @@ class Loop:
             self._tell_notes()
             self._reactions.end()
             for sink in opened:
-                with suppress(Exception):
+                try:
                     sink.close()
+                except Exception as error:
+                    self.note(f"{type(sink).__name__} did not end well: {type(error).__name__}: {error}")
 
     def _run(self) -> None:
         started = second = time.monotonic()

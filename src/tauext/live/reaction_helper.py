@@ -7,8 +7,10 @@ It is started by its path and needs the standard library alone. A line of JSON o
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import threading
 import time
 
 
@@ -22,6 +24,7 @@ def main() -> None:
         answers.flush()
 
     usual_priority()
+    threading.Thread(target=end_with, args=(os.getppid(),), daemon=True).start()
     try:
         act = command(words) if kind == "command" else function(words[0])
     except BaseException as error:
@@ -44,6 +47,13 @@ def usual_priority() -> None:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     except (AttributeError, OSError):  # another system; or not allowed to, and then it was not given either
         pass
+
+
+def end_with(monitor: int) -> None:
+    """A monitor that was killed leaves nothing running: this process ends, and with it all that it started."""
+    while os.getppid() == monitor:
+        time.sleep(0.5)
+    os.killpg(0, signal.SIGKILL)
 
 
 def command(words: list):

@@ -39,7 +39,7 @@ class ReactionProcess:
         Raises:
             ConfigError: there is no such program, module or function.
         """
-        self._reaction = reaction
+        self._reaction, self._closed = reaction, False
         if reaction.command and shutil.which(reaction.command[0]) is None:
             raise ConfigError(f"reaction {reaction.name!r}: there is no program {reaction.command[0]!r}")
         try:
@@ -53,10 +53,10 @@ class ReactionProcess:
         Raises:
             ReactionFailed: it failed, died, or was killed since it took too long; the next one finds a new process.
         """
-        until = time.monotonic() + self._reaction.timeout_s
         try:
             if self._process.poll() is not None:
                 self._start()
+            until = time.monotonic() + self._reaction.timeout_s
             try:
                 self._process.stdin.write(json.dumps(content_of(event)).encode() + b"\n")
                 self._process.stdin.flush()
@@ -67,14 +67,20 @@ class ReactionProcess:
                 answer = self._answer(until)
                 started_ns = answer.get("started_ns", started_ns)
         except ReactionFailed:
-            self.close()
+            self._drop()
+            with suppress(ReactionFailed):  # now, so that the next event finds one that is ready
+                self._start()
             raise
         if answer["error"] is not None:
             raise ReactionFailed(answer["error"])
         return started_ns
 
     def close(self) -> None:
-        """Kill the process and all that it started; the next act() begins a new one."""
+        """Kill the process and all that it started, for good; another thread's act() fails."""
+        self._closed = True
+        self._drop()
+
+    def _drop(self) -> None:
         self._kill()
         for end in (self._process.stdin, self._answers):
             with suppress(OSError):
@@ -92,6 +98,8 @@ class ReactionProcess:
         return (kind, *(self._reaction.command or (self._reaction.python,)))
 
     def _start(self) -> None:
+        if self._closed:
+            raise ReactionFailed("the monitor has ended")
         reading, writing = os.pipe()
         self._process = subprocess.Popen(
             [sys.executable, str(HELPER), str(writing), *self._words()],
@@ -104,7 +112,7 @@ class ReactionProcess:
         self._answers, self._read = os.fdopen(reading, "rb", buffering=0), b""
         answer = self._answer(time.monotonic() + START_S)
         if not answer.get("ready"):
-            self.close()
+            self._drop()
             raise ReactionFailed(answer.get("error", "it did not start"))
 
     def _answer(self, until: float) -> dict[str, Any]:

@@ -1,0 +1,206 @@
+"""`tauext monitor`: what it prints and writes, and how it refuses what cannot be."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_pushes import pushed, watching_bundle
+
+from tauext.cli import main
+from tauext.cli.aside import Aside
+from tauext.data import load, save
+
+ROOT = Path(__file__).parent.parent
+PROFILES = "[bounds]\nlowest = 0.5\nhighest = 3\n[profiles.usual]\n[profiles.pressing]\ncollision = 3\n"
+REACTIONS = '[[reaction]]\nname = "note"\non = ["collision"]\ncommand = ["true"]\n'
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A folder with a bundle, a recording of two pushes, reactions and profiles; a replay does not wait in it."""
+    watching_bundle().save(str(tmp_path / "watching.tauext"))
+    save(pushed(), tmp_path / "pushed.parquet")
+    (tmp_path / "profiles.toml").write_text(PROFILES)
+    (tmp_path / "reactions.toml").write_text(REACTIONS)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def monitor(capsys, *arguments: object) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr."""
+    capsys.readouterr()
+    try:
+        code = main(["monitor", *map(str, arguments)])
+    except SystemExit as stop:
+        code = stop.code or 0
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+SOURCE = ("watching.tauext", "--source", "replay:pushed.parquet", "--speed", "1000")
+
+
+def test_json_says_what_run_says_and_more(place, capsys):
+    code, out, _ = monitor(
+        capsys, *SOURCE, "--json", "--status-hz", 2, "--reactions", "reactions.toml", "--profiles", "profiles.toml"
+    )
+    lines = [json.loads(line) for line in out.splitlines()]
+    capsys.readouterr()
+    assert main(["run", "watching.tauext", "pushed.parquet", "--json", "--status-hz", "2"]) == code == 0
+    run = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    for event in ("health", "alarm", "status"):
+        of = [{k: v for k, v in line.items() if k != "recording"} for line in lines if line["event"] == event]
+        assert of == [{k: v for k, v in line.items() if k != "recording"} for line in run if line["event"] == event]
+        assert of
+    told = {line["event"]: line for line in lines}
+    assert told["profile"]["new"] == "usual" and told["profile"]["by"] == "start"
+    assert told["reaction"]["name"] == "note" and told["reaction"]["error"] is None and told["reaction"]["start_us"] > 0
+    summary, other = told["summary"], run[-1]
+    for key in ("samples", "alarms", "health_share", "worst_margin_nm", "bridged_ticks"):
+        assert summary[key] == other[key], key
+    assert summary["source"]["received"] == 6000 and summary["missing"] == 0
+    assert summary["reactions"]["note"]["done"] == 1 and summary["told_after"]["count"] == 6000
+
+
+def test_lines_of_text_end_with_a_summary(place, capsys):
+    code, out, _ = monitor(
+        capsys, *SOURCE, "--reactions", "reactions.toml", "--flights", "flights", "--record", "kept",
+        "--acknowledge-after-s", 0.8, "--core", 0,
+    )  # fmt: skip
+    assert code == 0
+    for part in (
+        "replay pushed: 2 joints at 1000 Hz, bundle watching; Ctrl-C ends",
+        "COLLISION shoulder: |tau_ext|",
+        "collision acknowledged",
+        "reaction note to the collision of elbow: began ",
+        "flight: flights/replay-pushed-2.015s-collision.parquet",
+        "source        6,000 received, none lost",
+        "alarms        contact shoulder 1, elbow 1; collision shoulder 1, elbow 1; 2 acknowledged",
+        "flights       2 written to flights",
+        "reaction      note: 2 done; began after p50 ",
+        "recorded      6,000 samples in 1 files",
+    ):
+        assert part in out, part
+    (kept,) = Path("kept").iterdir()
+    np.testing.assert_array_equal(load(kept).q, pushed().q)
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ((), "the bundle is missing"),
+        (("watching.tauext",), "--source is missing"),
+        (("none.tauext", "--source", "replay:pushed.parquet"), "none.tauext: there is no such bundle"),
+        (("watching.tauext", "--source", "usb"), "--source 'usb' must be one of replay:FILE, ur:HOST, franka:HOST"),
+        (("watching.tauext", "--source", "replay:"), "must be one of"),
+        (("watching.tauext", "--source", "replay:none.parquet"), "none.parquet: there is no such recording"),
+        (("watching.tauext", "--source", "ur:h", "--speed", "2"), "--speed is for source replay, not for ur"),
+        ((*SOURCE, "--torque-constants", "x"), "--torque-constants is for source ur, not for replay"),
+        (("watching.tauext", "--source", "franka:h"), "franka h has 7 joints, the bundle 2: shoulder, elbow"),
+        ((*SOURCE[:-1], "0"), "speed = 0.0 must be > 0"),
+        ((*SOURCE[:-1], "0.5"), "speed = 0.5 must be >= 1"),
+        ((*SOURCE, "--segment-s", "0.5"), "segment_s = 0.5 must be 1 to 3600"),
+        ((*SOURCE, "--priority", "100"), "priority = 100 must be 1 to 99"),
+        ((*SOURCE, "--status-hz", "1"), "status_hz = 1.0 must be left out unless --json is given"),
+        ((*SOURCE, "--reactions", "none.toml"), "`tauext monitor --new-reactions none.toml` writes a template"),
+        ((*SOURCE, "--profiles", "reactions.toml"), "unknown key 'reaction' at the top"),
+        ((*SOURCE, "--control", "no/such"), "no/such: no control socket"),
+        ((*SOURCE, "--flights", "pushed.parquet"), "pushed.parquet: no folder for flights"),
+        ((*SOURCE, "--record", "pushed.parquet"), "pushed.parquet: no folder for recordings"),
+        (("--new-reactions", "reactions.toml"), "reactions.toml: is there already"),
+        (("--new-profiles", "p.toml", *SOURCE), "write a template and watch nothing"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(place, capsys, arguments, message):
+    code, _, err = monitor(capsys, *arguments)
+    assert code == 2 and err.startswith("tauext: error: ") and message in err and err.count("\n") == 1
+
+
+def test_templates_are_written_and_taken(place, capsys):
+    code, out, _ = monitor(capsys, "--new-reactions", "r.toml", "--new-profiles", "p.toml")
+    assert code == 0 and out.split() == ["r.toml", "p.toml"]
+    text = Path("r.toml").read_text().replace('"logger"', '"true"')  # not every system has logger
+    Path("r.toml").write_text(text)
+    code, out, _ = monitor(capsys, *SOURCE, "--reactions", "r.toml", "--profiles", "p.toml")
+    assert code == 0 and "profile normal, by start" in out and "reaction      log: " in out
+
+
+def run_beside(place, *arguments: str, **pipes) -> subprocess.Popen:
+    command = [sys.executable, "-m", "tauext", "monitor", "watching.tauext", "--source", "replay:pushed.parquet"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    return subprocess.Popen([*command, *arguments], cwd=place, env=environment, text=True, **pipes)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_with_a_summary(place, number):
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with run_beside(place, "--reactions", "reactions.toml", **pipes) as running:
+        first = [running.stdout.readline() for _ in range(2)]
+        running.send_signal(number)
+        out, err = running.communicate(timeout=60)
+    assert "Ctrl-C ends" in first[0] and running.returncode == 0 and err == ""
+    assert f"stopped by {'Ctrl-C' if number == signal.SIGINT else 'SIGTERM'}" in out and "worst margin" in out
+
+
+def test_lines_on_stdin_steer_it(place):
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with run_beside(place, "--json", "--profiles", "profiles.toml", "--control", "-", **pipes) as running:
+        out, err = running.communicate("profile pressing\nprofile none\nsing\nstop\n", timeout=60)
+    lines = [json.loads(line) for line in out.splitlines()]
+    assert running.returncode == 0 and lines[-1]["event"] == "summary"
+    assert [(one["by"], one["new"]) for one in lines if one["event"] == "profile"][1:] == [("stdin", "pressing")]
+    assert "tauext: error: profile 'none' must be one of usual, pressing" in err and "'sing' must be" in err
+
+
+def test_a_reader_that_goes_ends_it(place):
+    with run_beside(place, "--json", "--status-hz", "100", stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        running.stdout.readline()
+        running.stdout.close()
+        err = running.stderr.read()
+        running.wait(timeout=60)
+    assert running.returncode == 141 and err == ""
+
+
+def test_an_output_that_waits_holds_up_nobody_and_its_fault_is_raised_at_the_end():
+    import threading
+
+    gate, told, failed = threading.Event(), [], []
+    with Aside(lambda: failed.append(True)) as aside:
+        aside.do(gate.wait)
+        for k in range(1500):
+            aside.do(lambda k=k: told.append(k), may_be_left_out=True)
+        aside.do(lambda: told.append("change"))
+        gate.set()
+    assert told[-1] == "change" and len(told) - 1 + aside.left_out == 1500 and aside.left_out >= 490
+    with pytest.raises(OSError, match="gone"), Aside(lambda: failed.append(True)) as aside:
+        aside.do(lambda: (_ for _ in ()).throw(OSError("gone")))
+    assert failed == [True]
+
+
+def test_every_kind_of_source_is_documented():
+    from tauext.cli.monitor_sources import KINDS
+
+    text = (ROOT / "docs" / "live.md").read_text()
+    for name, kind in KINDS.items():
+        assert f"`{name}:{kind.target}`" in text or f"`{name}`" in text, name
+
+
+def test_the_own_source_of_the_docs_is_that_of_the_example_and_runs(place):
+    example = ROOT / "examples" / "04_own_source.py"
+    text = example.read_text()
+    source = text[text.index("class MyArm") : text.index("class Printer")].strip()
+    docs = (ROOT / "docs" / "live.md").read_text()
+    assert all(f"    {line}\n" in docs for line in source.splitlines() if line)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    command = [sys.executable, str(example), "watching.tauext", "1.3"]
+    done = subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and "HealthChange" in done.stdout and "(p99)" in done.stdout, done.stderr
+    done = subprocess.run([*command[:2], "none.tauext"], cwd=place, env=environment, capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1

@@ -24,6 +24,8 @@ from tauext.ros2 import Ros2Settings, connect
 ROOT = Path(__file__).parent.parent
 BUILD = ROOT / "build" / "ros2_client"
 SAMPLES = 4000
+URI = "<CycloneDDS><Domain><General><AllowMulticast>spdp</AllowMulticast></General></Domain></CycloneDDS>"
+"""Multicast to be found, and for nothing else."""
 
 
 def built(feature: str) -> Path:
@@ -32,21 +34,21 @@ def built(feature: str) -> Path:
     if cargo is None:
         pytest.skip("needs cargo")
     shutil.copytree(ROOT / "tests" / "interop" / "ros2_client", BUILD, dirs_exist_ok=True)
-    words = [cargo, "build", "--release", "--target-dir", f"target{feature}"]
+    words = [cargo, "build", "--target-dir", f"target{feature}"]
     done = subprocess.run(
         words + (["--features", feature] if feature else []), cwd=BUILD, capture_output=True, text=True
     )
     if done.returncode and "error[E" not in done.stderr:
         pytest.skip(f"cargo could not build: {done.stderr.strip().splitlines()[-1]}")
     assert done.returncode == 0, done.stderr
-    return BUILD / f"target{feature}" / "release" / "ros2_client_peer"
+    return BUILD / f"target{feature}" / "debug" / "ros2_client_peer"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("distro", ["jazzy", "humble"])
 def test_a_node_in_rust_gets_torques_alarms_and_diagnostics_and_sees_the_node(distro, monkeypatch):
     program = built("humble" if distro == "humble" else "")
-    monkeypatch.delenv("CYCLONEDDS_URI")
+    monkeypatch.setenv("CYCLONEDDS_URI", URI)
     space, topic, domain = f"/rust_{distro}", f"/rust_{distro}/joint_states", (DOMAIN + 1 + (distro == "humble")) % 200
     settings = Ros2Settings(
         topic=topic, namespace=space, domain=domain, distro=distro, reliability="reliable", depth=1000

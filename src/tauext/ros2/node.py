@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Literal
 
 from tauext.errors import ConfigError
@@ -30,6 +31,7 @@ from tauext.ros2.messages import GRAPH_TYPES, TYPE_HASHES, ParticipantEntitiesIn
 Kind = Literal["best-effort", "reliable"]
 Lasting = Literal["volatile", "transient-local"]
 GRAPH_TOPIC = "ros_discovery_info"
+DESCRIBING = threading.Lock()
 XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)
 """The only encoding that ROS 2 nodes speak."""
 
@@ -53,7 +55,7 @@ class Node:
         gid, entities, info = GRAPH_TYPES[settings.gid_bytes]
         self._gid_type, self._entities_type, self._info_type = gid, entities, info
         qos = Qos(*quality("reliable", "transient-local", 1), XCDR1, type_hash(ParticipantEntitiesInfo))
-        self._graph = DataWriter(self.participant, Topic(self.participant, GRAPH_TOPIC, info), qos)
+        self._graph = DataWriter(self.participant, topic_of(self.participant, GRAPH_TOPIC, info), qos)
 
     def inbox(self, name: str, of: type, kind: Kind, lasting: Lasting, depth: int) -> Inbox:
         """Reader of the topic `name`, which begins with /."""
@@ -88,7 +90,7 @@ class Node:
             self._graph = self.participant = None
 
     def _topic(self, name: str, of: type) -> Topic:
-        return Topic(self.participant, f"rt{name}", of)
+        return topic_of(self.participant, f"rt{name}", of)
 
     def _gids(self, entities: list[Entity]) -> list:
         return [self._gid(entity) for entity in entities]
@@ -115,6 +117,12 @@ class Inbox:
         except Exception as damaged:  # whatever others send must not end the loop
             return [], f"a message cannot be read ({type(damaged).__name__}: {damaged})"
         return [message for message in taken if message.sample_info.valid_data], None
+
+
+def topic_of(participant: DomainParticipant, name: str, of: type) -> Topic:
+    """The library describes a type at its first use, which two threads must not have at once."""
+    with DESCRIBING:
+        return Topic(participant, name, of)
 
 
 def quality(kind: Kind, lasting: Lasting, depth: int) -> tuple:

@@ -17,14 +17,14 @@ use ros2_client::{
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-#[derive(Clone, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct Header {
   sec: i32,
   nanosec: u32,
   frame_id: String,
 }
 
-#[derive(Clone, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct JointState {
   header: Header,
   name: Vec<String>,
@@ -34,12 +34,18 @@ struct JointState {
 }
 impl Message for JointState {}
 
-#[derive(Clone, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Bool {
+  data: bool,
+}
+impl Message for Bool {}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
 struct KeyValue {
   key: String,
   value: String,
 }
-#[derive(Clone, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 struct Status {
   level: u8,
   name: String,
@@ -47,7 +53,7 @@ struct Status {
   hardware_id: String,
   values: Vec<KeyValue>,
 }
-#[derive(Clone, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 struct Diagnostics {
   header: Header,
   status: Vec<Status>,
@@ -62,7 +68,7 @@ fn quality(durability: policy::Durability) -> QosPolicies {
     .build()
 }
 
-fn listen<M: Message + Clone + serde::de::DeserializeOwned + Send + 'static>(
+fn listen<M: Message + Clone + serde::de::DeserializeOwned + Send + Sync + 'static>(
   node: &mut Node,
   space: &str,
   name: &str,
@@ -112,7 +118,7 @@ fn main() {
   let volatile = policy::Durability::Volatile;
   let torques = listen::<JointState>(&mut node, space, "external_torque", "sensor_msgs", "JointState", volatile);
   let collision =
-    listen::<bool>(&mut node, space, "collision", "std_msgs", "Bool", policy::Durability::TransientLocal);
+    listen::<Bool>(&mut node, space, "collision", "std_msgs", "Bool", policy::Durability::TransientLocal);
   let diagnostics =
     listen::<Diagnostics>(&mut node, space, "diagnostics", "diagnostic_msgs", "DiagnosticArray", volatile);
   let qos = quality(volatile);
@@ -120,7 +126,11 @@ fn main() {
     .create_topic(&Name::parse(topic).unwrap(), MessageTypeName::new("sensor_msgs", "JointState"), &qos)
     .unwrap();
   let states = node.create_publisher::<JointState>(&states, Some(qos)).unwrap();
-  smol::block_on(states.wait_for_subscription(&node));
+  let give_up = Instant::now() + Duration::from_secs(40);
+  while diagnostics.lock().unwrap().is_empty() && Instant::now() < give_up {
+    sleep(Duration::from_millis(50));
+  }
+  sleep(Duration::from_secs(2)); // the monitor's readers may be met later than its writers
 
   let begun = Instant::now();
   for k in 0..samples {
@@ -146,9 +156,10 @@ fn main() {
   let effort: Vec<&Vec<f64>> = torques.iter().map(|m| &m.effort).collect();
   let levels: Vec<(u8, String)> =
     diagnostics.lock().unwrap().iter().flat_map(|m| &m.status).map(|s| (s.level, s.message.clone())).collect();
+  let collision: Vec<bool> = collision.lock().unwrap().iter().map(|m| m.data).collect();
   println!(
     "{}",
     json!({"stamps": stamps, "effort": effort, "name": torques.first().map(|m| &m.name),
-           "collision": *collision.lock().unwrap(), "diagnostics": levels, "nodes": *nodes.lock().unwrap()})
+           "collision": collision, "diagnostics": levels, "nodes": *nodes.lock().unwrap()})
   );
 }

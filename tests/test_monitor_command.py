@@ -101,6 +101,7 @@ def test_lines_of_text_end_with_a_summary(place, capsys):
         (("watching.tauext", "--source", "usb"), "--source 'usb' must be one of replay:FILE, ur:HOST, franka:HOST"),
         (("watching.tauext", "--source", "replay:"), "must be one of"),
         (("watching.tauext", "--source", "replay:none.parquet"), "none.parquet: there is no such recording"),
+        (("watching.tauext", "--ros2", "--speed", "2"), "--speed is for source replay, not for ros2"),
         (("watching.tauext", "--source", "ur:h", "--speed", "2"), "--speed is for source replay, not for ur"),
         ((*SOURCE, "--torque-constants", "x"), "--torque-constants is for source ur, not for replay"),
         (("watching.tauext", "--source", "franka:h"), "franka h has 7 joints, the bundle 2: shoulder, elbow"),

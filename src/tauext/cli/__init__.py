@@ -28,6 +28,11 @@ DESCRIPTION = (
 )
 
 
+def spelled_out(argv: list[str]) -> list[str]:
+    """`--ros2` is `--source ros2`: no option of its own, since --ros2.topic and others stand for a group."""
+    return [word for arg in argv for word in (("--source", "ros2") if arg == "--ros2" else (arg,))]
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run one command; 0 done, 1 a fault (check), 2 bad input (one line on stderr), 130 interrupted, 141 no reader."""
     app = tyro.extras.SubcommandApp()
@@ -35,7 +40,9 @@ def main(argv: list[str] | None = None) -> int:
         app.command(command)
     app.command(import_data, name="import")
     try:
-        status = app.cli(prog="tauext", description=DESCRIPTION, args=argv)
+        status = app.cli(
+            prog="tauext", description=DESCRIPTION, args=spelled_out(sys.argv[1:] if argv is None else argv)
+        )
     except TauextError as error:
         print(f"tauext: error: {error}", file=sys.stderr)
         return 2

@@ -29,7 +29,7 @@ class Load:
 
     mass_kg: float
     mass_error_kg: float
-    com_m: np.ndarray  # (3,), in the frame of the last joint
+    com_m: np.ndarray  # (3,), in the tree's frame of the last joint: z is its axis, x and y are any
     error_nm: np.ndarray  # (joints,), robust: with it
     error_without_nm: np.ndarray
 
@@ -102,7 +102,7 @@ def payload_findings(load: Load, joints: Sequence[str], strong: Sequence[int]) -
     told = ", ".join(f"'{joints[j]}' {load.error_without_nm[j]:.3g} to {load.error_nm[j]:.3g}" for j in strong)
     com = ", ".join(f"{x:.2f}" for x in load.com_m)
     evidence = (
-        f"{abs(load.mass_kg):.2f} ± {load.mass_error_kg:.1g} kg at ({com}) m in the frame of '{joints[-1]}' "
+        f"{abs(load.mass_kg):.2f} ± {load.mass_error_kg:.1g} kg at ({com}) m from '{joints[-1]}', z along its axis, "
         f"bring the error in Nm from {told}"
     )
     if load.mass_kg > 0:

@@ -1,0 +1,233 @@
+"""Recordings of real arms in docs/results/real-arms: every step is a tauext command, what is finished is not repeated.
+
+python benchmarks/real_arms.py OUT [--data DIR] [--only ARM ...]   runs the steps in OUT/ARM, a minute or two
+python benchmarks/real_arms.py OUT --keep                          and puts what they said into docs/results/real-arms
+
+DIR holds the recordings (--data). Each arm's description is docs/results/real-arms/ARM/arm.toml; other descriptions of
+it are made from that one. A step's output stands in OUT/ARM/said/, with its command and exit status.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from real_arms_tables import UR3_SETS, file_of, panda_figure, panda_tables, short_tables, ur3_figure, ur3_tables
+
+ROOT = Path(__file__).parent.parent
+KEPT = ROOT / "docs" / "results" / "real-arms"
+LONGEST_SAID = 14  # lines of a command that are kept, but for check
+
+
+@dataclass(frozen=True)
+class Arm:
+    files: dict[str, str]
+    """Name in OUT/ARM: path in the data folder."""
+    commands: list[str]
+    """Those that shall fail begin with their exit status."""
+    tables: Callable[[Path], str] = lambda folder: ""
+    figures: dict[str, Callable[[Path, Path], None]] = field(default_factory=dict)
+    variants: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
+    """Other descriptions, NAME.toml: what is replaced in arm.toml (regular expressions)."""
+
+
+# --- UR3
+
+RUNS = {"slow": "2019-11-27-11-55-35", "first10": "_2019-11-27-20-59-11", "first10b": "_2019-11-27-21-04-09"}
+RUNS |= {"first20": "_2019-11-27-21-25-26", "second10": "_2019-11-27-23-05-36"}
+NO_TOOL = (r"(?s)# What check.*?\n\n(?=\[signals.q\])", "")
+UNSEEN = ("id2", "second10", "slow")  # trajectory 2 whole, its first 10 s on another day, and a slow motion
+
+
+def ur3_commands() -> list[str]:
+    bags = " ".join(f"{name}.bag" for name in ("id1", "id2", *RUNS))
+    commands = [
+        "import --new new.toml --source id1.bag --robot ur3_robot.urdf",
+        "import --source id1.bag --arm new.toml --out first",
+        "1 check --data first",
+    ]
+    for data in UR3_SETS:
+        commands += [f"import --source {bags} --arm {'arm' if data == 'tool' else data}.toml --out {data}"]
+        commands += [f"check --data {data}"] if data != "tool-four-runs" else []
+        bundles = [f"{data}-bundles/{recipe}.tauext" for recipe in ("prior", "friction")]
+        for bundle in bundles:
+            commands.append(f"train --data {data} --recipe {Path(bundle).stem} --out {bundle}")
+        commands.append(f"evaluate --data {data} --bundles {' '.join(bundles)} --out {data}-results")
+        recordings = " ".join(f"{data}/{name}.parquet" for name in UNSEEN)
+        commands += [f"run {b} {recordings} --acknowledge-after-s 0.5 --json" for b in bundles]
+    return commands
+
+
+# --- Panda, touched at rest
+
+TOUCHED = ("a4", "a6", "b8", "b9", "c3", "d3", "f2", "f4")
+MARGINS = "--margins.before-s 0.1 --margins.after-s 0.25"
+AT_REST = ("observer", "highpass", "bandpass")
+
+
+def panda_commands() -> list[str]:
+    bundles = [f"bundles/{recipe}.tauext" for recipe in AT_REST]
+    return [
+        "import --new new.toml --source a4.csv.gz --robot panda.urdf",
+        f"import --source {' '.join(f'{name}.csv.gz' for name in TOUCHED)} --arm arm.toml --out data",
+        "1 check --data data",
+        "2 train --data data --recipe prior --out prior.tauext",
+        *(f"train --data data --recipe {Path(b).stem} {MARGINS} --out {b}" for b in bundles),
+        f"evaluate --data data --bundles {' '.join(bundles)} --out results",
+        f"import --source {' '.join(f'{name}.csv.gz' for name in TOUCHED)} --arm no-model.toml --out no-model",
+        f"train --data no-model --recipe bandpass {MARGINS} --out no-model-bundles/bandpass.tauext",
+        "evaluate --data no-model --bundles no-model-bundles/bandpass.tauext --out no-model-results",
+    ]
+
+
+# --- UR10, moving Panda, KUKA: no contact, and little motion
+
+
+def short_commands(source: str, refused: list[str]) -> list[str]:
+    bundles = [f"bundles/{recipe}.tauext" for recipe in ("prior", "friction")]
+    return [
+        f"import --source {source} --arm arm.toml --out data",
+        *refused,
+        *(f"train --data data --recipe {Path(b).stem} --out {b}" for b in bundles),
+        f"evaluate --data data --bundles {' '.join(bundles)} --out results",
+    ]
+
+
+REFUSED = [
+    "2 train --data data --minutes 10 --out ten-minutes.tauext",
+    "2 train --data data --limits promised --out promised.tauext",
+    "train --data data --out tauext.tauext",
+]
+WRONG_UNITS = [(r"unit = .*\n", ""), (r"offset = .*\n", ""), (r"side = .*\n", "")]
+UR10_BAG, PANDA_BAG = (f"unisa_bags/{name}_exciting" for name in ("ur10", "panda"))
+
+
+ARMS = {
+    "ur3": Arm(
+        {f"{new}.bag": f"ur3_aspectum/{old}.bag" for new, old in ({"id1": "id1", "id2": "id2"} | RUNS).items()}
+        | {"ur3_robot.urdf": "models/ur3_robot.urdf"},
+        ur3_commands(),
+        ur3_tables,
+        {"id2.png": ur3_figure},
+        {
+            "no-tool": [NO_TOOL],
+            "no-model": [NO_TOOL, (r'model = ".*"\n', "")],
+            "tool-four-runs": [(r'"id1.bag"\]', '"id1.bag", "first10.bag", "first10b.bag", "first20.bag"]')],
+        },
+    ),
+    "panda": Arm(
+        {f"{name}.csv.gz": f"panda_mindlab/{name}.csv.gz" for name in TOUCHED} | {"panda.urdf": "models/panda.urdf"},
+        panda_commands(),
+        panda_tables,
+        {"c3.png": panda_figure},
+        {"no-model": [(r'model = ".*"\n', "")]},
+    ),
+    "ur10": Arm(
+        {"ur10_exciting": UR10_BAG, "ur10_robot.urdf": "models/ur10_robot.urdf"},
+        short_commands("ur10_exciting", ["1 check --data data", *REFUSED]),
+        short_tables("ur10_exciting-test"),
+    ),
+    "kuka": Arm(
+        {f"{run}.mat": f"kr_weigand/2020-10-21_10s_FF_{run}_08ms.mat" for run in "ABC"},
+        [
+            "import --source A.mat B.mat C.mat --arm as-it-stands.toml --out first",
+            "1 check --data first",
+            "import --source A.mat B.mat C.mat --arm arm.toml --out data",
+            "check --data data",
+            "2 train --data data --case exact --out exact.tauext",
+            "2 train --data data --recipe paper --out paper.tauext",
+        ],
+        variants={"as-it-stands": WRONG_UNITS},
+    ),
+    "panda_unisa": Arm(
+        {"panda_exciting": PANDA_BAG, "panda.urdf": "models/panda.urdf"},
+        short_commands("panda_exciting", ["check --data data", *REFUSED]),
+        short_tables("panda_exciting-test"),
+    ),
+}
+
+
+def prepare(name: str, data: Path, folder: Path) -> None:
+    """The recordings and descriptions of an arm, in a folder of its own."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for new, old in ARMS[name].files.items():
+        if not (data / old).exists():
+            sys.exit(f"{data / old}: it is not there; --data names the folder of the recordings")
+        copy = shutil.copytree if (data / old).is_dir() else shutil.copy
+        if not (folder / new).exists():
+            copy(data / old, folder / new)
+    text = (KEPT / name / "arm.toml").read_text()
+    for variant, changes in ({"arm": []} | ARMS[name].variants).items():
+        changed = text
+        for pattern, by in changes:
+            changed, times = re.subn(pattern, by, changed)
+            assert times, f"{name}/arm.toml: nothing to replace: {pattern}"
+        (folder / f"{variant}.toml").write_text(changed)
+
+
+def plain(commands: list[str]) -> list[str]:
+    return [re.sub(r"^\d ", "", command) for command in commands]
+
+
+def carry_out(name: str, folder: Path) -> None:
+    (folder / "said").mkdir(exist_ok=True)
+    for command, bare in zip(ARMS[name].commands, plain(ARMS[name].commands), strict=True):
+        path = file_of(folder, bare)
+        if path.exists():
+            continue
+        print(f"{name}: tauext {bare}", flush=True)
+        run = subprocess.run([sys.executable, "-m", "tauext", *shlex.split(bare)], cwd=folder, text=True,
+                             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False)  # fmt: skip
+        expected = int(command[0]) if command != bare else 0
+        if run.returncode != expected:
+            sys.exit(f"{run.stdout}\ntauext {bare}: exit status {run.returncode}, expected {expected}")
+        path.write_text(run.stdout)
+
+
+def page(name: str, folder: Path) -> str:
+    """What is kept of an arm: tables, figures, and every command with what it said."""
+    arm = ARMS[name]
+    parts = [
+        f"# {name}\n\nMade by `python benchmarks/real_arms.py`; what it means stands in [the index](../README.md)."
+    ]
+    tables = arm.tables(folder)
+    parts += [tables] if tables else []
+    parts += [f"![{figure}]({figure})" for figure in arm.figures]
+    parts.append("## Commands, and what they said")
+    for command, bare in zip(arm.commands, plain(arm.commands), strict=True):
+        lines = [line for line in file_of(folder, bare).read_text().splitlines() if line and line[0] != "{"]
+        lines = [line for line in lines if not re.match(r"(evaluate|train \w+): ", line)]
+        if not bare.startswith("check") and len(lines) > LONGEST_SAID:
+            lines = [*lines[: LONGEST_SAID - 4], f"... ({len(lines) - LONGEST_SAID + 1} lines)", *lines[-3:]]
+        status = f"\n(exit status {command[0]})" if command != bare else ""
+        parts.append("```text\n$ tauext " + "\n".join([bare, *lines]) + status + "\n```")
+    return "\n\n".join(parts) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder of the recordings")
+    parser.add_argument("--only", nargs="+", choices=tuple(ARMS), default=tuple(ARMS))
+    parser.add_argument("--keep", action="store_true", help=f"put pages and figures into {KEPT.relative_to(ROOT)}")
+    options = parser.parse_args()
+    for name in options.only:
+        folder = options.out.resolve() / name
+        prepare(name, options.data, folder)
+        carry_out(name, folder)
+        kept = KEPT / name if options.keep else folder
+        (kept / "README.md").write_text(page(name, folder))
+        for figure, make in ARMS[name].figures.items():
+            make(folder, kept / figure)
+        print(kept / "README.md")
+
+
+if __name__ == "__main__":
+    main()

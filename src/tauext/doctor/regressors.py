@@ -12,7 +12,11 @@ from tauext.doctor.motion import FIT_CUTOFF_HZ, FIT_ROWS_HZ, Stretch, low_pass
 
 COULOMB_SPEEDS_RAD_S = (0.02, 0.2)
 """Smoothings of the sign of the speed: a sharp reversal, and friction that still grows at a crawl."""
-FRICTION = 2 + len(COULOMB_SPEEDS_RAD_S)  # constant, viscous, Coulomb
+PRESLIDING_RAD = (5e-4, 5e-3)
+"""Travel in which friction turns round after a reversal. It is kept at rest, where a sign of the speed says 0 and what
+friction holds would be taken for gravity: a joint mostly comes to rest from the side of its middle."""
+PRESLIDING_RATE_HZ = 100.0
+FRICTION = 2 + len(COULOMB_SPEEDS_RAD_S) + len(PRESLIDING_RAD)  # constant, viscous, Coulomb, presliding
 
 
 @dataclass(frozen=True)
@@ -27,7 +31,7 @@ class Rows:
     gravity: np.ndarray  # of the model
     inertial: np.ndarray  # of the model: M ddq + C dq, rotor inertia of the file included
     acceleration: np.ndarray  # [rad/s^2]: what a rotor inertia of 1 kg m^2 more would take
-    friction: np.ndarray  # (rows, joints, FRICTION): 1, dq, tanh(dq / speed) ...
+    friction: np.ndarray  # (rows, joints, FRICTION): 1, dq, tanh(dq / speed) ..., presliding states
 
     @property
     def joints(self) -> int:
@@ -64,6 +68,7 @@ def _of_stretch(stretch: Stretch, tree: _core.Tree | None, lag_s: float) -> tupl
         gravity = tree.momentum(q, np.zeros_like(q))[1]
         inertial = np.gradient(momentum, 1 / rate, axis=0) + beta - gravity
     friction = [np.ones_like(dq), dq] + [np.tanh(dq / speed) for speed in COULOMB_SPEEDS_RAD_S]
+    friction += [presliding(q, width, rate) for width in PRESLIDING_RAD]
     time = picked(stretch.start_s + np.arange(len(q)) / rate, rate)
     tau = delayed(stretch.tau, lag_s, rate)
 
@@ -72,6 +77,20 @@ def _of_stretch(stretch: Stretch, tree: _core.Tree | None, lag_s: float) -> tupl
 
     signals = (q, dq, tau, gravity, inertial, np.gradient(dq, 1 / rate, axis=0), np.stack(friction, axis=2))
     return (time, np.full(len(time), stretch.recording), *(filtered(x) for x in signals))
+
+
+def presliding(q: np.ndarray, width_rad: float, rate_hz: float) -> np.ndarray:
+    """Stop operator z <- clip(z + dq, -w, w) on positions (samples, joints), scaled by w; 0 before the joint moves."""
+    every = max(1, int(rate_hz / PRESLIDING_RATE_HZ))
+    coarse = q[::every]
+    states, z = np.zeros_like(coarse), np.zeros(q.shape[1])
+    for k, step in enumerate(np.diff(coarse, axis=0) / width_rad, start=1):
+        z = np.minimum(1.0, np.maximum(-1.0, z + step))
+        states[k] = z
+    if every == 1:
+        return states
+    at, known = np.arange(len(q)), np.arange(len(coarse)) * every
+    return np.stack([np.interp(at, known, column) for column in states.T], axis=1)
 
 
 def torque_rows(stretches: Sequence[Stretch], lag_s: float) -> np.ndarray:

@@ -127,6 +127,26 @@ def gapped(case: Case) -> Broken:
     return each(case, change)
 
 
+def displaced(r: Recording, by_rad: float) -> dict:
+    return at(r, "q", J, lambda x: x + by_rad)
+
+
+def standing(case: Case, signs: list[float]) -> Broken:
+    """Ten seconds in each of four poses, and friction of a tenth of the largest load that holds either way."""
+    rng, tree = np.random.default_rng(0), case.tree
+    t = np.arange(round(10 * case.rate_hz)) / case.rate_hz
+    poses = rng.uniform(-1.5, 1.5, (4, tree.size))
+    gravity = tree.momentum(poses, 0 * poses)[1]
+    recordings = []
+    for k, (pose, load_nm) in enumerate(zip(poses, gravity, strict=True)):
+        held_nm = load_nm + 0.1 * np.abs(gravity).max(axis=0) * rng.uniform(-1, 1, tree.size)
+        noise = rng.standard_normal((len(t), tree.size))
+        shape = {"t_ns": (1e9 * t).astype(np.int64), "q": pose + 0 * noise, "dq": 1e-4 * noise}
+        tau = np.array(signs) * (held_nm + 0.01 * np.abs(held_nm).max() * noise)
+        recordings.append(replace(case.made.recordings[0], name=f"pose-{k}", tau=tau, contact=None, **shape))
+    return recordings, case.urdf.read_text()
+
+
 def uncompensated(case: Case) -> Broken:
     return each(case, lambda r, k: {"tau": r.tau - case.made.gravity[k]})
 
@@ -233,6 +253,13 @@ FAULTS = [
     Fault("an axis reversed", "joint-axis", J,
           lambda c: each(c, lambda r, k: at(r, "q", J, np.negative) | at(r, "dq", J, np.negative)
                          | at(r, "tau", J, np.negative)), planar=False),
+    Fault("a zero position off by 0.1 rad", "position-offset", J, lambda c: each(c, lambda r, k: displaced(r, 0.1))),
+    Fault("a zero position off by -0.5 rad", "position-offset", J, lambda c: each(c, lambda r, k: displaced(r, -0.5))),
+    Fault("a zero position off by 90 degrees", "position-offset", J,
+          lambda c: each(c, lambda r, k: displaced(r, np.pi / 2)), follows=("position-limit",)),
+    Fault("the arm stands, effort of one joint negated", "effort-sign", J,
+          lambda c: standing(c, [-1.0 if j == J else 1.0 for j in range(c.tree.size)]),
+          follows=("never-moves", "clock-gaps", "smoothed")),
     Fault("torque saturated", "saturated", J,
           lambda c: each(c, lambda r, k: at(r, "tau", J, lambda x: np.minimum(x, most_nm(c))))),
     Fault("dq saturated", "saturated", J,

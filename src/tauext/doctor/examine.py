@@ -23,6 +23,7 @@ from tauext.doctor.gravity import gravity_finding
 from tauext.doctor.limits import limit_findings
 from tauext.doctor.motion import Stretch, stretches
 from tauext.doctor.payload import fit_load, loaded, payload_findings
+from tauext.doctor.poses import pose_findings
 from tauext.doctor.regressors import Rows, rows_of
 from tauext.doctor.robot_file import RobotFile, open_robot
 from tauext.doctor.sensors import noise_nm, sensor_findings, torque_step_nm
@@ -84,6 +85,8 @@ def examine(
     if not standing and motion and len(rows_of(motion, None).time_s) >= LEAST_ROWS:
         torque_found, rows, fits, lags = _torque(motion, file.tree if file else None, joints, recordings)
         found += torque_found
+    elif file and file.tree is not None:
+        found += pose_findings(recordings, file.tree, joints)
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
     return Diagnosis(joints, found, _facts(recordings, velocities, rows, fits, lags), rows, fits)
 

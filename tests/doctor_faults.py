@@ -183,6 +183,18 @@ def touched(r: Recording, k: int) -> dict:
     return {"contact": contact}
 
 
+def pushed(r: Recording, k: int, lasts_s: float, share: float) -> dict:
+    """Four half sines at the joints up to a random one, of this share of their torques' spread; nobody labels them."""
+    rng, tau = np.random.default_rng(k), r.tau.copy()
+    for start_s in rng.uniform(2, r.duration_s - 2 - lasts_s, 4):
+        last = int(rng.integers(1, len(r.joints)))
+        during = (r.time_s > start_s) & (r.time_s < start_s + lasts_s)
+        shape = np.sin(np.pi * (r.time_s[during] - start_s) / lasts_s)[:, None]
+        way = rng.choice([-1, 1], last + 1) * rng.uniform(0.5, 1, last + 1)
+        tau[during, : last + 1] += share * shape * way * r.tau.std(axis=0)[: last + 1]
+    return {"tau": tau, "contact": None}
+
+
 def tilted(case: Case) -> Broken:
     tree = _core.Tree(list(case.tree.links), [0.0, 9.81 * np.sin(0.7), -9.81 * np.cos(0.7)])
     return case.anew(tree), case.urdf.read_text()
@@ -282,6 +294,12 @@ FAULTS = [
     Fault("thirty seconds", "too-short", None, lambda c: (c.anew(c.tree, minutes=0.5), c.urdf.read_text())),
     Fault("friction falls by 40 % as it warms up", "temperature-drift", J, drifting),
     Fault("contacts in free motion", "contact-in-free-motion", None, lambda c: each(c, touched)),
+    Fault("impacts of 50 ms that nobody labelled", "contact-in-free-motion", None,
+          lambda c: each(c, lambda r, k: pushed(r, k, 0.05, 0.6))),
+    Fault("impacts of 200 ms that nobody labelled", "contact-in-free-motion", None,
+          lambda c: each(c, lambda r, k: pushed(r, k, 0.2, 0.3))),
+    Fault("pushes of 2 s that nobody labelled", "contact-in-free-motion", None,
+          lambda c: each(c, lambda r, k: pushed(r, k, 2.0, 0.3))),
     Fault("base tilted by 40 degrees", "gravity-direction", None, tilted, planar=False),
     Fault("a tool that is not in the model", "payload-missing", None, loaded),
     Fault("a limit of position too narrow", "position-limit", J,

@@ -59,7 +59,7 @@ def made_motion(
     pieces: int = 4,
     ranges: np.ndarray | float = 1.5,
     still: int | None = None,
-    drive: Drive = Drive(),  # noqa: B008, frozen
+    drive: Drive = Drive(),
 ) -> Made:
     """Moves between random poses, with friction of a tenth to a third of each joint's torque.
 

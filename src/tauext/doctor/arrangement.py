@@ -126,7 +126,9 @@ def _offset_finding(shift: Offset, joints: Sequence[str], ratio: float, gain: fl
         f"with {shift.told()} added to its positions the model's error falls to {ratio:.0%} at one joint and rises "
         f"at none ({gain:.1f} nats)"
     )
-    advice = "its zero is elsewhere than the robot file's: add that offset at import, or correct the file's joint origin"
+    advice = (
+        "its zero is elsewhere than the robot file's: add that offset at import, or correct the file's joint origin"
+    )
     return Finding("position-offset", "fault", joints[shift.joint], evidence, advice)
 
 

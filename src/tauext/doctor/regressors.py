@@ -46,7 +46,13 @@ class Rows:
         return self.gravity + self.inertial
 
 
-def rows_of(stretches: Sequence[Stretch], tree: _core.Tree | None, lag_s: float = 0.0) -> Rows:
+def rows_of(
+    stretches: Sequence[Stretch],
+    tree: _core.Tree | None,
+    lag_s: float = 0.0,
+    cutoff_hz: float = FIT_CUTOFF_HZ,
+    rows_hz: float = FIT_ROWS_HZ,
+) -> Rows:
     r"""LP(tau) beside LP(dp/dt + beta) and friction of the same motion.
 
     With p = M dq and beta = g - C^T dq of the sweep, dp/dt + beta is the model's torque: no acceleration is needed, and
@@ -55,12 +61,16 @@ def rows_of(stretches: Sequence[Stretch], tree: _core.Tree | None, lag_s: float 
     Args:
         tree: None: no model, its torques are 0.
         lag_s: the torque is taken so much later than its stamp says; positive where torque lags behind motion.
+        cutoff_hz: of the low-pass.
+        rows_hz: rows a second.
     """
-    parts = [_of_stretch(stretch, tree, lag_s) for stretch in stretches]
+    parts = [_of_stretch(stretch, tree, lag_s, cutoff_hz, rows_hz) for stretch in stretches]
     return Rows(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def _of_stretch(stretch: Stretch, tree: _core.Tree | None, lag_s: float) -> tuple[np.ndarray, ...]:
+def _of_stretch(
+    stretch: Stretch, tree: _core.Tree | None, lag_s: float, cutoff_hz: float, rows_hz: float
+) -> tuple[np.ndarray, ...]:
     q, dq, rate = stretch.q, stretch.dq, stretch.rate_hz
     gravity = inertial = np.zeros_like(q)
     if tree is not None:
@@ -69,11 +79,11 @@ def _of_stretch(stretch: Stretch, tree: _core.Tree | None, lag_s: float) -> tupl
         inertial = np.gradient(momentum, 1 / rate, axis=0) + beta - gravity
     friction = [np.ones_like(dq), dq] + [np.tanh(dq / speed) for speed in COULOMB_SPEEDS_RAD_S]
     friction += [presliding(q, width, rate) for width in PRESLIDING_RAD]
-    time = picked(stretch.start_s + np.arange(len(q)) / rate, rate)
+    time = picked(stretch.start_s + np.arange(len(q)) / rate, rate, rows_hz)
     tau = delayed(stretch.tau, lag_s, rate)
 
     def filtered(x: np.ndarray) -> np.ndarray:
-        return picked(low_pass(x, min(FIT_CUTOFF_HZ, rate / 6), rate), rate)
+        return picked(low_pass(x, min(cutoff_hz, rate / 6), rate), rate, rows_hz)
 
     signals = (q, dq, tau, gravity, inertial, np.gradient(dq, 1 / rate, axis=0), np.stack(friction, axis=2))
     return (time, np.full(len(time), stretch.recording), *(filtered(x) for x in signals))
@@ -110,7 +120,7 @@ def delayed(x: np.ndarray, lag_s: float, rate_hz: float) -> np.ndarray:
     return np.stack([np.interp(at + lag_s, at, column) for column in x.T], axis=1)
 
 
-def picked(x: np.ndarray, rate_hz: float) -> np.ndarray:
-    """Rows at FIT_ROWS_HZ, the ends left out, where a filter that runs both ways sees one side only."""
+def picked(x: np.ndarray, rate_hz: float, rows_hz: float = FIT_ROWS_HZ) -> np.ndarray:
+    """Rows at `rows_hz`, the ends left out, where a filter that runs both ways sees one side only."""
     end = int(0.2 * rate_hz)
-    return x[end : len(x) - end : max(1, round(rate_hz / FIT_ROWS_HZ))]
+    return x[end : len(x) - end : max(1, round(rate_hz / rows_hz))]

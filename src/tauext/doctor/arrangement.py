@@ -31,8 +31,8 @@ LEAST_EXPLAINED = 0.5
 MOST_CHANGES = 3
 OFFSET_GAIN = 2.0
 """As GAIN: a shift of one joint, the best of all, gains up to 1.3 by chance where a tool is missing in the model ..."""
-OFFSET_LEAD = 1.0
-"""... and it gains so much more than an arrangement, a load or a tilted base."""
+OFFSET_LEAD = 0.15
+"""... and it gains so much more for each joint than an arrangement, a load or a tilted base."""
 
 Change = Callable[[Stretch], Stretch]
 
@@ -82,7 +82,7 @@ def rearranged(
     """Findings, and the stretches as the robot file would have them."""
     found, few = [], search_stretches(stretches)
     stretches = list(stretches)
-    now = _errors(few, tree)
+    now, lead = _errors(few, tree), OFFSET_LEAD * len(joints)
     for _ in range(MOST_CHANGES):
         best = (GAIN, None, "", None, now)
         for code, told, names, change, order in _changes(joints):
@@ -96,9 +96,9 @@ def rearranged(
             then = _errors([shifted(s, shift) for s in few], tree)
             ratio = then / now
             gain = -float(np.log(ratio).sum())
-            leads = best[3] is None or gain > best[0] + OFFSET_LEAD
+            leads = best[3] is None or gain > best[0] + lead
             if gain > OFFSET_GAIN and leads and ratio.min() < HALVED and ratio.max() < WORSE:
-                if gain - _gain_otherwise(few, tree, now) > OFFSET_LEAD:
+                if gain - _gain_otherwise(few, tree, now) > lead:
                     found.append(_offset_finding(shift, joints, float(ratio.min()), gain))
                     stretches, few, now = [shifted(s, shift) for s in stretches], [shifted(s, shift) for s in few], then
                     continue

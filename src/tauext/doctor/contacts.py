@@ -23,6 +23,8 @@ ALONE, SPREADS_ALONE = 5.0, 8.0
 """Times the usual, and spreads, at one joint; friction and slipping gears reached 4.1 times in good recordings."""
 TOGETHER, SPREADS_TOGETHER = 4.0, 6.0
 """The same at two joints in one window: what touches a link acts on the joints before it."""
+LEAST_SHARE = 0.1
+"""Of the torque's spread: where nearly all is explained, less is still no contact."""
 MOVING_RAD_S = 0.02
 TOLD = 3
 SPOILING = ("stuck", "saturated", "smoothed", "clock-irregular", "repeated-rows", "quantised")
@@ -68,9 +70,9 @@ def unlabelled_findings(
     if moving.sum() < LEAST_WINDOWS:
         return []
     usual = np.maximum(np.percentile(largest[moving], USUAL, axis=0), 1e-12)
-    times, spreads = largest / usual, largest / spread
-    alone = (times > ALONE) & (spreads > SPREADS_ALONE)
-    together = (times > TOGETHER) & (spreads > SPREADS_TOGETHER)
+    times, spreads, seen = largest / usual, largest / spread, largest > LEAST_SHARE * rows.tau.std(axis=0)
+    alone = seen & (times > ALONE) & (spreads > SPREADS_ALONE)
+    together = seen & (times > TOGETHER) & (spreads > SPREADS_TOGETHER)
     touched = alone.any(axis=1) | (together.sum(axis=1) >= 2)
     if not touched.any():
         return []

@@ -31,6 +31,8 @@ from tauext.rig.recording import simulate_recording
 from tauext.robot import load
 
 RATE_HZ = 100.0
+SETTING_MINUTES = 6.0
+"""Of each setting: friction is followed from five minutes on."""
 UNIT_CODES = ("effort-scale", "effort-motor-side")
 """What is to be found with a model where the effort is a current, or before the gear."""
 
@@ -109,11 +111,14 @@ def print_faults(lines: Lines, arm: str, folder: Path, options: argparse.Namespa
 
 def print_settings(lines: Lines, folder: Path, options: argparse.Namespace) -> None:
     lines.say("\n## Arms and drives that no threshold was found on\n")
-    lines.say("Findings on good data; currents and torques before the gear are rightly named as such with a model.\n")
+    lines.say(
+        f"Findings on {SETTING_MINUTES:g} minutes of good data. With a model, currents and torques before the gear are "
+        "rightly named as such.\n"
+    )
     lines.say("| arm | with a model | without |\n|---|---|---|")
     for setting in (*SETTINGS, *CURRENTS):
         expected = UNIT_CODES if setting in CURRENTS else ()
-        path, recordings = good_data(setting, folder, options.good_minutes)
+        path, recordings = good_data(setting, folder, SETTING_MINUTES)
         told = [told_findings(examine(recordings, robot), expected) for robot in (path, None)]
         lines.say(f"| {setting.name} | {told[0]} | {told[1]} |")
 

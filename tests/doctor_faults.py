@@ -141,9 +141,10 @@ def standing(case: Case, signs: list[float]) -> Broken:
     for k, (pose, load_nm) in enumerate(zip(poses, gravity, strict=True)):
         held_nm = load_nm + 0.1 * np.abs(gravity).max(axis=0) * rng.uniform(-1, 1, tree.size)
         noise = rng.standard_normal((len(t), tree.size))
-        shape = {"t_ns": (1e9 * t).astype(np.int64), "q": pose + 0 * noise, "dq": 1e-4 * noise}
+        shape: dict = {name: None for name in (*SIGNALS, *FLAGS)}
+        shape |= {"t_ns": (1e9 * t).astype(np.int64), "q": pose + 0 * noise, "dq": 1e-4 * noise}
         tau = np.array(signs) * (held_nm + 0.01 * np.abs(held_nm).max() * noise)
-        recordings.append(replace(case.made.recordings[0], name=f"pose-{k}", tau=tau, contact=None, **shape))
+        recordings.append(replace(case.made.recordings[0], name=f"pose-{k}", **shape | {"tau": tau}))
     return recordings, case.urdf.read_text()
 
 

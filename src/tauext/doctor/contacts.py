@@ -9,9 +9,9 @@ import numpy as np
 from tauext import _core
 from tauext.data import Recording
 from tauext.doctor.finding import Finding
-from tauext.doctor.fit import columns_of, robust_solve, robust_spread
+from tauext.doctor.fit import CONSTANT, columns_of, robust_solve, robust_spread
 from tauext.doctor.motion import Stretch
-from tauext.doctor.regressors import Rows, rows_of
+from tauext.doctor.regressors import FRICTION, Rows, rows_of
 
 CUTOFF_HZ, ROWS_HZ = 10.0, 50.0
 """An impact lasts 50 to 200 ms: the fits' own filter would take half of it."""
@@ -26,6 +26,8 @@ TOGETHER, SPREADS_TOGETHER = 4.0, 6.0
 LEAST_SHARE = 0.1
 """Of the torque's spread: where nearly all is explained, less is still no contact."""
 MOVING_RAD_S = 0.02
+CRAWL_RAD_S = 0.05
+"""A joint that is as slow may stick and slip: there it takes more than its whole friction."""
 TOLD = 3
 SPOILING = ("stuck", "saturated", "smoothed", "clock-irregular", "repeated-rows", "quantised")
 """Findings after which torque that no motion explains is no contact."""
@@ -53,15 +55,14 @@ def unlabelled_findings(
 ) -> list[Finding]:
     """Disturbances far beyond the usual error, in recordings without a labelled contact; one finding for all.
 
-    Impacts and pushes that stay below what friction does at reversals are not seen: without a model, and with strong
-    friction, that is a third of the torque's spread.
+    Impacts and pushes that stay below a few times what friction does at reversals are not seen.
     """
     motion = [s for s in stretches if recordings[s.recording].contact is None
               or not (recordings[s.recording].contact == 1).any()]  # fmt: skip
     if not motion:
         return []
     rows = rows_of(motion, tree, lag_s, CUTOFF_HZ, ROWS_HZ)
-    errors = np.stack([_error(rows, j) for j in range(rows.joints)], axis=1)
+    errors, friction = (np.stack(x, axis=1) for x in zip(*(_error(rows, j) for j in range(rows.joints)), strict=True))
     spread = np.maximum([robust_spread(x) for x in errors.T], 1e-12)
     number = np.unique((rows.time_s // WINDOW_S).astype(int), return_inverse=True)[1]
     windows = np.split(np.arange(len(number)), np.flatnonzero(np.diff(number)) + 1)
@@ -70,7 +71,9 @@ def unlabelled_findings(
     if moving.sum() < LEAST_WINDOWS:
         return []
     usual = np.maximum(np.percentile(largest[moving], USUAL, axis=0), 1e-12)
-    times, spreads, seen = largest / usual, largest / spread, largest > LEAST_SHARE * rows.tau.std(axis=0)
+    crawls = np.stack([np.abs(rows.dq[at]).min(axis=0) < CRAWL_RAD_S for at in windows])
+    seen = largest > LEAST_SHARE * rows.tau.std(axis=0) + crawls * np.percentile(np.abs(friction), USUAL, axis=0)
+    times, spreads = largest / usual, largest / spread
     alone = seen & (times > ALONE) & (spreads > SPREADS_ALONE)
     together = seen & (times > TOGETHER) & (spreads > SPREADS_TOGETHER)
     touched = alone.any(axis=1) | (together.sum(axis=1) >= 2)
@@ -86,10 +89,13 @@ def unlabelled_findings(
     return [Finding("contact-in-free-motion", "warning", None, evidence, advice)]
 
 
-def _error(rows: Rows, j: int) -> np.ndarray:
+def _error(rows: Rows, j: int) -> tuple[np.ndarray, np.ndarray]:
+    """What gravity, inertia and friction leave of a joint's torque, and the friction (rows,), [N m]."""
     columns, torque = columns_of(rows, j), rows.tau[:, j]
-    error = torque - columns @ robust_solve(columns, torque)[0]
-    return error - np.median(error)
+    weights = robust_solve(columns, torque)[0]
+    error = torque - columns @ weights
+    resists = slice(CONSTANT + 1, CONSTANT + FRICTION)
+    return error - np.median(error), columns[:, resists] @ weights[resists]
 
 
 def _told(

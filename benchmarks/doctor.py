@@ -1,59 +1,90 @@
 """What the doctor finds: faults injected, faults named, false findings on good data.
 
-    python benchmarks/doctor.py [--minutes 1.2] [--good-minutes 12] [--arms six,seven,rig] [--data FILE --robot FILE]
+    python benchmarks/doctor.py --out docs/results/doctor        # the tables there; 15 minutes on one core
+    python benchmarks/doctor.py --arms rig [--data FILE ... --robot FILE] [--urdf FILE ...]
 
-Every way of tests/doctor_faults.py to break recordings is tried on made motion of a six- and a seven-axis arm with
-known friction, and on recordings of the virtual rig. A finding beside the fault counts as other, unless it follows from
-the fault (`follows` there). Of each recording in --data, real ones, whatever is found is listed.
+Every way of tests/doctor_faults.py to break recordings is tried on made motion of several arms with known friction, and
+on recordings of the virtual rig. A finding beside the fault counts as other, unless it follows from it (`follows`
+there). The settings of tests/doctor_arms.py, arms and drives on which no threshold was found, are good data. Of each
+recording in --data, real ones, whatever is found is listed.
 """
 
 import argparse
+import re
+import shlex
 import sys
 import tempfile
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
+from doctor_arms import CURRENTS, SETTINGS, Setting, parallel, scara
 from doctor_faults import FAULTS, Case, Made, NotApplicable, beside, is_named
 from made_motion import made_motion
-from trees import six_axis, urdf
+from trees import Part, six_axis, urdf
 
 from tauext.data import load as load_recording
-from tauext.doctor import examine
+from tauext.doctor import Diagnosis, examine
 from tauext.rig import RigConfig
 from tauext.rig.arm import arm_xml
 from tauext.rig.recording import simulate_recording
 from tauext.robot import load
 
 RATE_HZ = 100.0
+SETTING_MINUTES = 6.0
+"""Of each setting: friction is followed from five minutes on."""
+UNIT_CODES = ("effort-scale", "effort-motor-side")
+"""What is to be found with a model where the effort is a current, or before the gear."""
+
+
+class Lines(list):
+    """Printed as they come, and kept."""
+
+    def say(self, line: str = "") -> None:
+        self.append(line)
+        print(line, flush=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=1.2, help="of the data that are broken")
     parser.add_argument("--good-minutes", type=float, default=12.0, help="long enough for no finding at all")
-    parser.add_argument("--arms", default="six,seven,rig")
-    parser.add_argument("--seeds", type=int, default=3, help="good data of so many seeds")
+    parser.add_argument("--arms", default="six,seven,scara,parallel,rig", help="whose recordings are broken")
+    parser.add_argument("--seeds", type=int, default=1, help="good data of so many seeds")
+    parser.add_argument("--settings", action=argparse.BooleanOptionalAction, default=True)
+    parser.add_argument("--urdf", type=Path, nargs="*", default=[], help="arms whose recordings are broken, too")
     parser.add_argument("--data", type=Path, nargs="*", default=[], help="real recordings, each checked alone")
     parser.add_argument("--robot", type=Path, help="of the real recordings")
+    parser.add_argument("--out", type=Path, help="folder for the tables as README.md")
     options = parser.parse_args()
+    lines = Lines()
+    lines.say("# What the doctor finds\n")
+    lines.say(f"    python benchmarks/doctor.py {shlex.join(sys.argv[1:])}\n")
+    lines.say(
+        f"Faults in {options.minutes:g} minutes of recordings; good data are {options.good_minutes:g} minutes long. "
+        "The code is that of `tauext check`;\n*besides* are findings that do not follow from the fault."
+    )
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for arm in filter(None, options.arms.split(",")):
-            print_table(arm, folder, options.minutes, options.good_minutes, options.seeds)
+        for arm in [*filter(None, options.arms.split(",")), *options.urdf]:
+            print_faults(lines, str(arm), folder, options)
+        if options.settings:
+            print_settings(lines, folder, options)
     for path in options.data:
-        diagnosis = examine([load_recording(path)], options.robot)
-        print(f"\n{path.stem}")
-        for f in diagnosis.findings:
-            print(f"  {f.severity:8s}{f.code:28s}{f.joint or '':14s}{f.evidence}")
+        lines.say(f"\n## {path.stem}\n")
+        for f in examine([load_recording(path)], options.robot).findings:
+            lines.say(f"- {f.severity} `{f.code}` {f.joint or ''}: {f.evidence}")
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+        (options.out / "README.md").write_text("\n".join(lines) + "\n")
 
 
-def print_table(arm: str, folder: Path, minutes: float, good_minutes: float, seeds: int) -> None:
-    print(f"\n{arm}: {minutes:g} minutes\n{'fault':44s}{'named as':28s}{'joints':26s}besides", flush=True)
-    named = tried = others = 0
-    case = make_case(arm, folder, minutes, 0)
+def print_faults(lines: Lines, arm: str, folder: Path, options: argparse.Namespace) -> None:
+    lines.say(f"\n## {Path(arm).stem}\n\n| fault | named as | joints | besides |\n|---|---|---|---|")
+    named = tried = others = false = 0
+    case = make_case(arm, folder, options.minutes, 0)
     for fault in FAULTS:
-        if arm == "rig" and not fault.planar:
+        if (arm == "rig" or len(case.made.recordings[0].joints) < 3) and not fault.planar:
             continue
         try:
             recordings, text = fault.broken(case)
@@ -65,18 +96,48 @@ def print_table(arm: str, folder: Path, minutes: float, good_minutes: float, see
         tried, found = tried + 1, is_named(fault, recordings, diagnosis)
         named, besides = named + found, beside(fault, diagnosis)
         others += len(besides)
-        joints = ", ".join(f.joint or "all" for f in diagnosis.findings if f.code == fault.code)[:24]
+        joints = ", ".join(dict.fromkeys(f.joint or "all" for f in diagnosis.findings if f.code == fault.code))
         told = ", ".join(sorted({f"{f.code} ({f.joint})" for f in besides}))
-        print(f"{fault.name:44s}{fault.code if found else 'NOT NAMED':28s}{joints:26s}{told}", flush=True)
-    false = 0
-    for seed in range(seeds):
-        good = make_case(arm, folder, good_minutes, seed)
-        findings = examine(good.made.recordings, good.urdf).findings
+        lines.say(f"| {fault.name} | {fault.code if found else 'NOT NAMED'} | {joints} | {told} |")
+    lines.say()
+    for seed in range(options.seeds):
+        good = make_case(arm, folder, options.good_minutes, seed)
+        findings = [f for f in examine(good.made.recordings, good.urdf).findings if f.code != "too-short"]
         false += len(findings)
         for f in findings:
-            print(f"good data, seed {seed}: {f.severity} {f.code} {f.joint}: {f.evidence}")
-    print(f"{arm}: {named} of {tried} faults named; {others} other findings beside them; "
-          f"{false} findings on {seeds} good data sets of {good_minutes:g} minutes", flush=True)  # fmt: skip
+            lines.say(f"- good data, seed {seed}: {f.severity} `{f.code}` {f.joint}: {f.evidence}")
+    lines.say(f"{named} of {tried} faults named; {others} other findings beside them; {false} findings on good data.")
+
+
+def print_settings(lines: Lines, folder: Path, options: argparse.Namespace) -> None:
+    lines.say("\n## Arms and drives that no threshold was found on\n")
+    lines.say(
+        f"Findings on {SETTING_MINUTES:g} minutes of good data. With a model, currents and torques before the gear are "
+        "rightly named as such.\n"
+    )
+    lines.say("| arm | with a model | without |\n|---|---|---|")
+    for setting in (*SETTINGS, *CURRENTS):
+        expected = UNIT_CODES if setting in CURRENTS else ()
+        path, recordings = good_data(setting, folder, SETTING_MINUTES)
+        told = [told_findings(examine(recordings, robot), expected) for robot in (path, None)]
+        lines.say(f"| {setting.name} | {told[0]} | {told[1]} |")
+
+
+def good_data(setting: Setting, folder: Path, minutes: float) -> tuple[Path, list]:
+    path = urdf_file(folder / "setting.urdf", setting.parts)
+    return path, made_motion(load(path), minutes, setting.rate_hz, seed=3, drive=setting.drive).recordings
+
+
+def told_findings(diagnosis: Diagnosis, expected: tuple[str, ...]) -> str:
+    right = sum(f.code in expected for f in diagnosis.findings)
+    rest = [f for f in diagnosis.findings if f.code not in (*expected, "too-short")]
+    parts = [f"{right} joints named"] if right else []
+    return ", ".join([*parts, *(f"{f.code} ({f.joint})" for f in rest)]) or "none"
+
+
+def urdf_file(path: Path, parts: list[Part]) -> Path:
+    path.write_text(urdf(parts).replace('effort="100"', 'effort="5000"'))
+    return path
 
 
 def make_case(arm: str, folder: Path, minutes: float, seed: int) -> Case:
@@ -88,11 +149,13 @@ def make_case(arm: str, folder: Path, minutes: float, seed: int) -> Case:
         tree = load(path)
         gravity = [tree.momentum(r.q, 0 * r.q)[1] for r in recordings]
         return Case(Made(recordings, gravity, []), path, minutes, 1000.0)
-    path = folder / f"{arm}.urdf"
-    if arm == "six":
-        path.write_text(urdf(six_axis()).replace('effort="100"', 'effort="3000"'))
-    else:
+    path = folder / "arm.urdf"
+    if arm.endswith(".urdf"):
+        path.write_text(re.sub('effort="[^"]*"', 'effort="5000"', Path(arm).read_text()))
+    elif arm == "seven":
         path.write_text((Path(__file__).parent / "seven_axis.urdf").read_text())
+    else:
+        urdf_file(path, {"six": six_axis, "scara": scara, "parallel": parallel}[arm]())
     return Case(made_motion(load(path), minutes, RATE_HZ, seed), path, minutes, RATE_HZ)
 
 

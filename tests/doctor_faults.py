@@ -127,6 +127,27 @@ def gapped(case: Case) -> Broken:
     return each(case, change)
 
 
+def displaced(r: Recording, by_rad: float) -> dict:
+    return at(r, "q", J, lambda x: x + by_rad)
+
+
+def standing(case: Case, signs: list[float]) -> Broken:
+    """Ten seconds in each of four poses, and friction of a tenth of the largest load that holds either way."""
+    rng, tree = np.random.default_rng(0), case.tree
+    t = np.arange(round(10 * case.rate_hz)) / case.rate_hz
+    poses = rng.uniform(-1.5, 1.5, (4, tree.size))
+    gravity = tree.momentum(poses, 0 * poses)[1]
+    recordings = []
+    for k, (pose, load_nm) in enumerate(zip(poses, gravity, strict=True)):
+        held_nm = load_nm + 0.1 * np.abs(gravity).max(axis=0) * rng.uniform(-1, 1, tree.size)
+        noise = rng.standard_normal((len(t), tree.size))
+        shape: dict = {name: None for name in (*SIGNALS, *FLAGS)}
+        shape |= {"t_ns": (1e9 * t).astype(np.int64), "q": pose + 0 * noise, "dq": 1e-4 * noise}
+        tau = np.array(signs) * (held_nm + 0.01 * np.abs(held_nm).max() * noise)
+        recordings.append(replace(case.made.recordings[0], name=f"pose-{k}", **shape | {"tau": tau}))
+    return recordings, case.urdf.read_text()
+
+
 def uncompensated(case: Case) -> Broken:
     return each(case, lambda r, k: {"tau": r.tau - case.made.gravity[k]})
 
@@ -161,6 +182,18 @@ def touched(r: Recording, k: int) -> dict:
     contact = r.contact.copy()
     contact[500:600] = 1
     return {"contact": contact}
+
+
+def pushed(r: Recording, k: int, lasts_s: float, share: float) -> dict:
+    """Four half sines at the joints up to a random one, of this share of their torques' spread; nobody labels them."""
+    rng, tau = np.random.default_rng(k), r.tau.copy()
+    for start_s in rng.uniform(2, r.duration_s - 2 - lasts_s, 4):
+        last = int(rng.integers(1, len(r.joints)))
+        during = (r.time_s > start_s) & (r.time_s < start_s + lasts_s)
+        shape = np.sin(np.pi * (r.time_s[during] - start_s) / lasts_s)[:, None]
+        way = rng.choice([-1, 1], last + 1) * rng.uniform(0.5, 1, last + 1)
+        tau[during, : last + 1] += share * shape * way * r.tau.std(axis=0)[: last + 1]
+    return {"tau": tau, "contact": None}
 
 
 def tilted(case: Case) -> Broken:
@@ -233,6 +266,13 @@ FAULTS = [
     Fault("an axis reversed", "joint-axis", J,
           lambda c: each(c, lambda r, k: at(r, "q", J, np.negative) | at(r, "dq", J, np.negative)
                          | at(r, "tau", J, np.negative)), planar=False),
+    Fault("a zero position off by 0.1 rad", "position-offset", J, lambda c: each(c, lambda r, k: displaced(r, 0.1))),
+    Fault("a zero position off by -0.5 rad", "position-offset", J, lambda c: each(c, lambda r, k: displaced(r, -0.5))),
+    Fault("a zero position off by 90 degrees", "position-offset", J,
+          lambda c: each(c, lambda r, k: displaced(r, np.pi / 2)), follows=("position-limit",)),
+    Fault("the arm stands, effort of one joint negated", "effort-sign", J,
+          lambda c: standing(c, [-1.0 if j == J else 1.0 for j in range(c.tree.size)]),
+          follows=("never-moves", "clock-gaps", "smoothed")),
     Fault("torque saturated", "saturated", J,
           lambda c: each(c, lambda r, k: at(r, "tau", J, lambda x: np.minimum(x, most_nm(c))))),
     Fault("dq saturated", "saturated", J,
@@ -255,6 +295,12 @@ FAULTS = [
     Fault("thirty seconds", "too-short", None, lambda c: (c.anew(c.tree, minutes=0.5), c.urdf.read_text())),
     Fault("friction falls by 40 % as it warms up", "temperature-drift", J, drifting),
     Fault("contacts in free motion", "contact-in-free-motion", None, lambda c: each(c, touched)),
+    Fault("impacts of 50 ms that nobody labelled", "contact-in-free-motion", None,
+          lambda c: each(c, lambda r, k: pushed(r, k, 0.05, 0.6))),
+    Fault("impacts of 200 ms that nobody labelled", "contact-in-free-motion", None,
+          lambda c: each(c, lambda r, k: pushed(r, k, 0.2, 0.3))),
+    Fault("pushes of 2 s that nobody labelled", "contact-in-free-motion", None,
+          lambda c: each(c, lambda r, k: pushed(r, k, 2.0, 0.3))),
     Fault("base tilted by 40 degrees", "gravity-direction", None, tilted, planar=False),
     Fault("a tool that is not in the model", "payload-missing", None, loaded),
     Fault("a limit of position too narrow", "position-limit", J,

@@ -15,6 +15,34 @@ NOISE = 0.01  # of the torque, as a share of its spread
 
 
 @dataclass(frozen=True)
+class Drive:
+    """What arms differ in beside their links."""
+
+    friction: float = 1.0
+    """Times a tenth to a third of each joint's torque."""
+    load: float = 0.0
+    """Coulomb friction that gravity on the gear adds, Nm per Nm."""
+    presliding_rad: float = 0.0
+    """Travel in which friction turns round (Dahl), so that an arm at rest keeps its own; 0: by speed alone."""
+    warming: float = 0.0
+    """Share of the friction that is gone after WARM_S."""
+    noise: float = NOISE
+    """Of the torque, as a share of its spread."""
+    velocity_filter_s: float = 1 / VELOCITY_RAD_S
+    profile: str = "quintic"
+    """quintic or trapezoid: speed over a move."""
+    pause_s: float = 0.3
+    """The longest between two moves."""
+    nm_per_a: tuple[float, ...] | None = None
+    """Torque constants at the joint: the effort is a current; None: a torque."""
+    step: float = 0.0
+    """Of the effort, [A or Nm]; 0: none."""
+
+
+WARM_S = 600.0
+
+
+@dataclass(frozen=True)
 class Made:
     """Recordings of one arm, and the parts of their torques (samples, joints) [N m]."""
 
@@ -31,8 +59,9 @@ def made_motion(
     pieces: int = 4,
     ranges: np.ndarray | float = 1.5,
     still: int | None = None,
+    drive: Drive = Drive(),
 ) -> Made:
-    """Quintic moves between random poses, with friction of a tenth to a third of each joint's torque.
+    """Moves between random poses, with friction of a tenth to a third of each joint's torque.
 
     Args:
         ranges: of the poses, rad to either side.
@@ -48,15 +77,25 @@ def made_motion(
     recordings, gravities, frictions = [], [], []
     for piece in range(pieces):
         fine = max(1, round(500 / rate_hz))
-        q = _moves(rng, round(minutes * 60 * rate_hz / pieces) * fine, rate_hz * fine, reach)
+        q = _moves(rng, round(minutes * 60 * rate_hz / pieces) * fine, rate_hz * fine, reach, drive)
         dq = np.gradient(q, 1 / (rate_hz * fine), axis=0)
         momentum, beta = tree.momentum(q, dq)
         torque = np.gradient(momentum, 1 / (rate_hz * fine), axis=0) + beta
-        friction = size * (np.tanh(dq / 0.02) + 0.8 * dq)
         gravity = tree.momentum(q, np.zeros_like(q))[1]
-        tau = torque + friction + NOISE * (torque + friction).std(axis=0) * rng.standard_normal(q.shape)
+        way = _dahl(q, drive.presliding_rad) if drive.presliding_rad else np.tanh(dq / 0.02)
+        friction = drive.friction * size * (way + 0.8 * dq) + drive.load * np.abs(gravity) * way
+        if drive.warming:
+            at_s = 60 * minutes * piece / pieces + np.arange(len(q))[:, None] / (rate_hz * fine)
+            friction *= 1 - drive.warming * np.minimum(1, at_s / WARM_S)
+        tau = torque + friction + drive.noise * (torque + friction).std(axis=0) * rng.standard_normal(q.shape)
+        if drive.nm_per_a is not None:
+            tau = tau / np.resize(drive.nm_per_a, tree.size)
+        if drive.step:
+            tau = np.round(tau / drive.step) * drive.step
         encoder = np.round(q / ENCODER_RAD) * ENCODER_RAD
-        velocity = _filtered(np.gradient(encoder, 1 / (rate_hz * fine), axis=0), VELOCITY_RAD_S / (rate_hz * fine))
+        velocity = np.gradient(encoder, 1 / (rate_hz * fine), axis=0)
+        if drive.velocity_filter_s:
+            velocity = _filtered(velocity, 1 / drive.velocity_filter_s / (rate_hz * fine))
         keep = slice(0, None, fine)
         recordings.append(
             Recording(
@@ -78,16 +117,36 @@ def made_motion(
     return Made(recordings, gravities, frictions)
 
 
-def _moves(rng: np.random.Generator, samples: int, rate_hz: float, reach: np.ndarray) -> np.ndarray:
+def _moves(rng: np.random.Generator, samples: int, rate_hz: float, reach: np.ndarray, drive: Drive) -> np.ndarray:
     parts, length, here = [], 0, np.zeros(len(reach))
     while length < samples:
         there = rng.uniform(-reach, reach)
         seconds = max(0.5, float(np.abs(there - here).max()) / rng.uniform(0.4, 1.2))
         x = np.linspace(0, 1, round(seconds * rate_hz))[:, None]
-        parts += [here + (there - here) * (10 * x**3 - 15 * x**4 + 6 * x**5)]
-        parts += [np.repeat(there[None], round(rng.uniform(0, 0.3) * rate_hz), axis=0)]
+        parts += [here + (there - here) * (_trapezoid(x) if drive.profile == "trapezoid" else _quintic(x))]
+        parts += [np.repeat(there[None], round(rng.uniform(0, drive.pause_s) * rate_hz), axis=0)]
         length, here = length + len(parts[-1]) + len(parts[-2]), there
     return np.concatenate(parts)[:samples]
+
+
+def _quintic(x: np.ndarray) -> np.ndarray:
+    return 10 * x**3 - 15 * x**4 + 6 * x**5
+
+
+def _trapezoid(x: np.ndarray, rise: float = 0.25) -> np.ndarray:
+    """Way over time of a speed that rises for a quarter, holds, and falls for a quarter."""
+    top = 1 / (1 - rise)
+    late = 1 - np.minimum(1 - x, rise) ** 2 * top / (2 * rise)
+    return np.where(x < rise, top * x**2 / (2 * rise), np.where(x > 1 - rise, late, top * (x - rise / 2)))
+
+
+def _dahl(q: np.ndarray, width: float) -> np.ndarray:
+    """Friction in -1 to 1 that turns round over `width` of travel [rad], and stays where the joint stands."""
+    way, z = np.zeros_like(q), np.zeros(q.shape[1])
+    for k, step in enumerate(np.diff(q, axis=0), start=1):
+        z = np.clip(z + step / width * (1 - np.sign(step) * z), -1, 1)
+        way[k] = z
+    return way
 
 
 def _filtered(x: np.ndarray, share: float) -> np.ndarray:

@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from doctor_faults import FAULTS, Case, Fault, beside, is_named
+from arms import planar_arm
+from doctor_arms import scara
+from doctor_faults import FAULTS, Case, Fault, beside, is_named, standing
 from made_motion import made_motion
 from trees import six_axis, urdf
 
@@ -16,7 +18,8 @@ from tauext.doctor import CODES, examine
 from tauext.doctor.fit import fit_joint
 from tauext.doctor.motion import stretches
 from tauext.doctor.payload import fit_load, with_load
-from tauext.doctor.regressors import rows_of
+from tauext.doctor.poses import pose_findings
+from tauext.doctor.regressors import presliding, rows_of
 from tauext.doctor.velocity import compare
 from tauext.errors import ConfigError, RobotError
 from tauext.rig import RigConfig
@@ -72,6 +75,69 @@ def test_fault_of_the_rig_is_named(rig: Case, name: str):
 def test_every_code_but_two_has_a_fault_that_leads_to_it():
     # an unusable file and a hand that is not mounted have tests of their own
     assert set(CODES) - {fault.code for fault in FAULTS} == {"model-unusable", "payload-absent"}
+
+
+def test_offset_is_named_in_rad_and_degrees(six):
+    recordings = [replace(r, q=r.q - 0.3 * np.eye(6)[2]) for r in six.made.recordings]
+    (found,) = [f for f in examine(recordings, six.urdf).findings if f.code == "position-offset"]
+    assert found.joint == "joint3" and "+0.30 rad (+17 degrees)" in found.evidence
+
+
+def test_axis_along_gravity_has_no_offset(tmp_path):
+    """Turned about the vertical every zero is as good as another."""
+    path = tmp_path / "scara.urdf"
+    path.write_text(urdf(scara()).replace('effort="100"', 'effort="3000"'))
+    made = made_motion(load(path), MINUTES, RATE_HZ, pieces=2)
+    turned = [replace(r, q=r.q + 0.5 * np.eye(4)[0]) for r in made.recordings]
+    assert {f.code for f in examine(turned, path).findings} <= {"too-short"}
+
+
+def test_sign_at_rest_is_told_of_loaded_joints_alone(six):
+    recordings, _ = standing(six, [-1.0] * 6)
+    loads = np.abs(six.tree.momentum(np.stack([r.q[0] for r in recordings]), np.zeros((4, 6)))[1]).max(axis=0)
+    found = [f.joint for f in pose_findings(recordings, six.tree, recordings[0].joints)]
+    assert {f"joint{j + 1}" for j in np.flatnonzero(loads > 0.5 * loads.max())} <= set(found)
+    assert not pose_findings(standing(six, [1.0] * 6)[0], six.tree, recordings[0].joints)
+
+
+def test_friction_that_holds_the_arm_has_no_sign_of_gravity(six):
+    """One pose whose torque is a twentieth of the load, either way: the gears hold it."""
+    recordings, _ = standing(six, [1.0] * 6)
+    held = [replace(r, tau=-0.05 * r.tau) for r in recordings[:1]]
+    little = [replace(r, tau=r.tau * np.where(np.arange(6) == 1, -0.05, 1.0)) for r in recordings[:1]]
+    assert "joint2" not in {f.joint for f in pose_findings(little, six.tree, recordings[0].joints)}
+    assert examine(held).findings  # without a model: that nothing moves
+    assert "effort-sign" not in {f.code for f in examine(held).findings}
+
+
+def test_presliding_state_is_the_stop_operator_sample_by_sample():
+    rng = np.random.default_rng(0)
+    q = np.cumsum(rng.normal(size=(300, 2)), axis=0) * 1e-3
+    z, slow = np.zeros(2), np.zeros((300, 2))
+    for k in range(1, 300):
+        z = np.clip(z + q[k] - q[k - 1], -2e-3, 2e-3)
+        slow[k] = z / 2e-3
+    assert presliding(q, 2e-3, 100.0) == pytest.approx(slow, abs=1e-12)  # rounding
+
+
+def test_contact_that_nobody_labelled_is_told_with_time_joint_and_torque(six):
+    def touched(r):
+        shape = np.exp(-(((r.time_s - 20.0) / 0.05) ** 2))
+        return replace(r, tau=r.tau + 0.8 * r.tau.std(axis=0)[2] * shape[:, None] * np.eye(6)[2], contact=None)
+
+    first, second = six.made.recordings
+    (found,) = [f for f in examine([first, touched(second)], six.urdf).findings if f.code != "too-short"]
+    assert found.severity == "warning" and "'joint3' at 20.0 s of 'free-1'" in found.evidence
+
+
+def test_coarse_current_that_rests_on_a_level_is_not_stuck():
+    """A slow joint of a current in steps of a tenth of its spread keeps each level for a while."""
+    t = np.arange(6000) / 100.0
+    q = np.stack([np.sin(0.2 * t), np.sin(0.9 * t)], axis=1)
+    tau = np.round(np.stack([np.cos(0.2 * t), np.cos(0.9 * t)], axis=1) / 0.1) * 0.1
+    recording = made_motion(planar_arm(), 1.0, pieces=1).recordings[0]
+    recording = replace(recording, q=q, dq=np.gradient(q, 0.01, axis=0), tau=tau)
+    assert "stuck" not in {f.code for f in examine([recording]).findings}
 
 
 def test_effort_of_the_wrong_sign_is_found_without_a_model(six):

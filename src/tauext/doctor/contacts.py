@@ -1,11 +1,36 @@
-"""Labelled contacts where there should be none."""
+"""Contacts where there should be none: by their labels, or by torque that no motion explains."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
+import numpy as np
+
+from tauext import _core
 from tauext.data import Recording
 from tauext.doctor.finding import Finding
+from tauext.doctor.fit import CONSTANT, columns_of, robust_solve, robust_spread
+from tauext.doctor.motion import Stretch
+from tauext.doctor.regressors import FRICTION, Rows, rows_of
+
+CUTOFF_HZ, ROWS_HZ = 10.0, 50.0
+"""An impact lasts 50 to 200 ms: the fits' own filter would take half of it."""
+WINDOW_S = 0.5
+LEAST_WINDOWS = 60
+USUAL = 90
+"""Percentile of the windows' largest errors: friction at reversals makes these several times their spread."""
+ALONE, SPREADS_ALONE = 5.0, 8.0
+"""Times the usual, and spreads, at one joint; friction and slipping gears reached 4.1 times in good recordings."""
+TOGETHER, SPREADS_TOGETHER = 4.0, 6.0
+"""The same at two joints in one window: what touches a link acts on the joints before it."""
+LEAST_SHARE = 0.1
+"""Of the torque's spread: where nearly all is explained, less is still no contact."""
+MOVING_RAD_S = 0.02
+CRAWL_RAD_S = 0.05
+"""A joint that is as slow may stick and slip: there it takes more than its whole friction."""
+TOLD = 3
+SPOILING = ("stuck", "saturated", "smoothed", "clock-irregular", "repeated-rows", "quantised")
+"""Findings after which torque that no motion explains is no contact."""
 
 
 def contact_findings(recordings: Sequence[Recording], called_free: Collection[str] = ()) -> list[Finding]:
@@ -23,3 +48,67 @@ def contact_findings(recordings: Sequence[Recording], called_free: Collection[st
         )
         found.append(Finding("contact-in-free-motion", "fault", None, evidence, advice))
     return found
+
+
+def unlabelled_findings(
+    stretches: Sequence[Stretch], tree: _core.Tree | None, lag_s: float, recordings: Sequence[Recording]
+) -> list[Finding]:
+    """Disturbances far beyond the usual error, in recordings without a labelled contact; one finding for all.
+
+    Impacts and pushes that stay below a few times what friction does at reversals are not seen.
+    """
+    motion = [s for s in stretches if recordings[s.recording].contact is None
+              or not (recordings[s.recording].contact == 1).any()]  # fmt: skip
+    if not motion:
+        return []
+    rows = rows_of(motion, tree, lag_s, CUTOFF_HZ, ROWS_HZ)
+    errors, friction = (np.stack(x, axis=1) for x in zip(*(_error(rows, j) for j in range(rows.joints)), strict=True))
+    spread = np.maximum([robust_spread(x) for x in errors.T], 1e-12)
+    number = np.unique((rows.time_s // WINDOW_S).astype(int), return_inverse=True)[1]
+    windows = np.split(np.arange(len(number)), np.flatnonzero(np.diff(number)) + 1)
+    largest = np.stack([np.abs(errors[at]).max(axis=0) for at in windows])
+    moving = np.array([(np.abs(rows.dq[at]) > MOVING_RAD_S).any() for at in windows])
+    if moving.sum() < LEAST_WINDOWS:
+        return []
+    usual = np.maximum(np.percentile(largest[moving], USUAL, axis=0), 1e-12)
+    crawls = np.stack([np.abs(rows.dq[at]).min(axis=0) < CRAWL_RAD_S for at in windows])
+    seen = largest > LEAST_SHARE * rows.tau.std(axis=0) + crawls * np.percentile(np.abs(friction), USUAL, axis=0)
+    times, spreads = largest / usual, largest / spread
+    alone = seen & (times > ALONE) & (spreads > SPREADS_ALONE)
+    together = seen & (times > TOGETHER) & (spreads > SPREADS_TOGETHER)
+    touched = alone.any(axis=1) | (together.sum(axis=1) >= 2)
+    if not touched.any():
+        return []
+    begins = np.flatnonzero(touched & ~np.r_[False, touched[:-1]])
+    strongest = begins[np.argsort(-times[begins].max(axis=1))][:TOLD]
+    told = [_told(rows, errors, windows[k], int(np.argmax(times[k])), times[k].max(), recordings)
+            for k in strongest]  # fmt: skip
+    what = "disturbance" if len(begins) == 1 else "disturbances"
+    evidence = f"{len(begins)} {what} of the torque that no motion explains: {'; '.join(told)}"
+    advice = "look there: leave contacts out of training and limits, by a label or by cutting the recording"
+    return [Finding("contact-in-free-motion", "warning", None, evidence, advice)]
+
+
+def _error(rows: Rows, j: int) -> tuple[np.ndarray, np.ndarray]:
+    """What gravity, inertia and friction leave of a joint's torque, and the friction (rows,), [N m]."""
+    columns, torque = columns_of(rows, j), rows.tau[:, j]
+    weights = robust_solve(columns, torque)[0]
+    error = torque - columns @ weights
+    resists = slice(CONSTANT + 1, CONSTANT + FRICTION)
+    return error - np.median(error), columns[:, resists] @ weights[resists]
+
+
+def _told(
+    rows: Rows,
+    errors: np.ndarray,
+    at: np.ndarray,
+    joint: int,
+    times: float,
+    recordings: Sequence[Recording],
+) -> str:
+    peak = at[int(np.argmax(np.abs(errors[at, joint])))]
+    recording = int(rows.recording[peak])
+    since = rows.time_s[peak] - sum(r.duration_s for r in recordings[:recording])
+    r = recordings[recording]
+    where = f"'{r.joints[joint]}' at {since:.1f} s of '{r.name}'"
+    return f"{errors[peak, joint]:.3g} Nm at {where}, {times:.0f} times the usual error"

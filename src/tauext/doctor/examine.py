@@ -12,7 +12,7 @@ from tauext import _core
 from tauext.data import Recording
 from tauext.doctor.arrangement import exchanged_efforts, rearranged
 from tauext.doctor.clock import clock_findings
-from tauext.doctor.contacts import contact_findings
+from tauext.doctor.contacts import SPOILING, contact_findings, unlabelled_findings
 from tauext.doctor.delay import delay_findings, torque_lags
 from tauext.doctor.drift import drift_findings
 from tauext.doctor.effort import inverted, kind_findings, scale_findings, sign_findings, strong_joints
@@ -23,6 +23,7 @@ from tauext.doctor.gravity import gravity_finding
 from tauext.doctor.limits import limit_findings
 from tauext.doctor.motion import Stretch, stretches
 from tauext.doctor.payload import fit_load, loaded, payload_findings
+from tauext.doctor.poses import pose_findings
 from tauext.doctor.regressors import Rows, rows_of
 from tauext.doctor.robot_file import RobotFile, open_robot
 from tauext.doctor.sensors import noise_nm, sensor_findings, torque_step_nm
@@ -82,8 +83,10 @@ def examine(
     standing = any(finding.code == "never-moves" for finding in found)
     rows, fits, lags = None, [], []
     if not standing and motion and len(rows_of(motion, None).time_s) >= LEAST_ROWS:
-        torque_found, rows, fits, lags = _torque(motion, file.tree if file else None, joints, recordings)
+        torque_found, rows, fits, lags = _torque(motion, file.tree if file else None, joints, recordings, found)
         found += torque_found
+    elif file and file.tree is not None:
+        found += pose_findings(recordings, file.tree, joints)
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
     return Diagnosis(joints, found, _facts(recordings, velocities, rows, fits, lags), rows, fits)
 
@@ -119,12 +122,18 @@ def _in_radians(
 
 
 def _torque(
-    motion: list[Stretch], tree: _core.Tree | None, joints: Sequence[str], recordings: Sequence[Recording]
+    motion: list[Stretch],
+    tree: _core.Tree | None,
+    joints: Sequence[str],
+    recordings: Sequence[Recording],
+    signal_findings: Sequence[Finding],
 ) -> tuple[list[Finding], Rows, list[JointFit], list[tuple[float, float, float]]]:
-    """Order, axes, sign, gravity, delay, kind and payload, friction over time: each on what the one before mended."""
+    """Order, axes, zeros, sign, gravity, delay, kind and payload, friction over time, contacts: each on what the one
+    before mended."""
     n = len(joints)
     rows = rows_of(motion, tree)
     found: list[Finding] = []
+    spoilt = any(finding.code in SPOILING for finding in signal_findings)
     long_enough = moving_s(motion) >= SEARCH_S
     if long_enough:
         found, column = exchanged_efforts(rows, joints)
@@ -153,7 +162,9 @@ def _torque(
         found += scaled
         rows = rows_of(motion, tree, lag_s)
         fits = [fit_joint(rows, j) for j in range(n)]
-    return found + drift_findings(rows, joints, fits, recordings), rows, fits, lags
+    found += drift_findings(rows, joints, fits, recordings)
+    found += [] if spoilt else unlabelled_findings(motion, tree, lag_s, recordings)
+    return found, rows, fits, lags
 
 
 def _scale(

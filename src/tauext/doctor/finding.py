@@ -11,7 +11,7 @@ SEVERITIES: tuple[Severity, ...] = ("fault", "warning", "note")
 CODES = {
     "clock-gaps": "samples are missing",
     "clock-irregular": "the steps between samples differ",
-    "contact-in-free-motion": "labelled contacts in a recording that is called free",
+    "contact-in-free-motion": "contacts in a recording that is called free, labelled or seen in the torque",
     "degrees": "positions, or positions and velocities, are in degrees",
     "effort-external": "the torque is already an external torque",
     "effort-gravity-compensated": "the torque has no gravity in it",
@@ -31,6 +31,7 @@ CODES = {
     "payload-absent": "the model carries something that is not mounted",
     "payload-missing": "something is mounted that is not in the model",
     "position-limit": "a position exceeds the robot file's limit",
+    "position-offset": "a joint's zero position is elsewhere than in the robot file",
     "quantised": "the torque has few levels",
     "repeated-rows": "rows are equal to the row before",
     "saturated": "many samples stand at one extreme value",

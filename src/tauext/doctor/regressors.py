@@ -12,7 +12,11 @@ from tauext.doctor.motion import FIT_CUTOFF_HZ, FIT_ROWS_HZ, Stretch, low_pass
 
 COULOMB_SPEEDS_RAD_S = (0.02, 0.2)
 """Smoothings of the sign of the speed: a sharp reversal, and friction that still grows at a crawl."""
-FRICTION = 2 + len(COULOMB_SPEEDS_RAD_S)  # constant, viscous, Coulomb
+PRESLIDING_RAD = (5e-4, 5e-3)
+"""Travel in which friction turns round after a reversal. It is kept at rest, where a sign of the speed says 0 and what
+friction holds would be taken for gravity: a joint mostly comes to rest from the side of its middle."""
+PRESLIDING_RATE_HZ = 100.0
+FRICTION = 2 + len(COULOMB_SPEEDS_RAD_S) + len(PRESLIDING_RAD)  # constant, viscous, Coulomb, presliding
 
 
 @dataclass(frozen=True)
@@ -27,7 +31,7 @@ class Rows:
     gravity: np.ndarray  # of the model
     inertial: np.ndarray  # of the model: M ddq + C dq, rotor inertia of the file included
     acceleration: np.ndarray  # [rad/s^2]: what a rotor inertia of 1 kg m^2 more would take
-    friction: np.ndarray  # (rows, joints, FRICTION): 1, dq, tanh(dq / speed) ...
+    friction: np.ndarray  # (rows, joints, FRICTION): 1, dq, tanh(dq / speed) ..., presliding states
 
     @property
     def joints(self) -> int:
@@ -42,7 +46,13 @@ class Rows:
         return self.gravity + self.inertial
 
 
-def rows_of(stretches: Sequence[Stretch], tree: _core.Tree | None, lag_s: float = 0.0) -> Rows:
+def rows_of(
+    stretches: Sequence[Stretch],
+    tree: _core.Tree | None,
+    lag_s: float = 0.0,
+    cutoff_hz: float = FIT_CUTOFF_HZ,
+    rows_hz: float = FIT_ROWS_HZ,
+) -> Rows:
     r"""LP(tau) beside LP(dp/dt + beta) and friction of the same motion.
 
     With p = M dq and beta = g - C^T dq of the sweep, dp/dt + beta is the model's torque: no acceleration is needed, and
@@ -51,12 +61,16 @@ def rows_of(stretches: Sequence[Stretch], tree: _core.Tree | None, lag_s: float 
     Args:
         tree: None: no model, its torques are 0.
         lag_s: the torque is taken so much later than its stamp says; positive where torque lags behind motion.
+        cutoff_hz: of the low-pass.
+        rows_hz: rows a second.
     """
-    parts = [_of_stretch(stretch, tree, lag_s) for stretch in stretches]
+    parts = [_of_stretch(stretch, tree, lag_s, cutoff_hz, rows_hz) for stretch in stretches]
     return Rows(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def _of_stretch(stretch: Stretch, tree: _core.Tree | None, lag_s: float) -> tuple[np.ndarray, ...]:
+def _of_stretch(
+    stretch: Stretch, tree: _core.Tree | None, lag_s: float, cutoff_hz: float, rows_hz: float
+) -> tuple[np.ndarray, ...]:
     q, dq, rate = stretch.q, stretch.dq, stretch.rate_hz
     gravity = inertial = np.zeros_like(q)
     if tree is not None:
@@ -64,14 +78,29 @@ def _of_stretch(stretch: Stretch, tree: _core.Tree | None, lag_s: float) -> tupl
         gravity = tree.momentum(q, np.zeros_like(q))[1]
         inertial = np.gradient(momentum, 1 / rate, axis=0) + beta - gravity
     friction = [np.ones_like(dq), dq] + [np.tanh(dq / speed) for speed in COULOMB_SPEEDS_RAD_S]
-    time = picked(stretch.start_s + np.arange(len(q)) / rate, rate)
+    friction += [presliding(q, width, rate) for width in PRESLIDING_RAD]
+    time = picked(stretch.start_s + np.arange(len(q)) / rate, rate, rows_hz)
     tau = delayed(stretch.tau, lag_s, rate)
 
     def filtered(x: np.ndarray) -> np.ndarray:
-        return picked(low_pass(x, min(FIT_CUTOFF_HZ, rate / 6), rate), rate)
+        return picked(low_pass(x, min(cutoff_hz, rate / 6), rate), rate, rows_hz)
 
     signals = (q, dq, tau, gravity, inertial, np.gradient(dq, 1 / rate, axis=0), np.stack(friction, axis=2))
     return (time, np.full(len(time), stretch.recording), *(filtered(x) for x in signals))
+
+
+def presliding(q: np.ndarray, width_rad: float, rate_hz: float) -> np.ndarray:
+    """Stop operator z <- clip(z + dq, -w, w) on positions (samples, joints), scaled by w; 0 before the joint moves."""
+    every = max(1, int(rate_hz / PRESLIDING_RATE_HZ))
+    coarse = q[::every]
+    states, z = np.zeros_like(coarse), np.zeros(q.shape[1])
+    for k, step in enumerate(np.diff(coarse, axis=0) / width_rad, start=1):
+        z = np.minimum(1.0, np.maximum(-1.0, z + step))
+        states[k] = z
+    if every == 1:
+        return states
+    at, known = np.arange(len(q)), np.arange(len(coarse)) * every
+    return np.stack([np.interp(at, known, column) for column in states.T], axis=1)
 
 
 def torque_rows(stretches: Sequence[Stretch], lag_s: float) -> np.ndarray:
@@ -91,7 +120,7 @@ def delayed(x: np.ndarray, lag_s: float, rate_hz: float) -> np.ndarray:
     return np.stack([np.interp(at + lag_s, at, column) for column in x.T], axis=1)
 
 
-def picked(x: np.ndarray, rate_hz: float) -> np.ndarray:
-    """Rows at FIT_ROWS_HZ, the ends left out, where a filter that runs both ways sees one side only."""
+def picked(x: np.ndarray, rate_hz: float, rows_hz: float = FIT_ROWS_HZ) -> np.ndarray:
+    """Rows at `rows_hz`, the ends left out, where a filter that runs both ways sees one side only."""
     end = int(0.2 * rate_hz)
-    return x[end : len(x) - end : max(1, round(rate_hz / FIT_ROWS_HZ))]
+    return x[end : len(x) - end : max(1, round(rate_hz / rows_hz))]

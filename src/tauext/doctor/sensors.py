@@ -15,6 +15,8 @@ PILED_ROWS, PILED_SHARE = 20, 3.0
 STUCK_S = 0.2
 """A signal that has not changed in a single bit for so long while its joint turns by STUCK_RAD stands still."""
 STUCK_RAD = 0.02
+STUCK_TIMES = 5.0
+"""... and so many times longer than 99 of 100 equal runs: a current of few levels keeps each for a while."""
 CLEAN = 1e-3
 """Noise as a share of the torque's spread. Motor currents and torque sensors have 0.01 to 0.2, none a thousandth."""
 CLEAN_RATE_HZ = 60.0
@@ -81,9 +83,12 @@ def _stuck(recordings: Sequence[Recording], j: int, joint: str) -> Finding | Non
         for signal in signals:
             x = getattr(r, signal)[:, j]
             edges = np.flatnonzero(np.diff(np.r_[0, ((x[1:] == x[:-1]) & ~whole[1:]).astype(np.int8), 0]))
-            for first, last in zip(edges[::2], edges[1::2], strict=True):
-                seconds = (r.t_ns[last] - r.t_ns[first]) * 1e-9
-                if seconds < STUCK_S or last - first < 10 or x[first] in ends.get(signal, ()):
+            lasted = (r.t_ns[edges[1::2]] - r.t_ns[edges[::2]]) * 1e-9
+            least_s = STUCK_S
+            if signal == "tau" and len(lasted) >= 100:
+                least_s = max(STUCK_S, STUCK_TIMES * float(np.percentile(lasted, 99)))
+            for first, last, seconds in zip(edges[::2], edges[1::2], lasted, strict=True):
+                if seconds < least_s or last - first < 10 or x[first] in ends.get(signal, ()):
                     continue
                 other = travelled[signal][first : last + 1, j]
                 if signal == "q":

@@ -54,11 +54,12 @@ class Tile:
     error: str
 
 
-def render_page(results: Results, figures: dict[str, PageFigure]) -> str:
+def render_page(results: Results, figures: dict[str, PageFigure], traces: str = "") -> str:
     """The whole page.
 
     Args:
         figures: by the names that the template uses.
+        traces: their part of the page.
     """
     colours = case_colours([case.name for case in results.cases])
     ten = [results.collisions[one] for one in results.ten if one in results.collisions]
@@ -85,6 +86,7 @@ def render_page(results: Results, figures: dict[str, PageFigure]) -> str:
         ten_count=len(ten),
         paper=paper,
         figures=figures,
+        traces=traces,
     )
 
 

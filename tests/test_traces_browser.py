@@ -70,7 +70,7 @@ def opened(browser, path, fragment: str = "", **context):
     """The page, ready, with everything that it asked for or complained about."""
     page = browser.new_context(viewport={"width": 1200, "height": 900}, **context).new_page()
     page.trouble = []
-    page.on("console", lambda message: page.trouble.append(message.text))
+    page.on("console", lambda message: message.type == "error" and page.trouble.append(message.text))
     page.on("pageerror", lambda error: page.trouble.append(str(error)))
     page.on("request", lambda request: request.url.startswith("file:") or page.trouble.append(request.url))
     page.goto(path.as_uri() + fragment)

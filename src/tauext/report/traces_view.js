@@ -244,8 +244,13 @@ function drawCurve(g, c, at, top, pixels, ratio, sign) {
       high = Math.max(high, c.low[k - 1]);
     }
     const [a, b] = sign > 0 ? [top(high), top(low)] : [top(-low), top(-high)];
-    g.globalAlpha = c.soft[k] && b - a > 3 ? 0.4 : 1;
-    g.fillRect(LEFT + k / ratio, a - c.width / 2, 1 / ratio, b - a + c.width);
+    const x = LEFT + k / ratio, wide = 1 / ratio;
+    if (c.soft[k] && b - a > 3) { // a box between its lowest and highest value
+      g.globalAlpha = 0.3;
+      g.fillRect(x, a, wide, b - a);
+      g.globalAlpha = 1;
+      g.fillRect(x, a - c.width / 2, wide, c.width);
+      g.fillRect(x, b - c.width / 2, wide, c.width);
+    } else g.fillRect(x, a - c.width / 2, wide, b - a + c.width);
   }
-  g.globalAlpha = 1;
 }

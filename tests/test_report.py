@@ -90,6 +90,9 @@ def test_the_report_is_one_page_with_every_figure_inside_and_asks_no_host(made, 
         assert outside not in words
     for source in re.findall(r'src="(.{5})', page):
         assert source == "data:"
+    first = next(iter(load_results(made[0]).collisions.values()))
+    link = f"#recording=collisions-000&amp;t={first.start_s - 1:.3f},{first.start_s + 1:.3f}"
+    assert f'<a href="{link}">collisions-000</a>' in page
 
 
 def test_the_same_results_give_the_same_bytes_and_no_file_is_left_over(made, tmp_path):

@@ -236,7 +236,7 @@ def told_of(page: str) -> dict:
 
 def section_of(results_dir: Path, data: Path, room: float = 2e6, methods: tuple[str, ...] = ()) -> str:
     results = load_results(results_dir)
-    return results_traces(results, Signals(data, results_dir, results.joints), room, methods)
+    return results_traces(results, Signals(data, results_dir, results.joints), room, methods).html
 
 
 def test_the_page_holds_the_traces_of_five_methods_or_of_those_chosen(made):
@@ -257,7 +257,7 @@ def test_the_traces_stay_under_their_size_and_it_is_said_where_there_is_no_room(
     results, data = made
     sizes = {room: len(section_of(results, data, room, ("exact",)).encode()) for room in (4e5, 8e5)}
     assert sizes[4e5] <= 4e5 < sizes[8e5] <= 8e5
-    page = or_reason(lambda: section_of(results, data, room=-5.0))
+    page = or_reason(lambda: section_of(results, data, room=-5.0)).html
     assert "Interactive traces are not available: the page has 0.00 MB left for them" in page and "<script" not in page
 
 

@@ -31,7 +31,7 @@ FAULT_ROWS = slice(35_000, 35_800)
 def whole_page(traced: list[Traced], methods: tuple[str, ...], room: int) -> str:
     told = [{"name": m, "label": m, "colour": COLOURS[m], "on": m == methods[0]} for m in methods]
     joints = sorted({f"joint{joint + 1}" for one in traced for *_, joint in one.traces})
-    return f"<!DOCTYPE html><meta charset='utf-8'><title>t</title>{section(traced, joints, told, room, '')}"
+    return f"<!DOCTYPE html><meta charset='utf-8'><title>t</title>{section(traced, joints, told, room, '').html}"
 
 
 @pytest.fixture(scope="module")
@@ -99,10 +99,10 @@ def coloured(page, t: float, y_from: float, y_to: float, colour: str) -> bool:
     """Whether a pixel column has this colour somewhere between two heights of the first row (0 above, 1 below)."""
     return page.evaluate(
         """([t, from, to, colour]) => {
-          const canvas = document.querySelector("#traces canvas"), row = tauextTraces.view.rows[0], ratio = devicePixelRatio;
-          const y = Math.round((row.y + from * row.height) * ratio), height = Math.round((to - from) * row.height * ratio);
-          const x = Math.round((tauextTraces.view.x(t) - 2) * ratio);
-          const data = canvas.getContext("2d").getImageData(x, y, Math.round(4 * ratio), height).data;
+          const canvas = document.querySelector("#traces canvas"), row = tauextTraces.view.rows[0];
+          const box = [tauextTraces.view.x(t) - 2, row.y + from * row.height, 4, (to - from) * row.height];
+          const pixels = box.map((length) => Math.round(length * devicePixelRatio));
+          const data = canvas.getContext("2d").getImageData(...pixels).data;
           const wanted = [1, 3, 5].map((k) => parseInt(colour.slice(k, k + 2), 16));
           for (let k = 0; k < data.length; k += 4)
             if (wanted.every((v, c) => Math.abs(v - data[k + c]) < 60)) return true;

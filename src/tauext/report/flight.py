@@ -11,7 +11,7 @@ from tauext.errors import ConfigError
 from tauext.report.flight_figures import draw_close, draw_flight
 from tauext.report.flight_file import Flight, load_flight
 from tauext.report.page import PageFigure
-from tauext.report.traces import PAGE_MB, flight_traces, or_reason
+from tauext.report.traces import NO_TRACES, PAGE_MB, PageTraces, flight_traces, or_reason
 from tauext.report.write import check_page_mb, make_figure, write_whole
 
 TEMPLATE = Path(__file__).with_name("flight.html.j2")
@@ -44,7 +44,7 @@ def write_flight_report(flight_path: Path, out_dir: Path, page_mb: float = PAGE_
     return page
 
 
-def render_flight(flight: Flight, figures: list[PageFigure], traces: str = "") -> str:
+def render_flight(flight: Flight, figures: list[PageFigure], traces: PageTraces = NO_TRACES) -> str:
     """The whole page."""
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(

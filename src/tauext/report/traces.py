@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,18 @@ ROOM = 5
 """For so many methods, unless they are chosen."""
 
 
-def results_traces(results: Results, signals: Signals, room: float, methods: Sequence[str] = ()) -> str:
+@dataclass(frozen=True)
+class PageTraces:
+    """The traces' part of a page, and the recordings in it."""
+
+    html: str
+    recordings: tuple[str, ...] = ()
+
+
+NO_TRACES = PageTraces("")
+
+
+def results_traces(results: Results, signals: Signals, room: float, methods: Sequence[str] = ()) -> PageTraces:
     """Traces of recordings with contacts and of free motion, an hour in all, with what methods said of them.
 
     Args:
@@ -72,7 +84,7 @@ def results_traces(results: Results, signals: Signals, room: float, methods: Seq
     return section(traced, results.joints, told, plan.room, note)
 
 
-def flight_traces(flight: Flight, room: float) -> str:
+def flight_traces(flight: Flight, room: float) -> PageTraces:
     """Traces of one flight, with what its monitor said; every sample of the event comes first.
 
     Raises:
@@ -87,12 +99,13 @@ def flight_traces(flight: Flight, room: float) -> str:
     return section([traced], recording.joints, [method], plan.room, "")
 
 
-def or_reason(draw: Callable[[], str]) -> str:
+def or_reason(draw: Callable[[], PageTraces]) -> PageTraces:
     """The traces, or, where there are none, why."""
     try:
         return draw()
     except NotAvailable as reason:
-        return f'<h2>Traces</h2>\n<p class="absent">Interactive traces are not available: {escape(str(reason))}.</p>'
+        text = escape(f"Interactive traces are not available: {reason}.")
+        return PageTraces(f'<h2>Traces</h2>\n<p class="absent">{text}</p>')
 
 
 def make_plan(samples: int, joints: int, methods: int, room: float) -> Plan:
@@ -137,7 +150,9 @@ def is_there(name: str, cases: Sequence[Case], signals: Signals) -> bool:
     return (signals.dataset_dir / f"{name}.parquet").is_file() and any(path.is_file() for path in estimates)
 
 
-def section(traced: list[Traced], joints: Sequence[str], methods: list[dict[str, Any]], room: int, note: str) -> str:
+def section(
+    traced: list[Traced], joints: Sequence[str], methods: list[dict[str, Any]], room: int, note: str
+) -> PageTraces:
     """Their part of the page."""
     told, texts = pack(traced, joints, room)
     windows = sum(len(one["windows"]) for one in told["recordings"])
@@ -146,9 +161,10 @@ def section(traced: list[Traced], joints: Sequence[str], methods: list[dict[str,
         note += f"Minimum and maximum of every {size} samples are kept"
         note += f", and every sample in {windows} stretches around events. " if windows else ". "
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string((FOLDER / "traces.html.j2").read_text(encoding="utf-8")).render(
+    html = environment.from_string((FOLDER / "traces.html.j2").read_text(encoding="utf-8")).render(
         told=json.dumps(told | {"methods": methods}, allow_nan=False).replace("<", "\\u003c"),
         texts=texts,
         script="\n".join((FOLDER / name).read_text(encoding="utf-8") for name in SCRIPTS),
         note=note,
     )
+    return PageTraces(html, tuple(one["name"] for one in told["recordings"]))

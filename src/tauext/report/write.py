@@ -24,7 +24,7 @@ from tauext.report.signals import NotAvailable, Signals
 from tauext.report.strength import draw_strength
 from tauext.report.style import DPI, RC
 from tauext.report.three_collisions import draw_three_collisions
-from tauext.report.traces import PAGE_MB, chosen_cases, or_reason, results_traces
+from tauext.report.traces import PAGE_MB, PageTraces, chosen_cases, or_reason, results_traces
 from tauext.report.training_loss import draw_training_loss
 
 
@@ -67,7 +67,8 @@ def write_report(
     try:
         (out_dir / "figures").mkdir(parents=True, exist_ok=True)
         figures = {name: make_figure(one, out_dir / "figures" / f"{name}.png") for name, one in draw.items()}
-        room = page_mb * 1e6 - len(render_page(results, figures).encode())
+        linked = PageTraces("", tuple(collision.recording for collision in results.collisions.values()))
+        room = page_mb * 1e6 - len(render_page(results, figures, linked).encode())
         traces = or_reason(partial(results_traces, results, signals, room, trace_methods))
         write_whole(page, render_page(results, figures, traces).encode())
     except OSError as error:

@@ -217,7 +217,7 @@ function drawRow(g, joint, y, height, width, pixels, ratio, drawn, bars) {
 
 function fillBand(g, c, at, pixels, ratio) {
   g.fillStyle = BAND_COLOUR;
-  for (let k = 0; k < pixels; k++) if (c.low[k] <= c.high[k]) g.fillRect(LEFT + k / ratio, at(c.low[k]), 1 / ratio, at(-c.low[k]) - at(c.low[k]));
+  for (const [from, to] of runs(c, pixels)) g.fillRect(LEFT + from / ratio, at(c.low[from]), (to - from) / ratio, at(-c.low[from]) - at(c.low[from]));
   for (const line of c.lines) {
     g.beginPath();
     for (let k = 0; k < line.length; k += 2) g.lineTo(LEFT + line[k] / ratio, at(line[k + 1]));
@@ -236,16 +236,16 @@ function drawCurve(g, c, at, top, pixels, ratio, sign) {
     if (line.length === 2) g.rect(LEFT + line[0] / ratio - 0.5, at(sign * line[1]) - 0.5, 1, 1);
     g.stroke();
   }
-  for (let k = 0; k < pixels; k++) {
-    let low = c.low[k], high = c.high[k];
-    if (!(low <= high)) continue;
-    if (k && c.low[k - 1] <= c.high[k - 1]) { // up to its neighbour, so that the curve is one
-      low = Math.min(low, c.high[k - 1]);
-      high = Math.max(high, c.low[k - 1]);
-    }
+  for (const [from, to] of runs(c, pixels)) {
+    const low = c.low[from], high = c.high[from], x = LEFT + from / ratio, wide = (to - from) / ratio;
     const [a, b] = sign > 0 ? [top(high), top(low)] : [top(-low), top(-high)];
-    const x = LEFT + k / ratio, wide = 1 / ratio;
-    if (c.soft[k] && b - a > 3) { // a box between its lowest and highest value
+    if (from && c.low[from - 1] <= c.high[from - 1]) { // up to its neighbour, so that the curve is one
+      const [least, most] = [Math.min(low, c.high[from - 1]), Math.max(high, c.low[from - 1])];
+      const [above, below] = sign > 0 ? [top(most), top(least)] : [top(-least), top(-most)];
+      if (above < a) g.fillRect(x, above, 1 / ratio, a - above);
+      if (below > b) g.fillRect(x, b, 1 / ratio, below - b);
+    }
+    if (c.soft[from] && b - a > 3) { // a box between its lowest and highest value
       g.globalAlpha = 0.3;
       g.fillRect(x, a, wide, b - a);
       g.globalAlpha = 1;
@@ -253,4 +253,13 @@ function drawCurve(g, c, at, top, pixels, ratio, sign) {
       g.fillRect(x, b - c.width / 2, wide, c.width);
     } else g.fillRect(x, a - c.width / 2, wide, b - a + c.width);
   }
+}
+
+function runs(c, pixels) { // stretches [from, to) of columns that are alike, holes left out
+  const found = [];
+  for (let k = 0, end; k < pixels; k = end) {
+    for (end = k + 1; end < pixels && c.low[end] === c.low[k] && c.high[end] === c.high[k] && c.soft[end] === c.soft[k]; ) end++;
+    if (c.low[k] <= c.high[k]) found.push([k, end]);
+  }
+  return found;
 }

@@ -158,6 +158,19 @@ def test_levels_made_in_the_browser_are_those_of_numpy(page, traced):
         np.testing.assert_allclose(first, (level.t_ns[:, 0] - level.t_ns[0, 0]) * 1e-9, atol=1e-9)
 
 
+def test_around_an_event_every_sample_is_drawn_and_no_range(page, traced):
+    begin, _ = page.evaluate("tauextTraces.told.recordings[0].windows[0]")
+    page.evaluate(f"tauextTraces.show({begin - 0.1}, {begin + 0.4})")
+    page.wait_for_timeout(60)
+    curve = "tauextTraces.view.curves.filter((c) => c.signal === 'tau_ext' && c.joint === 0)[0]"
+    drawn_nm = np.array(page.evaluate(f"{curve}.lines.flat()")).reshape(-1, 2)[:400, 1]
+    column = traced[0].traces.index(("tau_ext", "exact", 0))
+    np.testing.assert_allclose(drawn_nm, traced[0].close[0][1].low[:400, column], atol=0.003)  # half a quantum: 0.002
+    ranges = np.array(page.evaluate(f"[...{curve}.soft]"))
+    edge = len(ranges) // 5
+    assert ranges[: edge - 3].any() and not ranges[edge + 1 :].any()
+
+
 def test_boxes_choose_signals_methods_and_joints(page):
     box = "#traces [data-of={}] input[value='{}']"
     assert drawn(page, "r joint1 exact") is None and drawn(page, "tau_ext joint2 exact") is not None

@@ -43,12 +43,13 @@ function pieces(pixels) {
   const { from, to } = state, [whole, close] = view.tiers, found = [];
   let at = from;
   const [a, b] = whole.range(0, from, to);
+  const half = recording().gap_s / 5; // of a sample's period: what belongs to a window is not drawn twice
   if (close && b - a < 2 * pixels)
     for (const [begin, end] of recording().windows) {
       if (end < from || begin > to) continue;
-      if (begin > at) found.push([whole, at, begin]);
+      if (begin > at) found.push([whole, at, begin - half]);
       found.push([close, Math.max(begin, from), Math.min(end, to)]);
-      at = end;
+      at = end + half;
     }
   if (at < to) found.push([whole, at, to]);
   return found;
@@ -74,7 +75,7 @@ function columns(curve, parts, pixels) {
         lines[lines.length - 1].push(x(first[i]), lows[i]);
         continue;
       }
-      const end = i + 1 < b && first[i + 1] - last[i] <= gap ? Math.min(first[i + 1], to) : last[i];
+      const end = Math.min(i + 1 < b && first[i + 1] - last[i] <= gap ? first[i + 1] : last[i], to);
       const c0 = Math.max(Math.floor(x(first[i])), 0), c1 = Math.min(Math.floor(x(end)), pixels - 1);
       for (let c = c0; c <= c1; c++) {
         if (c1 - c0 > 3) soft[c] = 1; // no more is known than the range
@@ -154,6 +155,7 @@ function draw() {
   }
   g.fillText("time, s", (LEFT + width - RIGHT) / 2, bottom + 27);
   view.bottom = bottom;
+  view.curves = drawn;
   view.drawn = Object.fromEntries(drawn.map((c) => [`${c.signal} ${told.joints[c.joint]} ${c.method ? c.method.name : ""}`.trim(), [c.least, c.most]]));
   view.ms = performance.now() - began;
 }

@@ -70,7 +70,7 @@ def page_of(results) -> str:
 
 
 def words_of(page: str) -> str:
-    return " ".join(re.sub(r"<style>.*?</style>|<[^>]+>", " ", page, flags=re.S).split())
+    return " ".join(re.sub(r"<(style|script).*?</\1>|<[^>]+>", " ", page, flags=re.S).split())
 
 
 # The whole report
@@ -85,10 +85,14 @@ def test_the_report_is_one_page_with_every_figure_inside_and_asks_no_host(made, 
     )
     assert page.count('src="data:image/png;base64,') == len(ALL_FIGURES)
     assert "not available" not in page
-    for outside in ("http:", "https:", "//cdn", "<script", "<link", "@import", "url("):
-        assert outside not in page
+    words = re.sub(r'<script type="text/plain".*?</script>', "", page, flags=re.S)
+    for outside in ("http:", "https:", "//cdn", "<script src", "<link", "@import", "url(", "fetch(", "XMLHttp"):
+        assert outside not in words
     for source in re.findall(r'src="(.{5})', page):
         assert source == "data:"
+    first = next(iter(load_results(made[0]).collisions.values()))
+    link = f"#recording=collisions-000&amp;t={first.start_s - 1:.3f},{first.start_s + 1:.3f}"
+    assert f'<a href="{link}">collisions-000</a>' in page
 
 
 def test_the_same_results_give_the_same_bytes_and_no_file_is_left_over(made, tmp_path):

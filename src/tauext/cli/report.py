@@ -8,25 +8,36 @@ from tauext.cli.dataset import Dataset
 from tauext.errors import ConfigError
 
 
-def report(out: Path, results: Path | None = None, data: Path | None = None, flight: Path | None = None) -> None:
+def report(
+    out: Path,
+    results: Path | None = None,
+    data: Path | None = None,
+    flight: Path | None = None,
+    page_mb: float = 9.5,
+    trace_methods: tuple[str, ...] = (),
+) -> None:
     """Draw Table I and the paper's figures from results, or what happened in one flight: an HTML page and PNG figures.
 
-    Give --results and --data, or --flight.
+    Give --results and --data, or --flight. The page holds traces to zoom into; it is one file and needs no network.
 
     Args:
         out: folder to write.
         results: results folder (`tauext evaluate` makes one).
         data: dataset folder that was evaluated.
         flight: flight (FLIGHT.parquet, `tauext run --flights` writes them), or a folder of flights: its newest.
+        page_mb: largest size of the page; traces fill it, in as much detail as there is room for. 0: none.
+        trace_methods: methods whose traces stand in the page, by the names of their bundles; default: the best five.
     """
     from tauext.report import write_flight_report, write_report
 
     if flight is not None:
         if results is not None or data is not None:
             raise ConfigError("give either --results and --data, or --flight; not both")
-        print(write_flight_report(flight, out))
+        if trace_methods:
+            raise ConfigError("--trace-methods chooses among the methods of --results; a flight has one")
+        print(write_flight_report(flight, out, page_mb))
     elif results is not None and data is not None:
-        print(write_report(results, Dataset.open(data).folder, out))
+        print(write_report(results, Dataset.open(data).folder, out, page_mb, trace_methods))
     else:
         missing = "--results" if results is None else "--data"
         raise ConfigError(

@@ -11,21 +11,24 @@ from tauext.errors import ConfigError
 from tauext.report.flight_figures import draw_close, draw_flight
 from tauext.report.flight_file import Flight, load_flight
 from tauext.report.page import PageFigure
-from tauext.report.write import make_figure, write_whole
+from tauext.report.traces import NO_TRACES, PAGE_MB, PageTraces, flight_traces, or_reason
+from tauext.report.write import check_page_mb, make_figure, write_whole
 
 TEMPLATE = Path(__file__).with_name("flight.html.j2")
 
 
-def write_flight_report(flight_path: Path, out_dir: Path) -> Path:
+def write_flight_report(flight_path: Path, out_dir: Path, page_mb: float = PAGE_MB) -> Path:
     """Write FLIGHT.html, one page that needs no other file, and figures/FLIGHT*.png; returns the page's path.
 
     Args:
         flight_path: FLIGHT.parquet as `tauext run --flights` wrote it, or a folder of flights: then its newest.
+        page_mb: size that interactive traces fill the page up to, [MB]; where figures leave no room there are none.
 
     Raises:
-        ConfigError: there is no such flight, or out_dir cannot be written.
+        ConfigError: there is no such flight, out_dir cannot be written, or page_mb < 0.
         RecordingError: a file is damaged, no flight, or of another one.
     """
+    check_page_mb(page_mb)
     flight = load_flight(flight_path)
     name = flight.recording.name
     draw = {name: partial(draw_flight, flight), f"{name}-close": partial(draw_close, flight)}
@@ -33,13 +36,15 @@ def write_flight_report(flight_path: Path, out_dir: Path) -> Path:
     try:
         (out_dir / "figures").mkdir(parents=True, exist_ok=True)
         figures = [make_figure(one, out_dir / "figures" / f"{stem}.png") for stem, one in draw.items()]
-        write_whole(page, render_flight(flight, figures[::-1]).encode())
+        room = page_mb * 1e6 - len(render_flight(flight, figures[::-1]).encode())
+        traces = or_reason(partial(flight_traces, flight, room))
+        write_whole(page, render_flight(flight, figures[::-1], traces).encode())
     except OSError as error:
         raise ConfigError(f"{out_dir}: the report cannot be written ({error.strerror or error})") from error
     return page
 
 
-def render_flight(flight: Flight, figures: list[PageFigure]) -> str:
+def render_flight(flight: Flight, figures: list[PageFigure], traces: PageTraces = NO_TRACES) -> str:
     """The whole page."""
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
@@ -50,6 +55,7 @@ def render_flight(flight: Flight, figures: list[PageFigure]) -> str:
         columns=COLUMNS,
         rows=event_rows(flight),
         figures=figures,
+        traces=traces,
     )
 
 

@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from tauext.data.estimates import OK
+from tauext.report.buckets import GAP_PERIODS
 from tauext.report.drawing import Drawing
 from tauext.report.flight_file import Flight
 from tauext.report.style import LIMIT, NEAR_STICTION, OBSERVER, OBSERVER_WIDTH, WIDTH_IN
@@ -115,7 +116,7 @@ def shade(axes: Axes, since: np.ndarray, where: np.ndarray, colour: str, zorder:
 
 def broken(since: np.ndarray, values: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
     """The curve with a hole where samples are missing, so that no line is drawn over them."""
-    holes = np.flatnonzero(np.diff(since) > 2.5 * period) + 1
+    holes = np.flatnonzero(np.diff(since) > GAP_PERIODS * period) + 1
     return np.insert(since, holes, np.nan), np.insert(values.astype(float), holes, np.nan)
 
 

@@ -13,6 +13,7 @@ from tauext.report.events import events_table
 from tauext.report.methods_table import methods
 from tauext.report.results import Case, Numbers, Results
 from tauext.report.style import case_colours
+from tauext.report.traces import NO_TRACES, PageTraces
 
 TEMPLATE = Path(__file__).with_name("page.html.j2")
 PIXELS_PER_INCH = 100
@@ -54,11 +55,12 @@ class Tile:
     error: str
 
 
-def render_page(results: Results, figures: dict[str, PageFigure]) -> str:
+def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTraces = NO_TRACES) -> str:
     """The whole page.
 
     Args:
         figures: by the names that the template uses.
+        traces: their part of the page.
     """
     colours = case_colours([case.name for case in results.cases])
     ten = [results.collisions[one] for one in results.ten if one in results.collisions]
@@ -79,12 +81,15 @@ def render_page(results: Results, figures: dict[str, PageFigure]) -> str:
         regions=tables.regions(results),
         extremes=tables.extremes(results),
         alarms=tables.alarms(results),
-        ten_collisions=tables.collisions(results, ten) if ten else None,
-        all_collisions=tables.collisions(results, results.collisions.values()) if results.collisions else None,
+        ten_collisions=tables.collisions(results, ten, traces.recordings) if ten else None,
+        all_collisions=tables.collisions(results, results.collisions.values(), traces.recordings)
+        if results.collisions
+        else None,
         collision_count=len(results.collisions),
         ten_count=len(ten),
         paper=paper,
         figures=figures,
+        traces=traces,
     )
 
 

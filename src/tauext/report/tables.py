@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
+from urllib.parse import quote
 
 from tauext.report import paper
 from tauext.report.results import Case, Collision, Numbers, Results, Verdict
@@ -13,11 +14,12 @@ NONE = "–"
 
 @dataclass(frozen=True)
 class Row:
-    """Cells of one line; `case` gives its colour, `opens` a line above it."""
+    """Cells of one line; `case` gives its colour, `opens` a line above it, `link` an address to its second cell."""
 
     cells: tuple[str, ...]
     case: str | None = None
     opens: bool = False
+    link: str = ""
 
 
 @dataclass(frozen=True)
@@ -152,10 +154,11 @@ def found_of(case: Case) -> str:
     return f"{sum(v.found for v in case.verdicts.values())} of {len(case.verdicts)}"
 
 
-def collisions(results: Results, chosen: Iterable[Collision]) -> Table:
+def collisions(results: Results, chosen: Iterable[Collision], traced: Collection[str] = ()) -> Table:
     """One row a collision; a case's cell gives its delay and, in brackets, the delay against the sensor.
 
-    The first column is the number that the collision has in figure 7, where it stands in it.
+    The first column is the number that the collision has in figure 7, where it stands in it. Recordings that are
+    `traced` lead to the collision in the page's traces.
     """
     headings = [in_lines(case.label) for case in results.cases]
     groups = (("", 5), ("sensor peak, Nm", len(results.joints)), ("delay (against the sensor), ms", len(headings)))
@@ -167,7 +170,9 @@ def collisions(results: Results, chosen: Iterable[Collision]) -> Table:
         cells = [numbered, collision.recording, collision.kind, f"link of {link}" if link != NONE else NONE]
         cells += [number(collision.start_s, 2), *(number(peak, 1) for peak in collision.sensor_peak_nm)]
         cells += [verdict_text(case.verdicts.get(collision.id)) for case in results.cases]
-        rows.append(Row(tuple(cells)))
+        window = f"t={collision.start_s - 1:.3f},{collision.start_s + 1:.3f}"
+        link = f"#recording={quote(collision.recording)}&{window}" if collision.recording in traced else ""
+        rows.append(Row(tuple(cells), link=link))
     return Table(groups, columns, tuple(rows), words=4)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -24,10 +24,13 @@ from tauext.report.signals import NotAvailable, Signals
 from tauext.report.strength import draw_strength
 from tauext.report.style import DPI, RC
 from tauext.report.three_collisions import draw_three_collisions
+from tauext.report.traces import PAGE_MB, PageTraces, chosen_cases, or_reason, results_traces
 from tauext.report.training_loss import draw_training_loss
 
 
-def write_report(results_dir: Path, dataset_dir: Path, out_dir: Path) -> Path:
+def write_report(
+    results_dir: Path, dataset_dir: Path, out_dir: Path, page_mb: float = PAGE_MB, trace_methods: Sequence[str] = ()
+) -> Path:
     """Write `figures/*.png` and `report.html`, one page that needs no other file; returns its path.
 
     What is missing (a case, a recording, estimates, a number) is said on the page where it would stand.
@@ -35,12 +38,18 @@ def write_report(results_dir: Path, dataset_dir: Path, out_dir: Path) -> Path:
     Args:
         results_dir: what `tauext evaluate` wrote.
         dataset_dir: the dataset that was evaluated.
+        page_mb: size that interactive traces fill the page up to, [MB]; where figures and tables leave no room there
+            are none.
+        trace_methods: cases whose traces stand in the page; none: the five best.
 
     Raises:
-        ConfigError: results.json is missing or damaged, or out_dir cannot be written.
+        ConfigError: results.json is missing or damaged, out_dir cannot be written, page_mb < 0, or there is no such
+            case.
         RecordingError: a recording or an estimates file is damaged, or they do not belong together.
     """
+    check_page_mb(page_mb)
     results = load_results(results_dir)
+    chosen_cases(results, trace_methods)
     signals = Signals(dataset_dir, results_dir, results.joints)
     draw: dict[str, Callable[[], Drawing]] = {
         "missed-curve": partial(draw_missed_curve, results),
@@ -58,10 +67,18 @@ def write_report(results_dir: Path, dataset_dir: Path, out_dir: Path) -> Path:
     try:
         (out_dir / "figures").mkdir(parents=True, exist_ok=True)
         figures = {name: make_figure(one, out_dir / "figures" / f"{name}.png") for name, one in draw.items()}
-        write_whole(page, render_page(results, figures).encode())
+        linked = PageTraces("", tuple(collision.recording for collision in results.collisions.values()))
+        room = page_mb * 1e6 - len(render_page(results, figures, linked).encode())
+        traces = or_reason(partial(results_traces, results, signals, room, trace_methods))
+        write_whole(page, render_page(results, figures, traces).encode())
     except OSError as error:
         raise ConfigError(f"{out_dir}: the report cannot be written ({error.strerror or error})") from error
     return page
+
+
+def check_page_mb(page_mb: float) -> None:
+    if not 0 <= page_mb < float("inf"):
+        raise ConfigError(f"page_mb = {page_mb:g} must be a number of megabytes >= 0")
 
 
 def make_figure(draw: Callable[[], Drawing], path: Path) -> PageFigure:

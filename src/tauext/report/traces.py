@@ -1,0 +1,170 @@
+"""The interactive traces of a page: which recordings they show, and their part of it, data and script inside."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+
+from tauext.data import describe
+from tauext.errors import ConfigError
+from tauext.report.flight_file import Flight
+from tauext.report.results import Case, Results
+from tauext.report.signals import NotAvailable, Signals
+from tauext.report.style import CASE_COLOURS, case_colours
+from tauext.report.trace_packing import Plan, pack
+from tauext.report.tracing import METHOD_SIGNALS, Traced, trace
+
+FOLDER = Path(__file__).parent
+SCRIPTS = ("traces_data.js", "traces_view.js", "traces_control.js")
+PAGE_MB = 9.5
+"""Of the whole page, unless another size is asked for: traces get what figures and tables leave."""
+LEAST_MB, SCRIPT_MB = 0.3, 0.05
+"""With less room there are no traces; what script and controls take."""
+HOUR_S = 3600.0
+FREE_EVERY = 4
+"""One recording in so many is of free motion, while both last."""
+ROOM = 5
+"""For so many methods, unless they are chosen."""
+
+
+@dataclass(frozen=True)
+class PageTraces:
+    """The traces' part of a page, and the recordings in it."""
+
+    html: str
+    recordings: tuple[str, ...] = ()
+
+
+NO_TRACES = PageTraces("")
+
+
+def results_traces(results: Results, signals: Signals, room: float, methods: Sequence[str] = ()) -> PageTraces:
+    """Traces of recordings with contacts and of free motion, an hour in all, with what methods said of them.
+
+    Args:
+        room: bytes that they may take.
+        methods: names of cases; none: the five best of them.
+
+    Raises:
+        ConfigError: there is no case of such a name.
+        NotAvailable: no recording is there with its estimates, or there is too little room.
+        RecordingError: a file is damaged, or of another recording.
+    """
+    cases = chosen_cases(results, methods)
+    there = [name for name in recordings_of(results) if is_there(name, cases, signals)]
+    if not there:
+        raise NotAvailable("no recording is there with its estimates")
+    heads = [describe(signals.dataset_dir / f"{name}.parquet") for name in there]
+    until_s = np.cumsum([head.samples / head.rate_hz for head in heads])
+    shown = there[: max(int((until_s <= HOUR_S).sum()), 1)]
+    samples = sum(head.samples for head in heads[: len(shown)])
+    plan = make_plan(samples, len(results.joints), len(cases), room)
+    ten = [results.collisions[one] for one in results.ten if one in results.collisions]
+    traced = []
+    for name in shown:
+        recording = signals.recording(name)
+        said, _ = signals.by_case([case.name for case in cases], recording)
+        first = [(touch.start_s, touch.end_s) for touch in ten if touch.recording == name]
+        traced.append(trace(recording, said, plan.size, plan.windows(recording), first))
+    colours = case_colours([case.name for case in results.cases])
+    told = [
+        {"name": case.name, "label": case.label, "colour": colours[case.name], "on": case is cases[0]} for case in cases
+    ]
+    left = [case.label for case in results.cases if case not in cases]
+    note = f"{len(shown)} of the {len(there)} recordings that have estimates, " if len(shown) < len(there) else ""
+    note += "an hour at most. " if note else ""
+    note += f"Methods left out: {', '.join(left)}; --trace-methods chooses. " if left else ""
+    return section(traced, results.joints, told, plan.room, note)
+
+
+def flight_traces(flight: Flight, room: float) -> PageTraces:
+    """Traces of one flight, with what its monitor said; every sample of the event comes first.
+
+    Raises:
+        NotAvailable: there is too little room.
+    """
+    recording, name = flight.recording, str(flight.facts.get("bundle", "monitor"))
+    plan = make_plan(recording.samples, len(recording.joints), 1, room)
+    event_s = (flight.event["t_ns"] - int(recording.t_ns[0])) * 1e-9
+    traced = trace(recording, {name: flight.estimates}, plan.size, plan.windows(recording), [(event_s, event_s)])
+    traced.head["marks"] = [(event_s, flight.event["what"])]
+    method = {"name": name, "label": name, "colour": CASE_COLOURS["exact"], "on": True}
+    return section([traced], recording.joints, [method], plan.room, "")
+
+
+def or_reason(draw: Callable[[], PageTraces]) -> PageTraces:
+    """The traces, or, where there are none, why."""
+    try:
+        return draw()
+    except NotAvailable as reason:
+        text = escape(f"Interactive traces are not available: {reason}.")
+        return PageTraces(f'<h2>Traces</h2>\n<p class="absent">{text}</p>')
+
+
+def make_plan(samples: int, joints: int, methods: int, room: float) -> Plan:
+    left = room - SCRIPT_MB * 1e6
+    if left < LEAST_MB * 1e6:
+        raise NotAvailable(
+            f"the page has {max(room, 0) / 1e6:.2f} MB left for them, they need {LEAST_MB + SCRIPT_MB:.2f}; "
+            "--page-mb sets its size"
+        )
+    return Plan(samples, joints * (2 + len(METHOD_SIGNALS) * methods), int(left))
+
+
+def chosen_cases(results: Results, names: Sequence[str]) -> list[Case]:
+    """Of these names, or the five that latch most collisions and err least; the paper's exact model first."""
+    for name in names:
+        if name not in results.labels:
+            raise ConfigError(f"--trace-methods: there is no method '{name}'; choose among {', '.join(results.labels)}")
+    if names:
+        return [case for case in results.cases if case.name in names]
+
+    def rank(case: Case) -> tuple[bool, int, float]:
+        latched = case.measured.latched.latched if case.measured.latched else 0
+        return case.model != "exact", -latched, sum(error for error in case.l1_nm if error is not None)
+
+    return sorted(results.cases, key=rank)[:ROOM]
+
+
+def recordings_of(results: Results) -> list[str]:
+    """Those with collisions and those of free motion, three and one by turns."""
+    touched = list(dict.fromkeys(collision.recording for collision in results.collisions.values()))
+    free = [name for case in results.cases for name in case.recordings]
+    free = [name for name in dict.fromkeys(free) if name not in touched]
+    order = []
+    while touched or free:
+        order += touched[: FREE_EVERY - 1] + free[:1]
+        touched, free = touched[FREE_EVERY - 1 :], free[1:]
+    return order
+
+
+def is_there(name: str, cases: Sequence[Case], signals: Signals) -> bool:
+    estimates = (signals.results_dir / "estimates" / case.name / f"{name}.parquet" for case in cases)
+    return (signals.dataset_dir / f"{name}.parquet").is_file() and any(path.is_file() for path in estimates)
+
+
+def section(
+    traced: list[Traced], joints: Sequence[str], methods: list[dict[str, Any]], room: int, note: str
+) -> PageTraces:
+    """Their part of the page."""
+    told, texts = pack(traced, joints, room)
+    windows = sum(len(one["windows"]) for one in told["recordings"])
+    size = max(one["tiers"][0]["size"] for one in told["recordings"])
+    if size > 1:
+        note += f"Minimum and maximum of every {size} samples are kept"
+        note += f", and every sample in {windows} stretches around events. " if windows else ". "
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    html = environment.from_string((FOLDER / "traces.html.j2").read_text(encoding="utf-8")).render(
+        told=json.dumps(told | {"methods": methods}, allow_nan=False).replace("<", "\\u003c"),
+        texts=texts,
+        script="\n".join((FOLDER / name).read_text(encoding="utf-8") for name in SCRIPTS),
+        note=note,
+    )
+    return PageTraces(html, tuple(one["name"] for one in told["recordings"]))

@@ -81,9 +81,9 @@ class Mover:
         """Hold still where the arm is, until resume()."""
         self.doing, self._time_s, self._speed = "stop", 0.0, self.dq_des
 
-    def resume(self, q: np.ndarray) -> None:
-        """Go on with moves from where the arm is measured to be."""
-        self.doing, self.q_des = "moving", np.array(q)
+    def resume(self) -> None:
+        """Go on with moves from the setpoint, which holds the arm's weight: the measured pose would let it sag."""
+        self.doing = "moving"
         self._trail.clear()
         self._begin_move(*draw_move(self.arm.motion, self.q_des - self._home, self._rng))
 

@@ -85,9 +85,9 @@ class Plant:
         mujoco.mj_step(self.model, data)
         if self._q_before is not None:  # low_pass over two samples is one step of the drive's filter
             difference = (q - self._q_before) * arm.rate_hz
-            self._dq = low_pass(
-                np.stack([self._dq, difference]), arm.sensors.velocity_cutoff_rad_s, 1.0 / arm.rate_hz
-            )[1]
+            self._dq = low_pass(np.stack([self._dq, difference]), arm.sensors.velocity_cutoff_rad_s, 1.0 / arm.rate_hz)[
+                1
+            ]
         self._q_before = q
         tau = data.sensordata[: 3 * self._n : 3] + self._rng.standard_normal(self._n) * arm.sensors.torque_noise_nm
         t_ns = round(self._tick * 1e9 / arm.rate_hz)

@@ -51,6 +51,8 @@ class Touch:
 
     joint: int
     point_m: np.ndarray
+    target_m: np.ndarray
+    """Where the pointer pulls to."""
     force_n: np.ndarray
     estimate_n: np.ndarray
     directions: int
@@ -148,7 +150,7 @@ class Simulation:
         """Acknowledge the collision and go on moving."""
         if self.watch is not None:
             self.watch.acknowledge()
-        self.mover.resume(self.plant.data.qpos)
+        self.mover.resume()
 
     def rest(self) -> None:
         self.mover.rest()
@@ -174,15 +176,25 @@ class Simulation:
         self._ticks += 1
         return raised
 
+    @property
+    def tau_ext_nm(self) -> np.ndarray:
+        """True external torque of the last sample, (joints,)."""
+        return np.zeros(len(self.arm.joints)) if self._sample is None else self._sample.tau_ext
+
+    def take_events(self) -> list[Event]:
+        """Alarms since they were last taken."""
+        events = list(self._events)
+        self._events.clear()
+        return events
+
     def snapshot(self) -> Snapshot:
         """What happened since the last one, and how things stand."""
         data = self.plant.data
         mujoco.mj_kinematics(self.plant.model, data)
         mujoco.mj_comPos(self.plant.model, data)
         estimate, limit = self._shown()
-        trace, events = np.array(self._trace), list(self._events)
+        trace = np.array(self._trace)
         self._trace.clear()
-        self._events.clear()
         return Snapshot(
             time_s=self.plant.time_s,
             poses=np.hstack([data.xpos[1:], data.xquat[1:]]),
@@ -195,7 +207,7 @@ class Simulation:
             },
             touch=self._touch(estimate),
             trace=trace.reshape(len(trace), 1 + 3 * len(self.arm.joints)),
-            events=events,
+            events=self.take_events(),
         )
 
     def _judge(self, method: str, estimate: _core.Estimate) -> bool:
@@ -225,4 +237,4 @@ class Simulation:
         estimate, directions = np.zeros(3), 0
         if np.isfinite(tau_ext).all():
             estimate, directions = estimated_force(tau_ext, self.plant.jacobian(point, self.drag.joint))
-        return Touch(self.drag.joint, point, force, estimate, directions)
+        return Touch(self.drag.joint, point, self.drag.target_m, force, estimate, directions)

@@ -132,8 +132,5 @@ def run_training(pipe: Connection, arm_name: str, error: str, lesson: Lesson, se
 def _step_back() -> None:
     """Training leaves the processor to the simulation and the page."""
 
-
     if hasattr(os, "nice"):
         os.nice(10)
-
-

@@ -82,7 +82,7 @@ class Drawing:
         shares = np.nan_to_num(snapshot.tau_ext / snapshot.limit_nm)
         for j, share in enumerate(np.clip(shares, -1.25, 1.25)):
             self._arcs[j].points = arc(self._arm, j, np.linspace(0.0, share * ARC_RAD, ARC_POINTS))
-            self._arcs[j].colors = TOUCHED["collision"] if abs(share) > 1 else ESTIMATE
+            self._arcs[j].colors = np.array(TOUCHED["collision"] if abs(share) > 1 else ESTIMATE, np.uint8)
         self._say_verdict(snapshot, alarmed)
         self._show_push(snapshot.touch)
 
@@ -98,10 +98,10 @@ class Drawing:
         text = ""
         if touch is not None:
             at = touch.point_m
-            self._true.points = [[at, at + NEWTON_M * touch.force_n]]
+            self._true.points = np.array([[at, at + NEWTON_M * touch.force_n]])
             lifted = at + [0.0, 0.0, 0.022]
-            self._estimate.points = [[lifted, lifted + NEWTON_M * touch.estimate_n]]
-            self._spring.points = [[at, touch.target_m]]
+            self._estimate.points = np.array([[lifted, lifted + NEWTON_M * touch.estimate_n]])
+            self._spring.points = np.array([[at, touch.target_m]])
             text = f"{np.linalg.norm(touch.force_n):.0f} N, estimated {np.linalg.norm(touch.estimate_n):.0f} N"
             self._words["force"].position = at + [0.0, 0.0, 0.07]
         if bool(text) != bool(self._force):
@@ -122,11 +122,11 @@ class Drawing:
         scene.set_up_direction("+z")
         scene.configure_environment_map(hdri=None)
         scene.configure_default_lights(enabled=False)
-        scene.add_light_hemisphere("/light/sky", (255, 255, 255), (170, 165, 160), intensity=2.2)
+        scene.add_light_hemisphere("/light/sky", sky_color=(255, 255, 255), ground_color=(170, 165, 160), intensity=2.2)
         scene.add_light_directional(
-            "/light/key", (255, 250, 240), intensity=2.4, position=(1.5, 2.0, 3.0), cast_shadow=True
+            "/light/key", color=(255, 250, 240), intensity=2.4, position=(1.5, 2.0, 3.0), cast_shadow=True
         )
-        scene.add_light_directional("/light/fill", (225, 235, 255), intensity=0.8, position=(-2.0, 1.0, 1.5))
+        scene.add_light_directional("/light/fill", color=(225, 235, 255), intensity=0.8, position=(-2.0, 1.0, 1.5))
         scene.add_grid(
             "/floor",
             8.0,

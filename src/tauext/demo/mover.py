@@ -85,7 +85,8 @@ class Mover:
         """Go on with moves from the setpoint, which holds the arm's weight: the measured pose would let it sag."""
         self.doing = "moving"
         self._trail.clear()
-        self._begin_move(*draw_move(self.arm.motion, self.q_des - self._home, self._rng))
+        _, travel, duration_s = draw_move(self.arm.motion, self.q_des - self._home, self._rng)
+        self._begin_move(0.0, travel, duration_s)
 
     def _begin_move(self, pause_s: float, travel: np.ndarray, duration_s: float) -> None:
         self._plan(travel, duration_s, pause_s)

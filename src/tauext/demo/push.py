@@ -35,7 +35,7 @@ class Drag:
         return origin + rotation @ self.local_m
 
     def force_n(self, plant: Plant) -> tuple[np.ndarray, np.ndarray]:
-        """Force k (pointer - point) - d v on the link, at most the arm's largest, and the point it acts on, (3,) each."""
+        """Force k (pointer - point) - d v on the link, at most the arm's largest, and where it acts, (3,) each."""
         push, point = plant.arm.push, self.point_m(plant)
         velocity = plant.jacobian(point, self.joint) @ plant.data.qvel
         force = push.stiffness_n_m * (self.target_m - point) - push.damping_n_s_m * velocity

@@ -21,6 +21,9 @@ TRACE_EVERY_S = 0.02
 TRACE_ROWS = 100
 """Rows that are kept for a viewer that does not ask: older ones are dropped."""
 EVENTS = 20
+RESUME_S = 0.6
+"""So long after resume() the collision is acknowledged anew at every sample: what a push leaves in the friction of a
+joint at rest looks like a push until the joint has moved, and would stop the arm again before it does."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +97,7 @@ class Simulation:
         self.drag: Drag | None = None
         self._holder: object = None
         self._push_began_s = self._push_ended_s = -np.inf
+        self._resumed_s = -np.inf
         self._said: dict[str, _core.Estimate] = {}
         self._alarms: dict[str, _core.Alarm] = {}
         self._sample = None
@@ -148,8 +152,7 @@ class Simulation:
 
     def resume(self) -> None:
         """Acknowledge the collision and go on moving."""
-        if self.watch is not None:
-            self.watch.acknowledge()
+        self._resumed_s = self.plant.time_s
         self.mover.resume()
 
     def rest(self) -> None:
@@ -167,6 +170,8 @@ class Simulation:
         self._sample = plant.step(*setpoints, force, point, self.drag.joint if self.drag else 0)
         raised = False
         if self.watch is not None:
+            if plant.time_s < self._resumed_s + RESUME_S:
+                self.watch.acknowledge()
             self._said = self.watch.step(self._sample)
             for method, estimate in self._said.items():
                 raised |= self._judge(method, estimate)
@@ -217,6 +222,8 @@ class Simulation:
         if alarm.value <= was.value or alarm == _core.Alarm.none:
             return False
         now_s = self.plant.time_s
+        if now_s <= self._resumed_s + RESUME_S:
+            return False
         pushed = self.drag is not None or now_s - self._push_ended_s < 0.5
         after_s = now_s - self._push_began_s if pushed else None
         self._events.append(Event(now_s, method, alarm.name, estimate.alarm_joint, after_s))

@@ -90,9 +90,9 @@ def rig_arm() -> DemoArm:
         rotor_inertia_kg_m2=config.rotor_inertia_kg_m2,
         home=(0.0, 0.0),
         push=Push(stiffness_n_m=250.0, damping_n_s_m=15.0, largest_n=80.0),
-        floor_m=-0.75,
-        camera_m=(0.35, 1.75, 0.35),
-        look_at_m=(0.0, 0.1, -0.05),
+        floor_m=-0.68,
+        camera_m=(0.55, 1.75, 0.5),
+        look_at_m=(0.0, 0.0, -0.03),
     )
 
 

@@ -14,12 +14,14 @@ from tauext.demo.simulation import Snapshot, Touch
 
 PART, DRUM = (196, 202, 211), (78, 88, 104)
 TOUCHED = {"contact": (245, 176, 30), "collision": (222, 44, 40)}
-TRUE, ESTIMATE, QUIET = (34, 160, 90), (32, 110, 230), (165, 172, 182)
+TRUE, ESTIMATE, QUIET = (10, 120, 50), (10, 60, 200), (165, 172, 182)
 NEWTON_M = 0.004
 """Length of an arrow for each newton, [m]."""
 ARC_RAD = 2.0
 """Angle of an arc at its joint's limit, to either side."""
-ARC_POINTS = 24
+ARC_POINTS = 16
+ARC_STEPS = 20
+"""In so many steps up to the limit an arc grows: a new shape is work for the browser, and noise is not worth it."""
 ARC_RADIUS_M = 0.105
 
 Grab = Callable[[str, object, int, tuple[float, float, float]], None]
@@ -33,6 +35,7 @@ class Drawing:
         self._scene, self._arm = server.scene, arm
         self._frames, self._parts, self._arcs = [], [], []
         self._levels = [""] * len(arm.joints)
+        self._shares = [np.nan] * len(arm.joints)
         self._verdict = self._force = ""
         self._light(server)
         self._stand()
@@ -64,8 +67,10 @@ class Drawing:
             "/push/spring", nothing, (120, 120, 120), thickness=2.0, thickness_units="screen", visible=False
         )
         self._words = {
-            what: self._scene.add_label(f"/words/{what}", " ", anchor="bottom-center", visible=False)
-            for what in ("verdict", "force")
+            what: self._scene.add_label(
+                f"/words/{what}", " ", anchor="bottom-center", font_screen_scale=scale, visible=False
+            )
+            for what, scale in (("verdict", 1.5), ("force", 1.1))
         }
 
     def show(self, snapshot: Snapshot) -> None:
@@ -79,8 +84,11 @@ class Drawing:
             if level != self._levels[j]:
                 self._levels[j] = level
                 part.color = TOUCHED.get(level, PART)
-        shares = np.nan_to_num(snapshot.tau_ext / snapshot.limit_nm)
-        for j, share in enumerate(np.clip(shares, -1.25, 1.25)):
+        shares = np.nan_to_num(snapshot.tau_ext / snapshot.limit_nm).clip(-1.25, 1.25)
+        for j, share in enumerate(np.round(shares * ARC_STEPS) / ARC_STEPS):
+            if share == self._shares[j]:
+                continue
+            self._shares[j] = share
             self._arcs[j].points = arc(self._arm, j, np.linspace(0.0, share * ARC_RAD, ARC_POINTS))
             self._arcs[j].colors = np.array(TOUCHED["collision"] if abs(share) > 1 else ESTIMATE, np.uint8)
         self._say_verdict(snapshot, alarmed)

@@ -15,7 +15,7 @@ from tauext.demo.simulation import Event, Snapshot
 METHODS = {"tauext": "tauext", "paper": "the paper's network", "observer": "plain observer"}
 REACTIONS = {"stop": "stop", "retreat": "retreat", "comply": "go compliant", "ignore": "go on"}
 DOING = {"moving": "moving", "stop": "stopped", "retreat": "retreated", "comply": "compliant: push it around"}
-PLOT_EVERY_S = 0.1
+PLOT_EVERY_S = 0.2
 PLOT_S = 6.0
 PLOT_ROW_EVERY = 2
 """Of the trace's rows; 25 points a second are enough for the eye."""
@@ -112,7 +112,7 @@ class Panel:
         return (
             f"<div style='margin:8px 12px 4px;padding:10px 12px;border-radius:6px;background:{color};color:#fff'>"
             f"<div style='font-size:19px;font-weight:600'>{html.escape(big)}</div>"
-            f"<div style='font-size:12.5px;min-height:38px'>{html.escape(small)}</div></div>"
+            f"<div style='font-size:12.5px;min-height:57px'>{html.escape(small)}</div></div>"
         )
 
     def _table_text(self, snapshot: Snapshot) -> str:
@@ -148,6 +148,7 @@ class Panel:
             scales={"x": {"time": False}, "y": {"auto": True}},
             axes=({"show": not small, "size": 28}, {"size": 42}),
             legend={"show": False},
+            padding=(10, 16, 0, 0),
             height=96 if small else 220,
         )
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from tauext.demo.plant import Plant
 
-LEAST_LEVER = 0.2
+LEAST_LEVER = 0.1
 """A direction of force whose lever is smaller than this share of the largest is not told from noise."""
 
 

@@ -68,7 +68,7 @@ class RealTime:
         self._done += int(behind)
         if now_s - self._past[-1][0] > 0.1:
             self._past.append((now_s, self._done))
-            while now_s - self._past[0][0] > FACTOR_OVER_S:
+            while len(self._past) > 1 and now_s - self._past[1][0] >= FACTOR_OVER_S:
                 self._past.popleft()
         return int(behind)
 

@@ -112,11 +112,11 @@ class Drawing:
             self._spring.points = np.array([[at, touch.target_m]])
             text = f"{np.linalg.norm(touch.force_n):.0f} N, estimated {np.linalg.norm(touch.estimate_n):.0f} N"
             self._words["force"].position = at + [0.0, 0.0, 0.07]
+        if text and text != self._force:
+            self._words["force"].text = text
         if bool(text) != bool(self._force):
             for handle in (self._true, self._estimate, self._spring, self._words["force"]):
                 handle.visible = bool(text)
-        if text and text != self._force:
-            self._words["force"].text = text
         self._force = text
 
     def _make_grabbable(self, handle: viser.MeshHandle, joint: int, grab: Grab) -> None:

@@ -144,12 +144,12 @@ class Panel:
         return self._gui.add_uplot(
             data=tuple(np.zeros(1) for _ in range(5)),
             series=({"label": "s"}, *lines),
-            title=f"{joint}, Nm",
+            title=None if small else f"{joint}, Nm",
             scales={"x": {"time": False}, "y": {"auto": True}},
-            axes=({"show": not small, "size": 28}, {"size": 42}),
+            axes=({"show": not small, "size": 28}, {"size": 40} | ({"label": joint, "labelSize": 18} if small else {})),
             legend={"show": False},
             padding=(10, 16, 0, 0),
-            height=96 if small else 220,
+            height=86 if small else 220,
         )
 
     def _draw(self, snapshot: Snapshot) -> None:

@@ -81,7 +81,7 @@ def test_a_mouse_pushes_a_link_and_the_page_says_so(session, record_property, tm
     flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=flags)
-        page = browser.new_page(viewport={"width": 1000, "height": 480})
+        page = browser.new_page(viewport={"width": 1000, "height": 400})
         page.set_default_timeout(1e3 * PATIENCE_S)
         asked: list[str] = []
         page.on("request", lambda request: asked.append(request.url))

@@ -89,15 +89,17 @@ def test_a_mouse_pushes_a_link_and_the_page_says_so(session, record_property, tm
         home = f"127.0.0.1:{session.server.get_port()}"
         page.goto(f"http://{home}")
         page.get_by_text("Free motion").wait_for()
+        session._drawing.simplify(True)  # this browser has no GPU
         session.send("rest")
         wait_for(lambda: session.server.get_clients() and session.snapshot.doing == "stop")
         time.sleep(1.0)  # the arm is at rest, on the screen too
-        x, y = on_screen(page, session, grab_point(session))
+        grabbed, across = grab_point(session)
+        x, y = on_screen(page, session, grabbed)
+        end = on_screen(page, session, grabbed + 0.25 * across)
         page.evaluate(WATCH_BANNER)
         page.mouse.move(x, y)
         page.mouse.down()
-        for k in range(1, 9):
-            page.mouse.move(x + 14 * k, y)
+        page.mouse.move(*end, steps=8)
         wait_for(lambda: any(e.alarm == "collision" and e.method == "tauext" for e in session.events))
         page.get_by_text("Collision: joint1").wait_for()
         seen_ms = page.evaluate("() => window.seenMs")
@@ -126,11 +128,11 @@ WATCH_BANNER = """() => {
 }"""
 
 
-def grab_point(session) -> np.ndarray:
-    """A point on the front of the first link, near its end, in the base frame."""
+def grab_point(session) -> tuple[np.ndarray, np.ndarray]:
+    """A point on the front of the first link, near its end, and the direction across the link, in the base frame."""
     pose = session.snapshot.poses[0]
     rotation = viser.transforms.SO3(pose[3:]).as_matrix()
-    return pose[:3] + rotation @ [0.0, 0.05, 0.18]
+    return pose[:3] + rotation @ [0.0, 0.05, 0.15], rotation[:, 0]
 
 
 def on_screen(page, session, point: np.ndarray) -> tuple[float, float]:

@@ -94,6 +94,11 @@ class Drawing:
         self._say_verdict(snapshot, alarmed)
         self._show_push(snapshot.touch)
 
+    def simplify(self, simple: bool) -> None:
+        """Without floor and shadows, which cost a browser without a GPU nine tenths of its time."""
+        self._floor.visible = not simple
+        self._key.cast_shadow = not simple
+
     def _say_verdict(self, snapshot: Snapshot, joint: int) -> None:
         label, text = self._words["verdict"], ""
         if joint >= 0:
@@ -131,11 +136,11 @@ class Drawing:
         scene.configure_environment_map(hdri=None)
         scene.configure_default_lights(enabled=False)
         scene.add_light_hemisphere("/light/sky", sky_color=(255, 255, 255), ground_color=(170, 165, 160), intensity=2.2)
-        scene.add_light_directional(
+        self._key = scene.add_light_directional(
             "/light/key", color=(255, 250, 240), intensity=2.4, position=(1.5, 2.0, 3.0), cast_shadow=True
         )
         scene.add_light_directional("/light/fill", color=(225, 235, 255), intensity=0.8, position=(-2.0, 1.0, 1.5))
-        scene.add_grid(
+        self._floor = scene.add_grid(
             "/floor",
             8.0,
             8.0,

@@ -101,7 +101,9 @@ class Session:
         server.scene.reset()
         server.gui.reset()
         self._drawing = Drawing(server, self.arm, self._drag)
-        self._panel = Panel(server, self.arm, self.error, self.send, self._choose_arm, self._choose_error)
+        self._panel = Panel(
+            server, self.arm, self.error, self.send, self._choose_arm, self._choose_error, self._drawing.simplify
+        )
 
     def send(self, name: str, *arguments: object) -> None:
         """A command for the simulation, from any thread."""

@@ -14,7 +14,7 @@ from tauext.demo.simulation import Event, Snapshot
 
 METHODS = {"tauext": "tauext", "paper": "the paper's network", "observer": "plain observer"}
 REACTIONS = {"stop": "stop", "retreat": "retreat", "comply": "go compliant", "ignore": "go on"}
-DOING = {"moving": "moving", "stop": "stopped", "retreat": "retreated", "comply": "compliant: push it around"}
+DOING = {"moving": "moves on", "stop": "has stopped", "retreat": "has backed off", "comply": "gives way to pushes"}
 PLOT_EVERY_S = 0.2
 PLOT_S = 6.0
 PLOT_ROW_EVERY = 2
@@ -37,6 +37,7 @@ class Panel:
         send: Send,
         choose_arm: Callable[[str], None],
         choose_error: Callable[[str], None],
+        simplify: Callable[[bool], None],
     ):
         self._gui, self._arm = server.gui, arm
         self._rows = np.zeros((0, 1 + 3 * len(arm.joints)))
@@ -61,11 +62,13 @@ class Panel:
             choose(gui, "on collision", REACTIONS, "stop", lambda key: send("set_reaction", key))
             friction = gui.add_slider("friction", 0.5, 2.0, 0.05, 1.0, hint="times what it was in training")
             still = gui.add_checkbox("hold still", False)
+            simple = gui.add_checkbox("simple drawing", False, hint="no floor, no shadows: for browsers without a GPU")
         self._pace = Html(gui)
         resume.on_click(lambda _: (send("resume"), setattr(still, "value", False)))
         sensitivity.on_update(lambda _: send("set_sensitivity", sensitivity.value))
         friction.on_update(lambda _: send("set_friction", friction.value))
         still.on_update(lambda event: send("rest" if still.value else "resume") if event.client else None)
+        simple.on_update(lambda _: simplify(simple.value))
         plots = gui.add_panel()
         with plots.add_tab("External torque"):
             Html(gui).show(legend())
@@ -104,7 +107,7 @@ class Panel:
         else:
             big, color = f"{verdict.alarm.capitalize()}: {self._arm.joints[verdict.joint]}", COLORS[verdict.alarm]
         if verdict is not None and verdict.alarm == "collision":
-            small = f"The arm is {DOING[snapshot.doing]}. Resume lets it move on."
+            small = f"The arm {DOING[snapshot.doing]}. Resume ends the alarm."
         if snapshot.touch is not None:
             small = shown_force(snapshot.touch.directions)
         if verdict is not None and self._training:

@@ -73,6 +73,16 @@ def test_the_session_ends_its_processes(session):
     wait_for(lambda: not session._process.is_alive())
 
 
+def test_another_arm_or_model_error_is_taken_up(session):
+    session._choose_error("mass")  # not trained yet: nobody watches, and a training begins
+    wait_for(lambda: session._trainer is not None and not session.snapshot.verdicts)
+    session._choose_error("exact")
+    wait_for(lambda: session._trainer is None and session.snapshot.verdicts)
+    session._choose_arm("seven")
+    wait_for(lambda: not session._process.is_alive())
+    assert not list(session._cache.glob("*.part-*"))  # of the training that was cut off
+
+
 @pytest.mark.slow
 def test_a_mouse_pushes_a_link_and_the_page_says_so(session, record_property, tmp_path):
     sync_api = pytest.importorskip("playwright.sync_api")

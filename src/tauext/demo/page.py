@@ -93,7 +93,7 @@ class Session:
         self._server, self._seed, self._cache = server, seed, cache
         self._lesson, self._report = lesson or LESSONS[arm_name], report
         self._next_arm: str | None = None
-        self._stopped = False
+        self._stopped = self._watch_next = False
         self._trainer: Any = None
         self._method = "tauext"
         self._sending = threading.Lock()
@@ -170,8 +170,6 @@ class Session:
         self.error = error
         self.send("watch_nothing")
         self._watch_next = True
-
-    _watch_next = False
 
     def _watch(self) -> None:
         """Watch with the bundles of the chosen model error; train them where they are not there yet."""

@@ -61,8 +61,12 @@ def train_bundle(
     config: TrainConfig,
     out: Path,
     calibration: Sequence[Callable[[], Recording]] = (),
+    on_step: Callable[[int, int], None] | None = None,
 ) -> None:
     """Train, calibrate and write the bundle, with its run file and wall time beside it.
+
+    Args:
+        on_step: called now and then with the network's steps that are done, and how many there will be.
 
     Raises:
         ConfigError: settings that the case or the recordings cannot serve.
@@ -134,6 +138,8 @@ def train_bundle(
 
             def show(p: Progress) -> None:
                 bar.update(p.step, p.steps, f"loss {p.loss:.3g} validation {p.validation_loss:.3g}")
+                if on_step is not None:
+                    on_step(p.step, p.steps)
 
             try:
                 network = train_network(

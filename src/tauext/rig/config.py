@@ -1,6 +1,7 @@
 """Every number of the virtual rig, in frozen dataclasses; docs/rig.md says where each comes from."""
 
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Protocol
 
 from tauext.errors import ConfigError
 
@@ -151,6 +152,23 @@ class PadConfig:
     """Place on the link as a share of its length, uniform between these."""
 
 
+class Drivetrain(Protocol):
+    """What every simulated arm has, whatever its links: drives, friction and instruments of its joints."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def drives(self) -> tuple[DriveConfig, ...]: ...
+    @property
+    def friction(self) -> tuple[FrictionConfig, ...]: ...
+    @property
+    def sensors(self) -> SensorConfig: ...
+    @property
+    def rotor_inertia_kg_m2(self) -> tuple[float, ...]: ...
+    @property
+    def rate_hz(self) -> int: ...
+
+
 @dataclass(frozen=True)
 class RigConfig:
     """A virtual planar arm, its drives and instruments, and what it does. The defaults are the paper's MOCCA."""
@@ -172,6 +190,11 @@ class RigConfig:
     gap_s: float = 3.0
     """Least time without a collision before the first, between two and after the last of a recording."""
 
+    @property
+    def rotor_inertia_kg_m2(self) -> tuple[float, ...]:
+        """Of every joint."""
+        return tuple(link.rotor_inertia_kg_m2 for link in self.links)
+
     def __post_init__(self) -> None:
         joints = len(self.links)
         for name, values in (
@@ -190,19 +213,24 @@ class RigConfig:
 
 
 def changed_rig(encoder_bits: int, friction: float) -> RigConfig:
-    """The paper's rig with encoders of 2^encoder_bits counts a turn, and its Coulomb, static and viscous friction times
-    this factor. Bristles and ripple stay: a joint bends as stiffly as before, and further before it breaks away."""
+    """The paper's rig with encoders of 2^encoder_bits counts a turn, and so many times its friction."""
     rig = RigConfig()
-    joints = tuple(
+    sensors = replace(rig.sensors, encoder_counts=2**encoder_bits)
+    return replace(rig, friction=changed_friction(rig.friction, friction), sensors=sensors)
+
+
+def changed_friction(joints: tuple[FrictionConfig, ...], factor: float) -> tuple[FrictionConfig, ...]:
+    """Coulomb, static and viscous friction times this factor. Bristles and ripple stay: a joint bends as stiffly as
+    before, and further before it breaks away."""
+    return tuple(
         replace(
             joint,
-            coulomb_nm=friction * joint.coulomb_nm,
-            static_nm=friction * joint.static_nm,
-            viscous_nm_s_rad=friction * joint.viscous_nm_s_rad,
+            coulomb_nm=factor * joint.coulomb_nm,
+            static_nm=factor * joint.static_nm,
+            viscous_nm_s_rad=factor * joint.viscous_nm_s_rad,
         )
-        for joint in rig.friction
+        for joint in joints
     )
-    return replace(rig, friction=joints, sensors=replace(rig.sensors, encoder_counts=2**encoder_bits))
 
 
 def _numbers(config: object, prefix: str = "") -> list[tuple[str, float]]:

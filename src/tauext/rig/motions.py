@@ -15,6 +15,16 @@ def quintic(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * (s * (1.0 - s)) ** 2
 
 
+def draw_move(config: MotionConfig, pose: np.ndarray, rng: np.random.Generator) -> tuple[float, np.ndarray, float]:
+    """Pause before the next move from a pose (joints,), [s]; its travel (joints,), [rad]; its duration, [s]."""
+    reach = np.deg2rad(config.range_deg)
+    pause_s = rng.uniform(*config.pause_s)
+    travel = rng.uniform(-reach, reach, len(pose)) - pose
+    while np.abs(travel).max() < np.deg2rad(config.least_travel_deg):
+        travel = rng.uniform(-reach, reach, len(pose)) - pose
+    return pause_s, travel, np.abs(travel).max() / np.deg2rad(rng.uniform(*config.mean_speed_deg_s))
+
+
 def draw_motion(
     config: MotionConfig, joints: int, samples: int, rate_hz: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -26,11 +36,8 @@ def draw_motion(
     q_des, dq_des = np.empty((samples, joints)), np.zeros((samples, joints))
     pose, start = rng.uniform(-reach, reach, joints), 0
     while start < samples:
-        pause = round(rng.uniform(*config.pause_s) * rate_hz)
-        travel = rng.uniform(-reach, reach, joints) - pose
-        while np.abs(travel).max() < np.deg2rad(config.least_travel_deg):
-            travel = rng.uniform(-reach, reach, joints) - pose
-        duration_s = np.abs(travel).max() / np.deg2rad(rng.uniform(*config.mean_speed_deg_s))
+        pause_s, travel, duration_s = draw_move(config, pose, rng)
+        pause = round(pause_s * rate_hz)
         end = min(start + pause + round(duration_s * rate_hz), samples)
         done, rate = quintic((np.arange(start, end) - start - pause)[:, None] / (duration_s * rate_hz))
         q_des[start:end] = pose + travel * done

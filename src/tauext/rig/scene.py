@@ -1,11 +1,12 @@
 """The simulated scene: the plain arm plus drives, friction, and what may touch it."""
 
+from collections.abc import Sequence
 from typing import Literal
 
 import mujoco
 
 from tauext.rig.arm import arm_xml, joint_names
-from tauext.rig.config import RigConfig
+from tauext.rig.config import Drivetrain, RigConfig
 
 Kind = Literal["free", "pulses", "pads"]
 """What may touch the arm in a recording: nothing, force pulses, or padded bodies."""
@@ -29,6 +30,18 @@ def build_scene(config: RigConfig, kind: Kind) -> mujoco.MjModel:
     """
     spec = mujoco.MjSpec.from_string(arm_xml(config))
     names = joint_names(config)
+    add_drivetrain(spec, names, config)
+    for i in range(len(names)):
+        if kind == "pulses":
+            _add_pulse_inputs(spec, i)
+        elif kind == "pads":
+            _add_pad(spec, i, config)
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    return spec.compile()
+
+
+def add_drivetrain(spec: mujoco.MjSpec, names: Sequence[str], config: Drivetrain) -> None:
+    """Put drive, friction and the three sensors that build_scene tells of on each of these joints, in this order."""
     for name, drive in zip(names, config.drives, strict=True):
         _add_drive(spec, name, drive.stiffness_nm_rad, drive.damping_nm_s_rad)
     for name, friction in zip(names, config.friction, strict=True):
@@ -61,13 +74,6 @@ def build_scene(config: RigConfig, kind: Kind) -> mujoco.MjModel:
             objtype=mujoco.mjtObj.mjOBJ_JOINT,
             objname=name,
         )
-    for i in range(len(names)):
-        if kind == "pulses":
-            _add_pulse_inputs(spec, i)
-        elif kind == "pads":
-            _add_pad(spec, i, config)
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    return spec.compile()
 
 
 def _add_drive(spec: mujoco.MjSpec, joint: str, stiffness: float, damping: float) -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tauext.rig.config import RigConfig
+from tauext.rig.config import Drivetrain
 from tauext.rig.simulate import Truth
 
 
@@ -34,7 +34,7 @@ def velocity(q_measured: np.ndarray, cutoff_rad_s: float, dt_s: float) -> np.nda
     return low_pass(dq, cutoff_rad_s, dt_s)
 
 
-def measure(config: RigConfig, truth: Truth, tau_ext: np.ndarray, rng: np.random.Generator) -> dict[str, np.ndarray]:
+def measure(config: Drivetrain, truth: Truth, tau_ext: np.ndarray, rng: np.random.Generator) -> dict[str, np.ndarray]:
     """Measured signals of one recording, each (samples, joints), named as a Recording names them.
 
     The joint torque sensor reads tau_jts = drive - friction - rotor inertia * ddq plus noise: what the drive exerts on
@@ -49,7 +49,7 @@ def measure(config: RigConfig, truth: Truth, tau_ext: np.ndarray, rng: np.random
     q = encoder(truth.q, sensors.encoder_counts)
     tau_noise = rng.standard_normal(q.shape) * sensors.torque_noise_nm
     jts_noise = rng.standard_normal(q.shape) * sensors.jts_noise_nm
-    rotor = truth.ddq * [link.rotor_inertia_kg_m2 for link in config.links]
+    rotor = truth.ddq * config.rotor_inertia_kg_m2
     return {
         "q": q,
         "dq": velocity(q, sensors.velocity_cutoff_rad_s, dt_s),

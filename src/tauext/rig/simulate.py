@@ -9,7 +9,7 @@ import numpy as np
 from mujoco import rollout
 
 from tauext.errors import ConfigError
-from tauext.rig.config import RigConfig
+from tauext.rig.config import Drivetrain
 
 DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
@@ -36,13 +36,13 @@ class Truth:
         return Truth(**{f.name: getattr(self, f.name)[samples:] for f in fields(self)})
 
 
-def roll_out(config: RigConfig, model: mujoco.MjModel, q_start: np.ndarray, controls: np.ndarray) -> Truth:
+def roll_out(config: Drivetrain, model: mujoco.MjModel, q_start: np.ndarray, controls: np.ndarray) -> Truth:
     """Simulate a scene from rest at `q_start` (every position, pads included) under `controls` (samples, nu).
 
     Raises:
         ConfigError: the simulation diverged.
     """
-    n = len(config.links)
+    n = len(config.drives)
     data = mujoco.MjData(model)
     data.qpos[:] = q_start
     state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))

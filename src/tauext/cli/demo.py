@@ -1,0 +1,82 @@
+"""`tauext demo`: push a simulated arm in the browser and see what the monitor makes of it."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from tauext.config import require
+
+
+def demo(
+    arm: Literal["rig", "seven"] = "rig",
+    port: int = 8080,
+    host: str = "127.0.0.1",
+    seed: int = 0,
+    open: bool = True,
+    headless_seconds: float | None = None,
+) -> None:
+    """Push a simulated arm with the mouse; three methods say what they feel, and the arm reacts.
+
+    Bundles are trained on first use, within two minutes or so, and kept in $XDG_CACHE_HOME/tauext/demo. The page needs
+    the extra tauext[live], and no other host.
+
+    Args:
+        arm: the paper's two-axis rig, or an arm of seven axes; the page can change it.
+        port: of the page; the next free one where it is in use.
+        host: address to listen on. 0.0.0.0: everyone in the network may push.
+        seed: of motion, noise and training.
+        open: open the page in a browser.
+        headless_seconds: no page: simulate so long with scripted pushes, and print what was found.
+    """
+    from tauext.demo.bundles import cache_folder
+
+    require(seed >= 0, "seed", seed, ">= 0")
+    if headless_seconds is not None:
+        require(0 < headless_seconds <= 3600, "headless_seconds", headless_seconds, "above 0, at most 3600")
+        print(headless(arm, headless_seconds, seed))
+        return
+    from tauext.demo.page import run_page
+
+    with TrainingBar() as bar:
+        run_page(arm, host, port, seed, cache_folder(), open, bar.report, lambda line: print(line, flush=True))
+
+
+def headless(arm_name: str, seconds: float, seed: int) -> str:
+    """What was found in so many seconds with scripted pushes."""
+    from tauext.demo.arms import ARMS
+    from tauext.demo.bundles import LESSONS, bundle_folder, cache_folder, find_bundles, train_bundles
+    from tauext.demo.headless import describe, scripted_pushes
+
+    arm, lesson, cache = ARMS[arm_name](), LESSONS[arm_name], cache_folder()
+    bundles = find_bundles(bundle_folder(arm, "exact", lesson, seed, cache), lesson)
+    if bundles is None:
+        with TrainingBar() as bar:
+            bundles = train_bundles(arm, "exact", lesson, seed, cache, bar.report)
+    return describe(*scripted_pushes(arm, bundles, seconds, seed), arm)
+
+
+class TrainingBar:
+    """A progress bar that is there while something is trained."""
+
+    def __init__(self) -> None:
+        self._bar = None
+
+    def __enter__(self) -> TrainingBar:
+        return self
+
+    def report(self, share: float, what: str) -> None:
+        """what = "": the training is over."""
+        from tauext.cli.progress import ProgressBar
+
+        if what and self._bar is None:
+            self._bar = ProgressBar("first use: train")
+            self._bar.__enter__()
+        if self._bar is not None:
+            self._bar.update(round(100 * share), 100, what or "done")
+        if not what:
+            self.__exit__()
+
+    def __exit__(self, *error: object) -> None:
+        if self._bar is not None:
+            self._bar.__exit__(None, None, None)
+            self._bar = None

@@ -1,0 +1,158 @@
+"""Bundles of the demo, one a method: trained on first use from a few minutes of practice, then kept in a cache."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+from tauext import __version__, _core
+from tauext.cli.train import estimated_model, train_bundle
+from tauext.config import PAPER_CASES, AlarmConfig, ModelCase, PriorConfig, TrainConfig
+from tauext.demo.arms import DemoArm
+from tauext.demo.practice import practice_recording
+from tauext.errors import ConfigError, TauextError
+
+ERRORS = {"exact": "exact", "mass": "half the mass", "none": "no model at all"}
+"""Model cases that the demo offers, and how the page calls them."""
+STALE_S = 24 * 3600.0
+"""A training that was killed leaves its folder; so old, nobody works in it any more."""
+
+Report = Callable[[float, str], None]
+"""Called with the share that is done, 0 to 1, and what is being done."""
+
+
+def short_training(ripples: int, steps: int) -> dict[str, TrainConfig]:
+    """What each method is trained by, shortened to what a demo may take.
+
+    The paper's network learns by the dense recipe, whose steps each teach a hundred times as much; tauext's method is
+    the prior alone, since its network needs an hour of motion. Limits are found in each method's own way.
+    """
+    little_reserve = AlarmConfig(friction_reserve=0.1)
+    return {
+        "tauext": TrainConfig(recipe="prior", alarm=little_reserve, prior=PriorConfig(most_ripples=ripples)),
+        "paper": TrainConfig(recipe="dense", max_steps=steps),
+        "observer": TrainConfig(recipe="observer"),
+    }
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """How much free motion is simulated, and what is trained on it."""
+
+    recordings: int
+    """Of which the first train."""
+    recording_s: float = 60.0
+    validation: int = 4
+    prior_recordings: int = 8
+    """The prior needs less motion, and its fit takes longer with more."""
+    methods: dict[str, TrainConfig] = field(default_factory=lambda: short_training(ripples=2, steps=3000))
+
+
+LESSONS = {
+    "rig": Lesson(recordings=20),
+    "seven": Lesson(recordings=16, prior_recordings=6, methods=short_training(ripples=0, steps=2000)),
+}
+"""By arm; a search for ripples in seven joints would take longer than everything else."""
+
+
+def cache_folder() -> Path:
+    """Where bundles of demos are kept: $XDG_CACHE_HOME/tauext/demo, or ~/.cache/tauext/demo."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base and Path(base).is_absolute() else Path.home() / ".cache") / "tauext" / "demo"
+
+
+def bundle_folder(arm: DemoArm, error: str, lesson: Lesson, seed: int, cache: Path) -> Path:
+    """Folder of the bundles of these settings; another version or other settings have another one."""
+    looks = dict.fromkeys(("title", "camera_m", "look_at_m", "floor_m", "push"), None)
+    settings = [{**asdict(arm), **looks}, asdict(lesson), error, seed]
+    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
+    return cache / f"{__version__}-{arm.name}-{error}-{digest[:12]}"
+
+
+def find_bundles(folder: Path, lesson: Lesson) -> dict[str, Path] | None:
+    """The bundle of every method; None: not trained yet, or one is damaged."""
+    paths = {method: folder / f"{method}.tauext" for method in lesson.methods}
+    try:
+        for path in paths.values():
+            if not path.is_file():
+                return None
+            _core.Bundle.load(str(path))
+    except TauextError:
+        return None
+    return paths
+
+
+def train_bundles(
+    arm: DemoArm, error: str, lesson: Lesson, seed: int, cache: Path, report: Report = lambda share, what: None
+) -> dict[str, Path]:
+    """Train every method for an arm whose model is wrong in this way; an interrupted training leaves nothing behind.
+
+    The folder appears at once with all that is in it, under its name, or not at all.
+
+    Raises:
+        ConfigError: an unknown model error, or a cache that cannot be written.
+    """
+    if error not in ERRORS:
+        raise ConfigError(f"error = {error} must be one of {', '.join(ERRORS)}")
+    folder = bundle_folder(arm, error, lesson, seed, cache)
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+        _sweep(cache)
+        part = Path(tempfile.mkdtemp(prefix=f"{folder.name}.part-", dir=cache))
+    except OSError as failed:
+        raise ConfigError(f"{cache}: bundles cannot be kept there ({failed.strerror}); set XDG_CACHE_HOME") from failed
+    try:
+        with contextlib.redirect_stderr(io.StringIO()):
+            _train(arm, PAPER_CASES[error], lesson, seed, part, report)
+        shutil.rmtree(folder, ignore_errors=True)  # damaged, or made meanwhile by another demo
+        os.replace(part, folder)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    report(1.0, "done")
+    return {method: folder / f"{method}.tauext" for method in lesson.methods}
+
+
+def _train(arm: DemoArm, case: ModelCase, lesson: Lesson, seed: int, out: Path, report: Report) -> None:
+    recordings = []
+    for k in range(lesson.recordings):
+        report(0.2 * k / lesson.recordings, "practising free motion")
+        recordings.append(practice_recording(arm, lesson.recording_s, seed, k))
+    training, validation = recordings[: -lesson.validation], recordings[-lesson.validation :]
+    robot = out / "robot.xml"
+    robot.write_text(arm.xml)
+    done = 0.2
+    for method, config in lesson.methods.items():
+        share = 0.8 / len(lesson.methods)
+        what = f"training method '{method}', {case.name} model"
+        report(done, what)
+
+        def on_step(steps: int, of: int, begin: float = done, part: float = share, what: str = what) -> None:
+            report(begin + part * steps / of, what)
+
+        learns_all = config.recipe == "prior"  # it judges by motion left out of its fit, and needs no other
+        train_bundle(
+            estimated_model(robot, training[0], case),
+            robot,
+            case,
+            recordings[: lesson.prior_recordings] if learns_all else training,
+            [] if learns_all else validation,
+            replace(config, seed=seed),
+            out / f"{method}.tauext",
+            on_step=on_step,
+        )
+        done += share
+
+
+def _sweep(cache: Path) -> None:
+    for part in cache.glob("*.part-*"):
+        if time.time() - part.stat().st_mtime > STALE_S:
+            shutil.rmtree(part, ignore_errors=True)

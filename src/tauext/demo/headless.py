@@ -1,0 +1,95 @@
+"""The demo without a browser: scripted pushes, as fast as the machine can, and what every method found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tauext.demo.arms import DemoArm
+from tauext.demo.simulation import Event, Simulation
+
+FIRST_PUSH_S = 3.0
+PUSH_EVERY_S = 4.0
+PUSH_S = 1.0
+PULL_M = 0.25
+"""How far from the link the scripted pointer pulls: a push of about 60 N."""
+
+
+@dataclass(frozen=True)
+class Pushed:
+    """One scripted push and the alarms that it raised, first of each method and level."""
+
+    begin_s: float
+    joint: int
+    torque_nm: np.ndarray
+    """Largest |tau_ext| of every joint while it lasted."""
+    events: list[Event]
+
+
+def scripted_pushes(
+    arm: DemoArm, bundles: dict[str, Path], seconds: float, seed: int, method: str = "tauext"
+) -> tuple[list[Pushed], list[Event]]:
+    """Push the links from the last to the first, one every few seconds; resume after each.
+
+    Returns: the pushes, and the alarms that came without one.
+    """
+    simulation = Simulation(arm, seed)
+    simulation.watch_with({name: str(path) for name, path in bundles.items()}, method)
+    pushes: list[Pushed] = []
+    false: list[Event] = []
+    rng = np.random.default_rng(seed)
+    begin_s, resumed_s = FIRST_PUSH_S, 0.0
+    for _ in range(round(seconds * arm.rate_hz)):
+        now_s = simulation.plant.time_s
+        if now_s >= begin_s and simulation.drag is None and now_s < begin_s + PUSH_S:
+            joint = len(arm.joints) - 1 - len(pushes) % len(arm.joints)
+            _pull(simulation, joint, rng)
+            pushes.append(Pushed(now_s, joint, np.zeros(len(arm.joints)), []))
+        if simulation.drag is not None and now_s >= begin_s + PUSH_S:
+            simulation.release("script")
+            begin_s, resumed_s = begin_s + PUSH_EVERY_S, now_s + 1.0
+        if resumed_s and now_s >= resumed_s:
+            simulation.resume()
+            resumed_s = 0.0
+        raised = simulation.step()
+        if simulation.drag is not None:
+            np.maximum(pushes[-1].torque_nm, np.abs(simulation.tau_ext_nm), out=pushes[-1].torque_nm)
+        if raised:
+            for event in simulation.take_events():
+                (false if event.after_push_s is None else pushes[-1].events).append(event)
+    return pushes, false
+
+
+def _pull(simulation: Simulation, joint: int, rng: np.random.Generator) -> None:
+    """Grab the middle of a link's shape and pull across it."""
+    plant = simulation.plant
+    model, data = plant.model, plant.data
+    point = data.geom_xpos[model.body_geomadr[joint + 1]].copy()
+    levers = np.linalg.svd(plant.jacobian(point, joint))[0]
+    direction = levers[:, 0] * rng.choice([-1.0, 1.0])
+    simulation.grab("script", joint, point)
+    simulation.pull("script", point + PULL_M * direction)
+
+
+def describe(pushes: list[Pushed], false: list[Event], arm: DemoArm) -> str:
+    """A line a push, and one of false alarms."""
+    lines = []
+    for push in pushes:
+        felt = int(np.argmax(push.torque_nm))
+        lines.append(
+            f"{push.begin_s:6.2f} s  push on the link of {arm.joints[push.joint]}: "
+            f"{push.torque_nm[felt]:.1f} Nm at {arm.joints[felt]}"
+        )
+        for event in push.events:
+            if event.alarm == "collision":
+                late_ms = 1e3 * (event.after_push_s or 0.0)
+                lines.append(
+                    f"          {event.method:9s} collision at {arm.joints[event.joint]} after {late_ms:.0f} ms"
+                )
+        silent = {"tauext", "paper", "observer"} - {e.method for e in push.events if e.alarm == "collision"}
+        lines += [f"          {method:9s} nothing" for method in sorted(silent)]
+    lines.append(f"alarms without a push: {len(false)}")
+    lines += [f"{e.time_s:6.2f} s  {e.method}: {e.alarm} at {arm.joints[e.joint]}" for e in false]
+    return "\n".join(lines)

@@ -1,0 +1,219 @@
+"""Everything beside the scene: the verdict in words, the choices, and the torque of every joint over time."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import viser
+
+from tauext.demo.arms import ARMS, DemoArm
+from tauext.demo.bundles import ERRORS
+from tauext.demo.simulation import Event, Snapshot
+
+METHODS = {"tauext": "tauext", "paper": "the paper's network", "observer": "plain observer"}
+REACTIONS = {"stop": "stop", "retreat": "retreat", "comply": "go compliant", "ignore": "go on"}
+DOING = {"moving": "moves on", "stop": "has stopped", "retreat": "has backed off", "comply": "gives way to pushes"}
+PLOT_EVERY_S = 0.2
+PLOT_S = 6.0
+PLOT_ROW_EVERY = 2
+"""Of the trace's rows; 25 points a second are enough for the eye."""
+COLORS = {"none": "#1f9d57", "contact": "#e09600", "collision": "#d62f2a", "off": "#7c8794"}
+TRUTH, ESTIMATE, LIMIT = "#22a05a", "#206ee6", "#b3bac4"
+
+Send = Callable[..., None]
+"""Sends a command of the simulation: its name, its arguments."""
+
+
+class Panel:
+    """Controls at the right, plots at the left; what one browser chooses holds for all."""
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        arm: DemoArm,
+        error: str,
+        send: Send,
+        choose_arm: Callable[[str], None],
+        choose_error: Callable[[str], None],
+        simplify: Callable[[bool], None],
+    ):
+        self._gui, self._arm = server.gui, arm
+        self._rows = np.zeros((0, 1 + 3 * len(arm.joints)))
+        self._plotted_s = -np.inf
+        self._last: dict[str, Event] = {}
+        self._training = ""
+        gui = server.gui
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(32, 110, 230))
+        gui.set_panel_label("tauext: push the arm")
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(330)
+        self._banner = Html(gui)
+        self._progress = gui.add_progress_bar(0.0, animated=True, visible=False)
+        resume = gui.add_button("Resume", icon=viser.Icon.PLAYER_PLAY, hint="acknowledge the collision and move on")
+        self._table = Html(gui)
+        with gui.add_folder("Monitor"):
+            choose(gui, "method", METHODS, "tauext", lambda key: send("set_method", key))
+            choose(gui, "its model", ERRORS, error, choose_error)
+            sensitivity = gui.add_slider("sensitivity", 0.25, 3.0, 0.05, 1.0, hint="trained limits are divided by it")
+        with gui.add_folder("Arm"):
+            choose(gui, "arm", {name: make().title for name, make in ARMS.items()}, arm.name, choose_arm)
+            choose(gui, "on collision", REACTIONS, "stop", lambda key: send("set_reaction", key))
+            friction = gui.add_slider("friction", 0.5, 2.0, 0.05, 1.0, hint="times what it was in training")
+            still = gui.add_checkbox("hold still", False)
+            simple = gui.add_checkbox("simple drawing", False, hint="no floor, no shadows: for browsers without a GPU")
+        self._pace = Html(gui)
+        resume.on_click(lambda _: (send("resume"), setattr(still, "value", False)))
+        sensitivity.on_update(lambda _: send("set_sensitivity", sensitivity.value))
+        friction.on_update(lambda _: send("set_friction", friction.value))
+        still.on_update(lambda event: send("rest" if still.value else "resume") if event.client else None)
+        simple.on_update(lambda _: simplify(simple.value))
+        plots = gui.add_panel()
+        with plots.add_tab("External torque"):
+            Html(gui).show(legend())
+            self._plots = [self._plot(joint) for joint in arm.joints]
+        plots.dock_left()
+        plots.set_width(340)
+
+    def show(self, snapshot: Snapshot, clients: int) -> None:
+        """Write and plot how things stand."""
+        for event in snapshot.events:
+            self._last[event.method] = event
+        self._banner.show(self._banner_text(snapshot))
+        self._table.show(self._table_text(snapshot))
+        self._pace.show(
+            f"<div style='padding:2px 12px 8px;font-size:12px;color:#6b7683'>{snapshot.real_time_factor:.2f} × real "
+            f"time · 1 kHz · {clients} browser{'s' if clients != 1 else ''}</div>"
+        )
+        self._draw(snapshot)
+
+    def show_training(self, share: float, what: str) -> None:
+        """A bar while bundles are trained; what = "" takes it away."""
+        self._training = what
+        self._progress.visible = bool(what)
+        self._progress.value = 100.0 * share
+
+    def _banner_text(self, snapshot: Snapshot) -> str:
+        verdict = snapshot.verdicts.get(snapshot.method)
+        small = "Drag any link with the mouse to push it; drag beside the arm to look around."
+        if verdict is None:
+            big, color = "No monitor yet", COLORS["off"]
+            small = self._training or small
+        elif verdict.health != "ok":
+            big, color = verdict.health.replace("_", " "), COLORS["off"]
+        elif verdict.alarm == "none":
+            big, color = "Free motion", COLORS["none"]
+        else:
+            big, color = f"{verdict.alarm.capitalize()}: {self._arm.joints[verdict.joint]}", COLORS[verdict.alarm]
+        if verdict is not None and verdict.alarm == "collision":
+            small = f"The arm {DOING[snapshot.doing]}. Resume ends the alarm."
+        if snapshot.touch is not None:
+            small = shown_force(snapshot.touch.directions)
+        if verdict is not None and self._training:
+            small = self._training
+        return (
+            f"<div style='margin:8px 12px 4px;padding:10px 12px;border-radius:6px;background:{color};color:#fff'>"
+            f"<div style='font-size:19px;font-weight:600'>{html.escape(big)}</div>"
+            f"<div style='font-size:12.5px;min-height:57px'>{html.escape(small)}</div></div>"
+        )
+
+    def _table_text(self, snapshot: Snapshot) -> str:
+        rows = []
+        for method, title in METHODS.items():
+            verdict = snapshot.verdicts.get(method)
+            level = "off" if verdict is None or verdict.health != "ok" else verdict.alarm
+            words = {"off": "–", "none": "nothing"}.get(level, level)
+            last = last_alarm(self._last.get(method), self._arm)
+            weight = 600 if method == snapshot.method else 400
+            rows.append(
+                f"<tr style='font-weight:{weight}'><td>{html.escape(title)}</td>"
+                f"<td style='color:{COLORS[level]}'>{words}</td><td style='color:#6b7683'>{last}</td></tr>"
+            )
+        return (
+            "<table style='margin:4px 12px 8px;font-size:12.5px;width:calc(100% - 24px);border-spacing:0 3px'>"
+            "<tr style='color:#6b7683;text-align:left'><th>method</th><th>sees</th><th>last alarm</th></tr>"
+            f"{''.join(rows)}</table>"
+        )
+
+    def _plot(self, joint: str) -> viser.GuiUplotHandle:
+        small = len(self._arm.joints) > 3
+        lines = (
+            {"label": "true", "stroke": TRUTH, "width": 2},
+            {"label": "estimate", "stroke": ESTIMATE, "width": 2},
+            {"label": "limit", "stroke": LIMIT, "width": 1.5},
+            {"label": "-limit", "stroke": LIMIT, "width": 1.5},
+        )
+        return self._gui.add_uplot(
+            data=tuple(np.zeros(1) for _ in range(5)),
+            series=({"label": "s"}, *lines),
+            title=None if small else f"{joint}, Nm",
+            scales={"x": {"time": False}, "y": {"auto": True}},
+            axes=({"show": not small, "size": 28}, {"size": 40} | ({"label": joint, "labelSize": 18} if small else {})),
+            legend={"show": False},
+            padding=(10, 16, 0, 0),
+            height=86 if small else 220,
+        )
+
+    def _draw(self, snapshot: Snapshot) -> None:
+        if len(snapshot.trace):
+            known = np.isfinite(snapshot.trace).all(axis=1)
+            self._rows = np.vstack([self._rows, snapshot.trace[known]])
+        if len(self._rows) < 2 or snapshot.time_s - self._plotted_s < PLOT_EVERY_S:
+            return
+        self._plotted_s = snapshot.time_s
+        self._rows = self._rows[self._rows[:, 0] > snapshot.time_s - PLOT_S]
+        rows, n = self._rows[::-PLOT_ROW_EVERY][::-1], len(self._arm.joints)
+        if len(rows) < 2:
+            return
+        estimate, limit, true = (rows[:, 1 + k * n : 1 + (k + 1) * n] for k in range(3))
+        for j, plot in enumerate(self._plots):
+            columns = (rows[:, 0], true[:, j], estimate[:, j], limit[:, j], -limit[:, j])
+            plot.data = tuple(np.ascontiguousarray(column) for column in columns)
+
+
+class Html:
+    """A piece of HTML that is sent only where it changed."""
+
+    def __init__(self, gui: viser.GuiApi):
+        self._handle, self._content = gui.add_html(""), ""
+
+    def show(self, content: str) -> None:
+        if content != self._content:
+            self._handle.content = self._content = content
+
+
+def choose(
+    gui: viser.GuiApi, label: str, titles: Mapping[str, str], first: str, chosen: Callable[[str], None]
+) -> viser.GuiDropdownHandle[str]:
+    """A dropdown of titles that tells the key of the one chosen."""
+    keys = {title: key for key, title in titles.items()}
+    dropdown = gui.add_dropdown(label, list(keys), initial_value=titles[first])
+    dropdown.on_update(lambda _: chosen(keys[dropdown.value]))
+    return dropdown
+
+
+def shown_force(directions: int) -> str:
+    """What the estimated arrow shows of a force, from how many of its directions the joints feel."""
+    if directions == 3:
+        return "Arrows: green the true force, blue the estimate from the joints' torques."
+    if directions == 0:
+        return "This push turns no joint: no torque shows it."
+    return (
+        f"Arrows: green true, blue estimated. Pushes here turn joints in {directions} of 3 directions; "
+        "the rest of the force cannot be seen."
+    )
+
+
+def last_alarm(event: Event | None, arm: DemoArm) -> str:
+    if event is None:
+        return "none yet"
+    after = "false" if event.after_push_s is None else f"after {1e3 * event.after_push_s:.0f} ms"
+    return f"{arm.joints[event.joint]}, {after}"
+
+
+def legend() -> str:
+    entries = ((TRUTH, "true"), (ESTIMATE, "estimated"), (LIMIT, "± collision limit"))
+    bar = "display:inline-block;width:14px;height:3px;margin:0 5px 3px 10px;"
+    marks = "".join(f"<span style='{bar}background:{color}'></span>{text}" for color, text in entries)
+    return f"<div style='font-size:12.5px;padding:6px 4px 2px'>{marks}</div>"

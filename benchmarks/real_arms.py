@@ -91,11 +91,12 @@ def panda_commands() -> list[str]:
 
 
 def short_commands(source: str, refused: list[str]) -> list[str]:
-    bundles = [f"bundles/{recipe}.tauext" for recipe in ("prior", "friction")]
+    bundles = [f"bundles/{recipe}.tauext" for recipe in ("prior", "friction", "no-model")]
     return [
         f"import --source {source} --arm arm.toml --out data",
         *refused,
-        *(f"train --data data --recipe {Path(b).stem} --out {b}" for b in bundles),
+        *(f"train --data data --recipe {Path(b).stem} --out {b}" for b in bundles[:2]),
+        f"train --data data --recipe prior --case none --out {bundles[2]}",
         f"evaluate --data data --bundles {' '.join(bundles)} --out results",
     ]
 
@@ -105,6 +106,7 @@ REFUSED = [
     "2 train --data data --limits promised --out promised.tauext",
     "train --data data --out tauext.tauext",
 ]
+KUKA = ("prior", "sines", "friction")
 WRONG_UNITS = [(r"unit = .*\n", ""), (r"offset = .*\n", ""), (r"side = .*\n", "")]
 UR10_BAG, PANDA_BAG = (f"unisa_bags/{name}_exciting" for name in ("ur10", "panda"))
 
@@ -143,7 +145,13 @@ ARMS = {
             "check --data data",
             "2 train --data data --case exact --out exact.tauext",
             "2 train --data data --recipe paper --out paper.tauext",
+            "train --data data --recipe prior --out bundles/prior.tauext",
+            "train --data data --recipe prior --prior.no-find-kinematics --out bundles/sines.tauext",
+            "train --data data --recipe friction --out bundles/friction.tauext",
+            "show bundles/prior.tauext",
+            f"evaluate --data data --bundles {' '.join(f'bundles/{b}.tauext' for b in KUKA)} --out results",
         ],
+        short_tables("C"),
         variants={"as-it-stands": WRONG_UNITS},
     ),
     "panda_unisa": Arm(

@@ -9,6 +9,7 @@ import pytest
 from arms import no_model, planar_arm
 
 from tauext import _core
+from tauext.cli import main
 from tauext.cli.train import train_bundle
 from tauext.cli.train_recordings import wants_constants
 from tauext.config import PAPER_CASES, ObserverConfig, TrainConfig
@@ -58,6 +59,13 @@ def trained(tmp_path: Path, monkeypatch, training, validation=(), **settings):
     train_bundle(planar_arm(), Path(), EXACT, list(training), list(validation), TrainConfig(**settings), out)
     bundle = _core.Bundle.load(str(out))
     return bundle, json.loads(bundle.provenance)
+
+
+def test_limits_that_promise_nothing_are_shown_with_their_reason(tmp_path, monkeypatch, capsys):
+    trained(tmp_path, monkeypatch, [motion(seconds=6.0)], recipe="prior")
+    assert main(["show", str(tmp_path / "made.tauext")]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "limits promise" in told and "largest errors seen, and promise nothing" in told
 
 
 def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path, monkeypatch):

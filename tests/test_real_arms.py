@@ -31,7 +31,7 @@ def test_descriptions_and_their_variants_are_valid_and_commands_name_what_is_the
             assert not described.robot.model or described.robot.model in there
         for command in real_arms.plain(arm.commands):
             words = shlex.split(command)
-            assert words[0] in ("import", "check", "train", "evaluate", "run")
+            assert words[0] in ("import", "check", "train", "evaluate", "run", "show")
             if words[0] == "import" and "--source" in words:
                 sources = words[words.index("--source") + 1 :]
                 sources = sources[: next((k for k, w in enumerate(sources) if w.startswith("--")), None)]

@@ -99,11 +99,11 @@ def describe_bundle(file: Path) -> dict:
         }
     for joint, reason in facts.get("gate", {}).items():
         content[f"network of {joint}"] = reason
-    if "limits" in facts:
-        content["limits promise"] = facts["limits"]["sentence"]
-        content["limits were set for"] = (
-            f"{facts['limits']['set_for']}, hold time {facts['limits']['hold_s'] * 1e3:g} ms"
-        )
+    limits = facts.get("limits", {})
+    if "sentence" in limits:
+        content["limits promise"] = limits["sentence"]
+    if "set_for" in limits:
+        content["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"
     return content
 
 

@@ -78,12 +78,12 @@ def set_supported_limits(
     )
     from tauext.learn.prior_facts import friction_nm
 
-    facts: dict = {}
     try:
         promised = promised_limits(bundle, lambda: judged, config.alarm, threads, config.margins, EVEN_ODDS)
     except TrainingError as error:
         set_limits(bundle, paper_limits(bundle, judged, threads, config.margins), config.alarm)
         words = f"limits are the largest errors seen, and promise nothing ({error})"
+        facts: dict = {"sentence": words}
     else:
         apply_promised(bundle, promised, config.alarm)
         facts = promised.facts()

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from tauext.learn.prior import PriorFit
 
 MOST_CYCLES = 400
-RIPPLE_DATA_S = 300.0  # so much motion is enough to find a ripple, and it takes a while
+RIPPLE_DATA_S = 300.0  # so much motion is enough to find a ripple, and it takes a while ...
+RIPPLE_JOINTS_S = 600.0  # ... for each joint anew, so with many joints this over their number, but RIPPLE_ENOUGH_S
+RIPPLE_ENOUGH_S = 120.0
 RIPPLE_LEAST_S = 45.0  # in less, noise looks like one
 RIPPLE_SHARE, RIPPLE_OUTSTANDS = 0.03, 5.0
 
@@ -42,9 +44,9 @@ def find_ripple(
         return [[] for _ in range(n)]
     energy = np.zeros(n)
     moments, squares = np.zeros((n, MOST_CYCLES, 2)), np.zeros((n, MOST_CYCLES, 2))
-    looked_at_s = 0.0
+    looked_at_s, data_s = 0.0, min(RIPPLE_DATA_S, max(RIPPLE_JOINTS_S / n, RIPPLE_ENOUGH_S))
     for recording in recordings:
-        if looked_at_s >= RIPPLE_DATA_S:
+        if looked_at_s >= data_s:
             break
         looked_at_s += recording.duration_s
         signals = (recording.t_ns, recording.q, recording.dq, recording.tau)

@@ -32,7 +32,7 @@ class Ros2Settings:
     """Asked of publishers. best-effort receives from both kinds; reliable refuses best-effort ones."""
     durability: Literal["volatile", "transient-local"] = "volatile"
     """Asked of publishers. transient-local also gets what was published before, and refuses volatile ones."""
-    depth: int = 64
+    depth: int = 256
     """Samples that wait for a late monitor; older ones are lost, and counted."""
     namespace: str = "/tauext"
     """Of everything that is published: external_torque, contact, collision, event, diagnostics."""

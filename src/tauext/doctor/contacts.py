@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from tauext import _core
 from tauext.data import Recording
 from tauext.doctor.finding import Finding
 from tauext.doctor.fit import CONSTANT, columns_of, robust_solve, robust_spread
-from tauext.doctor.motion import Stretch
+from tauext.doctor.motion import POSITION_CUTOFF_HZ, Stretch, low_pass
 from tauext.doctor.regressors import FRICTION, Rows, rows_of
 
 CUTOFF_HZ, ROWS_HZ = 10.0, 50.0
@@ -24,7 +25,7 @@ ALONE, SPREADS_ALONE = 5.0, 8.0
 TOGETHER, SPREADS_TOGETHER = 4.0, 6.0
 """The same at two joints in one window: what touches a link acts on the joints before it."""
 LEAST_SHARE = 0.1
-"""Of the torque's spread: where nearly all is explained, less is still no contact."""
+"""Of the torque's spread, or of its swing in the window: steps of acceleration are explained but for some of that."""
 MOVING_RAD_S = 0.02
 CRAWL_RAD_S = 0.05
 """A joint that is as slow may stick and slip: there it takes more than its whole friction."""
@@ -55,11 +56,17 @@ def unlabelled_findings(
 ) -> list[Finding]:
     """Disturbances far beyond the usual error, in recordings without a labelled contact; one finding for all.
 
-    Impacts and pushes that stay below a few times what friction does at reversals are not seen.
+    Without a model there is none: what its gravity is off by at a rare pose looks like a push. Impacts
+    and pushes that stay below a few times what friction does at reversals are not seen.
     """
-    motion = [s for s in stretches if recordings[s.recording].contact is None
-              or not (recordings[s.recording].contact == 1).any()]  # fmt: skip
-    if not motion:
+    labelled = [r.contact is not None and bool((r.contact == 1).any()) for r in recordings]
+    # the torque through the positions' own filter, or steps of acceleration would be seen in the torque alone
+    motion = [
+        replace(s, tau=low_pass(s.tau, min(POSITION_CUTOFF_HZ, 0.3 * s.rate_hz), s.rate_hz))
+        for s in stretches
+        if not labelled[s.recording]
+    ]
+    if not motion or tree is None:
         return []
     rows = rows_of(motion, tree, lag_s, CUTOFF_HZ, ROWS_HZ)
     errors, friction = (np.stack(x, axis=1) for x in zip(*(_error(rows, j) for j in range(rows.joints)), strict=True))
@@ -71,8 +78,10 @@ def unlabelled_findings(
     if moving.sum() < LEAST_WINDOWS:
         return []
     usual = np.maximum(np.percentile(largest[moving], USUAL, axis=0), 1e-12)
+    swings = np.stack([np.ptp(rows.tau[at], axis=0) for at in windows])
     crawls = np.stack([np.abs(rows.dq[at]).min(axis=0) < CRAWL_RAD_S for at in windows])
-    seen = largest > LEAST_SHARE * rows.tau.std(axis=0) + crawls * np.percentile(np.abs(friction), USUAL, axis=0)
+    least = LEAST_SHARE * np.maximum(swings, rows.tau.std(axis=0))
+    seen = largest > least + crawls * np.percentile(np.abs(friction), USUAL, axis=0)
     times, spreads = largest / usual, largest / spread
     alone = seen & (times > ALONE) & (spreads > SPREADS_ALONE)
     together = seen & (times > TOGETHER) & (spreads > SPREADS_TOGETHER)

@@ -12,7 +12,8 @@ from tauext.doctor.fit import CONSTANT, JointFit, columns_of
 from tauext.doctor.regressors import FRICTION, Rows
 
 WINDOW_S = 60.0
-LEAST_WINDOWS = 5
+LEAST_WINDOWS = 7
+"""Of five or six the standard error is itself too uncertain to count by."""
 CHANGE = 0.1
 """Of the friction, over all of the data."""
 SURE = 5.0

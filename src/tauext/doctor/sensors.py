@@ -15,7 +15,7 @@ PILED_ROWS, PILED_SHARE = 20, 3.0
 STUCK_S = 0.2
 """A signal that has not changed in a single bit for so long while its joint turns by STUCK_RAD stands still."""
 STUCK_RAD = 0.02
-STUCK_TIMES = 5.0
+STUCK_TIMES = 10.0
 """... and so many times longer than 99 of 100 equal runs: a current of few levels keeps each for a while."""
 CLEAN = 1e-3
 """Noise as a share of the torque's spread. Motor currents and torque sensors have 0.01 to 0.2, none a thousandth."""

@@ -1,6 +1,6 @@
 """What the doctor finds: faults injected, faults named, false findings on good data.
 
-    python benchmarks/doctor.py --out docs/results/doctor        # the tables there; 15 minutes on one core
+    python benchmarks/doctor.py --out docs/results/doctor        # the tables there; half an hour on one core
     python benchmarks/doctor.py --arms rig [--data FILE ... --robot FILE] [--urdf FILE ...]
 
 Every way of tests/doctor_faults.py to break recordings is tried on made motion of several arms with known friction, and

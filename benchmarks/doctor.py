@@ -5,8 +5,8 @@
 
 Every way of tests/doctor_faults.py to break recordings is tried on made motion of several arms with known friction, and
 on recordings of the virtual rig. A finding beside the fault counts as other, unless it follows from it (`follows`
-there). The settings of tests/doctor_arms.py, arms and drives on which no threshold was found, are good data. Of each
-recording in --data, real ones, whatever is found is listed.
+there). The settings of tests/doctor_arms.py, other arms and drives, are good data. Of each recording
+in --data, real ones, whatever is found is listed.
 """
 
 import argparse
@@ -112,10 +112,11 @@ def print_faults(lines: Lines, arm: str, folder: Path, options: argparse.Namespa
 
 
 def print_settings(lines: Lines, folder: Path, options: argparse.Namespace) -> None:
-    lines.say("\n## Arms and drives that no threshold was found on\n")
+    lines.say("\n## Other arms and drives\n")
     lines.say(
         f"Findings on {SETTING_MINUTES:g} minutes of good data. With a model, currents and torques before the gear are "
-        "rightly named as such.\n"
+        "rightly named as such.\nThe limits of stuck efforts, drift and unlabelled contacts were set with these in "
+        "sight, those of the other checks were not.\n"
     )
     lines.say("| arm | with a model | without |\n|---|---|---|")
     for setting in (*SETTINGS, *CURRENTS):

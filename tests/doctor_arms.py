@@ -1,4 +1,4 @@
-"""Arms that the doctor's thresholds were not found on, and the drives and clocks they may have."""
+"""Arms, drives and clocks on which the doctor must find nothing where nothing is wrong."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ def train_bundle(
     from tauext.cli.run_files import provenance, write_json
     from tauext.cli.train_limits import left_out_of_fit, limits_kind, set_supported_limits
     from tauext.cli.train_recordings import chosen_recordings, scaled, wants_constants
-    from tauext.data import free_pieces, scaled_torque, standing_joints, total_s
+    from tauext.data import free_pieces, from_amperes, scaled_torque, standing_joints, total_s
     from tauext.learn import (
         PriorFit,
         Progress,
@@ -104,7 +104,8 @@ def train_bundle(
     training, validation = chosen_recordings(training, validation, config)
     constants = None
     if wants_constants(config, training, case):
-        constants = fit_torque_constants(tree, free_pieces(training, config.margins), config.observer)
+        free = free_pieces(training, config.margins)
+        constants = fit_torque_constants(tree, free, config.observer, from_amperes(training))
         training, validation = ([scaled_torque(r, constants.used) for r in some] for some in (training, validation))
         calibration = [partial(scaled, load, constants.used) for load in calibration]
     parts = training_parts(training, validation, config)

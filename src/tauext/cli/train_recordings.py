@@ -44,9 +44,11 @@ def scaled(load: Callable[[], Recording], nm_per_unit: Sequence[float]) -> Recor
 
 
 def wants_constants(config: TrainConfig, training: list[Recording], case: ModelCase) -> bool:
-    """Whether torque constants are to be fitted; unless said, where a model or half a minute of motion tells them."""
-    from tauext.data import in_amperes, total_s
+    """Whether torque constants are to be fitted or, where they were given, corrected; unless said, where the recordings
+    were currents and a model or half a minute of motion tells them."""
+    from tauext.data import from_amperes, in_amperes, total_s
 
     if config.fit_torque_constants is not None:
         return config.fit_torque_constants
-    return in_amperes(training) and (not case.no_model or total_s(training) >= 30)
+    currents = in_amperes(training) or from_amperes(training)
+    return currents and (not case.no_model or total_s(training) >= 30)

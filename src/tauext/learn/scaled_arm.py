@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize
@@ -53,7 +53,8 @@ def fit_scaled_arm(
     Args:
         sample: without a model.
         log_spread: sigma_x.
-        start: (n,) k_0, with sign; None: from the model as it is.
+        start: (n,) k_0, with sign; None: from the model as it is, but with the sign that is more likely where it is < 0
+            there: what hangs at a wrist may weigh more than the wrist.
     """
     n = sample.joints
     model, spread = np.array([inertial_parameters(link)[:ROTOR] for link in tree.links]).ravel(), spreads(tree)
@@ -64,18 +65,34 @@ def fit_scaled_arm(
         left = unexplained(np.column_stack([Z[:, j, :, :ROTOR].reshape(sample.rows, -1), sample.target[:, j]]), beside)
         grams.append(left.T @ left)
     count = max(1.0, sample.rows * ROW_S / INDEPENDENT_S)
-    start = as_it_is(np.array(grams), model, count) if start is None else start
-    evidence = Evidence(np.array(grams), model, spread, start, log_spread)
-    at, least = np.zeros(n + 1), LEAST_NOISE**2 * sample.rows
-    weights = count / np.maximum(evidence.grams[:, -1, -1] / 10, least)  # most of r is explained in the end
-    for _ in range(ROUNDS):
-        at = minimize(lambda x, w=weights: evidence.cost(x, w)[:2], at, jac=True, method="BFGS").x
-        weights = count / np.maximum(evidence.squares(at, weights), least)
+    grams, begun = np.array(grams), start is None
+    start = as_it_is(grams, model, count) if begun else start
+    evidence = Evidence(grams, model, spread, start, log_spread)
+    at, weights, cost = most_likely(evidence, sample.rows, count)
+    for j in np.flatnonzero(start < 0) if begun else ():
+        turned = replace(evidence, start=np.where(np.arange(n) == j, -evidence.start, evidence.start))
+        other = most_likely(turned, sample.rows, count)
+        if other[2] < cost:
+            evidence, (at, weights, cost) = turned, other
     steps = DELTA * np.eye(n + 1)
     slopes = [evidence.cost(at + h, weights)[1] - evidence.cost(at - h, weights)[1] for h in steps]
     curvature = np.array(slopes) / (2 * DELTA)
     variances = np.diag(np.linalg.pinv((curvature + curvature.T) / 2))[:n]
     return ScaledArm(evidence.constants(at), np.sqrt(np.maximum(variances, 0.0)), float(np.exp(at[-1])))
+
+
+def most_likely(evidence: Evidence, rows: int, count: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """The unknowns, each joint's weight and the cost there, with the noise that is found along with them.
+
+    Args:
+        count: independent samples.
+    """
+    at, least = np.zeros(len(evidence.start) + 1), LEAST_NOISE**2 * rows
+    weights = count / np.maximum(evidence.grams[:, -1, -1] / 10, least)  # most of r is explained in the end
+    for _ in range(ROUNDS):
+        at = minimize(lambda x, w=weights: evidence.cost(x, w)[:2], at, jac=True, method="BFGS").x
+        weights = count / np.maximum(evidence.squares(at, weights), least)
+    return at, weights, evidence.cost(at, weights)[0] - count / 2 * float(np.log(weights).sum())
 
 
 def as_it_is(grams: np.ndarray, model: np.ndarray, count: float) -> np.ndarray:

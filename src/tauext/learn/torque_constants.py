@@ -33,7 +33,7 @@ GIVEN_TO = 0.1
 """The same of a given one: makers' numbers, and gear losses beside them, are right to about 10 %."""
 KEPT = 0.75
 """A given constant is kept where motion leaves this share of its doubt or more."""
-ARM_OFF = 0.03
+ARM_OFF = 0.05
 """Share by which the torques of an arm found in the motion are off, beside their scatter."""
 
 

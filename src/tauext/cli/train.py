@@ -121,7 +121,8 @@ def train_bundle(
     def fitted(recordings: list[Recording]) -> PriorFit | None:
         if config.recipe in ("prior", "tauext"):
             bent = with_presliding(chain, config.prior.widths_rad)
-            return fit_prior(bent, recordings, config.prior, lambda line: print(f"{out.stem}: {line}", file=sys.stderr))
+            tell = partial(print, f"{out.stem}:", file=sys.stderr)
+            return fit_prior(bent, recordings, config.prior, tell, constants.kinematics if constants else None)
         return fit_friction(chain, recordings) if config.recipe == "friction" else None
 
     # Without steps there is nothing to validate: all of the motion is fitted, and left out in turn for the limits.

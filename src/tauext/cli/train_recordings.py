@@ -50,5 +50,7 @@ def wants_constants(config: TrainConfig, training: list[Recording], case: ModelC
 
     if config.fit_torque_constants is not None:
         return config.fit_torque_constants
-    currents = in_amperes(training) or from_amperes(training)
-    return currents and (not case.no_model or total_s(training) >= 30)
+    if not case.no_model:
+        return in_amperes(training) or from_amperes(training)
+    arm_serves = config.recipe in ("prior", "tauext")  # others take each joint by itself, in whatever unit
+    return total_s(training) >= 30 and (in_amperes(training) or (from_amperes(training) and arm_serves))

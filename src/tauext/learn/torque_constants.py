@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from tauext.errors import ConfigError, TrainingError
 from tauext.learn.bundle_writing import build_chain, with_presliding
 from tauext.learn.find_kinematics import Fitted, can_be_found, find_kinematics
 from tauext.learn.kinematic_sample import LEAST_ROWS, ROW_S, KinematicSample
+from tauext.learn.kinematics import Kinematics
 from tauext.learn.prior_terms import has_model, own_terms
 from tauext.learn.scaled_arm import fit_scaled_arm
 from tauext.learn.training_set import Chain
@@ -48,6 +49,8 @@ class TorqueConstants:
     """Joint in whose recorded unit all torques are then, where no model says what a N m is; None: they are in N m."""
     given: bool = False
     """They correct constants that the recordings were multiplied by; one that is not determined is kept."""
+    kinematics: Kinematics | None = None
+    """Of the arm found in the motion, where there is no model."""
 
     @property
     def guessed(self) -> np.ndarray:
@@ -182,9 +185,11 @@ def _relative_constants(
         trust = 1 / (shares**2 + GIVEN_TO**2)
         logs -= trust @ logs / trust.sum()
         drawn = GIVEN_TO**2 * trust
-        return given_constants(np.exp(drawn * logs), GIVEN_TO * np.sqrt(1 - drawn))
+        corrections = given_constants(np.exp(drawn * logs), GIVEN_TO * np.sqrt(1 - drawn))
+        return replace(corrections, kinematics=candidate.kinematics)
     best = int(np.nanargmin(np.where(constants > 0, errors / np.abs(constants), np.inf)))
-    return TorqueConstants(constants / constants[best], errors / constants[best], determined, best)
+    ratios = constants / constants[best], errors / constants[best], determined
+    return TorqueConstants(*ratios, relative_to=best, kinematics=candidate.kinematics)
 
 
 def _fit(model: np.ndarray, current: np.ndarray, beside: np.ndarray) -> tuple[float, float, bool]:

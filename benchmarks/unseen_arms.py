@@ -43,7 +43,7 @@ def main() -> None:
         folder = options.out / name
         make(known[name], folder, options.seed, options.workers)
         for model in MODELS:
-            judge(known[name], folder, model, options.recipes)
+            judge(folder, model, options.recipes)
             cases += read_cases(known[name], options.seed, model, folder)
     text = markdown(cases, "python benchmarks/unseen_arms.py MODELS OUT")
     (options.out / "README.md").write_text(text)
@@ -67,11 +67,9 @@ def make(maker: Maker, folder: Path, seed: int, workers: int) -> None:
         command(folder / f"import-{name}.txt", "import", "--source", *files, "--arm", arm, "--out", folder / name)
 
 
-def judge(maker: Maker, folder: Path, model: str, recipes: list[str]) -> None:
+def judge(folder: Path, model: str, recipes: list[str]) -> None:
     """Check, train and evaluate as a user would, each command's words beside its results."""
     data, how = folder / model, [] if MODELS[model] else ["--case", "none"]
-    if MODELS[model] and not maker.constants_known:
-        how = ["--fit-torque-constants"]
     command(folder / f"check-{model}.txt", "check", "--data", data, accept=(0, 1))
     bundles = [folder / f"{model}-{recipe}.tauext" for recipe in recipes]
     for recipe, bundle in zip(recipes, bundles, strict=True):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import planar_arm
+from arms import no_model, planar_arm, prismatic_mass
 from made_motion import made_motion
 from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
@@ -14,8 +14,10 @@ from test_kinematics import arm
 
 from tauext import _core
 from tauext.config import ObserverConfig
+from tauext.errors import ConfigError
 from tauext.learn import fit_torque_constants
 from tauext.learn.scaled_arm import Evidence, as_it_is, unexplained
+from tauext.learn.torque_constants import drawn_to_given
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
 
 CONSTANTS = np.array([12.0, 11.0, 8.0, 5.0])
@@ -106,6 +108,32 @@ def test_given_constants_are_corrected_and_kept_where_the_motion_says_nothing(mo
     drowned = fit_torque_constants(without_tool(), noise, ObserverConfig(), given=True)
     assert not drowned.determined[3] and drowned.used[3] == 1.0
     assert "kept for joint3" in drowned.sentences(JOINTS)[0]
+
+
+def test_given_constants_are_corrected_by_the_arm_found_where_there_is_no_model():
+    given = np.array([1.09, 0.92])
+    measured = [replace(r, tau=r.tau * given) for r in made_motion(planar_arm(), 1.0).recordings]
+    found = fit_torque_constants(no_model(planar_arm()), measured, ObserverConfig(), given=True)
+    assert found.determined.all() and found.kinematics is not None
+    left = np.log(found.used * given)
+    assert abs(left[0] - left[1]) < 0.05 < abs(np.diff(np.log(given))[0]) and abs(left.mean()) < 0.05
+
+
+def test_where_no_arm_can_be_found_given_constants_are_kept_and_unknown_ones_are_an_error():
+    slide = no_model(prismatic_mass(5.0))
+    measured = made_motion(prismatic_mass(5.0), 1.0, pieces=1).recordings
+    kept = fit_torque_constants(slide, measured, ObserverConfig(), given=True)
+    assert kept.used == [1.0]
+    assert kept.sentences(("slide",)) == ["torque constants of the import are kept: the motion says no more"]
+    with pytest.raises(ConfigError, match="--fit-torque-constants False trains in the recordings' own unit"):
+        fit_torque_constants(slide, measured, ObserverConfig())
+
+
+def test_corrections_are_drawn_to_what_was_given_as_far_as_the_motion_leaves_them_open():
+    found = drawn_to_given(np.array([2.4, 2.0, 2.0, np.nan]), np.array([0.0, 0.0, 0.4, np.nan]))
+    # Certain but for ARM_OFF, the first two keep 80 % of their distance: 0.1^2 / (0.1^2 + 0.05^2).
+    assert np.log(found.used[0] / found.used[1]) == pytest.approx(0.8 * np.log(1.2))
+    assert found.determined.tolist() == [True, True, False, False] and found.used[2:] == [1.0, 1.0]
 
 
 def test_a_joint_without_current_has_no_constant_and_harms_no_other(motion):

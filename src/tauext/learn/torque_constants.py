@@ -169,9 +169,12 @@ def _relative_constants(
         KinematicSample(chain.tree, chain.observer, recordings, own, chain.widths_rad) if can_be_found(chain) else None
     )
     if sample is None or sample.rows < LEAST_ROWS:
+        if given:
+            return given_constants(np.ones(len(joints)), np.full(len(joints), np.inf))
         raise ConfigError(
             "torque constants are found by comparing with a model, and there is none (case 'none'); nor can an arm be "
-            f"found in the motion, which takes turning joints, gravity and {LEAST_ROWS * ROW_S:g} s of it"
+            f"found in the motion, which takes turning joints, gravity and {LEAST_ROWS * ROW_S:g} s of it "
+            "(--fit-torque-constants False trains in the recordings' own unit)"
         )
     candidate = find_kinematics(sample, joints, one_unit=False)
     fitted = Fitted.of(sample, joints, candidate.kinematics, candidate.scales)
@@ -179,17 +182,21 @@ def _relative_constants(
     found = [_fit(said[:, j], sample.target[:, j], sample.own[j]) for j in range(len(joints))]
     constants, errors, determined = (np.array([one[k] for one in found]) for k in range(3))
     if given:
-        known = (constants > 0) & np.isfinite(errors)
-        logs, shares = np.log(constants, where=known, out=np.zeros(len(joints))), np.full(len(joints), np.inf)
-        shares[known] = np.hypot(errors[known] / constants[known], ARM_OFF)
-        trust = 1 / (shares**2 + GIVEN_TO**2)
-        logs -= trust @ logs / trust.sum()
-        drawn = GIVEN_TO**2 * trust
-        corrections = given_constants(np.exp(drawn * logs), GIVEN_TO * np.sqrt(1 - drawn))
-        return replace(corrections, kinematics=candidate.kinematics)
+        return replace(drawn_to_given(constants, errors), kinematics=candidate.kinematics)
     best = int(np.nanargmin(np.where(constants > 0, errors / np.abs(constants), np.inf)))
     ratios = constants / constants[best], errors / constants[best], determined
     return TorqueConstants(*ratios, relative_to=best, kinematics=candidate.kinematics)
+
+
+def drawn_to_given(constants: np.ndarray, errors: np.ndarray) -> TorqueConstants:
+    """Corrections whose ratios the motion shows: their mean stays as given, each is drawn to 1 as far as it is open."""
+    known = (constants > 0) & np.isfinite(errors)
+    logs, shares = np.zeros(len(constants)), np.full(len(constants), np.inf)
+    logs[known], shares[known] = np.log(constants[known]), np.hypot(errors[known] / constants[known], ARM_OFF)
+    trust = 1 / (shares**2 + GIVEN_TO**2)
+    logs -= trust @ logs / max(trust.sum(), 1e-300)
+    drawn = GIVEN_TO**2 * trust
+    return given_constants(np.exp(drawn * logs), GIVEN_TO * np.sqrt(1 - drawn))
 
 
 def _fit(model: np.ndarray, current: np.ndarray, beside: np.ndarray) -> tuple[float, float, bool]:

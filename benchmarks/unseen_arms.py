@@ -3,8 +3,8 @@
     python benchmarks/unseen_arms.py MODELS OUT [--arms ur5 panda ...] [--recipes prior friction] [--seed 0]
 
 MODELS: folder of ur5_robot.urdf, panda.urdf and kinova.urdf. OUT/ARM gets csv/ with the recordings and the truth, the
-datasets urdf/ and none/, bundles and results; what is there is used again. OUT/README.md gets the tables; that of
-docs/results/unseen-arms is one of these.
+datasets urdf/ and none/, bundles and results; recordings, datasets and bundles that are there are used again.
+OUT/README.md gets the tables; that of docs/results/unseen-arms is one of these.
 """
 
 from __future__ import annotations
@@ -41,10 +41,9 @@ def main() -> None:
     cases = []
     for name in options.arms:
         folder = options.out / name
-        if not (folder / "none").is_dir():
-            make(known[name], folder, options.seed, options.workers)
+        make(known[name], folder, options.seed, options.workers)
         for model in MODELS:
-            judge(known[name], folder, model, options.recipes)
+            judge(folder, model, options.recipes)
             cases += read_cases(known[name], options.seed, model, folder)
     text = markdown(cases, "python benchmarks/unseen_arms.py MODELS OUT")
     (options.out / "README.md").write_text(text)
@@ -52,24 +51,25 @@ def main() -> None:
 
 
 def make(maker: Maker, folder: Path, seed: int, workers: int) -> None:
-    """Simulate every take of an arm and import it twice, with its URDF and without a model."""
+    """Simulate every take of an arm and import it twice, with its URDF and without a model; not what is there."""
     raw = folder / "csv"
     raw.mkdir(parents=True, exist_ok=True)
+    missing = [number for number, take in enumerate(TAKES) if not (raw / f"{take.name}.truth.npz").exists()]
     with ProcessPoolExecutor(workers) as pool:
-        for done in [pool.submit(write_take, maker, seed, number, raw) for number in range(len(TAKES))]:
+        for done in [pool.submit(write_take, maker, seed, number, raw) for number in missing]:
             done.result()
     files = [str(raw / f"{take.name}.csv") for take in TAKES]
     for name, model in MODELS.items():
+        if (folder / name).is_dir() and not missing:
+            continue
         arm = raw / f"arm-{name}.toml"
         arm.write_text(description(maker, seed, model))
         command(folder / f"import-{name}.txt", "import", "--source", *files, "--arm", arm, "--out", folder / name)
 
 
-def judge(maker: Maker, folder: Path, model: str, recipes: list[str]) -> None:
+def judge(folder: Path, model: str, recipes: list[str]) -> None:
     """Check, train and evaluate as a user would, each command's words beside its results."""
     data, how = folder / model, [] if MODELS[model] else ["--case", "none"]
-    if MODELS[model] and not maker.constants_known:
-        how = ["--fit-torque-constants"]
     command(folder / f"check-{model}.txt", "check", "--data", data, accept=(0, 1))
     bundles = [folder / f"{model}-{recipe}.tauext" for recipe in recipes]
     for recipe, bundle in zip(recipes, bundles, strict=True):

@@ -12,7 +12,7 @@ import pytest
 from made_bags import JOINTS, joint_rows, motion, write_bag
 
 from tauext.data import assemble as assembling
-from tauext.data import description
+from tauext.data import description, from_amperes, in_amperes
 from tauext.data.assemble import assemble
 from tauext.data.description_file import parse_arm
 from tauext.data.description_template import Guess, guess, template
@@ -92,6 +92,8 @@ def test_units_signs_sides_and_offsets_are_applied_and_said():
         "dq: from rpm",
         "tau: from mA, times 0.05, 0.05 Nm/A, times gear ratio",
     ]
+    assert from_amperes([recording]) and not in_amperes([recording])
+    assert not from_amperes([one(a_source(t_ns, q=q, dq=dq, tau=tau), arm())])
 
 
 def test_an_unknown_torque_constant_leaves_amperes_and_says_so():

@@ -273,7 +273,7 @@ class TrainConfig:
     where there are calibration recordings and supported where there are none."""
     fit_torque_constants: bool | None = None
     """The recordings' tau is motor current or another multiple of torque: find one constant a joint from the model or,
-    without one, from the arm found in the motion. None: where they hold currents of unknown constants."""
+    without one, from the arm found in the motion. None: where they were currents; given constants are corrected."""
     margins: FreeMotionConfig = field(default_factory=FreeMotionConfig)
     alarm: AlarmConfig = field(default_factory=AlarmConfig)
     prior: PriorConfig = field(default_factory=PriorConfig)

@@ -78,7 +78,7 @@ def train_bundle(
     from tauext.cli.run_files import provenance, write_json
     from tauext.cli.train_limits import left_out_of_fit, limits_kind, set_supported_limits
     from tauext.cli.train_recordings import chosen_recordings, scaled, wants_constants
-    from tauext.data import free_pieces, scaled_torque, standing_joints, total_s
+    from tauext.data import free_pieces, from_amperes, scaled_torque, standing_joints, total_s
     from tauext.learn import (
         PriorFit,
         Progress,
@@ -108,7 +108,8 @@ def train_bundle(
     training, validation = chosen_recordings(training, validation, config)
     constants = None
     if wants_constants(config, training, case):
-        constants = fit_torque_constants(tree, free_pieces(training, config.margins), config.observer)
+        free = free_pieces(training, config.margins)
+        constants = fit_torque_constants(tree, free, config.observer, from_amperes(training))
         training, validation = ([scaled_torque(r, constants.used) for r in some] for some in (training, validation))
         calibration = [partial(scaled, load, constants.used) for load in calibration]
     parts = training_parts(training, validation, config)
@@ -124,7 +125,8 @@ def train_bundle(
     def fitted(recordings: list[Recording]) -> PriorFit | None:
         if config.recipe in ("prior", "tauext"):
             bent = with_presliding(chain, config.prior.widths_rad)
-            return fit_prior(bent, recordings, config.prior, lambda line: print(f"{out.stem}: {line}", file=sys.stderr))
+            tell = partial(print, f"{out.stem}:", file=sys.stderr)
+            return fit_prior(bent, recordings, config.prior, tell, constants.kinematics if constants else None)
         return fit_friction(chain, recordings) if config.recipe == "friction" else None
 
     # Without steps there is nothing to validate: all of the motion is fitted, and left out in turn for the limits.

@@ -44,9 +44,13 @@ def scaled(load: Callable[[], Recording], nm_per_unit: Sequence[float]) -> Recor
 
 
 def wants_constants(config: TrainConfig, training: list[Recording], case: ModelCase) -> bool:
-    """Whether torque constants are to be fitted; unless said, where a model or half a minute of motion tells them."""
-    from tauext.data import in_amperes, total_s
+    """Whether torque constants are to be fitted or, where they were given, corrected; unless said, where the recordings
+    were currents and a model or half a minute of motion tells them."""
+    from tauext.data import from_amperes, in_amperes, total_s
 
     if config.fit_torque_constants is not None:
         return config.fit_torque_constants
-    return in_amperes(training) and (not case.no_model or total_s(training) >= 30)
+    if not case.no_model:
+        return in_amperes(training) or from_amperes(training)
+    arm_serves = config.recipe in ("prior", "tauext")  # others take each joint by itself, in whatever unit
+    return total_s(training) >= 30 and (in_amperes(training) or (from_amperes(training) and arm_serves))

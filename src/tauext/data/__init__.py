@@ -4,7 +4,7 @@ from tauext.data.first_seconds import first_seconds, total_s
 from tauext.data.free_motion import free_pieces, free_samples, split_by_time
 from tauext.data.recording import Recording
 from tauext.data.recording_file import Description, describe, load, save
-from tauext.data.scaled import in_amperes, scaled_torque, torque_constants_of
+from tauext.data.scaled import from_amperes, in_amperes, scaled_torque, torque_constants_of
 from tauext.data.split import Split, load_split, save_split, split_recordings
 from tauext.data.standing import standing_joints
 
@@ -19,6 +19,7 @@ __all__ = [
     "load",
     "load_split",
     "save",
+    "from_amperes",
     "in_amperes",
     "scaled_torque",
     "save_split",

@@ -15,7 +15,7 @@ from tauext.data.description import TIME_UNITS, Arm
 from tauext.data.importers import RawSignals, Source
 from tauext.data.merge import Table, base_stream, held, interpolated
 from tauext.data.recording import Recording
-from tauext.data.scaled import AMPERES
+from tauext.data.scaled import AMPERES, FROM_AMPERES
 from tauext.data.stamps import count_gaps, fresh, ordered
 from tauext.data.velocity import derived_velocity
 from tauext.errors import RecordingError
@@ -165,7 +165,8 @@ def _piece(
     rate_hz = rate_hz or _nominal_rate(t_ns)
     facts["longest_step_s"] = round(count_gaps(t_ns, counts), 6)
     facts["start_s"] = round((int(t_ns[0]) - start_ns) * 1e-9, 9)
-    facts["torque"] = AMPERES if constant_unknown(arm) else "N m"
+    measured = FROM_AMPERES if arm.signals["tau"].is_current else "N m"
+    facts["torque"] = AMPERES if constant_unknown(arm) else measured
     counts = Counter({text: n for text, n in counts.items() if n})
     done = [*source.notes, *(f"{n} {text}" for text, n in counts.items()), *conversions(arm)]
     if "measured_hz" in facts:

@@ -11,6 +11,7 @@ import numpy as np
 from tauext.data.recording import Recording
 
 AMPERES = "amperes: the torque constant is unknown"
+FROM_AMPERES = "N m: amperes times given torque constants"
 
 
 def scaled_torque(recording: Recording, nm_per_unit: Sequence[float] | None) -> Recording:
@@ -27,7 +28,16 @@ def scaled_torque(recording: Recording, nm_per_unit: Sequence[float] | None) -> 
 
 def in_amperes(recordings: Sequence[Recording]) -> bool:
     """Whether some were imported as currents whose constants nobody knew, and are not scaled yet."""
-    return any(r.provenance.get("torque") == AMPERES and "torque_constants" not in r.provenance for r in recordings)
+    return _unscaled(recordings, AMPERES)
+
+
+def from_amperes(recordings: Sequence[Recording]) -> bool:
+    """Whether some were imported as currents and multiplied by given constants, which may be corrected yet."""
+    return _unscaled(recordings, FROM_AMPERES)
+
+
+def _unscaled(recordings: Sequence[Recording], torque: str) -> bool:
+    return any(r.provenance.get("torque") == torque and "torque_constants" not in r.provenance for r in recordings)
 
 
 def torque_constants_of(provenance: str) -> list[float] | None:

@@ -51,6 +51,7 @@ def find_kinematics(
     joints: Sequence[str],
     tell: Callable[[str], None] | None = None,
     one_unit: bool = True,
+    start: Kinematics | None = None,
 ) -> Candidate:
     """The serial arm of revolute joints whose inertia explains r best beside each joint's friction.
 
@@ -63,11 +64,15 @@ def find_kinematics(
     Args:
         tell: takes a line a stage.
         one_unit: torques of all joints are in N m; False: each in a unit of its own, of which only the ratios show.
+        start: an arm that was found in torques of other units, from which the search goes on.
     """
     tell = tell or (lambda line: None)
     free = frozenset() if one_unit else frozenset({"scales"})
-    best = directions(sample, joints)
-    tell(f"axes at right angles: error {np.sqrt(best[0].error):.1%} of r")
+    if start is not None:
+        best = [Candidate(start, np.inf, np.ones(sample.joints))]
+    else:
+        best = directions(sample, joints)
+        tell(f"axes at right angles: error {np.sqrt(best[0].error):.1%} of r")
     found = min((refined(sample, joints, one, free) for one in best[:REFINED]), key=lambda one: one.error)
     tell(f"with link lengths: {np.sqrt(found.error):.1%}")
     oblique = refined(sample, joints, found, free | {"axes"})

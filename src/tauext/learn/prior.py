@@ -71,7 +71,11 @@ class PriorFit:
 
 
 def fit_prior(
-    chain: Chain, recordings: Sequence[Recording], config: PriorConfig, tell: Callable[[str], None] | None = None
+    chain: Chain,
+    recordings: Sequence[Recording],
+    config: PriorConfig,
+    tell: Callable[[str], None] | None = None,
+    known: Kinematics | None = None,
 ) -> PriorFit:
     """The prior of a chain whose prior holds nothing but presliding widths yet.
 
@@ -80,6 +84,7 @@ def fit_prior(
 
     Args:
         tell: takes a line about what was found.
+        known: an arm that was found already, to be looked at first where there is no model.
 
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
@@ -87,7 +92,7 @@ def fit_prior(
     inertia = Inertia(chain.tree if config.correct_model else None, ESTIMATED)
     fit = None
     if not has_model(chain):
-        inertia, fit = find_inertia(chain, recordings, config, tell or (lambda line: None))
+        inertia, fit = find_inertia(chain, recordings, config, tell or (lambda line: None), known)
     ripple: list[list[int]] = [[] for _ in range(chain.tree.size)]
     fit = fit or fit_terms(chain, recordings, config, ripple, inertia)
     for _ in range(config.most_ripples):
@@ -112,7 +117,11 @@ def fit_prior(
 
 
 def find_inertia(
-    chain: Chain, recordings: Sequence[Recording], config: PriorConfig, tell: Callable[[str], None]
+    chain: Chain,
+    recordings: Sequence[Recording],
+    config: PriorConfig,
+    tell: Callable[[str], None],
+    known: Kinematics | None,
 ) -> tuple[Inertia, PriorFit]:
     """What stands for gravity and inertia where there is no model, and a first fit with it.
 
@@ -128,7 +137,7 @@ def find_inertia(
     if sample.rows < LEAST_ROWS:
         return Inertia(), basis
     joints = tuple(link.joint_name for link in chain.tree.links)
-    kinematics = find_kinematics(sample, joints, tell).kinematics
+    kinematics = find_kinematics(sample, joints, tell, start=known).kinematics
     inertia = Inertia(kinematics.tree(joints, chain.tree.gravity), kinematics=kinematics)
     fit = fit_terms(chain, recordings, config, nothing, inertia)
     inertia = replace(inertia, load=CORRECTED, loads=tuple(fit.settings.corrected_links))

@@ -1,32 +1,41 @@
-"""Torque constants of arms that report motor currents, from the model: one factor a joint."""
+"""Torque constants of arms that report motor currents: one factor a joint."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tauext import _core
-from tauext.config import ObserverConfig
+from tauext.config import ObserverConfig, PriorConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn.bundle_writing import build_chain
+from tauext.learn.bundle_writing import build_chain, with_presliding
 from tauext.learn.find_kinematics import Fitted, can_be_found, find_kinematics
-from tauext.learn.friction import SMOOTHING_RAD_S
 from tauext.learn.kinematic_sample import LEAST_ROWS, ROW_S, KinematicSample
-from tauext.learn.prior_terms import Kind, has_model
+from tauext.learn.kinematics import Kinematics
+from tauext.learn.prior_terms import has_model, own_terms
+from tauext.learn.scaled_arm import fit_scaled_arm
 from tauext.learn.training_set import Chain
 from tauext.robot import empty
 
 PIECES = 10
-WELL_DETERMINED = 0.1
-"""A constant counts as known whose standard error is at most this share of it, if LEAST_SHARE holds."""
+WELL_DETERMINED = 0.15
+"""A constant counts as known whose standard error is at most this share of it: masses are seldom known better."""
 GUESS = 0.5
 """One that is known to this share only is a guess: of no use for reading N m, but nearer to the model's torque, which
 it must meet, than amperes are."""
 LEAST_SHARE = 0.05
-"""Gravity and inertia, as the model has them, must make up this share of what friction leaves of the current."""
+"""Without a model: what gravity and inertia of the arm found must make up of what friction leaves of the current."""
+UNKNOWN_TO = 1.0
+"""Standard deviation of the logarithm of a constant that nobody knows about what the model as it is says."""
+GIVEN_TO = 0.1
+"""The same of a given one: makers' numbers, and gear losses beside them, are right to about 10 %."""
+KEPT = 0.75
+"""A given constant is kept where motion leaves this share of its doubt or more."""
+ARM_OFF = 0.05
+"""Share by which the torques of an arm found in the motion are off, beside their scatter."""
 
 
 @dataclass(frozen=True)
@@ -38,12 +47,17 @@ class TorqueConstants:
     determined: np.ndarray  # (n,) bool
     relative_to: int | None = None
     """Joint in whose recorded unit all torques are then, where no model says what a N m is; None: they are in N m."""
+    given: bool = False
+    """They correct constants that the recordings were multiplied by; one that is not determined is kept."""
+    kinematics: Kinematics | None = None
+    """Of the arm found in the motion, where there is no model."""
 
     @property
     def guessed(self) -> np.ndarray:
         """(n,) bool: not determined, but used."""
         with np.errstate(invalid="ignore"):
-            return ~self.determined & (self.nm_per_unit > 0) & (self.standard_errors <= GUESS * self.nm_per_unit)
+            near = (self.nm_per_unit > 0) & (self.standard_errors <= GUESS * self.nm_per_unit)
+        return near & ~self.determined & (not self.given)
 
     @property
     def used(self) -> list[float]:
@@ -52,8 +66,9 @@ class TorqueConstants:
 
     def facts(self, joints: Sequence[str]) -> dict:
         """For provenance: what is used, in the order of the joints, and what was found of each."""
-        relative = {} if self.relative_to is None else {"relative_to": joints[self.relative_to]}
-        return relative | {
+        facts: dict = {} if self.relative_to is None else {"relative_to": joints[self.relative_to]}
+        facts |= {"given": True} if self.given else {}
+        return facts | {
             "used": self.used,
             "found": {
                 name: {
@@ -75,6 +90,14 @@ class TorqueConstants:
         def listed(which: np.ndarray, texts: Sequence[str]) -> str:
             return ", ".join(text for text, here in zip(texts, which, strict=True) if here)
 
+        if self.given:
+            kept = f"; kept for {listed(~self.determined, joints)}, whose motion says no more"
+            if not self.determined.any():
+                return ["torque constants of the import are kept: the motion says no more"]
+            return [
+                f"torque constants of the import, corrected by a factor: {listed(self.determined, words)}"
+                f"{kept if not self.determined.all() else ''}. A control loop must multiply its torques by them too"
+            ]
         unit, said, unknown = "Nm", [], ~(self.determined | self.guessed)
         if self.relative_to is not None:
             unit = f"units of {joints[self.relative_to]}"
@@ -94,86 +117,86 @@ class TorqueConstants:
         return said
 
 
-def fit_torque_constants(tree: _core.Tree, recordings: Sequence[Recording], config: ObserverConfig) -> TorqueConstants:
-    r"""Constants k from free motion, where the torque of the model and friction are what the current i exerts.
+def fit_torque_constants(
+    tree: _core.Tree, recordings: Sequence[Recording], config: ObserverConfig, given: bool = False
+) -> TorqueConstants:
+    """Constants from free motion, where friction and the torque of the model are what the current exerts.
 
-    .. math:: \mathrm{LP}(i) = \mathrm{LP}(\tau_{model}) / k + J\,\mathrm{LP}(\ddot q)
-              + c + v\,\dot q + f \tanh(\dot q / 0.03\,\mathrm{rad/s})
-
-    by least squares a joint, each term behind the observer's low-pass, which takes the derivative of the momentum. The
-    current is the target and not a regressor, since it has the noise. J is of rotors, which few URDFs know and which
-    outweigh the links at the wrists; else the model is taken as it is: an unknown payload goes into the constants.
-    Standard errors come from leaving out one tenth of the motion after the other.
+    The model's masses, centres of mass and inertia are corrected along with them, see fit_scaled_arm: a tool that it
+    lacks does not go into the constants. Friction is the prior's, and a joint's rotor is its own.
 
     Without a model they are compared with the arm that is found in the motion; then only their ratios show.
+
+    Args:
+        given: the recordings' currents were multiplied by constants known to GIVEN_TO; what is found corrects them.
 
     Raises:
         ConfigError: no model, and no arm can be found: a joint slides, or too little motion.
         TrainingError: no recording is longer than the observer's warm-up.
     """
-    chain, n = build_chain(tree, recordings[0], config), tree.size
-    own = [
-        [
-            _core.Term(Kind.constant, j),
-            _core.Term(Kind.viscous, j),
-            _core.Term(Kind.coulomb, j, speed=SMOOTHING_RAD_S),
-        ]
-        for j in range(n)
-    ]
+    friction = PriorConfig()
+    chain = with_presliding(build_chain(tree, recordings[0], config), friction.widths_rad)
+    tops = np.max([np.abs(recording.dq).max(axis=0) for recording in recordings], axis=0)
+    own = [own_terms(chain, friction, j, top_speed_rad_s=top) for j, top in enumerate(tops.tolist())]
     if not has_model(chain):
-        return _relative_constants(chain, recordings, own)
-    settings = _core.PriorSettings()
-    settings.terms = [term for terms in own for term in terms]
-    settings.weights = [0.0] * (n * len(settings.terms))
-    rotors = _unit_rotors(tree)
-    stacked = []
-    for recording in recordings:
-        motion = (recording.t_ns, recording.q, recording.dq)
-        with_none = _core.observe(tree, chain.observer, *motion, np.zeros_like(recording.tau))
-        rows = np.flatnonzero(with_none.warm.astype(bool))[:: chain.observer.network_stride].astype(np.int64)
-        if len(rows) == 0:
-            continue
-        signals = (*motion, recording.tau)
-        current = with_none.residual - _core.observe(tree, chain.observer, *signals).residual
-        friction = _core.prior_regressors(tree, chain.observer, settings, *signals, rows)
-        push = _core.observe(rotors, chain.observer, *motion, np.zeros_like(recording.tau)).residual
-        stacked.append((with_none.residual[rows], current[rows], friction, push[rows]))
-    if not stacked:
+        return _relative_constants(chain, recordings, own, given)
+    sample = KinematicSample(empty(tree), chain.observer, recordings, own, chain.widths_rad)
+    if not sample.rows:
         raise TrainingError(f"no training recording is longer than the observer's warm-up of {chain.warm_up_s:g} s")
-    model, current, friction, push = (np.concatenate([one[k] for one in stacked]) for k in range(4))
-    beside = [np.column_stack([friction[:, 3 * j : 3 * j + 3], push[:, j]]) for j in range(n)]
-    found = [_fit(model[:, j], current[:, j], beside[j]) for j in range(n)]
-    return TorqueConstants(*(np.array([one[k] for one in found]) for k in range(3)))
+    if given:
+        arm = fit_scaled_arm(sample, tree, GIVEN_TO, np.ones(tree.size))
+        return given_constants(arm.nm_per_unit, arm.log_errors)
+    arm = fit_scaled_arm(sample, tree, UNKNOWN_TO)
+    return TorqueConstants(arm.nm_per_unit, arm.log_errors * np.abs(arm.nm_per_unit), arm.log_errors <= WELL_DETERMINED)
+
+
+def given_constants(factors: np.ndarray, log_errors: np.ndarray) -> TorqueConstants:
+    """Corrections of given constants; 1 where the data say little more than what was given."""
+    determined = (log_errors <= KEPT * GIVEN_TO) & (factors > 0)
+    factors, errors = np.where(determined, factors, 1.0), np.where(determined, log_errors, GIVEN_TO)
+    return TorqueConstants(factors, errors * factors, determined, given=True)
 
 
 def _relative_constants(
-    chain: Chain, recordings: Sequence[Recording], own: Sequence[Sequence[_core.Term]]
+    chain: Chain, recordings: Sequence[Recording], own: Sequence[Sequence[_core.Term]], given: bool
 ) -> TorqueConstants:
-    """Constants as multiples of that of the joint in which the arm found in the motion shows best."""
+    """Constants as multiples of that of the joint in which the arm found in the motion shows best.
+
+    Given ones keep their mean and are drawn towards 1 as far as the motion leaves it open.
+    """
     joints = tuple(link.joint_name for link in chain.tree.links)
     sample = (
         KinematicSample(chain.tree, chain.observer, recordings, own, chain.widths_rad) if can_be_found(chain) else None
     )
     if sample is None or sample.rows < LEAST_ROWS:
+        if given:
+            return given_constants(np.ones(len(joints)), np.full(len(joints), np.inf))
         raise ConfigError(
             "torque constants are found by comparing with a model, and there is none (case 'none'); nor can an arm be "
-            f"found in the motion, which takes turning joints, gravity and {LEAST_ROWS * ROW_S:g} s of it"
+            f"found in the motion, which takes turning joints, gravity and {LEAST_ROWS * ROW_S:g} s of it "
+            "(--fit-torque-constants False trains in the recordings' own unit)"
         )
     candidate = find_kinematics(sample, joints, one_unit=False)
     fitted = Fitted.of(sample, joints, candidate.kinematics, candidate.scales)
     said = fitted.columns @ fitted.parameters.ravel()
     found = [_fit(said[:, j], sample.target[:, j], sample.own[j]) for j in range(len(joints))]
     constants, errors, determined = (np.array([one[k] for one in found]) for k in range(3))
+    if given:
+        return replace(drawn_to_given(constants, errors), kinematics=candidate.kinematics)
     best = int(np.nanargmin(np.where(constants > 0, errors / np.abs(constants), np.inf)))
-    return TorqueConstants(constants / constants[best], errors / constants[best], determined, best)
+    ratios = constants / constants[best], errors / constants[best], determined
+    return TorqueConstants(*ratios, relative_to=best, kinematics=candidate.kinematics)
 
 
-def _unit_rotors(tree: _core.Tree) -> _core.Tree:
-    """The same joints with nothing but a rotor inertia of 1 each, so that p = dq and beta = 0."""
-    links = empty(tree).links
-    for link in links:
-        link.rotor_inertia = 1.0
-    return _core.Tree(links, tree.gravity)
+def drawn_to_given(constants: np.ndarray, errors: np.ndarray) -> TorqueConstants:
+    """Corrections whose ratios the motion shows: their mean stays as given, each is drawn to 1 as far as it is open."""
+    known = (constants > 0) & np.isfinite(errors)
+    logs, shares = np.zeros(len(constants)), np.full(len(constants), np.inf)
+    logs[known], shares[known] = np.log(constants[known]), np.hypot(errors[known] / constants[known], ARM_OFF)
+    trust = 1 / (shares**2 + GIVEN_TO**2)
+    logs -= trust @ logs / max(trust.sum(), 1e-300)
+    drawn = GIVEN_TO**2 * trust
+    return given_constants(np.exp(drawn * logs), GIVEN_TO * np.sqrt(1 - drawn))
 
 
 def _fit(model: np.ndarray, current: np.ndarray, beside: np.ndarray) -> tuple[float, float, bool]:

@@ -1,0 +1,162 @@
+"""Torque constants and a model's inertia, corrected together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import no_model, planar_arm, prismatic_mass
+from made_motion import made_motion
+from scipy.optimize import approx_fprime
+from scipy.stats import multivariate_normal
+from test_kinematics import arm
+
+from tauext import _core
+from tauext.config import ObserverConfig
+from tauext.errors import ConfigError
+from tauext.learn import fit_torque_constants
+from tauext.learn.scaled_arm import Evidence, as_it_is, unexplained
+from tauext.learn.torque_constants import drawn_to_given
+from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
+
+CONSTANTS = np.array([12.0, 11.0, 8.0, 5.0])
+JOINTS = ("joint0", "joint1", "joint2", "joint3")
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return made_motion(arm(), 2.0).recordings
+
+
+def without_tool(mass_kg: float = 1.2, at_m: tuple = (0.15, 0.0, 0.05)) -> _core.Tree:
+    """The arm's model, which knows nothing of a tool on its last link, and links that are off by some percent."""
+    links = arm().links
+    at = np.array(at_m)
+    inertia = mass_kg * (at @ at * np.eye(3) - np.outer(at, at))
+    tool = np.r_[mass_kg, mass_kg * at, np.diag(inertia), inertia[[0, 0, 1], [1, 2, 2]]]
+    parameters = [inertial_parameters(link) for link in links]
+    parameters[-1][:10] -= tool
+    for p, share in zip(parameters, (1.05, 0.94, 1.07, 0.95), strict=True):
+        p[:10] *= share
+    return _core.Tree([with_inertial_parameters(*both) for both in zip(links, parameters, strict=True)], arm().gravity)
+
+
+def small_problem(seed: int = 0):
+    rng = np.random.default_rng(seed)
+    Z, r = rng.normal(size=(2, 7, 3)), rng.normal(size=(2, 7))
+    columns = np.concatenate([Z, r[:, :, None]], axis=2)
+    start, spread = np.array([2.0, -0.5]), np.array([0.3, 0.2, 0.1])
+    evidence = Evidence(columns.transpose(0, 2, 1) @ columns, np.array([1.0, 0.5, -0.7]), spread, start, 0.4)
+    return evidence, Z, r
+
+
+def test_the_cost_is_the_logarithm_of_the_density_of_what_was_measured():
+    evidence, Z, r = small_problem()
+    weights = np.array([3.0, 5.0])
+
+    def slow(at: np.ndarray) -> float:
+        """ln p(r, x, tau) from the covariance of all samples, theta being a random vector."""
+        k, tau = evidence.start * np.exp(at[:2]), np.exp(at[2])
+        columns = np.concatenate(Z / k[:, None, None])
+        noise = np.diag(np.repeat(1 / weights, 7))
+        covariance = columns @ np.diag((tau * evidence.spread) ** 2) @ columns.T + noise
+        measured = multivariate_normal(columns @ evidence.model, covariance).logpdf(r.ravel())
+        return measured - np.sum((at[:2] / 0.4) ** 2) / 2 - at[2] ** 2 / 2
+
+    places = np.random.default_rng(1).normal(0, 0.5, (6, 3))
+    both = np.array([[evidence.cost(at, weights)[0], slow(at)] for at in places])
+    np.testing.assert_allclose(both.sum(axis=1), both[0].sum(), rtol=1e-10)  # constant: they differ in sign alone
+
+
+def test_the_gradient_is_that_of_the_cost():
+    evidence, _, _ = small_problem(3)
+    weights = np.array([3.0, 5.0])
+    for at in np.random.default_rng(2).normal(0, 0.5, (4, 3)):
+        numeric = approx_fprime(at, lambda x: evidence.cost(x, weights)[0], 1e-6)
+        np.testing.assert_allclose(evidence.cost(at, weights)[1], numeric, rtol=1e-4, atol=1e-4)  # one-sided
+
+
+def test_the_least_squares_left_are_those_of_the_most_likely_parameters():
+    evidence, Z, r = small_problem(4)
+    at, weights = np.array([0.1, -0.2, 0.3]), np.array([3.0, 5.0])
+    theta = evidence.cost(at, weights)[2]
+    left = ((r - (Z @ theta) / evidence.constants(at)[:, None]) ** 2).sum(axis=1)
+    np.testing.assert_allclose(evidence.squares(at, weights), left, rtol=1e-10)
+
+
+def test_a_tool_that_the_model_lacks_does_not_go_into_the_constants(motion):
+    currents = [replace(r, tau=r.tau / CONSTANTS) for r in motion]
+    found = fit_torque_constants(without_tool(), currents, ObserverConfig())
+    off = found.nm_per_unit / CONSTANTS
+    # Masses alone say what a N m is, and they are off by 5 % and a tool; how the joints compare is known better.
+    assert found.determined.all() and np.abs(np.log(off)).max() < 0.1
+    assert np.std(np.log(off)) < 0.03
+
+
+def test_given_constants_are_corrected_and_kept_where_the_motion_says_nothing(motion):
+    given = np.array([1.0, 1.09, 0.92, 1.06])
+    rng = np.random.default_rng(0)
+    measured = [replace(r, tau=r.tau * given) for r in motion]
+    found = fit_torque_constants(without_tool(), measured, ObserverConfig(), given=True)
+    assert np.std(np.log((found.used * given)[1:])) < 0.02 < np.std(np.log(given[1:]))
+    said = found.sentences(JOINTS)[0]
+    assert "corrected by a factor: " in said and "joint1 0.9" in said and "must multiply" in said
+    assert found.facts(JOINTS)["given"] is True and not found.guessed.any()
+
+    noise = [replace(r, tau=np.c_[r.tau[:, :3], rng.normal(0, 30, len(r.tau))]) for r in measured]
+    drowned = fit_torque_constants(without_tool(), noise, ObserverConfig(), given=True)
+    assert not drowned.determined[3] and drowned.used[3] == 1.0
+    assert "kept for joint3" in drowned.sentences(JOINTS)[0]
+
+
+def test_given_constants_are_corrected_by_the_arm_found_where_there_is_no_model():
+    given = np.array([1.09, 0.92])
+    measured = [replace(r, tau=r.tau * given) for r in made_motion(planar_arm(), 1.0).recordings]
+    found = fit_torque_constants(no_model(planar_arm()), measured, ObserverConfig(), given=True)
+    assert found.determined.all() and found.kinematics is not None
+    left = np.log(found.used * given)
+    assert abs(left[0] - left[1]) < 0.05 < abs(np.diff(np.log(given))[0]) and abs(left.mean()) < 0.05
+
+
+def test_where_no_arm_can_be_found_given_constants_are_kept_and_unknown_ones_are_an_error():
+    slide = no_model(prismatic_mass(5.0))
+    measured = made_motion(prismatic_mass(5.0), 1.0, pieces=1).recordings
+    kept = fit_torque_constants(slide, measured, ObserverConfig(), given=True)
+    assert kept.used == [1.0]
+    assert kept.sentences(("slide",)) == ["torque constants of the import are kept: the motion says no more"]
+    with pytest.raises(ConfigError, match="--fit-torque-constants False trains in the recordings' own unit"):
+        fit_torque_constants(slide, measured, ObserverConfig())
+
+
+def test_corrections_are_drawn_to_what_was_given_as_far_as_the_motion_leaves_them_open():
+    found = drawn_to_given(np.array([2.4, 2.0, 2.0, np.nan]), np.array([0.0, 0.0, 0.4, np.nan]))
+    # Certain but for ARM_OFF, the first two keep 80 % of their distance: 0.1^2 / (0.1^2 + 0.05^2).
+    assert np.log(found.used[0] / found.used[1]) == pytest.approx(0.8 * np.log(1.2))
+    assert found.determined.tolist() == [True, True, False, False] and found.used[2:] == [1.0, 1.0]
+
+
+def test_a_joint_without_current_has_no_constant_and_harms_no_other(motion):
+    dead = [replace(r, tau=r.tau / CONSTANTS * [1, 1, 1, 0]) for r in motion]
+    found = fit_torque_constants(arm(), dead, ObserverConfig())
+    assert np.isfinite(found.nm_per_unit).all()
+    np.testing.assert_allclose(found.nm_per_unit[:3], CONSTANTS[:3], rtol=0.05)
+
+
+def test_where_the_model_as_it_is_says_nothing_the_others_mean_is_where_to_begin():
+    rng = np.random.default_rng(0)
+    model, Z = np.array([1.0, 2.0]), rng.normal(size=(3, 50, 2))
+    r = np.stack([Z[0] @ model / 4.0, Z[1] @ model / -9.0, rng.normal(size=50)])
+    columns = np.concatenate([Z, r[:, :, None]], axis=2)
+    np.testing.assert_allclose(as_it_is(columns.transpose(0, 2, 1) @ columns, model, 5.0), [4.0, -9.0, 6.0])
+
+
+def test_what_columns_leave_is_at_right_angles_to_those_beside_them():
+    columns, beside = np.random.default_rng(0).normal(size=(2, 30, 3))
+    np.testing.assert_allclose(beside.T @ unexplained(columns, beside), 0, atol=1e-12)
+
+
+def test_planar_arm_of_a_true_model_keeps_its_scale():
+    motion = made_motion(planar_arm(), 1.0).recordings
+    found = fit_torque_constants(planar_arm(), motion, ObserverConfig())
+    np.testing.assert_allclose(found.nm_per_unit, 1.0, rtol=0.01)  # noise is 1 % of the torque

@@ -5,6 +5,8 @@ PIP := $(VENV)/bin/pip --disable-pip-version-check -q
 RUN := PATH="$(CURDIR)/$(VENV)/bin:$$PATH"
 # An editable install knows the files it was made with, so a new file asks for a new one.
 STAMP := $(VENV)/.installed-$(shell find src -name '*.py' | sort | cksum | cut -d' ' -f1)
+# Many small systems: threads of the linear algebra only wait for each other.
+export OPENBLAS_NUM_THREADS ?= 1
 CORE := $(shell find cpp/include cpp/src cpp/learn cpp/bindings -type f)
 
 .PHONY: help setup build reproduce test test-all test-arm fuzz soak lint bench bench-train bench-monitor clean

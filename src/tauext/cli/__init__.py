@@ -5,6 +5,9 @@ from __future__ import annotations
 import os
 import sys
 
+# The fits solve many small systems: more threads of the linear algebra only wait for each other. NumPy reads it once.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import tyro
 
 from tauext.cli.calibrate import calibrate

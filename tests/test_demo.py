@@ -209,8 +209,10 @@ def test_a_retreat_goes_back_the_way_it_came_without_a_jump(arm):
     path = [mover.step(rest, rest, rest)[0] for _ in range(1500)]
     mover.react("retreat")
     path += [mover.step(rest, rest, rest)[0] for _ in range(1000)]
-    steps = np.abs(np.diff(path, axis=0)).max(axis=1)
-    assert steps.max() < 5e-3  # 5 rad/s, far below what a jump would be
+    speed = np.diff(path, axis=0) * arm.rate_hz
+    jump = np.abs(np.diff(speed[1400:], axis=0)).max()
+    assert jump < 0.05  # 50 rad/s^2; a speed that ends at once leaves all of it
+    assert np.abs(speed[1499]).max() > 0.15
     np.testing.assert_allclose(path[-1], path[1500 - 400], atol=0.03)  # where it was 0.4 s before, to one trail point
 
 
@@ -219,9 +221,9 @@ def test_a_stop_comes_to_rest_and_resume_moves_on(arm):
     for _ in range(1500):
         mover.step(rest, rest, rest)
     mover.react("stop")
-    held = [mover.step(rest, rest, rest) for _ in range(200)]
+    held = [mover.step(rest, rest, rest) for _ in range(300)]
     np.testing.assert_array_equal(held[-1][1], 0.0)
-    np.testing.assert_array_equal(held[-1][0], held[100][0])
+    np.testing.assert_array_equal(held[-1][0], held[220][0])
     mover.resume()
     assert np.abs(mover.step(rest, rest, rest)[0] - held[-1][0]).max() < 1e-3
     for _ in range(1000):
@@ -239,18 +241,15 @@ def test_more_friction_is_felt_and_leaves_the_state(arm):
     np.testing.assert_array_equal(plant.data.qvel, before[1])
 
 
-def test_a_higher_sensitivity_takes_over_once_it_is_warm(trained):
+def test_a_higher_sensitivity_holds_from_the_next_sample_on(trained):
     simulation = watched(trained)
     simulation.set_method("observer")  # its limits are the same at rest and in motion
     limits = simulation.snapshot().limit_nm
     simulation.set_sensitivity(2.0)
     simulation.step()
-    np.testing.assert_allclose(simulation.snapshot().limit_nm, limits)
-    for _ in range(3000):
-        simulation.step()
-        assert simulation._said["observer"].health.name == "ok"
+    assert simulation._said["observer"].health.name == "ok"
     np.testing.assert_allclose(simulation.snapshot().limit_nm, limits / 2)
-    with pytest.raises(ConfigError, match="sensitivity = 0 must be > 0"):
+    with pytest.raises(ConfigError, match=r"sensitivity = 0 must be 0\.1 to 10"):
         simulation.set_sensitivity(0)
 
 

@@ -34,6 +34,7 @@ TABLE = {
     "demo/page": (set(), {"viser"}),
     "demo/panel": (set(), {"numpy", "viser"}),
     "demo/drawing": (set(), {"numpy", "mujoco", "viser", "trimesh"}),
+    "demo/arrow": (set(), {"numpy", "viser", "trimesh"}),
     "cli": (EVERYTHING, {"tyro", "rich"}),
     "reproduce": (EVERYTHING, set()),
     "__init__": ({"_core"}, set()),

@@ -341,6 +341,7 @@ def test_flights_of_a_live_loop_are_written_with_the_profile_s_limits(bundle, tm
     text = news.path.with_suffix(".txt").read_text()
     assert "over its contact limit of 3.000 Nm" in text  # 1 Nm times 3
     flight = load(news.path)
+    assert flight.provenance["command"] == "tauext monitor"
     row = int(np.searchsorted(recording.t_ns, flight.t_ns[0]))
     np.testing.assert_array_equal(flight.q, recording.q[row : row + flight.samples])
 

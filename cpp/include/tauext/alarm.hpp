@@ -31,8 +31,9 @@ class AlarmStage {
   AlarmStage(int joints, int widths, const Limits& limits);
 
   // One sample; near_stiction holds a bit a joint, doubt [N m] raises the limits. Writes the collision limit of every
-  // joint [N m], its factor and doubt included, and returns whether some |tau_ext| exceeds it (a detection). With trusted = false nothing is detected, what was held so far
-  // starts anew, and a standing alarm stays: what cannot be seen has not gone.
+  // joint [N m], its factor and doubt included, and returns whether some |tau_ext| exceeds it (a detection). With
+  // trusted = false nothing is detected, what was held so far starts anew, and a standing alarm stays: what cannot be
+  // seen has not gone.
   bool step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> doubt,
             std::uint32_t near_stiction, bool trusted, std::span<double> limit_nm) noexcept;
 

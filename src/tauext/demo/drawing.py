@@ -10,11 +10,12 @@ import trimesh
 import viser
 
 from tauext.demo.arms import DemoArm
+from tauext.demo.arrow import Arrow, Rod
 from tauext.demo.simulation import Snapshot, Touch
 
 PART, DRUM = (196, 202, 211), (78, 88, 104)
 TOUCHED = {"contact": (245, 176, 30), "collision": (222, 44, 40)}
-TRUE, ESTIMATE, QUIET = (10, 120, 50), (10, 60, 200), (165, 172, 182)
+TRUE, ESTIMATE, QUIET, SPRING = (10, 120, 50), (10, 60, 200), (165, 172, 182), (120, 120, 120)
 NEWTON_M = 0.004
 """Length of an arrow for each newton, [m]."""
 ARC_RAD = 2.0
@@ -38,7 +39,6 @@ class Drawing:
         self._shares = [np.nan] * len(arm.joints)
         self._verdict = self._force = ""
         self._light(server)
-        self._stand()
         model = arm.model
         for j, joint in enumerate(arm.joints):
             name = f"/arm/{joint}"
@@ -56,16 +56,12 @@ class Drawing:
             limit = arc(arm, j, np.linspace(-ARC_RAD, ARC_RAD, ARC_POINTS))
             self._scene.add_line_segments(f"{name}/limit", limit, QUIET, thickness=0.004)
             self._arcs.append(self._scene.add_line_segments(f"{name}/torque", limit, ESTIMATE, thickness=0.014))
-        nothing = np.zeros((1, 2, 3))
-        self._true, self._estimate = (
-            self._scene.add_arrows(
-                f"/push/{what}", nothing, color, shaft_radius=r, head_radius=2.4 * r, head_length=5 * r, visible=False
-            )
-            for what, color, r in (("true", TRUE, 0.009), ("estimate", ESTIMATE, 0.007))
-        )
-        self._spring = self._scene.add_line_segments(
-            "/push/spring", nothing, (120, 120, 120), thickness=2.0, thickness_units="screen", visible=False
-        )
+        park = self._stand()
+        self._true = Arrow(self._scene, "/push/true", TRUE, 0.009, park)
+        self._estimate = Arrow(self._scene, "/push/estimate", ESTIMATE, 0.007, park)
+        self._spring = Rod(self._scene, "/push/spring", SPRING, 0.002, park)
+        letters = "".join(sorted(set("contact: collision, N estimated 0123456789-" + "".join(arm.joints))))
+        self._scene.add_label("/words/letters", letters, position=park, font_screen_scale=0.01)  # see arrow.NOTHING
         self._words = {
             what: self._scene.add_label(
                 f"/words/{what}", " ", anchor="bottom-center", font_screen_scale=scale, visible=False
@@ -108,21 +104,20 @@ class Drawing:
             label.text, label.visible, self._verdict = text or " ", bool(text), text
 
     def _show_push(self, touch: Touch | None) -> None:
-        text = ""
-        if touch is not None:
+        label, text = self._words["force"], ""
+        if touch is None:
+            for arrow in (self._true, self._estimate, self._spring):
+                arrow.hide()
+        else:
             at = touch.point_m
-            self._true.points = np.array([[at, at + NEWTON_M * touch.force_n]])
             lifted = at + [0.0, 0.0, 0.022]
-            self._estimate.points = np.array([[lifted, lifted + NEWTON_M * touch.estimate_n]])
-            self._spring.points = np.array([[at, touch.target_m]])
+            self._true.show(at, at + NEWTON_M * touch.force_n)
+            self._estimate.show(lifted, lifted + NEWTON_M * touch.estimate_n)
+            self._spring.show(at, touch.target_m)
             text = f"{np.linalg.norm(touch.force_n):.0f} N, estimated {np.linalg.norm(touch.estimate_n):.0f} N"
-            self._words["force"].position = at + [0.0, 0.0, 0.07]
-        if text and text != self._force:
-            self._words["force"].text = text
-        if bool(text) != bool(self._force):
-            for handle in (self._true, self._estimate, self._spring, self._words["force"]):
-                handle.visible = bool(text)
-        self._force = text
+            label.position = at + [0.0, 0.0, 0.07]
+        if text != self._force:
+            label.text, label.visible, self._force = text or " ", bool(text), text
 
     def _make_grabbable(self, handle: viser.MeshHandle, joint: int, grab: Grab) -> None:
         @handle.on_drag("left")
@@ -158,8 +153,12 @@ class Drawing:
         camera = server.initial_camera
         camera.position, camera.look_at, camera.fov = arm.camera_m, arm.look_at_m, np.deg2rad(45.0)
 
-    def _stand(self) -> None:
-        """What carries the arm: a post behind the rig, whose arm turns all the way round, a foot under the others."""
+    def _stand(self) -> tuple[float, float, float]:
+        """What carries the arm: a post behind the rig, whose arm turns all the way round, a foot under the others.
+
+        Returns:
+            A point inside it.
+        """
         floor = self._arm.floor_m
         if floor < 0:
             post = trimesh.creation.box((0.12, 0.08, 0.1 - floor))
@@ -173,6 +172,7 @@ class Drawing:
             foot.apply_translation((0.0, 0.0, 0.01))
         mesh = trimesh.util.concatenate([post, foot])
         self._scene.add_mesh_simple("/stand", mesh.vertices, mesh.faces, color=DRUM, flat_shading=True)
+        return tuple(post.bounds.mean(axis=0))
 
 
 def shape_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:

@@ -17,8 +17,9 @@ RETREAT_S = 0.4
 RETREAT_TIME_S = 0.5
 """... and takes so long."""
 TRAIL_EVERY_S = 0.02
-STOP_S = 0.05
-"""A stop brings the setpoint to rest in so long, at constant deceleration: at once would jerk the arm."""
+STOP_S = 0.2
+"""Whatever comes next, the setpoint's speed dies away in so long, at constant deceleration: at once would jerk the arm,
+and raise an alarm of its own."""
 COMPLY_DAMPING = 0.1
 """Share of the drive's damping that stays while the arm gives way."""
 
@@ -30,7 +31,7 @@ class Mover:
     nor friction compensation, so that whoever pushes harder than the joints' friction moves it.
     """
 
-    def __init__(self, arm: DemoArm, seed: int = 0):
+    def __init__(self, arm: DemoArm, seed: int | np.random.Generator = 0):
         self.arm = arm
         self.doing: Literal["moving", "stop", "retreat", "comply"] = "moving"
         self.q_des, self.dq_des = np.array(arm.home), np.zeros(len(arm.joints))
@@ -54,13 +55,11 @@ class Mover:
         if self.doing == "comply":
             self.q_des = q + gravity_nm / self._stiffness
             self.dq_des = (1.0 - COMPLY_DAMPING) * dq
-        elif self.doing == "stop":
-            self.dq_des = self._speed * max(0.0, 1.0 - self._time_s / STOP_S)
-            self.q_des = self.q_des + self.dq_des * self._period_s
         else:
             done, rate = quintic(np.float64(self._time_s / self._duration_s))
-            self.q_des = self._start + self._travel * done
-            self.dq_des = self._travel * rate / self._duration_s
+            since_s = min(self._time_s + self._pause_s, STOP_S)
+            self.q_des = self._start + self._travel * done + self._speed * (since_s - 0.5 * since_s**2 / STOP_S)
+            self.dq_des = self._travel * rate / self._duration_s + self._speed * (1.0 - since_s / STOP_S)
             if self.doing == "moving" and self._time_s >= self._duration_s:
                 self._begin_move(*draw_move(self.arm.motion, self.q_des - self._home, self._rng))
         if self.doing == "moving" and self._ticks % round(TRAIL_EVERY_S * self.arm.rate_hz) == 0:
@@ -72,24 +71,34 @@ class Mover:
         """Do this about a collision; resume() ends it."""
         if reaction == "ignore":
             return
-        self.doing, self._time_s, self._speed = reaction, 0.0, self.dq_des
-        if reaction == "retreat":
-            self._plan(self._trail[0] - self.q_des if self._trail else 0.0 * self.q_des, RETREAT_TIME_S, 0.0)
+        self.doing = reaction
+        if reaction == "retreat" and self._trail:
+            self._plan(self._trail[0] - self._rests_at(), RETREAT_TIME_S, 0.0)
+        else:
+            self._plan(0.0 * self.q_des, RETREAT_TIME_S, 0.0)
         self._trail.clear()
 
     def rest(self) -> None:
         """Hold still where the arm is, until resume()."""
-        self.doing, self._time_s, self._speed = "stop", 0.0, self.dq_des
+        self.react("stop")
 
     def resume(self) -> None:
         """Go on with moves from the setpoint, which holds the arm's weight: the measured pose would let it sag."""
-        self.doing = "moving"
+        was, self.doing = self.doing, "moving"
         self._trail.clear()
-        _, travel, duration_s = draw_move(self.arm.motion, self.q_des - self._home, self._rng)
+        if was == "comply":
+            self.dq_des = 0.0 * self.dq_des  # which followed the arm and is no setpoint's speed
+        _, travel, duration_s = draw_move(self.arm.motion, self._rests_at() - self._home, self._rng)
         self._begin_move(0.0, travel, duration_s)
+
+    def _rests_at(self) -> np.ndarray:
+        """Where the setpoint comes to rest if nothing else moves it."""
+        return self.q_des + 0.5 * STOP_S * self.dq_des
 
     def _begin_move(self, pause_s: float, travel: np.ndarray, duration_s: float) -> None:
         self._plan(travel, duration_s, pause_s)
 
     def _plan(self, travel: np.ndarray, duration_s: float, pause_s: float) -> None:
-        self._start, self._travel, self._duration_s, self._time_s = self.q_des, travel, duration_s, -pause_s
+        """From here: what is left of the speed dies away, and after the pause the travel begins."""
+        self._start, self._speed, self._travel = self.q_des, self.dq_des, travel
+        self._duration_s, self._pause_s, self._time_s = duration_s, pause_s, -pause_s

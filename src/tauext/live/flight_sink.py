@@ -46,7 +46,7 @@ class FlightSink:
         if self._source is None:
             timing, rate_hz = self._bundle.observer.timing.name, 1e9 / self._bundle.observer.sample_period_ns
             first = Origin(self._name, self._joints, np.array([verdict.t_ns]), rate_hz, timing)
-            self._source = FlightSource.of(self._bundle, first)
+            self._source = replace(FlightSource.of(self._bundle, first), command="tauext monitor")
 
     def every_second(self, report: LoopReport) -> None:
         pass

@@ -38,6 +38,8 @@ class FlightSource:
     has_network: bool = True
     has_prior: bool = False
     has_drift: bool = False
+    command: str = "tauext run"
+    """That watches, for the files' provenance."""
 
     @classmethod
     def of(cls, bundle: _core.Bundle, recording: Recording) -> FlightSource:

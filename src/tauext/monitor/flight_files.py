@@ -57,7 +57,7 @@ def write_flight(flight: Flight, folder: Path, source: FlightSource) -> Path:
     text = explain(flight, kept, source)
     event = event_numbers(flight, source)
     provenance = {
-        "command": "tauext run",
+        "command": source.command,
         "version": __version__,
         "recording": source.recording,
         "bundle": source.bundle,

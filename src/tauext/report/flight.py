@@ -21,7 +21,7 @@ def write_flight_report(flight_path: Path, out_dir: Path, page_mb: float = PAGE_
     """Write FLIGHT.html, one page that needs no other file, and figures/FLIGHT*.png; returns the page's path.
 
     Args:
-        flight_path: FLIGHT.parquet as `tauext run --flights` wrote it, or a folder of flights: then its newest.
+        flight_path: FLIGHT.parquet that `tauext run` or `monitor` wrote, or a folder of flights: then its newest.
         page_mb: size that interactive traces fill the page up to, [MB]; where figures leave no room there are none.
 
     Raises:

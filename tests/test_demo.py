@@ -20,7 +20,7 @@ from tauext.demo.mover import Mover
 from tauext.demo.page import free_port, open_server
 from tauext.demo.plant import Plant
 from tauext.demo.push import Drag, estimated_force
-from tauext.demo.simulation import RESUME_S, Simulation
+from tauext.demo.simulation import RESUME_RAD, RESUME_S, Simulation
 from tauext.errors import ConfigError
 from tauext.rig.config import RigConfig
 from tauext.rig.planar import force_torque
@@ -265,6 +265,25 @@ def test_scripted_pushes_are_found(trained):
     assert len(pushes) == 1 and pushes[0].joint == 1
     assert any(e.method == "tauext" and e.alarm == "collision" for e in pushes[0].events)
     assert "push on the link of joint2" in describe(pushes, false, ARMS["rig"]())
+
+
+def test_an_alarm_that_stands_when_the_joints_have_moved_is_told(trained):
+    """It was acknowledged since resume(); one that went unsaid would stand for ever, and hide every other."""
+    simulation = watched(trained)
+    pushed(simulation, 1, [1.0, 0.0, 0.0])
+    simulation.drag = None
+    simulation.resume()
+    simulation.take_events()
+    for _ in range(200):
+        simulation.step()
+    simulation.set_sensitivity(10.0)  # everything is a collision now
+    raised = []
+    for _ in range(3000):
+        simulation.step()
+        raised += [(e, simulation.plant.data.qpos.copy()) for e in simulation.take_events() if e.method == "tauext"]
+    event, where = next((e, q) for e, q in raised if e.alarm == "collision")
+    moved = np.abs(where - simulation._resumed_at).min()
+    assert moved > 0.9 * RESUME_RAD or event.time_s - simulation._resumed_s >= RESUME_S
 
 
 def test_bundles_are_found_again_and_only_for_the_same_settings(trained, tmp_path):

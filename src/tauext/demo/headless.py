@@ -15,6 +15,7 @@ PUSH_EVERY_S = 4.0
 PUSH_S = 1.0
 PULL_M = 0.25
 """How far from the link the scripted pointer pulls: a push of about 60 N."""
+LEAST_LEVER_M = 0.02
 
 
 @dataclass(frozen=True)
@@ -40,12 +41,12 @@ def scripted_pushes(
     pushes: list[Pushed] = []
     false: list[Event] = []
     rng = np.random.default_rng(seed)
-    begin_s, resumed_s = FIRST_PUSH_S, 0.0
+    begin_s, resumed_s, next_joint = FIRST_PUSH_S, 0.0, len(arm.joints) - 1
     for _ in range(round(seconds * arm.rate_hz)):
         now_s = simulation.plant.time_s
         if now_s >= begin_s and simulation.drag is None and now_s < begin_s + PUSH_S:
-            joint = len(arm.joints) - 1 - len(pushes) % len(arm.joints)
-            _pull(simulation, joint, rng)
+            joint = _pull(simulation, next_joint, rng)
+            next_joint = (joint - 1) % len(arm.joints)
             pushes.append(Pushed(now_s, joint, np.zeros(len(arm.joints)), []))
         if simulation.drag is not None and now_s >= begin_s + PUSH_S:
             simulation.release("script")
@@ -62,15 +63,23 @@ def scripted_pushes(
     return pushes, false
 
 
-def _pull(simulation: Simulation, joint: int, rng: np.random.Generator) -> None:
-    """Grab the middle of a link's shape and pull across it."""
+def _pull(simulation: Simulation, joint: int, rng: np.random.Generator) -> int:
+    """Grab the middle of a link's shape and pull across it.
+
+    Returns: the joint whose link it is: this one or, where a push there turns nothing, the next one down that moves.
+    """
     plant = simulation.plant
     model, data = plant.model, plant.data
-    point = data.geom_xpos[model.body_geomadr[joint + 1]].copy()
-    levers = np.linalg.svd(plant.jacobian(point, joint))[0]
-    direction = levers[:, 0] * rng.choice([-1.0, 1.0])
+    while True:
+        point = data.geom_xpos[model.body_geomadr[joint + 1]].copy()
+        directions, levers_m, _ = np.linalg.svd(plant.jacobian(point, joint))
+        if levers_m[0] > LEAST_LEVER_M:
+            break
+        joint = (joint - 1) % len(simulation.arm.joints)
+    direction = directions[:, 0] * rng.choice([-1.0, 1.0])
     simulation.grab("script", joint, point)
     simulation.pull("script", point + PULL_M * direction)
+    return joint
 
 
 def describe(pushes: list[Pushed], false: list[Event], arm: DemoArm) -> str:

@@ -21,9 +21,10 @@ TRACE_EVERY_S = 0.02
 TRACE_ROWS = 100
 """Rows that are kept for a viewer that does not ask: older ones are dropped."""
 EVENTS = 20
-RESUME_S = 0.6
-"""So long after resume() the collision is acknowledged anew at every sample: what a push leaves in the friction of a
-joint at rest looks like a push until the joint has moved, and would stop the arm again before it does."""
+RESUME_RAD, RESUME_S = 0.02, 2.0
+"""After resume() the collision is acknowledged anew at every sample until each joint has moved so far, or for so long:
+what a push leaves in the friction of a joint at rest looks like a push until the joint has slid, and would stop the arm
+again before it does."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,8 @@ class Simulation:
         self._holder: object = None
         self._push_began_s = self._push_ended_s = -np.inf
         self._resumed_s = -np.inf
+        self._stuck = np.zeros(len(arm.joints), bool)
+        self._resumed_at = np.array(arm.home)
         self._said: dict[str, _core.Estimate] = {}
         self._alarms: dict[str, _core.Alarm] = {}
         self._sample = None
@@ -153,6 +156,7 @@ class Simulation:
     def resume(self) -> None:
         """Acknowledge the collision and go on moving."""
         self._resumed_s = self.plant.time_s
+        self._resumed_at, self._stuck[:] = self.plant.data.qpos.copy(), True
         self.mover.resume()
 
     def rest(self) -> None:
@@ -170,7 +174,7 @@ class Simulation:
         self._sample = plant.step(*setpoints, force, point, self.drag.joint if self.drag else 0)
         raised = False
         if self.watch is not None:
-            if plant.time_s < self._resumed_s + RESUME_S:
+            if self._resuming():
                 self.watch.acknowledge()
             self._said = self.watch.step(self._sample)
             for method, estimate in self._said.items():
@@ -180,6 +184,13 @@ class Simulation:
             self._trace.append(np.concatenate([[plant.time_s], estimate, limit, self._sample.tau_ext]))
         self._ticks += 1
         return raised
+
+    def _resuming(self) -> bool:
+        """Whether some joint stands where resume() found it, with what the push left in its friction."""
+        if self._stuck.any():
+            self._stuck &= np.abs(self._sample.q - self._resumed_at) < RESUME_RAD
+            self._stuck &= self.plant.time_s < self._resumed_s + RESUME_S
+        return bool(self._stuck.any())
 
     @property
     def tau_ext_nm(self) -> np.ndarray:
@@ -208,7 +219,8 @@ class Simulation:
             tau_ext=estimate,
             limit_nm=limit,
             verdicts={
-                name: Verdict(said.health.name, said.alarm.name, said.alarm_joint) for name, said in self._said.items()
+                name: Verdict(said.health.name, self._alarms[name].name, said.alarm_joint)
+                for name, said in self._said.items()
             },
             touch=self._touch(estimate),
             trace=trace.reshape(len(trace), 1 + 3 * len(self.arm.joints)),
@@ -217,13 +229,12 @@ class Simulation:
 
     def _judge(self, method: str, estimate: _core.Estimate) -> bool:
         """Note an alarm that rose, and react to a collision of the method shown."""
-        was, alarm = self._alarms.get(method, _core.Alarm.none), estimate.alarm
+        was = self._alarms.get(method, _core.Alarm.none)
+        alarm = _core.Alarm.none if self._stuck.any() else estimate.alarm
         self._alarms[method] = alarm
         if alarm.value <= was.value or alarm == _core.Alarm.none:
             return False
         now_s = self.plant.time_s
-        if now_s <= self._resumed_s + RESUME_S:
-            return False
         pushed = self.drag is not None or now_s - self._push_ended_s < 0.5
         after_s = now_s - self._push_began_s if pushed else None
         self._events.append(Event(now_s, method, alarm.name, estimate.alarm_joint, after_s))

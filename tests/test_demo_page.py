@@ -1,23 +1,19 @@
 """The demo's page: slow and stuck clients, and a mouse in a real browser."""
 
 import asyncio
-import contextlib
-import os
+import importlib.util
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
+from page_mouse import CHROMIUM, PATIENCE_S, drag, on_screen, open_pages, until
 from test_demo import SHORT
 
 from tauext.demo.bundles import train_bundles
 from tauext.demo.page import Session, free_port, open_server
 
 viser = pytest.importorskip("viser", reason="the page needs the extra tauext[live]")
-CHROMIUM = Path(os.environ.get("CHROMIUM", "/usr/bin/chromium"))
-PATIENCE_S = 60.0
-"""A browser that draws by software on a busy machine takes seconds for what takes it milliseconds elsewhere."""
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +81,12 @@ def test_another_arm_or_model_error_is_taken_up(session):
     assert not list(session._cache.glob("*.part-*"))  # of the training that was cut off
 
 
-@pytest.mark.slow
+def in_chromium(test):
+    missing = not CHROMIUM.exists() or importlib.util.find_spec("playwright") is None
+    return pytest.mark.slow(pytest.mark.skipif(missing, reason=f"needs {CHROMIUM} and playwright")(test))
+
+
+@in_chromium
 def test_a_mouse_pushes_a_link_and_the_page_says_so(session, record_property):
     asyncio.run(push_in_a_browser(session, record_property))
     wait_for(lambda: not session.server.get_clients())
@@ -116,7 +117,7 @@ async def push_in_a_browser(session, record_property):
         assert all(home in url for url in asked), asked
 
 
-@pytest.mark.slow
+@in_chromium
 def test_two_browsers_see_the_same_and_one_that_closes_leaves_the_other(session):
     asyncio.run(push_with_two_browsers(session))
 
@@ -143,25 +144,6 @@ async def push_with_two_browsers(session):
 
 
 PUSHES = 8
-FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-HAND_S, HAND_EVENTS = 0.064, 8
-"""A quick push: the mouse tells of it 125 times a second, whether the browser has drawn meanwhile or not."""
-
-
-@contextlib.asynccontextmanager
-async def open_pages(number: int):
-    """Pages of so many browsers that draw by software."""
-    if not CHROMIUM.exists():
-        pytest.skip(f"{CHROMIUM} is not there")
-    playwright = pytest.importorskip("playwright.async_api").async_playwright()
-    async with playwright as kinds:
-        browsers = [await kinds.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS) for _ in range(number)]
-        pages = [await browser.new_page(viewport={"width": 1000, "height": 400}) for browser in browsers]
-        for page in pages:
-            page.set_default_timeout(1e3 * PATIENCE_S)
-        yield pages
-        for browser in browsers:
-            await browser.close()
 
 
 async def push(page, session) -> float:
@@ -177,27 +159,13 @@ async def push(page, session) -> float:
         await asyncio.sleep(1.0)
     events = len(session.events)
     grabbed, across = grab_point(session)
-    start = await on_screen(page, session, grabbed)
-    end = await on_screen(page, session, grabbed + 0.25 * across)
+    start = await on_screen(page, session.server, grabbed)
+    end = await on_screen(page, session.server, grabbed + 0.25 * across)
     await page.evaluate(WATCH_BANNER)
-    await page.mouse.move(*start)
-    await page.mouse.down()
-    began_s, moves = time.time(), []
-    for k in range(1, HAND_EVENTS + 1):
-        await asyncio.sleep(max(0.0, began_s + HAND_S * k / HAND_EVENTS - time.time()))
-        to = start + (end - start) * k / HAND_EVENTS
-        moves.append(asyncio.create_task(page.mouse.move(*to)))
-    await asyncio.gather(*moves)
+    began_s = await drag(page, start, end)
     await until(lambda: any(e.alarm == "collision" and e.method == "tauext" for e in session.events[events:]))
     await page.get_by_text("Collision: joint1").wait_for()
     return await page.evaluate("() => window.seenMs") - 1e3 * began_s
-
-
-async def until(done):
-    end = time.monotonic() + PATIENCE_S
-    while not done():
-        assert time.monotonic() < end, "nothing came of it"
-        await asyncio.sleep(0.01)
 
 
 WATCH_BANNER = """() => {
@@ -222,13 +190,3 @@ def grab_point(session) -> tuple[np.ndarray, np.ndarray]:
     pose = session.snapshot.poses[0]
     rotation = viser.transforms.SO3(pose[3:]).as_matrix()
     return pose[:3] + rotation @ [0.0, 0.05, 0.15], rotation[:, 0]
-
-
-async def on_screen(page, session, point: np.ndarray) -> np.ndarray:
-    """Where the browser's camera sees a point, in pixels of the page."""
-    camera = next(iter(session.server.get_clients().values())).camera
-    right, down, ahead = viser.transforms.SO3(camera.wxyz).as_matrix().T @ (point - camera.position)
-    box = await (await page.query_selector("canvas")).bounding_box()
-    focal = 0.5 * box["height"] / np.tan(0.5 * camera.fov)
-    centre = np.array([box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]])
-    return centre + focal * np.array([right, down]) / ahead

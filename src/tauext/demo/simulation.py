@@ -21,7 +21,7 @@ TRACE_EVERY_S = 0.02
 TRACE_ROWS = 100
 """Rows that are kept for a viewer that does not ask: older ones are dropped."""
 EVENTS = 20
-RESUME_RAD, RESUME_S = 0.02, 2.0
+RESUME_RAD, RESUME_S = 0.02, 1.2
 """After resume() the collision is acknowledged anew at every sample until each joint has moved so far, or for so long:
 what a push leaves in the friction of a joint at rest looks like a push until the joint has slid, and would stop the arm
 again before it does."""

@@ -1,0 +1,62 @@
+"""Chromium that draws by software, and a hand at its mouse, for the pages of the demo."""
+
+import asyncio
+import contextlib
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+CHROMIUM = Path(os.environ.get("CHROMIUM", "/usr/bin/chromium"))
+FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+PATIENCE_S = 60.0
+"""A browser that draws by software on a busy machine takes seconds for what takes it milliseconds elsewhere."""
+HAND_S, HAND_EVENTS = 0.064, 8
+"""A quick push: the mouse tells of it 125 times a second, whether the browser has drawn meanwhile or not."""
+
+
+@contextlib.asynccontextmanager
+async def open_pages(number: int, width: int = 1000, height: int = 400):
+    """Pages of so many browsers."""
+    from playwright.async_api import async_playwright
+
+    async with async_playwright() as kinds:
+        browsers = [await kinds.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS) for _ in range(number)]
+        pages = [await browser.new_page(viewport={"width": width, "height": height}) for browser in browsers]
+        for page in pages:
+            page.set_default_timeout(1e3 * PATIENCE_S)
+        yield pages
+        for browser in browsers:
+            await browser.close()
+
+
+async def until(done):
+    end = time.monotonic() + PATIENCE_S
+    while not done():
+        assert time.monotonic() < end, "nothing came of it"
+        await asyncio.sleep(0.01)
+
+
+async def drag(page, start, end, hand_s=HAND_S) -> float:
+    """Press the mouse at start and move it to end, pixels of the page; the time at which the hand set out, [s]."""
+    await page.mouse.move(*start)
+    await page.mouse.down()
+    began_s, moves = time.time(), []
+    for k in range(1, HAND_EVENTS + 1):
+        await asyncio.sleep(max(0.0, began_s + hand_s * k / HAND_EVENTS - time.time()))
+        moves.append(asyncio.create_task(page.mouse.move(*(start + (end - start) * k / HAND_EVENTS))))
+    await asyncio.gather(*moves)
+    return began_s
+
+
+async def on_screen(page, server, point) -> np.ndarray:
+    """Where the camera of a viser server's first browser sees a point of the base frame, in pixels of its page."""
+    from viser.transforms import SO3
+
+    camera = next(iter(server.get_clients().values())).camera
+    right, down, ahead = SO3(camera.wxyz).as_matrix().T @ (point - camera.position)
+    box = await (await page.query_selector("canvas")).bounding_box()
+    focal = 0.5 * box["height"] / np.tan(0.5 * camera.fov)
+    centre = np.array([box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]])
+    return centre + focal * np.array([right, down]) / ahead

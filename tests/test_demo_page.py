@@ -2,6 +2,10 @@
 
 import asyncio
 import importlib.util
+import os
+import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -79,6 +83,23 @@ def test_another_arm_or_model_error_is_taken_up(session):
     session._choose_arm("seven")
     wait_for(lambda: not session._process.is_alive())
     assert not list(session._cache.glob("*.part-*"))  # of the training that was cut off
+
+
+@pytest.mark.parametrize("after_s", [0.0, 2.5])
+def test_ctrl_c_ends_the_page_at_once_whatever_it_is_doing(after_s, tmp_path):
+    """While libraries are imported that swallow the exception of a Ctrl-C, and while a first training runs."""
+    words = [sys.executable, "-m", "tauext", "demo", "--no-open", "--port", str(free_port("127.0.0.1", 9600))]
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
+    page = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+    try:
+        assert page.stdout.readline().startswith("http://localhost")
+        time.sleep(after_s)
+        page.send_signal(signal.SIGINT)
+        out, err = page.communicate(timeout=PATIENCE_S)
+    finally:
+        page.kill()
+    assert (page.returncode, out) == (0, "") and "Traceback" not in err
+    assert not list(tmp_path.glob("tauext/demo/*"))  # of a training that was cut off
 
 
 def in_chromium(test):

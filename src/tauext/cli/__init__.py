@@ -7,6 +7,8 @@ import sys
 
 # The fits solve many small systems: more threads of the linear algebra only wait for each other. NumPy reads it once.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Nothing is drawn by MuJoCo here. Its import would look for a window system in a process of its own, and lose a Ctrl-C.
+os.environ.setdefault("MUJOCO_GL", "disable")
 
 import tyro
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import io
+import signal
 import socket
 import threading
 import time
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,7 +83,9 @@ class Session:
         cache: Path,
         lesson: Lesson | None = None,
         report: Report = lambda share, what: None,
+        ended: threading.Event | None = None,
     ):
+        """ended: ends run() when it is set, as stop() does."""
         from tauext.demo.drawing import Drawing
         from tauext.demo.panel import Panel
 
@@ -93,7 +96,7 @@ class Session:
         self._server, self._seed, self._cache = server, seed, cache
         self._lesson, self._report = lesson or LESSONS[arm_name], report
         self._next_arm: str | None = None
-        self._stopped = self._watch_next = False
+        self._ended, self._watch_next = ended or threading.Event(), False
         self._trainer: Any = None
         self._method = "tauext"
         self._sending = threading.Lock()
@@ -114,7 +117,7 @@ class Session:
 
     def stop(self) -> None:
         """End run()."""
-        self._stopped = True
+        self._ended.set()
 
     def run(self) -> str | None:
         """Show the arm until another one is chosen, which is returned, or None after stop().
@@ -125,7 +128,7 @@ class Session:
         try:
             self._watch()
             due = time.monotonic()
-            while not self._stopped and self._next_arm is None:
+            while not self._ended.is_set() and self._next_arm is None:
                 self.send(SNAPSHOT)
                 due = max(due + FRAME_S, time.monotonic())
                 while (left := due - time.monotonic()) > 0:
@@ -217,6 +220,26 @@ class Session:
             pipe.close()
 
 
+@contextlib.contextmanager
+def until_ctrl_c() -> Iterator[threading.Event]:
+    """An event that the first Ctrl-C sets; a second one interrupts.
+
+    An exception in the middle of whatever runs would not do: some libraries swallow it while they are imported.
+    """
+    ended = threading.Event()
+
+    def end(*_: object) -> None:
+        if ended.is_set():
+            raise KeyboardInterrupt
+        ended.set()
+
+    before = signal.signal(signal.SIGINT, end)
+    try:
+        yield ended
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def run_page(
     arm_name: str,
     host: str,
@@ -227,7 +250,7 @@ def run_page(
     report: Report,
     say: Callable[[str], None],
 ) -> None:
-    """Serve the demo until it is interrupted.
+    """Serve the demo until Ctrl-C ends it.
 
     Args:
         report: called with the share of a training that is done and what is being done; "" at its end.
@@ -249,11 +272,13 @@ def run_page(
     say(f"{url}  ({host}: {reach}; Ctrl-C ends it)")
     try:
         following: str | None = arm_name
-        while following is not None:
-            session = Session(server, following, seed, cache, report=report)
-            if open_browser:
-                webbrowser.open(url)
-                open_browser = False
-            following = session.run()
+        with until_ctrl_c() as ended:
+            while following is not None:
+                session = Session(server, following, seed, cache, report=report, ended=ended)
+                if open_browser:
+                    webbrowser.open(url)
+                    open_browser = False
+                following = session.run()
     finally:
-        server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()

@@ -61,7 +61,7 @@ def watched(trained, reaction="stop"):
     for _ in range(2000):
         simulation.step()
     simulation.mover.doing = "moving"  # a reaction needs motion; this one has nowhere to go
-    simulation.mover._plan(np.zeros(2), 1e6, 0.0)
+    simulation.mover._plan(0.0, np.zeros(2), 1e6)
     simulation.snapshot()
     return simulation
 
@@ -180,7 +180,7 @@ def test_a_push_raises_the_alarm_at_the_joint_that_feels_it(trained):
     for _ in range(3000):  # the elbow bends, the monitor settles
         simulation.step()
     simulation.resume()
-    simulation.mover._plan(np.zeros(2), 1e6, 0.0)
+    simulation.mover._plan(0.0, np.zeros(2), 1e6)
     for _ in range(round(2000 * RESUME_S)):
         simulation.step()
     simulation.snapshot()

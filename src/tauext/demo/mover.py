@@ -31,7 +31,7 @@ class Mover:
     nor friction compensation, so that whoever pushes harder than the joints' friction moves it.
     """
 
-    def __init__(self, arm: DemoArm, seed: int | np.random.Generator = 0):
+    def __init__(self, arm: DemoArm, seed: int = 0):
         self.arm = arm
         self.doing: Literal["moving", "stop", "retreat", "comply"] = "moving"
         self.q_des, self.dq_des = np.array(arm.home), np.zeros(len(arm.joints))
@@ -42,7 +42,7 @@ class Mover:
         self._period_s = 1.0 / arm.rate_hz
         self._trail: deque[np.ndarray] = deque(maxlen=round(RETREAT_S / TRAIL_EVERY_S) + 1)
         self._ticks = 0
-        self._begin_move(*draw_move(arm.motion, np.zeros(len(arm.home)), self._rng))
+        self._plan(*draw_move(arm.motion, np.zeros(len(arm.home)), self._rng))
 
     def step(self, q: np.ndarray, dq: np.ndarray, gravity_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Setpoints of the next sample, (joints,), [rad], [rad/s].
@@ -61,7 +61,7 @@ class Mover:
             self.q_des = self._start + self._travel * done + self._speed * (since_s - 0.5 * since_s**2 / STOP_S)
             self.dq_des = self._travel * rate / self._duration_s + self._speed * (1.0 - since_s / STOP_S)
             if self.doing == "moving" and self._time_s >= self._duration_s:
-                self._begin_move(*draw_move(self.arm.motion, self.q_des - self._home, self._rng))
+                self._plan(*draw_move(self.arm.motion, self.q_des - self._home, self._rng))
         if self.doing == "moving" and self._ticks % round(TRAIL_EVERY_S * self.arm.rate_hz) == 0:
             self._trail.append(self.q_des)
         self._ticks += 1
@@ -73,9 +73,9 @@ class Mover:
             return
         self.doing = reaction
         if reaction == "retreat" and self._trail:
-            self._plan(self._trail[0] - self._rests_at(), RETREAT_TIME_S, 0.0)
+            self._plan(0.0, self._trail[0] - self._rests_at(), RETREAT_TIME_S)
         else:
-            self._plan(0.0 * self.q_des, RETREAT_TIME_S, 0.0)
+            self._plan(0.0, 0.0 * self.q_des, RETREAT_TIME_S)
         self._trail.clear()
 
     def rest(self) -> None:
@@ -89,16 +89,13 @@ class Mover:
         if was == "comply":
             self.dq_des = 0.0 * self.dq_des  # which followed the arm and is no setpoint's speed
         _, travel, duration_s = draw_move(self.arm.motion, self._rests_at() - self._home, self._rng)
-        self._begin_move(0.0, travel, duration_s)
+        self._plan(0.0, travel, duration_s)
 
     def _rests_at(self) -> np.ndarray:
         """Where the setpoint comes to rest if nothing else moves it."""
         return self.q_des + 0.5 * STOP_S * self.dq_des
 
-    def _begin_move(self, pause_s: float, travel: np.ndarray, duration_s: float) -> None:
-        self._plan(travel, duration_s, pause_s)
-
-    def _plan(self, travel: np.ndarray, duration_s: float, pause_s: float) -> None:
+    def _plan(self, pause_s: float, travel: np.ndarray, duration_s: float) -> None:
         """From here: what is left of the speed dies away, and after the pause the travel begins."""
         self._start, self._speed, self._travel = self.q_des, self.dq_des, travel
         self._duration_s, self._pause_s, self._time_s = duration_s, pause_s, -pause_s

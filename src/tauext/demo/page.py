@@ -259,26 +259,26 @@ def run_page(
     Raises:
         ConfigError: no free port, no such host, or viser is missing.
     """
-    found = free_port(host, port)
-    server = open_server(host, found)
-    url = f"http://{'localhost' if host in ('0.0.0.0', '127.0.0.1') else host}:{found}"
-    if found != port:
-        say(f"port {port} is in use; this one is {found}")
-    reach = (
-        "this machine alone can open it"
-        if host in ("127.0.0.1", "localhost", "::1")
-        else "ANYONE who reaches it can push"
-    )
-    say(f"{url}  ({host}: {reach}; Ctrl-C ends it)")
-    try:
-        following: str | None = arm_name
-        with until_ctrl_c() as ended:
+    with until_ctrl_c() as ended:  # from before the line that tells of Ctrl-C is printed
+        found = free_port(host, port)
+        server = open_server(host, found)
+        try:
+            url = f"http://{'localhost' if host in ('0.0.0.0', '127.0.0.1') else host}:{found}"
+            if found != port:
+                say(f"port {port} is in use; this one is {found}")
+            reach = (
+                "this machine alone can open it"
+                if host in ("127.0.0.1", "localhost", "::1")
+                else "ANYONE who reaches it can push"
+            )
+            say(f"{url}  ({host}: {reach}; Ctrl-C ends it)")
+            following: str | None = arm_name
             while following is not None:
                 session = Session(server, following, seed, cache, report=report, ended=ended)
-                if open_browser:
+                if open_browser and not ended.is_set():
                     webbrowser.open(url)
                     open_browser = False
                 following = session.run()
-    finally:
-        with contextlib.redirect_stdout(io.StringIO()):
-            server.stop()
+        finally:
+            with contextlib.redirect_stdout(io.StringIO()):
+                server.stop()

@@ -267,7 +267,32 @@ def test_scripted_pushes_are_found(trained):
     assert "push on the link of joint2" in describe(pushes, false, ARMS["rig"]())
 
 
-def test_an_alarm_that_stands_when_the_joints_have_moved_is_told(trained):
+def test_what_a_push_left_in_static_friction_is_no_collision_after_resume_and_a_push_is(trained):
+    simulation = Simulation(ARMS["rig"]())
+    simulation.watch_with({"tauext": str(trained["tauext"])}, "tauext")
+
+    def step(steps):
+        for _ in range(steps):
+            simulation.step()
+        return simulation._said["tauext"].alarm.name
+
+    step(3000)
+    simulation.rest()
+    assert step(1500) == "none"
+    pushed(simulation, 0, [1.0, 0.0, 0.0])
+    simulation.release("test")
+    assert step(500) == "collision"
+    simulation.watch.acknowledge("tauext")
+    assert step(50) == "collision"  # again, though nothing pushes
+    simulation.resume()
+    simulation.take_events()
+    step(200)
+    assert not simulation.take_events()
+    found = [e for e in pushed(simulation, 0, [1.0, 0.0, 0.0]) if e.alarm == "collision"]
+    assert [e.joint for e in found] == [0] and found[0].after_push_s < 0.1
+
+
+def test_an_alarm_of_a_method_blind_to_stiction_is_told_when_the_joints_have_moved(trained):
     """It was acknowledged since resume(); one that went unsaid would stand for ever, and hide every other."""
     simulation = watched(trained)
     pushed(simulation, 1, [1.0, 0.0, 0.0])
@@ -280,7 +305,7 @@ def test_an_alarm_that_stands_when_the_joints_have_moved_is_told(trained):
     raised = []
     for _ in range(3000):
         simulation.step()
-        raised += [(e, simulation.plant.data.qpos.copy()) for e in simulation.take_events() if e.method == "tauext"]
+        raised += [(e, simulation.plant.data.qpos.copy()) for e in simulation.take_events() if e.method == "observer"]
     event, where = next((e, q) for e, q in raised if e.alarm == "collision")
     moved = np.abs(where - simulation._resumed_at).min()
     assert moved > 0.9 * RESUME_RAD or event.time_s - simulation._resumed_s >= RESUME_S

@@ -243,10 +243,11 @@ def test_without_profiles_there_is_none_to_change_to(bundle):
         Loop(bundle, ScriptedSource([])).use_profile("usual", "test")
 
 
-def test_an_alarm_is_acknowledged_and_the_loop_stopped_when_asked(bundle):
+@pytest.mark.parametrize(("what", "told_so"), [("acknowledge", "acknowledged"), ("resume", "resumed")])
+def test_an_alarm_is_ended_and_the_loop_stopped_when_asked(bundle, what, told_so):
     def ask(verdict):
         if verdict.said["alarm"][0] == COLLISION and verdict.row == 2100:
-            assert obey("acknowledge\n", keeper.control, "a line") == "ok"
+            assert obey(f"{what}\n", keeper.control, "a line") == "ok"
         if verdict.row == 2500:
             assert obey("stop", keeper.control, "a line") == "ok"
 
@@ -257,11 +258,11 @@ def test_an_alarm_is_acknowledged_and_the_loop_stopped_when_asked(bundle):
     loop.run()
     found = [c for c in keeper.changes if isinstance(c, AlarmChange) and c.acknowledged]
     assert [c.row for c in found] == [2101] and len(keeper.verdicts) == 2501
-    assert told == ["acknowledged by a line", "stopped by a line"]
+    assert told == [f"{told_so} by a line", "stopped by a line"]
 
 
 def test_lines_that_ask_for_nothing_known_are_answered():
-    assert obey("sing", None, "x") == "error: 'sing' must be `profile NAME`, `acknowledge` or `stop`"
+    assert obey("sing", None, "x") == "error: 'sing' must be `profile NAME`, `acknowledge`, `resume` or `stop`"
     assert obey("profile", None, "x").startswith("error:") and obey("stop now", None, "x").startswith("error:")
 
 

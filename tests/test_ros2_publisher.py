@@ -62,6 +62,9 @@ class Loop:
     def acknowledge(self, by):
         self.asked.append(("acknowledge", by))
 
+    def resume(self, by):
+        self.asked.append(("resume", by))
+
     def stop(self, by):
         self.asked.append(("stop", by))
 
@@ -247,18 +250,24 @@ def test_diagnostics_go_where_aggregators_listen(settings, peer):
     publisher.close()
 
 
-def test_others_ask_for_profiles_and_acknowledge(talking, peer, space):
+def test_others_ask_for_profiles_acknowledge_and_resume(talking, peer, space):
     publisher, loop = talking
     profile = peer.writer(f"{space}/profile", String, "reliable", "volatile", 8)
-    acknowledge = peer.writer(f"{space}/acknowledge", Bool, "reliable", "volatile", 8)
-    until(lambda: profile.get_matched_subscriptions() and acknowledge.get_matched_subscriptions(), "the readers")
+    acknowledge, resume = (
+        peer.writer(f"{space}/{n}", Bool, "reliable", "volatile", 8) for n in ("acknowledge", "resume")
+    )
+    until(lambda: all(w.get_matched_subscriptions() for w in (profile, acknowledge, resume)), "the readers")
     for name in ("wild", "careful"):
         profile.write(String(name))
     until(lambda: loop.asked, "the profile")
     acknowledge.write(Bool(False))
     acknowledge.write(Bool(True))
     until(lambda: len(loop.asked) == 2, "the acknowledgement")
-    assert loop.asked == [("careful", f"ros2 {space}/profile"), ("acknowledge", f"ros2 {space}/acknowledge")]
+    resume.write(Bool(False))
+    resume.write(Bool(True))
+    until(lambda: len(loop.asked) == 3, "the resumption")
+    asked = [("careful", "profile"), ("acknowledge", "acknowledge"), ("resume", "resume")]
+    assert loop.asked == [(what, f"ros2 {space}/{topic}") for what, topic in asked]
     assert publisher._conditions.untold() == [f"ros2 {space}/profile: no profile 'wild'; there is careful"]
 
 
@@ -291,7 +300,7 @@ def test_the_graph_shows_one_node_with_its_readers_and_writers(settings, peer, d
 
     (node,) = until(announced, "the node")[-1].node_entities_info_seq
     assert (node.node_namespace, node.node_name) == (settings.namespace, "tauext")
-    assert len(node.reader_gid_seq) == 2 and len(node.writer_gid_seq) == 5
+    assert len(node.reader_gid_seq) == 3 and len(node.writer_gid_seq) == 5
     assert bytes(node.writer_gid_seq[0].data) == publisher._torque.guid.bytes.ljust(size, b"\0")
     there = BuiltinDataReader(peer.participant, BuiltinTopicDcpsParticipant).take(64)
     assert b"enclave=/;" in [one.qos[Policy.Userdata].data for one in there if one.key.bytes == gid]

@@ -230,6 +230,9 @@ void bind_monitor(nb::module_& m) {
       .def("advance", &Monitor::advance)
       .def("no_sample", [](Monitor& self, std::int64_t now_ns) { return self.no_sample(now_ns); }, nb::arg("now_ns"))
       .def("acknowledge", &Monitor::acknowledge, "End a latched alarm, and nothing else.")
+      .def("resume", &Monitor::resume,
+           "End a latched alarm where nothing touches the arm any more and it is to move on: the static friction of\n"
+           "joints near stiction is unknown again, and with a prior raises their limits until they have slid.")
       .def(
           "set_limit_factors",
           [](Monitor& self, Signal collision, Signal contact) {

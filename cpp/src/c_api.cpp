@@ -195,6 +195,12 @@ tauext_status tauext_monitor_acknowledge(tauext_monitor* monitor) {
   return TAUEXT_OK;
 }
 
+tauext_status tauext_monitor_resume(tauext_monitor* monitor) {
+  if (!monitor) return TAUEXT_BAD_ARGUMENT;
+  monitor->monitor.resume();
+  return TAUEXT_OK;
+}
+
 tauext_status tauext_monitor_set_limit_factors(tauext_monitor* monitor, const double* collision,
                                                const double* contact) {
   if (!monitor || !collision || !contact) return TAUEXT_BAD_ARGUMENT;

@@ -1,5 +1,6 @@
 #include "tauext/momentum_observer.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 namespace tauext {
@@ -10,6 +11,10 @@ MomentumObserver::MomentumObserver(int joints, double gain_per_s, TorqueTiming t
     throw Error("an observer has 1 to " + std::to_string(kMaxJoints) + " joints, not " + std::to_string(joints));
   if (!(gain_per_s > 0) || !std::isfinite(gain_per_s))
     throw Error("observer gain = " + to_text(gain_per_s) + " 1/s must be > 0");
+}
+
+void MomentumObserver::raise(std::span<const double> least, std::span<double> residual) noexcept {
+  for (int i = 0; i < joints_; ++i) residual[i] = residual_[i] = std::max(residual_[i], least[i]);
 }
 
 bool MomentumObserver::step(std::int64_t t_ns, std::span<const double> momentum, std::span<const double> beta,

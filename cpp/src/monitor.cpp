@@ -10,7 +10,7 @@ namespace tauext {
 namespace {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-constexpr std::uint32_t kStateVersion = 3;
+constexpr std::uint32_t kStateVersion = 4;
 
 // What a saved state begins with.
 struct StateHead {
@@ -95,6 +95,12 @@ void Monitor::reset() noexcept {
 void Monitor::acknowledge() noexcept {
   alarm_.acknowledge();
   report_alarm();
+}
+
+void Monitor::resume() noexcept {
+  for (int j = 0; j < joints_; ++j)
+    if (estimate_.near_stiction >> j & 1) residual_.forget_friction(j);
+  acknowledge();
 }
 
 void Monitor::report_alarm() noexcept {

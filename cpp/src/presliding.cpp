@@ -20,6 +20,13 @@ Presliding::Presliding(int joints, std::span<const double> widths)
   }
 }
 
+void Presliding::forget(int joint) noexcept {
+  for (int w = 0; w < width_count(); ++w) {
+    state_.low[index(joint, w)] = -1.0;
+    state_.high[index(joint, w)] = 1.0;
+  }
+}
+
 void Presliding::step(std::span<const double> q) noexcept {
   for (int j = 0; j < joints_; ++j) {
     const double moved = state_.started ? q[j] - state_.q[j] : 0.0;

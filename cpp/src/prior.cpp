@@ -82,7 +82,7 @@ Prior::Prior(const PriorSettings& settings, const std::array<double, 3>& gravity
       terms_(settings.terms),
       weights_(settings.weights),
       state_{MomentumObserver(joints, gain_per_s, TorqueTiming::held),
-             MomentumObserver(joints, gain_per_s, TorqueTiming::held)} {
+             MomentumObserver(joints, gain_per_s, TorqueTiming::held), false} {
   settings.validate(joints);
   if (!settings.corrected_links.empty()) corrected_.emplace(settings.corrected_links, gravity);
 }
@@ -113,6 +113,8 @@ void Prior::step(std::int64_t t_ns, std::span<const double> q, std::span<const d
   // The filter is linear and never changes a sign, so that of a bound is the bound of what is filtered.
   state_.filter.step(t_ns, std::span(p).first(n), std::span(v).first(n), std::span(zero).first(n), prior);
   state_.doubt_filter.step(t_ns, std::span(zero).first(n), std::span(unknown).first(n), std::span(zero).first(n), doubt);
+  if (state_.forgotten) state_.doubt_filter.raise(std::span(unknown).first(n), doubt);
+  state_.forgotten = false;
 }
 
 }  // namespace tauext

@@ -87,6 +87,10 @@ void estimates_are_those_of_the_cpp_monitor_through_faults_and_alarms() {
         CHECK(tauext_monitor_acknowledge(c) == TAUEXT_OK);
         cpp.acknowledge();
       }
+      if (k == 3200) {
+        CHECK(tauext_monitor_resume(c) == TAUEXT_OK);
+        cpp.resume();
+      }
       if (k == 3500) {
         CHECK(tauext_monitor_reset(c) == TAUEXT_OK);
         cpp.reset();
@@ -189,6 +193,7 @@ void null_pointers_are_bad_arguments() {
   CHECK(tauext_monitor_advance(nullptr) == TAUEXT_BAD_ARGUMENT);
   CHECK(tauext_monitor_no_sample(nullptr, 0, nullptr) == TAUEXT_BAD_ARGUMENT);
   CHECK(tauext_monitor_acknowledge(nullptr) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_resume(nullptr) == TAUEXT_BAD_ARGUMENT);
   std::array<double, TAUEXT_MAX_JOINTS> twice, none{};
   twice.fill(2);
   CHECK(tauext_monitor_set_limit_factors(nullptr, twice.data(), twice.data()) == TAUEXT_BAD_ARGUMENT);

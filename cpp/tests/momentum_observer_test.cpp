@@ -38,6 +38,21 @@ void time_that_does_not_increase_changes_nothing() {
   CHECK(a[0] == b[0]);
 }
 
+// Where nothing pushes any more, r(t) = exp(-K0 t) r(0) of each; what is higher already stays.
+void a_raised_observer_goes_on_from_there() {
+  MomentumObserver observer(2, 20.0, TorqueTiming::held);
+  const double zero[2] = {0, 0}, from[2] = {3, 7}, less[2] = {2, 6};
+  double residual[2];
+  observer.step(0, zero, zero, zero, residual);
+  observer.raise(from, residual);
+  CHECK(residual[0] == 3 && residual[1] == 7);
+  observer.raise(less, residual);
+  for (std::int64_t k = 1; k <= 100; ++k) {
+    observer.step(k * 1'000'000, zero, zero, zero, residual);
+    for (int j = 0; j < 2; ++j) CHECK_CLOSE(residual[j], from[j] * std::exp(-20.0 * 1e-3 * static_cast<double>(k)), 1e-12);
+  }
+}
+
 void reset_equals_fresh() {
   MomentumObserver used(2, 20.0, TorqueTiming::averaged), fresh(2, 20.0, TorqueTiming::averaged);
   const double p[2] = {1, 2}, beta[2] = {3, 4}, tau[2] = {5, 6};
@@ -73,6 +88,7 @@ void bad_settings_are_refused() {
 int main() {
   a_constant_push_gives_the_closed_form();
   time_that_does_not_increase_changes_nothing();
+  a_raised_observer_goes_on_from_there();
   reset_equals_fresh();
   a_nan_stays_a_nan();
   bad_settings_are_refused();

@@ -436,6 +436,80 @@ void limit_factors_are_part_of_the_state() {
   CHECK(one.limit_factors().collision[0] == 1 && one.limit_factors().contact[1] == 1);
 }
 
+// Two joints without gravity of which the first has 5 Nm of static friction, and what a drive gives to hold or move it.
+struct StickyArm {
+  Monitor monitor;
+  double q = 0;
+  std::int64_t t_ms = 0;
+
+  static Bundle bundle() {
+    Bundle b = made::bundle(2, 0, kSteps, kStride, 3);
+    b.gravity = {0, 0, 0};
+    b.prior.widths_rad = {1e-3};
+    b.prior.terms = {{TermKind::presliding, 0, 0, 0, 0, 0}};
+    b.prior.weights = {-5, 0};
+    b.limits.near_stiction_rad_s = 0.01;
+    b.limits.region_width = 0;
+    for (Level* level : {&b.limits.collision, &b.limits.contact})
+      level->sliding_nm = level->near_stiction_nm = {2, 2};
+    answer_reference(b);
+    return b;
+  }
+  // For so long at a speed, with this torque on the first joint; the highest alarm meanwhile.
+  Alarm go(int samples, double speed, double torque) {
+    Alarm highest = Alarm::none;
+    for (int k = 0; k < samples; ++k) {
+      q += 1e-3 * speed;
+      const double at[2] = {q, 0.3}, dq[2] = {speed, 0}, tau[2] = {torque, 0};
+      highest = std::max(highest, monitor.step({++t_ms * kMs, at, dq, tau}).alarm);
+    }
+    return highest;
+  }
+};
+
+void what_a_push_left_in_static_friction_is_no_collision_after_resume() {
+  const Bundle bundle = StickyArm::bundle();
+  StickyArm arm{Monitor(bundle)};
+  CHECK(arm.go(1000, 0.02, 5) == Alarm::none && arm.monitor.last().doubt[0] < 1e-6);
+  CHECK(arm.go(500, 0, 5) == Alarm::none);
+  // A push came and went: now 1 Nm holds the joint where it took 5, and nothing in its position says so.
+  CHECK(arm.go(500, 0, 1) == Alarm::collision);
+  CHECK_CLOSE(arm.monitor.last().tau_ext[0], 4, 1e-3);  // 10/K0 later
+  arm.monitor.acknowledge();
+  CHECK(arm.monitor.last().alarm == Alarm::none && arm.go(500, 0, 1) == Alarm::collision);
+  arm.monitor.resume();
+  CHECK(arm.monitor.last().alarm == Alarm::none && arm.go(1, 0, 1) == Alarm::none);
+  CHECK_CLOSE(arm.monitor.last().limit_nm[0], 2 + 5, 1e-9);
+  CHECK(arm.monitor.last().limit_nm[1] == 2);
+  CHECK(arm.go(500, 0, 1) == Alarm::none);
+  // A push beyond all friction is found at once, and the limit is back when the joint has slid.
+  std::vector<std::byte> state(arm.monitor.state_bytes());
+  CHECK(arm.monitor.save_state(state));
+  CHECK(arm.go(200, 0, -8) == Alarm::collision);
+  CHECK(arm.monitor.restore_state(state));
+  CHECK(arm.go(50, 0.02, 3) == Alarm::none && arm.go(500, 0.02, 5) == Alarm::none);
+  CHECK_CLOSE(arm.monitor.last().limit_nm[0], 2, 1e-3);
+  CHECK_CLOSE(arm.monitor.last().tau_ext[0], 0, 1e-2);
+  CHECK(arm.go(200, 0.02, 2) == Alarm::collision);
+}
+
+void resume_of_joints_that_slide_is_an_acknowledgement() {
+  const Bundle bundle = StickyArm::bundle();
+  StickyArm one{Monitor(bundle)}, other{Monitor(bundle)};
+  for (StickyArm* arm : {&one, &other}) {
+    arm->go(1000, 0.02, 5);
+    CHECK(arm->go(200, 0.02, 0) == Alarm::collision);
+  }
+  one.monitor.resume();
+  other.monitor.acknowledge();
+  for (int k = 0; k < 1000; ++k) {
+    one.go(1, 0.02, 5);
+    other.go(1, 0.02, 5);
+    CHECK(same(one.monitor.last(), other.monitor.last()));
+    CHECK(one.monitor.last().doubt[0] == other.monitor.last().doubt[0]);
+  }
+}
+
 void names_are_told() {
   for (std::uint32_t k = 0; k < kCauseCount; ++k) CHECK(name(static_cast<Cause>(1u << k))[0] != '\0');
   CHECK(name(static_cast<Cause>(1u << kCauseCount))[0] == '\0');
@@ -470,6 +544,8 @@ int main() {
   a_left_out_advance_is_made_up_for();
   limit_factors_scale_the_limits_and_nothing_else();
   limit_factors_are_part_of_the_state();
+  what_a_push_left_in_static_friction_is_no_collision_after_resume();
+  resume_of_joints_that_slide_is_an_acknowledgement();
   names_are_told();
   a_bundle_that_does_not_hold_together_makes_no_monitor();
   return check::result();

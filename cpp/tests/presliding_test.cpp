@@ -120,6 +120,28 @@ void until_determined_the_state_brackets_every_start_and_from_then_on_equals_it(
   CHECK(bank.determined(0, 0) && bank.determined(0, 1));
 }
 
+// That of the other joint is not touched.
+void a_forgotten_joint_is_one_that_begins_anew() {
+  constexpr int kJoints = 2, kSamples = 1000, kForget = 500;
+  const double widths[] = {1e-4, 1e-2};
+  const std::vector<double> q = random_walk(kJoints, kSamples, 4);
+  Presliding kept(kJoints, widths), forgetful(kJoints, widths), fresh(kJoints, widths);
+  int apart = 0;
+  for (int k = 0; k < kSamples; ++k) {
+    kept.step(row(q, kJoints, k));
+    forgetful.step(row(q, kJoints, k));
+    if (k == kForget) forgetful.forget(1);
+    if (k >= kForget) fresh.step(row(q, kJoints, k));
+    for (int w = 0; w < 2; ++w) {
+      CHECK(forgetful.value(0, w) == kept.value(0, w) && forgetful.doubt(0, w) == kept.doubt(0, w));
+      const Presliding& like = k < kForget ? kept : fresh;
+      CHECK(forgetful.value(1, w) == like.value(1, w) && forgetful.doubt(1, w) == like.doubt(1, w));
+      apart += forgetful.doubt(1, w) != kept.doubt(1, w);
+    }
+  }
+  CHECK(apart > 0);
+}
+
 void states_stay_within_one_whatever_the_motion() {
   const double widths[] = {1e-12, 1e-4, 1e3};
   Presliding bank(1, widths);
@@ -242,6 +264,7 @@ int main() {
   a_triangle_motion_gives_the_closed_form();
   trembling_within_twice_the_width_leaves_the_state_undetermined();
   until_determined_the_state_brackets_every_start_and_from_then_on_equals_it();
+  a_forgotten_joint_is_one_that_begins_anew();
   states_stay_within_one_whatever_the_motion();
   a_shift_of_all_positions_changes_nothing_beyond_rounding();
   joints_do_not_touch_each_other_and_states_stand_in_rows_of_a_joint();

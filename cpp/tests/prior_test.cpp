@@ -510,6 +510,38 @@ void the_doubt_bounds_what_an_unknown_start_may_hide() {
   }
 }
 
+// A joint that came to rest sliding, and of which something then changed the friction unseen: forgotten, its doubt covers
+// that from the next sample on, and goes when the joint has travelled.
+void the_doubt_after_forgetting_bounds_what_happened_unseen() {
+  PriorSettings settings;
+  settings.widths_rad = {1e-3, 3e-3};
+  settings.terms = {{TermKind::presliding, 0, 0, 0, 0, 0}, {TermKind::presliding, 0, 1, 0, 0, 0}};
+  settings.weights = {-4, 3};
+  Presliding truly(1, settings.widths_rad), seen(1, settings.widths_rad);
+  Prior truth(settings, kGravity, 1, kGain), guess(settings, kGravity, 1, kGain);
+  const double zero[1] = {0};
+  for (const double q : {-1.0, 0.0}) truly.step(std::span(&q, 1)), seen.step(std::span(&q, 1));
+  double is[1], expected[1], none[1], doubt[1], off = 0;
+  for (int k = 0; k < 3000; ++k) {
+    // From 500 on half a narrow width apart, which is 4/2 + 3/6 Nm less; moving on from 1000.
+    const double unseen = k < 500 ? 0.0 : 5e-4, by = k < 1000 ? 0.0 : 1e-5 * (k - 1000);
+    const double q[1] = {by}, q_true[1] = {by - unseen};
+    truly.step(q_true);
+    seen.step(q);
+    if (k == 800) {
+      seen.forget(0);
+      guess.forget();
+    }
+    truth.step(k * kMs, zero, zero, truly, zero, zero, is, none);
+    guess.step(k * kMs, zero, zero, seen, zero, zero, expected, doubt);
+    off = std::fabs(expected[0] - is[0]);
+    if (k == 799) CHECK(off > 1 && doubt[0] == 0);
+    if (k == 800) CHECK_CLOSE(doubt[0], 4 + 3, 1e-12);
+    if (k >= 800) CHECK(off <= doubt[0] + 1e-12);
+  }
+  CHECK(off < 1e-6 && doubt[0] < 1e-6);
+}
+
 void without_a_prior_nothing_is_expected() {
   const Bundle b = made::bundle(2, 0, kSteps, kStride, 1);
   const Signals s = sampled(2, every_ms(800));
@@ -546,6 +578,7 @@ int main() {
   a_saved_bundle_keeps_its_prior();
   the_doubt_at_rest_has_its_closed_form();
   the_doubt_bounds_what_an_unknown_start_may_hide();
+  the_doubt_after_forgetting_bounds_what_happened_unseen();
   without_a_prior_nothing_is_expected();
   return check::result();
 }

@@ -100,6 +100,7 @@ struct Everything {
       if (k % 10 == 0) own.advance();
       if (k % 700 == 0) every.no_sample(t_ns + 3'000'000);
       if (k % 1600 == 0) every.acknowledge();
+      if (k % 1100 == 0) every.resume();
       if (k % 1300 == 0) every.set_limit_factors(std::span(q).first(1), std::span(q).first(1));
       if (k % 1700 == 0) own.set_limit_factors(own.limit_factors().contact, own.limit_factors().collision);
       if (k % 1900 == 0) every.save_state(state), every.restore_state(state);

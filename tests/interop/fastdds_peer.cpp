@@ -316,12 +316,13 @@ int main(int argc, char** argv) {
     auto* states = peer.speak<JointState>(topic);
     auto* profile = peer.speak<String>(space + "/profile");
     auto* acknowledge = peer.speak<Bool>(space + "/acknowledge");
+    auto* resume = peer.speak<Bool>(space + "/resume");
 
     const auto give_up = steady_clock::now() + 15s;
     const auto all_met = [&] {
       for (auto* reader : readers)
         if (!met(reader)) return false;
-      return met(states) && met(profile) && met(acknowledge);
+      return met(states) && met(profile) && met(acknowledge) && met(resume);
     };
     while (!all_met()) {
       if (steady_clock::now() > give_up) return std::fprintf(stderr, "fastdds_peer: the monitor was not met\n"), 1;
@@ -337,6 +338,7 @@ int main(int argc, char** argv) {
       if (k == samples - 500) {
         Bool yes{true};
         acknowledge->write(&yes);
+        resume->write(&yes);
       }
       std::this_thread::sleep_until(due);
     }

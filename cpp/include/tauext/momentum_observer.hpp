@@ -26,6 +26,9 @@ class MomentumObserver {
   bool step(std::int64_t t_ns, std::span<const double> momentum, std::span<const double> beta,
             std::span<const double> tau_m, std::span<double> residual) noexcept;
 
+  // r of every joint is at least this after the last sample, as if so much had pushed for long; residual is written.
+  void raise(std::span<const double> least, std::span<double> residual) noexcept;
+
   // Time since the start, [s]; r counts as warmed up after 10/K0.
   double age_s() const noexcept { return started_ ? 1e-9 * static_cast<double>(elapsed_ns(t_ns_, start_ns_)) : 0.0; }
   bool warm() const noexcept { return started_ && age_s() * gain_per_s_ >= 10.0; }

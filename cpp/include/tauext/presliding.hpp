@@ -29,6 +29,8 @@ class Presliding {
 
   // Nothing is known any more: after a gap.
   void reset() noexcept { state_.started = false; }
+  // Nothing is known any more of this joint: as at the start, from its last position on.
+  void forget(int joint) noexcept;
   // One sample of finite positions.
   void step(std::span<const double> q) noexcept;
 

@@ -56,6 +56,7 @@ class Prior {
  public:
   struct State {
     MomentumObserver filter, doubt_filter;
+    bool forgotten = false;  // presliding states were, since the last sample
   };
 
   // Throws Error where the settings do not fit.
@@ -64,7 +65,11 @@ class Prior {
   void reset() noexcept {
     state_.filter.reset();
     state_.doubt_filter.reset();
+    state_.forgotten = false;
   }
+  // Presliding states were forgotten: at the next sample the doubt stands where it would after a long rest, and not where
+  // its filter has come to, since what it covers has been there before.
+  void forget() noexcept { state_.forgotten = true; }
   // One sample: momentum and beta are those of the estimated model. Writes the prior of every joint, and how far the
   // truth may lie from it because of presliding states that are not determined yet, both [N m].
   void step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,

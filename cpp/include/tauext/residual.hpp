@@ -54,6 +54,11 @@ class ResidualStage {
                          std::span<double> doubt) noexcept;
   const Presliding& presliding() const noexcept { return presliding_; }
   bool warm() const noexcept { return filter_.warm(); }
+  // What the motion of a joint told of its static friction holds no longer.
+  void forget_friction(int joint) noexcept {
+    presliding_.forget(joint);
+    prior_.forget();
+  }
   // The next sample starts anew, whenever it comes.
   void reset() noexcept { clock_.reset(); }
 

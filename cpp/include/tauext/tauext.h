@@ -114,6 +114,9 @@ tauext_status tauext_monitor_advance(tauext_monitor* monitor);
 /* The loop ran and no sample came. */
 tauext_status tauext_monitor_no_sample(tauext_monitor* monitor, int64_t now_ns, tauext_estimate* estimate);
 tauext_status tauext_monitor_acknowledge(tauext_monitor* monitor);
+/* The same where nothing touches the arm any more and it is to move on: the static friction of joints near stiction is
+ * unknown again, and with a prior raises their limits until they have slid. */
+tauext_status tauext_monitor_resume(tauext_monitor* monitor);
 /* Limits are the bundle's times these, a joint: 0.1 to 10, 1 leaves them as they are; else TAUEXT_BAD_ARGUMENT, and
  * nothing is changed. */
 tauext_status tauext_monitor_set_limit_factors(tauext_monitor* monitor, const double* collision, const double* contact);

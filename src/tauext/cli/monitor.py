@@ -81,7 +81,8 @@ def monitor(
         new_reactions: write a commented reactions file here instead.
         profiles: file of named factors on the limits, switched while the monitor runs.
         new_profiles: write a commented profiles file here instead.
-        control: listen for lines `profile NAME`, `acknowledge` and `stop`: on a socket of this name, or `-`: stdin.
+        control: listen for lines `profile NAME`, `acknowledge`, `resume` and `stop`: on a socket of this name, or `-`:
+            stdin.
         own_rate: run the network at its own rate (usually 100 Hz) and hold its value in between, for slow processors.
         missing_after_ms: a sample that has not come so long after the one before it is missing. None: two periods,
             or a period and 2 ms where that is more.

@@ -51,7 +51,7 @@ class Panel:
         gui.main_panel.set_width(330)
         self._banner = Html(gui)
         self._progress = gui.add_progress_bar(0.0, animated=True, visible=False)
-        resume = gui.add_button("Resume", icon=viser.Icon.PLAYER_PLAY, hint="acknowledge the collision and move on")
+        resume = gui.add_button("Resume", icon=viser.Icon.PLAYER_PLAY, hint="end the collision and move on")
         self._table = Html(gui)
         with gui.add_folder("Monitor"):
             choose(gui, "method", METHODS, "tauext", lambda key: send("set_method", key))

@@ -22,9 +22,9 @@ TRACE_ROWS = 100
 """Rows that are kept for a viewer that does not ask: older ones are dropped."""
 EVENTS = 20
 RESUME_RAD, RESUME_S = 0.02, 1.2
-"""After resume() the collision is acknowledged anew at every sample until each joint has moved so far, or for so long:
-what a push leaves in the friction of a joint at rest looks like a push until the joint has slid, and would stop the arm
-again before it does."""
+"""After resume() a method that is blind to static friction is acknowledged anew at every sample until each joint has
+moved so far, or for so long: what a push leaves in the friction of a joint at rest looks like a push to it until the
+joint has slid, and would stop the arm again before it does."""
 
 
 @dataclass(frozen=True)
@@ -157,6 +157,9 @@ class Simulation:
         """Acknowledge the collision and go on moving."""
         self._resumed_s = self.plant.time_s
         self._resumed_at, self._stuck[:] = self.plant.data.qpos.copy(), True
+        if self.watch is not None:
+            self.watch.resume()
+        self._alarms = dict.fromkeys(self._alarms, _core.Alarm.none)
         self.mover.resume()
 
     def rest(self) -> None:
@@ -174,11 +177,13 @@ class Simulation:
         self._sample = plant.step(*setpoints, force, point, self.drag.joint if self.drag else 0)
         raised = False
         if self.watch is not None:
-            if self._resuming():
-                self.watch.acknowledge()
+            excused = self.watch.blind_to_stiction if self._resuming() else ()
+            for method in excused:
+                self.watch.acknowledge(method)
             self._said = self.watch.step(self._sample)
             for method, estimate in self._said.items():
-                raised |= self._judge(method, estimate)
+                alarm = _core.Alarm.none if method in excused else estimate.alarm
+                raised |= self._judge(method, alarm, estimate.alarm_joint)
         if self._ticks % round(TRACE_EVERY_S * self.arm.rate_hz) == 0:
             estimate, limit = self._shown()
             self._trace.append(np.concatenate([[plant.time_s], estimate, limit, self._sample.tau_ext]))
@@ -227,17 +232,16 @@ class Simulation:
             events=self.take_events(),
         )
 
-    def _judge(self, method: str, estimate: _core.Estimate) -> bool:
+    def _judge(self, method: str, alarm: _core.Alarm, joint: int) -> bool:
         """Note an alarm that rose, and react to a collision of the method shown."""
         was = self._alarms.get(method, _core.Alarm.none)
-        alarm = _core.Alarm.none if self._stuck.any() else estimate.alarm
         self._alarms[method] = alarm
         if alarm.value <= was.value or alarm == _core.Alarm.none:
             return False
         now_s = self.plant.time_s
         pushed = self.drag is not None or now_s - self._push_ended_s < 0.5
         after_s = now_s - self._push_began_s if pushed else None
-        self._events.append(Event(now_s, method, alarm.name, estimate.alarm_joint, after_s))
+        self._events.append(Event(now_s, method, alarm.name, joint, after_s))
         if alarm == _core.Alarm.collision and method == self.method and self.mover.doing == "moving":
             self.mover.react(self.reaction)
         return True

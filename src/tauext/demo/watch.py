@@ -21,6 +21,8 @@ class Watch:
             sensitivity: as set_sensitivity() takes it.
         """
         self.monitors = {name: _core.Monitor(bundle) for name, bundle in bundles.items()}
+        self.blind_to_stiction = [name for name, bundle in bundles.items() if not bundle.prior.terms]
+        """Methods without a prior: what a push left in a joint's static friction raises no limit of theirs."""
         self.set_sensitivity(sensitivity)
 
     @property
@@ -39,10 +41,14 @@ class Watch:
             factors = np.full(monitor.joints, 1.0 / sensitivity)
             monitor.set_limit_factors(factors, factors)
 
-    def acknowledge(self) -> None:
-        """End every method's latched collision."""
+    def resume(self) -> None:
+        """End every method's latched collision; the arm moves on and nothing touches it."""
         for monitor in self.monitors.values():
-            monitor.acknowledge()
+            monitor.resume()
+
+    def acknowledge(self, method: str) -> None:
+        """End the latched collision of a method."""
+        self.monitors[method].acknowledge()
 
     def step(self, sample: Sample) -> dict[str, _core.Estimate]:
         """What every method says of a sample."""

@@ -15,7 +15,7 @@ from tauext.errors import ConfigError, TauextError
 from tauext.live.sink import Control
 
 LONGEST = 1000
-USAGE = "`profile NAME`, `acknowledge` or `stop`"
+USAGE = "`profile NAME`, `acknowledge`, `resume` or `stop`"
 
 
 def obey(line: str, control: Control, by: str) -> str:
@@ -26,6 +26,8 @@ def obey(line: str, control: Control, by: str) -> str:
             control.use_profile(name.strip(), by)
         elif what == "acknowledge" and not name:
             control.acknowledge(by)
+        elif what == "resume" and not name:
+            control.resume(by)
         elif what == "stop" and not name:
             control.stop(by)
         else:

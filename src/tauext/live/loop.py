@@ -64,7 +64,7 @@ class ProfileSwitch:
 class Loop:
     """Runs a bundle's monitor on a source until that ends, someone stops it, or Ctrl-C does.
 
-    The control of the loop (use_profile, acknowledge, stop) may be called by any thread.
+    The control of the loop (use_profile, acknowledge, resume, stop) may be called by any thread.
     """
 
     def __init__(
@@ -117,6 +117,10 @@ class Loop:
     def acknowledge(self, by: str) -> None:
         """End a latched alarm before the next sample."""
         self._requests.put(("acknowledge", "", by))
+
+    def resume(self, by: str) -> None:
+        """The same where nothing touches the arm any more and it is to move on: _core.Monitor.resume()."""
+        self._requests.put(("resume", "", by))
 
     def stop(self, by: str) -> None:
         """End the loop before the next sample."""
@@ -262,6 +266,10 @@ class Loop:
             elif what == "acknowledge":
                 self.note(f"acknowledged by {by}")
                 self._acknowledge()
+            elif what == "resume":
+                self.note(f"resumed by {by}")
+                self._acknowledge()
+                self.monitor.resume()
             else:
                 self.note(f"stopped by {by}")
                 self._stopped = True

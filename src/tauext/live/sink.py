@@ -114,7 +114,14 @@ class Control(Protocol):
         ...
 
     def acknowledge(self, by: str) -> None:
-        """End a latched alarm."""
+        """End a latched alarm; one whose cause lasts comes back."""
+        ...
+
+    def resume(self, by: str) -> None:
+        """End a latched alarm where nothing touches the arm any more and it is to move on.
+
+        A push leaves static friction at another level: limits of joints at rest are higher until they have slid.
+        """
         ...
 
     def stop(self, by: str) -> None:

@@ -28,7 +28,7 @@ class Ros2Publisher:
     `external_torque`: JointState with the stamp of the sample it speaks of, effort = tau_ext [N m], positive where the
     environment pushes the joint in its positive direction, NaN while there is no estimate. `contact`, `collision`:
     Bool, latched: who subscribes later gets the last one. `event`: String, JSON, for reactions with publish = true.
-    `diagnostics`: DiagnosticArray. Asked: `profile` (String: its name) and `acknowledge` (Bool: true).
+    `diagnostics`: DiagnosticArray. Asked: `profile` (String: its name), `acknowledge` and `resume` (Bool: true).
 
     A subscriber that does not keep up never holds the loop: it misses what is older than a topic's depth. What the
     library refuses to send is counted in `unsent`.
@@ -62,7 +62,11 @@ class Ros2Publisher:
         self._message = JointState(name=list(settings.names or joints))
         self._asked = {
             name: (node.inbox(settings.full_name(name), of, "reliable", "volatile", 8), do)
-            for name, of, do in (("profile", String, self._use_profile), ("acknowledge", Bool, self._acknowledge))
+            for name, of, do in (
+                ("profile", String, self._use_profile),
+                ("acknowledge", Bool, self._acknowledge),
+                ("resume", Bool, self._resume),
+            )
         }
         node.announce()
         self._say_alarm(NONE)
@@ -157,3 +161,7 @@ class Ros2Publisher:
     def _acknowledge(self, asked: bool, by: str) -> None:
         if asked:
             self._control.acknowledge(by)
+
+    def _resume(self, asked: bool, by: str) -> None:
+        if asked:
+            self._control.resume(by)

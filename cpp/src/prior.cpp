@@ -1,5 +1,6 @@
 #include "tauext/prior.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 namespace tauext {
@@ -19,7 +20,7 @@ void PriorSettings::validate(int joints) const {
     expect(joint(t.a), m, "joint a does not exist");
     if (t.kind == TermKind::coulomb || t.kind == TermKind::load)
       expect(t.speed > 0 && std::isfinite(t.speed), m, "its speed must be > 0");
-    if (t.kind == TermKind::presliding || t.kind == TermKind::load_presliding)
+    if (is_presliding(t))
       expect(t.b >= 0 && t.b < probe.width_count(), m, "its presliding width does not exist");
     if (t.kind == TermKind::gravity || t.kind == TermKind::quadratic || t.kind == TermKind::momentum)
       expect(joint(t.b), m, "joint b does not exist");
@@ -72,15 +73,15 @@ double term_value(const Term& t, std::span<const double> q, std::span<const doub
 }
 
 double term_doubt(const Term& t, const Presliding& presliding, std::span<const double> beta) noexcept {
-  if (t.kind == TermKind::presliding) return presliding.doubt(t.a, t.b);
-  if (t.kind == TermKind::load_presliding) return std::fabs(beta[t.a]) * presliding.doubt(t.a, t.b);
-  return 0.0;
+  if (!is_presliding(t)) return 0.0;
+  return (is_load(t) ? std::fabs(beta[t.a]) : 1.0) * presliding.doubt(t.a, t.b);
 }
 
 Prior::Prior(const PriorSettings& settings, const std::array<double, 3>& gravity, int joints, double gain_per_s)
     : joints_(joints),
       terms_(settings.terms),
       weights_(settings.weights),
+      has_presliding_(std::ranges::any_of(terms_, is_presliding)),
       state_{MomentumObserver(joints, gain_per_s, TorqueTiming::held),
              MomentumObserver(joints, gain_per_s, TorqueTiming::held), false} {
   settings.validate(joints);

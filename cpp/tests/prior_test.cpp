@@ -419,6 +419,23 @@ void a_restored_monitor_goes_on_with_prior_and_presliding_states() {
   }
 }
 
+// A network sees the presliding states, too; without a prior it has no doubt, and goes on with what it knows.
+void resume_without_a_prior_is_an_acknowledgement() {
+  Bundle bundle = with_everything(2, 20);
+  bundle.prior.terms.clear();
+  bundle.prior.weights.clear();
+  bundle.limits.near_stiction_rad_s = 100;  // all joints are, always
+  answer_reference(bundle);
+  const Signals s = sampled(2, every_ms(2000));
+  Monitor one(bundle), other(bundle);
+  for (std::int64_t k = 0; k < s.samples(); ++k) {
+    const Estimate &a = one.step(s.at(k)), &b = other.step(s.at(k));
+    CHECK(a.alarm == b.alarm && a.near_stiction == 3 && b.near_stiction == 3);
+    for (std::size_t j = 0; j < 2; ++j) CHECK(same(a.tau_ext[j], b.tau_ext[j]) && same(a.limit_nm[j], b.limit_nm[j]));
+    if (k % 300 == 299) one.resume(), other.acknowledge();
+  }
+}
+
 void a_restored_stage_goes_on_and_a_reset_one_begins_as_a_fresh_one() {
   const Bundle b = made::bundle(2, 0, kSteps, kStride, 1);
   const Tree tree(b.links, b.gravity);
@@ -574,6 +591,7 @@ int main() {
   online_equals_offline_to_the_last_bit_with_a_prior_of_every_kind();
   the_network_sees_the_presliding_states();
   a_restored_monitor_goes_on_with_prior_and_presliding_states();
+  resume_without_a_prior_is_an_acknowledgement();
   a_restored_stage_goes_on_and_a_reset_one_begins_as_a_fresh_one();
   a_saved_bundle_keeps_its_prior();
   the_doubt_at_rest_has_its_closed_form();

@@ -67,6 +67,7 @@ class Prior {
     state_.doubt_filter.reset();
     state_.forgotten = false;
   }
+  bool has_presliding() const noexcept { return has_presliding_; }
   // Presliding states were forgotten: at the next sample the doubt stands where it would after a long rest, and not where
   // its filter has come to, since what it covers has been there before.
   void forget() noexcept { state_.forgotten = true; }
@@ -83,12 +84,16 @@ class Prior {
   int joints_;
   std::vector<Term> terms_;
   std::vector<double> weights_;
+  bool has_presliding_;
   std::optional<Tree> corrected_;
   State state_;
 };
 
 inline bool is_load(const Term& term) noexcept {
   return term.kind == TermKind::load || term.kind == TermKind::load_presliding;
+}
+inline bool is_presliding(const Term& term) noexcept {
+  return term.kind == TermKind::presliding || term.kind == TermKind::load_presliding;
 }
 // Value of a term at one sample; momentum terms give their momentum. beta is that of the model which a load term asks for.
 double term_value(const Term& term, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,

@@ -54,8 +54,10 @@ class ResidualStage {
                          std::span<double> doubt) noexcept;
   const Presliding& presliding() const noexcept { return presliding_; }
   bool warm() const noexcept { return filter_.warm(); }
-  // What the motion of a joint told of its static friction holds no longer.
+  // What the motion of a joint told of its static friction holds no longer. Nothing happens where no prior follows from
+  // it: there would be no doubt to raise the limits.
   void forget_friction(int joint) noexcept {
+    if (!prior_.has_presliding()) return;
     presliding_.forget(joint);
     prior_.forget();
   }

@@ -7,8 +7,8 @@
  *   tauext_monitor_step(monitor, t_ns, q, dq, tau, &e);      every sample period
  *
  * A torque is positive where it pushes the joint in its positive direction; tau is the motor's torque seen at the joint.
- * tauext_monitor_estimate, _advance, _step, _no_sample, _acknowledge, _set_limit_factors, _reset, _save_state and
- * _restore_state do not allocate, lock, log or call the system. One thread at a time for each monitor. */
+ * tauext_monitor_estimate, _advance, _step, _no_sample, _acknowledge, _resume, _set_limit_factors, _reset, _save_state
+ * and _restore_state do not allocate, lock, log or call the system. One thread at a time for each monitor. */
 #ifndef TAUEXT_H
 #define TAUEXT_H
 

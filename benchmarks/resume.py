@@ -12,11 +12,12 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from tauext import __version__
-from tauext.demo.arms import ARMS
+from tauext.demo.arms import ARMS, DemoArm
 from tauext.demo.bundles import LESSONS, bundle_folder, cache_folder, find_bundles, train_bundles
 from tauext.demo.simulation import Event, Simulation
 
@@ -100,26 +101,33 @@ class Trial:
         return told
 
 
+def demo_bundle(arm: DemoArm, seed: int) -> Path:
+    """That of the demo's first use."""
+    lesson = LESSONS[arm.name]
+    bundles = find_bundles(bundle_folder(arm, "exact", lesson, seed, cache_folder()), lesson)
+    return (bundles or train_bundles(arm, "exact", lesson, seed, cache_folder(), lambda *_: None))["tauext"]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cycles", type=int, default=120, help="of every arm and way")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--bundle", type=Path, help="of the rig, instead of the demo's, which are trained briefly")
     args = parser.parse_args()
     print(f"tauext {__version__}: {' '.join(sys.argv)}\n")
     print("| arm | moves on by | cycles | false collisions | pushes soon after | told | median, 90 % of delays, ms |")
     print("|---|---|---|---|---|---|---|")
-    for name, make in ARMS.items():
-        arm, lesson = make(), LESSONS[name]
-        bundles = find_bundles(bundle_folder(arm, "exact", lesson, args.seed, cache_folder()), lesson)
-        bundles = bundles or train_bundles(arm, "exact", lesson, args.seed, cache_folder(), lambda *_: None)
+    for name in ["rig"] if args.bundle else ARMS:
+        arm = ARMS[name]()
+        bundle = args.bundle or demo_bundle(arm, args.seed)
         for way, kind in (("acknowledge", Acknowledging), ("resume", Simulation)):
             simulation = kind(arm, args.seed)
-            simulation.watch_with({"tauext": str(bundles["tauext"])}, "tauext")
+            simulation.watch_with({"tauext": str(bundle)}, "tauext")
             count = Trial(simulation, args.seed).run(args.cycles)
-            delays = np.quantile(count.delays_s, [0.5, 0.9]) * 1e3 if count.delays_s else [np.nan] * 2
+            delays = "{:.0f}, {:.0f}".format(*np.quantile(count.delays_s, [0.5, 0.9]) * 1e3) if count.delays_s else "–"
             print(
                 f"| {name} | {way} | {count.cycles} | {count.false} | {count.pushes} | {len(count.delays_s)} "
-                f"| {delays[0]:.0f}, {delays[1]:.0f} |",
+                f"| {delays} |",
                 flush=True,
             )
 

@@ -50,7 +50,6 @@ class Trial:
     def __init__(self, simulation: Simulation, seed: int):
         self.simulation, self.rng = simulation, np.random.default_rng(seed)
         self.count = Count()
-        self._collisions: list[Event] = []
 
     def run(self, cycles: int) -> Count:
         self._go(3.0)

@@ -98,9 +98,9 @@ class Monitor {
 
   // Ends a latched alarm, and nothing else; one whose cause lasts comes back.
   void acknowledge() noexcept;
-  // As acknowledge(), for an arm that nothing touches any more and that is to move on. A push leaves the static friction of
-  // a joint at rest at a level that its position does not tell. So that of joints near stiction is unknown again, as at the
-  // start: with a prior, their limits are higher at once by as much as it can hide, until the joints have slid.
+  // As acknowledge(), for an arm that nothing touches any more and that is to move on. A push leaves the static friction
+  // of a joint at rest at a level that its position tells only roughly. So that of joints near stiction is unknown again,
+  // as at the start: with a prior, their limits are higher at once by as much as it can hide, until the joints have slid.
   void resume() noexcept;
   // Limits are the bundle's times these, one a joint and each 0.1 to 10, from the next sample on: for phases of a task
   // that bear more contact, or less. false, and nothing changed, where they are not. What the drift learns from does not

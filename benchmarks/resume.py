@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from tauext import __version__
-from tauext.demo.arms import ARMS, DemoArm
-from tauext.demo.bundles import LESSONS, bundle_folder, cache_folder, find_bundles, train_bundles
+from tauext.demo.arms import ARMS
+from tauext.demo.bundles import LESSONS, cache_folder, find_or_train_bundles
 from tauext.demo.simulation import Event, Simulation
 
 PULLS_M = 0.12, 0.25
@@ -100,13 +100,6 @@ class Trial:
         return told
 
 
-def demo_bundle(arm: DemoArm, seed: int) -> Path:
-    """That of the demo's first use."""
-    lesson = LESSONS[arm.name]
-    bundles = find_bundles(bundle_folder(arm, "exact", lesson, seed, cache_folder()), lesson)
-    return (bundles or train_bundles(arm, "exact", lesson, seed, cache_folder(), lambda *_: None))["tauext"]
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cycles", type=int, default=120, help="of every arm and way")
@@ -118,7 +111,7 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|")
     for name in ["rig"] if args.bundle else ARMS:
         arm = ARMS[name]()
-        bundle = args.bundle or demo_bundle(arm, args.seed)
+        bundle = args.bundle or find_or_train_bundles(arm, "exact", LESSONS[name], args.seed, cache_folder())["tauext"]
         for way, kind in (("acknowledge", Acknowledging), ("resume", Simulation)):
             simulation = kind(arm, args.seed)
             simulation.watch_with({"tauext": str(bundle)}, "tauext")

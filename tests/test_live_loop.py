@@ -243,6 +243,17 @@ def test_without_profiles_there_is_none_to_change_to(bundle):
         Loop(bundle, ScriptedSource([])).use_profile("usual", "test")
 
 
+class Spy:
+    """Another object, and which of its attributes were used."""
+
+    def __init__(self, other):
+        self.used, self._other = [], other
+
+    def __getattr__(self, name):
+        self.used.append(name)
+        return getattr(self._other, name)
+
+
 @pytest.mark.parametrize(("what", "told_so"), [("acknowledge", "acknowledged"), ("resume", "resumed")])
 def test_an_alarm_is_ended_and_the_loop_stopped_when_asked(bundle, what, told_so):
     def ask(verdict):
@@ -253,9 +264,11 @@ def test_an_alarm_is_ended_and_the_loop_stopped_when_asked(bundle, what, told_so
 
     keeper = Keeper(ask)
     loop = Loop(bundle, ReplaySource(pushed(), None), [keeper])
+    loop.monitor = Spy(loop.monitor)
     told = []
     loop.note = told.append
     loop.run()
+    assert [name for name in loop.monitor.used if name in ("acknowledge", "resume")] == [what]
     found = [c for c in keeper.changes if isinstance(c, AlarmChange) and c.acknowledged]
     assert [c.row for c in found] == [2101] and len(keeper.verdicts) == 2501
     assert told == [f"{told_so} by a line", "stopped by a line"]

@@ -44,14 +44,12 @@ def demo(
 def headless(arm_name: str, seconds: float, seed: int) -> str:
     """What was found in so many seconds with scripted pushes."""
     from tauext.demo.arms import ARMS
-    from tauext.demo.bundles import LESSONS, bundle_folder, cache_folder, find_bundles, train_bundles
+    from tauext.demo.bundles import LESSONS, cache_folder, find_or_train_bundles
     from tauext.demo.headless import describe, scripted_pushes
 
-    arm, lesson, cache = ARMS[arm_name](), LESSONS[arm_name], cache_folder()
-    bundles = find_bundles(bundle_folder(arm, "exact", lesson, seed, cache), lesson)
-    if bundles is None:
-        with TrainingBar() as bar:
-            bundles = train_bundles(arm, "exact", lesson, seed, cache, bar.report)
+    arm = ARMS[arm_name]()
+    with TrainingBar() as bar:
+        bundles = find_or_train_bundles(arm, "exact", LESSONS[arm_name], seed, cache_folder(), bar.report)
     return describe(*scripted_pushes(arm, bundles, seconds, seed), arm)
 
 

@@ -91,6 +91,14 @@ def find_bundles(folder: Path, lesson: Lesson) -> dict[str, Path] | None:
     return paths
 
 
+def find_or_train_bundles(
+    arm: DemoArm, error: str, lesson: Lesson, seed: int, cache: Path, report: Report = lambda share, what: None
+) -> dict[str, Path]:
+    """Those of an earlier use, else those of train_bundles()."""
+    found = find_bundles(bundle_folder(arm, error, lesson, seed, cache), lesson)
+    return found or train_bundles(arm, error, lesson, seed, cache, report)
+
+
 def train_bundles(
     arm: DemoArm, error: str, lesson: Lesson, seed: int, cache: Path, report: Report = lambda share, what: None
 ) -> dict[str, Path]:

@@ -154,7 +154,7 @@ class Simulation:
             self.drag, self._push_ended_s = None, self.plant.time_s
 
     def resume(self) -> None:
-        """Acknowledge the collision and go on moving."""
+        """End the collision and go on moving: nothing pushes any more."""
         self._resumed_s = self.plant.time_s
         self._resumed_at, self._stuck[:] = self.plant.data.qpos.copy(), True
         if self.watch is not None:

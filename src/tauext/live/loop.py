@@ -265,11 +265,10 @@ class Loop:
                 self._switch(name, by)
             elif what == "acknowledge":
                 self.note(f"acknowledged by {by}")
-                self._acknowledge()
+                self._end_alarm(self.monitor.acknowledge)
             elif what == "resume":
                 self.note(f"resumed by {by}")
-                self._acknowledge()
-                self.monitor.resume()
+                self._end_alarm(self.monitor.resume)
             else:
                 self.note(f"stopped by {by}")
                 self._stopped = True
@@ -282,13 +281,13 @@ class Loop:
 
     def _acknowledge_when_due(self, t_ns: int) -> None:
         if self._due_ns is not None and t_ns >= self._due_ns:
-            self._acknowledge()
+            self._end_alarm(self.monitor.acknowledge)
 
-    def _acknowledge(self) -> None:
-        """As replay() does: the change belongs to the next sample."""
+    def _end_alarm(self, end: Callable[[], None]) -> None:
+        """By one of the monitor's two calls; as in replay() the change belongs to the next sample."""
         self._due_ns = None
-        if self.monitor.last.alarm == _core.Alarm.none:
-            return
-        self.monitor.acknowledge()
-        t_ns = self._last.t_ns if self._last else 0
-        self._noted.append(self._changes.acknowledged(self.samples, t_ns))
+        stood = self.monitor.last.alarm != _core.Alarm.none
+        end()
+        if stood:
+            t_ns = self._last.t_ns if self._last else 0
+            self._noted.append(self._changes.acknowledged(self.samples, t_ns))

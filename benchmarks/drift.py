@@ -77,7 +77,7 @@ def print_errors(title: str, bundle: _core.Bundle, signals: Signals) -> None:
     """RMSE of tau_ext, which is 0, over all of it and over its last third."""
     for tracking in (False, True):
         said = estimate(bundle, signals, tracking)
-        healthy = said["healthy"].astype(bool)
+        healthy = said["health"] == 1
         last = healthy & (np.arange(len(healthy)) >= 2 * len(healthy) // 3)
         rmse = [np.sqrt((said["tau_ext"][rows] ** 2).mean(axis=0)) for rows in (healthy, last)]
         words = "with tracker   " if tracking else "without tracker"

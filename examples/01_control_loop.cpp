@@ -34,7 +34,7 @@ void ask_for_real_time() {
 }
 
 void loop(const char* path, double seconds) {
-  tauext::Monitor monitor(tauext::load(path));  // allocates; nothing below does
+  tauext::Monitor monitor(tauext::load_bundle(path));  // allocates; nothing below does
   const auto n = static_cast<std::size_t>(monitor.joints());
   const std::int64_t period_ns = monitor.sample_period_ns();
   const auto cycles = static_cast<std::size_t>(std::ceil(seconds * 1e9 / static_cast<double>(period_ns)));

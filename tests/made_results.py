@@ -205,5 +205,5 @@ def make_estimates(recording: Recording, case: str, limit_nm: np.ndarray, rng: n
         near_stiction=near,
         health=np.where(warm, WARMING_UP, OK).astype(np.int8),
         detection=detection,
-        alarm=np.where(detection, COLLISION, 0).astype(np.int8),
+        held_alarm=np.where(detection, COLLISION, 0).astype(np.int8),
     )

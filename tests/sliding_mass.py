@@ -32,6 +32,11 @@ def recording(name: str = "made", samples: int = 3000, **changes) -> Recording:
     return Recording(**(content | changes))
 
 
+def travelled(dq: np.ndarray) -> np.ndarray:
+    """Positions to these velocities at 1 kHz: an encoder that stands still would be a fault."""
+    return np.cumsum(dq, axis=0) * 1e-3
+
+
 def pushed(name: str, force: float, begin: int = 1000, end: int = 1400, samples: int = 3000) -> Recording:
     """The mass pushed by a constant force between two samples, and what an ideal sensor says of it."""
     push = np.zeros((samples, 1))
@@ -43,7 +48,14 @@ def pushed(name: str, force: float, begin: int = 1000, end: int = 1400, samples:
         sensor[k] = a * sensor[k - 1] + (1 - a) * push[k - 1]
     contact = (push[:, 0] != 0).astype(np.int8)
     return recording(
-        name, samples, dq=dq, tau_ext=push, tau_ext_sensor=sensor, contact=contact, contact_link=contact - 1
+        name,
+        samples,
+        q=travelled(dq),
+        dq=dq,
+        tau_ext=push,
+        tau_ext_sensor=sensor,
+        contact=contact,
+        contact_link=contact - 1,
     )
 
 
@@ -82,4 +94,4 @@ def noisy(name: str, seed: int, samples: int = 20_000, force: float = 0.0) -> Re
         push[begin : begin + 250] = force * (k + 1) / 3
     contact = (push[:, 0] != 0).astype(np.int8)
     dq = np.vstack([[0.0], np.cumsum((push + disturbance)[:-1], axis=0)]) * 1e-3 / MASS
-    return recording(name, samples, dq=dq, tau_ext=push, contact=contact, contact_link=contact - 1)
+    return recording(name, samples, q=travelled(dq), dq=dq, tau_ext=push, contact=contact, contact_link=contact - 1)

@@ -52,8 +52,8 @@ def test_a_friction_bundle_is_the_observer_less_friction_with_limits_by_speed_al
     assert not friction.prior.widths_rad and not friction.prior.corrected_links and not friction.has_network
     made = dataset.recordings("test")[0]
     ours, plain = said_of(friction, made), said_of(observer, made)
-    np.testing.assert_array_equal(ours["r"], plain["r"])
-    healthy = ours["healthy"].astype(bool)
+    np.testing.assert_array_equal(ours["residual"], plain["residual"])
+    healthy = ours["health"] == 1
     rms = [np.sqrt(np.mean(said["tau_ext"][healthy] ** 2, axis=0)) for said in (ours, plain)]
     # Friction is some 10 Nm; what Coulomb and viscous parts leave of LuGre, ripple and noise is far less.
     assert (rms[0] < 0.3 * rms[1]).all()
@@ -74,15 +74,15 @@ def test_a_feed_forward_network_sees_one_step_and_no_state(dataset, tmp_path):
     sigmoid = 1 / (1 + np.exp(-gates))
     h = sigmoid[:, 3] * np.tanh(sigmoid[:, 0] * np.tanh(gates[:, 2]))
     expected = (h @ w[3].reshape(2, 5).T + w[4]) * scale
-    healthy = said["healthy"].astype(bool)[10:]
+    healthy = (said["health"] == 1)[10:]
     # Float32 with approximate exponentials, of up to 40 Nm.
     np.testing.assert_allclose(said["network"][10:][healthy], expected[healthy], rtol=0, atol=1e-4)
     left = before = np.zeros(2)
     for one in dataset.recordings("train"):
         said = said_of(bundle, one)
-        healthy = said["healthy"].astype(bool)
+        healthy = said["health"] == 1
         left = left + (said["tau_ext"][healthy] ** 2).sum(axis=0)
-        before = before + (said["r"][healthy] ** 2).sum(axis=0)
+        before = before + (said["residual"][healthy] ** 2).sum(axis=0)
     assert (left < 0.3 * before).all()  # it learned something
 
 
@@ -95,7 +95,7 @@ def test_other_observers_are_bundles_too(dataset, tmp_path, recipe):
     assert bundle.observer.method == getattr(_core.ResidualMethod, method)
     assert (bundle.observer.high_pass_per_s, bundle.observer.low_pass_per_s) == filtered
     said = said_of(bundle, dataset.recordings("validation")[0])
-    assert said["healthy"].any() and not said["detection"].any()  # its limits are the largest errors there
+    assert (said["health"] == 1).any() and not said["detection"].any()  # its limits are the largest errors there
 
 
 def test_the_velocity_observer_needs_a_model(dataset, tmp_path):

@@ -74,7 +74,7 @@ def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path,
     assert "friction_reserve_nm" in facts["limits"]
     other = motion(seed=7)
     said = _core.estimate(bundle, other.t_ns, other.q, other.dq, other.tau, 1)
-    healthy = said["healthy"].astype(bool)
+    healthy = said["health"] == 1
     assert healthy.sum() > 4000 and not said["detection"][healthy].any()
     # What is left of friction and model on another motion is the torque's noise behind the observer, and little more.
     assert (np.sqrt((said["tau_ext"][healthy] ** 2).mean(axis=0)) < 0.3).all()

@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from arms import no_model
 from made_pushes import JOINTS, cut_flight, damaged, pushed, watching_bundle
@@ -233,6 +234,23 @@ def test_alarm_and_causes_come_back_from_the_file_and_older_files_have_none(coll
     (tmp_path / "file").touch()
     with pytest.raises(RecordingError, match="cannot be written"):
         save_estimates(estimates, tmp_path / "file" / "e.parquet")
+
+
+def test_the_alarm_of_an_evaluation_s_older_file_is_the_held_one(collision, tmp_path):
+    path = collision.with_name(f"{collision.stem}.estimates.parquet")
+    estimates = load_estimates(path)
+    table = pq.read_table(path)
+
+    def of_format_1(name: str, left_out: list[str]):
+        older = table.drop_columns(left_out)
+        metadata = {**table.schema.metadata, b"tauext_estimates_format": b"1"}
+        pq.write_table(older.replace_schema_metadata(metadata), tmp_path / name)
+        return load_estimates(tmp_path / name)
+
+    evaluated, flown = of_format_1("evaluated", ["held_alarm", "causes"]), of_format_1("flown", ["held_alarm"])
+    np.testing.assert_array_equal(evaluated.held_alarm, estimates.alarm)
+    np.testing.assert_array_equal(flown.alarm, estimates.alarm)
+    assert evaluated.alarm is None and flown.held_alarm is None
 
 
 def test_the_provenance_of_a_flight_is_plain_json(fault):

@@ -36,9 +36,9 @@ def test_the_missed_curve_equals_alarms_with_scaled_limits_run_anew(hold_s):
     for point in points[::6]:
         bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [1.5 * point["scale"]]
         said = estimate(bundle, free, 1)
-        false = count_episodes(said.alarm == COLLISION, 500)
+        false = count_episodes(said.held_alarm == COLLISION, 500)
         assert point["false_per_hour"] == pytest.approx(false / (said.healthy.sum() / 3.6e6))
-        alarm = estimate(bundle, hit, 1).alarm == COLLISION
+        alarm = estimate(bundle, hit, 1).held_alarm == COLLISION
         assert point["missed"] == sum(not alarm[t.begin : t.end + 200].any() for t in touches)
 
 
@@ -122,9 +122,9 @@ def test_alarms_and_errors_are_told_apart_by_the_time_since_the_touch():
     said = estimates_of(tau, 5.0)
     level = np.where(np.abs(tau) > 5, 2, np.where(np.abs(tau) > 3, 1, 0)).astype(np.int8)
     after = AfterContact(1)
-    after.add_touched(made, replace(said, alarm=level))
+    after.add_touched(made, replace(said, held_alarm=level))
     free = recording("free", 6000)
-    after.add_free(free, replace(said, alarm=level))
+    after.add_free(free, replace(said, held_alarm=level))
     told = after.summary()
     # Sample 1199 is the last in touch; 5099 the last of the second, and from 5500 on nothing is known.
     assert_allclose([b["hours"] * 3.6e6 for b in told["bins"]], [300 + 201, 500, 500, 1000], atol=1.001)

@@ -47,7 +47,7 @@ def test_the_promised_rate_is_kept_on_recordings_that_were_not_calibrated_on():
     for k in range(10, 16):
         made = noisy(k)
         said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
-        alarms += len(cluster_peaks((said["alarm"] == 2).astype(float), made.time_s, floor=0.5))
+        alarms += len(cluster_peaks((said["held_alarm"] == 2).astype(float), made.time_s, floor=0.5))
     # 0.1 h at 50 an hour are 5 alarms at most; 12 would be seen in less than 1 of 100 such tests.
     assert alarms < 12
     json.dumps(found.facts(), allow_nan=False)
@@ -63,7 +63,7 @@ def test_contacts_keep_their_rate_where_collisions_take_a_hold_time():
     for k in range(10, 16):
         made = noisy(k)
         said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
-        contacts += len(cluster_peaks((said["alarm"] >= 1).astype(float), made.time_s, floor=0.5))
+        contacts += len(cluster_peaks((said["held_alarm"] >= 1).astype(float), made.time_s, floor=0.5))
     # 0.1 h at 600 an hour are 60; 90 would be seen in less than 1 of 1000 such tests.
     assert contacts < 90
 
@@ -78,7 +78,7 @@ def test_limits_with_even_odds_keep_the_supported_budget_about():
     for k in range(10, 16):
         made = noisy(k)
         said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
-        alarms += len(cluster_peaks((said["alarm"] == 2).astype(float), made.time_s, floor=0.5))
+        alarms += len(cluster_peaks((said["held_alarm"] == 2).astype(float), made.time_s, floor=0.5))
     # 6 minutes at 1 in 20 s are 18; a level of even odds is crossed up to twice as often on average.
     assert 1 < alarms < 50
 
@@ -113,7 +113,7 @@ def test_a_network_ships_only_where_it_lowers_the_error(weight, opened):
     assert gate.opened.tolist() == [opened] and bundle.has_network == opened
     assert ("prior and network" if opened else "prior only") in gate.reason(0, 0.03)
     said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
-    error = said["tau_ext"][said["healthy"].astype(bool)]
+    error = said["tau_ext"][(said["health"] == 1)]
     expected = (gate.network_rmse_nm if opened else gate.prior_rmse_nm)[0]
     assert np.sqrt((error**2).mean()) == pytest.approx(expected, rel=1e-9)
     bundle.from_bytes(bundle.to_bytes())

@@ -243,7 +243,7 @@ def test_a_flight_holds_the_rows_of_the_recording_around_the_event_and_what_was_
             np.testing.assert_array_equal(getattr(flight, signal), getattr(recording, signal)[rows], err_msg=signal)
         for key, column in {
             "residual": "r",
-            "uncertainty": "network",
+            "network": "network",
             "tau_ext": "tau_ext",
             "limit_nm": "limit",
         }.items():

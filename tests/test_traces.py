@@ -140,9 +140,9 @@ def test_alarms_have_their_level_and_are_detections_where_no_alarm_is_known():
     flags, detection = np.zeros(2000, np.int8), np.zeros(2000, bool)
     flags[100:300], flags[200:250] = CONTACT, COLLISION
     detection[700] = True
-    levels = replace(said, alarm=flags, detection=detection)
+    levels = replace(said, held_alarm=flags, detection=detection)
     np.testing.assert_allclose(alarms(levels, recording.time_s), [(0.2, 0.249, COLLISION), (0.1, 0.299, CONTACT)])
-    np.testing.assert_allclose(alarms(replace(levels, alarm=None), recording.time_s), [(0.7, 0.7, COLLISION)])
+    np.testing.assert_allclose(alarms(replace(levels, held_alarm=None), recording.time_s), [(0.7, 0.7, COLLISION)])
 
 
 def test_windows_are_of_the_first_events_and_do_not_touch():

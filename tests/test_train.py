@@ -174,11 +174,11 @@ def test_a_bundle_says_of_a_recording_what_the_network_was_trained_on(tmp_path):
         network.shape, network.parameters, windows.rows, 1, chain.window_steps, chain.inputs, windows.ends[:350], 1
     )
     np.testing.assert_array_equal(said["network"][at], expected * scaling.output_scale_nm)
-    np.testing.assert_array_equal(said["tau_ext"][at], (said["r"] - said["network"])[at])
+    np.testing.assert_array_equal(said["tau_ext"][at], (said["residual"] - said["network"])[at])
     # On the recordings that set the limit nothing exceeds it.
     for one in made[1:]:
         assert not _core.estimate(loaded, one.t_ns, one.q, one.dq, one.tau, 1)["detection"].any()
-    assert np.isnan(said["network"][:500]).all() and not said["healthy"][:500].any()
+    assert np.isnan(said["network"][:500]).all() and not (said["health"][:500] == 1).any()
 
 
 def test_a_recording_of_other_joints_is_refused_by_name():

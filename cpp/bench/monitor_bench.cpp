@@ -392,7 +392,7 @@ double whole(const char* what, const char* text, double least, double largest) {
 Bundle get_bundle(const char* joints_text, const char* path) {
   const int joints = static_cast<int>(whole("joints", joints_text, 1, kMaxJoints));
   if (std::string_view(path) == "-") return made::bundle(joints, kHidden, kWindowSteps, kStride, 1);
-  return load(path);
+  return load_bundle(path);
 }
 
 void measure(const Bundle& b, const char* bundle_name, std::int64_t steps, double paced_s) {

@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "tauext/residual.hpp"
+#include "tauext/sample.hpp"
 
 namespace tauext::bindings {
 

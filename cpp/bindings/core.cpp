@@ -7,6 +7,8 @@
 #include "arrays.hpp"
 #include "lstm_gradient.hpp"
 #include "tauext/bundle.hpp"
+#include "tauext/estimates.hpp"
+#include "tauext/observation.hpp"
 
 namespace nb = nanobind;
 using namespace tauext;
@@ -30,6 +32,12 @@ std::vector<std::pair<int, int>> input_pairs(const std::vector<LstmInput>& input
   std::vector<std::pair<int, int>> pairs;
   for (const LstmInput& input : inputs) pairs.emplace_back(input.column, input.lag);
   return pairs;
+}
+
+std::vector<std::string> units(const Bundle& bundle, std::string (Bundle::*unit)(int) const) {
+  std::vector<std::string> out;
+  for (int j = 0; j < bundle.joints(); ++j) out.push_back((bundle.*unit)(j));
+  return out;
 }
 
 template <class T>
@@ -102,24 +110,27 @@ void bind_observer(nb::module_& m) {
       .value("energy", ResidualMethod::energy);
   nb::class_<ObserverSettings>(m, "ObserverSettings",
                                "Gain K0 [1/s], torque timing, sample period, network stride; method of the residual "
-                               "and the rates of its filters [1/s], 0: none.")
+                               "and the rates of its filters [1/s], 0: none; torque constants that tau is multiplied by, "
+                               "empty: none.")
       .def(
           "__init__",
           [](ObserverSettings* s, double gain_per_s, TorqueTiming timing, std::int64_t sample_period_ns,
-             int network_stride, ResidualMethod method, double high_pass_per_s, double low_pass_per_s) {
+             int network_stride, ResidualMethod method, double high_pass_per_s, double low_pass_per_s,
+             std::vector<double> nm_per_unit) {
             new (s) ObserverSettings{gain_per_s, timing,          sample_period_ns, network_stride,
-                                     method,     high_pass_per_s, low_pass_per_s};
+                                     method,     high_pass_per_s, low_pass_per_s,   std::move(nm_per_unit)};
           },
           nb::kw_only(), nb::arg("gain_per_s"), nb::arg("timing"), nb::arg("sample_period_ns"),
           nb::arg("network_stride"), nb::arg("method") = ResidualMethod::momentum, nb::arg("high_pass_per_s") = 0.0,
-          nb::arg("low_pass_per_s") = 0.0)
+          nb::arg("low_pass_per_s") = 0.0, nb::arg("nm_per_unit") = std::vector<double>())
       .def_ro("gain_per_s", &ObserverSettings::gain_per_s)
       .def_ro("timing", &ObserverSettings::timing)
       .def_ro("sample_period_ns", &ObserverSettings::sample_period_ns)
       .def_ro("network_stride", &ObserverSettings::network_stride)
       .def_ro("method", &ObserverSettings::method)
       .def_ro("high_pass_per_s", &ObserverSettings::high_pass_per_s)
-      .def_ro("low_pass_per_s", &ObserverSettings::low_pass_per_s);
+      .def_ro("low_pass_per_s", &ObserverSettings::low_pass_per_s)
+      .def_ro("nm_per_unit", &ObserverSettings::nm_per_unit);
   nb::enum_<TermKind>(m, "TermKind")
       .value("constant", TermKind::constant)
       .value("viscous", TermKind::viscous)
@@ -286,6 +297,21 @@ void bind_lstm(nb::module_& m) {
 }
 
 void bind_bundle(nb::module_& m) {
+  nb::enum_<TorqueUnit>(m, "TorqueUnit", "What a number of tau stands for.")
+      .value("newton_metre", TorqueUnit::newton_metre)
+      .value("ampere", TorqueUnit::ampere)
+      .value("recorded", TorqueUnit::recorded);
+  nb::class_<TorqueUnits>(m, "TorqueUnits", "What tau and the answers are given in; see bundle.hpp.")
+      .def(
+          "__init__",
+          [](TorqueUnits* u, TorqueUnit given, int relative_to, std::vector<std::uint8_t> unknown) {
+            new (u) TorqueUnits{given, relative_to, std::move(unknown)};
+          },
+          nb::arg("given") = TorqueUnit::newton_metre, nb::arg("relative_to") = -1,
+          nb::arg("unknown") = std::vector<std::uint8_t>())
+      .def_ro("given", &TorqueUnits::given)
+      .def_ro("relative_to", &TorqueUnits::relative_to)
+      .def_ro("unknown", &TorqueUnits::unknown);
   nb::class_<DriftSettings>(m, "DriftSettings", "Tracker of slow changes; see drift.hpp. time_constant_s = 0: there is none.")
       .def(nb::init<>())
       .def_rw("time_constant_s", &DriftSettings::time_constant_s)
@@ -303,6 +329,11 @@ void bind_bundle(nb::module_& m) {
       .def_rw("shape", &Bundle::shape)
       .def_prop_ro("joints", &Bundle::joints)
       .def_prop_ro("has_network", &Bundle::has_network)
+      .def_rw("units", &Bundle::units)
+      .def_prop_ro("torque_units", [](const Bundle& b) { return units(b, &Bundle::torque_unit); },
+                   "Unit of the tau that is to be given, a joint.")
+      .def_prop_ro("estimate_units", [](const Bundle& b) { return units(b, &Bundle::estimate_unit); },
+                   "Unit of the torques that are answered, a joint.")
       .def_prop_rw(
           "inputs", [](const Bundle& b) { return input_pairs(b.inputs); },
           [](Bundle& b, const std::vector<std::pair<int, int>>& pairs) {
@@ -348,8 +379,8 @@ void bind_bundle(nb::module_& m) {
           },
           nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"),
           "Keep this stretch of free motion and the chain's answer at its last sample, to be replayed at load.")
-      .def("save", [](const Bundle& b, const std::string& path) { save(b, path); }, nb::arg("path"))
-      .def_static("load", [](const std::string& path) { return load(path); }, nb::arg("path"))
+      .def("save", [](const Bundle& b, const std::string& path) { save_bundle(b, path); }, nb::arg("path"))
+      .def_static("load", [](const std::string& path) { return load_bundle(path); }, nb::arg("path"))
       .def(
           "to_bytes",
           [](const Bundle& b) {
@@ -357,6 +388,17 @@ void bind_bundle(nb::module_& m) {
             return nb::bytes(bytes.data(), bytes.size());
           },
           "The bundle as its file holds it.")
+      .def_static(
+          "from_old_bytes", [](nb::bytes bytes) { return from_old_bytes({bytes.c_str(), bytes.size()}); },
+          nb::arg("bytes"), "A bundle of format 3 or 4, its torque constants left in its provenance.")
+      .def(
+          "scale_reference",
+          [](Bundle& b, const std::vector<double>& by) {
+            if (by.size() != b.links.size()) throw Error("scale_reference takes one factor a joint");
+            for (std::size_t k = 0; k < b.reference.tau.size(); ++k) b.reference.tau[k] *= by[k % by.size()];
+            answer_reference(b);
+          },
+          nb::arg("by"), "The kept reference's tau times these, a joint, answered anew.")
       .def_static(
           "from_bytes", [](nb::bytes bytes) { return from_bytes({bytes.c_str(), bytes.size()}); }, nb::arg("bytes"));
   bind_level(bundle, "", &Limits::collision);
@@ -379,7 +421,7 @@ void bind_bundle(nb::module_& m) {
         }
         const std::size_t N = t_ns.shape(0), n = q.shape(1);
         nb::dict out;
-        out["r"] = to_numpy(std::move(e.residual), {N, n});
+        out["residual"] = to_numpy(std::move(e.residual), {N, n});
         out["prior"] = to_numpy(std::move(e.prior), {N, n});
         out["network"] = to_numpy(std::move(e.network), {N, n});
         out["drift"] = to_numpy(std::move(e.drift), {N, n});
@@ -387,13 +429,17 @@ void bind_bundle(nb::module_& m) {
         out["doubt"] = to_numpy(std::move(e.doubt), {N, n});
         out["limit_nm"] = to_numpy(std::move(e.limit_nm), {N, n});
         out["near_stiction"] = to_numpy(std::move(e.near_stiction), {N, n});
-        out["healthy"] = to_numpy(std::move(e.healthy), {N});
+        out["health"] = to_numpy(std::move(e.health), {N});
+        out["causes"] = to_numpy(std::move(e.causes), {N});
+        out["cause_joint"] = to_numpy(std::move(e.cause_joint), {N});
         out["detection"] = to_numpy(std::move(e.detection), {N});
         out["alarm"] = to_numpy(std::move(e.alarm), {N});
+        out["alarm_joint"] = to_numpy(std::move(e.alarm_joint), {N});
+        out["held_alarm"] = to_numpy(std::move(e.held_alarm), {N});
         return out;
       },
       nb::arg("bundle"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("threads"),
-      "The whole chain on a recording; see Estimates in bundle.hpp.");
+      "The whole chain on a recording, as run() of a new Monitor says it; see estimates.hpp.");
 }
 
 }  // namespace

@@ -39,6 +39,12 @@ std::vector<bool> joint_bits(std::uint32_t word, int joints) {
   return out;
 }
 
+std::vector<std::string> units(const Monitor& monitor, const std::string& (Monitor::*unit)(int) const) {
+  std::vector<std::string> out;
+  for (int j = 0; j < monitor.joints(); ++j) out.push_back((monitor.*unit)(j));
+  return out;
+}
+
 // What the monitor says of sample after sample, as columns.
 class Columns {
  public:
@@ -56,6 +62,7 @@ class Columns {
     causes_.push_back(e.causes);
     cause_joint_.push_back(static_cast<std::int8_t>(e.cause_joint));
     alarm_.push_back(static_cast<std::uint8_t>(e.alarm));
+    held_alarm_.push_back(static_cast<std::uint8_t>(e.held_alarm));
     alarm_joint_.push_back(static_cast<std::int8_t>(e.alarm_joint));
     detection_.push_back(e.detection);
   }
@@ -70,6 +77,7 @@ class Columns {
     out["causes"] = to_numpy(std::move(causes_), {N});
     out["cause_joint"] = to_numpy(std::move(cause_joint_), {N});
     out["alarm"] = to_numpy(std::move(alarm_), {N});
+    out["held_alarm"] = to_numpy(std::move(held_alarm_), {N});
     out["alarm_joint"] = to_numpy(std::move(alarm_joint_), {N});
     out["detection"] = to_numpy(std::move(detection_), {N});
     return out;
@@ -80,17 +88,19 @@ class Columns {
     const char* name;
     JointVector Estimate::*values;
   };
-  static constexpr std::array<Torque, 7> kTorques{{{"residual", &Estimate::residual},
+  static constexpr std::array<Torque, 9> kTorques{{{"residual", &Estimate::residual},
                                                    {"prior", &Estimate::prior},
+                                                   {"network", &Estimate::network},
                                                    {"drift", &Estimate::drift},
                                                    {"uncertainty", &Estimate::uncertainty},
                                                    {"tau_ext", &Estimate::tau_ext},
+                                                   {"doubt", &Estimate::doubt},
                                                    {"limit_nm", &Estimate::limit_nm},
                                                    {"margin_nm", &Estimate::margin_nm}}};
   std::size_t joints_;
   std::array<std::vector<double>, kTorques.size()> torques_;
   std::vector<std::uint32_t> near_stiction_, drift_saturated_, causes_;
-  std::vector<std::uint8_t> health_, alarm_, detection_;
+  std::vector<std::uint8_t> health_, alarm_, held_alarm_, detection_;
   std::vector<std::int8_t> alarm_joint_, cause_joint_;
 };
 
@@ -140,13 +150,14 @@ std::optional<nb::dict> take(FlightRecorder& recorder, std::size_t n) {
   out["tau"] = to_numpy(std::move(f.tau), {N, n});
   out["residual"] = to_numpy(std::move(f.residual), {N, n});
   out["prior"] = to_numpy(std::move(f.prior), {N, n});
+  out["network"] = to_numpy(std::move(f.network), {N, n});
   out["drift"] = to_numpy(std::move(f.drift), {N, n});
-  out["uncertainty"] = to_numpy(std::move(f.uncertainty), {N, n});
   out["tau_ext"] = to_numpy(std::move(f.tau_ext), {N, n});
   out["limit_nm"] = to_numpy(std::move(f.limit_nm), {N, n});
   out["causes"] = to_numpy(std::move(f.causes), {N});
   out["health"] = to_numpy(std::move(f.health), {N});
   out["alarm"] = to_numpy(std::move(f.alarm), {N});
+  out["held_alarm"] = to_numpy(std::move(f.held_alarm), {N});
   out["detection"] = to_numpy(std::move(f.detection), {N});
   return out;
 }
@@ -165,6 +176,7 @@ void bind_estimate(nb::module_& m) {
       .def_prop_ro("causes", [](const Estimate& e) { return cause_names(e.causes); })
       .def_ro("cause_joint", &Estimate::cause_joint)
       .def_ro("alarm", &Estimate::alarm)
+      .def_ro("held_alarm", &Estimate::held_alarm, "The level that some joint is over at this sample, its hold time past; no latch.")
       .def_ro("alarm_joint", &Estimate::alarm_joint)
       .def_ro("alarm_t_ns", &Estimate::alarm_t_ns)
       .def_ro("detection", &Estimate::detection)
@@ -178,9 +190,11 @@ void bind_estimate(nb::module_& m) {
   };
   bind_torques("residual", &Estimate::residual);
   bind_torques("prior", &Estimate::prior);
+  bind_torques("network", &Estimate::network);
   bind_torques("drift", &Estimate::drift);
   bind_torques("uncertainty", &Estimate::uncertainty);
   bind_torques("tau_ext", &Estimate::tau_ext);
+  bind_torques("doubt", &Estimate::doubt);
   bind_torques("limit_nm", &Estimate::limit_nm);
   bind_torques("margin_nm", &Estimate::margin_nm);
 }
@@ -261,6 +275,10 @@ void bind_monitor(nb::module_& m) {
                      for (int j = 0; j < self.joints(); ++j) names.push_back(self.joint_name(j));
                      return names;
                    })
+      .def_prop_ro("torque_units", [](const Monitor& self) { return units(self, &Monitor::torque_unit); },
+                   "Unit of the tau that is to be given, a joint.")
+      .def_prop_ro("estimate_units", [](const Monitor& self) { return units(self, &Monitor::estimate_unit); },
+                   "Unit of the torques in the answers, a joint.")
       .def_prop_ro("sample_period_ns", &Monitor::sample_period_ns)
       .def_prop_ro("samples", &Monitor::samples)
       .def_prop_ro("bridged_ticks", &Monitor::bridged_ticks)

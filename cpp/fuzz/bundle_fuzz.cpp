@@ -7,6 +7,7 @@
 //   bundle_fuzz -write_seeds=cpp/fuzz/corpus
 //   bundle_fuzz -merge=1 -use_counters=0 cpp/fuzz/corpus build/fuzz/found
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
@@ -17,6 +18,7 @@
 #include <vector>
 
 #include "made_bundle.hpp"
+#include "tauext/estimates.hpp"
 #include "tauext/monitor.hpp"
 
 namespace {
@@ -35,22 +37,43 @@ std::vector<char> with_header(std::uint32_t major, std::span<const char> payload
   return bytes;
 }
 
-// What is accepted must run, whatever it says.
+void expect(bool ok, const char* what) {
+  if (ok) return;
+  std::fprintf(stderr, "%s\n", what);
+  std::abort();
+}
+
+// What is accepted must run, whatever it says; sample by sample and in bulk it says the same, and no number that is none
+// while health is ok.
 void run(const tauext::Bundle& bundle) {
+  constexpr std::int64_t samples = 20;
   tauext::Monitor monitor(bundle);
   const auto n = static_cast<std::size_t>(monitor.joints());
   const std::int64_t period_ns = std::min(monitor.sample_period_ns(), std::int64_t{1} << 40);
-  double q[tauext::kMaxJoints], dq[tauext::kMaxJoints], tau[tauext::kMaxJoints];
-  for (std::int64_t k = 0; k < 20; ++k) {
-    made::signal(k, monitor.joints(), q, dq, tau);
-    const std::int64_t t_ns = k * period_ns;
-    monitor.step({k == 15 ? t_ns / 2 : t_ns, {q, n}, {dq, n}, {tau, n}});
+  std::vector<std::int64_t> t_ns;
+  std::vector<double> q(samples * n), dq(samples * n), tau(samples * n);
+  for (std::int64_t k = 0; k < samples; ++k) {
+    const auto at = static_cast<std::size_t>(k) * n;
+    made::signal(k, monitor.joints(), &q[at], &dq[at], &tau[at]);
+    t_ns.push_back(k == 15 ? k * period_ns / 2 : k * period_ns);
+  }
+  const tauext::RecordingView view{samples, monitor.joints(), t_ns.data(), q.data(), dq.data(), tau.data()};
+  const tauext::Estimates bulk = tauext::estimate(bundle, view, 1);
+  for (std::int64_t k = 0; k < samples; ++k) {
+    const tauext::Estimate& e = monitor.step(view.at(k));
+    const auto row = static_cast<std::size_t>(k);
+    expect(static_cast<std::uint8_t>(e.health) == bulk.health[row] && e.causes == bulk.causes[row], "health differs");
+    for (std::size_t j = 0; j < n; ++j) {
+      const double one = e.tau_ext[j], other = bulk.tau_ext[row * n + j];
+      expect(one == other || (std::isnan(one) && std::isnan(other)), "tau_ext differs");
+      expect(e.health != tauext::Health::ok || std::isfinite(one), "tau_ext is not finite, and health is ok");
+    }
   }
 }
 
-void read(std::span<const char> bytes) {
+void read(std::span<const char> bytes, bool old = false) {
   try {
-    run(tauext::from_bytes(bytes));
+    run(old ? tauext::from_old_bytes(bytes) : tauext::from_bytes(bytes));
   } catch (const tauext::Error&) {  // as it should
   } catch (const std::bad_alloc&) {  // a size within the limits may still be more than there is
   }
@@ -83,6 +106,11 @@ void write_seeds(const std::string& folder) {
   b.observer.low_pass_per_s = 50;
   tauext::answer_reference(b);
   write_seed(folder + "/velocity", b);
+  b = made::bundle(2, 0, 1, 1, 1);
+  b.observer.nm_per_unit = {2, -0.5};
+  b.units = {tauext::TorqueUnit::ampere, 0, {0, 1}};
+  tauext::answer_reference(b);
+  write_seed(folder + "/amperes", b);
   b = made::bundle(2, 3, 2, 2, 1);
   b.prior.widths_rad = {1e-3, 3e-3};
   for (int kind = 0; kind <= static_cast<int>(tauext::TermKind::momentum); ++kind)
@@ -112,6 +140,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   const std::span<const char> payload(reinterpret_cast<const char*>(data), size);
   for (std::uint32_t major = tauext::kOldestBundleMajor; major <= tauext::kBundleMajor; ++major)
     read(with_header(major, payload));
+  read(with_header(tauext::kOldestBundleMajor, payload), true);
   read(payload);
   return 0;
 }

@@ -39,6 +39,11 @@ void Limits::validate(int joints, int widths) const {
   expect_time("limits.contact_release_s", contact_release_s);
 }
 
+const char* name(Alarm alarm) noexcept {
+  constexpr const char* names[] = {"none", "contact", "collision"};
+  return alarm <= Alarm::collision ? names[static_cast<int>(alarm)] : "";
+}
+
 AlarmStage::AlarmStage(int joints, int widths, const Limits& limits)
     : joints_(joints),
       limits_(limits),

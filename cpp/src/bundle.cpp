@@ -4,6 +4,8 @@
 // `if (file.major >= v)`.
 #include "tauext/bundle.hpp"
 
+#include "tauext/observation.hpp"
+
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -21,6 +23,8 @@ static_assert(std::endian::native == std::endian::little, "bundles are little-en
 constexpr char kMagic[] = {'T', 'A', 'U', 'E', 'X', 'T', '\r', '\n'};
 constexpr std::size_t kHeaderBytes = sizeof kMagic + 4 + 4 + 8 + 4;
 constexpr std::uint32_t kMinor = 0;
+constexpr std::uint32_t kConstantsMajor = 5;  // from here on torque constants are fields, before they stood in provenance:
+constexpr const char* kOldConstants = "\"torque_constants\": {";
 
 class Writer {
  public:
@@ -121,6 +125,12 @@ void fields(File& file, Bundle& b) {
     field(file, b.observer.high_pass_per_s);
     field(file, b.observer.low_pass_per_s);
   }
+  if (file.major >= 5) {
+    field(file, b.observer.nm_per_unit);
+    field(file, b.units.given);
+    field(file, b.units.relative_to);
+    field(file, b.units.unknown);
+  }
   field(file, b.window_steps);
   field(file, b.inputs);
   field(file, b.input_factors);
@@ -179,11 +189,13 @@ void expect_positive(const char* what, const std::vector<T>& list) {
       throw Error(std::string(what) + " = " + to_text(value) + " must be > 0");
 }
 
-template <class T>
-void expect_not_negative(const char* what, const std::vector<T>& list) {
-  for (T value : list)
-    if (!(value >= 0) || !std::isfinite(value))
-      throw Error(std::string(what) + " = " + std::to_string(value) + " must be >= 0");
+// Times a network's answer, which may be the largest float, it is still far from overflowing.
+constexpr double kLargestScaleNm = 1e200;
+
+void expect_scales(const char* what, const std::vector<double>& list) {
+  for (double value : list)
+    if (!(value >= 0 && value <= kLargestScaleNm))
+      throw Error(std::string(what) + " = " + to_text(value) + " must be 0 to 1e200");
 }
 
 // Residual, prior and network at the reference's last sample.
@@ -203,8 +215,9 @@ Answer replay(const Bundle& b) {
   if (!b.prior.empty()) std::copy(observation.prior.end() - static_cast<std::ptrdiff_t>(n), observation.prior.end(), answer.prior.begin());
   if (b.has_network()) {
     const std::vector<float> rows = feature_rows(view, observation, b.input_factors);
-    const WindowRows windows{rows.data(),    observation.row_count, b.columns(), b.observer.network_stride,
-                             b.window_steps, b.inputs};
+    WindowRows windows = b.windows();
+    windows.rows = rows.data();
+    windows.row_count = observation.row_count;
     std::vector<float> y(n);
     lstm_forward(b.shape, b.parameters, windows, std::span(&observation.row[last], 1), y, 1);
     for (std::size_t j = 0; j < n; ++j) answer.network[j] = network_torque_nm(b.output_scale_nm[j], y[j]);
@@ -248,6 +261,36 @@ void expect_reference(const Bundle& b) {
 
 }  // namespace
 
+void TorqueUnits::validate(int joints, bool constants) const {
+  if (given > TorqueUnit::recorded) throw Error("units.given is none of newton_metre, ampere, recorded");
+  if (relative_to < -1 || relative_to >= joints)
+    throw Error("units.relative_to = " + std::to_string(relative_to) + " must be -1 or one of " +
+                std::to_string(joints) + " joints");
+  if (!unknown.empty()) expect_length("units.unknown", unknown, static_cast<std::size_t>(joints));
+  for (std::uint8_t one : unknown)
+    if (one > 1) throw Error("units.unknown = " + std::to_string(one) + " must be 0 or 1");
+  if (!constants && (relative_to >= 0 || !unknown.empty()))
+    throw Error("units.relative_to and units.unknown speak of torque constants, and there are none");
+}
+
+std::string Bundle::torque_unit(int joint) const {
+  const bool slides = links.at(static_cast<std::size_t>(joint)).type == JointType::prismatic;
+  if (units.given == TorqueUnit::newton_metre) return slides ? "N" : "N m";
+  return units.given == TorqueUnit::ampere ? "A" : "recorded unit";
+}
+
+std::string Bundle::estimate_unit(int joint) const {
+  const auto at = static_cast<std::size_t>(joint);
+  const bool slides = links.at(at).type == JointType::prismatic;
+  if (observer.nm_per_unit.empty() || (!units.unknown.empty() && units.unknown.at(at))) {
+    const bool watts = observer.method == ResidualMethod::energy && units.given == TorqueUnit::newton_metre;
+    return watts ? "W" : torque_unit(joint);
+  }
+  if (units.relative_to >= 0) return "units of " + links[static_cast<std::size_t>(units.relative_to)].joint_name;
+  if (observer.method == ResidualMethod::energy) return "W";
+  return slides ? "N" : "N m";
+}
+
 void Bundle::validate() const {
   const Tree tree(links, gravity);
   const auto n = links.size();
@@ -262,15 +305,16 @@ void Bundle::validate() const {
     expect_length("input_factors", input_factors, static_cast<std::size_t>(columns()));
     expect_positive("input_factors", input_factors);
     expect_length("output_scale_nm", output_scale_nm, n);
-    expect_not_negative("output_scale_nm", output_scale_nm);
+    expect_scales("output_scale_nm", output_scale_nm);
+    largest_lstm_input(shape, parameters);
     if (window_steps < 1 || window_steps > kMaxWindowSteps)
       throw Error("window_steps = " + std::to_string(window_steps) + " must be 1 to " + std::to_string(kMaxWindowSteps));
-    WindowRows windows{nullptr, 0, columns(), observer.network_stride, window_steps, inputs};
-    windows.validate(shape, {});
+    windows().validate(shape, {});
   }
   limits.validate(joints(), static_cast<int>(prior.widths_rad.size()));
   drift.validate(joints());
   signals.validate(joints());
+  units.validate(joints(), !observer.nm_per_unit.empty());
   const auto samples = reference.t_ns.size();
   if (samples == 0) throw Error("its reference is empty");
   expect_length("reference.q", reference.q, samples * n);
@@ -316,7 +360,9 @@ std::vector<char> to_bytes(const Bundle& bundle) {
   return std::move(file.bytes);
 }
 
-Bundle from_bytes(std::span<const char> bytes) {
+namespace {
+
+Bundle read(std::span<const char> bytes, bool convert) {
   if (bytes.size() < kHeaderBytes || std::memcmp(bytes.data(), kMagic, sizeof kMagic) != 0)
     throw Error("it is not a tauext bundle");
   std::uint32_t version[2], crc;
@@ -328,6 +374,8 @@ Bundle from_bytes(std::span<const char> bytes) {
     throw Error("its format is version " + std::to_string(version[0]) + ", this program reads versions " +
                 std::to_string(kOldestBundleMajor) + " to " + std::to_string(kBundleMajor) +
                 (version[0] < kBundleMajor ? "; train it again" : "; it was made by a newer tauext"));
+  if (convert && version[0] >= kConstantsMajor)
+    throw Error("its format is version " + std::to_string(version[0]) + " and needs no conversion");
   const std::span<const char> payload = bytes.subspan(kHeaderBytes);
   if (payload.size() != size)
     throw Error("it is truncated or has something appended: " + std::to_string(payload.size()) + " bytes where " +
@@ -337,11 +385,20 @@ Bundle from_bytes(std::span<const char> bytes) {
   Bundle bundle;
   fields(reader, bundle);
   if (!reader.done()) throw Error("it has contents that this version does not know");
+  if (!convert && version[0] < kConstantsMajor && bundle.provenance.find(kOldConstants) != std::string::npos)
+    throw Error("it is of format " + std::to_string(version[0]) +
+                " with torque constants, which its control loop was told to apply; bundles apply them themselves now: "
+                "`tauext convert OLD.tauext --out NEW.tauext`, and let the loop give tau as it was recorded");
   bundle.validate();
   return bundle;
 }
 
-void save(const Bundle& bundle, const std::string& path) {
+}  // namespace
+
+Bundle from_bytes(std::span<const char> bytes) { return read(bytes, false); }
+Bundle from_old_bytes(std::span<const char> bytes) { return read(bytes, true); }
+
+void save_bundle(const Bundle& bundle, const std::string& path) {
   const std::vector<char> bytes = to_bytes(bundle);
   const std::string temporary = path + ".part";
   {
@@ -356,7 +413,7 @@ void save(const Bundle& bundle, const std::string& path) {
   std::filesystem::rename(temporary, path);
 }
 
-Bundle load(const std::string& path) {
+Bundle load_bundle(const std::string& path) {
   std::error_code ignored;
   if (std::filesystem::is_directory(path, ignored)) throw Error(path + ": is a folder; a bundle is a file");
   std::ifstream file(path, std::ios::binary);

@@ -142,7 +142,7 @@ const char* tauext_cause_name(uint32_t cause) { return tauext::name(static_cast<
 
 tauext_status tauext_monitor_open(const char* bundle_path, tauext_network_rate rate, tauext_monitor** monitor,
                                   char* message, size_t message_size) {
-  return open([&] { return tauext::load(bundle_path); }, bundle_path != nullptr, rate, monitor, message, message_size);
+  return open([&] { return tauext::load_bundle(bundle_path); }, bundle_path != nullptr, rate, monitor, message, message_size);
 }
 
 tauext_status tauext_monitor_open_bytes(const void* bundle, size_t bundle_size, tauext_network_rate rate,
@@ -158,6 +158,16 @@ int32_t tauext_monitor_joints(const tauext_monitor* monitor) { return monitor ? 
 const char* tauext_monitor_joint_name(const tauext_monitor* monitor, int32_t joint) {
   if (!monitor || joint < 0 || joint >= monitor->monitor.joints()) return nullptr;
   return monitor->monitor.joint_name(joint).c_str();
+}
+
+const char* tauext_monitor_torque_unit(const tauext_monitor* monitor, int32_t joint) {
+  if (!monitor || joint < 0 || joint >= monitor->monitor.joints()) return nullptr;
+  return monitor->monitor.torque_unit(joint).c_str();
+}
+
+const char* tauext_monitor_estimate_unit(const tauext_monitor* monitor, int32_t joint) {
+  if (!monitor || joint < 0 || joint >= monitor->monitor.joints()) return nullptr;
+  return monitor->monitor.estimate_unit(joint).c_str();
 }
 
 int64_t tauext_monitor_sample_period_ns(const tauext_monitor* monitor) {

@@ -5,6 +5,10 @@
 
 namespace tauext {
 
+namespace {
+constexpr double kLargestSize = 1e300;  // sums with r and prior stay finite
+}
+
 void DriftSettings::validate(int joints) const {
   const auto expect = [](bool ok, const char* what, double value, const char* rule) {
     if (!ok) throw Error("drift." + std::string(what) + " = " + to_text(value) + " must be " + rule);
@@ -15,7 +19,7 @@ void DriftSettings::validate(int joints) const {
   if (static_cast<int>(size_nm.size()) != joints)
     throw Error("drift.size_nm has " + std::to_string(size_nm.size()) + " values where " + std::to_string(joints) +
                 " belong");
-  for (double size : size_nm) expect(size >= 0 && std::isfinite(size), "size_nm", size, ">= 0");
+  for (double size : size_nm) expect(size >= 0 && size <= kLargestSize, "size_nm", size, "0 to 1e300");
   expect(rate_share_per_s > 0 && rate_share_per_s <= 1, "rate_share_per_s", rate_share_per_s, "above 0, at most 1");
   expect(freeze_share >= 0 && freeze_share <= 1, "freeze_share", freeze_share, "0 (never frozen by torque) to 1");
   expect(freeze_s >= 0 && freeze_s <= 60, "freeze_s", freeze_s, "0 to 60");

@@ -1,76 +1,128 @@
 #include <algorithm>
-#include <cmath>
-#include <limits>
 
-#include "tauext/bundle.hpp"
+#include "tauext/estimates.hpp"
+#include "tauext/observation.hpp"
 
 namespace tauext {
+namespace {
+
+// What ObserveStage said of every sample, as columns; residual, prior and doubt stand in the answer already.
+struct Seen {
+  struct Row {
+    std::uint32_t causes, near_stiction;
+    std::int32_t ticks;
+    Passage passage;
+    Health health;
+    std::int8_t cause_joint;
+    bool restarted, overflowed, judged, teaches;
+  };
+  std::vector<Row> rows;                      // (samples)
+  std::vector<float> features;                // (clock rows, columns)
+  std::vector<std::int64_t> judged_ends;      // clock rows of the samples that are judged
+  std::int64_t clock_rows = 0;
+};
+
+Seen observe_all(const Bundle& bundle, const RecordingView& recording, Estimates& out) {
+  const auto N = static_cast<std::size_t>(recording.samples), n = static_cast<std::size_t>(recording.joints);
+  Seen seen;
+  seen.rows.reserve(N);
+  ObserveStage stage(bundle, 1);
+  const std::size_t columns = stage.features().size();
+  seen.features.reserve(N * columns);
+  RowCount at;
+  for (std::size_t k = 0; k < N; ++k) {
+    const Observed& o = stage.step(recording.at(static_cast<std::int64_t>(k)));
+    seen.rows.push_back({o.causes, o.near_stiction, static_cast<std::int32_t>(o.ticks), o.passage, o.health,
+                         static_cast<std::int8_t>(o.cause_joint), o.restarted, o.overflowed, o.judged, o.teaches});
+    std::copy_n(o.residual.begin(), n, out.residual.begin() + static_cast<std::ptrdiff_t>(k * n));
+    std::copy_n(o.prior.begin(), n, out.prior.begin() + static_cast<std::ptrdiff_t>(k * n));
+    std::copy_n(o.doubt.begin(), n, out.doubt.begin() + static_cast<std::ptrdiff_t>(k * n));
+    if (o.passage != Passage::entered) continue;
+    at.add(o.restarted, o.ticks);
+    // Bridged ticks hold the sample before.
+    const std::size_t before = seen.features.size();
+    for (std::int64_t held = 1; !o.restarted && held < o.ticks && columns > 0; ++held)
+      for (std::size_t c = 0; c < columns; ++c) seen.features.push_back(seen.features[before - columns + c]);
+    seen.features.insert(seen.features.end(), stage.features().begin(), stage.features().end());
+    if (o.judged) seen.judged_ends.push_back(at.row);
+  }
+  seen.clock_rows = at.row + 1;
+  return seen;
+}
+
+// The network's outputs for the judged samples, (judged, joints); none without a network.
+std::vector<float> predict_all(const Bundle& bundle, const Seen& seen, int threads) {
+  if (!bundle.has_network()) return {};
+  WindowRows windows = bundle.windows();
+  windows.rows = seen.features.data();
+  windows.row_count = seen.clock_rows;
+  std::vector<float> outputs(seen.judged_ends.size() * bundle.links.size());
+  lstm_forward(bundle.shape, bundle.parameters, windows, seen.judged_ends, outputs, threads);
+  return outputs;
+}
+
+void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen& seen, std::span<const float> outputs,
+               Estimates& out) {
+  const auto N = static_cast<std::size_t>(recording.samples), n = static_cast<std::size_t>(recording.joints);
+  JudgeStage stage(bundle);
+  Observed o;
+  for (std::size_t k = 0, judged = 0; k < N; ++k) {
+    const Seen::Row& row = seen.rows[k];
+    const Sample sample = recording.at(static_cast<std::int64_t>(k));
+    o.t_ns = sample.t_ns;
+    o.passage = row.passage;
+    o.health = row.health;
+    o.causes = row.causes;
+    o.cause_joint = row.cause_joint;
+    o.restarted = row.restarted;
+    o.ticks = row.ticks;
+    o.overflowed = row.overflowed;
+    o.judged = row.judged;
+    o.teaches = row.teaches;
+    o.near_stiction = row.near_stiction;
+    const auto cells = static_cast<std::ptrdiff_t>(k * n);
+    std::copy_n(out.residual.begin() + cells, n, o.residual.begin());
+    std::copy_n(out.prior.begin() + cells, n, o.prior.begin());
+    std::copy_n(out.doubt.begin() + cells, n, o.doubt.begin());
+    const bool entered = row.passage == Passage::entered;
+    const std::span<const float> network =
+        entered && row.judged && !outputs.empty() ? outputs.subspan(n * judged, n) : std::span<const float>();
+    judged += entered && row.judged;
+    const Estimate& e = stage.step(o, sample.dq, network);
+    std::copy_n(e.residual.begin(), n, out.residual.begin() + cells);
+    std::copy_n(e.prior.begin(), n, out.prior.begin() + cells);
+    std::copy_n(e.doubt.begin(), n, out.doubt.begin() + cells);
+    std::copy_n(e.network.begin(), n, out.network.begin() + cells);
+    std::copy_n(e.drift.begin(), n, out.drift.begin() + cells);
+    std::copy_n(e.tau_ext.begin(), n, out.tau_ext.begin() + cells);
+    std::copy_n(e.limit_nm.begin(), n, out.limit_nm.begin() + cells);
+    for (std::size_t j = 0; j < n; ++j) out.near_stiction[k * n + j] = e.near_stiction >> j & 1;
+    out.health[k] = static_cast<std::uint8_t>(e.health);
+    out.causes[k] = e.causes;
+    out.cause_joint[k] = static_cast<std::int8_t>(e.cause_joint);
+    out.alarm_joint[k] = static_cast<std::int8_t>(e.alarm_joint);
+    out.detection[k] = e.detection;
+    out.alarm[k] = static_cast<std::uint8_t>(e.alarm);
+    out.held_alarm[k] = static_cast<std::uint8_t>(e.held_alarm);
+  }
+}
+
+}  // namespace
 
 Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads) {
-  const int n = recording.joints;
-  const auto N = static_cast<std::size_t>(recording.samples);
-  Observation observation = observe(Tree(bundle.links, bundle.gravity), bundle.observer, bundle.prior, recording);
+  if (recording.joints != bundle.joints())
+    throw Error("the bundle has " + std::to_string(bundle.joints()) + " joints, the recording " +
+                std::to_string(recording.joints));
+  const auto N = static_cast<std::size_t>(recording.samples), n = static_cast<std::size_t>(recording.joints);
   Estimates out;
-  out.residual = std::move(observation.residual);
-  out.prior = std::move(observation.prior);
-  out.prior.resize(N * n);
-  out.doubt = std::move(observation.doubt);
-  out.doubt.resize(N * n);
-  const double nan = std::numeric_limits<double>::quiet_NaN();
-  out.network.assign(N * n, nan);
-  out.tau_ext.assign(N * n, nan);
-  out.drift.resize(N * n);
-  out.limit_nm.resize(N * n);
+  for (auto* torque : {&out.residual, &out.prior, &out.network, &out.drift, &out.tau_ext, &out.doubt, &out.limit_nm})
+    torque->resize(N * n);
   out.near_stiction.resize(N * n);
-  out.healthy.assign(N, 0);
-  out.detection.assign(N, 0);
-  out.alarm.assign(N, 0);
-
-  std::vector<std::int64_t> sample, end;  // of every sample with a warm observer and a full window
-  WindowRows windows;
-  std::vector<float> rows, y;
-  if (bundle.has_network()) {
-    rows = feature_rows(recording, observation, bundle.input_factors);
-    windows = {rows.data(),         observation.row_count, bundle.columns(), bundle.observer.network_stride,
-               bundle.window_steps, bundle.inputs};
-  }
-  const std::int64_t reach = bundle.has_network() ? windows.reach() : 0;
-  for (std::size_t k = 0; k < N; ++k) {
-    if (!observation.warm[k] || observation.row[k] - reach < observation.stretch_begin[k]) continue;
-    sample.push_back(static_cast<std::int64_t>(k));
-    end.push_back(observation.row[k]);
-  }
-  y.assign(end.size() * n, 0.0f);
-  if (bundle.has_network()) lstm_forward(bundle.shape, bundle.parameters, windows, end, y, threads);
-
-  for (std::size_t w = 0; w < sample.size(); ++w) {
-    out.healthy[sample[w]] = 1;
-    for (int j = 0; j < n; ++j) {
-      const std::size_t at = static_cast<std::size_t>(sample[w]) * n + j;
-      out.network[at] = bundle.has_network() ? network_torque_nm(bundle.output_scale_nm[j], y[w * n + j]) : 0.0;
-    }
-  }
-  const int widths = static_cast<int>(bundle.prior.widths_rad.size()), region = bundle.limits.region_width;
-  AlarmStage alarm(n, widths, bundle.limits);
-  DriftTracker tracker(bundle.drift, bundle.limits, n, bundle.observer.gain_per_s);
-  for (std::size_t k = 0; k < N; ++k) {
-    std::uint32_t near_stiction = 0;
-    for (int j = 0; j < n; ++j) {
-      const std::size_t at = k * n + j;
-      const double state = region < 0 ? 0.0 : observation.presliding[at * widths + region];
-      out.near_stiction[at] = bundle.limits.near_stiction(recording.dq[at], state);
-      if (out.near_stiction[at]) near_stiction |= std::uint32_t{1} << j;
-    }
-    const auto row = [&](std::vector<double>& values) { return std::span(values).subspan(k * n, n); };
-    if (observation.row[k] == observation.stretch_begin[k]) tracker.restart();
-    tracker.step(recording.t_ns[k], std::span(recording.dq + k * n, static_cast<std::size_t>(n)), row(out.drift));
-    for (std::size_t at = k * n; out.healthy[k] && at < (k + 1) * n; ++at)
-      out.tau_ext[at] = out.residual[at] - (out.prior[at] + out.network[at] + out.drift[at]);
-    out.detection[k] = alarm.step(recording.t_ns[k], row(out.tau_ext), row(out.doubt), near_stiction, out.healthy[k],
-                                  row(out.limit_nm));
-    tracker.learn(row(out.tau_ext), row(out.doubt), near_stiction, out.healthy[k]);
-    out.alarm[k] = static_cast<std::uint8_t>(alarm.state().held);
-  }
+  for (auto* flags : {&out.health, &out.detection, &out.alarm, &out.held_alarm}) flags->resize(N);
+  for (auto* which : {&out.cause_joint, &out.alarm_joint}) which->resize(N);
+  out.causes.resize(N);
+  const Seen seen = observe_all(bundle, recording, out);
+  judge_all(bundle, recording, seen, predict_all(bundle, seen, threads), out);
   return out;
 }
 

@@ -6,7 +6,7 @@
 
 namespace tauext {
 namespace {
-constexpr int kSignals = 9;  // q, dq, tau, residual, prior, drift, uncertainty, tau_ext, limit
+constexpr int kSignals = 9;  // q, dq, tau, residual, prior, network, drift, tau_ext, limit
 }
 
 FlightRecorder::FlightRecorder(int joints, std::int64_t sample_period_ns, const FlightSettings& settings)
@@ -29,7 +29,7 @@ FlightRecorder::FlightRecorder(int joints, std::int64_t sample_period_ns, const 
     ring.t_ns.resize(rows);
     ring.signals.resize(rows * kSignals * static_cast<std::size_t>(joints));
     for (auto* bits : {&ring.near_stiction, &ring.causes}) bits->resize(rows);
-    for (auto* words : {&ring.health, &ring.alarm, &ring.detection}) words->resize(rows);
+    for (auto* words : {&ring.health, &ring.alarm, &ring.held_alarm, &ring.detection}) words->resize(rows);
   }
 }
 
@@ -44,12 +44,13 @@ void FlightRecorder::push(const Sample& sample, const Estimate& e) noexcept {
       to[j] = signal.size() == n ? signal[j] : std::numeric_limits<double>::quiet_NaN();
     to += n;
   }
-  for (const JointVector* signal : {&e.residual, &e.prior, &e.drift, &e.uncertainty, &e.tau_ext, &e.limit_nm})
+  for (const JointVector* signal : {&e.residual, &e.prior, &e.network, &e.drift, &e.tau_ext, &e.limit_nm})
     to = std::copy_n(signal->data(), n, to);
   ring.near_stiction[row] = e.near_stiction;
   ring.causes[row] = e.causes;
   ring.health[row] = static_cast<std::uint8_t>(e.health);
   ring.alarm[row] = static_cast<std::uint8_t>(e.alarm);
+  ring.held_alarm[row] = static_cast<std::uint8_t>(e.held_alarm);
   ring.detection[row] = e.detection;
   ring.next = ring.next + 1 == capacity_ ? 0 : ring.next + 1;
   ++ring.count;
@@ -106,9 +107,9 @@ bool FlightRecorder::take(Flight& flight) {
   flight = {};
   flight.event_row = ring.event - 1 - oldest;
   flight.event = ring.estimate;
-  std::vector<double>* const signals[kSignals] = {&flight.q,     &flight.dq,    &flight.tau,
-                                                  &flight.residual, &flight.prior, &flight.drift,
-                                                  &flight.uncertainty, &flight.tau_ext, &flight.limit_nm};
+  std::vector<double>* const signals[kSignals] = {&flight.q,       &flight.dq,      &flight.tau,
+                                                  &flight.residual, &flight.prior,   &flight.network,
+                                                  &flight.drift,    &flight.tau_ext, &flight.limit_nm};
   for (std::int64_t k = 0; k < rows; ++k) {
     const auto at = static_cast<std::size_t>((oldest + k) % capacity_);
     flight.t_ns.push_back(ring.t_ns[at]);
@@ -121,6 +122,7 @@ bool FlightRecorder::take(Flight& flight) {
     flight.causes.push_back(ring.causes[at]);
     flight.health.push_back(ring.health[at]);
     flight.alarm.push_back(ring.alarm[at]);
+    flight.held_alarm.push_back(ring.held_alarm[at]);
     flight.detection.push_back(ring.detection[at]);
   }
   handed_.store(-1, std::memory_order_release);

@@ -17,6 +17,33 @@ void LstmShape::validate() const {
     throw Error("an LSTM has 1 to " + std::to_string(kMaxJoints) + " outputs, not " + std::to_string(outputs));
 }
 
+// A gate adds b + W_x x + W_h h with |h| <= 1, the head b + W h: each magnitude is bounded by the sum of the magnitudes.
+float largest_lstm_input(const LstmShape& shape, std::span<const float> parameters) {
+  constexpr double kLargestSum = 1e37;  // a float holds 3.4e38
+  const auto F = static_cast<std::size_t>(shape.inputs), H = static_cast<std::size_t>(shape.hidden),
+             O = static_cast<std::size_t>(shape.outputs);
+  const float* w_x = parameters.data();
+  const float* w_h = w_x + 4 * H * F;
+  const float* b = w_h + 4 * H * H;
+  const float* w_head = b + 4 * H;
+  const float* b_head = w_head + O * H;
+  const auto magnitude = [](const float* values, std::size_t count) {
+    double sum = 0;
+    for (std::size_t k = 0; k < count; ++k) sum += std::fabs(static_cast<double>(values[k]));
+    return sum;
+  };
+  double largest = 1.0, beside = 0.0;
+  for (std::size_t row = 0; row < 4 * H; ++row) {
+    largest = std::max(largest, magnitude(w_x + row * F, F));
+    beside = std::max(beside, magnitude(w_h + row * H, H) + std::fabs(static_cast<double>(b[row])));
+  }
+  for (std::size_t o = 0; o < O; ++o)
+    beside = std::max(beside, magnitude(w_head + o * H, H) + std::fabs(static_cast<double>(b_head[o])));
+  if (!(beside <= kLargestSum && largest <= kLargestSum))
+    throw Error("parameters are so large that the network overflows");
+  return static_cast<float>(kLargestSum / largest);
+}
+
 int WindowRows::largest_lag() const noexcept {
   int lag = 0;
   for (const LstmInput& input : inputs) lag = std::max(lag, input.lag);

@@ -45,70 +45,84 @@ void PriorSettings::validate(int joints) const {
                 std::to_string(joints) + " belong");
 }
 
-double term_value(const Term& t, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
-                  std::span<const double> beta) noexcept {
+PriorTerms::PriorTerms(const PriorSettings& settings, const std::array<double, 3>& gravity) : terms_(settings.terms) {
+  if (!settings.corrected_links.empty()) corrected_.emplace(settings.corrected_links, gravity);
+}
+
+void PriorTerms::look(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
+                      std::span<const double> beta) noexcept {
+  q_ = q;
+  dq_ = dq;
+  beta_ = beta;
+  presliding_ = &presliding;
+  if (corrected_)
+    corrected_->momentum(q, dq, std::span(corrected_momentum_).first(q.size()),
+                         std::span(corrected_beta_).first(q.size()));
+}
+
+double PriorTerms::load_nm(const Term& t) const noexcept {
+  return std::fabs(t.form == 0 ? beta_[t.a] : corrected_beta_[t.a]);
+}
+
+double PriorTerms::value(std::size_t term) const noexcept {
+  const Term& t = terms_[term];
   switch (t.kind) {
     case TermKind::constant: return 1.0;
-    case TermKind::viscous: return dq[t.a];
-    case TermKind::coulomb: return std::tanh(dq[t.a] / t.speed);
-    case TermKind::presliding: return presliding.value(t.a, t.b);
-    case TermKind::load: return std::fabs(beta[t.a]) * std::tanh(dq[t.a] / t.speed);
-    case TermKind::load_presliding: return std::fabs(beta[t.a]) * presliding.value(t.a, t.b);
-    case TermKind::ripple: return t.form == 0 ? std::sin(t.b * q[t.a]) : std::cos(t.b * q[t.a]);
+    case TermKind::viscous: return dq_[t.a];
+    case TermKind::coulomb: return std::tanh(dq_[t.a] / t.speed);
+    case TermKind::presliding: return presliding_->value(t.a, t.b);
+    case TermKind::load: return load_nm(t) * std::tanh(dq_[t.a] / t.speed);
+    case TermKind::load_presliding: return load_nm(t) * presliding_->value(t.a, t.b);
+    case TermKind::ripple: return t.form == 0 ? std::sin(t.b * q_[t.a]) : std::cos(t.b * q_[t.a]);
     case TermKind::gravity: {
       if (t.form >= 6) {
         const int cosines = t.form - 6;
         const auto part = [&](int bit, double angle) { return cosines & bit ? std::cos(angle) : std::sin(angle); };
-        return part(4, q[t.a]) * part(2, q[t.b]) * part(1, q[t.c]);
+        return part(4, q_[t.a]) * part(2, q_[t.b]) * part(1, q_[t.c]);
       }
-      const double first = t.form == 0 || t.form == 2 || t.form == 3 ? std::sin(q[t.a]) : std::cos(q[t.a]);
+      const double first = t.form == 0 || t.form == 2 || t.form == 3 ? std::sin(q_[t.a]) : std::cos(q_[t.a]);
       if (t.form < 2) return first;
-      return first * (t.form == 2 || t.form == 4 ? std::sin(q[t.b]) : std::cos(q[t.b]));
+      return first * (t.form == 2 || t.form == 4 ? std::sin(q_[t.b]) : std::cos(q_[t.b]));
     }
-    case TermKind::quadratic: return dq[t.a] * dq[t.b] * (t.form == 0 ? std::sin(q[t.c]) : std::cos(q[t.c]));
+    case TermKind::quadratic: return dq_[t.a] * dq_[t.b] * (t.form == 0 ? std::sin(q_[t.c]) : std::cos(q_[t.c]));
     case TermKind::momentum:
-      return dq[t.a] * (t.form == 0 ? 1.0 : t.form == 1 ? std::cos(q[t.b]) : std::sin(q[t.b]));
+      return dq_[t.a] * (t.form == 0 ? 1.0 : t.form == 1 ? std::cos(q_[t.b]) : std::sin(q_[t.b]));
   }
   return 0.0;
 }
 
-double term_doubt(const Term& t, const Presliding& presliding, std::span<const double> beta) noexcept {
+double PriorTerms::doubt(std::size_t term) const noexcept {
+  const Term& t = terms_[term];
   if (!is_presliding(t)) return 0.0;
-  return (is_load(t) ? std::fabs(beta[t.a]) : 1.0) * presliding.doubt(t.a, t.b);
+  return (is_load(t) ? load_nm(t) : 1.0) * presliding_->doubt(t.a, t.b);
 }
 
 Prior::Prior(const PriorSettings& settings, const std::array<double, 3>& gravity, int joints, double gain_per_s)
     : joints_(joints),
-      terms_(settings.terms),
+      terms_((settings.validate(joints), settings), gravity),
       weights_(settings.weights),
-      has_presliding_(std::ranges::any_of(terms_, is_presliding)),
+      has_presliding_(std::ranges::any_of(settings.terms, is_presliding)),
       state_{MomentumObserver(joints, gain_per_s, TorqueTiming::held),
-             MomentumObserver(joints, gain_per_s, TorqueTiming::held), false} {
-  settings.validate(joints);
-  if (!settings.corrected_links.empty()) corrected_.emplace(settings.corrected_links, gravity);
-}
+             MomentumObserver(joints, gain_per_s, TorqueTiming::held), false} {}
 
 void Prior::step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
                  std::span<const double> momentum, std::span<const double> beta, std::span<double> prior,
                  std::span<double> doubt) noexcept {
   const auto n = static_cast<std::size_t>(joints_);
-  JointVector p, v, corrected_beta, unknown{};
+  JointVector p, v, unknown{};
   constexpr JointVector zero{};
   for (std::size_t i = 0; i < n; ++i) p[i] = v[i] = 0.0;
-  if (corrected_) {
-    corrected_->momentum(q, dq, std::span(p).first(n), std::span(corrected_beta).first(n));
+  terms_.look(q, dq, presliding, beta);
+  if (terms_.corrects_model())
     for (std::size_t i = 0; i < n; ++i) {
-      p[i] = momentum[i] - p[i];
-      v[i] = beta[i] - corrected_beta[i];
+      p[i] = momentum[i] - terms_.corrected_momentum()[i];
+      v[i] = beta[i] - terms_.corrected_beta()[i];
     }
-  }
-  const std::span<const double> loads[] = {beta, std::span(corrected_beta).first(n)};
   for (std::size_t m = 0; m < terms_.size(); ++m) {
-    const std::span<const double> load = loads[is_load(terms_[m]) ? terms_[m].form : 0];
-    const double value = term_value(terms_[m], q, dq, presliding, load);
-    JointVector& to = terms_[m].kind == TermKind::momentum ? p : v;
+    const double value = terms_.value(m);
+    JointVector& to = is_momentum(terms_[m]) ? p : v;
     for (std::size_t i = 0; i < n; ++i) to[i] += weights_[i * terms_.size() + m] * value;
-    const double off = term_doubt(terms_[m], presliding, load);
+    const double off = terms_.doubt(m);
     for (std::size_t i = 0; off > 0 && i < n; ++i) unknown[i] += std::fabs(weights_[i * terms_.size() + m]) * off;
   }
   // The filter is linear and never changes a sign, so that of a bound is the bound of what is filtered.

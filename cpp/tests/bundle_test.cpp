@@ -1,4 +1,5 @@
 #include "tauext/bundle.hpp"
+#include "tauext/estimates.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -33,9 +34,9 @@ Bundle make_bundle() { return made::bundle(2, 7, 5, 10, 1); }
 void a_saved_bundle_loads_the_same_and_says_the_same() {
   const Bundle b = make_bundle();
   const std::string path = folder + "/same.tauext", again = folder + "/again.tauext";
-  save(b, path);
-  const Bundle loaded = load(path);
-  save(loaded, again);
+  save_bundle(b, path);
+  const Bundle loaded = load_bundle(path);
+  save_bundle(loaded, again);
   CHECK(read(path) == read(again));
   const Reference& r = b.reference;
   const RecordingView view{static_cast<std::int64_t>(r.t_ns.size()), 2, r.t_ns.data(), r.q.data(), r.dq.data(), r.tau.data()};
@@ -46,18 +47,18 @@ void a_saved_bundle_loads_the_same_and_says_the_same() {
 
 void every_truncation_and_every_flipped_byte_is_refused() {
   const std::string path = folder + "/good.tauext", bad = folder + "/bad.tauext";
-  save(make_bundle(), path);
+  save_bundle(make_bundle(), path);
   const std::vector<char> good = read(path);
   for (std::size_t size = 0; size < good.size(); size += 7) {
     write(bad, {good.begin(), good.begin() + static_cast<std::ptrdiff_t>(size)});
-    CHECK_THROWS(load(bad), Error);
+    CHECK_THROWS(load_bundle(bad), Error);
   }
   for (std::size_t at = 0; at < good.size(); at += 11) {
     if (at >= 12 && at < 16) continue;  // the minor version may differ
     std::vector<char> flipped = good;
     flipped[at] = static_cast<char>(flipped[at] ^ 0x10);
     write(bad, flipped);
-    CHECK_THROWS(load(bad), Error);
+    CHECK_THROWS(load_bundle(bad), Error);
   }
 }
 
@@ -79,7 +80,7 @@ template <class Change>
 void refused_after(const char* part_of_message, Change change) {
   Bundle b = make_bundle();
   change(b);
-  refused(part_of_message, [&] { save(b, folder + "/refused.tauext"); });
+  refused(part_of_message, [&] { save_bundle(b, folder + "/refused.tauext"); });
 }
 
 void contents_that_do_not_fit_are_refused_by_name() {
@@ -154,8 +155,8 @@ void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
     std::memcpy(bytes.data() + 8, &major, sizeof major);
     return [bytes] { from_bytes(bytes); };
   };
-  refused("version 5, this program reads versions 3 to 4; it was made by a newer tauext", with_version(kBundleMajor + 1));
-  refused("version 2, this program reads versions 3 to 4; train it again", with_version(kOldestBundleMajor - 1));
+  refused("version 6, this program reads versions 3 to 5; it was made by a newer tauext", with_version(kBundleMajor + 1));
+  refused("version 2, this program reads versions 3 to 5; train it again", with_version(kOldestBundleMajor - 1));
   std::vector<char> bytes = good;
   bytes.push_back(0);
   refused("something appended", [&] { from_bytes(bytes); });
@@ -166,7 +167,7 @@ void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
   std::memcpy(bytes.data() + 24, &crc, sizeof crc);
   refused("does not know", [&] { from_bytes(bytes); });
   refused("not a tauext bundle", [] { from_bytes(std::vector<char>(64, 'x')); });
-  refused("cannot be opened", [] { load(folder + "/none.tauext"); });
+  refused("cannot be opened", [] { load_bundle(folder + "/none.tauext"); });
 }
 
 // Widths alone are no prior: they tell the region of a limit.
@@ -214,13 +215,109 @@ void a_drift_tracker_is_saved_and_one_that_makes_no_sense_is_refused_by_name() {
   spoilt("drift.freeze_s = 61", [](DriftSettings& d) { d.freeze_s = 61; });
 }
 
+// Two joints, the second of which slides; one was trained on amperes.
+Bundle make_scaled_bundle() {
+  Bundle b = make_bundle();
+  b.links[1].type = JointType::prismatic;
+  b.observer.nm_per_unit = {2.5, -0.5};
+  b.units.given = TorqueUnit::ampere;
+  answer_reference(b);
+  return b;
+}
+
+void torque_constants_are_applied_saved_and_refused_by_name() {
+  const Bundle b = make_scaled_bundle(), loaded = from_bytes(to_bytes(b));
+  CHECK(loaded.observer.nm_per_unit == b.observer.nm_per_unit && loaded.units.given == TorqueUnit::ampere);
+  // The same numbers given in N m to a bundle without constants.
+  Bundle plain = b;
+  plain.observer.nm_per_unit.clear();
+  plain.units = {};
+  for (std::size_t k = 0; k < plain.reference.tau.size(); ++k) plain.reference.tau[k] *= k % 2 ? -0.5 : 2.5;
+  answer_reference(plain);
+  CHECK(plain.reference.residual == b.reference.residual && plain.reference.network == b.reference.network);
+  const auto view = [](const Reference& r) {
+    return RecordingView{static_cast<std::int64_t>(r.t_ns.size()), 2, r.t_ns.data(), r.q.data(), r.dq.data(), r.tau.data()};
+  };
+  CHECK(estimate(b, view(b.reference), 1).residual == estimate(plain, view(plain.reference), 1).residual);
+  const auto spoilt = [](const char* part, void (*change)(Bundle&)) {
+    refused_after(part, [&](Bundle& c) {
+      c = make_scaled_bundle();
+      change(c);
+    });
+  };
+  spoilt("nm_per_unit has 1 values where 2 belong", [](Bundle& c) { c.observer.nm_per_unit.pop_back(); });
+  spoilt("nm_per_unit = 0 must be finite and not 0", [](Bundle& c) { c.observer.nm_per_unit[1] = 0; });
+  spoilt("nm_per_unit = nan", [](Bundle& c) { c.observer.nm_per_unit[0] = NAN; });
+  spoilt("units.given", [](Bundle& c) { c.units.given = static_cast<TorqueUnit>(3); });
+  spoilt("units.relative_to = 2", [](Bundle& c) { c.units.relative_to = 2; });
+  spoilt("units.unknown has 1", [](Bundle& c) { c.units.unknown = {1}; });
+  spoilt("units.unknown = 2", [](Bundle& c) { c.units.unknown = {0, 2}; });
+  spoilt("there are none", [](Bundle& c) {
+    c.units.relative_to = 0;
+    c.observer.nm_per_unit.clear();
+    answer_reference(c);
+  });
+}
+
+void units_are_told() {
+  const auto told = [](const Bundle& b) {
+    return b.torque_unit(0) + "|" + b.torque_unit(1) + "|" + b.estimate_unit(0) + "|" + b.estimate_unit(1);
+  };
+  Bundle b = make_scaled_bundle();
+  CHECK(told(b) == "A|A|N m|N");
+  b.units.unknown = {1, 0};
+  CHECK(told(b) == "A|A|A|N");
+  b.units.relative_to = 1;
+  CHECK(told(b) == "A|A|A|units of joint2");
+  b.units.given = TorqueUnit::recorded;
+  CHECK(told(b) == "recorded unit|recorded unit|recorded unit|units of joint2");
+  b.observer.nm_per_unit.clear();
+  b.units = {};
+  CHECK(told(b) == "N m|N|N m|N");
+  b.observer.method = ResidualMethod::energy;
+  CHECK(told(b) == "N m|N|W|W");
+  b.units.given = TorqueUnit::ampere;  // nobody knows what a product of amperes and speeds is
+  CHECK(told(b) == "A|A|A|A");
+}
+
+// Format 4 held them in its provenance, and its loop was told to apply them.
+void an_old_bundle_with_torque_constants_is_refused_with_the_command_that_converts_it() {
+  Bundle b = make_bundle();
+  const auto as_format_4 = [](const Bundle& bundle) {
+    std::vector<char> bytes = to_bytes(bundle);
+    // Without constants and units, which stand as (u64 0, u8 0, i32 -1, u64 0) behind the two filters.
+    const std::size_t name = 28 + 8 + bundle.name.size(), links_at = name + 8 + bundle.provenance.size();
+    std::size_t at = links_at + 8;
+    for (const Link& link : bundle.links) at += 8 + link.joint_name.size() + 4 + 1 + 8 * (9 + 3 + 1 + 3 + 6 + 1);
+    at += 8 * 3 + 8 + 1 + 8 + 4 + 1 + 8 + 8;
+    bytes.erase(bytes.begin() + static_cast<std::ptrdiff_t>(at), bytes.begin() + static_cast<std::ptrdiff_t>(at) + 21);
+    const std::uint32_t major = 4, crc = crc32(std::span(bytes).subspan(28));
+    const std::uint64_t size = bytes.size() - 28;
+    std::memcpy(bytes.data() + 8, &major, sizeof major);
+    std::memcpy(bytes.data() + 16, &size, sizeof size);
+    std::memcpy(bytes.data() + 24, &crc, sizeof crc);
+    return bytes;
+  };
+  b.provenance = R"({"settings": {"fit_torque_constants": true}})";
+  CHECK(from_bytes(as_format_4(b)).reference.residual == b.reference.residual);
+  b.provenance = R"({"torque_constants": {"used": [2.0, 3.0]}})";
+  refused("tauext convert OLD.tauext", [&] { from_bytes(as_format_4(b)); });
+  CHECK(from_old_bytes(as_format_4(b)).provenance == b.provenance);
+  refused("needs no conversion", [&] { from_old_bytes(to_bytes(b)); });
+}
+
+void numbers_that_would_overflow_the_network_are_refused() {
+  refused_after("the network overflows", [](Bundle& b) { b.parameters[0] = 2e37f; });
+  refused_after("output_scale_nm = 1e+201 must be 0 to 1e200", [](Bundle& b) { b.output_scale_nm[0] = 1e201; });
+}
+
 void the_plain_observer_needs_no_network() {
   Bundle b = make_bundle();
   b.shape = {};
   b.parameters.clear();
   answer_reference(b);
-  save(b, folder + "/observer.tauext");
-  CHECK(!load(folder + "/observer.tauext").has_network());
+  save_bundle(b, folder + "/observer.tauext");
+  CHECK(!load_bundle(folder + "/observer.tauext").has_network());
 }
 
 }  // namespace
@@ -235,6 +332,10 @@ int main() {
   other_versions_and_bytes_that_do_not_belong_are_refused_by_name();
   every_method_and_filter_is_kept_and_widths_go_with_them();
   a_drift_tracker_is_saved_and_one_that_makes_no_sense_is_refused_by_name();
+  torque_constants_are_applied_saved_and_refused_by_name();
+  units_are_told();
+  an_old_bundle_with_torque_constants_is_refused_with_the_command_that_converts_it();
+  numbers_that_would_overflow_the_network_are_refused();
   the_plain_observer_needs_no_network();
   std::filesystem::remove_all(folder);
   return check::result();

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "tauext/bundle.hpp"
+#include "tauext/estimates.hpp"
 
 namespace made {
 

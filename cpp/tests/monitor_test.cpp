@@ -66,7 +66,7 @@ void online_equals_offline(const Bundle& bundle) {
   for (std::int64_t k = 0; k < s.samples(); ++k) {
     const Estimate& e = monitor.step(s.at(k));
     const auto row = static_cast<std::size_t>(k);
-    CHECK((e.health == Health::ok) == (offline.healthy[row] == 1));
+    CHECK(static_cast<std::uint8_t>(e.health) == offline.health[row] && e.causes == offline.causes[row]);
     CHECK(e.detection == (offline.detection[row] == 1));
     healthy += e.health == Health::ok;
     detections += e.detection;

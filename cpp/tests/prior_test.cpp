@@ -11,6 +11,7 @@
 #include "made_bundle.hpp"
 #include "made_signals.hpp"
 #include "tauext/monitor.hpp"
+#include "tauext/observation.hpp"
 
 using namespace tauext;
 using made::kMs, made::sampled, made::Signals;
@@ -361,7 +362,7 @@ void online_equals_offline_to_the_last_bit_with_a_prior_of_every_kind() {
       for (std::int64_t k = 0; k < s.samples(); ++k) {
         const Estimate& e = monitor.step(s.at(k));
         const auto row = static_cast<std::size_t>(k);
-        CHECK((e.health == Health::ok) == (offline.healthy[row] == 1));
+        CHECK(static_cast<std::uint8_t>(e.health) == offline.health[row] && e.causes == offline.causes[row]);
         CHECK(e.detection == (offline.detection[row] == 1));
         healthy += e.health == Health::ok;
         detections += e.detection;

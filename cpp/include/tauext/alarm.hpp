@@ -14,6 +14,8 @@ enum class Alarm : std::uint8_t {
   collision,  // over the collision limit for its hold time; stays until acknowledged
 };
 
+const char* name(Alarm alarm) noexcept;
+
 // Judges one sample after the other. Knows nothing of health: the caller says whether tau_ext can be trusted.
 class AlarmStage {
  public:

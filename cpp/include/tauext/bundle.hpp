@@ -16,7 +16,7 @@
 
 namespace tauext {
 
-inline constexpr std::uint32_t kBundleMajor = 4;        // what is written
+inline constexpr std::uint32_t kBundleMajor = 5;        // what is written
 inline constexpr std::uint32_t kOldestBundleMajor = 3;  // what is still read; fields that it lacks keep their defaults
 
 // A short stretch of free motion and what the chain said at its last sample; replayed at load.
@@ -27,6 +27,23 @@ struct Reference {
 };
 // Processors differ in the last bits (fused operations); a damaged or foreign network differs by far more.
 inline constexpr double kReferenceTolerance = 1e-4;  // times the largest magnitude of the reference, at least 1 N m
+
+// What a number of tau stands for, and what a number of the answer does. Torque constants, which turn the one into the
+// other, stand in ObserverSettings.
+enum class TorqueUnit : std::uint8_t {  // the numbers stand in bundles
+  newton_metre = 0,                     // N at a sliding joint
+  ampere = 1,
+  recorded = 2,                         // as the recordings had it; nobody said what that is
+};
+struct TorqueUnits {
+  TorqueUnit given = TorqueUnit::newton_metre;  // of the tau that the chain is given
+  int relative_to = -1;               // the joint in whose given unit torques are answered; -1: N m
+  std::vector<std::uint8_t> unknown = {};  // a joint: 1 where its constant is not known, so that it answers in its given unit;
+                                      // empty: none is
+
+  // Throws Error, naming what does not fit; `constants`: the bundle has torque constants.
+  void validate(int joints, bool constants) const;
+};
 
 // The network is absent where shape.hidden is 0: the plain observer.
 struct Bundle {
@@ -45,43 +62,37 @@ struct Bundle {
   Limits limits;
   DriftSettings drift;
   SignalRanges signals;
+  TorqueUnits units;
   Reference reference;
 
   int joints() const noexcept { return static_cast<int>(links.size()); }
   bool has_network() const noexcept { return shape.hidden > 0; }
   // Of feature_rows(): q, dq and presliding states of every joint.
   int columns() const noexcept { return joints() * (2 + static_cast<int>(prior.widths_rad.size())); }
+  // The network's windows, without the rows that they are read from.
+  WindowRows windows() const noexcept {
+    return {nullptr, 0, columns(), observer.network_stride, window_steps, inputs};
+  }
+  // Unit of the tau that is given of a joint, and of the torques that are answered: "N m", "N", "A", "recorded unit",
+  // "units of JOINT", or "W" of the energy observer. Throws std::out_of_range where there is no such joint.
+  std::string torque_unit(int joint) const;
+  std::string estimate_unit(int joint) const;
   // Throws Error, naming what does not fit.
   void validate() const;
 };
 
-// What the chain says of a recording, one row a sample.
-struct Estimates {
-  std::vector<double> residual;       // (samples, joints), [N m]
-  std::vector<double> prior;          // (samples, joints), [N m]; 0 where there is none
-  std::vector<double> network;        // (samples, joints), [N m]; NaN while warming up, 0 where there is no network
-  std::vector<double> drift;          // (samples, joints), [N m]: what the tracker takes off; 0 where there is none
-  std::vector<double> tau_ext;        // residual - (prior + network + drift); NaN while warming up
-  std::vector<double> doubt;          // (samples, joints), [N m]: of the prior; 0 where there is none
-  std::vector<double> limit_nm;       // (samples, joints): of a collision, raised by the doubt
-  std::vector<std::uint8_t> near_stiction;  // (samples, joints)
-  std::vector<std::uint8_t> healthy;  // (samples): observer warm and window full
-  std::vector<std::uint8_t> detection;  // (samples): healthy, and some |tau_ext| over its limit
-  std::vector<std::uint8_t> alarm;      // (samples): level of Alarm that is held at this sample, without latch
-};
-
-// The whole chain on a recording. Throws Error where the recording's joints, rate or times do not fit.
-Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads);
-
 // Fills the answers of bundle.reference from its samples. Throws Error where they are too few to fill a window.
 void answer_reference(Bundle& bundle);
 
-// All throw Error with the reason; save writes under a temporary name and renames. Every length is checked against what
+// All throw Error with the reason; save_bundle writes under a temporary name and renames. Every length is checked against what
 // is there before it is used, the checksum before anything else, and the reference is replayed.
-void save(const Bundle& bundle, const std::string& path);
-Bundle load(const std::string& path);
+void save_bundle(const Bundle& bundle, const std::string& path);
+Bundle load_bundle(const std::string& path);
 std::vector<char> to_bytes(const Bundle& bundle);
 Bundle from_bytes(std::span<const char> bytes);
+// A bundle of format 3 or 4, whose provenance may hold torque constants that its loop was told to apply: as it was
+// written, its fields without them. For `tauext convert`, which puts them there.
+Bundle from_old_bytes(std::span<const char> bytes);
 // CRC-32 of zlib and Ethernet, continued from `crc`.
 std::uint32_t crc32(std::span<const char> bytes, std::uint32_t crc = 0) noexcept;
 

@@ -8,11 +8,12 @@
 
 namespace tauext {
 
+// The numbers stand in bundles.
 enum class ResidualMethod : std::uint8_t {
-  momentum,  // MomentumObserver
-  direct,    // the others: ComparisonResidual
-  velocity,
-  energy,
+  momentum = 0,  // MomentumObserver
+  direct = 1,    // the others: ComparisonResidual
+  velocity = 2,
+  energy = 3,
 };
 
 const char* name(ResidualMethod method) noexcept;  // empty where it is none

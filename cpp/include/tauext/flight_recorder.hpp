@@ -18,9 +18,9 @@ struct FlightSettings {
 struct Flight {
   std::int64_t event_row = 0;
   std::vector<std::int64_t> t_ns;                                               // (samples)
-  std::vector<double> q, dq, tau, residual, prior, drift, uncertainty, tau_ext, limit_nm;  // (samples, joints)
-  std::vector<std::uint32_t> near_stiction, causes;                             // (samples): bits
-  std::vector<std::uint8_t> health, alarm, detection;                           // (samples)
+  std::vector<double> q, dq, tau, residual, prior, network, drift, tau_ext, limit_nm;  // (samples, joints)
+  std::vector<std::uint32_t> near_stiction, causes;                         // (samples): bits
+  std::vector<std::uint8_t> health, alarm, held_alarm, detection;                 // (samples)
   Estimate event;  // what the monitor said at the event
 };
 
@@ -50,7 +50,7 @@ class FlightRecorder {
     std::vector<std::int64_t> t_ns;
     std::vector<double> signals;  // (capacity, 9 joints)
     std::vector<std::uint32_t> near_stiction, causes;
-    std::vector<std::uint8_t> health, alarm, detection;
+    std::vector<std::uint8_t> health, alarm, held_alarm, detection;
     std::int64_t next = 0, count = 0;  // row to be written, rows written
     std::int64_t event = -1;           // row count at the event, -1 without one
     Estimate estimate;

@@ -62,6 +62,10 @@ void lstm_forward(const LstmShape& shape, std::span<const float> parameters, con
 // own: batch and monitor must agree to the last bit.
 double network_torque_nm(double scale_nm, float output) noexcept;
 
+// The largest |input| with which no sum of the network can overflow, so that its answer is finite whatever it is given.
+// Throws Error where parameters are so large that there is none.
+float largest_lstm_input(const LstmShape& shape, std::span<const float> parameters);
+
 // sigmoid and tanh as the network computes them, for the test of their stated error: at most 5e-7 absolute.
 void lstm_activations(std::span<const float> x, std::span<float> sigmoid, std::span<float> tanh);
 

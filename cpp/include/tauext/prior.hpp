@@ -14,20 +14,21 @@
 namespace tauext {
 
 // A regressor. Joints are counted from 0; `speed` is a smoothing of the sign of a speed: tanh(dq / speed), [rad/s].
-// Those below `momentum` act as a torque, momentum as a generalised momentum of which the observer takes the derivative.
+// All act as a torque but momentum, a generalised momentum of which the observer takes the derivative.
+// The numbers stand in bundles: a new kind gets the next one wherever it is listed, and none is ever used again.
 enum class TermKind : std::uint8_t {
-  constant,    // 1
-  viscous,     // dq_a
-  coulomb,     // tanh(dq_a / speed)
-  presliding,  // state of joint a for width b
-  load,        // |beta_a| tanh(dq_a / speed): friction that grows with the load on the gear;
-               // form 0 beta of the estimated model, 1 of the corrected one
-  load_presliding,  // |beta_a| times the state of joint a for width b; forms as load
-  ripple,      // of motor and gear, b cycles a turn: form 0 sin(b q_a), 1 cos(b q_a)
-  gravity,     // form 0 sin a, 1 cos a, 2 sin a sin b, 3 sin a cos b, 4 cos a sin b, 5 cos a cos b;
-               // 6 to 13: a product of three, form - 6 = 4 [cos a] + 2 [cos b] + [cos c], sin where that is 0
-  quadratic,   // dq_a dq_b times form 0 sin c, 1 cos c
-  momentum,    // dq_a times form 0 1, 1 cos b, 2 sin b
+  constant = 0,         // 1
+  viscous = 1,          // dq_a
+  coulomb = 2,          // tanh(dq_a / speed)
+  presliding = 3,       // state of joint a for width b
+  load = 4,             // |beta_a| tanh(dq_a / speed): friction that grows with the load on the gear;
+                        // form 0 beta of the estimated model, 1 of the corrected one
+  load_presliding = 5,  // |beta_a| times the state of joint a for width b; forms as load
+  ripple = 6,           // of motor and gear, b cycles a turn: form 0 sin(b q_a), 1 cos(b q_a)
+  gravity = 7,          // form 0 sin a, 1 cos a, 2 sin a sin b, 3 sin a cos b, 4 cos a sin b, 5 cos a cos b;
+                        // 6 to 13: a product of three, form - 6 = 4 [cos a] + 2 [cos b] + [cos c], sin where that is 0
+  quadratic = 8,        // dq_a dq_b times form 0 sin c, 1 cos c
+  momentum = 9,         // dq_a times form 0 1, 1 cos b, 2 sin b
 };
 
 struct Term {
@@ -46,6 +47,46 @@ struct PriorSettings {
   bool empty() const noexcept { return terms.empty() && corrected_links.empty(); }
   // Throws Error, naming what does not fit `joints`.
   void validate(int joints) const;
+};
+
+inline bool is_load(const Term& term) noexcept {
+  return term.kind == TermKind::load || term.kind == TermKind::load_presliding;
+}
+inline bool is_presliding(const Term& term) noexcept {
+  return term.kind == TermKind::presliding || term.kind == TermKind::load_presliding;
+}
+inline bool is_momentum(const Term& term) noexcept { return term.kind == TermKind::momentum; }
+
+// Terms of a prior at one sample after the other.
+class PriorTerms {
+ public:
+  // Of settings that fit.
+  PriorTerms(const PriorSettings& settings, const std::array<double, 3>& gravity);
+
+  // One sample, with beta of the estimated model. All of it must stay where it is until the next one.
+  void look(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
+            std::span<const double> beta) noexcept;
+  // Value of a term; those of momentum give their momentum.
+  double value(std::size_t term) const noexcept;
+  // How far from that the term may be while its presliding state is not determined.
+  double doubt(std::size_t term) const noexcept;
+
+  std::size_t size() const noexcept { return terms_.size(); }
+  const Term& operator[](std::size_t term) const noexcept { return terms_[term]; }
+  bool corrects_model() const noexcept { return corrected_.has_value(); }
+  // p and beta of the corrected model, where there is one.
+  std::span<const double> corrected_momentum() const noexcept { return {corrected_momentum_.data(), q_.size()}; }
+  std::span<const double> corrected_beta() const noexcept { return {corrected_beta_.data(), q_.size()}; }
+
+ private:
+  // beta of the model that a load term asks for.
+  double load_nm(const Term& term) const noexcept;
+
+  std::vector<Term> terms_;
+  std::optional<Tree> corrected_;
+  JointVector corrected_momentum_{}, corrected_beta_{};
+  std::span<const double> q_, dq_, beta_;
+  const Presliding* presliding_ = nullptr;
 };
 
 // Evaluates terms and passes their weighted sum through the observer's own filter, so that it stands beside r:
@@ -82,23 +123,10 @@ class Prior {
 
  private:
   int joints_;
-  std::vector<Term> terms_;
+  PriorTerms terms_;
   std::vector<double> weights_;
   bool has_presliding_;
-  std::optional<Tree> corrected_;
   State state_;
 };
-
-inline bool is_load(const Term& term) noexcept {
-  return term.kind == TermKind::load || term.kind == TermKind::load_presliding;
-}
-inline bool is_presliding(const Term& term) noexcept {
-  return term.kind == TermKind::presliding || term.kind == TermKind::load_presliding;
-}
-// Value of a term at one sample; momentum terms give their momentum. beta is that of the model which a load term asks for.
-double term_value(const Term& term, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
-                  std::span<const double> beta) noexcept;
-// How far from that the term may be while its presliding state is not determined.
-double term_doubt(const Term& term, const Presliding& presliding, std::span<const double> beta) noexcept;
 
 }  // namespace tauext

@@ -101,9 +101,13 @@ void tauext_monitor_close(tauext_monitor* monitor); /* NULL is allowed */
 
 int32_t tauext_monitor_joints(const tauext_monitor* monitor);
 const char* tauext_monitor_joint_name(const tauext_monitor* monitor, int32_t joint); /* NULL: no such joint */
+/* Unit of the tau that is to be given of a joint, and of the torques in the answers: "N m", "N", "A", "recorded unit",
+ * "units of JOINT", "W". NULL: no such joint. Ask them once: a bundle that was trained on currents takes amperes. */
+const char* tauext_monitor_torque_unit(const tauext_monitor* monitor, int32_t joint);
+const char* tauext_monitor_estimate_unit(const tauext_monitor* monitor, int32_t joint);
 int64_t tauext_monitor_sample_period_ns(const tauext_monitor* monitor);
 
-/* q [rad], dq [rad/s], tau [N m]: one value a joint. estimate may be NULL. A bad signal is no error of the call: it is
+/* q [rad], dq [rad/s], tau in the unit that tauext_monitor_torque_unit names: one value a joint. estimate may be NULL. A bad signal is no error of the call: it is
  * answered in estimate->health. */
 tauext_status tauext_monitor_step(tauext_monitor* monitor, int64_t t_ns, const double* q, const double* dq,
                                   const double* tau, tauext_estimate* estimate);

@@ -8,7 +8,7 @@
 
 namespace tauext {
 
-enum class JointType : std::uint8_t { revolute, prismatic };
+enum class JointType : std::uint8_t { revolute = 0, prismatic = 1 };  // the numbers stand in bundles
 
 // One moving link and the joint that carries it. The joint axis is the link frame's +z, its origin the frame's origin.
 struct Link {

@@ -15,10 +15,11 @@ inline constexpr int kMaxNetworkStride = 10000;  // samples in a network period
 using JointVector = std::array<double, kMaxJoints>;
 
 // What a torque sample means; getting it wrong puts a false residual of tenths to whole newton metres into the observer.
+// The numbers stand in bundles.
 enum class TorqueTiming : std::uint8_t {
-  held,      // acts from its stamp to the next one: a commanded torque
-  instant,   // a measurement at its stamp
-  averaged,  // the mean over the step that ends at its stamp
+  held = 0,      // acts from its stamp to the next one: a commanded torque
+  instant = 1,   // a measurement at its stamp
+  averaged = 2,  // the mean over the step that ends at its stamp
 };
 
 // later - earlier >= 0 for any two stamps: their difference may not fit a signed number.

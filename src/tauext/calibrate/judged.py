@@ -9,6 +9,7 @@ import numpy as np
 from tauext import _core
 from tauext.config import FreeMotionConfig, warm_up_s
 from tauext.data import Recording, free_samples
+from tauext.data.estimates import OK
 from tauext.errors import TrainingError
 
 
@@ -35,7 +36,7 @@ def errors(
     said = _core.estimate(judged.bundle or bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads)
     counted = np.zeros(recording.samples, dtype=bool)
     counted[judged.span] = True
-    counted &= said["healthy"].astype(bool) & free_samples(recording, margins)
+    counted &= (said["health"] == OK) & free_samples(recording, margins)
     # What the prior's doubt raises the limits by is no error that limits must stand.
     error = np.maximum(np.abs(said["tau_ext"]) - said["doubt"], 0)
     return recording.t_ns, error, said["near_stiction"].astype(bool), counted

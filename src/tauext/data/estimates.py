@@ -33,8 +33,9 @@ class Estimates:
     detection: np.ndarray  # (samples,) bool: healthy and some |tau_ext| over its limit
     prior: np.ndarray | None = None  # (samples, joints); None where the bundle has none
     drift: np.ndarray | None = None  # (samples, joints): what the tracker takes off; None where the bundle has none
-    alarm: np.ndarray | None = None  # (samples,) int8: 0 none, 1 contact, 2 collision; latched by a monitor
-    causes: np.ndarray | None = None  # (samples,) uint32: bits, why health is not ok; of a monitor only
+    held_alarm: np.ndarray | None = None  # (samples,) int8: held at it: 0 none, 1 contact, 2 collision
+    alarm: np.ndarray | None = None  # (samples,) int8: the same, latched; of a monitor, which somebody acknowledges
+    causes: np.ndarray | None = None  # (samples,) uint32: bits, why health is not ok
 
     @property
     def healthy(self) -> np.ndarray:
@@ -42,15 +43,17 @@ class Estimates:
 
     @property
     def uncertainty(self) -> np.ndarray:
-        """What is taken for no contact: prior and network, (samples, joints), [N m]."""
-        return self.network if self.prior is None else self.prior + self.network
+        """r expected in free motion: prior, network and drift, (samples, joints), [N m]."""
+        parts = [part for part in (self.prior, self.network, self.drift) if part is not None]
+        return np.sum(parts, axis=0, dtype=np.float32)
 
 
 TORQUES = ("r", "network", "tau_ext", "limit")
 OPTIONAL = ("prior", "drift")
 """Torques that some bundles have; a file holds their columns or not."""
-MONITORED = {"alarm": np.int8, "causes": np.uint32}
-"""Columns that only a monitor knows; a file holds them or not."""
+STATES = {"held_alarm": np.int8, "alarm": np.int8, "causes": np.uint32}
+"""Columns that a file holds or not."""
+FORMAT = "2"
 
 
 def save_estimates(estimates: Estimates, path: Path) -> None:
@@ -65,11 +68,11 @@ def save_estimates(estimates: Estimates, path: Path) -> None:
         values = getattr(estimates, signal)
         columns |= {f"{signal}_{joint}": np.ascontiguousarray(values[:, j]) for j, joint in enumerate(estimates.joints)}
     columns |= {"health": estimates.health, "detection": estimates.detection}
-    for name, kind in MONITORED.items():
+    for name, kind in STATES.items():
         if getattr(estimates, name) is not None:
             columns[name] = getattr(estimates, name).astype(kind)
     table = pa.table(columns).replace_schema_metadata(
-        {"tauext_estimates_format": "1", "joints": json.dumps(estimates.joints)}
+        {"tauext_estimates_format": FORMAT, "joints": json.dumps(estimates.joints)}
     )
     torques = [f"{signal}_{joint}" for signal in torque_names for joint in estimates.joints]
     part = path.with_name(path.name + ".part")
@@ -90,7 +93,9 @@ def save_estimates(estimates: Estimates, path: Path) -> None:
 
 
 def load_estimates(path: Path) -> Estimates:
-    """Read what save_estimates wrote; `alarm` and `causes` are None where the file has no such column.
+    """Read what save_estimates wrote; what the file has no column for is None.
+
+    In format 1 `alarm` was the held level, but in files beside flights, which have `causes`.
 
     Raises:
         RecordingError: missing, damaged or foreign file.
@@ -105,7 +110,10 @@ def load_estimates(path: Path) -> Estimates:
             if signal not in OPTIONAL or f"{signal}_{joints[0]}" in column
         }
         flags = {name: column[name] for name in ("health", "detection")}
-        return Estimates(joints, column["t_ns"], **signals, **flags, **{name: column.get(name) for name in MONITORED})
+        states = {name: column.get(name) for name in STATES}
+        if table.schema.metadata.get(b"tauext_estimates_format") == b"1" and states["causes"] is None:
+            states["held_alarm"], states["alarm"] = states["alarm"], None
+        return Estimates(joints, column["t_ns"], **signals, **flags, **states)
     except FileNotFoundError as error:
         raise RecordingError(
             f"{path}: there are no such estimates; `tauext evaluate` and `tauext run --flights` write them"

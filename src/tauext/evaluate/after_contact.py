@@ -47,7 +47,7 @@ class AfterContact:
             error = estimates.tau_ext[where == k].astype(float)
             self._square[k] += np.einsum("ij,ij->j", error, error)
         for name, level in LEVELS.items():
-            begun = where[beginnings(estimates.alarm >= level, round(QUIET_S * recording.rate_hz))]
+            begun = where[beginnings(estimates.held_alarm >= level, round(QUIET_S * recording.rate_hz))]
             self._begun[name] += np.bincount(begun + 1, minlength=bins + 1)[1:]
 
     def summary(self) -> dict:

@@ -6,7 +6,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.data import Recording
-from tauext.data.estimates import OK, WARMING_UP, Estimates
+from tauext.data.estimates import Estimates
 from tauext.errors import BundleError
 
 
@@ -21,16 +21,17 @@ def estimate(bundle: _core.Bundle, recording: Recording, threads: int) -> Estima
     return Estimates(
         joints=recording.joints,
         t_ns=recording.t_ns,
-        r=said["r"].astype(np.float32),
+        r=said["residual"].astype(np.float32),
         network=said["network"].astype(np.float32),
         tau_ext=said["tau_ext"].astype(np.float32),
         prior=said["prior"].astype(np.float32) if bundle.prior.terms or bundle.prior.corrected_links else None,
         drift=said["drift"].astype(np.float32) if bundle.drift.time_constant_s else None,
         limit=said["limit_nm"].astype(np.float32),
         near_stiction=said["near_stiction"].astype(bool),
-        health=np.where(said["healthy"].astype(bool), OK, WARMING_UP).astype(np.int8),
+        health=said["health"].astype(np.int8),
+        causes=said["causes"],
         detection=said["detection"].astype(bool),
-        alarm=said["alarm"].astype(np.int8),
+        held_alarm=said["held_alarm"].astype(np.int8),
     )
 
 

@@ -128,5 +128,5 @@ def free_part(recording: Recording, estimates: Estimates) -> Estimates:
         estimates,
         health=np.where(free | ~estimates.healthy, estimates.health, STALE).astype(np.int8),
         detection=estimates.detection & free,
-        alarm=None if estimates.alarm is None else np.where(free, estimates.alarm, 0).astype(np.int8),
+        held_alarm=None if estimates.held_alarm is None else np.where(free, estimates.held_alarm, 0).astype(np.int8),
     )

@@ -51,8 +51,8 @@ class FreeMotionErrors:
         self.recordings.append(recording.name)
         quiet = round(FALSE_ALARM_QUIET_S * recording.rate_hz)
         self.false_alarms += count_episodes(estimates.detection, quiet)
-        if estimates.alarm is not None:
-            self.false_collisions += count_episodes(estimates.alarm == COLLISION, quiet)
+        if estimates.held_alarm is not None:
+            self.false_collisions += count_episodes(estimates.held_alarm == COLLISION, quiet)
 
     def summary(self) -> dict:
         """The entry `free_motion` of results.json."""

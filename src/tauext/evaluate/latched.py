@@ -31,7 +31,7 @@ def judge_latched(
     first = max(collision.begin - 1 - long, 0)
     last = min(collision.end + round(GRACE_S * recording.rate_hz), recording.samples)
     part, window = slice(first, last), slice(collision.begin - first, last - first)
-    latched = _first_rise(estimates.alarm[part] == COLLISION, window)
+    latched = _first_rise(estimates.held_alarm[part] == COLLISION, window)
     sensor, strong = None, False
     if reference is not None:
         size, limit = np.abs(reference[part]), estimates.limit[part]

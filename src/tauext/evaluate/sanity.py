@@ -53,7 +53,7 @@ class Sanity:
     ) -> None:
         """Take in the collisions of one recording; of the estimates only the times and limits count."""
         alarm = self.alarms(number, recording)
-        said = replace(estimates, alarm=np.where(alarm, COLLISION, 0).astype(np.int8))
+        said = replace(estimates, held_alarm=np.where(alarm, COLLISION, 0).astype(np.int8))
         for touch in touches:
             self._latched.append(judge_latched(touch, recording, said, 0.0, None)["latched"])
             self._found.append(bool(alarm[touch.begin : touch.end + round(GRACE_S * recording.rate_hz)].any()))

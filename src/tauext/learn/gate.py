@@ -9,6 +9,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.data import Recording
+from tauext.data.estimates import OK
 
 
 @dataclass(frozen=True)
@@ -36,8 +37,8 @@ def apply_gate(bundle: _core.Bundle, validation: Sequence[Recording], margin: fl
     prior, both, samples = np.zeros(n), np.zeros(n), 0
     for recording in validation:
         said = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads)
-        healthy = said["healthy"].astype(bool)
-        prior += ((said["r"] - said["prior"])[healthy] ** 2).sum(axis=0)
+        healthy = said["health"] == OK
+        prior += ((said["residual"] - said["prior"])[healthy] ** 2).sum(axis=0)
         both += (said["tau_ext"][healthy] ** 2).sum(axis=0)
         samples += int(healthy.sum())
     prior, both = np.sqrt(prior / max(samples, 1)), np.sqrt(both / max(samples, 1))

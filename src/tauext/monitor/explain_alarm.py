@@ -49,9 +49,8 @@ def chain(flight: Flight, source: FlightSource) -> str:
     j = event.alarm_joint
     residual, uncertainty = event.residual[j], event.uncertainty[j]
     if source.has_prior:
-        network = uncertainty - event.prior[j] - event.drift[j]
         said = f"the prior expected {event.prior[j]:+.3f} Nm of it in free motion"
-        said += f" and the network {network:+.3f} Nm more" if source.has_network else ""
+        said += f" and the network {event.network[j]:+.3f} Nm more" if source.has_network else ""
         said += f", slow changes since training {event.drift[j]:+.3f} Nm" if source.has_drift else ""
         left = f"what is left is tau_ext = {event.tau_ext[j]:+.3f} Nm"
         return f"The observer said {residual:+.3f} Nm, {said}; {left}."

@@ -122,13 +122,14 @@ def as_estimates(flight: Flight, kept: np.ndarray, source: FlightSource) -> Esti
         joints=source.joints,
         t_ns=flight["t_ns"][kept],
         **{name: flight[key][kept].astype(np.float32) for name, key in torques.items()},
-        network=(flight["uncertainty"][kept] - prior - drift).astype(np.float32),
+        network=flight["network"][kept].astype(np.float32),
         prior=prior.astype(np.float32) if source.has_prior else None,
         drift=drift.astype(np.float32) if source.has_drift else None,
         near_stiction=flight["near_stiction"][kept].astype(bool),
         health=flight["health"][kept].astype(np.int8),
         detection=flight["detection"][kept].astype(bool),
         alarm=flight["alarm"][kept].astype(np.int8),
+        held_alarm=flight["held_alarm"][kept].astype(np.int8),
         causes=flight["causes"][kept].astype(np.uint32),
     )
 

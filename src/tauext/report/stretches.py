@@ -24,12 +24,15 @@ def stretches(holds: np.ndarray, time_s: np.ndarray, apart_s: float = 0.0) -> li
 
 
 def alarms(estimates: Estimates, time_s: np.ndarray) -> list[tuple[float, float, int]]:
-    """First and last time of every alarm and its level, collisions first; of detections, where no alarms are known."""
-    if estimates.alarm is None:
+    """First and last time of every alarm and its level, collisions first.
+
+    A monitor's are latched; without a monitor they last as long as they are held. Of detections, where no alarms are
+    known.
+    """
+    level_at = estimates.held_alarm if estimates.alarm is None else estimates.alarm
+    if level_at is None:
         return [(*one, COLLISION) for one in stretches(estimates.detection, time_s, APART_S)]
-    return [
-        (*one, level) for level in (COLLISION, CONTACT) for one in stretches(estimates.alarm == level, time_s, APART_S)
-    ]
+    return [(*one, level) for level in (COLLISION, CONTACT) for one in stretches(level_at == level, time_s, APART_S)]
 
 
 def gaps(t_ns: np.ndarray, gap_ns: float) -> list[Stretch]:

@@ -1,0 +1,85 @@
+// A sample after the network has spoken: external torque, drift, limits and alarm.
+#pragma once
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "tauext/alarm.hpp"
+#include "tauext/drift.hpp"
+#include "tauext/observe_stage.hpp"
+#include "tauext/sample.hpp"
+#include "tauext/types.hpp"
+
+namespace tauext {
+
+// What the chain says of one sample. A torque that does not exist is NaN: tau_ext, network, uncertainty and margin exist
+// where health is ok or stale, or kTorqueSaturated is all that is or was wrong.
+struct Estimate {
+  std::int64_t t_ns = 0;
+  int joints = 0;
+  Health health = Health::warming_up;
+  std::uint32_t causes = 0;         // bits of Cause
+  int cause_joint = -1;             // the first joint that a cause concerns
+  Alarm alarm = Alarm::none;        // latched
+  Alarm held_alarm = Alarm::none;   // what some joint is over at this sample, its hold time past; no latch
+  int alarm_joint = -1;             // that raised the alarm to its level
+  std::int64_t alarm_t_ns = 0;      // when it did
+  bool detection = false;           // some |tau_ext| over its collision limit, at this sample
+  std::uint32_t near_stiction = 0;  // a bit a joint: which of its limits holds
+  std::uint32_t drift_saturated = 0;  // a bit a joint: its drift is at the bound, and training anew is due
+  JointVector residual{};           // r of the observer, [N m]
+  JointVector prior{};              // what physics expects of r in free motion, [N m]
+  JointVector network{};            // what the network expects beside it, [N m]; 0 without one
+  JointVector drift{};              // what the tracker has learned since, [N m]; 0 without one
+  JointVector uncertainty{};        // r expected in free motion: prior + network + drift, [N m]
+  JointVector tau_ext{};            // residual - uncertainty, [N m]
+  JointVector doubt{};              // how far the prior may be off while presliding states are unknown, [N m]
+  JointVector limit_nm{};           // that |tau_ext| must exceed for a collision; doubt included
+  JointVector margin_nm{};          // limit - |tau_ext|
+
+  // The only thing that may be read as "no collision".
+  bool clear() const noexcept { return health == Health::ok && alarm == Alarm::none; }
+};
+
+class JudgeStage {
+ public:
+  // Of a bundle that holds together.
+  explicit JudgeStage(const Bundle& bundle);
+
+  // network: its outputs for the window that ends at this sample, in its own scale; empty where there is no network, and
+  // not looked at unless the sample is to be judged.
+  const Estimate& step(const Observed& observed, std::span<const double> dq, std::span<const float> network) noexcept;
+
+  void acknowledge() noexcept;
+  bool set_limit_factors(std::span<const double> collision, std::span<const double> contact) noexcept {
+    return alarm_.set_factors(collision, contact);
+  }
+  const LimitFactors& limit_factors() const noexcept { return alarm_.factors(); }
+  const Estimate& last() const noexcept { return estimate_; }
+  // As newly made.
+  void reset() noexcept;
+
+  struct State {
+    AlarmStage::State alarm;
+    LimitFactors factors;
+    DriftTracker::State drift;
+    Estimate estimate;
+  };
+  State state() const noexcept { return {alarm_.state(), alarm_.factors(), drift_.state(), estimate_}; }
+  void restore(const State& state) noexcept;
+
+ private:
+  void judge(const Observed& observed, std::span<const float> network) noexcept;
+  void blank(bool also_residual) noexcept;
+  void report_alarm() noexcept;
+  std::span<double> first_joints(JointVector& values) const noexcept {
+    return std::span(values).first(static_cast<std::size_t>(estimate_.joints));
+  }
+
+  std::vector<double> output_scale_nm_;
+  AlarmStage alarm_;
+  DriftTracker drift_;
+  Estimate estimate_;
+};
+
+}  // namespace tauext

@@ -1,0 +1,51 @@
+// A whole recording observed, for training: residuals, and the rows of the regular clock that features and targets of a
+// network are read from.
+#pragma once
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "tauext/residual.hpp"
+#include "tauext/sample.hpp"
+
+namespace tauext {
+
+// The residual of a whole recording, and where each sample stands on the regular clock. Row numbers run through the
+// recording; bridged ticks have rows of their own, a restart begins a new stretch at the next row.
+struct Observation {
+  std::vector<double> residual;             // (samples, joints), [N m]
+  std::vector<double> prior;                // (samples, joints), [N m]; empty where there is none
+  std::vector<double> doubt;                // (samples, joints), [N m]: how far the truth may lie from it; likewise
+  std::vector<float> presliding;            // (samples, joints x widths), in [-1, 1]
+  std::vector<std::int64_t> row;            // (samples)
+  std::vector<std::int64_t> stretch_begin;  // (samples): first row of the stretch that the sample stands in
+  std::vector<std::uint8_t> warm;           // (samples): 10/K0 after the stretch began, or later (ResidualStage)
+  std::int64_t row_count = 0;
+  std::int64_t held_rows = 0;  // ticks without a sample of their own
+  int restarts = 0;            // stretches after the first
+};
+
+// Throws Error where times do not increase, a number is not finite or the joints differ.
+Observation observe(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior,
+                    const RecordingView& recording);
+
+// The terms of a prior passed through the observer's filter one by one, for the fit: (rows, terms), one row for each of
+// `samples`, which rise. The same filter as Prior's: their weighted sum is the prior.
+std::vector<double> prior_regressors(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior,
+                                     const RecordingView& recording, std::span<const std::int64_t> samples);
+
+// Rows of features on the regular clock: q_1..q_n, dq_1..dq_n and the presliding states, each times its factor, in
+// float; (row_count, 2 joints + joints x widths). Bridged ticks hold the sample before.
+std::vector<float> feature_rows(const RecordingView& recording, const Observation& observation,
+                                std::span<const float> factors);
+
+// Where samples stand on the regular clock of a recording.
+struct RowCount {
+  std::int64_t row = -1, stretch_begin = 0;
+  void add(bool restarted, std::int64_t ticks) noexcept {
+    row += restarted ? 1 : ticks;
+    if (restarted) stretch_begin = row;
+  }
+};
+
+}  // namespace tauext

@@ -1,0 +1,138 @@
+// A sample before the network has spoken: whether it can be used, residual and prior, health.
+#pragma once
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "tauext/limits.hpp"
+#include "tauext/lstm.hpp"
+#include "tauext/residual.hpp"
+#include "tauext/sample.hpp"
+#include "tauext/signal_watch.hpp"
+
+namespace tauext {
+
+struct Bundle;
+
+// What became of a sample.
+enum class Passage : std::uint8_t {
+  entered,  // it went through the chain
+  held,     // left out; what was said before it stands
+  refused,  // left out as a fault; nothing that was said before it stands
+};
+
+// What is known of one sample before the network has spoken. Where it did not enter, only its time, passage, health and
+// causes hold.
+struct Observed {
+  std::int64_t t_ns = 0;
+  Passage passage = Passage::refused;
+  Health health = Health::warming_up;
+  std::uint32_t causes = 0;         // bits of Cause
+  int cause_joint = -1;             // the first joint that a cause concerns
+  bool restarted = false;           // the chain began anew with this sample
+  std::int64_t ticks = 0;           // since the last one that entered; 0 where restarted
+  bool warm = false;                // the residual is
+  bool overflowed = false;          // a number of the chain did: there is no residual either
+  bool judged = false;              // tau_ext exists, and is held against its limits
+  bool teaches = false;             // and the drift tracker may learn from it
+  std::uint32_t near_stiction = 0;  // a bit a joint: which of its limits holds
+  JointVector residual{}, prior{}, doubt{};  // [N m]
+};
+
+// Everything of the chain that does not depend on what the network says, one sample at a time: checks, clock, dynamics,
+// residual, prior, signal watch, health. Nothing here ever depends on the network, since every number that enters it is
+// kept small enough for its answer to be finite (largest_lstm_input): so a whole recording can be observed first and its
+// windows answered in bulk afterwards, and the answers are the control loop's.
+class ObserveStage {
+ public:
+  static constexpr double kLargest = 1e306;  // a torque beyond it counts as not finite: sums of a few would overflow
+
+  // Of training: nothing is watched but that numbers are finite and times increase. Throws Error as ResidualStage.
+  ObserveStage(const Tree& tree, const ObserverSettings& observer, const PriorSettings& prior);
+  // Of a bundle that holds together. answer_every: rows between two answers of its network.
+  ObserveStage(const Bundle& bundle, int answer_every);
+
+  // Nothing is skipped: a fault is told, and the chain begins anew with the next good sample.
+  const Observed& step(const Sample& sample) noexcept;
+  // The loop ran and no sample came: held for one network period, then a fault.
+  const Observed& no_sample(std::int64_t now_ns) noexcept;
+  // As ResidualStage; a bit a joint.
+  void forget_friction(std::uint32_t joints) noexcept;
+  // As newly made.
+  void reset() noexcept;
+
+  // Of the last sample that entered: the network's features, q, dq and presliding states times their factors; none where
+  // the bundle has no network.
+  std::span<const float> features() const noexcept { return row_; }
+  const Presliding& presliding() const noexcept { return residual_.presliding(); }
+
+  // Plain bytes, so that a monitor's state can be saved.
+  struct Progress {
+    std::uint64_t samples = 0, bridged = 0, restarts = 0;
+    bool started = false;           // a stretch is running or is to be continued
+    bool restart_next = false;      // a fault broke the chain
+    std::uint32_t causes = 0;       // of the warm-up that is running
+    int cause_joint = -1;
+    std::int64_t t_ns = 0;          // of the last sample that entered
+    std::int64_t row = 0;           // where it stands in its stretch, in ticks
+    std::int64_t saturated_ns = 0;  // last sample with a drive at its limit
+    bool saturated = false;         // and the observer has not forgotten it
+    Health told = Health::warming_up;  // of the last sample, entered or not
+    std::uint32_t told_causes = 0;
+    int told_joint = -1;
+  };
+  const Progress& progress() const noexcept { return progress_; }
+  struct State {
+    Progress progress;
+    ResidualStage::State residual;
+    SignalWatch::State watch;
+  };
+  State state() const noexcept { return {progress_, residual_.state(), watch_ ? watch_->state() : SignalWatch::State{}}; }
+  void restore(const State& state) noexcept;
+
+ private:
+  // What was found wrong at one sample, and whether tau_ext can be judged.
+  struct Findings {
+    std::uint32_t causes = 0;
+    int joint = -1;  // the first one concerned
+    bool trusted = true;
+    void add(Cause cause, int which) noexcept {
+      causes |= cause;
+      if (joint < 0) joint = which;
+    }
+  };
+
+  bool usable(const Sample& sample) noexcept;
+  void enter(const Sample& sample) noexcept;
+  void find_overflow(Findings& findings) noexcept;
+  void watch(const Sample& sample, Findings& findings) noexcept;
+  void conclude(const Findings& findings) noexcept;
+  void refuse(std::int64_t t_ns, std::uint32_t cause, int joint) noexcept;
+  void hold(std::int64_t t_ns, std::uint32_t cause) noexcept;
+  void tell() noexcept;
+  void write_features(const Sample& sample) noexcept;
+  std::span<const double> tau() const noexcept { return {tau_.data(), static_cast<std::size_t>(joints_)}; }
+
+  int joints_;
+  std::int64_t network_period_ns_;
+  double slowest_per_s_;
+  std::vector<double> nm_per_unit_;
+  ResidualStage residual_;
+  std::optional<SignalWatch> watch_;
+  std::optional<Limits> limits_;
+  std::vector<float> input_factors_, row_;
+  std::vector<double> states_;
+  float largest_input_ = 0;
+  std::int64_t reach_ = 0;  // rows that a window reaches back from its end; 0 without a network
+  std::int64_t answer_every_ = 1;
+  Progress progress_;
+  Observed observed_;
+  JointVector tau_{};  // of the sample, in the unit of the answers
+};
+
+// Features of a network from one sample: q, dq and presliding states, each times its factor, in float.
+void write_features(std::span<const double> q, std::span<const double> dq, std::span<const double> presliding,
+                    std::span<const float> factors, std::span<float> row) noexcept;
+
+}  // namespace tauext

@@ -1,0 +1,56 @@
+// One sample of an arm's signals, and what can be wrong with it.
+#pragma once
+#include <cstdint>
+#include <span>
+
+#include "tauext/types.hpp"
+
+namespace tauext {
+
+struct Sample {
+  std::int64_t t_ns = 0;
+  std::span<const double> q, dq, tau;  // a joint: [rad], [rad/s], tau in the bundle's given unit
+};
+
+// Samples one after the other; q, dq, tau are (samples, joints), row-major. Nothing is said of their values: times may
+// go backwards and numbers be NaN.
+struct RecordingView {
+  std::int64_t samples = 0;
+  int joints = 0;
+  const std::int64_t* t_ns = nullptr;
+  const double* q = nullptr;
+  const double* dq = nullptr;
+  const double* tau = nullptr;
+
+  Sample at(std::int64_t k) const noexcept {
+    const auto n = static_cast<std::size_t>(joints), from = static_cast<std::size_t>(k) * n;
+    return {t_ns[k], {q + from, n}, {dq + from, n}, {tau + from, n}};
+  }
+};
+
+// Whether the estimate can be trusted; apart from the alarm, so that a fault never hides a collision.
+enum class Health : std::uint8_t {
+  warming_up,  // observer or window not full yet: there is no estimate
+  ok,
+  stale,       // no new sample, or an old one: the last estimate is held
+  fault,       // the signals cannot be true or cannot be used
+};
+
+// Why health is not ok, or why it was not when the warm-up began; a bit each.
+enum Cause : std::uint32_t {
+  kNotFinite = 1,          // NaN or infinity in q, dq or tau, or so large that the chain overflows
+  kWrongSize = 2,          // q, dq and tau hold not one value a joint
+  kLateSample = 4,         // older than the newest one, by at most one network period: left out
+  kTimeBackwards = 8,      // older by more: the clock was set back
+  kMissingSample = 16,     // no_sample(): none came for at most one network period
+  kGap = 32,               // none came for longer
+  kWrongRate = 64,         // the samples' mean step is not the bundle's
+  kTorqueSaturated = 128,  // a drive at its limit gives another torque than it is told
+  kEncoderStill = 256,     // a position stands still while velocity or torque say otherwise
+};
+inline constexpr std::uint32_t kCauseCount = 9;
+
+const char* name(Health health) noexcept;
+const char* name(Cause cause) noexcept;  // of a single bit: "not finite", ...
+
+}  // namespace tauext

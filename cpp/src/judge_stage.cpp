@@ -1,0 +1,105 @@
+#include "tauext/judge_stage.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "tauext/bundle.hpp"
+
+namespace tauext {
+
+JudgeStage::JudgeStage(const Bundle& bundle)
+    : output_scale_nm_(bundle.output_scale_nm),
+      alarm_(bundle.joints(), static_cast<int>(bundle.prior.widths_rad.size()), bundle.limits),
+      drift_(bundle.drift, bundle.limits, bundle.joints(), bundle.observer.gain_per_s) {
+  estimate_.joints = bundle.joints();
+  reset();
+}
+
+void JudgeStage::reset() noexcept {
+  alarm_.acknowledge();
+  alarm_.restore_factors({});
+  drift_.reset();
+  const int joints = estimate_.joints;
+  estimate_ = {};
+  estimate_.joints = joints;
+  blank(true);
+}
+
+void JudgeStage::restore(const State& state) noexcept {
+  alarm_.restore(state.alarm);
+  alarm_.restore_factors(state.factors);
+  drift_.restore(state.drift);
+  estimate_ = state.estimate;
+}
+
+void JudgeStage::acknowledge() noexcept {
+  alarm_.acknowledge();
+  report_alarm();
+}
+
+void JudgeStage::report_alarm() noexcept {
+  const AlarmStage::State& alarm = alarm_.state();
+  estimate_.alarm = alarm.alarm;
+  estimate_.held_alarm = alarm.held;
+  estimate_.alarm_joint = alarm.joint;
+  estimate_.alarm_t_ns = alarm.raised_t_ns;
+}
+
+void JudgeStage::blank(bool also_residual) noexcept {
+  constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+  Estimate& e = estimate_;
+  for (int j = 0; j < e.joints; ++j) {
+    e.network[j] = e.uncertainty[j] = e.tau_ext[j] = e.margin_nm[j] = nan;
+    if (also_residual) e.residual[j] = e.prior[j] = e.drift[j] = e.limit_nm[j] = nan;
+  }
+  if (also_residual) e.near_stiction = 0;
+  e.detection = false;
+}
+
+const Estimate& JudgeStage::step(const Observed& o, std::span<const double> dq,
+                                 std::span<const float> network) noexcept {
+  Estimate& e = estimate_;
+  e.t_ns = o.t_ns;
+  e.health = o.health;
+  e.causes = o.causes;
+  e.cause_joint = o.cause_joint;
+  if (o.passage == Passage::entered) {
+    const auto n = static_cast<std::size_t>(e.joints);
+    std::copy_n(o.residual.begin(), n, e.residual.begin());
+    std::copy_n(o.prior.begin(), n, e.prior.begin());
+    std::copy_n(o.doubt.begin(), n, e.doubt.begin());
+    if (o.restarted) drift_.restart();
+    drift_.step(o.t_ns, dq, first_joints(e.drift));
+    judge(o, network);
+  } else {  // the alarm stands as it did
+    e.detection = false;
+    e.held_alarm = Alarm::none;
+    if (o.passage == Passage::refused) blank(true);
+  }
+  return e;
+}
+
+// tau_ext against its limits.
+void JudgeStage::judge(const Observed& o, std::span<const float> network) noexcept {
+  Estimate& e = estimate_;
+  if (o.judged) {
+    for (int j = 0; j < e.joints; ++j) {
+      const auto at = static_cast<std::size_t>(j);
+      e.network[j] = network.empty() ? 0.0 : network_torque_nm(output_scale_nm_[at], network[at]);
+      e.uncertainty[j] = e.prior[j] + e.network[j] + e.drift[j];
+      e.tau_ext[j] = e.residual[j] - e.uncertainty[j];
+    }
+  } else {
+    blank(o.overflowed);
+  }
+  e.near_stiction = o.near_stiction;
+  e.detection = alarm_.step(o.t_ns, first_joints(e.tau_ext), first_joints(e.doubt), e.near_stiction, o.judged,
+                            first_joints(e.limit_nm));
+  drift_.learn(first_joints(e.tau_ext), first_joints(e.doubt), e.near_stiction, o.teaches);
+  e.drift_saturated = drift_.saturated();
+  for (int j = 0; o.judged && j < e.joints; ++j) e.margin_nm[j] = e.limit_nm[j] - std::fabs(e.tau_ext[j]);
+  report_alarm();
+}
+
+}  // namespace tauext

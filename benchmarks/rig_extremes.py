@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.cli.model_case import estimated_model
 from tauext.config import PAPER_CASES, ObserverConfig
 from tauext.data import Recording, load, load_split
 from tauext.evaluate.collisions import Collision, find_collisions
 from tauext.learn import build_chain
 from tauext.rig import RigConfig, simulate_dataset
+from tauext.robot import estimated_model
 
 REAL = {
     "motor torque": (91, 33),
@@ -69,7 +69,7 @@ def print_extremes(data: Path) -> None:
     for recording in free_recordings(data):
         extremes["motor torque"] = np.maximum(extremes["motor torque"], np.abs(recording.tau).max(axis=0))
         for name, case in PAPER_CASES.items():
-            tree = estimated_model(data / "robot.xml", recording, case)
+            tree = estimated_model(data / "robot.xml", recording.joints, case)
             settings = build_chain(tree, recording, ObserverConfig()).observer
             seen = _core.observe(tree, settings, recording.t_ns, recording.q, recording.dq, recording.tau)
             warm = seen.residual[seen.warm.astype(bool)]

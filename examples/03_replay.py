@@ -11,9 +11,8 @@ from __future__ import annotations
 import sys
 
 from tauext import _core
-from tauext.data import load
+from tauext.data import expect_fit, load
 from tauext.errors import TauextError
-from tauext.evaluate.estimating import expect_fit
 
 ACKNOWLEDGE_AFTER_NS = 1_000_000_000
 

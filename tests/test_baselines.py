@@ -9,15 +9,14 @@ import pytest
 
 from tauext import _core
 from tauext.cli import main
-from tauext.cli.baselines import BASELINES, train_baselines
-from tauext.cli.dataset import Dataset
-from tauext.cli.model_case import estimated_model
-from tauext.cli.train import train_bundle
-from tauext.cli.train_settings import finished, training_settings
 from tauext.config import PAPER_CASES, AlarmConfig, FilterConfig, TrainConfig
+from tauext.data import Dataset
 from tauext.errors import BundleError, ConfigError
+from tauext.progress import Silent
 from tauext.rig import RigConfig, simulate_dataset
 from tauext.rig.recording import simulate_recording
+from tauext.robot import estimated_model
+from tauext.train import baselines, finished, train_baselines, train_bundle, training_settings
 
 EXACT = PAPER_CASES["exact"]
 BUDGET = AlarmConfig(false_alarms=1, in_hours=0.005)
@@ -36,9 +35,19 @@ def trained(dataset, out: Path, case="exact", **settings) -> _core.Bundle:
     """The bundle of a recipe, loaded; no calibration."""
     robot = dataset.robot_file(None)
     training, validation = dataset.recordings("train"), dataset.recordings("validation")
-    tree = estimated_model(robot, training[0], PAPER_CASES[case])
+    tree = estimated_model(robot, training[0].joints, PAPER_CASES[case])
     train_bundle(tree, robot, PAPER_CASES[case], training, validation, TrainConfig(**settings), out)
     return _core.Bundle.load(str(out))
+
+
+class Listener(Silent):
+    """Keeps the sentences."""
+
+    def __init__(self) -> None:
+        self.sentences: list[str] = []
+
+    def say(self, sentence: str) -> None:
+        self.sentences.append(sentence)
 
 
 def said_of(bundle, recording) -> dict:
@@ -136,7 +145,7 @@ def test_two_minutes_are_enough_for_the_whole_recipe(tmp_path):
 
     robot.write_text(arm_xml(RigConfig()))
     config = TrainConfig(recipe="tauext", minutes=2.0, max_steps=50, batch=8)
-    train_bundle(estimated_model(robot, made[0], EXACT), robot, EXACT, made[:3], made[3:], config, out)
+    train_bundle(estimated_model(robot, made[0].joints, EXACT), robot, EXACT, made[:3], made[3:], config, out)
     bundle = _core.Bundle.load(str(out))
     facts, run = json.loads(bundle.provenance), json.loads(out.with_suffix(".run.json").read_text())
     assert facts["training_minutes"] == run["training_minutes"] == 2.0
@@ -173,7 +182,7 @@ def test_calibrate_gives_a_bundle_the_limits_that_training_would_and_changes_not
     robot, training = dataset.robot_file(None), dataset.recordings("train")
     promised = tmp_path / "trained" / "bundle.tauext"
     train_bundle(
-        estimated_model(robot, training[0], EXACT),
+        estimated_model(robot, training[0].joints, EXACT),
         robot,
         EXACT,
         training,
@@ -234,7 +243,7 @@ def test_calibrate_without_calibration_recordings_says_how_to_make_some(dataset,
 def test_baselines_are_trained_once_with_promised_limits(dataset, tmp_path):
     names = ("friction", "observer")
     bundles = train_baselines(dataset, None, "com", tmp_path, seed=0, threads=1, names=names)
-    assert list(bundles) == ["observer", "friction"]  # in the order of BASELINES
+    assert list(bundles) == ["observer", "friction"]  # simplest first
     for name, path in bundles.items():
         assert path == tmp_path / f"{name}.tauext"
         facts = json.loads(_core.Bundle.load(str(path)).provenance)
@@ -242,20 +251,27 @@ def test_baselines_are_trained_once_with_promised_limits(dataset, tmp_path):
     written = {path: path.stat().st_mtime_ns for path in bundles.values()}
     again = train_baselines(dataset, None, "com", tmp_path, 0, 1, names=(*names, "prior"), skip=["prior"])
     assert again == bundles and {path: path.stat().st_mtime_ns for path in again.values()} == written
-    assert finished(bundles["observer"], "com", TrainConfig(recipe="observer", limits="promised", threads=2))
+    settings = TrainConfig(recipe="observer", limits="promised", threads=2)
+    assert finished(bundles["observer"], PAPER_CASES["com"], settings)
     with pytest.raises(ConfigError, match="observer.tauext: it was trained with other settings"):
         train_baselines(dataset, None, "mass", tmp_path, 0, 1, names=names)
 
 
-def test_what_cannot_be_is_left_out_with_its_reason(dataset, tmp_path, capsys):
-    assert train_baselines(dataset, None, "none", tmp_path, 0, 1, names=("velocity",)) == {}
-    assert "velocity is left out: recipe = velocity needs a model" in capsys.readouterr().err
+def test_what_cannot_be_is_left_out_with_its_reason(dataset, tmp_path):
+    heard = Listener()
+    assert train_baselines(dataset, None, "none", tmp_path, 0, 1, names=("velocity",), report=heard) == {}
+    (said,) = heard.sentences
+    assert said.startswith("velocity is left out: recipe = velocity needs a model")
     with pytest.raises(ConfigError, match="baseline 'observr' does not exist; they are observer, friction, "):
         train_baselines(dataset, None, "exact", tmp_path, 0, 1, skip=("observr",))
 
 
 def test_the_baselines_stand_in_their_order_and_every_recipe_is_known():
-    names = [name for name, _ in BASELINES]
-    assert names[0] == "observer" and names[-2:] == ["prior", "tauext"] and len(set(names)) == 11
-    for _, recipe in BASELINES:
+    known = baselines()
+    assert list(known) == [
+        *("observer", "friction", "highpass", "bandpass", "velocity", "energy", "direct"),
+        *("feedforward", "paper-lstm", "prior", "tauext"),
+    ]
+    assert known["paper-lstm"] == "dense" and "paper" not in known.values()
+    for recipe in known.values():
         TrainConfig(recipe=recipe).resolved()

@@ -11,7 +11,6 @@ from test_train import recording
 
 from tauext import _core
 from tauext.cli.show import describe_bundle
-from tauext.cli.train_settings import training_settings
 from tauext.config import PAPER_CASES, DriftConfig, ObserverConfig, PriorConfig, TrainConfig
 from tauext.data import Recording, save
 from tauext.data.estimates import load_estimates, save_estimates
@@ -22,6 +21,7 @@ from tauext.learn.prior_facts import friction_nm
 from tauext.monitor import DriftChange, FlightSource
 from tauext.monitor.changes import ChangeFinder
 from tauext.monitor.flight_content import as_estimates, rows_kept
+from tauext.train import training_settings
 
 CONFIG = DriftConfig(time_constant_s=5.0, rate_share_per_s=0.2)
 

@@ -8,12 +8,12 @@ from numpy.testing import assert_allclose
 from sliding_mass import estimates_of, observer_bundle, pushed, recording
 
 from tauext.data.estimates import Estimates, load_estimates, save_estimates
+from tauext.data.loss_history import thin
 from tauext.errors import BundleError, ConfigError, RecordingError
 from tauext.evaluate import evaluate, read_loss_history
 from tauext.evaluate.collisions import choose_ten, find_collisions, found_curve, judge
 from tauext.evaluate.free_motion import FreeMotionErrors, count_episodes
 from tauext.evaluate.latched import held
-from tauext.evaluate.loss_history import thin
 
 
 def test_a_push_is_found_after_the_time_that_the_observer_needs_to_reach_the_limit(tmp_path):

@@ -10,14 +10,15 @@ from arms import no_model, planar_arm
 
 from tauext import _core
 from tauext.cli import main
-from tauext.cli.train import train_bundle
-from tauext.cli.train_recordings import wants_constants
 from tauext.config import PAPER_CASES, ObserverConfig, TrainConfig
 from tauext.data import Recording, scaled_torque, torque_constants_of
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn import fit_torque_constants, training_parts
+from tauext.learn import fit_torque_constants
 from tauext.learn.regression import NormalEquations, Regression, coupled
 from tauext.learn.torque_constants import TorqueConstants
+from tauext.train import train_bundle
+from tauext.train.motion import training_motion
+from tauext.train.recordings import wants_constants
 
 RATE_HZ = 125.0
 EXACT = PAPER_CASES["exact"]
@@ -54,7 +55,7 @@ def motion(seconds: float = 40.0, seed: int = 0, name: str = "made", still: bool
 
 def trained(tmp_path: Path, monkeypatch, training, validation=(), **settings):
     """The bundle and its facts, with limits of torque left unknown."""
-    monkeypatch.setattr("tauext.robot.torque_limits", lambda robot, joints: [np.inf] * len(joints))
+    monkeypatch.setattr("tauext.train.stage.torque_limits", lambda robot, joints: [np.inf] * len(joints))
     out = tmp_path / "made.tauext"
     train_bundle(planar_arm(), Path(), EXACT, list(training), list(validation), TrainConfig(**settings), out)
     bundle = _core.Bundle.load(str(out))
@@ -82,20 +83,20 @@ def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path,
 
 def test_validation_is_cut_off_by_time_with_a_gap_of_a_window_and_the_warm_up():
     made = motion()
-    parts = training_parts([made], [], TrainConfig(recipe="dense"))
+    parts = training_motion([made], [], TrainConfig(recipe="dense"))
     assert [len(some) for some in (parts.training, parts.validation, parts.limits, parts.uncut)] == [1, 1, 1, 1]
     gap_s = (parts.validation[0].t_ns[0] - parts.training[0].t_ns[-1]) * 1e-9
     assert gap_s >= 1.5 and parts.validation[0].duration_s == pytest.approx(0.2 * made.duration_s, abs=0.01)
     assert parts.uncut[0] is made and any("last 20%" in note for note in parts.notes)
     with pytest.raises(TrainingError, match="5.0 s, is too short to cut some off: 12.5 s are needed"):
-        training_parts([motion(seconds=5.0)], [], TrainConfig(recipe="dense"))
+        training_motion([motion(seconds=5.0)], [], TrainConfig(recipe="dense"))
 
 
 def test_minutes_without_validation_recordings_get_no_network_and_all_of_them_are_fitted():
     made = motion()
-    parts = training_parts([made], [], TrainConfig())
+    parts = training_motion([made], [], TrainConfig())
     assert not parts.network and parts.uncut[0] is made and any("no network" in note for note in parts.notes)
-    assert training_parts([made], [motion(seed=1, name="other")], TrainConfig()).network
+    assert training_motion([made], [motion(seed=1, name="other")], TrainConfig()).network
 
 
 def test_a_contact_in_training_changes_nothing_of_what_is_learned_beside_it(tmp_path, monkeypatch):
@@ -103,7 +104,7 @@ def test_a_contact_in_training_changes_nothing_of_what_is_learned_beside_it(tmp_
     contact = np.zeros(plain.samples, dtype=np.int8)
     contact[2000:2200] = 1
     hit = replace(plain, tau=plain.tau - 40.0 * contact[:, None], contact=contact)
-    parts = training_parts([hit], [], TrainConfig(recipe="prior"))
+    parts = training_motion([hit], [], TrainConfig(recipe="prior"))
     assert len(parts.training) == 2 and all((piece.contact == 0).all() for piece in parts.training)
     bundle, facts = trained(tmp_path, monkeypatch, [hit], recipe="prior")
     assert max(bundle.sliding_limit_nm) < 5.0
@@ -113,7 +114,7 @@ def test_a_contact_in_training_changes_nothing_of_what_is_learned_beside_it(tmp_
 def test_a_standing_arm_has_limits_at_rest_and_nothing_to_learn(tmp_path, monkeypatch):
     still = motion(seconds=10.0, still=True)
     with pytest.raises(TrainingError, match="no joint moves in any of 1 training recordings.*--recipe observer"):
-        training_parts([still], [], TrainConfig())
+        training_motion([still], [], TrainConfig())
     bundle, facts = trained(tmp_path, monkeypatch, [still], recipe="observer", limits="paper")
     assert any(note.startswith("limits at rest only: no joint moves") for note in facts["notes"])
     assert bundle.sliding_limit_nm == bundle.near_stiction_limit_nm and min(bundle.sliding_limit_nm) > 0

@@ -13,8 +13,8 @@ from tauext.cli import main
 from tauext.data import load, load_split
 from tauext.data.dataset_plan import SourceFacts, plan
 from tauext.data.description_file import parse_arm
+from tauext.data.free_motion import free_stretches
 from tauext.data.importers import open_source
-from tauext.data.parts import free_stretches
 from tauext.errors import ConfigError, RobotError
 from tauext.robot import Payload, movable_joints, write_placeholder, write_robot
 from tauext.robot import load as load_robot

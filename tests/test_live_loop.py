@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import threading
 
 import numpy as np
 import pytest
+from made_amperes import taking_amperes
 from made_live import Keeper, ScriptedSource, samples_of
 from made_pushes import JOINTS, pushed, watching_bundle
 
 from tauext import _core
-from tauext.data import load
+from tauext.data import in_amperes, load
 from tauext.errors import ConfigError, TauextError
 from tauext.live import (
     Latencies,
@@ -74,12 +74,11 @@ def test_a_live_loop_says_what_a_replay_says(bundle, acknowledge_after_s):
 
 def test_torques_are_multiplied_by_the_constants_of_the_bundle(bundle):
     recording, constants = pushed(), np.array([0.5, -4.0])
-    scaled = watching_bundle()
-    scaled.provenance = json.dumps({"torque_constants": {"used": constants.tolist()}})
+    scaled = taking_amperes(watching_bundle(), constants)
     currents = samples_of(pushed(tau=recording.tau / constants))
     (_, one), (_, other) = looped(bundle, ReplaySource(recording, None)), looped(scaled, ScriptedSource(currents))
     np.testing.assert_array_equal(joined(one.verdicts)["tau_ext"], joined(other.verdicts)["tau_ext"])
-    assert other.verdicts[2100].sample.tau.tolist() == recording.tau[2100].tolist()
+    assert other.verdicts[2100].sample.tau.tolist() == (recording.tau / constants)[2100].tolist()  # as it came
 
 
 def test_missing_samples_are_told_to_the_monitor_and_the_next_one_goes_on(bundle):
@@ -395,11 +394,12 @@ def test_recordings_hold_what_came_and_the_monitor_s_word_of_contact(bundle, tmp
 
 def test_recordings_of_currents_stay_currents(tmp_path):
     recording = pushed(seconds=1.0, pushes=((0.5, 0, 3.0),))
-    bundle = watching_bundle()
-    bundle.provenance = json.dumps({"torque_constants": {"used": [2.0, -0.5]}})
+    bundle = taking_amperes(watching_bundle(), np.array([2.0, -0.5]))
     sink = RecordSink(tmp_path, bundle, "script")
     looped(bundle, ScriptedSource(samples_of(recording)), sink)
-    np.testing.assert_array_equal(load(next(tmp_path.iterdir())).tau, recording.tau)  # powers of two: exact
+    kept = load(next(tmp_path.iterdir()))
+    np.testing.assert_array_equal(kept.tau, recording.tau)
+    assert in_amperes([kept])  # training finds their constants anew
 
 
 def test_a_name_of_a_source_becomes_one_of_a_file():

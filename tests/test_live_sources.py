@@ -282,11 +282,11 @@ def test_a_library_that_breaks_ends_the_source_and_says_so(kind, request, consta
 
 def test_what_cannot_fit_is_refused(ur, franka, constants):
     six, seven = SourceSettings(UR_JOINTS, 2_000_000), SourceSettings(FRANKA_JOINTS, 1_000_000)
-    own = SourceSettings(UR_JOINTS, 2_000_000, torque_constants=True)
+    own = SourceSettings(UR_JOINTS, 2_000_000, torque_units=("A",) * 6)
     for source, settings, message in (
         (UrSource("h", constants), SourceSettings(("a", "b"), 2_000_000), "must not|is missing|unknown key"),
-        (UrSource("h"), six, "sends motor currents: --torque-constants FILE"),
-        (UrSource("h", constants), own, "the bundle holds torque constants of its own"),
+        (UrSource("h"), six, "sends motor currents, the bundle takes N m: --torque-constants FILE"),
+        (UrSource("h", constants), own, "the bundle takes amperes, as they come"),
         (FrankaSource("h"), six, "sends 1000 samples a second, the bundle takes 500"),
         (FrankaSource("h"), SourceSettings(UR_JOINTS, 1_000_000), "has 7 joints, the bundle 6"),
     ):

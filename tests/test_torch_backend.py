@@ -16,7 +16,7 @@ from tauext.config import TrainConfig
 from tauext.errors import ConfigError, TrainingError
 from tauext.learn import make_bundle, train
 from tauext.learn.core_backend import CoreBackend
-from tauext.learn.recipes import make_recipe
+from tauext.learn.schedules import make_schedule
 from tauext.learn.train import make_backend
 
 BACKEND = "tauext.learn.torch_backend"
@@ -111,7 +111,7 @@ def test_pytorch_is_not_imported_before_it_is_asked_for():
 def test_the_gradient_equals_the_cores_and_one_in_double_precision(torch, backend, recipe):
     chain, _, windows = prepared([recording(k) for k in range(3)])
     config = RECIPES[recipe].resolved()
-    steps = make_recipe(chain, windows, config)
+    steps = make_schedule(chain, windows, config)
     # A tenth of the targets missing, as where a tick only holds an older sample.
     target_rows = windows.target_rows.copy()
     target_rows[::10] = np.nan
@@ -213,7 +213,7 @@ def test_a_vector_of_another_length_is_refused(torch, backend):
 def test_a_network_of_another_kind_learns_in_the_same_loop_and_comes_out_usable(torch, backend, make, recipe):
     chain, _, windows = prepared([recording(k) for k in range(4)])
     config = dataclasses.replace(RECIPES[recipe], learning_rate=0.01)
-    steps = make_recipe(chain, windows, config.resolved())
+    steps = make_schedule(chain, windows, config.resolved())
     research = backend.TorchBackend(make(torch), chain, windows, steps.length, steps.targets)
     network = train(chain, windows, windows, config, backend=research)
     assert network.history[-1][2] < 0.5 * np.mean(windows.target_rows[windows.ends] ** 2)

@@ -13,7 +13,7 @@ from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
 from tauext.learn import build_chain, build_windows, find_scaling, make_bundle, train
 from tauext.learn.core_backend import CoreBackend
-from tauext.learn.recipes import DenseRecipe
+from tauext.learn.schedules import DenseSchedule
 
 SMALL = ObserverConfig(window_s=0.1)  # windows of ten network steps
 
@@ -191,31 +191,31 @@ def test_dense_sequences_lie_whole_in_one_stretch_of_one_recording():
     parts = [recording(1), recording(2, missing=slice(2003, 2103)), recording(3)]
     chain, _, windows = prepared(parts)
     config = TrainConfig(recipe="dense", targets=20, batch=500, max_steps=10).resolved()
-    recipe = DenseRecipe(chain, windows, config)
-    ends = np.unique(np.concatenate([recipe.ends(step) for step in range(10)]))
+    schedule = DenseSchedule(chain, windows, config)
+    ends = np.unique(np.concatenate([schedule.ends(step) for step in range(10)]))
     first_row = dict(zip(windows.ends, windows.first_rows, strict=True))
-    assert recipe.length == chain.window_steps - 1 + 20
-    assert all(end - (recipe.length - 1) - 1 >= first_row[end] for end in ends)  # one more for the lag of dq
+    assert schedule.length == chain.window_steps - 1 + 20
+    assert all(end - (schedule.length - 1) - 1 >= first_row[end] for end in ends)  # one more for the lag of dq
     assert len(ends) > 200
-    np.testing.assert_array_equal(recipe.ends(3), recipe.ends(3))
-    assert not np.array_equal(recipe.ends(3), recipe.ends(4))
+    np.testing.assert_array_equal(schedule.ends(3), schedule.ends(3))
+    assert not np.array_equal(schedule.ends(3), schedule.ends(4))
 
 
 def test_a_dense_sequence_with_one_target_is_the_papers_window():
     chain, _, windows = prepared([recording(1)])
     config = TrainConfig(recipe="dense", targets=1, batch=50, max_steps=5).resolved()
-    recipe = DenseRecipe(chain, windows, config)
-    assert (recipe.length, recipe.targets) == (chain.window_steps, 1)
-    dense = CoreBackend(chain, windows, 6, recipe.length, recipe.targets, threads=1)
+    schedule = DenseSchedule(chain, windows, config)
+    assert (schedule.length, schedule.targets) == (chain.window_steps, 1)
+    dense = CoreBackend(chain, windows, 6, schedule.length, schedule.targets, threads=1)
     paper = CoreBackend(chain, windows, 6, chain.window_steps, 1, threads=1)
     start = dense.initial_parameters(0).astype(np.float32)
-    assert dense.gradient(start, recipe.ends(0))[1].tobytes() == paper.gradient(start, recipe.ends(0))[1].tobytes()
+    assert dense.gradient(start, schedule.ends(0))[1].tobytes() == paper.gradient(start, schedule.ends(0))[1].tobytes()
 
 
 def test_the_dense_learning_rate_rises_and_falls_to_zero():
     chain, _, windows = prepared([recording(1)])
-    recipe = DenseRecipe(chain, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
-    rates = np.array([recipe.learning_rate(step) for step in range(1000)])
+    schedule = DenseSchedule(chain, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
+    rates = np.array([schedule.learning_rate(step) for step in range(1000)])
     assert rates.max() == pytest.approx(0.01, rel=0.03) and 40 <= rates.argmax() <= 60
     assert (rates > 0).all() and rates[-1] < 1e-6
     assert (np.diff(rates[:50]) > 0).all() and (np.diff(rates[51:]) < 0).all()
@@ -223,23 +223,23 @@ def test_the_dense_learning_rate_rises_and_falls_to_zero():
 
 def test_dense_training_prefers_settled_weights_unless_earlier_ones_are_clearly_better():
     chain, _, windows = prepared([recording(1)])
-    recipe = DenseRecipe(chain, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
-    assert recipe.score(900, 1.0) < recipe.score(700, 0.8)  # a lucky draw at a high rate
-    assert recipe.score(900, 1.0) > recipe.score(300, 0.5)  # the network overfitted since
+    schedule = DenseSchedule(chain, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
+    assert schedule.score(900, 1.0) < schedule.score(700, 0.8)  # a lucky draw at a high rate
+    assert schedule.score(900, 1.0) > schedule.score(300, 0.5)  # the network overfitted since
 
 
 def test_dense_training_stops_early_only_when_it_has_settled_and_gets_no_better():
     chain, _, windows = prepared([recording(1)])
-    recipe = DenseRecipe(chain, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
+    schedule = DenseSchedule(chain, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
 
     def history(best_at: int, until: int):
         return [(step, 1.0, 0.5 if step == best_at else 1.0) for step in range(50, until + 1, 50)]
 
-    assert recipe.gives_up(history(best_at=800, until=900))
-    assert recipe.gives_up(history(best_at=300, until=900))
-    assert not recipe.gives_up(history(best_at=850, until=900))
-    assert not recipe.gives_up(history(best_at=300, until=850))
-    assert not recipe.gives_up([])
+    assert schedule.gives_up(history(best_at=800, until=900))
+    assert schedule.gives_up(history(best_at=300, until=900))
+    assert not schedule.gives_up(history(best_at=850, until=900))
+    assert not schedule.gives_up(history(best_at=300, until=850))
+    assert not schedule.gives_up([])
 
 
 def test_in_equal_arithmetic_the_dense_recipe_gets_further_than_the_papers():

@@ -4,24 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from tauext.errors import ConfigError
+from tauext.recipes import RECIPES, Recipe, recipe_of
 
-Recipe = Literal[
-    "tauext",
-    "prior",
-    "paper",
-    "dense",
-    "feedforward",
-    "observer",
-    "friction",
-    "highpass",
-    "bandpass",
-    "direct",
-    "velocity",
-    "energy",
-]
 Backend = Literal["core", "torch"]
 Limits = Literal["auto", "promised", "supported", "paper"]
 
@@ -49,6 +36,12 @@ PAPER_CASES = {
         ModelCase("none", no_model=True),
     )
 }
+
+# Choices that the help lists, from the tables; a type checker wants its choices written out, and takes any name.
+if TYPE_CHECKING:
+    CaseName = RecipeName = str
+else:
+    CaseName, RecipeName = Literal[tuple(PAPER_CASES)], Literal[tuple(RECIPES)]
 
 
 @dataclass(frozen=True)
@@ -234,7 +227,7 @@ class EventsConfig:
 class TrainConfig:
     """What is trained, how, and for how long. None: the recipe's own value."""
 
-    recipe: Recipe = "tauext"
+    recipe: RecipeName = "tauext"
     """tauext: presliding states, a prior fitted by ridge regression, and a network on what that leaves where it helps.
     prior: the same without a network. paper: windows, as published. dense: the paper's network from longer sequences
     that teach a target at every step; far fewer steps. observer: no network at all, the plain momentum observer.
@@ -285,38 +278,27 @@ class TrainConfig:
         for name in ("hidden", "epochs", "max_steps", "batch", "targets"):
             value = getattr(self, name)
             require(value is None or value >= 1, name, value, ">= 1")
-        sequences = self.recipe in ("dense", "tauext", "feedforward")
-        require(not sequences or self.epochs is None, "epochs", self.epochs, f"left out with recipe {self.recipe}")
+        drawn = self.row.draws
+        require(not drawn or self.epochs is None, "epochs", self.epochs, f"left out with recipe {self.recipe}")
         require(0 <= self.gate_margin < 1, "gate_margin", self.gate_margin, "0 to 1")
         require(self.learning_rate is None or self.learning_rate > 0, "learning_rate", self.learning_rate, "> 0")
         require(self.threads >= 0, "threads", self.threads, ">= 0")
         require(self.seed >= 0, "seed", self.seed, ">= 0")
 
     @property
+    def row(self) -> Recipe:
+        """The recipe: its row of the table."""
+        return recipe_of(self.recipe)
+
+    @property
     def warm_up_s(self) -> float:
         """Of the recipe's observer and low-pass, [s]."""
-        return warm_up_s(self.observer.gain_per_s, self.filters.low_pass_per_s if self.recipe == "bandpass" else 0.0)
+        return warm_up_s(self.observer.gain_per_s, self.filters.low_pass_per_s if self.row.low_pass else 0.0)
 
     def resolved(self) -> TrainConfig:
         """With the recipe's own values where None stands."""
-        own = RECIPE_VALUES[self.recipe]
+        own = self.row.defaults
         return replace(self, **{name: value for name, value in own.items() if getattr(self, name) is None})
-
-
-RECIPE_VALUES = {
-    "tauext": {"max_steps": 10_000, "batch": 64, "learning_rate": 0.01},
-    "prior": {},
-    "paper": {"epochs": 500, "batch": 1000, "learning_rate": 0.001},
-    "dense": {"max_steps": 45_000, "batch": 64, "learning_rate": 0.01},
-    "feedforward": {"max_steps": 10_000, "batch": 1000, "learning_rate": 0.01},
-    "observer": {},
-    "friction": {},
-    "highpass": {},
-    "bandpass": {},
-    "direct": {},
-    "velocity": {},
-    "energy": {},
-}
 
 
 def warm_up_s(gain_per_s: float, low_pass_per_s: float = 0.0) -> float:

@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from tauext.cli.dataset import Dataset
-from tauext.cli.evaluate import evaluate_bundles
-from tauext.cli.model_case import estimated_model
-from tauext.cli.progress import ProgressBar
-from tauext.cli.train import train_bundle
-from tauext.cli.train_settings import finished
 from tauext.config import PAPER_CASES, TrainConfig
+from tauext.data import Dataset
+from tauext.evaluate import evaluate_bundles
+from tauext.progress import SILENT, Reporter
 from tauext.report import write_report
 from tauext.rig import RigConfig, simulate_dataset
+from tauext.robot import estimated_model
+from tauext.train import finished, train_bundle
 
 
 @dataclass(frozen=True)
@@ -45,31 +44,43 @@ SCALES = {
 }
 
 
-def reproduce_paper(out: Path, scale_name: str, scale: Scale, cases: Sequence[str], seed: int) -> Path:
-    """Simulate, train, evaluate, report; returns the report. What is done with these settings is not repeated."""
+def reproduce_paper(
+    out: Path,
+    scale_name: str,
+    scale: Scale,
+    cases: Sequence[str],
+    seed: int,
+    command: str,
+    report: Reporter = SILENT,
+) -> Path:
+    """Simulate, train, evaluate, report; returns the report. What is done with these settings is not repeated.
+
+    Args:
+        command: what is run, for the report.
+        report: is told how far it is.
+    """
     data = out / "data"
-    with ProgressBar("simulate") as bar:
+    with report.progress("simulate") as show:
         simulate_dataset(
             data,
             RigConfig(),
             seed,
             scale.minutes,
             scale.collision_recordings,
-            lambda what, done, total: bar.update(done, total, what),
+            lambda what, done, total: show(done, total, what),
         )
     dataset = Dataset.open(data)
-    jobs = {case: (case, replace(scale.training, seed=seed)) for case in cases}
-    jobs |= {
-        f"{case}-paper": (case, TrainConfig(recipe="paper", seed=seed)) for case in scale.paper_cases if case in cases
-    }
+    jobs = {case: (PAPER_CASES[case], replace(scale.training, seed=seed)) for case in cases}
+    paper = TrainConfig(recipe="paper", seed=seed)
+    jobs |= {f"{case}-paper": (PAPER_CASES[case], paper) for case in scale.paper_cases if case in cases}
     bundles = {name: out / "bundles" / f"{name}.tauext" for name in jobs}
     missing = [name for name, (case, config) in jobs.items() if not finished(bundles[name], case, config)]
     if missing:
+        robot = dataset.robot_file(None)
         training, validation = dataset.recordings("train"), dataset.recordings("validation")
         for name in missing:
             case, config = jobs[name]
-            robot = dataset.robot_file(None)
-            tree = estimated_model(robot, training[0], PAPER_CASES[case])
-            train_bundle(tree, robot, PAPER_CASES[case], training, validation, config, bundles[name])
-    evaluate_bundles(dataset, bundles, out / "results", seed, threads=0, scale=scale_name)
+            tree = estimated_model(robot, training[0].joints, case)
+            train_bundle(tree, robot, case, training, validation, config, bundles[name], report=report)
+    evaluate_bundles(dataset, bundles, out / "results", seed, 0, command, scale_name, report=report)
     return write_report(out / "results", data, out / "report")

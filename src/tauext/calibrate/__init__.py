@@ -1,11 +1,13 @@
 """Limits, and the claims they support."""
 
+from tauext.calibrate.bundle_limits import NO_CALIBRATION, calibrate_bundle, recalibrate
 from tauext.calibrate.judged import Judged
 from tauext.calibrate.limits import Limits, at_rest_sentence, paper_limits, raise_limits, set_limits, usual_speed_rad_s
 from tauext.calibrate.promise import FalseAlarmBudget, Promise, is_consistent, rate_interval
 from tauext.calibrate.promised_limits import PromisedLimits, apply_promised, promised_limits
 
 __all__ = [
+    "NO_CALIBRATION",
     "FalseAlarmBudget",
     "Judged",
     "Limits",
@@ -13,11 +15,13 @@ __all__ = [
     "PromisedLimits",
     "apply_promised",
     "at_rest_sentence",
+    "calibrate_bundle",
     "is_consistent",
     "paper_limits",
     "promised_limits",
     "raise_limits",
     "rate_interval",
+    "recalibrate",
     "set_limits",
     "usual_speed_rad_s",
 ]

@@ -63,7 +63,7 @@ def gather(data: tuple[Path, ...], robot: Path | None) -> tuple[list[Recording],
     Raises:
         ConfigError: nothing to check.
     """
-    from tauext.cli.dataset import ROBOT_FILES, Dataset
+    from tauext.data.dataset import ROBOT_FILES, Dataset
     from tauext.robot import is_placeholder
 
     files: list[Path] = []

@@ -76,11 +76,11 @@ def import_dataset(paths: tuple[Path, ...], arm_file: Path, out: Path, format: s
     import shutil
     import time
 
-    from tauext.cli.run_files import provenance, write_json
     from tauext.data.dataset_writing import recordings_of, write_dataset
     from tauext.data.description_file import load_arm
     from tauext.data.importers import open_source
     from tauext.data.lerobot_export import export_lerobot
+    from tauext.provenance import provenance, write_json
     from tauext.robot import load, robot_sha256
 
     started = time.monotonic()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from typing import TYPE_CHECKING
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -13,12 +12,10 @@ from rich.text import Text
 
 from tauext._core import Bundle, cause_names
 from tauext.cli.run_output import FlightCount
+from tauext.cli.run_settings import RunSettings
 from tauext.cli.run_text import TextLines
 from tauext.data import Recording
 from tauext.monitor import ALARMS, HEALTHS, Chunk, Tally
-
-if TYPE_CHECKING:
-    from tauext.cli.run import RunSettings
 
 REFRESH_S = 0.1
 BAR_CELLS = 40

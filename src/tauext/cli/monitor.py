@@ -105,20 +105,15 @@ def monitor(
     if bundle is None or source is None:
         missing = "--source" if bundle is not None else "the bundle"
         raise ConfigError(f"{missing} is missing: tauext monitor ARM.tauext --source replay:FILE")
-    for name, value in (
-        ("speed", speed),
-        ("missing_after_ms", missing_after_ms),
-        ("acknowledge_after_s", acknowledge_after_s),
-        ("duration_s", duration_s),
-    ):
-        require(value is None or 0 < value < float("inf"), name, value, "> 0")
+    require_positive(speed=speed, missing_after_ms=missing_after_ms)
+    require_positive(acknowledge_after_s=acknowledge_after_s, duration_s=duration_s)
     require(1 <= segment_s <= 3600, "segment_s", segment_s, "1 to 3600")
     require(priority is None or 1 <= priority <= 99, "priority", priority, "1 to 99")
     require(0 <= status_hz < float("inf"), "status_hz", status_hz, ">= 0")
     require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
 
     from tauext.cli.monitor_output import open_output
-    from tauext.cli.run import RunSettings
+    from tauext.cli.run_settings import RunSettings
     from tauext.live import LoopSettings
 
     missing_s = None if missing_after_ms is None else missing_after_ms * 1e-3
@@ -127,6 +122,12 @@ def monitor(
     shown = RunSettings(None, own_rate, acknowledge_after_s, flights, before_s, after_s, contacts)
     options = SourceOptions(speed, torque_constants, None if ros2 == Ros2Settings() else ros2)
     watch(bundle, source, options, settings, extras, open_output(as_json, status_hz, shown))
+
+
+def require_positive(**values: float | None) -> None:
+    """Raise ConfigError where an option is given that is no finite number > 0."""
+    for name, value in values.items():
+        require(value is None or 0 < value < float("inf"), name, value, "> 0")
 
 
 def write_templates(reactions: Path | None, profiles: Path | None, also_run: bool) -> None:

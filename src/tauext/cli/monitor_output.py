@@ -11,9 +11,9 @@ from typing import Any, Protocol
 from tauext import _core
 from tauext.cli.aside import Aside
 from tauext.cli.live_view import LiveView
-from tauext.cli.run import RunSettings
 from tauext.cli.run_json import JsonLines
 from tauext.cli.run_output import FlightCount
+from tauext.cli.run_settings import RunSettings
 from tauext.cli.run_text import TextLines, summary_lines
 from tauext.live import (
     Control,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tauext.cli.dataset import Dataset
 from tauext.errors import ConfigError
 
 
@@ -28,6 +27,7 @@ def report(
         page_mb: largest size of the page; traces fill it, in as much detail as there is room for. 0: none.
         trace_methods: methods whose traces stand in the page, by the names of their bundles; default: the best five.
     """
+    from tauext.data import Dataset
     from tauext.report import write_flight_report, write_report
 
     if flight is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from tauext.cli.model_case import CaseName
+from tauext.config import CaseName
 
 
 def reproduce(
@@ -26,6 +26,8 @@ def reproduce(
         cases: model cases to train.
         seed: of everything.
     """
+    from tauext.cli.command_line import command_line
+    from tauext.cli.reporter import Terminal
     from tauext.reproduce import SCALES, reproduce_paper
 
-    print(reproduce_paper(out, scale, SCALES[scale], cases, seed))
+    print(reproduce_paper(out, scale, SCALES[scale], cases, seed, command_line(), Terminal()))

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from tauext.cli.run_settings import RunSettings
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
 
@@ -19,19 +20,6 @@ if TYPE_CHECKING:
     from tauext.cli.run_output import FlightCount, Output
     from tauext.data import Recording
     from tauext.monitor import FlightWriter, Tally
-
-
-@dataclass(frozen=True)
-class RunSettings:
-    """Options of the command that the replay of one recording needs."""
-
-    speed: float | None
-    own_rate: bool
-    acknowledge_after_s: float | None
-    flights: Path | None
-    before_s: float
-    after_s: float
-    contacts: bool
 
 
 def run(
@@ -70,8 +58,6 @@ def run(
         as_json: JSON lines on stdout, an object an event: start, health, alarm, flight, status, end, summary.
         status_hz: with --json, also the estimates so many times per second of the recording; 0: events only.
     """
-    from tauext.cli.run_output import open_output
-
     require(speed is None or 0 < speed < float("inf"), "speed", speed, "> 0")
     require(not real_time or speed is None, "speed", speed, "left out with --real-time, which is speed 1")
     after = acknowledge_after_s
@@ -87,6 +73,21 @@ def run(
         replay_all(chain, recordings, settings, output)
 
 
+def open_output(as_json: bool, status_hz: float, settings: RunSettings) -> Output:
+    """JSON lines where asked for, a live view on a terminal, else lines of text."""
+    if as_json:
+        from tauext.cli.run_json import JsonLines
+
+        return JsonLines(status_hz)
+    if sys.stdout.isatty():
+        from tauext.cli.live_view import LiveView
+
+        return LiveView(settings)
+    from tauext.cli.run_text import TextLines
+
+    return TextLines(settings)
+
+
 def fitting_bundle(path: Path, recordings: tuple[Path, ...]) -> Bundle:
     """The bundle, after a look at the head of every recording: all of them fit it.
 
@@ -95,8 +96,7 @@ def fitting_bundle(path: Path, recordings: tuple[Path, ...]) -> Bundle:
         BundleError: joints, rate or torque timing of a recording are not the bundle's.
     """
     from tauext import _core
-    from tauext.data import describe
-    from tauext.evaluate.estimating import expect_fit
+    from tauext.data import describe, expect_fit
 
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such bundle; `tauext train` makes one")

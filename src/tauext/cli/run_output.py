@@ -1,17 +1,13 @@
-"""What `tauext run` tells while it goes on, and who tells it: JSON lines, text lines or the live view."""
+"""What `tauext run` tells while it goes on: JSON lines, text lines and the live view do."""
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from tauext._core import Bundle
 from tauext.data import Recording
 from tauext.monitor import Chunk, FlightNews, Tally
-
-if TYPE_CHECKING:
-    from tauext.cli.run import RunSettings
 
 
 @dataclass
@@ -50,18 +46,3 @@ class Output(Protocol):
     def flight(self, news: FlightNews) -> None: ...
     def end(self, tally: Tally, flights: FlightCount, complete: bool) -> None: ...
     def total(self, tally: Tally, flights: FlightCount, recordings: int, interrupted: bool) -> None: ...
-
-
-def open_output(as_json: bool, status_hz: float, settings: RunSettings) -> Output:
-    """JSON lines where asked for, a live view on a terminal, else lines of text."""
-    if as_json:
-        from tauext.cli.run_json import JsonLines
-
-        return JsonLines(status_hz)
-    if sys.stdout.isatty():
-        from tauext.cli.live_view import LiveView
-
-        return LiveView(settings)
-    from tauext.cli.run_text import TextLines
-
-    return TextLines(settings)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tauext._core import Bundle, cause_names
 from tauext.cli.run_output import FlightCount
+from tauext.cli.run_settings import RunSettings
 from tauext.data import Recording
 from tauext.monitor import ALARMS, HEALTHS, AlarmChange, Chunk, DriftChange, FlightNews, HealthChange, Tally
-
-if TYPE_CHECKING:
-    from tauext.cli.run import RunSettings
 
 MOST_HEALTH_LINES = 10
 """About health in one second of a recording; a bad cable can change it at every sample."""

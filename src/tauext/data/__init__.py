@@ -1,5 +1,7 @@
 """Recordings, their file, and which recording serves for training, validation and test."""
 
+from tauext.data.bundle_fit import expect_fit
+from tauext.data.dataset import Dataset
 from tauext.data.first_seconds import first_seconds, total_s
 from tauext.data.free_motion import free_pieces, free_samples, split_by_time
 from tauext.data.recording import Recording
@@ -9,10 +11,12 @@ from tauext.data.split import Split, load_split, save_split, split_recordings
 from tauext.data.standing import standing_joints
 
 __all__ = [
+    "Dataset",
     "Description",
     "Recording",
     "Split",
     "describe",
+    "expect_fit",
     "first_seconds",
     "free_pieces",
     "free_samples",

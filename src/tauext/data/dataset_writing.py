@@ -7,11 +7,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from tauext.data.assemble import assemble
+from tauext.data.cut import within
 from tauext.data.dataset_plan import Claim, SourceFacts, plan
 from tauext.data.description import Arm
 from tauext.data.first_seconds import length_s
+from tauext.data.free_motion import free_stretches, has_contact
 from tauext.data.importers import Source
-from tauext.data.parts import free_stretches, has_contact, within
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load, save
 from tauext.data.split import PARTS, Split, save_split
@@ -111,7 +112,7 @@ def _cut(path: Path, claims: list[Claim], arm: Arm, written: dict[str, list[str]
             whole = free_stretches(part, arm.contact.before_s, arm.contact.after_s, LEAST_FREE_S)
         for recording in whole:
             if f"{recording.name}.parquet" in (name for names in written.values() for name in names):
-                recording = _renamed(recording, claim, written)
+                recording = _renamed(recording, written)
             used += recording.name == piece.name
             if recording.name != piece.name:
                 save(recording, path.with_name(f"{recording.name}.parquet"))
@@ -120,7 +121,7 @@ def _cut(path: Path, claims: list[Claim], arm: Arm, written: dict[str, list[str]
         path.unlink()
 
 
-def _renamed(recording: Recording, claim: Claim, written: dict[str, list[str]]) -> Recording:
+def _renamed(recording: Recording, written: dict[str, list[str]]) -> Recording:
     """Under a name that is not taken: one source may give a set several stretches."""
     taken = {name for names in written.values() for name in names}
     number = 2

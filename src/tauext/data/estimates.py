@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from tauext.data.parquet_file import write_parquet
 from tauext.errors import RecordingError
 
 WARMING_UP, OK, STALE, FAULT = range(4)  # health
@@ -75,21 +74,7 @@ def save_estimates(estimates: Estimates, path: Path) -> None:
         {"tauext_estimates_format": FORMAT, "joints": json.dumps(estimates.joints)}
     )
     torques = [f"{signal}_{joint}" for signal in torque_names for joint in estimates.joints]
-    part = path.with_name(path.name + ".part")
-    try:
-        pq.write_table(
-            table,
-            part,
-            compression="zstd",
-            compression_level=1,
-            use_dictionary=False,
-            column_encoding={name: "BYTE_STREAM_SPLIT" for name in torques},
-        )
-        os.replace(part, path)
-    except OSError as error:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-        raise RecordingError(f"{path}: cannot be written ({error.strerror or error})") from error
+    write_parquet(table, path, use_dictionary=False, column_encoding=dict.fromkeys(torques, "BYTE_STREAM_SPLIT"))
 
 
 def load_estimates(path: Path) -> Estimates:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tauext.data.free_motion import cut
+from tauext.data.cut import cut
 from tauext.data.recording import Recording
 
 

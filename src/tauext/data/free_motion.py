@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from tauext.config import FreeMotionConfig
-from tauext.data.recording import FLAGS, SIGNALS, Recording
+from tauext.data.cut import between, cut
+from tauext.data.recording import Recording
 
 SHORTEST_S = 1.0
 """Of a stretch that is kept, [s]."""
 MARGINS = FreeMotionConfig()
+
+
+def has_contact(recording: Recording) -> bool:
+    """Whether a sample is in contact."""
+    return recording.contact is not None and bool((recording.contact == 1).any())
 
 
 def free_samples(recording: Recording, margins: FreeMotionConfig = MARGINS) -> np.ndarray:
@@ -23,16 +28,7 @@ def free_samples(recording: Recording, margins: FreeMotionConfig = MARGINS) -> n
     contact = recording.contact
     if contact is None or (contact == -1).all():
         return np.ones(recording.samples, dtype=bool)
-    free = contact == 0
-    touched = recording.t_ns[contact == 1]
-    if len(touched):
-        # The nearest touched sample after each, and the nearest before it.
-        after = touched[np.minimum(np.searchsorted(touched, recording.t_ns), len(touched) - 1)]
-        before = touched[np.maximum(np.searchsorted(touched, recording.t_ns, side="right") - 1, 0)]
-        soon = (after >= recording.t_ns) & (after - recording.t_ns <= margins.before_s * 1e9)
-        just = (before <= recording.t_ns) & (recording.t_ns - before <= margins.after_s * 1e9)
-        free &= ~soon & ~just
-    return free
+    return (contact == 0) & _far_from(contact == 1, recording.t_ns, margins.before_s, margins.after_s)
 
 
 def free_pieces(recordings: Iterable[Recording], margins: FreeMotionConfig = MARGINS) -> list[Recording]:
@@ -47,16 +43,26 @@ def free_pieces(recordings: Iterable[Recording], margins: FreeMotionConfig = MAR
         if free.all():
             pieces.append(recording)
             continue
-        edges = np.flatnonzero(np.diff(np.r_[False, free, False]))
-        spans = (slice(a, b) for a, b in edges.reshape(-1, 2))
-        pieces += [piece for piece in (cut(recording, span) for span in spans) if piece.duration_s >= SHORTEST_S]
+        pieces += [cut(recording, slice(*run)) for run in _runs(free, recording.t_ns, SHORTEST_S)]
     return pieces
 
 
-def cut(recording: Recording, span: slice) -> Recording:
-    """Some samples of a recording in a row, at least one."""
-    arrays = {name: getattr(recording, name) for name in ("t_ns", *SIGNALS, *FLAGS)}
-    return replace(recording, **{name: a[span] for name, a in arrays.items() if a is not None})
+def free_stretches(recording: Recording, before_s: float, after_s: float, least_s: float) -> list[Recording]:
+    """Stretches without contact, each a recording NAME-free-00, -01, ...; the recording itself where it has none.
+
+    Samples whose label is neither contact nor free are taken for contacts, margins and all: what goes into a dataset as
+    free motion must be known to be.
+
+    Args:
+        before_s: left out before a contact, too, [s]: a label may come late.
+        after_s: left out after one, [s]: the observer rings down, and the arm may still swing.
+        least_s: a shorter stretch is left out, [s].
+    """
+    if recording.contact is None or (recording.contact == 0).all():
+        return [recording]
+    free = _far_from(recording.contact != 0, recording.t_ns, before_s, after_s)
+    runs = _runs(free, recording.t_ns, least_s)
+    return [between(recording, first, last, f"{recording.name}-free-{k:02d}") for k, (first, last) in enumerate(runs)]
 
 
 def split_by_time(
@@ -82,3 +88,18 @@ def split_by_time(
         first.append(cut(recording, slice(0, int(np.searchsorted(time_s, at_s - gap_s)))))
         last.append(cut(recording, slice(begin, recording.samples)))
     return first, last
+
+
+def _far_from(touched: np.ndarray, t_ns: np.ndarray, before_s: float, after_s: float) -> np.ndarray:
+    """Whether each sample is neither touched nor so soon before or after one that is, (samples,) bool."""
+    far = np.ones(len(t_ns), dtype=bool)
+    for begin, end in np.flatnonzero(np.diff(np.r_[False, touched, False])).reshape(-1, 2):
+        first, last = t_ns[begin] - int(before_s * 1e9), t_ns[end - 1] + int(after_s * 1e9)
+        far[np.searchsorted(t_ns, first) : np.searchsorted(t_ns, last, side="right")] = False
+    return far
+
+
+def _runs(free: np.ndarray, t_ns: np.ndarray, least_s: float) -> list[tuple[int, int]]:
+    """(first, one after the last) sample of every stretch of true flags that lasts so long, [s]."""
+    runs = np.flatnonzero(np.diff(np.r_[False, free, False])).reshape(-1, 2).tolist()
+    return [(first, last) for first, last in runs if (t_ns[last - 1] - t_ns[first]) * 1e-9 >= least_s]

@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from tauext.data.parquet_file import write_parquet
 from tauext.data.recording import FLAGS, REQUIRED_SIGNALS, SIGNALS, Recording, check_joints
 from tauext.errors import RecordingError
 
@@ -71,21 +72,8 @@ def save(recording: Recording, path: Path | str) -> None:
             "provenance": json.dumps(recording.provenance),
         }
     )
-    part = path.with_name(path.name + ".part")
-    try:
-        pq.write_table(
-            table,
-            part,
-            compression="zstd",
-            compression_level=1,
-            use_dictionary=flags,
-            column_encoding={"t_ns": "DELTA_BINARY_PACKED"} | dict.fromkeys(floats, "BYTE_STREAM_SPLIT"),
-            write_page_checksum=True,
-        )
-        os.replace(part, path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise RecordingError(f"{path}: cannot be written ({error.strerror or error})") from error
+    encoding = {"t_ns": "DELTA_BINARY_PACKED"} | dict.fromkeys(floats, "BYTE_STREAM_SPLIT")
+    write_parquet(table, path, use_dictionary=flags, column_encoding=encoding, write_page_checksum=True)
 
 
 def load(path: Path | str) -> Recording:

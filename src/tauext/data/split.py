@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext.errors import ConfigError
+from tauext.whole_file import whole_file
 
 FORMAT = 1
 FILE_NAME = "split.json"
@@ -94,9 +94,8 @@ def split_recordings(
 def save_split(split: Split, folder: Path | str) -> None:
     """Write `split.json` into a dataset folder, under a temporary name first."""
     path = Path(folder) / FILE_NAME
-    part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps({"format": FORMAT} | asdict(split), indent=1) + "\n")
-    os.replace(part, path)
+    with whole_file(path) as part:
+        part.write_text(json.dumps({"format": FORMAT} | asdict(split), indent=1) + "\n")
 
 
 def load_split(folder: Path | str) -> Split:

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import io
 import json
 import os
 import shutil
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from tauext import __version__, _core
-from tauext.cli.train import estimated_model, train_bundle
 from tauext.config import PAPER_CASES, AlarmConfig, ModelCase, PriorConfig, TrainConfig
 from tauext.demo.arms import DemoArm
 from tauext.demo.practice import practice_recording
 from tauext.errors import ConfigError, TauextError
+from tauext.progress import Show, Silent
+from tauext.robot import estimated_model
+from tauext.train import train_bundle
 
 ERRORS = {"exact": "exact", "mass": "half the mass", "none": "no model at all"}
 """Model cases that the demo offers, and how the page calls them."""
@@ -119,8 +120,7 @@ def train_bundles(
     except OSError as failed:
         raise ConfigError(f"{cache}: bundles cannot be kept there ({failed.strerror}); set XDG_CACHE_HOME") from failed
     try:
-        with contextlib.redirect_stderr(io.StringIO()):
-            _train(arm, PAPER_CASES[error], lesson, seed, part, report)
+        _train(arm, PAPER_CASES[error], lesson, seed, part, report)
         shutil.rmtree(folder, ignore_errors=True)  # damaged, or made meanwhile by another demo
         os.replace(part, folder)
     finally:
@@ -142,22 +142,28 @@ def _train(arm: DemoArm, case: ModelCase, lesson: Lesson, seed: int, out: Path, 
         share = 0.8 / len(lesson.methods)
         what = f"training method '{method}', {case.name} model"
         report(done, what)
-
-        def on_step(steps: int, of: int, begin: float = done, part: float = share, what: str = what) -> None:
-            report(begin + part * steps / of, what)
-
-        learns_all = config.recipe == "prior"  # it judges by motion left out of its fit, and needs no other
+        learns_all = config.row.judges_itself
         train_bundle(
-            estimated_model(robot, training[0], case),
+            estimated_model(robot, training[0].joints, case),
             robot,
             case,
             recordings[: lesson.prior_recordings] if learns_all else training,
             [] if learns_all else validation,
             replace(config, seed=seed),
             out / f"{method}.tauext",
-            on_step=on_step,
+            report=_Share(report, done, share, what),
         )
         done += share
+
+
+class _Share(Silent):
+    """Of the whole, from `begin` on: what a training's progress fills. Its sentences are for nobody."""
+
+    def __init__(self, report: Report, begin: float, share: float, what: str):
+        self._report, self._begin, self._share, self._what = report, begin, share, what
+
+    def progress(self, title: str) -> AbstractContextManager[Show]:
+        return nullcontext(lambda done, of, note: self._report(self._begin + self._share * done / of, self._what))
 
 
 def _sweep(cache: Path) -> None:

@@ -11,13 +11,13 @@ from tauext import _core
 from tauext.config import EventsConfig
 from tauext.data import Recording
 from tauext.data.estimates import Estimates
+from tauext.data.loss_history import LossHistory
 from tauext.evaluate.after_contact import AfterContact
 from tauext.evaluate.collisions import Collision, found_curve, judge
 from tauext.evaluate.during_contact import DuringContact
 from tauext.evaluate.events import EventMeasures
 from tauext.evaluate.free_motion import FreeMotionErrors
 from tauext.evaluate.latched import judge_latched, latched_summary
-from tauext.evaluate.loss_history import LossHistory
 from tauext.evaluate.missed_curve import MissedCurve
 from tauext.evaluate.promise_check import check_promise, promised_per_hour
 from tauext.evaluate.strength import by_strength

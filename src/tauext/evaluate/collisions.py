@@ -85,12 +85,12 @@ def judge(collision: Collision, recording: Recording, estimates: Estimates) -> d
     window = slice(collision.begin, min(collision.end + round(GRACE_S * recording.rate_hz), recording.samples))
     seconds = (recording.t_ns[window] - recording.t_ns[collision.begin]) * 1e-9
     before = max(collision.begin - 1, 0)
-    found = _first_rise(estimates.detection[window], bool(estimates.detection[before]))
+    found = first_rise(estimates.detection[window], bool(estimates.detection[before]))
     sensor = None
     if recording.tau_ext_sensor is not None:
         part = slice(before, window.stop)
         over = (np.abs(recording.tau_ext_sensor[part]) > estimates.limit[part]).any(axis=1)
-        sensor = _first_rise(over[collision.begin - before :], bool(over[0]))
+        sensor = first_rise(over[collision.begin - before :], bool(over[0]))
     result = {"id": collision.id, "found": found is not None, "joint": None, "delay_s": None}
     if found is not None:
         margin = np.abs(estimates.tau_ext[window][found]) / estimates.limit[window][found]
@@ -101,7 +101,7 @@ def judge(collision: Collision, recording: Recording, estimates: Estimates) -> d
     return result
 
 
-def _first_rise(flags: np.ndarray, before: bool) -> int | None:
+def first_rise(flags: np.ndarray, before: bool) -> int | None:
     """Index of the first flag that is true after a false one; `before` stands before the first."""
     rises = np.flatnonzero(flags & ~np.append(before, flags[:-1]))
     return int(rises[0]) if len(rises) else None

@@ -10,16 +10,16 @@ import numpy as np
 
 from tauext import _core
 from tauext.config import EventsConfig
-from tauext.data import Recording, free_samples, scaled_torque, torque_constants_of
+from tauext.data import Recording, expect_fit, free_samples, scaled_torque, torque_constants_of
 from tauext.data.estimates import STALE, Estimates, save_estimates
+from tauext.data.loss_history import LossHistory
 from tauext.errors import ConfigError
 from tauext.evaluate.case import CaseMeasures
 from tauext.evaluate.collisions import Collision, choose_ten, find_collisions
-from tauext.evaluate.estimating import estimate, expect_fit
-from tauext.evaluate.loss_history import LossHistory
+from tauext.evaluate.estimating import estimate
 from tauext.evaluate.own_torque import OwnTorque, own_limits
 from tauext.evaluate.reference import sensor_reference
-from tauext.evaluate.sanity import sanity_detectors
+from tauext.evaluate.sanity import Sanity, sanity_detectors
 
 Loader = Callable[[], Recording]
 
@@ -60,6 +60,89 @@ def evaluate(
         BundleError: a recording does not fit a bundle.
         ConfigError: no bundle or no recording, or keep_free_estimates < 0.
     """
+    expect_work(bundles, test, collisions, keep_free_estimates)
+    for name in bundles:
+        (estimates_dir / name).mkdir(parents=True, exist_ok=True)
+    own_nm = own_limits(load() for load in quiet)
+    own = None if own_nm is None else OwnTorque(own_nm, events, next(iter(bundles.values())).near_stiction_rad_s)
+    comparison = Comparison(bundles, events, sanity_detectors(seed) if sanity else [], own)
+    total = len(test) + len(collisions)
+    for number, load in enumerate([*test, *collisions]):
+        free = number < len(test)
+        keep_in = estimates_dir if not free or number < keep_free_estimates else None
+        comparison.add(number, load(), free, threads, keep_in)
+        progress("evaluate", number + 1, total)
+    return comparison.summary(seed, loss_histories or {})
+
+
+class Comparison:
+    """Bundles, detectors that know nothing, and the robot's own estimate, on the same recordings one by one."""
+
+    def __init__(
+        self,
+        bundles: Mapping[str, _core.Bundle],
+        events: EventsConfig,
+        ignorant: Sequence[Sanity],
+        own: OwnTorque | None,
+    ):
+        self._bundles, self._ignorant, self._own = bundles, ignorant, own
+        self._measures = {name: CaseMeasures(name, bundle, events) for name, bundle in bundles.items()}
+        self._constants = {name: torque_constants_of(bundle.provenance) for name, bundle in bundles.items()}
+        self._touches: list[Collision] = []
+
+    def add(self, number: int, recording: Recording, free: bool, threads: int, keep_in: Path | None) -> None:
+        """Take in a recording: number in the order of all; free: it is of the test set, whose free motion counts.
+
+        Args:
+            keep_in: folder for its estimates, with a folder a case; None: they are not kept.
+        """
+        found = find_collisions(recording)
+        self._touches += found
+        if self._own is not None:
+            self._own.add(recording)
+        gains = set() if not found else {bundle.observer.gain_per_s for bundle in self._bundles.values()}
+        references = {gain: sensor_reference(recording, gain) for gain in gains}
+        for name, bundle in self._bundles.items():
+            expect_fit(bundle, recording)  # before it is scaled, which needs as many joints
+            estimates = estimate(bundle, scaled_torque(recording, self._constants[name]), threads)
+            if keep_in is not None:
+                save_estimates(estimates, keep_in / name / f"{recording.name}.parquet")
+            measures = self._measures[name]
+            measures.add_events(recording, estimates)
+            if free:
+                measures.add_free(recording, free_part(recording, estimates) if found else estimates)
+            if found or not free:
+                measures.add_touched(found, recording, estimates, references.get(bundle.observer.gain_per_s))
+        for detector in self._ignorant:
+            if free and not found:
+                detector.add_free(number, recording)
+            else:
+                detector.add_collisions(number, found, recording, estimates)
+
+    def summary(self, seed: int, histories: Mapping[str, LossHistory | None]) -> dict:
+        """The content of results.json but for its provenance.
+
+        Args:
+            seed: of the choice of ten collisions.
+            histories: of the bundles' training, by the name of their case.
+        """
+        first, touches = next(iter(self._bundles.values())), self._touches
+        ten = ten_for_all(touches, self._bundles, seed)
+        return {
+            "joints": [link.joint_name for link in first.links],
+            "near_stiction_rad_s": first.near_stiction_rad_s,
+            "ten_collisions": ten,
+            "collisions": [collision.summary() for collision in touches],
+            "cases": [measured.summary(touches, ten, histories.get(name)) for name, measured in self._measures.items()],
+            "own_torque": None if self._own is None else self._own.summary(),
+            "sanity": [detector.summary() for detector in self._ignorant],
+        }
+
+
+def expect_work(
+    bundles: Mapping[str, _core.Bundle], test: Sequence[Loader], collisions: Sequence[Loader], keep_free_estimates: int
+) -> None:
+    """Raise ConfigError where there is nothing to evaluate, or keep_free_estimates < 0."""
     if not bundles:
         raise ConfigError("there is nothing to evaluate: no bundle was given")
     if not test and not collisions:
@@ -68,57 +151,15 @@ def evaluate(
         )
     if keep_free_estimates < 0:
         raise ConfigError(f"keep_free_estimates = {keep_free_estimates} must be >= 0")
-    for name in bundles:
-        (estimates_dir / name).mkdir(parents=True, exist_ok=True)
-    measures = {name: CaseMeasures(name, bundle, events) for name, bundle in bundles.items()}
-    constants = {name: torque_constants_of(bundle.provenance) for name, bundle in bundles.items()}
-    ignorant = sanity_detectors(seed) if sanity else []
-    own_nm = own_limits(load() for load in quiet)
-    own = None if own_nm is None else OwnTorque(own_nm, events, next(iter(bundles.values())).near_stiction_rad_s)
-    touches: list[Collision] = []
-    total = len(test) + len(collisions)
-    for number, load in enumerate([*test, *collisions]):
-        recording = load()
-        found = find_collisions(recording)
-        free = number < len(test)
-        touches += found
-        if own is not None:
-            own.add(recording)
-        gains = set() if not found else {bundle.observer.gain_per_s for bundle in bundles.values()}
-        references = {gain: sensor_reference(recording, gain) for gain in gains}
-        for name, bundle in bundles.items():
-            expect_fit(bundle, recording)
-            estimates = estimate(bundle, scaled_torque(recording, constants[name]), threads)
-            if not free or number < keep_free_estimates:
-                save_estimates(estimates, estimates_dir / name / f"{recording.name}.parquet")
-            measures[name].add_events(recording, estimates)
-            if free:
-                measures[name].add_free(recording, free_part(recording, estimates) if found else estimates)
-            if found or not free:
-                reference = references.get(bundle.observer.gain_per_s)
-                measures[name].add_touched(found, recording, estimates, reference)
-        for detector in ignorant:
-            if free and not found:
-                detector.add_free(number, recording)
-            else:
-                detector.add_collisions(number, found, recording, estimates)
-        progress("evaluate", number + 1, total)
 
-    histories = loss_histories or {}
-    first = next(iter(bundles.values()))
+
+def ten_for_all(touches: list[Collision], bundles: Mapping[str, _core.Bundle], seed: int) -> list[str]:
+    """Ids of ten collisions that are strong for every bundle or, where those are fewer, for half of them."""
     limits = np.array([bundle.sliding_limit_nm for bundle in bundles.values()])
     ten = choose_ten(touches, limits.max(axis=0), seed)
     if len(ten) < 10:  # one hopeless method among many must not leave the others without collisions to show
         ten = choose_ten(touches, np.median(limits, axis=0), seed)
-    return {
-        "joints": [link.joint_name for link in first.links],
-        "near_stiction_rad_s": first.near_stiction_rad_s,
-        "ten_collisions": ten,
-        "collisions": [collision.summary() for collision in touches],
-        "cases": [measured.summary(touches, ten, histories.get(name)) for name, measured in measures.items()],
-        "own_torque": None if own is None else own.summary(),
-        "sanity": [detector.summary() for detector in ignorant],
-    }
+    return ten
 
 
 def free_part(recording: Recording, estimates: Estimates) -> Estimates:

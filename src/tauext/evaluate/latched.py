@@ -8,7 +8,7 @@ import numpy as np
 
 from tauext.data import Recording
 from tauext.data.estimates import COLLISION, Estimates
-from tauext.evaluate.collisions import GRACE_S, Collision
+from tauext.evaluate.collisions import GRACE_S, Collision, first_rise
 
 STRONG = 1.5
 """A collision is strong whose sensor reference exceeds so many times the limit ..."""
@@ -31,11 +31,11 @@ def judge_latched(
     first = max(collision.begin - 1 - long, 0)
     last = min(collision.end + round(GRACE_S * recording.rate_hz), recording.samples)
     part, window = slice(first, last), slice(collision.begin - first, last - first)
-    latched = _first_rise(estimates.held_alarm[part] == COLLISION, window)
+    latched = _first_rise_in(estimates.held_alarm[part] == COLLISION, window)
     sensor, strong = None, False
     if reference is not None:
         size, limit = np.abs(reference[part]), estimates.limit[part]
-        sensor = _first_rise(held(size > limit, hold).any(axis=1), window)
+        sensor = _first_rise_in(held(size > limit, hold).any(axis=1), window)
         strong = bool(held(size > STRONG * limit, long)[window].any())
     seconds = (recording.t_ns[collision.begin : last] - recording.t_ns[collision.begin]) * 1e-9
     both = latched is not None and sensor is not None
@@ -70,8 +70,6 @@ def latched_summary(verdicts: Sequence[dict]) -> dict:
     }
 
 
-def _first_rise(flags: np.ndarray, window: slice) -> int | None:
+def _first_rise_in(flags: np.ndarray, window: slice) -> int | None:
     """Index within the window of the first flag that is true after a false one."""
-    before = bool(flags[window.start - 1]) if window.start else False
-    rises = np.flatnonzero(flags[window] & ~np.append(before, flags[window][:-1]))
-    return int(rises[0]) if len(rises) else None
+    return first_rise(flags[window], bool(flags[window.start - 1]) if window.start else False)

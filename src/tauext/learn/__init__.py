@@ -11,8 +11,8 @@ from tauext.learn.bundle_writing import (
 )
 from tauext.learn.friction import fit_friction
 from tauext.learn.gate import Gate, apply_gate
-from tauext.learn.parts import Parts, training_parts
-from tauext.learn.prior import PriorFit, fit_prior
+from tauext.learn.prior import fit_prior
+from tauext.learn.prior_fit import PriorFit
 from tauext.learn.torque_constants import TorqueConstants, fit_torque_constants
 from tauext.learn.train import Progress, TrainedNetwork, train
 from tauext.learn.training_set import Chain, Scaling, WindowSet, build_windows, find_scaling
@@ -20,7 +20,6 @@ from tauext.learn.training_set import Chain, Scaling, WindowSet, build_windows, 
 __all__ = [
     "Chain",
     "Gate",
-    "Parts",
     "PriorFit",
     "Progress",
     "Scaling",
@@ -40,6 +39,5 @@ __all__ = [
     "set_drift",
     "set_signal_ranges",
     "train",
-    "training_parts",
     "with_presliding",
 ]

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from tauext import _core
-from tauext.config import DriftConfig, FilterConfig, ObserverConfig, Recipe
+from tauext.config import DriftConfig, FilterConfig, ObserverConfig, RecipeName
 from tauext.data import Recording
 from tauext.errors import TrainingError
-from tauext.learn.prior import PriorFit
 from tauext.learn.prior_facts import friction_nm
+from tauext.learn.prior_fit import PriorFit
 from tauext.learn.train import TrainedNetwork
 from tauext.learn.training_set import Chain, Scaling
+from tauext.recipes import recipe_of
 
 DRIFT_SPEED_RAD_S = 0.5
 """A joint's friction at this speed is what its drift is measured by."""
@@ -26,14 +27,14 @@ def build_chain(
     tree: _core.Tree,
     recording: Recording,
     config: ObserverConfig,
-    recipe: Recipe = "observer",
+    recipe: RecipeName = "observer",
     filters: FilterConfig | None = None,
 ) -> Chain:
     """The estimated model and the settings that follow from the recording's rate and torque timing.
 
     Args:
-        recipe: highpass and bandpass filter r; direct, velocity and energy take another observer than that of momentum.
-        filters: their cut-offs, None: the default ones.
+        recipe: says which observer, whether its r is filtered, and how much a network sees at once.
+        filters: cut-offs of the filters, None: the default ones.
 
     Raises:
         TrainingError: the recording's joints are not the model's.
@@ -43,24 +44,17 @@ def build_chain(
         raise TrainingError(
             f"{recording.name}: its joints {', '.join(recording.joints)} are not the model's {', '.join(names)}"
         )
+    row, filters = recipe_of(recipe), filters or FilterConfig()
     settings = _core.ObserverSettings(
         gain_per_s=config.gain_per_s,
         timing=getattr(_core.TorqueTiming, recording.torque_timing),
         sample_period_ns=config.sample_period_ns(recording.rate_hz),
         network_stride=config.network_stride(recording.rate_hz),
-        **residual_settings(recipe, filters or FilterConfig()),
+        method=getattr(_core.ResidualMethod, row.method),
+        high_pass_per_s=filters.high_pass_per_s if row.high_pass else 0.0,
+        low_pass_per_s=filters.low_pass_per_s if row.low_pass else 0.0,
     )
-    return Chain(tree, settings, 1 if recipe == "feedforward" else config.window_steps(recording.rate_hz))
-
-
-def residual_settings(recipe: Recipe, filters: FilterConfig) -> dict:
-    """What a recipe changes in the observer itself."""
-    if recipe in ("direct", "velocity", "energy"):
-        return {"method": getattr(_core.ResidualMethod, recipe)}
-    if recipe in ("highpass", "bandpass"):
-        low_pass = {"low_pass_per_s": filters.low_pass_per_s} if recipe == "bandpass" else {}
-        return {"high_pass_per_s": filters.high_pass_per_s} | low_pass
-    return {}
+    return Chain(tree, settings, 1 if row.network == "samples" else config.window_steps(recording.rate_hz))
 
 
 def with_presliding(chain: Chain, widths_rad: Sequence[float]) -> Chain:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from zipfile import BadZipFile
@@ -12,6 +11,7 @@ import numpy as np
 
 from tauext.errors import ConfigError
 from tauext.learn.adam import Adam
+from tauext.whole_file import whole_file
 
 
 @dataclass
@@ -27,8 +27,7 @@ class TrainState:
 def save(state: TrainState, settings: dict, path: Path) -> None:
     """Write under a temporary name, then rename: an interruption leaves the last whole checkpoint."""
     parameters, adam = state.at
-    part = path.with_name(path.name + ".part")
-    with part.open("wb") as file:
+    with whole_file(path) as part, part.open("wb") as file:
         np.savez(
             file,
             parameters=parameters,
@@ -40,7 +39,6 @@ def save(state: TrainState, settings: dict, path: Path) -> None:
             seconds=state.seconds,
             settings=json.dumps(settings, sort_keys=True),
         )
-    os.replace(part, path)
 
 
 def load(settings: dict, path: Path) -> TrainState | None:

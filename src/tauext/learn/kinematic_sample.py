@@ -9,7 +9,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.data import Recording
-from tauext.data.parts import between
+from tauext.data.cut import between
 from tauext.data.recording import FLAGS, OPTIONAL_SIGNALS
 from tauext.learn.inertial_regressors import inertial_regressors
 from tauext.learn.regression import FOLDS, NormalEquations, Regression

@@ -9,7 +9,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.learn.kinematics import Kinematics
-from tauext.learn.prior import PriorFit
+from tauext.learn.prior_fit import PriorFit
 from tauext.robot.inertial import PARAMETERS
 
 Kind = _core.TermKind

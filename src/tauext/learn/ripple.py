@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tauext import _core
 from tauext.data import Recording
+from tauext.learn.prior_fit import PriorFit
 from tauext.learn.training_set import Chain
-
-if TYPE_CHECKING:
-    from tauext.learn.prior import PriorFit
 
 MOST_CYCLES = 400
 RIPPLE_DATA_S = 300.0  # so much motion is enough to find a ripple, and it takes a while ...

@@ -3,8 +3,8 @@
 A research network of your own, trained by the same loop on the same windows as ours:
 
     config = TrainConfig(recipe="paper", max_steps=20_000)
-    recipe = make_recipe(chain, training, config.resolved())
-    backend = TorchBackend(MyNetwork(), chain, training, recipe.length, recipe.targets)
+    schedule = make_schedule(chain, training, config.resolved())
+    backend = TorchBackend(MyNetwork(), chain, training, schedule.length, schedule.targets)
     network = train(chain, training, validation, config, backend=backend)
     backend.load(network.parameters)  # the best weights, into backend.module
 

@@ -64,6 +64,12 @@ class TorqueConstants:
         """What recordings are scaled by: 1 for a joint of which nothing is known, whose torque stays as it was."""
         return np.where(self.determined | self.guessed, self.nm_per_unit, 1.0).tolist()
 
+    def units(self, given: _core.TorqueUnit) -> _core.TorqueUnits:
+        """What a bundle with these constants takes and answers in; given: the unit of the recordings' tau."""
+        unknown = ~(self.determined | self.guessed) & (not self.given)
+        relative_to = -1 if self.relative_to is None else self.relative_to
+        return _core.TorqueUnits(given, relative_to, unknown.astype(int).tolist() if unknown.any() else [])
+
     def facts(self, joints: Sequence[str]) -> dict:
         """For provenance: what is used, in the order of the joints, and what was found of each."""
         facts: dict = {} if self.relative_to is None else {"relative_to": joints[self.relative_to]}
@@ -96,7 +102,7 @@ class TorqueConstants:
                 return ["torque constants of the import are kept: the motion says no more"]
             return [
                 f"torque constants of the import, corrected by a factor: {listed(self.determined, words)}"
-                f"{kept if not self.determined.all() else ''}. A control loop must multiply its torques by them too"
+                f"{kept if not self.determined.all() else ''}. The bundle applies them, a loop gives what it recorded"
             ]
         unit, said, unknown = "Nm", [], ~(self.determined | self.guessed)
         if self.relative_to is not None:
@@ -148,6 +154,13 @@ def fit_torque_constants(
         return given_constants(arm.nm_per_unit, arm.log_errors)
     arm = fit_scaled_arm(sample, tree, UNKNOWN_TO)
     return TorqueConstants(arm.nm_per_unit, arm.log_errors * np.abs(arm.nm_per_unit), arm.log_errors <= WELL_DETERMINED)
+
+
+def with_constants(observer: _core.ObserverSettings, nm_per_unit: Sequence[float]) -> _core.ObserverSettings:
+    """The same settings for recordings whose tau is to be multiplied by these, a joint."""
+    kept = ("gain_per_s", "timing", "sample_period_ns", "network_stride", "method", "high_pass_per_s", "low_pass_per_s")
+    settings = {name: getattr(observer, name) for name in kept}
+    return _core.ObserverSettings(**settings, nm_per_unit=[float(constant) for constant in nm_per_unit])
 
 
 def given_constants(factors: np.ndarray, log_errors: np.ndarray) -> TorqueConstants:

@@ -17,7 +17,7 @@ from tauext.learn import checkpoint
 from tauext.learn.adam import Adam
 from tauext.learn.checkpoint import TrainState
 from tauext.learn.core_backend import CoreBackend
-from tauext.learn.recipes import make_recipe
+from tauext.learn.schedules import Schedule, make_schedule
 from tauext.learn.training_set import Chain, WindowSet
 
 CHECKPOINT_EVERY_S = 30.0
@@ -66,9 +66,9 @@ def train(
     report: Callable[[Progress], None] = lambda progress: None,
     backend: Backend | None = None,
 ) -> TrainedNetwork:
-    """Train the network by a recipe: mean squared error, Adam.
+    """Train the network by its recipe's schedule: mean squared error, Adam.
 
-    The weights of the lowest validation loss are kept (see Recipe.score): at the paper's learning rate the loss jumps
+    The weights of the lowest validation loss are kept (see Schedule.score): at the paper's learning rate the loss jumps
     up now and then and recovers, and the last step would be a draw of luck. The paper does not say which it keeps.
 
     The same seed and data give the same bytes for any number of threads, whether or not the run was interrupted.
@@ -81,17 +81,12 @@ def train(
         backend: what computes, of any kind of network; default: the one that the config names.
 
     Raises:
-        TrainingError: too little data for the recipe, or a loss that diverges.
+        TrainingError: too little data for the schedule, or a loss that diverges.
     """
     config = config.resolved()
-    recipe = make_recipe(chain, training, config)
-    backend = backend or make_backend(chain, training, config, recipe.length, recipe.targets)
-    shown = validation.ends[:: max(1, validation.windows // recipe.validation_windows)].copy()
-
-    def validation_loss(parameters: np.ndarray) -> float:
-        error = backend.predict(parameters, validation, shown) - validation.target_rows[shown]
-        return float(np.mean(np.square(error, dtype=np.float64)))
-
+    schedule = make_schedule(chain, training, config)
+    backend = backend or make_backend(chain, training, config, schedule.length, schedule.targets)
+    shown = validation.ends[:: max(1, validation.windows // schedule.validation_windows)].copy()
     state = checkpoint_path and checkpoint.load(settings or {}, checkpoint_path)
     if state is None:
         start = backend.initial_parameters(config.seed)
@@ -100,30 +95,17 @@ def train(
     started = saved = time.monotonic()
     running_loss = state.history[-1][1] if state.history else None
     try:
-        while (done := state.at[1].steps) < recipe.steps and not recipe.gives_up(state.history):
-            parameters, adam = state.at
-            loss, gradient = backend.gradient(parameters.astype(np.float32), recipe.ends(done))
-            if not loss <= LARGEST_LOSS:
-                raise TrainingError(
-                    f"the loss diverges ({loss:g} at step {done}, in units of the largest residual squared); "
-                    f"lower learning_rate = {config.learning_rate:g}"
-                )
-            norm = float(np.linalg.norm(gradient))
-            if norm > recipe.largest_gradient:
-                gradient = gradient * (recipe.largest_gradient / norm)
-            state.at = adam.step(parameters, gradient, recipe.learning_rate(done))
+        while (done := state.at[1].steps) < schedule.steps and not schedule.gives_up(state.history):
+            loss = take_step(state, backend, schedule, config)
             running_loss = loss if running_loss is None else 0.99 * running_loss + 0.01 * loss
             done += 1
-            if done % recipe.report_every == 0 or done == recipe.steps:
+            if done % schedule.report_every == 0 or done == schedule.steps:
                 candidate = state.at[0].astype(np.float32)
-                validated = validation_loss(candidate)
-                score = recipe.score(done, validated)
-                if all(score < recipe.score(step, earlier) for step, _, earlier in state.history):
-                    state.best = candidate
-                state.history.append((done, running_loss, validated))
+                error = backend.predict(candidate, validation, shown) - validation.target_rows[shown]
+                keep_best(state, schedule, candidate, running_loss, float(np.mean(np.square(error, dtype=np.float64))))
                 state.seconds = resumed_seconds + time.monotonic() - started
                 pace = (state.seconds - resumed_seconds) / (done - resumed_at)
-                report(Progress(done, recipe.steps, *state.history[-1][1:], pace * (recipe.steps - done)))
+                report(Progress(done, schedule.steps, *state.history[-1][1:], pace * (schedule.steps - done)))
                 if checkpoint_path and time.monotonic() - saved > CHECKPOINT_EVERY_S:
                     checkpoint.save(state, settings or {}, checkpoint_path)
                     saved = time.monotonic()
@@ -136,6 +118,36 @@ def train(
         checkpoint_path.unlink(missing_ok=True)
     shape = _core.LstmShape(len(chain.inputs), config.hidden, chain.tree.size)
     return TrainedNetwork(shape, state.best, state.history, state.at[1].steps, state.seconds)
+
+
+def take_step(state: TrainState, backend: Backend, schedule: Schedule, config: TrainConfig) -> float:
+    """Move the state on by one step; the loss before it.
+
+    Raises:
+        TrainingError: the loss diverges.
+    """
+    parameters, adam = state.at
+    done = adam.steps
+    loss, gradient = backend.gradient(parameters.astype(np.float32), schedule.ends(done))
+    if not loss <= LARGEST_LOSS:
+        raise TrainingError(
+            f"the loss diverges ({loss:g} at step {done}, in units of the largest residual squared); "
+            f"lower learning_rate = {config.learning_rate:g}"
+        )
+    norm = float(np.linalg.norm(gradient))
+    if norm > schedule.largest_gradient:
+        gradient = gradient * (schedule.largest_gradient / norm)
+    state.at = adam.step(parameters, gradient, schedule.learning_rate(done))
+    return loss
+
+
+def keep_best(state: TrainState, schedule: Schedule, candidate: np.ndarray, loss: float, validated: float) -> None:
+    """Add both losses to the history, and keep these weights where no earlier ones scored as well."""
+    done = state.at[1].steps
+    score = schedule.score(done, validated)
+    if all(score < schedule.score(step, earlier) for step, _, earlier in state.history):
+        state.best = candidate
+    state.history.append((done, loss, validated))
 
 
 def make_backend(chain: Chain, training: WindowSet, config: TrainConfig, length: int, targets: int) -> Backend:

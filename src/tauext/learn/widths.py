@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data import Recording
+from tauext.learn.prior_fit import PriorFit
 from tauext.learn.training_set import Chain
-
-if TYPE_CHECKING:
-    from tauext.learn.prior import PriorFit
 
 BENT = (_core.TermKind.presliding, _core.TermKind.load_presliding)
 LEAST_COUNTS = 2.0  # an encoder's counts in a presliding width

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tauext import _core
-from tauext.data import torque_constants_of
 from tauext.errors import ConfigError
 from tauext.live.events import EventFinder
 from tauext.live.latency import Latencies
@@ -92,8 +91,6 @@ class Loop:
         self._bundle, self._source, self._reactions = bundle, source, reactions or Reactions()
         self._profiles, self._profile, self._recorder = profiles, None, recorder
         self._settings = settings
-        constants = torque_constants_of(bundle.provenance)
-        self._nm_per_unit = None if constants is None else np.asarray(constants, dtype=float)
         self._requests: queue.SimpleQueue[tuple[str, str, str]] = queue.SimpleQueue()
         self._changes = ChangeFinder()
         self._events = EventFinder(self.joints, {"bundle": bundle.name, "source": source.name})
@@ -150,10 +147,8 @@ class Loop:
                 opened.append(sink)
             for text in ask_for_real_time(self._settings.core, self._settings.priority):
                 self.note(text)
-            constants = self._nm_per_unit is not None
-            self._source.open(
-                SourceSettings(self.joints, self.monitor.sample_period_ns, constants, self._bundle.observer.timing.name)
-            )
+            timing, units = self._bundle.observer.timing.name, tuple(self._bundle.torque_units)
+            self._source.open(SourceSettings(self.joints, self.monitor.sample_period_ns, units, timing))
             sys.setswitchinterval(SWITCH_S)
             gc.collect()
             gc.freeze()  # what is there stays; collections during the loop look at what came since
@@ -196,8 +191,6 @@ class Loop:
 
     def _sample(self, sample: Sample) -> None:
         self._acknowledge_when_due(sample.t_ns)
-        if self._nm_per_unit is not None:
-            sample = replace(sample, tau=sample.tau * self._nm_per_unit)
         said = self.monitor.run(
             np.array([sample.t_ns]), sample.q[None], sample.dq[None], sample.tau[None], self._recorder
         )

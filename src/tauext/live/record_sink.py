@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from tauext import __version__, _core
-from tauext.data import Recording, save, torque_constants_of
+from tauext.data import Recording, save
+from tauext.data.scaled import AMPERES
 from tauext.errors import ConfigError, TauextError
 from tauext.live.sink import Control, LoopReport, Verdict
 from tauext.monitor.changes import NONE, OK
@@ -41,8 +42,8 @@ class RecordSink:
     """Writes NAME-0001.parquet, NAME-0002.parquet, ... of segment_s each; files that are there are never overwritten.
 
     `contact` is the monitor's own word: 1 where an alarm stands, 0 where it is healthy and none does, else -1, unknown;
-    training takes what is 0, with margins around what is 1. Torques are in the unit of the recordings that the bundle
-    was trained on, N m or a current. A sample costs the loop a copy; a thread writes.
+    training takes what is 0, with margins around what is 1. Torques are in the unit that the bundle takes. A sample
+    costs the loop a copy; a thread writes.
     """
 
     def __init__(self, folder: Path, bundle: _core.Bundle, source: str, segment_s: float = 60.0):
@@ -55,7 +56,6 @@ class RecordSink:
         self._stem = f"{file_name(source)}-{time.strftime('%Y%m%dT%H%M%S')}"
         self._period_ns = bundle.observer.sample_period_ns
         self._rows = max(2, round(segment_s * 1e9 / self._period_ns))
-        self._nm_per_unit = np.array(torque_constants_of(bundle.provenance) or 1.0)
         self._number = self._files = self._written = self._unfit = self._lost = 0
         self._error = ""
         self._waiting: deque[dict[str, np.ndarray]] = deque()
@@ -75,7 +75,7 @@ class RecordSink:
         sample, said, k = verdict.sample, verdict.said, self._row
         if sample is None:
             return
-        signals = (sample.q, sample.dq, sample.tau / self._nm_per_unit)
+        signals = (sample.q, sample.dq, sample.tau)
         if not all(np.isfinite(values).all() for values in signals) or (k and sample.t_ns <= self._t_ns[k - 1]):
             self._unfit += 1
             return
@@ -142,6 +142,8 @@ class RecordSink:
             "source": self._source,
             "contact": "the monitor's own word",
         }
+        if "A" in self._bundle.torque_units:
+            provenance["torque"] = AMPERES
         try:
             recording = Recording(
                 name=path.stem,

@@ -46,8 +46,8 @@ class SourceSettings:
     """Names, in the order that samples must have."""
     period_ns: int
     """Of the bundle's samples, [ns]."""
-    torque_constants: bool = False
-    """The bundle holds torque constants: tau stays in the recordings' own unit."""
+    torque_units: tuple[str, ...] = ()
+    """Of the tau that the bundle takes, a joint: "N m", "N", "A" or "recorded unit"; empty: N m, or N."""
     torque_timing: str = ""
     """What a torque sample of the bundle means: held, instant or averaged."""
 

@@ -21,7 +21,8 @@ POLLS_A_PERIOD = 10
 
 
 class UrSource(ReaderSource):
-    """actual_q [rad], actual_qd [rad/s] and actual_current [A] times torque constants [N m/A], joints base to wrist 3.
+    """actual_q [rad], actual_qd [rad/s] and actual_current, joints base to wrist 3; currents as they come for a bundle
+    that takes amperes, times torque constants [N m/A] for one that takes N m.
 
     The stamp is the controller's time since its start. stop() ends the program on the controller by its dashboard.
     """
@@ -29,16 +30,19 @@ class UrSource(ReaderSource):
     robot_joints = 6
 
     def __init__(self, host: str, torque_constants: Path | None = None):
-        """torque_constants: file (torque_constants_file.py); None where the bundle holds its own."""
+        """torque_constants: file (torque_constants_file.py); None where the bundle takes amperes."""
         super().__init__(f"ur {host}")
         self._host, self._file = host, torque_constants
         self._receive = None
 
     def open(self, settings: SourceSettings) -> None:
-        if settings.torque_constants and self._file is not None:
-            raise ConfigError(f"{self.name}: the bundle holds torque constants of its own; leave {self._file} out")
-        if not settings.torque_constants and self._file is None:
-            raise ConfigError(f"{self.name} sends motor currents: --torque-constants FILE says what they are in N m")
+        amperes = "A" in settings.torque_units
+        if amperes and self._file is not None:
+            raise ConfigError(f"{self.name}: the bundle takes amperes, as they come; leave {self._file} out")
+        if not amperes and self._file is None:
+            raise ConfigError(
+                f"{self.name} sends motor currents, the bundle takes N m: --torque-constants FILE says what they are"
+            )
         self._constants = np.ones(len(settings.joints))
         if self._file is not None:
             self._constants = load_torque_constants(self._file, settings.joints)

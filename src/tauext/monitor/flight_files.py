@@ -24,6 +24,7 @@ from tauext.monitor.flight_content import (
     event_numbers,
     rows_kept,
 )
+from tauext.whole_file import whole_file
 
 ENDINGS = (".txt", ".dropped.csv", ".estimates.parquet", ".parquet")
 """In the order of writing: who sees FLIGHT.parquet finds the others beside it."""
@@ -110,17 +111,11 @@ def remove(place: Reservation) -> None:
 
 def write_dropped(flight: Flight, kept: np.ndarray, source: FlightSource, path: Path) -> None:
     """The samples that the recording cannot hold, all of them, with the monitor's health."""
-    part = path.with_name(path.name + ".part")
-    try:
-        with part.open("w", newline="", encoding="utf-8") as file:
-            table = csv.writer(file)
-            signals = [f"{signal}_{joint}" for signal in ("q", "dq", "tau") for joint in source.joints]
-            table.writerow(["row", "t_ns", *signals, "health", "causes"])
-            for row in np.flatnonzero(~kept).tolist():
-                values = [float(value) for signal in ("q", "dq", "tau") for value in flight[signal][row]]
-                flags = [int(flight["health"][row]), int(flight["causes"][row])]
-                table.writerow([row, int(flight["t_ns"][row]), *values, *flags])
-        os.replace(part, path)
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
+    with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        signals = [f"{signal}_{joint}" for signal in ("q", "dq", "tau") for joint in source.joints]
+        table.writerow(["row", "t_ns", *signals, "health", "causes"])
+        for row in np.flatnonzero(~kept).tolist():
+            values = [float(value) for signal in ("q", "dq", "tau") for value in flight[signal][row]]
+            flags = [int(flight["health"][row]), int(flight["causes"][row])]
+            table.writerow([row, int(flight["t_ns"][row]), *values, *flags])

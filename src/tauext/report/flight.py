@@ -12,7 +12,8 @@ from tauext.report.flight_figures import draw_close, draw_flight
 from tauext.report.flight_file import Flight, load_flight
 from tauext.report.page import PageFigure
 from tauext.report.traces import NO_TRACES, PAGE_MB, PageTraces, flight_traces, or_reason
-from tauext.report.write import check_page_mb, make_figure, write_whole
+from tauext.report.write import check_page_mb, make_figure
+from tauext.whole_file import whole_file
 
 TEMPLATE = Path(__file__).with_name("flight.html.j2")
 
@@ -38,7 +39,8 @@ def write_flight_report(flight_path: Path, out_dir: Path, page_mb: float = PAGE_
         figures = [make_figure(one, out_dir / "figures" / f"{stem}.png") for stem, one in draw.items()]
         room = page_mb * 1e6 - len(render_flight(flight, figures[::-1]).encode())
         traces = or_reason(partial(flight_traces, flight, room))
-        write_whole(page, render_flight(flight, figures[::-1], traces).encode())
+        with whole_file(page) as part:
+            part.write_bytes(render_flight(flight, figures[::-1], traces).encode())
     except OSError as error:
         raise ConfigError(f"{out_dir}: the report cannot be written ({error.strerror or error})") from error
     return page

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -26,6 +25,7 @@ from tauext.report.style import DPI, RC
 from tauext.report.three_collisions import draw_three_collisions
 from tauext.report.traces import PAGE_MB, PageTraces, chosen_cases, or_reason, results_traces
 from tauext.report.training_loss import draw_training_loss
+from tauext.whole_file import whole_file
 
 
 def write_report(
@@ -70,7 +70,8 @@ def write_report(
         linked = PageTraces("", tuple(collision.recording for collision in results.collisions.values()))
         room = page_mb * 1e6 - len(render_page(results, figures, linked).encode())
         traces = or_reason(partial(results_traces, results, signals, room, trace_methods))
-        write_whole(page, render_page(results, figures, traces).encode())
+        with whole_file(page) as part:
+            part.write_bytes(render_page(results, figures, traces).encode())
     except OSError as error:
         raise ConfigError(f"{out_dir}: the report cannot be written ({error.strerror or error})") from error
     return page
@@ -90,14 +91,6 @@ def make_figure(draw: Callable[[], Drawing], path: Path) -> PageFigure:
         except NotAvailable as reason:
             path.unlink(missing_ok=True)
             return PageFigure(png=None, caption=f"{title} is not available: {reason}.")
-        part = path.with_name(path.name + ".part")
-        drawing.figure.savefig(part, format="png", dpi=DPI, metadata={"Software": None})
-    os.replace(part, path)
+        with whole_file(path) as part:
+            drawing.figure.savefig(part, format="png", dpi=DPI, metadata={"Software": None})
     return PageFigure(png=path.read_bytes(), caption=drawing.caption, width_in=drawing.figure.get_figwidth())
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Under a temporary name first, so that an interrupted run leaves no half page."""
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(content)
-    os.replace(part, path)

@@ -15,10 +15,12 @@ from pathlib import Path
 from tauext import __version__
 from tauext.data import save, save_split, split_recordings
 from tauext.errors import ConfigError
+from tauext.provenance import write_json
 from tauext.rig.arm import arm_xml
 from tauext.rig.config import RigConfig
 from tauext.rig.recording import simulate_recording
 from tauext.rig.scene import Kind
+from tauext.whole_file import whole_file
 
 LEAST_RECORDINGS = 20
 """Of free motion: whole recordings are dealt to train, validation and test."""
@@ -77,7 +79,8 @@ def simulate_dataset(
     settings = {"minutes": minutes, "collision_recordings": collision_recordings}
     settings |= {f"{part}_hours": hours for part, hours in more.items() if hours > 0}
     _claim(out_dir, _settings(config, seed, settings))
-    _write(out_dir / "robot.xml", robot)
+    with whole_file(out_dir / "robot.xml") as part:
+        part.write_text(robot)
 
     def make(k: int) -> str:
         path = out_dir / names[k]
@@ -99,7 +102,7 @@ def simulate_dataset(
     split = split_recordings(names[:count], seed, minimum=LEAST_RECORDINGS, collisions=collisions)
     more_test = (*split.test, *more_names["test"])
     save_split(replace(split, test=more_test, calibration=tuple(more_names["calibration"])), out_dir)
-    _write_json(out_dir / "wall_time_s.json", {"simulate": round(time.monotonic() - started, 3)})
+    write_json({"simulate": round(time.monotonic() - started, 3)}, out_dir / "wall_time_s.json")
 
 
 def _cut(minutes: float, config: RigConfig) -> tuple[int, float]:
@@ -144,7 +147,7 @@ def _claim(out_dir: Path, settings: dict) -> None:
     if out_dir.exists() and (not out_dir.is_dir() or any(out_dir.iterdir())):
         raise ConfigError(f"{out_dir}: is not empty and holds no simulated dataset; choose another folder")
     out_dir.mkdir(parents=True, exist_ok=True)
-    _write_json(run, settings)
+    write_json(settings, run)
 
 
 def _first_difference(found: object, wanted: object, name: str = "run.json") -> str:
@@ -154,14 +157,3 @@ def _first_difference(found: object, wanted: object, name: str = "run.json") -> 
             if found.get(key) != wanted.get(key):
                 return _first_difference(found.get(key), wanted.get(key), str(key))
     return f"{name}: {found}, not {wanted}"
-
-
-def _write_json(path: Path, content: dict) -> None:
-    _write(path, json.dumps(content, indent=1) + "\n")
-
-
-def _write(path: Path, text: str) -> None:
-    """Write under a temporary name, then rename."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(text)
-    os.replace(part, path)

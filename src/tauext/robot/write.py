@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from xml.etree import ElementTree
 import mujoco
 
 from tauext.errors import RobotError
+from tauext.whole_file import whole_file
 
 NO_MODEL = "no_model"
 """Name of a placeholder robot."""
@@ -187,7 +187,6 @@ def _require(source: Path, kind: str, name: str, there: list[str]) -> None:
 
 
 def _write(path: Path, content: bytes) -> Path:
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(content)
-    os.replace(part, path)
+    with whole_file(path) as part:
+        part.write_bytes(content)
     return path

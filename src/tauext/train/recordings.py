@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 from tauext.config import ModelCase, TrainConfig
+from tauext.data import Recording, first_seconds, from_amperes, in_amperes, scaled_torque, total_s
 from tauext.errors import ConfigError
 
-if TYPE_CHECKING:
-    from tauext.data import Recording
+LEAST_S = 30.0
+"""Of motion, before an arm is looked for in it to tell torque constants, [s]."""
 
 
 def chosen_recordings(
-    training: list[Recording], validation: list[Recording], config: TrainConfig
-) -> tuple[list[Recording], list[Recording]]:
+    training: Sequence[Recording], validation: Sequence[Recording], config: TrainConfig
+) -> tuple[Sequence[Recording], Sequence[Recording]]:
     """What config.minutes leaves of them: of validation at least a minute, or a window where that is longer.
 
     Raises:
         ConfigError: there are not so many minutes.
     """
-    from tauext.data import first_seconds, total_s
-
     if config.minutes is None:
         return training, validation
     wanted_s, there_s = 60 * config.minutes, total_s(training)
@@ -38,19 +36,15 @@ def chosen_recordings(
 
 def scaled(load: Callable[[], Recording], nm_per_unit: Sequence[float]) -> Recording:
     """A loaded recording with its torque in N m."""
-    from tauext.data import scaled_torque
-
     return scaled_torque(load(), nm_per_unit)
 
 
-def wants_constants(config: TrainConfig, training: list[Recording], case: ModelCase) -> bool:
+def wants_constants(config: TrainConfig, training: Sequence[Recording], case: ModelCase) -> bool:
     """Whether torque constants are to be fitted or, where they were given, corrected; unless said, where the recordings
     were currents and a model or half a minute of motion tells them."""
-    from tauext.data import from_amperes, in_amperes, total_s
-
     if config.fit_torque_constants is not None:
         return config.fit_torque_constants
     if not case.no_model:
         return in_amperes(training) or from_amperes(training)
-    arm_serves = config.recipe in ("prior", "tauext")  # others take each joint by itself, in whatever unit
-    return total_s(training) >= 30 and (in_amperes(training) or (from_amperes(training) and arm_serves))
+    told = in_amperes(training) or (from_amperes(training) and config.row.finds_arm)
+    return total_s(training) >= LEAST_S and told

@@ -1,4 +1,4 @@
-"""A dataset folder as the commands see it: robot file, split, recordings loaded when asked for."""
+"""A dataset folder: robot file, split, recordings loaded when asked for."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from tauext.data import Recording, Split, load, load_split
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load
+from tauext.data.split import Split, load_split
 from tauext.errors import ConfigError
 
 ROBOT_FILES = ("robot.xml", "robot.urdf")
@@ -15,6 +17,8 @@ ROBOT_FILES = ("robot.xml", "robot.urdf")
 
 @dataclass(frozen=True)
 class Dataset:
+    """A folder of recordings, and which of them serves for what."""
+
     folder: Path
     split: Split
 
@@ -26,7 +30,7 @@ class Dataset:
         return cls(folder, load_split(folder))
 
     def recordings(self, part: str) -> list[Recording]:
-        """All recordings of `train`, `validation`, `test` or `collisions`, in order."""
+        """All recordings of `train`, `validation`, `test`, `collisions` or `calibration`, in order."""
         return [load(self.folder / name) for name in getattr(self.split, part)]
 
     def training(self) -> list[Recording]:

@@ -2,33 +2,23 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Collection
 from pathlib import Path
 
-from tauext.cli.dataset import Dataset
-from tauext.cli.model_case import CaseName, chosen_case, estimated_model, why_impossible
-from tauext.cli.train import train_bundle
-from tauext.cli.train_settings import finished
-from tauext.config import PAPER_CASES, Recipe, TrainConfig
+from tauext.config import PAPER_CASES, CaseName, TrainConfig
+from tauext.data import Dataset
 from tauext.errors import ConfigError
+from tauext.progress import SILENT, Reporter
+from tauext.recipes import RECIPES
+from tauext.robot import chosen_case, estimated_model
+from tauext.train.settings import finished, why_impossible
+from tauext.train.stage import train_bundle
 
-BASELINES: tuple[tuple[str, Recipe], ...] = (
-    ("observer", "observer"),
-    ("friction", "friction"),
-    ("highpass", "highpass"),
-    ("bandpass", "bandpass"),
-    ("velocity", "velocity"),
-    ("energy", "energy"),
-    ("direct", "direct"),
-    ("feedforward", "feedforward"),
-    # The paper's network by the dense recipe: its errors are below the published ones at a fraction of the time. A
-    # bundle of the paper's whole recipe can be given beside it.
-    ("paper-lstm", "dense"),
-    ("prior", "prior"),
-    ("tauext", "tauext"),
-)
-"""(name, recipe), simplest first; tauext itself is the last."""
+
+def baselines() -> dict[str, str]:
+    """Recipes by the name of their baseline, simplest first; tauext itself is the last."""
+    ranked = sorted(RECIPES.values(), key=lambda recipe: recipe.rank)
+    return {recipe.baseline: recipe.name for recipe in ranked if recipe.baseline is not None}
 
 
 def train_baselines(
@@ -40,11 +30,12 @@ def train_baselines(
     threads: int,
     names: Collection[str] | None = None,
     skip: Collection[str] = (),
+    report: Reporter = SILENT,
 ) -> dict[str, Path]:
-    """Train the baselines into folder/NAME.tauext; their bundles by name, in the order of BASELINES.
+    """Train the baselines into folder/NAME.tauext; their bundles by name, simplest first.
 
     Limits keep one and the same promise where the dataset has calibration recordings; else they are the paper's. What
-    is finished with these settings is kept. What cannot exist for the case is left out, and stderr says why.
+    is finished with these settings is kept. What cannot exist for the case is left out, and the reporter told why.
 
     Args:
         robot: URDF or MJCF; None: the dataset's own.
@@ -53,32 +44,34 @@ def train_baselines(
         skip: leave these out.
 
     Raises:
-        ConfigError: a name that is none of BASELINES, a bundle of other settings in the folder, no training recording,
+        ConfigError: a name that is none of theirs, a bundle of other settings in the folder, no training recording,
             or a case that the dataset has no model for.
     """
-    known = [name for name, _ in BASELINES]
+    known = baselines()
     for name in (*(names or ()), *skip):
         if name not in known:
             raise ConfigError(f"baseline '{name}' does not exist; they are {', '.join(known)}")
     robot_file = dataset.robot_file(robot)
-    case_name = chosen_case(case_name, robot_file)
+    case_name, said = chosen_case(case_name, robot_file)
+    if said:
+        report.say(said)
     case, calibration = PAPER_CASES[case_name], dataset.loaders("calibration")
     bundles: dict[str, Path] = {}
     missing: dict[str, TrainConfig] = {}
-    for name, recipe in BASELINES:
+    for name, recipe in known.items():
         if name in skip or (names is not None and name not in names):
             continue
-        if impossible := why_impossible(recipe, case):
-            print(f"{name} is left out: {impossible}", file=sys.stderr)
+        if impossible := why_impossible(RECIPES[recipe], case):
+            report.say(f"{name} is left out: {impossible}")
             continue
         bundles[name] = folder / f"{name}.tauext"
         limits = "promised" if calibration else "supported"
         config = TrainConfig(recipe=recipe, seed=seed, threads=threads, limits=limits)
-        if not finished(bundles[name], case_name, config):
+        if not finished(bundles[name], case, config):
             missing[name] = config
     if missing:
         training, validation = dataset.training(), dataset.recordings("validation")
-        tree = estimated_model(robot_file, training[0], case)
+        tree = estimated_model(robot_file, training[0].joints, case)
         for name, config in missing.items():
-            train_bundle(tree, robot_file, case, training, validation, config, bundles[name], calibration)
+            train_bundle(tree, robot_file, case, training, validation, config, bundles[name], calibration, report)
     return bundles

@@ -1,17 +1,17 @@
-"""What a command writes beside its output: settings, versions and seed in run.json, wall times apart from it."""
+"""What a stage writes beside its output: settings, versions and seed in run.json, wall times apart from it."""
 
 from __future__ import annotations
 
 import json
 import os
 import platform
-import sys
 from dataclasses import asdict, is_dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from tauext import __version__
+from tauext.whole_file import whole_file
 
 LIBRARIES = ("numpy", "mujoco", "pyarrow")
 
@@ -19,9 +19,8 @@ LIBRARIES = ("numpy", "mujoco", "pyarrow")
 def write_json(content: Any, path: Path) -> None:
     """Write under a temporary name, then rename; the same content gives the same bytes."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
-    os.replace(part, path)
+    with whole_file(path) as part:
+        part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def provenance(command: str, settings: Any, seed: int | None) -> dict:
@@ -46,8 +45,3 @@ def machine() -> str:
         names = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
         processor = names[0] if names else processor
     return f"{processor}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}"
-
-
-def command_line() -> str:
-    """The command as typed, without the path of the program."""
-    return " ".join(["tauext", *sys.argv[1:]])

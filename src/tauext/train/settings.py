@@ -6,24 +6,14 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from tauext.config import PAPER_CASES, FreeMotionConfig, ModelCase, TrainConfig
+from tauext.config import FreeMotionConfig, ModelCase, TrainConfig
 from tauext.errors import ConfigError
+from tauext.recipes import Recipe
 
 
 def training_settings(case: ModelCase, config: TrainConfig) -> dict:
     """What the trained bundle depends on beside the data; not the number of threads."""
     plain = asdict(config.resolved())
-    network, sequences, filters = ("prior", "gate_margin", "drift"), ("threads", "epochs"), ("filters",)
-    no_network = ("threads", "targets", *network)
-    unused = {
-        "tauext": (*sequences, *filters),
-        "prior": ("threads", "targets", "gate_margin", *filters),
-        "paper": ("threads", "targets", *network, *filters),
-        "dense": (*sequences, *network, *filters),
-        "feedforward": (*sequences, "targets", *network, *filters),
-        "highpass": no_network,
-        "bandpass": no_network,
-    }.get(config.recipe, (*no_network, *filters))
     if config.backend == "core":
         del plain["backend"]
     if config.minutes is None:
@@ -32,11 +22,11 @@ def training_settings(case: ModelCase, config: TrainConfig) -> dict:
         del plain["margins"]
     if config.fit_torque_constants is None:
         del plain["fit_torque_constants"]
-    settings = {"case": asdict(case), "config": {k: v for k, v in plain.items() if k not in unused}}
+    settings = {"case": asdict(case), "config": {k: v for k, v in plain.items() if k not in config.row.unused}}
     return json.loads(json.dumps(settings))  # as a file gives them back: lists, no tuples
 
 
-def finished(bundle: Path, case: str, config: TrainConfig) -> bool:
+def finished(bundle: Path, case: ModelCase, config: TrainConfig) -> bool:
     """Whether this bundle was already trained with these settings.
 
     Raises:
@@ -46,6 +36,13 @@ def finished(bundle: Path, case: str, config: TrainConfig) -> bool:
     if not bundle.exists() or not run.exists():
         return False
     settings = json.loads(run.read_text())["settings"]
-    if settings == training_settings(PAPER_CASES[case], config):
+    if settings == training_settings(case, config):
         return True
     raise ConfigError(f"{bundle}: it was trained with other settings; choose another --out or remove it")
+
+
+def why_impossible(recipe: Recipe, case: ModelCase) -> str | None:
+    """Why there is no such bundle; None: there is."""
+    if recipe.needs_model and case.no_model:
+        return f"recipe = {recipe.name} needs a model, which the case '{case.name}' has not: {recipe.needs_model}"
+    return None

@@ -1,4 +1,4 @@
-"""What a step is taught, and how large it is: the paper's recipe, and the dense one."""
+"""What a step is taught, and how large it is: the paper's schedule, and the dense one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tauext.errors import TrainingError
 from tauext.learn.training_set import Chain, TooShort, WindowSet
 
 
-class Recipe(Protocol):
+class Schedule(Protocol):
     """Sequences of `length` network steps from zero state, of which the last `targets` teach."""
 
     steps: int
@@ -36,7 +36,7 @@ class Recipe(Protocol):
 
 
 @dataclass
-class PaperRecipe:
+class PaperSchedule:
     """One target a window, all windows in a new random order each epoch, constant learning rate [Lim2021]."""
 
     chain: Chain
@@ -77,14 +77,14 @@ class PaperRecipe:
 
 
 @dataclass
-class DenseRecipe:
+class DenseSchedule:
     """Sequences drawn at random; after a burn-in as long as the window every step has a target.
 
     A state that has seen a whole window hardly depends on what came before, so these states stand for those of a
     window from zero state, which is what the network is used on. One sequence of 199 steps teaches 100 targets, which
-    cost the paper's recipe 10,000 steps. The learning rate rises over the first twentieth of the training and falls to
-    zero along a cosine. A feed-forward network has a window of one step and no state to burn in: each of its sequences
-    is that step, and teaches one target.
+    cost the paper's schedule 10,000 steps. The learning rate rises over the first twentieth of the training and falls
+    to zero along a cosine. A feed-forward network has a window of one step and no state to burn in: each of its
+    sequences is that step, and teaches one target.
     """
 
     chain: Chain
@@ -99,7 +99,7 @@ class DenseRecipe:
     patience = 0.1  # the share of the steps without a better score after which a settled training stops
 
     def __post_init__(self) -> None:
-        self.targets = 1 if self.config.recipe == "feedforward" else self.config.targets
+        self.targets = self.config.targets if self.config.row.network == "sequences" else 1
         self.length = self.chain.window_steps - 1 + self.targets
         self.steps = self.config.max_steps
         reach = self.chain.reach - self.chain.window_steps + self.length  # with the lag of the inputs
@@ -134,6 +134,6 @@ class DenseRecipe:
         return min(scores)[1] <= scores[-1][1] - self.patience * self.steps
 
 
-def make_recipe(chain: Chain, training: WindowSet, config: TrainConfig) -> Recipe:
-    """The recipe that a resolved config names."""
-    return (PaperRecipe if config.recipe == "paper" else DenseRecipe)(chain, training, config)
+def make_schedule(chain: Chain, training: WindowSet, config: TrainConfig) -> Schedule:
+    """The schedule that the network of a resolved config's recipe is taught by."""
+    return (DenseSchedule if config.row.draws else PaperSchedule)(chain, training, config)

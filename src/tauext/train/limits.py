@@ -1,24 +1,59 @@
-"""How a training finds its limits, and those for whoever has minutes of data and no calibration recordings."""
+"""How a training finds its limits: on a promise, for what minutes support, or as the paper does."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
-from tauext.cli.calibrate import NO_CALIBRATION
+from tauext._core import Bundle
+from tauext.calibrate import (
+    NO_CALIBRATION,
+    Judged,
+    apply_promised,
+    calibrate_bundle,
+    paper_limits,
+    promised_limits,
+    raise_limits,
+    set_limits,
+    usual_speed_rad_s,
+)
 from tauext.config import TrainConfig
+from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
-
-if TYPE_CHECKING:
-    from tauext._core import Bundle
-    from tauext.calibrate import Judged
-    from tauext.data import Recording
-    from tauext.learn import Chain, PriorFit
+from tauext.learn import Chain, PriorFit, freeze_drift, make_bundle
+from tauext.learn.prior_facts import friction_nm
+from tauext.train.preparation import Job
 
 EVEN_ODDS = 0.5
 """With which each limit keeps its share of the supported budget. That budget is the least that these minutes support
 at the promise's confidence; asked again of each of a dozen limits, that confidence doubled them beyond the largest
 error ever seen, and half of all contacts stayed below."""
+
+
+def calibrate(job: Job, bundle: Bundle, chain: Chain, fit: PriorFit | None) -> None:
+    """Put limits and hold times into the bundle, and let its drift tracker stand still by them.
+
+    Raises:
+        ConfigError: the limits shall keep a promise, and there are no calibration recordings.
+        TrainingError: too little free motion.
+    """
+    config, kind = job.config, limits_kind(job.config, job.calibration)
+    by_fit = fit is not None and not bundle.has_network
+    # What was cut off to validate was trained on in the end where no network ships.
+    unseen: list[Recording | Judged] = [] if by_fit and not job.validation else list(job.motion.limits)
+    judged = unseen + (left_out_of_fit(bundle, fit, chain, job.reference(chain)) if by_fit else [])
+    if kind == "promised":
+        promised, job.facts["limits"] = calibrate_bundle(
+            bundle, job.name, job.calibration, config.alarm, job.threads, config.margins, job.report
+        )
+        job.report.say(promised.sentence())
+    elif kind == "supported":
+        words, job.facts["limits"] = set_supported_limits(bundle, judged, config, job.threads, fit)
+        job.notes.append(words)
+    else:
+        set_limits(bundle, paper_limits(bundle, unseen or judged, job.threads, config.margins), config.alarm)
+    if fit is not None:
+        freeze_drift(bundle, config.drift)
 
 
 def limits_kind(config: TrainConfig, calibration: Sequence[object]) -> str:
@@ -31,22 +66,17 @@ def limits_kind(config: TrainConfig, calibration: Sequence[object]) -> str:
         raise ConfigError(f"limits = promised {NO_CALIBRATION}")
     if config.limits != "auto":
         return config.limits
-    if config.recipe in ("paper", "dense"):
+    if config.row.largest_error_limits:
         return "paper"
     return "promised" if calibration else "supported"
 
 
-def left_out_of_fit(bundle: Bundle, chain: Chain, fit: PriorFit, reference: Recording) -> list[Judged]:
+def left_out_of_fit(bundle: Bundle, fit: PriorFit, chain: Chain, reference: Recording) -> list[Judged]:
     """Every fifth of the training motion, judged by a prior that was fitted to the other four.
 
     So all of it tells how large errors on unseen motion are, where a tenth of it set apart would show few of them.
     The stand-ins saw less than the bundle, hence are worse and never better than it on average.
     """
-    from dataclasses import replace
-
-    from tauext.calibrate import Judged
-    from tauext.learn import make_bundle
-
     judged = []
     for fold in fit.left_out:
         other = make_bundle(bundle.name, replace(chain, prior=fold.settings), bundle.near_stiction_rad_s, reference)
@@ -68,16 +98,6 @@ def set_supported_limits(
     that a joint stays below for 95 % of its motion, since friction changes with temperature and time by more than
     minutes show. Returned is what was done, in words, and the facts.
     """
-    from tauext.calibrate import (
-        apply_promised,
-        paper_limits,
-        promised_limits,
-        raise_limits,
-        set_limits,
-        usual_speed_rad_s,
-    )
-    from tauext.learn.prior_facts import friction_nm
-
     try:
         promised = promised_limits(bundle, lambda: judged, config.alarm, threads, config.margins, EVEN_ODDS)
     except TrainingError as error:

@@ -11,16 +11,14 @@ from tauext.config import TrainConfig
 from tauext.data import Recording, free_pieces, free_samples, split_by_time, standing_joints, total_s
 from tauext.errors import ConfigError, TrainingError
 
-LEARNS = ("tauext", "prior", "paper", "dense", "feedforward", "friction")
-"""Recipes that learn from motion; the others are fixed, and find limits alone."""
 VALIDATION_SHARE = 0.2
 NETWORK_LEAST_MIN = 30.0
-"""With less motion, and no recordings to validate on, recipe tauext tries no network, [minutes]: the end of a recording
-shows the same trajectory as its beginning, and what helps there may harm on another one."""
+"""With less motion, and no recordings to validate on, no network is tried behind a prior, [minutes]: the end of a
+recording shows the same trajectory as its beginning, and what helps there may harm on another one."""
 
 
 @dataclass(frozen=True)
-class Parts:
+class TrainingMotion:
     """What a training works on; notes are sentences for people and for the run file."""
 
     training: list[Recording]
@@ -32,11 +30,13 @@ class Parts:
     uncut: list[Recording]
     """Free motion of the training recordings before any validation was cut off: all of it where none was."""
     notes: list[str]
-    network: bool = True
-    """Whether a recipe that may have a network tries one."""
+    network: bool = False
+    """Whether a network is tried."""
 
 
-def training_parts(training: Sequence[Recording], validation: Sequence[Recording], config: TrainConfig) -> Parts:
+def training_motion(
+    training: Sequence[Recording], validation: Sequence[Recording], config: TrainConfig
+) -> TrainingMotion:
     """Leave out contacts, and cut validation off by time where the dataset has none.
 
     Raises:
@@ -45,36 +45,26 @@ def training_parts(training: Sequence[Recording], validation: Sequence[Recording
     """
     if not training:
         raise ConfigError("the dataset lists no training recording; one is enough")
-    notes: list[str] = []
     stand = standing_joints(training)
-    learns = config.recipe in LEARNS
-    if stand.all() and learns:
+    if not config.row.learns:
+        return as_they_are(training, validation, left_out_sentences([*training, *validation], config))
+    if stand.all():
         raise TrainingError(
             f"no joint moves in any of {len(training)} training recordings: friction and model cannot be learned, so "
             f"recipe {config.recipe} has nothing to say. What can be had is --recipe observer (or highpass), with "
             "limits that hold at rest only; or record motion of every joint"
         )
-    left_out_s = sum(float((~free_samples(r, config.margins)).sum() / r.rate_hz) for r in (*training, *validation))
-    if left_out_s:
-        notes.append(
-            f"{left_out_s:.1f} s are left out: in contact, {config.margins.before_s:g} s before one or "
-            f"{config.margins.after_s:g} s after"
-        )
-    if not learns:
-        if not validation:
-            notes.append("the dataset has no validation recordings: limits are found on the training recordings")
-        limits = list(validation or training)
-        return Parts(list(training), limits, limits, list(training), notes)
+    notes = left_out_sentences([*training, *validation], config)
     uncut = free_pieces(training, config.margins)
     learned_on, validated_on = uncut, free_pieces(validation, config.margins)
-    network = True
-    if not validation and config.recipe == "tauext" and total_s(uncut) < 60 * NETWORK_LEAST_MIN:
+    network = config.row.network is not None
+    if not validation and config.row.gated and total_s(uncut) < 60 * NETWORK_LEAST_MIN:
         network = False
         notes.append(
             f"no network: {total_s(uncut) / 60:.1f} minutes without validation recordings cannot tell if it helps "
             f"({NETWORK_LEAST_MIN:g} minutes or a list of validation recordings can)"
         )
-    if not validation and (config.recipe in ("prior", "friction") or not network):
+    if not validation and not network:
         validated_on = uncut
         notes.append(
             "the dataset has no validation recordings: for the limits every fifth of the motion is judged by a fit to "
@@ -87,16 +77,40 @@ def training_parts(training: Sequence[Recording], validation: Sequence[Recording
             f"the dataset has no validation recordings: the last {VALIDATION_SHARE:.0%} of each training recording "
             f"({total_s(validation):.1f} s together) validate, {reach_s(config):g} s after what is trained on"
         )
-    for pieces, what in ((learned_on, "training"), (validated_on, "validation")):
-        if not pieces:
-            raise TrainingError(
-                f"the {what} recordings hold no second of free motion that is {config.margins.before_s:g} s before and "
-                f"{config.margins.after_s:g} s after every contact"
-            )
+    expect_motion(learned_on, "training", config)
+    expect_motion(validated_on, "validation", config)
     if stand.any():
         names = ", ".join(np.array(training[0].joints)[stand])
         notes.append(f"{names} never moved in the training recordings: nothing is known of their friction")
-    return Parts(learned_on, validated_on, list(validation), uncut, notes, network)
+    return TrainingMotion(learned_on, validated_on, list(validation), uncut, notes, network)
+
+
+def as_they_are(training: Sequence[Recording], validation: Sequence[Recording], notes: list[str]) -> TrainingMotion:
+    """The recordings of a recipe that learns nothing: they serve for its limits alone."""
+    if not validation:
+        notes.append("the dataset has no validation recordings: limits are found on the training recordings")
+    limits = list(validation or training)
+    return TrainingMotion(list(training), limits, limits, list(training), notes)
+
+
+def left_out_sentences(recordings: Sequence[Recording], config: TrainConfig) -> list[str]:
+    """How much of the recordings is no free motion; nothing where all of it is."""
+    left_out_s = sum(float((~free_samples(r, config.margins)).sum() / r.rate_hz) for r in recordings)
+    if not left_out_s:
+        return []
+    return [
+        f"{left_out_s:.1f} s are left out: in contact, {config.margins.before_s:g} s before one or "
+        f"{config.margins.after_s:g} s after"
+    ]
+
+
+def expect_motion(pieces: Sequence[Recording], what: str, config: TrainConfig) -> None:
+    """Raise TrainingError where no piece of free motion is left."""
+    if not pieces:
+        raise TrainingError(
+            f"the {what} recordings hold no second of free motion that is {config.margins.before_s:g} s before and "
+            f"{config.margins.after_s:g} s after every contact"
+        )
 
 
 def split_validation(training: Sequence[Recording], config: TrainConfig) -> tuple[list[Recording], list[Recording]]:

@@ -1,0 +1,94 @@
+"""Limits of a bundle from calibration recordings: put into one that is being trained, or into a copy of one."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from tauext import _core
+from tauext.calibrate.promised_limits import PromisedLimits, apply_promised, promised_limits
+from tauext.config import AlarmConfig, FreeMotionConfig
+from tauext.data import Dataset, Recording, expect_fit, scaled_torque, torque_constants_of
+from tauext.data.loss_history import read_loss_history
+from tauext.errors import ConfigError
+from tauext.progress import SILENT, Reporter
+from tauext.provenance import provenance, write_json
+
+NO_CALIBRATION = (
+    "needs calibration recordings, which the dataset has none of; `tauext simulate --calibration-hours 24` makes some"
+)
+
+
+def recalibrate(
+    bundle: Path,
+    dataset: Dataset,
+    out: Path,
+    alarm: AlarmConfig,
+    threads: int = 0,
+    report: Reporter = SILENT,
+) -> PromisedLimits:
+    """Write a bundle like this one, with limits for another promise or from other recordings; nothing is trained.
+
+    Its run file, with what the first one knew, and its wall time stand beside it.
+
+    Args:
+        dataset: its calibration recordings are used.
+
+    Raises:
+        ConfigError: the dataset has no calibration recordings.
+        BundleError, TrainingError: as calibrate_bundle.
+    """
+    started = time.monotonic()
+    loaders = dataset.loaders("calibration")
+    if not loaders:
+        raise ConfigError(f"{dataset.folder}: calibrate {NO_CALIBRATION}")
+    loaded = _core.Bundle.load(str(bundle))
+    history = read_loss_history(loaded, bundle) or []
+    facts = json.loads(loaded.provenance or "{}")
+    promised, facts["limits"] = calibrate_bundle(loaded, out.stem, loaders, alarm, threads, report=report)
+    settings = {"bundle": bundle.name, "dataset": dataset.folder.resolve().name, "alarm": asdict(alarm)}
+    facts["calibrated"] = provenance("tauext calibrate", settings, seed=None)
+    loaded.provenance = json.dumps(facts, sort_keys=True)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_json(facts | {"loss_history": history}, out.with_suffix(".run.json"))
+    write_json({"calibrate_s": time.monotonic() - started}, out.with_suffix(".wall_time_s.json"))
+    loaded.save(str(out))
+    return promised
+
+
+def calibrate_bundle(
+    bundle: _core.Bundle,
+    name: str,
+    loaders: Sequence[Callable[[], Recording]],
+    alarm: AlarmConfig,
+    threads: int,
+    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
+    report: Reporter = SILENT,
+) -> tuple[PromisedLimits, dict]:
+    """Put the limits into the bundle that the recordings support; what they promise, and the facts for its provenance.
+
+    Raises:
+        BundleError: a recording of another robot, rate or torque timing.
+        TrainingError: no free motion, or too few peaks to say anything.
+    """
+    constants = torque_constants_of(bundle.provenance)  # none yet while training, which scales by itself
+    names: list[str] = []
+    with report.progress(f"calibrate {name}") as show:
+
+        def load_all() -> Iterator[Recording]:
+            for load in loaders:
+                recording = scaled_torque(load(), constants)
+                expect_fit(bundle, recording)
+                names.append(recording.name)
+                yield recording
+                show(len(names), len(loaders), "recordings")
+
+        # Limits that are to be replaced must not freeze the drift tracker while the new ones are found.
+        freeze_share, bundle.drift.freeze_share = bundle.drift.freeze_share, 0.0
+        promised = promised_limits(bundle, load_all, alarm, threads, margins)
+        bundle.drift.freeze_share = freeze_share
+    apply_promised(bundle, promised, alarm)
+    return promised, promised.facts() | {"recordings": names}

@@ -1,0 +1,19 @@
+"""Options of `tauext run` that what it does and what it prints both need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """Options of the command that the replay of one recording needs."""
+
+    speed: float | None
+    own_rate: bool
+    acknowledge_after_s: float | None
+    flights: Path | None
+    before_s: float
+    after_s: float
+    contacts: bool

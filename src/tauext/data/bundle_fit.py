@@ -1,0 +1,29 @@
+"""Whether a recording is one that a bundle was made for."""
+
+from __future__ import annotations
+
+from tauext import _core
+from tauext.data.recording import Recording
+from tauext.data.recording_file import Description
+from tauext.errors import BundleError
+
+
+def expect_fit(bundle: _core.Bundle, recording: Recording | Description) -> None:
+    """Raise BundleError, naming what differs, where the recording is not of the bundle's robot, rate and timing."""
+    joints = tuple(link.joint_name for link in bundle.links)
+    if recording.joints != joints:
+        raise BundleError(
+            f"bundle '{bundle.name}' is for joints {', '.join(joints)}; recording {recording.name} has "
+            f"{', '.join(recording.joints)}"
+        )
+    rate_hz = 1e9 / bundle.observer.sample_period_ns
+    if abs(recording.rate_hz / rate_hz - 1) > 0.01:
+        raise BundleError(
+            f"bundle '{bundle.name}' runs at {rate_hz:g} Hz; recording {recording.name} has {recording.rate_hz:g} Hz"
+        )
+    timing = bundle.observer.timing.name
+    if recording.torque_timing != timing:
+        raise BundleError(
+            f"bundle '{bundle.name}' takes torques that are {timing}; those of recording {recording.name} are "
+            f"{recording.torque_timing}"
+        )

@@ -1,0 +1,28 @@
+"""How a Parquet file of ours is written: whole or not at all, the same content to the same bytes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from tauext.errors import RecordingError
+from tauext.whole_file import whole_file
+
+
+def write_parquet(table: pa.Table, path: Path, **encoding: Any) -> None:
+    """Write a table with its metadata.
+
+    Args:
+        encoding: of pyarrow.parquet.write_table, beside the compression.
+
+    Raises:
+        RecordingError: the file cannot be written; what was written of it is removed.
+    """
+    try:
+        with whole_file(path) as part:
+            pq.write_table(table, part, compression="zstd", compression_level=1, **encoding)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written ({error.strerror or error})") from error

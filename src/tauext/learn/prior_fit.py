@@ -1,0 +1,39 @@
+"""A fitted prior, and how well the data determine it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tauext import _core
+from tauext.data import Recording
+from tauext.learn.kinematics import Kinematics
+from tauext.learn.regression import Regression
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """The same prior fitted without a fifth of the recordings, and where that lies: (recording, samples) each."""
+
+    settings: _core.PriorSettings
+    parts: list[tuple[Recording, slice]]
+
+
+@dataclass(frozen=True)
+class PriorFit:
+    """A fitted prior and how well the data determine it."""
+
+    settings: _core.PriorSettings
+    ridge: float
+    error_nm: np.ndarray  # (n,) RMSE on recordings left out of the fit
+    weights: np.ndarray  # (n, terms)
+    standard_errors: np.ndarray  # (n, terms), over recordings
+    determined: np.ndarray  # (n, terms): 1: by the data alone, 0: by the ridge alone
+    corrections: np.ndarray  # (n, 11) of PARAMETERS; empty without a model
+    correction_errors: np.ndarray
+    corrections_determined: np.ndarray
+    regression: Regression
+    left_out: list[LeftOut]  # one for each fold that leaves a possible model
+    kinematics: Kinematics | None = None  # found from the motion, where there is no model and this explains it
+    dropped_widths: dict[float, str] = field(default_factory=dict)  # [rad]: and why

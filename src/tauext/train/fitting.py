@@ -1,0 +1,84 @@
+"""The observer, and what a recipe fits to its r: a prior, by the function that the recipe's row names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pkgutil import resolve_name
+from typing import Protocol
+
+from tauext._core import Bundle
+from tauext.config import PriorConfig
+from tauext.data import Recording
+from tauext.learn import Chain, PriorFit, build_chain, set_drift, with_presliding
+from tauext.learn.kinematics import Kinematics
+from tauext.learn.prior_facts import prior_facts
+from tauext.learn.widths import region_width
+from tauext.train.preparation import Job
+
+
+class Fit(Protocol):
+    """What a row's `fit` names."""
+
+    def __call__(
+        self,
+        chain: Chain,
+        recordings: Sequence[Recording],
+        *,
+        config: PriorConfig,
+        tell: Callable[[str], None],
+        known: Kinematics | None,
+    ) -> PriorFit:
+        """A prior for the chain, from free motion.
+
+        Args:
+            chain: without a prior; with presliding states where the row has them.
+            tell: takes a line about what was found.
+            known: an arm that was found in the motion before, where there is no model.
+
+        Raises:
+            TrainingError: too little motion.
+        """
+
+
+def observe(job: Job) -> Chain:
+    """The chain up to r: the estimated model, and the observer and filters of the recipe.
+
+    Raises:
+        TrainingError: the recordings' joints are not the model's.
+    """
+    return build_chain(job.tree, job.training[0], job.config.observer, job.config.recipe, job.config.filters)
+
+
+def fit_prior(job: Job, chain: Chain, recordings: Sequence[Recording]) -> PriorFit | None:
+    """The recipe's prior from this motion; None: it has none.
+
+    Raises:
+        TrainingError: too little motion.
+    """
+    recipe, config = job.config.row, job.config.prior
+    if recipe.fit is None:
+        return None
+    fit: Fit = resolve_name(recipe.fit)
+    bent = with_presliding(chain, config.widths_rad) if recipe.presliding else chain
+    known = job.constants.kinematics if job.constants else None
+    return fit(bent, recordings, config=config, tell=job.say, known=known)
+
+
+def with_fit(chain: Chain, fit: PriorFit | None) -> Chain:
+    """The chain with the prior that was fitted, if there is one."""
+    return chain if fit is None else replace(chain, prior=fit.settings)
+
+
+def put_prior(job: Job, bundle: Bundle, fit: PriorFit | None) -> None:
+    """Facts of the prior, and what of the bundle follows from it: the limits' region, and how far drift is followed.
+
+    Behind the gate, which judges what the prior leaves, not what drifts.
+    """
+    if fit is None:
+        return
+    job.facts["prior"] = prior_facts(fit, job.joints)
+    if fit.settings.widths_rad:
+        bundle.region_width = region_width(fit.settings.widths_rad, job.config.prior)
+    if job.config.row.drift:
+        set_drift(bundle, fit, job.config.drift)

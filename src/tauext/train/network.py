@@ -1,0 +1,78 @@
+"""The network, on what observer and prior leave, and the bundle with it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+
+from tauext._core import Bundle, Tree
+from tauext.learn import (
+    Chain,
+    Progress,
+    Scaling,
+    TrainedNetwork,
+    build_windows,
+    find_scaling,
+    make_bundle,
+    train,
+)
+from tauext.learn.training_set import TooShort
+from tauext.train.preparation import Job
+
+
+@dataclass(frozen=True)
+class ScaledNetwork:
+    """A trained network, and what its inputs and outputs are scaled by."""
+
+    scaling: Scaling
+    trained: TrainedNetwork
+
+
+def fit_network(job: Job, chain: Chain) -> ScaledNetwork | None:
+    """Train the recipe's network; None: it has none, or the motion is too short and the prior can do without.
+
+    Raises:
+        TrainingError: too little data, or a loss that diverges.
+    """
+    if not job.motion.network:
+        return None
+    scaling = find_scaling(chain, job.motion.training)
+    with job.report.progress(f"train {job.name}") as show:
+
+        def report(p: Progress) -> None:
+            show(p.step, p.steps, f"loss {p.loss:.3g} validation {p.validation_loss:.3g}")
+
+        try:
+            trained = train(
+                chain,
+                build_windows(chain, scaling, job.motion.training),
+                build_windows(chain, scaling, job.motion.validation),
+                job.config,
+                checkpoint_path=job.out.with_suffix(".checkpoint.npz"),
+                settings={key: job.run[key] for key in ("settings", "recordings")} | {"robot": model_digest(job.tree)},
+                report=report,
+            )
+        except TooShort as error:
+            if not job.config.row.gated:
+                raise
+            job.notes.append(f"prior only: {error}")
+            return None
+    return ScaledNetwork(scaling, trained)
+
+
+def assemble(job: Job, chain: Chain, network: ScaledNetwork | None = None) -> Bundle:
+    """The bundle of this chain, without limits yet.
+
+    Raises:
+        TrainingError: no recording is as long as a window.
+    """
+    learned = (network.scaling, network.trained) if network else ()
+    return make_bundle(job.name, chain, job.config.observer.near_stiction_rad_s, job.reference(chain), *learned)
+
+
+def model_digest(tree: Tree) -> str:
+    """A checkpoint of another estimated model must not be resumed: SHA-256 of the model's numbers."""
+    fields = ("joint_name", "parent", "rotation", "translation", "mass", "com", "inertia", "rotor_inertia")
+    numbers = [[getattr(link, field) for field in fields] for link in tree.links]
+    return hashlib.sha256(json.dumps([numbers, tree.gravity]).encode()).hexdigest()

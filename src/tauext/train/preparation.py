@@ -1,0 +1,115 @@
+"""What a training begins with: settings that can be served, and recordings with torque in N m."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from tauext._core import Tree
+from tauext.calibrate import at_rest_sentence
+from tauext.config import ModelCase, TrainConfig
+from tauext.data import Recording, free_pieces, from_amperes, scaled_torque, standing_joints
+from tauext.errors import ConfigError
+from tauext.learn import Chain, TorqueConstants, fit_torque_constants, reference_recording
+from tauext.progress import Reporter
+from tauext.provenance import provenance
+from tauext.train.motion import TrainingMotion, training_motion
+from tauext.train.recordings import chosen_recordings, scaled, wants_constants
+from tauext.train.settings import training_settings, why_impossible
+
+
+@dataclass(frozen=True)
+class Job:
+    """One training under way: what is asked, on what, and what its steps have found so far."""
+
+    tree: Tree
+    case: ModelCase
+    config: TrainConfig
+    out: Path
+    training: list[Recording]
+    """As many minutes as shall be trained on, torque in N m; contacts and all, as all recordings here."""
+    validation: list[Recording]
+    calibration: list[Callable[[], Recording]]
+    constants: TorqueConstants | None
+    """By which the recordings' torque was multiplied; None: it was in N m."""
+    motion: TrainingMotion
+    report: Reporter
+    run: dict
+    """Provenance: settings, versions, seed and the recordings' names."""
+    facts: dict = field(default_factory=dict)
+    """What was found, for provenance: the steps add to it."""
+
+    @property
+    def name(self) -> str:
+        """Of the bundle."""
+        return self.out.stem
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names, in the recordings' order."""
+        return self.training[0].joints
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences for people and for the run file: the steps add to it."""
+        return self.motion.notes
+
+    @property
+    def threads(self) -> int:
+        """At least 1."""
+        return self.config.threads or os.cpu_count() or 1
+
+    def reference(self, chain: Chain) -> Recording:
+        """The recording whose first window the bundle keeps, to replay when it is loaded."""
+        return reference_recording(chain, [*self.validation, *self.training])
+
+    def say(self, sentence: str) -> None:
+        """Tell the reporter, under the bundle's name."""
+        self.report.say(f"{self.name}: {sentence}")
+
+
+def prepare(
+    tree: Tree,
+    case: ModelCase,
+    training: Sequence[Recording],
+    validation: Sequence[Recording],
+    config: TrainConfig,
+    out: Path,
+    calibration: Sequence[Callable[[], Recording]],
+    report: Reporter,
+) -> Job:
+    """Choose the minutes, bring torque to N m, leave contacts out; see train_bundle for the arguments.
+
+    Raises:
+        ConfigError: settings that the case or the recordings cannot serve.
+        TrainingError: too little motion.
+    """
+    if impossible := why_impossible(config.row, case):
+        raise ConfigError(impossible)
+    training, validation = chosen_recordings(training, validation, config)
+    constants = None
+    if wants_constants(config, training, case):
+        free = free_pieces(training, config.margins)
+        constants = fit_torque_constants(tree, free, config.observer, from_amperes(training))
+        training, validation = ([scaled_torque(r, constants.used) for r in some] for some in (training, validation))
+        calibration = [partial(scaled, load, constants.used) for load in calibration]
+    motion = training_motion(training, validation, config)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    run = provenance("tauext train", training_settings(case, config), config.seed)
+    run["recordings"] = {"train": [r.name for r in training], "validation": [r.name for r in validation]}
+    return Job(
+        tree, case, config, out, list(training), list(validation), list(calibration), constants, motion, report, run
+    )
+
+
+def note_recordings(job: Job) -> None:
+    """Note what the recordings leave open: torque constants that are guesses, joints that never moved."""
+    if job.constants is not None:
+        job.notes.extend(job.constants.sentences(job.joints))
+    stand = standing_joints([*job.training, *job.validation])
+    names = [name for name, stands in zip(job.joints, stand, strict=True) if stands]
+    if names:
+        job.notes.append(at_rest_sentence(names, len(job.joints)))

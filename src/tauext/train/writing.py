@@ -1,0 +1,38 @@
+"""The bundle's file, with its run file and wall time beside it."""
+
+from __future__ import annotations
+
+import json
+
+from tauext._core import Bundle
+from tauext.data import total_s
+from tauext.provenance import write_json
+from tauext.train.network import ScaledNetwork
+from tauext.train.preparation import Job
+
+
+def write(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> None:
+    """Write all three; the notes are told, too. The bundle comes last: where it stands, its run file stands."""
+    for note in job.notes:
+        job.say(note)
+    facts = facts_of(job, bundle, network)
+    bundle.provenance = json.dumps(facts | job.run, sort_keys=True)
+    history = [list(entry) for entry in network.trained.history] if network else []
+    write_json(facts | job.run | {"loss_history": history}, job.out.with_suffix(".run.json"))
+    seconds = network.trained.seconds if network else 0.0
+    write_json({"train_s": seconds}, job.out.with_suffix(".wall_time_s.json"))
+    bundle.save(str(job.out))
+
+
+def facts_of(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> dict:
+    """What was trained and found, as plain JSON."""
+    config = job.config.resolved()
+    facts = {"recipe": config.recipe, "case": job.case.name, "epochs": config.epochs, "batch": config.batch}
+    facts["steps"] = network.trained.steps if network else 0
+    learned_on = job.motion.training if bundle.has_network else job.motion.uncut
+    facts["training_minutes"] = round(total_s(learned_on) / 60, 6)
+    facts["robot_sha256"] = job.training[0].robot_sha256
+    facts |= job.facts
+    if job.constants is not None:
+        facts["torque_constants"] = job.constants.facts(job.joints)
+    return facts | ({"notes": job.notes} if job.notes else {})

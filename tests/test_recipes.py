@@ -1,0 +1,125 @@
+"""The table of recipes: a new baseline is one row and one fit function; and a stage tells only its reporter."""
+
+import json
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import get_args
+
+import numpy as np
+import pytest
+from arms import planar_arm
+from test_few_data import motion
+
+from tauext import _core
+from tauext.config import PAPER_CASES, CaseName, RecipeName, TrainConfig
+from tauext.errors import ConfigError
+from tauext.learn import Chain, PriorFit
+from tauext.learn.ridge import fit_ridge
+from tauext.recipes import RECIPES, Recipe
+from tauext.train import baselines, train_bundle, training_settings, why_impossible
+
+EXACT, NONE = PAPER_CASES["exact"], PAPER_CASES["none"]
+
+
+def fit_viscous(chain: Chain, recordings, *, tell, **settings) -> PriorFit:
+    """Constant and viscous friction of every joint: the baseline that the test below adds."""
+    kinds = (_core.TermKind.constant, _core.TermKind.viscous)
+    fit = fit_ridge(chain, recordings, [[_core.Term(kind, j) for kind in kinds] for j in range(chain.tree.size)], [])
+    tell(f"error on left-out motion {fit.error_nm.max():.2f} Nm")
+    return fit
+
+
+class Heard:
+    """A reporter that keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.sentences, self.steps, self.titles = [], [], []
+
+    def say(self, sentence: str) -> None:
+        self.sentences.append(sentence)
+
+    @contextmanager
+    def progress(self, title: str):
+        self.titles.append(title)
+        yield lambda done, of, note: self.steps.append((done, of, note))
+
+
+@pytest.fixture
+def unlimited(monkeypatch):
+    """No robot file: what the drives can give is unknown."""
+    monkeypatch.setattr("tauext.train.stage.torque_limits", lambda robot, joints: [np.inf] * len(joints))
+
+
+def test_a_regression_baseline_is_one_row_and_one_fit_function(tmp_path, monkeypatch, unlimited, capsys):
+    row = Recipe("viscous", fit=f"{__name__}:fit_viscous", baseline="viscous", rank=1)
+    monkeypatch.setitem(RECIPES, row.name, row)
+    out, heard = tmp_path / "viscous.tauext", Heard()
+    config = TrainConfig(recipe="viscous")
+    train_bundle(planar_arm(), Path(), EXACT, [motion(60.0)], [motion(20.0, seed=1)], config, out, report=heard)
+
+    bundle = _core.Bundle.load(str(out))
+    facts = json.loads(bundle.provenance)
+    assert facts["recipe"] == "viscous" and facts["prior"]["friction"]["elbow"]["viscous_nm_s_rad"] > 2.0
+    assert [term.kind.name for term in bundle.prior.terms] == ["constant", "viscous"] * 2 and not bundle.has_network
+    made = motion(20.0, seed=2)
+    said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
+    healthy = said["healthy"].astype(bool)
+    rms = {name: np.sqrt(np.mean(said[name][healthy] ** 2, axis=0)) for name in ("r", "tau_ext")}
+    assert (rms["tau_ext"] < 0.5 * rms["r"]).all()  # most of 3 Nm Coulomb and 2 Nm s/rad viscous friction
+    assert "viscous" in baselines() and list(baselines())[-1] == "tauext"
+    assert heard.sentences[0].startswith("viscous: error on left-out motion")
+    assert capsys.readouterr() == ("", "")  # a stage prints nothing
+
+
+def test_what_an_added_recipe_does_not_use_follows_from_its_row(monkeypatch):
+    monkeypatch.setitem(RECIPES, "viscous", Recipe("viscous", fit=f"{__name__}:fit_viscous"))
+    kept = training_settings(EXACT, TrainConfig(recipe="viscous"))["config"]
+    assert not {"threads", "targets", "prior", "gate_margin", "drift", "filters"} & kept.keys()
+    assert kept == training_settings(EXACT, TrainConfig(recipe="friction"))["config"] | {"recipe": "viscous"}
+
+
+def test_the_help_offers_what_the_tables_hold():
+    assert get_args(RecipeName) == tuple(RECIPES) and get_args(CaseName) == tuple(PAPER_CASES)
+    assert all(name == recipe.name for name, recipe in RECIPES.items())
+
+
+def test_what_a_row_names_exists():
+    for recipe in RECIPES.values():
+        assert recipe.fit is None or callable(resolve_name(recipe.fit))
+        assert getattr(_core.ResidualMethod, recipe.method)
+        assert {"threads", "filters"} <= {*recipe.unused} or recipe.high_pass
+        assert all(hasattr(TrainConfig, name) for name in (*recipe.unused, *recipe.defaults) if name not in FACTORIES)
+    ranks = [recipe.rank for recipe in RECIPES.values() if recipe.baseline]
+    assert len(set(ranks)) == len(ranks)
+
+
+FACTORIES = {"prior", "drift", "filters"}
+"""Fields of TrainConfig that are made anew for each."""
+
+
+def test_a_recipe_that_divides_by_the_inertia_needs_a_model():
+    impossible = [name for name, recipe in RECIPES.items() if why_impossible(recipe, NONE)]
+    assert impossible == ["velocity"] and not any(why_impossible(recipe, EXACT) for recipe in RECIPES.values())
+
+
+def test_an_unknown_recipe_is_refused_with_those_that_exist():
+    with pytest.raises(ConfigError, match="recipe = lstm must be one of tauext, prior, paper"):
+        TrainConfig(recipe="lstm")
+
+
+def test_training_tells_its_reporter_how_far_it_is_and_prints_nothing(tmp_path, unlimited, capsys):
+    heard = Heard()
+    config = TrainConfig(recipe="dense", max_steps=20, batch=4, hidden=2, targets=20, seed=1)
+    out = tmp_path / "small.tauext"
+    train_bundle(planar_arm(), Path(), EXACT, [motion(40.0)], [], config, out, report=heard)
+    assert heard.titles == ["train small"] and heard.steps[-1][:2] == (20, 20)
+    assert any("validate, " in sentence for sentence in heard.sentences)
+    assert capsys.readouterr() == ("", "")
+
+
+def test_the_settings_need_neither_numpy_nor_the_stages():
+    code = "import sys, tauext.config; assert not {'numpy', 'tauext.learn', 'tauext.train'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -40,6 +40,8 @@ void loop(const char* path, double seconds) {
   const auto cycles = static_cast<std::size_t>(std::ceil(seconds * 1e9 / static_cast<double>(period_ns)));
   std::vector<double> q(n), dq(n), tau(n), latency_us(cycles);
   std::size_t missed = 0, stops = 0, clear = 0;
+  for (int j = 0; j < monitor.joints(); ++j)  // a controller refuses here what its arm does not send
+    std::printf("%s: tau in %s\n", monitor.joint_name(j).c_str(), monitor.torque_unit(j).c_str());
   ask_for_real_time();
 
   const std::int64_t start_ns = now_ns();
@@ -48,7 +50,7 @@ void loop(const char* path, double seconds) {
     const timespec due{due_ns / 1'000'000'000, due_ns % 1'000'000'000};
     clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &due, nullptr);  // absolute, so that delays do not add up
 
-    // YOUR ARM: read q [rad], dq [rad/s], tau [N m] and the time at which they were measured.
+    // YOUR ARM: read q [rad], dq [rad/s], tau in monitor.torque_unit(j) and the time at which they were measured.
     for (std::size_t j = 0; j < n; ++j) {
       const double speed = 1.0 + 0.3 * static_cast<double>(j), t = 1e-9 * static_cast<double>(due_ns - start_ns);
       q[j] = 0.5 * std::sin(speed * t);

@@ -1,7 +1,8 @@
 /* The monitor from C:   02_c_program ARM.tauext < SAMPLES.csv   or, without samples,   02_c_program ARM.tauext SECONDS
  *
  * A line of SAMPLES.csv is t_ns,q...,dq...,tau..., a value for each joint; a header is passed over. With SECONDS a smooth
- * made-up motion is fed instead. Prints a line whenever health or alarm changes. */
+ * made-up motion is fed instead. tau is in the unit that stands in the first line. Prints a line whenever health or
+ * alarm changes, and in the end the last torques. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -55,7 +56,8 @@ static void print_change(const tauext_monitor* monitor, const tauext_estimate* e
   printf("%.3f s: health %s, alarm %s", 1e-9 * (double)e->t_ns, tauext_health_name(e->health),
          tauext_alarm_name(e->alarm));
   if (e->alarm_joint >= 0)
-    printf(" on %s (tau_ext %.1f N m)", tauext_monitor_joint_name(monitor, e->alarm_joint), e->tau_ext[e->alarm_joint]);
+    printf(" on %s (tau_ext %.1f %s)", tauext_monitor_joint_name(monitor, e->alarm_joint), e->tau_ext[e->alarm_joint],
+           tauext_monitor_estimate_unit(monitor, e->alarm_joint));
   for (uint32_t bit = 1; bit != 0; bit <<= 1)
     if (e->causes & bit) printf(", %s", tauext_cause_name(bit));
   printf("\n");
@@ -75,6 +77,9 @@ int main(int argc, char** argv) {
   }
   const int joints = tauext_monitor_joints(monitor);
   const int64_t period_ns = tauext_monitor_sample_period_ns(monitor);
+  printf("tau in");
+  for (int j = 0; j < joints; ++j) printf(" %s", tauext_monitor_torque_unit(monitor, j));
+  printf("\n");
   sample s;
   tauext_estimate e = {.size = sizeof e};
   int32_t health = -1, alarm = -1, got = 1;
@@ -88,7 +93,9 @@ int main(int argc, char** argv) {
     alarm = e.alarm;
   }
   if (got < 0) fprintf(stderr, "line after sample %lld: t_ns and %d values belong there\n", samples, 3 * joints);
-  printf("%lld samples\n", samples);
+  printf("%lld samples; tau_ext", samples);
+  for (int j = 0; j < joints; ++j) printf(" %.17g", samples ? e.tau_ext[j] : 0.0);
+  printf("\n");
   tauext_monitor_close(monitor);
   return got < 0 ? 2 : 0;
 }

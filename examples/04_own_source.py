@@ -35,7 +35,7 @@ class MyArm:
         time.sleep(max(0.0, min(left_s, timeout_s)))
         if left_s > timeout_s:
             return None
-        # YOUR ARM: read q [rad], dq [rad/s], tau [N m] and the time at which they were measured.
+        # YOUR ARM: read q [rad], dq [rad/s], tau in settings.torque_units and the time at which they were measured.
         t_ns, self._due_ns = self._due_ns, self._due_ns + self._period_ns
         angle = self._speed * t_ns * 1e-9
         q, dq = 0.5 * np.sin(angle), 0.5 * self._speed * np.cos(angle)

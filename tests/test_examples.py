@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from made_amperes import taking_amperes
 from made_pushes import PUSHES, pushed, watching_bundle
 
 from tauext import _core
 from tauext.data import save
+from tauext.evaluate import estimate as evaluate_estimate
 
 ROOT = Path(__file__).parent.parent
 TOOLS = os.pathsep.join([os.path.dirname(sys.executable), os.environ["PATH"]])
@@ -68,6 +72,13 @@ def place(tmp_path_factory) -> Path:
     return folder
 
 
+def as_csv(made) -> str:
+    """Samples as the C and C++ programs read them, every number in full."""
+    columns = np.column_stack([made.q, made.dq, made.tau]).tolist()
+    rows = [",".join(map(repr, [t_ns, *values])) for t_ns, values in zip(made.t_ns.tolist(), columns, strict=True)]
+    return "\n".join(["t_ns,q_shoulder,q_elbow,dq_shoulder,dq_elbow,tau_shoulder,tau_elbow", *rows]) + "\n"
+
+
 def changes_of_monitor() -> list[str]:
     """What a monitor says of the pushes, as the C program prints it: its own words for a health of two."""
     made = pushed()
@@ -84,7 +95,8 @@ def changes_of_monitor() -> list[str]:
 def test_the_control_loop_runs_and_says_how_long_an_estimate_takes(programs, place):
     code, out, err = run(programs / "01_control_loop", place / "watching.tauext", 1.5)
     assert code == 0, err
-    *rights, times, state = out
+    shoulder, elbow, *rights, times, state = out
+    assert (shoulder, elbow) == ("shoulder: tau in N m", "elbow: tau in N m")
     assert all(line.startswith(("no SCHED_FIFO: ", "no mlockall: ")) for line in rights)
     found = re.fullmatch(r"1500 cycles, (\d+) deadlines missed; estimate\(\): median (\S+) us, worst (\S+) us", times)
     assert found, times
@@ -98,25 +110,60 @@ def test_the_control_loop_runs_and_says_how_long_an_estimate_takes(programs, pla
 
 def test_the_c_program_finds_in_a_csv_what_the_monitor_finds_in_python(programs, place):
     made = pushed()
-    columns = np.column_stack([made.q, made.dq, made.tau]).tolist()
-    rows = [",".join(map(repr, [t_ns, *values])) for t_ns, values in zip(made.t_ns.tolist(), columns, strict=True)]
-    csv = "\n".join(["t_ns,q_shoulder,q_elbow,dq_shoulder,dq_elbow,tau_shoulder,tau_elbow", *rows]) + "\n"
+    csv = as_csv(made)
     code, out, err = run(programs / "02_c_program", place / "watching.tauext", text=csv)
     assert code == 0, err
     expected = changes_of_monitor()
     assert len(expected) > 3
-    assert [line.partition(" on ")[0] for line in out[:-1]] == expected
-    assert out[-1] == f"{made.samples} samples"
-    code, out, err = run(programs / "02_c_program", place / "watching.tauext", text="\n".join([*rows[:5], "7,1,2"]))
-    assert (code, out[-1]) == (2, "5 samples")
+    assert out[0] == "tau in N m N m"
+    assert [line.partition(" on ")[0] for line in out[1:-1]] == expected
+    assert out[-1].startswith(f"{made.samples} samples; tau_ext ")
+    few = [*csv.splitlines()[1:6], "7,1,2"]
+    code, out, err = run(programs / "02_c_program", place / "watching.tauext", text="\n".join(few))
+    assert (code, out[-1][:9]) == (2, "5 samples")
     assert err == "line after sample 5: t_ns and 6 values belong there\n"
 
 
 def test_the_c_program_makes_its_own_samples_where_there_are_none(programs, place):
     code, out, err = run(programs / "02_c_program", place / "watching.tauext", 1)
     assert code == 0, err
-    assert out[0] == "0.000 s: health warming up, alarm none"
-    assert out[-1] == "1000 samples"
+    assert out[1] == "0.000 s: health warming up, alarm none"
+    assert out[-1].startswith("1000 samples; ")
+
+
+def test_one_recording_in_amperes_gets_one_answer_to_the_last_bit_whoever_asks(programs, tmp_path):
+    """evaluate, run, the Python monitor, the C API and C++, of a bundle whose constants are no powers of two."""
+    nm_per_ampere = np.array([7.3, -0.19])
+    bundle = taking_amperes(watching_bundle(), nm_per_ampere)
+    bundle.save(str(tmp_path / "amperes.tauext"))
+    whole = pushed()
+    made = replace(whole, tau=whole.tau / nm_per_ampere)
+    save(made, tmp_path / "pushed.parquet")
+    assert bundle.torque_units == ["A", "A"] and bundle.estimate_units == ["N m", "N m"]
+
+    said = _core.Monitor(bundle).run(made.t_ns, made.q, made.dq, made.tau)["tau_ext"]
+    seen = np.abs(said[~np.isnan(said)])
+    assert np.isfinite(said).all(axis=1).sum() > 5000 and seen.max() > 3  # Nm: the pushes
+
+    evaluated = evaluate_estimate(bundle, made, 2).tau_ext
+    np.testing.assert_array_equal(evaluated, said.astype(np.float32))  # what estimates are kept in
+
+    tauext = (sys.executable, "-m", "tauext", "run", tmp_path / "amperes.tauext", tmp_path / "pushed.parquet")
+    code, out, err = run(*tauext, "--json", "--status-hz", 1e9 / bundle.observer.sample_period_ns)
+    assert code == 0, err
+    told = {line["row"]: line["tau_ext_nm"] for line in map(json.loads, out) if line["event"] == "status"}
+    assert len(told) > 5000
+    for row, values in told.items():
+        np.testing.assert_array_equal(np.array(values, dtype=float), said[row])  # None is NaN
+
+    code, out, err = run(programs / "05_answers", tmp_path / "amperes.tauext", text=as_csv(made))
+    assert code == 0 and err.splitlines()[0] == "shoulder takes tau in A, answers in N m"
+    cpp = np.array([[float(cell) for cell in line.split(",")[3:]] for line in out])
+    np.testing.assert_array_equal(cpp, said)
+
+    code, out, err = run(programs / "02_c_program", tmp_path / "amperes.tauext", text=as_csv(made))
+    assert code == 0 and out[0] == "tau in A A"
+    np.testing.assert_array_equal([float(word) for word in out[-1].split("tau_ext ")[1].split()], said[-1])
 
 
 def test_the_replay_prints_both_pushes(place):
@@ -133,7 +180,7 @@ def test_the_replay_prints_both_pushes(place):
     assert re.fullmatch(r"6000 samples, \d+ of them clear", out[-1])
 
 
-@pytest.mark.parametrize("example", ["01_control_loop", "02_c_program", "03_replay.py"])
+@pytest.mark.parametrize("example", ["01_control_loop", "02_c_program", "03_replay.py", "05_answers"])
 @pytest.mark.parametrize("damage", ["missing", "cut"])
 def test_a_bundle_that_cannot_be_used_is_one_line_and_exit_code_two(programs, place, tmp_path, example, damage):
     bundle = tmp_path / f"{damage}.tauext"
@@ -148,7 +195,7 @@ def test_a_bundle_that_cannot_be_used_is_one_line_and_exit_code_two(programs, pl
     assert f"{damage}.tauext: " in err
 
 
-@pytest.mark.parametrize("example", ["01_control_loop", "02_c_program", "03_replay.py"])
+@pytest.mark.parametrize("example", ["01_control_loop", "02_c_program", "03_replay.py", "05_answers"])
 def test_no_arguments_give_the_usage(programs, example):
     command = [sys.executable, ROOT / "examples" / example] if example.endswith(".py") else [programs / example]
     code, out, err = run(*command)

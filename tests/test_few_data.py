@@ -11,11 +11,11 @@ from arms import no_model, planar_arm
 from tauext import _core
 from tauext.cli import main
 from tauext.config import PAPER_CASES, ObserverConfig, TrainConfig
-from tauext.data import Recording, scaled_torque, torque_constants_of
+from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn import fit_torque_constants
+from tauext.learn import build_chain, fit_torque_constants
 from tauext.learn.regression import NormalEquations, Regression, coupled
-from tauext.learn.torque_constants import TorqueConstants
+from tauext.learn.torque_constants import TorqueConstants, with_constants
 from tauext.train import train_bundle
 from tauext.train.motion import training_motion
 from tauext.train.recordings import wants_constants
@@ -120,7 +120,7 @@ def test_a_standing_arm_has_limits_at_rest_and_nothing_to_learn(tmp_path, monkey
     assert bundle.sliding_limit_nm == bundle.near_stiction_limit_nm and min(bundle.sliding_limit_nm) > 0
 
 
-def test_currents_get_their_constants_back_and_a_recording_is_scaled_by_them():
+def test_currents_get_their_constants_back_and_the_core_applies_them():
     constants = np.array([9.0, -0.7])
     torque = motion(seconds=60.0)
     current = replace(torque, tau=torque.tau / constants)
@@ -128,10 +128,33 @@ def test_currents_get_their_constants_back_and_a_recording_is_scaled_by_them():
     assert found.determined.all()
     # Noise of 0.1 Nm on torques of tens of Nm; friction is fitted beside them.
     np.testing.assert_allclose(found.nm_per_unit, constants, rtol=0.01)
-    scaled = scaled_torque(current, found.used)
-    np.testing.assert_allclose(scaled.tau, torque.tau, rtol=0.01, atol=1e-9)
-    facts = json.dumps({"torque_constants": found.facts(current.joints)}, sort_keys=True)
-    assert torque_constants_of(facts) == found.used and torque_constants_of("{}") is None
+    chain = build_chain(planar_arm(), torque, ObserverConfig())
+    scaled = with_constants(chain.observer, found.used)
+    arrays = (current.t_ns, current.q, current.dq)
+    r = _core.observe(planar_arm(), scaled, *arrays, current.tau).residual
+    np.testing.assert_array_equal(
+        r, _core.observe(planar_arm(), chain.observer, *arrays, current.tau * found.used).residual
+    )
+
+
+def test_a_bundle_trained_on_currents_takes_them_and_answers_in_newton_metres(tmp_path, monkeypatch):
+    constants, settings = np.array([9.0, -0.7]), {"recipe": "friction", "limits": "paper"}
+    amperes = {"torque": "amperes: the torque constant is unknown"}
+    torque = motion(seconds=60.0)
+    current = replace(torque, tau=torque.tau / constants, provenance=amperes)
+    plain, _ = trained(tmp_path, monkeypatch, [torque], **settings)
+    bundle, facts = trained(tmp_path, monkeypatch, [current], **settings)
+    assert (plain.torque_units, bundle.torque_units) == (["N m", "N m"], ["A", "A"])
+    assert bundle.estimate_units == ["N m", "N m"] and facts["torque_constants"]["used"] == bundle.observer.nm_per_unit
+    np.testing.assert_allclose(bundle.largest_torque_nm, plain.largest_torque_nm, rtol=0.01)
+    np.testing.assert_allclose(bundle.sliding_limit_nm, plain.sliding_limit_nm, rtol=0.1)
+    # A push of 20 Nm on the elbow, in the drive's amperes.
+    other = motion(seconds=20.0, seed=5)
+    push = np.zeros_like(other.tau)
+    push[1500:2000, 1] = -20.0
+    arrays = (other.t_ns, other.q, other.dq)
+    said = _core.Monitor(bundle).run(*arrays, (other.tau + push) / constants)["tau_ext"]
+    np.testing.assert_allclose(said[1900, 1], 20.0, atol=2.0)
 
 
 def test_rotors_that_the_model_lacks_do_not_shrink_the_constants():
@@ -214,8 +237,9 @@ def test_currents_of_unknown_constants_are_told_by_their_recordings():
     assert not wants_constants(auto, [made], EXACT)
     given = replace(made, provenance={"torque": "N m: amperes times given torque constants"})
     assert wants_constants(auto, [given], EXACT) and wants_constants(auto, [given], none)
-    assert not wants_constants(auto, [scaled_torque(given, [2.0, 3.0])], EXACT)
-    assert not wants_constants(auto, [scaled_torque(amperes, [2.0, 3.0])], EXACT)
+    scaled = {"torque_constants": [2.0, 3.0]}  # as flights of older versions say
+    assert not wants_constants(auto, [replace(given, provenance=given.provenance | scaled)], EXACT)
+    assert not wants_constants(auto, [replace(amperes, provenance=amperes.provenance | scaled)], EXACT)
     assert not wants_constants(auto, [replace(motion(seconds=20.0), provenance=amperes.provenance)], none)
     assert not wants_constants(replace(auto, fit_torque_constants=False), [amperes], EXACT)
     assert wants_constants(replace(auto, fit_torque_constants=True), [made], EXACT)

@@ -101,7 +101,7 @@ def test_given_constants_are_corrected_and_kept_where_the_motion_says_nothing(mo
     found = fit_torque_constants(without_tool(), measured, ObserverConfig(), given=True)
     assert np.std(np.log((found.used * given)[1:])) < 0.02 < np.std(np.log(given[1:]))
     said = found.sentences(JOINTS)[0]
-    assert "corrected by a factor: " in said and "joint1 0.9" in said and "must multiply" in said
+    assert "corrected by a factor: " in said and "joint1 0.9" in said and "The bundle applies them" in said
     assert found.facts(JOINTS)["given"] is True and not found.guessed.any()
 
     noise = [replace(r, tau=np.c_[r.tau[:, :3], rng.normal(0, 30, len(r.tau))]) for r in measured]

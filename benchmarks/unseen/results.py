@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.data import load, load_split, torque_constants_of
+from tauext.data import load, load_split
 from unseen.arms import Maker, true_arm
 from unseen.recordings import TAKES, told_constants
 
@@ -53,7 +53,7 @@ def read_cases(maker: Maker, seed: int, model: str, folder: Path) -> list[Case]:
     cases = []
     for case in results["cases"]:
         bundle = _core.Bundle.load(str(folder / case["bundle"]))
-        nm = true / np.array(torque_constants_of(bundle.provenance) or 1.0)
+        nm = true / np.array(bundle.observer.nm_per_unit or 1.0)
         rmse, events = nm * case["free_motion"]["l2_nm"], case["events"]
         truth = [_of(verdict, truths[verdict["recording"]]) for verdict in events["verdicts"]]
         cases.append(

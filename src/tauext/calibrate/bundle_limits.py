@@ -11,7 +11,7 @@ from pathlib import Path
 from tauext import _core
 from tauext.calibrate.promised_limits import PromisedLimits, apply_promised, promised_limits
 from tauext.config import AlarmConfig, FreeMotionConfig
-from tauext.data import Dataset, Recording, expect_fit, scaled_torque, torque_constants_of
+from tauext.data import Dataset, Recording, expect_fit
 from tauext.data.loss_history import read_loss_history
 from tauext.errors import ConfigError
 from tauext.progress import SILENT, Reporter
@@ -74,13 +74,12 @@ def calibrate_bundle(
         BundleError: a recording of another robot, rate or torque timing.
         TrainingError: no free motion, or too few peaks to say anything.
     """
-    constants = torque_constants_of(bundle.provenance)  # none yet while training, which scales by itself
     names: list[str] = []
     with report.progress(f"calibrate {name}") as show:
 
         def load_all() -> Iterator[Recording]:
             for load in loaders:
-                recording = scaled_torque(load(), constants)
+                recording = load()
                 expect_fit(bundle, recording)
                 names.append(recording.name)
                 yield recording

@@ -14,6 +14,7 @@ import tyro
 
 from tauext.cli.calibrate import calibrate
 from tauext.cli.check import check
+from tauext.cli.convert import convert
 from tauext.cli.demo import demo
 from tauext.cli.evaluate import evaluate
 from tauext.cli.import_data import import_data
@@ -31,7 +32,7 @@ DESCRIPTION = (
     "simulate (or import: your own recordings) -> train -> evaluate -> report; reproduce does all four. "
     "check: what recordings and robot file have wrong, before anyone trains. "
     "train -> run: the monitor on recordings; monitor: on a live arm. calibrate: other limits for a trained bundle. "
-    "demo: push a simulated arm in the browser."
+    "demo: push a simulated arm in the browser. convert: a bundle of an older format."
 )
 
 
@@ -43,7 +44,7 @@ def spelled_out(argv: list[str]) -> list[str]:
 def main(argv: list[str] | None = None) -> int:
     """Run one command; 0 done, 1 a fault (check), 2 bad input (one line on stderr), 130 interrupted, 141 no reader."""
     app = tyro.extras.SubcommandApp()
-    for command in (reproduce, simulate, check, train, calibrate, evaluate, report, run, monitor, show, demo):
+    for command in (reproduce, simulate, check, train, calibrate, evaluate, report, run, monitor, show, demo, convert):
         app.command(command)
     app.command(import_data, name="import")
     try:

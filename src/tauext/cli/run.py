@@ -130,16 +130,14 @@ def replay_all(bundle: Bundle, recordings: tuple[Path, ...], settings: RunSettin
         ConfigError: some flights could not be written.
     """
     from tauext.cli.run_output import FlightCount
-    from tauext.data import load, scaled_torque, torque_constants_of
+    from tauext.data import load
     from tauext.monitor import Tally
-
-    constants = torque_constants_of(bundle.provenance)
 
     total = Tally(tuple(link.joint_name for link in bundle.links), bundle.observer.sample_period_ns)
     flights, done, stopped = FlightCount(), 0, None
     try:
         for number, path in enumerate(recordings, 1):
-            recording = scaled_torque(load(path), constants)
+            recording = load(path)
             output.start(bundle, recording, number, len(recordings))
             with counted(recording, total, flights, output) as (tally, own_flights):
                 replay_one(bundle, recording, settings, tally, own_flights, output)

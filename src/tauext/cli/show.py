@@ -56,6 +56,8 @@ def describe_bundle(file: Path) -> dict:
             "masses [kg]": [link.mass for link in bundle.links],
             "rotor inertias [kg m2]": [link.rotor_inertia for link in bundle.links],
         },
+        "takes tau in": dict(zip(names, bundle.torque_units, strict=True)),
+        "answers in": dict(zip(names, bundle.estimate_units, strict=True)),
         "observer": describe_observer(bundle.observer),
         "sample rate [Hz]": 1 / period_s,
         "network": "none: the plain observer",
@@ -82,6 +84,8 @@ def describe_bundle(file: Path) -> dict:
             "parameters": bundle.shape.parameter_count,
             "window": f"{bundle.window_steps} steps of {network_period_s * 1e3:g} ms",
         }
+    if bundle.observer.nm_per_unit:
+        content["torque constants"] = dict(zip(names, bundle.observer.nm_per_unit, strict=True))
     if bundle.prior.terms:
         if not bundle.has_network:
             content["network"] = "none: observer and prior"

@@ -1,12 +1,12 @@
 """Recordings, their file, and which recording serves for training, validation and test."""
 
+from tauext.data.amperes import from_amperes, in_amperes
 from tauext.data.bundle_fit import expect_fit
 from tauext.data.dataset import Dataset
 from tauext.data.first_seconds import first_seconds, total_s
 from tauext.data.free_motion import free_pieces, free_samples, split_by_time
 from tauext.data.recording import Recording
 from tauext.data.recording_file import Description, describe, load, save
-from tauext.data.scaled import from_amperes, in_amperes, scaled_torque, torque_constants_of
 from tauext.data.split import Split, load_split, save_split, split_recordings
 from tauext.data.standing import standing_joints
 
@@ -25,11 +25,9 @@ __all__ = [
     "save",
     "from_amperes",
     "in_amperes",
-    "scaled_torque",
     "save_split",
     "split_by_time",
     "split_recordings",
     "standing_joints",
-    "torque_constants_of",
     "total_s",
 ]

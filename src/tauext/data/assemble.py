@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from tauext.data.amperes import AMPERES, FROM_AMPERES
 from tauext.data.columns import Columns, find_columns
 from tauext.data.conversion import constant_unknown, conversions, in_si
 from tauext.data.description import TIME_UNITS, Arm
 from tauext.data.importers import RawSignals, Source
 from tauext.data.merge import Table, base_stream, held, interpolated
 from tauext.data.recording import Recording
-from tauext.data.scaled import AMPERES, FROM_AMPERES
 from tauext.data.stamps import count_gaps, fresh, ordered
 from tauext.data.velocity import derived_velocity
 from tauext.errors import RecordingError

@@ -10,7 +10,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.config import EventsConfig
-from tauext.data import Recording, expect_fit, free_samples, scaled_torque, torque_constants_of
+from tauext.data import Recording, free_samples
 from tauext.data.estimates import STALE, Estimates, save_estimates
 from tauext.data.loss_history import LossHistory
 from tauext.errors import ConfigError
@@ -87,7 +87,6 @@ class Comparison:
     ):
         self._bundles, self._ignorant, self._own = bundles, ignorant, own
         self._measures = {name: CaseMeasures(name, bundle, events) for name, bundle in bundles.items()}
-        self._constants = {name: torque_constants_of(bundle.provenance) for name, bundle in bundles.items()}
         self._touches: list[Collision] = []
 
     def add(self, number: int, recording: Recording, free: bool, threads: int, keep_in: Path | None) -> None:
@@ -103,8 +102,7 @@ class Comparison:
         gains = set() if not found else {bundle.observer.gain_per_s for bundle in self._bundles.values()}
         references = {gain: sensor_reference(recording, gain) for gain in gains}
         for name, bundle in self._bundles.items():
-            expect_fit(bundle, recording)  # before it is scaled, which needs as many joints
-            estimates = estimate(bundle, scaled_torque(recording, self._constants[name]), threads)
+            estimates = estimate(bundle, recording, threads)
             if keep_in is not None:
                 save_estimates(estimates, keep_in / name / f"{recording.name}.parquet")
             measures = self._measures[name]

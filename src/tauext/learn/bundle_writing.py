@@ -119,12 +119,13 @@ def set_signal_ranges(
     """What the monitor must know of the arm's signals to tell a broken one.
 
     Args:
-        recordings: free motion; the largest |tau| of each joint is kept. An encoder that stands still while the torque
-            moves by more is a fault.
+        recordings: free motion; the largest |tau| of each joint is kept, in the unit of the bundle's answers. An
+            encoder that stands still while the torque moves by more is a fault.
         torque_limit_nm: what each drive can give at most, infinite where unknown; None: unknown throughout. A drive at
             its limit is a fault, since it no longer gives what it is told.
     """
     largest = np.max([np.abs(recording.tau).max(axis=0) for recording in recordings], axis=0)
+    largest *= np.abs(bundle.observer.nm_per_unit or 1.0)
     bundle.largest_torque_nm = np.maximum(largest, LEAST_TORQUE_NM).tolist()
     bundle.torque_limit_nm = list(torque_limit_nm) if torque_limit_nm is not None else [float("inf")] * bundle.joints
 

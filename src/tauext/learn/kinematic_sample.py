@@ -46,6 +46,7 @@ class KinematicSample:
             timing=_core.TorqueTiming.averaged if observer.network_stride > 1 else observer.timing,
             sample_period_ns=observer.sample_period_ns * observer.network_stride,
             network_stride=1,
+            nm_per_unit=observer.nm_per_unit,
         )
         self.parts: list[tuple[Recording, np.ndarray]] = []
         targets, values = [], []

@@ -12,7 +12,7 @@ import numpy as np
 
 from tauext import __version__, _core
 from tauext.data import Recording, save
-from tauext.data.scaled import AMPERES
+from tauext.data.amperes import AMPERES
 from tauext.errors import ConfigError, TauextError
 from tauext.live.sink import Control, LoopReport, Verdict
 from tauext.monitor.changes import NONE, OK

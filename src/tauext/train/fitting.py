@@ -13,6 +13,7 @@ from tauext.data import Recording
 from tauext.learn import Chain, PriorFit, build_chain, set_drift, with_presliding
 from tauext.learn.kinematics import Kinematics
 from tauext.learn.prior_facts import prior_facts
+from tauext.learn.torque_constants import with_constants
 from tauext.learn.widths import region_width
 from tauext.train.preparation import Job
 
@@ -42,12 +43,15 @@ class Fit(Protocol):
 
 
 def observe(job: Job) -> Chain:
-    """The chain up to r: the estimated model, and the observer and filters of the recipe.
+    """The chain up to r: the estimated model, torque constants, and the observer and filters of the recipe.
 
     Raises:
         TrainingError: the recordings' joints are not the model's.
     """
-    return build_chain(job.tree, job.training[0], job.config.observer, job.config.recipe, job.config.filters)
+    chain = build_chain(job.tree, job.training[0], job.config.observer, job.config.recipe, job.config.filters)
+    if job.constants is None:
+        return chain
+    return replace(chain, observer=with_constants(chain.observer, job.constants.used))
 
 
 def fit_prior(job: Job, chain: Chain, recordings: Sequence[Recording]) -> PriorFit | None:

@@ -68,7 +68,9 @@ def assemble(job: Job, chain: Chain, network: ScaledNetwork | None = None) -> Bu
         TrainingError: no recording is as long as a window.
     """
     learned = (network.scaling, network.trained) if network else ()
-    return make_bundle(job.name, chain, job.config.observer.near_stiction_rad_s, job.reference(chain), *learned)
+    bundle = make_bundle(job.name, chain, job.config.observer.near_stiction_rad_s, job.reference(chain), *learned)
+    bundle.units = job.units
+    return bundle
 
 
 def model_digest(tree: Tree) -> str:

@@ -1,23 +1,22 @@
-"""What a training begins with: settings that can be served, and recordings with torque in N m."""
+"""What a training begins with: settings that can be served, recordings, and what their tau is in N m."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
-from tauext._core import Tree
+from tauext._core import TorqueUnits, Tree
 from tauext.calibrate import at_rest_sentence
 from tauext.config import ModelCase, TrainConfig
-from tauext.data import Recording, free_pieces, from_amperes, scaled_torque, standing_joints
+from tauext.data import Recording, free_pieces, from_amperes, standing_joints
 from tauext.errors import ConfigError
 from tauext.learn import Chain, TorqueConstants, fit_torque_constants, reference_recording
 from tauext.progress import Reporter
 from tauext.provenance import provenance
 from tauext.train.motion import TrainingMotion, training_motion
-from tauext.train.recordings import chosen_recordings, scaled, wants_constants
+from tauext.train.recordings import chosen_recordings, given_unit, wants_constants
 from tauext.train.settings import training_settings, why_impossible
 
 
@@ -30,11 +29,11 @@ class Job:
     config: TrainConfig
     out: Path
     training: list[Recording]
-    """As many minutes as shall be trained on, torque in N m; contacts and all, as all recordings here."""
+    """As many minutes as shall be trained on, as recorded; contacts and all, as all recordings here."""
     validation: list[Recording]
     calibration: list[Callable[[], Recording]]
     constants: TorqueConstants | None
-    """By which the recordings' torque was multiplied; None: it was in N m."""
+    """That the recordings' tau is to be multiplied by; None: it is in N m, or nothing tells."""
     motion: TrainingMotion
     report: Reporter
     run: dict
@@ -51,6 +50,12 @@ class Job:
     def joints(self) -> tuple[str, ...]:
         """Names, in the recordings' order."""
         return self.training[0].joints
+
+    @property
+    def units(self) -> TorqueUnits:
+        """What the bundle takes and answers in."""
+        given = given_unit(self.config, self.training)
+        return self.constants.units(given) if self.constants else TorqueUnits(given)
 
     @property
     def notes(self) -> list[str]:
@@ -81,7 +86,7 @@ def prepare(
     calibration: Sequence[Callable[[], Recording]],
     report: Reporter,
 ) -> Job:
-    """Choose the minutes, bring torque to N m, leave contacts out; see train_bundle for the arguments.
+    """Choose the minutes, find torque constants, leave contacts out; see train_bundle for the arguments.
 
     Raises:
         ConfigError: settings that the case or the recordings cannot serve.
@@ -94,8 +99,6 @@ def prepare(
     if wants_constants(config, training, case):
         free = free_pieces(training, config.margins)
         constants = fit_torque_constants(tree, free, config.observer, from_amperes(training))
-        training, validation = ([scaled_torque(r, constants.used) for r in some] for some in (training, validation))
-        calibration = [partial(scaled, load, constants.used) for load in calibration]
     motion = training_motion(training, validation, config)
     out.parent.mkdir(parents=True, exist_ok=True)
     run = provenance("tauext train", training_settings(case, config), config.seed)

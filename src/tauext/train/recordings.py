@@ -1,11 +1,12 @@
-"""Recordings as a training takes them: as many minutes as it shall, torque in N m."""
+"""Recordings as a training takes them: as many minutes as it shall, and what their tau is."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
+from tauext._core import TorqueUnit
 from tauext.config import ModelCase, TrainConfig
-from tauext.data import Recording, first_seconds, from_amperes, in_amperes, scaled_torque, total_s
+from tauext.data import Recording, first_seconds, from_amperes, in_amperes, total_s
 from tauext.errors import ConfigError
 
 LEAST_S = 30.0
@@ -34,9 +35,13 @@ def chosen_recordings(
     return first_seconds(training, wanted_s), first_seconds(validation, max(wanted_s / 5, 60.0, window_s))
 
 
-def scaled(load: Callable[[], Recording], nm_per_unit: Sequence[float]) -> Recording:
-    """A loaded recording with its torque in N m."""
-    return scaled_torque(load(), nm_per_unit)
+def given_unit(config: TrainConfig, training: Sequence[Recording]) -> TorqueUnit:
+    """What a number of the recordings' tau stands for: that is what the bundle takes."""
+    if in_amperes(training):
+        return TorqueUnit.ampere
+    # Who asks for constants of what was no current says that it is no torque either.
+    asked = config.fit_torque_constants and not from_amperes(training)
+    return TorqueUnit.recorded if asked else TorqueUnit.newton_metre
 
 
 def wants_constants(config: TrainConfig, training: Sequence[Recording], case: ModelCase) -> bool:

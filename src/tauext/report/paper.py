@@ -38,6 +38,8 @@ RMSE_NEAR_STICTION_NM = {"exact": (1.344, None)}
 LIMIT_SLIDING_NM = {"exact": (4.62, None)}
 COLLISIONS = FOUND = 10
 """Collisions tried, and found in each of the five cases."""
+DELAYS_AGAINST_SENSOR_MS = (3, 6, -1)
+"""Three collisions, exact model, observer and sensor at the same limit."""
 
 OBSERVER_PEAK_NM = {
     "exact": (24.0, 14.0),

@@ -13,10 +13,11 @@ from tauext.config import PAPER_CASES, AlarmConfig, FilterConfig, TrainConfig
 from tauext.data import Dataset
 from tauext.errors import BundleError, ConfigError
 from tauext.progress import Silent
+from tauext.recipes import baselines
 from tauext.rig import RigConfig, simulate_dataset
 from tauext.rig.recording import simulate_recording
 from tauext.robot import estimated_model
-from tauext.train import baselines, finished, train_baselines, train_bundle, training_settings
+from tauext.train import finished, train_baselines, train_bundle, training_settings
 
 EXACT = PAPER_CASES["exact"]
 BUDGET = AlarmConfig(false_alarms=1, in_hours=0.005)

@@ -18,8 +18,8 @@ from tauext.config import PAPER_CASES, CaseName, RecipeName, TrainConfig
 from tauext.errors import ConfigError
 from tauext.learn import Chain, PriorFit
 from tauext.learn.ridge import fit_ridge
-from tauext.recipes import RECIPES, Recipe
-from tauext.train import baselines, train_bundle, training_settings, why_impossible
+from tauext.recipes import RECIPES, Recipe, baselines
+from tauext.train import train_bundle, training_settings, why_impossible
 
 EXACT, NONE = PAPER_CASES["exact"], PAPER_CASES["none"]
 

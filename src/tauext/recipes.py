@@ -144,3 +144,9 @@ def recipe_of(name: str) -> Recipe:
     if name not in RECIPES:
         raise ConfigError(f"recipe = {name} must be one of {', '.join(RECIPES)}")
     return RECIPES[name]
+
+
+def baselines() -> dict[str, str]:
+    """Recipes by the name of their baseline, simplest first; tauext itself is the last."""
+    ranked = sorted(RECIPES.values(), key=lambda recipe: recipe.rank)
+    return {recipe.baseline: recipe.name for recipe in ranked if recipe.baseline is not None}

@@ -3,17 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
-
-from tauext.errors import ConfigError
-
-if TYPE_CHECKING:
-    from tauext.data import Recording
-
-MOST_MINUTES = 30.0
-"""Recordings beyond this are left out, evenly: what half an hour does not show is no mistake of units."""
 
 
 def check(
@@ -37,7 +29,7 @@ def check(
     """
     import json
 
-    from tauext.doctor import examine
+    from tauext.doctor import examine, gather
     from tauext.doctor.summary import as_data, as_text
 
     recordings, free, robot = gather(data, robot)
@@ -55,43 +47,3 @@ def check(
         draw(diagnosis, out)
     print(json.dumps(content, indent=1) if as_json else text)
     return 1 if diagnosis.faulty else 0
-
-
-def gather(data: tuple[Path, ...], robot: Path | None) -> tuple[list[Recording], set[str], Path | None]:
-    """Recordings, at most MOST_MINUTES of them; names of those that a dataset calls free; and the robot file.
-
-    Raises:
-        ConfigError: nothing to check.
-    """
-    from tauext.data.dataset import ROBOT_FILES, Dataset
-    from tauext.robot import is_placeholder
-
-    files: list[Path] = []
-    free: set[str] = set()
-    for path in data:
-        if not path.is_dir():
-            files.append(path)
-            continue
-        if (path / "split.json").is_file():
-            split = Dataset.open(path).split
-            names = [*split.train, *split.validation, *split.test]
-            free |= {Path(name).stem for name in names}
-            files += [path / name for name in names]
-        else:
-            files += sorted(path.glob("*.parquet"))
-        robot = robot or next((path / name for name in ROBOT_FILES if (path / name).is_file()), None)
-    if robot is not None and is_placeholder(robot):
-        robot = None
-    if not files:
-        raise ConfigError(f"{', '.join(map(str, data)) or 'data'}: no recording (*.parquet) is there to check")
-    return _evenly(files), free, robot
-
-
-def _evenly(files: list[Path]) -> list[Recording]:
-    """Loaded, every second or third only where there are too many."""
-    from tauext.data import describe, load
-
-    heads = [describe(file) for file in files]
-    minutes = sum(head.samples / head.rate_hz for head in heads) / 60
-    stride = max(1, -int(-minutes // MOST_MINUTES))
-    return [load(file) for file in files[::stride]]

@@ -9,6 +9,9 @@ import tyro
 
 from tauext.config import CaseName, EventsConfig
 from tauext.errors import ConfigError
+from tauext.recipes import baselines as known_baselines
+
+METHODS = f"of the baselines these alone: {', '.join(known_baselines())}."
 
 
 def evaluate(
@@ -16,7 +19,7 @@ def evaluate(
     out: Path,
     bundles: tuple[Path, ...] = (),
     baselines: bool = False,
-    methods: tuple[str, ...] = (),
+    methods: Annotated[tuple[str, ...], tyro.conf.arg(help=METHODS)] = (),
     case: CaseName | None = None,
     robot: Path | None = None,
     seed: int = 0,
@@ -32,8 +35,6 @@ def evaluate(
         bundles: bundles (*.tauext) to compare, named in the results by their file names.
         baselines: also train every known method on the dataset, with limits for the same promise, into OUT/bundles, and
             compare them; those that are there are used again. Beside them detectors that know nothing.
-        methods: of the baselines these alone: observer, friction, highpass, bandpass, velocity, energy, direct,
-            feedforward, paper-lstm, prior, tauext.
         case: estimated model of the baselines, as in train.
         robot: URDF or MJCF of the baselines; default: the dataset's own.
         seed: of the baselines' training and of the choice of the ten collisions.

@@ -20,7 +20,6 @@ from tauext.demo.practice import practice_recording
 from tauext.errors import ConfigError, TauextError
 from tauext.progress import Show, Silent
 from tauext.robot import estimated_model
-from tauext.train import train_bundle
 
 ERRORS = {"exact": "exact", "mass": "half the mass", "none": "no model at all"}
 """Model cases that the demo offers, and how the page calls them."""
@@ -130,6 +129,8 @@ def train_bundles(
 
 
 def _train(arm: DemoArm, case: ModelCase, lesson: Lesson, seed: int, out: Path, report: Report) -> None:
+    from tauext.train import train_bundle  # here: page and simulation start without what only training needs
+
     recordings = []
     for k in range(lesson.recordings):
         report(0.2 * k / lesson.recordings, "practising free motion")

@@ -2,5 +2,6 @@
 
 from tauext.doctor.examine import Diagnosis, examine
 from tauext.doctor.finding import CODES, Finding
+from tauext.doctor.gather import gather
 
-__all__ = ["CODES", "Diagnosis", "Finding", "examine"]
+__all__ = ["CODES", "Diagnosis", "Finding", "examine", "gather"]

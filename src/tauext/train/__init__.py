@@ -1,7 +1,7 @@
 """The training stage: from recordings of free motion to one bundle."""
 
-from tauext.train.baselines import baselines, train_baselines
+from tauext.train.baselines import train_baselines
 from tauext.train.settings import finished, training_settings, why_impossible
 from tauext.train.stage import train_bundle
 
-__all__ = ["baselines", "finished", "train_baselines", "train_bundle", "training_settings", "why_impossible"]
+__all__ = ["finished", "train_baselines", "train_bundle", "training_settings", "why_impossible"]

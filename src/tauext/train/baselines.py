@@ -9,16 +9,10 @@ from tauext.config import PAPER_CASES, CaseName, TrainConfig
 from tauext.data import Dataset
 from tauext.errors import ConfigError
 from tauext.progress import SILENT, Reporter
-from tauext.recipes import RECIPES
+from tauext.recipes import RECIPES, baselines
 from tauext.robot import chosen_case, estimated_model
 from tauext.train.settings import finished, why_impossible
 from tauext.train.stage import train_bundle
-
-
-def baselines() -> dict[str, str]:
-    """Recipes by the name of their baseline, simplest first; tauext itself is the last."""
-    ranked = sorted(RECIPES.values(), key=lambda recipe: recipe.rank)
-    return {recipe.baseline: recipe.name for recipe in ranked if recipe.baseline is not None}
 
 
 def train_baselines(

@@ -1,0 +1,48 @@
+"""What there is to examine: recordings of a dataset, a folder or by name, and the robot file beside them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tauext.data import Recording, describe, load
+from tauext.data.dataset import ROBOT_FILES, Dataset
+from tauext.errors import ConfigError
+from tauext.robot import is_placeholder
+
+MOST_MINUTES = 30.0
+"""Recordings beyond this are left out, evenly: what half an hour does not show is no mistake of units."""
+
+
+def gather(data: tuple[Path, ...], robot: Path | None) -> tuple[list[Recording], set[str], Path | None]:
+    """Recordings, at most MOST_MINUTES of them; names of those that a dataset calls free; and the robot file.
+
+    Raises:
+        ConfigError: nothing to check.
+    """
+    files: list[Path] = []
+    free: set[str] = set()
+    for path in data:
+        if not path.is_dir():
+            files.append(path)
+            continue
+        if (path / "split.json").is_file():
+            split = Dataset.open(path).split
+            names = [*split.train, *split.validation, *split.test]
+            free |= {Path(name).stem for name in names}
+            files += [path / name for name in names]
+        else:
+            files += sorted(path.glob("*.parquet"))
+        robot = robot or next((path / name for name in ROBOT_FILES if (path / name).is_file()), None)
+    if robot is not None and is_placeholder(robot):
+        robot = None
+    if not files:
+        raise ConfigError(f"{', '.join(map(str, data)) or 'data'}: no recording (*.parquet) is there to check")
+    return _evenly(files), free, robot
+
+
+def _evenly(files: list[Path]) -> list[Recording]:
+    """Loaded, every second or third only where there are too many."""
+    heads = [describe(file) for file in files]
+    minutes = sum(head.samples / head.rate_hz for head in heads) / 60
+    stride = max(1, -int(-minutes // MOST_MINUTES))
+    return [load(file) for file in files[::stride]]

@@ -7,6 +7,9 @@ RUN := PATH="$(CURDIR)/$(VENV)/bin:$$PATH"
 STAMP := $(VENV)/.installed-$(shell find src -name '*.py' | sort | cksum | cut -d' ' -f1)
 # Many small systems: threads of the linear algebra only wait for each other.
 export OPENBLAS_NUM_THREADS ?= 1
+# Workers of `make test`, auto: one a core; WORKERS=0 runs all tests in one process.
+WORKERS ?= auto
+PYTEST = $(VENV)/bin/python -m pytest
 CORE := $(shell find cpp/include cpp/src cpp/learn cpp/bindings -type f)
 
 .PHONY: help setup build reproduce test test-all test-arm fuzz soak lint bench bench-train bench-monitor clean
@@ -25,11 +28,11 @@ build/cpp/CMakeCache.txt: $(STAMP)
 	$(RUN) cmake -S . -B build/cpp -G Ninja -DTAUEXT_TESTS=ON
 build: build/cpp/CMakeCache.txt ## The C++ library, its tests and benchmarks
 	$(RUN) cmake --build build/cpp
-test: build ## All tests, Python and C++
-	$(RUN) ctest --test-dir build/cpp --output-on-failure
-	$(VENV)/bin/python -m pytest -m 'not slow'
+test: build ## All tests, Python and C++, on every core (WORKERS=0: Python on one)
+	$(RUN) ctest --test-dir build/cpp --output-on-failure -j $(shell nproc)
+	$(PYTEST) -n $(WORKERS) --maxprocesses 8 --dist loadfile -m 'not slow'
 test-all: lint test test-arm fuzz soak ## Slow tests, and the C++ tests under the sanitizers, on Arm, fuzzed and soaked
-	$(VENV)/bin/python -m pytest -m slow || test $$? -eq 5  # 5: every slow test needs a library that is not here
+	$(PYTEST) -m slow || test $$? -eq 5  # 5: every slow test needs a library that is not here
 	$(call ctest,address,-DTAUEXT_SANITIZE=address)
 	$(call ctest,thread,-DTAUEXT_SANITIZE=thread)
 test-arm: setup ## The C++ tests, cross-compiled for 64-bit Arm, under qemu

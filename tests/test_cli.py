@@ -3,6 +3,9 @@
 import json
 import re
 import shlex
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -36,6 +39,27 @@ def workplace(tmp_path_factory):
                 command = command.replace(quick, smoke)
             assert main(shlex.split(command)[1:]) == 0, command
     return folder
+
+
+@dataclass(frozen=True)
+class Again:
+    """A `tauext reproduce` in the folder of an earlier one."""
+
+    code: int
+    out: str
+    before: bytes
+    """Its results, and when the bundle of a case was written, before it began."""
+    written_ns: int
+
+
+@pytest.fixture(scope="module")
+def again(workplace) -> Again:
+    results, bundle = (workplace / "runs/quick" / path for path in ("results/results.json", "bundles/exact.tauext"))
+    before, written_ns = results.read_bytes(), bundle.stat().st_mtime_ns
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(StringIO()) as out:
+        patch.chdir(workplace)
+        code = main(["reproduce", "--scale", "smoke", "--out", "runs/quick"])
+    return Again(code, out.getvalue(), before, written_ns)
 
 
 def run(capsys, *arguments: object) -> tuple[int, str, str]:
@@ -79,23 +103,19 @@ def test_every_make_target_and_link_of_the_readme_exists():
         assert (root / link).exists(), link
 
 
-def test_reproduce_covers_all_five_cases_and_prints_the_report_last(workplace, capsys, monkeypatch):
-    monkeypatch.chdir(workplace)
-    code, out, _ = run(capsys, "reproduce", "--scale", "smoke", "--out", "runs/quick")
-    assert code == 0 and out.splitlines()[-1] == "runs/quick/report/report.html"
+def test_reproduce_covers_all_five_cases_and_prints_the_report_last(workplace, again):
+    assert again.code == 0 and again.out.splitlines()[-1] == "runs/quick/report/report.html"
     results = json.loads((workplace / "runs/quick/results/results.json").read_text())
     assert [case["name"] for case in results["cases"]] == ["exact", "mass", "com", "mass+com", "none"]
     assert results["provenance"]["scale"] == "smoke"
     assert all(case["loss_history"][-1][0] == case["steps"] for case in results["cases"])
 
 
-def test_reproduce_a_second_time_gives_the_same_results_and_trains_nothing_anew(workplace, capsys, monkeypatch):
-    monkeypatch.chdir(workplace)
-    bundle, results = Path("runs/quick/bundles/exact.tauext"), Path("runs/quick/results/results.json")
-    before, written = results.read_bytes(), bundle.stat().st_mtime_ns
-    assert run(capsys, "reproduce", "--scale", "smoke", "--out", "runs/quick")[0] == 0
-    assert bundle.stat().st_mtime_ns == written
-    assert json.loads(results.read_bytes())["cases"] == json.loads(before)["cases"]
+def test_reproduce_a_second_time_gives_the_same_results_and_trains_nothing_anew(workplace, again):
+    assert again.code == 0
+    assert (workplace / "runs/quick/bundles/exact.tauext").stat().st_mtime_ns == again.written_ns
+    results = (workplace / "runs/quick/results/results.json").read_bytes()
+    assert json.loads(results)["cases"] == json.loads(again.before)["cases"]
 
 
 def test_the_same_seed_gives_the_same_bundle_bytes_in_another_folder(workplace, capsys, tmp_path):

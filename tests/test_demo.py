@@ -8,13 +8,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from made_demo import SHORT
 
 from tauext.cli import main
-from tauext.config import AlarmConfig, PriorConfig, TrainConfig
 from tauext.demo import bundles as demo_bundles
 from tauext.demo import workers
 from tauext.demo.arms import ARMS
-from tauext.demo.bundles import LESSONS, Lesson, bundle_folder, cache_folder, find_bundles, train_bundles
+from tauext.demo.bundles import LESSONS, bundle_folder, cache_folder, find_bundles, train_bundles
 from tauext.demo.headless import describe, scripted_pushes
 from tauext.demo.mover import Mover
 from tauext.demo.page import free_port, open_server
@@ -28,28 +28,15 @@ from tauext.rig.sensors import measure
 from tauext.rig.simulate import roll_out
 from tauext.robot import load
 
-SHORT = Lesson(
-    recordings=4,
-    recording_s=15.0,
-    validation=1,
-    prior_recordings=4,
-    methods={
-        "tauext": TrainConfig(
-            recipe="prior", alarm=AlarmConfig(friction_reserve=0.1), prior=PriorConfig(most_ripples=0)
-        ),
-        "observer": TrainConfig(recipe="observer"),
-    },
-)
-
 
 @pytest.fixture(scope="module", params=ARMS)
 def arm(request):
     return ARMS[request.param]()
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory):
-    return train_bundles(ARMS["rig"](), "exact", SHORT, 0, tmp_path_factory.mktemp("cache"))
+@pytest.fixture
+def trained(rig_bundles):
+    return rig_bundles
 
 
 def watched(trained, reaction="stop"):

@@ -11,29 +11,19 @@ import time
 
 import numpy as np
 import pytest
+from made_demo import SHORT
 from page_mouse import CHROMIUM, PATIENCE_S, drag, on_screen, open_pages, until
-from test_demo import SHORT
 
-from tauext.demo.bundles import train_bundles
 from tauext.demo.page import Session, free_port, open_server
 
 viser = pytest.importorskip("viser", reason="the page needs the extra tauext[live]")
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("cache")
-    from tauext.demo.arms import rig_arm
-
-    train_bundles(rig_arm(), "exact", SHORT, 0, folder)
-    return folder
-
-
 @pytest.fixture
-def session(cache):
+def session(rig_bundles):
     """The rig on a page, in a thread of its own."""
     server = open_server("127.0.0.1", free_port("127.0.0.1", 9500))
-    session = Session(server, "rig", 0, cache, SHORT)
+    session = Session(server, "rig", 0, rig_bundles["tauext"].parent.parent, SHORT)
     session.server = server
     thread = threading.Thread(target=session.run)
     thread.start()

@@ -30,14 +30,14 @@ from tauext.robot import load
 MINUTES, RATE_HZ = 1.2, 100.0
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def six(tmp_path_factory) -> Case:
     path = tmp_path_factory.mktemp("arm") / "six.urdf"
     path.write_text(urdf(six_axis()).replace('effort="100"', 'effort="3000"'))
     return Case(made_motion(load(path), MINUTES, RATE_HZ, pieces=2), path, MINUTES, RATE_HZ)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def rig(tmp_path_factory) -> Case:
     path = tmp_path_factory.mktemp("rig") / "robot.xml"
     path.write_text(arm_xml(RigConfig()))

@@ -48,6 +48,13 @@ def seven(tmp_path_factory):
     return make_results(tmp_path_factory.mktemp("seven"), seconds=20, cases=SEVEN_CASES)
 
 
+@pytest.fixture(scope="module")
+def written(made, tmp_path_factory):
+    """The folder and the page of the whole report; no test changes them."""
+    folder = tmp_path_factory.mktemp("written") / "report"
+    return folder, write_report(*made, folder)
+
+
 @pytest.fixture
 def copied(made, tmp_path):
     return tuple(shutil.copytree(folder, tmp_path / folder.name) for folder in made)
@@ -76,13 +83,11 @@ def words_of(page: str) -> str:
 # The whole report
 
 
-def test_the_report_is_one_page_with_every_figure_inside_and_asks_no_host(made, tmp_path):
-    path = write_report(*made, tmp_path / "report")
+def test_the_report_is_one_page_with_every_figure_inside_and_asks_no_host(made, written):
+    folder, path = written
     page = path.read_text()
-    assert path == tmp_path / "report" / "report.html"
-    assert sorted(p.name for p in (tmp_path / "report" / "figures").iterdir()) == sorted(
-        f"{n}.png" for n in ALL_FIGURES
-    )
+    assert path == folder / "report.html"
+    assert sorted(p.name for p in (folder / "figures").iterdir()) == sorted(f"{n}.png" for n in ALL_FIGURES)
     assert page.count('src="data:image/png;base64,') == len(ALL_FIGURES)
     assert "not available" not in page
     words = re.sub(r'<script type="text/plain".*?</script>', "", page, flags=re.S)
@@ -95,10 +100,11 @@ def test_the_report_is_one_page_with_every_figure_inside_and_asks_no_host(made, 
     assert f'<a href="{link}">collisions-000</a>' in page
 
 
-def test_the_same_results_give_the_same_bytes_and_no_file_is_left_over(made, tmp_path):
-    first, second = (write_report(*made, tmp_path / name) for name in ("a", "b"))
+def test_the_same_results_give_the_same_bytes_and_no_file_is_left_over(made, written, tmp_path):
+    folder, first = written
+    second = write_report(*made, tmp_path / "again")
     assert first.read_bytes() == second.read_bytes()
-    assert not list(tmp_path.rglob("*.part"))
+    assert not list(folder.rglob("*.part")) and not list(tmp_path.rglob("*.part"))
 
 
 def test_a_report_of_seven_joints_and_cases_of_other_names_is_drawn(tmp_path):

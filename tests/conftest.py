@@ -1,0 +1,54 @@
+"""How workers (pytest-xdist, --dist loadfile) share the tests, and what tests of several files need.
+
+A file's tests run on one worker, one after the other, so what its fixtures of module scope train, simulate or build is
+made once in a run. Files that TOGETHER names share a worker, too. Tests of the files in APART go to any, and what their
+fixtures of session scope make on each of them costs little.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+# As in the Makefile, and before NumPy is imported: threads of two workers would wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+TOGETHER = ("test_demo", "test_ros2")
+"""Beginnings of names of files that use one training, or talk in one DDS domain."""
+APART = ("test_doctor.py", "test_kinematics.py")
+"""Files whose tests go, one by one, to whichever worker is free: a third of all the time."""
+
+
+def shared_by(nodeid: str) -> str:
+    """Tests of the same answer run on the same worker."""
+    file = nodeid.split("::")[0].split("/")[-1]
+    if file in APART:
+        return nodeid
+    return next((begin for begin in TOGETHER if file.startswith(begin)), file)
+
+
+@pytest.hookimpl(optionalhook=True)  # pytest runs without pytest-xdist, too
+def pytest_xdist_make_scheduler(config: pytest.Config, log):
+    # The mark xdist_group is for this, but with --dist loadgroup xdist 3.8 ignores it under pytest 9.2.
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Shared(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return shared_by(nodeid)
+
+    return Shared(config, log)
+
+
+@pytest.fixture(scope="session")
+def rig_bundles(tmp_path_factory) -> dict[str, Path]:
+    """Those of the demo's rig, in a cache of demos."""
+    from made_demo import SHORT
+
+    from tauext.demo.arms import rig_arm
+    from tauext.demo.bundles import train_bundles
+
+    return train_bundles(rig_arm(), "exact", SHORT, 0, tmp_path_factory.mktemp("demos"))

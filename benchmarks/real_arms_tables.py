@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tauext.data import load
+from tauext.data import load_recording
 from tauext.data.estimates import load_estimates
 
 HEALTHY_FROM_S = 0.5
@@ -108,7 +108,7 @@ def results(folder: Path) -> dict:
 
 def error_cells(case: dict, data: Path, recording: str) -> list[str]:
     """RMS of the error of each joint, and its share of the torque's RMS over the same samples."""
-    told = load(data / f"{recording}.parquet")
+    told = load_recording(data / f"{recording}.parquet")
     torque = np.sqrt((told.tau[told.time_s >= HEALTHY_FROM_S] ** 2).mean(axis=0))
     error = np.array(case["free_motion"]["l2_nm"])
     return [" ".join(f"{e:.2f}" for e in error), " ".join(f"{100 * share:.0f}" for share in error / torque) + " %"]
@@ -143,7 +143,7 @@ def draw(recording: Path, estimates: Path, joints: list[int], spans: list[tuple[
 
     from tauext.report.style import CASE_COLOURS, CONTACT, GREY, RC, SENSOR
 
-    told, said = load(recording), load_estimates(estimates)
+    told, said = load_recording(recording), load_estimates(estimates)
     with rc_context(RC):
         figure = Figure(figsize=(10, 0.6 + 1.15 * len(joints)), layout="constrained")
         for axes, j in zip(figure.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0], joints, strict=True):
@@ -171,7 +171,7 @@ def ur3_figure(folder: Path, path: Path) -> None:
 
 def panda_figure(folder: Path, path: Path) -> None:
     recording = folder / "data/c3.parquet"
-    told = load(recording)
+    told = load_recording(recording)
     edges = np.flatnonzero(np.diff(np.r_[0, told.contact == 1, 0])).reshape(-1, 2)
     spans = [(told.time_s[a], told.time_s[b - 1]) for a, b in edges]
     draw(recording, folder / "results/estimates/observer/c3.parquet", [0, 1, 2, 3], spans, path)

@@ -10,7 +10,7 @@ from tauext import _core
 from tauext.config import ObserverConfig
 from tauext.data import Recording
 from tauext.learn import build_chain, make_bundle
-from tauext.robot import load
+from tauext.robot import load_tree
 
 ARM = Path(__file__).parent / "seven_axis.urdf"
 JOINTS = tuple(f"joint{j}" for j in range(1, 8))
@@ -42,7 +42,7 @@ def motion(seconds: float, seed: int = 0) -> Recording:
 def bundle() -> _core.Bundle:
     """Windows of 100 steps, 20 hidden units, random weights: the arithmetic of a trained one."""
     made = motion(2.0)
-    chain = build_chain(load(ARM), made, ObserverConfig())
+    chain = build_chain(load_tree(ARM), made, ObserverConfig())
     made_bundle = make_bundle("seven axes", chain, 0.02, made)
     rng = np.random.default_rng(1)
     made_bundle.shape = _core.LstmShape(3 * 7, HIDDEN, 7)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 
 from tauext import _core
-from tauext.data import expect_fit, load
+from tauext.data import expect_fit, load_recording
 from tauext.errors import TauextError
 
 ACKNOWLEDGE_AFTER_NS = 1_000_000_000
@@ -26,7 +26,7 @@ def describe(t_ns: int, joints: list[str], e: _core.Estimate) -> str:
 
 
 def replay(bundle_path: str, recording_path: str) -> None:
-    bundle, recording = _core.Bundle.load(bundle_path), load(recording_path)
+    bundle, recording = _core.Bundle.load(bundle_path), load_recording(recording_path)
     expect_fit(bundle, recording)  # joints, rate, what a torque sample means
     monitor = _core.Monitor(bundle)
     before, clear = None, 0

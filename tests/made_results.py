@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 from scipy.signal import lfilter
 
-from tauext.data import Recording, Split, save, save_split
+from tauext.data import Recording, Split, save_recording, save_split
 from tauext.data.estimates import COLLISION, OK, WARMING_UP, Estimates, save_estimates
 from tauext.evaluate.case import CaseMeasures
 from tauext.evaluate.collisions import choose_ten, find_collisions
@@ -43,10 +43,10 @@ def make_results(
     free = [make_recording(f"free-{k:03d}", joints, seconds, False, rng) for k in range(test_recordings)]
     touched = [make_recording(f"collisions-{k:03d}", joints, seconds, True, rng) for k in range(collision_recordings)]
     for recording in free + touched:
-        save(recording, data / f"{recording.name}.parquet")
+        save_recording(recording, data / f"{recording.name}.parquet")
     others = [f"free-{k:03d}.parquet" for k in range(len(free), len(free) + 2)]
     for name in others:
-        save(free[0], data / name)
+        save_recording(free[0], data / name)
     names = [[f"{r.name}.parquet" for r in part] for part in (free, touched)]
     save_split(Split((others[0],), (others[1],), names[0], names[1]), data)
 

@@ -12,7 +12,7 @@ from test_train import recording
 from tauext import _core
 from tauext.cli.show import describe_bundle
 from tauext.config import PAPER_CASES, DriftConfig, ObserverConfig, PriorConfig, TrainConfig
-from tauext.data import Recording, save
+from tauext.data import Recording, save_recording
 from tauext.data.estimates import load_estimates, save_estimates
 from tauext.errors import ConfigError, TauextError
 from tauext.evaluate.estimating import estimate
@@ -145,7 +145,7 @@ def test_a_drift_at_its_bound_is_told_once(fitted, tmp_path, capsys):
     drifting.contact_sliding_limit_nm = drifting.contact_near_stiction_limit_nm = [50.0, 50.0]
     drifting.save(str(tmp_path / "drifting.tauext"))
     made = with_dynamics(recording(9, seconds=20.0), friction=0.5)
-    save(made, tmp_path / "made.parquet")
+    save_recording(made, tmp_path / "made.parquet")
     main(["run", str(tmp_path / "drifting.tauext"), str(tmp_path / "made.parquet")])
     told = capsys.readouterr().out
     assert told.count("recalibrate: joint shoulder's drift is at its bound") == 1 == told.count("joint elbow's")

@@ -17,7 +17,7 @@ from made_amperes import taking_amperes
 from made_pushes import PUSHES, pushed, watching_bundle
 
 from tauext import _core
-from tauext.data import save
+from tauext.data import save_recording
 from tauext.evaluate import estimate as evaluate_estimate
 
 ROOT = Path(__file__).parent.parent
@@ -68,7 +68,7 @@ def place(tmp_path_factory) -> Path:
     """A folder with a bundle and a recording of two pushes."""
     folder = tmp_path_factory.mktemp("place")
     watching_bundle().save(str(folder / "watching.tauext"))
-    save(pushed(), folder / "pushed.parquet")
+    save_recording(pushed(), folder / "pushed.parquet")
     return folder
 
 
@@ -138,7 +138,7 @@ def test_one_recording_in_amperes_gets_one_answer_to_the_last_bit_whoever_asks(p
     bundle.save(str(tmp_path / "amperes.tauext"))
     whole = pushed()
     made = replace(whole, tau=whole.tau / nm_per_ampere)
-    save(made, tmp_path / "pushed.parquet")
+    save_recording(made, tmp_path / "pushed.parquet")
     assert bundle.torque_units == ["A", "A"] and bundle.estimate_units == ["N m", "N m"]
 
     said = _core.Monitor(bundle).run(made.t_ns, made.q, made.dq, made.tau)["tau_ext"]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.data import load, load_split
+from tauext.data import load_recording, load_split
 from unseen.arms import Maker, true_arm
 from unseen.recordings import TAKES, told_constants
 
@@ -46,7 +46,7 @@ def read_cases(maker: Maker, seed: int, model: str, folder: Path) -> list[Case]:
         for take in TAKES
         if take.contacts
     }
-    tests = [load(folder / model / name) for name in load_split(folder / model).test]
+    tests = [load_recording(folder / model / name) for name in load_split(folder / model).test]
     given = told_constants(maker, seed, model == "urdf")
     true = true_arm(maker, np.random.default_rng([seed, 0])).nm_per_ampere / (1.0 if given == "unknown" else given)
     torque = true * np.sqrt(np.mean(np.concatenate([test.tau for test in tests]) ** 2, axis=0))

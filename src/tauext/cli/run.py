@@ -130,14 +130,14 @@ def replay_all(bundle: Bundle, recordings: tuple[Path, ...], settings: RunSettin
         ConfigError: some flights could not be written.
     """
     from tauext.cli.run_output import FlightCount
-    from tauext.data import load
+    from tauext.data import load_recording
     from tauext.monitor import Tally
 
     total = Tally(tuple(link.joint_name for link in bundle.links), bundle.observer.sample_period_ns)
     flights, done, stopped = FlightCount(), 0, None
     try:
         for number, path in enumerate(recordings, 1):
-            recording = load(path)
+            recording = load_recording(path)
             output.start(bundle, recording, number, len(recordings))
             with counted(recording, total, flights, output) as (tally, own_flights):
                 replay_one(bundle, recording, settings, tally, own_flights, output)

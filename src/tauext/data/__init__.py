@@ -6,7 +6,7 @@ from tauext.data.dataset import Dataset
 from tauext.data.first_seconds import first_seconds, total_s
 from tauext.data.free_motion import free_pieces, free_samples, split_by_time
 from tauext.data.recording import Recording
-from tauext.data.recording_file import Description, describe, load, save
+from tauext.data.recording_file import Description, describe, load_recording, save_recording
 from tauext.data.split import Split, load_split, save_split, split_recordings
 from tauext.data.standing import standing_joints
 
@@ -20,9 +20,9 @@ __all__ = [
     "first_seconds",
     "free_pieces",
     "free_samples",
-    "load",
+    "load_recording",
     "load_split",
-    "save",
+    "save_recording",
     "from_amperes",
     "in_amperes",
     "save_split",

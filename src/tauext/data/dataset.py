@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from tauext.data.recording import Recording
-from tauext.data.recording_file import load
+from tauext.data.recording_file import load_recording
 from tauext.data.split import Split, load_split
 from tauext.errors import ConfigError
 
@@ -31,7 +31,7 @@ class Dataset:
 
     def recordings(self, part: str) -> list[Recording]:
         """All recordings of `train`, `validation`, `test`, `collisions` or `calibration`, in order."""
-        return [load(self.folder / name) for name in getattr(self.split, part)]
+        return [load_recording(self.folder / name) for name in getattr(self.split, part)]
 
     def training(self) -> list[Recording]:
         """The training recordings; raise ConfigError where there are none."""
@@ -41,7 +41,7 @@ class Dataset:
 
     def loaders(self, part: str) -> list[Callable[[], Recording]]:
         """The same, each loaded when called."""
-        return [partial(load, self.folder / name) for name in getattr(self.split, part)]
+        return [partial(load_recording, self.folder / name) for name in getattr(self.split, part)]
 
     def robot_file(self, given: Path | None) -> Path:
         """The robot file given, or the one in the folder."""

@@ -14,7 +14,7 @@ from tauext.data.first_seconds import length_s
 from tauext.data.free_motion import free_stretches, has_contact
 from tauext.data.importers import Source
 from tauext.data.recording import Recording
-from tauext.data.recording_file import load, save
+from tauext.data.recording_file import load_recording, save_recording
 from tauext.data.split import PARTS, Split, save_split
 from tauext.errors import ConfigError
 
@@ -67,7 +67,7 @@ def write_dataset(
     duration, touched = dict.fromkeys(pieces, 0.0), dict.fromkeys(pieces, False)
     for source, recording in recordings_of(sources, arm, robot_sha256):
         path = folder / f"{recording.name}.parquet"
-        save(recording, path)
+        save_recording(recording, path)
         report(recording)
         pieces[source.name].append(path)
         duration[source.name] = recording.provenance["start_s"] + length_s(recording)
@@ -100,7 +100,7 @@ def _cut(path: Path, claims: list[Claim], arm: Arm, written: dict[str, list[str]
     """Write the claimed parts of one piece; the piece itself stays where it is claimed whole, or by nobody."""
     if not claims:
         return
-    piece = load(path)
+    piece = load_recording(path)
     used = 0
     for claim in claims:
         suffix = "" if sum(c.source == claim.source for c in claims) == 1 else f"-{claim.part}"
@@ -115,7 +115,7 @@ def _cut(path: Path, claims: list[Claim], arm: Arm, written: dict[str, list[str]
                 recording = _renamed(recording, written)
             used += recording.name == piece.name
             if recording.name != piece.name:
-                save(recording, path.with_name(f"{recording.name}.parquet"))
+                save_recording(recording, path.with_name(f"{recording.name}.parquet"))
             written[claim.part].append(f"{recording.name}.parquet")
     if not used:
         path.unlink()

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext import __version__, _core
-from tauext.data import Recording, save
+from tauext.data import Recording, save_recording
 from tauext.data.amperes import AMPERES
 from tauext.errors import ConfigError, TauextError
 from tauext.live.sink import Control, LoopReport, Verdict
@@ -155,7 +155,7 @@ class RecordSink:
                 provenance=provenance,
                 **segment,
             )
-            save(recording, path)
+            save_recording(recording, path)
         except TauextError as error:
             self._lost += len(segment["t_ns"])
             self._error = self._error or str(error)

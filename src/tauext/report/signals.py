@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from tauext.data import Recording, load
+from tauext.data import Recording, load_recording
 from tauext.data.estimates import Estimates, load_estimates
 from tauext.errors import RecordingError
 
@@ -33,7 +33,7 @@ class Signals:
         path = self.dataset_dir / f"{name}.parquet"
         if not path.is_file():
             raise NotAvailable(f"the dataset has no recording {name}")
-        recording = load(path)
+        recording = load_recording(path)
         if recording.joints != self.joints:
             raise RecordingError(
                 f"{path}: its joints are {', '.join(recording.joints)}, the results' {', '.join(self.joints)}; "

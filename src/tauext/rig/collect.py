@@ -13,7 +13,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from tauext import __version__
-from tauext.data import save, save_split, split_recordings
+from tauext.data import save_recording, save_split, split_recordings
 from tauext.errors import ConfigError
 from tauext.provenance import write_json
 from tauext.rig.arm import arm_xml
@@ -87,7 +87,7 @@ def simulate_dataset(
         if path.exists():
             return kinds[k]
         seconds = length_s if k < count else config.recording_s if kinds[k] == "free" else config.collision_recording_s
-        save(simulate_recording(config, kinds[k], seconds, seed, numbers[names[k]], robot_sha256), path)
+        save_recording(simulate_recording(config, kinds[k], seconds, seed, numbers[names[k]], robot_sha256), path)
         return kinds[k]
 
     pool = ThreadPoolExecutor(os.cpu_count())

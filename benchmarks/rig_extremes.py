@@ -18,7 +18,7 @@ from tauext import _core
 from tauext.config import PAPER_CASES, ObserverConfig
 from tauext.data import Recording, load_recording, load_split
 from tauext.evaluate.collisions import Collision, find_collisions
-from tauext.learn import build_chain
+from tauext.learn import build_setup
 from tauext.rig import RigConfig, simulate_dataset
 from tauext.robot import estimated_model
 
@@ -70,7 +70,7 @@ def print_extremes(data: Path) -> None:
         extremes["motor torque"] = np.maximum(extremes["motor torque"], np.abs(recording.tau).max(axis=0))
         for name, case in PAPER_CASES.items():
             tree = estimated_model(data / "robot.xml", recording.joints, case)
-            settings = build_chain(tree, recording, ObserverConfig()).observer
+            settings = build_setup(tree, recording, ObserverConfig()).observer
             seen = _core.observe(tree, settings, recording.t_ns, recording.q, recording.dq, recording.tau)
             warm = seen.residual[seen.warm.astype(bool)]
             extremes[name] = np.maximum(extremes[name], np.abs(warm).max(axis=0))

@@ -27,7 +27,7 @@ import numpy as np
 import tauext
 from tauext import _core
 from tauext.errors import ConfigError
-from tauext.learn import Chain, WindowSet
+from tauext.learn import Setup, WindowSet
 from tauext.learn.adam import Adam
 from tauext.learn.core_backend import CoreBackend
 
@@ -90,16 +90,16 @@ def main() -> None:
 
 def step_case(joints: int, threads: int, wanted: float) -> Case:
     """Gradient and Adam, from rows and window ends to new parameters."""
-    chain, windows = made_windows(joints, 30_000)
+    setup, windows = made_windows(joints, 30_000)
     ends = np.random.default_rng(1).choice(windows.ends, BATCH, replace=False)
-    core = CoreBackend(chain, windows, HIDDEN, STEPS, targets=1, threads=threads)
+    core = CoreBackend(setup, windows, HIDDEN, STEPS, targets=1, threads=threads)
     start = core.initial_parameters(0).astype(np.float32)
     ways: dict[str, Way] = {CORE: in_the_loop(core, ends)}
     accuracy = {}
     if torch:
-        x, y = written_out(chain, windows, ends), windows.target_rows[ends]
+        x, y = written_out(setup, windows, ends), windows.target_rows[ends]
         exact = double_precision(core.shape, start, x, y)
-        own = torch_backend.TorchBackend(torch_backend.lstm_module(chain, HIDDEN, 0), chain, windows, STEPS, targets=1)
+        own = torch_backend.TorchBackend(torch_backend.lstm_module(setup, HIDDEN, 0), setup, windows, STEPS, targets=1)
         for layout in ("batch first", "time first"):
             way, result = pytorch_step(core.shape, start, x, y, layout)
             ways[f"PyTorch, {layout}"] = way
@@ -108,24 +108,24 @@ def step_case(joints: int, threads: int, wanted: float) -> Case:
         for name, backend in ((CORE, core), (BACKEND, own)):
             result = backend.predict(start, windows, ends), backend.gradient(start, ends)[1]
             accuracy[name] = differences(result, exact)
-    name = f"step: {BATCH} x {STEPS}, F {len(chain.inputs)}, {joints} outputs"
+    name = f"step: {BATCH} x {STEPS}, F {len(setup.inputs)}, {joints} outputs"
     return Case(name, threads, wanted, ways, accuracy, runs=10)
 
 
 def evaluation_case(count: int, threads: int, wanted: float) -> Case:
     """Output of windows that end at every row of a recording."""
-    chain, windows = made_windows(2, count)
-    core = CoreBackend(chain, windows, HIDDEN, STEPS, targets=1, threads=threads)
+    setup, windows = made_windows(2, count)
+    core = CoreBackend(setup, windows, HIDDEN, STEPS, targets=1, threads=threads)
     start = core.initial_parameters(0).astype(np.float32)
     ways: dict[str, Way] = {CORE: lambda: core.predict(start, windows, windows.ends)}
     accuracy = {}
     if torch:
         some = windows.ends[:: max(1, count // BATCH)]
-        exact = double_precision(core.shape, start, written_out(chain, windows, some), windows.target_rows[some])[0]
-        own = torch_backend.TorchBackend(torch_backend.lstm_module(chain, HIDDEN, 0), chain, windows, STEPS, targets=1)
+        exact = double_precision(core.shape, start, written_out(setup, windows, some), windows.target_rows[some])[0]
+        own = torch_backend.TorchBackend(torch_backend.lstm_module(setup, HIDDEN, 0), setup, windows, STEPS, targets=1)
         for reading in ("view", "gathered"):
             for batch in (1000, 4000):
-                way = pytorch_evaluation(core.shape, start, chain, windows, reading, batch)
+                way = pytorch_evaluation(core.shape, start, setup, windows, reading, batch)
                 ways[f"PyTorch, {reading}, {batch} at once"] = way
         ways[BACKEND] = lambda: own.predict(start, windows, windows.ends)
         for name, way in ways.items():
@@ -133,8 +133,8 @@ def evaluation_case(count: int, threads: int, wanted: float) -> Case:
     return Case(f"evaluation: {count} windows x {STEPS}, F 6", threads, wanted, ways, accuracy, runs=1)
 
 
-def made_windows(joints: int, count: int) -> tuple[Chain, WindowSet]:
-    """Random rows at the network period and every window that ends in them; the chain lends its inputs alone."""
+def made_windows(joints: int, count: int) -> tuple[Setup, WindowSet]:
+    """Random rows at the network period and every window that ends in them; the setup lends its inputs alone."""
     links = []
     for k in range(joints):
         link = _core.Link()
@@ -143,18 +143,18 @@ def made_windows(joints: int, count: int) -> tuple[Chain, WindowSet]:
     observer = _core.ObserverSettings(
         gain_per_s=20.0, timing=_core.TorqueTiming.held, sample_period_ns=10_000_000, network_stride=1
     )
-    chain = Chain(_core.Tree(links, [0, 0, -9.81]), observer, STEPS)
+    setup = Setup(_core.Tree(links, [0, 0, -9.81]), observer, STEPS)
     rng = np.random.default_rng(joints)
-    rows = rng.uniform(-1, 1, (count + chain.reach, 2 * joints)).astype(np.float32)
+    rows = rng.uniform(-1, 1, (count + setup.reach, 2 * joints)).astype(np.float32)
     targets = rng.uniform(-1, 1, (len(rows), joints)).astype(np.float32)
-    ends = np.arange(chain.reach, len(rows), dtype=np.int64)
-    return chain, WindowSet(rows, targets, ends, np.zeros_like(ends))
+    ends = np.arange(setup.reach, len(rows), dtype=np.int64)
+    return setup, WindowSet(rows, targets, ends, np.zeros_like(ends))
 
 
-def written_out(chain: Chain, windows: WindowSet, ends: np.ndarray) -> np.ndarray:
+def written_out(setup: Setup, windows: WindowSet, ends: np.ndarray) -> np.ndarray:
     """The windows that end at these rows: (N, T, F)."""
     steps = ends[:, None] + np.arange(1 - STEPS, 1)
-    return np.stack([windows.rows[steps - lag, column] for column, lag in chain.inputs], axis=-1)
+    return np.stack([windows.rows[steps - lag, column] for column, lag in setup.inputs], axis=-1)
 
 
 def in_the_loop(backend: CoreBackend | torch_backend.TorchBackend, ends: np.ndarray) -> Way:
@@ -198,17 +198,17 @@ def pytorch_step(
 
 
 def pytorch_evaluation(
-    shape: _core.LstmShape, parameters: np.ndarray, chain: Chain, windows: WindowSet, reading: str, batch: int
+    shape: _core.LstmShape, parameters: np.ndarray, setup: Setup, windows: WindowSet, reading: str, batch: int
 ) -> Way:
     """All windows of the rows, so many at once, time first: out of a view into the rows, or gathered by index."""
     lstm, head = torch_backend.lstm_from_parameters(shape, parameters)
     lstm.batch_first = False
-    inputs = np.stack([np.roll(windows.rows[:, column], lag) for column, lag in chain.inputs], axis=-1)
+    inputs = np.stack([np.roll(windows.rows[:, column], lag) for column, lag in setup.inputs], axis=-1)
     rows, ends, steps = torch.from_numpy(inputs), torch.from_numpy(windows.ends), torch.arange(1 - STEPS, 1)
 
     def evaluate() -> np.ndarray:
         if reading == "view":
-            view = rows[chain.reach - STEPS + 1 :].unfold(0, STEPS, 1).permute(2, 0, 1)  # (T, N, F)
+            view = rows[setup.reach - STEPS + 1 :].unfold(0, STEPS, 1).permute(2, 0, 1)  # (T, N, F)
             batches = view.split(batch, dim=1)
         else:
             batches = (rows[some + steps[:, None]] for some in ends.split(batch))

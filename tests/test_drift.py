@@ -16,7 +16,7 @@ from tauext.data import Recording, save_recording
 from tauext.data.estimates import load_estimates, save_estimates
 from tauext.errors import ConfigError, TauextError
 from tauext.evaluate.estimating import estimate
-from tauext.learn import build_chain, fit_prior, freeze_drift, make_bundle, set_drift, with_presliding
+from tauext.learn import build_setup, fit_prior, freeze_drift, make_bundle, set_drift, with_presliding
 from tauext.learn.prior_facts import friction_nm
 from tauext.monitor import DriftChange, FlightSource
 from tauext.monitor.changes import ChangeFinder
@@ -30,10 +30,10 @@ CONFIG = DriftConfig(time_constant_s=5.0, rate_share_per_s=0.2)
 def fitted():
     """An arm with a friction of 5 tanh(dq / 0.05) + 2 dq, nothing else unknown; see test_train.recording."""
     made = [with_dynamics(recording(k, seconds=10.0)) for k in range(4)]
-    chain = build_chain(planar_arm(), made[0], ObserverConfig())
+    setup = build_setup(planar_arm(), made[0], ObserverConfig())
     settings = PriorConfig((), coulomb_speeds_rad_s=(0.05,), most_ripples=0, correct_model=False)
-    fit = fit_prior(with_presliding(chain, ()), made, settings)
-    bundle = make_bundle("drifting", replace(chain, prior=fit.settings), 0.02, made[0])
+    fit = fit_prior(with_presliding(setup, ()), made, settings)
+    bundle = make_bundle("drifting", replace(setup, prior=fit.settings), 0.02, made[0])
     return bundle, fit
 
 

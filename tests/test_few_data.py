@@ -13,7 +13,7 @@ from tauext.cli import main
 from tauext.config import PAPER_CASES, ObserverConfig, TrainConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn import build_chain, fit_torque_constants
+from tauext.learn import build_setup, fit_torque_constants
 from tauext.learn.regression import NormalEquations, Regression, coupled
 from tauext.learn.torque_constants import TorqueConstants, with_constants
 from tauext.train import train_bundle
@@ -128,12 +128,12 @@ def test_currents_get_their_constants_back_and_the_core_applies_them():
     assert found.determined.all()
     # Noise of 0.1 Nm on torques of tens of Nm; friction is fitted beside them.
     np.testing.assert_allclose(found.nm_per_unit, constants, rtol=0.01)
-    chain = build_chain(planar_arm(), torque, ObserverConfig())
-    scaled = with_constants(chain.observer, found.used)
+    setup = build_setup(planar_arm(), torque, ObserverConfig())
+    scaled = with_constants(setup.observer, found.used)
     arrays = (current.t_ns, current.q, current.dq)
     r = _core.observe(planar_arm(), scaled, *arrays, current.tau).residual
     np.testing.assert_array_equal(
-        r, _core.observe(planar_arm(), chain.observer, *arrays, current.tau * found.used).residual
+        r, _core.observe(planar_arm(), setup.observer, *arrays, current.tau * found.used).residual
     )
 
 

@@ -19,7 +19,7 @@ from tauext.config import ObserverConfig
 from tauext.data import load_recording, save_recording
 from tauext.data.estimates import load_estimates, save_estimates
 from tauext.errors import ConfigError, RecordingError
-from tauext.learn import build_chain, make_bundle
+from tauext.learn import build_setup, make_bundle
 from tauext.monitor import FlightSource, write_flight
 from tauext.report import write_flight_report
 from tauext.report.flight import event_rows
@@ -136,8 +136,8 @@ def test_an_arm_of_seven_joints_is_drawn(tmp_path):
         link.joint_name, link.parent, link.rotation, link.mass = name, k - 1, [1.0, 0, 0, 0, 1, 0, 0, 0, 1], 1.0
         links.append(link)
     tree = no_model(_core.Tree(links, [0, 0, -9.81]))
-    chain = build_chain(tree, made, ObserverConfig())
-    bundle = make_bundle("seven", chain, 0.02, made)
+    setup = build_setup(tree, made, ObserverConfig())
+    bundle = make_bundle("seven", setup, 0.02, made)
     bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [30.0] * 7
     path = write_flight(
         cut_flight(bundle, made, first_row(bundle, made, alarm=2)), tmp_path, FlightSource.of(bundle, made)

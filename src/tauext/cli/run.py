@@ -64,13 +64,13 @@ def run(
     require(after is None or 0 < after < float("inf"), "acknowledge_after_s", after, "> 0; left out: never")
     require(0 <= status_hz < float("inf"), "status_hz", status_hz, ">= 0")
     require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
-    chain = fitting_bundle(bundle, recordings)
+    loaded = fitting_bundle(bundle, recordings)
     settings = RunSettings(
         1.0 if real_time else speed, own_rate, acknowledge_after_s, flights, before_s, after_s, contacts
     )
-    check_flights(chain, settings)
+    check_flights(loaded, settings)
     with open_output(as_json, status_hz, settings) as output:
-        replay_all(chain, recordings, settings, output)
+        replay_all(loaded, recordings, settings, output)
 
 
 def open_output(as_json: bool, status_hz: float, settings: RunSettings) -> Output:

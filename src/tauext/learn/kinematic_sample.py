@@ -26,7 +26,7 @@ class KinematicSample:
 
     Args:
         tree: the estimated model: empty, with the gravity of its base.
-        observer: of the chain; its method must be the momentum observer's.
+        observer: of the setup; its method must be the momentum observer's.
         recordings: free motion.
         own: terms of each joint alone; they stand beside every candidate's inertia.
         widths_rad: of their presliding states.

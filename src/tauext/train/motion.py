@@ -131,5 +131,5 @@ def split_validation(training: Sequence[Recording], config: TrainConfig) -> tupl
 
 
 def reach_s(config: TrainConfig) -> float:
-    """How far the chain looks back: a window and the observer's warm-up, [s]."""
+    """How far a bundle looks back: a window and the observer's warm-up, [s]."""
     return config.observer.window_s + config.warm_up_s

@@ -48,14 +48,14 @@ def train_bundle(
         TrainingError: too little motion for the recipe, or a loss that diverges.
     """
     job = prepare(tree, case, training, validation, config, out, calibration, report)
-    chain = observe(job)
-    fit = fit_prior(job, chain, job.motion.training if job.motion.network else job.motion.uncut)
-    network = fit_network(job, with_fit(chain, fit))
-    bundle = assemble(job, with_fit(chain, fit), network)
+    setup = observe(job)
+    fit = fit_prior(job, setup, job.motion.training if job.motion.network else job.motion.uncut)
+    network = fit_network(job, with_fit(setup, fit))
+    bundle = assemble(job, with_fit(setup, fit), network)
     if config.row.gated:
-        bundle, fit = gate(job, bundle, chain, fit)
+        bundle, fit = gate(job, bundle, setup, fit)
     put_prior(job, bundle, fit)
     note_recordings(job)
-    calibrate(job, bundle, chain, fit)
+    calibrate(job, bundle, setup, fit)
     set_signal_ranges(bundle, job.training, torque_limits(robot, job.joints))
     write(job, bundle, network)

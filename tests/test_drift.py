@@ -15,7 +15,7 @@ from tauext.config import PAPER_CASES, DriftConfig, ObserverConfig, PriorConfig,
 from tauext.data import Recording, save_recording
 from tauext.data.estimates import load_estimates, save_estimates
 from tauext.errors import ConfigError, TauextError
-from tauext.evaluate.estimating import estimate
+from tauext.evaluate.estimating import estimate_recording
 from tauext.learn import build_setup, fit_prior, freeze_drift, make_bundle, set_drift, with_presliding
 from tauext.learn.prior_facts import friction_nm
 from tauext.monitor import DriftChange, FlightSource
@@ -107,7 +107,7 @@ def test_estimates_hold_drift_where_there_is_a_tracker(fitted, tmp_path):
     bundle, fit = fitted
     made = with_dynamics(recording(9), friction=0.8)
     for one, has in ((bundle, False), (tracking(bundle, fit), True)):
-        save_estimates(estimate(one, made, 1), tmp_path / "made.estimates.parquet")
+        save_estimates(estimate_recording(one, made, 1), tmp_path / "made.estimates.parquet")
         loaded = load_estimates(tmp_path / "made.estimates.parquet")
         assert (loaded.drift is not None) == has
     left = loaded.r - loaded.prior - loaded.network - loaded.drift

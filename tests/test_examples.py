@@ -18,7 +18,7 @@ from made_pushes import PUSHES, pushed, watching_bundle
 
 from tauext import _core
 from tauext.data import save_recording
-from tauext.evaluate import estimate as evaluate_estimate
+from tauext.evaluate import estimate_recording
 
 ROOT = Path(__file__).parent.parent
 TOOLS = os.pathsep.join([os.path.dirname(sys.executable), os.environ["PATH"]])
@@ -145,7 +145,7 @@ def test_one_recording_in_amperes_gets_one_answer_to_the_last_bit_whoever_asks(p
     seen = np.abs(said[~np.isnan(said)])
     assert np.isfinite(said).all(axis=1).sum() > 5000 and seen.max() > 3  # Nm: the pushes
 
-    evaluated = evaluate_estimate(bundle, made, 2).tau_ext
+    evaluated = estimate_recording(bundle, made, 2).tau_ext
     np.testing.assert_array_equal(evaluated, said.astype(np.float32))  # what estimates are kept in
 
     tauext = (sys.executable, "-m", "tauext", "run", tmp_path / "amperes.tauext", tmp_path / "pushed.parquet")

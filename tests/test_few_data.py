@@ -16,7 +16,7 @@ from tauext.errors import ConfigError, TrainingError
 from tauext.learn import build_setup, fit_torque_constants
 from tauext.learn.regression import NormalEquations, Regression, coupled
 from tauext.learn.torque_constants import TorqueConstants, with_constants
-from tauext.train import train_bundle
+from tauext.train import train_on_recordings
 from tauext.train.motion import training_motion
 from tauext.train.recordings import wants_constants
 
@@ -57,7 +57,7 @@ def trained(tmp_path: Path, monkeypatch, training, validation=(), **settings):
     """The bundle and its facts, with limits of torque left unknown."""
     monkeypatch.setattr("tauext.train.stage.torque_limits", lambda robot, joints: [np.inf] * len(joints))
     out = tmp_path / "made.tauext"
-    train_bundle(planar_arm(), Path(), EXACT, list(training), list(validation), TrainConfig(**settings), out)
+    train_on_recordings(planar_arm(), Path(), EXACT, list(training), list(validation), TrainConfig(**settings), out)
     bundle = _core.Bundle.load(str(out))
     return bundle, json.loads(bundle.provenance)
 

@@ -11,7 +11,7 @@ from sliding_mass import estimates_of, noisy, observer_bundle, pushed, recording
 
 from tauext.data.estimates import COLLISION
 from tauext.errors import ConfigError
-from tauext.evaluate import estimate, evaluate
+from tauext.evaluate import estimate_recording, evaluate
 from tauext.evaluate.after_contact import AfterContact
 from tauext.evaluate.collisions import find_collisions
 from tauext.evaluate.free_motion import count_episodes
@@ -28,17 +28,17 @@ def test_the_missed_curve_equals_alarms_with_scaled_limits_run_anew(hold_s):
     free, hit = noisy("free", 1), noisy("hit", 2, force=2.0)
     touches = find_collisions(hit)
     curve = MissedCurve(hold_s)
-    curve.add_free(free, estimate(bundle, free, 1))
-    curve.add_collisions(touches, hit, estimate(bundle, hit, 1))
+    curve.add_free(free, estimate_recording(bundle, free, 1))
+    curve.add_collisions(touches, hit, estimate_recording(bundle, hit, 1))
     points = curve.summary()
     assert any(p["scale"] == 1 for p in points) and len({p["missed"] for p in points}) > 2
     assert len({p["false_per_hour"] for p in points}) > 5
     for point in points[::6]:
         bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [1.5 * point["scale"]]
-        said = estimate(bundle, free, 1)
+        said = estimate_recording(bundle, free, 1)
         false = count_episodes(said.held_alarm == COLLISION, 500)
         assert point["false_per_hour"] == pytest.approx(false / (said.healthy.sum() / 3.6e6))
-        alarm = estimate(bundle, hit, 1).held_alarm == COLLISION
+        alarm = estimate_recording(bundle, hit, 1).held_alarm == COLLISION
         assert point["missed"] == sum(not alarm[t.begin : t.end + 200].any() for t in touches)
 
 

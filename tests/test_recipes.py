@@ -20,7 +20,7 @@ from tauext.errors import ConfigError
 from tauext.learn import PriorFit, Setup
 from tauext.learn.ridge import fit_ridge
 from tauext.recipes import RECIPES, Recipe, baselines
-from tauext.train import train_bundle, training_settings, why_impossible
+from tauext.train import train_on_recordings, training_settings, why_impossible
 
 EXACT, NONE = PAPER_CASES["exact"], PAPER_CASES["none"]
 
@@ -59,7 +59,7 @@ def test_a_regression_baseline_is_one_row_and_one_fit_function(tmp_path, monkeyp
     monkeypatch.setitem(RECIPES, row.name, row)
     out, heard = tmp_path / "viscous.tauext", Heard()
     config = TrainConfig(recipe="viscous")
-    train_bundle(planar_arm(), Path(), EXACT, [motion(60.0)], [motion(20.0, seed=1)], config, out, report=heard)
+    train_on_recordings(planar_arm(), Path(), EXACT, [motion(60.0)], [motion(20.0, seed=1)], config, out, report=heard)
 
     bundle = _core.Bundle.load(str(out))
     facts = json.loads(bundle.provenance)
@@ -115,7 +115,7 @@ def test_training_tells_its_reporter_how_far_it_is_and_prints_nothing(tmp_path, 
     heard = Heard()
     config = TrainConfig(recipe="dense", max_steps=20, batch=4, hidden=2, targets=20, seed=1)
     out = tmp_path / "small.tauext"
-    train_bundle(planar_arm(), Path(), EXACT, [motion(40.0)], [], config, out, report=heard)
+    train_on_recordings(planar_arm(), Path(), EXACT, [motion(40.0)], [], config, out, report=heard)
     assert heard.titles == ["train small"] and heard.steps[-1][:2] == (20, 20)
     assert any("validate, " in sentence for sentence in heard.sentences)
     assert capsys.readouterr() == ("", "")

@@ -92,17 +92,14 @@ def fitting_bundle(path: Path, recordings: tuple[Path, ...]) -> Bundle:
     """The bundle, after a look at the head of every recording: all of them fit it.
 
     Raises:
-        ConfigError: no such bundle, or no recording.
-        BundleError: joints, rate or torque timing of a recording are not the bundle's.
+        ConfigError: no recording.
+        BundleError: no such bundle; joints, rate or torque timing of a recording are not the bundle's.
     """
-    from tauext import _core
-    from tauext.data import describe, expect_fit
+    from tauext.data import describe, expect_fit, load_bundle
 
-    if not path.is_file():
-        raise ConfigError(f"{path}: there is no such bundle; `tauext train` makes one")
     if not recordings:
         raise ConfigError("there is nothing to replay: give one or more recordings (*.parquet) behind the bundle")
-    bundle = _core.Bundle.load(str(path))
+    bundle = load_bundle(path)
     for recording in recordings:
         expect_fit(bundle, describe(recording))
     return bundle

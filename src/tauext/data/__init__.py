@@ -1,8 +1,9 @@
 """Recordings, their file, and which recording serves for training, validation and test."""
 
 from tauext.data.amperes import from_amperes, in_amperes
+from tauext.data.bundle_file import load_bundle
 from tauext.data.bundle_fit import expect_fit
-from tauext.data.dataset import Dataset
+from tauext.data.dataset import Dataset, load_dataset
 from tauext.data.first_seconds import first_seconds, total_s
 from tauext.data.free_motion import free_pieces, free_samples, split_by_time
 from tauext.data.recording import Recording
@@ -21,6 +22,8 @@ __all__ = [
     "free_pieces",
     "free_samples",
     "load_recording",
+    "load_bundle",
+    "load_dataset",
     "load_split",
     "save_recording",
     "from_amperes",

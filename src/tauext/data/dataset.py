@@ -22,13 +22,6 @@ class Dataset:
     folder: Path
     split: Split
 
-    @classmethod
-    def open(cls, folder: Path) -> Dataset:
-        """Raise ConfigError where the folder is no dataset; says how to make one."""
-        if not folder.is_dir():
-            raise ConfigError(f"{folder}: there is no such dataset folder; `tauext simulate --out {folder}` makes one")
-        return cls(folder, load_split(folder))
-
     def recordings(self, part: str) -> list[Recording]:
         """All recordings of `train`, `validation`, `test`, `collisions` or `calibration`, in order."""
         return [load_recording(self.folder / name) for name in getattr(self.split, part)]
@@ -53,3 +46,15 @@ class Dataset:
             if (self.folder / name).is_file():
                 return self.folder / name
         raise ConfigError(f"{self.folder}: it holds no {' or '.join(ROBOT_FILES)}; give one with --robot")
+
+
+def load_dataset(folder: Path | str) -> Dataset:
+    """The dataset in a folder that `tauext simulate` or `tauext import` made; no recording is read yet.
+
+    Raises:
+        ConfigError: there is no such folder, or its split.json cannot be used.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: there is no such dataset folder; `tauext simulate --out {folder}` makes one")
+    return Dataset(folder, load_split(folder))

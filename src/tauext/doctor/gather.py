@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tauext.data import Recording, describe, load_recording
-from tauext.data.dataset import ROBOT_FILES, Dataset
+from tauext.data.dataset import ROBOT_FILES, load_dataset
 from tauext.errors import ConfigError
 from tauext.robot import is_placeholder
 
@@ -26,7 +26,7 @@ def gather(data: tuple[Path, ...], robot: Path | None) -> tuple[list[Recording],
             files.append(path)
             continue
         if (path / "split.json").is_file():
-            split = Dataset.open(path).split
+            split = load_dataset(path).split
             names = [*split.train, *split.validation, *split.test]
             free |= {Path(name).stem for name in names}
             files += [path / name for name in names]

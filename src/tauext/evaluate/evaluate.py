@@ -16,7 +16,7 @@ from tauext.data.loss_history import LossHistory
 from tauext.errors import ConfigError
 from tauext.evaluate.case import CaseMeasures
 from tauext.evaluate.collisions import Collision, choose_ten, find_collisions
-from tauext.evaluate.estimating import estimate
+from tauext.evaluate.estimating import estimate_recording
 from tauext.evaluate.own_torque import OwnTorque, own_limits
 from tauext.evaluate.reference import sensor_reference
 from tauext.evaluate.sanity import Sanity, sanity_detectors
@@ -102,7 +102,7 @@ class Comparison:
         gains = set() if not found else {bundle.observer.gain_per_s for bundle in self._bundles.values()}
         references = {gain: sensor_reference(recording, gain) for gain in gains}
         for name, bundle in self._bundles.items():
-            estimates = estimate(bundle, recording, threads)
+            estimates = estimate_recording(bundle, recording, threads)
             if keep_in is not None:
                 save_estimates(estimates, keep_in / name / f"{recording.name}.parquet")
             measures = self._measures[name]

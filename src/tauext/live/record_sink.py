@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from tauext import __version__, _core
+from tauext import _core
 from tauext.data import Recording, save_recording
 from tauext.data.amperes import AMPERES
 from tauext.errors import ConfigError, TauextError
 from tauext.live.sink import Control, LoopReport, Verdict
 from tauext.monitor.changes import NONE, OK
+from tauext.provenance import VERSION
 
 MOST_WAITING = 4
 """Segments in memory before the disk; then new ones are lost, and counted."""
@@ -137,7 +138,7 @@ class RecordSink:
                 break
         provenance = {
             "command": "tauext monitor",
-            "version": __version__,
+            "version": VERSION,
             "bundle": self._bundle.name,
             "source": self._source,
             "contact": "the monitor's own word",

@@ -12,10 +12,9 @@ from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 
-from tauext import __version__
 from tauext.data import save_recording, save_split, split_recordings
 from tauext.errors import ConfigError
-from tauext.provenance import write_json
+from tauext.provenance import VERSION, write_json
 from tauext.rig.arm import arm_xml
 from tauext.rig.config import RigConfig
 from tauext.rig.recording import simulate_recording
@@ -123,7 +122,7 @@ def _settings(config: RigConfig, seed: int, settings: dict) -> dict:
     return {
         "format": 1,
         "command": "simulate",
-        "version": __version__,
+        "version": VERSION,
         "seed": seed,
         "settings": json.loads(json.dumps(settings)),
         "libraries": {name: version(name) for name in ("mujoco", "numpy", "pyarrow")},

@@ -12,7 +12,7 @@ from tauext.progress import SILENT, Reporter
 from tauext.recipes import RECIPES, baselines
 from tauext.robot import chosen_case, estimated_model
 from tauext.train.settings import finished, why_impossible
-from tauext.train.stage import train_bundle
+from tauext.train.stage import train_on_recordings
 
 
 def train_baselines(
@@ -67,5 +67,6 @@ def train_baselines(
         training, validation = dataset.training(), dataset.recordings("validation")
         tree = estimated_model(robot_file, training[0].joints, case)
         for name, config in missing.items():
-            train_bundle(tree, robot_file, case, training, validation, config, bundles[name], calibration, report)
+            out = bundles[name]
+            train_on_recordings(tree, robot_file, case, training, validation, config, out, calibration, report)
     return bundles

@@ -86,7 +86,7 @@ def prepare(
     calibration: Sequence[Callable[[], Recording]],
     report: Reporter,
 ) -> Job:
-    """Choose the minutes, find torque constants, leave contacts out; see train_bundle for the arguments.
+    """Choose the minutes, find torque constants, leave contacts out; see train_on_recordings for the arguments.
 
     Raises:
         ConfigError: settings that the case or the recordings cannot serve.

@@ -84,7 +84,7 @@ def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path,
 def test_validation_is_cut_off_by_time_with_a_gap_of_a_window_and_the_warm_up():
     made = motion()
     parts = training_motion([made], [], TrainConfig(recipe="dense"))
-    assert [len(some) for some in (parts.training, parts.validation, parts.limits, parts.uncut)] == [1, 1, 1, 1]
+    assert [len(some) for some in (parts.training, parts.validation, parts.for_limits, parts.uncut)] == [1, 1, 1, 1]
     gap_s = (parts.validation[0].t_ns[0] - parts.training[0].t_ns[-1]) * 1e-9
     assert gap_s >= 1.5 and parts.validation[0].duration_s == pytest.approx(0.2 * made.duration_s, abs=0.01)
     assert parts.uncut[0] is made and any("last 20%" in note for note in parts.notes)

@@ -11,10 +11,10 @@ from trees import planar_rig, random_states, six_axis, urdf
 
 from tauext.cli import main
 from tauext.data import load_recording, load_split
-from tauext.data.dataset_plan import SourceFacts, plan
+from tauext.data.dataset_plan import RawFacts, plan
 from tauext.data.description_file import parse_arm
 from tauext.data.free_motion import free_stretches
-from tauext.data.importers import open_source
+from tauext.data.importers import open_raw
 from tauext.errors import ConfigError, RobotError
 from tauext.robot import Payload, load_tree, movable_joints, write_placeholder, write_robot
 
@@ -274,7 +274,7 @@ def test_new_writes_a_description_that_imports_as_it_is(workplace, capsys):
 
 def test_a_lerobot_folder_gives_the_recordings_back(workplace, capsys):
     assert run(capsys, workplace, extra=["--format", "lerobot"])[0] == 0
-    sources = open_source(workplace / "out")
+    sources = open_raw(workplace / "out")
     assert [source.name for source in sources] == ["out-episode-000", "out-episode-001", "out-episode-002"]
     (block,) = sources[1].blocks()
     t_ns, q, _, tau = motion(3000, joints=2)
@@ -288,14 +288,14 @@ def test_a_lerobot_folder_gives_the_recordings_back(workplace, capsys):
 
 def test_plans_follow_the_number_of_sources():
     described = parse_arm('[robot]\njoints = ["a"]\n[signals.q]\ncolumns = "q"\n[signals.tau]\ncolumns = "tau"')
-    many = {f"run{k}": SourceFacts(60.0, k >= 8) for k in range(10)}
+    many = {f"run{k}": RawFacts(60.0, k >= 8) for k in range(10)}
     claims, said = plan(described, many, {})
-    assert {c.part: sum(o.part == c.part for o in claims) for c in claims} == {
+    assert {c.set_name: sum(o.set_name == c.set_name for o in claims) for c in claims} == {
         "collisions": 2, "train": 6, "validation": 1, "test": 1,
     }  # fmt: skip
     assert said[0] == "8 sources without contact, split as whole recordings"
     with pytest.raises(ConfigError, match="run: 8.0 s are too short to be split by time into parts"):
-        plan(described, {"run": SourceFacts(8.0, False)}, {})
+        plan(described, {"run": RawFacts(8.0, False)}, {})
 
 
 def test_one_stretch_in_two_sets_is_refused():
@@ -304,7 +304,7 @@ def test_one_stretch_in_two_sets_is_refused():
         '[split]\ntrain = ["run.csv[:30]"]\ntest = ["run.csv[20:]"]'
     )
     with pytest.raises(ConfigError, match=r"share a stretch of run \(run\[0:30\], run\[20:\]\)"):
-        plan(described, {"run": SourceFacts(60.0, False)}, {"run.csv": ["run"]})
+        plan(described, {"run": RawFacts(60.0, False)}, {"run.csv": ["run"]})
 
 
 def test_a_recording_without_contacts_is_its_own_free_stretch(workplace, capsys):

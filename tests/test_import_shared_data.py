@@ -13,7 +13,7 @@ import pytest
 
 from tauext.data.assemble import assemble
 from tauext.data.description_file import parse_arm
-from tauext.data.importers import open_source
+from tauext.data.importers import open_raw
 from tauext.errors import RecordingError
 from tauext.robot import load_tree
 
@@ -79,7 +79,7 @@ side = "motor"
 
 def imported(path: str, text: str):
     description = parse_arm(text)
-    (source,) = open_source(SHARED / path, description.topics)
+    (source,) = open_raw(SHARED / path, description.topics)
     (recording,) = assemble(source, description)
     return recording
 
@@ -174,7 +174,7 @@ def test_the_ur10_comes_at_8_ms_without_metadata(path):
 @pytest.mark.parametrize("path", ["ur10_validation", "ur10_validation/validation_trajectory.db3"])
 def test_a_planned_trajectory_is_no_recording(path):
     with pytest.raises(RecordingError, match="JointTrajectory, messages: 1.*planned motion, not measured"):
-        open_source(SHARED / "unisa_bags" / path)
+        open_raw(SHARED / "unisa_bags" / path)
 
 
 @pytest.mark.parametrize("run", "ABC")

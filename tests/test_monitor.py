@@ -5,7 +5,7 @@ import pytest
 from arms import ROTOR_INERTIA, planar_arm
 
 from tauext import _core
-from tauext.calibrate import Limits, set_limits
+from tauext.calibrate import LevelLimits, set_limits
 from tauext.config import AlarmConfig, ObserverConfig
 from tauext.data import Recording
 from tauext.errors import TauextError
@@ -40,7 +40,7 @@ def bundle_of_real_size() -> tuple[_core.Bundle, Scaling]:
     bundle = make_bundle("random", setup, 0.02, made, scaling, network)
     healthy = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)["tau_ext"][1000:]
     largest = np.abs(healthy).max(axis=0)
-    set_limits(bundle, Limits(1.05 * largest, 1.1 * largest), AlarmConfig())
+    set_limits(bundle, LevelLimits(1.05 * largest, 1.1 * largest), AlarmConfig())
     set_signal_ranges(bundle, [made])
     return bundle, scaling
 

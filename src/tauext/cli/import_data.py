@@ -53,14 +53,14 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
     import os
 
     from tauext.data.description_template import Guess, guess, template
-    from tauext.data.importers import open_source
+    from tauext.data.importers import open_raw
     from tauext.robot import movable_joints
 
     if path.exists():
         raise ConfigError(f"{path}: is there already; choose another name or remove it")
     guessed, streams = Guess(), {}
     if sources:
-        (first, *_) = open_source(sources[0])
+        (first, *_) = open_raw(sources[0])
         streams = first.streams()
         guessed = guess(streams)
     joints, model = [], ""
@@ -78,7 +78,7 @@ def import_dataset(paths: tuple[Path, ...], arm_file: Path, out: Path, format: s
 
     from tauext.data.dataset_writing import recordings_of, write_dataset
     from tauext.data.description_file import load_arm
-    from tauext.data.importers import open_source
+    from tauext.data.importers import open_raw
     from tauext.data.lerobot_export import export_lerobot
     from tauext.provenance import provenance, write_json
     from tauext.robot import load_tree, robot_sha256
@@ -87,7 +87,7 @@ def import_dataset(paths: tuple[Path, ...], arm_file: Path, out: Path, format: s
     arm = load_arm(arm_file)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ConfigError(f"{out}: is not empty; choose another folder or remove it")
-    sources = [source for path in paths for source in open_source(path, arm.topics)]
+    sources = [source for path in paths for source in open_raw(path, arm.topics)]
     if arm.model is not None:
         load_tree(arm.model, joints=arm.robot.joints)  # names its faults before an hour is imported
     part = out.with_name(out.name + ".part")

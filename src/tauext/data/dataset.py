@@ -22,9 +22,9 @@ class Dataset:
     folder: Path
     split: Split
 
-    def recordings(self, part: str) -> list[Recording]:
+    def recordings(self, set_name: str) -> list[Recording]:
         """All recordings of `train`, `validation`, `test`, `collisions` or `calibration`, in order."""
-        return [load_recording(self.folder / name) for name in getattr(self.split, part)]
+        return [load_recording(self.folder / name) for name in getattr(self.split, set_name)]
 
     def training(self) -> list[Recording]:
         """The training recordings; raise ConfigError where there are none."""
@@ -32,9 +32,9 @@ class Dataset:
             raise ConfigError(f"{self.folder}: split.json lists no training recording; one is enough")
         return self.recordings("train")
 
-    def loaders(self, part: str) -> list[Callable[[], Recording]]:
+    def loaders(self, set_name: str) -> list[Callable[[], Recording]]:
         """The same, each loaded when called."""
-        return [partial(load_recording, self.folder / name) for name in getattr(self.split, part)]
+        return [partial(load_recording, self.folder / name) for name in getattr(self.split, set_name)]
 
     def robot_file(self, given: Path | None) -> Path:
         """The robot file given, or the one in the folder."""

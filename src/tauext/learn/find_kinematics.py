@@ -191,8 +191,8 @@ class Fitted:
         light = [with_inertial_parameters(link, p) for link, p in zip(links, extra, strict=True)]
         whole = [with_inertial_parameters(link, p) for link, p in zip(links, extra + self.parameters, strict=True)]
         said = [
-            observed(light, sample.gravity, sample.observer, *part)
-            - observed(whole, sample.gravity, sample.observer, *part)
-            for part in sample.parts
+            observed(light, sample.gravity, sample.observer, *piece)
+            - observed(whole, sample.gravity, sample.observer, *piece)
+            for piece in sample.pieces
         ]
         return np.concatenate(said)

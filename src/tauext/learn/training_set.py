@@ -124,8 +124,8 @@ def build_windows(setup: Setup, scaling: Scaling, recordings: Sequence[Recording
         row, begin = observation.row, observation.stretch_begin
         stretches = np.unique(begin)
         # Network rows: every stride-th tick of each stretch; first network row of each stretch.
-        limits = np.append(stretches, observation.row_count)
-        network_rows = np.concatenate([np.arange(a, b, stride) for a, b in zip(limits[:-1], limits[1:], strict=True)])
+        bounds = np.append(stretches, observation.row_count)
+        network_rows = np.concatenate([np.arange(a, b, stride) for a, b in zip(bounds[:-1], bounds[1:], strict=True)])
         first_network_row = np.searchsorted(network_rows, stretches)
         steps, phase = np.divmod(row - begin, stride)
         first = first_network_row[np.searchsorted(stretches, begin)]

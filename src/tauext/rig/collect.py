@@ -63,20 +63,20 @@ def simulate_dataset(
     names += [f"collisions-{k:03d}.parquet" for k in range(collision_recordings)]
     more = {"calibration": calibration_hours, "test": test_hours}
     more_names = {
-        part: [f"{part}-{k:04d}.parquet" for k in range(round(3600 * hours / config.recording_s))]
-        for part, hours in more.items()
+        set_name: [f"{set_name}-{k:04d}.parquet" for k in range(round(3600 * hours / config.recording_s))]
+        for set_name, hours in more.items()
     }
     numbers = {name: k for k, name in enumerate(names[:count])}
     numbers |= {name: k for k, name in enumerate(names[count:])}
-    for part, first in (("calibration", FIRST_CALIBRATION), ("test", FIRST_TEST)):
-        numbers |= {name: first + k for k, name in enumerate(more_names[part])}
-        names += more_names[part]
-        kinds += ["free"] * len(more_names[part])
+    for set_name, first in (("calibration", FIRST_CALIBRATION), ("test", FIRST_TEST)):
+        numbers |= {name: first + k for k, name in enumerate(more_names[set_name])}
+        names += more_names[set_name]
+        kinds += ["free"] * len(more_names[set_name])
     robot = arm_xml(config)
     robot_sha256 = hashlib.sha256(robot.encode()).hexdigest()
     started = time.monotonic()
     settings = {"minutes": minutes, "collision_recordings": collision_recordings}
-    settings |= {f"{part}_hours": hours for part, hours in more.items() if hours > 0}
+    settings |= {f"{set_name}_hours": hours for set_name, hours in more.items() if hours > 0}
     _claim(out_dir, _settings(config, seed, settings))
     with whole_file(out_dir / "robot.xml") as part:
         part.write_text(robot)

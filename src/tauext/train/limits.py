@@ -40,7 +40,7 @@ def calibrate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> N
     config, kind = job.config, limits_kind(job.config, job.calibration)
     by_fit = fit is not None and not bundle.has_network
     # What was cut off to validate was trained on in the end where no network ships.
-    unseen: list[Recording | Judged] = [] if by_fit and not job.validation else list(job.motion.limits)
+    unseen: list[Recording | Judged] = [] if by_fit and not job.validation else list(job.motion.for_limits)
     judged = unseen + (left_out_of_fit(bundle, fit, setup, job.reference(setup)) if by_fit else [])
     if kind == "promised":
         promised, job.facts["limits"] = calibrate_bundle(
@@ -81,7 +81,7 @@ def left_out_of_fit(bundle: Bundle, fit: PriorFit, setup: Setup, reference: Reco
     for fold in fit.left_out:
         other = make_bundle(bundle.name, replace(setup, prior=fold.settings), bundle.near_stiction_rad_s, reference)
         other.region_width, other.drift = bundle.region_width, bundle.drift
-        judged += [Judged(recording, span, other) for recording, span in fold.parts]
+        judged += [Judged(recording, span, other) for recording, span in fold.spans]
     return judged
 
 

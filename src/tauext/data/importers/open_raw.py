@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tauext.data.importers import csv_table, hdf5, lerobot, matlab, parquet, ros1, ros2
-from tauext.data.importers.raw import Source
+from tauext.data.importers.raw import RawRecording
 from tauext.errors import RecordingError
 
 FORMATS = (
@@ -15,7 +15,7 @@ FORMATS = (
 )
 
 
-def open_source(path: Path | str, topics: Sequence[str] = ()) -> list[Source]:
+def open_raw(path: Path | str, topics: Sequence[str] = ()) -> list[RawRecording]:
     """The recordings in a file or folder of any format that is read: one, or an episode each.
 
     Args:

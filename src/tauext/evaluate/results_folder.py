@@ -29,7 +29,7 @@ def evaluate_bundles(
     events: EventsConfig = EventsConfig(),  # noqa: B008
     report: Reporter = SILENT,
 ) -> None:
-    """Write results.json, estimates, run.json and wall times for bundles by the name of their case.
+    """Write results.json, estimates, run.json and wall times for bundles by their names.
 
     Where a bundle's NAME.run.json stands beside it, the loss history of its training goes into results.json too.
 
@@ -68,4 +68,4 @@ def evaluate_bundles(
     keep = {key: run[key] for key in ("version", "seed", "machine")}
     write_json(run, out / "run.json")
     write_json({"evaluate_s": time.monotonic() - started}, out / "wall_time_s.json")
-    write_json({"format": 2, "provenance": source | keep} | results, out / "results.json")
+    write_json({"format": 3, "provenance": source | keep} | results, out / "results.json")

@@ -47,7 +47,7 @@ Way = Callable[[], object]
 
 
 @dataclass
-class Case:
+class Comparison:
     """What is measured in turns; the ratio to PyTorch's fastest way is wanted to be at least this."""
 
     name: str
@@ -78,9 +78,9 @@ def main() -> None:
     busy, own = busy_seconds(), time.process_time()
     for joints, wanted in ((2, (6.0, 7.0)), (7, (5.0, 5.0))):
         for threads in (1, 2):
-            show(step_case(joints, threads, wanted[threads - 1]), rounds)
+            show(step_comparison(joints, threads, wanted[threads - 1]), rounds)
     for threads in (1, 2):
-        show(evaluation_case(windows, threads, 4.0), rounds)
+        show(evaluation_comparison(windows, threads, 4.0), rounds)
     others = (busy_seconds() - busy) - (time.process_time() - own)
     print("\noutputs: largest difference to double precision; gradient: relative difference, likewise")
     print(
@@ -88,7 +88,7 @@ def main() -> None:
     )
 
 
-def step_case(joints: int, threads: int, wanted: float) -> Case:
+def step_comparison(joints: int, threads: int, wanted: float) -> Comparison:
     """Gradient and Adam, from rows and window ends to new parameters."""
     setup, windows = made_windows(joints, 30_000)
     ends = np.random.default_rng(1).choice(windows.ends, BATCH, replace=False)
@@ -109,10 +109,10 @@ def step_case(joints: int, threads: int, wanted: float) -> Case:
             result = backend.predict(start, windows, ends), backend.gradient(start, ends)[1]
             accuracy[name] = differences(result, exact)
     name = f"step: {BATCH} x {STEPS}, F {len(setup.inputs)}, {joints} outputs"
-    return Case(name, threads, wanted, ways, accuracy, runs=10)
+    return Comparison(name, threads, wanted, ways, accuracy, runs=10)
 
 
-def evaluation_case(count: int, threads: int, wanted: float) -> Case:
+def evaluation_comparison(count: int, threads: int, wanted: float) -> Comparison:
     """Output of windows that end at every row of a recording."""
     setup, windows = made_windows(2, count)
     core = CoreBackend(setup, windows, HIDDEN, STEPS, targets=1, threads=threads)
@@ -130,7 +130,7 @@ def evaluation_case(count: int, threads: int, wanted: float) -> Case:
         ways[BACKEND] = lambda: own.predict(start, windows, windows.ends)
         for name, way in ways.items():
             accuracy[name] = differences((way()[:: max(1, count // BATCH)], None), (exact, None))
-    return Case(f"evaluation: {count} windows x {STEPS}, F 6", threads, wanted, ways, accuracy, runs=1)
+    return Comparison(f"evaluation: {count} windows x {STEPS}, F 6", threads, wanted, ways, accuracy, runs=1)
 
 
 def made_windows(joints: int, count: int) -> tuple[Setup, WindowSet]:
@@ -234,16 +234,16 @@ def differences(result: tuple, exact: tuple) -> tuple[float | None, float | None
     return np.abs(result[0] - exact[0]).max(), gradient
 
 
-def show(case: Case, rounds: int) -> None:
+def show(comparison: Comparison, rounds: int) -> None:
     """Measure the ways in turns and print a line for ours, for PyTorch's fastest and for our PyTorch backend."""
-    times: dict[str, list[float]] = {name: [] for name in case.ways}
+    times: dict[str, list[float]] = {name: [] for name in comparison.ways}
     if torch:
-        torch.set_num_threads(case.threads)
+        torch.set_num_threads(comparison.threads)
     for _ in range(rounds):
-        for name, way in case.ways.items():
+        for name, way in comparison.ways.items():
             time.sleep(PAUSE_S)
             way()
-            for _ in range(case.runs):
+            for _ in range(comparison.runs):
                 start = time.perf_counter()
                 way()
                 times[name].append(1e3 * (time.perf_counter() - start))
@@ -253,9 +253,9 @@ def show(case: Case, rounds: int) -> None:
         if name not in times:
             continue
         ms, ratio = times[name], medians[name] / medians[CORE]
-        first = f"{case.name:42}{case.threads:8}" if name == CORE else " " * 50
-        wanted = f" (wanted {case.wanted:.0f})" if name == fastest else ""
-        accuracy = ", ".join("-" if a is None else f"{a:.0e}" for a in case.accuracy.get(name, (None, None)))
+        first = f"{comparison.name:42}{comparison.threads:8}" if name == CORE else " " * 50
+        wanted = f" (wanted {comparison.wanted:.0f})" if name == fastest else ""
+        accuracy = ", ".join("-" if a is None else f"{a:.0e}" for a in comparison.accuracy.get(name, (None, None)))
         line = f"{first}  {name:31}{medians[name]:8.2f}{min(ms):9.2f}{max(ms):9.2f}{ratio:7.1f}   {accuracy}{wanted}"
         print(line, flush=True)
 

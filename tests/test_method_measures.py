@@ -74,13 +74,13 @@ def test_the_reference_is_the_step_response_at_any_gain_and_for_uneven_stamps():
 def test_an_observer_of_another_gain_is_held_against_the_true_torque_at_its_own_gain(tmp_path):
     hit = pushed("hit", 10.0)
     fast = observer_bundle(2.0, gain_per_s=100.0)
-    (case,) = evaluate({"fast": fast}, [recording], [lambda: hit], tmp_path, seed=0, threads=1)["cases"]
+    (bundle,) = evaluate({"fast": fast}, [recording], [lambda: hit], tmp_path, seed=0, threads=1)["bundles"]
     # At K0 = 20 the sensor would be 8.9 ms behind.
-    assert abs(case["latched"]["delay_against_sensor_median_s"]) <= 0.001
-    assert case["rmse_during_contact_nm"][0] < 1e-6 * 10  # single precision
+    assert abs(bundle["latched"]["delay_against_sensor_median_s"]) <= 0.001
+    assert bundle["rmse_during_contact_nm"][0] < 1e-6 * 10  # single precision
     plain = replace(hit, tau_ext=None)
-    (case,) = evaluate({"fast": fast}, [recording], [lambda: plain], tmp_path, seed=0, threads=1)["cases"]
-    assert case["latched"]["delay_against_sensor_median_s"] == pytest.approx(-0.0089, abs=0.001)
+    (bundle,) = evaluate({"fast": fast}, [recording], [lambda: plain], tmp_path, seed=0, threads=1)["bundles"]
+    assert bundle["latched"]["delay_against_sensor_median_s"] == pytest.approx(-0.0089, abs=0.001)
 
 
 def test_what_was_promised_is_compared_with_what_was_counted():
@@ -181,9 +181,9 @@ def test_results_are_plain_json_and_copy_what_the_bundle_was_trained_on(tmp_path
     facts = {"recipe": "prior", "case": "none", "training_minutes": 5.0, "limits": {"promise": promise}}
     bundle.provenance = json.dumps(facts)
     results = evaluate({"o": bundle}, [recording], [lambda: pushed("hit", 10.0)], tmp_path, seed=0, threads=1)
-    (case,) = json.loads(json.dumps(results, allow_nan=False))["cases"]
-    assert (case["recipe"], case["case"], case["training_minutes"]) == ("prior", "none", 5.0)
-    assert case["free_motion"]["promised_per_hour"] == 0.125 and case["free_motion"]["promise_kept"] is True
+    (bundle,) = json.loads(json.dumps(results, allow_nan=False))["bundles"]
+    assert (bundle["recipe"], bundle["case"], bundle["training_minutes"]) == ("prior", "none", 5.0)
+    assert bundle["free_motion"]["promised_per_hour"] == 0.125 and bundle["free_motion"]["promise_kept"] is True
     assert results["sanity"] == []
 
 

@@ -137,7 +137,7 @@ class EventMeasures:
         self.add(recording, alarm, estimates.healthy, share, estimates.r)
 
     def summary(self) -> dict:
-        """The entry `events` of a case in results.json."""
+        """The entry `events` of a bundle in results.json."""
         states_of = {"all": (0, 1), "resting": (0,), "moving": (1,)}
         return {
             "shortest_event_s": self.config.shortest_event_s,

@@ -73,6 +73,6 @@ def evaluate_bundles(
     keep = {key: run[key] for key in ("version", "seed", "machine")}
     write_json(run, out / "run.json")
     write_json({"evaluate_s": time.monotonic() - started}, out / "wall_time_s.json")
-    results = {"format": 2, "provenance": source | keep} | results
+    results = {"format": 3, "provenance": source | keep} | results
     write_json(results, out / "results.json")
     return results

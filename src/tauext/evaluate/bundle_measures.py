@@ -23,10 +23,10 @@ from tauext.evaluate.promise_check import check_promise, promised_per_hour
 from tauext.evaluate.strength import by_strength
 
 COPIED = ("recipe", "case", "training_minutes", "steps", "epochs", "batch")
-"""Of a bundle's provenance, into its case."""
+"""Of a bundle's provenance, into its entry."""
 
 
-class CaseMeasures:
+class BundleMeasures:
     """One bundle's numbers."""
 
     def __init__(self, name: str, bundle: _core.Bundle, events: EventsConfig = EventsConfig()) -> None:  # noqa: B008
@@ -60,7 +60,7 @@ class CaseMeasures:
         self._during.add(touches, recording, estimates, reference)
 
     def summary(self, touches: Sequence[Collision], ten: Sequence[str], loss_history: LossHistory | None) -> dict:
-        """Its entry in `cases` of results.json.
+        """Its entry in `bundles` of results.json.
 
         Args:
             touches: all that were taken in, in their order.

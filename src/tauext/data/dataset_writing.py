@@ -51,7 +51,7 @@ def recordings_of(sources: Sequence[Source], arm: Arm, robot_sha256: str) -> Ite
 
 
 def write_dataset(
-    sources: Sequence[Source], arm: Arm, robot_sha256: str, folder: Path, report: Callable[[Recording], None]
+    sources: Sequence[Source], arm: Arm, robot_sha256: str, folder: Path, report: Callable[[Recording], object]
 ) -> Imported:
     """Write recordings and split.json; contacts are cut out of every set but collisions.
 
@@ -76,7 +76,7 @@ def write_dataset(
         files.setdefault(source.path.name, []).append(source.name)
     facts = {name: SourceFacts(duration[name], touched[name]) for name in pieces}
     claims, said = plan(arm, facts, files)
-    written = {part: [] for part in PARTS}
+    written: dict[str, list[str]] = {part: [] for part in PARTS}
     for name, paths in pieces.items():
         for path in paths:
             _cut(path, [c for c in claims if c.source == name], arm, written)

@@ -12,6 +12,10 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
+
+Act = Callable[[dict, Callable[[], None]], None]
+"""Does it for an event; calls the second argument when it begins."""
 
 
 def main() -> None:
@@ -56,10 +60,10 @@ def end_with(monitor: int) -> None:
     os.killpg(0, signal.SIGKILL)
 
 
-def command(words: list):
+def command(words: list) -> Act:
     """Runs the program with the facts in its environment and as JSON on its stdin."""
 
-    def act(event: dict, started) -> None:
+    def act(event: dict, started: Callable[[], None]) -> None:
         with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=2, env=os.environ | event["environment"]) as process:
             started()
             process.communicate(json.dumps(event["facts"]).encode() + b"\n")
@@ -69,7 +73,7 @@ def command(words: list):
     return act
 
 
-def function(name: str):
+def function(name: str) -> Act:
     """Calls the function with the facts."""
     import importlib
 
@@ -79,7 +83,7 @@ def function(name: str):
     if not callable(called):
         raise TypeError(f"{name} cannot be called")
 
-    def act(event: dict, started) -> None:
+    def act(event: dict, started: Callable[[], None]) -> None:
         started()
         called(event["facts"])
 

@@ -23,7 +23,7 @@ def draw_learning_curves(results: Results) -> Drawing:
     for case in results.cases:
         if case.measured.training_minutes:
             lines.setdefault((case.recipe or case.name, case.measured.model_case or ""), []).append(case)
-    minutes = sorted({case.measured.training_minutes for cases in lines.values() for case in cases})
+    minutes = sorted({case.measured.training_minutes or 0.0 for cases in lines.values() for case in cases})
     if len(minutes) < 2:
         raise NotAvailable("the cases were trained on fewer than two amounts of data")
     several_models = len({model for _, model in lines}) > 1

@@ -91,7 +91,9 @@ def by_joint(
                 ours = measure.ours(case)[joint]
                 cells.append(number(None if ours is None else measure.factor * ours, measure.digits))
                 if known is not None:
-                    cells.append(number(known[case.model][joint] if case.model in known else None, measure.digits))
+                    cells.append(
+                        number(known[case.model][joint] if case.model and case.model in known else None, measure.digits)
+                    )
             cells += [text(case) if joint == 0 else "" for text in (last or {}).values()]
             rows.append(Row(tuple(cells), case.name if joint == 0 else None, opens=joint == 0))
     return Table(tuple(groups), tuple(columns), tuple(rows), words=2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import Path
 
-from tauext.config import PAPER_CASES, CaseName, TrainConfig
+from tauext.config import PAPER_CASES, CaseName, Limits, TrainConfig
 from tauext.data import Dataset
 from tauext.errors import ConfigError
 from tauext.progress import SILENT, Reporter
@@ -59,7 +59,7 @@ def train_baselines(
             report.say(f"{name} is left out: {impossible}")
             continue
         bundles[name] = folder / f"{name}.tauext"
-        limits = "promised" if calibration else "supported"
+        limits: Limits = "promised" if calibration else "supported"
         config = TrainConfig(recipe=recipe, seed=seed, threads=threads, limits=limits)
         if not finished(bundles[name], case, config):
             missing[name] = config

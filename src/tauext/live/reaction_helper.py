@@ -12,10 +12,11 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+import typing
 
-Act = Callable[[dict, Callable[[], None]], None]
-"""Does it for an event; calls the second argument when it begins."""
+Begun = typing.Callable[[], None]
+Act = typing.Callable[[dict, Begun], None]
+"""Does it for an event, and calls the other when it begins."""
 
 
 def main() -> None:
@@ -63,7 +64,7 @@ def end_with(monitor: int) -> None:
 def command(words: list) -> Act:
     """Runs the program with the facts in its environment and as JSON on its stdin."""
 
-    def act(event: dict, started: Callable[[], None]) -> None:
+    def act(event: dict, started: Begun) -> None:
         with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=2, env=os.environ | event["environment"]) as process:
             started()
             process.communicate(json.dumps(event["facts"]).encode() + b"\n")
@@ -83,7 +84,7 @@ def function(name: str) -> Act:
     if not callable(called):
         raise TypeError(f"{name} cannot be called")
 
-    def act(event: dict, started: Callable[[], None]) -> None:
+    def act(event: dict, started: Begun) -> None:
         started()
         called(event["facts"])
 

@@ -20,6 +20,7 @@ $(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(CORE)
 	test -d $(VENV) || $(PYTHON) -m venv $(VENV)
 	$(PIP) install -c constraints.txt scikit-build-core nanobind cmake ninja
 	$(RUN) $(PIP) install -c constraints.txt --no-build-isolation -e '.[dev]'
+	cp $(VENV)/lib/python*/site-packages/tauext/_core.pyi src/tauext  # where mypy looks for it
 	rm -f $(VENV)/.installed-*
 	touch $@
 reproduce: setup ## The whole experiment at quick scale; prints where the report is
@@ -47,9 +48,10 @@ fuzz: setup ## A minute of hostile bundles, with clang; finds stay in build/fuzz
 	  -artifact_prefix=build/fuzz/ build/fuzz/found cpp/fuzz/corpus
 soak: build ## A monitor after a day of samples beside a fresh one
 	build/cpp/soak_bench
-lint: setup ## Style of the Python code
+lint: setup ## Style and types of the Python code
 	$(VENV)/bin/ruff check src tests benchmarks examples
 	$(VENV)/bin/ruff format --check src tests benchmarks examples
+	$(VENV)/bin/mypy
 bench: build ## Dynamics sweep and network, with ratios to what else one would use
 	$(VENV)/bin/python benchmarks/dynamics.py
 	build/cpp/tree_bench
@@ -59,7 +61,7 @@ bench-train: setup ## Training and evaluation against PyTorch, where it is insta
 bench-monitor: build ## The monitor in a control loop, beside ONNX Runtime and PyTorch where they are installed
 	$(VENV)/bin/python benchmarks/monitor.py
 clean: ## Remove builds; recordings and runs stay
-	rm -rf build $(VENV)
+	rm -rf build $(VENV) .mypy_cache src/tauext/_core.pyi
 
 # $(call ctest,folder,options): the C++ tests in a build of their own.
 define ctest

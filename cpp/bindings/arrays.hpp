@@ -13,6 +13,9 @@ namespace tauext::bindings {
 
 namespace nb = nanobind;
 
+struct AnyArray {};  // in signatures: an array of whatever type
+using ArrayDict = nb::typed<nb::dict, nb::str, AnyArray>;
+
 template <class T, int Dim>
 using Array = nb::ndarray<const T, nb::numpy, nb::ndim<Dim>, nb::c_contig, nb::device::cpu>;
 
@@ -42,3 +45,8 @@ inline RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double
 void bind_monitor(nb::module_& m);
 
 }  // namespace tauext::bindings
+
+template <>
+struct nanobind::detail::type_caster<tauext::bindings::AnyArray> {
+  static constexpr auto Name = const_name("numpy.typing.NDArray[typing.Any]");
+};

@@ -92,7 +92,7 @@ void bind_tree(nb::module_& m) {
                 tree.momentum(std::span(q.data() + k * n, n), std::span(dq.data() + k * n, n),
                               std::span(p).subspan(k * n, n), std::span(beta).subspan(k * n, n));
             }
-            return nb::make_tuple(to_numpy(std::move(p), {N, n}), to_numpy(std::move(beta), {N, n}));
+            return std::pair(to_numpy(std::move(p), {N, n}), to_numpy(std::move(beta), {N, n}));
           },
           nb::arg("q"), nb::arg("dq"),
           "Generalised momentum p = M dq [N m s] and beta = g - C^T dq [N m] of states (samples, n).");
@@ -209,7 +209,7 @@ void bind_observer(nb::module_& m) {
         return observe(tree, settings, prior, recording);
       },
       nb::arg("tree"), nb::arg("settings"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"),
-      nb::arg("prior") = PriorSettings());
+      nb::arg("prior") = PriorSettings(), "The residual of every sample of a recording, before any network.");
   m.def(
       "prior_regressors",
       [](const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior,
@@ -234,7 +234,8 @@ void bind_observer(nb::module_& m) {
         return to_numpy(feature_rows(recording, observation, span_of(factors)),
                         {static_cast<std::size_t>(observation.row_count), factors.shape(0)});
       },
-      nb::arg("observation"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("factors"));
+      nb::arg("observation"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("factors"),
+      "What the network reads, a row each of its period: (rows, features), each times its factor.");
 }
 
 void bind_lstm(nb::module_& m) {
@@ -280,7 +281,7 @@ void bind_lstm(nb::module_& m) {
           loss = learn::lstm_gradient(shape, span_of(parameters), windows.rows, span_of(ends),
                                       {target_rows.data(), target_rows.size()}, targets, gradient, threads);
         }
-        return nb::make_tuple(loss, to_numpy(std::move(gradient), {shape.parameter_count()}));
+        return std::pair(loss, to_numpy(std::move(gradient), {shape.parameter_count()}));
       },
       nb::arg("shape"), nb::arg("parameters"), nb::arg("rows"), nb::arg("stride"), nb::arg("length"), nb::arg("inputs"),
       nb::arg("ends"), nb::arg("target_rows"), nb::arg("targets"), nb::arg("threads"),
@@ -291,7 +292,7 @@ void bind_lstm(nb::module_& m) {
         const std::size_t N = x.shape(0);
         std::vector<float> sigmoid(N), tangent(N);
         lstm_activations(span_of(x), sigmoid, tangent);
-        return nb::make_tuple(to_numpy(std::move(sigmoid), {N}), to_numpy(std::move(tangent), {N}));
+        return std::pair(to_numpy(std::move(sigmoid), {N}), to_numpy(std::move(tangent), {N}));
       },
       nb::arg("x"), "sigmoid(x) and tanh(x) as the network computes them.");
 }
@@ -379,8 +380,10 @@ void bind_bundle(nb::module_& m) {
           },
           nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"),
           "Keep this stretch of free motion and the chain's answer at its last sample, to be replayed at load.")
-      .def("save", [](const Bundle& b, const std::string& path) { save_bundle(b, path); }, nb::arg("path"))
-      .def_static("load", [](const std::string& path) { return load_bundle(path); }, nb::arg("path"))
+      .def("save", [](const Bundle& b, const std::string& path) { save_bundle(b, path); }, nb::arg("path"),
+           "Write the file.")
+      .def_static("load", [](const std::string& path) { return load_bundle(path); }, nb::arg("path"),
+                  "Read the file, check it, and replay the kept reference.")
       .def(
           "to_bytes",
           [](const Bundle& b) {
@@ -420,7 +423,7 @@ void bind_bundle(nb::module_& m) {
           e = estimate(b, recording, threads);
         }
         const std::size_t N = t_ns.shape(0), n = q.shape(1);
-        nb::dict out;
+        ArrayDict out;
         out["residual"] = to_numpy(std::move(e.residual), {N, n});
         out["prior"] = to_numpy(std::move(e.prior), {N, n});
         out["network"] = to_numpy(std::move(e.network), {N, n});

@@ -66,9 +66,9 @@ class Columns {
     alarm_joint_.push_back(static_cast<std::int8_t>(e.alarm_joint));
     detection_.push_back(e.detection);
   }
-  nb::dict take() {
+  ArrayDict take() {
     const std::size_t N = health_.size(), n = joints_;
-    nb::dict out;
+    ArrayDict out;
     for (std::size_t which = 0; which < kTorques.size(); ++which)
       out[kTorques[which].name] = to_numpy(std::move(torques_[which]), {N, n});
     out["near_stiction"] = to_numpy(bits(near_stiction_, n), {N, n});
@@ -105,8 +105,8 @@ class Columns {
 };
 
 // step() for many samples; signals in rows of n joints.
-nb::dict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
-             const Array<double, 2>& tau, FlightRecorder* recorder) {
+ArrayDict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
+              const Array<double, 2>& tau, FlightRecorder* recorder) {
   const RecordingView r = view(t_ns, q, dq, tau);
   if (r.joints != monitor.joints())
     throw Error("the monitor has " + std::to_string(monitor.joints()) + " joints, the samples " + std::to_string(r.joints));
@@ -125,7 +125,7 @@ nb::dict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<d
 }
 
 // no_sample(); the recorder keeps a row of NaN.
-nb::dict run_missing(Monitor& monitor, std::int64_t now_ns, FlightRecorder* recorder) {
+ArrayDict run_missing(Monitor& monitor, std::int64_t now_ns, FlightRecorder* recorder) {
   Columns said(1, static_cast<std::size_t>(monitor.joints()));
   const Estimate& e = monitor.no_sample(now_ns);
   if (recorder) recorder->push({now_ns, {}, {}, {}}, e);
@@ -133,14 +133,16 @@ nb::dict run_missing(Monitor& monitor, std::int64_t now_ns, FlightRecorder* reco
   return said.take();
 }
 
-std::optional<nb::dict> take(FlightRecorder& recorder, std::size_t n) {
+using FlightDict = nb::typed<nb::dict, nb::str, nb::any>;
+
+std::optional<FlightDict> take(FlightRecorder& recorder, std::size_t n) {
   Flight f;
   {
     nb::gil_scoped_release released;
     if (!recorder.take(f)) return std::nullopt;
   }
   const std::size_t N = f.t_ns.size();
-  nb::dict out;
+  FlightDict out;
   out["event_row"] = f.event_row;
   out["event"] = f.event;
   out["near_stiction"] = to_numpy(bits(f.near_stiction, n), {N, n});
@@ -241,8 +243,9 @@ void bind_monitor(nb::module_& m) {
             return self.estimate(sample_of(t_ns, q, dq, tau));
           },
           nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), "The answer; advance() may follow later.")
-      .def("advance", &Monitor::advance)
-      .def("no_sample", [](Monitor& self, std::int64_t now_ns) { return self.no_sample(now_ns); }, nb::arg("now_ns"))
+      .def("advance", &Monitor::advance, "What need not be done before the answer is out.")
+      .def("no_sample", [](Monitor& self, std::int64_t now_ns) { return self.no_sample(now_ns); }, nb::arg("now_ns"),
+           "The loop ran and no sample came: stale for one network period, then a fault.")
       .def("acknowledge", &Monitor::acknowledge, "End a latched alarm, and nothing else.")
       .def("resume", &Monitor::resume,
            "End a latched alarm where nothing touches the arm any more and it is to move on: the static friction of\n"
@@ -256,7 +259,7 @@ void bind_monitor(nb::module_& m) {
                           to_text(LimitFactors::kHighest));
           },
           nb::arg("collision"), nb::arg("contact"), "Limits are the bundle's times these from the next sample on.")
-      .def("reset", &Monitor::reset)
+      .def("reset", &Monitor::reset, "As newly made.")
       .def(
           "run",
           [](Monitor& self, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from tauext.errors import ConfigError
 from tauext.recipes import RECIPES, Recipe, recipe_of
@@ -39,7 +40,8 @@ PAPER_CASES = {
 
 # Choices that the help lists, from the tables; a type checker wants its choices written out, and takes any name.
 if TYPE_CHECKING:
-    CaseName = RecipeName = str
+    CaseName = str
+    RecipeName = str
 else:
     CaseName, RecipeName = Literal[tuple(PAPER_CASES)], Literal[tuple(RECIPES)]
 
@@ -297,7 +299,7 @@ class TrainConfig:
 
     def resolved(self) -> TrainConfig:
         """With the recipe's own values where None stands."""
-        own = self.row.defaults
+        own: Mapping[str, Any] = self.row.defaults
         return replace(self, **{name: value for name, value in own.items() if getattr(self, name) is None})
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from tauext.errors import ConfigError
 
@@ -85,7 +85,12 @@ class Recipe:
         return tuple(name for name, is_used in used.items() if not is_used)
 
 
-FULL_PRIOR = {"fit": "tauext.learn.prior:fit_prior", "presliding": True, "drift": True, "finds_arm": True}
+FULL_PRIOR: dict[str, Any] = {
+    "fit": "tauext.learn.prior:fit_prior",
+    "presliding": True,
+    "drift": True,
+    "finds_arm": True,
+}
 DENSE = {"batch": 64, "learning_rate": 0.01}
 
 RECIPES = {

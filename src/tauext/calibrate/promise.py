@@ -6,6 +6,7 @@ False alarms in free motion are taken as a Poisson process: rare, and those less
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Literal
 
@@ -203,7 +204,11 @@ class Promise:
 
 
 UNITS = (("h", 1.0), ("minutes", 60.0), ("s", 3600.0))
-ROUNDINGS = {"nearest": round, "up": lambda x: math.ceil(x - 1e-9), "down": lambda x: math.floor(x + 1e-9)}
+ROUNDINGS: dict[str, Callable[[float], int]] = {
+    "nearest": round,
+    "up": lambda x: math.ceil(x - 1e-9),
+    "down": lambda x: math.floor(x + 1e-9),
+}
 
 
 def duration(hours: float, rounding: Literal["nearest", "up", "down"] = "nearest") -> str:

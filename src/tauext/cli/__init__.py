@@ -46,7 +46,7 @@ def main(argv: list[str] | None = None) -> int:
     app = tyro.extras.SubcommandApp()
     for command in (reproduce, simulate, check, train, calibrate, evaluate, report, run, monitor, show, demo, convert):
         app.command(command)
-    app.command(import_data, name="import")
+    app.command(name="import")(import_data)
     try:
         status = app.cli(
             prog="tauext", description=DESCRIPTION, args=spelled_out(sys.argv[1:] if argv is None else argv)

@@ -21,7 +21,8 @@ class Aside:
     def __init__(self, failed: Callable[[], None]):
         self.left_out = 0
         """Things that were not told, as too many waited."""
-        self._failed, self._error = failed, None
+        self._failed = failed
+        self._error: BaseException | None = None
         self._waiting: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._work, name="output", daemon=True)
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from tauext.config import require
+
+if TYPE_CHECKING:
+    from tauext.cli.progress import ProgressBar
 
 
 def demo(
@@ -57,7 +60,7 @@ class TrainingBar:
     """A progress bar that is there while something is trained."""
 
     def __init__(self) -> None:
-        self._bar = None
+        self._bar: ProgressBar | None = None
 
     def __enter__(self) -> TrainingBar:
         return self

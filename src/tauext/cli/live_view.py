@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from typing import Self
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -32,7 +33,7 @@ class LiveView(TextLines):
         self._live = Live(console=self._console, auto_refresh=False, transient=True)
         self._drawn = 0.0
 
-    def __enter__(self) -> LiveView:
+    def __enter__(self) -> Self:
         self._live.start()
         return self
 

@@ -197,6 +197,7 @@ def flight_sink(bundle: Bundle, extras: Extras, source: str) -> FlightSink:
     from tauext import _core
     from tauext.live.flight_sink import FlightSink
 
+    assert extras.flights is not None
     try:
         extras.flights.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -218,7 +219,7 @@ def controlled(path: Path | None, loop: Loop) -> Iterator[None]:
     from tauext.live.control_lines import ControlSocket, obey_lines
 
     def stop(number: int, frame: object) -> None:
-        signal.signal(number, before[number])
+        signal.signal(number, before[signal.Signals(number)])
         loop.stop("Ctrl-C" if number == signal.SIGINT else "SIGTERM")
 
     steered = weakref.proxy(loop)  # a thread that waits for a line for ever shall not keep it alive

@@ -6,7 +6,7 @@ import math
 import sys
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 from tauext import _core
 from tauext.cli.aside import Aside
@@ -52,7 +52,7 @@ class Outcome:
 class MonitorOutput(Protocol):
     """A context, as the output of `tauext run` is one."""
 
-    def __enter__(self) -> MonitorOutput: ...
+    def __enter__(self) -> Self: ...
     def __exit__(self, *error: object) -> None: ...
     def begin(self, source: str, bundle: _core.Bundle) -> None: ...
     def first(self, t_ns: int) -> None: ...
@@ -64,26 +64,26 @@ class MonitorOutput(Protocol):
     def finish(self, outcome: Outcome) -> None: ...
 
 
-class LiveWords:
+class LiveWords(TextLines):
     """In words; TextLines or LiveView comes behind it."""
 
     def begin(self, source: str, bundle: _core.Bundle) -> None:
         self._joints = tuple(link.joint_name for link in bundle.links)
-        self._latched_s, self._start_ns, self._of = None, None, 1
+        self._latched_s, self._start_ns, self._of, self._has_begun = None, 0, 1, False
         self._second, self._shown, self._hidden = 0, 0, 0
         self._title, self._began, self._duration_s = source, 0.0, math.inf
         rate_hz = 1e9 / bundle.observer.sample_period_ns
         self.say(f"{source}: {len(self._joints)} joints at {rate_hz:g} Hz, bundle {bundle.name}; Ctrl-C ends")
 
     def first(self, t_ns: int) -> None:
-        self._start_ns = t_ns
+        self._start_ns, self._has_begun = t_ns, True
 
     def note(self, text: str) -> None:
         self.say(f"{'':13}  {text}")
 
     def switched(self, switch: ProfileSwitch) -> None:
         text = f"profile {switch.new}" + (f" (was {switch.old})" if switch.old else "") + f", by {switch.by}"
-        if switch.t_ns is None or self._start_ns is None:
+        if switch.t_ns is None or not self._has_begun:
             self.note(text)
         else:
             self._event(switch.t_ns, text)

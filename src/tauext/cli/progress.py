@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from types import TracebackType
+from typing import Any
 
 PLAIN_LINE_EVERY_S = 10.0
 
@@ -14,7 +15,8 @@ class ProgressBar:
 
     def __init__(self, title: str):
         self._title = title
-        self._bar = self._task = None
+        self._bar: Any = None  # rich.progress.Progress
+        self._task: Any = None
         self._started = self._last_line = time.monotonic()
 
     def __enter__(self) -> ProgressBar:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, Self
 
 from tauext._core import Bundle, cause_names
 from tauext.cli.run_output import FlightCount
@@ -29,7 +29,7 @@ class JsonLines:
     def __init__(self, status_hz: float):
         self._status_ns = round(1e9 / status_hz) if status_hz else 0
 
-    def __enter__(self) -> JsonLines:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:

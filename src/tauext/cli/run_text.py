@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Self
 
 from tauext._core import Bundle, cause_names
 from tauext.cli.run_output import FlightCount
@@ -20,7 +21,7 @@ class TextLines:
     def __init__(self, settings: RunSettings):
         self._settings = settings
 
-    def __enter__(self) -> TextLines:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:

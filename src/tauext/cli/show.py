@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -113,7 +113,7 @@ def describe_bundle(file: Path) -> dict:
 
 def describe_observer(observer: ObserverSettings) -> dict:
     """Its method where that is not the momentum observer, its gain, and its filters where it has any."""
-    content = {} if observer.method.name == "momentum" else {"method": METHODS[observer.method.name]}
+    content: dict[str, Any] = {} if observer.method.name == "momentum" else {"method": METHODS[observer.method.name]}
     content |= {"gain [1/s]": observer.gain_per_s, "torque is": observer.timing.name}
     filters = {"high-pass [1/s]": observer.high_pass_per_s, "low-pass [1/s]": observer.low_pass_per_s}
     return content | {name: cutoff for name, cutoff in filters.items() if cutoff > 0}

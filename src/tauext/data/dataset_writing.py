@@ -53,7 +53,7 @@ def recordings_of(
 
 
 def write_dataset(
-    raws: Sequence[RawRecording], arm: Arm, robot_sha256: str, folder: Path, report: Callable[[Recording], None]
+    raws: Sequence[RawRecording], arm: Arm, robot_sha256: str, folder: Path, report: Callable[[Recording], object]
 ) -> Imported:
     """Write recordings and split.json; contacts are cut out of every set but collisions.
 
@@ -78,7 +78,7 @@ def write_dataset(
         files.setdefault(raw.path.name, []).append(raw.name)
     facts = {name: RawFacts(duration[name], touched[name]) for name in pieces}
     claims, said = plan(arm, facts, files)
-    written = {set_name: [] for set_name in SETS}
+    written: dict[str, list[str]] = {set_name: [] for set_name in SETS}
     for name, paths in pieces.items():
         for path in paths:
             _cut(path, [c for c in claims if c.raw == name], arm, written)

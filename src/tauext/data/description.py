@@ -219,7 +219,7 @@ class Arm:
         else:
             rule = f"left out, since the unit is {signal.unit}"
             self._require(not constant, table, "torque_constant", constant, rule)
-        if constant != "unknown":
+        if not isinstance(constant, str):  # "unknown"
             self._check_count(table, "torque_constant", constant)
             self._require(all(k != 0 for k in constant), table, "torque_constant", constant, "not 0; signs go in sign")
 

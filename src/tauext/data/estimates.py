@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -44,7 +45,7 @@ class Estimates:
     def uncertainty(self) -> np.ndarray:
         """r expected in free motion: prior, network and drift, (samples, joints), [N m]."""
         parts = [part for part in (self.prior, self.network, self.drift) if part is not None]
-        return np.sum(parts, axis=0, dtype=np.float32)
+        return np.asarray(np.sum(parts, axis=0, dtype=np.float32))
 
 
 TORQUES = ("r", "network", "tau_ext", "limit")
@@ -95,7 +96,7 @@ def load_estimates(path: Path) -> Estimates:
             if signal not in OPTIONAL or f"{signal}_{joints[0]}" in column
         }
         flags = {name: column[name] for name in ("health", "detection")}
-        states = {name: column.get(name) for name in STATES}
+        states: dict[str, Any] = {name: column.get(name) for name in STATES}
         if table.schema.metadata.get(b"tauext_estimates_format") == b"1" and states["causes"] is None:
             states["held_alarm"], states["alarm"] = states["alarm"], None
         return Estimates(joints, column["t_ns"], **signals, **flags, **states)

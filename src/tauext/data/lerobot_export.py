@@ -83,7 +83,9 @@ def _write_meta(
 ) -> None:
     scalars = {"timestamp": "float32", "t_ns": "int64", "frame_index": "int64", "episode_index": "int64"}
     scalars |= {"index": "int64", "task_index": "int64"} | ({"contact": "int64"} if "contact" in sums else {})
-    features = {f: {"dtype": "float64", "shape": [len(first.joints)], "names": list(first.joints)} for f in held}
+    features: dict[str, dict] = {
+        f: {"dtype": "float64", "shape": [len(first.joints)], "names": list(first.joints)} for f in held
+    }
     features |= {name: {"dtype": kind, "shape": [1], "names": None} for name, kind in scalars.items()}
     fps = int(first.rate_hz) if first.rate_hz == int(first.rate_hz) else first.rate_hz
     info = {

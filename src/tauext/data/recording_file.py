@@ -96,8 +96,9 @@ def load_recording(path: Path | str) -> Recording:
             values.flags.writeable = False
             arrays[signal] = values
     keep = ("name", "joints", "rate_hz", "torque_timing", "source", "robot_sha256", "provenance")
+    facts: dict[str, Any] = {name: getattr(head, name) for name in keep}
     try:
-        return Recording(**{name: getattr(head, name) for name in keep}, **arrays)
+        return Recording(**(facts | arrays))
     except RecordingError as error:
         what = str(error).removeprefix(f"recording '{path.stem}': ")
         raise RecordingError(f"{path}: {what}") from error

@@ -43,7 +43,7 @@ class Drawing:
         for j, joint in enumerate(arm.joints):
             name = f"/arm/{joint}"
             self._frames.append(self._scene.add_frame(name, show_axes=False))
-            shapes = {"part": [], "drum": []}
+            shapes: dict[str, list] = {"part": [], "drum": []}
             for g in np.flatnonzero(model.geom_bodyid == j + 1):
                 kind = "drum" if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_CYLINDER else "part"
                 shapes[kind].append(shape_mesh(model, int(g)))
@@ -76,7 +76,7 @@ class Drawing:
         verdict = snapshot.verdicts.get(snapshot.method)
         alarmed = verdict.joint if verdict and verdict.alarm in TOUCHED else -1
         for j, part in enumerate(self._parts):
-            level = verdict.alarm if j == alarmed else ""
+            level = verdict.alarm if verdict and j == alarmed else ""
             if level != self._levels[j]:
                 self._levels[j] = level
                 part.color = TOUCHED.get(level, PART)

@@ -56,7 +56,7 @@ class Mover:
             self.q_des = q + gravity_nm / self._stiffness
             self.dq_des = (1.0 - COMPLY_DAMPING) * dq
         else:
-            done, rate = quintic(np.float64(self._time_s / self._duration_s))
+            done, rate = quintic(np.asarray(self._time_s / self._duration_s))
             since_s = min(self._time_s + self._pause_s, STOP_S)
             self.q_des = self._start + self._travel * done + self._speed * (since_s - 0.5 * since_s**2 / STOP_S)
             self.dq_des = self._travel * rate / self._duration_s + self._speed * (1.0 - since_s / STOP_S)

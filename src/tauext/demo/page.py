@@ -111,7 +111,7 @@ class Session:
     def send(self, name: str, *arguments: object) -> None:
         """A command for the simulation, from any thread."""
         if name == "set_method":
-            self._method = arguments[0]
+            self._method = str(arguments[0])
         with self._sending, contextlib.suppress(OSError):
             self._pipe.send((name, *arguments))
 

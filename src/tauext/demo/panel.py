@@ -64,7 +64,12 @@ class Panel:
             still = gui.add_checkbox("hold still", False)
             simple = gui.add_checkbox("simple drawing", False, hint="no floor, no shadows: for browsers without a GPU")
         self._pace = Html(gui)
-        resume.on_click(lambda _: (send("resume"), setattr(still, "value", False)))
+
+        def go_on(event: object) -> None:
+            send("resume")
+            still.value = False
+
+        resume.on_click(go_on)
         sensitivity.on_update(lambda _: send("set_sensitivity", sensitivity.value))
         friction.on_update(lambda _: send("set_friction", friction.value))
         still.on_update(lambda event: send("rest" if still.value else "resume") if event.client else None)

@@ -12,7 +12,7 @@ import numpy as np
 from tauext import _core
 from tauext.demo.arms import DemoArm
 from tauext.demo.mover import REACTIONS, Mover, Reaction
-from tauext.demo.plant import Plant
+from tauext.demo.plant import Plant, Sample
 from tauext.demo.push import Drag, estimated_force
 from tauext.demo.watch import Watch
 from tauext.errors import ConfigError
@@ -103,7 +103,7 @@ class Simulation:
         self._resumed_at = np.array(arm.home)
         self._said: dict[str, _core.Estimate] = {}
         self._alarms: dict[str, _core.Alarm] = {}
-        self._sample = None
+        self._sample: Sample | None = None
         self._trace: deque[np.ndarray] = deque(maxlen=TRACE_ROWS)
         self._events: deque[Event] = deque(maxlen=EVENTS)
         self._ticks = 0
@@ -174,25 +174,26 @@ class Simulation:
         measured = self._sample
         q, dq = (plant.data.qpos, plant.data.qvel) if measured is None else (measured.q, measured.dq)
         setpoints = self.mover.step(q, dq, plant.gravity_nm)
-        self._sample = plant.step(*setpoints, force, point, self.drag.joint if self.drag else 0)
+        sample = plant.step(*setpoints, force, point, self.drag.joint if self.drag else 0)
+        self._sample = sample
         raised = False
         if self.watch is not None:
             excused = self.watch.blind_to_stiction if self._resuming() else ()
             for method in excused:
                 self.watch.acknowledge(method)
-            self._said = self.watch.step(self._sample)
-            for method, estimate in self._said.items():
-                alarm = _core.Alarm.none if method in excused else estimate.alarm
-                raised |= self._judge(method, alarm, estimate.alarm_joint)
+            self._said = self.watch.step(sample)
+            for method, said in self._said.items():
+                alarm = _core.Alarm.none if method in excused else said.alarm
+                raised |= self._judge(method, alarm, said.alarm_joint)
         if self._ticks % round(TRACE_EVERY_S * self.arm.rate_hz) == 0:
             estimate, limit = self._shown()
-            self._trace.append(np.concatenate([[plant.time_s], estimate, limit, self._sample.tau_ext]))
+            self._trace.append(np.concatenate([[plant.time_s], estimate, limit, sample.tau_ext]))
         self._ticks += 1
         return raised
 
     def _resuming(self) -> bool:
         """Whether some joint stands where resume() found it, with what the push left in its friction."""
-        if self._stuck.any():
+        if self._stuck.any() and self._sample is not None:
             self._stuck &= np.abs(self._sample.q - self._resumed_at) < RESUME_RAD
             self._stuck &= self.plant.time_s < self._resumed_s + RESUME_S
         return bool(self._stuck.any())

@@ -10,6 +10,7 @@ import sys
 import time
 from collections import deque
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ FACTOR_OVER_S = 2.0
 NAP_S = 0.001
 
 
-def start_worker(target: Any, *arguments: Any) -> tuple[multiprocessing.Process, Connection]:
+def start_worker(target: Any, *arguments: Any) -> tuple[BaseProcess, Connection]:
     """A process of its own interpreter that ends with this one, and this end of its pipe."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()

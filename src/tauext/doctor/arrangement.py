@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -35,6 +36,8 @@ OFFSET_LEAD = 0.15
 """... and it gains so much more for each joint than an arrangement, a load or a tilted base."""
 
 Change = Callable[[Stretch], Stretch]
+Best = tuple[float, str, str, tuple[list[str], Change, np.ndarray] | None, np.ndarray]
+"""Gain, code and words of a change; its joints, itself and the ratio of errors, None: there is none; the errors."""
 
 
 def search_stretches(stretches: Sequence[Stretch]) -> list[Stretch]:
@@ -84,7 +87,7 @@ def rearranged(
     stretches = list(stretches)
     now, lead = _errors(few, tree), OFFSET_LEAD * len(joints)
     for _ in range(MOST_CHANGES):
-        best = (GAIN, None, "", None, now)
+        best: Best = (GAIN, "", "", None, now)
         for code, told, names, change, order in _changes(joints):
             then = _errors([change(s) for s in few], tree)
             ratio = then / now[order]  # each torque signal against itself
@@ -150,7 +153,8 @@ def _errors(stretches: Sequence[Stretch], tree: _core.Tree) -> np.ndarray:
 
 
 def _changes(joints: Sequence[str]) -> list[tuple[str, str, list[str], Change, list[int]]]:
-    n, found = len(joints), []
+    n = len(joints)
+    found: list[tuple[str, str, list[str], Change, list[int]]] = []
     for j in range(n):
         sign = np.where(np.arange(n) == j, -1.0, 1.0)
 
@@ -165,7 +169,8 @@ def _changes(joints: Sequence[str]) -> list[tuple[str, str, list[str], Change, l
 
         def swap(s: Stretch, order: list[int] = order) -> Stretch:
             names = ("q", "dq", "tau", "q_raw", "dq_raw")
-            return replace(s, **{name: np.ascontiguousarray(getattr(s, name)[:, order]) for name in names})
+            swapped: dict[str, Any] = {name: np.ascontiguousarray(getattr(s, name)[:, order]) for name in names}
+            return replace(s, **swapped)
 
         told = f"with '{joints[a]}' and '{joints[b]}' exchanged"
         found.append(("joint-order", told, [joints[a], joints[b]], swap, order))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tauext.data import Recording
-from tauext.doctor.finding import Finding
+from tauext.doctor.finding import Finding, Severity
 from tauext.doctor.motion import repeated_rows
 
 GAP = 3.0
@@ -67,7 +67,7 @@ def _repeats(recordings: Sequence[Recording]) -> list[Finding]:
         return []
     runs = np.concatenate([_run_lengths(x) for x in repeats])
     fresh = np.concatenate([np.diff(r.t_ns[~x]) * 1e-6 for r, x in zip(recordings, repeats, strict=True)])
-    severity = "warning" if count / rows >= REPEATED_BADLY else "note"
+    severity: Severity = "warning" if count / rows >= REPEATED_BADLY else "note"
     evidence = (
         f"{count / rows:.1%} of the rows equal the row before ({len(runs)} runs, up to {runs.max()} repeats); "
         f"distinct rows are {np.median(fresh):.3g} ms apart, "

@@ -81,7 +81,9 @@ def examine(
     found += limit_findings(recordings, file) if file else []
 
     standing = any(finding.code == "never-moves" for finding in found)
-    rows, fits, lags = None, [], []
+    rows: Rows | None = None
+    fits: list[JointFit] = []
+    lags: list[tuple[float, float, float]] = []
     if not standing and motion and len(rows_of(motion, None).time_s) >= LEAST_ROWS:
         torque_found, rows, fits, lags = _torque(motion, file.tree if file else None, joints, recordings, found)
         found += torque_found

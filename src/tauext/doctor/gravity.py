@@ -33,7 +33,9 @@ def gravity_finding(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) 
         basis = np.linalg.qr(columns_of(rows, j)[:, 2:] + 0.0)[0]
         y = rows.tau[:, j] - rows.inertial[:, j]
         y, x = y - basis @ (basis.T @ y), shared[:, j] - basis @ (basis.T @ shared[:, j])
-        left.append(x), rest.append(y), known.append(robust_spread(y - x @ given))
+        left.append(x)
+        rest.append(y)
+        known.append(robust_spread(y - x @ given))
         weights.append(1 / max(known[-1], 1e-9))
     for _ in range(3):
         gram = sum(w**2 * x.T @ x for x, w in zip(left, weights, strict=True))

@@ -43,7 +43,7 @@ def position_limits(root: ElementTree.Element | None, joints: Sequence[str]) -> 
         except ValueError:
             continue
         if high > low:  # both 0: none are stated
-            limits[list(joints).index(joint.get("name"))] = low, high
+            limits[list(joints).index(joint.get("name", ""))] = low, high
     return limits
 
 

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tauext.doctor.examine import Diagnosis
+from tauext.doctor.regressors import Rows
 from tauext.report.style import DPI, LIMIT, RC, WIDTH_IN, label_joint
 
 SHOWN_S = 60.0
@@ -30,11 +32,16 @@ def draw(diagnosis: Diagnosis, folder: Path) -> list[Path]:
     return paths
 
 
+def _rows(diagnosis: Diagnosis) -> Rows:
+    assert diagnosis.rows is not None  # draw() looked
+    return diagnosis.rows
+
+
 def _all(diagnosis: Diagnosis) -> Figure:
     n = len(diagnosis.joints)
     figure = Figure(figsize=(WIDTH_IN, 0.6 + 1.35 * n), layout="constrained")
     grid = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]
-    time = diagnosis.rows.time_s
+    time = _rows(diagnosis).time_s
     shown = time <= time[0] + SHOWN_S
     for j, axes in enumerate(grid):
         _curves(axes, diagnosis, j, shown)
@@ -47,7 +54,7 @@ def _all(diagnosis: Diagnosis) -> Figure:
 def _one(diagnosis: Diagnosis, j: int) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, 4.6), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1.4))
-    rows, fit = diagnosis.rows, diagnosis.fits[j]
+    rows, fit = _rows(diagnosis), diagnosis.fits[j]
     _curves(above, diagnosis, j, np.ones(len(rows.time_s), dtype=bool), left=False)
     label_joint(above, diagnosis.joints[j])
     time, left = _broken(rows.time_s, rows.tau[:, j] - fit.predicted)
@@ -64,8 +71,8 @@ def _one(diagnosis: Diagnosis, j: int) -> Figure:
     return figure
 
 
-def _curves(axes, diagnosis: Diagnosis, j: int, shown: np.ndarray, left: bool = True) -> None:
-    rows, predicted = diagnosis.rows, diagnosis.fits[j].predicted
+def _curves(axes: Axes, diagnosis: Diagnosis, j: int, shown: np.ndarray, left: bool = True) -> None:
+    rows, predicted = _rows(diagnosis), diagnosis.fits[j].predicted
     curves = [("measured", rows.tau[:, j], MEASURED, 1.6), ("model and friction", predicted, PREDICTED, 0.9)]
     if left:
         curves.append(("difference", rows.tau[:, j] - predicted, LEFT, 0.8))

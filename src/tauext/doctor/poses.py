@@ -37,7 +37,8 @@ def poses_of(recordings: Sequence[Recording]) -> tuple[np.ndarray, np.ndarray]:
             q, tau = np.median(r.q[rows], axis=0), np.median(r.tau[rows], axis=0)
             for at, held in poses:
                 if np.abs(at[0] - q).max() < APART_RAD:
-                    at.append(q), held.append(tau)
+                    at.append(q)
+                    held.append(tau)
                     break
             else:
                 poses.append(([q], [tau]))
@@ -67,7 +68,7 @@ def pose_findings(recordings: Sequence[Recording], tree: _core.Tree, joints: Seq
         load = np.sqrt(power / len(q))
         wrong |= (load > LOADED_OF_SEVERAL * most) & (factor < 0) & (-factor * load > ABOVE_FRICTION * left)
     found = []
-    for j in np.flatnonzero(wrong):
+    for j in np.flatnonzero(wrong).tolist():
         k = int(np.argmax(np.abs(gravity[:, j])))
         several = f" ({len(q)} poses: {factor[j]:.3g} times gravity, {left[j]:.2g} Nm apart)" if len(q) > 1 else ""
         evidence = f"at rest the effort is {tau[k, j]:.4g} Nm where gravity takes {gravity[k, j]:.4g} Nm{several}"

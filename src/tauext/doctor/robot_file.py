@@ -36,7 +36,8 @@ def open_robot(path: Path, joints: Sequence[str], gravity: Sequence[float] | Non
     """
     if not path.is_file():
         raise RobotError(f"{path}: there is no such robot file; give a URDF or MJCF")
-    root, names, found = read_xml(path), list(joints), []
+    root, names = read_xml(path), list(joints)
+    found: list[Finding] = []
     none = RobotFile(None, np.tile([-np.inf, np.inf], (len(joints), 1)), np.full(len(joints), np.inf), found)
     known = moving_joints(root) if root is not None else _names(path, names)
     unknown = [name for name in names if name not in known]

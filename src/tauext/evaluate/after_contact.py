@@ -46,6 +46,7 @@ class AfterContact:
         for k in np.flatnonzero(counts):
             error = estimates.tau_ext[where == k].astype(float)
             self._square[k] += np.einsum("ij,ij->j", error, error)
+        assert estimates.held_alarm is not None
         for name, level in LEVELS.items():
             begun = where[beginnings(estimates.held_alarm >= level, round(QUIET_S * recording.rate_hz))]
             self._begun[name] += np.bincount(begun + 1, minlength=bins + 1)[1:]
@@ -71,6 +72,7 @@ class AfterContact:
 def time_since_touch(recording: Recording) -> np.ndarray:
     """Since the last sample of the last touch, (samples,), [s]; NaN during touches, before the first, and from where it
     is unknown whether something touches until the next touch ends."""
+    assert recording.contact is not None
     marked = np.where(recording.contact != 0, np.arange(recording.samples), -1)
     last = np.maximum.accumulate(marked)
     ended = (recording.contact == 0) & (last >= 0) & (recording.contact[last] == 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,7 +121,7 @@ def choose_ten(collisions: list[Collision], largest_limit_nm: np.ndarray, seed: 
     return [strong[k] for k in sorted(np.random.default_rng([seed, 10]).choice(len(strong), 10, replace=False))]
 
 
-def found_curve(collisions: list[Collision], verdicts: list[dict], limit_nm: np.ndarray) -> list[dict]:
+def found_curve(collisions: Sequence[Collision], verdicts: list[dict], limit_nm: np.ndarray) -> list[dict]:
     """Found collisions over the sensor's peak in units of the sliding limit (of the joint where that is largest).
 
     Those without a sensor are left out.

@@ -31,11 +31,12 @@ def judge_latched(
     first = max(collision.begin - 1 - long, 0)
     last = min(collision.end + round(GRACE_S * recording.rate_hz), recording.samples)
     part, window = slice(first, last), slice(collision.begin - first, last - first)
+    assert estimates.held_alarm is not None
     latched = _first_rise_in(estimates.held_alarm[part] == COLLISION, window)
     sensor, strong = None, False
     if reference is not None:
         size, limit = np.abs(reference[part]), estimates.limit[part]
-        sensor = _first_rise_in(held(size > limit, hold).any(axis=1), window)
+        sensor = _first_rise_in(np.asarray(held(size > limit, hold).any(axis=1)), window)
         strong = bool(held(size > STRONG * limit, long)[window].any())
     seconds = (recording.t_ns[collision.begin : last] - recording.t_ns[collision.begin]) * 1e-9
     both = latched is not None and sensor is not None

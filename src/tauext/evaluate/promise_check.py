@@ -25,10 +25,10 @@ def check_promise(promised: float | None, false_collisions: int, hours: float) -
     promise_consistent: the promised rate lies in the interval of 95 %; promise_kept: so many false collisions or more
     are no surprise at that rate. null without a promise, or without healthy hours.
     """
-    known = promised is not None and hours > 0
+    known = promised if promised is not None and hours > 0 else None
     return {
         "promised_per_hour": promised,
         "false_collisions_interval_per_hour": list(rate_interval(false_collisions, hours)) if hours > 0 else None,
-        "promise_consistent": is_consistent(false_collisions, hours, promised) if known else None,
-        "promise_kept": is_kept(false_collisions, hours, promised) if known else None,
+        "promise_consistent": is_consistent(false_collisions, hours, known) if known is not None else None,
+        "promise_kept": is_kept(false_collisions, hours, known) if known is not None else None,
     }

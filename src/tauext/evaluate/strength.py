@@ -21,7 +21,7 @@ def by_strength(touches: Sequence[Collision], verdicts: Sequence[dict]) -> list[
     peak_nm = np.array([touch.sensor_peak_nm.max() or np.nan for touch in touches])  # NaN: no sensor, in no bin
     entries = []
     for low, high in zip(EDGES_NM, (*EDGES_NM[1:], np.inf), strict=True):
-        inside = [verdicts[k] for k in np.flatnonzero((peak_nm >= low) & (peak_nm < high))]
+        inside = [verdicts[k] for k in np.flatnonzero((peak_nm >= low) & (peak_nm < high)).tolist()]
         delays_s = [v["delay_s"] for v in inside if v["delay_s"] is not None]
         median, late = (float(np.quantile(delays_s, q)) if delays_s else None for q in (0.5, 0.95))
         entries.append(

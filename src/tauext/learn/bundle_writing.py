@@ -114,7 +114,7 @@ def reference_recording(setup: Setup, recordings: Sequence[Recording]) -> Record
 
 
 def set_signal_ranges(
-    bundle: _core.Bundle, recordings: Sequence[Recording], torque_limit_nm: Sequence[float] | None = None
+    bundle: _core.Bundle, recordings: Sequence[Recording], torque_limit_nm: Sequence[float] | np.ndarray | None = None
 ) -> None:
     """What the monitor must know of the arm's signals to tell a broken one.
 

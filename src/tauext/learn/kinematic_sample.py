@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -124,6 +125,6 @@ def thinned(recording: Recording, stride: int) -> Recording:
     whole = recording.samples // stride * stride
     tau = recording.tau[:whole].reshape(-1, stride, recording.tau.shape[1]).mean(axis=1)
     kept = {name: getattr(recording, name)[stride - 1 : whole : stride] for name in ("t_ns", "q", "dq")}
-    without = dict.fromkeys((*OPTIONAL_SIGNALS, *FLAGS))
+    without: dict[str, Any] = dict.fromkeys((*OPTIONAL_SIGNALS, *FLAGS))
     rate_hz = recording.rate_hz / stride
     return replace(recording, tau=tau, rate_hz=rate_hz, torque_timing="averaged", **kept, **without)

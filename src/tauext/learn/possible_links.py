@@ -27,7 +27,9 @@ def solve_possible(
 
 def fix_impossible(regression: Regression, corrected: _core.Tree | None, solution: np.ndarray) -> bool:
     """Fix the columns of corrections that would make a link that no link can be; whether there were any."""
-    impossible = impossible_columns(corrected, solution, regression.used) if corrected else []
+    if corrected is None:
+        return False
+    impossible = impossible_columns(corrected, solution, regression.used)
     for column in impossible:
         regression.fix(column, nearest_possible(corrected, column, len(solution)))
     return bool(impossible)

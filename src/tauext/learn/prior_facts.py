@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -25,13 +26,17 @@ def prior_facts(fit: PriorFit, joints: Sequence[str]) -> dict:
     turned, since r shows minus the friction. A value is supported where the data determine it (and not the
     ridge) and it differs from zero by some standard errors.
     """
-    facts = {"ridge": fit.ridge, "error_nm": dict(zip(joints, fit.error_nm.tolist(), strict=True)), "friction": {}}
+    facts: dict[str, Any] = {
+        "ridge": fit.ridge,
+        "error_nm": dict(zip(joints, fit.error_nm.tolist(), strict=True)),
+        "friction": {},
+    }
     facts["dropped_widths_mrad"] = {f"{1e3 * width:g}": reason for width, reason in fit.dropped_widths.items()}
     for j, name in enumerate(joints):
         own = [m for m, term in enumerate(fit.settings.terms) if term.a == j and term.kind not in SHARED]
         kinds = {kind: [m for m in own if fit.settings.terms[m].kind == kind] for kind in OWN}
         sliding = kinds[Kind.coulomb] + kinds[Kind.presliding]
-        friction = {
+        friction: dict[str, Any] = {
             "coulomb_nm": -float(fit.weights[j, sliding].sum()),
             "viscous_nm_s_rad": -float(fit.weights[j, kinds[Kind.viscous]].sum()),
             "constant_nm": -float(fit.weights[j, kinds[Kind.constant]].sum()),

@@ -71,10 +71,21 @@ def fit_ridge(
     if corrected:
         corrections = [one[-len(PARAMETERS) * setup.tree.size :] for one in (solution, spread, determined)]
         corrections = [one.reshape(setup.tree.size, len(PARAMETERS)) for one in corrections]
-    return PriorFit(settings, ridge, error, weights, errors, shares, *corrections, regression, left_out)
+    moved, moved_errors, moved_shares = corrections
+    of_links = (moved, moved_errors, moved_shares)
+    return PriorFit(settings, ridge, error, weights, errors, shares, *of_links, regression, left_out)
 
 
-def _problems(setup, recording, own, shared, terms, corrected, loads, pieces) -> list[tuple[NormalEquations, slice]]:
+def _problems(
+    setup: Setup,
+    recording: Recording,
+    own: Sequence[Sequence[_core.Term]],
+    shared: Sequence[_core.Term],
+    terms: list[_core.Term],
+    corrected: _core.Tree | None,
+    loads: Sequence[_core.Link],
+    pieces: int,
+) -> list[tuple[NormalEquations, slice]]:
     """The equations of each piece of a recording, and its samples."""
     n = setup.tree.size
     signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
@@ -127,7 +138,14 @@ def _by_joint(setup: Setup, own: Sequence, shared: Sequence, solution: np.ndarra
     return values
 
 
-def _settings(setup, own, shared, terms, corrected, solution) -> _core.PriorSettings:
+def _settings(
+    setup: Setup,
+    own: Sequence[Sequence[_core.Term]],
+    shared: Sequence[_core.Term],
+    terms: list[_core.Term],
+    corrected: _core.Tree | None,
+    solution: np.ndarray,
+) -> _core.PriorSettings:
     """The prior that these coefficients make."""
     settings = _core.PriorSettings()
     settings.widths_rad = setup.widths_rad

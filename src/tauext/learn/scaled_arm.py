@@ -59,18 +59,18 @@ def fit_scaled_arm(
     n = sample.joints
     model, spread = np.array([inertial_parameters(link)[:ROTOR] for link in tree.links]).ravel(), spreads(tree)
     Z = sample.regressors(tree, range(n), range(len(PARAMETERS))).reshape(sample.rows, n, n, len(PARAMETERS))
-    grams = []
+    parts = []
     for j in range(n):
         beside = np.column_stack([sample.own[j], Z[:, j, j, ROTOR]])
         left = unexplained(np.column_stack([Z[:, j, :, :ROTOR].reshape(sample.rows, -1), sample.target[:, j]]), beside)
-        grams.append(left.T @ left)
+        parts.append(left.T @ left)
     count = max(1.0, sample.rows * ROW_S / INDEPENDENT_S)
-    grams, begun = np.array(grams), start is None
-    start = as_it_is(grams, model, count) if begun else start
+    grams, begun = np.array(parts), start is None
+    start = as_it_is(grams, model, count) if start is None else start
     evidence = Evidence(grams, model, spread, start, log_spread)
     at, weights, cost = most_likely(evidence, sample.rows, count)
-    for j in np.flatnonzero(start < 0) if begun else ():
-        turned = replace(evidence, start=np.where(np.arange(n) == j, -evidence.start, evidence.start))
+    for k in np.flatnonzero(start < 0) if begun else ():
+        turned = replace(evidence, start=np.where(np.arange(n) == k, -evidence.start, evidence.start))
         other = most_likely(turned, sample.rows, count)
         if other[2] < cost:
             evidence, (at, weights, cost) = turned, other

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from tauext.config import TrainConfig
 from tauext.errors import TrainingError
 from tauext.learn.training_set import Setup, TooShort, WindowSet
+
+Number = TypeVar("Number", int, float)
 
 
 class Schedule(Protocol):
@@ -48,14 +50,14 @@ class PaperSchedule:
     validation_windows = 20_000
 
     def __post_init__(self) -> None:
-        batch = self.config.batch
+        batch = number(self.config.batch)
         self.length = self.setup.window_steps
         self.steps_an_epoch = self.training.windows // batch
         if self.steps_an_epoch == 0:
             raise TrainingError(
                 f"{self.training.windows} training windows are fewer than a batch of {batch}; record more"
             )
-        self.steps = min(self.config.epochs * self.steps_an_epoch, self.config.max_steps or 1 << 62)
+        self.steps = min(number(self.config.epochs) * self.steps_an_epoch, self.config.max_steps or 1 << 62)
         self._order_of = -1
 
     def ends(self, step: int) -> np.ndarray:
@@ -63,11 +65,11 @@ class PaperSchedule:
         if self._order_of != epoch:
             self._order_of = epoch
             self._order = np.random.default_rng([self.config.seed, epoch]).permutation(self.training.windows)
-        batch = self.config.batch
+        batch = number(self.config.batch)
         return self.training.ends[self._order[index * batch : (index + 1) * batch]]
 
     def learning_rate(self, step: int) -> float:
-        return self.config.learning_rate
+        return number(self.config.learning_rate)
 
     def score(self, step: int, validation_loss: float) -> float:
         return validation_loss
@@ -101,7 +103,7 @@ class DenseSchedule:
     def __post_init__(self) -> None:
         self.targets = self.config.targets if self.config.row.network == "sequences" else 1
         self.length = self.setup.window_steps - 1 + self.targets
-        self.steps = self.config.max_steps
+        self.steps = number(self.config.max_steps)
         reach = self.setup.reach - self.setup.window_steps + self.length  # with the lag of the inputs
         ends = self.training.ends
         self._ends = ends[ends - reach >= self.training.first_rows]
@@ -119,8 +121,9 @@ class DenseSchedule:
     def learning_rate(self, step: int) -> float:
         done = step / self.steps
         if done < self.warm_up:
-            return self.config.learning_rate * (step + 1) / (self.warm_up * self.steps + 1)
-        return 0.5 * self.config.learning_rate * (1 + math.cos(math.pi * (done - self.warm_up) / (1 - self.warm_up)))
+            return number(self.config.learning_rate) * (step + 1) / (self.warm_up * self.steps + 1)
+        falling = 1 + math.cos(math.pi * (done - self.warm_up) / (1 - self.warm_up))
+        return 0.5 * number(self.config.learning_rate) * falling
 
     def score(self, step: int, validation_loss: float) -> float:
         """At a high learning rate the validation loss jumps, and its lowest value is luck: weights from then must be
@@ -136,4 +139,12 @@ class DenseSchedule:
 
 def make_schedule(setup: Setup, training: WindowSet, config: TrainConfig) -> Schedule:
     """The schedule that the network of a resolved config's recipe is taught by."""
-    return (DenseSchedule if config.row.draws else PaperSchedule)(setup, training, config)
+    if config.row.draws:
+        return DenseSchedule(setup, training, config)
+    return PaperSchedule(setup, training, config)
+
+
+def number(value: Number | None) -> Number:
+    """A setting that a resolved config has."""
+    assert value is not None
+    return value

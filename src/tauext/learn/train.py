@@ -87,7 +87,7 @@ def train(
     schedule = make_schedule(setup, training, config)
     backend = backend or make_backend(setup, training, config, schedule.length, schedule.targets)
     shown = validation.ends[:: max(1, validation.windows // schedule.validation_windows)].copy()
-    state = checkpoint_path and checkpoint.load(settings or {}, checkpoint_path)
+    state = checkpoint.load(settings or {}, checkpoint_path) if checkpoint_path else None
     if state is None:
         start = backend.initial_parameters(config.seed)
         state = TrainState((start, Adam.start(len(start))), [], start.astype(np.float32))

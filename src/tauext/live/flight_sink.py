@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from tauext import _core
+from tauext.data.recording import TorqueTiming
 from tauext.live.loop import Loop
 from tauext.live.record_sink import file_name
 from tauext.live.sink import Control, LoopReport, Verdict
@@ -23,7 +25,7 @@ class Origin:
     joints: tuple[str, ...]
     t_ns: np.ndarray
     rate_hz: float
-    torque_timing: str
+    torque_timing: TorqueTiming
     robot_sha256: str = ""
 
 
@@ -44,7 +46,8 @@ class FlightSink:
 
     def verdict(self, verdict: Verdict) -> None:
         if self._source is None:
-            timing, rate_hz = self._bundle.observer.timing.name, 1e9 / self._bundle.observer.sample_period_ns
+            timing = cast(TorqueTiming, self._bundle.observer.timing.name)
+            rate_hz = 1e9 / self._bundle.observer.sample_period_ns
             first = Origin(self._name, self._joints, np.array([verdict.t_ns]), rate_hz, timing)
             self._source = replace(FlightSource.of(self._bundle, first), command="tauext monitor")
 
@@ -62,6 +65,7 @@ class FlightSink:
     def _write(self, flight: Flight) -> Path:
         profile = self._control.profile if isinstance(self._control, Loop) else None
         source = self._source
+        assert source is not None  # a flight comes after a verdict
         if profile is not None:  # that holds now; the flight is a second old at most
             contact = [
                 tuple((np.array(limits) * profile.contact).tolist())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from collections import deque
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,8 @@ class FrankaSource(ReaderSource):
 
     def __init__(self, host: str):
         super().__init__(f"franka {host}")
-        self._host, self._robot = host, None
+        self._host = host
+        self._robot: Any = None
         self.reference: deque[tuple[int, np.ndarray]] = deque(maxlen=KEPT)
         """The newest (t_ns, tau_ext_hat_filtered (7,) [N m])."""
 

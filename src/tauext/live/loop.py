@@ -89,7 +89,8 @@ class Loop:
         """From a sample's reception until every sink was told."""
         self.missing = self.samples = 0
         self._bundle, self._source, self._reactions = bundle, source, reactions or Reactions()
-        self._profiles, self._profile, self._recorder = profiles, None, recorder
+        self._profiles, self._recorder = profiles, recorder
+        self._profile: Profile | None = None
         self._settings = settings
         self._requests: queue.SimpleQueue[tuple[str, str, str]] = queue.SimpleQueue()
         self._changes = ChangeFinder()
@@ -203,6 +204,7 @@ class Loop:
 
     def _missed(self, now: float) -> float:
         """Tell the monitor that no sample came; after how long to look again, [s]: ever longer while none comes."""
+        assert self._last is not None  # silence is counted from a sample
         self.missing += 1
         silent_s = now - self._last.received_ns * 1e-9
         t_ns = self._last.t_ns + round(silent_s * 1e9)
@@ -267,8 +269,10 @@ class Loop:
                 self._stopped = True
 
     def _switch(self, name: str, by: str) -> None:
-        old, self._profile = self._profile, self._profiles.named(name)
-        self.monitor.set_limit_factors(self._profile.collision, self._profile.contact)
+        assert self._profiles is not None  # or use_profile() had refused it
+        old, new = self._profile, self._profiles.named(name)
+        self._profile = new
+        self.monitor.set_limit_factors(new.collision, new.contact)
         last_ns = self._last.t_ns if self._last else None
         self.switched(ProfileSwitch(last_ns, by, old.name if old else "", name))
 

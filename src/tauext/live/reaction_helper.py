@@ -12,6 +12,11 @@ import subprocess
 import sys
 import threading
 import time
+import typing
+
+Begun = typing.Callable[[], None]
+Act = typing.Callable[[dict, Begun], None]
+"""Does it for an event, and calls the other when it begins."""
 
 
 def main() -> None:
@@ -56,10 +61,10 @@ def end_with(monitor: int) -> None:
     os.killpg(0, signal.SIGKILL)
 
 
-def command(words: list):
+def command(words: list) -> Act:
     """Runs the program with the facts in its environment and as JSON on its stdin."""
 
-    def act(event: dict, started) -> None:
+    def act(event: dict, started: Begun) -> None:
         with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=2, env=os.environ | event["environment"]) as process:
             started()
             process.communicate(json.dumps(event["facts"]).encode() + b"\n")
@@ -69,7 +74,7 @@ def command(words: list):
     return act
 
 
-def function(name: str):
+def function(name: str) -> Act:
     """Calls the function with the facts."""
     import importlib
 
@@ -79,7 +84,7 @@ def function(name: str):
     if not callable(called):
         raise TypeError(f"{name} cannot be called")
 
-    def act(event: dict, started) -> None:
+    def act(event: dict, started: Begun) -> None:
         started()
         called(event["facts"])
 

@@ -57,6 +57,7 @@ class ReactionProcess:
             if self._process.poll() is not None:
                 self._start()
             until = time.monotonic() + self._reaction.timeout_s
+            assert self._process.stdin is not None  # a pipe
             try:
                 self._process.stdin.write(json.dumps(content_of(event)).encode() + b"\n")
                 self._process.stdin.flush()
@@ -84,7 +85,8 @@ class ReactionProcess:
         self._kill()
         for end in (self._process.stdin, self._answers):
             with suppress(OSError):
-                end.close()
+                if end is not None:
+                    end.close()
 
     def _kill(self) -> int:
         """Its exit status; a process that has been waited for is not killed, its number may be another's by now."""

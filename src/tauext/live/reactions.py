@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from tauext.errors import ConfigError
 from tauext.live.latency import Latencies
@@ -162,23 +163,27 @@ def start_reactions(rules: Sequence[Reaction], source: Source, sinks: Sequence[S
     threads: list[Callable[[], ReactionThread]] = []
     try:
         for rule in rules:
-            if rule.stop and not isinstance(source, Stoppable):
-                raise ConfigError(f"reaction {rule.name!r}: source {source.name} has no way to stop its robot")
-            if rule.publish and not publishers:
-                raise ConfigError(f"reaction {rule.name!r}: source {source.name} publishes nothing; ros2 does")
             if rule.stop:
-                threads.append(lambda rule=rule: ReactionThread(rule, lambda event: source.stop()))
+                if not isinstance(source, Stoppable):
+                    raise ConfigError(f"reaction {rule.name!r}: source {source.name} has no way to stop its robot")
+                threads.append(partial(ReactionThread, rule, _stop(source)))
             elif rule.publish:
-                threads.append(lambda rule=rule: ReactionThread(rule, _publish_to(publishers)))
+                if not publishers:
+                    raise ConfigError(f"reaction {rule.name!r}: source {source.name} publishes nothing; ros2 does")
+                threads.append(partial(ReactionThread, rule, _publish_to(publishers)))
             else:
                 process = ReactionProcess(rule)
                 processes.append(process)
-                threads.append(lambda rule=rule, process=process: ReactionThread(rule, process.act, process.close))
+                threads.append(partial(ReactionThread, rule, process.act, process.close))
     except BaseException:
         for process in processes:
             process.close()
         raise
     return Reactions([start() for start in threads])
+
+
+def _stop(source: Stoppable) -> Callable[[Event], None]:
+    return lambda event: source.stop()
 
 
 def _publish_to(publishers: Sequence[Publisher]) -> Callable[[Event], None]:

@@ -7,12 +7,14 @@ import time
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from tauext import _core
 from tauext.data import Recording, save_recording
 from tauext.data.amperes import AMPERES
+from tauext.data.recording import TorqueTiming
 from tauext.errors import ConfigError, TauextError
 from tauext.live.sink import Control, LoopReport, Verdict
 from tauext.monitor.changes import NONE, OK
@@ -56,6 +58,10 @@ class RecordSink:
         self._folder, self._bundle, self._source = folder, bundle, source
         self._stem = f"{file_name(source)}-{time.strftime('%Y%m%dT%H%M%S')}"
         self._period_ns = bundle.observer.sample_period_ns
+        self._row: int
+        self._t_ns: np.ndarray
+        self._contact: np.ndarray
+        self._signals: list[np.ndarray]
         self._rows = max(2, round(segment_s * 1e9 / self._period_ns))
         self._number = self._files = self._written = self._unfit = self._lost = 0
         self._error = ""
@@ -150,7 +156,7 @@ class RecordSink:
                 name=path.stem,
                 joints=self._joints,
                 rate_hz=1e9 / self._period_ns,
-                torque_timing=self._bundle.observer.timing.name,
+                torque_timing=cast(TorqueTiming, self._bundle.observer.timing.name),
                 source=self._source,
                 robot_sha256="",
                 provenance=provenance,

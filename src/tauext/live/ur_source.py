@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ class UrSource(ReaderSource):
         """torque_constants: file (torque_constants_file.py); None where the bundle takes amperes."""
         super().__init__(f"ur {host}")
         self._host, self._file = host, torque_constants
-        self._receive = None
+        self._receive: Any = None
 
     def open(self, settings: SourceSettings) -> None:
         amperes = "A" in settings.torque_units

@@ -91,7 +91,8 @@ class ChangeFinder:
                 changes.append(HealthChange(row, t, health, int(before["health"][k]), causes, joint))
             if differs["alarm"][k]:
                 changes.append(self._alarm_change(row, t, k, int(before["alarm"][k]), said))
-        return sorted(changes + self._drift(first_row, t_ns, said["drift_saturated"]), key=lambda change: change.row)
+        changes += self._drift(first_row, t_ns, said["drift_saturated"])
+        return sorted(changes, key=lambda change: change.row)
 
     def _drift(self, first_row: int, t_ns: np.ndarray, saturated: np.ndarray) -> list[DriftChange]:
         new = [j for j in np.flatnonzero(saturated.any(axis=0)).tolist() if j not in self._saturated]

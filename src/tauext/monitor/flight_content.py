@@ -3,18 +3,35 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from tauext import _core
 from tauext.data import Recording
 from tauext.data.estimates import Estimates
-from tauext.data.recording import RATE_TOLERANCE
+from tauext.data.recording import RATE_TOLERANCE, TorqueTiming
 from tauext.monitor.changes import ALARMS, COLLISION, FAULT, HEALTHS
 
 Flight = dict[str, Any]
 """As FlightRecorder.take gives it."""
+
+
+class Replayed(Protocol):
+    """What a flight's files say of the recording, or the live arm, that was watched."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def joints(self) -> tuple[str, ...]: ...
+    @property
+    def t_ns(self) -> np.ndarray: ...
+    @property
+    def rate_hz(self) -> float: ...
+    @property
+    def torque_timing(self) -> TorqueTiming: ...
+    @property
+    def robot_sha256(self) -> str: ...
 
 
 @dataclass(frozen=True)
@@ -29,7 +46,7 @@ class FlightSource:
     start_ns: int
     """Stamp of the first sample of all, [ns]: event times count from it."""
     rate_hz: float
-    torque_timing: str
+    torque_timing: TorqueTiming
     robot_sha256: str = ""
     near_stiction_rad_s: float = 0.0
     contact_sliding_nm: tuple[float, ...] = ()
@@ -42,7 +59,7 @@ class FlightSource:
     """That watches, for the files' provenance."""
 
     @classmethod
-    def of(cls, bundle: _core.Bundle, recording: Recording) -> FlightSource:
+    def of(cls, bundle: _core.Bundle, recording: Replayed) -> FlightSource:
         """A replay of this recording."""
         return cls(
             recording=recording.name,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -26,7 +27,7 @@ def draw_after_contact(results: Results) -> Drawing:
     if not bundles or not any(b.hours for bundle in bundles for b in bundle.measured.after_contact):
         raise NotAvailable("the results hold no time after contacts")
     panels: list[tuple[str, str, Callable[[Aftermath], float | None]]] = [
-        (name, "RMSE, Nm", lambda entry, j=j: entry.rmse_nm[j]) for j, name in enumerate(results.joints)
+        (name, "RMSE, Nm", partial(error_of, j)) for j, name in enumerate(results.joints)
     ]
     panels.append(("contact alarms that begin", "an hour", lambda entry: entry.contacts_per_hour))
     rows = -(-len(panels) // MOST_COLUMNS)
@@ -36,7 +37,8 @@ def draw_after_contact(results: Results) -> Drawing:
     strokes = bundle_strokes([bundle.name for bundle in results.bundles])
     for axes, (title, quantity, value) in zip(grid.flat, panels, strict=False):
         for bundle in bundles:
-            entries = [*bundle.measured.after_contact, bundle.measured.after_nothing]
+            nothing = bundle.measured.after_nothing
+            entries = [*bundle.measured.after_contact, *([nothing] if nothing else [])]
             draw_entries(axes, [value(entry) for entry in entries], strokes[bundle.name], bundle.label)
         bins = [f"{entry.from_s:g}\nto {entry.to_s:g}" for entry in bundles[0].measured.after_contact]
         axes.set_xticks(range(len(bins) + 1), [*bins, "free\nmotion"], fontsize=8)
@@ -62,6 +64,10 @@ def draw_after_contact(results: Results) -> Drawing:
 
 def hours_of(entries: tuple[Aftermath, ...]) -> float:
     return sum(entry.hours for entry in entries)
+
+
+def error_of(joint: int, entry: Aftermath) -> float | None:
+    return entry.rmse_nm[joint]
 
 
 def draw_entries(axes: Axes, values: list[float | None], stroke: dict, label: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -44,7 +45,7 @@ class Excerpt:
     def length_s(self) -> float:
         return float(self.recording.time_s[self.last] - self.recording.time_s[self.first])
 
-    def shown(self, time_s: float | np.ndarray) -> float | np.ndarray:
+    def shown(self, time_s: Any) -> Any:
         """Place on the joined axis of a time of the recording."""
         return time_s - self.recording.time_s[self.first] + self.shown_at_s
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, overload
 
 from tauext.errors import ConfigError
 from tauext.report.results import Numbers
@@ -28,9 +28,17 @@ class Entry:
             raise ConfigError(f"{self.place}: '{key}' is {json.dumps(value)[:60]}, must be {' or '.join(names)}")
         return value
 
+    @overload
+    def number(self, key: str, needed: Literal[True]) -> float: ...
+    @overload
+    def number(self, key: str, needed: bool = False) -> float | None: ...
     def number(self, key: str, needed: bool = False) -> float | None:
         return self.get(key, (int, float), needed)
 
+    @overload
+    def text(self, key: str, needed: Literal[True]) -> str: ...
+    @overload
+    def text(self, key: str, needed: bool = False) -> str | None: ...
     def text(self, key: str, needed: bool = False) -> str | None:
         return self.get(key, str, needed)
 
@@ -59,6 +67,10 @@ class Entry:
         if len(items) != joints or not all(type(item) in (int, float, type(None)) for item in items):
             raise ConfigError(f"{self.place}: '{key}' must be a list of {joints} numbers or null, one a joint")
         return tuple(items)
+
+    def each_number(self, *keys: str) -> dict[str, Any]:
+        """The numbers under these keys, as keyword arguments."""
+        return {key: self.number(key) for key in keys}
 
     def loss_history(self, key: str) -> tuple[tuple[int, float, float], ...]:
         """Triples of a step and its two losses."""

@@ -68,7 +68,7 @@ def read_counts(entry: Entry) -> EventCounts:
     delays = ("delay_median_s", "delay_p95_s", "delay_from_onset_median_s", "delay_from_onset_p95_s")
     return EventCounts(
         **{key: entry.get(key, int, needed=True) for key in ("events", "found", "false_alarms")},
-        **{key: entry.number(key) for key in (*delays, "false_alarms_per_hour")},
+        **entry.each_number(*delays, "false_alarms_per_hour"),
         free_hours=entry.number("free_hours", needed=True),
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -88,7 +89,7 @@ def draw_signal(axes: Axes, flight: Flight, column: str, joint: int, part: slice
         limit = said.limit[part, joint]
         for side in (-1, 1):
             axes.plot(*broken(since, side * limit, period), color=LIMIT, linestyle="--", linewidth=0.9, zorder=3)
-        curves = [(said.tau_ext[part, joint], {"color": TAU_EXT})]
+        curves: list[tuple[np.ndarray, dict[str, Any]]] = [(said.tau_ext[part, joint], {"color": TAU_EXT})]
     elif column == "observer":
         curves = [
             (said.r[part, joint], {"color": OBSERVER, "linewidth": OBSERVER_WIDTH}),

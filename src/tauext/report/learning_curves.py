@@ -23,7 +23,7 @@ def draw_learning_curves(results: Results) -> Drawing:
     for bundle in results.bundles:
         if bundle.measured.training_minutes:
             lines.setdefault((bundle.recipe or bundle.name, bundle.measured.model_case or ""), []).append(bundle)
-    minutes = sorted({bundle.measured.training_minutes for bundles in lines.values() for bundle in bundles})
+    minutes = sorted({bundle.measured.training_minutes or 0.0 for bundles in lines.values() for bundle in bundles})
     if len(minutes) < 2:
         raise NotAvailable("the bundles were trained on fewer than two amounts of data")
     several_models = len({model for _, model in lines}) > 1

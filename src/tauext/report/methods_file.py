@@ -70,7 +70,7 @@ def read_strength(entry: Entry) -> StrengthBin:
         low_nm=entry.number("peak_nm_from", needed=True),
         high_nm=entry.number("peak_nm_to"),
         **{key: entry.get(key, int, needed=True) for key in ("collisions", "latched")},
-        **{key: entry.number(key) for key in ("delay_median_s", "delay_p95_s")},
+        **entry.each_number("delay_median_s", "delay_p95_s"),
     )
 
 
@@ -85,7 +85,7 @@ def read_aftermath(entry: Entry, joints: int) -> Aftermath:
 def read_sanity(entry: Entry) -> SanityRow:
     return SanityRow(
         name=entry.text("name", needed=True),
-        **{key: entry.number(key) for key in ("false_per_hour", "time_in_alarm_share")},
+        **entry.each_number("false_per_hour", "time_in_alarm_share"),
         **{key: entry.get(key, int, needed=True) for key in ("collisions", "found", "latched")},
         worth=entry.text("worth") or "",
     )

@@ -33,7 +33,7 @@ def draw_missed_curve(results: Results) -> Drawing:
     bundles = [bundle for bundle in results.bundles if drawable(bundle)]
     if not bundles:
         raise NotAvailable("the results hold no collisions missed over false alarms")
-    hours = max(bundle.hours for bundle in bundles)
+    hours = max(bundle.hours or 0.0 for bundle in bundles)
     left, right = (share / hours for share in STRIP)
     figure = Figure(figsize=(WIDTH_IN, 4.6), layout="constrained")
     axes = figure.subplots()
@@ -81,9 +81,10 @@ def draw_curve(axes: Axes, bundle: EvaluatedBundle, none_at: float, stroke: dict
 
     Under lower limits yet, alarms run into one another: they become fewer and no better.
     """
+    assert bundle.measured.latched is not None  # drawable() looked
     collisions = bundle.measured.latched.collisions
     points = sorted((p for p in bundle.measured.missed_curve if p.false_per_hour is not None), key=lambda p: p.scale)
-    rates = [point.false_per_hour for point in points]
+    rates = [point.false_per_hour or 0.0 for point in points]
     busiest = rates.index(max(rates))
     first_quiet = next((k for k in range(busiest, len(points)) if rates[k] == 0), len(points))
 

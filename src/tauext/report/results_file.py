@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 from tauext.errors import ConfigError
 from tauext.report.entry import Entry
@@ -77,6 +78,8 @@ def read_collision(entry: Entry, joints: int) -> Collision:
 
 def read_bundle(entry: Entry, joints: int) -> EvaluatedBundle:
     free, limits = entry.object("free_motion"), entry.object("limits")
+    measures = ("l1_nm", "l2_nm", "mse_nm2", "observer_peak_nm")
+    errors: dict[str, Any] = {key: free.numbers(key, joints) for key in measures}
     name = entry.text("name", needed=True)
     return EvaluatedBundle(
         name=name,
@@ -84,8 +87,8 @@ def read_bundle(entry: Entry, joints: int) -> EvaluatedBundle:
         **{key: entry.get(key, int) for key in ("steps", "epochs", "batch", "ten_found")},
         recordings=tuple(recording.removesuffix(".parquet") for recording in free.texts("recordings")),
         **{key: free.get(key, int) for key in ("samples", "false_alarms")},
-        **{key: free.number(key) for key in ("hours", "false_alarms_per_hour")},
-        **{key: free.numbers(key, joints) for key in ("l1_nm", "l2_nm", "mse_nm2", "observer_peak_nm")},
+        **free.each_number("hours", "false_alarms_per_hour"),
+        **errors,
         rmse_near_stiction_nm=free.numbers("rmse_near_stiction_nm", joints),
         rmse_sliding_nm=free.numbers("rmse_sliding_nm", joints),
         near_stiction_share=free.numbers("near_stiction_share", joints),

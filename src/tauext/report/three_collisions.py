@@ -170,7 +170,7 @@ def draw_impact(axes: Axes, scene: Scene, colours: dict[str, str], joint: str) -
     for bundle, estimates in scene.said.items():
         verdict = scene.verdicts.get(bundle)
         if verdict and verdict.delay_s is not None and verdict.joint == joint:
-            at = min(np.searchsorted(scene.since_s(), verdict.delay_s - 1e-6), scene.recording.samples - 1)
+            at = min(int(np.searchsorted(scene.since_s(), verdict.delay_s - 1e-6)), scene.recording.samples - 1)
             height = estimates.tau_ext[at, scene.joint]
             axes.plot(verdict.delay_s * 1e3, height, color=colours[bundle], **FOUND_MARK)
 
@@ -215,6 +215,7 @@ def delay_text(verdict: Verdict | None, joint: str, sensed: bool) -> str:
         return "not found"
     against = verdict.delay_against_sensor_s
     if against is None and not sensed:
+        assert verdict.delay_s is not None  # of every one that was found
         text = f"{round(verdict.delay_s * 1e3)} ms"
         return text if verdict.joint in (joint, None) else f"{text} ({verdict.joint})"
     text = "sensor below" if against is None else f"{round(against * 1e3):+d} ms".replace("+0", "0").replace("-", "−")

@@ -36,7 +36,7 @@ def encode(buckets: Buckets, quantum: np.ndarray) -> tuple[bytes, list[int]]:
         where.append(place[key])
     table = np.array(rows, dtype="<u4")
     planes = table.view(np.uint8).reshape(len(table), len(buckets), 4).transpose(0, 2, 1)
-    return zlib.compress(np.ascontiguousarray(planes)), where
+    return zlib.compress(planes.tobytes()), where
 
 
 def two_rows(low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -58,7 +58,9 @@ def simulate_dataset(
         ConfigError: the folder holds another dataset, or recordings would be too short to be of use.
     """
     count, length_s = _cut(minutes, config)
-    kinds: list[Kind] = ["free"] * count + [("pulses", "pads")[k % 2] for k in range(collision_recordings)]
+    touching: tuple[Kind, Kind] = ("pulses", "pads")
+    kinds: list[Kind] = ["free"] * count
+    kinds += [touching[k % 2] for k in range(collision_recordings)]
     names = [f"free-{k:03d}.parquet" for k in range(count)]
     names += [f"collisions-{k:03d}.parquet" for k in range(collision_recordings)]
     more = {"calibration": calibration_hours, "test": test_hours}
@@ -78,8 +80,8 @@ def simulate_dataset(
     settings = {"minutes": minutes, "collision_recordings": collision_recordings}
     settings |= {f"{set_name}_hours": hours for set_name, hours in more.items() if hours > 0}
     _claim(out_dir, _settings(config, seed, settings))
-    with whole_file(out_dir / "robot.xml") as part:
-        part.write_text(robot)
+    with whole_file(out_dir / "robot.xml") as file:
+        file.write_text(robot)
 
     def make(k: int) -> str:
         path = out_dir / names[k]

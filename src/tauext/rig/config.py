@@ -1,7 +1,7 @@
 """Every number of the virtual rig, in frozen dataclasses; docs/rig.md says where each comes from."""
 
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 from tauext.errors import ConfigError
 
@@ -233,7 +233,7 @@ def changed_friction(joints: tuple[FrictionConfig, ...], factor: float) -> tuple
     )
 
 
-def _numbers(config: object, prefix: str = "") -> list[tuple[str, float]]:
+def _numbers(config: Any, prefix: str = "") -> list[tuple[str, float]]:
     """Every number of a config with its dotted name; of a (low, high) pair both ends."""
     found = []
     for f in fields(config):

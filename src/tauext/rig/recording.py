@@ -30,7 +30,7 @@ def simulate_recording(
     q_des, dq_des = draw_motion(config.motion, len(config.links), samples + settle, config.rate_hz, moving)
     truth, tau_ext, force = simulate_motion(config, kind, q_des, dq_des, settle, touching)
     measured = measure(config, truth, tau_ext, measuring)
-    touched = (force > 0.0).any(axis=1)
+    touched = np.asarray((force > 0.0).any(axis=1))
     return Recording(
         name=f"{kind}-{number:03d}",
         joints=tuple(joint_names(config)),

@@ -120,9 +120,9 @@ def _change_urdf(
         _require(source, "link", payload.link, [link.get("name", "") for link in root.findall("link")])
         carried = ElementTree.SubElement(root, "link", name="tauext_payload")
         _inertial(carried, payload.com_m, payload.mass_kg, payload.inertia_kg_m2)
-        joint = ElementTree.SubElement(root, "joint", name="tauext_payload", type="fixed")
-        ElementTree.SubElement(joint, "parent", link=payload.link)
-        ElementTree.SubElement(joint, "child", link="tauext_payload")
+        fixed = ElementTree.SubElement(root, "joint", name="tauext_payload", type="fixed")
+        ElementTree.SubElement(fixed, "parent", link=payload.link)
+        ElementTree.SubElement(fixed, "child", link="tauext_payload")
     if gravity:
         extension = root.find("mujoco")
         extension = ElementTree.SubElement(root, "mujoco") if extension is None else extension

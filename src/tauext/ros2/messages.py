@@ -116,13 +116,13 @@ class LongParticipantEntitiesInfo(IdlStruct, typename="rmw_dds_common::msg::dds_
     node_entities_info_seq: sequence[LongNodeEntitiesInfo]
 
 
-GRAPH_TYPES = {
+GRAPH_TYPES: dict[int, tuple[type, type, type]] = {
     16: (Gid, NodeEntitiesInfo, ParticipantEntitiesInfo),
     24: (LongGid, LongNodeEntitiesInfo, LongParticipantEntitiesInfo),
 }
 """By length of an id."""
 
-TYPE_HASHES = {
+TYPE_HASHES: dict[type, str] = {
     JointState: "a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
     Bool: "feb91e995ff9ebd09c0cb3d2aed18b11077585839fb5db80193b62d74528f6c9",
     String: "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",

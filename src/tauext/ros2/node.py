@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from typing import Literal
+from typing import Any, Literal
 
 from tauext.errors import ConfigError
 from tauext.ros2.settings import Ros2Settings
@@ -95,7 +95,7 @@ class Node:
     def _gids(self, entities: list[Entity]) -> list:
         return [self._gid(entity) for entity in entities]
 
-    def _gid(self, entity: Entity):
+    def _gid(self, entity: Entity) -> Any:
         return self._gid_type(entity.guid.bytes.ljust(self.settings.gid_bytes, b"\0"))
 
 

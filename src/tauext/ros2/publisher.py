@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import threading
 import time
+from typing import Any
 
 from cyclonedds.core import DDSException, GuardCondition, WaitSet
 
 from tauext.errors import ConfigError
-from tauext.live import Control, Event, LoopReport, Verdict
+from tauext.live import Control, Event, LoopReport, Sample, Verdict
 from tauext.monitor.changes import COLLISION, NONE
 from tauext.ros2.conditions import Conditions
 from tauext.ros2.diagnostics import arm_status, input_status
@@ -44,7 +45,7 @@ class Ros2Publisher:
         self._said: dict[str, bool] = {}
         self._diagnosed_ns, self._due = 0, False
         self._listening: threading.Thread | None = None
-        self._closing: GuardCondition | None = None
+        self._closing: Any = None  # GuardCondition while open
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         node, settings = self._node, self._node.settings
@@ -79,7 +80,7 @@ class Ros2Publisher:
         self._verdict = verdict
         if verdict.sample is not None:
             # The writer serialises at once, so one message serves all.
-            self._message.header.stamp = Time.of_ns(self._stamp_ns(verdict))
+            self._message.header.stamp = Time.of_ns(self._stamp_ns(verdict.sample))
             self._message.effort = verdict.said["tau_ext"][0].tolist()
             self._send(self._torque, self._message)
         if verdict.changes:
@@ -110,10 +111,10 @@ class Ros2Publisher:
         self._alarms, self._asked = {}, {}
         self._node.leave(entities)
 
-    def _stamp_ns(self, verdict: Verdict) -> int:
+    def _stamp_ns(self, sample: Sample) -> int:
         if self._source is not None:
             return self._source.last_stamp_ns
-        return time.time_ns() - (time.monotonic_ns() - verdict.sample.received_ns)
+        return time.time_ns() - (time.monotonic_ns() - sample.received_ns)
 
     def _say_alarm(self, alarm: int) -> None:
         for name, stands in (("contact", alarm != NONE), ("collision", alarm == COLLISION)):
@@ -129,7 +130,7 @@ class Ros2Publisher:
         ]
         self._send(self._diagnostics, DiagnosticArray(Header(Time.of_ns(time.time_ns())), statuses))
 
-    def _send(self, writer, message) -> bool:
+    def _send(self, writer: Any, message: Any) -> bool:
         try:
             writer.write(message)
         except DDSException:  # no reason to stop watching the arm

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from typing import Any
 
 import numpy as np
 from cyclonedds.core import WaitSet
@@ -14,7 +15,7 @@ from tauext.ros2.arm_joints import ArmJoints
 from tauext.ros2.conditions import Conditions
 from tauext.ros2.followed import Followed
 from tauext.ros2.messages import JointState
-from tauext.ros2.node import Node
+from tauext.ros2.node import Inbox, Node
 from tauext.ros2.sample_rate import SampleRate
 from tauext.ros2.sample_time import SampleTime
 
@@ -36,7 +37,8 @@ class Ros2Source:
         self.counts = SourceCounts()
         self.last_stamp_ns = 0
         """Of the last sample given, since 1970: what is said of it bears this stamp."""
-        self._inbox = self._waitset = None
+        self._inbox: Inbox | None = None
+        self._waitset: Any = None
         self._pending: deque[JointState] = deque()
 
     def open(self, settings: SourceSettings) -> None:
@@ -55,7 +57,8 @@ class Ros2Source:
         self._averaged = settings.torque_timing == "averaged"
         self._torques: list[np.ndarray] = []
         self.counts = SourceCounts()
-        self._lost_before, self._t_ns = 0, None
+        self._lost_before = 0
+        self._t_ns: int | None = None
         self._inbox = self._node.inbox(chosen.topic, JointState, chosen.reliability, chosen.durability, chosen.depth)
         self._waitset = WaitSet(self._node.participant)
         self._waitset.attach(self._inbox.new)
@@ -98,6 +101,7 @@ class Ros2Source:
     def _take(self) -> None:
         received_ns, wall_ns = time.monotonic_ns(), time.time_ns()
         self._looked_ns = received_ns
+        assert self._inbox is not None  # between open() and close()
         messages, damaged = self._inbox.take()
         if damaged:
             self.counts.received += 1
@@ -112,12 +116,15 @@ class Ros2Source:
         other = self._followed.is_another(publisher, now_ns)
         self.counts.received += 1
         if not self._joints.is_here(message):  # no fault of another's, as a gripper often shares the topic
-            return self._refuse("joints", None if other else f"a message has {self._joints.missing(message)}", now_ns)
+            self._refuse("joints", None if other else f"a message has {self._joints.missing(message)}", now_ns)
+            return None
         picked = self._joints.pick(message)
         if isinstance(picked, str):
-            return self._refuse("values", picked, now_ns)
+            self._refuse("values", picked, now_ns)
+            return None
         if other:
-            return self._refuse("publishers", "two publishers: the first is followed", now_ns)
+            self._refuse("publishers", "two publishers: the first is followed", now_ns)
+            return None
         changed = self._followed.take(publisher, now_ns)
         if changed:
             self._begin(now_ns)
@@ -125,12 +132,13 @@ class Ros2Source:
         if stamp_ns == 0:
             stamp_ns = message.sample_info.source_timestamp
             self._say("stamps are zero", "stamps are zero: times of publication are used", now_ns)
-        self._t_ns, wrong = self._time.next(stamp_ns, now_ns, message.wall_ns, not changed)
+        t_ns, wrong = self._time.next(stamp_ns, now_ns, message.wall_ns, not changed)
+        self._t_ns = t_ns
         self._say("stamps", wrong, now_ns)
-        if last_ns is not None and self._t_ns <= last_ns:
+        if last_ns is not None and t_ns <= last_ns:
             self.counts.refused += 1
             return None
-        wanted = self._rate.wants(self._t_ns)
+        wanted = self._rate.wants(t_ns)
         self.counts.lost = self._lost_before + self._rate.lost
         self._say("rate", self._rate.problem, now_ns)
         self._say("numbers", self._joints.not_finite(picked), now_ns)
@@ -138,8 +146,8 @@ class Ros2Source:
         tau = self._torque(tau, wanted)
         if not wanted:
             return None
-        self.last_stamp_ns = stamp_ns or self._t_ns
-        return Sample(self._t_ns, q, dq, tau, now_ns)
+        self.last_stamp_ns = stamp_ns or t_ns
+        return Sample(t_ns, q, dq, tau, now_ns)
 
     def _torque(self, tau: np.ndarray, wanted: bool) -> np.ndarray:
         """Of the sample; where its torque means an average, over all samples since the last one given."""
@@ -172,6 +180,7 @@ class Ros2Source:
         if now_ns - self._looked_ns < LOOK_NS:
             return
         self._looked_ns = now_ns
+        assert self._inbox is not None  # between open() and close()
         reader = self._inbox.reader
         matched = reader.get_matched_publications()
         if not matched and reader.get_requested_incompatible_qos_status().total_count:

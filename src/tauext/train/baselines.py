@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import Path
 
-from tauext.config import PAPER_CASES, CaseName, TrainConfig
+from tauext.config import PAPER_CASES, CaseName, LimitsKind, TrainConfig
 from tauext.data import Dataset
 from tauext.errors import ConfigError
 from tauext.progress import SILENT, Reporter
@@ -28,7 +28,7 @@ def train_baselines(
 ) -> dict[str, Path]:
     """Train the baselines into folder/NAME.tauext; their bundles by name, simplest first.
 
-    Limits keep one and the same promise where the dataset has calibration recordings; else they are the paper's. What
+    LimitsKind keep one and the same promise where the dataset has calibration recordings; else they are the paper's. What
     is finished with these settings is kept. What cannot exist for the case is left out, and the reporter told why.
 
     Args:
@@ -59,7 +59,7 @@ def train_baselines(
             report.say(f"{name} is left out: {impossible}")
             continue
         bundles[name] = folder / f"{name}.tauext"
-        limits = "promised" if calibration else "supported"
+        limits: LimitsKind = "promised" if calibration else "supported"
         config = TrainConfig(recipe=recipe, seed=seed, threads=threads, limits=limits)
         if not finished(bundles[name], case, config):
             missing[name] = config

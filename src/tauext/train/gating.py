@@ -9,7 +9,7 @@ from tauext.train.network import assemble
 from tauext.train.preparation import Job
 
 
-def gate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit) -> tuple[Bundle, PriorFit]:
+def gate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> tuple[Bundle, PriorFit | None]:
     """Shut the network off for joints that it does not help; the bundle that ships, and its prior.
 
     Where no network is left of one that validated on motion cut off from the training, the prior is fitted to all of

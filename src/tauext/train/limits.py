@@ -41,7 +41,8 @@ def calibrate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> N
     by_fit = fit is not None and not bundle.has_network
     # What was cut off to validate was trained on in the end where no network ships.
     unseen: list[Recording | Judged] = [] if by_fit and not job.validation else list(job.motion.for_limits)
-    judged = unseen + (left_out_of_fit(bundle, fit, setup, job.reference(setup)) if by_fit else [])
+    left_out = left_out_of_fit(bundle, fit, setup, job.reference(setup)) if by_fit and fit is not None else []
+    judged = [*unseen, *left_out]
     if kind == "promised":
         promised, job.facts["limits"] = calibrate_bundle(
             bundle, job.name, job.calibration, config.alarm, job.threads, config.margins, job.report

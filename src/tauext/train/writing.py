@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 from tauext._core import Bundle
 from tauext.data import total_s
@@ -27,7 +28,12 @@ def write(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> None:
 def facts_of(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> dict:
     """What was trained and found, as plain JSON."""
     config = job.config.resolved()
-    facts = {"recipe": config.recipe, "case": job.case.name, "epochs": config.epochs, "batch": config.batch}
+    facts: dict[str, Any] = {
+        "recipe": config.recipe,
+        "case": job.case.name,
+        "epochs": config.epochs,
+        "batch": config.batch,
+    }
     facts["steps"] = network.trained.steps if network else 0
     learned_on = job.motion.training if bundle.has_network else job.motion.uncut
     facts["training_minutes"] = round(total_s(learned_on) / 60, 6)

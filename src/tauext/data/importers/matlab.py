@@ -39,7 +39,8 @@ def open_matlab(path: Path) -> list[RawRecording]:
         ) from error
     arrays = {name: array for key, value in content.items() for name, array in _arrays(str(key), value)}
     samples = sample_count(path, {name: array.shape for name, array in arrays.items()})
-    names, columns = [], []
+    names: list[str] = []
+    columns: list[np.ndarray] = []
     for name, array in arrays.items():
         if held := columns_of(name, array.shape, samples):
             names += held

@@ -47,7 +47,7 @@ def parquet_blocks(path: Path, names: list[str]) -> Iterator[RawSignals]:
     try:
         with pq.ParquetFile(path) as file:
             for batch in file.iter_batches(BLOCK_ROWS, columns=names):
-                columns = {}
+                columns: dict[str, np.ndarray] = {}
                 for name, column in zip(batch.schema.names, batch.columns, strict=True):
                     columns |= _expanded(path, name, column)
                 yield RawSignals("", tuple(columns), None, np.column_stack(list(columns.values())))

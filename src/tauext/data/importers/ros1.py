@@ -56,7 +56,8 @@ class _readable:
     def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
         # What rosbags meets in damaged bytes is of many types: struct, assertion, decompressor, its own.
         if isinstance(error, Exception) and not isinstance(error, RecordingError):
+            cause = " ".join(str(error).split()) or type(error).__name__
             raise RecordingError(
-                f"{self._path}: cannot be read as a ROS 1 bag ({' '.join(str(error).split()) or kind.__name__}); "
+                f"{self._path}: cannot be read as a ROS 1 bag ({cause}); "
                 "a bag that was not closed can be repaired: rosbag reindex"
             ) from error

@@ -49,7 +49,7 @@ def open_ros2(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
     return [RawRecording(path.stem if path.is_file() else path.name, path, "ROS 2 bag", blocks, notes, counts)]
 
 
-def _storage_files(path: Path) -> tuple[list[Path | _Folder], list[str]]:
+def _storage_files(path: Path) -> tuple[Sequence[Path | _Folder], list[str]]:
     if path.is_file():
         return [path], []
     found = sorted((p for p in path.iterdir() if p.suffix in SUFFIXES), key=_by_number)
@@ -109,7 +109,7 @@ def _opened(file: Path | _Folder) -> Iterator[Any]:
 
     try:
         if isinstance(file, _Folder):
-            storage = DirectoryReader(file.path)
+            storage: Any = DirectoryReader(file.path)
         else:
             # rosbags goes by the suffix; a file is what it begins with.
             with file.open("rb") as raw:

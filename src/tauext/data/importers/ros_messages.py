@@ -103,7 +103,9 @@ def any_messages(topic: str, raw: Sequence[bytes], deserialize: Deserialize) -> 
     Raises:
         RecordingError: messages that do not all hold the same numbers.
     """
-    rows, names, t_ns = [], (), []
+    rows: list[list[float]] = []
+    names: tuple[str, ...] = ()
+    t_ns = []
     for message in map(deserialize, raw):
         numbers = dict(_numbers(message, ""))
         if rows and tuple(numbers) != names:

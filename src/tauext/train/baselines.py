@@ -28,7 +28,7 @@ def train_baselines(
 ) -> dict[str, Path]:
     """Train the baselines into folder/NAME.tauext; their bundles by name, simplest first.
 
-    LimitsKind keep one and the same promise where the dataset has calibration recordings; else they are the paper's. What
+    Limits keep one and the same promise where the dataset has calibration recordings; else they are the paper's. What
     is finished with these settings is kept. What cannot exist for the case is left out, and the reporter told why.
 
     Args:

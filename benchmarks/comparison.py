@@ -87,7 +87,8 @@ def tables(out: Path) -> str:
     """Of every results.json that is there, one line a method."""
     parts = []
     for path in sorted(out.glob("*/results.json")):
-        parts += [f"\n**{path.parent.name}**\n", HEAD, *(line(case) for case in json.loads(path.read_text())["cases"])]
+        bundles = json.loads(path.read_text())["bundles"]
+        parts += [f"\n**{path.parent.name}**\n", HEAD, *map(line, bundles)]
     return "\n".join(parts)
 
 
@@ -106,13 +107,13 @@ COLUMNS = (
 HEAD = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|"
 
 
-def line(case: dict) -> str:
-    free, limits, latched = case["free_motion"], case["limits"], case["latched"]
+def line(bundle: dict) -> str:
+    free, limits, latched = bundle["free_motion"], bundle["limits"], bundle["latched"]
     low, high = free["false_collisions_interval_per_hour"]
     promised = "none" if free["promised_per_hour"] is None else f"{free['promised_per_hour']:.3f}"
     delays = (latched["delay_against_sensor_median_s"], latched["delay_against_sensor_p95_s"])
     cells = [
-        case["name"],
+        bundle["name"],
         *(joints(free[key]) for key in ("l1_nm", "rmse_near_stiction_nm", "rmse_sliding_nm")),
         *(joints(limits[key], 1) for key in ("sliding_nm", "near_stiction_nm")),
         f"{free['false_collisions']} ({promised}; {low:.2f} to {high:.2f})",

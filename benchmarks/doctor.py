@@ -23,12 +23,12 @@ from doctor_faults import FAULTS, Case, Made, NotApplicable, beside, is_named
 from made_motion import made_motion
 from trees import Part, six_axis, urdf
 
-from tauext.data import load as load_recording
+from tauext.data import load_recording
 from tauext.doctor import Diagnosis, examine
 from tauext.rig import RigConfig
 from tauext.rig.arm import arm_xml
 from tauext.rig.recording import simulate_recording
-from tauext.robot import load
+from tauext.robot import load_tree
 
 RATE_HZ = 100.0
 PLANAR = ("rig", "parallel")
@@ -128,7 +128,7 @@ def print_settings(lines: Lines, folder: Path, options: argparse.Namespace) -> N
 
 def good_data(setting: Setting, folder: Path, minutes: float) -> tuple[Path, list]:
     path = urdf_file(folder / "setting.urdf", setting.parts)
-    return path, made_motion(load(path), minutes, setting.rate_hz, seed=3, drive=setting.drive).recordings
+    return path, made_motion(load_tree(path), minutes, setting.rate_hz, seed=3, drive=setting.drive).recordings
 
 
 def told_findings(diagnosis: Diagnosis, expected: tuple[str, ...]) -> str:
@@ -149,7 +149,7 @@ def make_case(arm: str, folder: Path, minutes: float, seed: int) -> Case:
         path.write_text(arm_xml(RigConfig()))
         count = max(2, round(minutes / 1.5))
         recordings = [simulate_recording(RigConfig(), "free", 60 * minutes / count, seed, k) for k in range(count)]
-        tree = load(path)
+        tree = load_tree(path)
         gravity = [tree.momentum(r.q, 0 * r.q)[1] for r in recordings]
         return Case(Made(recordings, gravity, []), path, minutes, 1000.0)
     path = folder / "arm.urdf"
@@ -159,7 +159,7 @@ def make_case(arm: str, folder: Path, minutes: float, seed: int) -> Case:
         path.write_text((Path(__file__).parent / "seven_axis.urdf").read_text())
     else:
         urdf_file(path, {"six": six_axis, "scara": scara, "parallel": parallel}[arm]())
-    return Case(made_motion(load(path), minutes, RATE_HZ, seed), path, minutes, RATE_HZ)
+    return Case(made_motion(load_tree(path), minutes, RATE_HZ, seed), path, minutes, RATE_HZ)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.data import Recording, load, load_split
+from tauext.data import Recording, load_recording, load_split
 from tauext.rig import RigConfig
 from tauext.rig.recording import simulate_recording
 
@@ -32,7 +32,7 @@ def main() -> None:
     options = parser.parse_args()
     bundle = _core.Bundle.load(str(options.bundle))
     names = load_split(options.dataset).calibration[-options.recordings :]
-    free = end_to_end([load(options.dataset / name) for name in names])
+    free = end_to_end([load_recording(options.dataset / name) for name in names])
     print_errors("free motion", bundle, free)
     for push_nm in (1.0, 10.0):
         print_absorbed(bundle, free, push_nm)

@@ -26,7 +26,7 @@ import numpy as np
 import pinocchio as pin
 
 import tauext
-from tauext.robot import load
+from tauext.robot import load_tree
 
 HERE = Path(__file__).parent
 ARM = HERE / "seven_axis.urdf"
@@ -41,7 +41,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=7)
     options = parser.parse_args()
 
-    tree = load(ARM)
+    tree = load_tree(ARM)
     random = np.random.default_rng(1)
     q, dq = random.uniform(-2.9, 2.9, (options.states, tree.size)), random.uniform(-2, 2, (options.states, tree.size))
     model = pin.buildModelFromUrdf(str(ARM))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tauext.data import load
+from tauext.data import load_recording
 from tauext.data.estimates import load_estimates
 
 HEALTHY_FROM_S = 0.5
@@ -30,11 +30,11 @@ NEAR_S = 0.2
 def ur3_tables(folder: Path) -> str:
     errors, alarms = [], []
     for data, label in UR3_SETS.items():
-        for case in results(folder / f"{data}-results")["cases"]:
-            errors.append([label, case["name"], *error_cells(case, folder / data, "id2-test")])
-            found = case["collisions"][0]
+        for bundle in results(folder / f"{data}-results")["bundles"]:
+            errors.append([label, bundle["name"], *error_cells(bundle, folder / data, "id2-test")])
+            found = bundle["collisions"][0]
             hit = f"after {1e3 * found['delay_s']:.0f} ms ({found['joint']})" if found["found"] else "missed"
-            rose = rises(folder, f"run {data}-bundles/{case['name']}.tauext ")
+            rose = rises(folder, f"run {data}-bundles/{bundle['name']}.tauext ")
             near, others = [], []
             for recording, time_s, joint, level in rose:
                 spans = EVENTS.get(recording, ())
@@ -44,7 +44,7 @@ def ur3_tables(folder: Path) -> str:
                 elif not inside:
                     others.append(f"{time_s:.2f}" if recording == "id2" else f"{recording} {time_s:.2f}")
             counted = f"{len(others)}" + (f": {', '.join(others[:6])}{' ...' * (len(others) > 6)} s" if others else "")
-            alarms.append([label, case["name"], hit, "; ".join(near) or "none", counted])
+            alarms.append([label, bundle["name"], hit, "; ".join(near) or "none", counted])
     head = ["model, trained on id1 unless said", "method"]
     return "\n\n".join(
         [
@@ -58,13 +58,13 @@ def ur3_tables(folder: Path) -> str:
 
 def panda_tables(folder: Path) -> str:
     with_model, without = results(folder / "results"), results(folder / "no-model-results")
-    rows = [event_cells(case["name"], case["events"]["all"]) for case in with_model["cases"]]
-    rows += [event_cells(f"{c['name']}, no model", c["events"]["all"]) for c in without["cases"]]
+    rows = [event_cells(bundle["name"], bundle["events"]["all"]) for bundle in with_model["bundles"]]
+    rows += [event_cells(f"{c['name']}, no model", c["events"]["all"]) for c in without["bundles"]]
     rows.append(
         event_cells("the robot's own tau_ext, over its largest at rest", with_model["own_torque"]["events"]["all"])
     )
     by_file = []
-    verdicts = with_model["cases"][0]["events"]["verdicts"]
+    verdicts = with_model["bundles"][0]["events"]["verdicts"]
     for name in sorted({v["recording"] for v in verdicts}):
         of = [v for v in verdicts if v["recording"] == name]
         delays = [1e3 * v["delay_s"] for v in of if v["found"]]
@@ -94,8 +94,8 @@ def event_cells(name: str, told: dict) -> list[str]:
 
 def short_tables(recording: str) -> Callable[[Path], str]:
     def tables(folder: Path) -> str:
-        told = results(folder / "results")["cases"]
-        rows = [[case["name"], *error_cells(case, folder / "data", recording)] for case in told]
+        told = results(folder / "results")["bundles"]
+        rows = [[bundle["name"], *error_cells(bundle, folder / "data", recording)] for bundle in told]
         words = f"RMS of the error on the held-out `{recording}`, Nm, and in percent of the torque's RMS"
         return words + "\n\n" + markdown(["method", "error, Nm", "of the torque"], rows)
 
@@ -106,11 +106,11 @@ def results(folder: Path) -> dict:
     return json.loads((folder / "results.json").read_text())
 
 
-def error_cells(case: dict, data: Path, recording: str) -> list[str]:
+def error_cells(bundle: dict, data: Path, recording: str) -> list[str]:
     """RMS of the error of each joint, and its share of the torque's RMS over the same samples."""
-    told = load(data / f"{recording}.parquet")
+    told = load_recording(data / f"{recording}.parquet")
     torque = np.sqrt((told.tau[told.time_s >= HEALTHY_FROM_S] ** 2).mean(axis=0))
-    error = np.array(case["free_motion"]["l2_nm"])
+    error = np.array(bundle["free_motion"]["l2_nm"])
     return [" ".join(f"{e:.2f}" for e in error), " ".join(f"{100 * share:.0f}" for share in error / torque) + " %"]
 
 
@@ -143,7 +143,7 @@ def draw(recording: Path, estimates: Path, joints: list[int], spans: list[tuple[
 
     from tauext.report.style import CASE_COLOURS, CONTACT, GREY, RC, SENSOR
 
-    told, said = load(recording), load_estimates(estimates)
+    told, said = load_recording(recording), load_estimates(estimates)
     with rc_context(RC):
         figure = Figure(figsize=(10, 0.6 + 1.15 * len(joints)), layout="constrained")
         for axes, j in zip(figure.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0], joints, strict=True):
@@ -171,7 +171,7 @@ def ur3_figure(folder: Path, path: Path) -> None:
 
 def panda_figure(folder: Path, path: Path) -> None:
     recording = folder / "data/c3.parquet"
-    told = load(recording)
+    told = load_recording(recording)
     edges = np.flatnonzero(np.diff(np.r_[0, told.contact == 1, 0])).reshape(-1, 2)
     spans = [(told.time_s[a], told.time_s[b - 1]) for a, b in edges]
     draw(recording, folder / "results/estimates/observer/c3.parquet", [0, 1, 2, 3], spans, path)

@@ -16,9 +16,9 @@ import numpy as np
 
 from tauext import _core
 from tauext.config import PAPER_CASES, ObserverConfig
-from tauext.data import Recording, load, load_split
+from tauext.data import Recording, load_recording, load_split
 from tauext.evaluate.collisions import Collision, find_collisions
-from tauext.learn import build_chain
+from tauext.learn import build_setup
 from tauext.rig import RigConfig, simulate_dataset
 from tauext.robot import estimated_model
 
@@ -53,7 +53,7 @@ def main() -> None:
 
 def free_recordings(data: Path) -> Iterator[Recording]:
     split = load_split(data)
-    return (load(data / name) for name in sorted(split.train + split.validation + split.test))
+    return (load_recording(data / name) for name in sorted(split.train + split.validation + split.test))
 
 
 def print_cost(data: Path, minutes: float, seconds: float) -> None:
@@ -70,7 +70,7 @@ def print_extremes(data: Path) -> None:
         extremes["motor torque"] = np.maximum(extremes["motor torque"], np.abs(recording.tau).max(axis=0))
         for name, case in PAPER_CASES.items():
             tree = estimated_model(data / "robot.xml", recording.joints, case)
-            settings = build_chain(tree, recording, ObserverConfig()).observer
+            settings = build_setup(tree, recording, ObserverConfig()).observer
             seen = _core.observe(tree, settings, recording.t_ns, recording.q, recording.dq, recording.tau)
             warm = seen.residual[seen.warm.astype(bool)]
             extremes[name] = np.maximum(extremes[name], np.abs(warm).max(axis=0))
@@ -90,7 +90,7 @@ def print_collisions(data: Path) -> None:
     """How many collisions of each kind, and the spread of their sensor peaks and lengths."""
     touches: dict[str, list[Collision]] = {"pulses": [], "pads": []}
     for name in load_split(data).collisions:
-        for touch in find_collisions(load(data / name)):
+        for touch in find_collisions(load_recording(data / name)):
             touches[touch.kind].append(touch)
     print("| collisions | number | on link 1/2 | sensor peak, Nm: least, quartiles, largest | length, s |")
     print("|---|---|---|---|---|")

@@ -9,8 +9,8 @@ import numpy as np
 from tauext import _core
 from tauext.config import ObserverConfig
 from tauext.data import Recording
-from tauext.learn import build_chain, make_bundle
-from tauext.robot import load
+from tauext.learn import build_setup, make_bundle
+from tauext.robot import load_tree
 
 ARM = Path(__file__).parent / "seven_axis.urdf"
 JOINTS = tuple(f"joint{j}" for j in range(1, 8))
@@ -42,11 +42,11 @@ def motion(seconds: float, seed: int = 0) -> Recording:
 def bundle() -> _core.Bundle:
     """Windows of 100 steps, 20 hidden units, random weights: the arithmetic of a trained one."""
     made = motion(2.0)
-    chain = build_chain(load(ARM), made, ObserverConfig())
-    made_bundle = make_bundle("seven axes", chain, 0.02, made)
+    setup = build_setup(load_tree(ARM), made, ObserverConfig())
+    made_bundle = make_bundle("seven axes", setup, 0.02, made)
     rng = np.random.default_rng(1)
     made_bundle.shape = _core.LstmShape(3 * 7, HIDDEN, 7)
-    made_bundle.inputs = chain.inputs
+    made_bundle.inputs = setup.inputs
     made_bundle.input_factors = [1.0] * 14
     made_bundle.parameters = rng.normal(0, 0.3, made_bundle.shape.parameter_count).astype(np.float32).tolist()
     made_bundle.output_scale_nm = [1.0] * 7

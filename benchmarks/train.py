@@ -27,7 +27,7 @@ import numpy as np
 import tauext
 from tauext import _core
 from tauext.errors import ConfigError
-from tauext.learn import Chain, WindowSet
+from tauext.learn import Setup, WindowSet
 from tauext.learn.adam import Adam
 from tauext.learn.core_backend import CoreBackend
 
@@ -47,7 +47,7 @@ Way = Callable[[], object]
 
 
 @dataclass
-class Case:
+class Comparison:
     """What is measured in turns; the ratio to PyTorch's fastest way is wanted to be at least this."""
 
     name: str
@@ -78,9 +78,9 @@ def main() -> None:
     busy, own = busy_seconds(), time.process_time()
     for joints, wanted in ((2, (6.0, 7.0)), (7, (5.0, 5.0))):
         for threads in (1, 2):
-            show(step_case(joints, threads, wanted[threads - 1]), rounds)
+            show(step_comparison(joints, threads, wanted[threads - 1]), rounds)
     for threads in (1, 2):
-        show(evaluation_case(windows, threads, 4.0), rounds)
+        show(evaluation_comparison(windows, threads, 4.0), rounds)
     others = (busy_seconds() - busy) - (time.process_time() - own)
     print("\noutputs: largest difference to double precision; gradient: relative difference, likewise")
     print(
@@ -88,18 +88,18 @@ def main() -> None:
     )
 
 
-def step_case(joints: int, threads: int, wanted: float) -> Case:
+def step_comparison(joints: int, threads: int, wanted: float) -> Comparison:
     """Gradient and Adam, from rows and window ends to new parameters."""
-    chain, windows = made_windows(joints, 30_000)
+    setup, windows = made_windows(joints, 30_000)
     ends = np.random.default_rng(1).choice(windows.ends, BATCH, replace=False)
-    core = CoreBackend(chain, windows, HIDDEN, STEPS, targets=1, threads=threads)
+    core = CoreBackend(setup, windows, HIDDEN, STEPS, targets=1, threads=threads)
     start = core.initial_parameters(0).astype(np.float32)
     ways: dict[str, Way] = {CORE: in_the_loop(core, ends)}
     accuracy = {}
     if torch:
-        x, y = written_out(chain, windows, ends), windows.target_rows[ends]
+        x, y = written_out(setup, windows, ends), windows.target_rows[ends]
         exact = double_precision(core.shape, start, x, y)
-        own = torch_backend.TorchBackend(torch_backend.lstm_module(chain, HIDDEN, 0), chain, windows, STEPS, targets=1)
+        own = torch_backend.TorchBackend(torch_backend.lstm_module(setup, HIDDEN, 0), setup, windows, STEPS, targets=1)
         for layout in ("batch first", "time first"):
             way, result = pytorch_step(core.shape, start, x, y, layout)
             ways[f"PyTorch, {layout}"] = way
@@ -108,33 +108,33 @@ def step_case(joints: int, threads: int, wanted: float) -> Case:
         for name, backend in ((CORE, core), (BACKEND, own)):
             result = backend.predict(start, windows, ends), backend.gradient(start, ends)[1]
             accuracy[name] = differences(result, exact)
-    name = f"step: {BATCH} x {STEPS}, F {len(chain.inputs)}, {joints} outputs"
-    return Case(name, threads, wanted, ways, accuracy, runs=10)
+    name = f"step: {BATCH} x {STEPS}, F {len(setup.inputs)}, {joints} outputs"
+    return Comparison(name, threads, wanted, ways, accuracy, runs=10)
 
 
-def evaluation_case(count: int, threads: int, wanted: float) -> Case:
+def evaluation_comparison(count: int, threads: int, wanted: float) -> Comparison:
     """Output of windows that end at every row of a recording."""
-    chain, windows = made_windows(2, count)
-    core = CoreBackend(chain, windows, HIDDEN, STEPS, targets=1, threads=threads)
+    setup, windows = made_windows(2, count)
+    core = CoreBackend(setup, windows, HIDDEN, STEPS, targets=1, threads=threads)
     start = core.initial_parameters(0).astype(np.float32)
     ways: dict[str, Way] = {CORE: lambda: core.predict(start, windows, windows.ends)}
     accuracy = {}
     if torch:
         some = windows.ends[:: max(1, count // BATCH)]
-        exact = double_precision(core.shape, start, written_out(chain, windows, some), windows.target_rows[some])[0]
-        own = torch_backend.TorchBackend(torch_backend.lstm_module(chain, HIDDEN, 0), chain, windows, STEPS, targets=1)
+        exact = double_precision(core.shape, start, written_out(setup, windows, some), windows.target_rows[some])[0]
+        own = torch_backend.TorchBackend(torch_backend.lstm_module(setup, HIDDEN, 0), setup, windows, STEPS, targets=1)
         for reading in ("view", "gathered"):
             for batch in (1000, 4000):
-                way = pytorch_evaluation(core.shape, start, chain, windows, reading, batch)
+                way = pytorch_evaluation(core.shape, start, setup, windows, reading, batch)
                 ways[f"PyTorch, {reading}, {batch} at once"] = way
         ways[BACKEND] = lambda: own.predict(start, windows, windows.ends)
         for name, way in ways.items():
             accuracy[name] = differences((way()[:: max(1, count // BATCH)], None), (exact, None))
-    return Case(f"evaluation: {count} windows x {STEPS}, F 6", threads, wanted, ways, accuracy, runs=1)
+    return Comparison(f"evaluation: {count} windows x {STEPS}, F 6", threads, wanted, ways, accuracy, runs=1)
 
 
-def made_windows(joints: int, count: int) -> tuple[Chain, WindowSet]:
-    """Random rows at the network period and every window that ends in them; the chain lends its inputs alone."""
+def made_windows(joints: int, count: int) -> tuple[Setup, WindowSet]:
+    """Random rows at the network period and every window that ends in them; the setup lends its inputs alone."""
     links = []
     for k in range(joints):
         link = _core.Link()
@@ -143,18 +143,18 @@ def made_windows(joints: int, count: int) -> tuple[Chain, WindowSet]:
     observer = _core.ObserverSettings(
         gain_per_s=20.0, timing=_core.TorqueTiming.held, sample_period_ns=10_000_000, network_stride=1
     )
-    chain = Chain(_core.Tree(links, [0, 0, -9.81]), observer, STEPS)
+    setup = Setup(_core.Tree(links, [0, 0, -9.81]), observer, STEPS)
     rng = np.random.default_rng(joints)
-    rows = rng.uniform(-1, 1, (count + chain.reach, 2 * joints)).astype(np.float32)
+    rows = rng.uniform(-1, 1, (count + setup.reach, 2 * joints)).astype(np.float32)
     targets = rng.uniform(-1, 1, (len(rows), joints)).astype(np.float32)
-    ends = np.arange(chain.reach, len(rows), dtype=np.int64)
-    return chain, WindowSet(rows, targets, ends, np.zeros_like(ends))
+    ends = np.arange(setup.reach, len(rows), dtype=np.int64)
+    return setup, WindowSet(rows, targets, ends, np.zeros_like(ends))
 
 
-def written_out(chain: Chain, windows: WindowSet, ends: np.ndarray) -> np.ndarray:
+def written_out(setup: Setup, windows: WindowSet, ends: np.ndarray) -> np.ndarray:
     """The windows that end at these rows: (N, T, F)."""
     steps = ends[:, None] + np.arange(1 - STEPS, 1)
-    return np.stack([windows.rows[steps - lag, column] for column, lag in chain.inputs], axis=-1)
+    return np.stack([windows.rows[steps - lag, column] for column, lag in setup.inputs], axis=-1)
 
 
 def in_the_loop(backend: CoreBackend | torch_backend.TorchBackend, ends: np.ndarray) -> Way:
@@ -198,17 +198,17 @@ def pytorch_step(
 
 
 def pytorch_evaluation(
-    shape: _core.LstmShape, parameters: np.ndarray, chain: Chain, windows: WindowSet, reading: str, batch: int
+    shape: _core.LstmShape, parameters: np.ndarray, setup: Setup, windows: WindowSet, reading: str, batch: int
 ) -> Way:
     """All windows of the rows, so many at once, time first: out of a view into the rows, or gathered by index."""
     lstm, head = torch_backend.lstm_from_parameters(shape, parameters)
     lstm.batch_first = False
-    inputs = np.stack([np.roll(windows.rows[:, column], lag) for column, lag in chain.inputs], axis=-1)
+    inputs = np.stack([np.roll(windows.rows[:, column], lag) for column, lag in setup.inputs], axis=-1)
     rows, ends, steps = torch.from_numpy(inputs), torch.from_numpy(windows.ends), torch.arange(1 - STEPS, 1)
 
     def evaluate() -> np.ndarray:
         if reading == "view":
-            view = rows[chain.reach - STEPS + 1 :].unfold(0, STEPS, 1).permute(2, 0, 1)  # (T, N, F)
+            view = rows[setup.reach - STEPS + 1 :].unfold(0, STEPS, 1).permute(2, 0, 1)  # (T, N, F)
             batches = view.split(batch, dim=1)
         else:
             batches = (rows[some + steps[:, None]] for some in ends.split(batch))
@@ -234,16 +234,16 @@ def differences(result: tuple, exact: tuple) -> tuple[float | None, float | None
     return np.abs(result[0] - exact[0]).max(), gradient
 
 
-def show(case: Case, rounds: int) -> None:
+def show(comparison: Comparison, rounds: int) -> None:
     """Measure the ways in turns and print a line for ours, for PyTorch's fastest and for our PyTorch backend."""
-    times: dict[str, list[float]] = {name: [] for name in case.ways}
+    times: dict[str, list[float]] = {name: [] for name in comparison.ways}
     if torch:
-        torch.set_num_threads(case.threads)
+        torch.set_num_threads(comparison.threads)
     for _ in range(rounds):
-        for name, way in case.ways.items():
+        for name, way in comparison.ways.items():
             time.sleep(PAUSE_S)
             way()
-            for _ in range(case.runs):
+            for _ in range(comparison.runs):
                 start = time.perf_counter()
                 way()
                 times[name].append(1e3 * (time.perf_counter() - start))
@@ -253,9 +253,9 @@ def show(case: Case, rounds: int) -> None:
         if name not in times:
             continue
         ms, ratio = times[name], medians[name] / medians[CORE]
-        first = f"{case.name:42}{case.threads:8}" if name == CORE else " " * 50
-        wanted = f" (wanted {case.wanted:.0f})" if name == fastest else ""
-        accuracy = ", ".join("-" if a is None else f"{a:.0e}" for a in case.accuracy.get(name, (None, None)))
+        first = f"{comparison.name:42}{comparison.threads:8}" if name == CORE else " " * 50
+        wanted = f" (wanted {comparison.wanted:.0f})" if name == fastest else ""
+        accuracy = ", ".join("-" if a is None else f"{a:.0e}" for a in comparison.accuracy.get(name, (None, None)))
         line = f"{first}  {name:31}{medians[name]:8.2f}{min(ms):9.2f}{max(ms):9.2f}{ratio:7.1f}   {accuracy}{wanted}"
         print(line, flush=True)
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from unseen.arms import Maker, makers
 from unseen.recordings import TAKES, description, write_take
-from unseen.results import markdown, read_cases
+from unseen.results import markdown, read_outcomes
 
 MODELS = {"urdf": True, "none": False}
 
@@ -38,14 +38,14 @@ def main() -> None:
             parser.error(f"--arms {name}: must be of {', '.join(known)}")
         if not known[name].model.is_file():
             parser.error(f"{known[name].model}: there is no such file; MODELS is the folder of the arms' URDFs")
-    cases = []
+    outcomes = []
     for name in options.arms:
         folder = options.out / name
         make(known[name], folder, options.seed, options.workers)
         for model in MODELS:
             judge(folder, model, options.recipes)
-            cases += read_cases(known[name], options.seed, model, folder)
-    text = markdown(cases, "python benchmarks/unseen_arms.py MODELS OUT")
+            outcomes += read_outcomes(known[name], options.seed, model, folder)
+    text = markdown(outcomes, "python benchmarks/unseen_arms.py MODELS OUT")
     (options.out / "README.md").write_text(text)
     print(text)
 

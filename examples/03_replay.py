@@ -10,32 +10,30 @@ from __future__ import annotations
 
 import sys
 
-from tauext import _core
-from tauext.data import expect_fit, load
-from tauext.errors import TauextError
+import tauext
 
 ACKNOWLEDGE_AFTER_NS = 1_000_000_000
 
 
-def describe(t_ns: int, joints: list[str], e: _core.Estimate) -> str:
+def describe(t_ns: int, joints: list[str], units: list[str], e: tauext.Estimate) -> str:
     """One line: when, health and why, alarm and where."""
     line = f"{t_ns * 1e-9:.3f} s: health {e.health.name}, alarm {e.alarm.name}"
     if e.alarm_joint >= 0:
-        line += f" on {joints[e.alarm_joint]} (tau_ext {e.tau_ext[e.alarm_joint]:.1f} N m)"
+        line += f" on {joints[e.alarm_joint]} (tau_ext {e.tau_ext[e.alarm_joint]:.1f} {units[e.alarm_joint]})"
     return ", ".join([line, *e.causes])
 
 
 def replay(bundle_path: str, recording_path: str) -> None:
-    bundle, recording = _core.Bundle.load(bundle_path), load(recording_path)
-    expect_fit(bundle, recording)  # joints, rate, what a torque sample means
-    monitor = _core.Monitor(bundle)
+    bundle, recording = tauext.load_bundle(bundle_path), tauext.load_recording(recording_path)
+    tauext.expect_fit(bundle, recording)  # joints, rate, what a torque sample means
+    monitor = tauext.Monitor(bundle)
     before, clear = None, 0
     for t_ns, q, dq, tau in zip(recording.t_ns.tolist(), recording.q, recording.dq, recording.tau, strict=True):
         e = monitor.step(t_ns, q, dq, tau)
         clear += e.clear  # healthy and no alarm: the only thing that means "no collision"
         if (e.health, e.alarm) != before:
-            print(describe(t_ns, monitor.joint_names, e))
-        if e.alarm == _core.Alarm.collision and t_ns - e.alarm_t_ns >= ACKNOWLEDGE_AFTER_NS:
+            print(describe(t_ns, monitor.joint_names, monitor.estimate_units, e))
+        if e.alarm == tauext.Alarm.collision and t_ns - e.alarm_t_ns >= ACKNOWLEDGE_AFTER_NS:
             monitor.acknowledge()
         before = e.health, e.alarm
     print(f"{recording.samples} samples, {clear} of them clear")
@@ -47,7 +45,7 @@ def main() -> int:
         return 2
     try:
         replay(*sys.argv[1:])
-    except TauextError as error:  # a file that is missing, damaged or does not fit the other
+    except tauext.TauextError as error:  # a file that is missing, damaged or does not fit the other
         print(error, file=sys.stderr)
         return 2
     return 0

@@ -12,8 +12,7 @@ import time
 
 import numpy as np
 
-from tauext import _core
-from tauext.errors import TauextError
+import tauext
 from tauext.live import Loop, LoopReport, LoopSettings, Sample, SourceCounts, SourceSettings, Verdict
 
 
@@ -72,9 +71,9 @@ def main() -> int:
         return 2
     try:
         settings = LoopSettings(duration_s=float(sys.argv[2]) if len(sys.argv) > 2 else 10.0)
-        loop = Loop(_core.Bundle.load(sys.argv[1]), MyArm(), [Printer()], settings=settings)
+        loop = Loop(tauext.load_bundle(sys.argv[1]), MyArm(), [Printer()], settings=settings)
         loop.run()
-    except TauextError as error:
+    except tauext.TauextError as error:
         print(error, file=sys.stderr)
         return 2
     print(f"{loop.samples} samples")

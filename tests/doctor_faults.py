@@ -16,7 +16,7 @@ from tauext.data.recording import FLAGS, SIGNALS
 from tauext.doctor import Diagnosis, Finding
 from tauext.doctor.motion import low_pass
 from tauext.doctor.payload import with_load
-from tauext.robot import load
+from tauext.robot import load_tree
 
 J = 1
 """The joint that is broken: the second, which carries the arm."""
@@ -38,7 +38,7 @@ class Case:
 
     @property
     def tree(self) -> _core.Tree:
-        return load(self.urdf, self.made.recordings[0].joints)
+        return load_tree(self.urdf, self.made.recordings[0].joints)
 
     def anew(self, tree: _core.Tree, **options: object) -> list[Recording]:
         self.needs_urdf()

@@ -13,7 +13,7 @@ from arms import no_model, planar_arm
 from tauext import _core
 from tauext.config import ObserverConfig
 from tauext.data import Recording
-from tauext.learn import build_chain, make_bundle
+from tauext.learn import build_setup, make_bundle
 
 JOINTS = ("shoulder", "elbow")
 LIMIT_NM = 2.0
@@ -51,12 +51,12 @@ def pushed(
 def watching_bundle(network: bool = True, hold_s: float = 0.005, contact_nm: float = LIMIT_NM / 2) -> _core.Bundle:
     """Limits of 2 Nm sliding and 3 near stiction; the network is random and small, its window a tenth of a second."""
     made = pushed(pushes=())
-    chain = build_chain(no_model(planar_arm()), made, ObserverConfig(window_s=0.1))
-    bundle = make_bundle("watching", chain, 0.02, made)
+    setup = build_setup(no_model(planar_arm()), made, ObserverConfig(window_s=0.1))
+    bundle = make_bundle("watching", setup, 0.02, made)
     if network:
         rng = np.random.default_rng(3)
         bundle.shape = _core.LstmShape(6, 4, 2)
-        bundle.inputs = chain.inputs
+        bundle.inputs = setup.inputs
         bundle.input_factors = [1.0, 1.0, 0.5, 0.5]
         bundle.parameters = rng.normal(0, 0.4, bundle.shape.parameter_count).astype(np.float32).tolist()
         bundle.output_scale_nm = [0.5, 0.5]

@@ -10,9 +10,9 @@ from types import SimpleNamespace
 import numpy as np
 from scipy.signal import lfilter
 
-from tauext.data import Recording, Split, save, save_split
+from tauext.data import Recording, Split, save_recording, save_split
 from tauext.data.estimates import COLLISION, OK, WARMING_UP, Estimates, save_estimates
-from tauext.evaluate.case import CaseMeasures
+from tauext.evaluate.bundle_measures import BundleMeasures
 from tauext.evaluate.collisions import choose_ten, find_collisions
 from tauext.evaluate.reference import sensor_reference
 from tauext.evaluate.sanity import sanity_detectors
@@ -21,15 +21,15 @@ RATE_HZ = 1000
 WARM_S = 1.5
 NEAR_STICTION_RAD_S = 0.02
 MODEL_ERROR_NM = {"exact": 0.0, "mass": 28.0, "com": 18.0, "mass+com": 38.0, "none": 55.0}
-CASES = tuple(MODEL_ERROR_NM)
-SEVEN_CASES = ("none-paper", "exact-paper", *CASES)
+BUNDLES = tuple(MODEL_ERROR_NM)
+SEVEN_BUNDLES = ("none-paper", "exact-paper", *BUNDLES)
 STEPS = {"paper": 189_000, "dense": 20_000}
 
 
 def make_results(
     folder: Path,
     joints: int = 2,
-    cases: Sequence[str] = CASES,
+    bundles: Sequence[str] = BUNDLES,
     seconds: float = 40.0,
     test_recordings: int = 2,
     collision_recordings: int = 2,
@@ -43,44 +43,44 @@ def make_results(
     free = [make_recording(f"free-{k:03d}", joints, seconds, False, rng) for k in range(test_recordings)]
     touched = [make_recording(f"collisions-{k:03d}", joints, seconds, True, rng) for k in range(collision_recordings)]
     for recording in free + touched:
-        save(recording, data / f"{recording.name}.parquet")
+        save_recording(recording, data / f"{recording.name}.parquet")
     others = [f"free-{k:03d}.parquet" for k in range(len(free), len(free) + 2)]
     for name in others:
-        save(free[0], data / name)
+        save_recording(free[0], data / name)
     names = [[f"{r.name}.parquet" for r in part] for part in (free, touched)]
     save_split(Split((others[0],), (others[1],), names[0], names[1]), data)
 
-    limits = {case: np.linspace(4.4, 2.6, joints) * (1 + 0.04 * k) for k, case in enumerate(cases)}
+    limits = {name: np.linspace(4.4, 2.6, joints) * (1 + 0.04 * k) for k, name in enumerate(bundles)}
     touches = [touch for recording in touched for touch in find_collisions(recording)]
     ten = choose_ten(touches, np.max(list(limits.values()), axis=0), seed)
     entries = []
-    variants = any(case.endswith("-paper") for case in cases)
-    for case in cases:
-        recipe = "dense" if variants and not case.endswith("-paper") else "paper"
-        (results / "estimates" / case).mkdir(parents=True)
+    variants = any(name.endswith("-paper") for name in bundles)
+    for name in bundles:
+        recipe = "dense" if variants and not name.endswith("-paper") else "paper"
+        (results / "estimates" / name).mkdir(parents=True)
         promise = {"asked": {"rate_per_hour": 0.125}, "supported": True}
-        trained = {"recipe": recipe, "case": case, "steps": STEPS[recipe], "epochs": 500, "batch": 1000}
+        trained = {"recipe": recipe, "case": name, "steps": STEPS[recipe], "epochs": 500, "batch": 1000}
         bundle = SimpleNamespace(  # what is measured of a bundle beside its estimates
-            name=case,
+            name=name,
             joints=joints,
             near_stiction_rad_s=NEAR_STICTION_RAD_S,
             hold_s=0.0,
             observer=SimpleNamespace(gain_per_s=20.0),
-            sliding_limit_nm=limits[case].tolist(),
-            near_stiction_limit_nm=(2 * limits[case]).tolist(),
+            sliding_limit_nm=limits[name].tolist(),
+            near_stiction_limit_nm=(2 * limits[name]).tolist(),
             provenance=json.dumps(trained | {"limits": {"promise": promise}}),
         )
-        measures = CaseMeasures(case, bundle)
+        measures = BundleMeasures(name, bundle)
         for recording in free + touched:
-            estimates = make_estimates(recording, case, limits[case], rng)
-            save_estimates(estimates, results / "estimates" / case / f"{recording.name}.parquet")
+            estimates = make_estimates(recording, name, limits[name], rng)
+            save_estimates(estimates, results / "estimates" / name / f"{recording.name}.parquet")
             if recording in free:
                 measures.add_free(recording, estimates)
             else:
                 here = [touch for touch in touches if touch.recording == recording.name]
                 measures.add_touched(here, recording, estimates, sensor_reference(recording, 20.0))
         history = make_loss_history(STEPS[recipe], rng)
-        entries.append(measures.summary(touches, ten, history) | {"train_minutes": 3.4})
+        entries.append(measures.summary(touches, ten, history))
     ignorant = sanity_detectors(seed)
     for number, recording in enumerate(free + touched):
         for detector in ignorant:
@@ -90,7 +90,7 @@ def make_results(
                 here = [touch for touch in touches if touch.recording == recording.name]
                 detector.add_collisions(number, here, recording, estimates)
     content = {
-        "format": 2,
+        "format": 3,
         "provenance": {
             "command": "tauext reproduce --scale quick --seed 0",
             "version": "0.1.0",
@@ -103,7 +103,7 @@ def make_results(
         "near_stiction_rad_s": NEAR_STICTION_RAD_S,
         "ten_collisions": ten,
         "collisions": [touch.summary() for touch in touches],
-        "cases": entries,
+        "bundles": entries,
         "sanity": [detector.summary() for detector in ignorant],
     }
     (results / "results.json").write_text(json.dumps(content, indent=1, allow_nan=False))
@@ -178,10 +178,10 @@ def low_pass(x: np.ndarray) -> np.ndarray:
     return lfilter([1 - a], [1, -a], x, axis=0)
 
 
-def make_estimates(recording: Recording, case: str, limit_nm: np.ndarray, rng: np.random.Generator) -> Estimates:
-    """An observer that sees friction, the case's model error and the push; a network that errs most near stiction."""
+def make_estimates(recording: Recording, name: str, limit_nm: np.ndarray, rng: np.random.Generator) -> Estimates:
+    """An observer that sees friction, the model's error and the push; a network that errs most near stiction."""
     n = len(recording.joints)
-    model = MODEL_ERROR_NM.get(case.removesuffix("-paper"), 10.0) * np.cos(recording.q) * np.linspace(1, 0.3, n)
+    model = MODEL_ERROR_NM.get(name.removesuffix("-paper"), 10.0) * np.cos(recording.q) * np.linspace(1, 0.3, n)
     uncertainty = low_pass(-friction(recording.dq) - model)
     near = np.abs(recording.dq) < NEAR_STICTION_RAD_S
     white = rng.standard_normal(recording.q.shape)

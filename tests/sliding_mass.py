@@ -9,7 +9,7 @@ from tauext import _core
 from tauext.config import ObserverConfig
 from tauext.data import Recording
 from tauext.data.estimates import OK, WARMING_UP, Estimates
-from tauext.learn import build_chain, make_bundle
+from tauext.learn import build_setup, make_bundle
 
 MASS = 2.0
 
@@ -61,8 +61,8 @@ def pushed(name: str, force: float, begin: int = 1000, end: int = 1400, samples:
 
 def observer_bundle(limit_nm: float = 2.0, gain_per_s: float = 20.0) -> _core.Bundle:
     made = recording()
-    chain = build_chain(prismatic_mass(MASS), made, ObserverConfig(gain_per_s=gain_per_s))
-    bundle = make_bundle("observer", chain, 0.02, made)
+    setup = build_setup(prismatic_mass(MASS), made, ObserverConfig(gain_per_s=gain_per_s))
+    bundle = make_bundle("observer", setup, 0.02, made)
     bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [limit_nm]
     bundle.provenance = json.dumps({"recipe": "observer", "steps": 0})
     return bundle

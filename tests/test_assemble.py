@@ -16,7 +16,7 @@ from tauext.data import description, from_amperes, in_amperes
 from tauext.data.assemble import assemble
 from tauext.data.description_file import parse_arm
 from tauext.data.description_template import Guess, guess, template
-from tauext.data.importers import RawSignals, Source, open_source
+from tauext.data.importers import RawRecording, RawSignals, open_raw
 from tauext.data.merge import interpolated
 from tauext.data.stamps import fresh, ordered
 from tauext.data.velocity import derived_velocity
@@ -46,7 +46,7 @@ def arm(robot="", time="", q="", dq="", tau="", rest=""):
     return parse_arm(ARM.format(robot=robot, time=time, q=q, dq=dq, tau=tau, rest=rest))
 
 
-def a_source(t_ns, *, block: int = 100, **arrays) -> Source:
+def a_source(t_ns, *, block: int = 100, **arrays) -> RawRecording:
     """Arrays (samples, joints) or (samples,) as the blocks of a source."""
     columns = {}
     for name, values in arrays.items():
@@ -58,7 +58,7 @@ def a_source(t_ns, *, block: int = 100, **arrays) -> Source:
             rows = slice(first, first + block)
             yield RawSignals("", tuple(columns), t_ns[rows], np.column_stack(list(columns.values()))[rows])
 
-    return Source("run", Path("run.csv"), "test", blocks)
+    return RawRecording("run", Path("run.csv"), "test", blocks)
 
 
 def one(source, description):
@@ -195,7 +195,7 @@ def test_topics_are_merged_onto_the_torques_stamps(tmp_path):
         topic = "/torques"
         """
     )
-    recording = one(*open_source(path, described.topics), described)
+    recording = one(*open_raw(path, described.topics), described)
     np.testing.assert_array_equal(recording.t_ns, t_ns[:-1] + 3_000_000)  # the last has no position after it
     np.testing.assert_allclose(recording.q, line[:-1] + 0.003, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(recording.tau, 2 * line[:-1])
@@ -260,7 +260,7 @@ def test_labels_and_intervals_become_contact():
 def test_a_source_without_a_clock_needs_a_column_of_times_or_a_rate():
     t_ns, q, dq, tau = motion(joints=2)
     source = a_source(t_ns, q=q, dq=dq, tau=tau, t=(t_ns - t_ns[0]) * 1e-6)
-    clockless = Source(
+    clockless = RawRecording(
         "run", Path("run.csv"), "test", lambda: (dataclasses.replace(b, t_ns=None) for b in source.blocks())
     )
     with pytest.raises(RecordingError, match="it has no clock: name its column of times"):
@@ -314,7 +314,7 @@ def test_joint_names_choose_columns_whatever_their_order(tmp_path):
         '[robot]\njoints = ["j3", "j1"]\nnames = ["tip", "base"]\n[signals.q]\ncolumns = "position"\n'
         '[signals.tau]\ncolumns = "effort[{joint}]"'
     )
-    recording = one(*open_source(path), described)
+    recording = one(*open_raw(path), described)
     np.testing.assert_array_equal(recording.q, motion()[1][:, [2, 0]])
     np.testing.assert_array_equal(recording.tau, motion()[3][:, [2, 0]])
 

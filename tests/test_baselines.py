@@ -10,14 +10,14 @@ import pytest
 from tauext import _core
 from tauext.cli import main
 from tauext.config import PAPER_CASES, AlarmConfig, FilterConfig, TrainConfig
-from tauext.data import Dataset
+from tauext.data import Dataset, load_dataset
 from tauext.errors import BundleError, ConfigError
 from tauext.progress import Silent
 from tauext.recipes import baselines
 from tauext.rig import RigConfig, simulate_dataset
 from tauext.rig.recording import simulate_recording
 from tauext.robot import estimated_model
-from tauext.train import finished, train_baselines, train_bundle, training_settings
+from tauext.train import finished, train_baselines, train_on_recordings, training_settings
 
 EXACT = PAPER_CASES["exact"]
 BUDGET = AlarmConfig(false_alarms=1, in_hours=0.005)
@@ -29,7 +29,7 @@ def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("baselines") / "data"
     config = replace(RigConfig(), recording_s=10.0)
     simulate_dataset(folder, config, 1, 2.0, 0, calibration_hours=60 / 3600)
-    return Dataset.open(folder)
+    return load_dataset(folder)
 
 
 def trained(dataset, out: Path, case="exact", **settings) -> _core.Bundle:
@@ -37,7 +37,7 @@ def trained(dataset, out: Path, case="exact", **settings) -> _core.Bundle:
     robot = dataset.robot_file(None)
     training, validation = dataset.recordings("train"), dataset.recordings("validation")
     tree = estimated_model(robot, training[0].joints, PAPER_CASES[case])
-    train_bundle(tree, robot, PAPER_CASES[case], training, validation, TrainConfig(**settings), out)
+    train_on_recordings(tree, robot, PAPER_CASES[case], training, validation, TrainConfig(**settings), out)
     return _core.Bundle.load(str(out))
 
 
@@ -146,7 +146,7 @@ def test_two_minutes_are_enough_for_the_whole_recipe(tmp_path):
 
     robot.write_text(arm_xml(RigConfig()))
     config = TrainConfig(recipe="tauext", minutes=2.0, max_steps=50, batch=8)
-    train_bundle(estimated_model(robot, made[0].joints, EXACT), robot, EXACT, made[:3], made[3:], config, out)
+    train_on_recordings(estimated_model(robot, made[0].joints, EXACT), robot, EXACT, made[:3], made[3:], config, out)
     bundle = _core.Bundle.load(str(out))
     facts, run = json.loads(bundle.provenance), json.loads(out.with_suffix(".run.json").read_text())
     assert facts["training_minutes"] == run["training_minutes"] == 2.0
@@ -182,7 +182,7 @@ def test_calibrate_gives_a_bundle_the_limits_that_training_would_and_changes_not
     before = (tmp_path / "bundle.tauext").read_bytes()
     robot, training = dataset.robot_file(None), dataset.recordings("train")
     promised = tmp_path / "trained" / "bundle.tauext"
-    train_bundle(
+    train_on_recordings(
         estimated_model(robot, training[0].joints, EXACT),
         robot,
         EXACT,

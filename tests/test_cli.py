@@ -106,16 +106,16 @@ def test_every_make_target_and_link_of_the_readme_exists():
 def test_reproduce_covers_all_five_cases_and_prints_the_report_last(workplace, again):
     assert again.code == 0 and again.out.splitlines()[-1] == "runs/quick/report/report.html"
     results = json.loads((workplace / "runs/quick/results/results.json").read_text())
-    assert [case["name"] for case in results["cases"]] == ["exact", "mass", "com", "mass+com", "none"]
+    assert [bundle["name"] for bundle in results["bundles"]] == ["exact", "mass", "com", "mass+com", "none"]
     assert results["provenance"]["scale"] == "smoke"
-    assert all(case["loss_history"][-1][0] == case["steps"] for case in results["cases"])
+    assert all(bundle["loss_history"][-1][0] == bundle["steps"] for bundle in results["bundles"])
 
 
 def test_reproduce_a_second_time_gives_the_same_results_and_trains_nothing_anew(workplace, again):
     assert again.code == 0
     assert (workplace / "runs/quick/bundles/exact.tauext").stat().st_mtime_ns == again.written_ns
     results = (workplace / "runs/quick/results/results.json").read_bytes()
-    assert json.loads(results)["cases"] == json.loads(again.before)["cases"]
+    assert json.loads(results)["bundles"] == json.loads(again.before)["bundles"]
 
 
 def test_the_same_seed_gives_the_same_bundle_bytes_in_another_folder(workplace, capsys, tmp_path):

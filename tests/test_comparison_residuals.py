@@ -13,8 +13,8 @@ from tauext import _core
 from tauext.calibrate import paper_limits, promised_limits
 from tauext.config import AlarmConfig, FilterConfig, TrainConfig
 from tauext.errors import TrainingError
-from tauext.learn import build_chain, make_bundle
-from tauext.learn.training_set import Chain
+from tauext.learn import build_setup, make_bundle
+from tauext.learn.training_set import Setup
 
 GAIN, DURATION_S = 20.0, 2.0
 FINE = 20  # steps of the twin in a sample
@@ -141,10 +141,10 @@ def test_a_slow_low_pass_prolongs_the_warm_up_and_a_high_pass_does_not():
     zeros = np.zeros((1500, 1))
 
     def first_warm(**filters):
-        chain = Chain(prismatic_mass(1.0), settings("momentum", **filters), window_steps=1)
-        observation = _core.observe(chain.tree, chain.observer, t_ns, zeros, zeros, zeros)
+        setup = Setup(prismatic_mass(1.0), settings("momentum", **filters), window_steps=1)
+        observation = _core.observe(setup.tree, setup.observer, t_ns, zeros, zeros, zeros)
         first = int(np.argmax(observation.warm))
-        assert chain.warm_up_s == pytest.approx(first * 1e-3)  # what messages speak of is what the core does
+        assert setup.warm_up_s == pytest.approx(first * 1e-3)  # what messages speak of is what the core does
         return first
 
     assert first_warm() == first_warm(high_pass_per_s=0.1) == first_warm(low_pass_per_s=50.0) == 500
@@ -155,8 +155,8 @@ def test_the_warm_up_of_a_recipe_counts_its_low_pass_and_messages_name_it():
     slow = TrainConfig(recipe="bandpass", filters=FilterConfig(high_pass_per_s=1.0, low_pass_per_s=4.0))
     assert slow.warm_up_s == 2.5 and replace(slow, recipe="highpass").warm_up_s == TrainConfig().warm_up_s == 0.5
     made, longer = noisy("made", 0, 2000), noisy("longer", 0, 5000)  # 2 and 5 s
-    chain = build_chain(prismatic_mass(1.0), made, slow.observer, slow.recipe, slow.filters)
-    bundle = make_bundle("slow", chain, 0.02, longer)
+    setup = build_setup(prismatic_mass(1.0), made, slow.observer, slow.recipe, slow.filters)
+    bundle = make_bundle("slow", setup, 0.02, longer)
     with pytest.raises(TrainingError, match="beyond the warm-up of 2.5 s, with 0.2 s before and 1 s after"):
         paper_limits(bundle, [made], 1)
     with pytest.raises(TrainingError, match="beyond the warm-up of 2.5 s, with 0.2 s before and 1 s after"):

@@ -26,7 +26,7 @@ from tauext.rig.config import RigConfig
 from tauext.rig.planar import force_torque
 from tauext.rig.sensors import measure
 from tauext.rig.simulate import roll_out
-from tauext.robot import load
+from tauext.robot import load_tree
 
 
 @pytest.fixture(scope="module", params=ARMS)
@@ -102,7 +102,7 @@ def test_a_push_on_the_rig_is_the_planar_torque():
 def test_the_packaged_arm_is_the_one_of_the_benchmarks(tmp_path):
     path = tmp_path / "seven.xml"
     path.write_text(ARMS["seven"]().xml)
-    ours, urdf = load(path), load(Path(__file__).parent.parent / "benchmarks" / "seven_axis.urdf")
+    ours, urdf = load_tree(path), load_tree(Path(__file__).parent.parent / "benchmarks" / "seven_axis.urdf")
     rng = np.random.default_rng(0)
     q, dq = rng.uniform(-2, 2, (20, 7)), rng.uniform(-2, 2, (20, 7))
     for a, b in zip(ours.momentum(q, dq), urdf.momentum(q, dq), strict=True):

@@ -13,7 +13,7 @@ from made_motion import made_motion
 from trees import six_axis, urdf
 
 from tauext.cli import main
-from tauext.data import save
+from tauext.data import save_recording
 from tauext.doctor import CODES, examine
 from tauext.doctor.fit import fit_joint
 from tauext.doctor.motion import stretches
@@ -25,7 +25,7 @@ from tauext.errors import ConfigError, RobotError
 from tauext.rig import RigConfig
 from tauext.rig.arm import arm_xml
 from tauext.rig.recording import simulate_recording
-from tauext.robot import load
+from tauext.robot import load_tree
 
 MINUTES, RATE_HZ = 1.2, 100.0
 
@@ -34,7 +34,7 @@ MINUTES, RATE_HZ = 1.2, 100.0
 def six(tmp_path_factory) -> Case:
     path = tmp_path_factory.mktemp("arm") / "six.urdf"
     path.write_text(urdf(six_axis()).replace('effort="100"', 'effort="3000"'))
-    return Case(made_motion(load(path), MINUTES, RATE_HZ, pieces=2), path, MINUTES, RATE_HZ)
+    return Case(made_motion(load_tree(path), MINUTES, RATE_HZ, pieces=2), path, MINUTES, RATE_HZ)
 
 
 @pytest.fixture(scope="session")
@@ -42,7 +42,7 @@ def rig(tmp_path_factory) -> Case:
     path = tmp_path_factory.mktemp("rig") / "robot.xml"
     path.write_text(arm_xml(RigConfig()))
     recordings = [simulate_recording(RigConfig(), "free", 45.0, 3, number) for number in range(2)]
-    return Case(replace(made_motion(load(path), 0.2), recordings=recordings), path, 1.5, 1000.0)
+    return Case(replace(made_motion(load_tree(path), 0.2), recordings=recordings), path, 1.5, 1000.0)
 
 
 def test_good_data_of_six_axes_has_no_finding_but_its_length(six):
@@ -87,7 +87,7 @@ def test_axis_along_gravity_has_no_offset(tmp_path):
     """Turned about the vertical every zero is as good as another."""
     path = tmp_path / "scara.urdf"
     path.write_text(urdf(scara()).replace('effort="100"', 'effort="3000"'))
-    made = made_motion(load(path), MINUTES, RATE_HZ, pieces=2)
+    made = made_motion(load_tree(path), MINUTES, RATE_HZ, pieces=2)
     turned = [replace(r, q=r.q + 0.5 * np.eye(4)[0]) for r in made.recordings]
     assert {f.code for f in examine(turned, path).findings} <= {"too-short"}
 
@@ -222,7 +222,7 @@ def test_command_writes_text_json_and_a_picture_a_joint(six, tmp_path, capsys):
 
     (tmp_path / "in").mkdir()
     for r in six.made.recordings:
-        save(replace(r, tau=-r.tau), tmp_path / "in" / f"{r.name}.parquet")
+        save_recording(replace(r, tau=-r.tau), tmp_path / "in" / f"{r.name}.parquet")
     arguments = ["check", "--data", str(tmp_path / "in"), "--robot", str(six.urdf), "--out", str(tmp_path / "out")]
     assert main([*arguments, "--json"]) == 1
     said = json.loads(capsys.readouterr().out)
@@ -236,7 +236,7 @@ def test_command_writes_text_json_and_a_picture_a_joint(six, tmp_path, capsys):
 
 def test_command_exits_0_without_a_fault_and_2_without_recordings(six, tmp_path, capsys):
     for r in six.made.recordings:
-        save(r, tmp_path / f"{r.name}.parquet")
+        save_recording(r, tmp_path / f"{r.name}.parquet")
     assert main(["check", "--data", str(tmp_path), "--robot", str(six.urdf)]) == 0
     assert "0 faults" in capsys.readouterr().out
     (tmp_path / "empty").mkdir()

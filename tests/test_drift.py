@@ -12,11 +12,11 @@ from test_train import recording
 from tauext import _core
 from tauext.cli.show import describe_bundle
 from tauext.config import PAPER_CASES, DriftConfig, ObserverConfig, PriorConfig, TrainConfig
-from tauext.data import Recording, save
+from tauext.data import Recording, save_recording
 from tauext.data.estimates import load_estimates, save_estimates
 from tauext.errors import ConfigError, TauextError
-from tauext.evaluate.estimating import estimate
-from tauext.learn import build_chain, fit_prior, freeze_drift, make_bundle, set_drift, with_presliding
+from tauext.evaluate.estimating import estimate_recording
+from tauext.learn import build_setup, fit_prior, freeze_drift, make_bundle, set_drift, with_presliding
 from tauext.learn.prior_facts import friction_nm
 from tauext.monitor import DriftChange, FlightSource
 from tauext.monitor.changes import ChangeFinder
@@ -30,10 +30,10 @@ CONFIG = DriftConfig(time_constant_s=5.0, rate_share_per_s=0.2)
 def fitted():
     """An arm with a friction of 5 tanh(dq / 0.05) + 2 dq, nothing else unknown; see test_train.recording."""
     made = [with_dynamics(recording(k, seconds=10.0)) for k in range(4)]
-    chain = build_chain(planar_arm(), made[0], ObserverConfig())
+    setup = build_setup(planar_arm(), made[0], ObserverConfig())
     settings = PriorConfig((), coulomb_speeds_rad_s=(0.05,), most_ripples=0, correct_model=False)
-    fit = fit_prior(with_presliding(chain, ()), made, settings)
-    bundle = make_bundle("drifting", replace(chain, prior=fit.settings), 0.02, made[0])
+    fit = fit_prior(with_presliding(setup, ()), made, settings)
+    bundle = make_bundle("drifting", replace(setup, prior=fit.settings), 0.02, made[0])
     return bundle, fit
 
 
@@ -107,7 +107,7 @@ def test_estimates_hold_drift_where_there_is_a_tracker(fitted, tmp_path):
     bundle, fit = fitted
     made = with_dynamics(recording(9), friction=0.8)
     for one, has in ((bundle, False), (tracking(bundle, fit), True)):
-        save_estimates(estimate(one, made, 1), tmp_path / "made.estimates.parquet")
+        save_estimates(estimate_recording(one, made, 1), tmp_path / "made.estimates.parquet")
         loaded = load_estimates(tmp_path / "made.estimates.parquet")
         assert (loaded.drift is not None) == has
     left = loaded.r - loaded.prior - loaded.network - loaded.drift
@@ -145,7 +145,7 @@ def test_a_drift_at_its_bound_is_told_once(fitted, tmp_path, capsys):
     drifting.contact_sliding_limit_nm = drifting.contact_near_stiction_limit_nm = [50.0, 50.0]
     drifting.save(str(tmp_path / "drifting.tauext"))
     made = with_dynamics(recording(9, seconds=20.0), friction=0.5)
-    save(made, tmp_path / "made.parquet")
+    save_recording(made, tmp_path / "made.parquet")
     main(["run", str(tmp_path / "drifting.tauext"), str(tmp_path / "made.parquet")])
     told = capsys.readouterr().out
     assert told.count("recalibrate: joint shoulder's drift is at its bound") == 1 == told.count("joint elbow's")

@@ -12,7 +12,7 @@ import pytest
 from trees import ARMS, branched, planar_rig, random_states, seven_axis, six_axis, urdf
 
 from tauext import _core
-from tauext.robot import empty, load, perturbed
+from tauext.robot import empty, load_tree, perturbed
 
 MODELS = Path(os.environ.get("TAUEXT_DATA", "")) / "models"
 FILE_ARMS = {
@@ -30,7 +30,7 @@ def parts(request):
 def read(folder, parts, **options) -> _core.Tree:
     path = folder / "arm.urdf"
     path.write_text(urdf(parts))
-    return load(path, **options)
+    return load_tree(path, **options)
 
 
 def assert_relative(found, expected, tolerance):
@@ -59,7 +59,7 @@ def test_p_and_beta_of_published_arms_equal_those_of_pinocchio(name):
     if not os.environ.get("TAUEXT_DATA") or not path.is_file():
         pytest.skip("TAUEXT_DATA names no folder with models/")
     pinocchio = pytest.importorskip("pinocchio_oracle")
-    tree = load(path, locked=FILE_ARMS[name])
+    tree = load_tree(path, locked=FILE_ARMS[name])
     model = pinocchio.locked(pinocchio.read_model(path.read_text()), FILE_ARMS[name])
     q, dq = random_states(tree.size, 1000, seed=2)
     joints = [link.joint_name for link in tree.links]
@@ -124,7 +124,7 @@ class MujocoOracle:
 def test_p_and_beta_equal_those_of_mujoco(tmp_path, name):
     if name == "mujoco_only":
         (tmp_path / "arm.xml").write_text(MUJOCO_ONLY)
-        tree, oracle = load(tmp_path / "arm.xml"), MujocoOracle(MUJOCO_ONLY, {})
+        tree, oracle = load_tree(tmp_path / "arm.xml"), MujocoOracle(MUJOCO_ONLY, {})
     else:
         arm = ARMS[name]()
         tree = read(tmp_path, arm)

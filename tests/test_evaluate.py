@@ -21,7 +21,7 @@ def test_a_push_is_found_after_the_time_that_the_observer_needs_to_reach_the_lim
     force, limit = 10.0, 2.0
     hit = pushed("hit", force)
     results = evaluate({"observer": observer_bundle(limit)}, [recording], [lambda: hit], tmp_path, seed=0, threads=1)
-    (verdict,) = results["cases"][0]["collisions"]
+    (verdict,) = results["bundles"][0]["collisions"]
     expected = -np.log(1 - limit / force) / 20.0
     assert verdict["found"] and verdict["joint"] == "slide"
     assert expected <= verdict["delay_s"] <= expected + 1.001e-3  # the first sample after it
@@ -30,15 +30,15 @@ def test_a_push_is_found_after_the_time_that_the_observer_needs_to_reach_the_lim
     assert (collision["start_s"], collision["end_s"]) == (1.0, 1.399)
     assert collision["true_peak_nm"] == [force]
     assert collision["sensor_peak_nm"][0] == pytest.approx(force * (1 - np.exp(-20 * 0.4)), rel=1e-3)
-    assert results["ten_collisions"] == [collision["id"]] and results["cases"][0]["ten_found"] == 1
+    assert results["ten_collisions"] == [collision["id"]] and results["bundles"][0]["ten_found"] == 1
 
 
 def test_a_push_below_the_limit_is_missed_and_counts_as_missed_in_the_curve(tmp_path):
     weak = pushed("weak", 1.5)
     results = evaluate({"observer": observer_bundle(2.0)}, [recording], [lambda: weak], tmp_path, seed=0, threads=1)
-    (verdict,) = results["cases"][0]["collisions"]
+    (verdict,) = results["bundles"][0]["collisions"]
     assert not verdict["found"] and verdict["delay_s"] is None and verdict["delay_against_sensor_s"] is None
-    entry = next(e for e in results["cases"][0]["found_curve"] if e["collisions"])
+    entry = next(e for e in results["bundles"][0]["found_curve"] if e["collisions"])
     assert (entry["peak_over_limit_from"], entry["collisions"], entry["found"]) == (0.5, 1, 0)
 
 
@@ -46,14 +46,14 @@ def test_a_push_is_latched_after_limit_and_hold_time_and_strong_where_it_must_be
     bundle = observer_bundle(2.0)
     bundle.hold_s = 0.02
     results = evaluate({"observer": bundle}, [recording], [lambda: pushed("pushed", 5.0)], tmp_path, seed=0, threads=1)
-    latched = results["cases"][0]["latched"]
+    latched = results["bundles"][0]["latched"]
     # 5 (1 - exp(-20 t)) > 2 from 25.5 ms on, and from 46 ms, 20 held ms later, a collision; over 3 Nm from 46 ms on.
     assert latched["collisions"] == latched["latched"] == latched["strong"] == latched["strong_latched"] == 1
     assert abs(latched["delay_against_sensor_median_s"]) <= 0.001  # the sensor filters alike
     weak = evaluate({"observer": bundle}, [recording], [lambda: pushed("pushed", 2.5)], tmp_path, seed=0, threads=1)
-    assert weak["cases"][0]["latched"]["latched"] == 1 and weak["cases"][0]["latched"]["strong"] == 0
+    assert weak["bundles"][0]["latched"]["latched"] == 1 and weak["bundles"][0]["latched"]["strong"] == 0
     short = evaluate({"o": bundle}, [recording], [lambda: pushed("p", 5.0, 1000, 1030)], tmp_path, seed=0, threads=1)
-    assert short["cases"][0]["latched"]["strong"] == 0
+    assert short["bundles"][0]["latched"]["strong"] == 0
 
 
 def test_held_flags_equal_a_slow_count():
@@ -178,7 +178,7 @@ def test_a_loss_history_stands_in_the_results_of_its_case(tmp_path):
     histories = {"observer": read_loss_history(bundle, tmp_path / "observer.tauext")}
     bundles = {"observer": bundle, "copied": bundle}
     results = evaluate(bundles, [recording], [], tmp_path, seed=0, threads=1, loss_histories=histories)
-    assert [case["loss_history"] for case in results["cases"]] == [history, None]
+    assert [bundle["loss_history"] for bundle in results["bundles"]] == [history, None]
 
 
 def test_a_bundle_without_a_run_file_or_without_training_has_no_loss_history(tmp_path):

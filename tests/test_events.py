@@ -89,11 +89,11 @@ def test_an_onset_is_the_first_sample_outside_the_noise_band():
 def test_a_test_recording_with_contacts_counts_as_events_and_by_its_free_motion(tmp_path):
     hit = pushed("hit", 10.0)
     results = evaluate({"observer": observer_bundle(2.0)}, [lambda: hit], [], tmp_path, seed=0, threads=1)
-    case = results["cases"][0]
-    assert case["events"]["all"]["events"] == case["events"]["all"]["found"] == 1
-    assert case["free_motion"]["false_alarms"] == 0 and len(case["collisions"]) == 1
+    bundle = results["bundles"][0]
+    assert bundle["events"]["all"]["events"] == bundle["events"]["all"]["found"] == 1
+    assert bundle["free_motion"]["false_alarms"] == 0 and len(bundle["collisions"]) == 1
     # 3 s at 1 kHz: less the warm-up of 0.5 s, the push of 0.4 s, 0.2 s before and 1 s after it.
-    assert case["free_motion"]["samples"] == pytest.approx(900, abs=3)
+    assert bundle["free_motion"]["samples"] == pytest.approx(900, abs=3)
     assert results["own_torque"] is None
 
 

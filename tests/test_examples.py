@@ -17,8 +17,8 @@ from made_amperes import taking_amperes
 from made_pushes import PUSHES, pushed, watching_bundle
 
 from tauext import _core
-from tauext.data import save
-from tauext.evaluate import estimate as evaluate_estimate
+from tauext.data import save_recording
+from tauext.evaluate import estimate_recording
 
 ROOT = Path(__file__).parent.parent
 TOOLS = os.pathsep.join([os.path.dirname(sys.executable), os.environ["PATH"]])
@@ -68,7 +68,7 @@ def place(tmp_path_factory) -> Path:
     """A folder with a bundle and a recording of two pushes."""
     folder = tmp_path_factory.mktemp("place")
     watching_bundle().save(str(folder / "watching.tauext"))
-    save(pushed(), folder / "pushed.parquet")
+    save_recording(pushed(), folder / "pushed.parquet")
     return folder
 
 
@@ -138,14 +138,14 @@ def test_one_recording_in_amperes_gets_one_answer_to_the_last_bit_whoever_asks(p
     bundle.save(str(tmp_path / "amperes.tauext"))
     whole = pushed()
     made = replace(whole, tau=whole.tau / nm_per_ampere)
-    save(made, tmp_path / "pushed.parquet")
+    save_recording(made, tmp_path / "pushed.parquet")
     assert bundle.torque_units == ["A", "A"] and bundle.estimate_units == ["N m", "N m"]
 
     said = _core.Monitor(bundle).run(made.t_ns, made.q, made.dq, made.tau)["tau_ext"]
     seen = np.abs(said[~np.isnan(said)])
     assert np.isfinite(said).all(axis=1).sum() > 5000 and seen.max() > 3  # Nm: the pushes
 
-    evaluated = evaluate_estimate(bundle, made, 2).tau_ext
+    evaluated = estimate_recording(bundle, made, 2).tau_ext
     np.testing.assert_array_equal(evaluated, said.astype(np.float32))  # what estimates are kept in
 
     tauext = (sys.executable, "-m", "tauext", "run", tmp_path / "amperes.tauext", tmp_path / "pushed.parquet")

@@ -13,10 +13,10 @@ from tauext.cli import main
 from tauext.config import PAPER_CASES, ObserverConfig, TrainConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn import build_chain, fit_torque_constants
+from tauext.learn import build_setup, fit_torque_constants
 from tauext.learn.regression import NormalEquations, Regression, coupled
 from tauext.learn.torque_constants import TorqueConstants, with_constants
-from tauext.train import train_bundle
+from tauext.train import train_on_recordings
 from tauext.train.motion import training_motion
 from tauext.train.recordings import wants_constants
 
@@ -57,7 +57,7 @@ def trained(tmp_path: Path, monkeypatch, training, validation=(), **settings):
     """The bundle and its facts, with limits of torque left unknown."""
     monkeypatch.setattr("tauext.train.stage.torque_limits", lambda robot, joints: [np.inf] * len(joints))
     out = tmp_path / "made.tauext"
-    train_bundle(planar_arm(), Path(), EXACT, list(training), list(validation), TrainConfig(**settings), out)
+    train_on_recordings(planar_arm(), Path(), EXACT, list(training), list(validation), TrainConfig(**settings), out)
     bundle = _core.Bundle.load(str(out))
     return bundle, json.loads(bundle.provenance)
 
@@ -84,7 +84,7 @@ def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path,
 def test_validation_is_cut_off_by_time_with_a_gap_of_a_window_and_the_warm_up():
     made = motion()
     parts = training_motion([made], [], TrainConfig(recipe="dense"))
-    assert [len(some) for some in (parts.training, parts.validation, parts.limits, parts.uncut)] == [1, 1, 1, 1]
+    assert [len(some) for some in (parts.training, parts.validation, parts.for_limits, parts.uncut)] == [1, 1, 1, 1]
     gap_s = (parts.validation[0].t_ns[0] - parts.training[0].t_ns[-1]) * 1e-9
     assert gap_s >= 1.5 and parts.validation[0].duration_s == pytest.approx(0.2 * made.duration_s, abs=0.01)
     assert parts.uncut[0] is made and any("last 20%" in note for note in parts.notes)
@@ -128,12 +128,12 @@ def test_currents_get_their_constants_back_and_the_core_applies_them():
     assert found.determined.all()
     # Noise of 0.1 Nm on torques of tens of Nm; friction is fitted beside them.
     np.testing.assert_allclose(found.nm_per_unit, constants, rtol=0.01)
-    chain = build_chain(planar_arm(), torque, ObserverConfig())
-    scaled = with_constants(chain.observer, found.used)
+    setup = build_setup(planar_arm(), torque, ObserverConfig())
+    scaled = with_constants(setup.observer, found.used)
     arrays = (current.t_ns, current.q, current.dq)
     r = _core.observe(planar_arm(), scaled, *arrays, current.tau).residual
     np.testing.assert_array_equal(
-        r, _core.observe(planar_arm(), chain.observer, *arrays, current.tau * found.used).residual
+        r, _core.observe(planar_arm(), setup.observer, *arrays, current.tau * found.used).residual
     )
 
 

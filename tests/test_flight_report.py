@@ -16,10 +16,10 @@ from made_results import make_recording
 from tauext import _core
 from tauext.cli import main
 from tauext.config import ObserverConfig
-from tauext.data import load, save
+from tauext.data import load_recording, save_recording
 from tauext.data.estimates import load_estimates, save_estimates
 from tauext.errors import ConfigError, RecordingError
-from tauext.learn import build_chain, make_bundle
+from tauext.learn import build_setup, make_bundle
 from tauext.monitor import FlightSource, write_flight
 from tauext.report import write_flight_report
 from tauext.report.flight import event_rows
@@ -77,7 +77,7 @@ def test_the_page_holds_explanation_numbers_and_figures_and_asks_no_host(collisi
     words = words_of(page).replace("&#39;", "'").replace("&lt;", "<")
     for line in collision.with_suffix(".txt").read_text().splitlines():
         assert " ".join(line.split()) in words
-    event = load(collision).provenance["event"]
+    event = load_recording(collision).provenance["event"]
     row = [event[key][0] for key in ("tau_ext_nm", "limit_nm", "margin_nm", "residual_nm", "uncertainty_nm", "tau_nm")]
     assert " ".join(["shoulder", *(f"{value:.3f}".replace("-", "−") for value in row)]) in words
 
@@ -136,8 +136,8 @@ def test_an_arm_of_seven_joints_is_drawn(tmp_path):
         link.joint_name, link.parent, link.rotation, link.mass = name, k - 1, [1.0, 0, 0, 0, 1, 0, 0, 0, 1], 1.0
         links.append(link)
     tree = no_model(_core.Tree(links, [0, 0, -9.81]))
-    chain = build_chain(tree, made, ObserverConfig())
-    bundle = make_bundle("seven", chain, 0.02, made)
+    setup = build_setup(tree, made, ObserverConfig())
+    bundle = make_bundle("seven", setup, 0.02, made)
     bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [30.0] * 7
     path = write_flight(
         cut_flight(bundle, made, first_row(bundle, made, alarm=2)), tmp_path, FlightSource.of(bundle, made)
@@ -203,11 +203,11 @@ def test_neither_both_or_no_flight_gets_one_line(tmp_path, capsys, monkeypatch, 
 
 
 def test_what_is_no_flight_or_whose_files_do_not_belong_together_is_refused(collision, tmp_path):
-    save(pushed(), tmp_path / "plain.parquet")
+    save_recording(pushed(), tmp_path / "plain.parquet")
     with pytest.raises(RecordingError, match="a recording, but no flight"):
         write_flight_report(tmp_path / "plain.parquet", tmp_path / "out")
-    flight = load(collision)
-    save(flight, tmp_path / "alone.parquet")
+    flight = load_recording(collision)
+    save_recording(flight, tmp_path / "alone.parquet")
     with pytest.raises(RecordingError, match="alone.estimates.parquet: there are no such estimates"):
         write_flight_report(tmp_path / "alone.parquet", tmp_path / "out")
     estimates = load_estimates(collision.with_name(f"{collision.stem}.estimates.parquet"))
@@ -254,7 +254,7 @@ def test_the_alarm_of_an_evaluation_s_older_file_is_the_held_one(collision, tmp_
 
 
 def test_the_provenance_of_a_flight_is_plain_json(fault):
-    provenance = load(fault).provenance
+    provenance = load_recording(fault).provenance
     text = json.dumps(provenance, allow_nan=False)
     assert json.loads(text)["event"]["tau_ext_nm"] == [None, None]
     assert provenance["event"]["causes"] == ["not finite"] and provenance["event"]["joint"] == JOINTS[0]

@@ -10,14 +10,13 @@ from made_bags import joint_rows, motion, write_bag
 from trees import planar_rig, random_states, six_axis, urdf
 
 from tauext.cli import main
-from tauext.data import load, load_split
-from tauext.data.dataset_plan import SourceFacts, plan
+from tauext.data import load_recording, load_split
+from tauext.data.dataset_plan import RawFacts, plan
 from tauext.data.description_file import parse_arm
 from tauext.data.free_motion import free_stretches
-from tauext.data.importers import open_source
+from tauext.data.importers import open_raw
 from tauext.errors import ConfigError, RobotError
-from tauext.robot import Payload, movable_joints, write_placeholder, write_robot
-from tauext.robot import load as load_robot
+from tauext.robot import Payload, load_tree, movable_joints, write_placeholder, write_robot
 
 ARM = """
 [robot]
@@ -69,8 +68,8 @@ def spans(workplace) -> dict[str, list[tuple[str, float, float]]]:
     split = load_split(workplace / "out")
     for part in ("train", "validation", "test", "collisions"):
         for name in getattr(split, part):
-            t_ns = load(workplace / "out" / name).t_ns - motion(1)[0][0]
-            source = load(workplace / "out" / name).source.split(".")[0]
+            t_ns = load_recording(workplace / "out" / name).t_ns - motion(1)[0][0]
+            source = load_recording(workplace / "out" / name).source.split(".")[0]
             found.setdefault(part, []).append((source, round(t_ns[0] * 1e-9, 3), round(t_ns[-1] * 1e-9, 3)))
     return found
 
@@ -85,7 +84,7 @@ def test_few_sources_are_each_split_by_time_with_a_gap_and_that_is_said(workplac
     found = spans(workplace)
     assert "validation" not in found
     assert [found[part][-1] for part in ("train", "test")] == [("three", 0.0, 30.99), ("three", 33.0, 39.99)]
-    recording = load(workplace / "out/three-train.parquet")
+    recording = load_recording(workplace / "out/three-train.parquet")
     np.testing.assert_array_equal(recording.q[:, 1], motion(3100, joints=2)[1][:, 0])  # tip is elbow, sent first
     assert not (workplace / "out/three.parquet").exists()
     assert json.loads((workplace / "out/run.json").read_text())["settings"]["sources"] == [
@@ -125,14 +124,14 @@ def test_contacts_are_cut_out_of_training_where_it_is_listed(workplace, capsys):
     rest = '[split]\ntrain = ["two.bag"]\nvalidation = ["one.bag"]\ntest = ["three.bag"]\n[contact]\nafter_s = 2\n'
     assert run(capsys, workplace, rest + '[contact.intervals]\n"two.bag" = [[5, 6]]')[0] == 0
     assert spans(workplace)["train"] == [("two", 0.0, 4.49), ("two", 8.01, 29.99)]
-    assert all((load(p).contact == 0).all() for p in (workplace / "out").glob("two-free-*.parquet"))
+    assert all((load_recording(p).contact == 0).all() for p in (workplace / "out").glob("two-free-*.parquet"))
 
 
 def test_with_cut_false_a_listed_recording_keeps_its_contacts_and_their_label(workplace, capsys):
     rest = '[split]\ntrain = ["two.bag"]\nvalidation = ["one.bag"]\ntest = ["three.bag"]\n[contact]\ncut = false\n'
     assert run(capsys, workplace, rest + '[contact.intervals]\n"two.bag" = [[5, 6]]')[0] == 0
     assert load_split(workplace / "out").train == ("two.parquet",)
-    contact = load(workplace / "out" / "two.parquet").contact
+    contact = load_recording(workplace / "out" / "two.parquet").contact
     assert 0 < (contact == 1).sum() < len(contact)
 
 
@@ -187,7 +186,7 @@ def test_payload_rotor_inertia_and_gravity_reach_the_robot_file(workplace, capsy
     assert (
         code == 0 and "rotor inertia at the joint, kg m^2: 1, 0.5" in out and "payload of 1.5 kg at elbow_link" in out
     )
-    before, after = load_robot(workplace / "arm.urdf"), load_robot(workplace / "out/robot.urdf")
+    before, after = load_tree(workplace / "arm.urdf"), load_tree(workplace / "out/robot.urdf")
     assert after.gravity == [9.81, 0, 0]
     assert [link.rotor_inertia for link in after.links] == pytest.approx([1.0, 0.5])
     assert after.links[1].mass == pytest.approx(before.links[1].mass + 1.5)
@@ -208,7 +207,7 @@ def test_a_payload_weighs_what_a_point_mass_does(tmp_path, kind):
     heavy = write_robot(path, _folder(tmp_path), {}, Payload(link, 2.0, (0.1, 0.2, 0.3), (0,) * 6))
     q, _ = random_states(6, 20, seed=0)
     still = np.zeros_like(q)
-    extra = load_robot(heavy).momentum(q, still)[1] - load_robot(path).momentum(q, still)[1]
+    extra = load_tree(heavy).momentum(q, still)[1] - load_tree(path).momentum(q, still)[1]
     import mujoco
 
     spec = mujoco.MjSpec.from_file(str(path))
@@ -244,7 +243,7 @@ def test_a_robot_file_without_changes_is_copied_and_a_wrong_name_refused(tmp_pat
 
 
 def test_a_placeholder_has_no_momentum_and_no_weight(tmp_path):
-    tree = load_robot(write_placeholder(("a", "b", "c"), tmp_path))
+    tree = load_tree(write_placeholder(("a", "b", "c"), tmp_path))
     assert movable_joints(tmp_path / "robot.urdf") == ["a", "b", "c"]
     q, dq = random_states(3, 20, seed=0)
     momentum, bias = tree.momentum(q, dq)
@@ -275,7 +274,7 @@ def test_new_writes_a_description_that_imports_as_it_is(workplace, capsys):
 
 def test_a_lerobot_folder_gives_the_recordings_back(workplace, capsys):
     assert run(capsys, workplace, extra=["--format", "lerobot"])[0] == 0
-    sources = open_source(workplace / "out")
+    sources = open_raw(workplace / "out")
     assert [source.name for source in sources] == ["out-episode-000", "out-episode-001", "out-episode-002"]
     (block,) = sources[1].blocks()
     t_ns, q, _, tau = motion(3000, joints=2)
@@ -289,14 +288,14 @@ def test_a_lerobot_folder_gives_the_recordings_back(workplace, capsys):
 
 def test_plans_follow_the_number_of_sources():
     described = parse_arm('[robot]\njoints = ["a"]\n[signals.q]\ncolumns = "q"\n[signals.tau]\ncolumns = "tau"')
-    many = {f"run{k}": SourceFacts(60.0, k >= 8) for k in range(10)}
+    many = {f"run{k}": RawFacts(60.0, k >= 8) for k in range(10)}
     claims, said = plan(described, many, {})
-    assert {c.part: sum(o.part == c.part for o in claims) for c in claims} == {
+    assert {c.set_name: sum(o.set_name == c.set_name for o in claims) for c in claims} == {
         "collisions": 2, "train": 6, "validation": 1, "test": 1,
     }  # fmt: skip
     assert said[0] == "8 sources without contact, split as whole recordings"
     with pytest.raises(ConfigError, match="run: 8.0 s are too short to be split by time into parts"):
-        plan(described, {"run": SourceFacts(8.0, False)}, {})
+        plan(described, {"run": RawFacts(8.0, False)}, {})
 
 
 def test_one_stretch_in_two_sets_is_refused():
@@ -305,10 +304,10 @@ def test_one_stretch_in_two_sets_is_refused():
         '[split]\ntrain = ["run.csv[:30]"]\ntest = ["run.csv[20:]"]'
     )
     with pytest.raises(ConfigError, match=r"share a stretch of run \(run\[0:30\], run\[20:\]\)"):
-        plan(described, {"run": SourceFacts(60.0, False)}, {"run.csv": ["run"]})
+        plan(described, {"run": RawFacts(60.0, False)}, {"run.csv": ["run"]})
 
 
 def test_a_recording_without_contacts_is_its_own_free_stretch(workplace, capsys):
     run(capsys, workplace)
-    recording = load(workplace / "out/two-train.parquet")
+    recording = load_recording(workplace / "out/two-train.parquet")
     assert free_stretches(recording, 0.5, 1.0, 2.0) == [recording]

@@ -13,9 +13,9 @@ import pytest
 
 from tauext.data.assemble import assemble
 from tauext.data.description_file import parse_arm
-from tauext.data.importers import open_source
+from tauext.data.importers import open_raw
 from tauext.errors import RecordingError
-from tauext.robot import load
+from tauext.robot import load_tree
 
 SHARED = Path(os.environ.get("TAUEXT_SHARED_DATA", Path(__file__).parents[2] / "shared" / "data"))
 pytestmark = pytest.mark.skipif(not SHARED.is_dir(), reason="the shared recordings are not here")
@@ -79,7 +79,7 @@ side = "motor"
 
 def imported(path: str, text: str):
     description = parse_arm(text)
-    (source,) = open_source(SHARED / path, description.topics)
+    (source,) = open_raw(SHARED / path, description.topics)
     (recording,) = assemble(source, description)
     return recording
 
@@ -113,7 +113,7 @@ def test_a_ur3_bag_is_imported_with_its_effort_turned(name, duration_s, longest_
 
 
 def test_the_ur3_carries_a_tool_that_its_model_lacks():
-    factor = least_gravity_factor(imported("ur3_aspectum/id1.bag", UR3), load(SHARED / "models/ur3_robot.urdf"))
+    factor = least_gravity_factor(imported("ur3_aspectum/id1.bag", UR3), load_tree(SHARED / "models/ur3_robot.urdf"))
     assert 1.3 < factor[1] < 2.0 and 1.4 < factor[2] < 2.3  # README, with friction beside it: 1.6 and 1.8
 
 
@@ -141,7 +141,7 @@ def test_a_touched_panda_keeps_its_repeated_rows_and_its_labels(name, seconds, r
     assert recording.rate_hz == 200 and 88 < recording.provenance["measured_hz"] < 92
     assert (np.diff(recording.contact) == 1).sum() + (recording.contact[0] == 1) == contacts
     # tau_J - tau_ext of the file is gravity; turned, tau + tau_ext is.
-    gravity = load(SHARED / "models/panda.urdf", recording.joints).momentum(recording.q, 0 * recording.q)[1]
+    gravity = load_tree(SHARED / "models/panda.urdf", recording.joints).momentum(recording.q, 0 * recording.q)[1]
     assert np.abs(np.median(recording.tau + recording.tau_ext - gravity, axis=0)).max() < 0.6
 
 
@@ -167,14 +167,14 @@ def test_the_ur10_comes_at_8_ms_without_metadata(path):
             8_000_001,
         }
     )
-    factor = least_gravity_factor(recording, load(SHARED / "models/ur10_robot.urdf"))
+    factor = least_gravity_factor(recording, load_tree(SHARED / "models/ur10_robot.urdf"))
     assert 0.8 < factor[1] < 1.1
 
 
 @pytest.mark.parametrize("path", ["ur10_validation", "ur10_validation/validation_trajectory.db3"])
 def test_a_planned_trajectory_is_no_recording(path):
     with pytest.raises(RecordingError, match="JointTrajectory, messages: 1.*planned motion, not measured"):
-        open_source(SHARED / "unisa_bags" / path)
+        open_raw(SHARED / "unisa_bags" / path)
 
 
 @pytest.mark.parametrize("run", "ABC")

@@ -14,7 +14,7 @@ import pytest
 from made_bags import JOINTS, joint_rows, motion, write_bag
 from scipy.io import savemat
 
-from tauext.data.importers import open_source, ros_messages
+from tauext.data.importers import open_raw, ros_messages
 from tauext.errors import RecordingError
 
 KINDS = ("ros1", "sqlite3", "mcap")
@@ -23,7 +23,7 @@ KINDS = ("ros1", "sqlite3", "mcap")
 def read(path, topics=()):
     """Stream: stamps and columns by name, blocks joined."""
     streams: dict = {}
-    (source,) = open_source(path, topics)
+    (source,) = open_raw(path, topics)
     for block in source.blocks():
         held = streams.setdefault(block.stream, ([], {}))
         held[0].append(block.t_ns)
@@ -92,12 +92,12 @@ def test_a_message_without_a_stamp_among_stamped_ones_is_left_out(tmp_path):
 def test_several_joint_state_topics_must_be_named(tmp_path, kind):
     path = write_bag(tmp_path / "run", kind, {"/left": joint_rows(samples=5), "/right": joint_rows(samples=5)})
     with pytest.raises(RecordingError, match=r"2 topics are of type .*: /left, /right; name the one"):
-        open_source(path)
+        open_raw(path)
     assert list(read(path, ["/right"])[1]) == ["/right"]
     with pytest.raises(
         RecordingError, match=r"no topic '/arm'; it holds /left \(sensor_msgs/JointState, messages: 5\)"
     ):
-        open_source(path, ["/arm"])
+        open_raw(path, ["/arm"])
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -111,7 +111,7 @@ def test_a_topic_of_another_type_is_read_where_it_is_named(tmp_path, kind):
     with pytest.raises(
         RecordingError, match="no topic of type sensor_msgs/JointState .*Float64MultiArray, messages: 5"
     ):
-        open_source(path)
+        open_raw(path)
     times, columns = read(path, ["/torque"])[1]["/torque"]
     np.testing.assert_array_equal(times, 10**18 + 10**7 * np.arange(5))
     assert (columns["data[1]"] == 2.5).all()
@@ -130,7 +130,7 @@ def test_a_bag_without_metadata_or_with_a_wrong_name_in_it_is_read_by_its_files(
     (path / "run.db3").rename(path / "run.dat")
     assert len(read(path / "run.dat")[1]["/joint_states"][0]) == 30  # by content, not by name
     with pytest.raises(RecordingError, match="no .db3 or .mcap file; it is no ROS 2 bag"):
-        open_source(path)
+        open_raw(path)
 
 
 def test_a_bag_without_message_definitions_is_read_by_the_standard_ones(tmp_path):
@@ -263,16 +263,16 @@ def test_truncated_tables_are_refused_by_name(tmp_path, name):
 def test_files_of_no_known_format_are_refused(tmp_path):
     path = tmp_path / "run.bag"
     with pytest.raises(RecordingError, match="there is no such file"):
-        open_source(path)
+        open_raw(path)
     path.write_bytes(b"")
     with pytest.raises(RecordingError, match="the file is empty"):
-        open_source(path)
+        open_raw(path)
     path.write_bytes(b"\1\2\0\3")
     with pytest.raises(RecordingError, match="of no format that is read; these are: ROS 1 bag"):
-        open_source(path)
+        open_raw(path)
     path.write_text("A licence.\nMany words,\nno numbers.\n")
     with pytest.raises(RecordingError, match="no table of numbers; its first line is 'A licence.'"):
-        open_source(path)
+        open_raw(path)
 
 
 def test_split_files_of_one_bag_come_in_their_order(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 from trees import ARMS, random_states, urdf
 
 from tauext import _core
-from tauext.robot import load
+from tauext.robot import load_tree
 from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
 
 ZERO = np.zeros(len(PARAMETERS))
@@ -15,7 +15,7 @@ ZERO = np.zeros(len(PARAMETERS))
 def tree(request, tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(urdf(ARMS[request.param]()))
-    return load(path)
+    return load_tree(path)
 
 
 def with_parameters(tree: _core.Tree, parameters: np.ndarray) -> _core.Tree:

@@ -13,7 +13,7 @@ from trees import random_states
 from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data import Recording
-from tauext.learn import Chain, PriorFit, fit_prior
+from tauext.learn import PriorFit, Setup, fit_prior
 from tauext.learn.kinematic_sample import pieces, thinned
 from tauext.learn.kinematics import Kinematics, frame_of
 from tauext.learn.prior_facts import arm_found
@@ -41,18 +41,18 @@ def arm(gravity=(0.0, 0.0, -9.81)) -> _core.Tree:
     return _core.Tree(links, list(gravity))
 
 
-def chain_of(tree: _core.Tree, rate_hz: float = 100.0) -> Chain:
+def setup_of(tree: _core.Tree, rate_hz: float = 100.0) -> Setup:
     prior = _core.PriorSettings()
     prior.widths_rad = list(CONFIG.widths_rad)
     observer = settings("instant", rate_hz)
-    return Chain(no_model(tree), observer, 100, prior)
+    return Setup(no_model(tree), observer, 100, prior)
 
 
-def left_nm(chain: Chain, fit: PriorFit, recordings: list[Recording]) -> np.ndarray:
+def left_nm(setup: Setup, fit: PriorFit, recordings: list[Recording]) -> np.ndarray:
     """RMS of what the prior does not explain, (n,)."""
     errors = []
     for made in recordings:
-        said = _core.observe(chain.tree, chain.observer, made.t_ns, made.q, made.dq, made.tau, fit.settings)
+        said = _core.observe(setup.tree, setup.observer, made.t_ns, made.q, made.dq, made.tau, fit.settings)
         errors.append((said.residual - said.prior)[said.warm.astype(bool)])
     return np.sqrt((np.concatenate(errors) ** 2).mean(axis=0))
 
@@ -135,8 +135,8 @@ def test_an_arm_is_found_in_a_minute_of_its_motion(gravity):
     tree = arm(gravity)
     made = made_motion(tree, 1.0, pieces=2, ranges=0.8).recordings
     far = made_motion(tree, 0.5, pieces=1, ranges=2.5, seed=9).recordings
-    chain, said = chain_of(tree), []
-    fit, basis = fit_prior(chain, made, CONFIG, said.append), fit_prior(chain, made, BASIS)
+    setup, said = setup_of(tree), []
+    fit, basis = fit_prior(setup, made, CONFIG, said.append), fit_prior(setup, made, BASIS)
     facts = arm_found(fit.kinematics)
     assert [fact["angle_deg"] for fact in facts[1:]] == [90, pytest.approx(0, abs=1e-3), 90]
     assert facts[2]["distance_m"] == pytest.approx(UPPER_M, abs=0.02)  # 5 %: friction is fitted beside it
@@ -144,13 +144,13 @@ def test_an_arm_is_found_in_a_minute_of_its_motion(gravity):
     assert len(said) == 4 and "arm found" in said[-1]
     assert not fit.corrections.size or basis.kinematics is None
     torque = np.sqrt(np.mean(np.concatenate([r.tau for r in far]) ** 2, axis=0))
-    ours, theirs = left_nm(chain, fit, far), left_nm(chain, basis, far)
+    ours, theirs = left_nm(setup, fit, far), left_nm(setup, basis, far)
     assert (ours < 0.06 * torque).all()
     assert (ours[:3] < 0.5 * theirs[:3]).all()
 
 
 def test_friction_that_grows_with_the_load_is_that_of_the_arm_found():
-    fit = fit_prior(chain_of(arm()), made_motion(arm(), 1.0, pieces=2).recordings, CONFIG)
+    fit = fit_prior(setup_of(arm()), made_motion(arm(), 1.0, pieces=2).recordings, CONFIG)
     loads = [term for term in fit.settings.terms if term.kind == _core.TermKind.load]
     assert len(loads) == 4 and {term.form for term in loads} == {1}
     assert len(fit.settings.corrected_links) == 4 and all(link.mass > 0 for link in fit.settings.corrected_links)
@@ -158,14 +158,14 @@ def test_friction_that_grows_with_the_load_is_that_of_the_arm_found():
 
 def test_the_same_motion_finds_the_same_arm():
     made = made_motion(arm(), 0.5, pieces=1).recordings
-    first, second = (fit_prior(chain_of(arm()), made, CONFIG) for _ in "ab")
+    first, second = (fit_prior(setup_of(arm()), made, CONFIG) for _ in "ab")
     np.testing.assert_array_equal(first.kinematics.origins, second.kinematics.origins)
     np.testing.assert_array_equal(first.settings.weights, second.settings.weights)
 
 
 @pytest.mark.parametrize("tree, minutes", [(prismatic_mass(5.0), 1.0), (arm(), 0.1)], ids=["slide", "six seconds"])
 def test_where_no_arm_can_be_found_sines_and_cosines_stay(tree, minutes):
-    fit = fit_prior(chain_of(tree), made_motion(tree, minutes, pieces=1).recordings, CONFIG)
+    fit = fit_prior(setup_of(tree), made_motion(tree, minutes, pieces=1).recordings, CONFIG)
     assert fit.kinematics is None and not fit.settings.corrected_links
 
 
@@ -179,6 +179,6 @@ def test_an_arm_that_is_no_open_chain_keeps_the_better_description():
         tau[:, 0] = r.tau[:, 0] - r.tau[:, 1]
         return replace(r, q=q, dq=dq, tau=tau)
 
-    chain = chain_of(planar_arm())
-    fit, basis = (fit_prior(chain, [linked(r) for r in made], config) for config in (CONFIG, BASIS))
+    setup = setup_of(planar_arm())
+    fit, basis = (fit_prior(setup, [linked(r) for r in made], config) for config in (CONFIG, BASIS))
     assert (fit.error_nm <= basis.error_nm * 1.12).all()

@@ -11,7 +11,7 @@ from made_live import Keeper, ScriptedSource, samples_of
 from made_pushes import JOINTS, pushed, watching_bundle
 
 from tauext import _core
-from tauext.data import in_amperes, load
+from tauext.data import in_amperes, load_recording
 from tauext.errors import ConfigError, TauextError
 from tauext.live import (
     Latencies,
@@ -353,7 +353,7 @@ def test_flights_of_a_live_loop_are_written_with_the_profile_s_limits(bundle, tm
     assert news.what == "contact" and news.error is None and news.path.name.startswith("script-1-2-2.0")
     text = news.path.with_suffix(".txt").read_text()
     assert "over its contact limit of 3.000 Nm" in text  # 1 Nm times 3
-    flight = load(news.path)
+    flight = load_recording(news.path)
     assert flight.provenance["command"] == "tauext monitor"
     row = int(np.searchsorted(recording.t_ns, flight.t_ns[0]))
     np.testing.assert_array_equal(flight.q, recording.q[row : row + flight.samples])
@@ -378,7 +378,7 @@ def test_recordings_hold_what_came_and_the_monitor_s_word_of_contact(bundle, tmp
     sink = RecordSink(tmp_path / "kept", bundle, "script", segment_s=2.5)
     _, keeper = looped(bundle, ScriptedSource(script), sink)
     assert (sink.count.files, sink.count.samples, sink.count.unfit, sink.count.lost) == (3, 5999, 2, 0)
-    parts = [load(path) for path in sorted((tmp_path / "kept").iterdir())]
+    parts = [load_recording(path) for path in sorted((tmp_path / "kept").iterdir())]
     kept = np.delete(np.arange(6000), 700)
     for signal in ("t_ns", "q", "dq", "tau"):
         whole = np.concatenate([getattr(part, signal) for part in parts])
@@ -397,7 +397,7 @@ def test_recordings_of_currents_stay_currents(tmp_path):
     bundle = taking_amperes(watching_bundle(), np.array([2.0, -0.5]))
     sink = RecordSink(tmp_path, bundle, "script")
     looped(bundle, ScriptedSource(samples_of(recording)), sink)
-    kept = load(next(tmp_path.iterdir()))
+    kept = load_recording(next(tmp_path.iterdir()))
     np.testing.assert_array_equal(kept.tau, recording.tau)
     assert in_amperes([kept])  # training finds their constants anew
 

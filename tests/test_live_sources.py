@@ -17,7 +17,7 @@ from tauext import _core
 from tauext.config import ObserverConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError
-from tauext.learn import build_chain, make_bundle
+from tauext.learn import build_setup, make_bundle
 from tauext.live import Loop, ReplaySource, SourceSettings, Stoppable
 from tauext.live.franka_source import FrankaSource
 from tauext.live.torque_constants_file import load_torque_constants
@@ -359,7 +359,7 @@ def sliding_masses(joints):
     signals = {"t_ns": np.arange(1001) * 1_000_000} | {s: np.zeros((1001, n)) for s in ("q", "dq", "tau")}
     meta = {"rate_hz": 1000.0, "torque_timing": "instant", "source": "", "robot_sha256": ""}
     made = Recording(name="still", joints=joints, **signals, **meta)
-    bundle = make_bundle("masses", build_chain(_core.Tree(links, [0, 0, 0]), made, ObserverConfig()), 0.02, made)
+    bundle = make_bundle("masses", build_setup(_core.Tree(links, [0, 0, 0]), made, ObserverConfig()), 0.02, made)
     bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [2.0] * n
     return bundle
 

@@ -11,7 +11,7 @@ from sliding_mass import estimates_of, noisy, observer_bundle, pushed, recording
 
 from tauext.data.estimates import COLLISION
 from tauext.errors import ConfigError
-from tauext.evaluate import estimate, evaluate
+from tauext.evaluate import estimate_recording, evaluate
 from tauext.evaluate.after_contact import AfterContact
 from tauext.evaluate.collisions import find_collisions
 from tauext.evaluate.free_motion import count_episodes
@@ -28,17 +28,17 @@ def test_the_missed_curve_equals_alarms_with_scaled_limits_run_anew(hold_s):
     free, hit = noisy("free", 1), noisy("hit", 2, force=2.0)
     touches = find_collisions(hit)
     curve = MissedCurve(hold_s)
-    curve.add_free(free, estimate(bundle, free, 1))
-    curve.add_collisions(touches, hit, estimate(bundle, hit, 1))
+    curve.add_free(free, estimate_recording(bundle, free, 1))
+    curve.add_collisions(touches, hit, estimate_recording(bundle, hit, 1))
     points = curve.summary()
     assert any(p["scale"] == 1 for p in points) and len({p["missed"] for p in points}) > 2
     assert len({p["false_per_hour"] for p in points}) > 5
     for point in points[::6]:
         bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [1.5 * point["scale"]]
-        said = estimate(bundle, free, 1)
+        said = estimate_recording(bundle, free, 1)
         false = count_episodes(said.held_alarm == COLLISION, 500)
         assert point["false_per_hour"] == pytest.approx(false / (said.healthy.sum() / 3.6e6))
-        alarm = estimate(bundle, hit, 1).held_alarm == COLLISION
+        alarm = estimate_recording(bundle, hit, 1).held_alarm == COLLISION
         assert point["missed"] == sum(not alarm[t.begin : t.end + 200].any() for t in touches)
 
 
@@ -74,13 +74,13 @@ def test_the_reference_is_the_step_response_at_any_gain_and_for_uneven_stamps():
 def test_an_observer_of_another_gain_is_held_against_the_true_torque_at_its_own_gain(tmp_path):
     hit = pushed("hit", 10.0)
     fast = observer_bundle(2.0, gain_per_s=100.0)
-    (case,) = evaluate({"fast": fast}, [recording], [lambda: hit], tmp_path, seed=0, threads=1)["cases"]
+    (bundle,) = evaluate({"fast": fast}, [recording], [lambda: hit], tmp_path, seed=0, threads=1)["bundles"]
     # At K0 = 20 the sensor would be 8.9 ms behind.
-    assert abs(case["latched"]["delay_against_sensor_median_s"]) <= 0.001
-    assert case["rmse_during_contact_nm"][0] < 1e-6 * 10  # single precision
+    assert abs(bundle["latched"]["delay_against_sensor_median_s"]) <= 0.001
+    assert bundle["rmse_during_contact_nm"][0] < 1e-6 * 10  # single precision
     plain = replace(hit, tau_ext=None)
-    (case,) = evaluate({"fast": fast}, [recording], [lambda: plain], tmp_path, seed=0, threads=1)["cases"]
-    assert case["latched"]["delay_against_sensor_median_s"] == pytest.approx(-0.0089, abs=0.001)
+    (bundle,) = evaluate({"fast": fast}, [recording], [lambda: plain], tmp_path, seed=0, threads=1)["bundles"]
+    assert bundle["latched"]["delay_against_sensor_median_s"] == pytest.approx(-0.0089, abs=0.001)
 
 
 def test_what_was_promised_is_compared_with_what_was_counted():
@@ -181,9 +181,9 @@ def test_results_are_plain_json_and_copy_what_the_bundle_was_trained_on(tmp_path
     facts = {"recipe": "prior", "case": "none", "training_minutes": 5.0, "limits": {"promise": promise}}
     bundle.provenance = json.dumps(facts)
     results = evaluate({"o": bundle}, [recording], [lambda: pushed("hit", 10.0)], tmp_path, seed=0, threads=1)
-    (case,) = json.loads(json.dumps(results, allow_nan=False))["cases"]
-    assert (case["recipe"], case["case"], case["training_minutes"]) == ("prior", "none", 5.0)
-    assert case["free_motion"]["promised_per_hour"] == 0.125 and case["free_motion"]["promise_kept"] is True
+    (bundle,) = json.loads(json.dumps(results, allow_nan=False))["bundles"]
+    assert (bundle["recipe"], bundle["case"], bundle["training_minutes"]) == ("prior", "none", 5.0)
+    assert bundle["free_motion"]["promised_per_hour"] == 0.125 and bundle["free_motion"]["promise_kept"] is True
     assert results["sanity"] == []
 
 

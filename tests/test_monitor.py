@@ -5,11 +5,11 @@ import pytest
 from arms import ROTOR_INERTIA, planar_arm
 
 from tauext import _core
-from tauext.calibrate import Limits, set_limits
+from tauext.calibrate import LevelLimits, set_limits
 from tauext.config import AlarmConfig, ObserverConfig
 from tauext.data import Recording
 from tauext.errors import TauextError
-from tauext.learn import Scaling, build_chain, find_scaling, make_bundle, set_signal_ranges
+from tauext.learn import Scaling, build_setup, find_scaling, make_bundle, set_signal_ranges
 from tauext.learn.train import TrainedNetwork
 
 HIDDEN, GAIN_PER_S = 20, 20.0
@@ -32,15 +32,15 @@ def recording(seed: int, samples: int = 2500, push_nm: float = 0.0) -> Recording
 def bundle_of_real_size() -> tuple[_core.Bundle, Scaling]:
     """The paper's sizes with random weights: two joints, 20 units, windows of 100 steps of 10 ms."""
     made = recording(1)
-    chain = build_chain(planar_arm(), made, ObserverConfig(gain_per_s=GAIN_PER_S))
-    scaling = find_scaling(chain, [made])
+    setup = build_setup(planar_arm(), made, ObserverConfig(gain_per_s=GAIN_PER_S))
+    scaling = find_scaling(setup, [made])
     shape = _core.LstmShape(6, HIDDEN, 2)
     parameters = np.random.default_rng(2).normal(0, 0.4, shape.parameter_count).astype(np.float32)
     network = TrainedNetwork(shape, parameters, [], 0, 0.0)
-    bundle = make_bundle("random", chain, 0.02, made, scaling, network)
+    bundle = make_bundle("random", setup, 0.02, made, scaling, network)
     healthy = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)["tau_ext"][1000:]
     largest = np.abs(healthy).max(axis=0)
-    set_limits(bundle, Limits(1.05 * largest, 1.1 * largest), AlarmConfig())
+    set_limits(bundle, LevelLimits(1.05 * largest, 1.1 * largest), AlarmConfig())
     set_signal_ranges(bundle, [made])
     return bundle, scaling
 

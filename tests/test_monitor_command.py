@@ -15,7 +15,7 @@ from made_pushes import pushed, watching_bundle
 
 from tauext.cli import main
 from tauext.cli.aside import Aside
-from tauext.data import load, save
+from tauext.data import load_recording, save_recording
 
 ROOT = Path(__file__).parent.parent
 PROFILES = "[bounds]\nlowest = 0.5\nhighest = 3\n[profiles.usual]\n[profiles.pressing]\ncollision = 3\n"
@@ -26,7 +26,7 @@ REACTIONS = '[[reaction]]\nname = "note"\non = ["collision"]\ncommand = ["true"]
 def place(tmp_path, monkeypatch):
     """A folder with a bundle, a recording of two pushes, reactions and profiles; a replay does not wait in it."""
     watching_bundle().save(str(tmp_path / "watching.tauext"))
-    save(pushed(), tmp_path / "pushed.parquet")
+    save_recording(pushed(), tmp_path / "pushed.parquet")
     (tmp_path / "profiles.toml").write_text(PROFILES)
     (tmp_path / "reactions.toml").write_text(REACTIONS)
     monkeypatch.chdir(tmp_path)
@@ -89,7 +89,7 @@ def test_lines_of_text_end_with_a_summary(place, capsys):
     ):
         assert part in out, part
     (kept,) = Path("kept").iterdir()
-    np.testing.assert_array_equal(load(kept).q, pushed().q)
+    np.testing.assert_array_equal(load_recording(kept).q, pushed().q)
 
 
 @pytest.mark.parametrize(

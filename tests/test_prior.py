@@ -17,7 +17,7 @@ from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn import Chain, PriorFit, fit_friction, fit_prior
+from tauext.learn import PriorFit, Setup, fit_friction, fit_prior
 from tauext.learn.prior import Inertia, fit_terms
 from tauext.learn.prior_terms import CORRECTED as BY_CORRECTED
 from tauext.learn.prior_terms import ESTIMATED, has_model, own_terms, shared_terms
@@ -261,10 +261,10 @@ def record(
     return Recording(name=f"made-{seed}", joints=("shoulder", "elbow"), **signals, **meta)
 
 
-def chain_of(tree: _core.Tree, widths=WIDTHS) -> Chain:
+def setup_of(tree: _core.Tree, widths=WIDTHS) -> Setup:
     prior = _core.PriorSettings()
     prior.widths_rad = list(widths)
-    return Chain(tree, settings("averaged", RATE_HZ, GAIN), 100, prior)
+    return Setup(tree, settings("averaged", RATE_HZ, GAIN), 100, prior)
 
 
 FRICTION = {  # of shoulder and elbow, as it stands in r
@@ -318,9 +318,9 @@ def where(fit: PriorFit, joint: int, kind: str, b: int = 0) -> int:
     return found
 
 
-def remaining(chain: Chain, fit: PriorFit, made: Recording) -> np.ndarray:
+def remaining(setup: Setup, fit: PriorFit, made: Recording) -> np.ndarray:
     """r minus prior after the warm-up, by the core."""
-    said = _core.observe(chain.tree, chain.observer, made.t_ns, made.q, made.dq, made.tau, fit.settings)
+    said = _core.observe(setup.tree, setup.observer, made.t_ns, made.q, made.dq, made.tau, fit.settings)
     return (said.residual - said.prior)[said.warm.astype(bool)]
 
 
@@ -334,8 +334,8 @@ def base_parameters(tree: _core.Tree) -> np.ndarray:
 
 
 def test_known_friction_is_recovered_within_its_standard_errors():
-    chain, made = chain_of(planar_arm()), recordings(loaded)
-    fit = fit_prior(chain, made, ONE_SPEED)
+    setup, made = setup_of(planar_arm()), recordings(loaded)
+    fit = fit_prior(setup, made, ONE_SPEED)
     for joint in range(2):
         for kind, values in FRICTION.items():
             m = where(fit, joint, kind, 1 if kind == "presliding" else 0)
@@ -354,8 +354,8 @@ def test_held_torques_at_1_khz_tell_the_same_friction():
         record(planar_arm(), motion(seed, 15.0, 1000.0), simple, 5 * NOISE_NM, seed, 1000.0, "held")
         for seed in range(3)
     ]
-    chain = Chain(planar_arm(), settings("held", 1000.0, GAIN), 100)
-    fit = fit_prior(chain, made, ONE_SPEED)
+    setup = Setup(planar_arm(), settings("held", 1000.0, GAIN), 100)
+    fit = fit_prior(setup, made, ONE_SPEED)
     for joint in range(2):
         for kind in ("viscous", "coulomb"):
             m = where(fit, joint, kind)
@@ -366,7 +366,7 @@ def test_held_torques_at_1_khz_tell_the_same_friction():
 
 
 def test_terms_that_are_not_in_the_friction_do_not_stand_out_of_their_standard_errors():
-    fit = fit_prior(chain_of(planar_arm()), recordings(loaded), ONE_SPEED)
+    fit = fit_prior(setup_of(planar_arm()), recordings(loaded), ONE_SPEED)
     for joint in range(2):
         for kind, width in (("presliding", 0), ("load_presliding", 1)):
             m = where(fit, joint, kind, width)
@@ -375,16 +375,16 @@ def test_terms_that_are_not_in_the_friction_do_not_stand_out_of_their_standard_e
 
 
 def test_friction_of_one_joint_has_no_weight_in_another():
-    fit = fit_prior(chain_of(planar_arm()), recordings(loaded), ONE_SPEED)
+    fit = fit_prior(setup_of(planar_arm()), recordings(loaded), ONE_SPEED)
     for m, term in enumerate(fit.settings.terms):
         assert fit.weights[1 - term.a, m] == 0
     np.testing.assert_array_equal(fit.weights.ravel(), fit.settings.weights)
 
 
 def test_what_is_left_of_new_recordings_is_the_noise_and_the_error_that_was_promised():
-    chain = chain_of(planar_arm())
-    fit = fit_prior(chain, recordings(loaded), ONE_SPEED)
-    left = np.vstack([remaining(chain, fit, made) for made in recordings(loaded, first_seed=50)])
+    setup = setup_of(planar_arm())
+    fit = fit_prior(setup, recordings(loaded), ONE_SPEED)
+    left = np.vstack([remaining(setup, fit, made) for made in recordings(loaded, first_seed=50)])
     rmse = np.sqrt(np.mean(left**2, axis=0))
     # 180 s of noise with a memory of 0.1 s determine its RMS to 2 %.
     np.testing.assert_allclose(rmse, FILTERED_NOISE_NM, rtol=0.06)
@@ -396,8 +396,8 @@ def test_what_is_left_of_new_recordings_is_the_noise_and_the_error_that_was_prom
 )
 def test_a_wrong_mass_and_a_wrong_centre_of_mass_are_found(factors):
     wrong = perturbed(planar_arm(), **factors)
-    chain, made = chain_of(wrong), recordings(unloaded)
-    fit = fit_prior(chain, made, CORRECTED)
+    setup, made = setup_of(wrong), recordings(unloaded)
+    fit = fit_prior(setup, made, CORRECTED)
     corrected = _core.Tree(fit.settings.corrected_links, wrong.gravity)
     found, true = base_parameters(corrected), base_parameters(planar_arm())
     # Filtered noise of 0.16 Nm over some 3600 independent samples is 3e-3 Nm; gravity turns that into 3e-4 kg m, and
@@ -411,7 +411,7 @@ def test_a_wrong_mass_and_a_wrong_centre_of_mass_are_found(factors):
 
 
 def test_corrections_that_only_the_ridge_decides_are_told_from_those_that_the_data_do():
-    fit = fit_prior(chain_of(perturbed(planar_arm(), mass_factor=0.5)), recordings(unloaded), CORRECTED)
+    fit = fit_prior(setup_of(perturbed(planar_arm(), mass_factor=0.5)), recordings(unloaded), CORRECTED)
     told = dict(zip(PARAMETERS, fit.corrections_determined.T, strict=True))
     # The elbow's gravity torque, inertia and rotor follow from its own motion. Its mass shows only together with the
     # shoulder's first moment, and the shoulder's inertia only together with its rotor.
@@ -424,34 +424,34 @@ def test_corrections_that_only_the_ridge_decides_are_told_from_those_that_the_da
 
 
 def test_a_right_model_is_left_nearly_as_it_is():
-    fit = fit_prior(chain_of(planar_arm()), recordings(unloaded), CORRECTED)
+    fit = fit_prior(setup_of(planar_arm()), recordings(unloaded), CORRECTED)
     corrected = _core.Tree(fit.settings.corrected_links, planar_arm().gravity)
     np.testing.assert_allclose(base_parameters(corrected), base_parameters(planar_arm()), rtol=0, atol=0.015)
 
 
 def test_without_a_model_gravity_and_inertia_terms_reach_the_noise():
     bare = no_model(planar_arm())
-    chain = chain_of(bare)
-    fit = fit_prior(chain, recordings(unloaded), BASIS)
+    setup = setup_of(bare)
+    fit = fit_prior(setup, recordings(unloaded), BASIS)
     # 26 more weights a joint cost a few percent.
     assert (fit.error_nm < 1.08 * FILTERED_NOISE_NM).all()
-    before = np.std(np.vstack([remaining_without(chain, made) for made in recordings(unloaded, count=1)]), axis=0)
+    before = np.std(np.vstack([remaining_without(setup, made) for made in recordings(unloaded, count=1)]), axis=0)
     assert (before > 30 * FILTERED_NOISE_NM).all()
-    left = remaining(chain, fit, recordings(unloaded, count=1, first_seed=60)[0])
+    left = remaining(setup, fit, recordings(unloaded, count=1, first_seed=60)[0])
     assert (np.sqrt(np.mean(left**2, axis=0)) < 1.15 * FILTERED_NOISE_NM).all()
     assert fit.corrections.size == 0 and not fit.settings.corrected_links
 
 
-def remaining_without(chain: Chain, made: Recording) -> np.ndarray:
-    said = _core.observe(chain.tree, chain.observer, made.t_ns, made.q, made.dq, made.tau)
+def remaining_without(setup: Setup, made: Recording) -> np.ndarray:
+    said = _core.observe(setup.tree, setup.observer, made.t_ns, made.q, made.dq, made.tau)
     return said.residual[said.warm.astype(bool)]
 
 
 def test_the_filtered_basis_without_a_model_holds_the_planar_arm_exactly():
     """No noise, no friction: gravity, momentum and quadratic terms are the arm, so that only the ridge remains."""
-    chain, made = chain_of(no_model(planar_arm())), recordings(None, noise_nm=0.0, count=5, seconds=10.0)
-    fit = fit_prior(chain, made, BASIS)
-    largest = np.abs(remaining_without(chain, made[0])).max(axis=0)
+    setup, made = setup_of(no_model(planar_arm())), recordings(None, noise_nm=0.0, count=5, seconds=10.0)
+    fit = fit_prior(setup, made, BASIS)
+    largest = np.abs(remaining_without(setup, made[0])).max(axis=0)
     assert fit.ridge == 1e-7 and (fit.error_nm < 1e-3 * largest).all()
 
 
@@ -464,7 +464,7 @@ def ripples_of(fit: PriorFit) -> list[tuple[int, int]]:
 
 
 def test_a_ripple_of_37_cycles_a_turn_is_found_with_its_amplitude_and_phase():
-    fit = fit_prior(chain_of(planar_arm()), recordings(rippling((37, 1.2)), count=2), SEARCHED)
+    fit = fit_prior(setup_of(planar_arm()), recordings(rippling((37, 1.2)), count=2), SEARCHED)
     assert ripples_of(fit) == [(1, 37)]
     sine = where(fit, 1, "ripple", 37)
     assert fit.settings.terms[sine + 1].form == 1
@@ -474,59 +474,59 @@ def test_a_ripple_of_37_cycles_a_turn_is_found_with_its_amplitude_and_phase():
 
 def test_two_ripples_of_a_joint_are_found_one_after_the_other_and_no_more_than_asked_for():
     made = recordings(rippling((37, 1.2), (100, 2.5)), count=2)
-    assert ripples_of(fit_prior(chain_of(planar_arm()), made, SEARCHED)) == [(1, 37), (1, 100)]
+    assert ripples_of(fit_prior(setup_of(planar_arm()), made, SEARCHED)) == [(1, 37), (1, 100)]
     one = PriorConfig(WIDTHS, coulomb_speeds_rad_s=(0.05,), most_ripples=1, correct_model=False)
-    assert len(ripples_of(fit_prior(chain_of(planar_arm()), made, one))) == 1
+    assert len(ripples_of(fit_prior(setup_of(planar_arm()), made, one))) == 1
 
 
 def test_no_ripple_is_found_where_there_is_none():
     # 80 s: in much shorter recordings the largest of 400 candidates explains 3 % of mere noise.
-    fit = fit_prior(chain_of(planar_arm()), recordings(unloaded, count=2, seconds=40.0), SEARCHED)
+    fit = fit_prior(setup_of(planar_arm()), recordings(unloaded, count=2, seconds=40.0), SEARCHED)
     assert ripples_of(fit) == []
 
 
 def test_no_ripple_is_searched_for_in_less_than_45_seconds():
-    fit = fit_prior(chain_of(planar_arm()), recordings(rippling((37, 1.2)), count=1, seconds=20.0), SEARCHED)
+    fit = fit_prior(setup_of(planar_arm()), recordings(rippling((37, 1.2)), count=1, seconds=20.0), SEARCHED)
     assert ripples_of(fit) == []
 
 
 def test_a_known_ripple_is_not_found_again():
-    chain, made = chain_of(planar_arm()), recordings(rippling((37, 1.2)), count=2)
-    fit = fit_terms(chain, made, ONE_SPEED, [[], []], Inertia())
-    assert find_ripple(chain, made, fit, [[], []]) == [[], [37]]
-    assert find_ripple(chain, made, fit, [[], [37]]) == [[], []]
+    setup, made = setup_of(planar_arm()), recordings(rippling((37, 1.2)), count=2)
+    fit = fit_terms(setup, made, ONE_SPEED, [[], []], Inertia())
+    assert find_ripple(setup, made, fit, [[], []]) == [[], [37]]
+    assert find_ripple(setup, made, fit, [[], [37]]) == [[], []]
 
 
 # --- the ridge, and data that are too few
 
 
 def test_noise_and_short_recordings_ask_for_a_stronger_ridge():
-    quiet = fit_prior(chain_of(planar_arm()), recordings(loaded, noise_nm=0.05), ONE_SPEED)
-    noisy = fit_prior(chain_of(planar_arm()), recordings(loaded, seconds=2.0, count=5, noise_nm=20.0), ONE_SPEED)
+    quiet = fit_prior(setup_of(planar_arm()), recordings(loaded, noise_nm=0.05), ONE_SPEED)
+    noisy = fit_prior(setup_of(planar_arm()), recordings(loaded, seconds=2.0, count=5, noise_nm=20.0), ONE_SPEED)
     assert noisy.ridge > 100 * quiet.ridge
 
 
 def test_recordings_shorter_than_the_warm_up_are_refused():
     made = recordings(unloaded, count=3, seconds=0.5)
     with pytest.raises(TrainingError, match="no training recording is longer than the observer's warm-up"):
-        fit_prior(chain_of(planar_arm()), made, CORRECTED)
+        fit_prior(setup_of(planar_arm()), made, CORRECTED)
 
 
 def test_recordings_too_short_for_the_warm_up_are_left_out():
     long, short = recordings(loaded, count=4), recordings(loaded, count=1, seconds=0.5, first_seed=70)
-    with_short = fit_prior(chain_of(planar_arm()), long + short, ONE_SPEED)
+    with_short = fit_prior(setup_of(planar_arm()), long + short, ONE_SPEED)
     assert np.isfinite(with_short.error_nm).all() and (with_short.error_nm < 1.1 * FILTERED_NOISE_NM).all()
 
 
 def test_a_single_recording_is_cross_validated_in_parts():
-    fit = fit_prior(chain_of(planar_arm()), recordings(loaded, count=1, seconds=60.0), ONE_SPEED)
+    fit = fit_prior(setup_of(planar_arm()), recordings(loaded, count=1, seconds=60.0), ONE_SPEED)
     assert (fit.standard_errors[0, : len(fit.settings.terms) // 2] > 0).all()
     np.testing.assert_allclose(fit.error_nm, FILTERED_NOISE_NM, rtol=0.15)
 
 
 def test_standard_errors_are_not_zero_where_one_of_many_recordings_is_long_enough():
     made = recordings(loaded, count=1, seconds=60.0) + recordings(loaded, count=5, seconds=0.5, first_seed=70)
-    fit = fit_prior(chain_of(planar_arm()), made, ONE_SPEED)
+    fit = fit_prior(setup_of(planar_arm()), made, ONE_SPEED)
     assert (fit.standard_errors[0, : len(fit.settings.terms) // 2] > 0).all()
 
 
@@ -536,7 +536,7 @@ def test_a_joint_that_never_moves_gets_no_friction_and_says_so():
         q, dq = motion(seed, 20.0)
         q[:, 1], dq[:, 1] = 0.7, 0.0
         made.append(record(planar_arm(), (q, dq), unloaded, NOISE_NM, seed))
-    fit = fit_prior(chain_of(planar_arm()), made, ONE_SPEED)
+    fit = fit_prior(setup_of(planar_arm()), made, ONE_SPEED)
     for kind in ("viscous", "coulomb", "presliding", "load"):
         m = where(fit, 1, kind)
         assert fit.weights[1, m] == 0 and fit.determined[1, m] == 0
@@ -546,7 +546,7 @@ def test_a_joint_that_never_moves_gets_no_friction_and_says_so():
 def test_the_same_recordings_give_the_same_bytes():
     wrong = perturbed(planar_arm(), mass_factor=0.5)
     one, other = (
-        fit_prior(chain_of(wrong), recordings(rippling((37, 1.2)), count=2), PriorConfig(WIDTHS)) for _ in "ab"
+        fit_prior(setup_of(wrong), recordings(rippling((37, 1.2)), count=2), PriorConfig(WIDTHS)) for _ in "ab"
     )
     assert [(t.kind, t.a, t.b, t.c, t.form, t.speed) for t in one.settings.terms] == [
         (t.kind, t.a, t.b, t.c, t.form, t.speed) for t in other.settings.terms
@@ -574,18 +574,18 @@ def test_an_inertia_that_is_too_large_beside_no_rotor_inertia_is_corrected():
     """A robot file often has no rotor inertia; an inertia too large in it must not end as a negative rotor inertia."""
     true = with_links(planar_arm(), rotor_inertia=(0.0, 0.0))
     estimated = with_links(true, inertia=([0.2, 0.2, 0.2, 0, 0, 0], [0.14, 0.14, 0.14, 0, 0, 0]))
-    chain, made = chain_of(estimated), recordings(unloaded, tree=true)
-    fit = fit_prior(chain, made, CORRECTED)
-    left = np.vstack([remaining(chain, fit, one) for one in made])
+    setup, made = setup_of(estimated), recordings(unloaded, tree=true)
+    fit = fit_prior(setup, made, CORRECTED)
+    left = np.vstack([remaining(setup, fit, one) for one in made])
     np.testing.assert_allclose(np.sqrt(np.mean(left**2, axis=0)), FILTERED_NOISE_NM, rtol=0.06)
 
 
 def test_a_rotor_inertia_that_the_robot_does_not_have_is_taken_away():
     """Noise decides whether what is left of it comes out just above or just below zero; both must do."""
     true = with_links(planar_arm(), rotor_inertia=(0.0, 0.0))
-    chain = chain_of(planar_arm())
+    setup = setup_of(planar_arm())
     for first_seed in (0, 30):
-        fit = fit_prior(chain, recordings(unloaded, tree=true, first_seed=first_seed), CORRECTED)
+        fit = fit_prior(setup, recordings(unloaded, tree=true, first_seed=first_seed), CORRECTED)
         assert all(link.rotor_inertia >= 0 for link in fit.settings.corrected_links)
         np.testing.assert_allclose(fit.error_nm, FILTERED_NOISE_NM, rtol=0.06)
 
@@ -604,9 +604,9 @@ def test_a_link_without_mass_in_the_robot_file_is_corrected_too(massless):
         com=tuple([c * k for c in cs] for cs, k in zip(com, kept, strict=True)),
         inertia=tuple([i * k for i in own] for own, k in zip(inertia, kept, strict=True)),
     )
-    chain, made = chain_of(estimated), recordings(unloaded)
-    fit = fit_prior(chain, made, CORRECTED)
-    left = np.vstack([remaining(chain, fit, one) for one in made])
+    setup, made = setup_of(estimated), recordings(unloaded)
+    fit = fit_prior(setup, made, CORRECTED)
+    left = np.vstack([remaining(setup, fit, one) for one in made])
     np.testing.assert_allclose(np.sqrt(np.mean(left**2, axis=0)), FILTERED_NOISE_NM, rtol=0.06)
 
 
@@ -619,14 +619,14 @@ def test_the_terms_of_an_arm_of_any_size_fit_it():
             links.append(link)
         with_model = _core.Tree(links, [0, -9.81, 0])
         for tree in (with_model, no_model(with_model)):
-            chain = chain_of(tree, PriorConfig().widths_rad)
-            assert has_model(chain) == (tree is with_model)
-            load = ESTIMATED if has_model(chain) else None
-            terms = [t for joint in range(joints) for t in own_terms(chain, PriorConfig(), joint, [37, 100], load)]
-            terms += [] if has_model(chain) else shared_terms(chain)
+            setup = setup_of(tree, PriorConfig().widths_rad)
+            assert has_model(setup) == (tree is with_model)
+            load = ESTIMATED if has_model(setup) else None
+            terms = [t for joint in range(joints) for t in own_terms(setup, PriorConfig(), joint, [37, 100], load)]
+            terms += [] if has_model(setup) else shared_terms(setup)
             q = np.zeros((3, joints))
-            prior = prior_of(terms, np.zeros((joints, len(terms))), chain.widths_rad)
-            _core.observe(tree, chain.observer, regular_times(3, RATE_HZ), q, q, q, prior)
+            prior = prior_of(terms, np.zeros((joints, len(terms))), setup.widths_rad)
+            _core.observe(tree, setup.observer, regular_times(3, RATE_HZ), q, q, q, prior)
             different = {(t.kind.value, t.a, t.b, t.c, t.form, t.speed) for t in terms}
             assert len(different) == len(terms)
 
@@ -660,7 +660,7 @@ def test_settings_of_the_prior_that_make_no_sense_are_refused(changes, message):
 
 def test_no_presliding_widths_are_a_prior_without_presliding_states():
     config = PriorConfig((), coulomb_speeds_rad_s=(0.05,), most_ripples=0, correct_model=False)
-    fit = fit_prior(chain_of(planar_arm(), ()), recordings(unloaded, count=2), config)
+    fit = fit_prior(setup_of(planar_arm(), ()), recordings(unloaded, count=2), config)
     assert {t.kind for t in fit.settings.terms} == {Kind.constant, Kind.viscous, Kind.coulomb, Kind.load}
 
 
@@ -670,8 +670,8 @@ def test_no_presliding_widths_are_a_prior_without_presliding_states():
 def test_a_width_that_friction_knows_nothing_of_is_left_out_and_one_that_it_needs_is_kept():
     widths = (5e-4, 2e-3, 2e-2, 6e-2)  # friction bends over the third; the last is the region's, and stays
     config = replace(ONE_SPEED, widths_rad=widths, drop_widths=True, region_width_rad=6e-2)
-    all_of_them = fit_prior(chain_of(planar_arm(), widths), recordings(unloaded), replace(config, drop_widths=False))
-    fit = fit_prior(chain_of(planar_arm(), widths), recordings(unloaded), config)
+    all_of_them = fit_prior(setup_of(planar_arm(), widths), recordings(unloaded), replace(config, drop_widths=False))
+    fit = fit_prior(setup_of(planar_arm(), widths), recordings(unloaded), config)
     assert fit.settings.widths_rad == [2e-2, 6e-2]
     assert sorted(fit.dropped_widths) == [5e-4, 2e-3]
     assert all("the error grows by" in reason for reason in fit.dropped_widths.values())
@@ -687,11 +687,11 @@ def test_widths_within_two_counts_of_the_encoder_are_left_out():
     coarse = [replace(one, q=np.round(one.q / 1.5e-3) * 1.5e-3) for one in made]
     config = replace(ONE_SPEED, drop_widths=True)
     assert encoder_count(coarse) == pytest.approx(1.5e-3, rel=1e-9)
-    fit = fit_prior(chain_of(planar_arm()), coarse, config)
+    fit = fit_prior(setup_of(planar_arm()), coarse, config)
     assert list(fit.dropped_widths) == [2e-3] and "2 encoder counts of 0.0015 rad" in fit.dropped_widths[2e-3]
     assert fit.settings.widths_rad == [2e-2]
     # The same friction seen by a fine encoder needs that width.
-    assert fit_prior(chain_of(planar_arm()), made, config).settings.widths_rad == [2e-3, 2e-2]
+    assert fit_prior(setup_of(planar_arm()), made, config).settings.widths_rad == [2e-3, 2e-2]
 
 
 def test_an_encoder_that_never_moves_has_no_count():
@@ -706,8 +706,8 @@ def test_textbook_friction_finds_its_three_numbers_a_joint_and_nothing_else():
     def textbook(q, dq, beta):
         return FRICTION["constant"] + FRICTION["viscous"] * dq + FRICTION["coulomb"] * np.tanh(dq / 0.03)
 
-    chain = chain_of(planar_arm(), ())
-    fit = fit_friction(chain, recordings(textbook))
+    setup = setup_of(planar_arm(), ())
+    fit = fit_friction(setup, recordings(textbook))
     assert [(t.kind, t.a) for t in fit.settings.terms] == [
         (kind, joint) for joint in range(2) for kind in (Kind.constant, Kind.viscous, Kind.coulomb)
     ]
@@ -721,8 +721,8 @@ def test_textbook_friction_finds_its_three_numbers_a_joint_and_nothing_else():
 
 
 def test_textbook_friction_without_a_model_leaves_gravity_in_r():
-    chain, made = chain_of(no_model(planar_arm()), ()), recordings(unloaded)
-    fit = fit_friction(chain, made)
+    setup, made = setup_of(no_model(planar_arm()), ()), recordings(unloaded)
+    fit = fit_friction(setup, made)
     assert len(fit.settings.terms) == 6
     gravity_nm = np.vstack([planar_arm().momentum(one.q, np.zeros_like(one.dq))[1] for one in made]).std(axis=0)
     assert (fit.error_nm > 0.5 * gravity_nm).all()

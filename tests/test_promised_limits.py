@@ -13,7 +13,7 @@ from tauext.calibrate.held_peaks import cluster_peaks
 from tauext.config import AlarmConfig, ObserverConfig
 from tauext.data import Recording
 from tauext.errors import TrainingError
-from tauext.learn import apply_gate, build_chain, find_scaling, make_bundle
+from tauext.learn import apply_gate, build_setup, find_scaling, make_bundle
 from tauext.learn.train import TrainedNetwork
 
 BUDGET = AlarmConfig(false_alarms=1, in_hours=0.02, contacts_an_hour=600)
@@ -32,8 +32,8 @@ def noisy(seed: int, seconds: float = 60.0, **changes) -> Recording:
 
 def observer(recipe="observer") -> _core.Bundle:
     made = noisy(0)
-    chain = build_chain(prismatic_mass(1e-9), made, ObserverConfig(), recipe)
-    return make_bundle("observer", chain, 0.02, made)
+    setup = build_setup(prismatic_mass(1e-9), made, ObserverConfig(), recipe)
+    return make_bundle("observer", setup, 0.02, made)
 
 
 def test_the_promised_rate_is_kept_on_recordings_that_were_not_calibrated_on():
@@ -101,14 +101,14 @@ def test_a_network_ships_only_where_it_lowers_the_error(weight, opened):
     t = np.arange(20_000) * 1e-3
     dq = 0.5 * np.sin(t)[:, None]
     made = noisy(1, seconds=20.0, dq=dq, q=np.cumsum(dq, axis=0) * 1e-3, tau=-20 * dq)
-    chain = build_chain(prismatic_mass(1e-9), made, ObserverConfig(window_s=0.05))
-    scaling = find_scaling(chain, [made])
+    setup = build_setup(prismatic_mass(1e-9), made, ObserverConfig(window_s=0.05))
+    scaling = find_scaling(setup, [made])
     shape = _core.LstmShape(3, 1, 1)
     # One unit, open gates, cell tanh(weight dq): W_x (4, 3), W_h (4, 1), b (4), head.
     w_x = np.zeros((4, 3))
     w_x[2, 1] = weight
     parameters = np.r_[w_x.ravel(), np.zeros(4), [9, -9, 0, 9], [1.8], [0]].astype(np.float32)
-    bundle = make_bundle("net", chain, 0.02, made, scaling, TrainedNetwork(shape, parameters, [], 0, 0.0))
+    bundle = make_bundle("net", setup, 0.02, made, scaling, TrainedNetwork(shape, parameters, [], 0, 0.0))
     gate = apply_gate(bundle, [made], 0.03, 1)
     assert gate.opened.tolist() == [opened] and bundle.has_network == opened
     assert ("prior and network" if opened else "prior only") in gate.reason(0, 0.03)

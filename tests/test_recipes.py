@@ -15,19 +15,20 @@ from test_few_data import motion
 
 from tauext import _core
 from tauext.config import PAPER_CASES, CaseName, RecipeName, TrainConfig
+from tauext.data.estimates import OK
 from tauext.errors import ConfigError
-from tauext.learn import Chain, PriorFit
+from tauext.learn import PriorFit, Setup
 from tauext.learn.ridge import fit_ridge
 from tauext.recipes import RECIPES, Recipe, baselines
-from tauext.train import train_bundle, training_settings, why_impossible
+from tauext.train import train_on_recordings, training_settings, why_impossible
 
 EXACT, NONE = PAPER_CASES["exact"], PAPER_CASES["none"]
 
 
-def fit_viscous(chain: Chain, recordings, *, tell, **settings) -> PriorFit:
+def fit_viscous(setup: Setup, recordings, *, tell, **settings) -> PriorFit:
     """Constant and viscous friction of every joint: the baseline that the test below adds."""
     kinds = (_core.TermKind.constant, _core.TermKind.viscous)
-    fit = fit_ridge(chain, recordings, [[_core.Term(kind, j) for kind in kinds] for j in range(chain.tree.size)], [])
+    fit = fit_ridge(setup, recordings, [[_core.Term(kind, j) for kind in kinds] for j in range(setup.tree.size)], [])
     tell(f"error on left-out motion {fit.error_nm.max():.2f} Nm")
     return fit
 
@@ -58,7 +59,7 @@ def test_a_regression_baseline_is_one_row_and_one_fit_function(tmp_path, monkeyp
     monkeypatch.setitem(RECIPES, row.name, row)
     out, heard = tmp_path / "viscous.tauext", Heard()
     config = TrainConfig(recipe="viscous")
-    train_bundle(planar_arm(), Path(), EXACT, [motion(60.0)], [motion(20.0, seed=1)], config, out, report=heard)
+    train_on_recordings(planar_arm(), Path(), EXACT, [motion(60.0)], [motion(20.0, seed=1)], config, out, report=heard)
 
     bundle = _core.Bundle.load(str(out))
     facts = json.loads(bundle.provenance)
@@ -66,9 +67,9 @@ def test_a_regression_baseline_is_one_row_and_one_fit_function(tmp_path, monkeyp
     assert [term.kind.name for term in bundle.prior.terms] == ["constant", "viscous"] * 2 and not bundle.has_network
     made = motion(20.0, seed=2)
     said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
-    healthy = said["healthy"].astype(bool)
-    rms = {name: np.sqrt(np.mean(said[name][healthy] ** 2, axis=0)) for name in ("r", "tau_ext")}
-    assert (rms["tau_ext"] < 0.5 * rms["r"]).all()  # most of 3 Nm Coulomb and 2 Nm s/rad viscous friction
+    healthy = said["health"] == OK
+    rms = {name: np.sqrt(np.mean(said[name][healthy] ** 2, axis=0)) for name in ("residual", "tau_ext")}
+    assert (rms["tau_ext"] < 0.5 * rms["residual"]).all()  # most of 3 Nm Coulomb and 2 Nm s/rad viscous friction
     assert "viscous" in baselines() and list(baselines())[-1] == "tauext"
     assert heard.sentences[0].startswith("viscous: error on left-out motion")
     assert capsys.readouterr() == ("", "")  # a stage prints nothing
@@ -114,7 +115,7 @@ def test_training_tells_its_reporter_how_far_it_is_and_prints_nothing(tmp_path, 
     heard = Heard()
     config = TrainConfig(recipe="dense", max_steps=20, batch=4, hidden=2, targets=20, seed=1)
     out = tmp_path / "small.tauext"
-    train_bundle(planar_arm(), Path(), EXACT, [motion(40.0)], [], config, out, report=heard)
+    train_on_recordings(planar_arm(), Path(), EXACT, [motion(40.0)], [], config, out, report=heard)
     assert heard.titles == ["train small"] and heard.steps[-1][:2] == (20, 20)
     assert any("validate, " in sentence for sentence in heard.sentences)
     assert capsys.readouterr() == ("", "")

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tauext.data import Recording, describe, load, save
+from tauext.data import Recording, describe, load_recording, save_recording
 from tauext.errors import RecordingError
 
 JOINTS = ("shoulder", "elbow")
@@ -162,8 +162,8 @@ def test_rates_agree_within_twenty_percent():
 @pytest.mark.parametrize("make", [content, full_content], ids=["required", "everything"])
 def test_a_file_keeps_the_recording_exactly(make, tmp_path):
     recording = Recording(**make())
-    save(recording, tmp_path / "one.parquet")
-    assert_same(load(tmp_path / "one.parquet"), recording)
+    save_recording(recording, tmp_path / "one.parquet")
+    assert_same(load_recording(tmp_path / "one.parquet"), recording)
 
 
 def test_extreme_values_survive(tmp_path):
@@ -171,25 +171,25 @@ def test_extreme_values_survive(tmp_path):
     given["q"][0] = [5e-324, 1.7976931348623157e308]
     given["q"][1] = [-0.0, 0.1]
     given["rate_hz"] = 1000.0000000000001
-    save(Recording(**given), tmp_path / "one.parquet")
-    again = load(tmp_path / "one.parquet")
+    save_recording(Recording(**given), tmp_path / "one.parquet")
+    again = load_recording(tmp_path / "one.parquet")
     assert again.q.tobytes() == np.ascontiguousarray(given["q"]).tobytes()
     assert again.rate_hz == given["rate_hz"]
 
 
 def test_the_same_recording_gives_the_same_bytes(tmp_path):
     for name in ("a", "b"):
-        save(Recording(**full_content()), tmp_path / f"{name}.parquet")
+        save_recording(Recording(**full_content()), tmp_path / f"{name}.parquet")
     assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
 
 
 def test_the_name_is_the_stem_of_the_file(tmp_path):
-    save(Recording(**content()), tmp_path / "other.name.parquet")
-    assert load(tmp_path / "other.name.parquet").name == "other.name"
+    save_recording(Recording(**content()), tmp_path / "other.name.parquet")
+    assert load_recording(tmp_path / "other.name.parquet").name == "other.name"
 
 
 def test_floats_are_byte_stream_split_and_zstd(tmp_path):
-    save(Recording(**full_content()), tmp_path / "one.parquet")
+    save_recording(Recording(**full_content()), tmp_path / "one.parquet")
     group = pq.ParquetFile(tmp_path / "one.parquet").metadata.row_group(0)
     columns = [group.column(k) for k in range(group.num_columns)]
     floats = [c for c in columns if c.physical_type == "DOUBLE"]
@@ -199,7 +199,7 @@ def test_floats_are_byte_stream_split_and_zstd(tmp_path):
 
 
 def test_describe_reads_the_head_only(tmp_path):
-    save(Recording(**full_content()), tmp_path / "one.parquet")
+    save_recording(Recording(**full_content()), tmp_path / "one.parquet")
     head = describe(tmp_path / "one.parquet")
     assert (head.name, head.joints, head.samples, head.rate_hz) == ("one", JOINTS, SAMPLES, 1000.0)
     assert head.signals[:3] == ("q", "dq", "tau") and head.signals[-2:] == ("contact", "contact_link")
@@ -208,7 +208,7 @@ def test_describe_reads_the_head_only(tmp_path):
 
 def test_a_failed_save_leaves_the_old_file_and_no_other(tmp_path, monkeypatch):
     path = tmp_path / "one.parquet"
-    save(Recording(**content()), path)
+    save_recording(Recording(**content()), path)
     before = path.read_bytes()
 
     def full_disk(*args, **kwargs):
@@ -217,16 +217,16 @@ def test_a_failed_save_leaves_the_old_file_and_no_other(tmp_path, monkeypatch):
 
     monkeypatch.setattr(pq, "write_table", full_disk)
     with pytest.raises(RecordingError, match=r"one\.parquet: cannot be written \(No space left on device\)"):
-        save(Recording(**content(seed=1)), path)
+        save_recording(Recording(**content(seed=1)), path)
     assert [p.name for p in tmp_path.iterdir()] == ["one.parquet"]
     assert path.read_bytes() == before
 
 
 def test_save_refuses_a_missing_folder_and_another_ending(tmp_path):
     with pytest.raises(RecordingError, match="cannot be written"):
-        save(Recording(**content()), tmp_path / "nowhere" / "one.parquet")
+        save_recording(Recording(**content()), tmp_path / "nowhere" / "one.parquet")
     with pytest.raises(RecordingError, match=r"must end in \.parquet"):
-        save(Recording(**content()), tmp_path / "one.csv")
+        save_recording(Recording(**content()), tmp_path / "one.csv")
 
 
 # Faults of files
@@ -342,7 +342,7 @@ DAMAGES = {
 def assert_load_fails_and_leaves_the_file(path, message: str) -> None:
     before = (hashlib.sha256(path.read_bytes()).hexdigest(), path.stat().st_mtime_ns)
     with pytest.raises(RecordingError) as caught:
-        load(path)
+        load_recording(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -354,7 +354,7 @@ def assert_load_fails_and_leaves_the_file(path, message: str) -> None:
 def test_a_wrong_file_is_refused_by_name_and_left_as_it_was(fault, tmp_path):
     changes, message = FILE_FAULTS[fault]
     path = tmp_path / "one.parquet"
-    save(Recording(**full_content()), path)
+    save_recording(Recording(**full_content()), path)
     rewrite(path, **changes)
     assert_load_fails_and_leaves_the_file(path, message)
 
@@ -362,13 +362,13 @@ def test_a_wrong_file_is_refused_by_name_and_left_as_it_was(fault, tmp_path):
 @pytest.mark.parametrize("fault", DAMAGES)
 def test_a_damaged_file_is_refused_by_name_and_left_as_it_was(fault, tmp_path):
     path = tmp_path / "one.parquet"
-    save(Recording(**full_content()), path)
+    save_recording(Recording(**full_content()), path)
     damage(path, fault)
     assert_load_fails_and_leaves_the_file(path, DAMAGES[fault])
 
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path):
     with pytest.raises(RecordingError, match="there is no such recording"):
-        load(tmp_path / "one.parquet")
+        load_recording(tmp_path / "one.parquet")
     with pytest.raises(RecordingError, match="cannot be read"):
-        load(tmp_path)
+        load_recording(tmp_path)

@@ -1,4 +1,4 @@
-"""The report draws every figure for any number of joints and cases, and says what is missing instead of failing."""
+"""The report draws every figure for any number of joints and bundles, and says what is missing instead of failing."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
-from made_results import SEVEN_CASES, make_results
+from made_results import SEVEN_BUNDLES, make_results
 
 from tauext.errors import ConfigError, RecordingError, TauextError
 from tauext.report import paper, write_report
@@ -20,12 +21,12 @@ from tauext.report.free_motion import draw_free_motion
 from tauext.report.learning_curves import draw_learning_curves
 from tauext.report.methods_table import methods
 from tauext.report.missed_curve import draw_missed_curve
-from tauext.report.naming import case_label
+from tauext.report.naming import bundle_label
 from tauext.report.page import PageFigure, render_page
 from tauext.report.results_file import load_results
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.strength import draw_strength
-from tauext.report.style import CASE_COLOURS, OTHER_COLOURS, VARIANT_COLOURS, case_colours, case_strokes
+from tauext.report.style import CASE_COLOURS, OTHER_COLOURS, VARIANT_COLOURS, bundle_colours, bundle_strokes
 from tauext.report.three_collisions import choose, draw_three_collisions
 from tauext.report.training_loss import draw_training_loss
 
@@ -44,8 +45,8 @@ def made(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def seven(tmp_path_factory):
-    """Seven cases, two of them of another recipe and evaluated first."""
-    return make_results(tmp_path_factory.mktemp("seven"), seconds=20, cases=SEVEN_CASES)
+    """Seven bundles, two of them of another recipe and evaluated first."""
+    return make_results(tmp_path_factory.mktemp("seven"), seconds=20, bundles=SEVEN_BUNDLES)
 
 
 @pytest.fixture(scope="module")
@@ -107,8 +108,8 @@ def test_the_same_results_give_the_same_bytes_and_no_file_is_left_over(made, wri
     assert not list(folder.rglob("*.part")) and not list(tmp_path.rglob("*.part"))
 
 
-def test_a_report_of_seven_joints_and_cases_of_other_names_is_drawn(tmp_path):
-    folders = make_results(tmp_path, joints=7, cases=("mine", "exact"), seconds=20, scale=None)
+def test_a_report_of_seven_joints_and_bundles_of_other_names_is_drawn(tmp_path):
+    folders = make_results(tmp_path, joints=7, bundles=("mine", "exact"), seconds=20, scale=None)
     page = write_report(*folders, tmp_path / "report").read_text()
     assert "not available" not in page
     assert "joint7" in page and "mine" in page
@@ -132,7 +133,7 @@ def test_a_report_without_dataset_and_estimates_still_has_its_tables(copied, tmp
 
 def test_ours_stand_beside_the_papers(made):
     page = words_of(page_of(made[0]))
-    ours = load_results(made[0]).case("exact")
+    ours = load_results(made[0]).bundle("exact")
     for case in paper.L1_NM:
         for published in (paper.L1_NM[case], paper.L2_NM[case], paper.MSE_NM2[case]):
             assert f"{published[0]:.3f}" in page and f"{published[1]:.3f}" in page
@@ -141,6 +142,19 @@ def test_ours_stand_beside_the_papers(made):
     assert "0.418" in page and "1.344" in page
     assert f"{ours.false_alarms} false alarms in {ours.hours:.2f} h" in page
     assert f"{ours.ten_found} of {len(load_results(made[0]).ten)}" in page
+
+
+def test_kept_results_of_format_two_are_read(tmp_path):
+    """They call the list of bundles `cases`."""
+    kept = Path(__file__).parent.parent / "docs" / "results" / "comparison" / "results-exact.json"
+    content = json.loads(kept.read_text())
+    assert content["format"] == 2
+    shutil.copy(kept, tmp_path / "results.json")
+    results = load_results(tmp_path)
+    assert {bundle.name for bundle in results.bundles} == {entry["name"] for entry in content["cases"]}
+    assert all(
+        results.bundle(entry["name"]).l1_nm == tuple(entry["free_motion"]["l1_nm"]) for entry in content["cases"]
+    )
 
 
 def test_the_papers_numbers_agree_among_themselves():
@@ -163,7 +177,7 @@ def test_the_scale_is_said_plainly(scale, words, copied):
 def test_names_are_text_and_never_markup(copied):
     def edit(content):
         content["provenance"]["machine"] = "<b>fast</b> & loud"
-        content["cases"][0]["name"] = "<i>exact"
+        content["bundles"][0]["name"] = "<i>exact"
 
     change(copied[0], edit)
     page = page_of(copied[0])
@@ -172,14 +186,14 @@ def test_names_are_text_and_never_markup(copied):
 
 def test_numbers_that_do_not_exist_are_dashes(copied):
     def edit(content):
-        case = content["cases"][0]
+        bundle = content["bundles"][0]
         for key in ("l1_nm", "rmse_near_stiction_nm"):
-            case["free_motion"][key] = [None, 0.5]
+            bundle["free_motion"][key] = [None, 0.5]
         for key in ("hours", "false_alarms", "false_alarms_per_hour", "l2_nm", "observer_peak_nm"):
-            case["free_motion"][key] = None
-        for key in ("steps", "epochs", "train_minutes", "limits", "ten_found"):
-            del case[key]
-        case["collisions"] = []
+            bundle["free_motion"][key] = None
+        for key in ("steps", "epochs", "limits", "ten_found"):
+            del bundle[key]
+        bundle["collisions"] = []
         content["provenance"] = {}
 
     change(copied[0], edit)
@@ -192,8 +206,8 @@ def test_numbers_that_do_not_exist_are_dashes(copied):
 def test_results_without_collisions_say_so(copied):
     def edit(content):
         content["ten_collisions"], content["collisions"] = [], []
-        for case in content["cases"]:
-            case["collisions"], case["found_curve"], case["ten_found"] = [], [], 0
+        for bundle in content["bundles"]:
+            bundle["collisions"], bundle["found_curve"], bundle["ten_found"] = [], [], 0
 
     change(copied[0], edit)
     results = load_results(copied[0])
@@ -208,7 +222,7 @@ def test_results_without_collisions_say_so(copied):
 # Figures
 
 
-def test_figure_five_has_a_column_a_case_and_a_row_a_joint(made):
+def test_figure_five_has_a_column_a_bundle_and_a_row_a_joint(made):
     drawing = draw_free_motion(load_results(made[0]), signals_of(made))
     titles = [axes.get_title() for axes in drawing.figure.axes]
     assert [title for title in titles if title] == ["exact", "mass", "CoM", "mass + CoM", "no model"]
@@ -235,49 +249,52 @@ def test_figure_eight_is_of_the_first_joint_where_three_were_found_there(made):
     results = load_results(made[0])
     joint, collisions = choose(results)
     assert joint == 0 and len(collisions) == 3
-    assert all(results.cases[0].verdicts[c.id].joint == "joint1" for c in collisions)
+    assert all(results.bundles[0].verdicts[c.id].joint == "joint1" for c in collisions)
     drawing = draw_three_collisions(results, signals_of(made))
     lanes = [text.get_text() for axes in drawing.figure.axes[6:] for text in axes.texts]
-    expected = [case.verdicts[c.id].delay_against_sensor_s * 1e3 for c in collisions for case in results.cases]
+    expected = [bundle.verdicts[c.id].delay_against_sensor_s * 1e3 for c in collisions for bundle in results.bundles]
     assert [int(lane.split()[0].replace("−", "-")) for lane in lanes] == [round(ms) for ms in expected]
 
 
-def test_a_case_without_estimates_is_left_out_and_named(copied):
+def test_a_bundle_without_estimates_is_left_out_and_named(copied):
     results, _ = copied
     shutil.rmtree(results / "estimates" / "mass")
     for draw in (draw_free_motion, draw_three_collisions):
         drawing = draw(load_results(results), signals_of(copied))
         assert "since their estimates are missing: mass." in drawing.caption
     shutil.rmtree(results / "estimates" / "exact")
-    with pytest.raises(NotAvailable, match="no test recording is there with its estimates of case exact"):
+    with pytest.raises(NotAvailable, match="no test recording is there with its estimates of bundle exact"):
         draw_error_over_speed(load_results(results), signals_of(copied))
     shutil.rmtree(results / "estimates" / "none")
-    with pytest.raises(NotAvailable, match="no estimates of case none for collisions-000"):
+    with pytest.raises(NotAvailable, match="no estimates of bundle none for collisions-000"):
         draw_collisions(load_results(results), signals_of(copied))
 
 
-def test_figures_need_no_other_case_than_the_one_there_is(copied):
-    change(copied[0], lambda content: content.update(cases=content["cases"][2:3]))
+def test_figures_need_no_other_bundle_than_the_one_there_is(copied):
+    change(copied[0], lambda content: content.update(bundles=content["bundles"][2:3]))
     for draw in DRAWERS:
         assert draw(load_results(copied[0]), signals_of(copied)).figure.axes
     assert draw_found_curve(load_results(copied[0])).figure.axes
 
 
-def test_a_case_keeps_its_colour_whatever_stands_beside_it():
-    assert case_colours(["none", "mine"])["none"] == case_colours(list(CASE_COLOURS))["none"]
-    assert case_colours(["none", "mine"])["mine"] == OTHER_COLOURS[0]
-    many = [f"case-{k}" for k in range(17)]
-    assert len({*case_colours(many).values()}) == 17 == len({*case_colours(["exact", *many[1:]]).values()})
-    assert case_colours(many)["case-0"] == CASE_COLOURS["exact"]  # free where no case is the paper's
-    strokes = case_strokes(many[:12]).values()
+def test_a_bundle_keeps_its_colour_whatever_stands_beside_it():
+    assert bundle_colours(["none", "mine"])["none"] == bundle_colours(list(CASE_COLOURS))["none"]
+    assert bundle_colours(["none", "mine"])["mine"] == OTHER_COLOURS[0]
+    many = [f"bundle-{k}" for k in range(17)]
+    assert len({*bundle_colours(many).values()}) == 17 == len({*bundle_colours(["exact", *many[1:]]).values()})
+    assert bundle_colours(many)["bundle-0"] == CASE_COLOURS["exact"]  # free where no bundle is the paper's
+    strokes = bundle_strokes(many[:12]).values()
     assert len({(stroke["marker"], str(stroke["linestyle"])) for stroke in strokes}) == 12
-    assert case_colours(["none-paper", "none"]) == {"none-paper": VARIANT_COLOURS["none"], "none": CASE_COLOURS["none"]}
-    assert case_colours(["none-paper", "none-long"])["none-long"] == OTHER_COLOURS[0]
+    assert bundle_colours(["none-paper", "none"]) == {
+        "none-paper": VARIANT_COLOURS["none"],
+        "none": CASE_COLOURS["none"],
+    }
+    assert bundle_colours(["none-paper", "none-long"])["none-long"] == OTHER_COLOURS[0]
     palettes = [*CASE_COLOURS.values(), *VARIANT_COLOURS.values(), *OTHER_COLOURS]
     assert len({*palettes}) == len(palettes)
 
 
-# Cases of one model, trained by different recipes
+# Bundles of one model, trained by different recipes
 
 
 @pytest.mark.parametrize(
@@ -291,13 +308,13 @@ def test_a_case_keeps_its_colour_whatever_stands_beside_it():
         ("my-paper", "paper", "my-paper"),
     ],
 )
-def test_a_case_is_called_by_its_model_and_what_sets_it_apart(name, recipe, label):
-    assert case_label(name, recipe) == label
+def test_a_bundle_is_called_by_its_model_and_what_sets_it_apart(name, recipe, label):
+    assert bundle_label(name, recipe) == label
 
 
-def test_cases_stand_in_the_papers_order_with_other_recipes_behind_their_models_own(seven):
+def test_bundles_stand_in_the_papers_order_with_other_recipes_behind_their_models_own(seven):
     results = load_results(seven[0])
-    assert [case.name for case in results.cases] == [
+    assert [bundle.name for bundle in results.bundles] == [
         "exact",
         "exact-paper",
         "mass",
@@ -306,8 +323,10 @@ def test_cases_stand_in_the_papers_order_with_other_recipes_behind_their_models_
         "none",
         "none-paper",
     ]
-    without = replace(results, cases=tuple(case for case in results.cases if case.name not in ("none", "exact")))
-    assert (without.case("none").name, without.case("exact").name) == ("none-paper", "exact-paper")
+    without = replace(
+        results, bundles=tuple(bundle for bundle in results.bundles if bundle.name not in ("none", "exact"))
+    )
+    assert (without.bundle("none").name, without.bundle("exact").name) == ("none-paper", "exact-paper")
 
 
 def test_the_papers_numbers_stand_beside_both_recipes_and_the_recipe_is_named(seven):
@@ -316,13 +335,13 @@ def test_the_papers_numbers_stand_beside_both_recipes_and_the_recipe_is_named(se
         ("exact", "exact", "dense 20,000"),
         ("exact, paper recipe", "exact-paper", "paper 189,000"),
     ):
-        ours = load_results(seven[0]).case(name)
+        ours = load_results(seven[0]).bundle(name)
         measures = f"{ours.l1_nm[0]:.3f} 0.402 {ours.l2_nm[0]:.3f} 0.661 {ours.mse_nm2[0]:.3f} 0.435"
         assert f"{label} joint1 {measures} {trained}" in page
     assert "exact 20,000 steps; exact, paper recipe 189,000 steps; mass 20,000 steps" in page
 
 
-def test_seven_cases_are_drawn_in_every_figure(seven, tmp_path):
+def test_seven_bundles_are_drawn_in_every_figure(seven, tmp_path):
     page = write_report(*seven, tmp_path / "report").read_text()
     assert "not available" not in page
     assert page.count('class="tile"') == 7 and "/ 4)" in page  # rows of four and three
@@ -335,10 +354,10 @@ def test_seven_cases_are_drawn_in_every_figure(seven, tmp_path):
 
 
 def rename(count):
-    """A change to so many cases of other names, the first ones' copies."""
+    """A change to so many bundles of other names, the first ones' copies."""
 
     def edit(content):
-        content["cases"] = [content["cases"][k % 5] | {"name": f"method {k}"} for k in range(count)]
+        content["bundles"] = [content["bundles"][k % 5] | {"name": f"method {k}"} for k in range(count)]
 
     return edit
 
@@ -348,7 +367,7 @@ def test_a_method_has_one_row_and_detectors_that_know_nothing_stand_under_it(mad
     table = methods(results)
     assert [row.cells[0] for row in table.rows] == [*results.labels.values(), "always", "never", "random"]
     assert {len(row.cells) for row in table.rows} == {len(table.columns)} == {sum(span for _, span in table.groups)}
-    latched = results.cases[0].measured.latched
+    latched = results.bundles[0].measured.latched
     assert f"{latched.strong_latched} of {latched.strong}" in table.rows[0].cells
     assert f"0 of {len(results.collisions)} (in alarm at {len(results.collisions)})" in table.rows[5].cells
 
@@ -358,7 +377,7 @@ def test_a_method_has_one_row_and_detectors_that_know_nothing_stand_under_it(mad
 )
 def test_a_promise_is_said_to_be_kept_or_not(kept, consistent, word, copied):
     entries = {"promise_kept": kept, "promise_consistent": consistent}
-    change(copied[0], lambda content: content["cases"][0]["free_motion"].update(entries))
+    change(copied[0], lambda content: content["bundles"][0]["free_motion"].update(entries))
     assert word in methods(load_results(copied[0])).rows[0].cells[-5]
 
 
@@ -366,10 +385,10 @@ def test_the_mark_of_a_method_stands_at_its_own_false_collisions_and_misses(made
     results = load_results(made[0])
     axes = draw_missed_curve(results).figure.axes[0]
     marks = {tuple(line.get_xydata()[0]) for line in axes.get_lines() if len(line.get_xydata()) == 1}
-    for case in results.cases:
-        false, latched = case.measured.false_collisions, case.measured.latched
-        at = [mark for mark in marks if mark[0] == pytest.approx(false.count / case.hours)]
-        at = at or [mark for mark in marks if false.count == 0 and mark[0] < 0.4 / case.hours]  # in the strip
+    for bundle in results.bundles:
+        false, latched = bundle.measured.false_collisions, bundle.measured.latched
+        at = [mark for mark in marks if mark[0] == pytest.approx(false.count / bundle.hours)]
+        at = at or [mark for mark in marks if false.count == 0 and mark[0] < 0.4 / bundle.hours]  # in the strip
         missed = 100 * (1 - latched.latched / latched.collisions)
         assert any(mark[1] <= missed + 1e-9 for mark in at)  # one that was on before the onset is not latched anew
 
@@ -383,17 +402,17 @@ def test_figures_of_any_number_of_methods_are_drawn_and_crowded_ones_show_the_fi
         drawing.figure.draw_without_rendering()
         labels = [text.get_text() for text in drawing.figure.legends[0].get_texts()]
         assert [label for label in labels if label != "random alarms"] == [f"method {k}" for k in range(count)]
-    for k, case in enumerate(results.cases):
-        shutil.copytree(copied[0] / "estimates" / list(CASE_COLOURS)[k % 5], copied[0] / "estimates" / case.name)
+    for k, bundle in enumerate(results.bundles):
+        shutil.copytree(copied[0] / "estimates" / list(CASE_COLOURS)[k % 5], copied[0] / "estimates" / bundle.name)
     for draw in (draw_free_motion, draw_three_collisions):
-        assert ("Only the first 5 of 12 cases are drawn." in draw(results, signals).caption) == (count == 12)
+        assert ("Only the first 5 of 12 bundles are drawn." in draw(results, signals).caption) == (count == 12)
 
 
 def test_figures_of_methods_say_what_is_missing(copied):
     def strip(content):
-        for case in content["cases"]:
+        for bundle in content["bundles"]:
             for key in ("latched", "missed_curve", "by_strength", "after_contact"):
-                del case[key]
+                del bundle[key]
 
     change(copied[0], strip)
     results = load_results(copied[0])
@@ -405,22 +424,22 @@ def test_figures_of_methods_say_what_is_missing(copied):
 
 def test_learning_curves_have_a_line_a_recipe_and_a_panel_a_joint(copied):
     def edit(content):
-        for k, case in enumerate(content["cases"]):
-            case |= {"name": f"m{k}", "case": "exact", "recipe": ("dense", "prior")[k % 2]}
-            case["training_minutes"] = (1, 2, 30, 40, 50)[k]
+        for k, bundle in enumerate(content["bundles"]):
+            bundle |= {"name": f"m{k}", "case": "exact", "recipe": ("dense", "prior")[k % 2]}
+            bundle["training_minutes"] = (1, 2, 30, 40, 50)[k]
 
     change(copied[0], edit)
     results = load_results(copied[0])
     panels = draw_learning_curves(results).figure.axes
     assert [axes.get_title() for axes in panels] == ["joint1", "joint2"]
     dense, prior = (line.get_xydata().tolist() for line in panels[1].get_lines())
-    assert dense == [[m, results.case(f"m{k}").l1_nm[1]] for k, m in ((0, 1), (2, 30), (4, 50))]
+    assert dense == [[m, results.bundle(f"m{k}").l1_nm[1]] for k, m in ((0, 1), (2, 30), (4, 50))]
     assert len(prior) == 2
 
 
 def test_test_recordings_whose_estimates_were_not_kept_are_counted_and_not_listed(copied):
     names = [f"free-{k:03d}" for k in range(2, 400)]
-    change(copied[0], lambda content: content["cases"][0]["free_motion"]["recordings"].extend(names))
+    change(copied[0], lambda content: content["bundles"][0]["free_motion"]["recordings"].extend(names))
     drawing = draw_error_over_speed(load_results(copied[0]), signals_of(copied))
     assert drawing.caption.endswith(" 398 more test recordings have no estimates kept.")
 
@@ -434,7 +453,7 @@ def test_recipes_of_one_model_share_a_panel_of_the_training_loss(seven):
     assert [axes.get_title() for axes in panels] == ["exact", "mass", "CoM", "mass + CoM", "no model"]
     assert [text.get_text() for text in panels[0].get_legend().get_texts()] == ["dense recipe", "paper recipe"]
     assert panels[1].get_legend() is None
-    history = load_results(seven[0]).case("mass").loss_history
+    history = load_results(seven[0]).bundle("mass").loss_history
     training, validation, lowest = (line.get_xydata().tolist() for line in panels[1].get_lines())
     assert training == [[step, loss] for step, loss, _ in history]
     assert validation == [[step, loss] for step, _, loss in history]
@@ -443,20 +462,20 @@ def test_recipes_of_one_model_share_a_panel_of_the_training_loss(seven):
 
 
 @pytest.mark.parametrize("count", range(1, 8))
-def test_as_many_panels_as_cases_of_other_names_have_a_history(count, copied):
+def test_as_many_panels_as_bundles_of_other_names_have_a_history(count, copied):
     def edit(content):
-        content["cases"] = [content["cases"][0] | {"name": f"case {k}"} for k in range(count)]
+        content["bundles"] = [content["bundles"][0] | {"name": f"bundle {k}"} for k in range(count)]
 
     change(copied[0], edit)
     drawing = draw_training_loss(load_results(copied[0]))
-    assert [axes.get_title() for axes in drawing.figure.axes] == [f"case {k}" for k in range(count)]
+    assert [axes.get_title() for axes in drawing.figure.axes] == [f"bundle {k}" for k in range(count)]
     drawing.figure.draw_without_rendering()
 
 
-def test_cases_without_a_loss_history_are_named_and_without_any_there_is_no_figure(copied):
-    change(copied[0], lambda content: content["cases"][1].update(loss_history=None))
+def test_bundles_without_a_loss_history_are_named_and_without_any_there_is_no_figure(copied):
+    change(copied[0], lambda content: content["bundles"][1].update(loss_history=None))
     assert draw_training_loss(load_results(copied[0])).caption.endswith("No history: mass.")
-    change(copied[0], lambda content: [case.pop("loss_history") for case in content["cases"]])
+    change(copied[0], lambda content: [bundle.pop("loss_history") for bundle in content["bundles"]])
     with pytest.raises(NotAvailable, match="the results hold no loss history"):
         draw_training_loss(load_results(copied[0]))
 
@@ -478,42 +497,42 @@ def test_estimates_of_another_recording_are_refused(copied):
 
 def test_a_dataset_of_another_robot_is_refused(copied, tmp_path):
     results, _ = copied
-    other = make_results(tmp_path / "other", joints=3, cases=("exact",), seconds=20)[1]
+    other = make_results(tmp_path / "other", joints=3, bundles=("exact",), seconds=20)[1]
     with pytest.raises(RecordingError, match="its joints are joint1, joint2, joint3, the results' joint1, joint2"):
         write_report(results, other, tmp_path / "report")
 
 
 def cut(content):
-    content["cases"][0]["free_motion"]["l1_nm"] = [0.1]
+    content["bundles"][0]["free_motion"]["l1_nm"] = [0.1]
 
 
 FAULTS = {
-    "newer": (lambda c: c.update(format=3), "its format is 3, this version reads 2"),
-    "older": (lambda c: c.update(format=1), "its format is 1, this version reads 2; evaluate again"),
+    "newer": (lambda c: c.update(format=4), "its format is 4, this version reads 2 and 3"),
+    "older": (lambda c: c.update(format=1), "its format is 1, this version reads 2 and 3; evaluate again"),
     "no joints": (lambda c: c.update(joints=[]), "it holds no joints"),
-    "no cases": (lambda c: c.update(cases=[]), "it holds no case; evaluate at least one bundle"),
-    "cases null": (lambda c: c.update(cases=None), "'cases' is null, must be list"),
-    "a case that is text": (lambda c: c.update(cases=["exact"]), 'cases[0]: is "exact", must be an object'),
-    "nameless case": (lambda c: c["cases"][1].pop("name"), "cases[1]: 'name' is null, must be str"),
-    "one number for two joints": (cut, "cases[0], free_motion: 'l1_nm' must be a list of 2 numbers or null"),
+    "no bundles": (lambda c: c.update(bundles=[]), "it holds no bundle; evaluate at least one bundle"),
+    "bundles null": (lambda c: c.update(bundles=None), "'bundles' is null, must be list"),
+    "a bundle that is text": (lambda c: c.update(bundles=["exact"]), 'bundles[0]: is "exact", must be an object'),
+    "nameless bundle": (lambda c: c["bundles"][1].pop("name"), "bundles[1]: 'name' is null, must be str"),
+    "one number for two joints": (cut, "bundles[0], free_motion: 'l1_nm' must be a list of 2 numbers or null"),
     "text for a number": (
-        lambda c: c["cases"][0]["free_motion"].update(hours="1"),
+        lambda c: c["bundles"][0]["free_motion"].update(hours="1"),
         "'hours' is \"1\", must be int or float",
     ),
     "verdict without found": (
-        lambda c: c["cases"][0]["collisions"][0].pop("found"),
-        "cases[0], collisions[0]: 'found' is null, must be bool",
+        lambda c: c["bundles"][0]["collisions"][0].pop("found"),
+        "bundles[0], collisions[0]: 'found' is null, must be bool",
     ),
     "collision without start": (
         lambda c: c["collisions"][0].pop("start_s"),
         "collisions[0]: 'start_s' is null, must be int or float",
     ),
     "loss without step": (
-        lambda c: c["cases"][0].update(loss_history=[[0.5, 0.1, 0.1]]),
-        "cases[0]: 'loss_history' holds [0.5, 0.1, 0.1], must be [step, training, validation loss]",
+        lambda c: c["bundles"][0].update(loss_history=[[0.5, 0.1, 0.1]]),
+        "bundles[0]: 'loss_history' holds [0.5, 0.1, 0.1], must be [step, training, validation loss]",
     ),
-    "true for a count": (lambda c: c["cases"][0].update(ten_found=True), "'ten_found' is true, must be int"),
-    "not a number": (lambda c: c["cases"][0]["free_motion"].update(hours=float("nan")), "NaN is no JSON number"),
+    "true for a count": (lambda c: c["bundles"][0].update(ten_found=True), "'ten_found' is true, must be int"),
+    "not a number": (lambda c: c["bundles"][0]["free_motion"].update(hours=float("nan")), "NaN is no JSON number"),
 }
 
 
@@ -545,10 +564,10 @@ def test_an_old_figure_does_not_outlive_its_data(copied, tmp_path):
     assert not (out / "figures" / "figure-5-free-motion.png").exists()
 
 
-def test_a_figure_of_one_case_is_not_of_the_plain_observer_where_there_is_another(copied):
+def test_a_figure_of_one_bundle_is_not_of_the_plain_observer_where_there_is_another(copied):
     def edit(content):
-        for k, case in enumerate(content["cases"]):
-            case |= {"name": f"method {k}", "recipe": "prior" if k else "observer"}
+        for k, bundle in enumerate(content["bundles"]):
+            bundle |= {"name": f"method {k}", "recipe": "prior" if k else "observer"}
 
     change(copied[0], edit)
-    assert load_results(copied[0]).case("none").name == "method 1"
+    assert load_results(copied[0]).bundle("none").name == "method 1"

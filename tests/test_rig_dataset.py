@@ -8,15 +8,14 @@ import pytest
 
 from tauext import _core
 from tauext.cli import main
-from tauext.data import load, load_split
+from tauext.data import load_recording, load_split
 from tauext.errors import ConfigError
 from tauext.rig import RigConfig, collect, simulate_dataset
 from tauext.rig.config import changed_rig
 from tauext.rig.motions import draw_motion
 from tauext.rig.recording import simulate_motion
 from tauext.rig.sensors import low_pass
-from tauext.robot import load as load_robot
-from tauext.robot import robot_sha256
+from tauext.robot import load_tree, robot_sha256
 
 SMALL = replace(RigConfig(), collision_recording_s=12.0, collisions_per_recording=1)
 
@@ -52,7 +51,7 @@ def test_folder_holds_what_the_contract_says(dataset):
     sha256 = robot_sha256(dataset / "robot.xml")
     kinds = []
     for name in split.collisions + split.train[:2]:
-        recording = load(dataset / name)
+        recording = load_recording(dataset / name)
         assert recording.robot_sha256 == sha256 and recording.torque_timing == "held"
         assert recording.rate_hz == 1000.0 and recording.joints == ("joint1", "joint2")
         assert recording.tau_jts is not None and recording.tau_ext_sensor is not None and recording.q_des is not None
@@ -61,7 +60,7 @@ def test_folder_holds_what_the_contract_says(dataset):
 
 
 def test_robot_file_has_rotor_inertia_and_the_right_weight(dataset):
-    tree = load_robot(dataset / "robot.xml", joints=["joint1", "joint2"])
+    tree = load_tree(dataset / "robot.xml", joints=["joint1", "joint2"])
     assert [link.rotor_inertia for link in tree.links] == [0.6, 0.25]
     assert [link.mass for link in tree.links] == [8.191, 9.920]
     flat = np.array([[np.pi / 2, 0.0]])  # stretched out level: the paper's masses give 54.5 and 15.6 N m
@@ -88,7 +87,7 @@ def observe(tree, q, dq, tau):
 def test_observer_of_the_exact_model_finds_external_torque_less_friction(dataset, kind):
     q_des, dq_des = draw_motion(SMALL.motion, 2, 12_000, SMALL.rate_hz, np.random.default_rng(8))
     truth, tau_ext, _ = simulate_motion(SMALL, kind, q_des, dq_des, 1000, np.random.default_rng(9))
-    residual = observe(load_robot(dataset / "robot.xml"), truth.q, truth.dq, truth.drive)
+    residual = observe(load_tree(dataset / "robot.xml"), truth.q, truth.dq, truth.drive)
     # Sample k acts until k + 1, when the observer sees it.
     expected = low_pass(tau_ext - truth.friction, 20.0, 1e-3)[:-1]
     difference = (residual[1:] - expected)[500:]
@@ -104,7 +103,8 @@ def test_same_seed_gives_the_same_bytes_for_any_number_of_threads(dataset, tmp_p
 
 def test_another_seed_gives_other_recordings(dataset, tmp_path):
     simulate_small(tmp_path / "other", seed=6, collision_recordings=0)
-    assert not np.array_equal(load(tmp_path / "other/free-000.parquet").q, load(dataset / "free-000.parquet").q)
+    other = load_recording(tmp_path / "other/free-000.parquet")
+    assert not np.array_equal(other.q, load_recording(dataset / "free-000.parquet").q)
 
 
 def test_interrupted_run_goes_on_where_it_stopped(dataset, tmp_path):
@@ -143,7 +143,7 @@ def test_encoder_and_friction_are_options_of_the_command_and_stand_in_its_run_fi
         for name in ("coulomb_nm", "static_nm", "viscous_nm_s_rad"):
             assert joint[name] == 1.5 * getattr(paper, name)
         assert (joint["ripple_nm"], joint["bristle_nm_rad"]) == (paper.ripple_nm, paper.bristle_nm_rad)
-    counts = load(folder / "free-000.parquet").q / (2 * np.pi / 2**14)
+    counts = load_recording(folder / "free-000.parquet").q / (2 * np.pi / 2**14)
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)  # of up to 1e4 counts
     assert np.abs(counts % 2 - 1).min() < 1e-6  # no coarser
 

@@ -11,7 +11,7 @@ from trees import branched, planar_rig, random_states, six_axis, urdf
 
 from tauext import _core
 from tauext.errors import RobotError
-from tauext.robot import empty, load, perturbed, robot_sha256
+from tauext.robot import empty, load_tree, perturbed, robot_sha256
 
 INERTIAL = '<inertial pos="0 0 0.1" mass="1" diaginertia="0.01 0.01 0.002"/>'
 
@@ -53,7 +53,7 @@ def assert_same_dynamics(left: _core.Tree, right: _core.Tree, tolerance: float =
 
 
 def test_a_planar_rig_is_read_as_it_is_written(tmp_path):
-    tree = load(write(tmp_path, urdf(planar_rig()), "arm.urdf"))
+    tree = load_tree(write(tmp_path, urdf(planar_rig()), "arm.urdf"))
     shoulder, elbow = tree.links
     assert names(tree) == ["shoulder", "elbow"] and (shoulder.parent, elbow.parent) == (-1, 0)
     assert (shoulder.mass, elbow.mass) == (8.191, 9.920)
@@ -67,7 +67,7 @@ def test_missing_meshes_are_no_obstacle_in_a_urdf(tmp_path):
     plain = urdf(six_axis())
     shape = '<geometry><mesh filename="package://arm_description/meshes/base.dae"/></geometry>'
     meshed = plain.replace("<inertial>", f"<visual>{shape}</visual><collision>{shape}</collision><inertial>")
-    assert_same_dynamics(load(write(tmp_path, meshed)), load(write(tmp_path, plain, "plain.urdf")))
+    assert_same_dynamics(load_tree(write(tmp_path, meshed)), load_tree(write(tmp_path, plain, "plain.urdf")))
 
 
 def test_fixed_joints_fuse_what_they_carry(tmp_path):
@@ -77,13 +77,13 @@ def test_fixed_joints_fuse_what_they_carry(tmp_path):
         'izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="flange" type="fixed"><parent '
         'link="joint6_link"/><child link="tool"/></joint>'
     )
-    tree = load(write(tmp_path, urdf(parts, tool)))
+    tree = load_tree(write(tmp_path, urdf(parts, tool)))
     assert tree.size == 6 and tree.links[5].mass == pytest.approx(parts[5].mass + 2)
 
 
 def test_joints_come_in_the_order_asked_for_and_the_others_are_locked(tmp_path):
     path = write(tmp_path, urdf(branched()))
-    tree = load(path, joints=["left_elbow", "torso", "left_shoulder"])
+    tree = load_tree(path, joints=["left_elbow", "torso", "left_shoulder"])
     assert names(tree) == ["left_elbow", "torso", "left_shoulder"]
     assert [link.parent for link in tree.links] == [2, -1, 1]
     assert sum(link.mass for link in tree.links) == pytest.approx(15 + 4 + 4 + 2 + 1.5)
@@ -92,13 +92,16 @@ def test_joints_come_in_the_order_asked_for_and_the_others_are_locked(tmp_path):
 def test_unstated_joints_are_locked_at_zero_or_at_the_reference_of_the_file(tmp_path):
     path = write(tmp_path, urdf(six_axis()))
     joints = ["joint1", "joint3", "joint4", "joint5", "joint6"]
-    assert_same_dynamics(load(path, joints), load(path, locked={"joint2": 0.0}))
+    assert_same_dynamics(load_tree(path, joints), load_tree(path, locked={"joint2": 0.0}))
     path = write(tmp_path, two_links(second='ref="0.5"'))
-    assert_same_dynamics(load(path, ["a"]), load(path, locked={"b": 0.5}))
+    assert_same_dynamics(load_tree(path, ["a"]), load_tree(path, locked={"b": 0.5}))
 
 
 def test_a_reference_position_shifts_the_zero_of_a_joint(tmp_path):
-    plain, shifted = load(write(tmp_path, two_links(), "1.xml")), load(write(tmp_path, two_links('ref="0.5"'), "2.xml"))
+    plain, shifted = (
+        load_tree(write(tmp_path, two_links(), "1.xml")),
+        load_tree(write(tmp_path, two_links('ref="0.5"'), "2.xml")),
+    )
     q, dq = random_states(2, 20, seed=2)
     for left, right in zip(plain.momentum(q, dq), shifted.momentum(q + [0.5, 0.0], dq), strict=True):
         np.testing.assert_allclose(left, right, atol=1e-13)
@@ -106,10 +109,10 @@ def test_a_reference_position_shifts_the_zero_of_a_joint(tmp_path):
 
 def test_a_body_with_several_joints_hangs_on_the_last(tmp_path):
     joints = '<joint name="a" axis="0 1 0"/><joint name="b" type="slide"/><joint name="c" axis="1 0 0" pos="0 0 0.1"/>'
-    tree = load(write(tmp_path, mjcf(f'<body name="cart">{joints}{INERTIAL}</body>')))
+    tree = load_tree(write(tmp_path, mjcf(f'<body name="cart">{joints}{INERTIAL}</body>')))
     assert [link.mass for link in tree.links] == [0.0, 0.0, 1.0] and [link.parent for link in tree.links] == [-1, 0, 1]
     assert tree.links[1].type == _core.JointType.prismatic
-    locked = load(tmp_path / "arm.xml", locked={"c": 0.0})
+    locked = load_tree(tmp_path / "arm.xml", locked={"c": 0.0})
     assert [link.mass for link in locked.links] == [0.0, 1.0]
 
 
@@ -118,7 +121,7 @@ def test_rotor_inertia_is_taken_from_joints_and_motors_with_the_gear_squared(tmp
         '<actuator><dcmotor name="m" joint="b" gear="50" armature="0.0002" motorconst="1" resistance="1"/>'
         '<motor name="n" joint="b" gear="-2" armature="0.01"/><motor name="o" joint="a"/></actuator>'
     )
-    tree = load(write(tmp_path, two_links('armature="0.3"', 'armature="0.1"', motors)))
+    tree = load_tree(write(tmp_path, two_links('armature="0.3"', 'armature="0.1"', motors)))
     assert rotor_inertia(tree) == pytest.approx([0.3, 0.1 + 0.0002 * 50**2 + 0.01 * 2**2], rel=1e-14)
 
 
@@ -127,19 +130,19 @@ def test_rotor_inertia_of_a_urdf_comes_from_its_transmissions(tmp_path):
     standard = text.replace("drake:gear_ratio value=", "ignored value=").replace(
         "</actuator>", "<mechanicalReduction>100</mechanicalReduction></actuator>"
     )
-    assert rotor_inertia(load(write(tmp_path, standard))) == pytest.approx([0.6, 0.3], rel=1e-14)
+    assert rotor_inertia(load_tree(write(tmp_path, standard))) == pytest.approx([0.6, 0.3], rel=1e-14)
     reversed_gear = text.replace('gear_ratio value="100', 'gear_ratio value="-100')
-    assert rotor_inertia(load(write(tmp_path, reversed_gear))) == pytest.approx([0.6, 0.3], rel=1e-14)
+    assert rotor_inertia(load_tree(write(tmp_path, reversed_gear))) == pytest.approx([0.6, 0.3], rel=1e-14)
     silent = text.replace("drake:rotor_inertia", "ignored")
-    assert rotor_inertia(load(write(tmp_path, silent))) == [0.0, 0.0]
+    assert rotor_inertia(load_tree(write(tmp_path, silent))) == [0.0, 0.0]
 
 
 def test_gravity_is_the_files_unless_given(tmp_path):
     tilted = '<option gravity="1 0 -9"/>'
-    assert load(write(tmp_path, two_links(rest=tilted))).gravity == [1.0, 0.0, -9.0]
-    assert load(tmp_path / "arm.xml", gravity=(0, 3, 0)).gravity == [0.0, 3.0, 0.0]
+    assert load_tree(write(tmp_path, two_links(rest=tilted))).gravity == [1.0, 0.0, -9.0]
+    assert load_tree(tmp_path / "arm.xml", gravity=(0, 3, 0)).gravity == [0.0, 3.0, 0.0]
     off = '<option><flag gravity="disable"/></option>'
-    assert load(write(tmp_path, two_links(rest=off))).gravity == [0.0, 0.0, 0.0]
+    assert load_tree(write(tmp_path, two_links(rest=off))).gravity == [0.0, 0.0, 0.0]
 
 
 def test_free_and_ball_joints_outside_the_choice_are_held(tmp_path):
@@ -148,26 +151,26 @@ def test_free_and_ball_joints_outside_the_choice_are_held(tmp_path):
     scene = (
         two_links().replace("<worldbody>", f"<worldbody>{others}").replace("</body></body>", f"{ball}</body></body>")
     )
-    tree = load(write(tmp_path, scene), ["a", "b"])
+    tree = load_tree(write(tmp_path, scene), ["a", "b"])
     assert [link.mass for link in tree.links] == [1.0, 2.0]
 
 
 def test_inactive_constraints_and_unused_followers_are_no_obstacle(tmp_path):
     follows = '<equality><joint joint1="b" joint2="a" active="{}"/></equality>'
-    assert load(write(tmp_path, two_links(rest=follows.format("false")))).size == 2
-    assert load(write(tmp_path, two_links(rest=follows.format("true"))), ["a"]).size == 1
+    assert load_tree(write(tmp_path, two_links(rest=follows.format("false")))).size == 2
+    assert load_tree(write(tmp_path, two_links(rest=follows.format("true"))), ["a"]).size == 1
 
 
 def test_a_massless_link_is_allowed_where_a_fixed_one_gives_it_mass_or_its_joint_is_locked(tmp_path):
     tip = f'<body name="tip"><joint name="c"/><body name="tool">{INERTIAL}</body></body></body></body>'
-    assert load(write(tmp_path, two_links().replace("</body></body>", tip))).links[2].mass == 1.0
+    assert load_tree(write(tmp_path, two_links().replace("</body></body>", tip))).links[2].mass == 1.0
     bare = '<body name="tip"><joint name="c"/></body></body></body>'
-    assert load(write(tmp_path, two_links().replace("</body></body>", bare)), locked={"c": 0.0}).size == 2
+    assert load_tree(write(tmp_path, two_links().replace("</body></body>", bare)), locked={"c": 0.0}).size == 2
 
 
 def test_point_masses_have_no_inertia(tmp_path):
     parts = [replace(part, inertia=np.zeros((3, 3))) for part in planar_rig()]
-    link = load(write(tmp_path, urdf(parts))).links[0]
+    link = load_tree(write(tmp_path, urdf(parts))).links[0]
     assert link.mass == 8.191 and not any(link.inertia)
 
 
@@ -179,7 +182,7 @@ def test_the_hash_is_of_the_files_bytes(tmp_path):
 
 
 def test_perturbed_and_empty_models_leave_the_original_as_it_was(tmp_path):
-    tree = load(write(tmp_path, two_links('armature="0.3"')))
+    tree = load_tree(write(tmp_path, two_links('armature="0.3"')))
     light = perturbed(tree, mass_factor=0.5, com_factor=0.25)
     assert light.links[1].mass == 0.5 and light.links[1].com == [0.25 * x for x in tree.links[1].com]
     assert light.links[1].inertia == tree.links[1].inertia and rotor_inertia(light) == rotor_inertia(tree)
@@ -197,104 +200,106 @@ def refused(message: str):
 
 def test_a_missing_or_unreadable_file_is_named(tmp_path):
     with refused(r"nowhere\.urdf: no such file; a robot is a URDF or MJCF file"):
-        load(tmp_path / "nowhere.urdf")
+        load_tree(tmp_path / "nowhere.urdf")
     with refused(r"arm\.xml: not readable as XML: .*line 1"):
-        load(write(tmp_path, "no robot at all"))
+        load_tree(write(tmp_path, "no robot at all"))
     with refused(r"arm\.xml: not readable as XML: no element found"):
-        load(write(tmp_path, ""))
+        load_tree(write(tmp_path, ""))
     with refused(r"arm\.xml: not readable as XML: mismatched tag"):
-        load(write(tmp_path, '<robot name="arm"><link></robot>'))
+        load_tree(write(tmp_path, '<robot name="arm"><link></robot>'))
     with refused(r"arm\.xml: its root element is <sdf>; a URDF has <robot>, an MJCF <mujoco>"):
-        load(write(tmp_path, "<sdf/>"))
+        load_tree(write(tmp_path, "<sdf/>"))
     with refused(r"arm\.xml: MuJoCo cannot read it: .*invalid joint type"):
-        load(write(tmp_path, urdf(planar_rig()).replace("revolute", "screw")))
+        load_tree(write(tmp_path, urdf(planar_rig()).replace("revolute", "screw")))
     with refused(r"arm\.xml: MuJoCo cannot read it: .*inertia must satisfy"):
-        load(write(tmp_path, urdf(planar_rig()).replace('izz="0.01', 'izz="9')))
+        load_tree(write(tmp_path, urdf(planar_rig()).replace('izz="0.01', 'izz="9')))
     with refused(r"arm\.xml: MuJoCo cannot read it: .*unrecognized element"):
-        load(write(tmp_path, "<mujoco><worldbody><bodies/></worldbody></mujoco>"))
+        load_tree(write(tmp_path, "<mujoco><worldbody><bodies/></worldbody></mujoco>"))
     with refused(r"arm\.xml: is a xacro template; expand it first: xacro arm\.xml > robot\.urdf"):
-        load(write(tmp_path, '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arm/></robot>'))
+        load_tree(write(tmp_path, '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arm/></robot>'))
 
 
 def test_names_that_stand_twice_in_the_file_are_refused(tmp_path):
     with refused("2 joints are named 'shoulder'; every joint needs a name of its own"):
-        load(write(tmp_path, urdf(planar_rig()).replace('<joint name="elbow"', '<joint name="shoulder"')))
+        load_tree(write(tmp_path, urdf(planar_rig()).replace('<joint name="elbow"', '<joint name="shoulder"')))
     with refused("2 links are named 'base'; every link needs a name of its own"):
-        load(write(tmp_path, urdf(planar_rig(), '<link name="base"/>')))
+        load_tree(write(tmp_path, urdf(planar_rig(), '<link name="base"/>')))
     with refused("MuJoCo cannot read it: .*repeated name 'a'"):
-        load(write(tmp_path, two_links().replace('name="b"', 'name="a"')))
+        load_tree(write(tmp_path, two_links().replace('name="b"', 'name="a"')))
 
 
 def test_rotor_inertia_that_cannot_be_read_is_refused(tmp_path):
     with refused("joint 'shoulder': rotor_inertia = 'big' in its transmission must be a finite number >= 0"):
-        load(write(tmp_path, urdf(planar_rig()).replace('rotor_inertia value="', 'rotor_inertia value="big" x="', 1)))
+        load_tree(
+            write(tmp_path, urdf(planar_rig()).replace('rotor_inertia value="', 'rotor_inertia value="big" x="', 1))
+        )
     with refused("joint 'shoulder': gear_ratio = 'inf' in its transmission must be a finite number$"):
-        load(write(tmp_path, urdf(planar_rig()).replace('gear_ratio value="100', 'gear_ratio value="inf', 1)))
+        load_tree(write(tmp_path, urdf(planar_rig()).replace('gear_ratio value="100', 'gear_ratio value="inf', 1)))
     two = '</joint><transmission name="t"><joint name="x"/><joint name="y"/>'
     two += '<actuator name="m"><rotor_inertia>1</rotor_inertia></actuator></transmission>'
     with refused("rotor inertia in a transmission of 2 joints; it must have one"):
-        load(write(tmp_path, urdf(planar_rig(), two.removeprefix("</joint>"))))
+        load_tree(write(tmp_path, urdf(planar_rig(), two.removeprefix("</joint>"))))
 
 
 def test_floating_bases_and_ball_joints_in_use_are_refused(tmp_path):
     floating = write(tmp_path, urdf(planar_rig()).replace('"shoulder" type="revolute"', '"shoulder" type="floating"'))
     with refused(r"joint 'shoulder' of body 'shoulder_link' is a free joint \(floating base\); joints in use must be"):
-        load(floating)
+        load_tree(floating)
     with refused("joint 'shoulder' is a free joint .* and has no single position to be locked at"):
-        load(floating, locked={"shoulder": 0.0})
+        load_tree(floating, locked={"shoulder": 0.0})
     ball = write(tmp_path, two_links(second='type="ball"'))
     with refused("joint 'b' of body 'lower' is a ball joint; joints in use must be hinges or slides"):
-        load(ball, ["a", "b"])
+        load_tree(ball, ["a", "b"])
 
 
 def test_a_moving_link_without_mass_is_named(tmp_path):
     text = urdf([replace(part, mass=0.0 if part.joint == "elbow" else 1.0) for part in planar_rig()])
     with refused("joint 'elbow' moves link 'elbow_link', which has no mass; every moving link needs one"):
-        load(write(tmp_path, text))
+        load_tree(write(tmp_path, text))
     only_collision = '<link name="wrist"><collision><geometry><sphere radius="1"/></geometry></collision></link>'
     joint = '<joint name="roll" type="continuous"><parent link="elbow_link"/><child link="wrist"/></joint>'
     with refused("joint 'roll' moves link 'wrist', which has no mass"):
-        load(write(tmp_path, urdf(planar_rig(), only_collision + joint)))
+        load_tree(write(tmp_path, urdf(planar_rig(), only_collision + joint)))
 
 
 def test_numbers_that_make_no_sense_are_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo logs a NaN where it stands
     with refused(r"arm\.xml: link 'upper': mass = -1\.0 kg and inertia \[0.01, 0.01, 0.002\] must be >= 0"):
-        load(write(tmp_path, two_links().replace('mass="1"', 'mass="-1"', 1)))
+        load_tree(write(tmp_path, two_links().replace('mass="1"', 'mass="-1"', 1)))
     with refused(r"link 'shoulder_link': mass = -8\.191 kg"):
-        load(write(tmp_path, urdf(planar_rig()).replace('mass value="8', 'mass value="-8')))
+        load_tree(write(tmp_path, urdf(planar_rig()).replace('mass value="8', 'mass value="-8')))
     with refused(r"link 'lower': mass = 1\.0 kg and inertia \[-0.01, 0.01, 0.002\] must be >= 0"):
-        load(write(tmp_path, two_links().replace('inertia="0.01', 'inertia="-0.01').replace('"-0.01', '"0.01', 1)))
+        load_tree(write(tmp_path, two_links().replace('inertia="0.01', 'inertia="-0.01').replace('"-0.01', '"0.01', 1)))
     with refused(r"arm\.xml: joint 'a': rotor inertia = -1\.0+ must be >= 0"):
-        load(write(tmp_path, two_links('armature="-1"')))
+        load_tree(write(tmp_path, two_links('armature="-1"')))
     with refused(r"arm\.xml: joint 'b': every number of a link must be finite"):
-        load(write(tmp_path, two_links(second='pos="nan 0 0"')))
+        load_tree(write(tmp_path, two_links(second='pos="nan 0 0"')))
 
 
 def test_joints_that_do_not_exist_are_refused_with_those_that_do(tmp_path):
     path = write(tmp_path, two_links())
     with refused("no joint 'elbow'; its joints are a, b"):
-        load(path, ["a", "elbow"])
+        load_tree(path, ["a", "elbow"])
     with refused("no joint 'wrist'; its joints are a, b"):
-        load(path, locked={"wrist": 0.1})
+        load_tree(path, locked={"wrist": 0.1})
 
 
 def test_contradictory_choices_are_refused(tmp_path):
     path = write(tmp_path, two_links())
     with refused("joint 'a' is asked for twice; every joint stands once"):
-        load(path, ["a", "b", "a"])
+        load_tree(path, ["a", "b", "a"])
     with refused("joint 'b' is both in use and locked at 0.3; choose one"):
-        load(path, ["a", "b"], locked={"b": 0.3})
+        load_tree(path, ["a", "b"], locked={"b": 0.3})
     with refused(r"joint 'b': locked position nan must be finite, \[rad or m\]"):
-        load(path, locked={"b": float("nan")})
+        load_tree(path, locked={"b": float("nan")})
 
 
 def test_a_robot_without_a_moving_joint_is_refused(tmp_path):
     for options in ({"locked": {"a": 0.0, "b": 0.0}}, {"joints": []}):
         with refused("no moving joint is left; a robot needs at least one that is not fixed or locked"):
-            load(write(tmp_path, two_links()), **options)
+            load_tree(write(tmp_path, two_links()), **options)
     with refused("no moving joint is left"):
-        load(write(tmp_path, '<robot name="stone"><link name="base"/></robot>'))
+        load_tree(write(tmp_path, '<robot name="stone"><link name="base"/></robot>'))
 
 
 def test_more_joints_than_the_core_holds_are_refused(tmp_path):
@@ -302,15 +307,15 @@ def test_more_joints_than_the_core_holds_are_refused(tmp_path):
     chain = "".join(body.format(i) for i in range(33)) + "</body>" * 33
     path = write(tmp_path, mjcf(chain))
     with refused("33 joints in use, at most 32 can be: lock the others"):
-        load(path)
-    assert load(path, locked={"j7": 0.0}).size == 32
+        load_tree(path)
+    assert load_tree(path, locked={"j7": 0.0}).size == 32
 
 
 def test_a_joint_without_a_name_is_refused_unless_it_is_held(tmp_path):
     path = write(tmp_path, two_links().replace('name="b"', ""))
     with refused("a joint of body 'lower' has no name; recordings name their joints: give it one in the file"):
-        load(path)
-    assert load(path, ["a"]).size == 1
+        load_tree(path)
+    assert load_tree(path, ["a"]).size == 1
 
 
 def test_joints_that_follow_others_must_be_locked(tmp_path):
@@ -318,49 +323,49 @@ def test_joints_that_follow_others_must_be_locked(tmp_path):
     shoulder, elbow = mimic.split("{}", 1)
     text = shoulder + elbow.replace("{}", '<mimic joint="shoulder" multiplier="-1"/>')
     with refused(r"joint 'elbow' follows 'shoulder' \(mimic\) and is not independent: lock it, with locked={'elbow'"):
-        load(write(tmp_path, text))
-    assert names(load(tmp_path / "arm.xml", locked={"elbow": 0.2})) == ["shoulder"]
+        load_tree(write(tmp_path, text))
+    assert names(load_tree(tmp_path / "arm.xml", locked={"elbow": 0.2})) == ["shoulder"]
     held = two_links(rest='<equality><joint joint1="b"/></equality>')
     with refused("joint 'b' is held by an equality and is not independent: lock it"):
-        load(write(tmp_path, held))
+        load_tree(write(tmp_path, held))
 
 
 def test_closed_loops_between_moving_links_are_refused(tmp_path):
     weld = two_links(rest='<equality><connect body1="lower" body2="world" anchor="0 0 0"/></equality>')
     path = write(tmp_path, weld)
     with refused("bodies 'lower' and 'world' close a kinematic loop; a tree has none: lock the joints in it"):
-        load(path)
+        load_tree(path)
     sites = two_links(rest='<equality><weld site1="s" site2="t"/></equality>')
     sites = sites.replace(INERTIAL, INERTIAL + '<site name="s"/>', 1).replace(
         "<worldbody>", '<worldbody><site name="t"/>'
     )
     with refused("bodies 'upper' and 'world' close a kinematic loop"):
-        load(write(tmp_path, sites))
-    assert load(path.with_name("arm.xml"), ["b"]).size == 1
+        load_tree(write(tmp_path, sites))
+    assert load_tree(path.with_name("arm.xml"), ["b"]).size == 1
 
 
 def test_rotor_inertia_that_acts_through_a_tendon_is_refused(tmp_path):
     tendon = '<tendon><fixed name="belt" {}><joint joint="a" coef="1"/><joint joint="b" coef="-1"/></fixed></tendon>'
     with refused("tendon 'belt' has armature and moves joints in use; rotor inertia must stand at a joint"):
-        load(write(tmp_path, two_links(rest=tendon.format('armature="0.1"'))))
+        load_tree(write(tmp_path, two_links(rest=tendon.format('armature="0.1"'))))
     motor = '<actuator><motor tendon="belt" armature="0.1"/></actuator>'
     with refused("tendon 'belt' has armature"):
-        load(write(tmp_path, two_links(rest=tendon.format("") + motor)))
-    assert load(write(tmp_path, two_links(rest=tendon.format("")))).size == 2
+        load_tree(write(tmp_path, two_links(rest=tendon.format("") + motor)))
+    assert load_tree(write(tmp_path, two_links(rest=tendon.format("")))).size == 2
 
 
 def test_gravity_and_perturbations_must_be_numbers_that_make_sense(tmp_path):
     path = write(tmp_path, two_links())
     with refused(r"gravity = \[9\.81\] must be three finite numbers"):
-        load(path, gravity=[9.81])
+        load_tree(path, gravity=[9.81])
     with refused("mass_factor = -0.5 must be finite and >= 0; 1 leaves the model as it is"):
-        perturbed(load(path), mass_factor=-0.5)
+        perturbed(load_tree(path), mass_factor=-0.5)
     with refused("com_factor = nan must be finite and >= 0"):
-        perturbed(load(path), com_factor=float("nan"))
+        perturbed(load_tree(path), com_factor=float("nan"))
 
 
 def test_the_core_refuses_links_that_never_reach_the_base(tmp_path):
-    links = load(write(tmp_path, two_links())).links
+    links = load_tree(write(tmp_path, two_links())).links
     links[0].parent = 1
     with pytest.raises(_core.CoreError, match="joint 'a': its chain of parents ends in a ring, never at the base"):
         _core.Tree(links, [0.0, 0.0, -9.81])

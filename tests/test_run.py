@@ -25,7 +25,7 @@ from tauext.cli.live_view import LiveView, bar
 from tauext.cli.run import RunSettings
 from tauext.cli.run_output import FlightCount
 from tauext.cli.run_text import TextLines
-from tauext.data import load, save
+from tauext.data import load_recording, save_recording
 from tauext.data.estimates import OK, WARMING_UP, load_estimates
 from tauext.errors import RecordingError
 from tauext.monitor import ALARMS, HEALTHS, AlarmChange, FlightSource, FlightWriter, Pace, Tally, replay, write_flight
@@ -47,7 +47,7 @@ def bundle():
 def place(tmp_path, bundle):
     """A folder with a bundle and a recording of two pushes."""
     bundle.save(str(tmp_path / "watching.tauext"))
-    save(pushed(), tmp_path / "pushed.parquet")
+    save_recording(pushed(), tmp_path / "pushed.parquet")
     return tmp_path
 
 
@@ -237,7 +237,10 @@ def test_a_flight_holds_the_rows_of_the_recording_around_the_event_and_what_was_
     assert [one.what for one in news] == ["collision"] * len(raised) and len(raised) == 2
     for one, (row, t_ns, *_) in zip(news, raised, strict=True):
         assert one.t_ns == t_ns
-        flight, estimates = load(one.path), load_estimates(one.path.with_name(f"{one.path.stem}.estimates.parquet"))
+        flight, estimates = (
+            load_recording(one.path),
+            load_estimates(one.path.with_name(f"{one.path.stem}.estimates.parquet")),
+        )
         rows = slice(row - 1000, row + 501)
         for signal in ("t_ns", "q", "dq", "tau"):
             np.testing.assert_array_equal(getattr(flight, signal), getattr(recording, signal)[rows], err_msg=signal)
@@ -281,7 +284,7 @@ def test_an_explanation_says_the_numbers_of_the_arrays(bundle, tmp_path):
     peak = np.abs(said["tau_ext"][k : k + 501, 0])
     assert f"peaked at {peak.max():.3f} Nm, {peak.argmax() * 1e-3:.3f} s after it" in text
     assert "left out" not in text
-    event = load(one.path).provenance["event"]
+    event = load_recording(one.path).provenance["event"]
     assert (event["joint"], event["tau_ext_nm"], event["limit_nm"]) == ("shoulder", tau_ext.tolist(), limit.tolist())
 
 
@@ -318,7 +321,7 @@ def test_a_fault_says_its_cause_and_the_samples_that_the_files_leave_out(bundle,
     tau[3000:3012, 1] = np.nan
     (one,) = flown(bundle, damaged(whole, tau=tau), tmp_path)
     assert (one.what, one.t_ns) == ("fault", whole.t_ns[3000])
-    flight, text = load(one.path), one.path.with_suffix(".txt").read_text()
+    flight, text = load_recording(one.path), one.path.with_suffix(".txt").read_text()
     kept = np.r_[2000:3000, 3012:3501]
     np.testing.assert_array_equal(flight.t_ns, whole.t_ns[kept])
     np.testing.assert_array_equal(flight.q, whole.q[kept])
@@ -383,7 +386,7 @@ def test_samples_with_a_time_that_is_not_later_are_left_out(bundle, tmp_path):
     assert [one.error for one in news] == [None] * len(news)
     back = next(one for one in news if one.t_ns == samples.t_ns[6200])
     assert "Fault (time backwards)" in back.path.with_suffix(".txt").read_text()
-    assert load(back.path).t_ns[-1] == samples.t_ns[6199]
+    assert load_recording(back.path).t_ns[-1] == samples.t_ns[6199]
     flight = {"t_ns": np.array([5, 9, 7, 9, 12, 11]), **{s: np.zeros((6, 1)) for s in ("q", "dq", "tau")}}
     flight["q"][4] = np.nan
     assert rows_kept(flight).tolist() == [True, True, False, False, False, True]
@@ -403,7 +406,7 @@ def test_flights_are_never_written_over_others(bundle, tmp_path):
     assert names == [f"{stem}.parquet", f"{stem}-2.parquet", f"{stem}-3.parquet"]
     (tmp_path / f"{stem}-4.txt.part").touch()  # another run is writing this one
     assert flown(bundle, recording, tmp_path)[0].path.name == f"{stem}-5.parquet"
-    assert {load(tmp_path / name).samples for name in names} == {1501}
+    assert {load_recording(tmp_path / name).samples for name in names} == {1501}
 
 
 def test_no_flight_is_missed_however_fast_the_replay(bundle, tmp_path):
@@ -459,7 +462,9 @@ def test_a_mistake_in_the_writing_is_not_swallowed(bundle):
                 writer.catch_up()
 
 
-@pytest.mark.parametrize("broken", ["tauext.monitor.flight_files.save", "tauext.monitor.flight_files.save_estimates"])
+@pytest.mark.parametrize(
+    "broken", ["tauext.monitor.flight_files.save_recording", "tauext.monitor.flight_files.save_estimates"]
+)
 def test_a_flight_that_fails_half_way_leaves_no_file(bundle, tmp_path, monkeypatch, broken):
     def full(*arguments):
         raise OSError(28, "No space left on device")
@@ -524,7 +529,7 @@ def test_json_lines_are_what_the_slow_loop_found(place, capsys, bundle):
 
 
 def test_several_recordings_each_begin_anew_and_are_summed_up(place, capsys):
-    save(pushed("second", pushes=PUSHES[1:]), place / "second.parquet")
+    save_recording(pushed("second", pushes=PUSHES[1:]), place / "second.parquet")
     paths = (place / "pushed.parquet", place / "second.parquet")
     code, out, _ = run(capsys, place / "watching.tauext", *paths, "--json", "--flights", place / "flights")
     events = [json.loads(line) for line in out.splitlines()]
@@ -564,7 +569,7 @@ def test_a_disk_error_is_told_once_the_replay_goes_on_and_the_exit_code_is_2(pla
     def full(*arguments):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("tauext.monitor.flight_files.save", full)
+    monkeypatch.setattr("tauext.monitor.flight_files.save_recording", full)
     options = ("--flights", folder, "--acknowledge-after-s", 0.8)
     code, out, err = run(capsys, place / "watching.tauext", place / "pushed.parquet", *options)
     assert code == 2
@@ -604,9 +609,9 @@ def test_a_damaged_recording_stops_the_run_after_the_summary_of_those_before(pla
 
 
 def other_recordings(place: Path) -> None:
-    save(pushed(joints=("a", "b")), place / "joints.parquet")
-    save(pushed(t_ns=np.arange(6000) * 2_000_000, rate_hz=500.0), place / "rate.parquet")
-    save(pushed(torque_timing="instant"), place / "timing.parquet")
+    save_recording(pushed(joints=("a", "b")), place / "joints.parquet")
+    save_recording(pushed(t_ns=np.arange(6000) * 2_000_000, rate_hz=500.0), place / "rate.parquet")
+    save_recording(pushed(torque_timing="instant"), place / "timing.parquet")
     (place / "file").touch()
 
 

@@ -70,7 +70,7 @@ def small_tcn(torch):
     return SmallTcn()
 
 
-def reference(torch, shape, parameters, chain, windows, ends, length, targets) -> tuple[float, np.ndarray]:
+def reference(torch, shape, parameters, setup, windows, ends, length, targets) -> tuple[float, np.ndarray]:
     """Loss and gradient in double precision, from windows written out and PyTorch's own parts alone."""
     lstm = torch.nn.LSTM(shape.inputs, shape.hidden, batch_first=True).double()
     head = torch.nn.Linear(shape.hidden, shape.outputs).double()
@@ -80,7 +80,7 @@ def reference(torch, shape, parameters, chain, windows, ends, length, targets) -
         p.data = torch.from_numpy(part.reshape(p.shape).copy())
     lstm.bias_hh_l0.data.zero_()
     steps = ends[:, None] + np.arange(1 - length, 1)
-    x = np.stack([windows.rows[steps - lag, column] for column, lag in chain.inputs], axis=-1)
+    x = np.stack([windows.rows[steps - lag, column] for column, lag in setup.inputs], axis=-1)
     target = torch.from_numpy(windows.target_rows[steps[:, -targets:]].astype(float))
     y = head(lstm(torch.from_numpy(x.astype(float)))[0])[:, -targets:]
     known = ~target.isnan()
@@ -94,11 +94,11 @@ def relative(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def test_without_pytorch_one_line_says_how_to_install_it(monkeypatch):
-    chain, _, windows = prepared([recording(1)])
+    setup, _, windows = prepared([recording(1)])
     monkeypatch.setitem(sys.modules, "torch", None)  # what a missing module looks like
     monkeypatch.delitem(sys.modules, BACKEND, raising=False)
     with pytest.raises(ConfigError, match=r"backend = torch.*pip install 'tauext\[torch\]'") as raised:
-        train(chain, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=1, batch=100, backend="torch"))
+        train(setup, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=1, batch=100, backend="torch"))
     assert "\n" not in str(raised.value)
 
 
@@ -109,20 +109,20 @@ def test_pytorch_is_not_imported_before_it_is_asked_for():
 
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_the_gradient_equals_the_cores_and_one_in_double_precision(torch, backend, recipe):
-    chain, _, windows = prepared([recording(k) for k in range(3)])
+    setup, _, windows = prepared([recording(k) for k in range(3)])
     config = RECIPES[recipe].resolved()
-    steps = make_schedule(chain, windows, config)
+    steps = make_schedule(setup, windows, config)
     # A tenth of the targets missing, as where a tick only holds an older sample.
     target_rows = windows.target_rows.copy()
     target_rows[::10] = np.nan
     windows = dataclasses.replace(windows, target_rows=target_rows)
-    core = CoreBackend(chain, windows, config.hidden, steps.length, steps.targets, threads=2)
-    module = backend.lstm_module(chain, config.hidden, seed=0)
-    ours = backend.TorchBackend(module, chain, windows, steps.length, steps.targets)
+    core = CoreBackend(setup, windows, config.hidden, steps.length, steps.targets, threads=2)
+    module = backend.lstm_module(setup, config.hidden, seed=0)
+    ours = backend.TorchBackend(module, setup, windows, steps.length, steps.targets)
     rng = np.random.default_rng(0)
     parameters = rng.normal(0, 0.4, core.shape.parameter_count).astype(np.float32)
     ends = steps.ends(0)
-    exact_loss, exact = reference(torch, core.shape, parameters, chain, windows, ends, steps.length, steps.targets)
+    exact_loss, exact = reference(torch, core.shape, parameters, setup, windows, ends, steps.length, steps.targets)
     for one in (ours, core):
         loss, gradient = one.gradient(parameters, ends)
         assert loss == pytest.approx(exact_loss, rel=1e-5)
@@ -134,11 +134,11 @@ def test_the_gradient_equals_the_cores_and_one_in_double_precision(torch, backen
 
 
 def test_both_backends_start_from_the_same_parameters(backend):
-    chain, _, windows = prepared([recording(1)])
+    setup, _, windows = prepared([recording(1)])
     for seed in (0, 7):
         config = TrainConfig(recipe="paper", hidden=5, seed=seed)
         core, ours = (
-            make_backend(chain, windows, dataclasses.replace(config, backend=name), chain.window_steps, 1)
+            make_backend(setup, windows, dataclasses.replace(config, backend=name), setup.window_steps, 1)
             for name in ("core", "torch")
         )
         start = ours.initial_parameters(seed)
@@ -149,9 +149,9 @@ def test_both_backends_start_from_the_same_parameters(backend):
 
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_losses_of_both_backends_agree_after_200_steps(backend, recipe):
-    chain, _, windows = prepared([recording(k) for k in range(4)])
+    setup, _, windows = prepared([recording(k) for k in range(4)])
     config = RECIPES[recipe]
-    runs = [train(chain, windows, windows, dataclasses.replace(config, backend=name)) for name in ("core", "torch")]
+    runs = [train(setup, windows, windows, dataclasses.replace(config, backend=name)) for name in ("core", "torch")]
     core, ours = (run.history[-1] for run in runs)
     assert core[0] == ours[0] == 200
     # Roundings differ and Adam divides by small gradients, so the paths part slowly.
@@ -160,21 +160,21 @@ def test_losses_of_both_backends_agree_after_200_steps(backend, recipe):
 
 
 def test_the_same_seed_gives_the_same_bytes(backend):
-    chain, _, windows = prepared([recording(k) for k in range(2)])
+    setup, _, windows = prepared([recording(k) for k in range(2)])
     config = TrainConfig(recipe="paper", hidden=8, epochs=2, batch=100, backend="torch")
-    one, two = (train(chain, windows, windows, config).parameters.tobytes() for _ in range(2))
-    other = train(chain, windows, windows, dataclasses.replace(config, seed=1)).parameters.tobytes()
+    one, two = (train(setup, windows, windows, config).parameters.tobytes() for _ in range(2))
+    other = train(setup, windows, windows, dataclasses.replace(config, seed=1)).parameters.tobytes()
     assert one == two != other
 
 
 def test_weights_go_from_pytorch_into_a_bundle_and_back(torch, backend, tmp_path):
     made = recording(1)
-    chain, scaling, windows = prepared([made])
-    network = train(chain, windows, windows, TrainConfig(recipe="paper", hidden=20, epochs=1, batch=100))
+    setup, scaling, windows = prepared([made])
+    network = train(setup, windows, windows, TrainConfig(recipe="paper", hidden=20, epochs=1, batch=100))
     torch.manual_seed(3)
     lstm, head = torch.nn.LSTM(6, 20, batch_first=True), torch.nn.Linear(20, 2)  # with two biases, both at work
     vector = backend.parameters_from_lstm(lstm, head)
-    bundle = make_bundle("there", chain, 0.02, made, scaling, dataclasses.replace(network, parameters=vector))
+    bundle = make_bundle("there", setup, 0.02, made, scaling, dataclasses.replace(network, parameters=vector))
     bundle.save(str(tmp_path / "there.tauext"))
     back = _core.Bundle.load(str(tmp_path / "there.tauext"))
     np.testing.assert_array_equal(np.float32(back.parameters), vector)
@@ -201,26 +201,26 @@ def test_an_lstm_that_the_core_does_not_know_is_refused(torch, backend, change):
 
 
 def test_a_vector_of_another_length_is_refused(torch, backend):
-    chain, _, windows = prepared([recording(1)])
+    setup, _, windows = prepared([recording(1)])
     with pytest.raises(TrainingError, match="2202 parameters, not 5"):
         backend.lstm_from_parameters(_core.LstmShape(6, 20, 2), np.zeros(5))
-    research = backend.TorchBackend(small_tcn(torch), chain, windows, chain.window_steps, 1)
+    research = backend.TorchBackend(small_tcn(torch), setup, windows, setup.window_steps, 1)
     with pytest.raises(TrainingError, match="SmallTcn has 690 parameters, not 5"):
         research.load(np.zeros(5))
 
 
 @pytest.mark.parametrize("make, recipe", [(small_gru, "paper"), (small_gru, "dense"), (small_tcn, "paper")])
 def test_a_network_of_another_kind_learns_in_the_same_loop_and_comes_out_usable(torch, backend, make, recipe):
-    chain, _, windows = prepared([recording(k) for k in range(4)])
+    setup, _, windows = prepared([recording(k) for k in range(4)])
     config = dataclasses.replace(RECIPES[recipe], learning_rate=0.01)
-    steps = make_schedule(chain, windows, config.resolved())
-    research = backend.TorchBackend(make(torch), chain, windows, steps.length, steps.targets)
-    network = train(chain, windows, windows, config, backend=research)
+    steps = make_schedule(setup, windows, config.resolved())
+    research = backend.TorchBackend(make(torch), setup, windows, steps.length, steps.targets)
+    network = train(setup, windows, windows, config, backend=research)
     assert network.history[-1][2] < 0.5 * np.mean(windows.target_rows[windows.ends] ** 2)
     # The best weights, put back into the module, give the loss that was reported for them.
     research.load(network.parameters)
-    at = windows.ends[:, None] + np.arange(1 - chain.window_steps, 1)
-    x = np.stack([windows.rows[at - lag, column] for column, lag in chain.inputs], axis=-1)
+    at = windows.ends[:, None] + np.arange(1 - setup.window_steps, 1)
+    x = np.stack([windows.rows[at - lag, column] for column, lag in setup.inputs], axis=-1)
     with torch.no_grad():
         y = research.module(torch.from_numpy(x).to(research.device)).cpu().numpy()
     loss = np.mean((y - windows.target_rows[windows.ends]) ** 2)
@@ -228,16 +228,16 @@ def test_a_network_of_another_kind_learns_in_the_same_loop_and_comes_out_usable(
 
 
 def test_a_network_without_sequences_is_refused_where_a_sequence_has_several_targets(torch, backend):
-    chain, _, windows = prepared([recording(1)])
+    setup, _, windows = prepared([recording(1)])
     with pytest.raises(TrainingError, match=r"SmallTcn has no sequence\(x\).*20 targets"):
-        backend.TorchBackend(small_tcn(torch), chain, windows, chain.window_steps + 19, 20)
+        backend.TorchBackend(small_tcn(torch), setup, windows, setup.window_steps + 19, 20)
 
 
 def test_an_output_of_another_width_is_refused_and_not_spread(torch, backend):
-    chain, _, windows = prepared([recording(1)])
+    setup, _, windows = prepared([recording(1)])
     for targets in (1, 5):
         narrow = backend.TorchBackend(
-            small_gru(torch, outputs=1), chain, windows, chain.window_steps + targets - 1, targets
+            small_gru(torch, outputs=1), setup, windows, setup.window_steps + targets - 1, targets
         )
         with pytest.raises(TrainingError, match="SmallGru.*n = 2"):
             narrow.gradient(narrow.initial_parameters(0), windows.ends[20:60])
@@ -246,18 +246,18 @@ def test_an_output_of_another_width_is_refused_and_not_spread(torch, backend):
 
 
 def test_running_statistics_and_an_empty_module_are_refused(torch, backend):
-    chain, _, windows = prepared([recording(1)])
+    setup, _, windows = prepared([recording(1)])
     normalised = torch.nn.Sequential(small_tcn(torch), torch.nn.BatchNorm1d(2))
     with pytest.raises(TrainingError, match="Sequential keeps running statistics"):
-        backend.TorchBackend(normalised, chain, windows, chain.window_steps, 1)
+        backend.TorchBackend(normalised, setup, windows, setup.window_steps, 1)
     with pytest.raises(TrainingError, match="Identity has no trainable parameters"):
-        backend.TorchBackend(torch.nn.Identity(), chain, windows, chain.window_steps, 1)
+        backend.TorchBackend(torch.nn.Identity(), setup, windows, setup.window_steps, 1)
 
 
 def test_a_sequence_that_would_reach_before_the_first_row_is_refused_or_not_a_number(backend):
-    chain, _, windows = prepared([recording(1)])
-    length = chain.window_steps
-    ours = backend.TorchBackend(backend.lstm_module(chain, 4, 0), chain, windows, length, 1)
+    setup, _, windows = prepared([recording(1)])
+    length = setup.window_steps
+    ours = backend.TorchBackend(backend.lstm_module(setup, 4, 0), setup, windows, length, 1)
     start = ours.initial_parameters(0)
     with pytest.raises(TrainingError, match=f"{length} steps cannot end at row {length - 2}"):
         ours.predict(start, windows, np.array([length - 2]))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_results import SEVEN_CASES, make_estimates, make_recording, make_results
+from made_results import SEVEN_BUNDLES, make_estimates, make_recording, make_results
 
 from tauext.cli import main
 from tauext.cli.report import report
@@ -24,7 +24,7 @@ from tauext.report.signals import NotAvailable, Signals
 from tauext.report.stretches import alarms, gaps, stretches
 from tauext.report.trace_coding import encode
 from tauext.report.trace_packing import CLOSE_SHARE, QUANTA_A_LIMIT, Plan, pack, quanta
-from tauext.report.traces import chosen_cases, or_reason, recordings_of, results_traces
+from tauext.report.traces import chosen_bundles, or_reason, recordings_of, results_traces
 from tauext.report.tracing import around, trace
 
 MS = 1_000_000
@@ -162,7 +162,7 @@ def test_windows_are_of_the_first_events_and_do_not_touch():
 def recorded():
     rng = np.random.default_rng(1)
     recording = make_recording("touched", 3, 60.0, True, rng)
-    return recording, {case: make_estimates(recording, case, np.full(3, 4.0), rng) for case in ("exact", "none")}
+    return recording, {bundle: make_estimates(recording, bundle, np.full(3, 4.0), rng) for bundle in ("exact", "none")}
 
 
 def test_a_peak_of_one_sample_is_in_the_buckets_and_unhealthy_samples_are_holes(recorded):
@@ -227,7 +227,7 @@ def test_steps_follow_the_smallest_limit_or_the_range_and_a_wild_value_changes_n
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    return make_results(tmp_path_factory.mktemp("made"), seconds=20, cases=SEVEN_CASES)
+    return make_results(tmp_path_factory.mktemp("made"), seconds=20, bundles=SEVEN_BUNDLES)
 
 
 def told_of(page: str) -> dict:
@@ -241,7 +241,7 @@ def section_of(results_dir: Path, data: Path, room: float = 2e6, methods: tuple[
 
 def test_the_page_holds_the_traces_of_five_methods_or_of_those_chosen(made):
     results = load_results(made[0])
-    assert len(chosen_cases(results, ())) == 5 and chosen_cases(results, ())[0].model == "exact"
+    assert len(chosen_bundles(results, ())) == 5 and chosen_bundles(results, ())[0].model == "exact"
     page = section_of(*made, methods=("none", "exact"))
     told = told_of(page)
     assert [method["name"] for method in told["methods"]] == ["exact", "none"]
@@ -264,8 +264,8 @@ def test_the_traces_stay_under_their_size_and_it_is_said_where_there_is_no_room(
 def test_recordings_without_estimates_are_left_out_and_without_any_that_is_said(made, tmp_path):
     results, data = (shutil.copytree(folder, tmp_path / folder.name) for folder in made)
     (data / "collisions-000.parquet").unlink()
-    for case in SEVEN_CASES:
-        (results / "estimates" / case / "free-000.parquet").unlink()
+    for bundle in SEVEN_BUNDLES:
+        (results / "estimates" / bundle / "free-000.parquet").unlink()
     (results / "estimates" / "exact" / "free-001.parquet").unlink()
     told = told_of(section_of(results, data, methods=("exact", "none")))
     assert [one["name"] for one in told["recordings"]] == ["collisions-001", "free-001"]
@@ -279,9 +279,9 @@ def test_names_are_text_and_never_markup_or_script(made, tmp_path):
     results, data = (shutil.copytree(folder, tmp_path / folder.name) for folder in made)
     content = json.loads((results / "results.json").read_text())
     name = "<b>bold"
-    for case in content["cases"]:
-        if case["name"] == "mass":
-            case["name"] = name
+    for bundle in content["bundles"]:
+        if bundle["name"] == "mass":
+            bundle["name"] = name
     (results / "results.json").write_text(json.dumps(content))
     shutil.move(results / "estimates" / "mass", results / "estimates" / name)
     page = section_of(results, data, methods=(name,))

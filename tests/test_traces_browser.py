@@ -42,12 +42,12 @@ def traced() -> list[Traced]:
     t_ns = first.t_ns.copy()
     t_ns[GAP_ROW:] += round(GAP_S * 1e9)
     first = replace(first, t_ns=t_ns)
-    said = {case: make_estimates(first, case, np.full(2, 4.0), rng) for case in METHODS}
+    said = {method: make_estimates(first, method, np.full(2, 4.0), rng) for method in METHODS}
     tau_ext, health = said["exact"].tau_ext.copy(), said["exact"].health.copy()
     tau_ext[PEAK_ROW, 0] = PEAK_NM
     health[FAULT_ROWS] = FAULT
     said["exact"] = replace(said["exact"], tau_ext=tau_ext, health=health)
-    other = {case: make_estimates(second, case, np.full(2, 4.0), rng) for case in METHODS}
+    other = {method: make_estimates(second, method, np.full(2, 4.0), rng) for method in METHODS}
     return [trace(first, said, 20, 4), trace(second, other, 20, 4)]
 
 
@@ -259,7 +259,7 @@ def test_an_hour_of_seven_joints_at_one_kilohertz_stays_under_ten_megabytes_and_
     room, kept = 7_000_000, []
     plan = Plan(3_600_000, 7 * (2 + 4 * len(methods)), room)
     recording = make_recording("quarter-0", 7, 900.0, True, rng)
-    said = {case: make_estimates(recording, case, np.linspace(4.4, 2.6, 7), rng) for case in methods}
+    said = {method: make_estimates(recording, method, np.linspace(4.4, 2.6, 7), rng) for method in methods}
     for number in range(4):
         kept.append(trace(replace(recording, name=f"quarter-{number}"), said, plan.size, plan.windows(recording)))
     path = tmp_path / "hour.html"

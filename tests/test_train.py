@@ -11,7 +11,7 @@ from tauext.calibrate import paper_limits
 from tauext.config import ObserverConfig, TrainConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn import build_chain, build_windows, find_scaling, make_bundle, train
+from tauext.learn import build_setup, build_windows, find_scaling, make_bundle, train
 from tauext.learn.core_backend import CoreBackend
 from tauext.learn.schedules import DenseSchedule
 
@@ -36,15 +36,15 @@ def recording(seed: int, seconds: float = 4.0, missing: slice | None = None, **c
 
 
 def prepared(recordings):
-    chain = build_chain(planar_arm(), recordings[0], SMALL)
-    scaling = find_scaling(chain, recordings)
-    return chain, scaling, build_windows(chain, scaling, recordings)
+    setup = build_setup(planar_arm(), recordings[0], SMALL)
+    scaling = find_scaling(setup, recordings)
+    return setup, scaling, build_windows(setup, scaling, recordings)
 
 
 def test_windows_hold_the_papers_inputs_and_the_observers_residual():
     made = recording(1)
-    chain, scaling, windows = prepared([made])
-    observation = _core.observe(chain.tree, chain.observer, made.t_ns, made.q, made.dq, made.tau)
+    setup, scaling, windows = prepared([made])
+    observation = _core.observe(setup.tree, setup.observer, made.t_ns, made.q, made.dq, made.tau)
     # Network samples are every tenth; the first that is warm (0.5 s) and has ten steps and one lag behind it is 500.
     assert windows.windows == (4000 - 500) // 10
     first = windows.ends[0] * 10
@@ -54,23 +54,23 @@ def test_windows_hold_the_papers_inputs_and_the_observers_residual():
     )
     row = windows.rows[windows.ends[0]] / scaling.input_factors
     np.testing.assert_allclose(row, np.r_[made.q[first], made.dq[first]], rtol=1e-6)
-    assert chain.inputs == [(0, 0), (1, 0), (2, 0), (3, 0), (2, 1), (3, 1)]  # q(k), dq(k), dq(k-1)
+    assert setup.inputs == [(0, 0), (1, 0), (2, 0), (3, 0), (2, 1), (3, 1)]  # q(k), dq(k), dq(k-1)
 
 
 def test_no_window_reaches_across_a_restart_or_starts_in_the_observers_warm_up():
-    chain, _, whole = prepared([recording(1)])
+    setup, _, whole = prepared([recording(1)])
     _, _, broken = prepared([recording(1, missing=slice(2003, 2103))])
     # Both stretches lose the 0.5 s of warm-up: 350 windows shrink by those of the gap and of the second warm-up.
     assert whole.windows == 350
     assert broken.windows == (2003 - 500 + 9) // 10 + (4000 - 2103 - 500 + 9) // 10
-    reach = chain.reach
+    reach = setup.reach
     assert (broken.ends - reach >= 0).all()
 
 
 def test_windows_of_several_recordings_never_mix():
     parts = [recording(1), recording(2)]
-    chain, scaling, both = prepared(parts)
-    separate = [build_windows(chain, scaling, [part]) for part in parts]
+    setup, scaling, both = prepared(parts)
+    separate = [build_windows(setup, scaling, [part]) for part in parts]
     assert both.windows == sum(s.windows for s in separate)
     second = both.ends[separate[0].windows :] - len(separate[0].rows)
     np.testing.assert_array_equal(second, separate[1].ends)
@@ -78,17 +78,17 @@ def test_windows_of_several_recordings_never_mix():
 
 
 def test_training_lowers_the_loss_and_the_same_seed_gives_the_same_bytes_on_any_number_of_threads():
-    chain, _, windows = prepared([recording(k) for k in range(4)])
+    setup, _, windows = prepared([recording(k) for k in range(4)])
     config = TrainConfig(recipe="paper", hidden=8, epochs=20, batch=100, learning_rate=0.01, threads=1)
-    one = train(chain, windows, windows, config)
+    one = train(setup, windows, windows, config)
     two = train(
-        chain,
+        setup,
         windows,
         windows,
         TrainConfig(recipe="paper", hidden=8, epochs=20, batch=100, learning_rate=0.01, threads=2),
     )
     other = train(
-        chain, windows, windows, TrainConfig(recipe="paper", hidden=8, epochs=20, batch=100, learning_rate=0.01, seed=1)
+        setup, windows, windows, TrainConfig(recipe="paper", hidden=8, epochs=20, batch=100, learning_rate=0.01, seed=1)
     )
     assert one.parameters.tobytes() == two.parameters.tobytes()
     assert one.parameters.tobytes() != other.parameters.tobytes()
@@ -96,25 +96,25 @@ def test_training_lowers_the_loss_and_the_same_seed_gives_the_same_bytes_on_any_
 
 
 def test_an_interrupted_run_goes_on_to_the_same_bytes(tmp_path):
-    chain, _, windows = prepared([recording(k) for k in range(4)])
+    setup, _, windows = prepared([recording(k) for k in range(4)])
     config = TrainConfig(recipe="paper", hidden=4, epochs=60, batch=200)
-    whole = train(chain, windows, windows, config)
+    whole = train(setup, windows, windows, config)
 
     def interrupt(progress):
         raise KeyboardInterrupt
 
     path = tmp_path / "checkpoint.npz"
     with pytest.raises(KeyboardInterrupt):
-        train(chain, windows, windows, config, path, {"case": "exact"}, interrupt)
+        train(setup, windows, windows, config, path, {"case": "exact"}, interrupt)
     assert path.exists()
-    resumed = train(chain, windows, windows, config, path, {"case": "exact"})
+    resumed = train(setup, windows, windows, config, path, {"case": "exact"})
     assert resumed.parameters.tobytes() == whole.parameters.tobytes()
     assert [entry[0] for entry in resumed.history] == [entry[0] for entry in whole.history]
     assert not path.exists()
 
 
 def test_a_checkpoint_of_other_settings_is_refused_and_kept(tmp_path):
-    chain, _, windows = prepared([recording(1)])
+    setup, _, windows = prepared([recording(1)])
     path = tmp_path / "checkpoint.npz"
 
     def interrupt(progress):
@@ -122,13 +122,13 @@ def test_a_checkpoint_of_other_settings_is_refused_and_kept(tmp_path):
 
     config = TrainConfig(recipe="paper", hidden=4, epochs=1, batch=100)
     with pytest.raises(KeyboardInterrupt):
-        train(chain, windows, windows, config, path, {"case": "exact", "seed": 0}, interrupt)
+        train(setup, windows, windows, config, path, {"case": "exact", "seed": 0}, interrupt)
     with pytest.raises(ConfigError, match=r"other settings \(seed\)"):
-        train(chain, windows, windows, config, path, {"case": "exact", "seed": 1})
+        train(setup, windows, windows, config, path, {"case": "exact", "seed": 1})
     assert path.exists()
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(ConfigError, match="cannot be read"):
-        train(chain, windows, windows, config, path, {"case": "exact", "seed": 0})
+        train(setup, windows, windows, config, path, {"case": "exact", "seed": 0})
 
 
 def test_a_constant_target_is_an_error_that_names_the_joint():
@@ -136,13 +136,13 @@ def test_a_constant_target_is_an_error_that_names_the_joint():
     zeros = np.zeros((4000, 2))
     still = recording(1, q=zeros, dq=zeros, tau=zeros)
     with pytest.raises(TrainingError, match="'shoulder'.*constant"):
-        find_scaling(build_chain(planar_arm(), still, SMALL), [still])
+        find_scaling(build_setup(planar_arm(), still, SMALL), [still])
 
 
 def test_a_diverging_loss_is_an_error_that_names_the_learning_rate():
-    chain, _, windows = prepared([recording(1)])
+    setup, _, windows = prepared([recording(1)])
     with pytest.raises(TrainingError, match="diverges.*learning_rate = 1e\\+06"):
-        train(chain, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=5, batch=100, learning_rate=1e6))
+        train(setup, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=5, batch=100, learning_rate=1e6))
 
 
 @pytest.mark.parametrize(
@@ -150,15 +150,15 @@ def test_a_diverging_loss_is_an_error_that_names_the_learning_rate():
 )
 def test_too_little_data_is_an_error(seconds, message):
     with pytest.raises(TrainingError, match=message):
-        chain, _, windows = prepared([recording(1, seconds=seconds)])
-        train(chain, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=1, batch=100))
+        setup, _, windows = prepared([recording(1, seconds=seconds)])
+        train(setup, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=1, batch=100))
 
 
 def test_a_bundle_says_of_a_recording_what_the_network_was_trained_on(tmp_path):
     made = [recording(k) for k in range(3)]
-    chain, scaling, windows = prepared(made)
-    network = train(chain, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=2, batch=100))
-    bundle = make_bundle("small", chain, 0.02, made[0], scaling, network)
+    setup, scaling, windows = prepared(made)
+    network = train(setup, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=2, batch=100))
+    bundle = make_bundle("small", setup, 0.02, made[0], scaling, network)
     limits = paper_limits(bundle, made[1:], threads=1)
     bundle.sliding_limit_nm, bundle.near_stiction_limit_nm = (
         limits.sliding_nm.tolist(),
@@ -171,7 +171,7 @@ def test_a_bundle_says_of_a_recording_what_the_network_was_trained_on(tmp_path):
     said = _core.estimate(loaded, made[0].t_ns, made[0].q, made[0].dq, made[0].tau, 2)
     at = windows.ends[:350] * 10  # the first recording's windows are the first
     expected = _core.lstm_forward(
-        network.shape, network.parameters, windows.rows, 1, chain.window_steps, chain.inputs, windows.ends[:350], 1
+        network.shape, network.parameters, windows.rows, 1, setup.window_steps, setup.inputs, windows.ends[:350], 1
     )
     np.testing.assert_array_equal(said["network"][at], expected * scaling.output_scale_nm)
     np.testing.assert_array_equal(said["tau_ext"][at], (said["residual"] - said["network"])[at])
@@ -184,17 +184,17 @@ def test_a_bundle_says_of_a_recording_what_the_network_was_trained_on(tmp_path):
 def test_a_recording_of_other_joints_is_refused_by_name():
     made = recording(1, joints=("a", "b"))
     with pytest.raises(TrainingError, match="a, b are not the model's shoulder, elbow"):
-        build_chain(planar_arm(), made, SMALL)
+        build_setup(planar_arm(), made, SMALL)
 
 
 def test_dense_sequences_lie_whole_in_one_stretch_of_one_recording():
     parts = [recording(1), recording(2, missing=slice(2003, 2103)), recording(3)]
-    chain, _, windows = prepared(parts)
+    setup, _, windows = prepared(parts)
     config = TrainConfig(recipe="dense", targets=20, batch=500, max_steps=10).resolved()
-    schedule = DenseSchedule(chain, windows, config)
+    schedule = DenseSchedule(setup, windows, config)
     ends = np.unique(np.concatenate([schedule.ends(step) for step in range(10)]))
     first_row = dict(zip(windows.ends, windows.first_rows, strict=True))
-    assert schedule.length == chain.window_steps - 1 + 20
+    assert schedule.length == setup.window_steps - 1 + 20
     assert all(end - (schedule.length - 1) - 1 >= first_row[end] for end in ends)  # one more for the lag of dq
     assert len(ends) > 200
     np.testing.assert_array_equal(schedule.ends(3), schedule.ends(3))
@@ -202,19 +202,19 @@ def test_dense_sequences_lie_whole_in_one_stretch_of_one_recording():
 
 
 def test_a_dense_sequence_with_one_target_is_the_papers_window():
-    chain, _, windows = prepared([recording(1)])
+    setup, _, windows = prepared([recording(1)])
     config = TrainConfig(recipe="dense", targets=1, batch=50, max_steps=5).resolved()
-    schedule = DenseSchedule(chain, windows, config)
-    assert (schedule.length, schedule.targets) == (chain.window_steps, 1)
-    dense = CoreBackend(chain, windows, 6, schedule.length, schedule.targets, threads=1)
-    paper = CoreBackend(chain, windows, 6, chain.window_steps, 1, threads=1)
+    schedule = DenseSchedule(setup, windows, config)
+    assert (schedule.length, schedule.targets) == (setup.window_steps, 1)
+    dense = CoreBackend(setup, windows, 6, schedule.length, schedule.targets, threads=1)
+    paper = CoreBackend(setup, windows, 6, setup.window_steps, 1, threads=1)
     start = dense.initial_parameters(0).astype(np.float32)
     assert dense.gradient(start, schedule.ends(0))[1].tobytes() == paper.gradient(start, schedule.ends(0))[1].tobytes()
 
 
 def test_the_dense_learning_rate_rises_and_falls_to_zero():
-    chain, _, windows = prepared([recording(1)])
-    schedule = DenseSchedule(chain, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
+    setup, _, windows = prepared([recording(1)])
+    schedule = DenseSchedule(setup, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
     rates = np.array([schedule.learning_rate(step) for step in range(1000)])
     assert rates.max() == pytest.approx(0.01, rel=0.03) and 40 <= rates.argmax() <= 60
     assert (rates > 0).all() and rates[-1] < 1e-6
@@ -222,15 +222,15 @@ def test_the_dense_learning_rate_rises_and_falls_to_zero():
 
 
 def test_dense_training_prefers_settled_weights_unless_earlier_ones_are_clearly_better():
-    chain, _, windows = prepared([recording(1)])
-    schedule = DenseSchedule(chain, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
+    setup, _, windows = prepared([recording(1)])
+    schedule = DenseSchedule(setup, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
     assert schedule.score(900, 1.0) < schedule.score(700, 0.8)  # a lucky draw at a high rate
     assert schedule.score(900, 1.0) > schedule.score(300, 0.5)  # the network overfitted since
 
 
 def test_dense_training_stops_early_only_when_it_has_settled_and_gets_no_better():
-    chain, _, windows = prepared([recording(1)])
-    schedule = DenseSchedule(chain, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
+    setup, _, windows = prepared([recording(1)])
+    schedule = DenseSchedule(setup, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
 
     def history(best_at: int, until: int):
         return [(step, 1.0, 0.5 if step == best_at else 1.0) for step in range(50, until + 1, 50)]
@@ -243,19 +243,19 @@ def test_dense_training_stops_early_only_when_it_has_settled_and_gets_no_better(
 
 
 def test_in_equal_arithmetic_the_dense_recipe_gets_further_than_the_papers():
-    chain, _, windows = prepared([recording(k, seconds=6.0) for k in range(6)])
+    setup, _, windows = prepared([recording(k, seconds=6.0) for k in range(6)])
     steps = 300
     # A dense sequence of 29 steps costs about three windows of ten: a third of the sequences.
     dense = TrainConfig(recipe="dense", hidden=8, targets=20, batch=32, max_steps=steps)
     paper = TrainConfig(recipe="paper", hidden=8, batch=96, max_steps=steps, epochs=1000)
-    losses = [min(h[2] for h in train(chain, windows, windows, config).history) for config in (dense, paper)]
+    losses = [min(h[2] for h in train(setup, windows, windows, config).history) for config in (dense, paper)]
     assert losses[0] < 0.5 * losses[1]
 
 
 def test_sequences_longer_than_every_recording_are_refused():
-    chain, _, windows = prepared([recording(1, seconds=2.0)])
+    setup, _, windows = prepared([recording(1, seconds=2.0)])
     with pytest.raises(TrainingError, match="sequence of 309 steps.*lower targets = 300"):
-        train(chain, windows, windows, TrainConfig(recipe="dense", targets=300, max_steps=5))
+        train(setup, windows, windows, TrainConfig(recipe="dense", targets=300, max_steps=5))
 
 
 def test_epochs_are_refused_where_a_recipe_has_none():

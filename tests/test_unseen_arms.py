@@ -14,7 +14,7 @@ from unseen.contacts import Contact, draw_contacts, label
 from unseen.motions import ACCELERATIONS_RAD_S2, draw_motion
 from unseen.simulation import RATE_HZ, simulate
 
-from tauext.robot import load
+from tauext.robot import load_tree
 
 SEVEN = makers(Path())["seven_axis"]
 PUSH = Contact("push", 1.0, 1.8, 4, 0.7, (0.0, 0.6, 0.8), 40.0, (1.0, 1.8))
@@ -25,7 +25,7 @@ def pushed():
     rng = np.random.default_rng(0)
     arm = true_arm(SEVEN, rng)
     setpoints = draw_motion(SEVEN, 3 * RATE_HZ, RATE_HZ, rng)
-    return arm, setpoints, simulate(arm, load(SEVEN.model, SEVEN.joints), setpoints, SEVEN.torque_nm, [PUSH], 0.0)
+    return arm, setpoints, simulate(arm, load_tree(SEVEN.model, SEVEN.joints), setpoints, SEVEN.torque_nm, [PUSH], 0.0)
 
 
 def test_motor_friction_and_contact_are_all_that_changes_the_momentum(pushed):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.robot import load
+from tauext.robot import load_tree
 
 HERE = Path(__file__).parent
 RIPPLES_A_TURN = (100, 200, 202)
@@ -114,7 +114,7 @@ def true_arm(maker: Maker, rng: np.random.Generator) -> TrueArm:
     """
     n = len(maker.joints)
     links = []
-    for link in load(maker.model, maker.joints).links:
+    for link in load_tree(maker.model, maker.joints).links:
         share = rng.uniform(0.8, 1.2)
         link.mass *= share
         link.inertia = [share * x for x in link.inertia]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext.rig.sensors import encoder, low_pass, velocity
-from tauext.robot import load
+from tauext.robot import load_tree
 from unseen.arms import Maker, TrueArm, true_arm
 from unseen.contacts import Contact, draw_contacts, label
 from unseen.motions import draw_motion
@@ -52,7 +52,7 @@ def write_take(maker: Maker, seed: int, number: int, folder: Path) -> None:
     samples = round(take.minutes * 60 * RATE_HZ)
     contacts = draw_contacts(take.contacts, take.minutes * 60, len(maker.joints), rng)
     setpoints = draw_motion(maker, samples, RATE_HZ, rng)
-    known = load(maker.model, maker.joints)
+    known = load_tree(maker.model, maker.joints)
     run = simulate(arm, known, setpoints, maker.torque_nm, contacts, take.warm_from_s)
     _write_csv(folder / f"{take.name}.csv", maker, arm, run, contacts, rng)
     peaks = [_peak(run.tau_ext, c) for c in contacts]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.data import load, load_split
+from tauext.data import load_recording, load_split
 from unseen.arms import Maker, true_arm
 from unseen.recordings import TAKES, told_constants
 
@@ -19,7 +19,7 @@ STRONG = 3.0
 
 
 @dataclass(frozen=True)
-class Case:
+class Outcome:
     """One bundle on one arm's test."""
 
     arm: str
@@ -38,32 +38,32 @@ class Case:
     delays: dict[str, float | None]
 
 
-def read_cases(maker: Maker, seed: int, model: str, folder: Path) -> list[Case]:
-    """The cases of FOLDER/results-MODEL, judged by the truth beside the CSV files."""
+def read_outcomes(maker: Maker, seed: int, model: str, folder: Path) -> list[Outcome]:
+    """The bundles of FOLDER/results-MODEL, judged by the truth beside the CSV files."""
     results = json.loads((folder / f"results-{model}" / "results.json").read_text())
     truths = {
         take.name: json.loads((folder / "csv" / f"{take.name}.truth.json").read_text())
         for take in TAKES
         if take.contacts
     }
-    tests = [load(folder / model / name) for name in load_split(folder / model).test]
+    tests = [load_recording(folder / model / name) for name in load_split(folder / model).test]
     given = told_constants(maker, seed, model == "urdf")
     true = true_arm(maker, np.random.default_rng([seed, 0])).nm_per_ampere / (1.0 if given == "unknown" else given)
     torque = true * np.sqrt(np.mean(np.concatenate([test.tau for test in tests]) ** 2, axis=0))
-    cases = []
-    for case in results["cases"]:
-        bundle = _core.Bundle.load(str(folder / case["bundle"]))
+    outcomes = []
+    for entry in results["bundles"]:
+        bundle = _core.Bundle.load(str(folder / entry["bundle"]))
         nm = true / np.array(bundle.observer.nm_per_unit or 1.0)
-        rmse, events = nm * case["free_motion"]["l2_nm"], case["events"]
+        rmse, events = nm * entry["free_motion"]["l2_nm"], entry["events"]
         truth = [_of(verdict, truths[verdict["recording"]]) for verdict in events["verdicts"]]
-        cases.append(
-            Case(
+        outcomes.append(
+            Outcome(
                 arm=maker.name,
                 model=model,
-                recipe=case["recipe"],
+                recipe=entry["recipe"],
                 rmse_nm=rmse,
                 rmse_share=rmse / torque,
-                limit_nm=nm * case["limits"]["sliding_nm"],
+                limit_nm=nm * entry["limits"]["sliding_nm"],
                 found=np.array([verdict["found"] for verdict in events["verdicts"]], dtype=bool),
                 strength=np.array([np.max(np.array(one["peak_nm"]) / rmse) for one in truth]),
                 kinds=np.array([one["kind"] for one in truth]),
@@ -72,7 +72,7 @@ def read_cases(maker: Maker, seed: int, model: str, folder: Path) -> list[Case]:
                 delays={key: events["all"][key] for key in events["all"] if key.startswith("delay")},
             )
         )
-    return cases
+    return outcomes
 
 
 def _of(verdict: dict, truth: Sequence[dict]) -> dict:
@@ -80,7 +80,7 @@ def _of(verdict: dict, truth: Sequence[dict]) -> dict:
     return min(truth, key=lambda one: abs(one["label_s"][0] - verdict["start_s"]))
 
 
-def markdown(cases: Sequence[Case], command: str) -> str:
+def markdown(outcomes: Sequence[Outcome], command: str) -> str:
     """The text of README.md."""
     lines = [
         "# Arms that nobody tuned for",
@@ -98,7 +98,7 @@ def markdown(cases: Sequence[Case], command: str) -> str:
         "| from onset, ms | limit over error |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
-    for c in cases:
+    for c in outcomes:
         strong = c.strength > STRONG
         lines.append(
             f"| {c.arm} | {c.model} | {c.recipe} | {c.found.sum()}/{len(c.found)} "
@@ -114,16 +114,16 @@ def markdown(cases: Sequence[Case], command: str) -> str:
         "| arm | model | recipe | impacts | pushes | holds |",
         "|---|---|---|---|---|---|",
     ]
-    for c in cases:
+    for c in outcomes:
         by_kind = [f"{c.found[c.kinds == kind].sum()}/{(c.kinds == kind).sum()}" for kind in ("impact", "push", "hold")]
         lines.append(f"| {c.arm} | {c.model} | {c.recipe} | {' | '.join(by_kind)} |")
     lines += ["", "Held-out RMS error, Nm (% of the torque's RMS), joint by joint, and the sliding limits, Nm:", ""]
     lines += ["| arm | model | recipe | error | limits |", "|---|---|---|---|---|"]
-    for c in cases:
+    for c in outcomes:
         errors = " · ".join(f"{e:.2f} ({s:.0%})" for e, s in zip(c.rmse_nm, c.rmse_share, strict=True))
         lines.append(f"| {c.arm} | {c.model} | {c.recipe} | {errors} | {' · '.join(f'{x:.1f}' for x in c.limit_nm)} |")
     return "\n".join([*lines, ""])
 
 
-def _ms(case: Case, key: str) -> str:
-    return "–" if case.delays[key] is None else f"{1e3 * case.delays[key]:.0f}"
+def _ms(outcome: Outcome, key: str) -> str:
+    return "–" if outcome.delays[key] is None else f"{1e3 * outcome.delays[key]:.0f}"

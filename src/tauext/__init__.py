@@ -1,13 +1,152 @@
-"""External joint torque and collision detection for robot arms, from joint encoders and motor torque alone."""
+"""External joint torque and collision detection for robot arms, from joint encoders and motor torque alone.
+
+What a program needs, each name loaded when it is first asked for:
+
+    import tauext
+
+    dataset = tauext.load_dataset("runs/data")
+    bundle = tauext.train_bundle(dataset, "runs/arm.tauext", config=tauext.TrainConfig(recipe="prior"))
+    recording = tauext.load_recording("runs/data/collisions-000.parquet")
+    estimates = tauext.estimate_recording(bundle, recording)  # estimates.tau_ext: (samples, joints)
+
+    monitor = tauext.Monitor(bundle)  # in a control loop: one sample in, one answer out
+    estimate = monitor.step(t_ns, q, dq, tau)  # tau in bundle.torque_units, answers in bundle.estimate_units
+    if not estimate.clear: ...
+
+**Data** load_recording, save_recording, Recording · load_dataset, Dataset · load_bundle, Bundle
+**Train** train_bundle, recalibrate; TrainConfig and the settings in it: ObserverConfig, PriorConfig, DriftConfig,
+AlarmConfig, FilterConfig, FreeMotionConfig
+**Estimate** estimate_recording, Estimates · evaluate_bundles, EventsConfig
+**Monitor** expect_fit, Monitor, Estimate, Health, Alarm, cause_names, FlightRecorder
+**Progress** Reporter: what train_bundle and evaluate_bundles tell while they work
+**Errors** TauextError and under it RobotError, RecordingError, ConfigError, BundleError, TrainingError
+
+Live sources and the loop around a monitor: `tauext.live`; what recordings have wrong: `tauext.doctor`; pages and
+figures: `tauext.report`; the virtual arm: `tauext.rig`; robot files: `tauext.robot`.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import importlib
+
+TYPE_CHECKING = False  # as typing has it, whose import costs more than all of this
+if TYPE_CHECKING:
+    from typing import Any
+
+    from tauext._core import (
+        Alarm,
+        Bundle,
+        Estimate,
+        FlightRecorder,
+        Health,
+        Monitor,
+        __version__,
+        cause_names,
+    )
+    from tauext.calibrate import recalibrate
+    from tauext.config import (
+        AlarmConfig,
+        DriftConfig,
+        EventsConfig,
+        FilterConfig,
+        FreeMotionConfig,
+        ObserverConfig,
+        PriorConfig,
+        TrainConfig,
+    )
+    from tauext.data import (
+        Dataset,
+        Recording,
+        expect_fit,
+        load_bundle,
+        load_dataset,
+        load_recording,
+        save_recording,
+    )
+    from tauext.data.estimates import Estimates
+    from tauext.errors import BundleError, ConfigError, RecordingError, RobotError, TauextError, TrainingError
+    from tauext.evaluate import estimate_recording, evaluate_bundles
+    from tauext.progress import Reporter
+    from tauext.train import train_bundle
+
+__all__ = [
+    "Alarm",
+    "AlarmConfig",
+    "Bundle",
+    "BundleError",
+    "ConfigError",
+    "Dataset",
+    "DriftConfig",
+    "Estimate",
+    "Estimates",
+    "EventsConfig",
+    "FilterConfig",
+    "FlightRecorder",
+    "FreeMotionConfig",
+    "Health",
+    "Monitor",
+    "ObserverConfig",
+    "PriorConfig",
+    "Recording",
+    "RecordingError",
+    "Reporter",
+    "RobotError",
+    "TauextError",
+    "TrainConfig",
+    "TrainingError",
+    "__version__",
+    "cause_names",
+    "estimate_recording",
+    "evaluate_bundles",
+    "expect_fit",
+    "load_bundle",
+    "load_dataset",
+    "load_recording",
+    "recalibrate",
+    "save_recording",
+    "train_bundle",
+]
+
+_WHERE = {
+    "_core": ("Alarm", "Bundle", "Estimate", "FlightRecorder", "Health", "Monitor", "__version__", "cause_names"),
+    "calibrate": ("recalibrate",),
+    "config": (
+        "AlarmConfig",
+        "DriftConfig",
+        "EventsConfig",
+        "FilterConfig",
+        "FreeMotionConfig",
+        "ObserverConfig",
+        "PriorConfig",
+        "TrainConfig",
+    ),
+    "data": (
+        "Dataset",
+        "Recording",
+        "expect_fit",
+        "load_bundle",
+        "load_dataset",
+        "load_recording",
+        "save_recording",
+    ),
+    "data.estimates": ("Estimates",),
+    "errors": ("BundleError", "ConfigError", "RecordingError", "RobotError", "TauextError", "TrainingError"),
+    "evaluate": ("estimate_recording", "evaluate_bundles"),
+    "progress": ("Reporter",),
+    "train": ("train_bundle",),
+}
+"""Module of each name. No name is that of a subpackage, which would take its place once it is imported."""
+
+_MODULE_OF = {name: module for module, names in _WHERE.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    if name == "__version__":
-        from tauext import _core
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module 'tauext' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"tauext.{_MODULE_OF[name]}"), name)
+    globals()[name] = value  # asked for once
+    return value
 
-        return _core.__version__
-    raise AttributeError(f"module 'tauext' has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

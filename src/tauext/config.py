@@ -11,7 +11,7 @@ from tauext.errors import ConfigError
 from tauext.recipes import RECIPES, Recipe, recipe_of
 
 Backend = Literal["core", "torch"]
-Limits = Literal["auto", "promised", "supported", "paper"]
+LimitsKind = Literal["auto", "promised", "supported", "paper"]
 
 
 @dataclass(frozen=True)
@@ -261,7 +261,7 @@ class TrainConfig:
     threads: int = 0
     """Threads of the gradient, 0: one a core. The result does not depend on it."""
     observer: ObserverConfig = field(default_factory=ObserverConfig)
-    limits: Limits = "auto"
+    limits: LimitsKind = "auto"
     """promised: from the false alarms that alarm allows, on the dataset's calibration recordings. supported: for the
     fewest that its validation recordings support, and what a fit says of training motion that was left out of it.
     paper: the largest errors on its validation recordings. auto: paper for the recipes paper and dense; else promised

@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from tauext import __version__
+from tauext._core import __version__ as VERSION
 from tauext.whole_file import whole_file
 
 LIBRARIES = ("numpy", "mujoco", "pyarrow")
@@ -28,7 +28,7 @@ def provenance(command: str, settings: Any, seed: int | None) -> dict:
     plain = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else settings
     return {
         "command": command,
-        "version": __version__,
+        "version": VERSION,
         "seed": seed,
         "settings": json.loads(json.dumps(plain, default=str)),
         "python": platform.python_version(),

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tauext.config import PAPER_CASES, TrainConfig
-from tauext.data import Dataset
+from tauext.data import load_dataset
 from tauext.evaluate import evaluate_bundles
 from tauext.progress import SILENT, Reporter
 from tauext.report import write_report
 from tauext.rig import RigConfig, simulate_dataset
 from tauext.robot import estimated_model
-from tauext.train import finished, train_bundle
+from tauext.train import finished, train_on_recordings
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def reproduce_paper(
             scale.collision_recordings,
             lambda what, done, total: show(done, total, what),
         )
-    dataset = Dataset.open(data)
+    dataset = load_dataset(data)
     jobs = {case: (PAPER_CASES[case], replace(scale.training, seed=seed)) for case in cases}
     paper = TrainConfig(recipe="paper", seed=seed)
     jobs |= {f"{case}-paper": (PAPER_CASES[case], paper) for case in scale.paper_cases if case in cases}
@@ -81,6 +81,6 @@ def reproduce_paper(
         for name in missing:
             case, config = jobs[name]
             tree = estimated_model(robot, training[0].joints, case)
-            train_bundle(tree, robot, case, training, validation, config, bundles[name], report=report)
+            train_on_recordings(tree, robot, case, training, validation, config, bundles[name], report=report)
     evaluate_bundles(dataset, bundles, out / "results", seed, 0, command, scale_name, report=report)
     return write_report(out / "results", data, out / "report")

@@ -2,7 +2,14 @@
 
 from tauext.calibrate.bundle_limits import NO_CALIBRATION, calibrate_bundle, recalibrate
 from tauext.calibrate.judged import Judged
-from tauext.calibrate.limits import Limits, at_rest_sentence, paper_limits, raise_limits, set_limits, usual_speed_rad_s
+from tauext.calibrate.limits import (
+    LevelLimits,
+    at_rest_sentence,
+    paper_limits,
+    raise_limits,
+    set_limits,
+    usual_speed_rad_s,
+)
 from tauext.calibrate.promise import FalseAlarmBudget, Promise, is_consistent, rate_interval
 from tauext.calibrate.promised_limits import PromisedLimits, apply_promised, promised_limits
 
@@ -10,7 +17,7 @@ __all__ = [
     "NO_CALIBRATION",
     "FalseAlarmBudget",
     "Judged",
-    "Limits",
+    "LevelLimits",
     "Promise",
     "PromisedLimits",
     "apply_promised",

@@ -11,7 +11,7 @@ from pathlib import Path
 from tauext import _core
 from tauext.calibrate.promised_limits import PromisedLimits, apply_promised, promised_limits
 from tauext.config import AlarmConfig, FreeMotionConfig
-from tauext.data import Dataset, Recording, expect_fit
+from tauext.data import Dataset, Recording, expect_fit, load_bundle
 from tauext.data.loss_history import read_loss_history
 from tauext.errors import ConfigError
 from tauext.progress import SILENT, Reporter
@@ -39,13 +39,14 @@ def recalibrate(
 
     Raises:
         ConfigError: the dataset has no calibration recordings.
+        BundleError: there is no such bundle.
         BundleError, TrainingError: as calibrate_bundle.
     """
     started = time.monotonic()
     loaders = dataset.loaders("calibration")
     if not loaders:
         raise ConfigError(f"{dataset.folder}: calibrate {NO_CALIBRATION}")
-    loaded = _core.Bundle.load(str(bundle))
+    loaded = load_bundle(bundle)
     history = read_loss_history(loaded, bundle) or []
     facts = json.loads(loaded.provenance or "{}")
     promised, facts["limits"] = calibrate_bundle(loaded, out.stem, loaders, alarm, threads, report=report)

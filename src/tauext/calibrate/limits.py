@@ -15,8 +15,8 @@ from tauext.errors import TrainingError
 
 
 @dataclass(frozen=True)
-class Limits:
-    """A collision is detected where |tau_ext| of a joint exceeds its limit, [N m]."""
+class LevelLimits:
+    """Limits of one level of the alarm: what |tau_ext| of a joint must exceed, [N m]."""
 
     sliding_nm: np.ndarray  # (n,)
     near_stiction_nm: np.ndarray  # (n,), for |dq| below the bundle's near_stiction_rad_s
@@ -29,7 +29,7 @@ def paper_limits(
     recordings: Sequence[Recording | Judged],
     threads: int,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
-) -> Limits:
+) -> LevelLimits:
     """Largest |tau_ext| of each joint on validation free motion, sliding and near stiction apart [Lim2021].
 
     Where a joint was never near stiction, or less wrong there, its near-stiction limit is the sliding one: a stuck
@@ -59,7 +59,7 @@ def paper_limits(
     stand = standing_joints([r.recording if isinstance(r, Judged) else r for r in recordings])
     both = np.maximum(sliding, near)
     sliding = np.where(stand | (sliding == 0), both, sliding)
-    return Limits(sliding, both, tuple(name for name, stands in zip(names, stand, strict=True) if stands))
+    return LevelLimits(sliding, both, tuple(name for name, stands in zip(names, stand, strict=True) if stands))
 
 
 def at_rest_sentence(joints: Sequence[str], of: int) -> str:
@@ -68,7 +68,7 @@ def at_rest_sentence(joints: Sequence[str], of: int) -> str:
     return f"limits at rest only: {which} in the recordings; in motion expect false alarms"
 
 
-def set_limits(bundle: _core.Bundle, limits: Limits, alarm: AlarmConfig) -> None:
+def set_limits(bundle: _core.Bundle, limits: LevelLimits, alarm: AlarmConfig) -> None:
     """Put limits and hold times into a bundle. The paper has one limit: contact and collision differ in time only."""
     bundle.sliding_limit_nm = bundle.contact_sliding_limit_nm = limits.sliding_nm.tolist()
     bundle.near_stiction_limit_nm = bundle.contact_near_stiction_limit_nm = limits.near_stiction_nm.tolist()

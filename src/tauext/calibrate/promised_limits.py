@@ -10,7 +10,7 @@ import numpy as np
 from tauext import _core
 from tauext.calibrate.held_peaks import REGIONS, Peaks, collect_peaks
 from tauext.calibrate.judged import Judged
-from tauext.calibrate.limits import Limits
+from tauext.calibrate.limits import LevelLimits
 from tauext.calibrate.promise import FalseAlarmBudget, Promise, split
 from tauext.calibrate.tail import Tail, TooFewPeaks, fit_tail
 from tauext.config import AlarmConfig, FreeMotionConfig
@@ -24,8 +24,8 @@ HARD_PUSH = 3.0
 class PromisedLimits:
     """Limits of both levels, the hold time that belongs to them, and what they promise."""
 
-    collision: Limits
-    contact: Limits
+    collision: LevelLimits
+    contact: LevelLimits
     hold_s: float
     contact_hold_s: float
     promise: Promise
@@ -108,13 +108,13 @@ def promised_limits(
     held = next(k for k, hold in enumerate(alarm.holds_s) if hold >= alarm.contact_hold_s or k == len(found) - 1)
     held = max(held, best)
     contact, _ = _limits(found[held], contact_budget, 0.5)
-    contact = Limits(
+    contact = LevelLimits(
         np.minimum(contact.sliding_nm, limits.sliding_nm), np.minimum(contact.near_stiction_nm, limits.near_stiction_nm)
     )
     return PromisedLimits(limits, contact, alarm.holds_s[best], alarm.holds_s[held], promise, budget, tails)
 
 
-def _limits(peaks: Peaks, budget: FalseAlarmBudget, confidence: float) -> tuple[Limits, dict]:
+def _limits(peaks: Peaks, budget: FalseAlarmBudget, confidence: float) -> tuple[LevelLimits, dict]:
     n = len(peaks.joints)
     shares = split(budget, n, len(REGIONS))
     levels, facts = np.zeros((n, len(REGIONS))), {}
@@ -123,7 +123,7 @@ def _limits(peaks: Peaks, budget: FalseAlarmBudget, confidence: float) -> tuple[
             tail = _tail(peaks, j, r)
             levels[j, r] = tail.upper_level(float(shares[j, r]), confidence)
             facts[f"{joint} {region}"] = tail.summary() | {"limit_nm": float(levels[j, r])}
-    return Limits(levels[:, 0], np.maximum(levels[:, 1], levels[:, 0])), facts
+    return LevelLimits(levels[:, 0], np.maximum(levels[:, 1], levels[:, 0])), facts
 
 
 def _tail(peaks: Peaks, joint: int, region: int) -> Tail:

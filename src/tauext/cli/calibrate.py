@@ -29,14 +29,12 @@ def calibrate(
     """
     from tauext.calibrate import recalibrate
     from tauext.cli.reporter import Terminal
-    from tauext.data import Dataset
+    from tauext.data import load_dataset
 
-    if not bundle.is_file():
-        raise ConfigError(f"{bundle}: there is no such bundle; `tauext train` makes one")
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
-    if out.exists() and out.samefile(bundle):
+    if bundle.exists() and out.exists() and out.samefile(bundle):
         raise ConfigError(f"{out}: it is the bundle to begin with, which stays as it is; choose another --out")
-    promised = recalibrate(bundle, Dataset.open(data), out, alarm, threads, Terminal())
+    promised = recalibrate(bundle, load_dataset(data), out, alarm, threads, Terminal())
     print(promised.sentence())
     print(out)

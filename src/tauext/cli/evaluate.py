@@ -44,17 +44,17 @@ def evaluate(
     """
     from tauext.cli.command_line import command_line
     from tauext.cli.reporter import Terminal
-    from tauext.data import Dataset
+    from tauext.data import load_dataset
     from tauext.evaluate import evaluate_bundles
 
     for path in bundles:
-        if not path.is_file():
+        if not path.is_file():  # before baselines are trained for minutes
             raise ConfigError(f"{path}: there is no such bundle; `tauext train` makes one")
     if methods and not baselines:
         raise ConfigError("--methods chooses among the baselines; give --baselines, too")
     if not bundles and not baselines:
         raise ConfigError("there is nothing to evaluate: give --bundles, or --baselines to train every known method")
-    dataset = Dataset.open(data)
+    dataset = load_dataset(data)
     paths = list(bundles)
     if baselines:
         from tauext.train import train_baselines

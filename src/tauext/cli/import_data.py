@@ -53,14 +53,14 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
     import os
 
     from tauext.data.description_template import Guess, guess, template
-    from tauext.data.importers import open_source
+    from tauext.data.importers import open_raw
     from tauext.robot import movable_joints
 
     if path.exists():
         raise ConfigError(f"{path}: is there already; choose another name or remove it")
     guessed, streams = Guess(), {}
     if sources:
-        (first, *_) = open_source(sources[0])
+        (first, *_) = open_raw(sources[0])
         streams = first.streams()
         guessed = guess(streams)
     joints, model = [], ""
@@ -78,18 +78,18 @@ def import_dataset(paths: tuple[Path, ...], arm_file: Path, out: Path, format: s
 
     from tauext.data.dataset_writing import recordings_of, write_dataset
     from tauext.data.description_file import load_arm
-    from tauext.data.importers import open_source
+    from tauext.data.importers import open_raw
     from tauext.data.lerobot_export import export_lerobot
     from tauext.provenance import provenance, write_json
-    from tauext.robot import load, robot_sha256
+    from tauext.robot import load_tree, robot_sha256
 
     started = time.monotonic()
     arm = load_arm(arm_file)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ConfigError(f"{out}: is not empty; choose another folder or remove it")
-    sources = [source for path in paths for source in open_source(path, arm.topics)]
+    sources = [source for path in paths for source in open_raw(path, arm.topics)]
     if arm.model is not None:
-        load(arm.model, joints=arm.robot.joints)  # names its faults before an hour is imported
+        load_tree(arm.model, joints=arm.robot.joints)  # names its faults before an hour is imported
     part = out.with_name(out.name + ".part")
     shutil.rmtree(part, ignore_errors=True)  # of an import that was killed
     part.mkdir(parents=True)
@@ -115,7 +115,7 @@ def import_dataset(paths: tuple[Path, ...], arm_file: Path, out: Path, format: s
 
 def _robot_file(arm: Arm, out: Path) -> Path:
     """The dataset's robot file: the arm's own with what the description adds, or a placeholder, and said so."""
-    from tauext.robot import Payload, load, write_placeholder, write_robot
+    from tauext.robot import Payload, load_tree, write_placeholder, write_robot
 
     if arm.model is None:
         print("robot: no model; robot.urdf is a placeholder without masses, and train takes the case none")
@@ -125,7 +125,7 @@ def _robot_file(arm: Arm, out: Path) -> Path:
     carried = arm.payload
     payload = Payload(carried.link, carried.mass_kg, carried.com_m, carried.inertia_kg_m2) if carried.mass_kg else None
     path = write_robot(arm.model, out, rotors, payload, arm.robot.gravity_m_s2 or None)
-    tree = load(path, joints=arm.robot.joints)
+    tree = load_tree(path, joints=arm.robot.joints)
     print(f"robot: {arm.model.name} with {tree.size} joints: {', '.join(arm.robot.joints)}")
     if payload:
         print(f"  payload of {payload.mass_kg:g} kg at {payload.link}")

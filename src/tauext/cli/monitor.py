@@ -152,16 +152,14 @@ def watch(
     Raises:
         ConfigError: something does not fit, before the first sample.
     """
-    from tauext import _core
     from tauext.cli.aside import Aside
     from tauext.cli.monitor_output import Outcome, OutputSink
     from tauext.cli.monitor_sources import connect
+    from tauext.data import load_bundle
     from tauext.live import Loop, load_profiles, load_reactions, start_reactions
     from tauext.live.record_sink import RecordSink
 
-    if not path.is_file():
-        raise ConfigError(f"{path}: there is no such bundle; `tauext train` makes one")
-    bundle = _core.Bundle.load(str(path))
+    bundle = load_bundle(path)
     joints = tuple(link.joint_name for link in bundle.links)
     connection = connect(text, options)
     source = connection.source

@@ -27,7 +27,7 @@ def report(
         page_mb: largest size of the page; traces fill it, in as much detail as there is room for. 0: none.
         trace_methods: methods whose traces stand in the page, by the names of their bundles; default: the best five.
     """
-    from tauext.data import Dataset
+    from tauext.data import load_dataset
     from tauext.report import write_flight_report, write_report
 
     if flight is not None:
@@ -37,7 +37,7 @@ def report(
             raise ConfigError("--trace-methods chooses among the methods of --results; a flight has one")
         print(write_flight_report(flight, out, page_mb))
     elif results is not None and data is not None:
-        print(write_report(results, Dataset.open(data).folder, out, page_mb, trace_methods))
+        print(write_report(results, load_dataset(data).folder, out, page_mb, trace_methods))
     else:
         missing = "--results" if results is None else "--data"
         raise ConfigError(

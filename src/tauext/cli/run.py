@@ -64,13 +64,13 @@ def run(
     require(after is None or 0 < after < float("inf"), "acknowledge_after_s", after, "> 0; left out: never")
     require(0 <= status_hz < float("inf"), "status_hz", status_hz, ">= 0")
     require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
-    chain = fitting_bundle(bundle, recordings)
+    loaded = fitting_bundle(bundle, recordings)
     settings = RunSettings(
         1.0 if real_time else speed, own_rate, acknowledge_after_s, flights, before_s, after_s, contacts
     )
-    check_flights(chain, settings)
+    check_flights(loaded, settings)
     with open_output(as_json, status_hz, settings) as output:
-        replay_all(chain, recordings, settings, output)
+        replay_all(loaded, recordings, settings, output)
 
 
 def open_output(as_json: bool, status_hz: float, settings: RunSettings) -> Output:
@@ -92,17 +92,14 @@ def fitting_bundle(path: Path, recordings: tuple[Path, ...]) -> Bundle:
     """The bundle, after a look at the head of every recording: all of them fit it.
 
     Raises:
-        ConfigError: no such bundle, or no recording.
-        BundleError: joints, rate or torque timing of a recording are not the bundle's.
+        ConfigError: no recording.
+        BundleError: no such bundle; joints, rate or torque timing of a recording are not the bundle's.
     """
-    from tauext import _core
-    from tauext.data import describe, expect_fit
+    from tauext.data import describe, expect_fit, load_bundle
 
-    if not path.is_file():
-        raise ConfigError(f"{path}: there is no such bundle; `tauext train` makes one")
     if not recordings:
         raise ConfigError("there is nothing to replay: give one or more recordings (*.parquet) behind the bundle")
-    bundle = _core.Bundle.load(str(path))
+    bundle = load_bundle(path)
     for recording in recordings:
         expect_fit(bundle, describe(recording))
     return bundle
@@ -130,14 +127,14 @@ def replay_all(bundle: Bundle, recordings: tuple[Path, ...], settings: RunSettin
         ConfigError: some flights could not be written.
     """
     from tauext.cli.run_output import FlightCount
-    from tauext.data import load
+    from tauext.data import load_recording
     from tauext.monitor import Tally
 
     total = Tally(tuple(link.joint_name for link in bundle.links), bundle.observer.sample_period_ns)
     flights, done, stopped = FlightCount(), 0, None
     try:
         for number, path in enumerate(recordings, 1):
-            recording = load(path)
+            recording = load_recording(path)
             output.start(bundle, recording, number, len(recordings))
             with counted(recording, total, flights, output) as (tally, own_flights):
                 replay_one(bundle, recording, settings, tally, own_flights, output)

@@ -161,9 +161,9 @@ def describe_prior(bundle: Bundle, facts: dict) -> dict:
 
 def describe_recording(file: Path) -> dict:
     """Plain content of a recording."""
-    from tauext.data import load
+    from tauext.data import load_recording
 
-    recording = load(file)
+    recording = load_recording(file)
     signals = [s for s in ("tau_jts", "tau_ext", "tau_ext_sensor", "q_des", "temperature", "contact", "contact_link")]
     touched = "unknown" if recording.contact is None else f"{(recording.contact == 1).mean():.1%} of the samples"
     return {

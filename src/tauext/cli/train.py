@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from tauext.config import PAPER_CASES, CaseName, TrainConfig
+from tauext.config import CaseName, TrainConfig
 from tauext.errors import ConfigError
 
 
@@ -29,19 +29,10 @@ def train(
         config: recipe, seed and sizes.
     """
     from tauext.cli.reporter import Terminal
-    from tauext.data import Dataset
-    from tauext.robot import chosen_case, estimated_model
+    from tauext.data import load_dataset
     from tauext.train import train_bundle
 
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
-    dataset, report = Dataset.open(data), Terminal()
-    robot_file = dataset.robot_file(robot)
-    case, said = chosen_case(case, robot_file)
-    if said:
-        report.say(said)
-    model = PAPER_CASES[case]
-    training, validation = dataset.training(), dataset.recordings("validation")
-    tree = estimated_model(robot_file, training[0].joints, model)
-    train_bundle(tree, robot_file, model, training, validation, config, out, dataset.loaders("calibration"), report)
+    train_bundle(load_dataset(data), out, case, robot, config, Terminal())
     print(out)

@@ -1,12 +1,13 @@
 """Recordings, their file, and which recording serves for training, validation and test."""
 
 from tauext.data.amperes import from_amperes, in_amperes
+from tauext.data.bundle_file import load_bundle
 from tauext.data.bundle_fit import expect_fit
-from tauext.data.dataset import Dataset
+from tauext.data.dataset import Dataset, load_dataset
 from tauext.data.first_seconds import first_seconds, total_s
 from tauext.data.free_motion import free_pieces, free_samples, split_by_time
 from tauext.data.recording import Recording
-from tauext.data.recording_file import Description, describe, load, save
+from tauext.data.recording_file import Description, describe, load_recording, save_recording
 from tauext.data.split import Split, load_split, save_split, split_recordings
 from tauext.data.standing import standing_joints
 
@@ -20,9 +21,11 @@ __all__ = [
     "first_seconds",
     "free_pieces",
     "free_samples",
-    "load",
+    "load_recording",
+    "load_bundle",
+    "load_dataset",
     "load_split",
-    "save",
+    "save_recording",
     "from_amperes",
     "in_amperes",
     "save_split",

@@ -13,7 +13,7 @@ from tauext.data.amperes import AMPERES, FROM_AMPERES
 from tauext.data.columns import Columns, find_columns
 from tauext.data.conversion import constant_unknown, conversions, in_si
 from tauext.data.description import TIME_UNITS, Arm
-from tauext.data.importers import RawSignals, Source
+from tauext.data.importers import RawRecording, RawSignals
 from tauext.data.merge import Table, base_stream, held, interpolated
 from tauext.data.recording import Recording
 from tauext.data.stamps import count_gaps, fresh, ordered
@@ -21,7 +21,7 @@ from tauext.data.velocity import derived_velocity
 from tauext.errors import RecordingError
 
 PIECE_S = 600.0
-"""A longer source becomes several recordings of about this length, [s] ..."""
+"""A longer raw recording becomes several recordings of about this length, [s] ..."""
 PIECE_ROWS = 150_000
 """... or about so many samples, whichever is less: memory stays bounded."""
 LATE_S = 1.0
@@ -29,8 +29,8 @@ LATE_S = 1.0
 MEASURED = ("q", "dq", "tau")
 
 
-def assemble(source: Source, arm: Arm, robot_sha256: str = "", rate_hz: float = 0.0) -> Iterator[Recording]:
-    """Recordings of a source, in the order of time: one, or several where it is long (PIECE_S, PIECE_ROWS).
+def assemble(raw: RawRecording, arm: Arm, robot_sha256: str = "", rate_hz: float = 0.0) -> Iterator[Recording]:
+    """Recordings of a raw one, in the order of time: one, or several where it is long (PIECE_S, PIECE_ROWS).
 
     Each is put in order, merged onto one clock, brought to rad, rad/s and N m at the joint, and says
     in its provenance what was done (`done`: sentences; `counts`: the same as numbers).
@@ -40,37 +40,37 @@ def assemble(source: Source, arm: Arm, robot_sha256: str = "", rate_hz: float = 
 
     Raises:
         ConfigError: a column that the description names is not there.
-        RecordingError: the source is damaged, or what it gives is no recording.
+        RecordingError: the file is damaged, or what it gives is no recording.
     """
-    columns = find_columns(arm, source)
+    columns = find_columns(arm, raw)
     rate_hz = rate_hz or arm.time.rate_hz
     start_ns: int | None = None
     number = 0
-    for tables, last in _pieces(source, arm, columns):
-        counts, source_counts = Counter(source.counts), source.counts
-        source_counts.clear()
-        name = source.name if last and not number else f"{source.name}-{number:02d}"
+    for tables, last in _pieces(raw, arm, columns):
+        counts, raw_counts = Counter(raw.counts), raw.counts
+        raw_counts.clear()
+        name = raw.name if last and not number else f"{raw.name}-{number:02d}"
         try:
-            recording = _piece(source, arm, columns, tables, counts, start_ns, rate_hz)
+            recording = _piece(raw, arm, columns, tables, counts, start_ns, rate_hz)
             recording = replace(recording, name=name, robot_sha256=robot_sha256)
         except RecordingError as error:
-            raise RecordingError(f"{source.path}: {error}") from error
+            raise RecordingError(f"{raw.path}: {error}") from error
         yield recording
         start_ns = int(recording.t_ns[0]) if start_ns is None else start_ns
         rate_hz = recording.rate_hz
         number += 1
     if not number:
-        raise RecordingError(f"{source.path}: it holds no samples")
+        raise RecordingError(f"{raw.path}: it holds no samples")
 
 
-def _pieces(source: Source, arm: Arm, columns: Columns) -> Iterator[tuple[dict[str, Table], bool]]:
+def _pieces(raw: RawRecording, arm: Arm, columns: Columns) -> Iterator[tuple[dict[str, Table], bool]]:
     """Stamps and needed columns of every stream, cut where all have passed a piece's end, and if it is the last."""
     waiting: dict[str, list[Table]] = {stream: [] for stream in columns.streams}
     newest: dict[str, int] = {}
     begin: int | None = None
     rows_read = 0
-    for block in source.blocks():
-        table = _needed(source, arm, columns, block, rows_read)
+    for block in raw.blocks():
+        table = _needed(raw, arm, columns, block, rows_read)
         rows_read += len(block.columns)
         if table is None or not len(table[0]):
             continue
@@ -88,35 +88,35 @@ def _pieces(source: Source, arm: Arm, columns: Columns) -> Iterator[tuple[dict[s
     if any(waiting.values()):
         missing = [stream for stream, tables in waiting.items() if not tables]
         if missing:
-            raise RecordingError(f"{source.path}: no samples of {', '.join(missing)}")
+            raise RecordingError(f"{raw.path}: no samples of {', '.join(missing)}")
         yield {stream: _joined(tables) for stream, tables in waiting.items()}, True
 
 
-def _needed(source: Source, arm: Arm, columns: Columns, block: RawSignals, rows_read: int) -> Table | None:
+def _needed(raw: RawRecording, arm: Arm, columns: Columns, block: RawSignals, rows_read: int) -> Table | None:
     """The block's stamps and the columns that are needed; None: it holds other joints' only."""
     if block.stream not in columns.streams:
         return None
     names = columns.streams[block.stream]
     place = {name: k for k, name in enumerate(block.names)}
     if not any(name in place for name in names):
-        source.counts[f"messages on {block.stream} of other joints left out"] += len(block.columns)
+        raw.counts[f"messages on {block.stream} of other joints left out"] += len(block.columns)
         return None
     missing = [name for name in names if name not in place]
     if missing:
-        raise RecordingError(f"{source.path}: some messages on {block.stream} lack {', '.join(missing)}")
+        raise RecordingError(f"{raw.path}: some messages on {block.stream} lack {', '.join(missing)}")
     values = block.columns[:, [place[name] for name in names]]
     t_ns = block.t_ns
     if "time" in columns.signals:
         times = values[:, columns.signals["time"][1][0]]
         known = np.isfinite(times)
         if not known.all():
-            source.counts["samples dropped: no time"] += int((~known).sum())
+            raw.counts["samples dropped: no time"] += int((~known).sum())
             times, values = times[known], values[known]
         t_ns = np.round(times * TIME_UNITS[arm.time.unit]).astype(np.int64)
     if t_ns is None:
         if not arm.time.rate_hz:
             raise RecordingError(
-                f"{source.path}: it has no clock: name its column of times in arm.toml ([time] column), or the rate of "
+                f"{raw.path}: it has no clock: name its column of times in arm.toml ([time] column), or the rate of "
                 "its rows ([time] rate_hz)"
             )
         t_ns = np.round((rows_read + np.arange(len(values))) * (1e9 / arm.time.rate_hz)).astype(np.int64)
@@ -136,7 +136,7 @@ def _taken(tables: list[Table], end: int) -> Table:
 
 
 def _piece(
-    source: Source,
+    raw: RawRecording,
     arm: Arm,
     columns: Columns,
     tables: dict[str, Table],
@@ -147,10 +147,10 @@ def _piece(
     """One recording; its rate is the median step's where 0 is given."""
     facts: dict[str, Any] = {}
     tables = {stream: _cleaned(stream, table, arm, columns, counts) for stream, table in tables.items()}
-    t_ns, raw = _merged(tables, columns, counts, facts)
+    t_ns, taken = _merged(tables, columns, counts, facts)
     if not len(t_ns):
         raise RecordingError(f"no sample is left of {sum(len(t) for t, _ in tables.values())}; {_sentences(counts)}")
-    signals = {key: in_si(key, arm.signals[key], values, arm) for key, values in raw.items() if key != "contact"}
+    signals = {key: in_si(key, arm.signals[key], values, arm) for key, values in taken.items() if key != "contact"}
     own = fresh(t_ns, np.hstack([signals["q"], signals["tau"]]), True, Counter())
     if not own.all():
         facts["measured_hz"] = round(float((own.sum() - 1) / (t_ns[-1] - t_ns[0]) * 1e9), 3)
@@ -168,23 +168,23 @@ def _piece(
     measured = FROM_AMPERES if arm.signals["tau"].is_current else "N m"
     facts["torque"] = AMPERES if constant_unknown(arm) else measured
     counts = Counter({text: n for text, n in counts.items() if n})
-    done = [*source.notes, *(f"{n} {text}" for text, n in counts.items()), *conversions(arm)]
+    done = [*raw.notes, *(f"{n} {text}" for text, n in counts.items()), *conversions(arm)]
     if "measured_hz" in facts:
         done.append(f"{facts['measured_hz']:.3g} samples a second are measurements of their own, the others hold them")
     if "velocity" in facts:
         done.append(f"velocity {facts['velocity']}")
     if "merged" in facts:
         done.append(facts["merged"])
-    provenance = {"command": "tauext import", "file": source.path.name, "format": source.format} | facts
+    provenance = {"command": "tauext import", "file": raw.path.name, "format": raw.format} | facts
     return Recording(
-        name=source.name,
+        name=raw.name,
         joints=arm.robot.joints,
         t_ns=t_ns,
         rate_hz=rate_hz,
         torque_timing=arm.signals["tau"].timing,
-        source=f"{source.path.name} ({source.format})",
+        source=f"{raw.path.name} ({raw.format})",
         robot_sha256="",
-        contact=_contact(arm, source, t_ns, start_ns, raw.get("contact")),
+        contact=_contact(arm, raw, t_ns, start_ns, taken.get("contact")),
         provenance=provenance | {"done": done, "counts": dict(counts)},
         **signals,
     )
@@ -245,9 +245,11 @@ def _nominal_rate(t_ns: np.ndarray) -> float:
     return float(round(rate_hz)) if abs(round(rate_hz) / rate_hz - 1) < 0.01 else rate_hz
 
 
-def _contact(arm: Arm, source: Source, t_ns: np.ndarray, start_ns: int, label: np.ndarray | None) -> np.ndarray | None:
+def _contact(
+    arm: Arm, raw: RawRecording, t_ns: np.ndarray, start_ns: int, label: np.ndarray | None
+) -> np.ndarray | None:
     """1, 0 or -1 by the label's values, 1 within the intervals given; free elsewhere only where there is no label."""
-    spans = arm.contact.intervals.get(source.path.name, arm.contact.intervals.get(source.name))
+    spans = arm.contact.intervals.get(raw.path.name, arm.contact.intervals.get(raw.name))
     if label is None and spans is None:
         return None
     contact = np.zeros(len(t_ns), np.int8)

@@ -1,4 +1,4 @@
-"""Which columns of a source each signal takes, joint by joint."""
+"""Which columns of a raw recording each signal takes, joint by joint."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from tauext.data.description import Arm
-from tauext.data.importers import Source
+from tauext.data.importers import RawRecording
 from tauext.data.importers.raw import short_list
 from tauext.errors import ConfigError
 
@@ -21,8 +21,8 @@ class Columns:
     """Signal, `contact` or `time`: its stream, and its columns' places in that stream's list."""
 
 
-def find_columns(arm: Arm, source: Source) -> Columns:
-    """Resolve every column that the description names; joints come in its order, by name where the source names them.
+def find_columns(arm: Arm, raw: RawRecording) -> Columns:
+    """Resolve every column that the description names; joints come in its order, by name where the file names them.
 
     A signal's one name may be a column pattern with {joint} (name in the recording), {index} (from 0) or {number} (from
     1), or an array, whose elements are taken by joint name, or by index where it has as many as there are joints.
@@ -30,19 +30,19 @@ def find_columns(arm: Arm, source: Source) -> Columns:
     Raises:
         ConfigError: a column or topic that is not there; the message names what is near.
     """
-    there = source.streams()
+    there = raw.streams()
     wanted: dict[str, dict[str, None]] = {}
     found: dict[str, tuple[str, tuple[str, ...]]] = {}
     for name, signal in arm.signals.items():
         if signal.columns:
-            stream = _stream(arm, source, there, signal.topic, f"signals.{name}")
-            found[name] = (stream, _resolved(arm, source, f"signals.{name}", signal.columns, there[stream]))
+            stream = _stream(arm, raw, there, signal.topic, f"signals.{name}")
+            found[name] = (stream, _resolved(arm, raw, f"signals.{name}", signal.columns, there[stream]))
     if arm.contact.column:
-        stream = _stream(arm, source, there, arm.contact.topic, "contact")
-        found["contact"] = (stream, _exact(arm, source, "contact", (arm.contact.column,), there[stream]))
+        stream = _stream(arm, raw, there, arm.contact.topic, "contact")
+        found["contact"] = (stream, _exact(arm, raw, "contact", (arm.contact.column,), there[stream]))
     if arm.time.column:
         for stream in dict.fromkeys(stream for stream, _ in found.values()):
-            found["time"] = (stream, _exact(arm, source, "time", (arm.time.column,), there[stream]))
+            found["time"] = (stream, _exact(arm, raw, "time", (arm.time.column,), there[stream]))
     for stream, names in found.values():
         wanted.setdefault(stream, {}).update(dict.fromkeys(names))
     streams = {stream: tuple(names) for stream, names in wanted.items()}
@@ -50,27 +50,29 @@ def find_columns(arm: Arm, source: Source) -> Columns:
     return Columns(streams, places)
 
 
-def _stream(arm: Arm, source: Source, there: Mapping[str, Sequence[str]], topic: str, table: str) -> str:
+def _stream(arm: Arm, raw: RawRecording, there: Mapping[str, Sequence[str]], topic: str, table: str) -> str:
     if topic in there:
         return topic
     if topic:
-        raise ConfigError(f"{arm.path}: [{table}] topic = '{topic}' has no messages in {source.path.name}")
+        raise ConfigError(f"{arm.path}: [{table}] topic = '{topic}' has no messages in {raw.path.name}")
     if len(there) > 1:
         listed = ", ".join(sorted(there))
         raise ConfigError(f"{arm.path}: [{table}] topic must be named, since several are read: {listed}")
     return next(iter(there))
 
 
-def _resolved(arm: Arm, source: Source, table: str, columns: tuple[str, ...], there: Sequence[str]) -> tuple[str, ...]:
+def _resolved(
+    arm: Arm, raw: RawRecording, table: str, columns: tuple[str, ...], there: Sequence[str]
+) -> tuple[str, ...]:
     if len(columns) > 1:
-        return _exact(arm, source, table, columns, there)
+        return _exact(arm, raw, table, columns, there)
     (one,) = columns
     if any(f"{{{key}}}" in one for key in ("joint", "index", "number")):
         spelled = [
             one.replace("{joint}", name).replace("{index}", str(k)).replace("{number}", str(k + 1))
             for k, name in enumerate(arm.names)
         ]
-        return _exact(arm, source, table, tuple(spelled), there)
+        return _exact(arm, raw, table, tuple(spelled), there)
     by_name = tuple(f"{one}[{name}]" for name in arm.names)
     if all(name in there for name in by_name):
         return by_name
@@ -81,27 +83,27 @@ def _resolved(arm: Arm, source: Source, table: str, columns: tuple[str, ...], th
     if elements:
         held = [name.removeprefix(f"{one}[").removesuffix("]") for name in elements]
         raise ConfigError(
-            f"{arm.path}: [{table}] columns = '{one}': in {source.path.name} its elements are {short_list(held, 16)}; "
+            f"{arm.path}: [{table}] columns = '{one}': in {raw.path.name} its elements are {short_list(held, 16)}; "
             f'[robot] names (or joints) are {", ".join(arm.names)}: name them as the recording does, or by "{one}'
             '[{index}]"'
         )
     if len(arm.names) == 1 and one in there:
         return (one,)
-    raise _missing(arm, source, table, one, there)
+    raise _missing(arm, raw, table, one, there)
 
 
-def _exact(arm: Arm, source: Source, table: str, names: tuple[str, ...], there: Sequence[str]) -> tuple[str, ...]:
+def _exact(arm: Arm, raw: RawRecording, table: str, names: tuple[str, ...], there: Sequence[str]) -> tuple[str, ...]:
     for name in names:
         if name not in there:
-            raise _missing(arm, source, table, name, there)
+            raise _missing(arm, raw, table, name, there)
     return names
 
 
-def _missing(arm: Arm, source: Source, table: str, name: str, there: Sequence[str]) -> ConfigError:
+def _missing(arm: Arm, raw: RawRecording, table: str, name: str, there: Sequence[str]) -> ConfigError:
     bases = list(dict.fromkeys(column.split("[")[0] for column in there))
     near = difflib.get_close_matches(name, [*there, *bases], 3, 0.3)
     hint = f"near to it: {', '.join(near)}; " if near else ""
     derive = '; columns = "" derives the velocity from the position' if table == "signals.dq" else ""
     return ConfigError(
-        f"{arm.path}: [{table}] '{name}' is not in {source.path.name}; {hint}it holds {short_list(bases, 20)}{derive}"
+        f"{arm.path}: [{table}] '{name}' is not in {raw.path.name}; {hint}it holds {short_list(bases, 20)}{derive}"
     )

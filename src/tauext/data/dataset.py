@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from tauext.data.recording import Recording
-from tauext.data.recording_file import load
+from tauext.data.recording_file import load_recording
 from tauext.data.split import Split, load_split
 from tauext.errors import ConfigError
 
@@ -22,16 +22,9 @@ class Dataset:
     folder: Path
     split: Split
 
-    @classmethod
-    def open(cls, folder: Path) -> Dataset:
-        """Raise ConfigError where the folder is no dataset; says how to make one."""
-        if not folder.is_dir():
-            raise ConfigError(f"{folder}: there is no such dataset folder; `tauext simulate --out {folder}` makes one")
-        return cls(folder, load_split(folder))
-
-    def recordings(self, part: str) -> list[Recording]:
+    def recordings(self, set_name: str) -> list[Recording]:
         """All recordings of `train`, `validation`, `test`, `collisions` or `calibration`, in order."""
-        return [load(self.folder / name) for name in getattr(self.split, part)]
+        return [load_recording(self.folder / name) for name in getattr(self.split, set_name)]
 
     def training(self) -> list[Recording]:
         """The training recordings; raise ConfigError where there are none."""
@@ -39,9 +32,9 @@ class Dataset:
             raise ConfigError(f"{self.folder}: split.json lists no training recording; one is enough")
         return self.recordings("train")
 
-    def loaders(self, part: str) -> list[Callable[[], Recording]]:
+    def loaders(self, set_name: str) -> list[Callable[[], Recording]]:
         """The same, each loaded when called."""
-        return [partial(load, self.folder / name) for name in getattr(self.split, part)]
+        return [partial(load_recording, self.folder / name) for name in getattr(self.split, set_name)]
 
     def robot_file(self, given: Path | None) -> Path:
         """The robot file given, or the one in the folder."""
@@ -53,3 +46,15 @@ class Dataset:
             if (self.folder / name).is_file():
                 return self.folder / name
         raise ConfigError(f"{self.folder}: it holds no {' or '.join(ROBOT_FILES)}; give one with --robot")
+
+
+def load_dataset(folder: Path | str) -> Dataset:
+    """The dataset in a folder that `tauext simulate` or `tauext import` made; no recording is read yet.
+
+    Raises:
+        ConfigError: there is no such folder, or its split.json cannot be used.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: there is no such dataset folder; `tauext simulate --out {folder}` makes one")
+    return Dataset(folder, load_split(folder))

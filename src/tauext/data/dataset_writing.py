@@ -1,4 +1,4 @@
-"""From sources to the recordings and the split of a dataset folder, a piece in memory at a time."""
+"""From raw recordings to the recordings and the split of a dataset folder, a piece in memory at a time."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 
 from tauext.data.assemble import assemble
 from tauext.data.cut import within
-from tauext.data.dataset_plan import Claim, SourceFacts, plan
+from tauext.data.dataset_plan import Claim, RawFacts, plan
 from tauext.data.description import Arm
 from tauext.data.first_seconds import length_s
 from tauext.data.free_motion import free_stretches, has_contact
-from tauext.data.importers import Source
+from tauext.data.importers import RawRecording
 from tauext.data.recording import Recording
-from tauext.data.recording_file import load, save
-from tauext.data.split import PARTS, Split, save_split
+from tauext.data.recording_file import load_recording, save_recording
+from tauext.data.split import SETS, Split, save_split
 from tauext.errors import ConfigError
 
 LEAST_FREE_S = 2.0
@@ -31,27 +31,29 @@ class Imported:
     """How the split came about, and what it lacks."""
 
 
-def recordings_of(sources: Sequence[Source], arm: Arm, robot_sha256: str) -> Iterator[tuple[Source, Recording]]:
-    """Recordings of all sources, in their order and at one nominal rate: the description's, or the first one's.
+def recordings_of(
+    raws: Sequence[RawRecording], arm: Arm, robot_sha256: str
+) -> Iterator[tuple[RawRecording, Recording]]:
+    """Recordings of all raw ones, in their order and at one nominal rate: the description's, or the first one's.
 
     Raises:
-        ConfigError: two sources of one name.
+        ConfigError: two raw recordings of one name.
     """
-    names = [source.name for source in sources]
+    names = [raw.name for raw in raws]
     for name in names:
         if names.count(name) > 1:
             raise ConfigError(
                 f"{names.count(name)} sources are named '{name}'; rename their files so that names differ"
             )
     rate_hz = arm.time.rate_hz
-    for source in sources:
-        for recording in assemble(source, arm, robot_sha256, rate_hz):
+    for raw in raws:
+        for recording in assemble(raw, arm, robot_sha256, rate_hz):
             rate_hz = recording.rate_hz
-            yield source, recording
+            yield raw, recording
 
 
 def write_dataset(
-    sources: Sequence[Source], arm: Arm, robot_sha256: str, folder: Path, report: Callable[[Recording], object]
+    raws: Sequence[RawRecording], arm: Arm, robot_sha256: str, folder: Path, report: Callable[[Recording], object]
 ) -> Imported:
     """Write recordings and split.json; contacts are cut out of every set but collisions.
 
@@ -62,67 +64,67 @@ def write_dataset(
     Raises:
         ConfigError, RecordingError: as assemble and plan.
     """
-    pieces: dict[str, list[Path]] = {source.name: [] for source in sources}
+    pieces: dict[str, list[Path]] = {raw.name: [] for raw in raws}
     files: dict[str, list[str]] = {}
     duration, touched = dict.fromkeys(pieces, 0.0), dict.fromkeys(pieces, False)
-    for source, recording in recordings_of(sources, arm, robot_sha256):
+    for raw, recording in recordings_of(raws, arm, robot_sha256):
         path = folder / f"{recording.name}.parquet"
-        save(recording, path)
+        save_recording(recording, path)
         report(recording)
-        pieces[source.name].append(path)
-        duration[source.name] = recording.provenance["start_s"] + length_s(recording)
-        touched[source.name] |= has_contact(recording)
-    for source in sources:
-        files.setdefault(source.path.name, []).append(source.name)
-    facts = {name: SourceFacts(duration[name], touched[name]) for name in pieces}
+        pieces[raw.name].append(path)
+        duration[raw.name] = recording.provenance["start_s"] + length_s(recording)
+        touched[raw.name] |= has_contact(recording)
+    for raw in raws:
+        files.setdefault(raw.path.name, []).append(raw.name)
+    facts = {name: RawFacts(duration[name], touched[name]) for name in pieces}
     claims, said = plan(arm, facts, files)
-    written: dict[str, list[str]] = {part: [] for part in PARTS}
+    written: dict[str, list[str]] = {set_name: [] for set_name in SETS}
     for name, paths in pieces.items():
         for path in paths:
-            _cut(path, [c for c in claims if c.source == name], arm, written)
-    said += [f"{part}: {', '.join(names)}" for part, names in written.items() if names]
+            _cut(path, [c for c in claims if c.raw == name], arm, written)
+    said += [f"{set_name}: {', '.join(names)}" for set_name, names in written.items() if names]
     if written["train"] and not written["validation"]:
         said.append("validation is empty: train finds limits on training motion that it leaves out of the fit in turn")
-    for part in ("train", "test"):
-        if not written[part]:
+    for set_name in ("train", "test"):
+        if not written[set_name]:
             why = (
                 f"no stretch of {LEAST_FREE_S:g} s between contacts"
-                if any(c.part == part for c in claims)
+                if any(c.set_name == set_name for c in claims)
                 else "no source"
             )
-            said.append(f"{part} is empty ({why}): this dataset serves where no {part} set is needed")
-    split = Split(**{part: tuple(names) for part, names in written.items()})
+            said.append(f"{set_name} is empty ({why}): this dataset serves where no {set_name} set is needed")
+    split = Split(**{set_name: tuple(names) for set_name, names in written.items()})
     save_split(split, folder)
     return Imported(split, said)
 
 
 def _cut(path: Path, claims: list[Claim], arm: Arm, written: dict[str, list[str]]) -> None:
-    """Write the claimed parts of one piece; the piece itself stays where it is claimed whole, or by nobody."""
+    """Write the claimed stretches of one piece; the piece itself stays where it is claimed whole, or by nobody."""
     if not claims:
         return
-    piece = load(path)
+    piece = load_recording(path)
     used = 0
     for claim in claims:
-        suffix = "" if sum(c.source == claim.source for c in claims) == 1 else f"-{claim.part}"
-        part = within(piece, claim.from_s, claim.to_s, f"{piece.name}{suffix or '-part'}")
-        if part is None:
+        suffix = "" if sum(c.raw == claim.raw for c in claims) == 1 else f"-{claim.set_name}"
+        stretch = within(piece, claim.from_s, claim.to_s, f"{piece.name}{suffix or '-set_name'}")
+        if stretch is None:
             continue
-        whole = [part]
-        if claim.part != "collisions" and arm.contact.cut:
-            whole = free_stretches(part, arm.contact.before_s, arm.contact.after_s, LEAST_FREE_S)
+        whole = [stretch]
+        if claim.set_name != "collisions" and arm.contact.cut:
+            whole = free_stretches(stretch, arm.contact.before_s, arm.contact.after_s, LEAST_FREE_S)
         for recording in whole:
             if f"{recording.name}.parquet" in (name for names in written.values() for name in names):
                 recording = _renamed(recording, written)
             used += recording.name == piece.name
             if recording.name != piece.name:
-                save(recording, path.with_name(f"{recording.name}.parquet"))
-            written[claim.part].append(f"{recording.name}.parquet")
+                save_recording(recording, path.with_name(f"{recording.name}.parquet"))
+            written[claim.set_name].append(f"{recording.name}.parquet")
     if not used:
         path.unlink()
 
 
 def _renamed(recording: Recording, written: dict[str, list[str]]) -> Recording:
-    """Under a name that is not taken: one source may give a set several stretches."""
+    """Under a name that is not taken: one raw recording may give a set several stretches."""
     taken = {name for names in written.values() for name in names}
     number = 2
     while f"{recording.name}-{number}.parquet" in taken:

@@ -41,7 +41,7 @@ class Description:
     provenance: dict[str, Any]
 
 
-def save(recording: Recording, path: Path | str) -> None:
+def save_recording(recording: Recording, path: Path | str) -> None:
     """Write a recording under a temporary name in the same folder, then rename; its name becomes the stem of `path`.
 
     The same recording gives the same bytes. Folders are not made.
@@ -76,7 +76,7 @@ def save(recording: Recording, path: Path | str) -> None:
     write_parquet(table, path, use_dictionary=flags, column_encoding=encoding, write_page_checksum=True)
 
 
-def load(path: Path | str) -> Recording:
+def load_recording(path: Path | str) -> Recording:
     """Read a recording; its name is the stem of `path`. The file is only read, whatever is wrong with it.
 
     Raises:
@@ -108,7 +108,7 @@ def describe(path: Path | str) -> Description:
     """Joints, signals, rate and number of samples from the head of the file alone: milliseconds for any length.
 
     Raises:
-        RecordingError: as load, but for faults of the samples, which are not read.
+        RecordingError: as load_recording, but for faults of the samples, which are not read.
     """
     path = Path(path)
     with opened(path) as file:

@@ -35,19 +35,23 @@ class Split:
 
     def __post_init__(self) -> None:
         where: dict[str, str] = {}
-        for part in PARTS:
-            names = tuple(getattr(self, part))
-            object.__setattr__(self, part, names)
+        for set_name in SETS:
+            names = tuple(getattr(self, set_name))
+            object.__setattr__(self, set_name, names)
             for name in names:
                 if not isinstance(name, str) or not name or Path(name).name != name:
-                    raise ConfigError(f"split: {name!r} in '{part}' must be a file name without a folder")
+                    raise ConfigError(f"split: {name!r} in '{set_name}' must be a file name without a folder")
                 if name in where:
-                    sets = f"twice in '{part}'" if where[name] == part else f"in '{where[name]}' and in '{part}'"
+                    sets = (
+                        f"twice in '{set_name}'"
+                        if where[name] == set_name
+                        else f"in '{where[name]}' and in '{set_name}'"
+                    )
                     raise ConfigError(f"split: '{name}' stands {sets}; a recording belongs to one set only")
-                where[name] = part
+                where[name] = set_name
 
 
-PARTS = tuple(field.name for field in fields(Split))
+SETS = tuple(field.name for field in fields(Split))
 OPTIONAL = ("validation", "test", "collisions", "calibration")
 """A list that is missing is empty; without validation recordings a part of the training recordings validates."""
 
@@ -86,8 +90,8 @@ def split_recordings(
     if validation + test >= len(names):
         raise ConfigError(f"fractions = {fractions} leave no training recording out of {len(names)}")
     order = np.random.default_rng(seed).permutation(len(names))
-    parts = np.split(order, [validation, validation + test])
-    drawn = [tuple(names[k] for k in sorted(part)) for part in parts]
+    sets = np.split(order, [validation, validation + test])
+    drawn = [tuple(names[k] for k in sorted(one)) for one in sets]
     return Split(train=drawn[2], validation=drawn[0], test=drawn[1], collisions=tuple(collisions))
 
 
@@ -115,17 +119,17 @@ def load_split(folder: Path | str) -> Split:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         found = content.get("format") if isinstance(content, dict) else None
         raise ConfigError(f"{path}: its format is {found!r}, this version reads {FORMAT}")
-    for part in PARTS:
-        if part in OPTIONAL and part not in content:
-            content[part] = []
-        if not isinstance(content.get(part), list):
-            raise ConfigError(f"{path}: '{part}' must be a list of file names; the sets are {', '.join(PARTS)}")
+    for set_name in SETS:
+        if set_name in OPTIONAL and set_name not in content:
+            content[set_name] = []
+        if not isinstance(content.get(set_name), list):
+            raise ConfigError(f"{path}: '{set_name}' must be a list of file names; the sets are {', '.join(SETS)}")
     try:
-        split = Split(**{part: tuple(content[part]) for part in PARTS})
+        split = Split(**{set_name: tuple(content[set_name]) for set_name in SETS})
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
-    for part in PARTS:
-        for name in getattr(split, part):
+    for set_name in SETS:
+        for name in getattr(split, set_name):
             if not (folder / name).is_file():
-                raise ConfigError(f"{path}: '{name}' in '{part}' does not exist in {folder}")
+                raise ConfigError(f"{path}: '{name}' in '{set_name}' does not exist in {folder}")
     return split

@@ -13,12 +13,13 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
-from tauext import __version__, _core
+from tauext import _core
 from tauext.config import PAPER_CASES, AlarmConfig, ModelCase, PriorConfig, TrainConfig
 from tauext.demo.arms import DemoArm
 from tauext.demo.practice import practice_recording
 from tauext.errors import ConfigError, TauextError
 from tauext.progress import Show, Silent
+from tauext.provenance import VERSION
 from tauext.robot import estimated_model
 
 ERRORS = {"exact": "exact", "mass": "half the mass", "none": "no model at all"}
@@ -75,7 +76,7 @@ def bundle_folder(arm: DemoArm, error: str, lesson: Lesson, seed: int, cache: Pa
     looks = dict.fromkeys(("title", "camera_m", "look_at_m", "floor_m", "push"), None)
     settings = [{**asdict(arm), **looks}, asdict(lesson), error, seed]
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
-    return cache / f"{__version__}-{arm.name}-{error}-{digest[:12]}"
+    return cache / f"{VERSION}-{arm.name}-{error}-{digest[:12]}"
 
 
 def find_bundles(folder: Path, lesson: Lesson) -> dict[str, Path] | None:
@@ -129,7 +130,7 @@ def train_bundles(
 
 
 def _train(arm: DemoArm, case: ModelCase, lesson: Lesson, seed: int, out: Path, report: Report) -> None:
-    from tauext.train import train_bundle  # here: page and simulation start without what only training needs
+    from tauext.train import train_on_recordings  # here: page and simulation start without what only training needs
 
     recordings = []
     for k in range(lesson.recordings):
@@ -144,7 +145,7 @@ def _train(arm: DemoArm, case: ModelCase, lesson: Lesson, seed: int, out: Path, 
         what = f"training method '{method}', {case.name} model"
         report(done, what)
         learns_all = config.row.judges_itself
-        train_bundle(
+        train_on_recordings(
             estimated_model(robot, training[0].joints, case),
             robot,
             case,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tauext.data import Recording, describe, load
-from tauext.data.dataset import ROBOT_FILES, Dataset
+from tauext.data import Recording, describe, load_recording
+from tauext.data.dataset import ROBOT_FILES, load_dataset
 from tauext.errors import ConfigError
 from tauext.robot import is_placeholder
 
@@ -26,7 +26,7 @@ def gather(data: tuple[Path, ...], robot: Path | None) -> tuple[list[Recording],
             files.append(path)
             continue
         if (path / "split.json").is_file():
-            split = Dataset.open(path).split
+            split = load_dataset(path).split
             names = [*split.train, *split.validation, *split.test]
             free |= {Path(name).stem for name in names}
             files += [path / name for name in names]
@@ -45,4 +45,4 @@ def _evenly(files: list[Path]) -> list[Recording]:
     heads = [describe(file) for file in files]
     minutes = sum(head.samples / head.rate_hz for head in heads) / 60
     stride = max(1, -int(-minutes // MOST_MINUTES))
-    return [load(file) for file in files[::stride]]
+    return [load_recording(file) for file in files[::stride]]

@@ -12,7 +12,7 @@ from tauext import _core
 from tauext.doctor.finding import Finding
 from tauext.doctor.model_file import model_findings, moving_joints, position_limits, read_xml
 from tauext.errors import RobotError
-from tauext.robot import load, torque_limits
+from tauext.robot import load_tree, torque_limits
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def open_robot(path: Path, joints: Sequence[str], gravity: Sequence[float] | Non
         found.append(Finding("joint-names", "warning", None, told, advice))
     found += model_findings(root, names)
     try:
-        tree = load(path, names, gravity=gravity)
+        tree = load_tree(path, names, gravity=gravity)
         return RobotFile(tree, position_limits(root, names), torque_limits(path, names), found)
     except RobotError as error:
         if not any(finding.severity == "fault" for finding in found):
@@ -65,6 +65,6 @@ def open_robot(path: Path, joints: Sequence[str], gravity: Sequence[float] | Non
 def _names(path: Path, otherwise: list[str]) -> list[str]:
     """Joints of an MJCF file, or those asked for where it cannot be read: loading then says why."""
     try:
-        return [link.joint_name for link in load(path).links]
+        return [link.joint_name for link in load_tree(path).links]
     except RobotError:
         return otherwise

@@ -52,7 +52,7 @@ class AfterContact:
             self._begun[name] += np.bincount(begun + 1, minlength=bins + 1)[1:]
 
     def summary(self) -> dict:
-        """The entry `after_contact` of a case in results.json."""
+        """The entry `after_contact` of a bundle in results.json."""
         entries = [self._entry(k) for k in range(len(EDGES_S))]
         ends = zip(EDGES_S[:-1], EDGES_S[1:], strict=True)
         bins = [{"from_s": a, "to_s": b} | entry for (a, b), entry in zip(ends, entries[:-1], strict=True)]

@@ -111,8 +111,8 @@ def first_rise(flags: np.ndarray, before: bool) -> int | None:
 def choose_ten(collisions: list[Collision], largest_limit_nm: np.ndarray, seed: int) -> list[str]:
     """Ids of ten collisions, drawn by seed, whose sensor reference peaks at twice the limit or more on some joint.
 
-    largest_limit_nm: the largest sliding limit over all cases, or their median, a joint, so that the set is the same
-    for every case. All of them where fewer than ten are that strong. Of recordings without a sensor any ten.
+    largest_limit_nm: the largest sliding limit over all bundles, or their median, a joint, so that the set is the same
+    for every bundle. All of them where fewer than ten are that strong. Of recordings without a sensor any ten.
     """
     sensed = any(c.sensor_peak_nm.any() for c in collisions)
     strong = [c.id for c in collisions if not sensed or (c.sensor_peak_nm >= 2 * largest_limit_nm).any()]

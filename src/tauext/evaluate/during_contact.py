@@ -33,6 +33,6 @@ class DuringContact:
             self._samples += len(error)
 
     def rmse_nm(self) -> list[float | None]:
-        """The entry `rmse_during_contact_nm` of a case in results.json."""
+        """The entry `rmse_during_contact_nm` of a bundle in results.json."""
         with np.errstate(invalid="ignore"):
             return numbers(np.sqrt(self._square / self._samples))

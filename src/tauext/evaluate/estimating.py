@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 
 from tauext import _core
@@ -9,13 +11,17 @@ from tauext.data import Recording, expect_fit
 from tauext.data.estimates import Estimates
 
 
-def estimate(bundle: _core.Bundle, recording: Recording, threads: int) -> Estimates:
-    """What the bundle says of every sample of the recording.
+def estimate_recording(bundle: _core.Bundle, recording: Recording, threads: int = 0) -> Estimates:
+    """What the bundle says of every sample of the recording: what a new monitor would, with its answers in bulk.
+
+    Args:
+        threads: 0: one a core. The result does not depend on it.
 
     Raises:
         BundleError: joints, rate or torque timing of the recording are not the bundle's.
     """
     expect_fit(bundle, recording)
+    threads = threads or os.cpu_count() or 1
     said = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads)
     return Estimates(
         joints=recording.joints,

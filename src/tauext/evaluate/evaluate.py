@@ -14,9 +14,9 @@ from tauext.data import Recording, free_samples
 from tauext.data.estimates import STALE, Estimates, save_estimates
 from tauext.data.loss_history import LossHistory
 from tauext.errors import ConfigError
-from tauext.evaluate.case import CaseMeasures
+from tauext.evaluate.bundle_measures import BundleMeasures
 from tauext.evaluate.collisions import Collision, choose_ten, find_collisions
-from tauext.evaluate.estimating import estimate
+from tauext.evaluate.estimating import estimate_recording
 from tauext.evaluate.own_torque import OwnTorque, own_limits
 from tauext.evaluate.reference import sensor_reference
 from tauext.evaluate.sanity import Sanity, sanity_detectors
@@ -43,13 +43,13 @@ def evaluate(
     Recordings are loaded one at a time, so that hours of them need the memory of one.
 
     Args:
-        bundles: by the name of their case.
+        bundles: by their names.
         test: recordings that neither training nor validation saw; of those with contacts the free motion counts, and
             the contacts are taken with the others.
         collisions: recordings with contacts.
-        estimates_dir: gets one folder a case, with the estimates of every collision recording and some of free motion.
+        estimates_dir: gets a folder a bundle, with the estimates of every collision recording and of some free motion.
         seed: of the choice of ten collisions, and of random alarms.
-        loss_histories: of the bundles' training, by the name of their case; only passed on.
+        loss_histories: of the bundles' training, by their names; only passed on.
         keep_free_estimates: so many test recordings, the first, have their estimates written: hours of them would fill
             a disk, and figures need minutes.
         sanity: add detectors that know nothing, see sanity.py.
@@ -86,14 +86,14 @@ class Comparison:
         own: OwnTorque | None,
     ):
         self._bundles, self._ignorant, self._own = bundles, ignorant, own
-        self._measures = {name: CaseMeasures(name, bundle, events) for name, bundle in bundles.items()}
+        self._measures = {name: BundleMeasures(name, bundle, events) for name, bundle in bundles.items()}
         self._touches: list[Collision] = []
 
     def add(self, number: int, recording: Recording, free: bool, threads: int, keep_in: Path | None) -> None:
         """Take in a recording: number in the order of all; free: it is of the test set, whose free motion counts.
 
         Args:
-            keep_in: folder for its estimates, with a folder a case; None: they are not kept.
+            keep_in: folder for its estimates, with a folder a bundle; None: they are not kept.
         """
         found = find_collisions(recording)
         self._touches += found
@@ -102,7 +102,7 @@ class Comparison:
         gains = set() if not found else {bundle.observer.gain_per_s for bundle in self._bundles.values()}
         references = {gain: sensor_reference(recording, gain) for gain in gains}
         for name, bundle in self._bundles.items():
-            estimates = estimate(bundle, recording, threads)
+            estimates = estimate_recording(bundle, recording, threads)
             if keep_in is not None:
                 save_estimates(estimates, keep_in / name / f"{recording.name}.parquet")
             measures = self._measures[name]
@@ -122,7 +122,7 @@ class Comparison:
 
         Args:
             seed: of the choice of ten collisions.
-            histories: of the bundles' training, by the name of their case.
+            histories: of the bundles' training, by their names.
         """
         first, touches = next(iter(self._bundles.values())), self._touches
         ten = ten_for_all(touches, self._bundles, seed)
@@ -131,7 +131,9 @@ class Comparison:
             "near_stiction_rad_s": first.near_stiction_rad_s,
             "ten_collisions": ten,
             "collisions": [collision.summary() for collision in touches],
-            "cases": [measured.summary(touches, ten, histories.get(name)) for name, measured in self._measures.items()],
+            "bundles": [
+                measured.summary(touches, ten, histories.get(name)) for name, measured in self._measures.items()
+            ],
             "own_torque": None if self._own is None else self._own.summary(),
             "sanity": [detector.summary() for detector in self._ignorant],
         }

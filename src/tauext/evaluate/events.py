@@ -137,17 +137,17 @@ class EventMeasures:
         self.add(recording, alarm, estimates.healthy, share, estimates.r)
 
     def summary(self) -> dict:
-        """The entry `events` of a case in results.json."""
-        parts = {"all": (0, 1), "resting": (0,), "moving": (1,)}
+        """The entry `events` of a bundle in results.json."""
+        states_of = {"all": (0, 1), "resting": (0,), "moving": (1,)}
         return {
             "shortest_event_s": self.config.shortest_event_s,
             "tolerance_s": self.config.tolerance_s,
             "left_out": self._left_out,
-            **{name: self._part(states) for name, states in parts.items()},
+            **{name: self._counts(states) for name, states in states_of.items()},
             "verdicts": self._verdicts,
         }
 
-    def _part(self, states: Sequence[int]) -> dict:
+    def _counts(self, states: Sequence[int]) -> dict:
         chosen = [v for v in self._verdicts if v["moving"] in states]
         hours, false = float(self._free_s[list(states)].sum()) / 3600, int(self._false[list(states)].sum())
         entry: dict = {"events": len(chosen), "found": sum(v["found"] for v in chosen)}

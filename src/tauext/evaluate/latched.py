@@ -58,7 +58,7 @@ def held(over: np.ndarray, hold_samples: int) -> np.ndarray:
 
 
 def latched_summary(verdicts: Sequence[dict]) -> dict:
-    """The entry `latched` of a case in results.json."""
+    """The entry `latched` of a bundle in results.json."""
     delays = [v["delay_against_sensor_s"] for v in verdicts if v["delay_against_sensor_s"] is not None]
     median, late = (float(np.quantile(delays, q)) if delays else None for q in (0.5, 0.95))
     return {

@@ -53,7 +53,7 @@ class MissedCurve:
             self._peaks += [float(rho[touch.begin : touch.end + grace].max()) for touch in touches]
 
     def summary(self) -> list[dict]:
-        """The entry `missed_curve` of a case in results.json."""
+        """The entry `missed_curve` of a bundle in results.json."""
         peaks = np.array(self._peaks)
         return [
             {

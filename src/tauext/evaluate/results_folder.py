@@ -6,10 +6,10 @@ import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from tauext import _core
 from tauext.config import EventsConfig
-from tauext.data import Dataset
+from tauext.data import Dataset, load_bundle
 from tauext.data.loss_history import read_loss_history
 from tauext.evaluate.evaluate import evaluate
 from tauext.progress import SILENT, Reporter
@@ -20,20 +20,25 @@ def evaluate_bundles(
     dataset: Dataset,
     bundles: Mapping[str, Path],
     out: Path,
-    seed: int,
-    threads: int,
-    command: str,
+    seed: int = 0,
+    threads: int = 0,
+    command: str = "tauext.evaluate_bundles()",
     scale: str | None = None,
     keep_free_estimates: int = 20,
     sanity: bool = False,
     events: EventsConfig = EventsConfig(),  # noqa: B008
     report: Reporter = SILENT,
-) -> None:
-    """Write results.json, estimates, run.json and wall times for bundles by the name of their case.
+) -> dict[str, Any]:
+    """Write results.json, estimates, run.json and wall times for bundles, each by a name of its own.
+
+    Returned is what stands in results.json; docs/files.md says what that is.
 
     Where a bundle's NAME.run.json stands beside it, the loss history of its training goes into results.json too.
 
     Args:
+        bundles: files by the names that they have in the results.
+        out: folder; it is made.
+        seed: of the choice of ten collisions, and of random alarms.
         threads: 0: one a core. The result does not depend on it.
         command: what is run, for the report.
         scale: of the paper's experiment, for the report.
@@ -46,7 +51,7 @@ def evaluate_bundles(
         ConfigError: nothing to evaluate, or a damaged run file beside a bundle.
     """
     started = time.monotonic()
-    loaded = {name: _core.Bundle.load(str(path)) for name, path in bundles.items()}
+    loaded = {name: load_bundle(path) for name, path in bundles.items()}
     histories = {name: read_loss_history(loaded[name], path) for name, path in bundles.items()}
     with report.progress("evaluate") as show:
         results = evaluate(
@@ -68,4 +73,6 @@ def evaluate_bundles(
     keep = {key: run[key] for key in ("version", "seed", "machine")}
     write_json(run, out / "run.json")
     write_json({"evaluate_s": time.monotonic() - started}, out / "wall_time_s.json")
-    write_json({"format": 2, "provenance": source | keep} | results, out / "results.json")
+    results = {"format": 3, "provenance": source | keep} | results
+    write_json(results, out / "results.json")
+    return results

@@ -12,7 +12,7 @@ EDGES_NM = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 40.0)
 
 
 def by_strength(touches: Sequence[Collision], verdicts: Sequence[dict]) -> list[dict]:
-    """The entry `by_strength` of a case in results.json.
+    """The entry `by_strength` of a bundle in results.json.
 
     Args:
         touches: their strength is the sensor reference's peak on the joint where that is largest, [N m].

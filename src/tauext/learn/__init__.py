@@ -1,7 +1,7 @@
 """From recordings of free motion to a network that knows what the observer shows when nothing touches the arm."""
 
 from tauext.learn.bundle_writing import (
-    build_chain,
+    build_setup,
     freeze_drift,
     make_bundle,
     reference_recording,
@@ -15,10 +15,10 @@ from tauext.learn.prior import fit_prior
 from tauext.learn.prior_fit import PriorFit
 from tauext.learn.torque_constants import TorqueConstants, fit_torque_constants
 from tauext.learn.train import Progress, TrainedNetwork, train
-from tauext.learn.training_set import Chain, Scaling, WindowSet, build_windows, find_scaling
+from tauext.learn.training_set import Scaling, Setup, WindowSet, build_windows, find_scaling
 
 __all__ = [
-    "Chain",
+    "Setup",
     "Gate",
     "PriorFit",
     "Progress",
@@ -27,7 +27,7 @@ __all__ = [
     "TrainedNetwork",
     "WindowSet",
     "apply_gate",
-    "build_chain",
+    "build_setup",
     "build_windows",
     "find_scaling",
     "fit_friction",

@@ -14,7 +14,7 @@ from tauext.errors import TrainingError
 from tauext.learn.prior_facts import friction_nm
 from tauext.learn.prior_fit import PriorFit
 from tauext.learn.train import TrainedNetwork
-from tauext.learn.training_set import Chain, Scaling
+from tauext.learn.training_set import Scaling, Setup
 from tauext.recipes import recipe_of
 
 DRIFT_SPEED_RAD_S = 0.5
@@ -23,13 +23,13 @@ LEAST_TORQUE_NM = 1.0
 """A joint that needed no torque in training may yet need some: least torque that counts as the largest."""
 
 
-def build_chain(
+def build_setup(
     tree: _core.Tree,
     recording: Recording,
     config: ObserverConfig,
     recipe: RecipeName = "observer",
     filters: FilterConfig | None = None,
-) -> Chain:
+) -> Setup:
     """The estimated model and the settings that follow from the recording's rate and torque timing.
 
     Args:
@@ -54,19 +54,19 @@ def build_chain(
         high_pass_per_s=filters.high_pass_per_s if row.high_pass else 0.0,
         low_pass_per_s=filters.low_pass_per_s if row.low_pass else 0.0,
     )
-    return Chain(tree, settings, 1 if row.network == "samples" else config.window_steps(recording.rate_hz))
+    return Setup(tree, settings, 1 if row.network == "samples" else config.window_steps(recording.rate_hz))
 
 
-def with_presliding(chain: Chain, widths_rad: Sequence[float]) -> Chain:
-    """The chain with presliding states of these widths, and no prior yet."""
+def with_presliding(setup: Setup, widths_rad: Sequence[float]) -> Setup:
+    """The setup with presliding states of these widths, and no prior yet."""
     prior = _core.PriorSettings()
     prior.widths_rad = list(widths_rad)
-    return replace(chain, prior=prior)
+    return replace(setup, prior=prior)
 
 
 def make_bundle(
     name: str,
-    chain: Chain,
+    setup: Setup,
     near_stiction_rad_s: float,
     reference: Recording,
     scaling: Scaling | None = None,
@@ -81,17 +81,17 @@ def make_bundle(
     Raises:
         TrainingError: the reference recording is shorter than a window.
     """
-    n = chain.tree.size
+    n = setup.tree.size
     bundle = _core.Bundle()
     bundle.name = name
-    bundle.links = chain.tree.links
-    bundle.gravity = chain.tree.gravity
-    bundle.observer = chain.observer
-    bundle.window_steps = chain.window_steps
-    bundle.prior = chain.prior
+    bundle.links = setup.tree.links
+    bundle.gravity = setup.tree.gravity
+    bundle.observer = setup.observer
+    bundle.window_steps = setup.window_steps
+    bundle.prior = setup.prior
     if network is not None and scaling is not None:
         bundle.shape = network.shape
-        bundle.inputs = chain.inputs
+        bundle.inputs = setup.inputs
         bundle.input_factors = scaling.input_factors.tolist()
         bundle.parameters = network.parameters.tolist()
         bundle.output_scale_nm = scaling.output_scale_nm.tolist()
@@ -99,7 +99,7 @@ def make_bundle(
     bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [1.0] * n
     bundle.contact_sliding_limit_nm = bundle.contact_near_stiction_limit_nm = [1.0] * n
     set_signal_ranges(bundle, [reference])
-    samples = chain.reach * chain.observer.network_stride + 1
+    samples = setup.reach * setup.observer.network_stride + 1
     if reference.samples < samples:
         raise TrainingError(f"{reference.name}: {reference.samples} samples are fewer than a window's {samples}")
     first = [np.ascontiguousarray(a[:samples]) for a in (reference.t_ns, reference.q, reference.dq, reference.tau)]
@@ -107,9 +107,9 @@ def make_bundle(
     return bundle
 
 
-def reference_recording(chain: Chain, recordings: Sequence[Recording]) -> Recording:
+def reference_recording(setup: Setup, recordings: Sequence[Recording]) -> Recording:
     """The first that is long enough to be a bundle's reference; the first of all where none is."""
-    samples = chain.reach * chain.observer.network_stride + 1
+    samples = setup.reach * setup.observer.network_stride + 1
     return next((recording for recording in recordings if recording.samples >= samples), recordings[0])
 
 

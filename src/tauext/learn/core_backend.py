@@ -7,15 +7,15 @@ import os
 import numpy as np
 
 from tauext import _core
-from tauext.learn.training_set import Chain, WindowSet
+from tauext.learn.training_set import Setup, WindowSet
 
 
 class CoreBackend:
     """Gradient of the LSTM over sequences of a training set; parameters are one vector, layout of LstmShape."""
 
-    def __init__(self, chain: Chain, training: WindowSet, hidden: int, length: int, targets: int, threads: int):
-        self.shape = _core.LstmShape(len(chain.inputs), hidden, chain.tree.size)
-        self._chain, self._training, self._length, self._targets = chain, training, length, targets
+    def __init__(self, setup: Setup, training: WindowSet, hidden: int, length: int, targets: int, threads: int):
+        self.shape = _core.LstmShape(len(setup.inputs), hidden, setup.tree.size)
+        self._setup, self._training, self._length, self._targets = setup, training, length, targets
         self._threads = threads or os.cpu_count() or 1
 
     def initial_parameters(self, seed: int) -> np.ndarray:
@@ -35,7 +35,7 @@ class CoreBackend:
             self._training.rows,
             1,
             self._length,
-            self._chain.inputs,
+            self._setup.inputs,
             ends,
             self._training.target_rows,
             self._targets,
@@ -45,5 +45,5 @@ class CoreBackend:
     def predict(self, parameters: np.ndarray, windows: WindowSet, ends: np.ndarray) -> np.ndarray:
         """Output of the windows that end at these rows of a set: (ends, n), scaled units."""
         return _core.lstm_forward(
-            self.shape, parameters, windows.rows, 1, self._chain.window_steps, self._chain.inputs, ends, self._threads
+            self.shape, parameters, windows.rows, 1, self._setup.window_steps, self._setup.inputs, ends, self._threads
         )

@@ -11,7 +11,7 @@ from tauext import _core
 from tauext.learn.inertial_regressors import observed
 from tauext.learn.kinematic_sample import RIDGE, KinematicSample
 from tauext.learn.kinematics import Kinematics
-from tauext.learn.training_set import Chain
+from tauext.learn.training_set import Setup
 from tauext.robot.inertial import PARAMETERS, with_inertial_parameters
 
 DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
@@ -40,10 +40,10 @@ class Candidate:
     """(n,) of each joint's r against what the arm says; 1 where torques of all joints are in one unit."""
 
 
-def can_be_found(chain: Chain) -> bool:
+def can_be_found(setup: Setup) -> bool:
     """Whether all joints turn, and something weighs on them."""
-    turning = all(link.type == _core.JointType.revolute for link in chain.tree.links)
-    return turning and bool(np.any(chain.tree.gravity))
+    turning = all(link.type == _core.JointType.revolute for link in setup.tree.links)
+    return turning and bool(np.any(setup.tree.gravity))
 
 
 def find_kinematics(
@@ -191,8 +191,8 @@ class Fitted:
         light = [with_inertial_parameters(link, p) for link, p in zip(links, extra, strict=True)]
         whole = [with_inertial_parameters(link, p) for link, p in zip(links, extra + self.parameters, strict=True)]
         said = [
-            observed(light, sample.gravity, sample.observer, *part)
-            - observed(whole, sample.gravity, sample.observer, *part)
-            for part in sample.parts
+            observed(light, sample.gravity, sample.observer, *piece)
+            - observed(whole, sample.gravity, sample.observer, *piece)
+            for piece in sample.pieces
         ]
         return np.concatenate(said)

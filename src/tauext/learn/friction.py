@@ -9,13 +9,13 @@ from tauext.data import Recording
 from tauext.learn.prior_fit import PriorFit
 from tauext.learn.prior_terms import Kind
 from tauext.learn.ridge import fit_ridge
-from tauext.learn.training_set import Chain
+from tauext.learn.training_set import Setup
 
 SMOOTHING_RAD_S = 0.03
 """Of the sign of the speed: wide enough for the noise of a differentiated encoder, narrow beside any motion."""
 
 
-def fit_friction(chain: Chain, recordings: Sequence[Recording], **settings: object) -> PriorFit:
+def fit_friction(setup: Setup, recordings: Sequence[Recording], **settings: object) -> PriorFit:
     r"""Constant, viscous and Coulomb friction of every joint, fitted to r as the prior is.
 
     .. math:: \tau_f = c + v \dot q + k \tanh(\dot q / 0.03\,\mathrm{rad/s})
@@ -35,6 +35,6 @@ def fit_friction(chain: Chain, recordings: Sequence[Recording], **settings: obje
             _core.Term(Kind.viscous, joint),
             _core.Term(Kind.coulomb, joint, speed=SMOOTHING_RAD_S),
         ]
-        for joint in range(chain.tree.size)
+        for joint in range(setup.tree.size)
     ]
-    return fit_ridge(chain, recordings, own, shared=[])
+    return fit_ridge(setup, recordings, own, shared=[])

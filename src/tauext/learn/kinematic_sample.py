@@ -27,7 +27,7 @@ class KinematicSample:
 
     Args:
         tree: the estimated model: empty, with the gravity of its base.
-        observer: of the chain; its method must be the momentum observer's.
+        observer: of the setup; its method must be the momentum observer's.
         recordings: free motion.
         own: terms of each joint alone; they stand beside every candidate's inertia.
         widths_rad: of their presliding states.
@@ -49,7 +49,7 @@ class KinematicSample:
             network_stride=1,
             nm_per_unit=observer.nm_per_unit,
         )
-        self.parts: list[tuple[Recording, np.ndarray]] = []
+        self.pieces: list[tuple[Recording, np.ndarray]] = []
         targets, values = [], []
         settings = _core.PriorSettings()
         settings.widths_rad = list(widths_rad)
@@ -63,7 +63,7 @@ class KinematicSample:
             rows = np.flatnonzero(observation.warm.astype(bool))[::step].astype(np.int64)
             if len(rows) < FOLDS:
                 continue
-            self.parts.append((thin, rows))
+            self.pieces.append((thin, rows))
             targets.append(observation.residual[rows])
             values.append(_core.prior_regressors(tree, self.observer, settings, *signals, rows))
         if not targets:
@@ -77,8 +77,8 @@ class KinematicSample:
 
     def regressors(self, tree: _core.Tree, of: Sequence[int], parameters: Sequence[int]) -> np.ndarray:
         """See inertial_regressors, over the whole sample."""
-        parts = [inertial_regressors(tree, self.observer, *part, of, parameters) for part in self.parts]
-        return np.concatenate(parts)
+        each = [inertial_regressors(tree, self.observer, *piece, of, parameters) for piece in self.pieces]
+        return np.concatenate(each)
 
     def regression(self, shared: np.ndarray, scales: np.ndarray | None = None) -> Regression:
         """Of r on every joint's own terms and on these columns, common to all joints: (rows, n, columns).
@@ -90,7 +90,7 @@ class KinematicSample:
         widths = [values.shape[1] for values in self.own]
         ends, common = np.cumsum(widths), np.arange(shared.shape[2])
         columns = tuple(np.r_[end - width : end, ends[-1] + common] for width, end in zip(widths, ends, strict=True))
-        parts = []
+        equations = []
         for fold in self._folds:
             gram, moment = [], []
             for joint, (values, scale) in enumerate(zip(self.own, scales, strict=True)):
@@ -98,8 +98,8 @@ class KinematicSample:
                 gram.append(X.T @ X)
                 moment.append(X.T @ self.target[fold, joint])
             energy = (self.target[fold] ** 2).sum(axis=0)
-            parts.append(NormalEquations(columns, gram, moment, energy, len(fold)))
-        return Regression(parts)
+            equations.append(NormalEquations(columns, gram, moment, energy, len(fold)))
+        return Regression(equations)
 
 
 def pieces(recordings: Sequence[Recording], most_s: float, piece_s: float) -> list[Recording]:

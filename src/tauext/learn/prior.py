@@ -17,7 +17,7 @@ from tauext.learn.prior_fit import PriorFit
 from tauext.learn.prior_terms import CORRECTED, ESTIMATED, has_model, own_terms, shared_terms
 from tauext.learn.ridge import fit_ridge
 from tauext.learn.ripple import find_ripple
-from tauext.learn.training_set import Chain
+from tauext.learn.training_set import Setup
 from tauext.learn.widths import idle_widths
 
 RIPPLE_HELPS = 0.01
@@ -40,13 +40,13 @@ class Inertia:
 
 
 def fit_prior(
-    chain: Chain,
+    setup: Setup,
     recordings: Sequence[Recording],
     config: PriorConfig,
     tell: Callable[[str], None] | None = None,
     known: Kinematics | None = None,
 ) -> PriorFit:
-    """The prior of a chain whose prior holds nothing but presliding widths yet.
+    """The prior of a setup whose prior holds nothing but presliding widths yet.
 
     Without a model the arm itself is looked for first. Ripple is searched for in what a first fit leaves; then
     presliding widths that do not help are left out.
@@ -58,35 +58,35 @@ def fit_prior(
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
     """
-    inertia = Inertia(chain.tree if config.correct_model else None, ESTIMATED)
+    inertia = Inertia(setup.tree if config.correct_model else None, ESTIMATED)
     fit = None
-    if not has_model(chain):
-        inertia, fit = find_inertia(chain, recordings, config, tell or (lambda line: None), known)
-    ripple: list[list[int]] = [[] for _ in range(chain.tree.size)]
-    fit = fit or fit_terms(chain, recordings, config, ripple, inertia)
+    if not has_model(setup):
+        inertia, fit = find_inertia(setup, recordings, config, tell or (lambda line: None), known)
+    ripple: list[list[int]] = [[] for _ in range(setup.tree.size)]
+    fit = fit or fit_terms(setup, recordings, config, ripple, inertia)
     for _ in range(config.most_ripples):
-        found = find_ripple(chain, recordings, fit, ripple, LEAST_CYCLES if inertia.tree or has_model(chain) else 1)
+        found = find_ripple(setup, recordings, fit, ripple, LEAST_CYCLES if inertia.tree or has_model(setup) else 1)
         if not any(found):
             break
         tried = [known + new for known, new in zip(ripple, found, strict=True)]
-        more = fit_terms(chain, recordings, config, tried, inertia)
+        more = fit_terms(setup, recordings, config, tried, inertia)
         helps = more.error_nm < (1 - RIPPLE_HELPS) * fit.error_nm  # on motion left out of the fit
         kept = [a if better else b for a, b, better in zip(tried, ripple, helps, strict=True)]
         if kept == ripple:
             break
-        fit = more if kept == tried else fit_terms(chain, recordings, config, kept, inertia)
+        fit = more if kept == tried else fit_terms(setup, recordings, config, kept, inertia)
         ripple = kept
-    dropped = idle_widths(chain, recordings, config, fit) if config.drop_widths else {}
+    dropped = idle_widths(setup, recordings, config, fit) if config.drop_widths else {}
     if dropped:
         prior = _core.PriorSettings()
-        prior.widths_rad = [width for width in chain.widths_rad if width not in dropped]
-        without = fit_terms(replace(chain, prior=prior), recordings, config, ripple, inertia)
+        prior.widths_rad = [width for width in setup.widths_rad if width not in dropped]
+        without = fit_terms(replace(setup, prior=prior), recordings, config, ripple, inertia)
         fit = replace(without, dropped_widths=dropped)
     return replace(fit, kinematics=inertia.kinematics)
 
 
 def find_inertia(
-    chain: Chain,
+    setup: Setup,
     recordings: Sequence[Recording],
     config: PriorConfig,
     tell: Callable[[str], None],
@@ -97,20 +97,20 @@ def find_inertia(
     An arm found from its motion says what happens at poses that training never saw, which sines and cosines of
     the angles cannot; those stay where they explain left-out motion better by FOUND_ARM_COSTS.
     """
-    nothing: list[list[int]] = [[] for _ in range(chain.tree.size)]
-    basis = fit_terms(chain, recordings, config, nothing, Inertia())
-    if not (config.find_kinematics and can_be_found(chain)):
+    nothing: list[list[int]] = [[] for _ in range(setup.tree.size)]
+    basis = fit_terms(setup, recordings, config, nothing, Inertia())
+    if not (config.find_kinematics and can_be_found(setup)):
         return Inertia(), basis
-    own = [own_terms(chain, config, joint) for joint in range(chain.tree.size)]
-    sample = KinematicSample(chain.tree, chain.observer, recordings, own, chain.widths_rad)
+    own = [own_terms(setup, config, joint) for joint in range(setup.tree.size)]
+    sample = KinematicSample(setup.tree, setup.observer, recordings, own, setup.widths_rad)
     if sample.rows < LEAST_ROWS:
         return Inertia(), basis
-    joints = tuple(link.joint_name for link in chain.tree.links)
+    joints = tuple(link.joint_name for link in setup.tree.links)
     kinematics = find_kinematics(sample, joints, tell, start=known).kinematics
-    inertia = Inertia(kinematics.tree(joints, chain.tree.gravity), kinematics=kinematics)
-    fit = fit_terms(chain, recordings, config, nothing, inertia)
+    inertia = Inertia(kinematics.tree(joints, setup.tree.gravity), kinematics=kinematics)
+    fit = fit_terms(setup, recordings, config, nothing, inertia)
     inertia = replace(inertia, load=CORRECTED, loads=tuple(fit.settings.corrected_links))
-    fit = fit_terms(chain, recordings, config, nothing, inertia)
+    fit = fit_terms(setup, recordings, config, nothing, inertia)
     rms = np.sqrt(fit.regression.whole.energy / fit.regression.whole.rows)
     with_arm, without = (float(np.sqrt(np.mean((one.error_nm / rms) ** 2))) for one in (fit, basis))
     tell(f"error on left-out motion: {with_arm:.1%} of r with the arm found, {without:.1%} with sines and cosines")
@@ -118,7 +118,7 @@ def find_inertia(
 
 
 def fit_terms(
-    chain: Chain,
+    setup: Setup,
     recordings: Sequence[Recording],
     config: PriorConfig,
     ripple: Sequence[Sequence[int]],
@@ -126,6 +126,6 @@ def fit_terms(
 ) -> PriorFit:
     """All terms of the prior, with these ripples of each joint: see fit_ridge."""
     tops = np.max([np.abs(recording.dq).max(axis=0) for recording in recordings], axis=0)
-    own = [own_terms(chain, config, j, ripple[j], inertia.load, top) for j, top in enumerate(tops.tolist())]
-    shared = [] if has_model(chain) or inertia.tree else shared_terms(chain)
-    return fit_ridge(chain, recordings, own, shared, inertia.tree, inertia.loads)
+    own = [own_terms(setup, config, j, ripple[j], inertia.load, top) for j, top in enumerate(tops.tolist())]
+    shared = [] if has_model(setup) or inertia.tree else shared_terms(setup)
+    return fit_ridge(setup, recordings, own, shared, inertia.tree, inertia.loads)

@@ -17,7 +17,7 @@ class LeftOut:
     """The same prior fitted without a fifth of the recordings, and where that lies: (recording, samples) each."""
 
     settings: _core.PriorSettings
-    parts: list[tuple[Recording, slice]]
+    spans: list[tuple[Recording, slice]]
 
 
 @dataclass(frozen=True)

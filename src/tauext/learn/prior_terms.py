@@ -8,7 +8,7 @@ from itertools import combinations, combinations_with_replacement
 
 from tauext import _core
 from tauext.config import PriorConfig
-from tauext.learn.training_set import Chain
+from tauext.learn.training_set import Setup
 
 Kind = _core.TermKind
 LEVELS_OFF = 1.5
@@ -18,7 +18,7 @@ ESTIMATED, CORRECTED = 0, 1
 
 
 def own_terms(
-    chain: Chain,
+    setup: Setup,
     config: PriorConfig,
     joint: int,
     ripple: Sequence[int] = (),
@@ -38,17 +38,17 @@ def own_terms(
     narrowest, *wider = config.coulomb_speeds_rad_s
     speeds = [narrowest, *(speed for speed in wider if LEVELS_OFF * speed <= top_speed_rad_s)]
     terms += [_core.Term(Kind.coulomb, joint, speed=speed) for speed in speeds]
-    terms += [_core.Term(Kind.presliding, joint, b=width) for width in range(len(chain.widths_rad))]
+    terms += [_core.Term(Kind.presliding, joint, b=width) for width in range(len(setup.widths_rad))]
     if load is not None:
         terms.append(_core.Term(Kind.load, joint, form=load, speed=config.coulomb_speeds_rad_s[0]))
-        if chain.widths_rad:
-            terms.append(_core.Term(Kind.load_presliding, joint, b=len(chain.widths_rad) // 2, form=load))
+        if setup.widths_rad:
+            terms.append(_core.Term(Kind.load_presliding, joint, b=len(setup.widths_rad) // 2, form=load))
     return terms + [_core.Term(Kind.ripple, joint, b=cycles, form=form) for cycles in ripple for form in (0, 1)]
 
 
-def shared_terms(chain: Chain) -> list[_core.Term]:
+def shared_terms(setup: Setup) -> list[_core.Term]:
     """Gravity and inertia from sines and cosines of single joints and pairs, for every joint: where no model says."""
-    joints = range(chain.tree.size)
+    joints = range(setup.tree.size)
     terms = [_core.Term(Kind.gravity, j, j, form=form) for j in joints for form in (0, 1)]
     terms += [_core.Term(Kind.gravity, a, b, form=form) for a, b in combinations(joints, 2) for form in (2, 3, 4, 5)]
     # Three neighbours: gravity of parallel axes is that of the sum of their angles, and of a wrist behind them.
@@ -70,5 +70,5 @@ def near(joint: int, joints: range) -> list[int]:
     return [other for other in joints if len(joints) <= 3 or abs(other - joint) <= 1]
 
 
-def has_model(chain: Chain) -> bool:
-    return any(link.mass > 0 or link.rotor_inertia > 0 for link in chain.tree.links)
+def has_model(setup: Setup) -> bool:
+    return any(link.mass > 0 or link.rotor_inertia > 0 for link in setup.tree.links)

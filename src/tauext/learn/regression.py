@@ -44,17 +44,17 @@ class NormalEquations:
 
 
 class Regression:
-    """minimise sum_i |y_i - X_i w|^2 / s_i^2 + ridge rows |w scaled|^2, over parts of the recordings.
+    """minimise sum_i |y_i - X_i w|^2 / s_i^2 + ridge rows |w scaled|^2, over stretches of the recordings.
 
-    Columns are scaled to unit RMS over all parts, s_i is the RMS of y_i. Columns that were never excited are left out,
-    as are those that `fix` gives a value or `used` shuts off.
+    Columns are scaled to unit RMS over all stretches, s_i is the RMS of y_i. Columns that were never excited are left
+    out, as are those that `fix` gives a value or `used` shuts off.
 
     Args:
-        parts: at least one; every FOLDS-th makes a fold of the cross-validation.
+        equations: of each stretch, at least one; every FOLDS-th makes a fold of the cross-validation.
     """
 
-    def __init__(self, parts: Sequence[NormalEquations]) -> None:
-        self.folds = [sum(parts[k::FOLDS][1:], start=parts[k]) for k in range(min(FOLDS, len(parts)))]
+    def __init__(self, equations: Sequence[NormalEquations]) -> None:
+        self.folds = [sum(equations[k::FOLDS][1:], start=equations[k]) for k in range(min(FOLDS, len(equations)))]
         self.whole = sum(self.folds[1:], start=self.folds[0])
         self._weight = 1 / np.maximum(self.whole.energy / self.whole.rows, 1e-12)
         width = 1 + max(int(at.max(initial=-1)) for at in self.whole.columns)

@@ -13,12 +13,12 @@ from tauext.learn.inertial_regressors import inertial_regressors
 from tauext.learn.possible_links import ROTOR, fix_impossible, solve_possible
 from tauext.learn.prior_fit import LeftOut, PriorFit
 from tauext.learn.regression import FOLDS, NormalEquations, Regression
-from tauext.learn.training_set import Chain
+from tauext.learn.training_set import Setup
 from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
 
 
 def fit_ridge(
-    chain: Chain,
+    setup: Setup,
     recordings: Sequence[Recording],
     own: Sequence[Sequence[_core.Term]],
     shared: Sequence[_core.Term],
@@ -44,15 +44,15 @@ def fit_ridge(
         TrainingError: no recording is longer than the observer's warm-up.
     """
     terms = [term for group in own for term in group] + list(shared)
-    usable = [recording for recording in recordings if recording.duration_s > chain.warm_up_s + 1]
+    usable = [recording for recording in recordings if recording.duration_s > setup.warm_up_s + 1]
     pieces = FOLDS if len(usable) < FOLDS else 1  # of each recording, so that there is something to leave out
     found = [
         (problem, (recording, span))
         for recording in usable or recordings
-        for problem, span in _problems(chain, recording, own, shared, terms, corrected, loads, pieces)
+        for problem, span in _problems(setup, recording, own, shared, terms, corrected, loads, pieces)
     ]
     if not found:
-        raise TrainingError(f"no training recording is longer than the observer's warm-up of {chain.warm_up_s:g} s")
+        raise TrainingError(f"no training recording is longer than the observer's warm-up of {setup.warm_up_s:g} s")
     regression = Regression([problem for problem, _ in found])
     while True:
         ridge, error = regression.choose_ridge()
@@ -64,20 +64,20 @@ def fit_ridge(
     for k in range(len(regression.folds) if len(regression.folds) > 1 else 0):
         one = solve_possible(regression.copy(), regression.without(k), ridge, corrected)
         where = [where for _, where in found[k::FOLDS]]
-        left_out.append(LeftOut(_settings(chain, own, shared, terms, corrected, one), where))
-    settings = _settings(chain, own, shared, terms, corrected, solution)
-    weights, errors, shares = (_by_joint(chain, own, shared, values) for values in (solution, spread, determined))
-    corrections = [np.zeros((chain.tree.size, 0))] * 3
+        left_out.append(LeftOut(_settings(setup, own, shared, terms, corrected, one), where))
+    settings = _settings(setup, own, shared, terms, corrected, solution)
+    weights, errors, shares = (_by_joint(setup, own, shared, values) for values in (solution, spread, determined))
+    corrections = [np.zeros((setup.tree.size, 0))] * 3
     if corrected:
-        corrections = [one[-len(PARAMETERS) * chain.tree.size :] for one in (solution, spread, determined)]
-        corrections = [one.reshape(chain.tree.size, len(PARAMETERS)) for one in corrections]
+        corrections = [one[-len(PARAMETERS) * setup.tree.size :] for one in (solution, spread, determined)]
+        corrections = [one.reshape(setup.tree.size, len(PARAMETERS)) for one in corrections]
     moved, moved_errors, moved_shares = corrections
     of_links = (moved, moved_errors, moved_shares)
     return PriorFit(settings, ridge, error, weights, errors, shares, *of_links, regression, left_out)
 
 
 def _problems(
-    chain: Chain,
+    setup: Setup,
     recording: Recording,
     own: Sequence[Sequence[_core.Term]],
     shared: Sequence[_core.Term],
@@ -87,25 +87,25 @@ def _problems(
     pieces: int,
 ) -> list[tuple[NormalEquations, slice]]:
     """The equations of each piece of a recording, and its samples."""
-    n = chain.tree.size
+    n = setup.tree.size
     signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-    observation = _core.observe(chain.tree, chain.observer, *signals)
-    stride = chain.observer.network_stride
+    observation = _core.observe(setup.tree, setup.observer, *signals)
+    stride = setup.observer.network_stride
     rows = np.flatnonzero(observation.warm.astype(bool))[::stride].astype(np.int64)
     if len(rows) < 10:
         return []
     settings = _core.PriorSettings()
-    settings.widths_rad = chain.widths_rad
+    settings.widths_rad = setup.widths_rad
     settings.terms = terms
     settings.weights = [0.0] * (n * len(terms))
     settings.corrected_links = list(loads)
-    values = _core.prior_regressors(chain.tree, chain.observer, settings, *signals, rows)
+    values = _core.prior_regressors(setup.tree, setup.observer, settings, *signals, rows)
     ends = np.cumsum([len(group) for group in own])
     mine = [np.arange(end - len(group), end) for group, end in zip(own, ends, strict=True)]
     terms_of = [np.r_[at, ends[-1] : len(terms)] for at in mine]  # its own and the shared ones
     model = np.zeros((len(rows), n, 0))
     if corrected is not None:
-        model = inertial_regressors(corrected, chain.observer, recording, rows)
+        model = inertial_regressors(corrected, setup.observer, recording, rows)
     width = ends[-1] + n * len(shared) + model.shape[2]
     columns = tuple(
         np.r_[at, ends[-1] + i * len(shared) + np.arange(len(shared)), width - model.shape[2] : width]
@@ -127,10 +127,10 @@ def _problems(
     return problems
 
 
-def _by_joint(chain: Chain, own: Sequence, shared: Sequence, solution: np.ndarray) -> np.ndarray:
+def _by_joint(setup: Setup, own: Sequence, shared: Sequence, solution: np.ndarray) -> np.ndarray:
     """Values of all columns as one row of terms a joint, (n, terms); 0 for the terms of other joints."""
     ends = np.cumsum([len(group) for group in own])
-    values = np.zeros((chain.tree.size, ends[-1] + len(shared)))
+    values = np.zeros((setup.tree.size, ends[-1] + len(shared)))
     for i, (end, group) in enumerate(zip(ends, own, strict=True)):
         values[i, end - len(group) : end] = solution[end - len(group) : end]
         at = ends[-1] + i * len(shared)
@@ -139,7 +139,7 @@ def _by_joint(chain: Chain, own: Sequence, shared: Sequence, solution: np.ndarra
 
 
 def _settings(
-    chain: Chain,
+    setup: Setup,
     own: Sequence[Sequence[_core.Term]],
     shared: Sequence[_core.Term],
     terms: list[_core.Term],
@@ -148,9 +148,9 @@ def _settings(
 ) -> _core.PriorSettings:
     """The prior that these coefficients make."""
     settings = _core.PriorSettings()
-    settings.widths_rad = chain.widths_rad
+    settings.widths_rad = setup.widths_rad
     settings.terms = terms
-    settings.weights = _by_joint(chain, own, shared, solution).ravel().tolist()
+    settings.weights = _by_joint(setup, own, shared, solution).ravel().tolist()
     if corrected:
         by_link = solution[-len(PARAMETERS) * corrected.size :].reshape(-1, len(PARAMETERS))
         parameters = [inertial_parameters(link) + by for link, by in zip(corrected.links, by_link, strict=True)]

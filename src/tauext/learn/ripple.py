@@ -9,7 +9,7 @@ import numpy as np
 from tauext import _core
 from tauext.data import Recording
 from tauext.learn.prior_fit import PriorFit
-from tauext.learn.training_set import Chain
+from tauext.learn.training_set import Setup
 
 MOST_CYCLES = 400
 RIPPLE_DATA_S = 300.0  # so much motion is enough to find a ripple, and it takes a while ...
@@ -20,7 +20,7 @@ RIPPLE_SHARE, RIPPLE_OUTSTANDS = 0.03, 5.0
 
 
 def find_ripple(
-    chain: Chain,
+    setup: Setup,
     recordings: Sequence[Recording],
     fit: PriorFit,
     known: Sequence[Sequence[int]],
@@ -36,7 +36,7 @@ def find_ripple(
         known: cycles that the fit holds already.
         least_cycles: fewer a turn are no ripple.
     """
-    n = chain.tree.size
+    n = setup.tree.size
     if sum(recording.duration_s for recording in recordings) < RIPPLE_LEAST_S:
         return [[] for _ in range(n)]
     energy = np.zeros(n)
@@ -47,8 +47,8 @@ def find_ripple(
             break
         looked_at_s += recording.duration_s
         signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-        observation = _core.observe(chain.tree, chain.observer, *signals, fit.settings)
-        rows = np.flatnonzero(observation.warm.astype(bool))[:: chain.observer.network_stride].astype(np.int64)
+        observation = _core.observe(setup.tree, setup.observer, *signals, fit.settings)
+        rows = np.flatnonzero(observation.warm.astype(bool))[:: setup.observer.network_stride].astype(np.int64)
         left = (observation.residual - observation.prior)[rows]
         energy += (left**2).sum(axis=0)
         for joint in range(n):
@@ -59,7 +59,7 @@ def find_ripple(
                 for form in (0, 1)
             ]
             settings.weights = [0.0] * (n * len(settings.terms))
-            values = _core.prior_regressors(chain.tree, chain.observer, settings, *signals, rows)
+            values = _core.prior_regressors(setup.tree, setup.observer, settings, *signals, rows)
             moments[joint] += (values.T @ left[:, joint]).reshape(-1, 2)
             squares[joint] += (values**2).sum(axis=0).reshape(-1, 2)
     explained = (moments**2 / np.maximum(squares, 1e-12)).sum(axis=2)

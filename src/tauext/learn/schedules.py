@@ -10,7 +10,7 @@ import numpy as np
 
 from tauext.config import TrainConfig
 from tauext.errors import TrainingError
-from tauext.learn.training_set import Chain, TooShort, WindowSet
+from tauext.learn.training_set import Setup, TooShort, WindowSet
 
 Number = TypeVar("Number", int, float)
 
@@ -41,7 +41,7 @@ class Schedule(Protocol):
 class PaperSchedule:
     """One target a window, all windows in a new random order each epoch, constant learning rate [Lim2021]."""
 
-    chain: Chain
+    setup: Setup
     training: WindowSet
     config: TrainConfig
     targets = 1
@@ -51,7 +51,7 @@ class PaperSchedule:
 
     def __post_init__(self) -> None:
         batch = number(self.config.batch)
-        self.length = self.chain.window_steps
+        self.length = self.setup.window_steps
         self.steps_an_epoch = self.training.windows // batch
         if self.steps_an_epoch == 0:
             raise TrainingError(
@@ -89,7 +89,7 @@ class DenseSchedule:
     sequences is that step, and teaches one target.
     """
 
-    chain: Chain
+    setup: Setup
     training: WindowSet
     config: TrainConfig
     largest_gradient = 0.1
@@ -102,13 +102,13 @@ class DenseSchedule:
 
     def __post_init__(self) -> None:
         self.targets = self.config.targets if self.config.row.network == "sequences" else 1
-        self.length = self.chain.window_steps - 1 + self.targets
+        self.length = self.setup.window_steps - 1 + self.targets
         self.steps = number(self.config.max_steps)
-        reach = self.chain.reach - self.chain.window_steps + self.length  # with the lag of the inputs
+        reach = self.setup.reach - self.setup.window_steps + self.length  # with the lag of the inputs
         ends = self.training.ends
         self._ends = ends[ends - reach >= self.training.first_rows]
         if len(self._ends) == 0:
-            period_s = 1e-9 * self.chain.observer.sample_period_ns * self.chain.observer.network_stride
+            period_s = 1e-9 * self.setup.observer.sample_period_ns * self.setup.observer.network_stride
             raise TooShort(
                 f"no training recording holds a sequence of {self.length} steps ({self.length * period_s:g} s without "
                 f"a gap); lower targets = {self.targets} or record longer"
@@ -137,11 +137,11 @@ class DenseSchedule:
         return min(scores)[1] <= scores[-1][1] - self.patience * self.steps
 
 
-def make_schedule(chain: Chain, training: WindowSet, config: TrainConfig) -> Schedule:
+def make_schedule(setup: Setup, training: WindowSet, config: TrainConfig) -> Schedule:
     """The schedule that the network of a resolved config's recipe is taught by."""
     if config.row.draws:
-        return DenseSchedule(chain, training, config)
-    return PaperSchedule(chain, training, config)
+        return DenseSchedule(setup, training, config)
+    return PaperSchedule(setup, training, config)
 
 
 def number(value: Number | None) -> Number:

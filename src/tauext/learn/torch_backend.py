@@ -3,9 +3,9 @@
 A research network of your own, trained by the same loop on the same windows as ours:
 
     config = TrainConfig(recipe="paper", max_steps=20_000)
-    schedule = make_schedule(chain, training, config.resolved())
-    backend = TorchBackend(MyNetwork(), chain, training, schedule.length, schedule.targets)
-    network = train(chain, training, validation, config, backend=backend)
+    schedule = make_schedule(setup, training, config.resolved())
+    backend = TorchBackend(MyNetwork(), setup, training, schedule.length, schedule.targets)
+    network = train(setup, training, validation, config, backend=backend)
     backend.load(network.parameters)  # the best weights, into backend.module
 
 `network.shape` describes the LSTM that a bundle holds, so of a network of another kind only `network.parameters` and
@@ -22,7 +22,7 @@ import numpy as np
 from tauext import _core
 from tauext.errors import ConfigError, TrainingError
 from tauext.learn.core_backend import CoreBackend
-from tauext.learn.training_set import Chain, WindowSet
+from tauext.learn.training_set import Setup, WindowSet
 
 try:
     import torch
@@ -43,7 +43,7 @@ class TorchBackend:
 
     Args:
         module: maps windows (B, T, F) to the residual at their last step (B, n), scaled units; inputs stand in the
-            order of `chain.inputs`. For more than one target a sequence it also has `sequence(x)`, which maps (B, T, F)
+            order of `setup.inputs`. For more than one target a sequence it also has `sequence(x)`, which maps (B, T, F)
             to an output at every step (B, T, n) and looks at no later step. Training starts from its weights as they
             are, so seed PyTorch before making it. It is moved to the device, and after each call holds the parameters
             of that call; `load` puts others into it.
@@ -55,7 +55,7 @@ class TorchBackend:
             on more than its parameters and input (running statistics).
     """
 
-    def __init__(self, module: torch.nn.Module, chain: Chain, training: WindowSet, length: int, targets: int):
+    def __init__(self, module: torch.nn.Module, setup: Setup, training: WindowSet, length: int, targets: int):
         name = type(module).__name__
         if targets > 1 and not callable(getattr(module, "sequence", None)):
             raise TrainingError(
@@ -73,7 +73,7 @@ class TorchBackend:
         if not self._trained:
             raise TrainingError(f"{name} has no trainable parameters")
         self._start = flat(self._trained).cpu().numpy().astype(np.float64)
-        self._chain, self._length, self._targets = chain, length, targets
+        self._setup, self._length, self._targets = setup, length, targets
         self._inputs = self._input_rows(training)
         self._target_rows = torch.from_numpy(training.target_rows).to(self.device)
         self._shown: tuple[WindowSet, torch.Tensor] | None = None  # the last set that was predicted
@@ -122,15 +122,15 @@ class TorchBackend:
         with torch.no_grad(), exact_float32(self.device):
             for first in range(0, len(ends), WINDOWS_AT_ONCE):
                 some = ends[first : first + WINDOWS_AT_ONCE]
-                y = self._output(self._shown[1], some, self._chain.window_steps, 1)
+                y = self._output(self._shown[1], some, self._setup.window_steps, 1)
                 out[first : first + len(some)] = y[:, 0].cpu().numpy()
         return out
 
     def _input_rows(self, windows: WindowSet) -> torch.Tensor:
         """Input f of each network step, (rows, F), on the device; NaN where its lag reaches before the first row."""
         rows = torch.from_numpy(windows.rows).to(self.device)
-        inputs = torch.full((len(rows), len(self._chain.inputs)), torch.nan, device=self.device)
-        for f, (column, lag) in enumerate(self._chain.inputs):
+        inputs = torch.full((len(rows), len(self._setup.inputs)), torch.nan, device=self.device)
+        for f, (column, lag) in enumerate(self._setup.inputs):
             inputs[lag:, f] = rows[: len(rows) - lag, column]
         return inputs
 
@@ -169,11 +169,11 @@ class LstmModule(torch.nn.Module):
         return self.head(self.lstm(x)[0])
 
 
-def lstm_module(chain: Chain, hidden: int, seed: int) -> LstmModule:
+def lstm_module(setup: Setup, hidden: int, seed: int) -> LstmModule:
     """The core's network with the core's initial parameters for this seed; a TorchBackend's vector has their layout."""
-    shape = _core.LstmShape(len(chain.inputs), hidden, chain.tree.size)
+    shape = _core.LstmShape(len(setup.inputs), hidden, setup.tree.size)
     nothing = WindowSet(*(np.empty(0) for _ in range(4)))
-    start = CoreBackend(chain, nothing, hidden, chain.window_steps, targets=1, threads=1).initial_parameters(seed)
+    start = CoreBackend(setup, nothing, hidden, setup.window_steps, targets=1, threads=1).initial_parameters(seed)
     return LstmModule(*lstm_from_parameters(shape, start))
 
 

@@ -11,13 +11,13 @@ from tauext import _core
 from tauext.config import ObserverConfig, PriorConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn.bundle_writing import build_chain, with_presliding
+from tauext.learn.bundle_writing import build_setup, with_presliding
 from tauext.learn.find_kinematics import Fitted, can_be_found, find_kinematics
 from tauext.learn.kinematic_sample import LEAST_ROWS, ROW_S, KinematicSample
 from tauext.learn.kinematics import Kinematics
 from tauext.learn.prior_terms import has_model, own_terms
 from tauext.learn.scaled_arm import fit_scaled_arm
-from tauext.learn.training_set import Chain
+from tauext.learn.training_set import Setup
 from tauext.robot import empty
 
 PIECES = 10
@@ -141,14 +141,14 @@ def fit_torque_constants(
         TrainingError: no recording is longer than the observer's warm-up.
     """
     friction = PriorConfig()
-    chain = with_presliding(build_chain(tree, recordings[0], config), friction.widths_rad)
+    setup = with_presliding(build_setup(tree, recordings[0], config), friction.widths_rad)
     tops = np.max([np.abs(recording.dq).max(axis=0) for recording in recordings], axis=0)
-    own = [own_terms(chain, friction, j, top_speed_rad_s=top) for j, top in enumerate(tops.tolist())]
-    if not has_model(chain):
-        return _relative_constants(chain, recordings, own, given)
-    sample = KinematicSample(empty(tree), chain.observer, recordings, own, chain.widths_rad)
+    own = [own_terms(setup, friction, j, top_speed_rad_s=top) for j, top in enumerate(tops.tolist())]
+    if not has_model(setup):
+        return _relative_constants(setup, recordings, own, given)
+    sample = KinematicSample(empty(tree), setup.observer, recordings, own, setup.widths_rad)
     if not sample.rows:
-        raise TrainingError(f"no training recording is longer than the observer's warm-up of {chain.warm_up_s:g} s")
+        raise TrainingError(f"no training recording is longer than the observer's warm-up of {setup.warm_up_s:g} s")
     if given:
         arm = fit_scaled_arm(sample, tree, GIVEN_TO, np.ones(tree.size))
         return given_constants(arm.nm_per_unit, arm.log_errors)
@@ -171,15 +171,15 @@ def given_constants(factors: np.ndarray, log_errors: np.ndarray) -> TorqueConsta
 
 
 def _relative_constants(
-    chain: Chain, recordings: Sequence[Recording], own: Sequence[Sequence[_core.Term]], given: bool
+    setup: Setup, recordings: Sequence[Recording], own: Sequence[Sequence[_core.Term]], given: bool
 ) -> TorqueConstants:
     """Constants as multiples of that of the joint in which the arm found in the motion shows best.
 
     Given ones keep their mean and are drawn towards 1 as far as the motion leaves it open.
     """
-    joints = tuple(link.joint_name for link in chain.tree.links)
+    joints = tuple(link.joint_name for link in setup.tree.links)
     sample = (
-        KinematicSample(chain.tree, chain.observer, recordings, own, chain.widths_rad) if can_be_found(chain) else None
+        KinematicSample(setup.tree, setup.observer, recordings, own, setup.widths_rad) if can_be_found(setup) else None
     )
     if sample is None or sample.rows < LEAST_ROWS:
         if given:

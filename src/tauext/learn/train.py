@@ -18,7 +18,7 @@ from tauext.learn.adam import Adam
 from tauext.learn.checkpoint import TrainState
 from tauext.learn.core_backend import CoreBackend
 from tauext.learn.schedules import Schedule, make_schedule
-from tauext.learn.training_set import Chain, WindowSet
+from tauext.learn.training_set import Setup, WindowSet
 
 CHECKPOINT_EVERY_S = 30.0
 LARGEST_LOSS = 1e3  # targets lie within +-1, so a useful loss is far below 1
@@ -57,7 +57,7 @@ class TrainedNetwork:
 
 
 def train(
-    chain: Chain,
+    setup: Setup,
     training: WindowSet,
     validation: WindowSet,
     config: TrainConfig,
@@ -84,8 +84,8 @@ def train(
         TrainingError: too little data for the schedule, or a loss that diverges.
     """
     config = config.resolved()
-    schedule = make_schedule(chain, training, config)
-    backend = backend or make_backend(chain, training, config, schedule.length, schedule.targets)
+    schedule = make_schedule(setup, training, config)
+    backend = backend or make_backend(setup, training, config, schedule.length, schedule.targets)
     shown = validation.ends[:: max(1, validation.windows // schedule.validation_windows)].copy()
     state = checkpoint.load(settings or {}, checkpoint_path) if checkpoint_path else None
     if state is None:
@@ -116,7 +116,7 @@ def train(
         raise
     if checkpoint_path:
         checkpoint_path.unlink(missing_ok=True)
-    shape = _core.LstmShape(len(chain.inputs), config.hidden, chain.tree.size)
+    shape = _core.LstmShape(len(setup.inputs), config.hidden, setup.tree.size)
     return TrainedNetwork(shape, state.best, state.history, state.at[1].steps, state.seconds)
 
 
@@ -150,10 +150,10 @@ def keep_best(state: TrainState, schedule: Schedule, candidate: np.ndarray, loss
     state.history.append((done, loss, validated))
 
 
-def make_backend(chain: Chain, training: WindowSet, config: TrainConfig, length: int, targets: int) -> Backend:
+def make_backend(setup: Setup, training: WindowSet, config: TrainConfig, length: int, targets: int) -> Backend:
     """The backend that the config names, for sequences of this length and so many targets."""
     if config.backend == "torch":
         from tauext.learn.torch_backend import TorchBackend, lstm_module
 
-        return TorchBackend(lstm_module(chain, config.hidden, config.seed), chain, training, length, targets)
-    return CoreBackend(chain, training, config.hidden, length, targets, config.threads)
+        return TorchBackend(lstm_module(setup, config.hidden, config.seed), setup, training, length, targets)
+    return CoreBackend(setup, training, config.hidden, length, targets, config.threads)

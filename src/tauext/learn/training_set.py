@@ -18,13 +18,13 @@ class TooShort(TrainingError):
 
 
 @dataclass(frozen=True)
-class Chain:
-    """The parts of the chain that stand before the network: estimated model, observer, window and prior."""
+class Setup:
+    """What a training sets up before its network: estimated model, observer, length of the window, and prior."""
 
     tree: _core.Tree
     observer: _core.ObserverSettings
     window_steps: int
-    prior: _core.PriorSettings = field(default_factory=_core.PriorSettings)  # none: the paper's chain
+    prior: _core.PriorSettings = field(default_factory=_core.PriorSettings)  # none: as in the paper
 
     @property
     def widths_rad(self) -> list[float]:
@@ -75,23 +75,23 @@ class WindowSet:
         return len(self.ends)
 
 
-def find_scaling(chain: Chain, recordings: Sequence[Recording]) -> Scaling:
+def find_scaling(setup: Setup, recordings: Sequence[Recording]) -> Scaling:
     """Largest magnitude of every input column and, after the observer's warm-up, of every output.
 
     Raises:
         TrainingError: a residual that is constant (nothing to learn), or no recording longer than the warm-up.
     """
-    n = chain.tree.size
+    n = setup.tree.size
     largest = np.zeros(2 * n)
     low, high = np.full(n, np.inf), np.full(n, -np.inf)
     for recording in recordings:
-        observation = _observe(chain, recording)
+        observation = _observe(setup, recording)
         residual = remainder(observation)[observation.warm.astype(bool)]
         largest = np.maximum(largest, np.abs(np.hstack([recording.q, recording.dq])).max(axis=0))
         if len(residual):
             low, high = np.minimum(low, residual.min(axis=0)), np.maximum(high, residual.max(axis=0))
     if not np.isfinite(low).all():
-        raise TrainingError(f"no training recording is longer than the observer's warm-up of {chain.warm_up_s:g} s")
+        raise TrainingError(f"no training recording is longer than the observer's warm-up of {setup.warm_up_s:g} s")
     for joint, (a, b) in enumerate(zip(low, high, strict=True)):
         # e^-10 of the first residual is still fading out where the warm-up ends.
         if b - a <= 1e-6 + 1e-4 * max(abs(a), abs(b)):
@@ -101,11 +101,11 @@ def find_scaling(chain: Chain, recordings: Sequence[Recording]) -> Scaling:
                 "there is nothing to learn; is its torque recorded, and does the arm move?"
             )
     factors = 1.0 / np.where(largest > 0, largest, 1.0)
-    factors = np.r_[factors, np.ones(chain.columns - 2 * n)]
+    factors = np.r_[factors, np.ones(setup.columns - 2 * n)]
     return Scaling(factors.astype(np.float32), np.maximum(np.abs(low), np.abs(high)))
 
 
-def build_windows(chain: Chain, scaling: Scaling, recordings: Sequence[Recording]) -> WindowSet:
+def build_windows(setup: Setup, scaling: Scaling, recordings: Sequence[Recording]) -> WindowSet:
     """All windows of one phase: their ends lie a network period apart, counted from the start of each stretch.
 
     The observer's warm-up and windows that would reach across a restart are left out; ticks that only hold an older
@@ -114,25 +114,25 @@ def build_windows(chain: Chain, scaling: Scaling, recordings: Sequence[Recording
     Raises:
         TrainingError: no recording holds a whole window.
     """
-    stride, n = chain.observer.network_stride, chain.tree.size
+    stride, n = setup.observer.network_stride, setup.tree.size
     rows, target_rows, ends, first_rows, offset = [], [], [], [], 0
     for recording in recordings:
-        observation = _observe(chain, recording)
+        observation = _observe(setup, recording)
         features = _core.feature_rows(
             observation, recording.t_ns, recording.q, recording.dq, recording.tau, scaling.input_factors
         )
         row, begin = observation.row, observation.stretch_begin
         stretches = np.unique(begin)
         # Network rows: every stride-th tick of each stretch; first network row of each stretch.
-        limits = np.append(stretches, observation.row_count)
-        network_rows = np.concatenate([np.arange(a, b, stride) for a, b in zip(limits[:-1], limits[1:], strict=True)])
+        bounds = np.append(stretches, observation.row_count)
+        network_rows = np.concatenate([np.arange(a, b, stride) for a, b in zip(bounds[:-1], bounds[1:], strict=True)])
         first_network_row = np.searchsorted(network_rows, stretches)
         steps, phase = np.divmod(row - begin, stride)
         first = first_network_row[np.searchsorted(stretches, begin)]
         has_target = (phase == 0) & observation.warm.astype(bool)
         targets = np.full((len(network_rows), n), np.nan, dtype=np.float32)
         targets[(first + steps)[has_target]] = remainder(observation)[has_target] / scaling.output_scale_nm
-        usable = has_target & (steps >= chain.reach)
+        usable = has_target & (steps >= setup.reach)
         rows.append(features[network_rows])
         target_rows.append(targets)
         ends.append((first + steps)[usable] + offset)
@@ -145,9 +145,9 @@ def build_windows(chain: Chain, scaling: Scaling, recordings: Sequence[Recording
         np.concatenate(first_rows).astype(np.int64),
     )
     if result.windows == 0:
-        needed = chain.reach * stride * chain.observer.sample_period_ns * 1e-9
+        needed = setup.reach * stride * setup.observer.sample_period_ns * 1e-9
         raise TooShort(
-            f"no recording holds a whole window: {needed:g} s after the observer's warm-up of {chain.warm_up_s:g} s "
+            f"no recording holds a whole window: {needed:g} s after the observer's warm-up of {setup.warm_up_s:g} s "
             "are needed"
         )
     return result
@@ -158,6 +158,6 @@ def remainder(observation: _core.Observation) -> np.ndarray:
     return observation.residual - observation.prior if observation.prior.size else observation.residual
 
 
-def _observe(chain: Chain, recording: Recording) -> _core.Observation:
+def _observe(setup: Setup, recording: Recording) -> _core.Observation:
     signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-    return _core.observe(chain.tree, chain.observer, *signals, chain.prior)
+    return _core.observe(setup.tree, setup.observer, *signals, setup.prior)

@@ -10,14 +10,14 @@ from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data import Recording
 from tauext.learn.prior_fit import PriorFit
-from tauext.learn.training_set import Chain
+from tauext.learn.training_set import Setup
 
 BENT = (_core.TermKind.presliding, _core.TermKind.load_presliding)
 LEAST_COUNTS = 2.0  # an encoder's counts in a presliding width
 IDLE_SHARE = 0.002
 
 
-def idle_widths(chain: Chain, recordings: Sequence[Recording], config: PriorConfig, fit: PriorFit) -> dict[float, str]:
+def idle_widths(setup: Setup, recordings: Sequence[Recording], config: PriorConfig, fit: PriorFit) -> dict[float, str]:
     """Presliding widths that the data have no use for, with the reason, from the narrowest up.
 
     A width below LEAST_COUNTS counts of the encoder follows the last count's flicker and not the joint. Any other goes
@@ -27,8 +27,8 @@ def idle_widths(chain: Chain, recordings: Sequence[Recording], config: PriorConf
     regression, dropped = fit.regression, {}
     count_rad = encoder_count(recordings)
     _, all_nm = regression.choose_ridge()
-    region = region_width(chain.widths_rad, config)
-    for k, width in enumerate(chain.widths_rad):
+    region = region_width(setup.widths_rad, config)
+    for k, width in enumerate(setup.widths_rad):
         if k == region:
             continue
         columns = [m for m, term in enumerate(fit.settings.terms) if term.kind in BENT and term.b == k]

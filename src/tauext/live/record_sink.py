@@ -11,13 +11,14 @@ from typing import cast
 
 import numpy as np
 
-from tauext import __version__, _core
-from tauext.data import Recording, save
+from tauext import _core
+from tauext.data import Recording, save_recording
 from tauext.data.amperes import AMPERES
 from tauext.data.recording import TorqueTiming
 from tauext.errors import ConfigError, TauextError
 from tauext.live.sink import Control, LoopReport, Verdict
 from tauext.monitor.changes import NONE, OK
+from tauext.provenance import VERSION
 
 MOST_WAITING = 4
 """Segments in memory before the disk; then new ones are lost, and counted."""
@@ -143,7 +144,7 @@ class RecordSink:
                 break
         provenance = {
             "command": "tauext monitor",
-            "version": __version__,
+            "version": VERSION,
             "bundle": self._bundle.name,
             "source": self._source,
             "contact": "the monitor's own word",
@@ -161,7 +162,7 @@ class RecordSink:
                 provenance=provenance,
                 **segment,
             )
-            save(recording, path)
+            save_recording(recording, path)
         except TauextError as error:
             self._lost += len(segment["t_ns"])
             self._error = self._error or str(error)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from tauext.data import Recording, load
+from tauext.data import Recording, load_recording
 from tauext.errors import ConfigError
 from tauext.live.source import Sample, SourceCounts, SourceSettings
 from tauext.monitor import Pace
@@ -20,7 +20,7 @@ class ReplaySource:
         Raises:
             RecordingError: the file is not there or damaged.
         """
-        self.recording = recording if isinstance(recording, Recording) else load(recording)
+        self.recording = recording if isinstance(recording, Recording) else load_recording(recording)
         self.name = f"replay {self.recording.name}"
         self.counts = SourceCounts()
         self._next, self._stopped, self._pace = 0, False, Pace(speed)

@@ -43,7 +43,7 @@ def doubt(flight: Flight) -> str:
     return f"Health was {health} ({in_words(event.causes)}) at that sample: the estimate may be wrong."
 
 
-def chain(flight: Flight, source: FlightSource) -> str:
+def sum_of_terms(flight: Flight, source: FlightSource) -> str:
     """What observer, prior and network said of the joint."""
     event = flight["event"]
     j = event.alarm_joint

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tauext import __version__
-from tauext.data import save
+from tauext.data import save_recording
 from tauext.data.estimates import save_estimates
 from tauext.errors import RecordingError
 from tauext.monitor.explanation import explain
@@ -24,6 +23,7 @@ from tauext.monitor.flight_content import (
     event_numbers,
     rows_kept,
 )
+from tauext.provenance import VERSION
 from tauext.whole_file import whole_file
 
 ENDINGS = (".txt", ".dropped.csv", ".estimates.parquet", ".parquet")
@@ -59,7 +59,7 @@ def write_flight(flight: Flight, folder: Path, source: FlightSource) -> Path:
     event = event_numbers(flight, source)
     provenance = {
         "command": source.command,
-        "version": __version__,
+        "version": VERSION,
         "recording": source.recording,
         "bundle": source.bundle,
         "event": event,
@@ -78,7 +78,7 @@ def write_flight(flight: Flight, folder: Path, source: FlightSource) -> Path:
             place.path(".txt.part").write_text(text + "\n", encoding="utf-8")
             os.replace(place.path(".txt.part"), place.path(".txt"))
             if kept.any():
-                save(recording, place.path(".parquet"))
+                save_recording(recording, place.path(".parquet"))
         except BaseException:
             remove(place)
             raise

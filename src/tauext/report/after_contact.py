@@ -12,19 +12,19 @@ from tauext.report.drawing import Drawing
 from tauext.report.methods import Aftermath
 from tauext.report.results import Results
 from tauext.report.signals import NotAvailable
-from tauext.report.style import LEGEND_COLUMNS, WIDTH_IN, case_strokes, use_log_height
+from tauext.report.style import LEGEND_COLUMNS, WIDTH_IN, bundle_strokes, use_log_height
 
 MOST_COLUMNS = 4
 
 
 def draw_after_contact(results: Results) -> Drawing:
-    """A panel a joint, and one for the contacts reported; a curve a case over the time since the last touch.
+    """A panel a joint, and one for the contacts reported; a curve a bundle over the time since the last touch.
 
     Raises:
-        NotAvailable: no case has them.
+        NotAvailable: no bundle has them.
     """
-    cases = [case for case in results.cases if case.measured.after_contact and case.measured.after_nothing]
-    if not cases or not any(b.hours for case in cases for b in case.measured.after_contact):
+    bundles = [bundle for bundle in results.bundles if bundle.measured.after_contact and bundle.measured.after_nothing]
+    if not bundles or not any(b.hours for bundle in bundles for b in bundle.measured.after_contact):
         raise NotAvailable("the results hold no time after contacts")
     panels: list[tuple[str, str, Callable[[Aftermath], float | None]]] = [
         (name, "RMSE, Nm", partial(error_of, j)) for j, name in enumerate(results.joints)
@@ -34,13 +34,13 @@ def draw_after_contact(results: Results) -> Drawing:
     columns = -(-len(panels) // rows)
     figure = Figure(figsize=(WIDTH_IN, 0.6 + 2.9 * rows), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
-    strokes = case_strokes([case.name for case in results.cases])
+    strokes = bundle_strokes([bundle.name for bundle in results.bundles])
     for axes, (title, quantity, value) in zip(grid.flat, panels, strict=False):
-        for case in cases:
-            nothing = case.measured.after_nothing
-            entries = [*case.measured.after_contact, *([nothing] if nothing else [])]
-            draw_entries(axes, [value(entry) for entry in entries], strokes[case.name], case.label)
-        bins = [f"{entry.from_s:g}\nto {entry.to_s:g}" for entry in cases[0].measured.after_contact]
+        for bundle in bundles:
+            nothing = bundle.measured.after_nothing
+            entries = [*bundle.measured.after_contact, *([nothing] if nothing else [])]
+            draw_entries(axes, [value(entry) for entry in entries], strokes[bundle.name], bundle.label)
+        bins = [f"{entry.from_s:g}\nto {entry.to_s:g}" for entry in bundles[0].measured.after_contact]
         axes.set_xticks(range(len(bins) + 1), [*bins, "free\nmotion"], fontsize=8)
         axes.set_title(title)
         axes.set_ylabel(quantity)
@@ -57,7 +57,7 @@ def draw_after_contact(results: Results) -> Drawing:
         figure,
         "What a contact leaves behind: error of the estimate while nothing touches the arm any more, and at the right "
         "of each panel in motion without contacts. A network whose window still holds the contact errs more than that. "
-        f"Last panel, alarms of the contact level that begin there. {hours_of(cases[0].measured.after_contact):.2g} "
+        f"Last panel, alarms of the contact level that begin there. {hours_of(bundles[0].measured.after_contact):.2g} "
         "h lie after contacts.",
     )
 

@@ -21,7 +21,7 @@ from tauext.report.style import (
     OBSERVER,
     OBSERVER_WIDTH,
     WIDTH_IN,
-    case_colours,
+    bundle_colours,
     label_joint,
     sentence,
 )
@@ -54,15 +54,15 @@ def draw_collisions(results: Results, signals: Signals) -> Drawing:
     """One row a joint; excerpts of about 3 s around each of the ten collisions, joined along the axis.
 
     Raises:
-        NotAvailable: no collision was chosen, or a file of the case is missing.
+        NotAvailable: no collision was chosen, or a file of the bundle is missing.
     """
-    case = results.case("none")
+    bundle = results.bundle("none")
     excerpts = cut_excerpts(
-        [results.collisions[one] for one in results.ten if one in results.collisions], case.name, signals
+        [results.collisions[one] for one in results.ten if one in results.collisions], bundle.name, signals
     )
     if not excerpts:
         raise NotAvailable("the results name no collisions to draw")
-    colour, n = case_colours([c.name for c in results.cases])[case.name], len(results.joints)
+    colour, n = bundle_colours([c.name for c in results.bundles])[bundle.name], len(results.joints)
     figure = Figure(figsize=(WIDTH_IN, 0.9 + (1.9 if n <= 3 else 1.25) * n), layout="constrained")
     grid = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]
     for joint, (axes, name) in enumerate(zip(grid, results.joints, strict=True)):
@@ -84,20 +84,20 @@ def draw_collisions(results: Results, signals: Signals) -> Drawing:
     places = "; ".join(f"{recording}: {', '.join(numbers)}" for recording, numbers in where.items())
     return Drawing(
         figure,
-        f"Figure 7. {sentence(case.label)}: observer and {what} while {len(excerpts)} collisions "
+        f"Figure 7. {sentence(bundle.label)}: observer and {what} while {len(excerpts)} collisions "
         f"happen. What was learned goes on as if nothing touched the arm; what the two differ by is the external "
         f"torque. Excerpts of about {LENGTH_S:g} s are joined at the vertical lines. Recordings: {places}.",
     )
 
 
-def cut_excerpts(collisions: list[Collision], case: str, signals: Signals) -> list[Excerpt]:
+def cut_excerpts(collisions: list[Collision], bundle: str, signals: Signals) -> list[Excerpt]:
     """Longer than 3 s only where the contact itself is longer; cut short at the ends of its recording."""
     loaded: dict[str, tuple[Recording, Estimates]] = {}
     excerpts, shown_at_s = [], 0.0
     for collision in collisions:
         if collision.recording not in loaded:
             recording = signals.recording(collision.recording)
-            loaded[collision.recording] = recording, signals.estimates(case, recording)
+            loaded[collision.recording] = recording, signals.estimates(bundle, recording)
         recording, said = loaded[collision.recording]
         begin_s = collision.start_s - BEFORE_S
         end_s = max(begin_s + LENGTH_S, collision.end_s + AFTER_S)

@@ -16,8 +16,8 @@ class Drawing:
     caption: str
 
 
-def missing_cases(results: Results, names: Sequence[str]) -> str:
-    """A sentence for the caption: which cases are not drawn, and why; empty where all are."""
+def missing_bundles(results: Results, names: Sequence[str]) -> str:
+    """A sentence for the caption: which bundles are not drawn, and why; empty where all are."""
     if not names:
         return ""
     return f" Not drawn, since their estimates are missing: {'; '.join(results.labels[n] for n in names)}."

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from tauext.report.drawing import Drawing
-from tauext.report.results import Case, Results
+from tauext.report.results import EvaluatedBundle, Results
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import LIMIT, NEAR_STICTION, SLIDING, WIDTH_IN, label_joint
 
@@ -28,16 +28,16 @@ def draw_error_over_speed(results: Results, signals: Signals) -> Drawing:
     """One row a joint: all speeds, and the neighbourhood of standstill; every healthy sample of the test set counts.
 
     Raises:
-        NotAvailable: no test recording has estimates of the case.
+        NotAvailable: no test recording has estimates of the bundle.
     """
-    case = results.case("exact")
-    speed, error, used = collect(case, signals)
+    bundle = results.bundle("exact")
+    speed, error, used = collect(bundle, signals)
     n, near = len(results.joints), results.near_stiction_rad_s
     figure = Figure(figsize=(WIDTH_IN, 0.7 + (2.5 if n <= 3 else 1.7) * n), layout="constrained")
     grid = figure.subplots(n, 2, sharey="row", squeeze=False, width_ratios=[3, 2])
     for joint, name in enumerate(results.joints):
         fastest, largest = np.abs(speed[:, joint]).max(), np.abs(error[:, joint]).max()
-        limits = case.limit_sliding_nm[joint], case.limit_near_stiction_nm[joint]
+        limits = bundle.limit_sliding_nm[joint], bundle.limit_near_stiction_nm[joint]
         top = 1.08 * max(largest, *(limit or 0 for limit in limits)) or 1.0
         for axes, reach in zip(grid[joint], (1.03 * fastest or 1.0, CLOSE_UP * near), strict=True):
             shade(axes, near, reach)
@@ -59,13 +59,13 @@ def draw_error_over_speed(results: Results, signals: Signals) -> Drawing:
         Patch(color=NEAR_STICTION, label=f"near stiction, |speed| < {near:g} rad/s"),
         Patch(color="#0072b2", label="samples, darker where more"),
     ]
-    if any(limit is not None for limit in case.limit_sliding_nm):
+    if any(limit is not None for limit in bundle.limit_sliding_nm):
         legend.append(Line2D([], [], color=LIMIT, linestyle="--", label="limit"))
     figure.legend(handles=legend, loc="outside upper left", ncols=4)
-    left = sorted(set(case.recordings) - set(used))
+    left = sorted(set(bundle.recordings) - set(used))
     return Drawing(
         figure,
-        f"Figure 6. Error of the estimate over joint speed, {case.label}, {len(speed):,} samples of "
+        f"Figure 6. Error of the estimate over joint speed, {bundle.label}, {len(speed):,} samples of "
         f"{len(used)} test recordings. Nothing touches the arm, so the whole estimate is error; it is largest near "
         f"stiction, which is why that region has a limit of its own." + left_out(left),
     )
@@ -80,13 +80,13 @@ def left_out(names: Sequence[str]) -> str:
     return f" Left out, since their files are missing: {', '.join(names)}."
 
 
-def collect(case: Case, signals: Signals) -> tuple[np.ndarray, np.ndarray, list[str]]:
+def collect(bundle: EvaluatedBundle, signals: Signals) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Speed and error of every healthy sample, each (samples, joints), and the recordings that they come from."""
     speeds, errors, used = [], [], []
-    for name in case.recordings:
+    for name in bundle.recordings:
         try:
             recording = signals.recording(name)
-            said = signals.estimates(case.name, recording)
+            said = signals.estimates(bundle.name, recording)
         except NotAvailable:
             continue
         rows = said.healthy & np.isfinite(said.tau_ext).all(axis=1)
@@ -94,7 +94,7 @@ def collect(case: Case, signals: Signals) -> tuple[np.ndarray, np.ndarray, list[
         errors.append(said.tau_ext[rows])
         used.append(name)
     if sum(map(len, speeds)) == 0:
-        raise NotAvailable(f"no test recording is there with its estimates of case {case.label}")
+        raise NotAvailable(f"no test recording is there with its estimates of bundle {bundle.label}")
     return np.concatenate(speeds), np.concatenate(errors), used
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tauext.report.entry import Entry
-from tauext.report.naming import case_label
+from tauext.report.naming import bundle_label
 from tauext.report.tables import NONE, Row, Table, milliseconds, number
 
 STATES = ("all", "moving", "resting")
@@ -41,11 +41,11 @@ class MethodEvents:
 
 
 def read_events(top: Entry) -> tuple[MethodEvents, ...]:
-    """Of every case that was held against labels, and of the robot's own torque; none where nothing was labelled."""
+    """Of every bundle that was held against labels, and of the robot's own torque; none where nothing was labelled."""
     found = []
-    for case in top.entries("cases", needed=True):
-        name = case.text("name", needed=True)
-        found.append(read_method(case.object("events"), name, case_label(name, case.text("recipe"))))
+    for bundle in top.entries("bundles", needed=True):
+        name = bundle.text("name", needed=True)
+        found.append(read_method(bundle.object("events"), name, bundle_label(name, bundle.text("recipe"))))
     found.append(read_method(top.object("own_torque").object("events"), OWN, OWN))
     methods = tuple(method for method in found if method is not None)
     return methods if any(method.counts["all"].events for method in methods) else ()
@@ -82,8 +82,8 @@ def events_table(methods: tuple[MethodEvents, ...]) -> Table:
         for state in STATES:
             counts = method.counts[state]
             if state == "all" or counts.events or counts.free_hours:
-                case = None if method.name == OWN else method.name
-                rows.append(Row(cells(method, state, counts), case, opens=state == "all"))
+                bundle = None if method.name == OWN else method.name
+                rows.append(Row(cells(method, state, counts), bundle, opens=state == "all"))
     return Table(groups, columns, tuple(rows), words=2)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tauext.data import Recording, load
+from tauext.data import Recording, load_recording
 from tauext.data.estimates import Estimates, load_estimates
 from tauext.errors import ConfigError, RecordingError
 
@@ -52,7 +52,7 @@ def load_flight(path: Path) -> Flight:
         RecordingError: a file is damaged, no flight, or of another one.
     """
     path = newest(path) if path.is_dir() else path
-    recording = load(path)
+    recording = load_recording(path)
     facts = dict(recording.provenance)
     event, explanation = facts.pop("event", None), facts.pop("explanation", None)
     if not isinstance(event, dict) or not NEEDED <= event.keys() or not explanation:

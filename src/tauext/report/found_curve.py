@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from tauext.report.drawing import Drawing
 from tauext.report.results import Results
 from tauext.report.signals import NotAvailable
-from tauext.report.style import WIDTH_IN, case_colours
+from tauext.report.style import WIDTH_IN, bundle_colours
 
 
 def draw_found_curve(results: Results) -> Drawing:
@@ -17,23 +17,23 @@ def draw_found_curve(results: Results) -> Drawing:
         NotAvailable: the results hold no collision.
     """
     edges = sorted(
-        {(b.low, b.high) for case in results.shown for b in case.found_curve if b.collisions}, key=lambda e: e[0]
+        {(b.low, b.high) for bundle in results.shown for b in bundle.found_curve if b.collisions}, key=lambda e: e[0]
     )
     if not edges:
         raise NotAvailable("the results hold no collisions")
-    names = [case.name for case in results.shown]
-    colours = case_colours([case.name for case in results.cases])
+    names = [bundle.name for bundle in results.shown]
+    colours = bundle_colours([bundle.name for bundle in results.bundles])
     figure = Figure(figsize=(WIDTH_IN, 3.4), layout="constrained")
     axes = figure.subplots()
-    for k, case in enumerate(results.shown):
+    for k, bundle in enumerate(results.shown):
         shift = 0.09 * (k - (len(names) - 1) / 2) if len(names) < 9 else 0.0
-        bins = {(b.low, b.high): b for b in case.found_curve if b.collisions}
+        bins = {(b.low, b.high): b for b in bundle.found_curve if b.collisions}
         places = [at for at, edge in enumerate(edges) if edge in bins]
         shares = [100 * bins[edges[at]].found / bins[edges[at]].collisions for at in places]
         sizes = [12 * bins[edges[at]].collisions ** 0.5 + 10 for at in places]
         shifted = [at + shift for at in places]
-        axes.plot(shifted, shares, color=colours[case.name], linewidth=0.8, alpha=0.6)
-        axes.scatter(shifted, shares, sizes, color=colours[case.name], zorder=3, label=case.label)
+        axes.plot(shifted, shares, color=colours[bundle.name], linewidth=0.8, alpha=0.6)
+        axes.scatter(shifted, shares, sizes, color=colours[bundle.name], zorder=3, label=bundle.label)
     first_over = next((at for at, (low, _) in enumerate(edges) if low >= 1), None)
     if first_over is not None:
         axes.axvline(first_over - 0.5, color="#555555", linestyle="--", linewidth=1)
@@ -53,14 +53,14 @@ def draw_found_curve(results: Results) -> Drawing:
     return Drawing(
         figure,
         "Collisions found over how hard they were: the peak of the sensor reference on the joint where it is largest "
-        "in units of that joint's sliding limit. Limits differ a little from case to case, and so do the counts; "
+        "in units of that joint's sliding limit. Limits differ a little from bundle to bundle, and so do the counts; "
         "a larger dot stands for more collisions." + results.shown_note,
     )
 
 
 def bin_label(results: Results, edge: tuple[float, float | None]) -> str:
-    """Range of a bin, and how many collisions fall in it; a range where cases differ."""
+    """Range of a bin, and how many collisions fall in it; a range where bundles differ."""
     low, high = edge
-    counts = [b.collisions for case in results.shown for b in case.found_curve if (b.low, b.high) == edge]
+    counts = [b.collisions for bundle in results.shown for b in bundle.found_curve if (b.low, b.high) == edge]
     count = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)}–{max(counts)}"
     return (f"{low:g}–{high:g}" if high is not None else f"over {low:g}") + f"\n{count}"

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from tauext.report.drawing import Drawing
-from tauext.report.results import Case, Results
+from tauext.report.results import EvaluatedBundle, Results
 from tauext.report.signals import NotAvailable
 from tauext.report.style import CASE_COLOURS, LEGEND_COLUMNS, LINES, MARKS, OTHER_COLOURS, WIDTH_IN, use_log_height
 
@@ -19,13 +19,13 @@ def draw_learning_curves(results: Results) -> Drawing:
     Raises:
         NotAvailable: fewer than two amounts of training data.
     """
-    lines: dict[tuple[str, str], list[Case]] = {}
-    for case in results.cases:
-        if case.measured.training_minutes:
-            lines.setdefault((case.recipe or case.name, case.measured.model_case or ""), []).append(case)
-    minutes = sorted({case.measured.training_minutes or 0.0 for cases in lines.values() for case in cases})
+    lines: dict[tuple[str, str], list[EvaluatedBundle]] = {}
+    for bundle in results.bundles:
+        if bundle.measured.training_minutes:
+            lines.setdefault((bundle.recipe or bundle.name, bundle.measured.model_case or ""), []).append(bundle)
+    minutes = sorted({bundle.measured.training_minutes or 0.0 for bundles in lines.values() for bundle in bundles})
     if len(minutes) < 2:
-        raise NotAvailable("the cases were trained on fewer than two amounts of data")
+        raise NotAvailable("the bundles were trained on fewer than two amounts of data")
     several_models = len({model for _, model in lines}) > 1
     rows = -(-len(results.joints) // MOST_COLUMNS)
     columns = -(-len(results.joints) // rows)
@@ -33,8 +33,10 @@ def draw_learning_curves(results: Results) -> Drawing:
     grid = figure.subplots(rows, columns, squeeze=False)
     colours = (*CASE_COLOURS.values(), *OTHER_COLOURS)
     for joint, (axes, name) in enumerate(zip(grid.flat, results.joints, strict=False)):
-        for k, ((recipe, model), cases) in enumerate(lines.items()):
-            points = sorted((c.measured.training_minutes, c.l1_nm[joint]) for c in cases if c.l1_nm[joint] is not None)
+        for k, ((recipe, model), bundles) in enumerate(lines.items()):
+            points = sorted(
+                (c.measured.training_minutes, c.l1_nm[joint]) for c in bundles if c.l1_nm[joint] is not None
+            )
             if not points:
                 continue
             stroke = {"color": colours[k % len(colours)], "marker": MARKS[k % len(MARKS)]}

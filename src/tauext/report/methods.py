@@ -80,7 +80,7 @@ class SanityRow:
 
 @dataclass(frozen=True)
 class Measured:
-    """Of one case; empty or None where an evaluation did not have it."""
+    """Of one bundle; empty or None where an evaluation did not have it."""
 
     training_minutes: Number
     model_case: str | None

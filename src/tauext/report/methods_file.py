@@ -16,7 +16,7 @@ from tauext.report.methods import (
 
 
 def read_measured(entry: Entry, joints: int) -> Measured:
-    """Of one case's entry."""
+    """Of one bundle's entry."""
     after = entry.object("after_contact")
     free = after.object("free_motion")
     return Measured(

@@ -1,9 +1,9 @@
-"""The table of methods: one row a case, every joint, and detectors that know nothing under it."""
+"""The table of methods: one row a bundle, every joint, and detectors that know nothing under it."""
 
 from __future__ import annotations
 
 from tauext.report.methods import FalseCollisions, SanityRow
-from tauext.report.results import Case, Results
+from tauext.report.results import EvaluatedBundle, Results
 from tauext.report.tables import NONE, Row, Table, milliseconds, number, whole
 
 
@@ -16,21 +16,21 @@ def methods(results: Results) -> Table:
     groups += [("collisions latched", 2), ("delay against\nthe sensor, ms", 2)]
     columns = ["method", *joints * 5, "count", "an hour,\n95 % interval", "promised\nan hour", "kept"]
     columns += ["of all", "of strong", "median", "95 %"]
-    rows = [Row(method_cells(case), case.name, opens=True) for case in results.cases]
+    rows = [Row(method_cells(bundle), bundle.name, opens=True) for bundle in results.bundles]
     rows += [Row(sanity_cells(row, n), opens=k == 0) for k, row in enumerate(results.sanity)]
     return Table(tuple(groups), tuple(columns), tuple(rows), words=1)
 
 
-def method_cells(case: Case) -> tuple[str, ...]:
-    measured = case.measured
+def method_cells(bundle: EvaluatedBundle) -> tuple[str, ...]:
+    measured = bundle.measured
     false, latched = measured.false_collisions, measured.latched
-    cells = [case.label]
+    cells = [bundle.label]
     for values, digits in (
-        (case.l1_nm, 3),
-        (case.rmse_sliding_nm, 3),
-        (case.rmse_near_stiction_nm, 3),
-        (case.limit_sliding_nm, 2),
-        (case.limit_near_stiction_nm, 2),
+        (bundle.l1_nm, 3),
+        (bundle.rmse_sliding_nm, 3),
+        (bundle.rmse_near_stiction_nm, 3),
+        (bundle.limit_sliding_nm, 2),
+        (bundle.limit_near_stiction_nm, 2),
     ):
         cells += [number(value, digits) for value in values]
     cells += [whole(false.count), interval(false.low, false.high), rate(false.promised), kept(false)]

@@ -1,4 +1,4 @@
-"""Names of cases: which of the paper's models one is of, and how it is called in figures and tables."""
+"""Names of bundles: which of the paper's models one is of, and how it is called in figures and tables."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from tauext.report.paper import CASE_LABELS
 
 
 def model_of(name: str) -> str | None:
-    """The paper's model that a case is of: `exact` and `exact-anything` are of `exact`; None for other names."""
+    """The paper's model that a bundle is of: `exact` and `exact-anything` are of `exact`; None for other names."""
     model = name.partition("-")[0]
     return model if model in CASE_LABELS else None
 
 
-def case_label(name: str, recipe: str | None = None) -> str:
+def bundle_label(name: str, recipe: str | None = None) -> str:
     """`exact-paper` is "exact, paper recipe" if it was trained so; names that are no model's stay as they are."""
     model = model_of(name)
     if model is None:
@@ -22,6 +22,6 @@ def case_label(name: str, recipe: str | None = None) -> str:
 
 
 def place(name: str) -> tuple[int, bool]:
-    """Sorts cases as the paper does, one with another recipe behind its model's own, other names last."""
+    """Sorts bundles as the paper does, one with another recipe behind its model's own, other names last."""
     model = model_of(name)
     return (len(CASE_LABELS) if model is None else list(CASE_LABELS).index(model)), name != model

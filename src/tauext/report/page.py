@@ -11,8 +11,8 @@ from jinja2 import Environment, StrictUndefined
 from tauext.report import paper, tables
 from tauext.report.events import events_table
 from tauext.report.methods_table import methods
-from tauext.report.results import Case, Numbers, Results
-from tauext.report.style import case_colours
+from tauext.report.results import EvaluatedBundle, Numbers, Results
+from tauext.report.style import bundle_colours
 from tauext.report.traces import NO_TRACES, PageTraces
 
 TEMPLATE = Path(__file__).with_name("page.html.j2")
@@ -46,9 +46,9 @@ class PageFigure:
 
 @dataclass(frozen=True)
 class Tile:
-    """One case in three numbers."""
+    """One bundle in three numbers."""
 
-    case: str
+    bundle: str
     colour: str
     found: str
     false_alarms: str
@@ -62,7 +62,7 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         figures: by the names that the template uses.
         traces: their part of the page.
     """
-    colours = case_colours([case.name for case in results.cases])
+    colours = bundle_colours([bundle.name for bundle in results.bundles])
     ten = [results.collisions[one] for one in results.ten if one in results.collisions]
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
@@ -70,8 +70,8 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         notice=SCALES.get(str(results.provenance.get("scale"))),
         compared=tables.has_paper(results),
         colours=colours,
-        tile_columns=-(-len(results.cases) // -(-len(results.cases) // MOST_TILES)),
-        tiles=[tile(case, results, colours[case.name]) for case in results.cases],
+        tile_columns=-(-len(results.bundles) // -(-len(results.bundles) // MOST_TILES)),
+        tiles=[tile(bundle, results, colours[bundle.name]) for bundle in results.bundles],
         near_stiction=f"{results.near_stiction_rad_s:g}",
         methods=methods(results),
         sanity=results.sanity,
@@ -107,29 +107,27 @@ def facts(results: Results) -> list[tuple[str, str]]:
         (words, str(results.provenance[key])) for key, words in told.items() if results.provenance.get(key) is not None
     ]
     pairs.append(("joints", ", ".join(results.joints)))
-    steps = {case.label: f"{case.steps:,} steps" for case in results.cases if case.steps is not None}
-    minutes = {case.label: f"{case.train_minutes:.1f} min" for case in results.cases if case.train_minutes is not None}
-    return pairs + [
-        (word, by_case(values)) for word, values in (("training", steps), ("training time", minutes)) if values
-    ]
+    steps = {bundle.label: f"{bundle.steps:,} steps" for bundle in results.bundles if bundle.steps is not None}
+    return pairs + ([("training", by_bundle(steps))] if steps else [])
 
 
-def by_case(values: dict[str, str]) -> str:
-    """A value of every case, by its label; once where all say the same."""
+def by_bundle(values: dict[str, str]) -> str:
+    """A value of every bundle, by its label; once where all say the same."""
     if len(values) > 1 and len(set(values.values())) == 1:
         return f"{next(iter(values.values()))} each"
     return "; ".join(f"{label} {value}" for label, value in values.items())
 
 
-def tile(case: Case, results: Results, colour: str) -> Tile:
-    """Headline of one case; what does not exist is said to be so."""
-    found = f"{case.ten_found} of {len(results.ten)}" if case.ten_found is not None and results.ten else "none tried"
-    if case.false_alarms is None or case.hours is None:
+def tile(bundle: EvaluatedBundle, results: Results, colour: str) -> Tile:
+    """Headline of one bundle; what does not exist is said to be so."""
+    tried = bundle.ten_found is not None and results.ten
+    found = f"{bundle.ten_found} of {len(results.ten)}" if tried else "none tried"
+    if bundle.false_alarms is None or bundle.hours is None:
         alarms = "false alarms: not available"
     else:
-        plural = "" if case.false_alarms == 1 else "s"
-        alarms = f"{case.false_alarms:,} false alarm{plural} in {case.hours:.2f}\N{NO-BREAK SPACE}h"
-    return Tile(case.label, colour, found, alarms, f"L1 {short_list(case.l1_nm)}")
+        plural = "" if bundle.false_alarms == 1 else "s"
+        alarms = f"{bundle.false_alarms:,} false alarm{plural} in {bundle.hours:.2f}\N{NO-BREAK SPACE}h"
+    return Tile(bundle.label, colour, found, alarms, f"L1 {short_list(bundle.l1_nm)}")
 
 
 def short_list(values: Numbers) -> str:

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from tauext.report.methods import Measured, SanityRow
-from tauext.report.naming import case_label, model_of
+from tauext.report.naming import bundle_label, model_of
 
 Numbers = tuple[float | None, ...]
 """One number a joint; None where it does not exist."""
 ROOM, SHOWN = 7, 5
-"""Figures with a column a case have room for so many; of more, the first few are shown."""
+"""Figures with a column a bundle have room for so many; of more, the first few are shown."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Collision:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What one case made of one collision; None where a time does not exist."""
+    """What one bundle made of one collision; None where a time does not exist."""
 
     found: bool
     joint: str | None
@@ -49,16 +49,14 @@ class CurveBin:
 
 
 @dataclass(frozen=True)
-class Case:
-    """Everything that was found for one bundle."""
+class EvaluatedBundle:
+    """Everything that was found of one bundle."""
 
     name: str
-    bundle: str
     recipe: str | None
     steps: int | None
     epochs: int | None
     batch: int | None
-    train_minutes: float | None
     recordings: tuple[str, ...]
     hours: float | None
     samples: int | None
@@ -88,7 +86,7 @@ class Case:
 
     @property
     def label(self) -> str:
-        return case_label(self.name, self.recipe)
+        return bundle_label(self.name, self.recipe)
 
 
 @dataclass(frozen=True)
@@ -100,30 +98,32 @@ class Results:
     near_stiction_rad_s: float
     ten: tuple[str, ...]
     collisions: dict[str, Collision]
-    cases: tuple[Case, ...]
+    bundles: tuple[EvaluatedBundle, ...]
     """In the paper's order, whatever the order of evaluation; other names follow."""
     sanity: tuple[SanityRow, ...] = ()
     events: tuple[Any, ...] = ()
     """Of type MethodEvents: what labelled events and free time made of each method; empty where nothing is labelled."""
 
     @property
-    def shown(self) -> tuple[Case, ...]:
+    def shown(self) -> tuple[EvaluatedBundle, ...]:
         """Those that stand in figures with a column, a lane or a curve over time for each: all, or the first few."""
-        return self.cases if len(self.cases) <= ROOM else self.cases[:SHOWN]
+        return self.bundles if len(self.bundles) <= ROOM else self.bundles[:SHOWN]
 
     @property
     def shown_note(self) -> str:
         """A sentence for the caption of such a figure; empty where all are shown."""
-        left = len(self.cases) - len(self.shown)
-        return f" Only the first {len(self.shown)} of {len(self.cases)} cases are drawn." if left else ""
+        left = len(self.bundles) - len(self.shown)
+        return f" Only the first {len(self.shown)} of {len(self.bundles)} bundles are drawn." if left else ""
 
     @property
     def labels(self) -> dict[str, str]:
-        """What the cases are called, by their names."""
-        return {case.name: case.label for case in self.cases}
+        """What the bundles are called, by their names."""
+        return {bundle.name: bundle.label for bundle in self.bundles}
 
-    def case(self, name: str) -> Case:
-        """The case of this name, or else the first of that model, or else the first that is no plain observer."""
-        alike = [case for case in self.cases if case.name == name] or [c for c in self.cases if c.model == name]
-        learned = [case for case in self.cases if case.recipe != "observer"]
-        return (alike or learned or list(self.cases))[0]
+    def bundle(self, name: str) -> EvaluatedBundle:
+        """The bundle of this name, else the first of that model, else the first that is no plain observer."""
+        alike = [bundle for bundle in self.bundles if bundle.name == name] or [
+            c for c in self.bundles if c.model == name
+        ]
+        learned = [bundle for bundle in self.bundles if bundle.recipe != "observer"]
+        return (alike or learned or list(self.bundles))[0]

@@ -11,9 +11,10 @@ from tauext.report.entry import Entry
 from tauext.report.events import read_events
 from tauext.report.methods_file import read_measured, read_sanity
 from tauext.report.naming import place
-from tauext.report.results import Case, Collision, CurveBin, Results, Verdict
+from tauext.report.results import Collision, CurveBin, EvaluatedBundle, Results, Verdict
 
-FORMAT = 2
+FORMATS = (2, 3)
+"""What differs: the list of bundles is called `cases` in format 2."""
 
 
 def load_results(folder: Path) -> Results:
@@ -29,9 +30,12 @@ def load_results(folder: Path) -> Results:
         raise ConfigError(f"{path}: there are no such results; `tauext evaluate` writes them") from error
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: not readable as JSON ({error}); evaluate again") from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
+    if not isinstance(content, dict) or content.get("format") not in FORMATS:
         found = content.get("format") if isinstance(content, dict) else None
-        raise ConfigError(f"{path}: its format is {found!r}, this version reads {FORMAT}; evaluate again")
+        readable = " and ".join(map(str, FORMATS))
+        raise ConfigError(f"{path}: its format is {found!r}, this version reads {readable}; evaluate again")
+    if content["format"] == 2 and "cases" in content:
+        content["bundles"] = content.pop("cases")
     return read_results(Entry(str(path), content))
 
 
@@ -42,10 +46,10 @@ def refuse_constant(name: str) -> None:
 def read_results(top: Entry) -> Results:
     """The whole of results.json."""
     joints = top.texts("joints", needed=True)
-    entries = top.entries("cases", needed=True)
+    entries = top.entries("bundles", needed=True)
     if not joints or not entries:
-        raise ConfigError(f"{top.place}: it holds no {'case' if joints else 'joints'}; evaluate at least one bundle")
-    cases = tuple(read_case(entry, len(joints)) for entry in entries)
+        raise ConfigError(f"{top.place}: it holds no {'bundle' if joints else 'joints'}; evaluate at least one bundle")
+    bundles = tuple(read_bundle(entry, len(joints)) for entry in entries)
     collisions = [read_collision(entry, len(joints)) for entry in top.entries("collisions")]
     return Results(
         provenance=top.object("provenance").content,
@@ -53,7 +57,7 @@ def read_results(top: Entry) -> Results:
         near_stiction_rad_s=top.number("near_stiction_rad_s", needed=True),
         ten=top.texts("ten_collisions"),
         collisions={collision.id: collision for collision in collisions},
-        cases=tuple(sorted(cases, key=lambda case: place(case.name))),
+        bundles=tuple(sorted(bundles, key=lambda bundle: place(bundle.name))),
         events=read_events(top),
         sanity=tuple(read_sanity(entry) for entry in top.entries("sanity")),
     )
@@ -72,17 +76,15 @@ def read_collision(entry: Entry, joints: int) -> Collision:
     )
 
 
-def read_case(entry: Entry, joints: int) -> Case:
+def read_bundle(entry: Entry, joints: int) -> EvaluatedBundle:
     free, limits = entry.object("free_motion"), entry.object("limits")
     measures = ("l1_nm", "l2_nm", "mse_nm2", "observer_peak_nm")
     errors: dict[str, Any] = {key: free.numbers(key, joints) for key in measures}
     name = entry.text("name", needed=True)
-    return Case(
+    return EvaluatedBundle(
         name=name,
-        bundle=entry.text("bundle") or f"{name}.tauext",
         recipe=entry.text("recipe"),
         **{key: entry.get(key, int) for key in ("steps", "epochs", "batch", "ten_found")},
-        train_minutes=entry.number("train_minutes"),
         recordings=tuple(recording.removesuffix(".parquet") for recording in free.texts("recordings")),
         **{key: free.get(key, int) for key in ("samples", "false_alarms")},
         **free.each_number("hours", "false_alarms_per_hour"),

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from tauext.data import Recording, load
+from tauext.data import Recording, load_recording
 from tauext.data.estimates import Estimates, load_estimates
 from tauext.errors import RecordingError
 
@@ -33,7 +33,7 @@ class Signals:
         path = self.dataset_dir / f"{name}.parquet"
         if not path.is_file():
             raise NotAvailable(f"the dataset has no recording {name}")
-        recording = load(path)
+        recording = load_recording(path)
         if recording.joints != self.joints:
             raise RecordingError(
                 f"{path}: its joints are {', '.join(recording.joints)}, the results' {', '.join(self.joints)}; "
@@ -41,16 +41,16 @@ class Signals:
             )
         return recording
 
-    def estimates(self, case: str, recording: Recording) -> Estimates:
-        """What a case said of a recording.
+    def estimates(self, bundle: str, recording: Recording) -> Estimates:
+        """What a bundle said of a recording.
 
         Raises:
             NotAvailable: the file is missing.
             RecordingError: it is damaged, or of another recording.
         """
-        path = self.results_dir / "estimates" / case / f"{recording.name}.parquet"
+        path = self.results_dir / "estimates" / bundle / f"{recording.name}.parquet"
         if not path.is_file():
-            raise NotAvailable(f"there are no estimates of case {case} for {recording.name}")
+            raise NotAvailable(f"there are no estimates of bundle {bundle} for {recording.name}")
         estimates = load_estimates(path)
         for what, said, recorded in (
             ("samples", len(estimates.t_ns), recording.samples),
@@ -62,18 +62,18 @@ class Signals:
                 )
         return estimates
 
-    def by_case(self, cases: Iterable[str], recording: Recording) -> tuple[dict[str, Estimates], list[str]]:
-        """Estimates of every case that has them, and the names of those that have none.
+    def by_bundle(self, bundles: Iterable[str], recording: Recording) -> tuple[dict[str, Estimates], list[str]]:
+        """Estimates of every bundle that has them, and the names of those that have none.
 
         Raises:
-            NotAvailable: no case has them.
+            NotAvailable: no bundle has them.
         """
         found, missing = {}, []
-        for case in cases:
+        for bundle in bundles:
             try:
-                found[case] = self.estimates(case, recording)
+                found[bundle] = self.estimates(bundle, recording)
             except NotAvailable:
-                missing.append(case)
+                missing.append(bundle)
         if not found:
             raise NotAvailable(f"there are no estimates of {recording.name}")
         return found, missing

@@ -7,30 +7,33 @@ from matplotlib.figure import Figure
 from tauext.report.drawing import Drawing
 from tauext.report.results import Results
 from tauext.report.signals import NotAvailable
-from tauext.report.style import WIDTH_IN, case_strokes, use_log_height
+from tauext.report.style import WIDTH_IN, bundle_strokes, use_log_height
 
 
 def draw_strength(results: Results) -> Drawing:
-    """Two panels over the same bins of peak torque; one curve a case.
+    """Two panels over the same bins of peak torque; one curve a bundle.
 
     Raises:
         NotAvailable: the results hold no collisions by strength.
     """
     bins = {
-        (b.low_nm, b.high_nm): b.collisions for case in results.cases for b in case.measured.by_strength if b.collisions
+        (b.low_nm, b.high_nm): b.collisions
+        for bundle in results.bundles
+        for b in bundle.measured.by_strength
+        if b.collisions
     }
     if not bins:
         raise NotAvailable("the results hold no collisions by strength")
     edges = sorted(bins, key=lambda edge: edge[0])
     figure = Figure(figsize=(WIDTH_IN, 4.0), layout="constrained")
     share, delay = figure.subplots(1, 2)
-    strokes = case_strokes([case.name for case in results.cases])
-    for case in results.cases:
-        known = {(b.low_nm, b.high_nm): b for b in case.measured.by_strength if b.collisions}
+    strokes = bundle_strokes([bundle.name for bundle in results.bundles])
+    for bundle in results.bundles:
+        known = {(b.low_nm, b.high_nm): b for b in bundle.measured.by_strength if b.collisions}
         at = [k for k, edge in enumerate(edges) if edge in known]
         here = [known[edges[k]] for k in at]
-        style = strokes[case.name] | {"markersize": 4.5}
-        share.plot(at, [100 * b.latched / b.collisions for b in here], **style, label=case.label)
+        style = strokes[bundle.name] | {"markersize": 4.5}
+        share.plot(at, [100 * b.latched / b.collisions for b in here], **style, label=bundle.label)
         timed = [(k, 1e3 * b.delay_median_s) for k, b in zip(at, here, strict=True) if b.delay_median_s is not None]
         if timed:
             delay.plot(*zip(*timed, strict=True), **style)

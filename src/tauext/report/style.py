@@ -1,4 +1,4 @@
-"""How figures look: one colour a case throughout, text that is legible at the page's width, no decoration."""
+"""How figures look: one colour a bundle throughout, text that is legible at the page's width, no decoration."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LIMIT = "#404040"
 # Okabe and Ito's palette, told apart by colour-blind readers; black is the sensor's.
 CASE_COLOURS = {"exact": "#0072b2", "mass": "#e69f00", "com": "#009e73", "mass+com": "#cc79a7", "none": "#d55e00"}
 VARIANT_COLOURS = {"exact": "#56b4e9", "mass": "#8f6200", "com": "#00563f", "mass+com": "#85406a", "none": "#7d3000"}
-"""Of a second case of the same model: its colour, lighter or darker."""
+"""Of a second bundle of the same model: its colour, lighter or darker."""
 OTHER_COLOURS = ("#7f3c8d", "#6b6b00", "#00a0a8", "#a0522d", "#708090", "#b3123f", "#1f2f70")
 
 MARKS = "osD^vPX<>*hp"
@@ -62,10 +62,10 @@ RC = {
 }
 
 
-def case_colours(names: Sequence[str]) -> dict[str, str]:
-    """A colour for every case: the paper's and one more of each model have their own, others the rest in order.
+def bundle_colours(names: Sequence[str]) -> dict[str, str]:
+    """A colour for every bundle: the paper's and one more of each model have their own, others the rest in order.
 
-    The plain observer is what methods are compared with, hence grey. Where no case is of the paper's, its colours are
+    The plain observer is what methods are compared with, hence grey. Where no bundle is of the paper's, its colours are
     free, and taken first: they are told apart best.
     """
     known = CASE_COLOURS | {"observer": GREY}
@@ -85,12 +85,12 @@ def case_colours(names: Sequence[str]) -> dict[str, str]:
     return colours
 
 
-def case_strokes(names: Sequence[str]) -> dict[str, dict]:
-    """Keyword arguments of a curve for every case: its colour, a mark of its own and one of four kinds of line.
+def bundle_strokes(names: Sequence[str]) -> dict[str, dict]:
+    """Keyword arguments of a curve for every bundle: its colour, a mark of its own and one of four kinds of line.
 
     So a dozen curves are told apart without their colours.
     """
-    colours = case_colours(names)
+    colours = bundle_colours(names)
     return {
         name: {"color": colours[name], "marker": MARKS[k % len(MARKS)], "linestyle": LINES[k // 3 % len(LINES)]}
         for k, name in enumerate(names)

@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from urllib.parse import quote
 
 from tauext.report import paper
-from tauext.report.results import Case, Collision, Numbers, Results, Verdict
+from tauext.report.results import Collision, EvaluatedBundle, Numbers, Results, Verdict
 
 NONE = "–"
 
 
 @dataclass(frozen=True)
 class Row:
-    """Cells of one line; `case` gives its colour, `opens` a line above it, `link` an address to its second cell."""
+    """Cells of one line; `bundle` gives its colour, `opens` a line above it, `link` an address to its second cell."""
 
     cells: tuple[str, ...]
-    case: str | None = None
+    bundle: str | None = None
     opens: bool = False
     link: str = ""
 
@@ -50,8 +50,8 @@ def milliseconds(value_s: float | None, signed: bool = False) -> str:
 
 
 def has_paper(results: Results) -> bool:
-    """Whether the paper's arm has as many joints and some case is the paper's."""
-    return len(results.joints) == paper.JOINTS and any(case.model in paper.L1_NM for case in results.cases)
+    """Whether the paper's arm has as many joints and some bundle is the paper's."""
+    return len(results.joints) == paper.JOINTS and any(bundle.model in paper.L1_NM for bundle in results.bundles)
 
 
 @dataclass(frozen=True)
@@ -59,19 +59,19 @@ class Measure:
     """One quantity a joint: ours, and the paper's by case."""
 
     heading: str
-    ours: Callable[[Case], Numbers]
+    ours: Callable[[EvaluatedBundle], Numbers]
     published: Mapping[str, tuple[float | None, ...]] | None = None
     digits: int = 3
     factor: float = 1.0
 
 
 def by_joint(
-    results: Results, measures: Iterable[Measure], last: Mapping[str, Callable[[Case], str]] | None = None
+    results: Results, measures: Iterable[Measure], last: Mapping[str, Callable[[EvaluatedBundle], str]] | None = None
 ) -> Table:
-    """One row a case and joint; where the paper gives a measure, ours and the paper's stand side by side.
+    """One row a bundle and joint; where the paper gives a measure, ours and the paper's stand side by side.
 
     Args:
-        last: texts of the last columns by their headings, once a case.
+        last: texts of the last columns by their headings, once a bundle.
     """
     measures = tuple(measures)
     show_paper = has_paper(results)
@@ -84,32 +84,32 @@ def by_joint(
         groups.append(("training", len(last)))
         columns += last
     rows = []
-    for case in results.cases:
+    for bundle in results.bundles:
         for joint, name in enumerate(results.joints):
-            cells = [case.label if joint == 0 else "", name]
+            cells = [bundle.label if joint == 0 else "", name]
             for measure, known in zip(measures, published, strict=True):
-                ours = measure.ours(case)[joint]
+                ours = measure.ours(bundle)[joint]
                 cells.append(number(None if ours is None else measure.factor * ours, measure.digits))
                 if known is not None:
-                    cells.append(
-                        number(known[case.model][joint] if case.model and case.model in known else None, measure.digits)
-                    )
-            cells += [text(case) if joint == 0 else "" for text in (last or {}).values()]
-            rows.append(Row(tuple(cells), case.name if joint == 0 else None, opens=joint == 0))
+                    theirs = known[bundle.model][joint] if bundle.model and bundle.model in known else None
+                    cells.append(number(theirs, measure.digits))
+            cells += [text(bundle) if joint == 0 else "" for text in (last or {}).values()]
+            rows.append(Row(tuple(cells), bundle.name if joint == 0 else None, opens=joint == 0))
     return Table(tuple(groups), tuple(columns), tuple(rows), words=2)
 
 
 def table_one(results: Results) -> Table:
     """The paper's Table I: errors on test free motion; how each was trained, where that differs."""
-    last = {"recipe": lambda case: case.recipe or NONE} if len({case.recipe for case in results.cases}) > 1 else {}
+    several_recipes = len({bundle.recipe for bundle in results.bundles}) > 1
+    last = {"recipe": lambda bundle: bundle.recipe or NONE} if several_recipes else {}
     return by_joint(
         results,
         (
-            Measure("L1, Nm", lambda case: case.l1_nm, paper.L1_NM),
-            Measure("L2 (RMSE), Nm", lambda case: case.l2_nm, paper.L2_NM),
-            Measure("MSE, N²m²", lambda case: case.mse_nm2, paper.MSE_NM2),
+            Measure("L1, Nm", lambda bundle: bundle.l1_nm, paper.L1_NM),
+            Measure("L2 (RMSE), Nm", lambda bundle: bundle.l2_nm, paper.L2_NM),
+            Measure("MSE, N²m²", lambda bundle: bundle.mse_nm2, paper.MSE_NM2),
         ),
-        last=last | {"steps": lambda case: whole(case.steps)},
+        last=last | {"steps": lambda bundle: whole(bundle.steps)},
     )
 
 
@@ -118,51 +118,51 @@ def regions(results: Results) -> Table:
     return by_joint(
         results,
         (
-            Measure("RMSE sliding, Nm", lambda case: case.rmse_sliding_nm, paper.RMSE_SLIDING_NM),
-            Measure("RMSE near stiction, Nm", lambda case: case.rmse_near_stiction_nm, paper.RMSE_NEAR_STICTION_NM),
-            Measure("share near stiction, %", lambda case: case.near_stiction_share, digits=1, factor=100.0),
-            Measure("limit sliding, Nm", lambda case: case.limit_sliding_nm, paper.LIMIT_SLIDING_NM, digits=2),
-            Measure("limit near stiction, Nm", lambda case: case.limit_near_stiction_nm, digits=2),
+            Measure("RMSE sliding, Nm", lambda bundle: bundle.rmse_sliding_nm, paper.RMSE_SLIDING_NM),
+            Measure("RMSE near stiction, Nm", lambda bundle: bundle.rmse_near_stiction_nm, paper.RMSE_NEAR_STICTION_NM),
+            Measure("share near stiction, %", lambda bundle: bundle.near_stiction_share, digits=1, factor=100.0),
+            Measure("limit sliding, Nm", lambda bundle: bundle.limit_sliding_nm, paper.LIMIT_SLIDING_NM, digits=2),
+            Measure("limit near stiction, Nm", lambda bundle: bundle.limit_near_stiction_nm, digits=2),
         ),
     )
 
 
 def extremes(results: Results) -> Table:
     """Largest observer output in free motion: how large the uncertainty is that the network has to learn."""
-    measure = Measure("largest |r|, Nm", lambda case: case.observer_peak_nm, paper.OBSERVER_PEAK_NM, digits=1)
+    measure = Measure("largest |r|, Nm", lambda bundle: bundle.observer_peak_nm, paper.OBSERVER_PEAK_NM, digits=1)
     return by_joint(results, (measure,))
 
 
 def alarms(results: Results) -> Table:
-    """One row a case: collisions found, false alarms, training."""
+    """One row a bundle: collisions found, false alarms, training."""
     show_paper = has_paper(results)
     groups = [("", 1), ("collisions found", 3 if show_paper else 2), ("free motion", 3), ("training", 4)]
     of = f"of the {len(results.ten)}"
     columns = ["model", of, *([f"paper, of {paper.COLLISIONS}"] if show_paper else []), "of all"]
     columns += ["hours", "false alarms", "per hour", "recipe", "epochs", "batch", "steps"]
     rows = []
-    for case in results.cases:
-        known = paper.FOUND if case.model in paper.L1_NM else None
-        cells = [case.label, whole(case.ten_found), *([whole(known)] if show_paper else []), found_of(case)]
-        cells += [number(case.hours, 2), whole(case.false_alarms), number(case.false_alarms_per_hour, 1)]
-        cells += [case.recipe or NONE, whole(case.epochs), whole(case.batch), whole(case.steps)]
-        rows.append(Row(tuple(cells), case.name, opens=True))
+    for bundle in results.bundles:
+        known = paper.FOUND if bundle.model in paper.L1_NM else None
+        cells = [bundle.label, whole(bundle.ten_found), *([whole(known)] if show_paper else []), found_of(bundle)]
+        cells += [number(bundle.hours, 2), whole(bundle.false_alarms), number(bundle.false_alarms_per_hour, 1)]
+        cells += [bundle.recipe or NONE, whole(bundle.epochs), whole(bundle.batch), whole(bundle.steps)]
+        rows.append(Row(tuple(cells), bundle.name, opens=True))
     return Table(tuple(groups), tuple(columns), tuple(rows), words=1)
 
 
-def found_of(case: Case) -> str:
-    if not case.verdicts:
+def found_of(bundle: EvaluatedBundle) -> str:
+    if not bundle.verdicts:
         return NONE
-    return f"{sum(v.found for v in case.verdicts.values())} of {len(case.verdicts)}"
+    return f"{sum(v.found for v in bundle.verdicts.values())} of {len(bundle.verdicts)}"
 
 
 def collisions(results: Results, chosen: Iterable[Collision], traced: Collection[str] = ()) -> Table:
-    """One row a collision; a case's cell gives its delay and, in brackets, the delay against the sensor.
+    """One row a collision; a bundle's cell gives its delay and, in brackets, the delay against the sensor.
 
     The first column is the number that the collision has in figure 7, where it stands in it. Recordings that are
     `traced` lead to the collision in the page's traces.
     """
-    headings = [in_lines(case.label) for case in results.cases]
+    headings = [in_lines(bundle.label) for bundle in results.bundles]
     groups = (("", 5), ("sensor peak, Nm", len(results.joints)), ("delay (against the sensor), ms", len(headings)))
     columns = ("figure 7", "recording", "kind", "touched", "onset, s", *results.joints, *headings)
     rows = []
@@ -171,7 +171,7 @@ def collisions(results: Results, chosen: Iterable[Collision], traced: Collection
         numbered = str(results.ten.index(collision.id) + 1) if collision.id in results.ten else ""
         cells = [numbered, collision.recording, collision.kind, f"link of {link}" if link != NONE else NONE]
         cells += [number(collision.start_s, 2), *(number(peak, 1) for peak in collision.sensor_peak_nm)]
-        cells += [verdict_text(case.verdicts.get(collision.id)) for case in results.cases]
+        cells += [verdict_text(bundle.verdicts.get(collision.id)) for bundle in results.bundles]
         window = f"t={collision.start_s - 1:.3f},{collision.start_s + 1:.3f}"
         link = f"#recording={quote(collision.recording)}&{window}" if collision.recording in traced else ""
         rows.append(Row(tuple(cells), link=link))
@@ -179,7 +179,7 @@ def collisions(results: Results, chosen: Iterable[Collision], traced: Collection
 
 
 def in_lines(label: str) -> str:
-    """A case as the heading of a narrow column."""
+    """A bundle as the heading of a narrow column."""
     return label.replace(", ", ",\n").replace(" + ", " +\n").replace(" recipe", "\nrecipe")
 
 

@@ -1,4 +1,4 @@
-"""Figure 8: three collisions on one joint; the sensor's torque, every case's estimate, limit and delays."""
+"""Figure 8: three collisions on one joint; the sensor's torque, every bundle's estimate, limit and delays."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from matplotlib.patches import Patch
 
 from tauext.data import Recording
 from tauext.data.estimates import Estimates
-from tauext.report.drawing import Drawing, missing_cases
-from tauext.report.results import Case, Collision, Results, Verdict
+from tauext.report.drawing import Drawing, missing_bundles
+from tauext.report.results import Collision, EvaluatedBundle, Results, Verdict
 from tauext.report.signals import NotAvailable, Signals
-from tauext.report.style import CONTACT, LIMIT, SENSOR, WIDTH_IN, case_colours
+from tauext.report.style import CONTACT, LIMIT, SENSOR, WIDTH_IN, bundle_colours
 
 SHOWN = 3
 BEFORE_S, AFTER_S = 0.2, 0.45
@@ -27,7 +27,7 @@ FOUND_MARK = {"marker": "o", "markersize": 5.5, "zorder": 7}
 
 @dataclass(frozen=True)
 class Scene:
-    """One collision on one joint: what the sensor and every available case said of it."""
+    """One collision on one joint: what the sensor and every available bundle said of it."""
 
     collision: Collision
     recording: Recording
@@ -62,20 +62,20 @@ class Scene:
         return self.collision.end_s - self.collision.start_s
 
     def impact_end_s(self) -> float:
-        """End of the close-up, from the onset: shortly after sensor and every case have gone over the limit."""
+        """End of the close-up, from the onset: shortly after sensor and every bundle have gone over the limit."""
         delays_s = [t for v in self.verdicts.values() for t in (v.delay_s, v.sensor_delay_s) if t is not None]
         return max(delays_s, default=0.1) + CLOSE_AFTER_S
 
 
 def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
-    """Above, whole collisions; below, the moment of impact and the delay of every case. One column a collision.
+    """Above, whole collisions; below, the moment of impact and the delay of every bundle. One column a collision.
 
     Raises:
         NotAvailable: no collision was chosen or found, or the files of one are missing.
     """
     joint, collisions = choose(results)
-    names = [case.name for case in results.shown]
-    colours = case_colours([case.name for case in results.cases])
+    names = [bundle.name for bundle in results.shown]
+    colours = bundle_colours([bundle.name for bundle in results.bundles])
     figure = Figure(figsize=(WIDTH_IN, 5.9 + 0.2 * len(names)), layout="constrained")
     heights = [2.6, 2.6, 0.25 * len(names) + 0.2]
     grid = figure.subplots(3, len(collisions), squeeze=False, height_ratios=heights)
@@ -84,7 +84,7 @@ def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
     for column, collision in enumerate(collisions):
         recording = signals.recording(collision.recording)
         sensed &= recording.tau_ext_sensor is not None
-        said, without = signals.by_case(names, recording)
+        said, without = signals.by_bundle(names, recording)
         missing |= set(without)
         if not ((recording.time_s >= collision.start_s) & (recording.time_s <= collision.end_s)).any():
             raise NotAvailable(f"collision {collision.id} lies outside its recording")
@@ -110,27 +110,27 @@ def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
     return Drawing(
         figure,
         f"Figure 8. {results.joints[joint]}, {len(collisions)} collisions: above, the external torque from the joint "
-        f"torque sensor and the estimate of every case; below, the moment of impact. Each case has a limit of its own; "
+        f"torque sensor and the estimate of every bundle; below, the moment of impact. Each bundle has its own limit; "
         f"a bar runs from where the sensor goes over that limit to where the estimate does, and the number is the "
         f"delay against the sensor. Time 0 is the onset of contact."
         + ("" if sensed else " There is no sensor here: delays count from the onset, as it is labelled.")
-        + missing_cases(results, [n for n in names if n in missing])
+        + missing_bundles(results, [n for n in names if n in missing])
         + results.shown_note,
     )
 
 
 def choose(results: Results) -> tuple[int, list[Collision]]:
-    """The first joint if three of the ten collisions were found there, else the joint with most; by the case shown that
-    found most of them, of several the first.
+    """The first joint if three of the ten collisions were found there, else the joint with most; by that of the
+    bundles shown which found most of them, of several the first.
 
     Of those, the three whose sensor peaks are largest, in order of time; fewer where there are fewer.
     """
     ten = [results.collisions[one] for one in results.ten if one in results.collisions]
 
-    def found_by(case: Case) -> list[Collision]:
-        return [c for c in ten if c.id in case.verdicts and case.verdicts[c.id].joint in results.joints]
+    def found_by(bundle: EvaluatedBundle) -> list[Collision]:
+        return [c for c in ten if c.id in bundle.verdicts and bundle.verdicts[c.id].joint in results.joints]
 
-    best = max(results.shown, key=lambda case: len(found_by(case)))
+    best = max(results.shown, key=lambda bundle: len(found_by(bundle)))
     found, verdicts = found_by(best), best.verdicts
     if not found:
         raise NotAvailable(f"{best.label} found none of the chosen collisions")
@@ -143,10 +143,10 @@ def choose(results: Results) -> tuple[int, list[Collision]]:
 
 
 def draw_curves(axes: Axes, scene: Scene, rows: np.ndarray, colours: dict[str, str], unit_s: float) -> None:
-    """Sensor, estimates and the first case's limit, on the side where the sensor goes."""
+    """Sensor, estimates and the first bundle's limit, on the side where the sensor goes."""
     time = scene.since_s()[rows] / unit_s
-    for case, estimates in scene.said.items():
-        axes.plot(time, estimates.tau_ext[rows, scene.joint], color=colours[case], zorder=4)
+    for bundle, estimates in scene.said.items():
+        axes.plot(time, estimates.tau_ext[rows, scene.joint], color=colours[bundle], zorder=4)
     if scene.sensor is not None:
         axes.plot(time, scene.sensor[rows], color=SENSOR, linewidth=2, zorder=3)
     limit = next(iter(scene.said.values())).limit[rows, scene.joint]
@@ -163,32 +163,32 @@ def draw_whole(axes: Axes, scene: Scene, colours: dict[str, str]) -> None:
 
 
 def draw_impact(axes: Axes, scene: Scene, colours: dict[str, str], joint: str) -> None:
-    """From shortly before the contact until every case has found it; a dot where a case goes over its limit here."""
+    """From shortly before the contact until every bundle has found it; a dot where one goes over its limit here."""
     end_s = scene.impact_end_s()
     axes.axvspan(0, min(end_s, scene.length_s) * 1e3, color=CONTACT, linewidth=0, zorder=0)
     draw_curves(axes, scene, scene.rows(-CLOSE_BEFORE_S, end_s), colours, unit_s=1e-3)
-    for case, estimates in scene.said.items():
-        verdict = scene.verdicts.get(case)
+    for bundle, estimates in scene.said.items():
+        verdict = scene.verdicts.get(bundle)
         if verdict and verdict.delay_s is not None and verdict.joint == joint:
             at = min(int(np.searchsorted(scene.since_s(), verdict.delay_s - 1e-6)), scene.recording.samples - 1)
             height = estimates.tau_ext[at, scene.joint]
-            axes.plot(verdict.delay_s * 1e3, height, color=colours[case], **FOUND_MARK)
+            axes.plot(verdict.delay_s * 1e3, height, color=colours[bundle], **FOUND_MARK)
 
 
 def draw_delays(
     axes: Axes, scene: Scene, names: list[str], colours: dict[str, str], joint: str, labels: list[str]
 ) -> None:
-    """One lane a case, from where the sensor goes over the limit to where the estimate does."""
+    """One lane a bundle, from where the sensor goes over the limit to where the estimate does."""
     middle_ms = 500 * (scene.impact_end_s() - CLOSE_BEFORE_S)
-    for lane, case in enumerate(names):
-        verdict = scene.verdicts.get(case)
+    for lane, bundle in enumerate(names):
+        verdict = scene.verdicts.get(bundle)
         times_ms = [t * 1e3 for t in (verdict.sensor_delay_s, verdict.delay_s) if t is not None] if verdict else []
         if verdict and verdict.found and verdict.sensor_delay_s is None:
-            axes.plot(times_ms[0], lane, color=colours[case], **FOUND_MARK)
+            axes.plot(times_ms[0], lane, color=colours[bundle], **FOUND_MARK)
         if verdict and verdict.found and len(times_ms) == 2:
-            axes.plot(times_ms, [lane, lane], color=colours[case], linewidth=2)
-            axes.plot(times_ms[0], lane, color=colours[case], **SENSOR_MARK)
-            axes.plot(times_ms[1], lane, color=colours[case], **FOUND_MARK)
+            axes.plot(times_ms, [lane, lane], color=colours[bundle], linewidth=2)
+            axes.plot(times_ms[0], lane, color=colours[bundle], **SENSOR_MARK)
+            axes.plot(times_ms[1], lane, color=colours[bundle], **FOUND_MARK)
         late = min(times_ms, default=0.0) > middle_ms
         axes.annotate(
             delay_text(verdict, joint, scene.recording.tau_ext_sensor is not None),
@@ -223,7 +223,7 @@ def delay_text(verdict: Verdict | None, joint: str, sensed: bool) -> str:
 
 
 def legend(results: Results, drawn: list[str], colours: dict[str, str], sensed: bool) -> list[Line2D | Patch]:
-    """Sensor first, then the cases, then the marks."""
+    """Sensor first, then the bundles, then the marks."""
     grey = "#555555"
     reference = "sensor reference" if sensed else "recorded tau_ext, if any"
     lines = [Line2D([], [], color=SENSOR, linewidth=2, label=reference)]

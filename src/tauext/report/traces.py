@@ -15,9 +15,9 @@ from jinja2 import Environment, StrictUndefined
 from tauext.data import describe
 from tauext.errors import ConfigError
 from tauext.report.flight_file import Flight
-from tauext.report.results import Case, Results
+from tauext.report.results import EvaluatedBundle, Results
 from tauext.report.signals import NotAvailable, Signals
-from tauext.report.style import CASE_COLOURS, case_colours
+from tauext.report.style import CASE_COLOURS, bundle_colours
 from tauext.report.trace_packing import Plan, pack
 from tauext.report.tracing import METHOD_SIGNALS, Traced, trace
 
@@ -50,34 +50,35 @@ def results_traces(results: Results, signals: Signals, room: float, methods: Seq
 
     Args:
         room: bytes that they may take.
-        methods: names of cases; none: the five best of them.
+        methods: names of bundles; none: the five best of them.
 
     Raises:
-        ConfigError: there is no case of such a name.
+        ConfigError: there is no bundle of such a name.
         NotAvailable: no recording is there with its estimates, or there is too little room.
         RecordingError: a file is damaged, or of another recording.
     """
-    cases = chosen_cases(results, methods)
-    there = [name for name in recordings_of(results) if is_there(name, cases, signals)]
+    bundles = chosen_bundles(results, methods)
+    there = [name for name in recordings_of(results) if is_there(name, bundles, signals)]
     if not there:
         raise NotAvailable("no recording is there with its estimates")
     heads = [describe(signals.dataset_dir / f"{name}.parquet") for name in there]
     until_s = np.cumsum([head.samples / head.rate_hz for head in heads])
     shown = there[: max(int((until_s <= HOUR_S).sum()), 1)]
     samples = sum(head.samples for head in heads[: len(shown)])
-    plan = make_plan(samples, len(results.joints), len(cases), room)
+    plan = make_plan(samples, len(results.joints), len(bundles), room)
     ten = [results.collisions[one] for one in results.ten if one in results.collisions]
     traced = []
     for name in shown:
         recording = signals.recording(name)
-        said, _ = signals.by_case([case.name for case in cases], recording)
+        said, _ = signals.by_bundle([bundle.name for bundle in bundles], recording)
         first = [(touch.start_s, touch.end_s) for touch in ten if touch.recording == name]
         traced.append(trace(recording, said, plan.size, plan.windows(recording), first))
-    colours = case_colours([case.name for case in results.cases])
+    colours = bundle_colours([bundle.name for bundle in results.bundles])
     told = [
-        {"name": case.name, "label": case.label, "colour": colours[case.name], "on": case is cases[0]} for case in cases
+        {"name": bundle.name, "label": bundle.label, "colour": colours[bundle.name], "on": bundle is bundles[0]}
+        for bundle in bundles
     ]
-    left = [case.label for case in results.cases if case not in cases]
+    left = [bundle.label for bundle in results.bundles if bundle not in bundles]
     note = f"{len(shown)} of the {len(there)} recordings that have estimates, " if len(shown) < len(there) else ""
     note += "an hour at most. " if note else ""
     note += f"Methods left out: {', '.join(left)}; --trace-methods chooses. " if left else ""
@@ -118,25 +119,25 @@ def make_plan(samples: int, joints: int, methods: int, room: float) -> Plan:
     return Plan(samples, joints * (2 + len(METHOD_SIGNALS) * methods), int(left))
 
 
-def chosen_cases(results: Results, names: Sequence[str]) -> list[Case]:
+def chosen_bundles(results: Results, names: Sequence[str]) -> list[EvaluatedBundle]:
     """Of these names, or the five that latch most collisions and err least; the paper's exact model first."""
     for name in names:
         if name not in results.labels:
             raise ConfigError(f"--trace-methods: there is no method '{name}'; choose among {', '.join(results.labels)}")
     if names:
-        return [case for case in results.cases if case.name in names]
+        return [bundle for bundle in results.bundles if bundle.name in names]
 
-    def rank(case: Case) -> tuple[bool, int, float]:
-        latched = case.measured.latched.latched if case.measured.latched else 0
-        return case.model != "exact", -latched, sum(error for error in case.l1_nm if error is not None)
+    def rank(bundle: EvaluatedBundle) -> tuple[bool, int, float]:
+        latched = bundle.measured.latched.latched if bundle.measured.latched else 0
+        return bundle.model != "exact", -latched, sum(error for error in bundle.l1_nm if error is not None)
 
-    return sorted(results.cases, key=rank)[:ROOM]
+    return sorted(results.bundles, key=rank)[:ROOM]
 
 
 def recordings_of(results: Results) -> list[str]:
     """Those with collisions and those of free motion, three and one by turns."""
     touched = list(dict.fromkeys(collision.recording for collision in results.collisions.values()))
-    free = [name for case in results.cases for name in case.recordings]
+    free = [name for bundle in results.bundles for name in bundle.recordings]
     free = [name for name in dict.fromkeys(free) if name not in touched]
     order = []
     while touched or free:
@@ -145,8 +146,8 @@ def recordings_of(results: Results) -> list[str]:
     return order
 
 
-def is_there(name: str, cases: Sequence[Case], signals: Signals) -> bool:
-    estimates = (signals.results_dir / "estimates" / case.name / f"{name}.parquet" for case in cases)
+def is_there(name: str, bundles: Sequence[EvaluatedBundle], signals: Signals) -> bool:
+    estimates = (signals.results_dir / "estimates" / bundle.name / f"{name}.parquet" for bundle in bundles)
     return (signals.dataset_dir / f"{name}.parquet").is_file() and any(path.is_file() for path in estimates)
 
 

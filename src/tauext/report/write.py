@@ -23,7 +23,7 @@ from tauext.report.signals import NotAvailable, Signals
 from tauext.report.strength import draw_strength
 from tauext.report.style import DPI, RC
 from tauext.report.three_collisions import draw_three_collisions
-from tauext.report.traces import PAGE_MB, PageTraces, chosen_cases, or_reason, results_traces
+from tauext.report.traces import PAGE_MB, PageTraces, chosen_bundles, or_reason, results_traces
 from tauext.report.training_loss import draw_training_loss
 from tauext.whole_file import whole_file
 
@@ -33,23 +33,23 @@ def write_report(
 ) -> Path:
     """Write `figures/*.png` and `report.html`, one page that needs no other file; returns its path.
 
-    What is missing (a case, a recording, estimates, a number) is said on the page where it would stand.
+    What is missing (a bundle, a recording, estimates, a number) is said on the page where it would stand.
 
     Args:
         results_dir: what `tauext evaluate` wrote.
         dataset_dir: the dataset that was evaluated.
         page_mb: size that interactive traces fill the page up to, [MB]; where figures and tables leave no room there
             are none.
-        trace_methods: cases whose traces stand in the page; none: the five best.
+        trace_methods: bundles whose traces stand in the page; none: the five best.
 
     Raises:
         ConfigError: results.json is missing or damaged, out_dir cannot be written, page_mb < 0, or there is no such
-            case.
+            bundle.
         RecordingError: a recording or an estimates file is damaged, or they do not belong together.
     """
     check_page_mb(page_mb)
     results = load_results(results_dir)
-    chosen_cases(results, trace_methods)
+    chosen_bundles(results, trace_methods)
     signals = Signals(dataset_dir, results_dir, results.joints)
     draw: dict[str, Callable[[], Drawing]] = {
         "missed-curve": partial(draw_missed_curve, results),

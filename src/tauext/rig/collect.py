@@ -12,10 +12,9 @@ from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 
-from tauext import __version__
-from tauext.data import save, save_split, split_recordings
+from tauext.data import save_recording, save_split, split_recordings
 from tauext.errors import ConfigError
-from tauext.provenance import write_json
+from tauext.provenance import VERSION, write_json
 from tauext.rig.arm import arm_xml
 from tauext.rig.config import RigConfig
 from tauext.rig.recording import simulate_recording
@@ -66,20 +65,20 @@ def simulate_dataset(
     names += [f"collisions-{k:03d}.parquet" for k in range(collision_recordings)]
     more = {"calibration": calibration_hours, "test": test_hours}
     more_names = {
-        part: [f"{part}-{k:04d}.parquet" for k in range(round(3600 * hours / config.recording_s))]
-        for part, hours in more.items()
+        set_name: [f"{set_name}-{k:04d}.parquet" for k in range(round(3600 * hours / config.recording_s))]
+        for set_name, hours in more.items()
     }
     numbers = {name: k for k, name in enumerate(names[:count])}
     numbers |= {name: k for k, name in enumerate(names[count:])}
-    for part, first in (("calibration", FIRST_CALIBRATION), ("test", FIRST_TEST)):
-        numbers |= {name: first + k for k, name in enumerate(more_names[part])}
-        names += more_names[part]
-        kinds += ["free"] * len(more_names[part])
+    for set_name, first in (("calibration", FIRST_CALIBRATION), ("test", FIRST_TEST)):
+        numbers |= {name: first + k for k, name in enumerate(more_names[set_name])}
+        names += more_names[set_name]
+        kinds += ["free"] * len(more_names[set_name])
     robot = arm_xml(config)
     robot_sha256 = hashlib.sha256(robot.encode()).hexdigest()
     started = time.monotonic()
     settings = {"minutes": minutes, "collision_recordings": collision_recordings}
-    settings |= {f"{part}_hours": hours for part, hours in more.items() if hours > 0}
+    settings |= {f"{set_name}_hours": hours for set_name, hours in more.items() if hours > 0}
     _claim(out_dir, _settings(config, seed, settings))
     with whole_file(out_dir / "robot.xml") as file:
         file.write_text(robot)
@@ -89,7 +88,7 @@ def simulate_dataset(
         if path.exists():
             return kinds[k]
         seconds = length_s if k < count else config.recording_s if kinds[k] == "free" else config.collision_recording_s
-        save(simulate_recording(config, kinds[k], seconds, seed, numbers[names[k]], robot_sha256), path)
+        save_recording(simulate_recording(config, kinds[k], seconds, seed, numbers[names[k]], robot_sha256), path)
         return kinds[k]
 
     pool = ThreadPoolExecutor(os.cpu_count())
@@ -125,7 +124,7 @@ def _settings(config: RigConfig, seed: int, settings: dict) -> dict:
     return {
         "format": 1,
         "command": "simulate",
-        "version": __version__,
+        "version": VERSION,
         "seed": seed,
         "settings": json.loads(json.dumps(settings)),
         "libraries": {name: version(name) for name in ("mujoco", "numpy", "pyarrow")},

@@ -1,6 +1,6 @@
 """Robot files to kinematic trees: load a URDF or MJCF, perturb the model, leave it out."""
 
-from tauext.robot.load import load, movable_joints, robot_sha256
+from tauext.robot.load import load_tree, movable_joints, robot_sha256
 from tauext.robot.model_case import chosen_case, estimated_model
 from tauext.robot.perturb import empty, perturbed
 from tauext.robot.torque_limits import torque_limits
@@ -12,7 +12,7 @@ __all__ = [
     "empty",
     "estimated_model",
     "is_placeholder",
-    "load",
+    "load_tree",
     "movable_joints",
     "perturbed",
     "robot_sha256",

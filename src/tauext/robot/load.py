@@ -18,7 +18,7 @@ from tauext.robot.tree_from_mujoco import LEAST, make_tree
 from tauext.robot.urdf import read_urdf
 
 
-def load(
+def load_tree(
     path: str | os.PathLike[str],
     joints: Sequence[str] | None = None,
     locked: Mapping[str, float] | None = None,

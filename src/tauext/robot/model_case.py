@@ -8,7 +8,7 @@ from pathlib import Path
 from tauext._core import Tree
 from tauext.config import CaseName, ModelCase
 from tauext.errors import ConfigError
-from tauext.robot.load import load
+from tauext.robot.load import load_tree
 from tauext.robot.perturb import empty, perturbed
 from tauext.robot.write import is_placeholder
 
@@ -34,5 +34,5 @@ def chosen_case(name: CaseName | None, robot: Path) -> tuple[CaseName, str]:
 
 def estimated_model(robot: Path, joints: Sequence[str], case: ModelCase) -> Tree:
     """These joints of the robot file, as the case's wrong or missing model."""
-    tree = load(robot, joints=joints)
+    tree = load_tree(robot, joints=joints)
     return empty(tree) if case.no_model else perturbed(tree, case.mass_factor, case.com_factor)

@@ -2,6 +2,6 @@
 
 from tauext.train.baselines import train_baselines
 from tauext.train.settings import finished, training_settings, why_impossible
-from tauext.train.stage import train_bundle
+from tauext.train.stage import train_bundle, train_on_recordings
 
-__all__ = ["finished", "train_baselines", "train_bundle", "training_settings", "why_impossible"]
+__all__ = ["finished", "train_baselines", "train_bundle", "train_on_recordings", "training_settings", "why_impossible"]

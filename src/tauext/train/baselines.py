@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import Path
 
-from tauext.config import PAPER_CASES, CaseName, Limits, TrainConfig
+from tauext.config import PAPER_CASES, CaseName, LimitsKind, TrainConfig
 from tauext.data import Dataset
 from tauext.errors import ConfigError
 from tauext.progress import SILENT, Reporter
 from tauext.recipes import RECIPES, baselines
 from tauext.robot import chosen_case, estimated_model
 from tauext.train.settings import finished, why_impossible
-from tauext.train.stage import train_bundle
+from tauext.train.stage import train_on_recordings
 
 
 def train_baselines(
@@ -59,7 +59,7 @@ def train_baselines(
             report.say(f"{name} is left out: {impossible}")
             continue
         bundles[name] = folder / f"{name}.tauext"
-        limits: Limits = "promised" if calibration else "supported"
+        limits: LimitsKind = "promised" if calibration else "supported"
         config = TrainConfig(recipe=recipe, seed=seed, threads=threads, limits=limits)
         if not finished(bundles[name], case, config):
             missing[name] = config
@@ -67,5 +67,6 @@ def train_baselines(
         training, validation = dataset.training(), dataset.recordings("validation")
         tree = estimated_model(robot_file, training[0].joints, case)
         for name, config in missing.items():
-            train_bundle(tree, robot_file, case, training, validation, config, bundles[name], calibration, report)
+            out = bundles[name]
+            train_on_recordings(tree, robot_file, case, training, validation, config, out, calibration, report)
     return bundles

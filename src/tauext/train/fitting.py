@@ -10,7 +10,7 @@ from typing import Protocol
 from tauext._core import Bundle
 from tauext.config import PriorConfig
 from tauext.data import Recording
-from tauext.learn import Chain, PriorFit, build_chain, set_drift, with_presliding
+from tauext.learn import PriorFit, Setup, build_setup, set_drift, with_presliding
 from tauext.learn.kinematics import Kinematics
 from tauext.learn.prior_facts import prior_facts
 from tauext.learn.torque_constants import with_constants
@@ -23,17 +23,17 @@ class Fit(Protocol):
 
     def __call__(
         self,
-        chain: Chain,
+        setup: Setup,
         recordings: Sequence[Recording],
         *,
         config: PriorConfig,
         tell: Callable[[str], None],
         known: Kinematics | None,
     ) -> PriorFit:
-        """A prior for the chain, from free motion.
+        """A prior for the setup, from free motion.
 
         Args:
-            chain: without a prior; with presliding states where the row has them.
+            setup: without a prior; with presliding states where the row has them.
             tell: takes a line about what was found.
             known: an arm that was found in the motion before, where there is no model.
 
@@ -42,19 +42,19 @@ class Fit(Protocol):
         """
 
 
-def observe(job: Job) -> Chain:
-    """The chain up to r: the estimated model, torque constants, and the observer and filters of the recipe.
+def observe(job: Job) -> Setup:
+    """The setup up to r: the estimated model, torque constants, and the observer and filters of the recipe.
 
     Raises:
         TrainingError: the recordings' joints are not the model's.
     """
-    chain = build_chain(job.tree, job.training[0], job.config.observer, job.config.recipe, job.config.filters)
+    setup = build_setup(job.tree, job.training[0], job.config.observer, job.config.recipe, job.config.filters)
     if job.constants is None:
-        return chain
-    return replace(chain, observer=with_constants(chain.observer, job.constants.used))
+        return setup
+    return replace(setup, observer=with_constants(setup.observer, job.constants.used))
 
 
-def fit_prior(job: Job, chain: Chain, recordings: Sequence[Recording]) -> PriorFit | None:
+def fit_prior(job: Job, setup: Setup, recordings: Sequence[Recording]) -> PriorFit | None:
     """The recipe's prior from this motion; None: it has none.
 
     Raises:
@@ -64,14 +64,14 @@ def fit_prior(job: Job, chain: Chain, recordings: Sequence[Recording]) -> PriorF
     if recipe.fit is None:
         return None
     fit: Fit = resolve_name(recipe.fit)
-    bent = with_presliding(chain, config.widths_rad) if recipe.presliding else chain
+    bent = with_presliding(setup, config.widths_rad) if recipe.presliding else setup
     known = job.constants.kinematics if job.constants else None
     return fit(bent, recordings, config=config, tell=job.say, known=known)
 
 
-def with_fit(chain: Chain, fit: PriorFit | None) -> Chain:
-    """The chain with the prior that was fitted, if there is one."""
-    return chain if fit is None else replace(chain, prior=fit.settings)
+def with_fit(setup: Setup, fit: PriorFit | None) -> Setup:
+    """The setup with the prior that was fitted, if there is one."""
+    return setup if fit is None else replace(setup, prior=fit.settings)
 
 
 def put_prior(job: Job, bundle: Bundle, fit: PriorFit | None) -> None:

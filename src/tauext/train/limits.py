@@ -20,7 +20,7 @@ from tauext.calibrate import (
 from tauext.config import TrainConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn import Chain, PriorFit, freeze_drift, make_bundle
+from tauext.learn import PriorFit, Setup, freeze_drift, make_bundle
 from tauext.learn.prior_facts import friction_nm
 from tauext.train.preparation import Job
 
@@ -30,7 +30,7 @@ at the promise's confidence; asked again of each of a dozen limits, that confide
 error ever seen, and half of all contacts stayed below."""
 
 
-def calibrate(job: Job, bundle: Bundle, chain: Chain, fit: PriorFit | None) -> None:
+def calibrate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> None:
     """Put limits and hold times into the bundle, and let its drift tracker stand still by them.
 
     Raises:
@@ -40,8 +40,8 @@ def calibrate(job: Job, bundle: Bundle, chain: Chain, fit: PriorFit | None) -> N
     config, kind = job.config, limits_kind(job.config, job.calibration)
     by_fit = fit is not None and not bundle.has_network
     # What was cut off to validate was trained on in the end where no network ships.
-    unseen: list[Recording | Judged] = [] if by_fit and not job.validation else list(job.motion.limits)
-    left_out = left_out_of_fit(bundle, fit, chain, job.reference(chain)) if by_fit and fit is not None else []
+    unseen: list[Recording | Judged] = [] if by_fit and not job.validation else list(job.motion.for_limits)
+    left_out = left_out_of_fit(bundle, fit, setup, job.reference(setup)) if by_fit and fit is not None else []
     judged = [*unseen, *left_out]
     if kind == "promised":
         promised, job.facts["limits"] = calibrate_bundle(
@@ -72,7 +72,7 @@ def limits_kind(config: TrainConfig, calibration: Sequence[object]) -> str:
     return "promised" if calibration else "supported"
 
 
-def left_out_of_fit(bundle: Bundle, fit: PriorFit, chain: Chain, reference: Recording) -> list[Judged]:
+def left_out_of_fit(bundle: Bundle, fit: PriorFit, setup: Setup, reference: Recording) -> list[Judged]:
     """Every fifth of the training motion, judged by a prior that was fitted to the other four.
 
     So all of it tells how large errors on unseen motion are, where a tenth of it set apart would show few of them.
@@ -80,9 +80,9 @@ def left_out_of_fit(bundle: Bundle, fit: PriorFit, chain: Chain, reference: Reco
     """
     judged = []
     for fold in fit.left_out:
-        other = make_bundle(bundle.name, replace(chain, prior=fold.settings), bundle.near_stiction_rad_s, reference)
+        other = make_bundle(bundle.name, replace(setup, prior=fold.settings), bundle.near_stiction_rad_s, reference)
         other.region_width, other.drift = bundle.region_width, bundle.drift
-        judged += [Judged(recording, span, other) for recording, span in fold.parts]
+        judged += [Judged(recording, span, other) for recording, span in fold.spans]
     return judged
 
 

@@ -25,7 +25,7 @@ class TrainingMotion:
     """Free motion; for a recipe that learns nothing the recordings as they are."""
     validation: list[Recording]
     """The same, for what is learned by steps."""
-    limits: list[Recording]
+    for_limits: list[Recording]
     """Whole recordings that nothing is trained on: limits are found on their free motion."""
     uncut: list[Recording]
     """Free motion of the training recordings before any validation was cut off: all of it where none was."""
@@ -89,8 +89,8 @@ def as_they_are(training: Sequence[Recording], validation: Sequence[Recording], 
     """The recordings of a recipe that learns nothing: they serve for its limits alone."""
     if not validation:
         notes.append("the dataset has no validation recordings: limits are found on the training recordings")
-    limits = list(validation or training)
-    return TrainingMotion(list(training), limits, limits, list(training), notes)
+    judged = list(validation or training)
+    return TrainingMotion(list(training), judged, judged, list(training), notes)
 
 
 def left_out_sentences(recordings: Sequence[Recording], config: TrainConfig) -> list[str]:
@@ -131,5 +131,5 @@ def split_validation(training: Sequence[Recording], config: TrainConfig) -> tupl
 
 
 def reach_s(config: TrainConfig) -> float:
-    """How far the chain looks back: a window and the observer's warm-up, [s]."""
+    """How far a bundle looks back: a window and the observer's warm-up, [s]."""
     return config.observer.window_s + config.warm_up_s

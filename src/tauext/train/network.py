@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from tauext._core import Bundle, Tree
 from tauext.learn import (
-    Chain,
     Progress,
     Scaling,
+    Setup,
     TrainedNetwork,
     build_windows,
     find_scaling,
@@ -29,7 +29,7 @@ class ScaledNetwork:
     trained: TrainedNetwork
 
 
-def fit_network(job: Job, chain: Chain) -> ScaledNetwork | None:
+def fit_network(job: Job, setup: Setup) -> ScaledNetwork | None:
     """Train the recipe's network; None: it has none, or the motion is too short and the prior can do without.
 
     Raises:
@@ -37,7 +37,7 @@ def fit_network(job: Job, chain: Chain) -> ScaledNetwork | None:
     """
     if not job.motion.network:
         return None
-    scaling = find_scaling(chain, job.motion.training)
+    scaling = find_scaling(setup, job.motion.training)
     with job.report.progress(f"train {job.name}") as show:
 
         def report(p: Progress) -> None:
@@ -45,9 +45,9 @@ def fit_network(job: Job, chain: Chain) -> ScaledNetwork | None:
 
         try:
             trained = train(
-                chain,
-                build_windows(chain, scaling, job.motion.training),
-                build_windows(chain, scaling, job.motion.validation),
+                setup,
+                build_windows(setup, scaling, job.motion.training),
+                build_windows(setup, scaling, job.motion.validation),
                 job.config,
                 checkpoint_path=job.out.with_suffix(".checkpoint.npz"),
                 settings={key: job.run[key] for key in ("settings", "recordings")} | {"robot": model_digest(job.tree)},
@@ -61,14 +61,14 @@ def fit_network(job: Job, chain: Chain) -> ScaledNetwork | None:
     return ScaledNetwork(scaling, trained)
 
 
-def assemble(job: Job, chain: Chain, network: ScaledNetwork | None = None) -> Bundle:
-    """The bundle of this chain, without limits yet.
+def assemble(job: Job, setup: Setup, network: ScaledNetwork | None = None) -> Bundle:
+    """The bundle of this setup, without limits yet.
 
     Raises:
         TrainingError: no recording is as long as a window.
     """
     learned = (network.scaling, network.trained) if network else ()
-    bundle = make_bundle(job.name, chain, job.config.observer.near_stiction_rad_s, job.reference(chain), *learned)
+    bundle = make_bundle(job.name, setup, job.config.observer.near_stiction_rad_s, job.reference(setup), *learned)
     bundle.units = job.units
     return bundle
 

@@ -12,7 +12,7 @@ from tauext.calibrate import at_rest_sentence
 from tauext.config import ModelCase, TrainConfig
 from tauext.data import Recording, free_pieces, from_amperes, standing_joints
 from tauext.errors import ConfigError
-from tauext.learn import Chain, TorqueConstants, fit_torque_constants, reference_recording
+from tauext.learn import Setup, TorqueConstants, fit_torque_constants, reference_recording
 from tauext.progress import Reporter
 from tauext.provenance import provenance
 from tauext.train.motion import TrainingMotion, training_motion
@@ -67,9 +67,9 @@ class Job:
         """At least 1."""
         return self.config.threads or os.cpu_count() or 1
 
-    def reference(self, chain: Chain) -> Recording:
+    def reference(self, setup: Setup) -> Recording:
         """The recording whose first window the bundle keeps, to replay when it is loaded."""
-        return reference_recording(chain, [*self.validation, *self.training])
+        return reference_recording(setup, [*self.validation, *self.training])
 
     def say(self, sentence: str) -> None:
         """Tell the reporter, under the bundle's name."""
@@ -86,7 +86,7 @@ def prepare(
     calibration: Sequence[Callable[[], Recording]],
     report: Reporter,
 ) -> Job:
-    """Choose the minutes, find torque constants, leave contacts out; see train_bundle for the arguments.
+    """Choose the minutes, find torque constants, leave contacts out; see train_on_recordings for the arguments.
 
     Raises:
         ConfigError: settings that the case or the recordings cannot serve.

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tauext._core import Tree
-from tauext.config import ModelCase, TrainConfig
-from tauext.data import Recording
+from tauext._core import Bundle, Tree
+from tauext.config import PAPER_CASES, CaseName, ModelCase, TrainConfig
+from tauext.data import Dataset, Recording, load_bundle
+from tauext.errors import ConfigError
 from tauext.learn import set_signal_ranges
 from tauext.progress import SILENT, Reporter
-from tauext.robot import torque_limits
+from tauext.robot import chosen_case, estimated_model, torque_limits
 from tauext.train.fitting import fit_prior, observe, put_prior, with_fit
 from tauext.train.gating import gate
 from tauext.train.limits import calibrate
@@ -20,6 +21,44 @@ from tauext.train.writing import write
 
 
 def train_bundle(
+    dataset: Dataset,
+    out: Path | str,
+    case: CaseName | None = None,
+    robot: Path | None = None,
+    config: TrainConfig = TrainConfig(),  # noqa: B008
+    report: Reporter = SILENT,
+) -> Bundle:
+    """Train on a dataset's free motion, find limits on its validation or calibration recordings, and write one bundle.
+
+    Args:
+        out: NAME.tauext; its run file and wall time are written beside it. An interrupted training of a network goes on
+            from its checkpoint there.
+        case: the estimated model; None: the robot file as it is, or none where the dataset was imported without one.
+        robot: URDF or MJCF of the arm; None: the dataset's own.
+        config: recipe, seed and sizes.
+        report: is told how far it is, and what was found, in sentences.
+
+    Raises:
+        ConfigError: a name that does not end in .tauext, no training recording, no robot file, or settings that the
+            case or the recordings cannot serve.
+        TrainingError: too little motion for the recipe, or a loss that diverges.
+    """
+    out = Path(out)
+    if out.suffix != ".tauext":
+        raise ConfigError(f"{out}: a bundle's name ends in .tauext")
+    robot_file = dataset.robot_file(robot)
+    case, said = chosen_case(case, robot_file)
+    if said:
+        report.say(said)
+    training, validation = dataset.training(), dataset.recordings("validation")
+    model = PAPER_CASES[case]
+    tree = estimated_model(robot_file, training[0].joints, model)
+    calibration = dataset.loaders("calibration")
+    train_on_recordings(tree, robot_file, model, training, validation, config, out, calibration, report)
+    return load_bundle(out)
+
+
+def train_on_recordings(
     tree: Tree,
     robot: Path,
     case: ModelCase,
@@ -30,9 +69,10 @@ def train_bundle(
     calibration: Sequence[Callable[[], Recording]] = (),
     report: Reporter = SILENT,
 ) -> None:
-    """Train by the config's recipe, find limits, and write the bundle, with its run file and wall time beside it.
+    """Train on recordings that are at hand by the config's recipe, find limits, and write the bundle.
 
-    An interrupted training of a network goes on from its checkpoint beside the bundle.
+    Its run file and wall time stand beside it, and while a network is trained its checkpoint, from which an interrupted
+    training goes on.
 
     Args:
         tree: the estimated model, that of the case.
@@ -48,14 +88,14 @@ def train_bundle(
         TrainingError: too little motion for the recipe, or a loss that diverges.
     """
     job = prepare(tree, case, training, validation, config, out, calibration, report)
-    chain = observe(job)
-    fit = fit_prior(job, chain, job.motion.training if job.motion.network else job.motion.uncut)
-    network = fit_network(job, with_fit(chain, fit))
-    bundle = assemble(job, with_fit(chain, fit), network)
+    setup = observe(job)
+    fit = fit_prior(job, setup, job.motion.training if job.motion.network else job.motion.uncut)
+    network = fit_network(job, with_fit(setup, fit))
+    bundle = assemble(job, with_fit(setup, fit), network)
     if config.row.gated:
-        bundle, fit = gate(job, bundle, chain, fit)
+        bundle, fit = gate(job, bundle, setup, fit)
     put_prior(job, bundle, fit)
     note_recordings(job)
-    calibrate(job, bundle, chain, fit)
+    calibrate(job, bundle, setup, fit)
     set_signal_ranges(bundle, job.training, torque_limits(robot, job.joints))
     write(job, bundle, network)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tauext.data.importers.raw import RawSignals, Source, short_list
+from tauext.data.importers.raw import RawRecording, RawSignals, short_list
 from tauext.errors import RecordingError
 
 GZIP_MAGIC = b"\x1f\x8b"
@@ -30,8 +30,8 @@ class Dialect:
     skip_lines: int
 
 
-def open_csv(path: Path) -> list[Source]:
-    """A CSV file as one source with every column that holds numbers; columns of text are left out.
+def open_csv(path: Path) -> list[RawRecording]:
+    """A CSV file as one raw recording with every column that holds numbers; columns of text are left out.
 
     The first line names the columns (a leading # is ignored); where it is all numbers, they are `column1`, `column2`...
     Empty cells are NaN. A line with too few or too many cells is left out and counted.
@@ -56,7 +56,7 @@ def open_csv(path: Path) -> list[Source]:
     def blocks() -> Iterator[RawSignals]:
         yield from _blocks(path, dialect, numeric, counts)
 
-    return [Source(stem, path, "CSV", blocks, notes, counts)]
+    return [RawRecording(stem, path, "CSV", blocks, notes, counts)]
 
 
 def _text(path: Path) -> Any:

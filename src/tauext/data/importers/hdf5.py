@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from tauext.data.importers.named_arrays import columns_of, sample_count
-from tauext.data.importers.raw import BLOCK_ROWS, RawSignals, Source, short_list
+from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list
 from tauext.errors import RecordingError
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
-def open_hdf5(path: Path, separator: str = "/", kind: str = "HDF5") -> list[Source]:
-    """Datasets (samples,), (samples, joints) or (joints, samples) of numbers as one source; names hold their groups.
+def open_hdf5(path: Path, separator: str = "/", kind: str = "HDF5") -> list[RawRecording]:
+    """Datasets (samples,), (samples, joints) or (joints, samples) of numbers as one raw recording, groups in its names.
 
     Datasets of another length than most are left out and named in the notes.
 
@@ -46,7 +46,7 @@ def open_hdf5(path: Path, separator: str = "/", kind: str = "HDF5") -> list[Sour
         except OSError as error:
             raise _unreadable(path, kind, error) from error
 
-    return [Source(path.stem, path, kind, blocks, notes)]
+    return [RawRecording(path.stem, path, kind, blocks, notes)]
 
 
 def _numeric(file: Any, separator: str) -> dict[str, tuple[str, tuple[int, ...]]]:

@@ -1,4 +1,4 @@
-"""LeRobot dataset folders of version 3: one source an episode."""
+"""LeRobot dataset folders of version 3: one raw recording an episode."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as ds
 
-from tauext.data.importers.raw import RawSignals, Source
+from tauext.data.importers.raw import RawRecording, RawSignals
 from tauext.errors import RecordingError
 
 INFO = "meta/info.json"
 VERSION = "v3.0"
 
 
-def open_lerobot(path: Path) -> list[Source]:
-    """Every episode of a LeRobot v3 dataset as a source; element `name` of a feature is `feature[name]`.
+def open_lerobot(path: Path) -> list[RawRecording]:
+    """Every episode of a LeRobot v3 dataset as a raw recording; element `name` of a feature is `feature[name]`.
 
     Times are those of the feature `t_ns` where there is one (tauext writes it), else frame_index / fps: LeRobot's own
     `timestamp` is that in single precision.
@@ -49,7 +49,7 @@ def open_lerobot(path: Path) -> list[Source]:
     return [_episode(path, table, number, length, fps, features) for number, length in listed]
 
 
-def _episode(path: Path, table: ds.Dataset, number: int, length: int, fps: float, features: dict) -> Source:
+def _episode(path: Path, table: ds.Dataset, number: int, length: int, fps: float, features: dict) -> RawRecording:
     numeric = [n for n, f in features.items() if n in table.schema.names and f["dtype"].startswith(("float", "int"))]
 
     def blocks() -> Iterator[RawSignals]:
@@ -75,7 +75,7 @@ def _episode(path: Path, table: ds.Dataset, number: int, length: int, fps: float
             t_ns = np.round(columns["frame_index"] * (1e9 / fps)).astype(np.int64)
         yield RawSignals("", tuple(columns), t_ns, np.column_stack(list(columns.values())))
 
-    return Source(f"{path.name}-episode-{number:03d}", path, "LeRobot v3 dataset", blocks)
+    return RawRecording(f"{path.name}-episode-{number:03d}", path, "LeRobot v3 dataset", blocks)
 
 
 def _element_names(feature: dict, count: int) -> list[str]:

@@ -11,14 +11,14 @@ import numpy as np
 
 from tauext.data.importers.hdf5 import open_hdf5
 from tauext.data.importers.named_arrays import columns_of, sample_count
-from tauext.data.importers.raw import RawSignals, Source, short_list
+from tauext.data.importers.raw import RawRecording, RawSignals, short_list
 from tauext.errors import RecordingError
 
 MAGIC_5, MAGIC_73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 
 
-def open_matlab(path: Path) -> list[Source]:
-    """Arrays of a MATLAB file, in structs or not, as one source; a field's name is `struct.field`.
+def open_matlab(path: Path) -> list[RawRecording]:
+    """Arrays of a MATLAB file, in structs or not, as one raw recording; a field's name is `struct.field`.
 
     Raises:
         RecordingError: damaged, or without signals; MATLAB objects (timeseries, table) cannot be read.
@@ -53,7 +53,7 @@ def open_matlab(path: Path) -> list[Source]:
     def blocks() -> Iterator[RawSignals]:
         yield RawSignals("", tuple(names), None, np.column_stack(columns).astype(np.float64, copy=False))
 
-    return [Source(path.stem, path, "MATLAB", blocks, notes)]
+    return [RawRecording(path.stem, path, "MATLAB", blocks, notes)]
 
 
 def _arrays(name: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:

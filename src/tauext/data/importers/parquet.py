@@ -10,13 +10,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tauext.data.importers.raw import BLOCK_ROWS, RawSignals, Source, short_list
+from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list
 from tauext.errors import RecordingError
 
 MAGIC = b"PAR1"
 
 
-def open_parquet(path: Path) -> list[Source]:
+def open_parquet(path: Path) -> list[RawRecording]:
     """Every column of numbers as it is named, every list of numbers as `name[0]`, `name[1]`, ...; missing is NaN.
 
     Raises:
@@ -35,7 +35,7 @@ def open_parquet(path: Path) -> list[Source]:
     def blocks() -> Iterator[RawSignals]:
         yield from parquet_blocks(path, names)
 
-    return [Source(path.stem, path, "Parquet", blocks, notes)]
+    return [RawRecording(path.stem, path, "Parquet", blocks, notes)]
 
 
 def parquet_blocks(path: Path, names: list[str]) -> Iterator[RawSignals]:

@@ -35,11 +35,11 @@ class RawSignals:
 
 
 @dataclass(frozen=True)
-class Source:
+class RawRecording:
     """One recording in a file of any format; `blocks()` reads it from its beginning, a block at a time."""
 
     name: str
-    """For the recording's file: the stem of the source, with the episode where there are several."""
+    """For the recording's file: the stem of the file, with the episode where there are several."""
     path: Path
     format: str
     blocks: Callable[[], Iterator[RawSignals]]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from tauext.data.importers.raw import RawSignals, Source
+from tauext.data.importers.raw import RawRecording, RawSignals
 from tauext.data.importers.ros_messages import Clock
 from tauext.data.importers.ros_topics import blocks_of, chosen_topics
 from tauext.errors import RecordingError
@@ -15,8 +15,8 @@ from tauext.errors import RecordingError
 MAGIC = b"#ROSBAG V"
 
 
-def open_ros1(path: Path, topics: Sequence[str] = ()) -> list[Source]:
-    """A ROS 1 bag as one source, a stream a topic.
+def open_ros1(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
+    """A ROS 1 bag as one raw recording, a stream a topic.
 
     Raises:
         RecordingError: now or while it is read: damaged, empty, or without the topics asked for.
@@ -33,7 +33,7 @@ def open_ros1(path: Path, topics: Sequence[str] = ()) -> list[Source]:
             clocks: dict[str, Clock] = {}
             yield from blocks_of(reader.messages(connections), False, _deserializer, clocks, counts)
 
-    return [Source(path.stem, path, "ROS 1 bag", blocks, counts=counts)]
+    return [RawRecording(path.stem, path, "ROS 1 bag", blocks, counts=counts)]
 
 
 def _deserializer(connection: Any) -> Callable[[bytes], Any]:

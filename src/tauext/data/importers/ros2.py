@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from tauext.data.importers.raw import RawSignals, Source
+from tauext.data.importers.raw import RawRecording, RawSignals
 from tauext.data.importers.ros_messages import JOINT_STATE, Clock
 from tauext.data.importers.ros_topics import blocks_of, chosen_topics
 from tauext.errors import RecordingError
@@ -20,8 +20,8 @@ SUFFIXES = (".db3", ".mcap")
 REPAIR = "a file that was not closed can be repaired: `mcap recover`, or for sqlite3 `.recover`"
 
 
-def open_ros2(path: Path, topics: Sequence[str] = ()) -> list[Source]:
-    """A ROS 2 bag (folder or storage file) as one source, a stream a topic.
+def open_ros2(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
+    """A ROS 2 bag (folder or storage file) as one raw recording, a stream a topic.
 
     A folder whose metadata.yaml is missing or names files that are not there is read by its storage files. Messages
     without a definition in the bag are read by the standard one of their type.
@@ -46,7 +46,7 @@ def open_ros2(path: Path, topics: Sequence[str] = ()) -> list[Source]:
                 messages = storage.messages([c for c in storage.connections if c.topic in wanted])
                 yield from blocks_of(messages, True, _deserializer, clocks, counts)
 
-    return [Source(path.stem if path.is_file() else path.name, path, "ROS 2 bag", blocks, notes, counts)]
+    return [RawRecording(path.stem if path.is_file() else path.name, path, "ROS 2 bag", blocks, notes, counts)]
 
 
 def _storage_files(path: Path) -> tuple[Sequence[Path | _Folder], list[str]]:

@@ -1,0 +1,53 @@
+"""Which format a file has: by its first bytes, whatever it is called."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from tauext.data.importers import csv_table, hdf5, lerobot, matlab, parquet, ros1, ros2
+from tauext.data.importers.raw import RawRecording
+from tauext.errors import RecordingError
+
+FORMATS = (
+    "ROS 1 bag, ROS 2 bag (sqlite3, MCAP, or their folder), CSV (also gzipped), Parquet, HDF5, MATLAB, "
+    "LeRobot v3 folder"
+)
+
+
+def open_raw(path: Path | str, topics: Sequence[str] = ()) -> list[RawRecording]:
+    """The recordings in a file or folder of any format that is read: one, or an episode each.
+
+    Args:
+        topics: of a bag: topics to read; none: its only topic of JointState.
+
+    Raises:
+        RecordingError: no such file, a format that is not read, or a file of a known format that is damaged or empty.
+    """
+    path = Path(path)
+    if path.is_dir():
+        if (path / lerobot.INFO).is_file():
+            return lerobot.open_lerobot(path)
+        return ros2.open_ros2(path, topics)
+    try:
+        with path.open("rb") as file:
+            begin = file.read(1024)
+    except FileNotFoundError as error:
+        raise RecordingError(f"{path}: there is no such file") from error
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from error
+    if not begin:
+        raise RecordingError(f"{path}: the file is empty; copy or record it again")
+    if begin.startswith(ros1.MAGIC):
+        return ros1.open_ros1(path, topics)
+    if begin.startswith((ros2.SQLITE_MAGIC, ros2.MCAP_MAGIC)):
+        return ros2.open_ros2(path, topics)
+    if begin.startswith(parquet.MAGIC):
+        return parquet.open_parquet(path)
+    if begin.startswith((matlab.MAGIC_5, matlab.MAGIC_73)):
+        return matlab.open_matlab(path)
+    if begin.startswith(hdf5.MAGIC):
+        return hdf5.open_hdf5(path)
+    if begin.startswith(csv_table.GZIP_MAGIC) or b"\0" not in begin:
+        return csv_table.open_csv(path)
+    raise RecordingError(f"{path}: its first bytes are of no format that is read; these are: {FORMATS}")

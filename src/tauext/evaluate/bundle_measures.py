@@ -1,0 +1,91 @@
+"""Everything that is measured of one bundle, taken in recording by recording."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+import numpy as np
+
+from tauext import _core
+from tauext.config import EventsConfig
+from tauext.data import Recording
+from tauext.data.estimates import Estimates
+from tauext.data.loss_history import LossHistory
+from tauext.evaluate.after_contact import AfterContact
+from tauext.evaluate.collisions import Collision, found_curve, judge
+from tauext.evaluate.during_contact import DuringContact
+from tauext.evaluate.events import EventMeasures
+from tauext.evaluate.free_motion import FreeMotionErrors
+from tauext.evaluate.latched import judge_latched, latched_summary
+from tauext.evaluate.missed_curve import MissedCurve
+from tauext.evaluate.promise_check import check_promise, promised_per_hour
+from tauext.evaluate.strength import by_strength
+
+COPIED = ("recipe", "case", "training_minutes", "steps", "epochs", "batch")
+"""Of a bundle's provenance, into its entry."""
+
+
+class BundleMeasures:
+    """One bundle's numbers."""
+
+    def __init__(self, name: str, bundle: _core.Bundle, events: EventsConfig = EventsConfig()) -> None:  # noqa: B008
+        self._name, self._bundle = name, bundle
+        self._errors = FreeMotionErrors(bundle.joints, bundle.near_stiction_rad_s)
+        self._curve = MissedCurve(bundle.hold_s)
+        self._after = AfterContact(bundle.joints)
+        self._during = DuringContact(bundle.joints)
+        self._events = EventMeasures(events, bundle.near_stiction_rad_s)
+        self._verdicts: list[dict] = []
+        self._latched: list[dict] = []
+
+    def add_events(self, recording: Recording, estimates: Estimates) -> None:
+        """Take in any recording, for events and free time; once each."""
+        self._events.add_estimates(recording, estimates)
+
+    def add_free(self, recording: Recording, estimates: Estimates) -> None:
+        """Take in a test recording, all of it free motion but what is not healthy."""
+        self._errors.add(recording, estimates)
+        self._curve.add_free(recording, estimates)
+        self._after.add_free(recording, estimates)
+
+    def add_touched(
+        self, touches: Sequence[Collision], recording: Recording, estimates: Estimates, reference: np.ndarray | None
+    ) -> None:
+        """Take in a recording with these collisions; the reference is `sensor_reference` at the bundle's gain."""
+        self._verdicts += [judge(touch, recording, estimates) for touch in touches]
+        self._latched += [judge_latched(t, recording, estimates, self._bundle.hold_s, reference) for t in touches]
+        self._curve.add_collisions(touches, recording, estimates)
+        self._after.add_touched(recording, estimates)
+        self._during.add(touches, recording, estimates, reference)
+
+    def summary(self, touches: Sequence[Collision], ten: Sequence[str], loss_history: LossHistory | None) -> dict:
+        """Its entry in `bundles` of results.json.
+
+        Args:
+            touches: all that were taken in, in their order.
+            ten: ids of the chosen ones.
+        """
+        bundle = self._bundle
+        trained = json.loads(bundle.provenance or "{}")
+        found = {verdict["id"]: verdict["found"] for verdict in self._verdicts}
+        promised = promised_per_hour(trained)
+        errors = self._errors
+        return {
+            "name": self._name,
+            "bundle": f"{bundle.name}.tauext",
+            **{key: trained.get(key) for key in COPIED},
+            "free_motion": errors.summary()
+            | check_promise(promised, errors.false_collisions, float(errors.seconds) / 3600),
+            "limits": {"sliding_nm": bundle.sliding_limit_nm, "near_stiction_nm": bundle.near_stiction_limit_nm},
+            "collisions": self._verdicts,
+            "ten_found": sum(found[one] for one in ten),
+            "found_curve": found_curve(touches, self._verdicts, np.array(bundle.sliding_limit_nm)),
+            "latched": latched_summary(self._latched),
+            "by_strength": by_strength(touches, self._latched),
+            "missed_curve": self._curve.summary(),
+            "after_contact": self._after.summary(),
+            "rmse_during_contact_nm": self._during.rmse_nm(),
+            "events": self._events.summary(),
+            "loss_history": loss_history,
+        }

@@ -1,0 +1,92 @@
+"""`import tauext`: what programs use, light to import, documented, and nothing of it hidden by a subpackage."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_pushes import pushed, watching_bundle
+
+import tauext
+
+ROOT = Path(__file__).parent.parent
+
+
+def run_python(code: str) -> str:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+
+
+@pytest.mark.parametrize("name", tauext.__all__)
+def test_every_name_is_there_and_documented(name):
+    value = getattr(tauext, name)
+    if name == "__version__":
+        assert re.fullmatch(r"\d+\.\d+\.\d+", value)
+        return
+    assert inspect.getdoc(value), f"{name} has no docstring"
+    assert name in tauext.__doc__, f"help(tauext) does not name {name}"
+    assert name in dir(tauext)
+
+
+def test_names_for_type_checkers_are_those_that_are_loaded():
+    tree = ast.parse(Path(tauext.__file__).read_text())
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    shown = {
+        alias.name: node.module
+        for node in block.body
+        if isinstance(node, ast.ImportFrom) and node.module != "typing"
+        for alias in node.names
+    }
+    assert sorted(shown) == sorted(tauext.__all__) == sorted(tauext._MODULE_OF)
+    assert shown == {name: f"tauext.{module}" for name, module in tauext._MODULE_OF.items()}
+
+
+def test_no_name_is_a_module_which_would_replace_it_on_second_access():
+    folder = Path(tauext.__file__).parent
+    modules = {path.stem for path in folder.iterdir() if path.suffix == ".py" or path.is_dir()}
+    assert not modules & set(tauext.__all__)
+    for name in tauext.__all__:
+        first = getattr(tauext, name)
+        for module in modules - {"__init__", "__main__", "__pycache__", "cli"}:
+            if (folder / module / "__init__.py").is_file() or (folder / f"{module}.py").is_file():
+                importlib.import_module(f"tauext.{module}")
+        assert getattr(tauext, name) is first
+
+
+def test_the_import_loads_neither_the_core_nor_numpy():
+    code = "import sys, tauext; print(sorted(m for m in sys.modules if m.startswith(('tauext', 'numpy', 'mujoco'))))"
+    assert run_python(code) == "['tauext']"
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'tauext' has no attribute 'lod_bundle'"):
+        _ = tauext.lod_bundle
+    with pytest.raises(tauext.BundleError, match="there is no such bundle"):
+        tauext.load_bundle("gone.tauext")
+
+
+def test_from_recording_to_estimate_as_the_docstring_says(tmp_path):
+    bundle, recording = watching_bundle(), pushed()
+    bundle.save(str(tmp_path / "arm.tauext"))
+    tauext.save_recording(recording, tmp_path / "pushed.parquet")
+    bundle, recording = tauext.load_bundle(tmp_path / "arm.tauext"), tauext.load_recording(tmp_path / "pushed.parquet")
+    estimates = tauext.estimate_recording(bundle, recording)
+    assert isinstance(estimates, tauext.Estimates) and isinstance(bundle, tauext.Bundle)
+    monitor = tauext.Monitor(bundle)
+    for k in range(recording.samples):
+        answer = monitor.step(int(recording.t_ns[k]), recording.q[k], recording.dq[k], recording.tau[k])
+        np.testing.assert_array_equal(np.float32(answer.tau_ext), estimates.tau_ext[k])
+    assert answer.health == tauext.Health.ok and answer.alarm == tauext.Alarm.collision
+
+
+def test_readme_examples_and_docs_use_nothing_private():
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").iterdir()]
+    for page in pages:
+        found = re.search(r"\b_core\b", page.read_text())
+        assert not found or page.name == "architecture.md", f"{page.name} uses {found[0]}"

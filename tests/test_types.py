@@ -17,15 +17,17 @@ SOURCES = Path(tauext.__file__).parent
 WEAK = {"dict", "tuple", "list", "object", "Any", "NDArray", "typing.Any"}
 
 RIGHT = """\
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
-from tauext._core import Alarm, Bundle, Estimate, FlightRecorder, Health, Monitor, estimate
-from tauext.data import Recording
+from tauext import Alarm, Bundle, Estimate, FlightRecorder, Health, Monitor, Recording, estimate_recording
+from tauext import load_bundle, load_recording
 
 
-def watch(path: str, recording: Recording) -> list[Estimate]:
-    bundle = Bundle.load(path)
+def watch(folder: Path) -> list[Estimate]:
+    bundle, recording = load_bundle(folder / "arm.tauext"), load_recording(folder / "motion.parquet")
     monitor = Monitor(bundle, own_rate=True)
     said: list[Estimate] = []
     for k in range(recording.samples):
@@ -37,11 +39,12 @@ def watch(path: str, recording: Recording) -> list[Estimate]:
 
 
 def all_at_once(bundle: Bundle, recording: Recording) -> NDArray[np.float64]:
-    columns = estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads=0)
+    estimates = estimate_recording(bundle, recording)
     recorder = FlightRecorder(bundle.joints, bundle.observer.sample_period_ns)
-    Monitor(bundle).run(recording.t_ns, recording.q, recording.dq, recording.tau, recorder)
+    columns = Monitor(bundle).run(recording.t_ns, recording.q, recording.dq, recording.tau, recorder)
     flight = recorder.take()
-    return columns["tau_ext"] if flight is None else np.asarray(flight["tau_ext"])
+    known = columns["tau_ext"] if flight is None else np.asarray(flight["tau_ext"])
+    return np.asarray(known[estimates.healthy], dtype=np.float64)
 
 
 def limits(bundle: Bundle) -> list[float]:
@@ -49,8 +52,7 @@ def limits(bundle: Bundle) -> list[float]:
     return bundle.sliding_limit_nm + [bundle.hold_s]
 """
 WRONG = """\
-from tauext._core import Bundle, Estimate, Monitor, estimate
-from tauext.data import Recording
+from tauext import Bundle, Estimate, Monitor, Recording, estimate_recording
 
 
 def watch(bundle: Bundle, recording: Recording) -> Estimate:
@@ -59,7 +61,7 @@ def watch(bundle: Bundle, recording: Recording) -> Estimate:
     bundle.sliding_limit_nm = 3.0  # wrong
     monitor = Monitor("arm.tauext")  # wrong
     monitor.step(0, recording.q[0], recording.dq[0])  # wrong
-    estimate(bundle, recording)  # wrong
+    estimate_recording(recording, bundle)  # wrong
     recording.quality  # wrong
     return monitor.run(recording.t_ns, recording.q, recording.dq, recording.tau)  # wrong
 """

@@ -1,0 +1,260 @@
+// The file: "TAUEXT\r\n" | major u32 | minor u32 | payload bytes u64 | CRC-32 of the payload u32 | payload, little-endian.
+// The payload is the fields of Bundle in the order of fields() below, which both reads and writes them: numbers as they
+// are, a text or list as its length (u64) and its elements. A field that came with major version v stands under
+// `if (file.major >= v)`.
+#include "tauext/bundle.hpp"
+
+#include <bit>
+#include <cstdio>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <type_traits>
+
+namespace tauext {
+namespace {
+
+static_assert(std::endian::native == std::endian::little, "bundles are little-endian");
+
+constexpr char kMagic[] = {'T', 'A', 'U', 'E', 'X', 'T', '\r', '\n'};
+constexpr std::size_t kHeaderBytes = sizeof kMagic + 4 + 4 + 8 + 4;
+constexpr std::uint32_t kMinor = 0;
+constexpr std::uint32_t kConstantsMajor = 5;  // from here on torque constants are fields, before they stood in provenance:
+constexpr const char* kOldConstants = "\"torque_constants\": {";
+
+class Writer {
+ public:
+  static constexpr std::uint32_t major = kBundleMajor;
+  std::vector<char> bytes;
+  void raw(const void* data, std::size_t size) {
+    const char* from = static_cast<const char*>(data);
+    bytes.insert(bytes.end(), from, from + size);
+  }
+  std::size_t length(std::size_t count, std::size_t) {
+    const std::uint64_t n = count;
+    raw(&n, sizeof n);
+    return count;
+  }
+};
+
+class Reader {
+ public:
+  const std::uint32_t major;  // of the file
+  Reader(std::uint32_t file_major, std::span<const char> payload) : major(file_major), left_(payload) {}
+  void raw(void* data, std::size_t size) {
+    if (size > left_.size()) throw Error("it ends in the middle of its contents");
+    std::memcpy(data, left_.data(), size);
+    left_ = left_.subspan(size);
+  }
+  // A length is checked against what is left before anything is allocated.
+  std::size_t length(std::size_t, std::size_t element_bytes) {
+    std::uint64_t n;
+    raw(&n, sizeof n);
+    if (n > left_.size() / element_bytes) throw Error("a length in it is larger than the file");
+    return static_cast<std::size_t>(n);
+  }
+  bool done() const noexcept { return left_.empty(); }
+
+ private:
+  std::span<const char> left_;
+};
+
+template <class File, class T>
+  requires(std::is_arithmetic_v<T> || std::is_enum_v<T>)
+void field(File& file, T& value) {
+  file.raw(&value, sizeof value);
+}
+template <class File, class T, std::size_t N>
+void field(File& file, std::array<T, N>& values) {
+  file.raw(values.data(), sizeof values);
+}
+template <class File>
+void field(File& file, std::string& text) {
+  text.resize(file.length(text.size(), 1));
+  file.raw(text.data(), text.size());
+}
+template <class File>
+void field(File& file, LstmInput& input) {
+  field(file, input.column);
+  field(file, input.lag);
+}
+template <class File>
+void field(File& file, Link& link) {
+  field(file, link.joint_name);
+  field(file, link.parent);
+  field(file, link.type);
+  field(file, link.rotation);
+  field(file, link.translation);
+  field(file, link.mass);
+  field(file, link.com);
+  field(file, link.inertia);
+  field(file, link.rotor_inertia);
+}
+template <class File>
+void field(File& file, Term& term) {
+  field(file, term.kind);
+  field(file, term.a);
+  field(file, term.b);
+  field(file, term.c);
+  field(file, term.form);
+  field(file, term.speed);
+}
+template <class File, class T>
+void field(File& file, std::vector<T>& list) {
+  constexpr std::size_t least_bytes = std::is_arithmetic_v<T> ? sizeof(T) : 8;
+  list.resize(file.length(list.size(), least_bytes));
+  for (T& element : list) field(file, element);
+}
+
+template <class File>
+void fields(File& file, Bundle& b) {
+  field(file, b.name);
+  field(file, b.provenance);
+  field(file, b.links);
+  field(file, b.gravity);
+  field(file, b.observer.gain_per_s);
+  field(file, b.observer.timing);
+  field(file, b.observer.sample_period_ns);
+  field(file, b.observer.network_stride);
+  if (file.major >= 4) {
+    field(file, b.observer.method);
+    field(file, b.observer.high_pass_per_s);
+    field(file, b.observer.low_pass_per_s);
+  }
+  if (file.major >= 5) {
+    field(file, b.observer.nm_per_unit);
+    field(file, b.units.given);
+    field(file, b.units.relative_to);
+    field(file, b.units.unknown);
+  }
+  field(file, b.window_steps);
+  field(file, b.inputs);
+  field(file, b.input_factors);
+  field(file, b.shape.inputs);
+  field(file, b.shape.hidden);
+  field(file, b.shape.outputs);
+  field(file, b.parameters);
+  field(file, b.output_scale_nm);
+  field(file, b.prior.widths_rad);
+  field(file, b.prior.terms);
+  field(file, b.prior.weights);
+  field(file, b.prior.corrected_links);
+  field(file, b.limits.near_stiction_rad_s);
+  field(file, b.limits.region_width);
+  for (Level* level : {&b.limits.collision, &b.limits.contact}) {
+    field(file, level->sliding_nm);
+    field(file, level->near_stiction_nm);
+    field(file, level->hold_s);
+  }
+  field(file, b.limits.contact_release_s);
+  if (file.major >= 4) {
+    field(file, b.drift.time_constant_s);
+    field(file, b.drift.size_nm);
+    field(file, b.drift.rate_share_per_s);
+    field(file, b.drift.freeze_share);
+    field(file, b.drift.freeze_s);
+  }
+  field(file, b.signals.torque_limit_nm);
+  field(file, b.signals.largest_torque_nm);
+  field(file, b.reference.t_ns);
+  field(file, b.reference.q);
+  field(file, b.reference.dq);
+  field(file, b.reference.tau);
+  field(file, b.reference.residual);
+  field(file, b.reference.prior);
+  field(file, b.reference.network);
+}
+
+}  // namespace
+
+std::uint32_t crc32(std::span<const char> bytes, std::uint32_t crc) noexcept {
+  crc = ~crc;
+  for (char byte : bytes) {
+    crc ^= static_cast<unsigned char>(byte);
+    for (int bit = 0; bit < 8; ++bit) crc = (crc >> 1) ^ (0xEDB88320u & (0u - (crc & 1u)));
+  }
+  return ~crc;
+}
+
+std::vector<char> to_bytes(const Bundle& bundle) {
+  bundle.validate();
+  Writer payload, file;
+  fields(payload, const_cast<Bundle&>(bundle));  // a Writer only reads
+  const std::uint32_t version[] = {kBundleMajor, kMinor};
+  const std::uint64_t size = payload.bytes.size();
+  const std::uint32_t crc = crc32(payload.bytes);
+  file.raw(kMagic, sizeof kMagic);
+  file.raw(version, sizeof version);
+  file.raw(&size, sizeof size);
+  file.raw(&crc, sizeof crc);
+  file.raw(payload.bytes.data(), payload.bytes.size());
+  return std::move(file.bytes);
+}
+
+namespace {
+
+Bundle read(std::span<const char> bytes, bool convert) {
+  if (bytes.size() < kHeaderBytes || std::memcmp(bytes.data(), kMagic, sizeof kMagic) != 0)
+    throw Error("it is not a tauext bundle");
+  std::uint32_t version[2], crc;
+  std::uint64_t size;
+  std::memcpy(version, bytes.data() + 8, 8);
+  std::memcpy(&size, bytes.data() + 16, 8);
+  std::memcpy(&crc, bytes.data() + 24, 4);
+  if (version[0] < kOldestBundleMajor || version[0] > kBundleMajor)
+    throw Error("its format is version " + std::to_string(version[0]) + ", this program reads versions " +
+                std::to_string(kOldestBundleMajor) + " to " + std::to_string(kBundleMajor) +
+                (version[0] < kBundleMajor ? "; train it again" : "; it was made by a newer tauext"));
+  if (convert && version[0] >= kConstantsMajor)
+    throw Error("its format is version " + std::to_string(version[0]) + " and needs no conversion");
+  const std::span<const char> payload = bytes.subspan(kHeaderBytes);
+  if (payload.size() != size)
+    throw Error("it is truncated or has something appended: " + std::to_string(payload.size()) + " bytes where " +
+                std::to_string(size) + " belong");
+  if (crc32(payload) != crc) throw Error("its checksum does not match: it is damaged");
+  Reader reader(version[0], payload);
+  Bundle bundle;
+  fields(reader, bundle);
+  if (!reader.done()) throw Error("it has contents that this version does not know");
+  if (!convert && version[0] < kConstantsMajor && bundle.provenance.find(kOldConstants) != std::string::npos)
+    throw Error("it is of format " + std::to_string(version[0]) +
+                " with torque constants, which its control loop was told to apply; bundles apply them themselves now: "
+                "`tauext convert OLD.tauext --out NEW.tauext`, and let the loop give tau as it was recorded");
+  bundle.validate();
+  return bundle;
+}
+
+}  // namespace
+
+Bundle from_bytes(std::span<const char> bytes) { return read(bytes, false); }
+Bundle from_old_bytes(std::span<const char> bytes) { return read(bytes, true); }
+
+void save_bundle(const Bundle& bundle, const std::string& path) {
+  const std::vector<char> bytes = to_bytes(bundle);
+  const std::string temporary = path + ".part";
+  {
+    std::ofstream file(temporary, std::ios::binary | std::ios::trunc);
+    file.write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
+    file.flush();
+    if (!file) {
+      std::remove(temporary.c_str());
+      throw Error(path + ": cannot be written");
+    }
+  }
+  std::filesystem::rename(temporary, path);
+}
+
+Bundle load_bundle(const std::string& path) {
+  std::error_code ignored;
+  if (std::filesystem::is_directory(path, ignored)) throw Error(path + ": is a folder; a bundle is a file");
+  std::ifstream file(path, std::ios::binary);
+  if (!file) throw Error(path + ": cannot be opened");
+  const std::vector<char> bytes((std::istreambuf_iterator<char>(file)), {});
+  try {
+    return from_bytes(bytes);
+  } catch (const Error& e) {
+    throw Error(path + ": " + e.what());
+  }
+}
+
+}  // namespace tauext

@@ -91,8 +91,12 @@ def by_joint(
                 ours = measure.ours(bundle)[joint]
                 cells.append(number(None if ours is None else measure.factor * ours, measure.digits))
                 if known is not None:
-                    theirs = known[bundle.model][joint] if bundle.model and bundle.model in known else None
-                    cells.append(number(theirs, measure.digits))
+                    cells.append(
+                        number(
+                            known[bundle.model][joint] if bundle.model and bundle.model in known else None,
+                            measure.digits,
+                        )
+                    )
             cells += [text(bundle) if joint == 0 else "" for text in (last or {}).values()]
             rows.append(Row(tuple(cells), bundle.name if joint == 0 else None, opens=joint == 0))
     return Table(tuple(groups), tuple(columns), tuple(rows), words=2)

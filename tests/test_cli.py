@@ -1,11 +1,13 @@
 """The commands as a user types them: README, help, wrong input, interruption. All at smoke scale."""
 
+import ast
 import json
 import re
 import shlex
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -226,3 +228,30 @@ def test_ctrl_c_while_training_keeps_a_checkpoint_that_the_same_command_goes_on_
     assert run(capsys, *options)[0] == 0
     assert out.read_bytes() == (workplace / "runs/quick/bundles/none.tauext").read_bytes()
     assert not (tmp_path / "none.checkpoint.npz").exists()
+
+
+def help_texts():
+    """Every text that a verb's --help shows for one option, with the place that it stands at."""
+    source = Path(__file__).parent.parent / "src" / "tauext"
+    for file in (source / "config.py", source / "rig" / "config.py", source / "ros2" / "settings.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            body = node.body if isinstance(node, ast.ClassDef) else []
+            for field, text in pairwise(body):
+                if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
+                    yield f"{file.name} {node.name}.{ast.unparse(field.target)}", ast.literal_eval(text.value)
+    for file in (source / "cli").glob("*.py"):
+        for node in ast.parse(file.read_text()).body:
+            text = ast.get_docstring(node) if isinstance(node, ast.FunctionDef) else None
+            for name, said in re.findall(r"^    (\w+): (.+)", (text or "").partition("Args:\n")[2], re.MULTILINE):
+                yield f"{file.name} {name}", said
+
+
+def test_every_help_text_stands_alone():
+    found = dict(help_texts())
+    assert len(found) > 120
+    fragment = re.compile(
+        r"(of|and|but|or|as|the same|none|0|with|asked|about|so (many|long)|from|by|at)\b|\.\.\.", re.I
+    )
+    allowed = re.compile(r"with --json, how many|with --source ur, a file")
+    wrong = [name for name, text in found.items() if fragment.match(text) and not allowed.match(text)]
+    assert not wrong and not [name for name, text in found.items() if text.endswith("...")]

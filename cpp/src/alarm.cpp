@@ -100,7 +100,7 @@ bool AlarmStage::step(std::int64_t t_ns, std::span<const double> tau_ext, std::s
       contact_joint = j;
     }
   }
-  state_.held = collision_joint >= 0 ? Alarm::collision : contact_joint >= 0 ? Alarm::contact : Alarm::none;
+  state_.held_alarm = collision_joint >= 0 ? Alarm::collision : contact_joint >= 0 ? Alarm::contact : Alarm::none;
   if (touching || !trusted) state_.contact_seen_ns = t_ns;
   if (state_.alarm != Alarm::collision && collision_joint >= 0) {
     state_.alarm = Alarm::collision;

@@ -41,7 +41,7 @@ void JudgeStage::acknowledge() noexcept {
 void JudgeStage::report_alarm() noexcept {
   const AlarmStage::State& alarm = alarm_.state();
   estimate_.alarm = alarm.alarm;
-  estimate_.held_alarm = alarm.held;
+  estimate_.held_alarm = alarm.held_alarm;
   estimate_.alarm_joint = alarm.joint;
   estimate_.alarm_t_ns = alarm.raised_t_ns;
 }

@@ -40,7 +40,7 @@ void a_ramp_raises_contact_and_collision_after_their_hold_times() {
     const Alarm alarm = s.step(t, -t, 0).alarm;
     CHECK(alarm == (t >= 16 ? Alarm::collision : t >= 7 ? Alarm::contact : Alarm::none));
     CHECK(s.detection == (t >= 11));
-    CHECK(s.alarm.state().held == alarm);  // the ramp only rises
+    CHECK(s.alarm.state().held_alarm == alarm);  // the ramp only rises
   }
   CHECK(s.alarm.state().joint == 0 && s.alarm.state().raised_t_ns == 16 * kMs);
 }
@@ -52,7 +52,9 @@ void a_contact_falls_back_and_a_collision_does_not() {
   for (int t = 10; t < 59; ++t) CHECK(s.step(t, 0, 0).alarm == Alarm::contact);
   CHECK(s.step(59, 0, 0).alarm == Alarm::none && s.alarm.state().joint == -1);  // 50 ms after the last touch at 9 ms
   for (int t = 60; t < 70; ++t) s.step(t, 0, 7);
-  for (int t = 70; t < 1000; ++t) CHECK(s.step(t, 0, 0).alarm == Alarm::collision && s.alarm.state().held == Alarm::none);
+  for (int t = 70; t < 1000; ++t) {
+    CHECK(s.step(t, 0, 0).alarm == Alarm::collision && s.alarm.state().held_alarm == Alarm::none);
+  }
   s.alarm.acknowledge();
   CHECK(s.step(1000, 0, 0).alarm == Alarm::none);
   for (int t = 1001; t < 1005; ++t) s.step(t, 0, 7);

@@ -16,15 +16,16 @@ LimitsKind = Literal["auto", "promised", "supported", "paper"]
 
 @dataclass(frozen=True)
 class ModelCase:
-    """How the estimated model differs from the robot file: what the paper calls a model case."""
+    """How the estimated model differs from the robot file: a model case, as the paper calls it."""
 
     name: str
     mass_factor: float = 1.0
-    """Every link's mass times this; inertia about the centre of mass unchanged."""
+    """Factor on every link's mass; the inertia about its centre of mass is unchanged."""
     com_factor: float = 1.0
-    """Every centre of mass moved toward its joint by this factor."""
+    """Factor on the distance of every centre of mass from its joint."""
     no_model: bool = False
-    """Zero throughout, rotor inertia included: the observer sees minus the low-passed motor torque."""
+    """Whether the model is zero throughout, rotor inertia included: the observer sees minus the low-passed motor
+    torque."""
 
 
 PAPER_CASES = {
@@ -81,9 +82,9 @@ class FreeMotionConfig:
     """What is left out of recordings that hold contacts, which are used for what lies between."""
 
     before_s: float = 0.2
-    """So long before a labelled contact is no free motion: labels come late, [s]."""
+    """Time before a labelled contact that counts as no free motion, since labels come late, [s]."""
     after_s: float = 1.0
-    """And so long after it: filters and windows must forget it, [s]."""
+    """Time after a labelled contact that counts as no free motion: filters and windows must forget it first, [s]."""
 
     def __post_init__(self) -> None:
         for name in ("before_s", "after_s"):
@@ -92,28 +93,31 @@ class FreeMotionConfig:
 
 @dataclass(frozen=True)
 class AlarmConfig:
-    """From a joint over its limit to an alarm, and how often a false one may come."""
+    """How an alarm follows from a joint over its limit, and how often a false one may come."""
 
     false_alarms: float = 1.0
-    """With calibration recordings: the whole arm may raise so many false collisions ..."""
+    """Most false collisions that the whole arm may raise in the time in_hours; limits and hold time follow from it
+    where there are calibration recordings."""
     in_hours: float = 8.0
-    """... in so many hours; limits and hold time follow."""
+    """Time in which no more than false_alarms false collisions may come, [h]."""
     confidence: float = 0.95
-    """Of that promise."""
+    """Confidence with which the promise of false_alarms in in_hours is kept, 0.5 to below 1."""
     contacts_an_hour: float = 2.0
-    """And so many false contacts an hour, which fall back by themselves."""
+    """Most false contacts an hour that the whole arm may raise; a contact falls back by itself."""
     holds_s: tuple[float, ...] = (0.0, 0.002, 0.005, 0.01, 0.02)
-    """Hold times of the collision to choose from, [s]; a longer one allows lower limits."""
+    """Hold times of a collision among which the calibration chooses, [s]; a longer one allows lower limits."""
     friction_reserve: float = 0.2
-    """Without calibration recordings: limits are raised by this share of each joint's friction, since minutes of one
-    day do not show how it changes with temperature and time."""
+    """Share of each joint's friction by which limits are raised where there are no calibration recordings: minutes of
+    one day do not show how friction changes with temperature and time."""
     collision_hold_s: float = 0.01
-    """Without calibration recordings: a joint must stay over its collision limit for so long, [s]."""
+    """Time that a joint must stay over its collision limit before a collision is reported, where there are no
+    calibration recordings to choose it from, [s]."""
     contact_hold_s: float = 0.0
-    """The same before a contact is reported, which falls back by itself, [s]; 0: at the first sample."""
+    """Time that a joint must stay over its contact limit before a contact is reported, [s]; 0: the first sample
+    reports it."""
     contact_release_s: float = 0.5
-    """A contact is over when no joint has been over its limit for so long, [s]: what observer and freed arm still do in
-    the first half second would else be a contact of its own now and then."""
+    """Time for which no joint may have been over its limit before a contact is over, [s]: what observer and freed arm
+    still do in the first half second would else be a contact of its own now and then."""
 
     def __post_init__(self) -> None:
         for name in ("collision_hold_s", "contact_hold_s", "contact_release_s"):
@@ -141,12 +145,13 @@ class PriorConfig:
     drop_widths: bool = True
     """Leave out widths that an encoder cannot resolve or that do not help on recordings left out of the fit."""
     region_width_rad: float = 0.003
-    """A joint that has slid on by about this is sliding, and near stiction before, [rad]: the limit's region."""
+    """Way that a joint must slide after a turn before its limit for sliding holds, [rad]; until then it is near
+    stiction."""
     coulomb_speeds_rad_s: tuple[float, ...] = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4, 1.5)
     """Smoothings of the sign of the speed, [rad/s]; the widest bends the viscous friction, which grows less than the
     speed."""
     most_ripples: int = 2
-    """Ripples of motor and gear that are searched for in each joint; 0: none."""
+    """Most ripples of motor and gear that are searched for in each joint; 0: none."""
     correct_model: bool = True
     """Let the data correct mass, centre of mass and inertia of the estimated model."""
     find_kinematics: bool = True
@@ -167,17 +172,18 @@ class DriftConfig:
     """How the monitor follows slow changes of friction and offset (recipes tauext and prior)."""
 
     time_constant_s: float = 120.0
-    """Of the tracker, [s], at least 1; 0: no tracker."""
+    """Time constant of the drift tracker, [s], at least 1; 0: no tracker."""
     size_share: float = 0.3
-    """Most that each of a joint's three coefficients may reach: this share of its friction at 0.5 rad/s."""
+    """Most that each of a joint's three drift coefficients may reach, as a share of its friction at 0.5 rad/s."""
     least_size_nm: float = 0.1
-    """But at least this, [N m]."""
+    """Least bound of a drift coefficient, where size_share of the friction is smaller, [N m]."""
     rate_share_per_s: float = 1 / 60
-    """A coefficient may change by this share of its most in a second."""
+    """Most that a drift coefficient may change in a second, as a share of its bound."""
     freeze_share: float = 0.5
-    """Nothing is learned while some joint's |tau_ext| is over this share of its limit, above 0 ..."""
+    """Share of its limit, above 0 and at most 1, over which the |tau_ext| of any joint stops the drift tracker from
+    learning."""
     freeze_s: float = 1.0
-    """... and for so long afterwards, [s]."""
+    """Time for which the drift tracker learns nothing after a joint was over freeze_share of its limit, [s]."""
 
     def __post_init__(self) -> None:
         time_s = self.time_constant_s
@@ -195,10 +201,11 @@ class FilterConfig:
     and bandpass)."""
 
     high_pass_per_s: float = 5.0
-    """Cut-off of the first-order high-pass, [1/s]: what changes more slowly is taken for a model error."""
+    """Cut-off of the first-order high-pass of recipes highpass and bandpass, [1/s]: what changes more slowly is taken
+    for a model error."""
     low_pass_per_s: float = 60.0
-    """bandpass: cut-off of the first-order low-pass beside it, [1/s]; above the observer's gain, since that is a
-    low-pass itself."""
+    """Cut-off of the first-order low-pass of recipe bandpass, [1/s]; above the observer's gain, since the observer is
+    a low-pass itself."""
 
     def __post_init__(self) -> None:
         for name in ("high_pass_per_s", "low_pass_per_s"):
@@ -216,9 +223,9 @@ class EventsConfig:
     """How alarms are held against labels that nobody vouches for."""
 
     shortest_event_s: float = 0.0
-    """Labelled events shorter than this, [s], are left out: neither an event nor free time."""
+    """Length of the shortest labelled event that counts, [s]; shorter ones are neither an event nor free time."""
     tolerance_s: float = 0.1
-    """An alarm so long before an event's label or after it counts for the event, and is no false alarm, [s]."""
+    """Time before and after an event's label within which an alarm counts for the event and is no false alarm, [s]."""
 
     def __post_init__(self) -> None:
         for name in ("shortest_event_s", "tolerance_s"):
@@ -230,45 +237,49 @@ class TrainConfig:
     """What is trained, how, and for how long. None: the recipe's own value."""
 
     recipe: RecipeName = "tauext"
-    """tauext: presliding states, a prior fitted by ridge regression, and a network on what that leaves where it helps.
-    prior: the same without a network. paper: windows, as published. dense: the paper's network from longer sequences
-    that teach a target at every step; far fewer steps. observer: no network at all, the plain momentum observer.
-    To compare with: feedforward: a feed-forward network on x(k) alone. friction: constant, viscous and Coulomb
-    friction of each joint, fitted. highpass, bandpass: the observer's r filtered. direct, velocity, energy: observers
-    of other kinds."""
+    """What is trained. tauext: presliding states, a prior fitted by ridge regression, and a network on what that leaves
+    where it helps. prior: the same without a network. paper: windows, as published. dense: the paper's network from
+    longer sequences that teach a target at every step; far fewer steps. observer: no network at all, the plain
+    momentum observer. To compare with: feedforward: a feed-forward network on x(k) alone. friction: constant, viscous
+    and Coulomb friction of each joint, fitted. highpass, bandpass: the observer's r filtered. direct, velocity,
+    energy: observers of other kinds."""
     minutes: float | None = None
-    """Train on the first so many minutes of the training recordings, and a fifth as many (or one) of the validation
-    recordings; None: on all."""
+    """Minutes of the training recordings to train on, the first ones, with a fifth as many (at least one) of the
+    validation recordings; None: all."""
     hidden: int = 20
     """Hidden units of the LSTM."""
     epochs: int | None = None
-    """Passes over all training windows (paper: 500; dense draws its sequences at random and has none)."""
+    """Passes over all training windows, of recipe paper alone (None: 500); the others draw theirs at random."""
     max_steps: int | None = None
-    """Stop after so many steps (paper: no limit but its epochs; dense: 45,000; tauext, feedforward: 10,000)."""
+    """Steps after which training stops (None: paper as its epochs say; dense 45,000; tauext and feedforward 10,000)."""
     batch: int | None = None
-    """Windows or sequences a step (paper and feedforward: 1000, dense and tauext: 64)."""
+    """Windows or sequences a training step (None: paper and feedforward 1000, dense and tauext 64)."""
     learning_rate: float | None = None
-    """Step size of Adam (its decay rates are 0.9 and 0.999); all but paper rise to it and fall to zero
-    (paper: 0.001, dense, tauext and feedforward: 0.01)."""
+    """Step size of Adam, whose decay rates are 0.9 and 0.999; all recipes but paper rise to it and fall to zero (None:
+    paper 0.001, dense, tauext and feedforward 0.01)."""
     targets: int = 100
-    """dense and tauext: targets a sequence teaches after its burn-in of one window."""
+    """Targets that a sequence teaches after its burn-in of one window (recipes dense and tauext)."""
     gate_margin: float = 0.03
-    """tauext: the network ships for a joint only if it lowers the RMSE on validation recordings by this share."""
+    """Share by which the network must lower a joint's RMSE on validation recordings to be shipped for it (recipe
+    tauext)."""
     backend: Backend = "core"
-    """core: gradient in C++. torch: PyTorch, on a GPU where there is one (needs the extra tauext[torch])."""
+    """Who computes the gradient. core: C++. torch: PyTorch, on a GPU where there is one (needs the extra
+    tauext[torch])."""
     seed: int = 0
-    """Of the initial weights and of the order of the windows."""
+    """Seed of the initial weights and of the order of the windows."""
     threads: int = 0
-    """Threads of the gradient, 0: one a core. The result does not depend on it."""
+    """Threads that compute the gradient; 0: one a core. The result does not depend on it."""
     observer: ObserverConfig = field(default_factory=ObserverConfig)
     limits: LimitsKind = "auto"
-    """promised: from the false alarms that alarm allows, on the dataset's calibration recordings. supported: for the
-    fewest that its validation recordings support, and what a fit says of training motion that was left out of it.
-    paper: the largest errors on its validation recordings. auto: paper for the recipes paper and dense; else promised
-    where there are calibration recordings and supported where there are none."""
+    """How limits are found. promised: from the false alarms that the alarm options allow, on the dataset's calibration
+    recordings. supported: for the fewest false alarms that its validation recordings support, and what a fit says of
+    training motion that was left out of it. paper: the largest errors on its validation recordings. auto: paper for
+    the recipes paper and dense; else promised where there are calibration recordings and supported where there are
+    none."""
     fit_torque_constants: bool | None = None
-    """The recordings' tau is motor current or another multiple of torque: find one constant a joint from the model or,
-    without one, from the arm found in the motion. None: where they were currents; given constants are corrected."""
+    """Take the recordings' tau for motor current or another multiple of torque, and find one constant a joint from the
+    model or, without one, from the arm found in the motion. None: do so where the recordings were currents; given
+    constants are corrected."""
     margins: FreeMotionConfig = field(default_factory=FreeMotionConfig)
     alarm: AlarmConfig = field(default_factory=AlarmConfig)
     prior: PriorConfig = field(default_factory=PriorConfig)
@@ -294,7 +305,7 @@ class TrainConfig:
 
     @property
     def warm_up_s(self) -> float:
-        """Of the recipe's observer and low-pass, [s]."""
+        """Warm-up of the recipe's observer and low-pass, [s]."""
         return warm_up_s(self.observer.gain_per_s, self.filters.low_pass_per_s if self.row.low_pass else 0.0)
 
     def resolved(self) -> TrainConfig:

@@ -20,10 +20,10 @@ const char* name(Alarm alarm) noexcept;
 class AlarmStage {
  public:
   struct State {
-    Alarm alarm = Alarm::none;
-    Alarm held = Alarm::none;       // the level that some joint is over at this sample, its hold time past; no latch
-    int joint = -1;                 // that raised the alarm to its level
-    std::int64_t raised_t_ns = 0;   // when it did
+    Alarm alarm = Alarm::none;       // latched: a collision stays until it is acknowledged
+    Alarm held_alarm = Alarm::none;  // the level that some joint is over at this sample, its hold time past; no latch
+    int joint = -1;                  // that raised the alarm to its level
+    std::int64_t raised_t_ns = 0;    // when it did
     // A joint over its limit since then; the least number while it is not.
     std::array<std::int64_t, kMaxJoints> collision_since_ns, contact_since_ns;
     std::int64_t contact_seen_ns = 0;  // last sample that showed, or could not rule out, a contact

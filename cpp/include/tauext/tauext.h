@@ -68,7 +68,7 @@ typedef struct tauext_estimate {
   int32_t detection;      /* 1: some |tau_ext| over its collision limit, at this sample */
   uint32_t near_stiction; /* a bit a joint */
   double residual[TAUEXT_MAX_JOINTS];    /* [N m] */
-  double uncertainty[TAUEXT_MAX_JOINTS]; /* [N m] */
+  double uncertainty[TAUEXT_MAX_JOINTS]; /* [N m], r expected in free motion: prior, network and drift */
   double tau_ext[TAUEXT_MAX_JOINTS];     /* [N m] */
   double limit_nm[TAUEXT_MAX_JOINTS];
   double margin_nm[TAUEXT_MAX_JOINTS];

@@ -25,7 +25,7 @@ def calibrate(
         data: dataset folder; its calibration recordings are used.
         out: bundle to write, NAME.tauext.
         alarm: what is promised.
-        threads: 0: one a core. The result does not depend on it.
+        threads: threads that estimate; 0: one a core. The result does not depend on it.
     """
     from tauext.calibrate import recalibrate
     from tauext.cli.reporter import Terminal

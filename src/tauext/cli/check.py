@@ -22,10 +22,10 @@ def check(
 
     Args:
         data: a dataset folder, a folder of recordings, or recordings (*.parquet), of free motion.
-        robot: URDF or MJCF; default: the dataset's own. Without any, what needs a model is not looked for.
+        robot: URDF or MJCF of the arm; default: the dataset's own. Without any, what needs a model is not looked for.
         out: folder to write: check.txt, check.json, and measured against predicted torque as pictures.
         gravity: acceleration of free fall in the base frame, m/s^2; default: the robot file's.
-        as_json: print JSON for scripts.
+        as_json: print the findings as JSON for scripts.
     """
     import json
 

@@ -25,11 +25,11 @@ def demo(
 
     Args:
         arm: the paper's two-axis rig, or an arm of seven axes; the page can change it.
-        port: of the page; the next free one where it is in use.
+        port: port of the page; the next free one where it is in use.
         host: address to listen on. 0.0.0.0: everyone in the network may push.
-        seed: of motion, noise and training.
+        seed: seed of motion, noise and training.
         open: open the page in a browser.
-        headless_seconds: no page: simulate so long with scripted pushes, and print what was found.
+        headless_seconds: show no page, simulate so many seconds with scripted pushes, and print what was found.
     """
     from tauext.demo.bundles import cache_folder
 

@@ -11,7 +11,7 @@ from tauext.config import CaseName, EventsConfig
 from tauext.errors import ConfigError
 from tauext.recipes import baselines as known_baselines
 
-METHODS = f"of the baselines these alone: {', '.join(known_baselines())}."
+METHODS = f"train and compare only these of the baselines: {', '.join(known_baselines())}."
 
 
 def evaluate(
@@ -34,12 +34,13 @@ def evaluate(
         out: results folder to write: results.json and estimates/.
         bundles: bundles (*.tauext) to compare, named in the results by their file names.
         baselines: also train every known method on the dataset, with limits for the same promise, into OUT/bundles, and
-            compare them; those that are there are used again. Beside them detectors that know nothing.
-        case: estimated model of the baselines, as in train.
+            compare them, beside detectors that know nothing; those that are there are used again.
+        case: model case of the baselines, as in train.
         robot: URDF or MJCF of the baselines; default: the dataset's own.
-        seed: of the baselines' training and of the choice of the ten collisions.
-        threads: 0: one a core. The result does not depend on it.
-        keep_free_estimates: write the estimates of so many test recordings of free motion, the first, for figures.
+        seed: seed of the baselines' training and of the choice of the ten collisions.
+        threads: threads that train and estimate; 0: one a core. The result does not depend on it.
+        keep_free_estimates: how many test recordings of free motion, the first ones, have their estimates written, for
+            figures.
         events: how alarms are held against labels.
     """
     from tauext.cli.command_line import command_line

@@ -27,12 +27,15 @@ def import_data(
     kept in the recordings.
 
     Args:
-        source: files or folders: ROS 1 and ROS 2 bags (sqlite3, MCAP), CSV, Parquet, HDF5, MATLAB, LeRobot v3.
-        arm: robot description.
-        out: folder to write; must be empty or not there.
-        new: write a commented description here instead, filled in from the names in the source and the robot file.
-        robot: with --new: URDF or MJCF of the arm.
-        format: tauext: recordings, robot file, split.json. lerobot: a LeRobot v3 dataset, an episode a recording.
+        source: files or folders to import: ROS 1 and ROS 2 bags (sqlite3, MCAP), CSV, Parquet, HDF5, MATLAB, LeRobot
+            v3.
+        arm: description of robot and recordings, arm.toml.
+        out: folder to write, which must be empty or not there.
+        new: file to write a commented description to instead of importing, filled in from the names in the source and
+            the robot file.
+        robot: URDF or MJCF of the arm, named in the description that --new writes.
+        format: what is written. tauext: recordings, robot file, split.json. lerobot: a LeRobot v3
+            dataset, an episode a recording.
     """
     if new is not None:
         if arm is not None or out is not None:

@@ -74,30 +74,30 @@ def monitor(
     Args:
         bundle: bundle (*.tauext) to run.
         source: where samples come from: replay:FILE, ur:HOST, franka:HOST, ros2.
-        speed: of replay, so many times as fast as it was recorded. None: 1.
-        torque_constants: of ur: file that says what a motor current is in Nm, a joint.
-        ros2: topics and quality of service; docs/ros2.md.
-        reactions: file of what shall happen at a collision, contact or fault, and when it is over.
-        new_reactions: write a commented reactions file here instead.
-        profiles: file of named factors on the limits, switched while the monitor runs.
-        new_profiles: write a commented profiles file here instead.
-        control: listen for lines `profile NAME`, `acknowledge`, `resume` and `stop`: on a socket of this name, or `-`:
-            stdin.
+        speed: factor on the speed of a replay, at least 1. None: 1, as it was recorded.
+        torque_constants: with --source ur, a file that says how many Nm a motor current makes at each joint.
+        ros2: topics and quality of service of --source ros2; docs/ros2.md.
+        reactions: file (TOML) of what shall happen at a collision, contact or fault, and when it is over.
+        new_reactions: file to write a commented example of reactions to; nothing is watched then.
+        profiles: file (TOML) of named factors on the limits, switched while the monitor runs.
+        new_profiles: file to write a commented example of profiles to; nothing is watched then.
+        control: socket to listen on for lines `profile NAME`, `acknowledge`, `resume` and `stop`; `-`: stdin.
         own_rate: run the network at its own rate (usually 100 Hz) and hold its value in between, for slow processors.
-        missing_after_ms: a sample that has not come so long after the one before it is missing. None: two periods,
-            or a period and 2 ms where that is more.
-        acknowledge_after_s: acknowledge a collision so many seconds after it was raised. None: when asked to.
-        duration_s: end after so long. None: with the source, or when asked to.
-        flights: folder for flights: recording, estimates and an explanation in words around every collision and fault.
+        missing_after_ms: time after the last sample when the next one counts as missing, [ms]. None: two periods, or
+            a period and 2 ms where that is more.
+        acknowledge_after_s: seconds after which a collision is acknowledged. None: only when asked to.
+        duration_s: time after which watching ends, [s]. None: with the source, or when asked to.
+        flights: folder for flights: recording, estimates and an explanation in words around every collision and fault;
+            files that are there are never overwritten. None: no flights.
         before_s: seconds that a flight keeps from before its event.
-        after_s: and from after it.
-        contacts: flights of contacts, too.
-        record: folder for recordings of all that came, to train with again.
-        segment_s: length of each.
-        core: pin the loop and what receives samples to this core.
-        priority: real-time priority for the loop and what receives samples, SCHED_FIFO, 1 to 99.
-        as_json: JSON lines on stdout, an object an event.
-        status_hz: with --json, also the estimates so many times per second; 0: events only.
+        after_s: seconds that a flight keeps from after its event.
+        contacts: write flights of contacts, too.
+        record: folder for recordings of all samples that came, to train with again.
+        segment_s: length of each of the recordings, [s].
+        core: processor core that the loop and what receives samples are pinned to. None: any.
+        priority: real-time priority of the loop and what receives samples, SCHED_FIFO, 1 to 99. None: an ordinary one.
+        as_json: print JSON lines, an object an event.
+        status_hz: with --json, how many times per second the estimates are printed, too; 0: events only.
     """
     if new_reactions is not None or new_profiles is not None:
         write_templates(new_reactions, new_profiles, bundle is not None or source is not None)

@@ -20,12 +20,13 @@ def report(
     Give --results and --data, or --flight. The page holds traces to zoom into; it is one file and needs no network.
 
     Args:
-        out: folder to write.
-        results: results folder (`tauext evaluate` makes one).
+        out: folder to write the page and its figures to.
+        results: results folder to draw (`tauext evaluate` makes one).
         data: dataset folder that was evaluated.
-        flight: flight (FLIGHT.parquet, `tauext run --flights` writes them), or a folder of flights: its newest.
-        page_mb: largest size of the page; traces fill it, in as much detail as there is room for. 0: none.
-        trace_methods: methods whose traces stand in the page, by the names of their bundles; default: the best five.
+        flight: flight to draw (FLIGHT.parquet, `tauext run --flights` writes them), or a folder of flights, of which
+            the newest is drawn.
+        page_mb: largest size of the page; traces fill it, in as much detail as there is room for. 0: no traces.
+        trace_methods: bundles whose traces stand in the page, by their names; default: the best five.
     """
     from tauext.data import load_dataset
     from tauext.report import write_flight_report, write_report

@@ -20,11 +20,11 @@ def reproduce(
 
     Args:
         out: folder for data, bundles, results and report.
-        scale: smoke: seconds, numbers mean nothing. quick: minutes, the shape of every result. full: the paper's own
-            numbers; every case by the dense recipe (5 minutes), then the exact and the absent model by the paper's
-            whole recipe too (20 minutes each on two cores).
+        scale: how much is done. smoke: seconds, numbers mean nothing. quick: minutes, the shape of every result. full:
+            the paper's own numbers; every model case by the dense recipe (5 minutes), then the exact and the absent
+            model by the paper's whole recipe too (20 minutes each on two cores).
         cases: model cases to train.
-        seed: of everything.
+        seed: seed of everything that is drawn.
     """
     from tauext.cli.command_line import command_line
     from tauext.cli.reporter import Terminal

@@ -44,19 +44,20 @@ def run(
 
     Args:
         bundle: bundle (*.tauext) to run.
-        recordings: recordings (*.parquet) of its robot, rate and torque timing.
-        real_time: as fast as they were recorded, by their time stamps: the same as --speed 1.
-        speed: so many times as fast as they were recorded. None: as fast as possible.
+        recordings: recordings (*.parquet) of the bundle's robot, rate and torque timing.
+        real_time: replay as fast as was recorded, by the time stamps: the same as --speed 1.
+        speed: factor on the speed of the replay, 1 as it was recorded. None: as fast as possible.
         own_rate: run the network at its own rate (usually 100 Hz) and hold its value in between, for slow processors.
-        acknowledge_after_s: acknowledge a collision so many seconds after it was raised. None: never; then the first
-            collision of a recording stays and hides those after it.
-        flights: folder for flights: recording, estimates and an explanation in words around every collision and fault.
-            None: none are written. Files that are there are never overwritten.
+        acknowledge_after_s: seconds after which a collision is acknowledged. None: never; then the first collision of
+            a recording stays and hides those after it.
+        flights: folder for flights: recording, estimates and an explanation in words around every collision and fault;
+            files that are there are never overwritten. None: no flights.
         before_s: seconds that a flight keeps from before its event.
-        after_s: and from after it.
-        contacts: flights of contacts, too.
-        as_json: JSON lines on stdout, an object an event: start, health, alarm, flight, status, end, summary.
-        status_hz: with --json, also the estimates so many times per second of the recording; 0: events only.
+        after_s: seconds that a flight keeps from after its event.
+        contacts: write flights of contacts, too.
+        as_json: print JSON lines, an object an event: start, health, alarm, flight, status, end, summary.
+        status_hz: with --json, how many times per second of the recording the estimates are printed, too; 0: events
+            only.
     """
     require(speed is None or 0 < speed < float("inf"), "speed", speed, "> 0")
     require(not real_time or speed is None, "speed", speed, "left out with --real-time, which is speed 1")

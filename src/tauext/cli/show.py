@@ -19,8 +19,8 @@ def show(file: tyro.conf.Positional[Path], as_json: Annotated[bool, tyro.conf.ar
     """Say what is in a bundle (*.tauext) or a recording (*.parquet).
 
     Args:
-        file: bundle or recording.
-        as_json: print JSON for scripts.
+        file: bundle (*.tauext) or recording (*.parquet) to show.
+        as_json: print what is found as JSON for scripts.
     """
     if not file.is_file():
         raise ConfigError(f"{file}: there is no such file; give a bundle (*.tauext) or a recording (*.parquet)")

@@ -21,11 +21,12 @@ def simulate(
 
     Args:
         out: dataset folder to write: recordings, robot.xml, split.json.
-        minutes: free motion in all, cut in recordings of at most 90 s, at least 20 of them.
-        collision_recordings: recordings with about ten collisions each.
-        seed: of motions, noise and collisions.
-        calibration_hours: free motion beside the minutes, for limits alone: 24 support a promise of 1 false alarm in 8.
-        test_hours: more free motion to test on.
+        minutes: minutes of free motion in all, cut in recordings of at most 90 s, at least 20 of them.
+        collision_recordings: number of recordings with about ten collisions each.
+        seed: seed of motions, noise and collisions.
+        calibration_hours: hours of free motion beside the minutes, for limits alone; 24 support a promise of 1 false
+            alarm in 8 hours.
+        test_hours: hours of free motion beside the minutes, to test on.
         encoder_bits: resolution of the joints' encoders, counts in one turn as a power of two.
         friction: factor on Coulomb, static and viscous friction of every joint.
     """

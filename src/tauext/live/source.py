@@ -19,8 +19,8 @@ class Sample:
     dq: np.ndarray
     """[rad/s]."""
     tau: np.ndarray
-    """Motor torque seen at the joint, [N m], or what the bundle's recordings hold in its place: the loop multiplies it
-    by the torque constants in the bundle's provenance, if there are any. NaN where it was not measured."""
+    """Motor torque seen at the joint, [N m], or what the bundle's recordings hold in its place (say, amperes), in the
+    units that the source was opened with: SourceSettings.torque_units. NaN where it was not measured."""
     received_ns: int
     """When it came into this process, by time.monotonic_ns()."""
 

@@ -47,7 +47,7 @@ def sum_of_terms(flight: Flight, source: FlightSource) -> str:
     """What observer, prior and network said of the joint."""
     event = flight["event"]
     j = event.alarm_joint
-    residual, uncertainty = event.residual[j], event.uncertainty[j]
+    residual = event.residual[j]
     if source.has_prior:
         said = f"the prior expected {event.prior[j]:+.3f} Nm of it in free motion"
         said += f" and the network {event.network[j]:+.3f} Nm more" if source.has_network else ""
@@ -57,7 +57,7 @@ def sum_of_terms(flight: Flight, source: FlightSource) -> str:
     if not source.has_network:
         return f"The observer said {residual:+.3f} Nm; the bundle has no network, so this is tau_ext."
     return (
-        f"The observer said {residual:+.3f} Nm, the network expected {uncertainty:+.3f} Nm of it in free motion; "
+        f"The observer said {residual:+.3f} Nm, the network expected {event.network[j]:+.3f} Nm of it in free motion; "
         f"their difference is tau_ext = {event.tau_ext[j]:+.3f} Nm."
     )
 

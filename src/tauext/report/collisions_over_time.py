@@ -1,4 +1,4 @@
-"""Figure 7: observer and network over time, without a model, while the ten collisions happen."""
+"""Figure 7: observer and uncertainty over time, without a model, while the ten collisions happen."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 
 from tauext.data import Recording
 from tauext.data.estimates import Estimates
-from tauext.report.drawing import Drawing
+from tauext.report.drawing import Drawing, uncertainty_words
 from tauext.report.results import Collision, Results
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import (
@@ -71,7 +71,7 @@ def draw_collisions(results: Results, signals: Signals) -> Drawing:
         label_joint(axes, name)
         axes.set_xlim(0, excerpts[-1].shown_at_s + excerpts[-1].length_s)
     label_excerpts(grid[0], grid[-1], excerpts)
-    what = "network" if excerpts[0].said.prior is None else "prior and network"
+    what = uncertainty_words([excerpts[0].said])
     handles = [
         Line2D([], [], color=OBSERVER, linewidth=OBSERVER_WIDTH, label="observer r"),
         Line2D([], [], color=colour, label=what),

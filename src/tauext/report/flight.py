@@ -78,7 +78,7 @@ COLUMNS = (
     "limit, Nm",
     "margin, Nm",
     "observer, Nm",
-    "network, Nm",
+    "uncertainty, Nm",
     "motor torque, Nm",
     "speed, rad/s",
     "region",

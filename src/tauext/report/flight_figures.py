@@ -13,19 +13,19 @@ from matplotlib.patches import Patch
 
 from tauext.data.estimates import OK
 from tauext.report.buckets import GAP_PERIODS
-from tauext.report.drawing import Drawing
+from tauext.report.drawing import Drawing, uncertainty_words
 from tauext.report.flight_file import Flight
 from tauext.report.style import LIMIT, NEAR_STICTION, OBSERVER, OBSERVER_WIDTH, WIDTH_IN
 
 TAU_EXT = "#0072b2"
-NETWORK = "#009e73"
+UNCERTAINTY = "#009e73"
 MEASURED = "#333333"
 EVENT = "#d55e00"
 NOT_OK = "#dcdcdc"
 CLOSE_BEFORE_S, CLOSE_AFTER_S = 0.15, 0.35
 COLUMNS = {
     "tau_ext": "external torque, Nm",
-    "observer": "observer and network, Nm",
+    "observer": "observer and uncertainty, Nm",
     "tau": "motor torque, Nm",
     "dq": "speed, rad/s",
     "q": "position, rad",
@@ -33,7 +33,7 @@ COLUMNS = {
 
 
 def draw_flight(flight: Flight) -> Drawing:
-    """A row a joint: external torque with its limits, observer and network, motor torque, speed."""
+    """A row a joint: external torque with its limits, observer and uncertainty, motor torque, speed."""
     joints, n = flight.recording.joints, len(flight.recording.joints)
     columns = ("tau_ext", "observer", "tau", "dq")
     figure = Figure(figsize=(WIDTH_IN, 0.9 + (1.75 if n <= 3 else 1.2) * n), layout="constrained")
@@ -93,7 +93,7 @@ def draw_signal(axes: Axes, flight: Flight, column: str, joint: int, part: slice
     elif column == "observer":
         curves = [
             (said.r[part, joint], {"color": OBSERVER, "linewidth": OBSERVER_WIDTH}),
-            (said.network[part, joint], {"color": NETWORK}),
+            (said.uncertainty[part, joint], {"color": UNCERTAINTY}),
         ]
     else:
         curves = [(getattr(recording, column)[part, joint], {"color": MEASURED, "linewidth": 0.8})]
@@ -130,7 +130,7 @@ def legend(flight: Flight, columns: Sequence[str]) -> list[Line2D | Patch]:
     if "observer" in columns:
         lines += [
             Line2D([], [], color=OBSERVER, linewidth=OBSERVER_WIDTH, label="observer r"),
-            Line2D([], [], color=NETWORK, label="network"),
+            Line2D([], [], color=UNCERTAINTY, label=uncertainty_words([flight.estimates])),
         ]
     return [
         *lines,

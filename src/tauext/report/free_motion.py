@@ -1,4 +1,4 @@
-"""Figure 5: observer and network output over time in free motion."""
+"""Figure 5: observer and uncertainty over time in free motion."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from tauext.report.drawing import Drawing, missing_bundles
+from tauext.report.drawing import Drawing, missing_bundles, uncertainty_words
 from tauext.report.results import Results
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import OBSERVER, OBSERVER_WIDTH, WIDTH_IN, bundle_colours, label_joint
@@ -45,7 +45,7 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
         grid[-1, column].set_xlabel("time, s")
     for joint, name in enumerate(recording.joints):
         label_joint(grid[joint, 0], name)
-    what = "network" if all(said.prior is None for said in estimates.values()) else "prior and network"
+    what = uncertainty_words(estimates.values())
     handles = [
         Line2D([], [], color=OBSERVER, linewidth=OBSERVER_WIDTH, label="observer r"),
         Line2D([], [], color="#333333", label=f"{what}, in the colour of its model"),

@@ -8,7 +8,7 @@ const SIGNALS = {
   tau_ext: { label: "external torque", width: 1.3, shade: 0 },
   limit: { label: "limits", width: 1, shade: 0.35 },
   r: { label: "observer r", width: 2.6, shade: 0.6 },
-  learned: { label: "prior and network", width: 1.1, shade: -0.35 },
+  learned: { label: "prior, network, drift", width: 1.1, shade: -0.35 },
   reference: { label: "reference", width: 1, colour: "#000000" },
   tau: { label: "motor torque", width: 0.9, colour: "#7a7a7a" },
 };

@@ -16,7 +16,7 @@ class LinkConfig:
     com_m: float
     """Distance from the joint to the centre of mass, along the link."""
     inertia_kg_m2: float
-    """About the joint's direction, through the centre of mass."""
+    """Inertia about an axis along the joint's through the centre of mass."""
     rotor_inertia_kg_m2: float
     """Motor inertia times gear ratio squared."""
 
@@ -44,7 +44,7 @@ class FrictionConfig:
     bristle_nm_rad: float
     """Presliding stiffness sigma_0: the joint breaks away after about static / bristle radians."""
     bristle_damping_nm_s_rad: float
-    """sigma_1: damps the arm on its bristles."""
+    """Damping sigma_1 of the arm on its bristles."""
     ripple_nm: float
     """Amplitude of the torque ripple of motor and gear over the joint's position."""
     ripple_cycles: int
@@ -90,13 +90,13 @@ class SensorConfig:
     encoder_counts: int = 2**20
     """Counts of the encoder in one turn of the joint."""
     velocity_cutoff_rad_s: float = 300.0
-    """First-order low-pass on the difference of the encoder's counts."""
+    """Cut-off of the first-order low-pass on the difference of the encoder's counts."""
     torque_noise_nm: tuple[float, ...] = (1.0, 0.5)
     """Standard deviation of the measured motor torque, white, one value a joint."""
     jts_noise_nm: tuple[float, ...] = (0.2, 0.1)
     """Standard deviation of the joint torque sensor, white, one value a joint."""
     reference_cutoff_rad_s: float = 20.0
-    """First-order low-pass of the external torque that the joint torque sensor gives."""
+    """Cut-off of the first-order low-pass of the external torque that the joint torque sensor gives."""
 
 
 @dataclass(frozen=True)
@@ -118,9 +118,9 @@ class PulseConfig:
     """Force pulses on the links: a shape in time, a height, a length, a place and a direction each."""
 
     height_n: tuple[float, float] = (10.0, 100.0)
-    """Peak force, uniform between these."""
+    """Peak force of a pulse, uniform between these."""
     length_s: tuple[float, float] = (0.02, 1.0)
-    """From first to last force, log-uniform between these."""
+    """Length of a pulse from its first to its last force, log-uniform between these."""
     place: tuple[float, float] = (0.1, 1.0)
     """Place on the link as a share of its length, uniform between these."""
     cone_deg: float = 60.0
@@ -136,7 +136,7 @@ class PadConfig:
     mass_kg: float = 1.0
     radius_m: float = 0.05
     stiffness_n_m: float = 2500.0
-    """Of the spring that carries the body along its planned path."""
+    """Stiffness of the spring that carries the body along its planned path."""
     damping_n_s_m: float = 100.0
     padding_s: float = 0.02
     """Time constant of the contact (MuJoCo's solref): longer is softer."""
@@ -192,7 +192,7 @@ class RigConfig:
 
     @property
     def rotor_inertia_kg_m2(self) -> tuple[float, ...]:
-        """Of every joint."""
+        """Rotor inertia of every joint."""
         return tuple(link.rotor_inertia_kg_m2 for link in self.links)
 
     def __post_init__(self) -> None:

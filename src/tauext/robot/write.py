@@ -68,7 +68,7 @@ def write_robot(
 
 
 def write_placeholder(joints: Sequence[str], folder: Path) -> Path:
-    """A robot.urdf for an arm without a model: a chain of these joints whose links weigh nothing; returns its path.
+    """A robot.urdf for an arm without a model: these joints in a row, whose links weigh nothing; returns its path.
 
     It gives momentum and gravity of zero, to rounding; what it says of axes and lengths is made up.
     """

@@ -25,26 +25,26 @@ class Ros2Settings:
     """
 
     topic: str = "/joint_states"
-    """Of the arm's sensor_msgs/JointState: position [rad], velocity [rad/s], effort [N m]."""
+    """Topic of the arm's sensor_msgs/JointState: position [rad], velocity [rad/s], effort [N m]."""
     names: tuple[str, ...] = ()
     """The arm's joints as the messages name them, in the order of the bundle's joints; empty: as the bundle does."""
     reliability: Literal["best-effort", "reliable"] = "best-effort"
-    """Asked of publishers. best-effort receives from both kinds; reliable refuses best-effort ones."""
+    """Reliability asked of publishers: best-effort receives from both kinds; reliable refuses best-effort ones."""
     durability: Literal["volatile", "transient-local"] = "volatile"
-    """Asked of publishers. transient-local also gets what was published before, and refuses volatile ones."""
+    """Durability asked of publishers: transient-local also gets what was published before and refuses volatile."""
     depth: int = 256
-    """Samples that wait for a late monitor; older ones are lost, and counted."""
+    """Most samples that wait for a late monitor; older ones are lost, and counted."""
     namespace: str = "/tauext"
-    """Of everything that is published: external_torque, contact, collision, event, diagnostics."""
+    """Namespace of everything that is published: external_torque, contact, collision, event, diagnostics."""
     diagnostics: str = "diagnostics"
     """Topic of diagnostics; a name that begins with / stands for itself: /diagnostics, where aggregators listen."""
     node: str = "tauext"
-    """As `ros2 node list` shows it, after the namespace."""
+    """Name of the node, as `ros2 node list` shows it after the namespace."""
     domain: int | None = None
-    """None: ROS_DOMAIN_ID, or 0."""
+    """ROS domain; None: ROS_DOMAIN_ID, or 0."""
     distro: str | None = None
-    """Of the ROS nodes around, since foxy, galactic and humble tell of nodes in another format. None: ROS_DISTRO, or a
-    later one."""
+    """Distribution of the ROS nodes around, since foxy, galactic and humble tell of nodes in another format; None:
+    ROS_DISTRO, or a later one."""
 
     def __post_init__(self) -> None:
         for field, rooted in (("topic", True), ("namespace", True), ("diagnostics", False), ("node", False)):

@@ -53,6 +53,7 @@ def limits(bundle: Bundle) -> list[float]:
 """
 WRONG = """\
 from tauext import Bundle, Estimate, Monitor, Recording, estimate_recording
+from tauext import lod_bundle  # wrong
 
 
 def watch(bundle: Bundle, recording: Recording) -> Estimate:

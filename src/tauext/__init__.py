@@ -140,12 +140,14 @@ _WHERE = {
 _MODULE_OF = {name: module for module, names in _WHERE.items() for name in names}
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module 'tauext' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"tauext.{_MODULE_OF[name]}"), name)
-    globals()[name] = value  # asked for once
-    return value
+if not TYPE_CHECKING:  # a checker would believe in any name
+
+    def __getattr__(name: str) -> Any:
+        if name not in _MODULE_OF:
+            raise AttributeError(f"module 'tauext' has no attribute {name!r}")
+        value = getattr(importlib.import_module(f"tauext.{_MODULE_OF[name]}"), name)
+        globals()[name] = value  # asked for once
+        return value
 
 
 def __dir__() -> list[str]:

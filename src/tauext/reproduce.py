@@ -25,7 +25,7 @@ class Scale:
     collision_recordings: int
     """Recordings with about ten collisions each."""
     training: TrainConfig
-    """Of every case."""
+    """How every model case is trained."""
     paper_cases: tuple[str, ...] = ()
     """Cases that are trained by the paper's whole recipe as well; their bundles are named CASE-paper."""
 

@@ -12,7 +12,8 @@ from tauext import _core
 from tauext.cli import main
 from tauext.config import PAPER_CASES, ObserverConfig, TrainConfig
 from tauext.data import Recording
-from tauext.errors import ConfigError, TrainingError
+from tauext.errors import BundleError, ConfigError, TrainingError
+from tauext.evaluate import estimate_recording
 from tauext.learn import build_setup, fit_torque_constants
 from tauext.learn.regression import NormalEquations, Regression, coupled
 from tauext.learn.torque_constants import TorqueConstants, with_constants
@@ -148,6 +149,8 @@ def test_a_bundle_trained_on_currents_takes_them_and_answers_in_newton_metres(tm
     assert bundle.estimate_units == ["N m", "N m"] and facts["torque_constants"]["used"] == bundle.observer.nm_per_unit
     np.testing.assert_allclose(bundle.largest_torque_nm, plain.largest_torque_nm, rtol=0.01)
     np.testing.assert_allclose(bundle.sliding_limit_nm, plain.sliding_limit_nm, rtol=0.1)
+    with pytest.raises(BundleError, match="takes motor currents in amperes; recording made is in N m"):
+        estimate_recording(bundle, replace(torque, provenance={"torque": "N m"}))
     # A push of 20 Nm on the elbow, in the drive's amperes.
     other = motion(seconds=20.0, seed=5)
     push = np.zeros_like(other.tau)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from tauext import _core
+from tauext.data.amperes import FROM_AMPERES
 from tauext.data.recording import Recording
 from tauext.data.recording_file import Description
 from tauext.errors import BundleError
 
 
 def expect_fit(bundle: _core.Bundle, recording: Recording | Description) -> None:
-    """Raise BundleError, naming what differs, where the recording is not of the bundle's robot, rate and timing."""
+    """Raise BundleError, naming what differs, where the recording is not of the bundle's robot, rate and timing.
+
+    So it does where the bundle takes amperes and the recording says that its tau is in N m; most say nothing of that.
+    """
     joints = tuple(link.joint_name for link in bundle.links)
     if recording.joints != joints:
         raise BundleError(
@@ -26,4 +30,9 @@ def expect_fit(bundle: _core.Bundle, recording: Recording | Description) -> None
         raise BundleError(
             f"bundle '{bundle.name}' takes torques that are {timing}; those of recording {recording.name} are "
             f"{recording.torque_timing}"
+        )
+    told = recording.provenance.get("torque")
+    if "A" in bundle.torque_units and told in ("N m", FROM_AMPERES):
+        raise BundleError(
+            f"bundle '{bundle.name}' takes motor currents in amperes; recording {recording.name} is in {told}"
         )

@@ -34,10 +34,12 @@ Seen observe_all(const Bundle& bundle, const RecordingView& recording, Estimates
     const Observed& o = stage.step(recording.at(static_cast<std::int64_t>(k)));
     seen.rows.push_back({o.causes, o.near_stiction, static_cast<std::int32_t>(o.ticks), o.passage, o.health,
                          static_cast<std::int8_t>(o.cause_joint), o.restarted, o.overflowed, o.judged, o.teaches});
-    std::copy_n(o.residual.begin(), n, out.residual.begin() + static_cast<std::ptrdiff_t>(k * n));
-    std::copy_n(o.prior.begin(), n, out.prior.begin() + static_cast<std::ptrdiff_t>(k * n));
-    std::copy_n(o.doubt.begin(), n, out.doubt.begin() + static_cast<std::ptrdiff_t>(k * n));
     if (o.passage != Passage::entered) continue;
+    for (std::size_t j = 0; j < n; ++j) {
+      out.residual[k * n + j] = o.residual[j];
+      out.prior[k * n + j] = o.prior[j];
+      out.doubt[k * n + j] = o.doubt[j];
+    }
     at.add(o.restarted, o.ticks);
     // Bridged ticks hold the sample before.
     const std::size_t before = seen.features.size();
@@ -80,23 +82,24 @@ void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen&
     o.judged = row.judged;
     o.teaches = row.teaches;
     o.near_stiction = row.near_stiction;
-    const auto cells = static_cast<std::ptrdiff_t>(k * n);
-    std::copy_n(out.residual.begin() + cells, n, o.residual.begin());
-    std::copy_n(out.prior.begin() + cells, n, o.prior.begin());
-    std::copy_n(out.doubt.begin() + cells, n, o.doubt.begin());
+    o.residual = std::span(out.residual).subspan(k * n, n);
+    o.prior = std::span(out.prior).subspan(k * n, n);
+    o.doubt = std::span(out.doubt).subspan(k * n, n);
     const bool entered = row.passage == Passage::entered;
     const std::span<const float> network =
         entered && row.judged && !outputs.empty() ? outputs.subspan(n * judged, n) : std::span<const float>();
     judged += entered && row.judged;
     const Estimate& e = stage.step(o, sample.dq, network);
-    std::copy_n(e.residual.begin(), n, out.residual.begin() + cells);
-    std::copy_n(e.prior.begin(), n, out.prior.begin() + cells);
-    std::copy_n(e.doubt.begin(), n, out.doubt.begin() + cells);
-    std::copy_n(e.network.begin(), n, out.network.begin() + cells);
-    std::copy_n(e.drift.begin(), n, out.drift.begin() + cells);
-    std::copy_n(e.tau_ext.begin(), n, out.tau_ext.begin() + cells);
-    std::copy_n(e.limit_nm.begin(), n, out.limit_nm.begin() + cells);
-    for (std::size_t j = 0; j < n; ++j) out.near_stiction[k * n + j] = e.near_stiction >> j & 1;
+    for (std::size_t j = 0, cell = k * n; j < n; ++j, ++cell) {
+      out.residual[cell] = e.residual[j];
+      out.prior[cell] = e.prior[j];
+      out.doubt[cell] = e.doubt[j];
+      out.network[cell] = e.network[j];
+      out.drift[cell] = e.drift[j];
+      out.tau_ext[cell] = e.tau_ext[j];
+      out.limit_nm[cell] = e.limit_nm[j];
+      out.near_stiction[cell] = e.near_stiction >> j & 1;
+    }
     out.health[k] = static_cast<std::uint8_t>(e.health);
     out.causes[k] = e.causes;
     out.cause_joint[k] = static_cast<std::int8_t>(e.cause_joint);

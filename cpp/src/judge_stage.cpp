@@ -65,10 +65,11 @@ const Estimate& JudgeStage::step(const Observed& o, std::span<const double> dq,
   e.causes = o.causes;
   e.cause_joint = o.cause_joint;
   if (o.passage == Passage::entered) {
-    const auto n = static_cast<std::size_t>(e.joints);
-    std::copy_n(o.residual.begin(), n, e.residual.begin());
-    std::copy_n(o.prior.begin(), n, e.prior.begin());
-    std::copy_n(o.doubt.begin(), n, e.doubt.begin());
+    for (std::size_t j = 0; j < o.residual.size(); ++j) {
+      e.residual[j] = o.residual[j];
+      e.prior[j] = o.prior[j];
+      e.doubt[j] = o.doubt[j];
+    }
     if (o.restarted) drift_.restart();
     drift_.step(o.t_ns, dq, first_joints(e.drift));
     judge(o, network);

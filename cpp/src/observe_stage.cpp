@@ -136,8 +136,12 @@ void ObserveStage::enter(const Sample& s) noexcept {
   Observed& o = observed_;
   const auto n = static_cast<std::size_t>(joints_);
   if (p.restart_next) residual_.reset();
-  const SampleClock::Tick tick = residual_.step(s.t_ns, s.q, s.dq, tau(), std::span(o.residual).first(n),
-                                                std::span(o.prior).first(n), std::span(o.doubt).first(n));
+  const std::span residual = std::span(residual_nm_).first(n), prior = std::span(prior_nm_).first(n),
+                  doubt = std::span(doubt_nm_).first(n);
+  const SampleClock::Tick tick = residual_.step(s.t_ns, s.q, s.dq, tau(), residual, prior, doubt);
+  o.residual = residual;
+  o.prior = prior;
+  o.doubt = doubt;
   o.restarted = tick.kind == SampleClock::Kind::restart;
   if (o.restarted) {
     if (p.started && !p.restart_next) {
@@ -194,7 +198,7 @@ void ObserveStage::find_overflow(Findings& findings) noexcept {
   Observed& o = observed_;
   o.overflowed = false;
   for (int j = 0; j < joints_ && !o.overflowed; ++j)
-    if (too_large(o.residual[j]) || too_large(o.prior[j]) || too_large(o.doubt[j])) {
+    if (too_large(residual_nm_[j]) || too_large(prior_nm_[j]) || too_large(doubt_nm_[j])) {
       findings.add(kNotFinite, j);
       o.overflowed = true;
     }

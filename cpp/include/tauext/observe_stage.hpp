@@ -37,7 +37,7 @@ struct Observed {
   bool judged = false;              // tau_ext exists, and is held against its limits
   bool teaches = false;             // and the drift tracker may learn from it
   std::uint32_t near_stiction = 0;  // a bit a joint: which of its limits holds
-  JointVector residual{}, prior{}, doubt{};  // [N m]
+  std::span<const double> residual, prior, doubt;  // a joint, [N m]; of whoever made this, until its next sample
 };
 
 // Everything of the chain that does not depend on what the network says, one sample at a time: checks, clock, dynamics,
@@ -128,6 +128,7 @@ class ObserveStage {
   std::int64_t answer_every_ = 1;
   Progress progress_;
   Observed observed_;
+  JointVector residual_nm_{}, prior_nm_{}, doubt_nm_{};  // that observed_ shows
   JointVector tau_{};  // of the sample, in the unit of the answers
 };
 

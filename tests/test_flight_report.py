@@ -10,13 +10,14 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from arms import no_model
+from made_amperes import taking_amperes
 from made_pushes import JOINTS, cut_flight, damaged, pushed, watching_bundle
 from made_results import make_recording
 
 from tauext import _core
 from tauext.cli import main
 from tauext.config import ObserverConfig
-from tauext.data import load_recording, save_recording
+from tauext.data import in_amperes, load_recording, save_recording
 from tauext.data.estimates import load_estimates, save_estimates
 from tauext.errors import ConfigError, RecordingError
 from tauext.learn import build_setup, make_bundle
@@ -78,7 +79,7 @@ def test_the_page_holds_explanation_numbers_and_figures_and_asks_no_host(collisi
     for line in collision.with_suffix(".txt").read_text().splitlines():
         assert " ".join(line.split()) in words
     event = load_recording(collision).provenance["event"]
-    row = [event[key][0] for key in ("tau_ext_nm", "limit_nm", "margin_nm", "residual_nm", "uncertainty_nm", "tau_nm")]
+    row = [event[key][0] for key in ("tau_ext_nm", "limit_nm", "margin_nm", "residual_nm", "uncertainty_nm", "tau")]
     assert " ".join(["shoulder", *(f"{value:.3f}".replace("-", "−") for value in row)]) in words
 
 
@@ -251,6 +252,25 @@ def test_the_alarm_of_an_evaluation_s_older_file_is_the_held_one(collision, tmp_
     np.testing.assert_array_equal(evaluated.held_alarm, estimates.alarm)
     np.testing.assert_array_equal(flown.alarm, estimates.alarm)
     assert evaluated.alarm is None and flown.held_alarm is None
+
+
+def test_a_flight_of_currents_says_so(tmp_path):
+    bundle, made = taking_amperes(watching_bundle(), np.array([2.0, -0.5])), pushed()
+    current = replace(made, tau=made.tau / [2.0, -0.5])
+    flight = cut_flight(bundle, current, first_row(bundle, current, alarm=2))
+    path = write_flight(flight, tmp_path, FlightSource.of(bundle, current))
+    recording = load_recording(path)
+    np.testing.assert_array_equal(recording.tau, flight["tau"])
+    event = recording.provenance["event"]
+    assert in_amperes([recording]) and event["torque_units"] == ["A", "A"]
+    assert event["tau"] == recording.tau[recording.t_ns == event["t_ns"]][0].tolist()
+    page = write_flight_report(path, tmp_path / "report", page_mb=0).read_text()
+    assert "motor torque, A" in page and "motor torque, Nm" not in page
+    # Older flights, all in N m.
+    event["tau_nm"] = event.pop("tau")
+    del event["torque_units"]
+    save_recording(recording, path)
+    assert load_flight(path).event["tau"] == event["tau_nm"] and load_flight(path).torque_unit == "Nm"
 
 
 def test_the_provenance_of_a_flight_is_plain_json(fault):

@@ -20,14 +20,15 @@ def fault_sample(flight: Flight, source: FlightSource) -> str:
     if event.cause_joint < 0:
         steps_ms = (flight["t_ns"][row] - flight["t_ns"][row - 1]) * 1e-6 if row else None
         return f"The sample came {steps_ms:+.3f} ms after the one before it." if row else ""
-    text = f"{source.joints[event.cause_joint]} there: {signals(flight, row, event.cause_joint)}"
-    return text + (f"; one sample before: {signals(flight, row - 1, event.cause_joint)}." if row else ".")
+    text = f"{source.joints[event.cause_joint]} there: {signals(flight, row, event.cause_joint, source)}"
+    return text + (f"; one sample before: {signals(flight, row - 1, event.cause_joint, source)}." if row else ".")
 
 
-def signals(flight: Flight, row: int, joint: int) -> str:
+def signals(flight: Flight, row: int, joint: int, source: FlightSource) -> str:
     """Position, velocity and torque of one joint."""
     q, dq, tau = (flight[name][row, joint] for name in ("q", "dq", "tau"))
-    return f"q = {q:.5f} rad, dq = {dq:+.4f} rad/s, tau = {tau:+.3f} Nm"
+    unit = source.torque_units[joint] if source.torque_units else "N m"
+    return f"q = {q:.5f} rad, dq = {dq:+.4f} rad/s, tau = {tau:+.3f} {unit.replace('N m', 'Nm')}"
 
 
 def last_estimate(flight: Flight, source: FlightSource) -> str:

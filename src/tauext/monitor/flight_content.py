@@ -57,6 +57,8 @@ class FlightSource:
     has_drift: bool = False
     command: str = "tauext run"
     """That watches, for the files' provenance."""
+    torque_units: tuple[str, ...] = ()
+    """Of tau, a joint; empty: N m."""
 
     @classmethod
     def of(cls, bundle: _core.Bundle, recording: Replayed) -> FlightSource:
@@ -75,6 +77,7 @@ class FlightSource:
             has_network=bundle.has_network,
             has_prior=bool(bundle.prior.terms or bundle.prior.corrected_links),
             has_drift=bundle.drift.time_constant_s > 0,
+            torque_units=tuple(bundle.torque_units),
         )
 
     def time_s(self, t_ns: int) -> float:
@@ -184,5 +187,6 @@ def event_numbers(flight: Flight, source: FlightSource) -> dict[str, Any]:
         },
         "near_stiction": [bool(near) for near in event.near_stiction],
         "dq_rad_s": numbers(flight["dq"][row]),
-        "tau_nm": numbers(flight["tau"][row]),
+        "tau": numbers(flight["tau"][row]),
+        "torque_units": list(source.torque_units or ("N m",) * len(source.joints)),
     }

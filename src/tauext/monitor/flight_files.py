@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext.data import save_recording
+from tauext.data.amperes import AMPERES
 from tauext.data.estimates import save_estimates
 from tauext.errors import RecordingError
 from tauext.monitor.explanation import explain
@@ -66,6 +67,8 @@ def write_flight(flight: Flight, folder: Path, source: FlightSource) -> Path:
         "dropped_samples": int((~kept).sum()),
         "explanation": text,
     }
+    if "A" in source.torque_units:
+        provenance["torque"] = AMPERES
     wanted = f"{source.recording}-{event['time_s']:.3f}s-{event_kind(flight)}"
     try:
         place = reserve(folder, wanted)

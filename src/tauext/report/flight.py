@@ -54,7 +54,7 @@ def render_flight(flight: Flight, figures: list[PageFigure], traces: PageTraces 
         headline=flight.explanation[0],
         explanation=flight.explanation[1:],
         facts=facts(flight),
-        columns=COLUMNS,
+        columns=[column.format(torque_unit=flight.torque_unit) for column in COLUMNS],
         rows=event_rows(flight),
         figures=figures,
         traces=traces,
@@ -79,11 +79,11 @@ COLUMNS = (
     "margin, Nm",
     "observer, Nm",
     "uncertainty, Nm",
-    "motor torque, Nm",
+    "motor torque, {torque_unit}",
     "speed, rad/s",
     "region",
 )
-FIELDS = ("tau_ext_nm", "limit_nm", "margin_nm", "residual_nm", "uncertainty_nm", "tau_nm", "dq_rad_s")
+FIELDS = ("tau_ext_nm", "limit_nm", "margin_nm", "residual_nm", "uncertainty_nm", "tau", "dq_rad_s")
 
 
 def event_rows(flight: Flight) -> list[tuple[bool, list[str]]]:

@@ -26,7 +26,7 @@ CLOSE_BEFORE_S, CLOSE_AFTER_S = 0.15, 0.35
 COLUMNS = {
     "tau_ext": "external torque, Nm",
     "observer": "observer and uncertainty, Nm",
-    "tau": "motor torque, Nm",
+    "tau": "motor torque, {torque_unit}",
     "dq": "speed, rad/s",
     "q": "position, rad",
 }
@@ -43,7 +43,7 @@ def draw_flight(flight: Flight) -> Drawing:
             draw_signal(axes, flight, column, joint, slice(None))
         grid[joint, 0].set_ylabel(name, fontweight="bold" if name == flight.event["joint"] else "normal")
     for axes, column in zip(grid[0], columns, strict=True):
-        axes.set_title(COLUMNS[column])
+        axes.set_title(COLUMNS[column].format(torque_unit=flight.torque_unit))
     for axes in grid[-1]:
         axes.set_xlabel("time since the event, s")
     figure.legend(handles=legend(flight, columns), loc="outside upper left", ncols=4)
@@ -65,7 +65,7 @@ def draw_close(flight: Flight) -> Drawing:
     grid = figure.subplots(2, 2, sharex=True)
     for axes, column in zip(grid.flat, columns, strict=True):
         draw_signal(axes, flight, column, joint, part, unit_s=1e-3)
-        axes.set_title(COLUMNS[column])
+        axes.set_title(COLUMNS[column].format(torque_unit=flight.torque_unit))
     for axes in grid[-1]:
         axes.set_xlim(-CLOSE_BEFORE_S * 1e3, CLOSE_AFTER_S * 1e3)
         axes.set_xlabel("time since the event, ms")

@@ -36,6 +36,12 @@ class Flight:
         return (self.recording.t_ns - self.event["t_ns"]) * 1e-9
 
     @property
+    def torque_unit(self) -> str:
+        """Of the motor torque: Nm, A or whatever the bundle took."""
+        units: list[str] = self.event.get("torque_units") or ["N m"]
+        return units[0].replace("N m", "Nm")
+
+    @property
     def joint(self) -> int:
         """The event's joint or, where it concerns none, the one that came nearest to its limit."""
         if self.event["joint"] in self.recording.joints:
@@ -63,6 +69,8 @@ def load_flight(path: Path) -> Flight:
     estimates = load_estimates(beside)
     if estimates.joints != recording.joints or not np.array_equal(estimates.t_ns, recording.t_ns):
         raise RecordingError(f"{beside}: its joints or times are not those of {path.name}; it is of another flight")
+    if "tau_nm" in event:  # as flights had it while all torques were in N m
+        event["tau"] = event.pop("tau_nm")
     return Flight(recording, estimates, event, tuple(explanation.splitlines()), facts)
 
 

@@ -10,7 +10,7 @@ from tauext.config import AlarmConfig, ObserverConfig
 from tauext.data import Recording
 from tauext.errors import TauextError
 from tauext.learn import Scaling, build_setup, find_scaling, make_bundle, set_signal_ranges
-from tauext.learn.train import TrainedNetwork
+from tauext.learn.network_training import TrainedNetwork
 
 HIDDEN, GAIN_PER_S = 20, 20.0
 

@@ -14,7 +14,7 @@ from tauext.config import AlarmConfig, ObserverConfig
 from tauext.data import Recording
 from tauext.errors import TrainingError
 from tauext.learn import apply_gate, build_setup, find_scaling, make_bundle
-from tauext.learn.train import TrainedNetwork
+from tauext.learn.network_training import TrainedNetwork
 
 BUDGET = AlarmConfig(false_alarms=1, in_hours=0.02, contacts_an_hour=600)
 

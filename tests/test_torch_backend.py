@@ -14,10 +14,10 @@ from tauext import _core
 from tauext.cli import main
 from tauext.config import TrainConfig
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn import make_bundle, train
+from tauext.learn import make_bundle, train_network
 from tauext.learn.core_backend import CoreBackend
+from tauext.learn.network_training import make_backend
 from tauext.learn.schedules import make_schedule
-from tauext.learn.train import make_backend
 
 BACKEND = "tauext.learn.torch_backend"
 RECIPES = {
@@ -98,7 +98,9 @@ def test_without_pytorch_one_line_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)  # what a missing module looks like
     monkeypatch.delitem(sys.modules, BACKEND, raising=False)
     with pytest.raises(ConfigError, match=r"backend = torch.*pip install 'tauext\[torch\]'") as raised:
-        train(setup, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=1, batch=100, backend="torch"))
+        train_network(
+            setup, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=1, batch=100, backend="torch")
+        )
     assert "\n" not in str(raised.value)
 
 
@@ -151,7 +153,9 @@ def test_both_backends_start_from_the_same_parameters(backend):
 def test_losses_of_both_backends_agree_after_200_steps(backend, recipe):
     setup, _, windows = prepared([recording(k) for k in range(4)])
     config = RECIPES[recipe]
-    runs = [train(setup, windows, windows, dataclasses.replace(config, backend=name)) for name in ("core", "torch")]
+    runs = [
+        train_network(setup, windows, windows, dataclasses.replace(config, backend=name)) for name in ("core", "torch")
+    ]
     core, ours = (run.history[-1] for run in runs)
     assert core[0] == ours[0] == 200
     # Roundings differ and Adam divides by small gradients, so the paths part slowly.
@@ -162,15 +166,15 @@ def test_losses_of_both_backends_agree_after_200_steps(backend, recipe):
 def test_the_same_seed_gives_the_same_bytes(backend):
     setup, _, windows = prepared([recording(k) for k in range(2)])
     config = TrainConfig(recipe="paper", hidden=8, epochs=2, batch=100, backend="torch")
-    one, two = (train(setup, windows, windows, config).parameters.tobytes() for _ in range(2))
-    other = train(setup, windows, windows, dataclasses.replace(config, seed=1)).parameters.tobytes()
+    one, two = (train_network(setup, windows, windows, config).parameters.tobytes() for _ in range(2))
+    other = train_network(setup, windows, windows, dataclasses.replace(config, seed=1)).parameters.tobytes()
     assert one == two != other
 
 
 def test_weights_go_from_pytorch_into_a_bundle_and_back(torch, backend, tmp_path):
     made = recording(1)
     setup, scaling, windows = prepared([made])
-    network = train(setup, windows, windows, TrainConfig(recipe="paper", hidden=20, epochs=1, batch=100))
+    network = train_network(setup, windows, windows, TrainConfig(recipe="paper", hidden=20, epochs=1, batch=100))
     torch.manual_seed(3)
     lstm, head = torch.nn.LSTM(6, 20, batch_first=True), torch.nn.Linear(20, 2)  # with two biases, both at work
     vector = backend.parameters_from_lstm(lstm, head)
@@ -215,7 +219,7 @@ def test_a_network_of_another_kind_learns_in_the_same_loop_and_comes_out_usable(
     config = dataclasses.replace(RECIPES[recipe], learning_rate=0.01)
     steps = make_schedule(setup, windows, config.resolved())
     research = backend.TorchBackend(make(torch), setup, windows, steps.length, steps.targets)
-    network = train(setup, windows, windows, config, backend=research)
+    network = train_network(setup, windows, windows, config, backend=research)
     assert network.history[-1][2] < 0.5 * np.mean(windows.target_rows[windows.ends] ** 2)
     # The best weights, put back into the module, give the loss that was reported for them.
     research.load(network.parameters)

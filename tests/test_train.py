@@ -11,7 +11,7 @@ from tauext.calibrate import paper_limits
 from tauext.config import ObserverConfig, TrainConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn import build_setup, build_windows, find_scaling, make_bundle, train
+from tauext.learn import build_setup, build_windows, find_scaling, make_bundle, train_network
 from tauext.learn.core_backend import CoreBackend
 from tauext.learn.schedules import DenseSchedule
 
@@ -80,14 +80,14 @@ def test_windows_of_several_recordings_never_mix():
 def test_training_lowers_the_loss_and_the_same_seed_gives_the_same_bytes_on_any_number_of_threads():
     setup, _, windows = prepared([recording(k) for k in range(4)])
     config = TrainConfig(recipe="paper", hidden=8, epochs=20, batch=100, learning_rate=0.01, threads=1)
-    one = train(setup, windows, windows, config)
-    two = train(
+    one = train_network(setup, windows, windows, config)
+    two = train_network(
         setup,
         windows,
         windows,
         TrainConfig(recipe="paper", hidden=8, epochs=20, batch=100, learning_rate=0.01, threads=2),
     )
-    other = train(
+    other = train_network(
         setup, windows, windows, TrainConfig(recipe="paper", hidden=8, epochs=20, batch=100, learning_rate=0.01, seed=1)
     )
     assert one.parameters.tobytes() == two.parameters.tobytes()
@@ -98,16 +98,16 @@ def test_training_lowers_the_loss_and_the_same_seed_gives_the_same_bytes_on_any_
 def test_an_interrupted_run_goes_on_to_the_same_bytes(tmp_path):
     setup, _, windows = prepared([recording(k) for k in range(4)])
     config = TrainConfig(recipe="paper", hidden=4, epochs=60, batch=200)
-    whole = train(setup, windows, windows, config)
+    whole = train_network(setup, windows, windows, config)
 
     def interrupt(progress):
         raise KeyboardInterrupt
 
     path = tmp_path / "checkpoint.npz"
     with pytest.raises(KeyboardInterrupt):
-        train(setup, windows, windows, config, path, {"case": "exact"}, interrupt)
+        train_network(setup, windows, windows, config, path, {"case": "exact"}, interrupt)
     assert path.exists()
-    resumed = train(setup, windows, windows, config, path, {"case": "exact"})
+    resumed = train_network(setup, windows, windows, config, path, {"case": "exact"})
     assert resumed.parameters.tobytes() == whole.parameters.tobytes()
     assert [entry[0] for entry in resumed.history] == [entry[0] for entry in whole.history]
     assert not path.exists()
@@ -122,13 +122,13 @@ def test_a_checkpoint_of_other_settings_is_refused_and_kept(tmp_path):
 
     config = TrainConfig(recipe="paper", hidden=4, epochs=1, batch=100)
     with pytest.raises(KeyboardInterrupt):
-        train(setup, windows, windows, config, path, {"case": "exact", "seed": 0}, interrupt)
+        train_network(setup, windows, windows, config, path, {"case": "exact", "seed": 0}, interrupt)
     with pytest.raises(ConfigError, match=r"other settings \(seed\)"):
-        train(setup, windows, windows, config, path, {"case": "exact", "seed": 1})
+        train_network(setup, windows, windows, config, path, {"case": "exact", "seed": 1})
     assert path.exists()
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(ConfigError, match="cannot be read"):
-        train(setup, windows, windows, config, path, {"case": "exact", "seed": 0})
+        train_network(setup, windows, windows, config, path, {"case": "exact", "seed": 0})
 
 
 def test_a_constant_target_is_an_error_that_names_the_joint():
@@ -142,7 +142,9 @@ def test_a_constant_target_is_an_error_that_names_the_joint():
 def test_a_diverging_loss_is_an_error_that_names_the_learning_rate():
     setup, _, windows = prepared([recording(1)])
     with pytest.raises(TrainingError, match="diverges.*learning_rate = 1e\\+06"):
-        train(setup, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=5, batch=100, learning_rate=1e6))
+        train_network(
+            setup, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=5, batch=100, learning_rate=1e6)
+        )
 
 
 @pytest.mark.parametrize(
@@ -151,13 +153,13 @@ def test_a_diverging_loss_is_an_error_that_names_the_learning_rate():
 def test_too_little_data_is_an_error(seconds, message):
     with pytest.raises(TrainingError, match=message):
         setup, _, windows = prepared([recording(1, seconds=seconds)])
-        train(setup, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=1, batch=100))
+        train_network(setup, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=1, batch=100))
 
 
 def test_a_bundle_says_of_a_recording_what_the_network_was_trained_on(tmp_path):
     made = [recording(k) for k in range(3)]
     setup, scaling, windows = prepared(made)
-    network = train(setup, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=2, batch=100))
+    network = train_network(setup, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=2, batch=100))
     bundle = make_bundle("small", setup, 0.02, made[0], scaling, network)
     limits = paper_limits(bundle, made[1:], threads=1)
     bundle.sliding_limit_nm, bundle.near_stiction_limit_nm = (
@@ -248,14 +250,14 @@ def test_in_equal_arithmetic_the_dense_recipe_gets_further_than_the_papers():
     # A dense sequence of 29 steps costs about three windows of ten: a third of the sequences.
     dense = TrainConfig(recipe="dense", hidden=8, targets=20, batch=32, max_steps=steps)
     paper = TrainConfig(recipe="paper", hidden=8, batch=96, max_steps=steps, epochs=1000)
-    losses = [min(h[2] for h in train(setup, windows, windows, config).history) for config in (dense, paper)]
+    losses = [min(h[2] for h in train_network(setup, windows, windows, config).history) for config in (dense, paper)]
     assert losses[0] < 0.5 * losses[1]
 
 
 def test_sequences_longer_than_every_recording_are_refused():
     setup, _, windows = prepared([recording(1, seconds=2.0)])
     with pytest.raises(TrainingError, match="sequence of 309 steps.*lower targets = 300"):
-        train(setup, windows, windows, TrainConfig(recipe="dense", targets=300, max_steps=5))
+        train_network(setup, windows, windows, TrainConfig(recipe="dense", targets=300, max_steps=5))
 
 
 def test_epochs_are_refused_where_a_recipe_has_none():

@@ -11,7 +11,7 @@ from typing import Any
 from tauext.config import EventsConfig
 from tauext.data import Dataset, load_bundle
 from tauext.data.loss_history import read_loss_history
-from tauext.evaluate.evaluate import evaluate
+from tauext.evaluate.comparison import evaluate
 from tauext.progress import SILENT, Reporter
 from tauext.provenance import provenance, write_json
 

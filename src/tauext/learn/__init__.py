@@ -11,10 +11,10 @@ from tauext.learn.bundle_writing import (
 )
 from tauext.learn.friction import fit_friction
 from tauext.learn.gate import Gate, apply_gate
+from tauext.learn.network_training import Progress, TrainedNetwork, train_network
 from tauext.learn.prior import fit_prior
 from tauext.learn.prior_fit import PriorFit
 from tauext.learn.torque_constants import TorqueConstants, fit_torque_constants
-from tauext.learn.train import Progress, TrainedNetwork, train
 from tauext.learn.training_set import Scaling, Setup, WindowSet, build_windows, find_scaling
 
 __all__ = [
@@ -38,6 +38,6 @@ __all__ = [
     "reference_recording",
     "set_drift",
     "set_signal_ranges",
-    "train",
+    "train_network",
     "with_presliding",
 ]

@@ -11,9 +11,9 @@ from tauext import _core
 from tauext.config import DriftConfig, FilterConfig, ObserverConfig, RecipeName
 from tauext.data import Recording
 from tauext.errors import TrainingError
+from tauext.learn.network_training import TrainedNetwork
 from tauext.learn.prior_facts import friction_nm
 from tauext.learn.prior_fit import PriorFit
-from tauext.learn.train import TrainedNetwork
 from tauext.learn.training_set import Scaling, Setup
 from tauext.recipes import recipe_of
 

@@ -15,7 +15,7 @@ from tauext.learn import (
     build_windows,
     find_scaling,
     make_bundle,
-    train,
+    train_network,
 )
 from tauext.learn.training_set import TooShort
 from tauext.train.preparation import Job
@@ -44,7 +44,7 @@ def fit_network(job: Job, setup: Setup) -> ScaledNetwork | None:
             show(p.step, p.steps, f"loss {p.loss:.3g} validation {p.validation_loss:.3g}")
 
         try:
-            trained = train(
+            trained = train_network(
                 setup,
                 build_windows(setup, scaling, job.motion.training),
                 build_windows(setup, scaling, job.motion.validation),

@@ -56,7 +56,7 @@ class TrainedNetwork:
     seconds: float
 
 
-def train(
+def train_network(
     setup: Setup,
     training: WindowSet,
     validation: WindowSet,

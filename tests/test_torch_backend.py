@@ -275,7 +275,7 @@ def test_the_command_line_trains_with_pytorch(torch, tmp_path):
     runs = {}
     for name in ("core", "torch"):
         out = tmp_path / f"{name}.tauext"
-        options = ["--case", "none", "--max-steps", "20", "--batch", "64", "--backend", name]
+        options = ["--recipe", "dense", "--case", "none", "--max-steps", "20", "--batch", "64", "--backend", name]
         assert main(["train", "--data", str(data), *options, "--out", str(out)]) == 0
         runs[name] = json.loads(out.with_suffix(".run.json").read_text())
         assert _core.Bundle.load(str(out)).has_network

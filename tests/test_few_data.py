@@ -18,6 +18,7 @@ from tauext.learn import build_setup, fit_torque_constants
 from tauext.learn.regression import NormalEquations, Regression, coupled
 from tauext.learn.torque_constants import TorqueConstants, with_constants
 from tauext.train import train_on_recordings
+from tauext.train.limits import calibrate
 from tauext.train.motion import training_motion
 from tauext.train.recordings import wants_constants
 
@@ -56,7 +57,7 @@ def motion(seconds: float = 40.0, seed: int = 0, name: str = "made", still: bool
 
 def trained(tmp_path: Path, monkeypatch, training, validation=(), **settings):
     """The bundle and its facts, with limits of torque left unknown."""
-    monkeypatch.setattr("tauext.train.stage.torque_limits", lambda robot, joints: [np.inf] * len(joints))
+    monkeypatch.setattr("tauext.train.preparation.torque_limits", lambda robot, joints: np.full(len(joints), np.inf))
     out = tmp_path / "made.tauext"
     train_on_recordings(planar_arm(), Path(), EXACT, list(training), list(validation), TrainConfig(**settings), out)
     bundle = _core.Bundle.load(str(out))
@@ -68,6 +69,20 @@ def test_limits_that_promise_nothing_are_shown_with_their_reason(tmp_path, monke
     assert main(["show", str(tmp_path / "made.tauext")]) == 0
     told = " ".join(capsys.readouterr().out.split())
     assert "limits promise" in told and "largest errors seen, and promise nothing" in told
+
+
+def test_gate_and_limits_are_judged_by_the_signal_ranges_that_ship(tmp_path, monkeypatch):
+    """Those of all training recordings, and not of the one whose window the bundle keeps."""
+    still, moving = motion(seconds=10.0, still=True, name="still"), motion()
+    seen = []
+
+    def watched(job, bundle, setup, fit):
+        seen.append(bundle.largest_torque_nm)
+        calibrate(job, bundle, setup, fit)
+
+    monkeypatch.setattr("tauext.train.stage.calibrate", watched)
+    bundle, _ = trained(tmp_path, monkeypatch, [still, moving], recipe="prior")
+    assert seen == [bundle.largest_torque_nm] == [np.abs(np.vstack([still.tau, moving.tau])).max(axis=0).tolist()]
 
 
 def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path, monkeypatch):

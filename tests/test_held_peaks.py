@@ -1,5 +1,7 @@
 """The held minimum and its peaks: against slow loops, the core's own alarm, and hand-made series."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from made_pushes import LIMIT_NM, pushed, watching_bundle
@@ -14,7 +16,9 @@ from tauext.calibrate.held_peaks import (
     hold_lengths,
     separate_peaks,
 )
+from tauext.calibrate.judged import errors
 from tauext.config import FreeMotionConfig
+from tauext.data.estimates import FAULT
 from tauext.errors import ConfigError, TrainingError
 
 
@@ -276,3 +280,18 @@ def test_contacts_are_left_out_and_recordings_without_a_healthy_sample_refused()
 def test_bad_input_is_named(call, message):
     with pytest.raises(ConfigError, match=message):
         call()
+
+
+def test_samples_of_a_saturated_drive_count_since_an_alarm_may_rise_there_and_a_still_encoders_do_not():
+    made, bundle = pushed(pushes=()), watching_bundle()
+    tau, dq, still = made.tau.copy(), made.dq.copy(), made.q.copy()
+    tau[2000:2050] += 30.0
+    saturated = replace(made, tau=tau)
+    whole = errors(bundle, saturated, 1, FreeMotionConfig())[3]
+    bundle.torque_limit_nm = [20.0, 20.0]
+    said = _core.estimate(bundle, made.t_ns, made.q, made.dq, tau, 1)
+    assert (said["health"] == FAULT).sum() == 50 and whole[2000:2050].all()
+    np.testing.assert_array_equal(errors(bundle, saturated, 1, FreeMotionConfig())[3], whole)
+    still[3000:3500], dq[3000:3500] = still[3000], 1.0
+    frozen = errors(watching_bundle(), replace(made, q=still, dq=dq), 1, FreeMotionConfig())[3]
+    assert whole[3400] and not frozen[3400]

@@ -51,7 +51,7 @@ class Heard:
 @pytest.fixture
 def unlimited(monkeypatch):
     """No robot file: what the drives can give is unknown."""
-    monkeypatch.setattr("tauext.train.stage.torque_limits", lambda robot, joints: [np.inf] * len(joints))
+    monkeypatch.setattr("tauext.train.preparation.torque_limits", lambda robot, joints: np.full(len(joints), np.inf))
 
 
 def test_a_regression_baseline_is_one_row_and_one_fit_function(tmp_path, monkeypatch, unlimited, capsys):

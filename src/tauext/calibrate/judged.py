@@ -9,7 +9,7 @@ import numpy as np
 from tauext import _core
 from tauext.config import FreeMotionConfig, warm_up_s
 from tauext.data import Recording, free_samples
-from tauext.data.estimates import OK
+from tauext.data.estimates import STALE
 from tauext.errors import TrainingError
 
 
@@ -28,15 +28,16 @@ def errors(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Times, |tau_ext|, region and which samples count: (samples,), 2 x (samples, joints) and (samples,) bool.
 
-    Counted are healthy samples of free motion within the span. The whole recording runs through the chain, so that
-    filters are warm where the span begins.
+    Counted are samples of free motion within the span at which an alarm could rise: where tau_ext is held against the
+    limits, also while a drive is saturated, which is no healthy one. The whole recording runs through the chain, so
+    that filters are warm where the span begins.
     """
     judged = judged if isinstance(judged, Judged) else Judged(judged)
     recording = judged.recording
     said = _core.estimate(judged.bundle or bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads)
     counted = np.zeros(recording.samples, dtype=bool)
     counted[judged.span] = True
-    counted &= (said["health"] == OK) & free_samples(recording, margins)
+    counted &= (said["health"] != STALE) & np.isfinite(said["tau_ext"]).all(axis=1) & free_samples(recording, margins)
     # What the prior's doubt raises the limits by is no error that limits must stand.
     error = np.maximum(np.abs(said["tau_ext"]) - said["doubt"], 0)
     return recording.t_ns, error, said["near_stiction"].astype(bool), counted

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import tyro
 
 from tauext.errors import ConfigError, TauextError
+from tauext.whole_file import whole_file
 
 
 def convert(bundle: tyro.conf.Positional[Path], out: Path) -> None:
@@ -35,9 +35,8 @@ def convert(bundle: tyro.conf.Positional[Path], out: Path) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
     run = bundle.with_suffix(".run.json")
     if run.is_file():
-        part = out.with_suffix(".run.json.part")
-        part.write_bytes(run.read_bytes())
-        os.replace(part, out.with_suffix(".run.json"))
+        with whole_file(out.with_suffix(".run.json")) as part:
+            part.write_bytes(run.read_bytes())
     new.save(str(out))
     takes = ", ".join(f"{link.joint_name} {unit}" for link, unit in zip(new.links, new.torque_units, strict=True))
     print(f"tau is now given as it was recorded: {takes}")

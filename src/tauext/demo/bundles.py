@@ -13,8 +13,8 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
-from tauext import _core
 from tauext.config import PAPER_CASES, AlarmConfig, ModelCase, PriorConfig, TrainConfig
+from tauext.data import load_bundle
 from tauext.demo.arms import DemoArm
 from tauext.demo.practice import practice_recording
 from tauext.errors import ConfigError, TauextError
@@ -84,9 +84,7 @@ def find_bundles(folder: Path, lesson: Lesson) -> dict[str, Path] | None:
     paths = {method: folder / f"{method}.tauext" for method in lesson.methods}
     try:
         for path in paths.values():
-            if not path.is_file():
-                return None
-            _core.Bundle.load(str(path))
+            load_bundle(path)
     except TauextError:
         return None
     return paths

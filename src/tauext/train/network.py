@@ -15,6 +15,7 @@ from tauext.learn import (
     build_windows,
     find_scaling,
     make_bundle,
+    set_signal_ranges,
     train_network,
 )
 from tauext.learn.training_set import TooShort
@@ -70,6 +71,8 @@ def assemble(job: Job, setup: Setup, network: ScaledNetwork | None = None) -> Bu
     learned = (network.scaling, network.trained) if network else ()
     bundle = make_bundle(job.name, setup, job.config.observer.near_stiction_rad_s, job.reference(setup), *learned)
     bundle.units = job.units
+    # Before gate and limits, which judge by the same watch as the control loop.
+    set_signal_ranges(bundle, job.training, job.torque_limit_nm.tolist())
     return bundle
 
 

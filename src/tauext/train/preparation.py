@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from tauext._core import TorqueUnits, Tree
 from tauext.calibrate import at_rest_sentence
 from tauext.config import ModelCase, TrainConfig
@@ -15,6 +17,7 @@ from tauext.errors import ConfigError
 from tauext.learn import Setup, TorqueConstants, fit_torque_constants, reference_recording
 from tauext.progress import Reporter
 from tauext.provenance import provenance
+from tauext.robot import torque_limits
 from tauext.train.motion import TrainingMotion, training_motion
 from tauext.train.recordings import chosen_recordings, given_unit, wants_constants
 from tauext.train.settings import training_settings, why_impossible
@@ -34,6 +37,8 @@ class Job:
     calibration: list[Callable[[], Recording]]
     constants: TorqueConstants | None
     """That the recordings' tau is to be multiplied by; None: it is in N m, or nothing tells."""
+    torque_limit_nm: np.ndarray
+    """What each drive can give at most, infinite where the robot file does not say."""
     motion: TrainingMotion
     report: Reporter
     run: dict
@@ -78,6 +83,7 @@ class Job:
 
 def prepare(
     tree: Tree,
+    robot: Path,
     case: ModelCase,
     training: Sequence[Recording],
     validation: Sequence[Recording],
@@ -103,9 +109,9 @@ def prepare(
     out.parent.mkdir(parents=True, exist_ok=True)
     run = provenance("tauext train", training_settings(case, config), config.seed)
     run["recordings"] = {"train": [r.name for r in training], "validation": [r.name for r in validation]}
-    return Job(
-        tree, case, config, out, list(training), list(validation), list(calibration), constants, motion, report, run
-    )
+    sets = (list(training), list(validation), list(calibration))
+    limits_nm = torque_limits(robot, training[0].joints)
+    return Job(tree, case, config, out, *sets, constants, limits_nm, motion, report, run)
 
 
 def note_recordings(job: Job) -> None:

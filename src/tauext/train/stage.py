@@ -9,9 +9,8 @@ from tauext._core import Bundle, Tree
 from tauext.config import PAPER_CASES, CaseName, ModelCase, TrainConfig
 from tauext.data import Dataset, Recording, load_bundle
 from tauext.errors import ConfigError
-from tauext.learn import set_signal_ranges
 from tauext.progress import SILENT, Reporter
-from tauext.robot import chosen_case, estimated_model, torque_limits
+from tauext.robot import chosen_case, estimated_model
 from tauext.train.fitting import fit_prior, observe, put_prior, with_fit
 from tauext.train.gating import gate
 from tauext.train.limits import calibrate
@@ -87,7 +86,7 @@ def train_on_recordings(
         ConfigError: settings that the case or the recordings cannot serve.
         TrainingError: too little motion for the recipe, or a loss that diverges.
     """
-    job = prepare(tree, case, training, validation, config, out, calibration, report)
+    job = prepare(tree, robot, case, training, validation, config, out, calibration, report)
     setup = observe(job)
     fit = fit_prior(job, setup, job.motion.training if job.motion.network else job.motion.uncut)
     network = fit_network(job, with_fit(setup, fit))
@@ -97,5 +96,4 @@ def train_on_recordings(
     put_prior(job, bundle, fit)
     note_recordings(job)
     calibrate(job, bundle, setup, fit)
-    set_signal_ranges(bundle, job.training, torque_limits(robot, job.joints))
     write(job, bundle, network)

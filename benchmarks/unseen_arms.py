@@ -1,6 +1,10 @@
-"""The whole chain on simulated arms that nobody tuned for: motor currents, a wrong URDF or none, labelled contacts.
+"""The whole chain on simulated arms as an integrator meets them: motor currents, a wrong URDF or none, contacts.
 
-    python benchmarks/unseen_arms.py MODELS OUT [--arms ur5 panda ...] [--recipes prior friction] [--seed 0]
+    python benchmarks/unseen_arms.py MODELS OUT [--fresh] [--arms ur5 panda ...] [--recipes prior friction] [--seed 0]
+
+Without --fresh the arms are those that the method may be fixed on: ur5, panda, kinova and seven_axis. --fresh adds
+palletizer, offset_wrist and light_arm, which are to be run once, when nothing about the method will change any more;
+their numbers stand under a heading of their own. --arms names any of the seven instead.
 
 MODELS: folder of ur5_robot.urdf, panda.urdf and kinova.urdf. OUT/ARM gets csv/ with the recordings and the truth, the
 datasets urdf/ and none/, bundles and results; recordings, datasets and bundles that are there are used again.
@@ -17,6 +21,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from unseen.arms import Maker, makers
+from unseen.fresh import fresh_makers
 from unseen.recordings import TAKES, description, write_take
 from unseen.results import markdown, read_outcomes
 
@@ -27,25 +32,27 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("models", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--arms", nargs="+", default=["ur5", "panda", "kinova", "seven_axis"])
+    parser.add_argument("--arms", nargs="+", help="of all seven, instead of those that --fresh decides on")
+    parser.add_argument("--fresh", action="store_true", help="also the arms that are run once, when all is fixed")
     parser.add_argument("--recipes", nargs="+", default=["prior", "friction"])
     parser.add_argument("--seed", type=int, default=0, help="of the arms, their motion and their contacts")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     options = parser.parse_args()
-    known = makers(options.models)
-    for name in options.arms:
+    known = makers(options.models) | fresh_makers()
+    arms = options.arms or [name for name, maker in known.items() if options.fresh or not maker.fresh]
+    for name in arms:
         if name not in known:
             parser.error(f"--arms {name}: must be of {', '.join(known)}")
         if not known[name].model.is_file():
             parser.error(f"{known[name].model}: there is no such file; MODELS is the folder of the arms' URDFs")
     outcomes = []
-    for name in options.arms:
+    for name in arms:
         folder = options.out / name
         make(known[name], folder, options.seed, options.workers)
         for model in MODELS:
             judge(folder, model, options.recipes)
             outcomes += read_outcomes(known[name], options.seed, model, folder)
-    text = markdown(outcomes, "python benchmarks/unseen_arms.py MODELS OUT")
+    text = markdown(outcomes, f"python benchmarks/unseen_arms.py MODELS OUT{' --fresh' * options.fresh}")
     (options.out / "README.md").write_text(text)
     print(text)
 

@@ -51,6 +51,19 @@ def test_alarms_less_than_half_a_second_apart_are_one_and_one_that_outlasts_its_
     assert summary["all"]["found"] == 1 and summary["all"]["false_alarms"] == 1
 
 
+def test_false_alarms_say_where_they_began_and_how_long_after_a_contact():
+    made = labelled((2000, 2300))
+    summary = judged(made, alarms((1000, 1010), (2100, 2110), (3300, 3310), (5000, 5010)), tolerance_s=0.1)
+    found = summary["false_alarms_at"]
+    assert [alarm["start_s"] for alarm in found] == pytest.approx([1.0, 3.3, 5.0])
+    assert found[0]["since_contact_s"] is None
+    assert [alarm["since_contact_s"] for alarm in found[1:]] == pytest.approx([1.001, 2.701])  # its last sample: 2.299
+    assert all(alarm["recording"] == made.name and not alarm["moving"] for alarm in found)
+    assert summary["all"]["false_alarms"] == 3
+    unlabelled = judged(recording(samples=6000), alarms((1000, 1010)))
+    assert [alarm["since_contact_s"] for alarm in unlabelled["false_alarms_at"]] == [None]
+
+
 def test_short_events_and_those_before_the_warm_up_are_neither_missed_nor_free_time():
     made = labelled((100, 400), (2000, 2010), (4000, 4300))
     healthy = np.arange(6000) >= 500

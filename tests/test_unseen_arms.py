@@ -1,37 +1,44 @@
-"""The simulator of arms that nobody tuned for: its truth is a truth."""
+"""The simulator of arms as an integrator meets them: its truth is a truth, and fresh arms stay apart in the tables."""
 
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow.csv
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
+from unseen import recordings
 from unseen.arms import makers, true_arm
 from unseen.contacts import Contact, draw_contacts, label
-from unseen.motions import ACCELERATIONS_RAD_S2, draw_motion
+from unseen.fresh import JITTER_SHARE, fresh_makers
+from unseen.motions import ACCELERATIONS_RAD_S2, STOP_S, draw_motion
+from unseen.results import Outcome, markdown
 from unseen.simulation import RATE_HZ, simulate
 
 from tauext.robot import load_tree
 
 SEVEN = makers(Path())["seven_axis"]
+FRESH = list(fresh_makers().values())
 PUSH = Contact("push", 1.0, 1.8, 4, 0.7, (0.0, 0.6, 0.8), 40.0, (1.0, 1.8))
 
 
-@pytest.fixture(scope="module")
-def pushed():
-    rng = np.random.default_rng(0)
-    arm = true_arm(SEVEN, rng)
-    setpoints = draw_motion(SEVEN, 3 * RATE_HZ, RATE_HZ, rng)
-    return arm, setpoints, simulate(arm, load_tree(SEVEN.model, SEVEN.joints), setpoints, SEVEN.torque_nm, [PUSH], 0.0)
+@pytest.fixture(scope="module", params=[SEVEN, *FRESH], ids=lambda maker: maker.name)
+def pushed(request):
+    maker, rng = request.param, request.param.random(0, 0)
+    arm = true_arm(maker, rng)
+    setpoints = draw_motion(maker, 3 * RATE_HZ, RATE_HZ, rng)
+    return arm, setpoints, simulate(arm, load_tree(maker.model, maker.joints), setpoints, maker.torque_nm, [PUSH], 0.0)
 
 
 def test_motor_friction_and_contact_are_all_that_changes_the_momentum(pushed):
     """dp/dt + beta = motor - friction + tau_ext by the core's tree, where MuJoCo moved the arm."""
     arm, _, run = pushed
-    dq = np.vstack([np.zeros(7), np.diff(run.q, axis=0) * RATE_HZ])  # semi-implicit Euler: q takes the step's new dq
+    # Semi-implicit Euler: q takes the step's new dq.
+    dq = np.diff(run.q, axis=0, prepend=run.q[:1]) * RATE_HZ
     p, beta = arm.tree.momentum(run.q, dq)
     left = np.diff(p, axis=0) * RATE_HZ + beta[:-1] - (run.motor_nm - run.friction_nm + run.tau_ext)[:-1]
     smooth = np.cumsum(left, axis=0)[50::50] / 50
@@ -66,3 +73,73 @@ def test_contacts_are_apart_and_labels_are_within_their_error():
     assert len(rises) == 25 and np.abs(rises - [c.start_s for c in contacts]).max() <= 0.031
     assert PUSH.force_n(1.4) == 40.0 and PUSH.force_n(0.99) == PUSH.force_n(1.81) == 0.0
     assert replace(PUSH, kind="impact").force_n(1.4) == pytest.approx(40.0)
+
+
+def test_the_first_arms_keep_their_draws_and_fresh_ones_have_their_own():
+    assert SEVEN.random(3, 4).uniform() == np.random.default_rng([3, 4]).uniform()
+    first = {maker.random(3, 4).uniform() for maker in (SEVEN, *FRESH)}
+    assert len(first) == 1 + len(FRESH)
+
+
+@pytest.mark.parametrize("maker", FRESH, ids=lambda maker: maker.name)
+def test_programs_of_fresh_arms_end_in_abrupt_stops(maker):
+    q, dq, ddq = draw_motion(maker, 180 * RATE_HZ, RATE_HZ, np.random.default_rng(1))
+    assert (q >= np.array(maker.low_rad)).all() and (q <= np.array(maker.high_rad)).all()
+    assert (np.abs(dq).max(axis=0) <= maker.speed_rad_s).all()
+    np.testing.assert_allclose(np.diff(q, axis=0) * RATE_HZ, (dq[1:] + dq[:-1]) / 2, atol=0.03)
+    abrupt = np.abs(ddq).max(axis=1) > 1.01 * ACCELERATIONS_RAD_S2[1]
+    edges = np.flatnonzero(np.diff(abrupt.astype(int), prepend=0))
+    lasting_s = (edges[1::2] - edges[::2]) / RATE_HZ
+    assert len(lasting_s) >= 4 and lasting_s.min() >= STOP_S[0] and lasting_s.max() <= STOP_S[1]
+    assert not dq[edges[1::2]].any()
+
+
+@pytest.mark.parametrize("maker", FRESH, ids=lambda maker: maker.name)
+def test_logs_of_fresh_arms_have_jittering_stamps_and_lack_samples(maker, tmp_path, monkeypatch):
+    monkeypatch.setattr(recordings, "TAKES", (recordings.Take("short", "train", 0.2, 1),))
+    recordings.write_take(maker, 0, 0, tmp_path)
+    table = pyarrow.csv.read_csv(tmp_path / "short.csv")
+    time_s, touched = table["time"].to_numpy(), table["touched"].to_numpy()
+    assert (np.diff(time_s) > 0).all()
+    place = np.round(time_s * maker.rate_hz)
+    jitter = time_s * maker.rate_hz - place
+    assert np.std(jitter) == pytest.approx(JITTER_SHARE, rel=0.15) and np.abs(jitter).max() < 0.41
+    assert 1 - len(place) / (12 * maker.rate_hz) == pytest.approx(maker.missing_share, abs=0.02)
+    (contact,) = json.loads((tmp_path / "short.truth.json").read_text())
+    begin_s, end_s = contact["label_s"]
+    inside = (place / maker.rate_hz >= begin_s) & (place / maker.rate_hz <= max(end_s, begin_s + 0.03))
+    np.testing.assert_array_equal(touched, inside)
+    assert touched.any() and max(contact["peak_nm"]) > 0
+    assert maker.measured_velocity == ("velocity_1" in table.column_names)
+
+
+def outcome(arm: str, fresh: bool, recipe: str, found: int, free: int, after: int) -> Outcome:
+    return Outcome(
+        arm=arm,
+        fresh=fresh,
+        model="urdf",
+        recipe=recipe,
+        rmse_nm=np.ones(2),
+        rmse_share=np.ones(2) / 10,
+        limit_nm=np.ones(2) * 5,
+        found=np.arange(4) < found,
+        strength=np.array([4.0, 4.0, 4.0, 1.0]),
+        kinds=np.array(["impact", "push", "hold", "push"]),
+        false_after_contact=after,
+        false_free=free,
+        free_hours=0.5,
+        delays=dict.fromkeys(f"delay_{kind}_s" for kind in ("median", "p95", "from_onset_median", "from_onset_p95")),
+    )
+
+
+def test_tables_keep_fresh_arms_apart_and_total_each_group():
+    old = [outcome("ur5", False, "prior", 3, 0, 1), outcome("panda", False, "prior", 4, 2, 0)]
+    new = [outcome("palletizer", True, "prior", 1, 1, 2), outcome("palletizer", True, "friction", 0, 5, 5)]
+    text = markdown([*old, *new], "python made.py")
+    before, after = text.split("## Arms that were run once, afterwards")
+    assert "## Arms the method was fixed on" in before and "palletizer" not in before and "ur5" not in after
+    assert "| ur5 | urdf | prior | 3/4 | 3/3 | 2.0 | 0 | 1 |" in before
+    assert "| **all** | urdf | prior | 7/8 | 6/6 | 3.0 | 2 | 1 |" in before
+    assert "| **all** | urdf | prior | 1/4 | 1/3 | 6.0 | 1 | 2 |" in after
+    assert "| **all** | urdf | friction | 0/4 | 0/3 | 20.0 | 5 | 5 |" in after
+    assert "run once" not in markdown(old, "python made.py")

@@ -36,6 +36,20 @@ class Maker:
     measured_velocity: bool
     constants_known: bool
     """To 10 %; else the description says "unknown"."""
+    stop_share: float = 0.0
+    """Of the moves that are not slow, those that end in an abrupt stop, as where a program ends or is stopped."""
+    stamp_jitter_s: float = 5e-5
+    missing_share: float = 0.0
+    """Of the samples, those that the log lacks."""
+    own_seed: int | None = None
+    """Draws another arm, motion and contacts; those without it share theirs."""
+    fresh: bool = False
+    """Of the arms that no method was fixed on: they are run once, afterwards."""
+
+    def random(self, seed: int, stream: int) -> np.random.Generator:
+        """One of the arm's streams of draws: 0 the arm, 99 what the integrator believes, 1 + k take k."""
+        own = () if self.own_seed is None else (self.own_seed,)
+        return np.random.default_rng([seed, stream, *own])
 
 
 @dataclass(frozen=True)

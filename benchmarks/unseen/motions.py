@@ -10,6 +10,12 @@ SLOW_SHARE = 0.2
 PAUSE_SHARE = 0.7
 ACCELERATIONS_RAD_S2 = (1.4, 8.0)
 """Most that a programmed move asks of a joint: from a controller's default to what the makers of such arms allow."""
+STOP_S = (0.03, 0.08)
+"""From the speed of the move to a stand."""
+STOP_SPEEDS = (0.15, 0.6)
+"""Shares of the most speed at which drives can stop the arm in so short a time."""
+STOP_PLACES = (0.3, 0.6)
+"""Shares of the time that the whole move would take; a stop from here ends before the move would have."""
 
 
 def draw_motion(
@@ -20,19 +26,26 @@ def draw_motion(
     here, parts, length = rng.uniform(low, high), [], 0
     while length < samples:
         slow = rng.uniform() < SLOW_SHARE
+        stops = maker.stop_share > 0 and not slow and rng.uniform() < maker.stop_share
         there = rng.uniform(low, high)
         if slow:  # a short straight piece, as to a fixture
             there = np.clip(here + rng.uniform(-0.25, 0.25, len(here)), low, high)
-        speed = np.array(maker.speed_rad_s) * (rng.uniform(0.02, 0.08) if slow else rng.uniform(0.15, 0.85))
+        shares = (0.02, 0.08) if slow else STOP_SPEEDS if stops else (0.15, 0.85)
+        speed = np.array(maker.speed_rad_s) * rng.uniform(*shares)
         fastest_s = float((np.abs(there - here) / speed).max())
         square_s2 = float(np.abs(there - here).max()) / rng.uniform(*ACCELERATIONS_RAD_S2)
         if rng.uniform() < 0.5:
             s, ds, dds = _quintic(fastest_s, square_s2, rate_hz)
         else:
             s, ds, dds = _trapezoid(fastest_s, square_s2, rng.uniform(0.15, 0.4), rate_hz)
-        stand = round(rng.uniform(0.2, 3.0) * rate_hz) if rng.uniform() < PAUSE_SHARE else 0
-        s, ds, dds = np.append(s, np.ones(stand)), np.append(ds, np.zeros(stand)), np.append(dds, np.zeros(stand))
         way = there - here
+        if stops:
+            at, seconds = round(len(s) * rng.uniform(*STOP_PLACES)), rng.uniform(*STOP_S)
+            s, ds, dds = _stopped(s, ds, dds, at, round(seconds * rate_hz), rate_hz)
+            there = here + s[-1] * way
+        stand = round(rng.uniform(0.2, 3.0) * rate_hz) if stops or rng.uniform() < PAUSE_SHARE else 0
+        s = np.append(s, np.full(stand, s[-1]))
+        ds, dds = np.append(ds, np.zeros(stand)), np.append(dds, np.zeros(stand))
         parts.append((here + s[:, None] * way, ds[:, None] * way, dds[:, None] * way))
         length, here = length + len(s), there
     q, dq, ddq = (np.concatenate(column)[:samples] for column in zip(*parts, strict=True))
@@ -64,3 +77,15 @@ def _trapezoid(
     rising, falling = peak * x**2 / (2 * share), 1 - peak * (1 - x) ** 2 / (2 * share)
     s = np.where(x < share, rising, np.where(x > 1 - share, falling, peak * (x - share / 2)))
     return s, speed / seconds, push / seconds**2
+
+
+def _stopped(
+    s: np.ndarray, ds: np.ndarray, dds: np.ndarray, at: int, steps: int, rate_hz: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The move up to sample `at`, then to a stand on its path at constant deceleration, in so many steps."""
+    x, seconds = np.arange(1, steps + 1) / steps, steps / rate_hz
+    return (
+        np.append(s[: at + 1], s[at] + ds[at] * seconds * (x - x**2 / 2)),
+        np.append(ds[: at + 1], ds[at] * (1 - x)),
+        np.append(dds[: at + 1], np.full(steps, -ds[at] / seconds)),
+    )

@@ -16,7 +16,8 @@ from unseen.motions import draw_motion
 from unseen.simulation import RATE_HZ, Run, simulate
 
 DRIVE_VELOCITY_RAD_S = 200.0
-CLOCK_JITTER_S = 5e-5
+LARGEST_JITTER = 0.4
+"""Of the sample period: stamps still increase."""
 KNOWN_TO = 0.1
 LATER_WARM_S = 60.0
 """How warm the arm is when the test begins: another time of the day, after a minute of work."""
@@ -47,8 +48,8 @@ TAKES = (
 
 def write_take(maker: Maker, seed: int, number: int, folder: Path) -> None:
     """Simulate TAKES[number] of the arm that `seed` drew, and write NAME.csv and NAME.truth.json."""
-    arm = true_arm(maker, np.random.default_rng([seed, 0]))
-    take, rng = TAKES[number], np.random.default_rng([seed, 1 + number])
+    arm = true_arm(maker, maker.random(seed, 0))
+    take, rng = TAKES[number], maker.random(seed, 1 + number)
     samples = round(take.minutes * 60 * RATE_HZ)
     contacts = draw_contacts(take.contacts, take.minutes * 60, len(maker.joints), rng)
     setpoints = draw_motion(maker, samples, RATE_HZ, rng)
@@ -111,15 +112,15 @@ collisions = {json.dumps(by_part["collisions"])}
 def told_constants(maker: Maker, seed: int, model: bool) -> list[float] | str:
     """What the integrator believes: constants off by up to 10 %; "unknown" where a model may tell, as some makers say
     nothing."""
-    arm = true_arm(maker, np.random.default_rng([seed, 0]))
-    wrong = np.random.default_rng([seed, 99]).uniform(1 - KNOWN_TO, 1 + KNOWN_TO, len(maker.joints))
+    arm = true_arm(maker, maker.random(seed, 0))
+    wrong = maker.random(seed, 99).uniform(1 - KNOWN_TO, 1 + KNOWN_TO, len(maker.joints))
     return (arm.nm_per_ampere * wrong).round(3).tolist() if maker.constants_known or not model else "unknown"
 
 
 def _write_csv(
     path: Path, maker: Maker, arm: TrueArm, run: Run, contacts: list[Contact], rng: np.random.Generator
 ) -> None:
-    """What the controller logs at its own rate; its stamps jitter by a little."""
+    """What the controller logs at its own rate: stamps that jitter, and on some arms with samples missing."""
     import pyarrow as pa
     from pyarrow import csv
 
@@ -129,7 +130,9 @@ def _write_csv(
     ampere = np.round(ampere / arm.current_step_a) * arm.current_step_a
     keep = slice(0, None, RATE_HZ // maker.rate_hz)
     time_s = np.arange(len(q))[keep] / RATE_HZ
-    columns = {"time": (time_s + CLOCK_JITTER_S * rng.standard_normal(len(time_s))).round(6)}
+    jitter_s = maker.stamp_jitter_s * rng.standard_normal(len(time_s))
+    jitter_s = np.clip(jitter_s, -LARGEST_JITTER / maker.rate_hz, LARGEST_JITTER / maker.rate_hz)
+    columns = {"time": (time_s + jitter_s).round(6)}
     signals = {"position": q, "current": ampere}
     if maker.measured_velocity:
         signals["velocity"] = velocity(q, DRIVE_VELOCITY_RAD_S, 1 / RATE_HZ)
@@ -137,7 +140,10 @@ def _write_csv(
         for j in range(q.shape[1]):
             columns[f"{name}_{j + 1}"] = signal[keep, j].round(7)
     columns["touched"] = label(contacts, time_s)
-    csv.write_csv(pa.table(columns), path)
+    table = pa.table(columns)
+    if maker.missing_share:
+        table = table.filter(rng.uniform(size=len(time_s)) >= maker.missing_share)
+    csv.write_csv(table, path)
 
 
 def _peak(tau_ext: np.ndarray, contact: Contact) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from tauext.config import EventsConfig
 from tauext.data import Recording
 from tauext.data.estimates import COLLISION, Estimates
-from tauext.evaluate.after_contact import beginnings
+from tauext.evaluate.after_contact import beginnings, time_since_touch
 from tauext.evaluate.free_motion import FALSE_ALARM_QUIET_S
 from tauext.evaluate.onset import onset_s
 
@@ -81,9 +81,9 @@ class EventMeasures:
     config: EventsConfig
     near_stiction_rad_s: float
     _verdicts: list[dict] = field(default_factory=list)
+    _false_alarms: list[dict] = field(default_factory=list)
     _left_out: int = 0
-    _false: np.ndarray = field(default_factory=lambda: np.zeros(2, dtype=int))  # resting, moving
-    _free_s: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    _free_s: np.ndarray = field(default_factory=lambda: np.zeros(2))  # resting, moving
 
     def add(
         self, recording: Recording, alarm: np.ndarray, healthy: np.ndarray, share: np.ndarray, r: np.ndarray
@@ -103,9 +103,17 @@ class EventMeasures:
         quiet = round(FALSE_ALARM_QUIET_S * recording.rate_hz)
         begun = beginnings(alarm, quiet)
         for state in (0, 1):
-            here = free & (moving == bool(state))
-            self._free_s[state] += here.sum() / recording.rate_hz
-            self._false[state] += int(here[begun].sum())
+            self._free_s[state] += (free & (moving == bool(state))).sum() / recording.rate_hz
+        since_s = np.full(recording.samples, np.nan) if recording.contact is None else time_since_touch(recording)
+        for k in begun[free[begun]].tolist():
+            self._false_alarms.append(
+                {
+                    "recording": recording.name,
+                    "start_s": float(recording.time_s[k]),
+                    "moving": bool(moving[k]),
+                    "since_contact_s": float(since_s[k]) if np.isfinite(since_s[k]) else None,
+                }
+            )
         rises = np.flatnonzero(alarm & ~np.append(False, alarm[:-1]))
         time_s, tolerance_s = recording.time_s, self.config.tolerance_s
         onsets = onset_s(recording, [(e.start_s - tolerance_s, e.end_s) for e in events], r, ~busy & healthy)
@@ -145,11 +153,13 @@ class EventMeasures:
             "left_out": self._left_out,
             **{name: self._counts(states) for name, states in states_of.items()},
             "verdicts": self._verdicts,
+            "false_alarms_at": self._false_alarms,
         }
 
     def _counts(self, states: Sequence[int]) -> dict:
         chosen = [v for v in self._verdicts if v["moving"] in states]
-        hours, false = float(self._free_s[list(states)].sum()) / 3600, int(self._false[list(states)].sum())
+        hours = float(self._free_s[list(states)].sum()) / 3600
+        false = sum(alarm["moving"] in states for alarm in self._false_alarms)
         entry: dict = {"events": len(chosen), "found": sum(v["found"] for v in chosen)}
         for key in ("delay_s", "delay_from_onset_s"):
             delays = [v[key] for v in chosen if v[key] is not None]

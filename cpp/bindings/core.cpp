@@ -319,7 +319,25 @@ void bind_bundle(nb::module_& m) {
       .def_rw("size_nm", &DriftSettings::size_nm)
       .def_rw("rate_share_per_s", &DriftSettings::rate_share_per_s)
       .def_rw("freeze_share", &DriftSettings::freeze_share)
-      .def_rw("freeze_s", &DriftSettings::freeze_s);
+      .def_rw("freeze_s", &DriftSettings::freeze_s)
+      .def_rw("freeze_floor_nm", &DriftSettings::freeze_floor_nm);
+  nb::enum_<MotionFeature>(m, "MotionFeature", "What of the motion errors grow with; see error_scale.hpp.")
+      .value("constant", MotionFeature::constant)
+      .value("speed", MotionFeature::speed)
+      .value("acceleration", MotionFeature::acceleration)
+      .value("jerk", MotionFeature::jerk)
+      .value("standstill", MotionFeature::standstill)
+      .value("arm_speed", MotionFeature::arm_speed)
+      .value("arm_acceleration", MotionFeature::arm_acceleration)
+      .value("arm_jerk", MotionFeature::arm_jerk);
+  nb::class_<ErrorScaleSettings>(m, "ErrorScaleSettings", "How errors grow with the motion; no features: limits are constants.")
+      .def(nb::init<>())
+      .def_rw("features", &ErrorScaleSettings::features)
+      .def_rw("limit_weights", &ErrorScaleSettings::limit_weights)
+      .def_rw("largest", &ErrorScaleSettings::largest)
+      .def_rw("sigma_weights", &ErrorScaleSettings::sigma_weights)
+      .def_rw("sigma_near_weights", &ErrorScaleSettings::sigma_near_weights)
+      .def_prop_ro("on", &ErrorScaleSettings::on);
   nb::class_<Bundle> bundle(m, "Bundle", "Everything the chain needs to run, in one file.");
   bundle.def(nb::init<>())
       .def_rw("name", &Bundle::name)
@@ -344,6 +362,9 @@ void bind_bundle(nb::module_& m) {
       .def_prop_rw(
           "contact_release_s", [](const Bundle& b) { return b.limits.contact_release_s; },
           [](Bundle& b, double v) { b.limits.contact_release_s = v; })
+      .def_prop_rw(
+          "after_contact_factor", [](const Bundle& b) { return b.limits.after_contact_factor; },
+          [](Bundle& b, double v) { b.limits.after_contact_factor = v; })
       .def_prop_rw(
           "torque_limit_nm", [](const Bundle& b) { return b.signals.torque_limit_nm; },
           [](Bundle& b, std::vector<double> v) { b.signals.torque_limit_nm = std::move(v); })
@@ -411,6 +432,7 @@ void bind_bundle(nb::module_& m) {
   bind_list(bundle, "parameters", &Bundle::parameters);
   bundle.def_rw("prior", &Bundle::prior);
   bundle.def_rw("drift", &Bundle::drift);
+  bundle.def_rw("error_scale", &Bundle::error_scale);
   bind_list(bundle, "output_scale_nm", &Bundle::output_scale_nm);
   m.def(
       "estimate",
@@ -430,6 +452,8 @@ void bind_bundle(nb::module_& m) {
         out["drift"] = to_numpy(std::move(e.drift), {N, n});
         out["tau_ext"] = to_numpy(std::move(e.tau_ext), {N, n});
         out["doubt"] = to_numpy(std::move(e.doubt), {N, n});
+        out["sigma_nm"] = to_numpy(std::move(e.sigma_nm), {N, n});
+        out["limit_scale"] = to_numpy(std::move(e.limit_scale), {N, n});
         out["limit_nm"] = to_numpy(std::move(e.limit_nm), {N, n});
         out["near_stiction"] = to_numpy(std::move(e.near_stiction), {N, n});
         out["health"] = to_numpy(std::move(e.health), {N});
@@ -443,6 +467,20 @@ void bind_bundle(nb::module_& m) {
       },
       nb::arg("bundle"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("threads"),
       "The whole chain on a recording, as run() of a new Monitor says it; see estimates.hpp.");
+  m.def(
+      "motion_features",
+      [](const Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
+         const Array<double, 2>& tau, const Array<std::int64_t, 1>& samples) {
+        const RecordingView recording = view(t_ns, q, dq, tau);
+        std::vector<double> values;
+        {
+          nb::gil_scoped_release released;
+          values = motion_features(b, recording, span_of(samples));
+        }
+        return to_numpy(std::move(values), {samples.shape(0), q.shape(1), b.error_scale.features.size()});
+      },
+      nb::arg("bundle"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("samples"),
+      "Features of the bundle's error scale at these samples, (samples, joints, features); see estimates.hpp.");
 }
 
 }  // namespace

@@ -88,13 +88,15 @@ class Columns {
     const char* name;
     JointVector Estimate::*values;
   };
-  static constexpr std::array<Torque, 9> kTorques{{{"residual", &Estimate::residual},
+  static constexpr std::array<Torque, 11> kTorques{{{"residual", &Estimate::residual},
                                                    {"prior", &Estimate::prior},
                                                    {"network", &Estimate::network},
                                                    {"drift", &Estimate::drift},
                                                    {"uncertainty", &Estimate::uncertainty},
                                                    {"tau_ext", &Estimate::tau_ext},
                                                    {"doubt", &Estimate::doubt},
+                                                   {"sigma_nm", &Estimate::sigma_nm},
+                                                   {"limit_scale", &Estimate::limit_scale},
                                                    {"limit_nm", &Estimate::limit_nm},
                                                    {"margin_nm", &Estimate::margin_nm}}};
   std::size_t joints_;
@@ -197,6 +199,8 @@ void bind_estimate(nb::module_& m) {
   bind_torques("uncertainty", &Estimate::uncertainty);
   bind_torques("tau_ext", &Estimate::tau_ext);
   bind_torques("doubt", &Estimate::doubt);
+  bind_torques("sigma_nm", &Estimate::sigma_nm);
+  bind_torques("limit_scale", &Estimate::limit_scale);
   bind_torques("limit_nm", &Estimate::limit_nm);
   bind_torques("margin_nm", &Estimate::margin_nm);
 }

@@ -37,6 +37,9 @@ void Limits::validate(int joints, int widths) const {
     expect_time(here + "hold_s", level->hold_s);
   }
   expect_time("limits.contact_release_s", contact_release_s);
+  if (!(after_contact_factor >= 1 && after_contact_factor <= LimitFactors::kHighest))
+    throw Error("limits.after_contact_factor = " + to_text(after_contact_factor) + " must be 1 to " +
+                to_text(LimitFactors::kHighest));
 }
 
 const char* name(Alarm alarm) noexcept {
@@ -51,11 +54,20 @@ AlarmStage::AlarmStage(int joints, int widths, const Limits& limits)
       contact_hold_ns_(to_ns(limits.contact.hold_s)),
       contact_release_ns_(to_ns(limits.contact_release_s)) {
   limits.validate(joints, widths);
+  reset();
+}
+
+void AlarmStage::reset() noexcept {
+  state_ = {};
   acknowledge();
 }
 
 void AlarmStage::acknowledge() noexcept {
+  const std::uint32_t pushed = state_.pushed;  // the friction knows nothing of it
+  const bool touching = state_.touching;
   state_ = {};
+  state_.pushed = pushed;
+  state_.touching = touching;
   state_.collision_since_ns.fill(kNever);
   state_.contact_since_ns.fill(kNever);
 }
@@ -72,22 +84,26 @@ bool AlarmStage::set_factors(std::span<const double> collision, std::span<const 
   return true;
 }
 
-bool AlarmStage::step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> doubt,
-                      std::uint32_t near_stiction, bool trusted, std::span<double> limit_nm) noexcept {
+bool AlarmStage::step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> scale,
+                      std::span<const double> doubt, std::uint32_t near_stiction, bool trusted,
+                      std::span<double> limit_nm) noexcept {
+  state_.pushed &= near_stiction;  // what slides has friction as its motion tells
+  const std::uint32_t raised = state_.touching ? 0 : state_.pushed;
   bool detection = false, touching = false;
   // The joint that raises an alarm is the one furthest over its limit of those that have been over it long enough.
   int collision_joint = -1, contact_joint = -1;
   double collision_excess = 0, contact_excess = 0;
   for (int j = 0; j < joints_; ++j) {
     const bool near = near_stiction >> j & 1;
-    limit_nm[j] = factors_.collision[j] * limits_.limit_nm(limits_.collision, j, near) + doubt[j];
+    const double times = (raised >> j & 1 ? limits_.after_contact_factor : 1.0) * scale[j];
+    limit_nm[j] = times * factors_.collision[j] * limits_.limit_nm(limits_.collision, j, near) + doubt[j];
     const double size = trusted ? std::fabs(tau_ext[j]) : 0.0;
     const auto held = [&](bool over, std::int64_t& since_ns, std::uint64_t hold_ns) noexcept {
       if (!over) since_ns = kNever;
       if (over && since_ns == kNever) since_ns = t_ns;
       return over && elapsed_ns(t_ns, since_ns) >= hold_ns;
     };
-    const double contact_limit = factors_.contact[j] * limits_.limit_nm(limits_.contact, j, near) + doubt[j];
+    const double contact_limit = times * factors_.contact[j] * limits_.limit_nm(limits_.contact, j, near) + doubt[j];
     const bool over = size > limit_nm[j], over_contact = size > contact_limit;
     detection = detection || over;
     touching = touching || over_contact;
@@ -102,6 +118,8 @@ bool AlarmStage::step(std::int64_t t_ns, std::span<const double> tau_ext, std::s
   }
   state_.held_alarm = collision_joint >= 0 ? Alarm::collision : contact_joint >= 0 ? Alarm::contact : Alarm::none;
   if (touching || !trusted) state_.contact_seen_ns = t_ns;
+  if (touching) state_.pushed |= near_stiction;
+  state_.touching = touching;
   if (state_.alarm != Alarm::collision && collision_joint >= 0) {
     state_.alarm = Alarm::collision;
     state_.joint = collision_joint;

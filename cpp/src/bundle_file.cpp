@@ -147,12 +147,21 @@ void fields(File& file, Bundle& b) {
     field(file, level->hold_s);
   }
   field(file, b.limits.contact_release_s);
+  if (file.major >= 6) field(file, b.limits.after_contact_factor);
   if (file.major >= 4) {
     field(file, b.drift.time_constant_s);
     field(file, b.drift.size_nm);
     field(file, b.drift.rate_share_per_s);
     field(file, b.drift.freeze_share);
     field(file, b.drift.freeze_s);
+  }
+  if (file.major >= 6) {
+    field(file, b.drift.freeze_floor_nm);
+    field(file, b.error_scale.features);
+    field(file, b.error_scale.limit_weights);
+    field(file, b.error_scale.largest);
+    field(file, b.error_scale.sigma_weights);
+    field(file, b.error_scale.sigma_near_weights);
   }
   field(file, b.signals.torque_limit_nm);
   field(file, b.signals.largest_torque_nm);

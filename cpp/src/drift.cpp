@@ -23,6 +23,11 @@ void DriftSettings::validate(int joints) const {
   expect(rate_share_per_s > 0 && rate_share_per_s <= 1, "rate_share_per_s", rate_share_per_s, "above 0, at most 1");
   expect(freeze_share >= 0 && freeze_share <= 1, "freeze_share", freeze_share, "0 (never frozen by torque) to 1");
   expect(freeze_s >= 0 && freeze_s <= 60, "freeze_s", freeze_s, "0 to 60");
+  if (!freeze_floor_nm.empty() && static_cast<int>(freeze_floor_nm.size()) != joints)
+    throw Error("drift.freeze_floor_nm has " + std::to_string(freeze_floor_nm.size()) + " values where " +
+                std::to_string(joints) + " or none belong");
+  for (double floor : freeze_floor_nm)
+    expect(floor >= 0 && floor <= kLargestSize, "freeze_floor_nm", floor, "0 to 1e300");
 }
 
 DriftTracker::DriftTracker(const DriftSettings& settings, const Limits& limits, int joints, double gain_per_s)
@@ -56,26 +61,27 @@ void DriftTracker::step(std::int64_t t_ns, std::span<const double> dq, std::span
   s.t_ns = t_ns;
 }
 
-bool DriftTracker::touched(std::span<const double> tau_ext, std::span<const double> doubt,
-                           std::uint32_t near_stiction) const noexcept {
+bool DriftTracker::touched(std::span<const double> tau_ext, std::span<const double> scale,
+                           std::span<const double> doubt, std::uint32_t near_stiction) const noexcept {
   for (int j = 0; settings_.freeze_share > 0 && j < joints_; ++j) {
     const bool near = near_stiction >> j & 1;
     const double limit =
         std::min(limits_.limit_nm(limits_.contact, j, near), limits_.limit_nm(limits_.collision, j, near));
-    if (std::fabs(tau_ext[j]) > settings_.freeze_share * limit + doubt[j]) return true;
+    const double floor = settings_.freeze_floor_nm.empty() ? 0.0 : settings_.freeze_floor_nm[static_cast<std::size_t>(j)];
+    if (std::fabs(tau_ext[j]) > std::max(settings_.freeze_share * limit * scale[j], floor) + doubt[j]) return true;
   }
   return false;
 }
 
-void DriftTracker::learn(std::span<const double> tau_ext, std::span<const double> doubt, std::uint32_t near_stiction,
-                         bool trusted) noexcept {
+void DriftTracker::learn(std::span<const double> tau_ext, std::span<const double> scale, std::span<const double> doubt,
+                         std::uint32_t near_stiction, bool trusted) noexcept {
   if (!on() || !trusted) return;
   State& s = state_;
   const auto left = [&](std::int64_t& left_ns, bool again, std::int64_t for_ns) noexcept {
     left_ns = again ? for_ns : std::max<std::int64_t>(left_ns - s.step_ns, 0);
     return again || left_ns > 0;
   };
-  const bool frozen = left(s.touched_ns, touched(tau_ext, doubt, near_stiction), freeze_ns_);
+  const bool frozen = left(s.touched_ns, touched(tau_ext, scale, doubt, near_stiction), freeze_ns_);
   for (int j = 0; j < joints_; ++j) {
     const bool stuck = left(s.stuck_ns[j], near_stiction >> j & 1, forget_ns_);
     if (!frozen && !stuck) follow(j, tau_ext[j], 1e-9 * static_cast<double>(s.step_ns));

@@ -97,6 +97,8 @@ void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen&
       out.network[cell] = e.network[j];
       out.drift[cell] = e.drift[j];
       out.tau_ext[cell] = e.tau_ext[j];
+      out.sigma_nm[cell] = e.sigma_nm[j];
+      out.limit_scale[cell] = e.limit_scale[j];
       out.limit_nm[cell] = e.limit_nm[j];
       out.near_stiction[cell] = e.near_stiction >> j & 1;
     }
@@ -110,15 +112,20 @@ void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen&
   }
 }
 
-}  // namespace
-
-Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads) {
+void expect_joints(const Bundle& bundle, const RecordingView& recording) {
   if (recording.joints != bundle.joints())
     throw Error("the bundle has " + std::to_string(bundle.joints()) + " joints, the recording " +
                 std::to_string(recording.joints));
+}
+
+}  // namespace
+
+Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads) {
+  expect_joints(bundle, recording);
   const auto N = static_cast<std::size_t>(recording.samples), n = static_cast<std::size_t>(recording.joints);
   Estimates out;
-  for (auto* torque : {&out.residual, &out.prior, &out.network, &out.drift, &out.tau_ext, &out.doubt, &out.limit_nm})
+  for (auto* torque : {&out.residual, &out.prior, &out.network, &out.drift, &out.tau_ext, &out.doubt, &out.sigma_nm,
+                       &out.limit_scale, &out.limit_nm})
     torque->resize(N * n);
   out.near_stiction.resize(N * n);
   for (auto* flags : {&out.health, &out.detection, &out.alarm, &out.held_alarm}) flags->resize(N);
@@ -126,6 +133,28 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
   out.causes.resize(N);
   const Seen seen = observe_all(bundle, recording, out);
   judge_all(bundle, recording, seen, predict_all(bundle, seen, threads), out);
+  return out;
+}
+
+std::vector<double> motion_features(const Bundle& bundle, const RecordingView& recording,
+                                    std::span<const std::int64_t> samples) {
+  expect_joints(bundle, recording);
+  if (!bundle.error_scale.on()) throw Error("the bundle has no error scale");
+  const int features = static_cast<int>(bundle.error_scale.features.size());
+  std::vector<double> out;
+  out.reserve(samples.size() * bundle.links.size() * bundle.error_scale.features.size());
+  ObserveStage observe(bundle, 1);
+  JudgeStage judge(bundle);
+  std::size_t next = 0;
+  for (std::int64_t k = 0; k < recording.samples && next < samples.size(); ++k) {
+    const Sample sample = recording.at(k);
+    judge.step(observe.step(sample), sample.dq, {});
+    if (samples[next] != k) continue;
+    ++next;
+    for (int j = 0; j < recording.joints; ++j)
+      for (int m = 0; m < features; ++m) out.push_back(judge.error_scale().feature(j, m));
+  }
+  if (next != samples.size()) throw Error("samples must rise and stand in the recording");
   return out;
 }
 

@@ -7,19 +7,29 @@
 #include "tauext/bundle.hpp"
 
 namespace tauext {
+namespace {
+
+// The prior may be off by any part of its doubt, either way: that is a standard error of doubt / sqrt(3) of its own.
+double with_doubt(double sigma_nm, double doubt_nm) noexcept {
+  return doubt_nm > 0 ? std::hypot(sigma_nm, doubt_nm / std::sqrt(3.0)) : sigma_nm;
+}
+
+}  // namespace
 
 JudgeStage::JudgeStage(const Bundle& bundle)
     : output_scale_nm_(bundle.output_scale_nm),
       alarm_(bundle.joints(), static_cast<int>(bundle.prior.widths_rad.size()), bundle.limits),
-      drift_(bundle.drift, bundle.limits, bundle.joints(), bundle.observer.gain_per_s) {
+      drift_(bundle.drift, bundle.limits, bundle.joints(), bundle.observer.gain_per_s),
+      scale_(bundle.error_scale, bundle.joints(), bundle.observer.gain_per_s) {
   estimate_.joints = bundle.joints();
   reset();
 }
 
 void JudgeStage::reset() noexcept {
-  alarm_.acknowledge();
+  alarm_.reset();
   alarm_.restore_factors({});
   drift_.reset();
+  scale_.reset();
   const int joints = estimate_.joints;
   estimate_ = {};
   estimate_.joints = joints;
@@ -30,6 +40,7 @@ void JudgeStage::restore(const State& state) noexcept {
   alarm_.restore(state.alarm);
   alarm_.restore_factors(state.factors);
   drift_.restore(state.drift);
+  scale_.restore(state.scale);
   estimate_ = state.estimate;
 }
 
@@ -50,8 +61,8 @@ void JudgeStage::blank(bool also_residual) noexcept {
   constexpr double nan = std::numeric_limits<double>::quiet_NaN();
   Estimate& e = estimate_;
   for (int j = 0; j < e.joints; ++j) {
-    e.network[j] = e.uncertainty[j] = e.tau_ext[j] = e.margin_nm[j] = nan;
-    if (also_residual) e.residual[j] = e.prior[j] = e.drift[j] = e.limit_nm[j] = nan;
+    e.network[j] = e.uncertainty[j] = e.tau_ext[j] = e.sigma_nm[j] = e.margin_nm[j] = nan;
+    if (also_residual) e.residual[j] = e.prior[j] = e.drift[j] = e.limit_scale[j] = e.limit_nm[j] = nan;
   }
   if (also_residual) e.near_stiction = 0;
   e.detection = false;
@@ -70,9 +81,12 @@ const Estimate& JudgeStage::step(const Observed& o, std::span<const double> dq,
       e.prior[j] = o.prior[j];
       e.doubt[j] = o.doubt[j];
     }
-    if (o.restarted) drift_.restart();
+    if (o.restarted) {
+      drift_.restart();
+      scale_.restart();
+    }
     drift_.step(o.t_ns, dq, first_joints(e.drift));
-    judge(o, network);
+    judge(o, dq, network);
   } else {  // the alarm stands as it did
     e.detection = false;
     e.held_alarm = Alarm::none;
@@ -82,22 +96,24 @@ const Estimate& JudgeStage::step(const Observed& o, std::span<const double> dq,
 }
 
 // tau_ext against its limits.
-void JudgeStage::judge(const Observed& o, std::span<const float> network) noexcept {
+void JudgeStage::judge(const Observed& o, std::span<const double> dq, std::span<const float> network) noexcept {
   Estimate& e = estimate_;
+  scale_.step(o.t_ns, dq, o.near_stiction, first_joints(e.limit_scale), first_joints(e.sigma_nm));
   if (o.judged) {
     for (int j = 0; j < e.joints; ++j) {
       const auto at = static_cast<std::size_t>(j);
       e.network[j] = network.empty() ? 0.0 : network_torque_nm(output_scale_nm_[at], network[at]);
       e.uncertainty[j] = e.prior[j] + e.network[j] + e.drift[j];
       e.tau_ext[j] = e.residual[j] - e.uncertainty[j];
+      e.sigma_nm[j] = with_doubt(e.sigma_nm[j], e.doubt[j]);
     }
   } else {
     blank(o.overflowed);
   }
   e.near_stiction = o.near_stiction;
-  e.detection = alarm_.step(o.t_ns, first_joints(e.tau_ext), first_joints(e.doubt), e.near_stiction, o.judged,
-                            first_joints(e.limit_nm));
-  drift_.learn(first_joints(e.tau_ext), first_joints(e.doubt), e.near_stiction, o.teaches);
+  e.detection = alarm_.step(o.t_ns, first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt),
+                            e.near_stiction, o.judged, first_joints(e.limit_nm));
+  drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), e.near_stiction, o.teaches);
   e.drift_saturated = drift_.saturated();
   for (int j = 0; o.judged && j < e.joints; ++j) e.margin_nm[j] = e.limit_nm[j] - std::fabs(e.tau_ext[j]);
   report_alarm();

@@ -6,7 +6,7 @@
 namespace tauext {
 namespace {
 
-constexpr std::uint32_t kStateVersion = 5;
+constexpr std::uint32_t kStateVersion = 6;
 
 // What a saved state begins with.
 struct StateHead {

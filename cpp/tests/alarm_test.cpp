@@ -21,14 +21,20 @@ Limits make_limits() {
 
 struct Stage {
   AlarmStage alarm{2, 0, make_limits()};
-  double limit_nm[2], doubt[2] = {0, 0};
+
+  explicit Stage(double after_contact_factor = 1) {
+    Limits limits = make_limits();
+    limits.after_contact_factor = after_contact_factor;
+    alarm = AlarmStage(2, 0, limits);
+  }
+  double limit_nm[2], doubt[2] = {0, 0}, scale[2] = {1, 1};
   std::uint32_t near_stiction = 0;
   bool detection = false;
 
   const AlarmStage::State& step(std::int64_t t_ms, double tau_1, double tau_2, bool trusted = true, double dq = 1.0) {
     const double tau[] = {tau_1, tau_2};
     near_stiction = make_limits().near_stiction(dq, 0) ? 1 : 0;
-    detection = alarm.step(t_ms * kMs, tau, doubt, near_stiction, trusted, limit_nm);
+    detection = alarm.step(t_ms * kMs, tau, scale, doubt, near_stiction, trusted, limit_nm);
     return alarm.state();
   }
 };
@@ -105,6 +111,43 @@ void doubt_raises_both_limits() {
   CHECK(s.limit_nm[0] == 17 && s.limit_nm[1] == 5);
 }
 
+// The ramp of the first test at limits that the motion triples: the same times at three times the torque.
+void the_error_scale_multiplies_limits_and_not_the_doubt() {
+  Stage s;
+  s.scale[0] = 3;
+  for (int t = 0; t <= 30; ++t) {
+    const Alarm alarm = s.step(t, -3 * t, 0).alarm;
+    CHECK(alarm == (t >= 16 ? Alarm::collision : t >= 7 ? Alarm::contact : Alarm::none));
+    CHECK(s.limit_nm[0] == 30 && s.limit_nm[1] == 5);
+  }
+  s.doubt[0] = 7;
+  s.step(31, 0, 0);
+  CHECK(s.limit_nm[0] == 37);
+}
+
+// Joint 1 is pushed while it is stuck (limits 20 and 8), and told at its usual limit; what the push leaves in its friction
+// is more than that limit, and no alarm until the joint slides.
+void limits_of_a_joint_that_was_pushed_while_stuck_are_raised_until_it_slides() {
+  Stage s(2);
+  for (int t = 0; t < 20; ++t) s.step(t, 25, 0, true, 0);
+  CHECK(s.alarm.state().alarm == Alarm::collision && s.limit_nm[0] == 20);
+  s.step(20, 0, 0, true, 0);
+  CHECK(s.limit_nm[0] == 20);  // the sample that shows the end
+  s.alarm.acknowledge();
+  for (int t = 21; t < 60; ++t) CHECK(s.step(t, 15, 0, true, 0).alarm == Alarm::none);
+  CHECK(s.limit_nm[0] == 40 && s.limit_nm[1] == 5);
+  // A harder push is one; while it lasts the limit is the usual one, so that the alarm does not flicker.
+  for (int t = 60; t < 70; ++t) s.step(t, 41, 0, true, 0);
+  CHECK(s.alarm.state().alarm == Alarm::collision && s.limit_nm[0] == 20 && s.detection);
+  s.step(70, 7, 0, true, 0);
+  s.step(71, 7, 0, true, 0);
+  CHECK(s.limit_nm[0] == 40);
+  s.step(72, 7, 0, true, 1.0);  // slides
+  CHECK(s.limit_nm[0] == 10);
+  s.step(73, 0, 0, true, 0);
+  CHECK(s.limit_nm[0] == 20);  // and stands again, its friction known
+}
+
 void what_cannot_be_trusted_neither_raises_nor_ends_an_alarm() {
   Stage s;
   for (int t = 0; t < 100; ++t) CHECK(s.step(t, 50, 50, false).alarm == Alarm::none && !s.detection);
@@ -133,6 +176,9 @@ void bad_limits_are_refused() {
   limits.contact_release_s = 61;
   CHECK_THROWS(AlarmStage(2, 0, limits), Error);
   limits = make_limits();
+  limits.after_contact_factor = 0.5;
+  CHECK_THROWS(AlarmStage(2, 0, limits), Error);
+  limits = make_limits();
   limits.region_width = 1;  // of one width, 0
   CHECK_THROWS(AlarmStage(2, 1, limits), Error);
 }
@@ -147,6 +193,8 @@ int main() {
   factors_scale_the_torque_that_raises_an_alarm();
   a_bent_presliding_state_is_near_stiction_at_any_speed();
   doubt_raises_both_limits();
+  the_error_scale_multiplies_limits_and_not_the_doubt();
+  limits_of_a_joint_that_was_pushed_while_stuck_are_raised_until_it_slides();
   what_cannot_be_trusted_neither_raises_nor_ends_an_alarm();
   the_joint_furthest_over_its_limit_is_named();
   bad_limits_are_refused();

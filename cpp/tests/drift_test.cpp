@@ -32,7 +32,7 @@ DriftSettings settings(double size = 1e3, double rate_share = 1.0, double freeze
 struct Arm {
   DriftTracker tracker;
   std::int64_t t_ns = 0;
-  double drift[2] = {0, 0}, tau_ext[2] = {0, 0}, doubt[2] = {0, 0};
+  double drift[2] = {0, 0}, tau_ext[2] = {0, 0}, doubt[2] = {0, 0}, scale[2] = {1, 1};
 
   explicit Arm(const DriftSettings& s) : tracker(s, wide_limits(), 2, kGain) {}
   void step(double dq_1, double dq_2, double left_1, double left_2, std::uint32_t near = 0, bool trusted = true) {
@@ -40,7 +40,7 @@ struct Arm {
     tracker.step(t_ns += kMs, dq, drift);
     tau_ext[0] = left_1 - drift[0];
     tau_ext[1] = left_2 - drift[1];
-    tracker.learn(tau_ext, doubt, near, trusted);
+    tracker.learn(tau_ext, scale, doubt, near, trusted);
   }
   double b(std::size_t term, std::size_t joint = 0) const { return tracker.state().coefficients[term][joint]; }
 };
@@ -143,6 +143,15 @@ void nothing_is_learned_while_touched_and_for_a_while_after() {
   const double learned = arm.b(0);
   arm.step(1, 1, -2.1 + arm.drift[0], 0);
   CHECK(arm.b(0) == learned && arm.drift[0] != 0);  // frozen, and still taken off
+  // Limits that the motion lowers count as what is no touch at least.
+  DriftSettings floored = settings(1e3, 1.0, 0.5, 0.25);
+  floored.freeze_floor_nm = {1.5, 0};
+  for (const double left : {1.4, 1.6}) {
+    Arm easy(floored);
+    easy.scale[0] = 0.1;
+    for (int k = 0; k < 100; ++k) easy.step(1, 1, left + easy.drift[0], 0);
+    CHECK((easy.b(0) > 0) == (left < 1.5));
+  }
   // Doubt raises what counts as a touch, as it raises the limits.
   Arm doubting(settings(1e3, 1.0, 0.5, 0.25));
   doubting.doubt[0] = 1.0;

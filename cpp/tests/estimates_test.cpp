@@ -62,7 +62,13 @@ std::vector<Bundle> chains() {
   std::mt19937 random(9);
   std::normal_distribution<float> normal(0, 0.4f);
   for (std::size_t k = 0; k < prior.shape.parameter_count(); ++k) prior.parameters.push_back(normal(random));
-  prior.drift = {1, {3, 3}, 0.2, 0.8, 0.005};
+  prior.drift = {1, {3, 3}, 0.2, 0.8, 0.005, {0.5, 0.1}};
+  prior.limits.after_contact_factor = 2;
+  prior.error_scale.features = {MotionFeature::constant, MotionFeature::arm_jerk, MotionFeature::standstill};
+  prior.error_scale.limit_weights = {0.5, 1e-4, 0.5, 1, 0, 2};
+  prior.error_scale.largest = {3, 2};
+  prior.error_scale.sigma_weights = {0.1, 1e-3, 0, 0.3, 0, 0.1};
+  prior.error_scale.sigma_near_weights = {0, 0, 1, 0, 1e-4, 1};
   answer_reference(prior);
   all.push_back(prior);
   Bundle drifting = quick(2, 0, 5);
@@ -181,6 +187,8 @@ std::string difference(const Bundle& bundle, const Signals& s, int threads, Seen
       if (!same(e.drift[j], bulk.drift[at])) return "drift" + here;
       if (!same(e.tau_ext[j], bulk.tau_ext[at])) return "tau_ext" + here;
       if (!same(e.doubt[j], bulk.doubt[at])) return "doubt" + here;
+      if (!same(e.sigma_nm[j], bulk.sigma_nm[at])) return "sigma" + here;
+      if (!same(e.limit_scale[j], bulk.limit_scale[at])) return "limit scale" + here;
       if (!same(e.limit_nm[j], bulk.limit_nm[at])) return "limit" + here;
       if ((e.near_stiction >> j & 1) != bulk.near_stiction[at]) return "near_stiction" + here;
       // NaN never stands where health says that there is an estimate.

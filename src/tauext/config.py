@@ -12,6 +12,9 @@ from tauext.recipes import RECIPES, Recipe, recipe_of
 
 Backend = Literal["core", "torch"]
 LimitsKind = Literal["auto", "promised", "supported", "paper"]
+OnOff = Literal["on", "off"]
+PAPER_GAIN_PER_S = 20.0
+"""Observer gain of [Lim2021]."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +54,10 @@ else:
 class ObserverConfig:
     """The momentum observer and the rates of the chain."""
 
-    gain_per_s: float = 20.0
-    """Observer gain K0, [1/s]: the residual lags the true disturbance by 1/K0."""
+    gain_per_s: float | Literal["auto"] | None = None
+    """Observer gain K0, [1/s]: the residual lags the true disturbance by 1/K0. auto: of 20, 50 and 100 the one that
+    finds a push soonest, as errors on left-out motion say (recipes tauext and prior). None: auto for these two, the
+    paper's 20 for the others."""
     network_period_s: float = 0.01
     """Wanted time between two network steps, [s]; the nearest whole multiple of the sample period is used."""
     window_s: float = 1.0
@@ -61,8 +66,15 @@ class ObserverConfig:
     """Below this joint speed, [rad/s], a joint counts as near stiction and has a limit of its own."""
 
     def __post_init__(self) -> None:
-        for name in ("gain_per_s", "network_period_s", "window_s", "near_stiction_rad_s"):
-            require(math.isfinite(getattr(self, name)) and getattr(self, name) > 0, name, getattr(self, name), "> 0")
+        numbers = {"gain_per_s": self.first_gain_per_s}
+        numbers |= {name: getattr(self, name) for name in ("network_period_s", "window_s", "near_stiction_rad_s")}
+        for name, value in numbers.items():
+            require(math.isfinite(value) and value > 0, name, value, "> 0")
+
+    @property
+    def first_gain_per_s(self) -> float:
+        """K0 as a number, [1/s]: the paper's where it is still to be chosen."""
+        return self.gain_per_s if isinstance(self.gain_per_s, int | float) else PAPER_GAIN_PER_S
 
     def sample_period_ns(self, rate_hz: float) -> int:
         """Sample period of a recording of this rate, [ns]."""
@@ -107,8 +119,13 @@ class AlarmConfig:
     holds_s: tuple[float, ...] = (0.0, 0.002, 0.005, 0.01, 0.02)
     """Hold times of a collision among which the calibration chooses, [s]; a longer one allows lower limits."""
     friction_reserve: float = 0.2
-    """Share of each joint's friction by which limits are raised where there are no calibration recordings: minutes of
-    one day do not show how friction changes with temperature and time."""
+    """Share of each joint's friction by which constant limits are raised where there are no calibration recordings:
+    minutes of one day do not show how friction changes with temperature and time."""
+    minutes_factor: float = 1.75
+    """Factor on limits that follow the error where there are no calibration recordings, for the same reason."""
+    after_contact_factor: float = 2.0
+    """Factor on the limits of a joint that was pushed while it was stuck, from the end of the contact until it has
+    slid: its friction is not what its motion tells (recipes tauext and prior); 1: none."""
     collision_hold_s: float = 0.01
     """Time that a joint must stay over its collision limit before a collision is reported, where there are no
     calibration recordings to choose it from, [s]."""
@@ -123,6 +140,8 @@ class AlarmConfig:
         for name in ("collision_hold_s", "contact_hold_s", "contact_release_s"):
             require(0 <= getattr(self, name) <= 60, name, getattr(self, name), "0 to 60")
         require(0 <= self.friction_reserve <= 1, "friction_reserve", self.friction_reserve, "0 to 1")
+        for name in ("minutes_factor", "after_contact_factor"):
+            require(1 <= getattr(self, name) <= 10, name, getattr(self, name), "1 to 10")
         for name in ("false_alarms", "in_hours", "contacts_an_hour"):
             require(0 < getattr(self, name) < math.inf, name, getattr(self, name), "> 0")
         require(0.5 <= self.confidence < 1, "confidence", self.confidence, "0.5 to below 1")
@@ -184,6 +203,9 @@ class DriftConfig:
     learning."""
     freeze_s: float = 1.0
     """Time for which the drift tracker learns nothing after a joint was over freeze_share of its limit, [s]."""
+    most_frozen: float = 0.03
+    """Share of free motion in which the drift tracker may stand still: limits that follow the error are so low in easy
+    motion that |tau_ext| must also be over a floor, which follows from this."""
 
     def __post_init__(self) -> None:
         time_s = self.time_constant_s
@@ -193,6 +215,7 @@ class DriftConfig:
         for name in ("rate_share_per_s", "freeze_share"):
             require(0 < getattr(self, name) <= 1, name, getattr(self, name), "above 0, at most 1")
         require(0 <= self.freeze_s <= 60, "freeze_s", self.freeze_s, "0 to 60")
+        require(0 < self.most_frozen < 1, "most_frozen", self.most_frozen, "above 0, below 1")
 
 
 @dataclass(frozen=True)
@@ -276,6 +299,9 @@ class TrainConfig:
     training motion that was left out of it. paper: the largest errors on its validation recordings. auto: paper for
     the recipes paper and dense; else promised where there are calibration recordings and supported where there are
     none."""
+    error_scale: OnOff | None = None
+    """Whether limits follow the error that the motion announces, or are constants (None: on for recipes tauext and
+    prior, off for the others)."""
     fit_torque_constants: bool | None = None
     """Take the recordings' tau for motor current or another multiple of torque, and find one constant a joint from the
     model or, without one, from the arm found in the motion. None: do so where the recordings were currents; given
@@ -292,6 +318,12 @@ class TrainConfig:
             value = getattr(self, name)
             require(value is None or value >= 1, name, value, ">= 1")
         drawn = self.row.draws
+        require(
+            self.observer.gain_per_s != "auto" or self.row.chooses_gain,
+            "observer.gain_per_s",
+            "auto",
+            f"a number with recipe {self.recipe}: recipes tauext and prior choose",
+        )
         require(not drawn or self.epochs is None, "epochs", self.epochs, f"left out with recipe {self.recipe}")
         require(0 <= self.gate_margin < 1, "gate_margin", self.gate_margin, "0 to 1")
         require(self.learning_rate is None or self.learning_rate > 0, "learning_rate", self.learning_rate, "> 0")
@@ -306,12 +338,16 @@ class TrainConfig:
     @property
     def warm_up_s(self) -> float:
         """Warm-up of the recipe's observer and low-pass, [s]."""
-        return warm_up_s(self.observer.gain_per_s, self.filters.low_pass_per_s if self.row.low_pass else 0.0)
+        return warm_up_s(self.observer.first_gain_per_s, self.filters.low_pass_per_s if self.row.low_pass else 0.0)
 
     def resolved(self) -> TrainConfig:
         """With the recipe's own values where None stands."""
-        own: Mapping[str, Any] = self.row.defaults
-        return replace(self, **{name: value for name, value in own.items() if getattr(self, name) is None})
+        own: Mapping[str, Any] = {"error_scale": "on" if self.row.error_scale else "off"} | dict(self.row.defaults)
+        filled = replace(self, **{name: value for name, value in own.items() if getattr(self, name) is None})
+        if self.observer.gain_per_s is not None:
+            return filled
+        gain: Any = "auto" if self.row.chooses_gain else PAPER_GAIN_PER_S
+        return replace(filled, observer=replace(self.observer, gain_per_s=gain))
 
 
 def warm_up_s(gain_per_s: float, low_pass_per_s: float = 0.0) -> float:

@@ -41,6 +41,10 @@ class Recipe:
     in whatever unit."""
     network: Network | None = None
     """What learns by steps. Behind a fit, where the fit alone is a bundle already, it ships only where it helps."""
+    chooses_gain: bool = False
+    """Unless told otherwise, the observer's gain is the one that finds a push soonest; others have the paper's."""
+    error_scale: bool = False
+    """Unless told otherwise, limits follow the error that the motion announces; others are constants."""
     largest_error_limits: bool = False
     """Unless told otherwise, limits are the largest errors on validation recordings, as in the paper."""
     defaults: Mapping[str, float] = field(default_factory=dict)
@@ -90,6 +94,8 @@ FULL_PRIOR: dict[str, Any] = {
     "presliding": True,
     "drift": True,
     "finds_arm": True,
+    "chooses_gain": True,
+    "error_scale": True,
 }
 DENSE = {"batch": 64, "learning_rate": 0.01}
 

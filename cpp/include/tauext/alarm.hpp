@@ -27,18 +27,24 @@ class AlarmStage {
     // A joint over its limit since then; the least number while it is not.
     std::array<std::int64_t, kMaxJoints> collision_since_ns, contact_since_ns;
     std::int64_t contact_seen_ns = 0;  // last sample that showed, or could not rule out, a contact
+    std::uint32_t pushed = 0;          // a bit a joint: over no limit may mean less, since it was pushed while stuck ...
+    bool touching = false;             // ... unless some joint was over its limit at the last sample
   };
 
   // Throws Error where the limits do not fit the joints.
   AlarmStage(int joints, int widths, const Limits& limits);
 
-  // One sample; near_stiction holds a bit a joint, doubt [N m] raises the limits. Writes the collision limit of every
-  // joint [N m], its factor and doubt included, and returns whether some |tau_ext| exceeds it (a detection). With
+  // One sample; near_stiction holds a bit a joint, scale multiplies the limits and doubt [N m] raises them. Writes the
+  // collision limit of every joint [N m], all of that included, and returns whether some |tau_ext| exceeds it (a
+  // detection). With
   // trusted = false nothing is detected, what was held so far starts anew, and a standing alarm stays: what cannot be
   // seen has not gone.
-  bool step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> doubt,
-            std::uint32_t near_stiction, bool trusted, std::span<double> limit_nm) noexcept;
+  bool step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> scale,
+            std::span<const double> doubt, std::uint32_t near_stiction, bool trusted,
+            std::span<double> limit_nm) noexcept;
 
+  // Nothing is over, and no joint has been pushed: as at the start.
+  void reset() noexcept;
   // Ends any alarm; one whose cause lasts comes back after its hold time.
   void acknowledge() noexcept;
 

@@ -7,6 +7,7 @@
 
 #include "tauext/alarm.hpp"
 #include "tauext/drift.hpp"
+#include "tauext/error_scale.hpp"
 #include "tauext/limits.hpp"
 #include "tauext/lstm.hpp"
 #include "tauext/prior.hpp"
@@ -16,7 +17,7 @@
 
 namespace tauext {
 
-inline constexpr std::uint32_t kBundleMajor = 5;        // what is written
+inline constexpr std::uint32_t kBundleMajor = 6;        // what is written
 inline constexpr std::uint32_t kOldestBundleMajor = 3;  // what is still read; fields that it lacks keep their defaults
 
 // A short stretch of free motion and what the chain said at its last sample; replayed at load.
@@ -61,6 +62,7 @@ struct Bundle {
   PriorSettings prior;
   Limits limits;
   DriftSettings drift;
+  ErrorScaleSettings error_scale;
   SignalRanges signals;
   TorqueUnits units;
   Reference reference;

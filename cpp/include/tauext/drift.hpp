@@ -17,6 +17,7 @@ struct DriftSettings {
   double rate_share_per_s = 0;  // how much of its size a coefficient may change in a second
   double freeze_share = 0;      // |tau_ext| over this share of the lower limit is a touch; 0: nothing is
   double freeze_s = 0;          // nothing is learned for so long after a touch
+  std::vector<double> freeze_floor_nm = {};  // a joint: what is below is no touch, however low its limit, [N m]; empty: 0
 
   bool on() const noexcept { return time_constant_s > 0; }
   // Throws Error, naming what does not fit `joints`.
@@ -30,8 +31,9 @@ struct DriftSettings {
 //   b_j += clip(dt / T * tau_ext_j f_j / max(|f_j|^2, 1), +-rate_share size_j dt),    |b_j| <= size_j.
 // Frozen, and still taken off, while the estimate cannot be trusted, while the joint is near stiction and for 3/K0
 // afterwards (static friction is no drift, and a push on a standing arm is not to be learned), and for freeze_s after any
-// joint's |tau_ext| was over freeze_share of the lower of its limits, plus its doubt. An alarm that is held is over a
-// limit, and so among these.
+// joint's |tau_ext| was over freeze_share of the lower of its limits, but at least over freeze_floor, plus its doubt.
+// (Limits that follow the error are low in easy motion: half of one is passed all the time. An alarm that is held below
+// the floor freezes nothing.)
 class DriftTracker {
  public:
   static constexpr int kTerms = 3;  // constant, Coulomb, viscous
@@ -58,11 +60,11 @@ class DriftTracker {
 
   // One sample, later than the last: writes the drift of every joint, [N m], from what was learned before it.
   void step(std::int64_t t_ns, std::span<const double> dq, std::span<double> drift) noexcept;
-  // Learns from tau_ext of the sample just stepped, drift taken off; doubt as for the limits, near_stiction a bit a
-  // joint. With trusted = false nothing is learned, and the time after a touch stands still: what cannot be seen has
+  // Learns from tau_ext of the sample just stepped, drift taken off; scale and doubt as for the limits, near_stiction a
+  // bit a joint. With trusted = false nothing is learned, and the time after a touch stands still: what cannot be seen has
   // not gone.
-  void learn(std::span<const double> tau_ext, std::span<const double> doubt, std::uint32_t near_stiction,
-             bool trusted) noexcept;
+  void learn(std::span<const double> tau_ext, std::span<const double> scale, std::span<const double> doubt,
+             std::uint32_t near_stiction, bool trusted) noexcept;
 
   bool on() const noexcept { return settings_.on(); }
   // A bit a joint: one of its coefficients is at its bound. Training anew is due.
@@ -71,7 +73,7 @@ class DriftTracker {
   void restore(const State& state) noexcept { state_ = state; }
 
  private:
-  bool touched(std::span<const double> tau_ext, std::span<const double> doubt,
+  bool touched(std::span<const double> tau_ext, std::span<const double> scale, std::span<const double> doubt,
                std::uint32_t near_stiction) const noexcept;
   void follow(int joint, double error, double dt) noexcept;
 

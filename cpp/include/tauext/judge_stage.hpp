@@ -1,4 +1,4 @@
-// A sample after the network has spoken: external torque, drift, limits and alarm.
+// A sample after the network has spoken: external torque and its standard error, drift, limits and alarm.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -6,14 +6,15 @@
 
 #include "tauext/alarm.hpp"
 #include "tauext/drift.hpp"
+#include "tauext/error_scale.hpp"
 #include "tauext/observe_stage.hpp"
 #include "tauext/sample.hpp"
 #include "tauext/types.hpp"
 
 namespace tauext {
 
-// What the chain says of one sample. A torque that does not exist is NaN: tau_ext, network, uncertainty and margin exist
-// where health is ok or stale, or kTorqueSaturated is all that is or was wrong.
+// What the chain says of one sample. A torque that does not exist is NaN: tau_ext, sigma, network, uncertainty and margin
+// exist where health is ok or stale, or kTorqueSaturated is all that is or was wrong.
 struct Estimate {
   std::int64_t t_ns = 0;
   int joints = 0;
@@ -34,7 +35,9 @@ struct Estimate {
   JointVector uncertainty{};        // r expected in free motion: prior + network + drift, [N m]
   JointVector tau_ext{};            // residual - uncertainty, [N m]
   JointVector doubt{};              // how far the prior may be off while presliding states are unknown, [N m]
-  JointVector limit_nm{};           // that |tau_ext| must exceed for a collision; doubt included
+  JointVector sigma_nm{};           // standard error of tau_ext in free motion, doubt included, [N m]; NaN without an error scale
+  JointVector limit_scale{};        // what the motion multiplies the limits by; 1 without an error scale
+  JointVector limit_nm{};           // that |tau_ext| must exceed for a collision; scale and doubt included
   JointVector margin_nm{};          // limit - |tau_ext|
 
   // The only thing that may be read as "no collision".
@@ -56,6 +59,7 @@ class JudgeStage {
   }
   const LimitFactors& limit_factors() const noexcept { return alarm_.factors(); }
   const Estimate& last() const noexcept { return estimate_; }
+  const ErrorScale& error_scale() const noexcept { return scale_; }
   // As newly made.
   void reset() noexcept;
 
@@ -63,13 +67,14 @@ class JudgeStage {
     AlarmStage::State alarm;
     LimitFactors factors;
     DriftTracker::State drift;
+    ErrorScale::State scale;
     Estimate estimate;
   };
-  State state() const noexcept { return {alarm_.state(), alarm_.factors(), drift_.state(), estimate_}; }
+  State state() const noexcept { return {alarm_.state(), alarm_.factors(), drift_.state(), scale_.state(), estimate_}; }
   void restore(const State& state) noexcept;
 
  private:
-  void judge(const Observed& observed, std::span<const float> network) noexcept;
+  void judge(const Observed& observed, std::span<const double> dq, std::span<const float> network) noexcept;
   void blank(bool also_residual) noexcept;
   void report_alarm() noexcept;
   std::span<double> first_joints(JointVector& values) const noexcept {
@@ -79,6 +84,7 @@ class JudgeStage {
   std::vector<double> output_scale_nm_;
   AlarmStage alarm_;
   DriftTracker drift_;
+  ErrorScale scale_;
   Estimate estimate_;
 };
 

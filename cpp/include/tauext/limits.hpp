@@ -1,4 +1,5 @@
 // The limit that |tau_ext| of a joint must exceed, one for sliding and one near stiction, for each level of the alarm.
+// Those of a bundle with an error scale hold in usual motion, and are multiplied by it.
 #pragma once
 #include <cmath>
 #include <string>
@@ -31,6 +32,9 @@ struct Limits {
   Level collision;                 // latched until acknowledged
   Level contact;                   // falls back by itself ...
   double contact_release_s = 0;    // ... when |tau_ext| has been under its limit for so long
+  // A push leaves the friction of a joint that is stuck at another level than its motion tells, until it slides: from the
+  // moment no joint is over its limit any more, limits of such a joint are multiplied by this. 1: they are not.
+  double after_contact_factor = 1;
 
   // A joint that has slid on by a width has a state of 1 or -1 for it, and one that turns round leaves it at once: a
   // reversal is near stiction from its first sample until the joint slides again, however its speed flickers.

@@ -75,6 +75,7 @@ typedef struct tauext_estimate {
   double drift[TAUEXT_MAX_JOINTS];       /* [N m], part of uncertainty: slow changes since training */
   uint32_t drift_saturated;              /* a bit a joint: drift at its bound, train anew; health stays as it is */
   uint32_t unused;                       /* 0 */
+  double sigma_nm[TAUEXT_MAX_JOINTS];    /* [N m], standard error of tau_ext as the motion announces it; NaN: unknown */
 } tauext_estimate;
 
 typedef struct tauext_monitor tauext_monitor;

@@ -1,6 +1,7 @@
 """Limits, and the claims they support."""
 
 from tauext.calibrate.bundle_limits import NO_CALIBRATION, calibrate_bundle, recalibrate
+from tauext.calibrate.error_scale import LeftOutErrors, add_friction, fit_error_scale, left_out_errors
 from tauext.calibrate.judged import Judged
 from tauext.calibrate.limits import (
     LevelLimits,
@@ -17,13 +18,17 @@ __all__ = [
     "NO_CALIBRATION",
     "FalseAlarmBudget",
     "Judged",
+    "LeftOutErrors",
     "LevelLimits",
     "Promise",
     "PromisedLimits",
+    "add_friction",
     "apply_promised",
     "at_rest_sentence",
     "calibrate_bundle",
+    "fit_error_scale",
     "is_consistent",
+    "left_out_errors",
     "paper_limits",
     "promised_limits",
     "raise_limits",

@@ -28,6 +28,8 @@ def errors(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Times, |tau_ext|, region and which samples count: (samples,), 2 x (samples, joints) and (samples,) bool.
 
+    |tau_ext| is divided by the error scale of whoever judges, where it has one: what it would be in usual motion.
+
     Counted are samples of free motion within the span at which an alarm could rise: where tau_ext is held against the
     limits, also while a drive is saturated, which is no healthy one. The whole recording runs through the chain, so
     that filters are warm where the span begins.
@@ -39,7 +41,7 @@ def errors(
     counted[judged.span] = True
     counted &= (said["health"] != STALE) & np.isfinite(said["tau_ext"]).all(axis=1) & free_samples(recording, margins)
     # What the prior's doubt raises the limits by is no error that limits must stand.
-    error = np.maximum(np.abs(said["tau_ext"]) - said["doubt"], 0)
+    error = np.maximum(np.abs(said["tau_ext"]) - said["doubt"], 0) / said["limit_scale"]
     return recording.t_ns, error, said["near_stiction"].astype(bool), counted
 
 

@@ -77,11 +77,11 @@ def set_limits(bundle: _core.Bundle, limits: LevelLimits, alarm: AlarmConfig) ->
     bundle.contact_release_s = alarm.contact_release_s
 
 
-def raise_limits(bundle: _core.Bundle, by_nm: np.ndarray) -> None:
-    """Raise every limit of a bundle, in both regions and of both alarms, by so much of each joint, (n,), [N m]."""
+def raise_limits(bundle: _core.Bundle, factor: float, by_nm: np.ndarray | float = 0.0) -> None:
+    """Multiply every limit of a bundle, in both regions and of both alarms, and add so much of each joint, [N m]."""
     for kind in ("sliding", "near_stiction", "contact_sliding", "contact_near_stiction"):
         name = f"{kind}_limit_nm"
-        setattr(bundle, name, (np.array(getattr(bundle, name)) + by_nm).tolist())
+        setattr(bundle, name, (factor * np.array(getattr(bundle, name)) + by_nm).tolist())
 
 
 def usual_speed_rad_s(recordings: Sequence[Recording | Judged]) -> np.ndarray:

@@ -46,7 +46,7 @@ def build_setup(
         )
     row, filters = recipe_of(recipe), filters or FilterConfig()
     settings = _core.ObserverSettings(
-        gain_per_s=config.gain_per_s,
+        gain_per_s=config.first_gain_per_s,
         timing=getattr(_core.TorqueTiming, recording.torque_timing),
         sample_period_ns=config.sample_period_ns(recording.rate_hz),
         network_stride=config.network_stride(recording.rate_hz),

@@ -82,7 +82,25 @@ def fit_prior(
         prior.widths_rad = [width for width in setup.widths_rad if width not in dropped]
         without = fit_terms(replace(setup, prior=prior), recordings, config, ripple, inertia)
         fit = replace(without, dropped_widths=dropped)
-    return replace(fit, kinematics=inertia.kinematics)
+    return chosen(fit, recordings, config, ripple, inertia)
+
+
+def chosen(
+    fit: PriorFit,
+    recordings: Sequence[Recording],
+    config: PriorConfig,
+    ripple: Sequence[Sequence[int]],
+    inertia: Inertia,
+) -> PriorFit:
+    """The fit with what was chosen on the way to it, so that the same terms can be fitted to another observer's r."""
+
+    def refit(setup: Setup) -> PriorFit:
+        prior = _core.PriorSettings()
+        prior.widths_rad = fit.settings.widths_rad
+        again = fit_terms(replace(setup, prior=prior), recordings, config, ripple, inertia)
+        return chosen(replace(again, dropped_widths=fit.dropped_widths), recordings, config, ripple, inertia)
+
+    return replace(fit, kinematics=inertia.kinematics, refit=refit)
 
 
 def find_inertia(

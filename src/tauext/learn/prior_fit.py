@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from tauext import _core
 from tauext.data import Recording
 from tauext.learn.kinematics import Kinematics
 from tauext.learn.regression import Regression
+from tauext.learn.training_set import Setup
 
 
 @dataclass(frozen=True)
@@ -18,6 +20,13 @@ class LeftOut:
 
     settings: _core.PriorSettings
     spans: list[tuple[Recording, slice]]
+
+
+class Refit(Protocol):
+    """The same terms fitted once more."""
+
+    def __call__(self, setup: Setup) -> PriorFit:
+        """To the residual of another observer, on the same recordings; the setup's presliding widths do not count."""
 
 
 @dataclass(frozen=True)
@@ -37,3 +46,4 @@ class PriorFit:
     left_out: list[LeftOut]  # one for each fold that leaves a possible model
     kinematics: Kinematics | None = None  # found from the motion, where there is no model and this explains it
     dropped_widths: dict[float, str] = field(default_factory=dict)  # [rad]: and why
+    refit: Refit | None = None  # of the terms that were chosen, on other residuals

@@ -42,13 +42,17 @@ class Fit(Protocol):
         """
 
 
-def observe(job: Job) -> Setup:
+def observe(job: Job, gain_per_s: float | None = None) -> Setup:
     """The setup up to r: the estimated model, torque constants, and the observer and filters of the recipe.
+
+    Args:
+        gain_per_s: of the observer; None: that of the settings, or the paper's where it is still to be chosen.
 
     Raises:
         TrainingError: the recordings' joints are not the model's.
     """
-    setup = build_setup(job.tree, job.training[0], job.config.observer, job.config.recipe, job.config.filters)
+    config = job.config.observer if gain_per_s is None else replace(job.config.observer, gain_per_s=gain_per_s)
+    setup = build_setup(job.tree, job.training[0], config, job.config.recipe, job.config.filters)
     if job.constants is None:
         return setup
     return replace(setup, observer=with_constants(setup.observer, job.constants.used))
@@ -82,7 +86,12 @@ def put_prior(job: Job, bundle: Bundle, fit: PriorFit | None) -> None:
     if fit is None:
         return
     job.facts["prior"] = prior_facts(fit, job.joints)
-    if fit.settings.widths_rad:
-        bundle.region_width = region_width(fit.settings.widths_rad, job.config.prior)
+    put_region(job, bundle, fit)
     if job.config.row.drift:
         set_drift(bundle, fit, job.config.drift)
+
+
+def put_region(job: Job, bundle: Bundle, fit: PriorFit) -> None:
+    """Let the bundle tell by its presliding states which region's limits hold."""
+    if fit.settings.widths_rad:
+        bundle.region_width = region_width(fit.settings.widths_rad, job.config.prior)

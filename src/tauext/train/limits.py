@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from tauext._core import Bundle
 from tauext.calibrate import (
     NO_CALIBRATION,
     Judged,
+    add_friction,
     apply_promised,
     calibrate_bundle,
+    fit_error_scale,
     paper_limits,
     promised_limits,
     raise_limits,
@@ -18,12 +23,15 @@ from tauext.calibrate import (
     usual_speed_rad_s,
 )
 from tauext.config import TrainConfig
-from tauext.data import Recording
+from tauext.data import Recording, total_s
 from tauext.errors import ConfigError, TrainingError
 from tauext.learn import PriorFit, Setup, freeze_drift, make_bundle
 from tauext.learn.prior_facts import friction_nm
 from tauext.train.preparation import Job
 
+FRICTION_CHANGES_IN_S = 300.0
+"""Of a gear that warms up, [s]: of what friction does in a day, T s of recordings have seen 1 - exp(-T / this)."""
+LEAST_RESERVE = 0.005
 EVEN_ODDS = 0.5
 """With which each limit keeps its share of the supported budget. That budget is the least that these minutes support
 at the promise's confidence; asked again of each of a dozen limits, that confidence doubled them beyond the largest
@@ -38,11 +46,15 @@ def calibrate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> N
         TrainingError: too little free motion.
     """
     config, kind = job.config, limits_kind(job.config, job.calibration)
-    by_fit = fit is not None and not bundle.has_network
-    # What was cut off to validate was trained on in the end where no network ships.
-    unseen: list[Recording | Judged] = [] if by_fit and not job.validation else list(job.motion.for_limits)
-    left_out = left_out_of_fit(bundle, fit, setup, job.reference(setup)) if by_fit and fit is not None else []
+    unseen, left_out = unseen_motion(job, bundle, setup, fit)
     judged = [*unseen, *left_out]
+    if config.row.presliding:
+        bundle.after_contact_factor = config.alarm.after_contact_factor
+    if config.resolved().error_scale == "on":
+        job.facts["error_scale"] = fit_error_scale(bundle, judged, job.threads, config.margins, config.drift)
+        for one in left_out:
+            assert one.bundle is not None
+            one.bundle.error_scale = bundle.error_scale
     if kind == "promised":
         promised, job.facts["limits"] = calibrate_bundle(
             bundle, job.name, job.calibration, config.alarm, job.threads, config.margins, job.report
@@ -72,6 +84,17 @@ def limits_kind(config: TrainConfig, calibration: Sequence[object]) -> str:
     return "promised" if calibration else "supported"
 
 
+def unseen_motion(
+    job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None
+) -> tuple[list[Recording | Judged], list[Judged]]:
+    """Free motion that the bundle was not trained on, and motion that its prior's stand-ins were not."""
+    by_fit = fit is not None and not bundle.has_network
+    # What was cut off to validate was trained on in the end where no network ships.
+    unseen: list[Recording | Judged] = [] if by_fit and not job.validation else list(job.motion.for_limits)
+    left_out = left_out_of_fit(bundle, fit, setup, job.reference(setup)) if by_fit and fit is not None else []
+    return unseen, left_out
+
+
 def left_out_of_fit(bundle: Bundle, fit: PriorFit, setup: Setup, reference: Recording) -> list[Judged]:
     """Every fifth of the training motion, judged by a prior that was fitted to the other four.
 
@@ -96,9 +119,10 @@ def set_supported_limits(
 ) -> tuple[str, dict]:
     """Put limits for the smallest budget of false alarms that this motion supports into the bundle.
 
-    Where it is too short even for that, the largest error. Either is raised by a share of the friction at the speed
-    that a joint stays below for 95 % of its motion, since friction changes with temperature and time by more than
-    minutes show. Returned is what was done, in words, and the facts.
+    Where it is too short even for that, the largest error. Either is raised, since friction changes with temperature
+    and time by more than minutes show: limits that follow the error by a factor, constant ones by a share of the
+    friction at the speed that a joint stays below for 95 % of its motion. Returned is what was done, in words, and the
+    facts.
     """
     try:
         promised = promised_limits(bundle, lambda: judged, config.alarm, threads, config.margins, EVEN_ODDS)
@@ -110,10 +134,37 @@ def set_supported_limits(
         apply_promised(bundle, promised, config.alarm)
         facts = promised.facts()
         words = f"no calibration recordings. {promised.sentence()}"
+    if bundle.error_scale.on:
+        raise_limits(bundle, config.alarm.minutes_factor)
+        facts["minutes_factor"] = config.alarm.minutes_factor
+        words += f" They are {config.alarm.minutes_factor:g} times what these minutes show."
+        share = config.alarm.friction_reserve * math.exp(-spanned_s(judged) / FRICTION_CHANGES_IN_S)
+        if fit is not None and share > LEAST_RESERVE:
+            add_friction(bundle, share, *friction_line(fit, usual_speed_rad_s(judged)))
+            facts["friction_reserve"] = share
+            words += f" {share:.1%} of the friction is added: so short a time shows little of its changes."
+        return words, facts
     if fit is None or not config.alarm.friction_reserve:
         return words, facts
     reserve = config.alarm.friction_reserve * friction_nm(fit, usual_speed_rad_s(judged))
-    raise_limits(bundle, reserve)
+    raise_limits(bundle, 1.0, reserve)
     names = [link.joint_name for link in bundle.links]
     facts["friction_reserve_nm"] = dict(zip(names, reserve.tolist(), strict=True))
     return f"{words} They are raised by {config.alarm.friction_reserve:.0%} of the friction.", facts
+
+
+def spanned_s(judged: Sequence[Recording | Judged]) -> float:
+    """How long the recordings are that limits are found on, [s]."""
+    of = {id(r): r for r in (one.recording if isinstance(one, Judged) else one for one in judged)}
+    return total_s(list(of.values()))
+
+
+def friction_line(fit: PriorFit, speed_rad_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Friction at rest and its growth with the speed, (n,) [N m] and [N m s/rad], of a line through two of its points.
+
+    Args:
+        speed_rad_s: a usual speed of each joint, (n,); the other point is a tenth of it.
+    """
+    usual, slow = friction_nm(fit, speed_rad_s), friction_nm(fit, speed_rad_s / 10)
+    slope = np.maximum((usual - slow) / np.maximum(0.9 * speed_rad_s, 1e-9), 0)
+    return np.maximum(usual - slope * speed_rad_s, 0), slope

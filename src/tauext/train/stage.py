@@ -12,6 +12,7 @@ from tauext.errors import ConfigError
 from tauext.progress import SILENT, Reporter
 from tauext.robot import chosen_case, estimated_model
 from tauext.train.fitting import fit_prior, observe, put_prior, with_fit
+from tauext.train.gain import choose_gain
 from tauext.train.gating import gate
 from tauext.train.limits import calibrate
 from tauext.train.network import assemble, fit_network
@@ -89,6 +90,8 @@ def train_on_recordings(
     job = prepare(tree, robot, case, training, validation, config, out, calibration, report)
     setup = observe(job)
     fit = fit_prior(job, setup, job.motion.training if job.motion.network else job.motion.uncut)
+    if config.resolved().observer.gain_per_s == "auto" and fit is not None:
+        setup, fit = choose_gain(job, setup, fit)
     network = fit_network(job, with_fit(setup, fit))
     bundle = assemble(job, with_fit(setup, fit), network)
     if config.row.gated:

@@ -1,0 +1,88 @@
+// How wrong tau_ext may be just now, as the motion announces it: what limits and the standard error grow with.
+#pragma once
+#include <array>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "tauext/types.hpp"
+
+namespace tauext {
+
+// What of a joint's motion, or of the whole arm's, errors grow with; all >= 0.
+// The numbers stand in bundles: a new kind gets the next one, and none is ever used again.
+enum class MotionFeature : std::uint8_t {
+  constant = 0,          // 1
+  speed = 1,             // |dq_j|
+  acceleration = 2,      // |ddq_j|, ddq = Ka (dq - LP dq)
+  jerk = 3,              // |dddq_j|, dddq = Ka (ddq - LP ddq): torque and velocity are never sampled at quite one time
+  standstill = 4,        // near 1 while the joint stands or creeps and for a while afterwards
+  arm_speed = 5,         // the same summed over all joints, since they are coupled
+  arm_acceleration = 6,
+  arm_jerk = 7,
+};
+inline constexpr int kMotionFeatures = 8;
+
+// Weights are >= 0 and stand in rows of one joint, (joints, features).
+struct ErrorScaleSettings {
+  std::vector<MotionFeature> features;    // none: limits are constants, and nobody knows sigma
+  std::vector<double> limit_weights;      // of the limits' scale; 1 is usual motion
+  std::vector<double> largest;            // a joint: the scale never exceeds what training motion asked for
+  std::vector<double> sigma_weights;      // of the standard error while sliding, [N m] for a feature of 1
+  std::vector<double> sigma_near_weights; // and near stiction
+
+  bool on() const noexcept { return !features.empty(); }
+  // Throws Error, naming what does not fit `joints`.
+  void validate(int joints) const;
+};
+
+// scale_j = min(sum_m w_jm F_m, largest_j), sigma_j likewise, with F_m the features passed through the observer's filter,
+//   F <- F + (1 - exp(-K0 dt)) (feature - F),
+// so that they rise and fade with what they announce in r. From a restart on they stand at the first sample's values.
+// ddq and dddq come of first-order filters of a fixed rate Ka, whatever K0, so that noise does not grow with K0; steps
+// are as stamped. standstill decays with kMemoryS from the largest 1 / (1 + (dq_j / kCreepRadS)^2); it starts from 1, as
+// nobody knows what was before. The torque has no say: a push must not raise its own limit. (It moves the arm, and that
+// does, but not beyond `largest`.)
+class ErrorScale {
+ public:
+  static constexpr double kAccelerationPerS = 40;  // Ka, [1/s]
+  static constexpr double kMemoryS = 0.15, kCreepRadS = 0.02;
+  static constexpr double kLargestSpeed = 1e3;  // [rad/s]; what is beyond counts as this, so that sums stay finite
+
+  struct State {
+    bool started = false;
+    std::int64_t t_ns = 0, step_ns = 0;  // of the last sample, and the step that the shares are for
+    double share = 0, slow_share = 0, kept = 0;  // 1 - exp(-K0 dt), 1 - exp(-Ka dt), exp(-dt / kMemoryS)
+    JointVector slow_dq{}, slow_ddq{}, standstill{};
+    std::array<JointVector, kMotionFeatures> filtered{};
+  };
+
+  // Throws Error where the settings do not fit.
+  ErrorScale(const ErrorScaleSettings& settings, int joints, double gain_per_s);
+
+  // After a gap or a fault.
+  void restart() noexcept { state_.started = false; }
+  // As newly made.
+  void reset() noexcept { state_ = {}; }
+  // One sample of finite speeds, later than the last. Writes both of every joint; 1 and NaN where there are no features.
+  // near_stiction: a bit a joint, by which sigma has its weights.
+  void step(std::int64_t t_ns, std::span<const double> dq, std::uint32_t near_stiction, std::span<double> scale,
+            std::span<double> sigma_nm) noexcept;
+  bool on() const noexcept { return settings_.on(); }
+  // F_m of a joint at the last sample, m counted in the settings.
+  double feature(int joint, int m) const noexcept;
+
+  const State& state() const noexcept { return state_; }
+  void restore(const State& state) noexcept { state_ = state; }
+
+ private:
+  void take_step(std::int64_t t_ns) noexcept;
+  void follow(std::span<const double> dq) noexcept;
+
+  ErrorScaleSettings settings_;
+  int joints_;
+  double gain_per_s_;
+  State state_;
+};
+
+}  // namespace tauext

@@ -1,0 +1,227 @@
+r"""How errors grow with the motion: the weights of the core's error scale (cpp/include/tauext/error_scale.hpp).
+
+With F_m >= 0 the features of a joint's motion, filtered as r is, and e = max(\|tau_ext\| - doubt, 0) on free motion
+that nothing was trained on, the scale sigma = sum_m w_m F_m minimises
+
+.. math:: \overline{\ln\sigma} + \frac1p \ln\overline{(e/\sigma)^p}, \qquad w \ge 0,
+
+which no factor on sigma changes. p = 2 is the likelihood of a normal error of that standard error. A larger p asks for
+the moments that set a limit: the scale whose limit, p-th moments taken for largest values, is lowest on average.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+from scipy.optimize import minimize
+
+from tauext import _core
+from tauext.calibrate.judged import Judged, errors, no_free_motion
+from tauext.config import DriftConfig, FreeMotionConfig
+from tauext.data import Recording
+
+FEATURES = tuple(_core.MotionFeature)
+SHARP_HOURS = 1.0
+"""With so much left-out motion the limits' scale is fitted to its largest errors, with less more to all of them ..."""
+SHARP, BLUNT = 8.0, 4.0
+"""... by these powers p."""
+LEAST_CONSTANT = 0.05
+"""Of usual motion's scale: no motion makes limits vanish."""
+LEAST_ROWS = 300
+"""A region with fewer rows takes the standard error of both."""
+RESERVE_SPEED_RAD_S = 3.0
+"""Up to this speed the reserve for friction grows."""
+ONE_SIGMA = 0.6827
+"""Share of errors within one standard error, as of a normal one: sigma is scaled to it."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Free motion at the network's rate."""
+
+    error_nm: np.ndarray  # (rows, joints)
+    near_stiction: np.ndarray  # (rows, joints), bool
+    features: np.ndarray  # (rows, joints, features)
+    hours: float
+
+    @property
+    def power(self) -> float:
+        """p of the limits' scale."""
+        return SHARP if self.hours >= SHARP_HOURS else BLUNT
+
+
+def fit_error_scale(
+    bundle: _core.Bundle,
+    judged: Iterable[Recording | Judged],
+    threads: int,
+    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
+    drift: DriftConfig = DriftConfig(),  # noqa: B008
+) -> dict:
+    """Put an error scale into a bundle that has none, and the floor of its drift tracker's freeze; the facts for its
+    provenance.
+
+    Raises:
+        TrainingError: no free motion.
+    """
+    rows = collect_rows(bundle, judged, threads, margins)
+    weights = np.array([limit_weights(rows, j) for j in range(bundle.joints)])
+    scale = _core.ErrorScaleSettings()
+    scale.features = list(FEATURES)
+    scale.limit_weights = weights.ravel().tolist()
+    scale.largest = np.einsum("rjf,jf->rj", rows.features, weights).max(axis=0).tolist()
+    sliding: list[np.ndarray] = []
+    near: list[np.ndarray] = []
+    for j in range(bundle.joints):
+        error, features, stuck = rows.error_nm[:, j], rows.features[:, j], rows.near_stiction[:, j]
+        both = sigma_weights(features, error)
+        for inside, into in ((~stuck, sliding), (stuck, near)):
+            into.append(sigma_weights(features[inside], error[inside]) if inside.sum() >= LEAST_ROWS else both)
+    scale.sigma_weights = np.concatenate(sliding).tolist()
+    scale.sigma_near_weights = np.concatenate(near).tolist()
+    bundle.error_scale = scale
+    if bundle.drift.time_constant_s > 0:
+        period_s = 1e-9 * bundle.observer.sample_period_ns * bundle.observer.network_stride
+        bundle.drift.freeze_floor_nm = freeze_floor_nm(rows.error_nm, drift, period_s).tolist()
+    return {"hours": rows.hours, "power": rows.power}
+
+
+def add_friction(bundle: _core.Bundle, share: float, at_rest_nm: np.ndarray, per_speed: np.ndarray) -> None:
+    """Add a share of the friction, at_rest_nm + per_speed |dq|, to limits that follow the error.
+
+    It stands in the weights of the constant and of the speed, in units of the sliding collision limit; other limits get
+    it in proportion to theirs.
+    """
+    scale, level = bundle.error_scale, np.array(bundle.sliding_limit_nm)
+    weights = np.array(scale.limit_weights).reshape(bundle.joints, -1)
+    weights[:, FEATURES.index(_core.MotionFeature.constant)] += share * at_rest_nm / level
+    weights[:, FEATURES.index(_core.MotionFeature.speed)] += share * per_speed / level
+    # What bounds the scale was the largest of training motion: at most the friction of a very high speed more.
+    scale.largest = (np.array(scale.largest) + share * (at_rest_nm + per_speed * RESERVE_SPEED_RAD_S) / level).tolist()
+    scale.limit_weights = weights.ravel().tolist()
+    bundle.error_scale = scale
+
+
+@dataclass(frozen=True)
+class LeftOutErrors:
+    """What limits that follow the error would be on motion that nothing was trained on."""
+
+    usual_limit_nm: np.ndarray  # (joints,): sliding, in usual motion
+    limit_nm: np.ndarray  # (rows, joints)
+
+
+def left_out_errors(
+    bundle: _core.Bundle, judged: Iterable[Recording | Judged], threads: int, margins: FreeMotionConfig
+) -> LeftOutErrors:
+    """The limits that the largest standardised error of a fifth of this motion asks for, on the mean over the fifths.
+
+    Raises:
+        TrainingError: no free motion.
+    """
+    rows = collect_rows(bundle, judged, threads, margins)
+    weights = np.array([limit_weights(rows, j) for j in range(bundle.joints)])
+    scale = np.einsum("rjf,jf->rj", rows.features, weights)
+    fifths = np.array_split(np.arange(len(scale)), 5)
+
+    def level(inside: np.ndarray) -> np.ndarray:
+        of_fifths = [np.where(inside[at], rows.error_nm[at] / scale[at], 0).max(axis=0) for at in fifths if len(at)]
+        return np.mean(of_fifths, axis=0)
+
+    sliding, near = level(~rows.near_stiction), level(rows.near_stiction)
+    near = np.maximum(sliding, near)
+    return LeftOutErrors(sliding, np.where(rows.near_stiction, near, sliding) * scale)
+
+
+def freeze_floor_nm(error_nm: np.ndarray, config: DriftConfig, period_s: float) -> np.ndarray:
+    """What a joint's |tau_ext| must be over to freeze the drift tracker, (joints,), [N m].
+
+    One multiple of every joint's RMS error: the one that lets the tracker stand still in config.most_frozen of these
+    rows, freeze_s after each row over it included.
+
+    Args:
+        error_nm: (rows, joints), period_s apart.
+    """
+    rms = np.sqrt(np.mean(error_nm**2, axis=0))
+    over = (error_nm / np.maximum(rms, 1e-300)).max(axis=1)
+    back = max(1, round(config.freeze_s / period_s) + 1)
+    recent = maximum_filter1d(over, back, origin=(back - 1) // 2)  # of this row and those before it
+    return float(np.quantile(recent, 1 - config.most_frozen)) * rms
+
+
+def collect_rows(
+    bundle: _core.Bundle, judged: Iterable[Recording | Judged], threads: int, margins: FreeMotionConfig
+) -> Rows:
+    """Errors and features of free motion, a row a network period.
+
+    Raises:
+        TrainingError: no free motion.
+    """
+    plain = _core.Bundle.from_bytes(bundle.to_bytes())
+    plain.error_scale = unit_scale(bundle.joints)
+    found: list[tuple[np.ndarray, ...]] = []
+    stride, period_h = bundle.observer.network_stride, bundle.observer.sample_period_ns / 3.6e12
+    for one in judged:
+        one = one if isinstance(one, Judged) else Judged(one)
+        _, error, near, counted = errors(bundle, one, threads, margins)
+        at = np.flatnonzero(counted)[::stride].astype(np.int64)
+        if len(at) == 0:
+            continue
+        r = one.recording
+        found.append((error[at], near[at], _core.motion_features(plain, r.t_ns, r.q, r.dq, r.tau, at)))
+    if not found:
+        raise no_free_motion(bundle, margins)
+    error, near, features = (np.concatenate(column) for column in zip(*found, strict=True))
+    return Rows(error, near, features, len(error) * stride * period_h)
+
+
+def limit_weights(rows: Rows, joint: int) -> np.ndarray:
+    """Weights of a joint's limits, (features,): their scale is 1 in the median, and never below LEAST_CONSTANT."""
+    features = rows.features[:, joint]
+    weights = fit_weights(features, rows.error_nm[:, joint], rows.power)
+    weights = weights / float(np.median(features @ weights))
+    weights[0] = max(weights[0], LEAST_CONSTANT)
+    return weights
+
+
+def unit_scale(joints: int) -> _core.ErrorScaleSettings:
+    """All features, and a scale of 1 whatever the motion."""
+    scale = _core.ErrorScaleSettings()
+    scale.features = list(FEATURES)
+    constant = [1.0] + [0.0] * (len(FEATURES) - 1)
+    scale.limit_weights = scale.sigma_weights = scale.sigma_near_weights = constant * joints
+    scale.largest = [1.0] * joints
+    return scale
+
+
+def sigma_weights(features: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Weights of the standard error, scaled so that as many errors lie within it as of a normal one."""
+    weights = fit_weights(features, error, 2.0)
+    sigma = features @ weights
+    scaled = weights * float(np.quantile(error / sigma, ONE_SIGMA))
+    return scaled if scaled.any() else np.r_[1e-6, np.zeros(len(weights) - 1)]
+
+
+def fit_weights(features: np.ndarray, error: np.ndarray, power: float) -> np.ndarray:
+    """The weights w >= 0 of the module's equation, (features,), of any scale; the constant's is above 0."""
+    size = features.mean(axis=0)
+    used = size > 0
+    F = features[:, used] / size[used]
+    e = error / max(float(np.sqrt(np.mean(error**2))), 1e-300)
+
+    def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
+        sigma = F @ w
+        ratio = e / sigma
+        top = max(float(ratio.max()), 1e-300)
+        high = (ratio / top) ** power
+        total = float(high.sum())
+        value = float(np.log(sigma).mean()) + np.log(top) + np.log(total / len(e)) / power
+        return value, (F / sigma[:, None]).mean(axis=0) - (F / sigma[:, None]).T @ high / total
+
+    start = np.full(F.shape[1], 1.0 / F.shape[1])
+    bounds = [(LEAST_CONSTANT / 10, None)] + [(0, None)] * (F.shape[1] - 1)
+    found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 200})
+    weights = np.zeros(len(size))
+    weights[used] = found.x / size[used]
+    return weights

@@ -115,7 +115,7 @@ class LeftOutErrors:
 def left_out_errors(
     bundle: _core.Bundle, judged: Iterable[Recording | Judged], threads: int, margins: FreeMotionConfig
 ) -> LeftOutErrors:
-    """The limits that the largest standardised error of a fifth of this motion asks for, on the mean over the fifths.
+    """The limits that nothing of this motion passes, as they follow its largest standardised errors.
 
     Raises:
         TrainingError: no free motion.
@@ -123,14 +123,11 @@ def left_out_errors(
     rows = collect_rows(bundle, judged, threads, margins)
     weights = np.array([limit_weights(rows, j) for j in range(bundle.joints)])
     scale = np.einsum("rjf,jf->rj", rows.features, weights)
-    fifths = np.array_split(np.arange(len(scale)), 5)
-
-    def level(inside: np.ndarray) -> np.ndarray:
-        of_fifths = [np.where(inside[at], rows.error_nm[at] / scale[at], 0).max(axis=0) for at in fifths if len(at)]
-        return np.mean(of_fifths, axis=0)
-
-    sliding, near = level(~rows.near_stiction), level(rows.near_stiction)
+    sliding, near = (
+        np.where(inside, rows.error_nm / scale, 0).max(axis=0) for inside in (~rows.near_stiction, rows.near_stiction)
+    )
     near = np.maximum(sliding, near)
+    sliding = np.where(sliding > 0, sliding, near)  # a joint that never slid
     return LeftOutErrors(sliding, np.where(rows.near_stiction, near, sliding) * scale)
 
 

@@ -1,0 +1,173 @@
+"""The error scale: weights from errors, limits and standard error that follow the motion."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from test_few_data import motion, trained
+
+from tauext import _core
+from tauext.calibrate.error_scale import (
+    BLUNT,
+    FEATURES,
+    SHARP,
+    add_friction,
+    fit_weights,
+    freeze_floor_nm,
+    sigma_weights,
+)
+from tauext.config import DriftConfig, ObserverConfig
+from tauext.train.gain import mean_delay_s
+
+ROWS = 20_000
+
+
+def made_rows(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Features (1, a speed, an acceleration that is rare) and the true standard error that they announce."""
+    rng = np.random.default_rng(seed)
+    features = np.stack([np.ones(ROWS), rng.uniform(0, 2, ROWS), rng.exponential(size=ROWS) ** 2], axis=1)
+    return features, features @ [0.2, 0.5, 0.1]
+
+
+def test_the_weights_of_a_normal_error_are_found():
+    """p = 2 is its likelihood: with 20,000 rows the standard error of each share of sigma is some 2 %."""
+    features, sigma = made_rows()
+    error = np.abs(sigma * np.random.default_rng(1).standard_normal(ROWS))
+    found = features @ sigma_weights(features, error)
+    assert np.abs(found / sigma - 1).max() < 0.1
+    assert (error < found).mean() == pytest.approx(0.6827, abs=0.01)
+    assert (error < 2 * found).mean() == pytest.approx(0.9545, abs=0.01)
+
+
+def test_a_feature_that_announces_nothing_weighs_nothing():
+    features, sigma = made_rows()
+    idle = np.random.default_rng(2).exponential(size=(ROWS, 1))
+    error = np.abs(sigma * np.random.default_rng(1).standard_normal(ROWS))
+    weights = fit_weights(np.hstack([features, idle]), error, 2.0)
+    assert weights[-1] * idle.mean() < 0.03 * np.median(features @ weights[:-1])
+
+
+def test_no_weight_is_negative_and_scaling_the_error_changes_nothing():
+    features, sigma = made_rows()
+    error = np.abs(sigma * np.random.default_rng(3).standard_normal(ROWS))
+    falling = np.hstack([features, 1 / features[:, 1:2].clip(0.1)])
+    for power in (2.0, BLUNT, SHARP):
+        one, other = (fit_weights(falling, by * error, power) for by in (1.0, 1e3))
+        assert (one >= 0).all() and one[0] > 0
+        np.testing.assert_allclose(one / one[0], other / other[0], rtol=1e-3, atol=1e-6)
+
+
+def test_a_sharp_scale_lowers_the_limit_that_rare_large_errors_set():
+    """Rare moments have mostly small errors, and now and then the largest of all: p = 2 sees the former."""
+    rng = np.random.default_rng(4)
+    rare = (rng.uniform(size=ROWS) < 0.05).astype(float)
+    features = np.stack([np.ones(ROWS), rare], axis=1)
+    uniform = rng.uniform(size=ROWS)
+    error = np.where(rare > 0, 5.0 * uniform**16, uniform**2)
+    usual = {}
+    for power in (2.0, SHARP):
+        scale = features @ fit_weights(features, error, power)
+        usual[power] = (error / scale).max() * np.median(scale)
+    assert usual[SHARP] < 0.8 * usual[2.0] and usual[SHARP] < 2
+
+
+def test_the_drift_tracker_stands_still_in_as_much_of_the_motion_as_was_said():
+    rng = np.random.default_rng(5)
+    error = np.abs(rng.standard_normal((30_000, 3))) * [0.1, 0.5, 2.0]
+    error[rng.integers(0, 30_000, 10)] *= 8
+    config, period_s = DriftConfig(), 0.01
+    floor = freeze_floor_nm(error, config, period_s)
+    np.testing.assert_allclose(floor / floor[0], [1, 5, 20], rtol=0.15)
+    left, frozen = 0.0, 0
+    for touched in (error > floor).any(axis=1):  # the tracker's own rule
+        left = config.freeze_s if touched else max(left - period_s, 0)
+        frozen += touched or left > 1e-9
+    assert 0.5 * config.most_frozen < frozen / 30_000 <= config.most_frozen + 1e-3
+
+
+def test_limits_follow_the_motion_and_sigma_covers_left_out_errors(tmp_path, monkeypatch):
+    """Errors grow with the speed: so do limit and sigma, and sigma covers what it should on new motion."""
+    rng = np.random.default_rng(6)
+
+    def noisy(seed: int):
+        r = motion(seconds=90.0, seed=seed, name=f"made{seed}")
+        noise = rng.standard_normal(r.q.shape) * (0.05 + 0.4 * np.abs(r.dq))
+        return motion(seconds=90.0, seed=seed, name=f"made{seed}", tau=r.tau + noise)
+
+    settings = {"recipe": "prior", "observer": ObserverConfig(gain_per_s=50.0)}
+    bundle, facts = trained(tmp_path, monkeypatch, [noisy(1), noisy(2), noisy(3)], **settings)
+    new = noisy(4)
+    said = _core.estimate(bundle, new.t_ns, new.q, new.dq, new.tau, 1)
+    healthy = said["health"] == 1
+    assert facts["error_scale"]["power"] == BLUNT
+    for j in range(2):
+        ratio = np.abs(said["tau_ext"][healthy, j]) / said["sigma_nm"][healthy, j]
+        assert 0.6 < (ratio < 1).mean() < 0.76 and 0.9 < (ratio < 2).mean() < 0.98
+        fast, slow = (np.abs(new.dq[healthy, j]) > 1.0), (np.abs(new.dq[healthy, j]) < 0.2)
+        for column in ("sigma_nm", "limit_nm"):
+            assert said[column][healthy, j][fast].mean() > 1.5 * said[column][healthy, j][slow].mean()
+
+
+def test_constants_are_there_for_the_asking_and_for_other_recipes(tmp_path, monkeypatch):
+    for k, settings in enumerate(({"recipe": "prior", "error_scale": "off"}, {"recipe": "friction"})):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        bundle, facts = trained(folder, monkeypatch, [motion()], **settings)
+        assert not bundle.error_scale.on and "friction_reserve_nm" in facts["limits"]
+        said = _core.estimate(bundle, motion().t_ns, motion().q, motion().dq, motion().tau, 1)
+        assert np.isnan(said["sigma_nm"]).all()
+        for j in range(2):
+            limits = {bundle.sliding_limit_nm[j], bundle.near_stiction_limit_nm[j]}
+            certain = (said["doubt"][:, j] == 0) & np.isfinite(said["limit_nm"][:, j])
+            assert set(np.unique(said["limit_nm"][certain, j])) <= limits
+    folder = tmp_path / "on"
+    folder.mkdir()
+    bundle, _ = trained(folder, monkeypatch, [motion()], recipe="friction", error_scale="on")
+    assert bundle.error_scale.on
+
+
+def test_a_reserve_of_friction_is_added_at_every_speed(tmp_path, monkeypatch):
+    bundle, _ = trained(tmp_path, monkeypatch, [motion(seconds=60.0)], recipe="prior", observer=ObserverConfig(20.0))
+    more = _core.Bundle.from_bytes(bundle.to_bytes())
+    at_rest, per_speed = np.array([2.0, 1.0]), np.array([0.5, 3.0])
+    add_friction(more, 0.1, at_rest, per_speed)
+    r = motion(seconds=20.0, seed=9)
+    before, after = (_core.estimate(b, r.t_ns, r.q, r.dq, r.tau, 1) for b in (bundle, more))
+    scale = _core.Bundle.from_bytes(bundle.to_bytes()).error_scale
+    speed = _core.motion_features(bundle, r.t_ns, r.q, r.dq, r.tau, np.arange(r.samples))[
+        :, :, scale.features.index(_core.MotionFeature.speed)
+    ]
+    sliding = (before["near_stiction"] == 0) & (before["doubt"] == 0) & np.isfinite(before["limit_nm"])
+    sliding &= before["limit_scale"] < np.array(scale.largest)
+    added = after["limit_nm"] - before["limit_nm"]
+    np.testing.assert_allclose(added[sliding], (0.1 * (at_rest + per_speed * speed))[sliding], rtol=1e-9)
+
+
+def test_a_push_is_found_as_the_observer_s_step_response_says():
+    push = np.array([3.0, 2.0])
+    limit = np.array([[1.0, 1.0], [2.9, 1.99]])
+    expected = np.minimum(-np.log(1 - limit / push) / 50, 0.2).mean()
+    assert mean_delay_s(50.0, limit, push) == pytest.approx(expected)
+    assert mean_delay_s(20.0, np.array([[4.0, 2.0]]), push) == 0.2  # never found
+
+
+def test_the_gain_follows_from_the_errors(tmp_path, monkeypatch):
+    """Noise of the torque speaks for a slow observer; errors that last, and no noise, for a fast one."""
+    chosen = {}
+    for name, noise in (("noise", 2.0), ("none", 0.0)):
+        rng, r = np.random.default_rng(7), motion(seconds=120.0, seed=5)
+        ripple = 0.3 * np.sin(7 * r.q) * np.cos(1.3 * np.arange(r.samples) / 125.0)[:, None]
+        tau = r.tau + noise * rng.standard_normal(r.tau.shape) + ripple
+        folder = tmp_path / name
+        folder.mkdir()
+        bundle, facts = trained(folder, monkeypatch, [motion(seconds=120.0, seed=5, tau=tau)], recipe="prior")
+        chosen[name] = bundle.observer.gain_per_s
+        assert facts["gain"]["chosen_per_s"] == chosen[name] and "is found after" in facts["gain"]["reason"]
+        assert json.dumps(facts["settings"]).count('"gain_per_s": "auto"') == 1
+    assert chosen["noise"] == 20.0 and chosen["none"] > 20.0
+
+
+def test_every_feature_has_a_place_in_the_fit():
+    assert [feature.name for feature in FEATURES][0] == "constant" and len(set(FEATURES)) == 8

@@ -21,6 +21,7 @@ from tauext.rig.recording import simulate_recording
 
 Signals = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 BREAK_NS = 1_000_000_000
+OK, COLLISION = 1, 2
 LENGTH_S = 90.0
 
 
@@ -81,7 +82,34 @@ def print_errors(title: str, bundle: _core.Bundle, signals: Signals) -> None:
         last = healthy & (np.arange(len(healthy)) >= 2 * len(healthy) // 3)
         rmse = [np.sqrt((said["tau_ext"][rows] ** 2).mean(axis=0)) for rows in (healthy, last)]
         words = "with tracker   " if tracking else "without tracker"
-        print(f"{title}, {words}: RMSE {rmse[0].round(3)} Nm, last third {rmse[1].round(3)} Nm", flush=True)
+        alarms = false_collisions(said, signals[0])
+        told = f", {alarms} false collisions in {healthy.sum() * bundle.observer.sample_period_ns / 3.6e12:.2f} h"
+        if tracking:
+            told += f", frozen {frozen_share(bundle, said, signals[0]):.1%} of it by torque"
+        print(f"{title}, {words}: RMSE {rmse[0].round(3)} Nm, last third {rmse[1].round(3)} Nm{told}", flush=True)
+
+
+def false_collisions(said: dict[str, np.ndarray], t_ns: np.ndarray) -> int:
+    """Collisions that began, those less than 0.5 s apart counted as one."""
+    at = np.flatnonzero(said["held_alarm"] == COLLISION)
+    return 0 if len(at) == 0 else 1 + int((np.diff(t_ns[at]) >= 500_000_000).sum())
+
+
+def frozen_share(bundle: _core.Bundle, said: dict[str, np.ndarray], t_ns: np.ndarray) -> float:
+    """Share of healthy samples at which a touch, as DriftTracker defines one, was at most freeze_s ago."""
+    drift, near = bundle.drift, said["near_stiction"].astype(bool)
+    levels = ("sliding_limit_nm", "near_stiction_limit_nm")
+    lower = [np.minimum(getattr(bundle, name), getattr(bundle, f"contact_{name}")) for name in levels]
+    limit = np.where(near, lower[1], lower[0]) * said["limit_scale"]
+    over = np.maximum(drift.freeze_share * limit, drift.freeze_floor_nm or 0.0) + said["doubt"]
+    healthy = said["health"] == OK
+    touched = np.flatnonzero(((np.abs(said["tau_ext"]) > over).any(axis=1)) & healthy)
+    if len(touched) == 0:
+        return 0.0
+    last = touched[np.maximum(np.searchsorted(touched, np.arange(len(t_ns)), side="right") - 1, 0)]
+    since_ns = t_ns - t_ns[last]
+    frozen = (since_ns >= 0) & (since_ns <= drift.freeze_s * 1e9)
+    return float((frozen & healthy).sum() / healthy.sum())
 
 
 def print_absorbed(bundle: _core.Bundle, signals: Signals, push_nm: float) -> None:

@@ -203,16 +203,18 @@ class DriftConfig:
     learning."""
     freeze_s: float = 1.0
     """Time for which the drift tracker learns nothing after a joint was over freeze_share of its limit, [s]."""
+    freeze_floor_share: float = 1 / 3
+    """Where limits follow the error they are so low in easy motion that drift itself is over them; |tau_ext| must also
+    be over this share of a coefficient's bound to stop the tracker ..."""
     most_frozen: float = 0.03
-    """Share of free motion in which the drift tracker may stand still: limits that follow the error are so low in easy
-    motion that |tau_ext| must also be over a floor, which follows from this."""
+    """... and over as much as lets it stand still in no more than this share of free motion."""
 
     def __post_init__(self) -> None:
         time_s = self.time_constant_s
         require(time_s == 0 or 1 <= time_s <= 1e6, "time_constant_s", time_s, "0 (no tracker) or 1 to 1e6")
         for name in ("size_share", "least_size_nm"):
             require(0 <= getattr(self, name) < math.inf, name, getattr(self, name), ">= 0")
-        for name in ("rate_share_per_s", "freeze_share"):
+        for name in ("rate_share_per_s", "freeze_share", "freeze_floor_share"):
             require(0 < getattr(self, name) <= 1, name, getattr(self, name), "above 0, at most 1")
         require(0 <= self.freeze_s <= 60, "freeze_s", self.freeze_s, "0 to 60")
         require(0 < self.most_frozen < 1, "most_frozen", self.most_frozen, "above 0, below 1")

@@ -84,7 +84,8 @@ def fit_error_scale(
     bundle.error_scale = scale
     if bundle.drift.time_constant_s > 0:
         period_s = 1e-9 * bundle.observer.sample_period_ns * bundle.observer.network_stride
-        bundle.drift.freeze_floor_nm = freeze_floor_nm(rows.error_nm, drift, period_s).tolist()
+        drifted = drift.freeze_floor_share * np.array(bundle.drift.size_nm)
+        bundle.drift.freeze_floor_nm = np.maximum(drifted, freeze_floor_nm(rows.error_nm, drift, period_s)).tolist()
     return {"hours": rows.hours, "power": rows.power}
 
 

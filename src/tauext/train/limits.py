@@ -29,8 +29,9 @@ from tauext.learn import PriorFit, Setup, freeze_drift, make_bundle
 from tauext.learn.prior_facts import friction_nm
 from tauext.train.preparation import Job
 
-FRICTION_CHANGES_IN_S = 300.0
-"""Of a gear that warms up, [s]: of what friction does in a day, T s of recordings have seen 1 - exp(-T / this)."""
+SHORT_S = 120.0
+"""The reserve for friction that recordings did not show fades with their length T as exp(-T / this), [s]: a single minute
+shows one motion in one state of the gears, ten show a gear that warms up (5 to 7 minutes)."""
 LEAST_RESERVE = 0.005
 EVEN_ODDS = 0.5
 """With which each limit keeps its share of the supported budget. That budget is the least that these minutes support
@@ -138,7 +139,7 @@ def set_supported_limits(
         raise_limits(bundle, config.alarm.minutes_factor)
         facts["minutes_factor"] = config.alarm.minutes_factor
         words += f" They are {config.alarm.minutes_factor:g} times what these minutes show."
-        share = config.alarm.friction_reserve * math.exp(-spanned_s(judged) / FRICTION_CHANGES_IN_S)
+        share = config.alarm.friction_reserve * math.exp(-spanned_s(judged) / SHORT_S)
         if fit is not None and share > LEAST_RESERVE:
             add_friction(bundle, share, *friction_line(fit, usual_speed_rad_s(judged)))
             facts["friction_reserve"] = share

@@ -30,8 +30,8 @@ from tauext.learn.prior_facts import friction_nm
 from tauext.train.preparation import Job
 
 SHORT_S = 120.0
-"""The reserve for friction that recordings did not show fades with their length T as exp(-T / this), [s]: a single minute
-shows one motion in one state of the gears, ten show a gear that warms up (5 to 7 minutes)."""
+"""The reserve for friction that recordings did not show fades with their length T as exp(-T / this), [s]: a single
+minute shows one motion in one state of the gears, ten show a gear that warms up (5 to 7 minutes)."""
 LEAST_RESERVE = 0.005
 EVEN_ODDS = 0.5
 """With which each limit keeps its share of the supported budget. That budget is the least that these minutes support

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from test_few_data import motion, trained
 
 from tauext import _core
+from tauext.calibrate import recalibrate
 from tauext.calibrate.error_scale import (
     BLUNT,
     FEATURES,
@@ -18,7 +20,8 @@ from tauext.calibrate.error_scale import (
     freeze_floor_nm,
     sigma_weights,
 )
-from tauext.config import DriftConfig, ObserverConfig
+from tauext.config import AlarmConfig, DriftConfig, ObserverConfig
+from tauext.errors import ConfigError
 from tauext.train.gain import mean_delay_s
 
 ROWS = 20_000
@@ -171,3 +174,24 @@ def test_the_gain_follows_from_the_errors(tmp_path, monkeypatch):
 
 def test_every_feature_has_a_place_in_the_fit():
     assert [feature.name for feature in FEATURES][0] == "constant" and len(set(FEATURES)) == 8
+
+
+def test_calibrate_keeps_the_scale_or_fits_it_to_recordings_apart_from_those_of_the_limits(tmp_path, monkeypatch):
+    bundle, _ = trained(tmp_path, monkeypatch, [motion(seconds=60.0)], recipe="prior")
+    recordings = [motion(seconds=60.0, seed=seed, name=f"day{seed}") for seed in range(10)]
+    dataset = SimpleNamespace(folder=tmp_path, loaders=lambda part: [lambda r=r: r for r in recordings])
+    made = {}
+    for refit in (False, True):
+        out = tmp_path / f"{refit}.tauext"
+        recalibrate(tmp_path / "made.tauext", dataset, out, AlarmConfig(), refit_error_scale=refit)
+        made[refit] = _core.Bundle.load(str(out))
+    kept, fitted = made[False], made[True]
+    assert kept.error_scale.limit_weights == bundle.error_scale.limit_weights
+    assert fitted.error_scale.limit_weights != bundle.error_scale.limit_weights
+    facts = json.loads(fitted.provenance)
+    assert facts["error_scale"]["recordings"] == ["day0", "day1"]
+    assert facts["limits"]["recordings"] == [f"day{k}" for k in range(2, 10)]
+    assert fitted.drift.freeze_share == kept.drift.freeze_share > 0
+    recordings[1:] = []
+    with pytest.raises(ConfigError, match="2 calibration recordings or more"):
+        recalibrate(tmp_path / "made.tauext", dataset, tmp_path / "x.tauext", AlarmConfig(), refit_error_scale=True)

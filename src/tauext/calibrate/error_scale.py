@@ -30,6 +30,8 @@ SHARP, BLUNT = 8.0, 4.0
 """... by these powers p."""
 LEAST_CONSTANT = 0.05
 """Of usual motion's scale: no motion makes limits vanish."""
+MOST_ROWS = 1_000_000
+"""Over an hour and a half at the network's rate."""
 LEAST_ROWS = 300
 """A region with fewer rows takes the standard error of both."""
 RESERVE_SPEED_RAD_S = 3.0
@@ -151,7 +153,7 @@ def freeze_floor_nm(error_nm: np.ndarray, config: DriftConfig, period_s: float) 
 def collect_rows(
     bundle: _core.Bundle, judged: Iterable[Recording | Judged], threads: int, margins: FreeMotionConfig
 ) -> Rows:
-    """Errors and features of free motion, a row a network period.
+    """Errors and features of free motion, a row a network period, or as many fewer as MOST_ROWS ask for.
 
     Raises:
         TrainingError: no free motion.
@@ -160,6 +162,7 @@ def collect_rows(
     plain.error_scale = unit_scale(bundle.joints)
     found: list[tuple[np.ndarray, ...]] = []
     stride, period_h = bundle.observer.network_stride, bundle.observer.sample_period_ns / 3.6e12
+    count = 0
     for one in judged:
         one = one if isinstance(one, Judged) else Judged(one)
         _, error, near, counted = errors(bundle, one, threads, margins)
@@ -168,6 +171,10 @@ def collect_rows(
             continue
         r = one.recording
         found.append((error[at], near[at], _core.motion_features(plain, r.t_ns, r.q, r.dq, r.tau, at)))
+        count += len(at)
+        if count > MOST_ROWS:  # every other one of all serves as well
+            found = [tuple(column[::2] for column in rows) for rows in found]
+            count, stride = sum(len(rows[0]) for rows in found), 2 * stride
     if not found:
         raise no_free_motion(bundle, margins)
     error, near, features = (np.concatenate(column) for column in zip(*found, strict=True))

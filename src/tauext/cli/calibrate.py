@@ -17,6 +17,7 @@ def calibrate(
     out: Path,
     alarm: Annotated[AlarmConfig, tyro.conf.arg(name="")] = AlarmConfig(),  # noqa: B008
     threads: int = 0,
+    refit_error_scale: bool = False,
 ) -> None:
     """Set the limits and hold times of a bundle for another promise or on other recordings; nothing is trained.
 
@@ -26,6 +27,8 @@ def calibrate(
         out: bundle to write, NAME.tauext.
         alarm: what is promised.
         threads: threads that estimate; 0: one a core. The result does not depend on it.
+        refit_error_scale: find anew how errors grow with the motion, on the first fifth of the calibration recordings;
+            limits follow from the others.
     """
     from tauext.calibrate import recalibrate
     from tauext.cli.reporter import Terminal
@@ -35,6 +38,6 @@ def calibrate(
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
     if bundle.exists() and out.exists() and out.samefile(bundle):
         raise ConfigError(f"{out}: it is the bundle to begin with, which stays as it is; choose another --out")
-    promised = recalibrate(bundle, load_dataset(data), out, alarm, threads, Terminal())
+    promised = recalibrate(bundle, load_dataset(data), out, alarm, threads, Terminal(), refit_error_scale)
     print(promised.sentence())
     print(out)

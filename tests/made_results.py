@@ -35,6 +35,7 @@ def make_results(
     collision_recordings: int = 2,
     scale: str | None = "quick",
     seed: int = 0,
+    error_scale: bool = False,
 ) -> tuple[Path, Path]:
     """Write `folder/data` and `folder/results`; returns (results, data). Twelve collisions or so in each 60 s."""
     rng = np.random.default_rng(seed)
@@ -66,13 +67,14 @@ def make_results(
             near_stiction_rad_s=NEAR_STICTION_RAD_S,
             hold_s=0.0,
             observer=SimpleNamespace(gain_per_s=20.0),
+            error_scale=SimpleNamespace(on=error_scale),
             sliding_limit_nm=limits[name].tolist(),
             near_stiction_limit_nm=(2 * limits[name]).tolist(),
             provenance=json.dumps(trained | {"limits": {"promise": promise}}),
         )
         measures = BundleMeasures(name, bundle)
         for recording in free + touched:
-            estimates = make_estimates(recording, name, limits[name], rng)
+            estimates = make_estimates(recording, name, limits[name], rng, error_scale)
             save_estimates(estimates, results / "estimates" / name / f"{recording.name}.parquet")
             if recording in free:
                 measures.add_free(recording, estimates)
@@ -178,8 +180,13 @@ def low_pass(x: np.ndarray) -> np.ndarray:
     return lfilter([1 - a], [1, -a], x, axis=0)
 
 
-def make_estimates(recording: Recording, name: str, limit_nm: np.ndarray, rng: np.random.Generator) -> Estimates:
-    """An observer that sees friction, the model's error and the push; a network that errs most near stiction."""
+def make_estimates(
+    recording: Recording, name: str, limit_nm: np.ndarray, rng: np.random.Generator, error_scale: bool = False
+) -> Estimates:
+    """An observer that sees friction, the model's error and the push; a network that errs most near stiction.
+
+    With an error scale limits grow with the speed, and the standard error is a tenth of them.
+    """
     n = len(recording.joints)
     model = MODEL_ERROR_NM.get(name.removesuffix("-paper"), 10.0) * np.cos(recording.q) * np.linspace(1, 0.3, n)
     uncertainty = low_pass(-friction(recording.dq) - model)
@@ -192,6 +199,10 @@ def make_estimates(recording: Recording, name: str, limit_nm: np.ndarray, rng: n
     warm = recording.time_s < WARM_S
     network[warm] = tau_ext[warm] = np.nan
     limit = np.where(near, 2 * limit_nm, limit_nm)
+    sigma = None
+    if error_scale:
+        limit = limit * (1 + np.abs(recording.dq))
+        sigma = np.where(warm[:, None], np.nan, 0.1 * limit).astype(np.float32)
     with np.errstate(invalid="ignore"):
         detection = (np.abs(tau_ext) > limit).any(axis=1) & ~warm
     single = np.float32
@@ -202,6 +213,7 @@ def make_estimates(recording: Recording, name: str, limit_nm: np.ndarray, rng: n
         network=network.astype(single),
         tau_ext=tau_ext.astype(single),
         limit=limit.astype(single),
+        sigma_nm=sigma,
         near_stiction=near,
         health=np.where(warm, WARMING_UP, OK).astype(np.int8),
         detection=detection,

@@ -1,9 +1,11 @@
 """Metrics, collisions and delays against values worked out by hand."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_error_scale import SIGMA_NEAR_NM, with_error_scale
 from numpy.testing import assert_allclose
 from sliding_mass import estimates_of, observer_bundle, pushed, recording
 
@@ -12,6 +14,7 @@ from tauext.data.loss_history import thin
 from tauext.errors import BundleError, ConfigError, RecordingError
 from tauext.evaluate import evaluate, read_loss_history
 from tauext.evaluate.collisions import choose_ten, find_collisions, found_curve, judge
+from tauext.evaluate.error_against_sigma import ErrorAgainstSigma
 from tauext.evaluate.free_motion import FreeMotionErrors, count_episodes
 from tauext.evaluate.latched import held
 
@@ -130,8 +133,57 @@ def test_the_ten_are_drawn_by_seed_among_those_of_twice_the_limit():
     assert len(ten) == 10 and ten == choose_ten(touches, limit, seed=3) and ten != choose_ten(touches, limit, seed=4)
     assert all(c.sensor_peak_nm[0] >= 10.0 for c in touches if c.id in ten)
     assert choose_ten(touches[:12], limit, seed=3) == [c.id for c in touches[:12] if c.sensor_peak_nm[0] >= 10.0]
-    curve = found_curve(touches, [{"found": True}] * 30, limit)
+    assert not {touches[20].id, touches[25].id} & set(
+        choose_ten(touches[15:], limit, 3, [touches[20].id, touches[25].id])
+    )
+    curve = found_curve([{"found": True, "peak_over_limit": c.sensor_peak_nm[0] / 5} for c in touches])
     assert sum(entry["collisions"] for entry in curve) == 30 == sum(entry["found"] for entry in curve)
+    assert sum(entry["collisions"] for entry in found_curve([{"found": False, "peak_over_limit": None}])) == 0
+
+
+def test_a_push_is_held_against_the_limit_that_holds_at_its_samples(tmp_path):
+    # 5 Nm on 2 kg: after 0.4 s it slides at 1 m/s, and its limit of 2 Nm has doubled.
+    hit = pushed("hit", 5.0)
+    constant, moving = observer_bundle(2.0), with_error_scale(observer_bundle(2.0))
+    bundles = {"constant": constant, "moving": moving}
+    results = evaluate(bundles, [recording], [lambda: hit], tmp_path, seed=0, threads=1)
+    still, entry = results["bundles"]
+    assert (still["limits"]["moving"], entry["limits"]["moving"]) == (False, True)
+    said = load_estimates(tmp_path / "moving" / "hit.parquet")
+    ratio = np.abs(hit.tau_ext_sensor / said.limit)[1000:1600].max()
+    assert entry["collisions"][0]["peak_over_limit"] == pytest.approx(ratio)
+    assert 1.2 < ratio < 2.0 < still["collisions"][0]["peak_over_limit"]
+    assert results["ten_collisions"] == []  # at the limits that move it is not strong
+    (found,) = [one for one in entry["found_curve"] if one["collisions"]]
+    assert found["peak_over_limit_from"] <= ratio < found["peak_over_limit_to"]
+    assert still["error_against_sigma"] is None and load_estimates(tmp_path / "constant/hit.parquet").sigma_nm is None
+    (sliding,), (near,) = (entry["error_against_sigma"][region] for region in ("sliding", "near_stiction"))
+    assert sliding == {"samples": 0, "within_one_sigma": None, "within_two_sigma": None, "bins": []}
+    assert near["samples"] == entry["free_motion"]["samples"] and near["within_one_sigma"] == 1.0
+    (only,) = near["bins"]
+    assert only["sigma_nm_from"] <= SIGMA_NEAR_NM < only["sigma_nm_to"]
+    assert only["sigma_rms_nm"] == pytest.approx(SIGMA_NEAR_NM) and only["error_rms_nm"] == pytest.approx(0, abs=1e-9)
+
+
+def test_errors_against_sigma_are_counted_by_joint_region_and_bin():
+    rng = np.random.default_rng(0)
+    error, sigma = rng.normal(0, 1, 4000), np.where(np.arange(4000) < 2000, 0.5, 2.0)
+    counted = ErrorAgainstSigma(1)
+    said = replace(estimates_of(error, 1e9, warm_from=100), sigma_nm=sigma[:, None].astype(np.float32))
+    counted.add(said)
+    counted.add(said)
+    summary = counted.summary()
+    size = np.abs(error.astype(np.float32))
+    for region, odd in (("sliding", 1), ("near_stiction", 0)):
+        rows = (np.arange(4000) >= 100) & (np.arange(4000) % 2 == odd)
+        (entry,) = summary[region]
+        assert entry["samples"] == 2 * rows.sum() == sum(one["samples"] for one in entry["bins"])
+        assert entry["within_one_sigma"] == pytest.approx((size <= sigma)[rows].mean())
+        assert entry["within_two_sigma"] == pytest.approx((size <= 2 * sigma)[rows].mean())
+        for one, told in zip(entry["bins"], (0.5, 2.0), strict=True):
+            here = rows & (sigma == told)
+            assert one["sigma_rms_nm"] == pytest.approx(told)
+            assert one["error_rms_nm"] == pytest.approx(np.sqrt((size[here] ** 2).mean()))
 
 
 @pytest.mark.parametrize(
@@ -157,6 +209,7 @@ def test_an_empty_test_set_and_no_bundle_are_refused(tmp_path):
 
 def test_estimates_come_back_from_their_file_as_they_were(tmp_path):
     made = estimates_of(np.r_[np.full(5, np.nan), np.arange(10.0)], 3.0, warm_from=5)
+    made = replace(made, sigma_nm=np.abs(made.tau_ext) / 10)
     save_estimates(made, tmp_path / "e.parquet")
     loaded = load_estimates(tmp_path / "e.parquet")
     for field in Estimates.__dataclass_fields__:

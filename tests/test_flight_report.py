@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from arms import no_model
 from made_amperes import taking_amperes
+from made_error_scale import with_error_scale
 from made_pushes import JOINTS, cut_flight, damaged, pushed, watching_bundle
 from made_results import make_recording
 
@@ -79,8 +80,27 @@ def test_the_page_holds_explanation_numbers_and_figures_and_asks_no_host(collisi
     for line in collision.with_suffix(".txt").read_text().splitlines():
         assert " ".join(line.split()) in words
     event = load_recording(collision).provenance["event"]
-    row = [event[key][0] for key in ("tau_ext_nm", "limit_nm", "margin_nm", "residual_nm", "uncertainty_nm", "tau")]
-    assert " ".join(["shoulder", *(f"{value:.3f}".replace("-", "−") for value in row)]) in words
+    row = [event[key][0] for key in ("limit_nm", "margin_nm", "residual_nm", "uncertainty_nm", "tau")]
+    told = [f"{value:.3f}".replace("-", "−") for value in (event["tau_ext_nm"][0], *row)]
+    assert " ".join(["shoulder", told[0], "–", *told[1:]]) in words  # no error scale, no standard error
+
+
+def test_limits_that_move_and_the_standard_error_are_drawn_and_told(tmp_path):
+    bundle, samples = with_error_scale(watching_bundle()), pushed()
+    flight = cut_flight(bundle, samples, first_row(bundle, samples, alarm=2))
+    path = write_flight(flight, tmp_path, FlightSource.of(bundle, samples))
+    loaded = load_flight(path)
+    np.testing.assert_array_equal(loaded.estimates.sigma_nm, flight["sigma_nm"].astype(np.float32))
+    assert loaded.event["sigma_nm"] == list(flight["event"].sigma_nm)
+    top = draw_flight(loaded).figure.axes[0]
+    assert np.ptp(loaded.estimates.limit[:, 0]) > 0.5
+    np.testing.assert_array_equal(top.get_lines()[1].get_ydata(), loaded.estimates.limit[:, 0])
+    (band,) = (one for one in top.collections if one.get_alpha())
+    sigma, row = flight["sigma_nm"][1000, 0], flight["event"].tau_ext[0]
+    heights = band.get_paths()[0].vertices[:, 1]
+    assert np.abs(heights - (row + sigma)).min() < 1e-5 and np.abs(heights - (row - sigma)).min() < 1e-5
+    rows = event_rows(loaded)
+    assert rows[0][1][2] == f"{sigma:.3f}"
 
 
 def test_the_same_flight_gives_the_same_bytes_and_leaves_nothing_over(collision, tmp_path):
@@ -112,8 +132,8 @@ def test_a_fault_without_any_estimate_is_drawn_and_its_numbers_are_dashes(fault,
     assert "Fault (not finite), first on joint shoulder" in words and "4 more could not be kept" in words
     assert "There is no estimate of tau_ext up to the fault" in words
     (joint, *cells), other = (cells for _, cells in event_rows(load_flight(fault)))
-    assert joint == "shoulder" and cells[:6] == ["–"] * 6
-    assert other[6] == f"{pushed(pushes=()).tau[200, 1]:.3f}"
+    assert joint == "shoulder" and cells[:7] == ["–"] * 7
+    assert other[7] == f"{pushed(pushes=()).tau[200, 1]:.3f}"
     assert [t.get_text() for t in draw_flight(load_flight(fault)).figure.axes[0].texts] == ["none"]
 
 

@@ -8,6 +8,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from made_results import SEVEN_BUNDLES, make_results
 
@@ -15,6 +16,7 @@ from tauext.errors import ConfigError, RecordingError, TauextError
 from tauext.report import paper, write_report
 from tauext.report.after_contact import draw_after_contact
 from tauext.report.collisions_over_time import draw_collisions
+from tauext.report.error_against_sigma import FEWEST, draw_error_against_sigma, sigma_table
 from tauext.report.error_over_speed import draw_error_over_speed
 from tauext.report.found_curve import draw_found_curve
 from tauext.report.free_motion import draw_free_motion
@@ -34,7 +36,9 @@ FIGURES = ("figure-5-free-motion", "figure-6-error-over-speed", "figure-7-collis
 OF_METHODS = ("missed-curve", "strength", "after-contact")
 ALL_FIGURES = (*FIGURES, "found-curve", "training-loss", *OF_METHODS)
 DRAWERS = (draw_free_motion, draw_error_over_speed, draw_collisions, draw_three_collisions)
-NO_FIGURES = dict.fromkeys((*ALL_FIGURES, "learning-curves"), PageFigure(png=None, caption="none"))
+NO_FIGURES = dict.fromkeys(
+    (*ALL_FIGURES, "learning-curves", "error-against-sigma"), PageFigure(png=None, caption="none")
+)
 
 
 @pytest.fixture(scope="module")
@@ -571,3 +575,55 @@ def test_a_figure_of_one_bundle_is_not_of_the_plain_observer_where_there_is_anot
 
     change(copied[0], edit)
     assert load_results(copied[0]).bundle("none").name == "method 1"
+
+
+# Bundles with an error scale
+
+
+@pytest.fixture(scope="module")
+def moving(tmp_path_factory):
+    """Results of two bundles whose limits follow the motion, and the dataset."""
+    folder = tmp_path_factory.mktemp("moving")
+    return make_results(folder, seconds=30, bundles=("exact", "none"), error_scale=True)
+
+
+def test_limits_that_move_are_drawn_as_they_held(moving):
+    results, signals = load_results(moving[0]), signals_of(moving)
+    assert results.some_limits_move
+    _, collisions = choose(results)
+    said = signals.estimates("exact", signals.recording(collisions[0].recording))
+    limit = draw_three_collisions(results, signals).figure.axes[0].get_lines()[-1].get_ydata()
+    assert len(np.unique(np.abs(limit))) > 100 and np.isin(np.abs(limit), said.limit[:, 0]).all()
+    drawing = draw_collisions(results, signals)
+    r, uncertainty, below, above = drawing.figure.axes[0].get_lines()[:4]
+    np.testing.assert_allclose(
+        above.get_ydata() - uncertainty.get_ydata(), uncertainty.get_ydata() - below.get_ydata(), atol=1e-4
+    )
+    assert np.ptp(above.get_ydata() - uncertainty.get_ydata()) > 0.1
+    assert "follows the motion" in drawing.caption and len(r.get_ydata()) == len(above.get_ydata())
+    speeds = draw_error_over_speed(results, signals)
+    assert [text.get_text() for text in speeds.figure.legends[0].get_texts()][-1] == "limit, median at a speed"
+    assert "standard error" in draw_free_motion(results, signals).caption
+
+
+def test_errors_against_sigma_have_a_panel_a_joint_and_a_table(moving, made):
+    results = load_results(moving[0])
+    drawing = draw_error_against_sigma(results)
+    assert [axes.get_title() for axes in drawing.figure.axes] == list(results.joints)
+    region = results.bundles[0].measured.sigma["sliding"][0]
+    offsets = drawing.figure.axes[0].collections[0].get_offsets()
+    np.testing.assert_allclose(offsets, [(b.sigma_rms_nm, b.error_rms_nm) for b in region.bins if b.samples >= FEWEST])
+    table = sigma_table(results)
+    assert table.rows[0].cells[:3] == ("exact", "joint1", f"{region.samples:,}")
+    words = words_of(page_of(moving[0]))
+    assert "limit in usual motion" in words and f"{100 * region.within_one_sigma:.1f}" in words
+    with pytest.raises(NotAvailable, match="no bundle in the results has an error scale"):
+        draw_error_against_sigma(load_results(made[0]))
+    assert "limit in usual motion" not in words_of(page_of(made[0])) and sigma_table(load_results(made[0])) is None
+
+
+def test_regions_of_another_number_of_joints_are_refused(moving, tmp_path):
+    results = shutil.copytree(moving[0], tmp_path / "results")
+    change(results, lambda content: content["bundles"][0]["error_against_sigma"]["sliding"].pop())
+    with pytest.raises(ConfigError, match="error_against_sigma: each region must hold 2 entries"):
+        load_results(results)

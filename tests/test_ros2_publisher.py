@@ -74,6 +74,7 @@ def verdict(tau_ext=(1.0, -2.0), health=FINE, alarm=NONE, causes=0, joint=1, cha
     said = {
         "tau_ext": np.array([tau_ext]),
         "limit_nm": np.array([[5.0, 6.0]]),
+        "sigma_nm": np.array([[0.25, np.nan]]),
         "margin_nm": np.array([[5.0, 6.0]]) - np.abs([tau_ext]),
         "health": np.array([health]),
         "alarm": np.array([alarm]),
@@ -195,6 +196,7 @@ def test_diagnostics_of_the_arm(talking, peer, space, said, level, message):
     assert (
         values["margin_nm elbow"] == "4" and values["limit_nm shoulder"] == "5" and values["tau_ext_nm elbow"] == "-2"
     )
+    assert (values["sigma_nm shoulder"], values["sigma_nm elbow"]) == ("0.25", "-")
     assert ("cause: gap" in values) == ("gap" in message)
 
 

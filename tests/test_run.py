@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_error_scale import with_error_scale
 from made_pushes import JOINTS, LIMIT_NM, PUSHES, cut_flight, damaged, pushed, watching_bundle
 from rich.console import Console
 
@@ -299,6 +300,45 @@ def test_a_contact_is_explained_with_its_own_limit_and_only_where_asked_for(bund
     k = int(np.flatnonzero(said["alarm"] == 1)[0])
     joint = int(said["alarm_joint"][k])
     limit = LIMIT_NM / 2 * (1.5 if said["near_stiction"][k, joint] else 1.0)
+    assert f"{abs(said['tau_ext'][k, joint]) - limit:.3f} Nm over its contact limit of {limit:.3f} Nm" in text
+
+
+def test_a_limit_that_moves_is_told_with_the_standard_error(bundle, tmp_path, capsys):
+    moving, recording = with_error_scale(watching_bundle()), pushed()
+    moving.save(str(tmp_path / "moving.tauext"))
+    save_recording(recording, tmp_path / "pushed.parquet")
+    (one,) = flown(moving, recording, tmp_path)
+    said = _core.Monitor(moving).run(recording.t_ns, recording.q, recording.dq, recording.tau)
+    k = int(np.flatnonzero(said["alarm"] == 2)[0])
+    j = int(said["alarm_joint"][k])
+    size, sigma, limit, scale = (abs(said[key][k, j]) for key in ("tau_ext", "sigma_nm", "limit_nm", "limit_scale"))
+    assert limit == pytest.approx(scale * LIMIT_NM) and scale > 1.2
+    text = one.path.with_suffix(".txt").read_text()
+    assert f"over its collision limit of {limit:.3f} Nm" in text
+    assert f"It was {size / sigma:.2g} times its standard error of {sigma:.3f} Nm" in text
+    assert f"multiplied the limit of usual motion by {scale:.2f}." in text
+    estimates = load_estimates(one.path.with_name(f"{one.path.stem}.estimates.parquet"))
+    np.testing.assert_array_equal(estimates.sigma_nm, said["sigma_nm"][k - 1000 : k + 501].astype(np.float32))
+    _, out, _ = run(capsys, tmp_path / "moving.tauext", tmp_path / "pushed.parquet")
+    assert f"|tau_ext| {size:.2f} Nm (standard error {sigma:.2f} Nm), limit {limit:.2f} Nm" in out
+    _, out, _ = run(capsys, tmp_path / "moving.tauext", tmp_path / "pushed.parquet", "--json", "--status-hz", 1)
+    events = [json.loads(line) for line in out.splitlines()]
+    (raised,) = (e for e in events if e["event"] == "alarm" and e["alarm"] == "collision")
+    assert (raised["sigma_nm"], raised["limit_nm"]) == (sigma, limit)
+    status = [e["sigma_nm"] for e in events if e["event"] == "status"]
+    assert status[0] == [None, None] and status[-1] == said["sigma_nm"][5000].tolist()
+
+
+def test_a_contact_is_explained_with_its_own_limit_where_limits_move(tmp_path):
+    moving = with_error_scale(watching_bundle(network=False))
+    soft = pushed(pushes=((2.0, 1, 1.5 * LIMIT_NM),), length_s=1.0)
+    said = _core.Monitor(moving).run(soft.t_ns, soft.q, soft.dq, soft.tau)
+    (one, *_) = flown(moving, soft, tmp_path, contacts=True)
+    k = int(np.flatnonzero(said["alarm"] == 1)[0])
+    joint = int(said["alarm_joint"][k])
+    limit = said["limit_nm"][k, joint] / 2  # watching_bundle's contacts have half the limits of collisions
+    assert said["limit_scale"][k, joint] > 1.2
+    text = one.path.with_suffix(".txt").read_text()
     assert f"{abs(said['tau_ext'][k, joint]) - limit:.3f} Nm over its contact limit of {limit:.3f} Nm" in text
 
 

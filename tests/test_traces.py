@@ -188,6 +188,17 @@ def test_a_peak_of_one_sample_is_in_the_buckets_and_unhealthy_samples_are_holes(
     )
 
 
+def test_the_standard_error_is_a_trace_of_methods_that_say_one(recorded):
+    recording, said = recorded
+    sigma = np.abs(said["exact"].tau_ext) + np.float32(0.1)
+    traced = trace(recording, said | {"exact": replace(said["exact"], sigma_nm=sigma)}, 500, 2)
+    assert {method for signal, method, _ in traced.traces if signal == "sigma"} == {"exact"}
+    column = traced.traces.index(("sigma", "exact", 1))
+    assert np.nanmax(traced.whole.high[:, column]) == np.nanmax(sigma[:, 1])
+    told, _ = pack([traced], recording.joints, 300_000)
+    assert told["quanta"]["sigma"] == told["quanta"]["tau_ext"]
+
+
 @pytest.mark.parametrize("room", [60_000, 300_000, 3_000_000])
 def test_traces_take_no_more_than_their_room_and_keep_the_more_important_windows(recorded, room):
     recording, said = recorded

@@ -18,7 +18,7 @@ struct FlightSettings {
 struct Flight {
   std::int64_t event_row = 0;
   std::vector<std::int64_t> t_ns;                                               // (samples)
-  std::vector<double> q, dq, tau, residual, prior, network, drift, tau_ext, limit_nm;  // (samples, joints)
+  std::vector<double> q, dq, tau, residual, prior, network, drift, tau_ext, sigma_nm, limit_nm;  // (samples, joints)
   std::vector<std::uint32_t> near_stiction, causes;                         // (samples): bits
   std::vector<std::uint8_t> health, alarm, held_alarm, detection;                 // (samples)
   Estimate event;  // what the monitor said at the event
@@ -48,7 +48,7 @@ class FlightRecorder {
  private:
   struct Ring {
     std::vector<std::int64_t> t_ns;
-    std::vector<double> signals;  // (capacity, 9 joints)
+    std::vector<double> signals;  // (capacity, 10 joints)
     std::vector<std::uint32_t> near_stiction, causes;
     std::vector<std::uint8_t> health, alarm, held_alarm, detection;
     std::int64_t next = 0, count = 0;  // row to be written, rows written

@@ -82,7 +82,7 @@ class LiveView(TextLines):
         return f"{self._title}  {time_s:.2f} of {self._duration_s:.2f} s{speed}"
 
     def joints(self, chunk: Chunk) -> Table:
-        """A row a joint: bar from -limit to +limit, tau_ext, limit, margin, region, speed."""
+        """A row a joint: bar from -limit to +limit, tau_ext, its standard error, limit, margin, speed, region."""
         table = Table(box=None, pad_edge=False)
         for title in ("joint", "tau_ext from −limit to +limit"):
             table.add_column(title)
@@ -93,11 +93,12 @@ class LiveView(TextLines):
         for j, joint in enumerate(self._joints):
             tau_ext, limit = said["tau_ext"][:, j], said["limit_nm"][:, j]
             k = chunk.peak_row(j)
+            sigma = said["sigma_nm"][-1, j]
             near = "near stiction" if said["near_stiction"][-1, j] else ""
             table.add_row(
                 joint,
                 bar(tau_ext[k] / limit[k]),
-                text_number(tau_ext[-1], "+"),
+                text_number(tau_ext[-1], "+") + (f" ± {sigma:.2f}" if math.isfinite(sigma) else ""),
                 text_number(limit[-1]),
                 text_number(said["margin_nm"][-1, j], "+"),
                 f"{chunk.dq[-1, j]:+.3f}",

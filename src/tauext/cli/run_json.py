@@ -85,6 +85,7 @@ class JsonLines:
             "was": ALARMS[change.was],
             "joint": joint,
             "tau_ext_nm": number(change.tau_ext_nm),
+            "sigma_nm": number(change.sigma_nm),
             "limit_nm": number(change.limit_nm),
             "near_stiction": change.near_stiction if joint else None,
             "acknowledged": change.acknowledged,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Self
 
@@ -106,14 +107,15 @@ def health_words(change: HealthChange, joints: tuple[str, ...]) -> str:
 
 
 def alarm_words(change: AlarmChange, joints: tuple[str, ...]) -> str:
-    """`COLLISION joint1: |tau_ext| 6.21 Nm, limit 4.62 Nm`."""
+    """`COLLISION joint1: |tau_ext| 6.21 Nm (standard error 0.35 Nm), limit 4.62 Nm`."""
     if change.acknowledged:
         return f"{ALARMS[change.was]} acknowledged"
     if change.joint < 0:
         return f"no {ALARMS[change.was]} any more" if change.alarm == 0 else ALARMS[change.alarm]
     region = " near stiction" if change.near_stiction else ""
+    error = f" (standard error {change.sigma_nm:.2f} Nm)" if math.isfinite(change.sigma_nm) else ""
     return (
-        f"{ALARMS[change.alarm].upper()} {joints[change.joint]}: |tau_ext| {abs(change.tau_ext_nm):.2f} Nm, "
+        f"{ALARMS[change.alarm].upper()} {joints[change.joint]}: |tau_ext| {abs(change.tau_ext_nm):.2f} Nm{error}, "
         f"limit{region} {change.limit_nm:.2f} Nm"
     )
 

@@ -33,11 +33,17 @@ def show(file: tyro.conf.Positional[Path], as_json: Annotated[bool, tyro.conf.ar
     if as_json:
         print(json.dumps(content, indent=1))
         return
+    from tauext.cli.situations import certainty
+
+    tabled = content.pop("situations", {})
     width = max(map(len, content))
     for key, value in content.items():
         if isinstance(value, dict):
             value = ", ".join(f"{k} {_text(v)}" for k, v in value.items())
         print(f"{key:<{width}}  {_text(value)}")
+    for name, situation in tabled.items():
+        told = [f"{joint} {certainty(situation, joint, unit)}" for joint, unit in content["answers in"].items()]
+        print(f"{name:<{width}}  {'; '.join(told)}")
 
 
 def describe_bundle(file: Path) -> dict:
@@ -49,7 +55,8 @@ def describe_bundle(file: Path) -> dict:
     facts = json.loads(bundle.provenance or "{}")
     period_s = bundle.observer.sample_period_ns * 1e-9
     network_period_s = period_s * bundle.observer.network_stride
-    content = {
+    usual = ", in usual motion" if bundle.error_scale.on else ""
+    content: dict[str, Any] = {
         "bundle": bundle.name,
         "joints": names,
         "model": {
@@ -61,12 +68,14 @@ def describe_bundle(file: Path) -> dict:
         "observer": describe_observer(bundle.observer),
         "sample rate [Hz]": 1 / period_s,
         "network": "none: the plain observer",
-        "limits sliding [Nm]": dict(zip(names, bundle.sliding_limit_nm, strict=True)),
-        "limits near stiction [Nm]": dict(zip(names, bundle.near_stiction_limit_nm, strict=True)),
+        f"limits sliding{usual} [Nm]": dict(zip(names, bundle.sliding_limit_nm, strict=True)),
+        f"limits near stiction{usual} [Nm]": dict(zip(names, bundle.near_stiction_limit_nm, strict=True)),
         "near stiction below [rad/s]": bundle.near_stiction_rad_s,
         "collision held for [s]": bundle.hold_s,
-        "contact limits sliding [Nm]": dict(zip(names, bundle.contact_sliding_limit_nm, strict=True)),
-        "contact limits near stiction [Nm]": dict(zip(names, bundle.contact_near_stiction_limit_nm, strict=True)),
+        f"contact limits sliding{usual} [Nm]": dict(zip(names, bundle.contact_sliding_limit_nm, strict=True)),
+        f"contact limits near stiction{usual} [Nm]": dict(
+            zip(names, bundle.contact_near_stiction_limit_nm, strict=True)
+        ),
         "contact held for, released after [s]": [bundle.contact_hold_s, bundle.contact_release_s],
         "largest torque in training [Nm]": dict(zip(names, bundle.largest_torque_nm, strict=True)),
         "torque limits of the drives [Nm]": {
@@ -96,6 +105,8 @@ def describe_bundle(file: Path) -> dict:
             "learns nothing over this share of a contact limit": bundle.drift.freeze_share,
             "and so long afterwards [s]": bundle.drift.freeze_s,
         }
+        if any(bundle.drift.freeze_floor_nm):
+            content["but never below this [Nm]"] = dict(zip(names, bundle.drift.freeze_floor_nm, strict=True))
         content["drift of a coefficient at most [Nm]"] = dict(zip(names, bundle.drift.size_nm, strict=True))
         content["and a minute at most [Nm]"] = {
             name: min(1.0, 60 * bundle.drift.rate_share_per_s) * size
@@ -103,11 +114,36 @@ def describe_bundle(file: Path) -> dict:
         }
     for joint, reason in facts.get("gate", {}).items():
         content[f"network of {joint}"] = reason
+    content |= describe_limits(bundle, facts)
+    if "reason" in facts.get("gain", {}):
+        content["gain was chosen"] = facts["gain"]["reason"]
     limits = facts.get("limits", {})
     if "sentence" in limits:
         content["limits promise"] = limits["sentence"]
     if "set_for" in limits:
         content["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"
+    return content
+
+
+def describe_limits(bundle: Bundle, facts: dict) -> dict:
+    """What raises limits beside the error scale, and how sure each joint is in motions that everybody knows."""
+    from tauext.cli.situations import sentences, situations
+
+    content: dict[str, Any] = {}
+    limits, scale = facts.get("limits", {}), facts.get("error_scale", {})
+    if bundle.after_contact_factor != 1:
+        content["limits of a joint pushed at rest, until it slides, times"] = bundle.after_contact_factor
+    if "minutes_factor" in limits:
+        content["limits are these times what was seen in training"] = limits["minutes_factor"]
+    if "friction_reserve" in limits:
+        content["share of the friction in the limits, since it changes"] = limits["friction_reserve"]
+    if "hours" in scale:
+        content["error scale was found on [h]"] = scale["hours"]
+    if found := situations(bundle):
+        names = [link.joint_name for link in bundle.links]
+        told = sentences(found, dict(zip(names, bundle.estimate_units, strict=True)))
+        content |= {f"{joint} is": words for joint, words in told.items()}
+        content["situations"] = found
     return content
 
 

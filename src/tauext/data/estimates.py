@@ -33,6 +33,8 @@ class Estimates:
     detection: np.ndarray  # (samples,) bool: healthy and some |tau_ext| over its limit
     prior: np.ndarray | None = None  # (samples, joints); None where the bundle has none
     drift: np.ndarray | None = None  # (samples, joints): what the tracker takes off; None where the bundle has none
+    # (samples, joints): standard error of tau_ext; NaN where that is, None where the bundle has no error scale.
+    sigma_nm: np.ndarray | None = None
     held_alarm: np.ndarray | None = None  # (samples,) int8: held at it: 0 none, 1 contact, 2 collision
     alarm: np.ndarray | None = None  # (samples,) int8: the same, latched; of a monitor, which somebody acknowledges
     causes: np.ndarray | None = None  # (samples,) uint32: bits, why health is not ok
@@ -49,11 +51,11 @@ class Estimates:
 
 
 TORQUES = ("r", "network", "tau_ext", "limit")
-OPTIONAL = ("prior", "drift")
+OPTIONAL = ("prior", "drift", "sigma_nm")
 """Torques that some bundles have; a file holds their columns or not."""
 STATES = {"held_alarm": np.int8, "alarm": np.int8, "causes": np.uint32}
 """Columns that a file holds or not."""
-FORMAT = "2"
+FORMAT = "3"
 
 
 def save_estimates(estimates: Estimates, path: Path) -> None:
@@ -81,7 +83,7 @@ def save_estimates(estimates: Estimates, path: Path) -> None:
 def load_estimates(path: Path) -> Estimates:
     """Read what save_estimates wrote; what the file has no column for is None.
 
-    In format 1 `alarm` was the held level, but in files beside flights, which have `causes`.
+    In format 1 `alarm` was the held level, but in files beside flights, which have `causes`. Format 2 had no sigma.
 
     Raises:
         RecordingError: missing, damaged or foreign file.

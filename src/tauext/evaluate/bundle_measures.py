@@ -15,6 +15,7 @@ from tauext.data.loss_history import LossHistory
 from tauext.evaluate.after_contact import AfterContact
 from tauext.evaluate.collisions import Collision, found_curve, judge
 from tauext.evaluate.during_contact import DuringContact
+from tauext.evaluate.error_against_sigma import ErrorAgainstSigma
 from tauext.evaluate.events import EventMeasures
 from tauext.evaluate.free_motion import FreeMotionErrors
 from tauext.evaluate.latched import judge_latched, latched_summary
@@ -35,6 +36,7 @@ class BundleMeasures:
         self._curve = MissedCurve(bundle.hold_s)
         self._after = AfterContact(bundle.joints)
         self._during = DuringContact(bundle.joints)
+        self._sigma = ErrorAgainstSigma(bundle.joints)
         self._events = EventMeasures(events, bundle.near_stiction_rad_s)
         self._verdicts: list[dict] = []
         self._latched: list[dict] = []
@@ -48,6 +50,7 @@ class BundleMeasures:
         self._errors.add(recording, estimates)
         self._curve.add_free(recording, estimates)
         self._after.add_free(recording, estimates)
+        self._sigma.add(estimates)
 
     def add_touched(
         self, touches: Sequence[Collision], recording: Recording, estimates: Estimates, reference: np.ndarray | None
@@ -58,6 +61,10 @@ class BundleMeasures:
         self._curve.add_collisions(touches, recording, estimates)
         self._after.add_touched(recording, estimates)
         self._during.add(touches, recording, estimates, reference)
+
+    def peaks_over_limit(self) -> dict[str, float | None]:
+        """How often its own limits go into the sensor's peak, by the ids of the collisions taken in."""
+        return {verdict["id"]: verdict["peak_over_limit"] for verdict in self._verdicts}
 
     def summary(self, touches: Sequence[Collision], ten: Sequence[str], loss_history: LossHistory | None) -> dict:
         """Its entry in `bundles` of results.json.
@@ -77,15 +84,20 @@ class BundleMeasures:
             **{key: trained.get(key) for key in COPIED},
             "free_motion": errors.summary()
             | check_promise(promised, errors.false_collisions, float(errors.seconds) / 3600),
-            "limits": {"sliding_nm": bundle.sliding_limit_nm, "near_stiction_nm": bundle.near_stiction_limit_nm},
+            "limits": {
+                "sliding_nm": bundle.sliding_limit_nm,
+                "near_stiction_nm": bundle.near_stiction_limit_nm,
+                "moving": bundle.error_scale.on,
+            },
             "collisions": self._verdicts,
             "ten_found": sum(found[one] for one in ten),
-            "found_curve": found_curve(touches, self._verdicts, np.array(bundle.sliding_limit_nm)),
+            "found_curve": found_curve(self._verdicts),
             "latched": latched_summary(self._latched),
             "by_strength": by_strength(touches, self._latched),
             "missed_curve": self._curve.summary(),
             "after_contact": self._after.summary(),
             "rmse_during_contact_nm": self._during.rmse_nm(),
+            "error_against_sigma": self._sigma.summary(),
             "events": self._events.summary(),
             "loss_history": loss_history,
         }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,8 @@ BOUNCE_S = 0.3
 """Touches closer together than this are one collision: a padded body may bounce."""
 GRACE_S = 0.2
 """After the touch has ended a detection still counts as this collision's: the observer lags by 1/K0 = 0.05 s."""
+STRONG_PEAK = 2.0
+"""Of the limits: a sensor that peaks so high makes a collision that may be chosen to be shown."""
 CURVE_EDGES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 5.0)
 
 
@@ -82,20 +84,26 @@ def find_collisions(recording: Recording) -> list[Collision]:
 
 
 def judge(collision: Collision, recording: Recording, estimates: Estimates) -> dict:
-    """Was it found, by which joint, how long after its onset, and how long after the sensor at the same limit?"""
+    """Was it found, by which joint, how long after its onset, and how long after the sensor at the same limit?
+
+    The limit is the one that holds at each sample; `peak_over_limit` is the largest ratio of the sensor to it.
+    """
     window = slice(collision.begin, min(collision.end + round(GRACE_S * recording.rate_hz), recording.samples))
     seconds = (recording.t_ns[window] - recording.t_ns[collision.begin]) * 1e-9
     before = max(collision.begin - 1, 0)
     found = first_rise(estimates.detection[window], bool(estimates.detection[before]))
-    sensor = None
+    sensor = peak = None
     if recording.tau_ext_sensor is not None:
         part = slice(before, window.stop)
-        over = (np.abs(recording.tau_ext_sensor[part]) > estimates.limit[part]).any(axis=1)
+        ratio = np.nan_to_num(np.abs(recording.tau_ext_sensor[part]) / estimates.limit[part]).max(axis=1)
+        over = ratio > 1
         sensor = first_rise(over[collision.begin - before :], bool(over[0]))
+        peak = float(ratio[collision.begin - before :].max())
     result = {"id": collision.id, "found": found is not None, "joint": None, "delay_s": None}
     if found is not None:
         margin = np.abs(estimates.tau_ext[window][found]) / estimates.limit[window][found]
         result |= {"joint": recording.joints[int(np.argmax(margin))], "delay_s": float(seconds[found])}
+    result["peak_over_limit"] = peak
     result["sensor_delay_s"] = None if sensor is None else float(seconds[sensor])
     both = found is not None and sensor is not None
     result["delay_against_sensor_s"] = float(seconds[found] - seconds[sensor]) if both else None
@@ -108,27 +116,31 @@ def first_rise(flags: np.ndarray, before: bool) -> int | None:
     return int(rises[0]) if len(rises) else None
 
 
-def choose_ten(collisions: list[Collision], largest_limit_nm: np.ndarray, seed: int) -> list[str]:
+def choose_ten(
+    collisions: list[Collision], largest_limit_nm: np.ndarray, seed: int, weak: Collection[str] = ()
+) -> list[str]:
     """Ids of ten collisions, drawn by seed, whose sensor reference peaks at twice the limit or more on some joint.
 
     largest_limit_nm: the largest sliding limit over all bundles, or their median, a joint, so that the set is the same
     for every bundle. All of them where fewer than ten are that strong. Of recordings without a sensor any ten.
+    weak: ids of collisions that are not that strong at limits that move.
     """
     sensed = any(c.sensor_peak_nm.any() for c in collisions)
-    strong = [c.id for c in collisions if not sensed or (c.sensor_peak_nm >= 2 * largest_limit_nm).any()]
+    strong = [
+        c.id
+        for c in collisions
+        if not sensed or (c.id not in weak and (c.sensor_peak_nm >= STRONG_PEAK * largest_limit_nm).any())
+    ]
     if len(strong) <= 10:
         return strong
     return [strong[k] for k in sorted(np.random.default_rng([seed, 10]).choice(len(strong), 10, replace=False))]
 
 
-def found_curve(collisions: Sequence[Collision], verdicts: list[dict], limit_nm: np.ndarray) -> list[dict]:
-    """Found collisions over the sensor's peak in units of the sliding limit (of the joint where that is largest).
-
-    Those without a sensor are left out.
-    """
-    sensed = [k for k, c in enumerate(collisions) if c.sensor_peak_nm.any()]
-    ratio = np.array([(collisions[k].sensor_peak_nm / limit_nm).max() for k in sensed])
-    found = np.array([verdicts[k]["found"] for k in sensed], dtype=bool)
+def found_curve(verdicts: Sequence[dict]) -> list[dict]:
+    """Found collisions over `peak_over_limit`; those without a sensor are left out."""
+    sensed = [verdict for verdict in verdicts if verdict["peak_over_limit"]]
+    ratio = np.array([verdict["peak_over_limit"] for verdict in sensed])
+    found = np.array([verdict["found"] for verdict in sensed], dtype=bool)
     upper = [*CURVE_EDGES[1:], np.inf]
     curve = []
     for low, high in zip(CURVE_EDGES, upper, strict=True):

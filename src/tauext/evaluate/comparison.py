@@ -15,7 +15,7 @@ from tauext.data.estimates import STALE, Estimates, save_estimates
 from tauext.data.loss_history import LossHistory
 from tauext.errors import ConfigError
 from tauext.evaluate.bundle_measures import BundleMeasures
-from tauext.evaluate.collisions import Collision, choose_ten, find_collisions
+from tauext.evaluate.collisions import STRONG_PEAK, Collision, choose_ten, find_collisions
 from tauext.evaluate.estimating import estimate_recording
 from tauext.evaluate.own_torque import OwnTorque, own_limits
 from tauext.evaluate.reference import sensor_reference
@@ -125,7 +125,8 @@ class Comparison:
             histories: of the bundles' training, by their names.
         """
         first, touches = next(iter(self._bundles.values())), self._touches
-        ten = ten_for_all(touches, self._bundles, seed)
+        moving = [self._measures[name].peaks_over_limit() for name, one in self._bundles.items() if one.error_scale.on]
+        ten = ten_for_all(touches, self._bundles, moving, seed)
         return {
             "joints": [link.joint_name for link in first.links],
             "near_stiction_rad_s": first.near_stiction_rad_s,
@@ -153,12 +154,28 @@ def expect_work(
         raise ConfigError(f"keep_free_estimates = {keep_free_estimates} must be >= 0")
 
 
-def ten_for_all(touches: list[Collision], bundles: Mapping[str, _core.Bundle], seed: int) -> list[str]:
-    """Ids of ten collisions that are strong for every bundle or, where those are fewer, for half of them."""
+def ten_for_all(
+    touches: list[Collision],
+    bundles: Mapping[str, _core.Bundle],
+    moving: Sequence[Mapping[str, float | None]],
+    seed: int,
+) -> list[str]:
+    """Ids of ten collisions that are strong for every bundle or, where those are fewer, for half of them.
+
+    Args:
+        moving: of each bundle with an error scale, whose limits in usual motion say too little, `peaks_over_limit`.
+    """
     limits = np.array([bundle.sliding_limit_nm for bundle in bundles.values()])
-    ten = choose_ten(touches, limits.max(axis=0), seed)
+    peaks = np.array([[of_bundle[touch.id] or 0.0 for touch in touches] for of_bundle in moving])
+
+    def choose(limit_nm: np.ndarray, peak: np.ndarray) -> list[str]:
+        weak = {touch.id for touch, over in zip(touches, peak.tolist(), strict=True) if over < STRONG_PEAK}
+        return choose_ten(touches, limit_nm, seed, weak)
+
+    without = np.full(len(touches), np.inf)
+    ten = choose(limits.max(axis=0), peaks.min(axis=0) if moving else without)
     if len(ten) < 10:  # one hopeless method among many must not leave the others without collisions to show
-        ten = choose_ten(touches, np.median(limits, axis=0), seed)
+        ten = choose(np.median(limits, axis=0), np.median(peaks, axis=0) if moving else without)
     return ten
 
 

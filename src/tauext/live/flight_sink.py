@@ -68,8 +68,8 @@ class FlightSink:
         assert source is not None  # a flight comes after a verdict
         if profile is not None:  # that holds now; the flight is a second old at most
             contact = [
-                tuple((np.array(limits) * profile.contact).tolist())
-                for limits in (source.contact_sliding_nm, source.contact_near_stiction_nm)
+                tuple((np.array(share) * profile.contact / profile.collision).tolist())
+                for share in (source.contact_sliding_share, source.contact_near_stiction_share)
             ]
-            source = replace(source, contact_sliding_nm=contact[0], contact_near_stiction_nm=contact[1])
+            source = replace(source, contact_sliding_share=contact[0], contact_near_stiction_share=contact[1])
         return write_flight(flight, self._folder, source)

@@ -46,6 +46,8 @@ class AlarmChange:
     near_stiction: bool = False
     acknowledged: bool = False
     """It did not fall by itself."""
+    sigma_nm: float = np.nan
+    """Standard error of tau_ext_nm; NaN where no error scale says it."""
 
 
 @dataclass(frozen=True)
@@ -114,4 +116,5 @@ class ChangeFinder:
             float(said["tau_ext"][k, joint]),
             float(said["limit_nm"][k, joint]),
             bool(said["near_stiction"][k, joint]),
+            sigma_nm=float(said["sigma_nm"][k, joint]),
         )

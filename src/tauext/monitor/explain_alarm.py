@@ -16,15 +16,18 @@ def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
     event, row = flight["event"], flight["event_row"]
     j = event.alarm_joint
     limits = flight["limit_nm"][:, j]
-    if kind == "contact" and source.contact_sliding_nm:
-        near, sliding = source.contact_near_stiction_nm[j], source.contact_sliding_nm[j]
-        limits = np.where(flight["near_stiction"][:, j], near, sliding)
+    if kind == "contact" and source.contact_sliding_share:
+        near, sliding = source.contact_near_stiction_share[j], source.contact_sliding_share[j]
+        # Doubt is added to both levels' limits; it hardly changes in the time over a limit.
+        raised = event.doubt[j]
+        limits = raised + (limits - raised) * np.where(flight["near_stiction"][:, j], near, sliding)
     size, limit, speed = abs(event.tau_ext[j]), limits[row], flight["dq"][row, j]
     region, edge = ("near stiction", "below") if event.near_stiction[j] else ("sliding", "not below")
     text = (
         f"|tau_ext| of {source.joints[j]} was {size:.3f} Nm, {size - limit:.3f} Nm over its {kind} limit of "
         f"{limit:.3f} Nm ({region}: its speed was {speed:+.4f} rad/s, {edge} {source.near_stiction_rad_s:g})."
     )
+    text += certainty(flight, source)
     since = row
     while since > 0 and abs(flight["tau_ext"][since - 1, j]) > limits[since - 1]:
         since -= 1
@@ -32,6 +35,19 @@ def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
         ms = (flight["t_ns"][row] - flight["t_ns"][since]) * 1e-6
         text += f" It had been over that limit for {ms:.1f} ms."
     return text
+
+
+def certainty(flight: Flight, source: FlightSource) -> str:
+    """How sure the estimate was, and what the motion did to the limit; empty where no error scale says so."""
+    event = flight["event"]
+    j = event.alarm_joint
+    sigma = event.sigma_nm[j]
+    if not source.has_error_scale or not sigma > 0:
+        return ""
+    return (
+        f" It was {abs(event.tau_ext[j]) / sigma:.2g} times its standard error of {sigma:.3f} Nm; the motion "
+        f"multiplied the limit of usual motion by {event.limit_scale[j]:.2f}."
+    )
 
 
 def doubt(flight: Flight) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -49,12 +50,13 @@ class FlightSource:
     torque_timing: TorqueTiming
     robot_sha256: str = ""
     near_stiction_rad_s: float = 0.0
-    contact_sliding_nm: tuple[float, ...] = ()
-    """Limits of a contact, a joint; those of a collision stand in the flight."""
-    contact_near_stiction_nm: tuple[float, ...] = ()
+    contact_sliding_share: tuple[float, ...] = ()
+    """Limits of a contact, a joint, in those of a collision, which stand in the flight; doubt left out of both."""
+    contact_near_stiction_share: tuple[float, ...] = ()
     has_network: bool = True
     has_prior: bool = False
     has_drift: bool = False
+    has_error_scale: bool = False
     command: str = "tauext run"
     """That watches, for the files' provenance."""
     torque_units: tuple[str, ...] = ()
@@ -72,17 +74,23 @@ class FlightSource:
             torque_timing=recording.torque_timing,
             robot_sha256=recording.robot_sha256,
             near_stiction_rad_s=bundle.near_stiction_rad_s,
-            contact_sliding_nm=tuple(bundle.contact_sliding_limit_nm),
-            contact_near_stiction_nm=tuple(bundle.contact_near_stiction_limit_nm),
+            contact_sliding_share=shares(bundle.contact_sliding_limit_nm, bundle.sliding_limit_nm),
+            contact_near_stiction_share=shares(bundle.contact_near_stiction_limit_nm, bundle.near_stiction_limit_nm),
             has_network=bundle.has_network,
             has_prior=bool(bundle.prior.terms or bundle.prior.corrected_links),
             has_drift=bundle.drift.time_constant_s > 0,
+            has_error_scale=bundle.error_scale.on,
             torque_units=tuple(bundle.torque_units),
         )
 
     def time_s(self, t_ns: int) -> float:
         """Counted from the start, [s]."""
         return (t_ns - self.start_ns) * 1e-9
+
+
+def shares(contact_nm: Sequence[float], collision_nm: Sequence[float]) -> tuple[float, ...]:
+    """Contact limits in collision limits, a joint."""
+    return tuple(contact / collision for contact, collision in zip(contact_nm, collision_nm, strict=True))
 
 
 def event_kind(flight: Flight) -> str:
@@ -145,6 +153,7 @@ def as_estimates(flight: Flight, kept: np.ndarray, source: FlightSource) -> Esti
         network=flight["network"][kept].astype(np.float32),
         prior=prior.astype(np.float32) if source.has_prior else None,
         drift=drift.astype(np.float32) if source.has_drift else None,
+        sigma_nm=flight["sigma_nm"][kept].astype(np.float32) if source.has_error_scale else None,
         near_stiction=flight["near_stiction"][kept].astype(bool),
         health=flight["health"][kept].astype(np.int8),
         detection=flight["detection"][kept].astype(bool),
@@ -181,6 +190,7 @@ def event_numbers(flight: Flight, source: FlightSource) -> dict[str, Any]:
                 ("residual_nm", "residual"),
                 ("uncertainty_nm", "uncertainty"),
                 ("tau_ext_nm", "tau_ext"),
+                ("sigma_nm", "sigma_nm"),
                 ("limit_nm", "limit_nm"),
                 ("margin_nm", "margin_nm"),
             )

@@ -15,6 +15,7 @@ TORQUES = {
     "residual_nm": "residual",
     "uncertainty_nm": "uncertainty",
     "tau_ext_nm": "tau_ext",
+    "sigma_nm": "sigma_nm",
     "limit_nm": "limit_nm",
     "margin_nm": "margin_nm",
 }

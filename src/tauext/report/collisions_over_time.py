@@ -13,11 +13,13 @@ from matplotlib.patches import Patch
 
 from tauext.data import Recording
 from tauext.data.estimates import Estimates
-from tauext.report.drawing import Drawing, uncertainty_words
+from tauext.report.drawing import Drawing, draw_band, uncertainty_words
 from tauext.report.results import Collision, Results
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import (
+    BAND,
     CONTACT,
+    LIMIT,
     OBSERVER,
     OBSERVER_WIDTH,
     WIDTH_IN,
@@ -28,6 +30,7 @@ from tauext.report.style import (
 
 BEFORE_S, LENGTH_S, AFTER_S = 0.8, 3.0, 0.7
 JOINT_AT = "#9a9a9a"
+LIMIT_LINE: dict[str, Any] = {"color": LIMIT, "linestyle": "--", "linewidth": 0.7}
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,11 @@ def draw_collisions(results: Results, signals: Signals) -> Drawing:
         Line2D([], [], color=colour, label=what),
         Patch(color=CONTACT, label="contact"),
     ]
-    figure.legend(handles=handles, loc="outside upper left", ncols=3)
+    moves = excerpts[0].said.sigma_nm is not None
+    if moves:
+        handles.insert(2, Patch(color=colour, alpha=BAND, label="± standard error"))
+        handles.insert(3, Line2D([], [], label="± limit", **LIMIT_LINE))
+    figure.legend(handles=handles, loc="outside upper left", ncols=5)
     where: dict[str, list[str]] = {}
     for number, excerpt in enumerate(excerpts, 1):
         where.setdefault(excerpt.recording.name, []).append(str(number))
@@ -86,7 +93,8 @@ def draw_collisions(results: Results, signals: Signals) -> Drawing:
         figure,
         f"Figure 7. {sentence(bundle.label)}: observer and {what} while {len(excerpts)} collisions "
         f"happen. What was learned goes on as if nothing touched the arm; what the two differ by is the external "
-        f"torque. Excerpts of about {LENGTH_S:g} s are joined at the vertical lines. Recordings: {places}.",
+        f"torque. Excerpts of about {LENGTH_S:g} s are joined at the vertical lines. Recordings: {places}."
+        + (" The limit follows the motion: a collision is where the observer leaves it." if moves else ""),
     )
 
 
@@ -111,7 +119,7 @@ def cut_excerpts(collisions: list[Collision], bundle: str, signals: Signals) -> 
 
 
 def draw_excerpt(axes: Axes, excerpt: Excerpt, joint: int, colour: str, results: Results) -> None:
-    """Its two curves, every contact that falls in it, and the line where it is joined to the one before."""
+    """Its curves, its limits where they move, every contact in it, and the line where the one before it ends."""
     rows = slice(excerpt.first, excerpt.last + 1)
     begin_s, end_s = excerpt.recording.time_s[[excerpt.first, excerpt.last]]
     for other in results.collisions.values():
@@ -120,7 +128,12 @@ def draw_excerpt(axes: Axes, excerpt: Excerpt, joint: int, colour: str, results:
             axes.axvspan(*span, color=CONTACT, linewidth=0, zorder=0)
     shown_s = excerpt.shown(excerpt.recording.time_s[rows])
     axes.plot(shown_s, excerpt.said.r[rows, joint], color=OBSERVER, linewidth=OBSERVER_WIDTH)
-    axes.plot(shown_s, excerpt.said.uncertainty[rows, joint], color=colour)
+    uncertainty = excerpt.said.uncertainty[rows, joint]
+    axes.plot(shown_s, uncertainty, color=colour)
+    if excerpt.said.sigma_nm is not None:
+        draw_band(axes, shown_s, uncertainty, excerpt.said.sigma_nm[rows, joint], colour)
+        for side in (-1, 1):
+            axes.plot(shown_s, uncertainty + side * excerpt.said.limit[rows, joint], **LIMIT_LINE)
     if excerpt.shown_at_s > 0:
         axes.axvline(excerpt.shown_at_s, color=JOINT_AT, linewidth=0.7)
 

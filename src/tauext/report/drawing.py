@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tauext.data.estimates import Estimates
 from tauext.report.results import Results
+from tauext.report.style import BAND
 
 
 @dataclass(frozen=True)
@@ -17,11 +20,26 @@ class Drawing:
     caption: str
 
 
+def draw_band(axes: Axes, time: np.ndarray, centre: np.ndarray, sigma: np.ndarray | None, colour: str) -> bool:
+    """One standard error to either side of a curve; whether there was one to draw."""
+    if sigma is None:
+        return False
+    axes.fill_between(time, centre - sigma, centre + sigma, color=colour, alpha=BAND, linewidth=0, zorder=2.5)
+    return True
+
+
 def missing_bundles(results: Results, names: Sequence[str]) -> str:
     """A sentence for the caption: which bundles are not drawn, and why; empty where all are."""
     if not names:
         return ""
     return f" Not drawn, since their estimates are missing: {'; '.join(results.labels[n] for n in names)}."
+
+
+def sigma_words(estimates: Iterable[Estimates]) -> str:
+    """A sentence for the caption: what the band is; empty where no estimate has one."""
+    if all(said.sigma_nm is None for said in estimates):
+        return ""
+    return " Bands are one standard error to either side."
 
 
 def uncertainty_words(estimates: Iterable[Estimates]) -> str:

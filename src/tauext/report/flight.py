@@ -75,6 +75,7 @@ def facts(flight: Flight) -> list[tuple[str, str]]:
 COLUMNS = (
     "joint",
     "tau_ext, Nm",
+    "standard error, Nm",
     "limit, Nm",
     "margin, Nm",
     "observer, Nm",
@@ -83,7 +84,7 @@ COLUMNS = (
     "speed, rad/s",
     "region",
 )
-FIELDS = ("tau_ext_nm", "limit_nm", "margin_nm", "residual_nm", "uncertainty_nm", "tau", "dq_rad_s")
+FIELDS = ("tau_ext_nm", "sigma_nm", "limit_nm", "margin_nm", "residual_nm", "uncertainty_nm", "tau", "dq_rad_s")
 
 
 def event_rows(flight: Flight) -> list[tuple[bool, list[str]]]:

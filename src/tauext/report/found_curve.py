@@ -53,8 +53,8 @@ def draw_found_curve(results: Results) -> Drawing:
     return Drawing(
         figure,
         "Collisions found over how hard they were: the peak of the sensor reference on the joint where it is largest "
-        "in units of that joint's sliding limit. Limits differ a little from bundle to bundle, and so do the counts; "
-        "a larger dot stands for more collisions." + results.shown_note,
+        "in units of the limit that holds there at that moment. Limits differ from bundle to bundle, and so do the "
+        "counts; a larger dot stands for more collisions." + results.shown_note,
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from tauext.report.drawing import Drawing, missing_bundles, uncertainty_words
+from tauext.report.drawing import Drawing, draw_band, missing_bundles, sigma_words, uncertainty_words
 from tauext.report.results import Results
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import OBSERVER, OBSERVER_WIDTH, WIDTH_IN, bundle_colours, label_joint
@@ -40,6 +40,8 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
             axes = grid[joint, column]
             axes.plot(time_s[rows], said.r[rows, joint], color=OBSERVER, linewidth=OBSERVER_WIDTH)
             axes.plot(time_s[rows], said.uncertainty[rows, joint], color=colours[bundle])
+            sigma = None if said.sigma_nm is None else said.sigma_nm[rows, joint]
+            draw_band(axes, time_s[rows], said.uncertainty[rows, joint], sigma, colours[bundle])
             axes.margins(x=0)
         grid[0, column].set_title(results.labels[bundle].replace(", ", ",\n"), color=colours[bundle], fontweight="bold")
         grid[-1, column].set_xlabel("time, s")
@@ -55,5 +57,8 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
         figure,
         f"Figure 5. Free motion, test recording {recording.name}: output of the momentum observer (grey) and of the "
         f"network trained for that model. In free motion the observer shows what the model gets wrong, and the network "
-        f"learns it. Axes of a row have one scale." + missing_bundles(results, missing) + results.shown_note,
+        f"learns it. Axes of a row have one scale."
+        + sigma_words(estimates.values())
+        + missing_bundles(results, missing)
+        + results.shown_note,
     )

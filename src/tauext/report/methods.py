@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 Number = float | None
 
@@ -66,6 +66,25 @@ class Aftermath:
 
 
 @dataclass(frozen=True)
+class SigmaBin:
+    """Samples of free motion whose standard error lies in one bin: its root mean square, and that of the errors."""
+
+    samples: int
+    sigma_rms_nm: float
+    error_rms_nm: float
+
+
+@dataclass(frozen=True)
+class SigmaRegion:
+    """Of one joint in one region; shares of the errors within one and two standard errors."""
+
+    samples: int
+    within_one_sigma: Number
+    within_two_sigma: Number
+    bins: tuple[SigmaBin, ...]
+
+
+@dataclass(frozen=True)
 class SanityRow:
     """A detector that knows nothing."""
 
@@ -92,3 +111,5 @@ class Measured:
     after_nothing: Aftermath | None
     """Free motion, beside the bins."""
     rmse_during_contact_nm: tuple[Number, ...]
+    sigma: dict[str, tuple[SigmaRegion, ...]] = field(default_factory=dict)
+    """By region, a joint each; empty where the bundle has no error scale."""

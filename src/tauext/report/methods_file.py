@@ -11,6 +11,8 @@ from tauext.report.methods import (
     Latched,
     Measured,
     SanityRow,
+    SigmaBin,
+    SigmaRegion,
     StrengthBin,
 )
 
@@ -29,6 +31,7 @@ def read_measured(entry: Entry, joints: int) -> Measured:
         after_contact=tuple(read_aftermath(e, joints) for e in after.entries("bins")),
         after_nothing=read_aftermath(free, joints) if free.content else None,
         rmse_during_contact_nm=entry.numbers("rmse_during_contact_nm", joints),
+        sigma=read_sigma(entry.object("error_against_sigma"), joints),
     )
 
 
@@ -79,6 +82,30 @@ def read_aftermath(entry: Entry, joints: int) -> Aftermath:
         hours=entry.number("hours", needed=True),
         **{key: entry.number(key) for key in ("from_s", "to_s", "contacts_per_hour", "collisions_per_hour")},
         rmse_nm=entry.numbers("rmse_nm", joints),
+    )
+
+
+def read_sigma(entry: Entry, joints: int) -> dict[str, tuple[SigmaRegion, ...]]:
+    if not entry.content:
+        return {}
+    regions = {region: tuple(map(read_sigma_region, entry.entries(region))) for region in ("sliding", "near_stiction")}
+    if any(len(of_joints) != joints for of_joints in regions.values()):
+        raise ConfigError(f"{entry.place}: each region must hold {joints} entries, one a joint")
+    return regions
+
+
+def read_sigma_region(entry: Entry) -> SigmaRegion:
+    return SigmaRegion(
+        samples=entry.get("samples", int, needed=True),
+        **entry.each_number("within_one_sigma", "within_two_sigma"),
+        bins=tuple(
+            SigmaBin(
+                samples=one.get("samples", int, needed=True),
+                sigma_rms_nm=one.number("sigma_rms_nm", needed=True),
+                error_rms_nm=one.number("error_rms_nm", needed=True),
+            )
+            for one in entry.entries("bins")
+        ),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tauext.report.methods import FalseCollisions, SanityRow
 from tauext.report.results import EvaluatedBundle, Results
-from tauext.report.tables import NONE, Row, Table, milliseconds, number, whole
+from tauext.report.tables import NONE, Row, Table, limit_heading, milliseconds, number, whole
 
 
 def methods(results: Results) -> Table:
@@ -12,7 +12,12 @@ def methods(results: Results) -> Table:
     n = len(results.joints)
     joints = results.joints
     groups = [("", 1), ("L1, Nm", n), ("RMSE sliding, Nm", n), ("RMSE near stiction, Nm", n)]
-    groups += [("limit sliding, Nm", n), ("limit near stiction, Nm", n), ("false collisions, test free motion", 4)]
+    limit = limit_heading(results)
+    groups += [
+        (f"{limit} sliding, Nm", n),
+        (f"{limit} near stiction, Nm", n),
+        ("false collisions, test free motion", 4),
+    ]
     groups += [("collisions latched", 2), ("delay against\nthe sensor, ms", 2)]
     columns = ["method", *joints * 5, "count", "an hour,\n95 % interval", "promised\nan hour", "kept"]
     columns += ["of all", "of strong", "median", "95 %"]

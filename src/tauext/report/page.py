@@ -9,6 +9,7 @@ from pathlib import Path
 from jinja2 import Environment, StrictUndefined
 
 from tauext.report import paper, tables
+from tauext.report.error_against_sigma import sigma_table
 from tauext.report.events import events_table
 from tauext.report.methods_table import methods
 from tauext.report.results import EvaluatedBundle, Numbers, Results
@@ -79,6 +80,8 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         labels=results.events[0] if results.events else None,
         table_one=tables.table_one(results),
         regions=tables.regions(results),
+        limits_move=results.some_limits_move,
+        sigma=sigma_table(results),
         extremes=tables.extremes(results),
         alarms=tables.alarms(results),
         ten_collisions=tables.collisions(results, ten, traces.recordings) if ten else None,

@@ -78,6 +78,8 @@ class EvaluatedBundle:
     """Step, training loss, validation loss; empty where nothing was recorded."""
     measured: Measured
     """Beyond the paper's own measures."""
+    limits_move: bool = False
+    """Its limits are multiplied by what the motion announces; those named are of usual motion."""
 
     @property
     def model(self) -> str | None:
@@ -114,6 +116,10 @@ class Results:
         """A sentence for the caption of such a figure; empty where all are shown."""
         left = len(self.bundles) - len(self.shown)
         return f" Only the first {len(self.shown)} of {len(self.bundles)} bundles are drawn." if left else ""
+
+    @property
+    def some_limits_move(self) -> bool:
+        return any(bundle.limits_move for bundle in self.bundles)
 
     @property
     def labels(self) -> dict[str, str]:

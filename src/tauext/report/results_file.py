@@ -98,6 +98,7 @@ def read_bundle(entry: Entry, joints: int) -> EvaluatedBundle:
         found_curve=tuple(read_bin(e) for e in entry.entries("found_curve")),
         loss_history=entry.loss_history("loss_history"),
         measured=read_measured(entry, joints),
+        limits_move=bool(limits.get("moving", bool)),
     )
 
 

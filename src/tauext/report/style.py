@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from tauext.report.naming import model_of
@@ -20,6 +21,8 @@ CONTACT = "#fbe3cf"
 NEAR_STICTION = "#f5d5b8"
 SLIDING = "#e9f1f8"
 LIMIT = "#404040"
+BAND = 0.25
+"""Opacity of a band of one standard error, in the colour of its curve."""
 
 # Okabe and Ito's palette, told apart by colour-blind readers; black is the sensor's.
 CASE_COLOURS = {"exact": "#0072b2", "mass": "#e69f00", "com": "#009e73", "mass+com": "#cc79a7", "none": "#d55e00"}
@@ -100,7 +103,16 @@ def bundle_strokes(names: Sequence[str]) -> dict[str, dict]:
 def use_log_height(axes: Axes) -> None:
     """A logarithmic vertical axis with plain numbers at 1, 2 and 5 of every decade."""
     axes.set_yscale("log")
-    axis = axes.yaxis
+    _number_plainly(axes.yaxis)
+
+
+def use_log_width(axes: Axes) -> None:
+    """The same along the horizontal axis."""
+    axes.set_xscale("log")
+    _number_plainly(axes.xaxis)
+
+
+def _number_plainly(axis: Axis) -> None:
     axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -119,16 +119,21 @@ def table_one(results: Results) -> Table:
 
 def regions(results: Results) -> Table:
     """Errors and limits, sliding and near stiction."""
+    limit = limit_heading(results)
     return by_joint(
         results,
         (
             Measure("RMSE sliding, Nm", lambda bundle: bundle.rmse_sliding_nm, paper.RMSE_SLIDING_NM),
             Measure("RMSE near stiction, Nm", lambda bundle: bundle.rmse_near_stiction_nm, paper.RMSE_NEAR_STICTION_NM),
             Measure("share near stiction, %", lambda bundle: bundle.near_stiction_share, digits=1, factor=100.0),
-            Measure("limit sliding, Nm", lambda bundle: bundle.limit_sliding_nm, paper.LIMIT_SLIDING_NM, digits=2),
-            Measure("limit near stiction, Nm", lambda bundle: bundle.limit_near_stiction_nm, digits=2),
+            Measure(f"{limit} sliding, Nm", lambda bundle: bundle.limit_sliding_nm, paper.LIMIT_SLIDING_NM, digits=2),
+            Measure(f"{limit} near stiction, Nm", lambda bundle: bundle.limit_near_stiction_nm, digits=2),
         ),
     )
+
+
+def limit_heading(results: Results) -> str:
+    return "limit in usual motion,\n" if results.some_limits_move else "limit"
 
 
 def extremes(results: Results) -> Table:

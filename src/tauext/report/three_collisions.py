@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 
 from tauext.data import Recording
 from tauext.data.estimates import Estimates
-from tauext.report.drawing import Drawing, missing_bundles
+from tauext.report.drawing import Drawing, draw_band, missing_bundles, sigma_words
 from tauext.report.results import Collision, EvaluatedBundle, Results, Verdict
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import CONTACT, LIMIT, SENSOR, WIDTH_IN, bundle_colours
@@ -80,12 +80,13 @@ def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
     heights = [2.6, 2.6, 0.25 * len(names) + 0.2]
     grid = figure.subplots(3, len(collisions), squeeze=False, height_ratios=heights)
     missing: set[str] = set()
-    sensed = True
+    sensed, bands = True, ""
     for column, collision in enumerate(collisions):
         recording = signals.recording(collision.recording)
         sensed &= recording.tau_ext_sensor is not None
         said, without = signals.by_bundle(names, recording)
         missing |= set(without)
+        bands = bands or sigma_words(said.values())
         if not ((recording.time_s >= collision.start_s) & (recording.time_s <= collision.end_s)).any():
             raise NotAvailable(f"collision {collision.id} lies outside its recording")
         verdicts = {c.name: c.verdicts[collision.id] for c in results.shown if collision.id in c.verdicts}
@@ -114,6 +115,7 @@ def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
         f"a bar runs from where the sensor goes over that limit to where the estimate does, and the number is the "
         f"delay against the sensor. Time 0 is the onset of contact."
         + ("" if sensed else " There is no sensor here: delays count from the onset, as it is labelled.")
+        + bands
         + missing_bundles(results, [n for n in names if n in missing])
         + results.shown_note,
     )
@@ -146,7 +148,10 @@ def draw_curves(axes: Axes, scene: Scene, rows: np.ndarray, colours: dict[str, s
     """Sensor, estimates and the first bundle's limit, on the side where the sensor goes."""
     time = scene.since_s()[rows] / unit_s
     for bundle, estimates in scene.said.items():
-        axes.plot(time, estimates.tau_ext[rows, scene.joint], color=colours[bundle], zorder=4)
+        tau_ext = estimates.tau_ext[rows, scene.joint]
+        axes.plot(time, tau_ext, color=colours[bundle], zorder=4)
+        sigma = None if estimates.sigma_nm is None else estimates.sigma_nm[rows, scene.joint]
+        draw_band(axes, time, tau_ext, sigma, colours[bundle])
     if scene.sensor is not None:
         axes.plot(time, scene.sensor[rows], color=SENSOR, linewidth=2, zorder=3)
     limit = next(iter(scene.said.values())).limit[rows, scene.joint]

@@ -16,8 +16,8 @@ from tauext.report.trace_coding import encode
 from tauext.report.tracing import AROUND_S, Traced
 
 QUANTA_A_LIMIT, QUANTA_A_RANGE = 1000, 8000
-"""External torque and limits are kept in steps of a joint's smallest limit by the one; other signals, and where there
-is no limit, in steps of their range by the other, if that is more."""
+"""External torque, standard error and limits are kept in steps of a joint's smallest limit by the one; other signals,
+and where there is no limit, in steps of their range by the other, if that is more."""
 RANGE_PERCENT = (0.1, 99.9)
 """Of all buckets: one wild value does not make the others coarse."""
 QUANTA_A_ROW = 500
@@ -145,7 +145,7 @@ def quanta(traced: Sequence[Traced], joints: int) -> dict[str, list[float]]:
     for signal in dict.fromkeys(signal for one in traced for signal, *_ in one.traces):
         from_range = extent.get(signal, np.zeros(joints)) / QUANTA_A_RANGE
         step = np.maximum(from_limit, from_range)
-        if signal in ("tau_ext", "limit"):
+        if signal in ("tau_ext", "limit", "sigma"):
             step = np.where(from_limit > 0, from_limit, from_range)
         steps[signal] = np.where(step > 0, step, 1 / QUANTA_A_RANGE).tolist()
     return steps

@@ -7,15 +7,17 @@ const canvas = find("canvas"), said = find(".said"), picker = document.getElemen
 const SIGNALS = {
   tau_ext: { label: "external torque", width: 1.3, shade: 0 },
   limit: { label: "limits", width: 1, shade: 0.35 },
+  sigma: { label: "standard error", width: 0.8, shade: 0.5 },
   r: { label: "observer r", width: 2.6, shade: 0.6 },
   learned: { label: "prior, network, drift", width: 1.1, shade: -0.35 },
   reference: { label: "reference", width: 1, colour: "#000000" },
   tau: { label: "motor torque", width: 0.9, colour: "#7a7a7a" },
 };
-const ORDER = ["tau", "r", "limit", "reference", "learned", "tau_ext"]; // from below
-const HEALTH_COLOUR = "#ececec", GAP_COLOUR = "#c4c4c4", CONTACT_COLOUR = "#fbe3cf", BAND_COLOUR = "#f1f6fa", MARK_COLOUR = "#d55e00";
+const ORDER = ["tau", "r", "limit", "sigma", "reference", "learned", "tau_ext"]; // from below
+const BANDS = { limit: "#f1f6fa", sigma: "#dbe8f2" }; // signals that stand on both sides of zero, and what is between
+const HEALTH_COLOUR = "#ececec", GAP_COLOUR = "#c4c4c4", CONTACT_COLOUR = "#fbe3cf", MARK_COLOUR = "#d55e00";
 const LEFT = 74, RIGHT = 8, STRIP = 20, LANE = 11, AXIS = 34, SPACE = 9;
-const state = { recording: 0, from: 0, to: 1, methods: new Set(), signals: new Set(["tau_ext", "limit"]), joints: new Set() };
+const state = { recording: 0, from: 0, to: 1, methods: new Set(), signals: new Set(["tau_ext", "limit", "sigma"]), joints: new Set() };
 const view = { rows: [], lanes: [], tiers: null, drawn: {}, ms: 0 };
 const recording = () => told.recordings[state.recording];
 const methods = () => told.methods.filter((m) => state.methods.has(m.name) && recording().alarms[m.name]);
@@ -164,7 +166,7 @@ function drawRow(g, joint, y, height, width, pixels, ratio, drawn, bars) {
   const mine = drawn.filter((c) => c.joint === joint), plot = width - LEFT - RIGHT;
   let least = Infinity, most = -Infinity;
   for (const c of mine) {
-    least = Math.min(least, c.signal === "limit" ? -c.most : c.least);
+    least = Math.min(least, BANDS[c.signal] ? -c.most : c.least);
     most = Math.max(most, c.most);
   }
   if (!(least <= most)) [least, most] = [-1, 1];
@@ -179,7 +181,7 @@ function drawRow(g, joint, y, height, width, pixels, ratio, drawn, bars) {
   g.clip();
   g.fillStyle = "#ffffff";
   g.fillRect(LEFT, y, plot, height);
-  for (const c of mine.filter((c) => c.signal === "limit" && c.method === first)) fillBand(g, c, at, pixels, ratio);
+  for (const c of mine.filter((c) => BANDS[c.signal] && c.method === first)) fillBand(g, c, at, pixels, ratio);
   if (first) bars(recording().unhealthy[first.name], y, height, HEALTH_COLOUR);
   g.globalAlpha = 0.8;
   bars(recording().contacts, y, height, CONTACT_COLOUR);
@@ -199,7 +201,7 @@ function drawRow(g, joint, y, height, width, pixels, ratio, drawn, bars) {
   bars((recording().marks ?? []).map(([t]) => [t, t]), y, height, MARK_COLOUR, view.x, 1);
   for (const c of mine) {
     drawCurve(g, c, at, top, pixels, ratio, 1);
-    if (c.signal === "limit") drawCurve(g, c, at, top, pixels, ratio, -1);
+    if (BANDS[c.signal]) drawCurve(g, c, at, top, pixels, ratio, -1);
   }
   g.restore();
   g.strokeStyle = "#8a8a8a";
@@ -218,7 +220,7 @@ function drawRow(g, joint, y, height, width, pixels, ratio, drawn, bars) {
 }
 
 function fillBand(g, c, at, pixels, ratio) {
-  g.fillStyle = BAND_COLOUR;
+  g.fillStyle = BANDS[c.signal];
   for (const [from, to] of runs(c, pixels)) g.fillRect(LEFT + from / ratio, at(c.low[from]), (to - from) / ratio, at(-c.low[from]) - at(c.low[from]));
   for (const line of c.lines) {
     g.beginPath();

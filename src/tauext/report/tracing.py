@@ -17,7 +17,8 @@ AROUND_S = 0.5
 """Every sample is kept from so long before the beginning of an event ..."""
 EVENT_S = 1.0
 """... to so long after its end, or after this much of it."""
-METHOD_SIGNALS = ("tau_ext", "limit", "learned", "r")
+METHOD_SIGNALS = ("tau_ext", "limit", "sigma", "learned", "r")
+"""Of every method; sigma of those whose bundle has an error scale."""
 
 
 @dataclass
@@ -51,8 +52,9 @@ def trace(
         named["reference", None] = reference
     for method, estimates in said.items():
         healthy_only = np.where((estimates.health == OK)[:, None], estimates.tau_ext, np.nan)
-        values = (healthy_only, estimates.limit, estimates.r - estimates.tau_ext, estimates.r)
-        named |= {(signal, method): one for signal, one in zip(METHOD_SIGNALS, values, strict=True)}
+        learned = estimates.r - estimates.tau_ext
+        values = (healthy_only, estimates.limit, estimates.sigma_nm, learned, estimates.r)
+        named |= {(name, method): one for name, one in zip(METHOD_SIGNALS, values, strict=True) if one is not None}
     contacts = [] if recording.contact is None else stretches(recording.contact == 1, time_s)
     found = {method: alarms(estimates, time_s) for method, estimates in said.items()}
     parts = around([*first, *contacts, *(one[:2] for each in found.values() for one in each)], time_s, windows)

@@ -12,6 +12,7 @@ from tauext.errors import ConfigError
 from tauext.report.after_contact import draw_after_contact
 from tauext.report.collisions_over_time import draw_collisions
 from tauext.report.drawing import Drawing
+from tauext.report.error_against_sigma import draw_error_against_sigma
 from tauext.report.error_over_speed import draw_error_over_speed
 from tauext.report.found_curve import draw_found_curve
 from tauext.report.free_motion import draw_free_motion
@@ -57,6 +58,7 @@ def write_report(
         "after-contact": partial(draw_after_contact, results),
         "learning-curves": partial(draw_learning_curves, results),
         "training-loss": partial(draw_training_loss, results),
+        "error-against-sigma": partial(draw_error_against_sigma, results),
         "figure-5-free-motion": partial(draw_free_motion, results, signals),
         "figure-6-error-over-speed": partial(draw_error_over_speed, results, signals),
         "figure-7-collisions": partial(draw_collisions, results, signals),

@@ -13,9 +13,12 @@ from tauext.monitor.changes import OK as HEALTHY
 from tauext.monitor.changes import STALE as HEALTH_STALE
 from tauext.ros2.messages import ERROR, OK, STALE, WARN, DiagnosticStatus, KeyValue
 
+TORQUES = (("tau_ext_nm", "tau_ext"), ("sigma_nm", "sigma_nm"), ("limit_nm", "limit_nm"), ("margin_nm", "margin_nm"))
+"""Of `tauext: arm`, a joint, and what of the verdict holds them."""
+
 
 def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: str) -> DiagnosticStatus:
-    """Alarm, health and its causes, and per joint the torque and its margin to the limit, [N m].
+    """Alarm, health and its causes, and per joint the torque, its standard error, its limit and the margin, [N m].
 
     Level: ERROR for a collision or a fault, STALE while no sample comes, WARN for a contact, while warming up and where
     a joint's drift stands at its bound, else OK. A collision outranks everything.
@@ -50,7 +53,7 @@ def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: st
         *(KeyValue(f"cause: {cause}", MEANING[cause]) for cause in causes),
         *(
             KeyValue(f"{name} {joint}", number(value))
-            for name, key in (("tau_ext_nm", "tau_ext"), ("limit_nm", "limit_nm"), ("margin_nm", "margin_nm"))
+            for name, key in TORQUES
             for joint, value in zip(joints, said[key][0].tolist(), strict=True)
         ),
     ]

@@ -603,7 +603,7 @@ def test_limits_that_move_are_drawn_as_they_held(moving):
     assert "follows the motion" in drawing.caption and len(r.get_ydata()) == len(above.get_ydata())
     speeds = draw_error_over_speed(results, signals)
     assert [text.get_text() for text in speeds.figure.legends[0].get_texts()][-1] == "limit, median at a speed"
-    assert "standard error" in draw_free_motion(results, signals).caption
+    assert "Bands are one standard error" in draw_three_collisions(results, signals).caption
 
 
 def test_errors_against_sigma_have_a_panel_a_joint_and_a_table(moving, made):

@@ -13,11 +13,10 @@ from matplotlib.patches import Patch
 
 from tauext.data import Recording
 from tauext.data.estimates import Estimates
-from tauext.report.drawing import Drawing, draw_band, uncertainty_words
+from tauext.report.drawing import Drawing, uncertainty_words
 from tauext.report.results import Collision, Results
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import (
-    BAND,
     CONTACT,
     LIMIT,
     OBSERVER,
@@ -30,7 +29,7 @@ from tauext.report.style import (
 
 BEFORE_S, LENGTH_S, AFTER_S = 0.8, 3.0, 0.7
 JOINT_AT = "#9a9a9a"
-LIMIT_LINE: dict[str, Any] = {"color": LIMIT, "linestyle": "--", "linewidth": 0.7}
+LIMIT_LINE: dict[str, Any] = {"color": LIMIT, "linestyle": "--", "linewidth": 0.7, "zorder": 1.5}
 
 
 @dataclass(frozen=True)
@@ -82,9 +81,8 @@ def draw_collisions(results: Results, signals: Signals) -> Drawing:
     ]
     moves = excerpts[0].said.sigma_nm is not None
     if moves:
-        handles.insert(2, Patch(color=colour, alpha=BAND, label="± standard error"))
-        handles.insert(3, Line2D([], [], label="± limit", **LIMIT_LINE))
-    figure.legend(handles=handles, loc="outside upper left", ncols=5)
+        handles.insert(2, Line2D([], [], label="± limit", **LIMIT_LINE))
+    figure.legend(handles=handles, loc="outside upper left", ncols=4)
     where: dict[str, list[str]] = {}
     for number, excerpt in enumerate(excerpts, 1):
         where.setdefault(excerpt.recording.name, []).append(str(number))
@@ -131,7 +129,6 @@ def draw_excerpt(axes: Axes, excerpt: Excerpt, joint: int, colour: str, results:
     uncertainty = excerpt.said.uncertainty[rows, joint]
     axes.plot(shown_s, uncertainty, color=colour)
     if excerpt.said.sigma_nm is not None:
-        draw_band(axes, shown_s, uncertainty, excerpt.said.sigma_nm[rows, joint], colour)
         for side in (-1, 1):
             axes.plot(shown_s, uncertainty + side * excerpt.said.limit[rows, joint], **LIMIT_LINE)
     if excerpt.shown_at_s > 0:

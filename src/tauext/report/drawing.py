@@ -20,12 +20,10 @@ class Drawing:
     caption: str
 
 
-def draw_band(axes: Axes, time: np.ndarray, centre: np.ndarray, sigma: np.ndarray | None, colour: str) -> bool:
-    """One standard error to either side of a curve; whether there was one to draw."""
-    if sigma is None:
-        return False
-    axes.fill_between(time, centre - sigma, centre + sigma, color=colour, alpha=BAND, linewidth=0, zorder=2.5)
-    return True
+def draw_band(axes: Axes, time: np.ndarray, centre: np.ndarray, sigma: np.ndarray | None, colour: str) -> None:
+    """One standard error to either side of a curve, where it is known."""
+    if sigma is not None:
+        axes.fill_between(time, centre - sigma, centre + sigma, color=colour, alpha=BAND, linewidth=0, zorder=2.5)
 
 
 def missing_bundles(results: Results, names: Sequence[str]) -> str:

@@ -6,12 +6,14 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from tauext.report.drawing import Drawing, draw_band, missing_bundles, sigma_words, uncertainty_words
+from tauext.report.drawing import Drawing, missing_bundles, uncertainty_words
 from tauext.report.results import Results
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import OBSERVER, OBSERVER_WIDTH, WIDTH_IN, bundle_colours, label_joint
 
 EXCERPT_S = 30.0
+NARROWEST_IN = 6.0
+"""Else the legend has no room."""
 
 
 def draw_free_motion(results: Results, signals: Signals) -> Drawing:
@@ -32,7 +34,7 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
     time_s = recording.time_s
     rows = (time_s >= time_s[healthy[0]]) & (time_s <= time_s[healthy[0]] + EXCERPT_S)
     colours, n = bundle_colours([bundle.name for bundle in results.bundles]), len(recording.joints)
-    width = min(WIDTH_IN, 1.5 + 3.2 * len(estimates))
+    width = min(WIDTH_IN, max(NARROWEST_IN, 1.5 + 3.2 * len(estimates)))
     figure = Figure(figsize=(width, 0.7 + (1.75 if n <= 3 else 1.25) * n), layout="constrained")
     grid = figure.subplots(n, len(estimates), sharex=True, sharey="row", squeeze=False)
     for column, (bundle, said) in enumerate(estimates.items()):
@@ -40,8 +42,6 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
             axes = grid[joint, column]
             axes.plot(time_s[rows], said.r[rows, joint], color=OBSERVER, linewidth=OBSERVER_WIDTH)
             axes.plot(time_s[rows], said.uncertainty[rows, joint], color=colours[bundle])
-            sigma = None if said.sigma_nm is None else said.sigma_nm[rows, joint]
-            draw_band(axes, time_s[rows], said.uncertainty[rows, joint], sigma, colours[bundle])
             axes.margins(x=0)
         grid[0, column].set_title(results.labels[bundle].replace(", ", ",\n"), color=colours[bundle], fontweight="bold")
         grid[-1, column].set_xlabel("time, s")
@@ -57,8 +57,5 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
         figure,
         f"Figure 5. Free motion, test recording {recording.name}: output of the momentum observer (grey) and of the "
         f"network trained for that model. In free motion the observer shows what the model gets wrong, and the network "
-        f"learns it. Axes of a row have one scale."
-        + sigma_words(estimates.values())
-        + missing_bundles(results, missing)
-        + results.shown_note,
+        f"learns it. Axes of a row have one scale." + missing_bundles(results, missing) + results.shown_note,
     )

@@ -8,6 +8,7 @@ next one is seen too; on an arm a person does that. `tauext run` does all this a
 
 from __future__ import annotations
 
+import math
 import sys
 
 import tauext
@@ -19,7 +20,9 @@ def describe(t_ns: int, joints: list[str], units: list[str], e: tauext.Estimate)
     """One line: when, health and why, alarm and where."""
     line = f"{t_ns * 1e-9:.3f} s: health {e.health.name}, alarm {e.alarm.name}"
     if e.alarm_joint >= 0:
-        line += f" on {joints[e.alarm_joint]} (tau_ext {e.tau_ext[e.alarm_joint]:.1f} {units[e.alarm_joint]})"
+        j, sigma = e.alarm_joint, e.sigma_nm[e.alarm_joint]
+        known = f" ± {sigma:.1f}" if math.isfinite(sigma) else ""  # a bundle may have no error scale
+        line += f" on {joints[j]} (tau_ext {e.tau_ext[j]:.1f}{known} {units[j]})"
     return ", ".join([line, *e.causes])
 
 

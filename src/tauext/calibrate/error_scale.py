@@ -28,8 +28,12 @@ SHARP_HOURS = 1.0
 """With so much left-out motion the limits' scale is fitted to its largest errors, with less more to all of them ..."""
 SHARP, BLUNT = 8.0, 4.0
 """... by these powers p."""
+STOOD_S = 60.0
+"""A joint that stood for less than this in all of the motion showed too little of what its friction hides at rest:
+there its limit is that of usual motion at least."""
 LEAST_CONSTANT = 0.05
 """Of usual motion's scale: no motion makes limits vanish."""
+STANDS_RAD_S = 0.002
 MOST_ROWS = 1_000_000
 """Over an hour and a half at the network's rate."""
 LEAST_ROWS = 300
@@ -187,6 +191,10 @@ def limit_weights(rows: Rows, joint: int) -> np.ndarray:
     weights = fit_weights(features, rows.error_nm[:, joint], rows.power)
     weights = weights / float(np.median(features @ weights))
     weights[0] = max(weights[0], LEAST_CONSTANT)
+    speed, standstill = (FEATURES.index(kind) for kind in (_core.MotionFeature.speed, _core.MotionFeature.standstill))
+    stood_s = 3600 * rows.hours * float(np.mean(features[:, speed] < STANDS_RAD_S))
+    if stood_s < STOOD_S:
+        weights[standstill] = max(weights[standstill], 1.0 - weights[0])
     return weights
 
 

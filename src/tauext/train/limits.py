@@ -29,10 +29,10 @@ from tauext.learn import PriorFit, Setup, freeze_drift, make_bundle
 from tauext.learn.prior_facts import friction_nm
 from tauext.train.preparation import Job
 
-SHORT_S = 120.0
+SHORT_S = 240.0
 """The reserve for friction that recordings did not show fades with their length T as exp(-T / this), [s]: a single
 minute shows one motion in one state of the gears, ten show a gear that warms up (5 to 7 minutes)."""
-LEAST_RESERVE = 0.005
+LEAST_RESERVE = 0.02
 EVEN_ODDS = 0.5
 """With which each limit keeps its share of the supported budget. That budget is the least that these minutes support
 at the promise's confidence; asked again of each of a dozen limits, that confidence doubled them beyond the largest

@@ -21,6 +21,8 @@ PLOT_ROW_EVERY = 2
 """Of the trace's rows; 25 points a second are enough for the eye."""
 COLORS = {"none": "#1f9d57", "contact": "#e09600", "collision": "#d62f2a", "off": "#7c8794"}
 TRUTH, ESTIMATE, LIMIT = "#22a05a", "#206ee6", "#b3bac4"
+SIGMA = "#206ee640"
+"""The estimate's, see-through."""
 
 Send = Callable[..., None]
 """Sends a command of the simulation: its name, its arguments."""
@@ -40,7 +42,7 @@ class Panel:
         simplify: Callable[[bool], None],
     ):
         self._gui, self._arm = server.gui, arm
-        self._rows = np.zeros((0, 1 + 3 * len(arm.joints)))
+        self._rows = np.zeros((0, 1 + 4 * len(arm.joints)))
         self._plotted_s = -np.inf
         self._last: dict[str, Event] = {}
         self._training = ""
@@ -148,10 +150,13 @@ class Panel:
             {"label": "estimate", "stroke": ESTIMATE, "width": 2},
             {"label": "limit", "stroke": LIMIT, "width": 1.5},
             {"label": "-limit", "stroke": LIMIT, "width": 1.5},
+            {"label": "estimate + σ", "stroke": SIGMA, "width": 0.5},
+            {"label": "estimate - σ", "stroke": SIGMA, "width": 0.5},
         )
         return self._gui.add_uplot(
-            data=tuple(np.zeros(1) for _ in range(5)),
+            data=tuple(np.zeros(1) for _ in range(1 + len(lines))),
             series=({"label": "s"}, *lines),
+            bands=({"series": (5, 6), "fill": SIGMA},),
             title=None if small else f"{joint}, Nm",
             scales={"x": {"time": False}, "y": {"auto": True}},
             axes=({"show": not small, "size": 28}, {"size": 40} | ({"label": joint, "labelSize": 18} if small else {})),
@@ -171,9 +176,10 @@ class Panel:
         rows, n = self._rows[::-PLOT_ROW_EVERY][::-1], len(self._arm.joints)
         if len(rows) < 2:
             return
-        estimate, limit, true = (rows[:, 1 + k * n : 1 + (k + 1) * n] for k in range(3))
+        estimate, sigma, limit, true = (rows[:, 1 + k * n : 1 + (k + 1) * n] for k in range(4))
         for j, plot in enumerate(self._plots):
-            columns = (rows[:, 0], true[:, j], estimate[:, j], limit[:, j], -limit[:, j])
+            band = estimate[:, j] + sigma[:, j], estimate[:, j] - sigma[:, j]
+            columns = (rows[:, 0], true[:, j], estimate[:, j], limit[:, j], -limit[:, j], *band)
             plot.data = tuple(np.ascontiguousarray(column) for column in columns)
 
 
@@ -218,7 +224,10 @@ def last_alarm(event: Event | None, arm: DemoArm) -> str:
 
 
 def legend() -> str:
-    entries = ((TRUTH, "true"), (ESTIMATE, "estimated"), (LIMIT, "± collision limit"))
+    entries = ((TRUTH, "true"), (ESTIMATE, "estimated"), (SIGMA, "± standard error"), (LIMIT, "± collision limit"))
     bar = "display:inline-block;width:14px;height:3px;margin:0 5px 3px 10px;"
-    marks = "".join(f"<span style='{bar}background:{color}'></span>{text}" for color, text in entries)
+    marks = "".join(
+        f"<span style='white-space:nowrap'><span style='{bar}background:{color}'></span>{text}</span> "
+        for color, text in entries
+    )
     return f"<div style='font-size:12.5px;padding:6px 4px 2px'>{marks}</div>"

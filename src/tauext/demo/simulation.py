@@ -78,7 +78,7 @@ class Snapshot:
     verdicts: dict[str, Verdict]
     touch: Touch | None
     trace: np.ndarray
-    """Since the last snapshot, (rows, 1 + 3 joints): time, estimate, limit, truth."""
+    """Since the last snapshot, (rows, 1 + 4 joints): time, estimate, standard error (0: unknown), limit, truth."""
     events: list[Event] = field(default_factory=list)
     """Since the last snapshot."""
     real_time_factor: float = float("nan")
@@ -186,8 +186,8 @@ class Simulation:
                 alarm = _core.Alarm.none if method in excused else said.alarm
                 raised |= self._judge(method, alarm, said.alarm_joint)
         if self._ticks % round(TRACE_EVERY_S * self.arm.rate_hz) == 0:
-            estimate, limit = self._shown()
-            self._trace.append(np.concatenate([[plant.time_s], estimate, limit, sample.tau_ext]))
+            estimate, sigma, limit = self._shown()
+            self._trace.append(np.concatenate([[plant.time_s], estimate, sigma, limit, sample.tau_ext]))
         self._ticks += 1
         return raised
 
@@ -214,7 +214,7 @@ class Simulation:
         data = self.plant.data
         mujoco.mj_kinematics(self.plant.model, data)
         mujoco.mj_comPos(self.plant.model, data)
-        estimate, limit = self._shown()
+        estimate, _, limit = self._shown()
         trace = np.array(self._trace)
         self._trace.clear()
         return Snapshot(
@@ -229,7 +229,7 @@ class Simulation:
                 for name, said in self._said.items()
             },
             touch=self._touch(estimate),
-            trace=trace.reshape(len(trace), 1 + 3 * len(self.arm.joints)),
+            trace=trace.reshape(len(trace), 1 + 4 * len(self.arm.joints)),
             events=self.take_events(),
         )
 
@@ -247,11 +247,13 @@ class Simulation:
             self.mover.react(self.reaction)
         return True
 
-    def _shown(self) -> tuple[np.ndarray, np.ndarray]:
+    def _shown(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Estimate, its standard error, 0 where nobody knows it, and limit of the method shown."""
         said = self._said.get(self.method)
         if said is None:
-            return np.full(len(self.arm.joints), np.nan), np.full(len(self.arm.joints), np.nan)
-        return np.array(said.tau_ext), np.array(said.limit_nm)
+            unknown = np.full(len(self.arm.joints), np.nan)
+            return unknown, np.zeros(len(unknown)), unknown
+        return np.array(said.tau_ext), np.nan_to_num(np.array(said.sigma_nm)), np.array(said.limit_nm)
 
     def _touch(self, tau_ext: np.ndarray) -> Touch | None:
         if self.drag is None:

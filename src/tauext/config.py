@@ -205,9 +205,9 @@ class DriftConfig:
     """Time for which the drift tracker learns nothing after a joint was over freeze_share of its limit, [s]."""
     freeze_floor_share: float = 1 / 3
     """Where limits follow the error they are so low in easy motion that drift itself is over them; |tau_ext| must also
-    be over this share of a coefficient's bound to stop the tracker ..."""
+    be over this share of a coefficient's bound to stop the tracker."""
     most_frozen: float = 0.03
-    """... and over as much as lets it stand still in no more than this share of free motion."""
+    """Largest share of free motion in which the tracker stands still; |tau_ext| must be over as much as that takes."""
 
     def __post_init__(self) -> None:
         time_s = self.time_constant_s

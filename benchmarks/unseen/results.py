@@ -127,7 +127,7 @@ def markdown(outcomes: Sequence[Outcome], command: str) -> str:
 def _alarms(outcomes: Sequence[Outcome]) -> list[str]:
     lines = [
         "| arm | model | recipe | found | of strong | false alarms an hour | in free motion | after a contact "
-        "| delay from label, ms: median, 95 % | from onset, ms | limit over error |",
+        "| delay from label, ms: median, 95 % | from onset, ms | usual limit over error |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for c in outcomes:
@@ -161,7 +161,10 @@ def _kinds(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def _errors(outcomes: Sequence[Outcome]) -> list[str]:
-    lines = ["Held-out RMS error, Nm (% of the torque's RMS), joint by joint, and the sliding limits, Nm:", ""]
+    lines = [
+        "Held-out RMS error, Nm (% of the torque's RMS), joint by joint, and the limits of sliding in usual motion, Nm:",
+        "",
+    ]
     lines += ["| arm | model | recipe | error | limits |", "|---|---|---|---|---|"]
     for c in outcomes:
         errors = " · ".join(f"{e:.2f} ({s:.0%})" for e, s in zip(c.rmse_nm, c.rmse_share, strict=True))

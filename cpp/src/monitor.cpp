@@ -52,6 +52,7 @@ void Monitor::reset() noexcept {
 
 void Monitor::resume() noexcept {
   observe_.forget_friction(last().near_stiction);
+  if (observe_.tells_friction()) judge_.forget_pushes();  // the doubt stands for them
   acknowledge();
 }
 

@@ -493,6 +493,21 @@ void what_a_push_left_in_static_friction_is_no_collision_after_resume() {
   CHECK(arm.go(200, 0.02, 2) == Alarm::collision);
 }
 
+// The doubt after resume() stands in place of the factor after a contact, not on top of it.
+void resume_ends_what_a_contact_raised() {
+  Bundle bundle = StickyArm::bundle();
+  bundle.limits.after_contact_factor = 3;
+  StickyArm arm{Monitor(bundle)};
+  CHECK(arm.go(1000, 0.02, 5) == Alarm::none && arm.go(500, 0, 5) == Alarm::none);
+  CHECK(arm.go(300, 0, 1) == Alarm::collision && arm.go(500, 0, 5) == Alarm::collision);
+  CHECK_CLOSE(arm.monitor.last().limit_nm[0], 3 * 2, 1e-6);  // pushed, and let go
+  arm.monitor.acknowledge();
+  CHECK(arm.go(300, 0, 1) == Alarm::none);  // 4 Nm
+  arm.monitor.resume();
+  arm.go(1, 0, 1);
+  CHECK_CLOSE(arm.monitor.last().limit_nm[0], 2 + 5, 1e-6);
+}
+
 void resume_of_joints_that_slide_is_an_acknowledgement() {
   const Bundle bundle = StickyArm::bundle();
   StickyArm one{Monitor(bundle)}, other{Monitor(bundle)};
@@ -545,6 +560,7 @@ int main() {
   limit_factors_scale_the_limits_and_nothing_else();
   limit_factors_are_part_of_the_state();
   what_a_push_left_in_static_friction_is_no_collision_after_resume();
+  resume_ends_what_a_contact_raised();
   resume_of_joints_that_slide_is_an_acknowledgement();
   names_are_told();
   a_bundle_that_does_not_hold_together_makes_no_monitor();

@@ -47,6 +47,8 @@ class AlarmStage {
   void reset() noexcept;
   // Ends any alarm; one whose cause lasts comes back after its hold time.
   void acknowledge() noexcept;
+  // Limits of joints that were pushed while stuck are the usual ones again: what that left is known otherwise.
+  void forget_pushes() noexcept { state_.pushed = 0; }
 
   // Limits are the bundle's times these from the next sample on. false, and nothing changed, unless there is one number
   // a joint, each within LimitFactors' bounds.

@@ -54,6 +54,7 @@ class JudgeStage {
   const Estimate& step(const Observed& observed, std::span<const double> dq, std::span<const float> network) noexcept;
 
   void acknowledge() noexcept;
+  void forget_pushes() noexcept { alarm_.forget_pushes(); }
   bool set_limit_factors(std::span<const double> collision, std::span<const double> contact) noexcept {
     return alarm_.set_factors(collision, contact);
   }

@@ -59,6 +59,7 @@ class ObserveStage {
   const Observed& no_sample(std::int64_t now_ns) noexcept;
   // As ResidualStage; a bit a joint.
   void forget_friction(std::uint32_t joints) noexcept;
+  bool tells_friction() const noexcept { return residual_.tells_friction(); }
   // As newly made.
   void reset() noexcept;
 

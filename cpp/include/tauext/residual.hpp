@@ -48,10 +48,12 @@ class ResidualStage {
                          std::span<double> doubt) noexcept;
   const Presliding& presliding() const noexcept { return motion_.presliding(); }
   bool warm() const noexcept { return filter_.warm(); }
+  // Whether the prior follows from static friction, so that forgetting it raises a doubt.
+  bool tells_friction() const noexcept { return prior_.has_presliding(); }
   // What the motion of a joint told of its static friction holds no longer. Nothing happens where no prior follows from
   // it: there would be no doubt to raise the limits.
   void forget_friction(int joint) noexcept {
-    if (!prior_.has_presliding()) return;
+    if (!tells_friction()) return;
     motion_.forget_friction(joint);
     prior_.forget();
   }

@@ -162,7 +162,7 @@ def _kinds(outcomes: Sequence[Outcome]) -> list[str]:
 
 def _errors(outcomes: Sequence[Outcome]) -> list[str]:
     lines = [
-        "Held-out RMS error, Nm (% of the torque's RMS), joint by joint, and the limits of sliding in usual motion, Nm:",
+        "Held-out RMS error, Nm (% of the torque's RMS), joint by joint, and the usual sliding limits, Nm:",
         "",
     ]
     lines += ["| arm | model | recipe | error | limits |", "|---|---|---|---|---|"]

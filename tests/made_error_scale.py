@@ -15,5 +15,6 @@ def with_error_scale(bundle: _core.Bundle, per_speed: float = 1.0) -> _core.Bund
     scale.largest = [LARGEST] * n
     scale.sigma_weights = [SIGMA_NM, SIGMA_PER_SPEED] * n
     scale.sigma_near_weights = [SIGMA_NEAR_NM, 0.0] * n
+    scale.largest_sigma = [1e3] * n
     bundle.error_scale = scale
     return bundle

@@ -10,7 +10,7 @@ from made_pushes import JOINTS, LIMIT_NM, watching_bundle
 
 from tauext import _core
 from tauext.cli import main
-from tauext.cli.situations import sentences, situations
+from tauext.monitor.situations import sentences, situations
 
 SLIDING = "sliding steadily at 0.5 rad/s"
 

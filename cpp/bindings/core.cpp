@@ -337,6 +337,7 @@ void bind_bundle(nb::module_& m) {
       .def_rw("largest", &ErrorScaleSettings::largest)
       .def_rw("sigma_weights", &ErrorScaleSettings::sigma_weights)
       .def_rw("sigma_near_weights", &ErrorScaleSettings::sigma_near_weights)
+      .def_rw("largest_sigma", &ErrorScaleSettings::largest_sigma)
       .def_prop_ro("on", &ErrorScaleSettings::on);
   nb::class_<Bundle> bundle(m, "Bundle", "Everything the chain needs to run, in one file.");
   bundle.def(nb::init<>())

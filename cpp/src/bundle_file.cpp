@@ -162,6 +162,7 @@ void fields(File& file, Bundle& b) {
     field(file, b.error_scale.largest);
     field(file, b.error_scale.sigma_weights);
     field(file, b.error_scale.sigma_near_weights);
+    field(file, b.error_scale.largest_sigma);
   }
   field(file, b.signals.torque_limit_nm);
   field(file, b.signals.largest_torque_nm);

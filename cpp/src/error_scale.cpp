@@ -20,6 +20,14 @@ void expect_weights(const char* what, const std::vector<double>& weights, std::s
       throw Error(here + " of joint " + std::to_string(row / features) + " are all 0");
 }
 
+void expect_ceiling(const char* what, const std::vector<double>& values, std::size_t joints) {
+  const std::string here = "error_scale." + std::string(what);
+  if (values.size() != joints)
+    throw Error(here + " has " + std::to_string(values.size()) + " values where " + std::to_string(joints) + " belong");
+  for (double value : values)
+    if (!(value > 0 && value <= kLargestWeight)) throw Error(here + " = " + to_text(value) + " must be above 0, at most 1e200");
+}
+
 // Those of the whole arm stand in the first joint's place.
 bool of_arm(MotionFeature feature) noexcept { return feature >= MotionFeature::arm_speed; }
 
@@ -27,7 +35,8 @@ bool of_arm(MotionFeature feature) noexcept { return feature >= MotionFeature::a
 
 void ErrorScaleSettings::validate(int joints) const {
   if (!on()) {
-    if (!limit_weights.empty() || !largest.empty() || !sigma_weights.empty() || !sigma_near_weights.empty())
+    if (!limit_weights.empty() || !largest.empty() || !sigma_weights.empty() || !sigma_near_weights.empty() ||
+        !largest_sigma.empty())
       throw Error("error_scale has weights and no features");
     return;
   }
@@ -38,12 +47,8 @@ void ErrorScaleSettings::validate(int joints) const {
   expect_weights("limit_weights", limit_weights, count, features.size());
   expect_weights("sigma_weights", sigma_weights, count, features.size());
   expect_weights("sigma_near_weights", sigma_near_weights, count, features.size());
-  if (largest.size() != n)
-    throw Error("error_scale.largest has " + std::to_string(largest.size()) + " values where " + std::to_string(n) +
-                " belong");
-  for (double value : largest)
-    if (!(value > 0 && value <= kLargestWeight))
-      throw Error("error_scale.largest = " + to_text(value) + " must be above 0, at most 1e200");
+  expect_ceiling("largest", largest, n);
+  expect_ceiling("largest_sigma", largest_sigma, n);
 }
 
 ErrorScale::ErrorScale(const ErrorScaleSettings& settings, int joints, double gain_per_s)
@@ -125,7 +130,7 @@ void ErrorScale::step(std::int64_t t_ns, std::span<const double> dq, std::uint32
       sigma += of_sigma[m] * value;
     }
     scale[static_cast<std::size_t>(j)] = std::min(sum, settings_.largest[static_cast<std::size_t>(j)]);
-    sigma_nm[static_cast<std::size_t>(j)] = sigma;
+    sigma_nm[static_cast<std::size_t>(j)] = std::min(sigma, settings_.largest_sigma[static_cast<std::size_t>(j)]);
   }
 }
 

@@ -21,6 +21,7 @@ ErrorScaleSettings of(MotionFeature first, MotionFeature second) {
   s.largest = {1e6, 1e6};
   s.sigma_weights = {100, 0, 0, 100};
   s.sigma_near_weights = {7, 0, 0, 7};
+  s.largest_sigma = {1e6, 1e6};
   return s;
 }
 
@@ -70,7 +71,7 @@ void a_ramp_of_the_speed_is_an_acceleration_without_jerk() {
 }
 
 void standstill_is_remembered_and_fades() {
-  Scale s({{MotionFeature::standstill}, {1, 1}, {9, 9}, {1, 1}, {1, 1}});
+  Scale s({{MotionFeature::standstill}, {1, 1}, {9, 9}, {1, 1}, {1, 1}, {9, 9}});
   s.step(2.0, 0.0);
   CHECK_CLOSE(s.scale[0], 1.0, 1e-12);  // nobody knows what was before
   for (int k = 0; k < 5000; ++k) s.step(2.0, ErrorScale::kCreepRadS);
@@ -92,6 +93,10 @@ void the_scale_has_a_ceiling_and_regions_their_own_sigma() {
   CHECK(s.scale[0] == 1 && s.scale[1] == 3);
   CHECK_CLOSE(s.sigma[0], 100, 1e-12);
   CHECK_CLOSE(s.sigma[1], 7 * 9, 1e-9);
+  settings.largest_sigma[1] = 50;
+  Scale bounded(settings);
+  bounded.step(9, 9, kMs, 2);
+  CHECK(bounded.sigma[1] == 50);
 }
 
 void a_restart_forgets_the_motion_before() {
@@ -133,6 +138,7 @@ void bad_settings_are_refused() {
   refused([](ErrorScaleSettings& s) { s.sigma_weights[0] = NAN; });
   refused([](ErrorScaleSettings& s) { s.sigma_near_weights.pop_back(); });
   refused([](ErrorScaleSettings& s) { s.largest[0] = 0; });
+  refused([](ErrorScaleSettings& s) { s.largest_sigma.pop_back(); });
   refused([](ErrorScaleSettings& s) { s.largest[1] = std::numeric_limits<double>::infinity(); });
   refused([](ErrorScaleSettings& s) { s.features.clear(); });
 }

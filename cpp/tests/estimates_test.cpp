@@ -69,6 +69,7 @@ std::vector<Bundle> chains() {
   prior.error_scale.largest = {3, 2};
   prior.error_scale.sigma_weights = {0.1, 1e-3, 0, 0.3, 0, 0.1};
   prior.error_scale.sigma_near_weights = {0, 0, 1, 0, 1e-4, 1};
+  prior.error_scale.largest_sigma = {0.6, 0.9};
   answer_reference(prior);
   all.push_back(prior);
   Bundle drifting = quick(2, 0, 5);

@@ -30,13 +30,14 @@ struct ErrorScaleSettings {
   std::vector<double> largest;            // a joint: the scale never exceeds what training motion asked for
   std::vector<double> sigma_weights;      // of the standard error while sliding, [N m] for a feature of 1
   std::vector<double> sigma_near_weights; // and near stiction
+  std::vector<double> largest_sigma;      // a joint: likewise, [N m]
 
   bool on() const noexcept { return !features.empty(); }
   // Throws Error, naming what does not fit `joints`.
   void validate(int joints) const;
 };
 
-// scale_j = min(sum_m w_jm F_m, largest_j), sigma_j likewise, with F_m the features passed through the observer's filter,
+// scale_j = min(sum_m w_jm F_m, largest_j), sigma_j likewise with weights and ceiling of its own, with F_m the features passed through the observer's filter,
 //   F <- F + (1 - exp(-K0 dt)) (feature - F),
 // so that they rise and fade with what they announce in r. From a restart on they stand at the first sample's values.
 // ddq and dddq come of first-order filters of a fixed rate Ka, whatever K0, so that noise does not grow with K0; steps

@@ -87,6 +87,8 @@ def fit_error_scale(
             into.append(sigma_weights(features[inside], error[inside]) if inside.sum() >= LEAST_ROWS else both)
     scale.sigma_weights = np.concatenate(sliding).tolist()
     scale.sigma_near_weights = np.concatenate(near).tolist()
+    of_sliding, of_near = (np.einsum("rjf,jf->rj", rows.features, np.array(weights)) for weights in (sliding, near))
+    scale.largest_sigma = np.where(rows.near_stiction, of_near, of_sliding).max(axis=0).tolist()
     bundle.error_scale = scale
     if bundle.drift.time_constant_s > 0:
         period_s = 1e-9 * bundle.observer.sample_period_ns * bundle.observer.network_stride
@@ -204,7 +206,7 @@ def unit_scale(joints: int) -> _core.ErrorScaleSettings:
     scale.features = list(FEATURES)
     constant = [1.0] + [0.0] * (len(FEATURES) - 1)
     scale.limit_weights = scale.sigma_weights = scale.sigma_near_weights = constant * joints
-    scale.largest = [1.0] * joints
+    scale.largest = scale.largest_sigma = [1.0] * joints
     return scale
 
 

@@ -33,7 +33,7 @@ def show(file: tyro.conf.Positional[Path], as_json: Annotated[bool, tyro.conf.ar
     if as_json:
         print(json.dumps(content, indent=1))
         return
-    from tauext.cli.situations import certainty
+    from tauext.monitor.situations import certainty
 
     tabled = content.pop("situations", {})
     width = max(map(len, content))
@@ -127,7 +127,7 @@ def describe_bundle(file: Path) -> dict:
 
 def describe_limits(bundle: Bundle, facts: dict) -> dict:
     """What raises limits beside the error scale, and how sure each joint is in motions that everybody knows."""
-    from tauext.cli.situations import sentences, situations
+    from tauext.monitor.situations import sentences, situations
 
     content: dict[str, Any] = {}
     limits, scale = facts.get("limits", {}), facts.get("error_scale", {})

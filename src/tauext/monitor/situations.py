@@ -39,7 +39,7 @@ def situations(bundle: _core.Bundle) -> dict[str, Situation]:
         sigma_weights = scale.sigma_near_weights if near else scale.sigma_weights
         level = bundle.near_stiction_limit_nm if near else bundle.sliding_limit_nm
         times = np.minimum((features * np.reshape(scale.limit_weights, shape)).sum(axis=1), scale.largest)
-        sigma = (features * np.reshape(sigma_weights, shape)).sum(axis=1)
+        sigma = np.minimum((features * np.reshape(sigma_weights, shape)).sum(axis=1), scale.largest_sigma)
         found[name] = {
             "limit": dict(zip(names, (times * level).tolist(), strict=True)),
             "standard error": dict(zip(names, sigma.tolist(), strict=True)),

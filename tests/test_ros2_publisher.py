@@ -69,7 +69,17 @@ class Loop:
         self.asked.append(("stop", by))
 
 
-def verdict(tau_ext=(1.0, -2.0), health=FINE, alarm=NONE, causes=0, joint=1, changed=True, sample=True, drift=False):
+def verdict(
+    tau_ext=(1.0, -2.0),
+    health=FINE,
+    alarm=NONE,
+    causes=0,
+    joint=1,
+    changed=True,
+    sample=True,
+    drift=False,
+    unfamiliar=0.0,
+):
     t_ns = time.time_ns()
     said = {
         "tau_ext": np.array([tau_ext]),
@@ -81,6 +91,10 @@ def verdict(tau_ext=(1.0, -2.0), health=FINE, alarm=NONE, causes=0, joint=1, cha
         "alarm_joint": np.array([joint]),
         "causes": np.array([causes]),
         "drift_saturated": np.array([[False, drift]]),
+        "unfamiliar": np.array([unfamiliar]),
+        "unseen": np.array([3]),
+        "unseen_joint": np.array([0]),
+        "unseen_other": np.array([1]),
     }
     two = np.zeros(2)
     made = Sample(t_ns, two, two, two, time.monotonic_ns()) if sample else None
@@ -183,6 +197,8 @@ def test_alarms_are_latched_and_told_once(talking, peer, space):
         (verdict(health=FAULT, causes=GAP, sample=False), STALE, "fault: gap"),
         (verdict(alarm=COLLISION, health=FAULT, causes=GAP, sample=False), ERROR, "collision on elbow; fault: gap"),
         (verdict(drift=True), WARN, "drift at its bound on elbow: record and train anew"),
+        (verdict(unfamiliar=0.4), OK, "ok"),
+        (verdict(unfamiliar=0.5), WARN, "training never saw such motion: shoulder and elbow together"),
     ],
 )
 def test_diagnostics_of_the_arm(talking, peer, space, said, level, message):

@@ -42,6 +42,7 @@ inline RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double
   return {static_cast<std::int64_t>(N), static_cast<int>(n), t_ns.data(), q.data(), dq.data(), tau.data()};
 }
 
+void bind_coverage(nb::module_& m);
 void bind_monitor(nb::module_& m);
 
 }  // namespace tauext::bindings

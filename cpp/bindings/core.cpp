@@ -434,6 +434,7 @@ void bind_bundle(nb::module_& m) {
   bundle.def_rw("prior", &Bundle::prior);
   bundle.def_rw("drift", &Bundle::drift);
   bundle.def_rw("error_scale", &Bundle::error_scale);
+  bundle.def_rw("coverage", &Bundle::coverage);
   bind_list(bundle, "output_scale_nm", &Bundle::output_scale_nm);
   m.def(
       "estimate",
@@ -456,6 +457,10 @@ void bind_bundle(nb::module_& m) {
         out["sigma_nm"] = to_numpy(std::move(e.sigma_nm), {N, n});
         out["limit_scale"] = to_numpy(std::move(e.limit_scale), {N, n});
         out["limit_nm"] = to_numpy(std::move(e.limit_nm), {N, n});
+        out["unfamiliar"] = to_numpy(std::move(e.unfamiliar), {N});
+        out["unseen"] = to_numpy(std::move(e.unseen), {N});
+        out["unseen_joint"] = to_numpy(std::move(e.unseen_joint), {N});
+        out["unseen_other"] = to_numpy(std::move(e.unseen_other), {N});
         out["near_stiction"] = to_numpy(std::move(e.near_stiction), {N, n});
         out["health"] = to_numpy(std::move(e.health), {N});
         out["causes"] = to_numpy(std::move(e.causes), {N});
@@ -494,5 +499,6 @@ NB_MODULE(_core, m) {
   bind_observer(m);
   bind_lstm(m);
   bind_bundle(m);
+  bind_coverage(m);
   bind_monitor(m);
 }

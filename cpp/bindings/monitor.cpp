@@ -58,6 +58,10 @@ class Columns {
     }
     near_stiction_.push_back(e.near_stiction);
     drift_saturated_.push_back(e.drift_saturated);
+    unfamiliar_.push_back(e.unfamiliar);
+    unseen_.push_back(static_cast<std::uint8_t>(e.unseen));
+    unseen_joint_.push_back(static_cast<std::int8_t>(e.unseen_joint));
+    unseen_other_.push_back(static_cast<std::int8_t>(e.unseen_other));
     health_.push_back(static_cast<std::uint8_t>(e.health));
     causes_.push_back(e.causes);
     cause_joint_.push_back(static_cast<std::int8_t>(e.cause_joint));
@@ -73,6 +77,10 @@ class Columns {
       out[kTorques[which].name] = to_numpy(std::move(torques_[which]), {N, n});
     out["near_stiction"] = to_numpy(bits(near_stiction_, n), {N, n});
     out["drift_saturated"] = to_numpy(bits(drift_saturated_, n), {N, n});
+    out["unfamiliar"] = to_numpy(std::move(unfamiliar_), {N});
+    out["unseen"] = to_numpy(std::move(unseen_), {N});
+    out["unseen_joint"] = to_numpy(std::move(unseen_joint_), {N});
+    out["unseen_other"] = to_numpy(std::move(unseen_other_), {N});
     out["health"] = to_numpy(std::move(health_), {N});
     out["causes"] = to_numpy(std::move(causes_), {N});
     out["cause_joint"] = to_numpy(std::move(cause_joint_), {N});
@@ -102,8 +110,9 @@ class Columns {
   std::size_t joints_;
   std::array<std::vector<double>, kTorques.size()> torques_;
   std::vector<std::uint32_t> near_stiction_, drift_saturated_, causes_;
-  std::vector<std::uint8_t> health_, alarm_, held_alarm_, detection_;
-  std::vector<std::int8_t> alarm_joint_, cause_joint_;
+  std::vector<double> unfamiliar_;
+  std::vector<std::uint8_t> health_, alarm_, held_alarm_, detection_, unseen_;
+  std::vector<std::int8_t> alarm_joint_, cause_joint_, unseen_joint_, unseen_other_;
 };
 
 // step() for many samples; signals in rows of n joints.
@@ -187,7 +196,11 @@ void bind_estimate(nb::module_& m) {
       .def_ro("detection", &Estimate::detection)
       .def_prop_ro("clear", &Estimate::clear, "Healthy and no alarm: the only thing that means no collision.")
       .def_prop_ro("near_stiction", [](const Estimate& e) { return joint_bits(e.near_stiction, e.joints); })
-      .def_prop_ro("drift_saturated", [](const Estimate& e) { return joint_bits(e.drift_saturated, e.joints); });
+      .def_prop_ro("drift_saturated", [](const Estimate& e) { return joint_bits(e.drift_saturated, e.joints); })
+      .def_ro("unfamiliar", &Estimate::unfamiliar, "How far the motion is from all that training saw, 0 to 1.")
+      .def_ro("unseen", &Estimate::unseen, "What of the motion is farthest from it: of unseen_joint, with unseen_other.")
+      .def_ro("unseen_joint", &Estimate::unseen_joint)
+      .def_ro("unseen_other", &Estimate::unseen_other);
   const auto bind_torques = [&](const char* torque, JointVector Estimate::*values) {
     estimate.def_prop_ro(torque, [values](const Estimate& e) {
       return std::vector<double>((e.*values).begin(), (e.*values).begin() + e.joints);

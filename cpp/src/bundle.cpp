@@ -154,6 +154,7 @@ void Bundle::validate() const {
   limits.validate(joints(), static_cast<int>(prior.widths_rad.size()));
   drift.validate(joints());
   error_scale.validate(joints());
+  coverage.validate(joints());
   signals.validate(joints());
   units.validate(joints(), !observer.nm_per_unit.empty());
   const auto samples = reference.t_ns.size();

@@ -163,6 +163,14 @@ void fields(File& file, Bundle& b) {
     field(file, b.error_scale.sigma_weights);
     field(file, b.error_scale.sigma_near_weights);
     field(file, b.error_scale.largest_sigma);
+    field(file, b.coverage.fastest_rad_s);
+    field(file, b.coverage.turns);
+    field(file, b.coverage.centre_rad);
+    field(file, b.coverage.span_rad);
+    field(file, b.coverage.seen);
+    field(file, b.coverage.reach);
+    field(file, b.coverage.seen_together);
+    field(file, b.coverage.reach_together);
   }
   field(file, b.signals.torque_limit_nm);
   field(file, b.signals.largest_torque_nm);

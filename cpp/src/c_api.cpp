@@ -72,6 +72,7 @@ void write(const tauext::Estimate& from, tauext_estimate* to) noexcept {
   std::ranges::copy(from.drift, e.drift);
   e.drift_saturated = from.drift_saturated;
   std::ranges::copy(from.sigma_nm, e.sigma_nm);
+  e.unfamiliar = from.unfamiliar;
   std::memcpy(to, &e, std::min(to->size, sizeof e));
 }
 

@@ -89,7 +89,7 @@ void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen&
     const std::span<const float> network =
         entered && row.judged && !outputs.empty() ? outputs.subspan(n * judged, n) : std::span<const float>();
     judged += entered && row.judged;
-    const Estimate& e = stage.step(o, sample.dq, network);
+    const Estimate& e = stage.step(o, sample, network);
     for (std::size_t j = 0, cell = k * n; j < n; ++j, ++cell) {
       out.residual[cell] = e.residual[j];
       out.prior[cell] = e.prior[j];
@@ -107,6 +107,10 @@ void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen&
     out.cause_joint[k] = static_cast<std::int8_t>(e.cause_joint);
     out.alarm_joint[k] = static_cast<std::int8_t>(e.alarm_joint);
     out.detection[k] = e.detection;
+    out.unfamiliar[k] = e.unfamiliar;
+    out.unseen[k] = static_cast<std::uint8_t>(e.unseen);
+    out.unseen_joint[k] = static_cast<std::int8_t>(e.unseen_joint);
+    out.unseen_other[k] = static_cast<std::int8_t>(e.unseen_other);
     out.alarm[k] = static_cast<std::uint8_t>(e.alarm);
     out.held_alarm[k] = static_cast<std::uint8_t>(e.held_alarm);
   }
@@ -128,8 +132,10 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
                        &out.limit_scale, &out.limit_nm})
     torque->resize(N * n);
   out.near_stiction.resize(N * n);
-  for (auto* flags : {&out.health, &out.detection, &out.alarm, &out.held_alarm}) flags->resize(N);
-  for (auto* which : {&out.cause_joint, &out.alarm_joint}) which->resize(N);
+  for (auto* flags : {&out.health, &out.detection, &out.alarm, &out.held_alarm, &out.unseen})
+    flags->resize(N);
+  for (auto* which : {&out.cause_joint, &out.alarm_joint, &out.unseen_joint, &out.unseen_other}) which->resize(N);
+  out.unfamiliar.resize(N);
   out.causes.resize(N);
   const Seen seen = observe_all(bundle, recording, out);
   judge_all(bundle, recording, seen, predict_all(bundle, seen, threads), out);
@@ -148,7 +154,7 @@ std::vector<double> motion_features(const Bundle& bundle, const RecordingView& r
   std::size_t next = 0;
   for (std::int64_t k = 0; k < recording.samples && next < samples.size(); ++k) {
     const Sample sample = recording.at(k);
-    judge.step(observe.step(sample), sample.dq, {});
+    judge.step(observe.step(sample), sample, {});
     if (samples[next] != k) continue;
     ++next;
     for (int j = 0; j < recording.joints; ++j)

@@ -20,7 +20,8 @@ JudgeStage::JudgeStage(const Bundle& bundle)
     : output_scale_nm_(bundle.output_scale_nm),
       alarm_(bundle.joints(), static_cast<int>(bundle.prior.widths_rad.size()), bundle.limits),
       drift_(bundle.drift, bundle.limits, bundle.joints(), bundle.observer.gain_per_s),
-      scale_(bundle.error_scale, bundle.joints(), bundle.observer.gain_per_s) {
+      scale_(bundle.error_scale, bundle.joints(), bundle.observer.gain_per_s),
+      coverage_(bundle.joints(), bundle.coverage, bundle.observer.slowest_per_s()) {
   estimate_.joints = bundle.joints();
   reset();
 }
@@ -30,6 +31,7 @@ void JudgeStage::reset() noexcept {
   alarm_.restore_factors({});
   drift_.reset();
   scale_.reset();
+  coverage_.reset();
   const int joints = estimate_.joints;
   estimate_ = {};
   estimate_.joints = joints;
@@ -41,6 +43,7 @@ void JudgeStage::restore(const State& state) noexcept {
   alarm_.restore_factors(state.factors);
   drift_.restore(state.drift);
   scale_.restore(state.scale);
+  coverage_.restore(state.coverage);
   estimate_ = state.estimate;
 }
 
@@ -68,8 +71,7 @@ void JudgeStage::blank(bool also_residual) noexcept {
   e.detection = false;
 }
 
-const Estimate& JudgeStage::step(const Observed& o, std::span<const double> dq,
-                                 std::span<const float> network) noexcept {
+const Estimate& JudgeStage::step(const Observed& o, const Sample& sample, std::span<const float> network) noexcept {
   Estimate& e = estimate_;
   e.t_ns = o.t_ns;
   e.health = o.health;
@@ -84,21 +86,40 @@ const Estimate& JudgeStage::step(const Observed& o, std::span<const double> dq,
     if (o.restarted) {
       drift_.restart();
       scale_.restart();
+      coverage_.reset();
     }
-    drift_.step(o.t_ns, dq, first_joints(e.drift));
-    judge(o, dq, network);
+    drift_.step(o.t_ns, sample.dq, first_joints(e.drift));
+    judge(o, sample, network);
   } else {  // the alarm stands as it did
     e.detection = false;
     e.held_alarm = Alarm::none;
-    if (o.passage == Passage::refused) blank(true);
+    if (o.passage == Passage::refused) {
+      blank(true);
+      tell({});
+    }
   }
   return e;
 }
 
-// tau_ext against its limits.
-void JudgeStage::judge(const Observed& o, std::span<const double> dq, std::span<const float> network) noexcept {
+// What the motion alone says of the limits: the torque has no say.
+void JudgeStage::scale_limits(const Observed& o, const Sample& sample) noexcept {
   Estimate& e = estimate_;
-  scale_.step(o.t_ns, dq, o.near_stiction, first_joints(e.limit_scale), first_joints(e.sigma_nm));
+  scale_.step(o.t_ns, sample.dq, o.near_stiction, first_joints(e.limit_scale), first_joints(e.sigma_nm));
+  tell(coverage_.step(o.t_ns, sample.q, sample.dq));
+  for (int j = 0; j < e.joints; ++j) e.limit_scale[j] *= 1 + kUnfamiliarWidens * e.unfamiliar;
+}
+
+void JudgeStage::tell(const Unfamiliar& unfamiliar) noexcept {
+  estimate_.unfamiliar = unfamiliar.share;
+  estimate_.unseen = unfamiliar.what;
+  estimate_.unseen_joint = unfamiliar.joint;
+  estimate_.unseen_other = unfamiliar.other;
+}
+
+// tau_ext against its limits.
+void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const float> network) noexcept {
+  Estimate& e = estimate_;
+  scale_limits(o, sample);
   if (o.judged) {
     for (int j = 0; j < e.joints; ++j) {
       const auto at = static_cast<std::size_t>(j);

@@ -60,7 +60,7 @@ const Estimate& Monitor::estimate(const Sample& sample) noexcept {
   advance();
   const Observed& observed = observe_.step(sample);
   if (network_ && observed.passage == Passage::entered) predict(observed);
-  return judge_.step(observed, sample.dq, network_out_);
+  return judge_.step(observed, sample, network_out_);
 }
 
 // The network's answer for the window that ends at this sample, in network_out_; what stood there while none is full.

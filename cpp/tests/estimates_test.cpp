@@ -42,7 +42,8 @@ Bundle quick(int joints, int hidden, unsigned seed) {
   return b;
 }
 
-// Every kind of chain: with and without network, prior, drift tracker, filters, torque constants and other residuals.
+// Every kind of chain: with and without network, prior, drift tracker, filters, torque constants, coverage and other
+// residuals.
 std::vector<Bundle> chains() {
   std::vector<Bundle> all{quick(1, 0, 1), quick(2, 5, 2), quick(7, 8, 3)};
   Bundle prior = quick(2, 6, 4);
@@ -70,11 +71,13 @@ std::vector<Bundle> chains() {
   prior.error_scale.sigma_weights = {0.1, 1e-3, 0, 0.3, 0, 0.1};
   prior.error_scale.sigma_near_weights = {0, 0, 1, 0, 1e-4, 1};
   prior.error_scale.largest_sigma = {0.6, 0.9};
+  prior.coverage = made::half_seen(2);
   answer_reference(prior);
   all.push_back(prior);
   Bundle drifting = quick(2, 0, 5);
   drifting.drift = {1, {50, 50}, 1.0, 0, 0};
   drifting.observer.nm_per_unit = {3.0, -0.25};
+  drifting.coverage = made::half_seen(2);
   answer_reference(drifting);
   all.push_back(drifting);
   for (const ResidualMethod method : {ResidualMethod::direct, ResidualMethod::velocity, ResidualMethod::energy}) {
@@ -159,7 +162,7 @@ Signals broken(int joints, std::mt19937_64& random) {
 
 struct Seen {
   int health[4] = {}, alarms = 0, detections = 0;
-  std::uint32_t causes = 0;
+  std::uint32_t causes = 0, unseen = 0;
 };
 
 // The first difference, in words; empty: none.
@@ -180,6 +183,10 @@ std::string difference(const Bundle& bundle, const Signals& s, int threads, Seen
     if (static_cast<std::uint8_t>(e.alarm) != bulk.alarm[row] || e.alarm_joint != bulk.alarm_joint[row] ||
         static_cast<std::uint8_t>(e.held_alarm) != bulk.held_alarm[row] || e.detection != (bulk.detection[row] == 1))
       return "alarm" + here;
+    if (!same(e.unfamiliar, bulk.unfamiliar[row]) || static_cast<std::uint8_t>(e.unseen) != bulk.unseen[row] ||
+        e.unseen_joint != bulk.unseen_joint[row] || e.unseen_other != bulk.unseen_other[row])
+      return "unfamiliar" + here;
+    seen.unseen |= 1u << static_cast<unsigned>(e.unseen);
     for (std::size_t j = 0; j < n; ++j) {
       const std::size_t at = row * n + j;
       if (!same(e.residual[j], bulk.residual[at])) return "residual" + here;
@@ -220,6 +227,7 @@ void both_ways_say_the_same_of_random_mixtures_of_all_faults() {
   }
   for (const int samples : seen.health) CHECK(samples > kRecordings / 10);  // stale ones are few by their nature
   CHECK(seen.causes == (kNotFinite | kLateSample | kTimeBackwards | kGap | kWrongRate | kTorqueSaturated | kEncoderStill));
+  CHECK(seen.unseen == 0b1111);
   CHECK(seen.alarms > kRecordings && seen.detections > kRecordings);
   std::printf("%d recordings of %d samples with %d faults, both ways, bit for bit: %d differ\n", recordings, kSamples, tried,
               different);

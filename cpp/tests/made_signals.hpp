@@ -1,5 +1,7 @@
 // The made motion as samples one by one and as a recording.
 #pragma once
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -39,6 +41,27 @@ inline Signals sampled(int joints, const std::vector<std::int64_t>& t_ns) {
     s.q.insert(s.q.end(), q, q + joints);
     s.dq.insert(s.dq.end(), dq, dq + joints);
     s.tau.insert(s.tau.end(), tau, tau + joints);
+  }
+  return s;
+}
+
+// As if training had seen the first 0.2 s of the made motion, and none that is quite as fast.
+inline tauext::CoverageSettings half_seen(int joints) {
+  tauext::CoverageSettings s;
+  const auto n = static_cast<std::size_t>(joints);
+  double q[tauext::kMaxJoints], dq[tauext::kMaxJoints], tau[tauext::kMaxJoints];
+  s.turns.assign(n, 1);
+  s.centre_rad.assign(n, 0);
+  s.span_rad.assign(n, 2);  // a turn here, so that the motion is of many cells
+  s.seen.assign(n, 0);
+  for (std::size_t j = 0; j < n; ++j) s.reach.push_back(j + 1 < n ? 2 : 0);  // the last joint tells in pairs alone
+  s.reach_together = 1;
+  s.seen_together.assign(n * (n - 1) / 2 * tauext::Coverage::kPairCells, 0);
+  s.fastest_rad_s.assign(n, 1e-3);
+  for (int k = 0; k < 200; ++k) {
+    made::signal(k, joints, q, dq, tau);
+    s.see({q, n});
+    for (std::size_t j = 0; j < n; ++j) s.fastest_rad_s[j] = std::max(s.fastest_rad_s[j], 0.9 * std::fabs(dq[j]));
   }
   return s;
 }

@@ -10,6 +10,7 @@
 
 #include "check.hpp"
 #include "made_bundle.hpp"
+#include "made_signals.hpp"
 #include "tauext/flight_recorder.hpp"
 #include "tauext/monitor.hpp"
 
@@ -62,6 +63,7 @@ Bundle compared(int joints) {
 Bundle tracking(int joints) {
   Bundle bundle = made::bundle(joints, 20, 30, 10, 1);
   bundle.drift = {10, std::vector<double>(static_cast<std::size_t>(joints), 2.0), 0.02, 0.9, 0.1};
+  bundle.coverage = made::half_seen(joints);
   return bundle;
 }
 

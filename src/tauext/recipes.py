@@ -43,6 +43,8 @@ class Recipe:
     """What learns by steps. Behind a fit, where the fit alone is a bundle already, it ships only where it helps."""
     chooses_gain: bool = False
     """Unless told otherwise, the observer's gain is the one that finds a push soonest; others have the paper's."""
+    coverage: bool = False
+    """The monitor tells motion that training never saw."""
     error_scale: bool = False
     """Unless told otherwise, limits follow the error that the motion announces; others are constants."""
     largest_error_limits: bool = False
@@ -96,6 +98,7 @@ FULL_PRIOR: dict[str, Any] = {
     "finds_arm": True,
     "chooses_gain": True,
     "error_scale": True,
+    "coverage": True,
 }
 DENSE = {"batch": 64, "learning_rate": 0.01}
 

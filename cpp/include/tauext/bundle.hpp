@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "tauext/alarm.hpp"
+#include "tauext/coverage.hpp"
 #include "tauext/drift.hpp"
 #include "tauext/error_scale.hpp"
 #include "tauext/limits.hpp"
@@ -63,6 +64,7 @@ struct Bundle {
   Limits limits;
   DriftSettings drift;
   ErrorScaleSettings error_scale;
+  CoverageSettings coverage;
   SignalRanges signals;
   TorqueUnits units;
   Reference reference;

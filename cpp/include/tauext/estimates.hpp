@@ -13,6 +13,9 @@ namespace tauext {
 struct Estimates {
   std::vector<double> residual, prior, network, drift, tau_ext, doubt, sigma_nm, limit_nm;  // (samples, joints), [N m]
   std::vector<double> limit_scale;                   // (samples, joints)
+  std::vector<double> unfamiliar;                    // (samples)
+  std::vector<std::uint8_t> unseen;                  // (samples): of Unseen
+  std::vector<std::int8_t> unseen_joint, unseen_other;  // (samples): -1: none
   std::vector<std::uint8_t> near_stiction;           // (samples, joints)
   std::vector<std::uint8_t> health;                  // (samples): of Health
   std::vector<std::uint32_t> causes;                 // (samples)

@@ -1,10 +1,11 @@
-// A sample after the network has spoken: external torque and its standard error, drift, limits and alarm.
+// A sample after the network has spoken: external torque and its standard error, drift, unfamiliar motion, limits, alarm.
 #pragma once
 #include <cstdint>
 #include <span>
 #include <vector>
 
 #include "tauext/alarm.hpp"
+#include "tauext/coverage.hpp"
 #include "tauext/drift.hpp"
 #include "tauext/error_scale.hpp"
 #include "tauext/observe_stage.hpp"
@@ -28,6 +29,9 @@ struct Estimate {
   bool detection = false;           // some |tau_ext| over its collision limit, at this sample
   std::uint32_t near_stiction = 0;  // a bit a joint: which of its limits holds
   std::uint32_t drift_saturated = 0;  // a bit a joint: its drift is at the bound, and training anew is due
+  double unfamiliar = 0;            // how far the motion is from all that training saw, 0 to 1; 0 without a coverage
+  Unseen unseen = Unseen::nothing;  // what of it is farthest, ...
+  int unseen_joint = -1, unseen_other = -1;  // ... of this joint, together with the other one where positions are
   JointVector residual{};           // r of the observer, [N m]
   JointVector prior{};              // what physics expects of r in free motion, [N m]
   JointVector network{};            // what the network expects beside it, [N m]; 0 without one
@@ -36,7 +40,7 @@ struct Estimate {
   JointVector tau_ext{};            // residual - uncertainty, [N m]
   JointVector doubt{};              // how far the prior may be off while presliding states are unknown, [N m]
   JointVector sigma_nm{};           // standard error of tau_ext in free motion, doubt included, [N m]; NaN without an error scale
-  JointVector limit_scale{};        // what the motion multiplies the limits by; 1 without an error scale
+  JointVector limit_scale{};        // what the motion multiplies the limits by, unfamiliar motion too; usual is 1
   JointVector limit_nm{};           // that |tau_ext| must exceed for a collision; scale and doubt included
   JointVector margin_nm{};          // limit - |tau_ext|
 
@@ -46,12 +50,15 @@ struct Estimate {
 
 class JudgeStage {
  public:
+  static constexpr double kUnfamiliarWidens = 0.5;  // share of a limit by which wholly unfamiliar motion raises it
+
   // Of a bundle that holds together.
   explicit JudgeStage(const Bundle& bundle);
 
   // network: its outputs for the window that ends at this sample, in its own scale; empty where there is no network, and
   // not looked at unless the sample is to be judged.
-  const Estimate& step(const Observed& observed, std::span<const double> dq, std::span<const float> network) noexcept;
+  // sample: the one observed; only that of one that entered is looked at.
+  const Estimate& step(const Observed& observed, const Sample& sample, std::span<const float> network) noexcept;
 
   void acknowledge() noexcept;
   void forget_pushes() noexcept { alarm_.forget_pushes(); }
@@ -69,13 +76,18 @@ class JudgeStage {
     LimitFactors factors;
     DriftTracker::State drift;
     ErrorScale::State scale;
+    Coverage::State coverage;
     Estimate estimate;
   };
-  State state() const noexcept { return {alarm_.state(), alarm_.factors(), drift_.state(), scale_.state(), estimate_}; }
+  State state() const noexcept {
+    return {alarm_.state(), alarm_.factors(), drift_.state(), scale_.state(), coverage_.state(), estimate_};
+  }
   void restore(const State& state) noexcept;
 
  private:
-  void judge(const Observed& observed, std::span<const double> dq, std::span<const float> network) noexcept;
+  void judge(const Observed& observed, const Sample& sample, std::span<const float> network) noexcept;
+  void scale_limits(const Observed& observed, const Sample& sample) noexcept;
+  void tell(const Unfamiliar& unfamiliar) noexcept;
   void blank(bool also_residual) noexcept;
   void report_alarm() noexcept;
   std::span<double> first_joints(JointVector& values) const noexcept {
@@ -86,6 +98,7 @@ class JudgeStage {
   AlarmStage alarm_;
   DriftTracker drift_;
   ErrorScale scale_;
+  Coverage coverage_;
   Estimate estimate_;
 };
 

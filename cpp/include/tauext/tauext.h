@@ -76,6 +76,7 @@ typedef struct tauext_estimate {
   uint32_t drift_saturated;              /* a bit a joint: drift at its bound, train anew; health stays as it is */
   uint32_t unused;                       /* 0 */
   double sigma_nm[TAUEXT_MAX_JOINTS];    /* [N m], standard error of tau_ext as the motion announces it; NaN: unknown */
+  double unfamiliar;                     /* how far the motion is from all that training saw: 0 to 1, told from 0.5 on */
 } tauext_estimate;
 
 typedef struct tauext_monitor tauext_monitor;

@@ -10,8 +10,22 @@ from tauext._core import Bundle, cause_names
 from tauext.cli.run_output import FlightCount
 from tauext.cli.run_settings import RunSettings
 from tauext.data import Recording
-from tauext.monitor import ALARMS, HEALTHS, AlarmChange, Chunk, DriftChange, FlightNews, HealthChange, Tally
+from tauext.monitor import (
+    ALARMS,
+    HEALTHS,
+    AlarmChange,
+    Chunk,
+    DriftChange,
+    FlightNews,
+    HealthChange,
+    Tally,
+    unseen_words,
+)
 
+WARNS_FROM = 0.01
+"""Share of the motion that is unfamiliar: of motion like that of training a few thousandths may be."""
+MOST_UNFAMILIAR = 3
+"""Of what training never saw."""
 MOST_HEALTH_LINES = 10
 """About health in one second of a recording; a bad cable can change it at every sample."""
 
@@ -139,11 +153,25 @@ def summary_lines(tally: Tally, flights: FlightCount, folder: Path | None, timin
         f"worst margin  {', '.join(margins) if margins else 'none: there was no estimate'}",
         f"chain         {tally.bridged_ticks} bridged ticks, {tally.restarts} restarts",
     ]
+    if tally.unfamiliar:
+        lines.append(f"unfamiliar    {unfamiliar_text(tally)}")
     if folder is not None:
         lost = f", {flights.failed} could not be written" if flights.failed else ""
         missed = f", {flights.missed} missed: they came too fast one after the other" if flights.missed else ""
         lines.append(f"flights       {flights.written} written to {folder}{lost}{missed}")
     return lines
+
+
+def unfamiliar_text(tally: Tally) -> str:
+    """How much of the motion training never saw, what of it, and what to do where that is no accident."""
+    most = tally.unfamiliar.most_common(MOST_UNFAMILIAR)
+    words = [f"{unseen_words(unseen, tally.joints)} {count / tally.samples:.2%}" for unseen, count in most]
+    more = len(tally.unfamiliar) - len(most)
+    text = f"{tally.unfamiliar_share:.2%} of the motion is none that training saw: {', '.join(words)}"
+    text += f" and {more} more" if more else ""
+    if tally.unfamiliar_share < WARNS_FROM:
+        return text
+    return f"{text}. WARNING: estimates may be wrong there, and limits are up to half higher; train with such motion"
 
 
 def duration_text(hours: float) -> str:

@@ -112,6 +112,7 @@ def describe_bundle(file: Path) -> dict:
             name: min(1.0, 60 * bundle.drift.rate_share_per_s) * size
             for name, size in zip(names, bundle.drift.size_nm, strict=True)
         }
+    content |= describe_coverage(bundle)
     for joint, reason in facts.get("gate", {}).items():
         content[f"network of {joint}"] = reason
     content |= describe_limits(bundle, facts)
@@ -145,6 +146,29 @@ def describe_limits(bundle: Bundle, facts: dict) -> dict:
         content |= {f"{joint} is": words for joint, words in told.items()}
         content["situations"] = found
     return content
+
+
+def describe_coverage(bundle: Bundle) -> dict:
+    """What motion training saw; nothing where nobody knows."""
+    coverage = bundle.coverage
+    if coverage.empty:
+        return {}
+    names = [link.joint_name for link in bundle.links]
+    width = [span / coverage.CELLS for span in coverage.span_rad]
+    units = ["rad" if turns else "m" for turns in coverage.turns]
+    near = zip(names, coverage.reach, width, units, strict=True)
+    return {
+        "fastest in training [rad/s]": dict(zip(names, coverage.fastest_rad_s, strict=True)),
+        "familiar within": {
+            name: f"{reach * cell:.2g} {unit} of training" if reach else "any position"
+            for name, reach, cell, unit in near
+        },
+        "pairs of joints familiar within": (
+            f"{math.degrees(2 * math.pi * coverage.reach_together / coverage.PAIR_CELLS):.3g}° of training"
+            if coverage.reach_together
+            else "any positions"
+        ),
+    }
 
 
 def describe_observer(observer: ObserverSettings) -> dict:

@@ -7,6 +7,7 @@ from tauext.monitor.pace import Pace
 from tauext.monitor.replay import Chunk, Samples, replay
 from tauext.monitor.status import StatusClock, status
 from tauext.monitor.tally import Tally
+from tauext.monitor.unfamiliar import WORTH_TELLING, unseen_words
 
 __all__ = [
     "ALARMS",
@@ -23,7 +24,9 @@ __all__ = [
     "Samples",
     "StatusClock",
     "Tally",
+    "WORTH_TELLING",
     "replay",
     "status",
+    "unseen_words",
     "write_flight",
 ]

@@ -7,6 +7,7 @@ import numpy as np
 from tauext.monitor.causes import in_words
 from tauext.monitor.changes import HEALTHS, OK
 from tauext.monitor.flight_content import Flight, FlightSource
+from tauext.monitor.unfamiliar import WORTH_TELLING, unseen_words
 
 MOST_OTHERS = 3
 
@@ -57,6 +58,15 @@ def doubt(flight: Flight) -> str:
         return ""
     health = HEALTHS[event.health.value]
     return f"Health was {health} ({in_words(event.causes)}) at that sample: the estimate may be wrong."
+
+
+def unfamiliar(flight: Flight, source: FlightSource) -> str:
+    """What of the motion training never saw, where that is worth telling."""
+    event = flight["event"]
+    if event.unfamiliar < WORTH_TELLING:
+        return ""
+    what = unseen_words((event.unseen.value, event.unseen_joint, event.unseen_other), source.joints)
+    return f"Training never saw such motion ({what}): the estimate may be wrong."
 
 
 def sum_of_terms(flight: Flight, source: FlightSource) -> str:

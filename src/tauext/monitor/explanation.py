@@ -9,7 +9,7 @@ import numpy as np
 from tauext import _core
 from tauext.monitor.causes import in_words
 from tauext.monitor.changes import CONTACT, FAULT, HEALTHS, NONE
-from tauext.monitor.explain_alarm import doubt, others, over_limit, sum_of_terms
+from tauext.monitor.explain_alarm import doubt, others, over_limit, sum_of_terms, unfamiliar
 from tauext.monitor.explain_fault import fault_causes, fault_sample, last_estimate
 from tauext.monitor.flight_content import Flight, FlightSource, event_kind
 
@@ -28,7 +28,12 @@ def explain(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
     if kind == "fault":
         lines += [*fault_causes(flight), fault_sample(flight, source), last_estimate(flight, source)]
     else:
-        lines += [over_limit(flight, source, kind), sum_of_terms(flight, source), doubt(flight)]
+        lines += [
+            over_limit(flight, source, kind),
+            sum_of_terms(flight, source),
+            unfamiliar(flight, source),
+            doubt(flight),
+        ]
     lines += [others(flight, source, kind), before(flight), standing_alarm(flight, source), after(flight, source, kind)]
     lines += left_out(flight, kept, source)
     return "\n".join(line for line in lines if line)

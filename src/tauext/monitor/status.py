@@ -46,6 +46,7 @@ def status(chunk: Chunk, row: int) -> dict[str, Any]:
         "alarm": ALARMS[said["alarm"][row]],
         "detection": bool(said["detection"][row]),
         **{name: [number(value) for value in said[key][row].tolist()] for name, key in TORQUES.items()},
+        "unfamiliar": float(said["unfamiliar"][row]),
         "near_stiction": [bool(near) for near in said["near_stiction"][row]],
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -10,6 +11,7 @@ import numpy as np
 from tauext import _core
 from tauext.monitor.changes import ALARMS, HEALTHS, NONE, AlarmChange, Change
 from tauext.monitor.replay import Chunk
+from tauext.monitor.unfamiliar import KINDS, Unseen, unseen_of
 
 
 @dataclass
@@ -25,6 +27,8 @@ class Tally:
     acknowledged: int = 0
     health: np.ndarray = field(default_factory=lambda: np.zeros(len(HEALTHS), dtype=np.int64))
     """Samples of each health."""
+    unfamiliar: Counter[Unseen] = field(default_factory=Counter)
+    """Samples whose motion training never saw, by what of it."""
     alarms: np.ndarray = field(init=False)
     """Times that a joint raised the alarm to a level, (levels, joints)."""
     worst_margin_nm: np.ndarray = field(init=False)
@@ -40,6 +44,7 @@ class Tally:
         self.core_s += chunk.core_s
         self.health += np.bincount(chunk.said["health"], minlength=len(HEALTHS))
         self.worst_margin_nm = np.fmin(self.worst_margin_nm, np.fmin.reduce(chunk.said["margin_nm"], axis=0))
+        self.unfamiliar += unseen_of(chunk.said)
         self.add_changes(chunk.changes)
         self.bridged_ticks, self.restarts = monitor.bridged_ticks, monitor.restarts
 
@@ -53,9 +58,23 @@ class Tally:
 
     def merge(self, other: Tally) -> None:
         """Add another recording's."""
-        for name in ("samples", "bridged_ticks", "restarts", "core_s", "acknowledged", "health", "alarms"):
+        for name in (
+            "samples",
+            "bridged_ticks",
+            "restarts",
+            "core_s",
+            "acknowledged",
+            "health",
+            "alarms",
+            "unfamiliar",
+        ):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.worst_margin_nm = np.fmin(self.worst_margin_nm, other.worst_margin_nm)
+
+    @property
+    def unfamiliar_share(self) -> float:
+        """Of the samples."""
+        return self.unfamiliar.total() / self.samples if self.samples else 0.0
 
     @property
     def hours(self) -> float:
@@ -77,6 +96,16 @@ class Tally:
             "acknowledged": self.acknowledged,
             "bridged_ticks": self.bridged_ticks,
             "restarts": self.restarts,
+            "unfamiliar_share": self.unfamiliar_share,
+            "unfamiliar": [
+                {
+                    "what": KINDS[what],
+                    "joint": self.joints[joint],
+                    "other": self.joints[other] if other >= 0 else None,
+                    "share": count / self.samples,
+                }
+                for (what, joint, other), count in self.unfamiliar.most_common()
+            ],
             "worst_margin_nm": dict(zip(self.joints, worst, strict=True)),
             "us_per_sample": self.core_s / self.samples * 1e6 if self.samples else None,
         }

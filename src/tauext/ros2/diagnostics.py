@@ -6,7 +6,7 @@ import math
 
 from tauext import _core
 from tauext.live import LoopReport, Verdict
-from tauext.monitor import ALARMS, HEALTHS
+from tauext.monitor import ALARMS, HEALTHS, WORTH_TELLING, unseen_words
 from tauext.monitor.causes import MEANING, in_words
 from tauext.monitor.changes import COLLISION, FAULT, NONE
 from tauext.monitor.changes import OK as HEALTHY
@@ -20,8 +20,9 @@ TORQUES = (("tau_ext_nm", "tau_ext"), ("sigma_nm", "sigma_nm"), ("limit_nm", "li
 def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: str) -> DiagnosticStatus:
     """Alarm, health and its causes, and per joint the torque, its standard error, its limit and the margin, [N m].
 
-    Level: ERROR for a collision or a fault, STALE while no sample comes, WARN for a contact, while warming up and where
-    a joint's drift stands at its bound, else OK. A collision outranks everything.
+    Level: ERROR for a collision or a fault, STALE while no sample comes, WARN for a contact, while warming up, where a
+    joint's drift stands at its bound and while the motion is none that training saw, else OK. A collision outranks
+    everything.
     """
     status = DiagnosticStatus(STALE, "tauext: arm", "no sample yet", hardware_id)
     if verdict is None:
@@ -38,6 +39,10 @@ def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: st
         texts.append(f"{HEALTHS[health]}: {in_words(causes)}" if causes else HEALTHS[health])
     if drifted:
         texts.append(f"drift at its bound on {', '.join(drifted)}: record and train anew")
+    unfamiliar = float(said["unfamiliar"][0])
+    if unfamiliar >= WORTH_TELLING:
+        what, joint, other = (int(said[key][0]) for key in ("unseen", "unseen_joint", "unseen_other"))
+        texts.append(f"training never saw such motion: {unseen_words((what, joint, other), joints)}")
     status.message = "; ".join(texts) or "ok"
     if alarm == COLLISION:
         status.level = ERROR
@@ -50,6 +55,7 @@ def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: st
     status.values = [
         KeyValue("alarm", ALARMS[alarm]),
         KeyValue("health", HEALTHS[health]),
+        KeyValue("unfamiliar", number(unfamiliar)),
         *(KeyValue(f"cause: {cause}", MEANING[cause]) for cause in causes),
         *(
             KeyValue(f"{name} {joint}", number(value))

@@ -11,6 +11,7 @@ from tauext._core import Bundle
 from tauext.config import PriorConfig
 from tauext.data import Recording
 from tauext.learn import PriorFit, Setup, build_setup, set_drift, with_presliding
+from tauext.learn.coverage import coverage_facts, fit_coverage
 from tauext.learn.kinematics import Kinematics
 from tauext.learn.prior_facts import prior_facts
 from tauext.learn.torque_constants import with_constants
@@ -89,6 +90,15 @@ def put_prior(job: Job, bundle: Bundle, fit: PriorFit | None) -> None:
     put_region(job, bundle, fit)
     if job.config.row.drift:
         set_drift(bundle, fit, job.config.drift)
+
+
+def put_coverage(job: Job, bundle: Bundle, setup: Setup) -> None:
+    """Let the bundle tell motion that training never saw, where the recipe does, and its facts."""
+    if not job.config.row.coverage:
+        return
+    fit = fit_coverage(setup, job.motion.uncut)
+    bundle.coverage = fit.settings
+    job.facts["coverage"] = coverage_facts(fit, job.joints)
 
 
 def put_region(job: Job, bundle: Bundle, fit: PriorFit) -> None:

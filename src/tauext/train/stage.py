@@ -11,7 +11,7 @@ from tauext.data import Dataset, Recording, load_bundle
 from tauext.errors import ConfigError
 from tauext.progress import SILENT, Reporter
 from tauext.robot import chosen_case, estimated_model
-from tauext.train.fitting import fit_prior, observe, put_prior, with_fit
+from tauext.train.fitting import fit_prior, observe, put_coverage, put_prior, with_fit
 from tauext.train.gain import choose_gain
 from tauext.train.gating import gate
 from tauext.train.limits import calibrate
@@ -97,6 +97,7 @@ def train_on_recordings(
     if config.row.gated:
         bundle, fit = gate(job, bundle, setup, fit)
     put_prior(job, bundle, fit)
+    put_coverage(job, bundle, setup)
     note_recordings(job)
     calibrate(job, bundle, setup, fit)
     write(job, bundle, network)

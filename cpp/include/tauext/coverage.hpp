@@ -1,0 +1,95 @@
+// How far the motion of a sample is from all motion that training saw: its speeds, and its positions alone and in pairs.
+#pragma once
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "tauext/types.hpp"
+
+namespace tauext {
+
+// What training saw. Positions are sorted into cells; those of a joint that turns go once round and begin anew. Empty:
+// nobody knows what training saw, and all motion is familiar.
+struct CoverageSettings {
+  std::vector<double> fastest_rad_s;         // a joint: largest |dq| of training, > 0; [m/s] of one that slides
+  std::vector<std::uint8_t> turns;           // a joint: 1 where the first cell follows on the last one
+  std::vector<double> centre_rad, span_rad;  // a joint: middle and length of all its cells together; [m] of one that slides
+  std::vector<std::uint64_t> seen;           // a joint: bit c is set where training was in its cell c, of kCells
+  // Cells from a seen one within which a position is familiar, a joint; 0: its position by itself tells nothing.
+  std::vector<std::uint8_t> reach;
+  // Pairs of joints i < j, (0, 1), (0, 2), ... (1, 2), ..., kPairCells words each: bit d of word c is set where training
+  // was in cell c of joint i while it was in cell d of joint j, of kPairCells each.
+  std::vector<std::uint32_t> seen_together;  // empty where ...
+  std::uint8_t reach_together = 0;           // ... this is 0: pairs tell nothing
+
+  bool empty() const noexcept { return fastest_rad_s.empty(); }
+  // Throws Error, naming what does not fit.
+  void validate(int joints) const;
+  // Marks the cells of a sample of training as seen; the settings hold together, and q is finite.
+  void see(std::span<const double> q) noexcept;
+};
+
+// What of a motion training never saw.
+enum class Unseen : std::uint8_t {
+  nothing,
+  speed,      // of `joint`
+  position,   // of `joint`
+  positions,  // of `joint` while `other` was where it was
+};
+const char* name(Unseen unseen) noexcept;  // "speed", ...
+
+// How unfamiliar a sample's motion is, and what of it is most so.
+struct Unfamiliar {
+  double share = 0;  // 0: training saw the like, 1: clearly nothing like it; never NaN
+  Unseen what = Unseen::nothing;
+  int joint = -1, other = -1;
+};
+
+class Coverage {
+ public:
+  static constexpr int kCells = 64, kPairCells = 32;
+  static constexpr int kMostReach = 16;         // cells: a quarter or half of a turn
+  static constexpr int kFartherCells = 2;       // a position beyond its reach by so many is wholly unfamiliar
+  static constexpr double kFasterShare = 0.25;  // a speed over the fastest by this share is wholly unfamiliar
+  static constexpr double kWorthTelling = 0.5;  // from this share on, motion is called unfamiliar
+
+  struct State {
+    std::int64_t t_ns = 0;
+    Unfamiliar last;
+  };
+
+  // fades_per_s: at which the residual forgets a motion, [1/s]. Throws Error where the settings do not fit.
+  Coverage(int joints, const CoverageSettings& settings, double fades_per_s);
+
+  // Of one sample alone, with finite values: the largest of
+  //   (|dq_j| / fastest_j - 1) / kFasterShare    and    (d - reach) / kFartherCells,
+  // d the cells from the nearest seen one (of a pair the larger of the two ways), both cut to 0 to 1. Of two that are
+  // alike it is the one looked at first: speeds, positions, pairs, each in the order of joints.
+  Unfamiliar look(std::span<const double> q, std::span<const double> dq) const noexcept;
+
+  // The same with memory: the residual still holds what was, so share never falls faster than exp(-fades_per_s t), and
+  // tells what it was meanwhile. Samples in order of time.
+  const Unfamiliar& step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq) noexcept;
+  // The residual began anew.
+  void reset() noexcept { state_ = {}; }
+
+  const State& state() const noexcept { return state_; }
+  void restore(const State& state) noexcept { state_ = state; }
+
+ private:
+  struct Axis {
+    double per_span, centre, turn, per_fastest;  // turn: 1 where the cells go round, else 0
+  };
+  using Cells = std::array<int, kMaxJoints>;
+  Unfamiliar farthest(std::span<const double> dq, const Cells& cells, const Cells& pair_cells) const noexcept;
+
+  int joints_ = 0;  // 0: nothing is known
+  bool pairs_ = false;
+  double fades_per_s_;
+  std::vector<Axis> axes_;
+  std::vector<std::uint8_t> beyond_;           // (joint, cell): cells beyond the reach, at most kFartherCells
+  std::vector<std::uint8_t> beyond_together_;  // (pair, cell, cell)
+  State state_;
+};
+
+}  // namespace tauext

@@ -134,7 +134,9 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   e.near_stiction = o.near_stiction;
   e.detection = alarm_.step(o.t_ns, first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt),
                             e.near_stiction, o.judged, first_joints(e.limit_nm));
-  drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), e.near_stiction, o.teaches);
+  // Where training never was, the error is the prior's and no drift.
+  const bool teaches = o.teaches && e.unfamiliar < Coverage::kWorthTelling;
+  drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), e.near_stiction, teaches);
   e.drift_saturated = drift_.saturated();
   for (int j = 0; o.judged && j < e.joints; ++j) e.margin_nm[j] = e.limit_nm[j] - std::fabs(e.tau_ext[j]);
   report_alarm();

@@ -500,6 +500,31 @@ void what_a_push_left_in_static_friction_is_no_collision_after_resume() {
   CHECK(arm.go(200, 0.02, 2) == Alarm::collision);
 }
 
+// The same signals, all of them known or none: what is unknown teaches the drift tracker nothing.
+void drift_is_not_learned_from_motion_that_training_never_saw() {
+  Bundle known = tracking(made::bundle(2, 0, kSteps, kStride, 7)), unknown = known;
+  for (Level* level : {&known.limits.collision, &known.limits.contact})
+    level->sliding_nm = level->near_stiction_nm = {1e3, 1e3};
+  unknown.limits = known.limits;
+  known.coverage = unknown.coverage = made::half_seen(2);
+  for (CoverageSettings* coverage : {&known.coverage, &unknown.coverage}) {  // by the speed alone
+    coverage->reach = {0, 0};
+    coverage->reach_together = 0;
+    coverage->seen_together.clear();
+  }
+  known.coverage.fastest_rad_s = {1e3, 1e3};
+  unknown.coverage.fastest_rad_s = {1e-3, 1e-3};
+  Monitor familiar(known), lost(unknown);
+  const Signals s = regular(2, 3000);
+  for (int k = 0; k < 3000; ++k) {
+    const Sample sample = s.at(k);
+    familiar.step(sample);
+    lost.step(sample);
+  }
+  CHECK(familiar.last().health == Health::ok && familiar.last().unfamiliar == 0 && lost.last().unfamiliar == 1);
+  CHECK(familiar.last().drift[0] != 0 && lost.last().drift[0] == 0 && lost.last().drift[1] == 0);
+}
+
 // The doubt after resume() stands in place of the factor after a contact, not on top of it.
 void resume_ends_what_a_contact_raised() {
   Bundle bundle = StickyArm::bundle();
@@ -567,6 +592,7 @@ int main() {
   limit_factors_scale_the_limits_and_nothing_else();
   limit_factors_are_part_of_the_state();
   what_a_push_left_in_static_friction_is_no_collision_after_resume();
+  drift_is_not_learned_from_motion_that_training_never_saw();
   resume_ends_what_a_contact_raised();
   resume_of_joints_that_slide_is_an_acknowledgement();
   names_are_told();

@@ -19,6 +19,8 @@ PUSH = 1.5
 """The push that gains are compared by, in limits of the first gain: the same torque for all of them."""
 PUSH_S = 0.2
 """How long it lasts; one that is not found counts as so late."""
+WORTH = 0.03
+"""A faster observer must find the push sooner by this share: it shows more of every noise."""
 
 
 def choose_gain(job: Job, setup: Setup, fit: PriorFit) -> tuple[Setup, PriorFit]:
@@ -44,7 +46,8 @@ def choose_gain(job: Job, setup: Setup, fit: PriorFit) -> tuple[Setup, PriorFit]
     errors = {gain: of_gain(job, *one) for gain, one in tried.items()}
     push_nm = PUSH * errors[PAPER_GAIN_PER_S].usual_limit_nm
     delay_s = {gain: mean_delay_s(gain, errors[gain].limit_nm, push_nm) for gain in tried}
-    chosen = min(delay_s, key=lambda gain: delay_s[gain])
+    soonest = min(delay_s.values())
+    chosen = min(gain for gain, delay in delay_s.items() if delay <= (1 + WORTH) * soonest)
     told = ", ".join(f"{1e3 * delay:.0f} ms at {gain:g} 1/s" for gain, delay in delay_s.items())
     job.facts["gain"] = {
         "chosen_per_s": chosen,

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from sliding_mass import prismatic_mass
 from test_few_data import motion, trained
 
 from tauext import _core
@@ -22,7 +23,7 @@ from tauext.calibrate.error_scale import (
 )
 from tauext.config import AlarmConfig, DriftConfig, ObserverConfig
 from tauext.errors import ConfigError
-from tauext.train.gain import mean_delay_s
+from tauext.train.gain import HIT_S, LATEST_S, mean_delay_s
 
 ROWS = 20_000
 
@@ -148,12 +149,22 @@ def test_a_reserve_of_friction_is_added_at_every_speed(tmp_path, monkeypatch):
     np.testing.assert_allclose(added[sliding], (0.1 * (at_rest + per_speed * speed))[sliding], rtol=1e-9)
 
 
-def test_a_push_is_found_as_the_observer_s_step_response_says():
-    push = np.array([3.0, 2.0])
-    limit = np.array([[1.0, 1.0], [2.9, 1.99]])
-    expected = np.minimum(-np.log(1 - limit / push) / 50, 0.2).mean()
-    assert mean_delay_s(50.0, limit, push) == pytest.approx(expected)
-    assert mean_delay_s(20.0, np.array([[4.0, 2.0]]), push) == 0.2  # never found
+def test_a_hit_is_found_as_the_observer_s_own_response_says():
+    """Against the core's observer on a mass that rests while the hit is all that acts."""
+    period_ns = 100_000
+    t_ns = np.arange(1500, dtype=np.int64) * period_ns
+    t = 1e-9 * t_ns
+    hit = np.where(t < HIT_S, np.sin(np.pi * t / HIT_S), 0.0)
+    for gain in (20.0, 100.0):
+        settings = _core.ObserverSettings(
+            gain_per_s=gain, timing=_core.TorqueTiming.instant, sample_period_ns=period_ns, network_stride=1
+        )
+        still = np.zeros((len(t), 1))
+        r = _core.observe(prismatic_mass(1.0), settings, t_ns, still, still, -hit[:, None]).residual[:, 0]
+        for limit in (0.05, 0.2, 0.35):
+            found = t[np.argmax(r > limit)]
+            assert mean_delay_s(gain, np.array([[limit]]), np.array([1.0])) == pytest.approx(found, abs=2.5e-4)
+    assert mean_delay_s(20.0, np.array([[4.0, 4.0]]), np.array([1.0, 2.0])) == LATEST_S
 
 
 def test_the_gain_follows_from_the_errors(tmp_path, monkeypatch):

@@ -56,7 +56,7 @@ class ObserverConfig:
 
     gain_per_s: float | Literal["auto"] | None = None
     """Observer gain K0, [1/s]: the residual lags the true disturbance by 1/K0. auto: of 20, 50 and 100 the one that
-    finds a push soonest, as errors on left-out motion say (recipes tauext and prior). None: auto for these two, the
+    finds a hit soonest, as errors on left-out motion say (recipes tauext and prior). None: auto for these two, the
     paper's 20 for the others."""
     network_period_s: float = 0.01
     """Wanted time between two network steps, [s]; the nearest whole multiple of the sample period is used."""

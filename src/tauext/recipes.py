@@ -42,7 +42,7 @@ class Recipe:
     network: Network | None = None
     """What learns by steps. Behind a fit, where the fit alone is a bundle already, it ships only where it helps."""
     chooses_gain: bool = False
-    """Unless told otherwise, the observer's gain is the one that finds a push soonest; others have the paper's."""
+    """Unless told otherwise, the observer's gain is the one that finds a hit soonest; others have the paper's."""
     coverage: bool = False
     """The monitor tells motion that training never saw."""
     error_scale: bool = False

@@ -1,4 +1,4 @@
-"""The observer's gain, from the data: a fast observer shows a push sooner, and a slow one more of what errors hide."""
+"""The observer's gain, from the data: a fast observer shows a hit sooner, and a slow one hides more of the errors."""
 
 from __future__ import annotations
 
@@ -15,20 +15,22 @@ from tauext.train.preparation import Job
 GAINS_PER_S = (PAPER_GAIN_PER_S, 50.0, 100.0)
 MOST_A_STEP = 0.5
 """Largest K0 times sample period: a faster observer follows samples, not the arm."""
-PUSH = 1.5
-"""The push that gains are compared by, in limits of the first gain: the same torque for all of them."""
-PUSH_S = 0.2
-"""How long it lasts; one that is not found counts as so late."""
-WORTH = 0.03
-"""A faster observer must find the push sooner by this share: it shows more of every noise."""
+HIT = 4.0
+"""What gains are compared by is a hit of so many limits of the first gain: the same torque for all of them ..."""
+HIT_S = 0.06
+"""... a half sine of this length, between those of a hard shell and of a padded one ..."""
+LATEST_S = 0.2
+"""... that counts as found so late where it stays below the limit."""
+WORTH = 0.15
+"""A faster observer must find the hit sooner by this share: it shows more of all noise, and finds slow pushes later."""
 
 
 def choose_gain(job: Job, setup: Setup, fit: PriorFit) -> tuple[Setup, PriorFit]:
-    """The setup and the prior with the gain that finds a push soonest; both as they are where that is the first.
+    """The setup and the prior with the gain that finds a hit soonest; both as they are where that is the first.
 
-    A step of S_j [N m] shows in r as S_j (1 - exp(-K0 t)), and passes a limit L at t = -ln(1 - L / S_j) / K0. The mean
-    of min(t, PUSH_S) over joints and all left-out motion is compared, with each gain's own error scale and the limits
-    that would be as rarely passed. The terms of the prior are those chosen at the first gain, fitted anew to each.
+    The time at which its response passes a limit is compared on the mean over joints and all left-out motion, with each
+    gain's own error scale and the limits that nothing of that motion passes. The terms of the prior are those chosen at
+    the first gain, fitted anew to each.
 
     Args:
         setup: without the prior, at the first gain.
@@ -44,16 +46,16 @@ def choose_gain(job: Job, setup: Setup, fit: PriorFit) -> tuple[Setup, PriorFit]
         job.facts["gain"] = {"chosen_per_s": PAPER_GAIN_PER_S, "reason": "samples are too far apart for a faster one"}
         return setup, fit
     errors = {gain: of_gain(job, *one) for gain, one in tried.items()}
-    push_nm = PUSH * errors[PAPER_GAIN_PER_S].usual_limit_nm
-    delay_s = {gain: mean_delay_s(gain, errors[gain].limit_nm, push_nm) for gain in tried}
+    hit_nm = HIT * errors[PAPER_GAIN_PER_S].usual_limit_nm
+    delay_s = {gain: mean_delay_s(gain, errors[gain].limit_nm, hit_nm) for gain in tried}
     soonest = min(delay_s.values())
     chosen = min(gain for gain, delay in delay_s.items() if delay <= (1 + WORTH) * soonest)
     told = ", ".join(f"{1e3 * delay:.0f} ms at {gain:g} 1/s" for gain, delay in delay_s.items())
     job.facts["gain"] = {
         "chosen_per_s": chosen,
-        "push_nm": dict(zip(job.joints, push_nm.tolist(), strict=True)),
+        "hit_nm": dict(zip(job.joints, hit_nm.tolist(), strict=True)),
         "mean_delay_s": {f"{gain:g}": delay for gain, delay in delay_s.items()},
-        "reason": f"a push of {PUSH:g} times the limit at {PAPER_GAIN_PER_S:g} 1/s is found after {told}",
+        "reason": f"a hit of {HIT:g} times the limit at {PAPER_GAIN_PER_S:g} 1/s is found after {told}",
     }
     return tried[chosen]
 
@@ -66,7 +68,15 @@ def of_gain(job: Job, setup: Setup, fit: PriorFit) -> LeftOutErrors:
     return left_out_errors(bundle, [*unseen, *left_out], job.threads, job.config.margins)
 
 
-def mean_delay_s(gain_per_s: float, limit_nm: np.ndarray, push_nm: np.ndarray) -> float:
-    """Mean time after which a step of push_nm, (joints,), is over limit_nm, (rows, joints), PUSH_S at most, [s]."""
-    share = np.minimum(limit_nm / push_nm, 1 - 1e-12)
-    return float(np.minimum(-np.log1p(-share) / gain_per_s, PUSH_S).mean())
+def mean_delay_s(gain_per_s: float, limit_nm: np.ndarray, hit_nm: np.ndarray) -> float:
+    r"""Mean time after which a hit of hit_nm, (joints,), is over limit_nm, (rows, joints), LATEST_S where never, [s].
+
+    A half sine S sin(w t), w = pi / HIT_S, shows behind the observer as
+
+    .. math:: S \frac{K_0}{K_0^2 + w^2}\left(K_0 \sin w t - w \cos w t + w\,e^{-K_0 t}\right), \quad t \le HIT\_S.
+    """
+    t, w = np.linspace(0, HIT_S, 601), np.pi / HIT_S
+    response = gain_per_s * np.sin(w * t) - w * np.cos(w * t) + w * np.exp(-gain_per_s * t)
+    highest = np.maximum.accumulate(gain_per_s / (gain_per_s**2 + w**2) * response)
+    passed = np.searchsorted(highest, limit_nm / hit_nm)
+    return float(np.append(t, LATEST_S)[passed].mean())

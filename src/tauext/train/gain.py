@@ -21,7 +21,7 @@ HIT_S = 0.06
 """... a half sine of this length, between those of a hard shell and of a padded one ..."""
 LATEST_S = 0.2
 """... that counts as found so late where it stays below the limit."""
-WORTH = 0.15
+WORTH = 0.05
 """A faster observer must find the hit sooner by this share: it shows more of all noise, and finds slow pushes later."""
 
 

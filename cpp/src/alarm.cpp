@@ -20,6 +20,7 @@ void expect_time(const std::string& what, double seconds) {
 
 std::uint64_t to_ns(double seconds) noexcept { return static_cast<std::uint64_t>(std::llround(seconds * 1e9)); }
 
+constexpr std::uint64_t kSlidNs = static_cast<std::uint64_t>(Limits::kSlidS * 1e9);
 constexpr std::int64_t kNever = std::numeric_limits<std::int64_t>::min();
 
 }  // namespace
@@ -63,11 +64,11 @@ void AlarmStage::reset() noexcept {
 }
 
 void AlarmStage::acknowledge() noexcept {
-  const std::uint32_t pushed = state_.pushed;  // the friction knows nothing of it
-  const bool touching = state_.touching;
+  const State before = state_;
   state_ = {};
-  state_.pushed = pushed;
-  state_.touching = touching;
+  state_.pushed = before.pushed;  // the friction knows nothing of it
+  state_.touching = before.touching;
+  state_.stuck_t_ns = before.stuck_t_ns;
   state_.collision_since_ns.fill(kNever);
   state_.contact_since_ns.fill(kNever);
 }
@@ -87,7 +88,11 @@ bool AlarmStage::set_factors(std::span<const double> collision, std::span<const 
 bool AlarmStage::step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> scale,
                       std::span<const double> doubt, std::uint32_t near_stiction, bool trusted,
                       std::span<double> limit_nm) noexcept {
-  state_.pushed &= near_stiction;  // what slides has friction as its motion tells
+  for (int j = 0; state_.pushed != 0 && j < joints_; ++j) {
+    const std::uint32_t bit = std::uint32_t{1} << j;
+    if (near_stiction & bit) state_.stuck_t_ns[j] = t_ns;
+    else if (elapsed_ns(t_ns, state_.stuck_t_ns[j]) >= kSlidNs) state_.pushed &= ~bit;
+  }
   const std::uint32_t raised = state_.touching ? 0 : state_.pushed;
   bool detection = false, touching = false;
   // The joint that raises an alarm is the one furthest over its limit of those that have been over it long enough.
@@ -118,6 +123,8 @@ bool AlarmStage::step(std::int64_t t_ns, std::span<const double> tau_ext, std::s
   }
   state_.held_alarm = collision_joint >= 0 ? Alarm::collision : contact_joint >= 0 ? Alarm::contact : Alarm::none;
   if (touching || !trusted) state_.contact_seen_ns = t_ns;
+  for (int j = 0; touching && j < joints_; ++j)
+    if (near_stiction >> j & 1) state_.stuck_t_ns[j] = t_ns;
   if (touching) state_.pushed |= near_stiction;
   state_.touching = touching;
   if (state_.alarm != Alarm::collision && collision_joint >= 0) {

@@ -1,5 +1,6 @@
 // From tau_ext to an alarm: limits, hold time, latch.
 #pragma once
+#include <array>
 #include <cstdint>
 #include <span>
 
@@ -27,8 +28,10 @@ class AlarmStage {
     // A joint over its limit since then; the least number while it is not.
     std::array<std::int64_t, kMaxJoints> collision_since_ns, contact_since_ns;
     std::int64_t contact_seen_ns = 0;  // last sample that showed, or could not rule out, a contact
-    std::uint32_t pushed = 0;          // a bit a joint: over no limit may mean less, since it was pushed while stuck ...
+    std::uint32_t pushed = 0;          // a bit a joint: it was pushed while stuck, and has not slid since; its limits are
+                                       // higher ...
     bool touching = false;             // ... unless some joint was over its limit at the last sample
+    std::array<std::int64_t, kMaxJoints> stuck_t_ns{};  // last sample at which a pushed joint was stuck
   };
 
   // Throws Error where the limits do not fit the joints.

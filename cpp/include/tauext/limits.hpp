@@ -33,7 +33,9 @@ struct Limits {
   Level contact;                   // falls back by itself ...
   double contact_release_s = 0;    // ... when |tau_ext| has been under its limit for so long
   // A push leaves the friction of a joint that is stuck at another level than its motion tells, until it slides: from the
-  // moment no joint is over its limit any more, limits of such a joint are multiplied by this. 1: they are not.
+  // moment no joint is over its limit any more, limits of such a joint are multiplied by this until it has slid for
+  // kSlidS. 1: they are not.
+  static constexpr double kSlidS = 0.5;
   double after_contact_factor = 1;
 
   // A joint that has slid on by a width has a state of 1 or -1 for it, and one that turns round leaves it at once: a

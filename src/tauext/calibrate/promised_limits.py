@@ -68,6 +68,7 @@ def promised_limits(
     threads: int,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
     level_confidence: float | None = None,
+    at_most_seen: bool = False,
 ) -> PromisedLimits:
     """Limits from the tail of the error on calibration recordings, which nothing was trained or validated on.
 
@@ -83,6 +84,7 @@ def promised_limits(
     Args:
         recordings: loads them one at a time; called once.
         level_confidence: with which each limit keeps its share of the budget; None: that of the promise.
+        at_most_seen: no limit is above the largest peak, however far the tail's fit reaches beyond it.
 
     Raises:
         TrainingError: no free motion, or too few peaks to say anything.
@@ -94,7 +96,7 @@ def promised_limits(
     budget = asked if promise.is_supported else promise.supported
     contact_budget = FalseAlarmBudget(alarm.contacts_an_hour, 1.0)
     level_confidence = alarm.confidence if level_confidence is None else level_confidence
-    choices = [_limits(peaks, budget, level_confidence) for peaks in found]
+    choices = [_limits(peaks, budget, level_confidence, at_most_seen) for peaks in found]
     first = choices[0][0].sliding_nm
 
     def delay_s(choice: int) -> float:
@@ -107,14 +109,16 @@ def promised_limits(
     # contact's limits at once, which are no higher.
     held = next(k for k, hold in enumerate(alarm.holds_s) if hold >= alarm.contact_hold_s or k == len(found) - 1)
     held = max(held, best)
-    contact, _ = _limits(found[held], contact_budget, 0.5)
+    contact, _ = _limits(found[held], contact_budget, 0.5, at_most_seen)
     contact = LevelLimits(
         np.minimum(contact.sliding_nm, limits.sliding_nm), np.minimum(contact.near_stiction_nm, limits.near_stiction_nm)
     )
     return PromisedLimits(limits, contact, alarm.holds_s[best], alarm.holds_s[held], promise, budget, tails)
 
 
-def _limits(peaks: Peaks, budget: FalseAlarmBudget, confidence: float) -> tuple[LevelLimits, dict]:
+def _limits(
+    peaks: Peaks, budget: FalseAlarmBudget, confidence: float, at_most_seen: bool
+) -> tuple[LevelLimits, dict]:
     n = len(peaks.joints)
     shares = split(budget, n, len(REGIONS))
     levels, facts = np.zeros((n, len(REGIONS))), {}
@@ -122,6 +126,8 @@ def _limits(peaks: Peaks, budget: FalseAlarmBudget, confidence: float) -> tuple[
         for r, region in enumerate(REGIONS):
             tail = _tail(peaks, j, r)
             levels[j, r] = tail.upper_level(float(shares[j, r]), confidence)
+            if at_most_seen:
+                levels[j, r] = min(levels[j, r], tail.peaks_nm[0])
             facts[f"{joint} {region}"] = tail.summary() | {"limit_nm": float(levels[j, r])}
     return LevelLimits(levels[:, 0], np.maximum(levels[:, 1], levels[:, 0])), facts
 

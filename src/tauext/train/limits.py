@@ -126,7 +126,11 @@ def set_supported_limits(
     facts.
     """
     try:
-        promised = promised_limits(bundle, lambda: judged, config.alarm, threads, config.margins, EVEN_ODDS)
+        # A few dozen peaks say little of how far their tail reaches; the factor below stands for that.
+        at_most_seen = bundle.error_scale.on
+        promised = promised_limits(
+            bundle, lambda: judged, config.alarm, threads, config.margins, EVEN_ODDS, at_most_seen
+        )
     except TrainingError as error:
         set_limits(bundle, paper_limits(bundle, judged, threads, config.margins), config.alarm)
         words = f"limits are the largest errors seen, and promise nothing ({error})"

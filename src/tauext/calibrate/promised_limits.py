@@ -116,9 +116,7 @@ def promised_limits(
     return PromisedLimits(limits, contact, alarm.holds_s[best], alarm.holds_s[held], promise, budget, tails)
 
 
-def _limits(
-    peaks: Peaks, budget: FalseAlarmBudget, confidence: float, at_most_seen: bool
-) -> tuple[LevelLimits, dict]:
+def _limits(peaks: Peaks, budget: FalseAlarmBudget, confidence: float, at_most_seen: bool) -> tuple[LevelLimits, dict]:
     n = len(peaks.joints)
     shares = split(budget, n, len(REGIONS))
     levels, facts = np.zeros((n, len(REGIONS))), {}

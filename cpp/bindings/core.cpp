@@ -364,6 +364,9 @@ void bind_bundle(nb::module_& m) {
           "contact_release_s", [](const Bundle& b) { return b.limits.contact_release_s; },
           [](Bundle& b, double v) { b.limits.contact_release_s = v; })
       .def_prop_rw(
+          "near_memory_s", [](const Bundle& b) { return b.limits.near_memory_s; },
+          [](Bundle& b, double v) { b.limits.near_memory_s = v; })
+      .def_prop_rw(
           "after_contact_factor", [](const Bundle& b) { return b.limits.after_contact_factor; },
           [](Bundle& b, double v) { b.limits.after_contact_factor = v; })
       .def_prop_rw(

@@ -38,6 +38,7 @@ void Limits::validate(int joints, int widths) const {
     expect_time(here + "hold_s", level->hold_s);
   }
   expect_time("limits.contact_release_s", contact_release_s);
+  expect_time("limits.near_memory_s", near_memory_s);
   if (!(after_contact_factor >= 1 && after_contact_factor <= LimitFactors::kHighest))
     throw Error("limits.after_contact_factor = " + to_text(after_contact_factor) + " must be 1 to " +
                 to_text(LimitFactors::kHighest));

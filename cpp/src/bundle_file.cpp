@@ -147,7 +147,10 @@ void fields(File& file, Bundle& b) {
     field(file, level->hold_s);
   }
   field(file, b.limits.contact_release_s);
-  if (file.major >= 6) field(file, b.limits.after_contact_factor);
+  if (file.major >= 6) {
+    field(file, b.limits.after_contact_factor);
+    field(file, b.limits.near_memory_s);
+  }
   if (file.major >= 4) {
     field(file, b.drift.time_constant_s);
     field(file, b.drift.size_nm);

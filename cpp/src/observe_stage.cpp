@@ -55,6 +55,7 @@ ObserveStage::ObserveStage(const Bundle& bundle, int answer_every)
     : ObserveStage(Tree(bundle.links, bundle.gravity), bundle.observer, bundle.prior) {
   watch_.emplace(joints_, bundle.observer.sample_period_ns, bundle.signals);
   limits_ = bundle.limits;
+  near_memory_ns_ = std::llround(1e9 * bundle.limits.near_memory_s);
   if (!bundle.has_network()) return;
   input_factors_ = bundle.input_factors;
   row_.resize(static_cast<std::size_t>(bundle.columns()));
@@ -155,6 +156,7 @@ void ObserveStage::enter(const Sample& s) noexcept {
     p.bridged += static_cast<std::uint64_t>(tick.advance - 1);
     p.row += tick.advance;
   }
+  const std::int64_t step_ns = o.restarted ? 0 : static_cast<std::int64_t>(elapsed_ns(s.t_ns, p.t_ns));
   ++p.samples;
   p.restart_next = false;
   p.started = true;
@@ -164,10 +166,19 @@ void ObserveStage::enter(const Sample& s) noexcept {
   o.ticks = tick.advance;
   o.warm = residual_.warm();
   if (!row_.empty()) write_features(s);
-  o.near_stiction = 0;
+  tell_region(s, step_ns);
+}
+
+// Which of its limits holds for each joint; step_ns since the last sample, 0 where the chain began anew.
+void ObserveStage::tell_region(const Sample& s, std::int64_t step_ns) noexcept {
+  observed_.near_stiction = 0;
   for (int j = 0; limits_ && j < joints_; ++j) {
+    const auto at = static_cast<std::size_t>(j);
+    std::int64_t& left_ns = progress_.near_ns[at];
     const double state = limits_->region_width < 0 ? 0.0 : presliding().value(j, limits_->region_width);
-    if (limits_->near_stiction(s.dq[static_cast<std::size_t>(j)], state)) o.near_stiction |= std::uint32_t{1} << j;
+    const bool now = limits_->near_stiction(s.dq[at], state);
+    left_ns = now ? near_memory_ns_ : step_ns == 0 ? 0 : std::max<std::int64_t>(left_ns - step_ns, 0);
+    if (now || left_ns > 0) observed_.near_stiction |= std::uint32_t{1} << j;
   }
 }
 

@@ -291,15 +291,15 @@ void an_old_bundle_with_torque_constants_is_refused_with_the_command_that_conver
     for (const Link& link : bundle.links) at += 8 + link.joint_name.size() + 4 + 1 + 8 * (9 + 3 + 1 + 3 + 6 + 1);
     at += 8 * 3 + 8 + 1 + 8 + 4 + 1 + 8 + 8;
     bytes.erase(bytes.begin() + static_cast<std::ptrdiff_t>(at), bytes.begin() + static_cast<std::ptrdiff_t>(at) + 21);
-    // Nor without what came with format 6: a factor of 8 bytes before the drift tracker, behind it seven empty lists of
+    // Nor without what came with format 6: two numbers of 8 bytes before the drift tracker, behind it seven empty lists of
     // the error scale and what it has beside it, seven of the coverage and a byte.
     const std::size_t n = bundle.links.size(), samples = bundle.reference.t_ns.size();
     const std::size_t signals_and_reference = 2 * (8 + 8 * n) + 8 + 8 * samples + 3 * (8 + 8 * samples * n) + 3 * (8 + 8 * n);
     const std::size_t drift = 8 + (8 + 8 * bundle.drift.size_nm.size()) + 3 * 8;
     const auto end = bytes.end() - static_cast<std::ptrdiff_t>(signals_and_reference);
     bytes.erase(end - 14 * 8 - 1, end);
-    const auto factor = bytes.end() - static_cast<std::ptrdiff_t>(signals_and_reference + drift + 8);
-    bytes.erase(factor, factor + 8);
+    const auto numbers = bytes.end() - static_cast<std::ptrdiff_t>(signals_and_reference + drift + 16);
+    bytes.erase(numbers, numbers + 16);
     const std::uint32_t major = 4, crc = crc32(std::span(bytes).subspan(28));
     const std::uint64_t size = bytes.size() - 28;
     std::memcpy(bytes.data() + 8, &major, sizeof major);

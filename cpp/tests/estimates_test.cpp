@@ -65,6 +65,7 @@ std::vector<Bundle> chains() {
   for (std::size_t k = 0; k < prior.shape.parameter_count(); ++k) prior.parameters.push_back(normal(random));
   prior.drift = {1, {3, 3}, 0.2, 0.8, 0.005, {0.5, 0.1}};
   prior.limits.after_contact_factor = 2;
+  prior.limits.near_memory_s = 0.007;
   prior.error_scale.features = {MotionFeature::constant, MotionFeature::arm_jerk, MotionFeature::standstill};
   prior.error_scale.limit_weights = {0.5, 1e-4, 0.5, 1, 0, 2};
   prior.error_scale.largest = {3, 2};

@@ -500,6 +500,27 @@ void what_a_push_left_in_static_friction_is_no_collision_after_resume() {
   CHECK(arm.go(200, 0.02, 2) == Alarm::collision);
 }
 
+// Limits near stiction hold on for as long as the bundle says after a joint has begun to slide.
+void a_joint_that_breaks_away_keeps_its_limit_for_a_while() {
+  Bundle bundle = StickyArm::bundle();
+  bundle.limits.collision.near_stiction_nm = {7, 7};
+  bundle.limits.near_memory_s = 0.05;
+  StickyArm arm{Monitor(bundle)};
+  const auto near = [&] { return (arm.monitor.last().near_stiction & 1) != 0; };
+  arm.go(1000, 0.02, 5);
+  CHECK(!near());
+  arm.go(1, 0.005, 5);
+  CHECK(near());
+  arm.go(49, 0.02, 5);
+  CHECK(near());
+  CHECK_CLOSE(arm.monitor.last().limit_nm[0], 7, 1e-6);
+  std::vector<std::byte> state(arm.monitor.state_bytes());
+  CHECK(arm.monitor.save_state(state) && arm.monitor.restore_state(state));
+  arm.go(1, 0.02, 5);
+  CHECK(!near());
+  CHECK_CLOSE(arm.monitor.last().limit_nm[0], 2, 1e-6);
+}
+
 // The same signals, all of them known or none: what is unknown teaches the drift tracker nothing.
 void drift_is_not_learned_from_motion_that_training_never_saw() {
   Bundle known = tracking(made::bundle(2, 0, kSteps, kStride, 7)), unknown = known;
@@ -592,6 +613,7 @@ int main() {
   limit_factors_scale_the_limits_and_nothing_else();
   limit_factors_are_part_of_the_state();
   what_a_push_left_in_static_friction_is_no_collision_after_resume();
+  a_joint_that_breaks_away_keeps_its_limit_for_a_while();
   drift_is_not_learned_from_motion_that_training_never_saw();
   resume_ends_what_a_contact_raised();
   resume_of_joints_that_slide_is_an_acknowledgement();

@@ -121,7 +121,7 @@ class AlarmConfig:
     friction_reserve: float = 0.2
     """Share of each joint's friction by which constant limits are raised where there are no calibration recordings:
     minutes of one day do not show how friction changes with temperature and time."""
-    minutes_factor: float = 1.75
+    minutes_factor: float = 1.6
     """Factor on limits that follow the error where there are no calibration recordings, for the same reason."""
     after_contact_factor: float = 2.0
     """Factor on the limits of a joint that was pushed while it was stuck, from the end of the contact until it has

@@ -28,7 +28,8 @@ struct LimitFactors {
 
 struct Limits {
   double near_stiction_rad_s = 0;  // near stiction: |dq| below this,
-  int region_width = -1;           // or the presliding state of this width bent; -1: only the speed tells
+  int region_width = -1;           // or the presliding state of this width bent; -1: only the speed tells ...
+  double near_memory_s = 0;        // ... and for so long afterwards: r still shows how the joint broke away
   Level collision;                 // latched until acknowledged
   Level contact;                   // falls back by itself ...
   double contact_release_s = 0;    // ... when |tau_ext| has been under its limit for so long

@@ -1,5 +1,6 @@
 // A sample before the network has spoken: whether it can be used, residual and prior, health.
 #pragma once
+#include <array>
 #include <cstdint>
 #include <optional>
 #include <span>
@@ -79,6 +80,7 @@ class ObserveStage {
     std::int64_t row = 0;           // where it stands in its stretch, in ticks
     std::int64_t saturated_ns = 0;  // last sample with a drive at its limit
     bool saturated = false;         // and the observer has not forgotten it
+    std::array<std::int64_t, kMaxJoints> near_ns{};  // left of limits.near_memory_s, a joint
     Health told = Health::warming_up;  // of the last sample, entered or not
     std::uint32_t told_causes = 0;
     int told_joint = -1;
@@ -113,6 +115,7 @@ class ObserveStage {
   void hold(std::int64_t t_ns, std::uint32_t cause) noexcept;
   void tell() noexcept;
   void write_features(const Sample& sample) noexcept;
+  void tell_region(const Sample& sample, std::int64_t step_ns) noexcept;
   std::span<const double> tau() const noexcept { return {tau_.data(), static_cast<std::size_t>(joints_)}; }
 
   int joints_;
@@ -122,6 +125,7 @@ class ObserveStage {
   ResidualStage residual_;
   std::optional<SignalWatch> watch_;
   std::optional<Limits> limits_;
+  std::int64_t near_memory_ns_ = 0;
   std::vector<float> input_factors_, row_;
   std::vector<double> states_;
   float largest_input_ = 0;

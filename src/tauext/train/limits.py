@@ -106,6 +106,7 @@ def left_out_of_fit(bundle: Bundle, fit: PriorFit, setup: Setup, reference: Reco
     for fold in fit.left_out:
         other = make_bundle(bundle.name, replace(setup, prior=fold.settings), bundle.near_stiction_rad_s, reference)
         other.region_width, other.drift = bundle.region_width, bundle.drift
+        other.near_memory_s = bundle.near_memory_s
         other.largest_torque_nm, other.torque_limit_nm = bundle.largest_torque_nm, bundle.torque_limit_nm
         judged += [Judged(recording, span, other) for recording, span in fold.spans]
     return judged

@@ -191,6 +191,8 @@ def test_the_monitor_tells_it_and_widens_its_limits_by_a_capped_share(watching):
     np.testing.assert_allclose(said["unfamiliar"], expected, atol=1e-12)
     half = made.samples // 2
     assert (said["unfamiliar"][:half] < 0.5).mean() > 0.99 and (said["unfamiliar"][half:] == 1).mean() > 0.2
+    bundle.after_contact_factor = 1.0  # what one of the two detects raises its limits afterwards
+    said = _core.Monitor(bundle).run(*signals)
     plain = _core.Bundle.from_bytes(bundle.to_bytes())
     plain.coverage = _core.CoverageSettings()
     without = _core.Monitor(plain).run(*signals)

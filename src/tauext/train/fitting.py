@@ -18,7 +18,6 @@ from tauext.learn.torque_constants import with_constants
 from tauext.learn.widths import region_width
 from tauext.train.preparation import Job
 
-
 FORGOTTEN = 2.0
 """Times 1/K0 after a joint began to slide its region is still near stiction: r still shows how it broke away."""
 

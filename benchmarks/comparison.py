@@ -8,6 +8,7 @@ python benchmarks/comparison.py OUT --tables   prints the tables of what is ther
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import shlex
 import shutil
@@ -20,7 +21,13 @@ FEWER_HOURS = "--minutes 90 --collision-recordings 50 --calibration-hours 8.1 --
 CASES = ("exact", "mass", "com", "mass+com", "none")
 EVERY_METHOD = ("exact", "none")
 MINUTES = (2, 5, 10, 20, 45)
-GAINS = (50, 100)
+GAINS = (20, 50, 100)
+LIMITS = {
+    "prior-constants": "--recipe prior --observer.gain-per-s 20 --error-scale off",
+    "friction-scaled": "--recipe friction --error-scale on",
+    "observer-scaled": "--recipe observer --error-scale on",
+}
+"""Each kind of limits with the methods that usually have the other."""
 ENCODER_BITS = (16, 12)
 SHORT_TEST = 40  # recordings, for learning curves
 
@@ -39,6 +46,10 @@ def steps(out: Path) -> list[tuple[Path, str]]:
             command = f"train --data {data} --case {case} --recipe prior --observer.gain-per-s {gain} --out {bundle}"
             found.append((bundle, command))
         found.append(evaluated(data, out / f"gain-{gain}", bundles))
+    scaled = [out / "limits" / "bundles" / f"{name}-{case}.tauext" for case in EVERY_METHOD for name in LIMITS]
+    for bundle, (case, name) in zip(scaled, itertools.product(EVERY_METHOD, LIMITS), strict=True):
+        found.append((bundle, f"train --data {data} --case {case} {LIMITS[name]} --out {bundle}"))
+    found.append(evaluated(data, out / "limits", scaled))
     little = [out / "ten-minutes" / "bundles" / f"{case}-10min.tauext" for case in EVERY_METHOD]
     for case, bundle in zip(EVERY_METHOD, little, strict=True):
         found.append((bundle, f"train --data {data} --case {case} --minutes 10 --out {bundle}"))

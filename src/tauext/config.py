@@ -203,7 +203,7 @@ class DriftConfig:
     learning."""
     freeze_s: float = 1.0
     """Time for which the drift tracker learns nothing after a joint was over freeze_share of its limit, [s]."""
-    freeze_floor_share: float = 1 / 3
+    freeze_floor_share: float = 0.4
     """Where limits follow the error they are so low in easy motion that drift itself is over them; |tau_ext| must also
     be over this share of a coefficient's bound to stop the tracker."""
     most_frozen: float = 0.03

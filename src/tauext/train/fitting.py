@@ -18,10 +18,6 @@ from tauext.learn.torque_constants import with_constants
 from tauext.learn.widths import region_width
 from tauext.train.preparation import Job
 
-FORGOTTEN = 2.0
-"""Times 1/K0 after a joint began to slide its region is still near stiction: r still shows how it broke away."""
-
-
 class Fit(Protocol):
     """What a row's `fit` names."""
 
@@ -108,5 +104,3 @@ def put_region(job: Job, bundle: Bundle, fit: PriorFit) -> None:
     """Let the bundle tell by its presliding states which region's limits hold."""
     if fit.settings.widths_rad:
         bundle.region_width = region_width(fit.settings.widths_rad, job.config.prior)
-        if job.config.resolved().error_scale == "on":
-            bundle.near_memory_s = FORGOTTEN / bundle.observer.gain_per_s

@@ -33,6 +33,9 @@ SHORT_S = 240.0
 """The reserve for friction that recordings did not show fades with their length T as exp(-T / this), [s]: a single
 minute shows one motion in one state of the gears, ten show a gear that warms up (5 to 7 minutes)."""
 LEAST_RESERVE = 0.02
+FORGOTTEN = 2.0
+"""Where limits follow from minutes, which saw a joint break away a few times, it is near stiction for so many 1/K0
+after it began to slide: r still shows how it broke away. Hours show how large that is."""
 EVEN_ODDS = 0.5
 """With which each limit keeps its share of the supported budget. That budget is the least that these minutes support
 at the promise's confidence; asked again of each of a dozen limits, that confidence doubled them beyond the largest
@@ -47,11 +50,14 @@ def calibrate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> N
         TrainingError: too little free motion.
     """
     config, kind = job.config, limits_kind(job.config, job.calibration)
+    scaled = config.resolved().error_scale == "on"
+    if scaled and kind == "supported" and bundle.region_width >= 0:
+        bundle.near_memory_s = FORGOTTEN / bundle.observer.gain_per_s
     unseen, left_out = unseen_motion(job, bundle, setup, fit)
     judged = [*unseen, *left_out]
     if config.row.presliding:
         bundle.after_contact_factor = config.alarm.after_contact_factor
-    if config.resolved().error_scale == "on":
+    if scaled:
         job.facts["error_scale"] = fit_error_scale(bundle, judged, job.threads, config.margins, config.drift)
         for one in left_out:
             assert one.bundle is not None

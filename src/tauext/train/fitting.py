@@ -18,6 +18,7 @@ from tauext.learn.torque_constants import with_constants
 from tauext.learn.widths import region_width
 from tauext.train.preparation import Job
 
+
 class Fit(Protocol):
     """What a row's `fit` names."""
 

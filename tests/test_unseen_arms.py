@@ -16,7 +16,7 @@ from unseen.arms import makers, true_arm
 from unseen.contacts import Contact, draw_contacts, label
 from unseen.fresh import JITTER_SHARE, fresh_makers
 from unseen.motions import ACCELERATIONS_RAD_S2, STOP_S, draw_motion
-from unseen.results import Outcome, markdown
+from unseen.results import Outcome, markdown, nearest, truth_of
 from unseen.simulation import RATE_HZ, simulate
 
 from tauext.robot import load_tree
@@ -143,3 +143,10 @@ def test_tables_keep_fresh_arms_apart_and_total_each_group():
     assert "| **all** | urdf | prior | 1/4 | 1/3 | 6.0 | 1 | 2 |" in after
     assert "| **all** | urdf | friction | 0/4 | 0/3 | 20.0 | 5 | 5 |" in after
     assert "run once" not in markdown(old, "python made.py")
+
+
+def test_a_label_is_held_against_its_contact_whether_its_take_was_cut_or_not():
+    truths = {"contacts-1": [{"label_s": [10.0, 11.0]}, {"label_s": [170.0, 171.0]}], "contacts-2": []}
+    assert truth_of("contacts-1", truths) is truth_of("contacts-1-01", truths) is truths["contacts-1"]
+    assert truth_of("contacts-2-00", truths) == []
+    assert nearest(truths["contacts-1"], 9.8 + 160.2)["label_s"] == [170.0, 171.0]  # 9.8 s into the second piece

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -65,7 +65,10 @@ def read_outcomes(maker: Maker, seed: int, model: str, folder: Path) -> list[Out
         for take in TAKES
         if take.contacts
     }
-    tests = [load_recording(folder / model / name) for name in load_split(folder / model).test]
+    split = load_split(folder / model)
+    tests = [load_recording(folder / model / name) for name in split.test]
+    touched = [load_recording(folder / model / name) for name in split.collisions]
+    begins_s = {recording.name: 1e-9 * float(recording.t_ns[0]) for recording in touched}
     given = told_constants(maker, seed, model == "urdf")
     true = true_arm(maker, maker.random(seed, 0)).nm_per_ampere / (1.0 if given == "unknown" else given)
     torque = true * np.sqrt(np.mean(np.concatenate([test.tau for test in tests]) ** 2, axis=0))
@@ -74,8 +77,12 @@ def read_outcomes(maker: Maker, seed: int, model: str, folder: Path) -> list[Out
         bundle = _core.Bundle.load(str(folder / entry["bundle"]))
         nm = true / np.array(bundle.observer.nm_per_unit or 1.0)
         rmse, events = nm * entry["free_motion"]["l2_nm"], entry["events"]
-        after = sum((alarm["since_contact_s"] or np.inf) <= AFTER_CONTACT_S for alarm in events["false_alarms_at"])
-        truth = [_of(verdict, truths[verdict["recording"]]) for verdict in events["verdicts"]]
+        since_s = [alarm["since_contact_s"] for alarm in events["false_alarms_at"]]
+        after = sum(seconds is not None and seconds <= AFTER_CONTACT_S for seconds in since_s)
+        truth = [
+            nearest(truth_of(verdict["recording"], truths), verdict["start_s"] + begins_s[verdict["recording"]])
+            for verdict in events["verdicts"]
+        ]
         outcomes.append(
             Outcome(
                 arm=maker.name,
@@ -97,9 +104,14 @@ def read_outcomes(maker: Maker, seed: int, model: str, folder: Path) -> list[Out
     return outcomes
 
 
-def _of(verdict: dict, truth: Sequence[dict]) -> dict:
-    """The contact that a verdict's label stands for: the nearest one."""
-    return min(truth, key=lambda one: abs(one["label_s"][0] - verdict["start_s"]))
+def truth_of(recording: str, truths: Mapping[str, Sequence[dict]]) -> Sequence[dict]:
+    """The contacts of the take that a recording is of: the import cuts long ones, TAKE-00, TAKE-01 ..."""
+    return truths[recording if recording in truths else recording.rpartition("-")[0]]
+
+
+def nearest(truth: Sequence[dict], label_s: float) -> dict:
+    """The contact that a label at this time of its take stands for."""
+    return min(truth, key=lambda one: abs(one["label_s"][0] - label_s))
 
 
 def markdown(outcomes: Sequence[Outcome], command: str) -> str:

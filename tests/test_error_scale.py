@@ -17,11 +17,12 @@ from tauext.calibrate.error_scale import (
     FEATURES,
     SHARP,
     add_friction,
+    collect_rows,
     fit_weights,
     freeze_floor_nm,
     sigma_weights,
 )
-from tauext.config import AlarmConfig, DriftConfig, ObserverConfig
+from tauext.config import AlarmConfig, DriftConfig, FreeMotionConfig, ObserverConfig
 from tauext.errors import ConfigError
 from tauext.train.gain import HIT_S, LATEST_S, WORTH, mean_delay_s
 
@@ -209,3 +210,13 @@ def test_calibrate_keeps_the_scale_or_fits_it_to_recordings_apart_from_those_of_
     recordings[1:] = []
     with pytest.raises(ConfigError, match="2 calibration recordings or more"):
         recalibrate(tmp_path / "made.tauext", dataset, tmp_path / "x.tauext", AlarmConfig(), refit_error_scale=True)
+
+
+def test_rows_that_were_thinned_out_tell_the_same_hours(tmp_path, monkeypatch):
+    bundle, _ = trained(tmp_path, monkeypatch, [motion()], recipe="prior")
+    recordings = [motion(seed=seed) for seed in range(4)]
+    whole = collect_rows(bundle, recordings, 1, FreeMotionConfig())
+    monkeypatch.setattr("tauext.calibrate.error_scale.MOST_ROWS", 6000)
+    thin = collect_rows(bundle, recordings, 1, FreeMotionConfig())
+    assert len(thin.error_nm) <= 6000 < 2 * len(thin.error_nm) + 4 and thin.period_s == 4 * whole.period_s
+    assert thin.hours == pytest.approx(whole.hours, rel=1e-3)

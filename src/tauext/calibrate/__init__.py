@@ -2,7 +2,7 @@
 
 from tauext.calibrate.bundle_limits import NO_CALIBRATION, calibrate_bundle, recalibrate
 from tauext.calibrate.error_scale import LeftOutErrors, add_friction, fit_error_scale, left_out_errors
-from tauext.calibrate.judged import Judged
+from tauext.calibrate.judged import Judged, whole_recordings
 from tauext.calibrate.limits import (
     LevelLimits,
     at_rest_sentence,
@@ -36,4 +36,5 @@ __all__ = [
     "recalibrate",
     "set_limits",
     "usual_speed_rad_s",
+    "whole_recordings",
 ]

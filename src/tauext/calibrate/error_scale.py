@@ -34,6 +34,7 @@ there its limit is that of usual motion at least."""
 LEAST_CONSTANT = 0.05
 """Of usual motion's scale: no motion makes limits vanish."""
 STANDS_RAD_S = 0.002
+"""A joint slower than this stands."""
 MOST_ROWS = 1_000_000
 """Over an hour and a half at the network's rate."""
 LEAST_ROWS = 300
@@ -46,12 +47,18 @@ ONE_SIGMA = 0.6827
 
 @dataclass(frozen=True)
 class Rows:
-    """Free motion at the network's rate."""
+    """Free motion at the network's rate, or thinned out."""
 
     error_nm: np.ndarray  # (rows, joints)
     near_stiction: np.ndarray  # (rows, joints), bool
     features: np.ndarray  # (rows, joints, features)
-    hours: float
+    period_s: float
+    """Between two rows of a recording."""
+
+    @property
+    def hours(self) -> float:
+        """Of motion."""
+        return len(self.error_nm) * self.period_s / 3600
 
     @property
     def power(self) -> float:
@@ -91,9 +98,9 @@ def fit_error_scale(
     scale.largest_sigma = np.where(rows.near_stiction, of_near, of_sliding).max(axis=0).tolist()
     bundle.error_scale = scale
     if bundle.drift.time_constant_s > 0:
-        period_s = 1e-9 * bundle.observer.sample_period_ns * bundle.observer.network_stride
+        seen = freeze_floor_nm(rows.error_nm, drift, rows.period_s)
         drifted = drift.freeze_floor_share * np.array(bundle.drift.size_nm)
-        bundle.drift.freeze_floor_nm = np.maximum(drifted, freeze_floor_nm(rows.error_nm, drift, period_s)).tolist()
+        bundle.drift.freeze_floor_nm = np.maximum(drifted, seen).tolist()
     return {"hours": rows.hours, "power": rows.power}
 
 
@@ -167,8 +174,7 @@ def collect_rows(
     plain = _core.Bundle.from_bytes(bundle.to_bytes())
     plain.error_scale = unit_scale(bundle.joints)
     found: list[tuple[np.ndarray, ...]] = []
-    stride, period_h = bundle.observer.network_stride, bundle.observer.sample_period_ns / 3.6e12
-    count = 0
+    stride, count = bundle.observer.network_stride, 0
     for one in judged:
         one = one if isinstance(one, Judged) else Judged(one)
         _, error, near, counted = errors(bundle, one, threads, margins)
@@ -184,7 +190,7 @@ def collect_rows(
     if not found:
         raise no_free_motion(bundle, margins)
     error, near, features = (np.concatenate(column) for column in zip(*found, strict=True))
-    return Rows(error, near, features, len(error) * stride * period_h)
+    return Rows(error, near, features, 1e-9 * bundle.observer.sample_period_ns * stride)
 
 
 def limit_weights(rows: Rows, joint: int) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,6 +22,11 @@ class Judged:
     span: slice = field(default_factory=lambda: slice(None))
     bundle: _core.Bundle | None = None
     """A stand-in that was fitted without these samples; None: the bundle itself, which never saw them."""
+
+
+def whole_recordings(judged: Sequence[Recording | Judged]) -> list[Recording]:
+    """Each recording once, however many spans of it are judged."""
+    return list({id(r): r for r in (one.recording if isinstance(one, Judged) else one for one in judged)}.values())
 
 
 def errors(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext import _core
-from tauext.calibrate.judged import Judged, errors, no_free_motion
+from tauext.calibrate.judged import Judged, errors, no_free_motion, whole_recordings
 from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data import Recording, standing_joints
 from tauext.errors import TrainingError
@@ -86,5 +86,5 @@ def raise_limits(bundle: _core.Bundle, factor: float, by_nm: np.ndarray | float 
 
 def usual_speed_rad_s(recordings: Sequence[Recording | Judged]) -> np.ndarray:
     """What a joint's speed stays below for 95 % of the recording where that is largest, (n,), [rad/s]."""
-    of = {id(r): r for r in (one.recording if isinstance(one, Judged) else one for one in recordings)}
-    return np.max([np.quantile(np.abs(recording.dq), 0.95, axis=0) for recording in of.values()], axis=0)
+    speeds = [np.quantile(np.abs(recording.dq), 0.95, axis=0) for recording in whole_recordings(recordings)]
+    return np.max(speeds, axis=0)

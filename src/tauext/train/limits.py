@@ -21,6 +21,7 @@ from tauext.calibrate import (
     raise_limits,
     set_limits,
     usual_speed_rad_s,
+    whole_recordings,
 )
 from tauext.config import TrainConfig
 from tauext.data import Recording, total_s
@@ -33,6 +34,7 @@ SHORT_S = 240.0
 """The reserve for friction that recordings did not show fades with their length T as exp(-T / this), [s]: a single
 minute shows one motion in one state of the gears, ten show a gear that warms up (5 to 7 minutes)."""
 LEAST_RESERVE = 0.02
+"""A smaller share of the friction is none: from nine minutes on."""
 FORGOTTEN = 2.0
 """Where limits follow from minutes, which saw a joint break away a few times, it is near stiction for so many 1/K0
 after it began to slide: r still shows how it broke away. Hours show how large that is."""
@@ -150,7 +152,7 @@ def set_supported_limits(
         raise_limits(bundle, config.alarm.minutes_factor)
         facts["minutes_factor"] = config.alarm.minutes_factor
         words += f" They are {config.alarm.minutes_factor:g} times what these minutes show."
-        share = config.alarm.friction_reserve * math.exp(-spanned_s(judged) / SHORT_S)
+        share = config.alarm.friction_reserve * math.exp(-total_s(whole_recordings(judged)) / SHORT_S)
         if fit is not None and share > LEAST_RESERVE:
             add_friction(bundle, share, *friction_line(fit, usual_speed_rad_s(judged)))
             facts["friction_reserve"] = share
@@ -163,12 +165,6 @@ def set_supported_limits(
     names = [link.joint_name for link in bundle.links]
     facts["friction_reserve_nm"] = dict(zip(names, reserve.tolist(), strict=True))
     return f"{words} They are raised by {config.alarm.friction_reserve:.0%} of the friction.", facts
-
-
-def spanned_s(judged: Sequence[Recording | Judged]) -> float:
-    """How long the recordings are that limits are found on, [s]."""
-    of = {id(r): r for r in (one.recording if isinstance(one, Judged) else one for one in judged)}
-    return total_s(list(of.values()))
 
 
 def friction_line(fit: PriorFit, speed_rad_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

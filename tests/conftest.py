@@ -43,6 +43,14 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log):
     return Shared(config, log)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def own_cache(tmp_path_factory):
+    """What tests remember and keep is none of the user's."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
 @pytest.fixture(scope="session")
 def rig_bundles(tmp_path_factory) -> dict[str, Path]:
     """Those of the demo's rig, in a cache of demos."""

@@ -71,6 +71,17 @@ def each(case: Case, change: Callable[[Recording, int], dict]) -> Broken:
     return [replace(r, **change(r, k)) for k, r in enumerate(case.made.recordings)], case.urdf.read_text()
 
 
+def one(case: Case, change: Callable[[Recording], dict]) -> Broken:
+    """The first recording alone."""
+    return each(case, lambda r, k: change(r) if k == 0 else {})
+
+
+def spiked(r: Recording, signal: str, by: float, samples: int = 1) -> dict:
+    x = getattr(r, signal).copy()
+    x[r.samples // 3 : r.samples // 3 + samples, J] += by
+    return {signal: x}
+
+
 def at(r: Recording, signal: str, j: int, change: Callable[[np.ndarray], np.ndarray]) -> dict:
     x = getattr(r, signal).copy()
     x[:, j] = change(x[:, j])
@@ -301,7 +312,7 @@ FAULTS = [
           lambda c: each(c, lambda r, k: pushed(r, k, 0.2, 0.3))),
     Fault("pushes of 2 s that nobody labelled", "contact-in-free-motion", None,
           lambda c: each(c, lambda r, k: pushed(r, k, 2.0, 0.3))),
-    Fault("base tilted by 40 degrees", "gravity-direction", None, tilted, planar=False),
+    Fault("base tilted by 40 degrees", "gravity-direction", None, tilted, follows=("odd-recording",), planar=False),
     Fault("a tool that is not in the model", "payload-missing", None, loaded),
     Fault("a limit of position too narrow", "position-limit", J,
           lambda c: file_text(c, r'lower="[^"]*" upper="[^"]*"', 'lower="-0.3" upper="0.3"')),
@@ -312,6 +323,19 @@ FAULTS = [
           lambda c: link_text(c, lambda x: re.sub(r'izz="[^"]*"', 'izz="9"', x), J)),
     Fault("a moving link without mass", "mass-missing", J,
           lambda c: link_text(c, lambda x: re.sub(r'<mass value="[^"]*"', '<mass value="0"', x), J)),
+    Fault("one torque sample of 1e6 in one recording", "spike", J, lambda c: one(c, lambda r: spiked(r, "tau", 1e6))),
+    Fault("one torque sample of 3 times the range", "spike", J,
+          lambda c: one(c, lambda r: spiked(r, "tau", 3 * float(np.ptp(r.tau[:, J]))))),
+    Fault("one position off by a radian", "spike", J, lambda c: one(c, lambda r: spiked(r, "q", 1.0))),
+    Fault("stamps in ms taken for s", "time-unit", None,
+          lambda c: each(c, lambda r, k: {"t_ns": 1000 * r.t_ns, "rate_hz": r.rate_hz / 1000})),
+    Fault("stamps of one recording in ms", "time-unit", None,
+          lambda c: one(c, lambda r: {"t_ns": 1000 * r.t_ns, "rate_hz": r.rate_hz / 1000})),
+    Fault("torques of one recording negated", "odd-recording", None, lambda c: one(c, lambda r: {"tau": -r.tau})),
+    Fault("one recording in degrees", "odd-recording", None,
+          lambda c: one(c, lambda r: {"q": DEG * r.q, "dq": DEG * r.dq})),
+    Fault("robot file edited after recording", "robot-file-changed", None,
+          lambda c: each(c, lambda r, k: {"robot_sha256": 64 * "0"})),
     Fault("joints named otherwise", "joint-names", None,
           lambda c: ([replace(r, joints=tuple(f"axis_{j}" for j in range(len(r.joints)))) for r in c.made.recordings],
                      c.urdf.read_text())),

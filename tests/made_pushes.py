@@ -83,7 +83,7 @@ def cut_flight(bundle: _core.Bundle, samples, row: int, before: int = 1000, afte
     first = max(0, row - before)
     rows = slice(first, row + after + 1)
     flight = {name: getattr(samples, name)[rows] for name in ("t_ns", "q", "dq", "tau")}
-    torques = ("residual", "prior", "network", "drift", "tau_ext", "sigma_nm", "limit_nm", "doubt")
+    torques = ("residual", "prior", "network", "drift", "tau_ext", "sigma_nm", "limit_nm", "contact_limit_nm")
     flight |= {
         key: said[key][rows]
         for key in (*torques, "near_stiction", "causes", "health", "alarm", "held_alarm", "detection")

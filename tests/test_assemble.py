@@ -125,7 +125,22 @@ def test_late_packets_repeats_and_gaps_are_handled_and_counted():
     kept_all = one(source, arm())
     assert kept_all.samples == 590 and kept_all.provenance["counts"]["gaps: steps of more than 1.5 median steps"] == 1
     assert "2 repeated samples kept: all values equal the sample before" in kept_all.provenance["done"]
-    assert kept_all.provenance["measured_hz"] == pytest.approx(587 / 5.99, abs=1e-3)  # 588 of them in 5.99 s
+    assert kept_all.provenance["measured_hz"] == pytest.approx(100 * 588 / 590, abs=1e-3)  # two of 590 hold others
+
+
+def test_a_log_that_lost_rows_keeps_its_rate_and_says_the_share():
+    """100 Hz, every 33rd row lost, one value held: not 97 measurements a second."""
+    t_ns, q, dq, tau = motion(1000, joints=2)
+    kept = np.arange(len(t_ns)) % 33 != 16
+    kept[[0, -1]] = True
+    t_ns, q, dq, tau = t_ns[kept], q[kept], dq[kept], tau[kept]
+    for held in (q, dq, tau):
+        held[500] = held[499]
+    recording = one(a_source(t_ns, q=q, dq=dq, tau=tau), arm())
+    lost = 1 - kept.mean()
+    assert recording.rate_hz == 100 and recording.provenance["measured_hz"] == pytest.approx(100, abs=0.2)
+    assert recording.provenance["lost_share"] == pytest.approx(lost, abs=1e-3)
+    assert f"{lost:.1%} of the samples at 100 Hz are missing: gaps" in recording.provenance["done"]
 
 
 def test_an_arm_at_rest_is_no_repeated_sample():
@@ -343,6 +358,13 @@ def test_the_template_guesses_names_of_columns():
         "time": "time",
         "label": "label",
     }
+    both = [f"{base}{k}" for base in ("q", "i", "current", "tau", "torque_measured") for k in range(6)]
+    assert guess({"": both}).columns["tau"] == "tau{index}"
+    longer = [f"{base}[{k}]" for base in ("position", "i", "actual_torque") for k in range(6)]
+    assert 'columns = "i"' in template(guess({"": longer[:12]})) and 'unit = "A"' in template(guess({"": longer[:12]}))
+    measured = [f"{base}{k}" for base in ("q", "current", "joint_torque") for k in range(6)]
+    text = template(guess({"": measured}))
+    assert 'columns = "joint_torque{index}"' in text and 'unit = "Nm"' in text and 'unit = "A"' not in text
     states = [f"{a}[{j}]" for a in ("position", "effort") for j in JOINTS]
     text = template(guess({"/joint_states": states}), "arm.urdf", ("j1", "j2", "j3", "finger"))
     described = parse_arm(text)

@@ -46,7 +46,14 @@ def test_clients_that_never_read_hold_up_nothing_and_fill_nothing(session):
     port = session.server.get_port()
     protocol = f"viser-v{viser.__version__}"
     stuck = [
-        sync.connect(f"ws://127.0.0.1:{port}", subprotocols=[protocol], max_queue=1, compression=None) for _ in range(3)
+        sync.connect(
+            f"ws://127.0.0.1:{port}",
+            origin=f"http://127.0.0.1:{port}",
+            subprotocols=[protocol],
+            max_queue=1,
+            compression=None,
+        )
+        for _ in range(3)
     ]
     waiting = session.server._websock_server._broadcast_buffer.message_from_id
     began_s = session.snapshot.time_s

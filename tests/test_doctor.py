@@ -110,14 +110,14 @@ def test_friction_that_holds_the_arm_has_no_sign_of_gravity(six):
     assert "effort-sign" not in {f.code for f in examine(held).findings}
 
 
-def test_presliding_state_is_the_stop_operator_sample_by_sample():
+def test_presliding_states_are_stop_operators_sample_by_sample():
     rng = np.random.default_rng(0)
     q = np.cumsum(rng.normal(size=(300, 2)), axis=0) * 1e-3
-    z, slow = np.zeros(2), np.zeros((300, 2))
+    low, high, slow = np.full(2, -2e-3), np.full(2, 2e-3), np.zeros((300, 2))
     for k in range(1, 300):
-        z = np.clip(z + q[k] - q[k - 1], -2e-3, 2e-3)
-        slow[k] = z / 2e-3
-    assert presliding(q, 2e-3, 100.0) == pytest.approx(slow, abs=1e-12)  # rounding
+        low, high = (np.clip(z + q[k] - q[k - 1], -2e-3, 2e-3) for z in (low, high))
+        slow[k] = (low + high) / 2 / 2e-3
+    assert presliding(q, (2e-3, 5e-3), 100.0)[..., 0] == pytest.approx(slow, abs=1e-12)  # rounding
 
 
 def test_contact_that_nobody_labelled_is_told_with_time_joint_and_torque(six):

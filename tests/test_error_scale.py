@@ -141,11 +141,18 @@ def test_a_reserve_of_friction_is_added_at_every_speed(tmp_path, monkeypatch):
     r = motion(seconds=20.0, seed=9)
     before, after = (_core.estimate(b, r.t_ns, r.q, r.dq, r.tau, 1) for b in (bundle, more))
     scale = _core.Bundle.from_bytes(bundle.to_bytes()).error_scale
-    speed = _core.motion_features(bundle, r.t_ns, r.q, r.dq, r.tau, np.arange(r.samples))[
-        :, :, scale.features.index(_core.MotionFeature.speed)
-    ]
-    sliding = (before["near_stiction"] == 0) & (before["doubt"] == 0) & np.isfinite(before["limit_nm"])
-    sliding &= before["limit_scale"] < np.array(scale.largest)
+    motion_of_r = (r.t_ns, r.dq, *(before[name] for name in ("near_stiction", "entered", "restarted")))
+    said = _core.motion_errors(bundle, *motion_of_r, np.arange(r.samples))
+    speed = said["features"][:, :, scale.features.index(_core.MotionFeature.speed)]
+    # The chain itself multiplies by the same, and adds what doubt and unfamiliar motion do.
+    certain = (before["doubt"] < 1e-20) & np.isfinite(before["sigma_nm"])
+    assert certain.sum() > 1000
+    np.testing.assert_allclose(said["sigma_nm"][certain], before["sigma_nm"][certain], rtol=1e-15)
+    widened = said["scale"] * (1 + 0.5 * before["unfamiliar"][:, None])
+    np.testing.assert_allclose(widened[certain], before["limit_scale"][certain], rtol=1e-15)
+    sliding = (before["near_stiction"] == 0) & (before["doubt"] < 1e-15) & np.isfinite(before["limit_nm"])
+    sliding &= (said["scale"] < np.array(scale.largest)) & (before["unfamiliar"] == 0)[:, None]
+    assert sliding.sum() > 300
     added = after["limit_nm"] - before["limit_nm"]
     np.testing.assert_allclose(added[sliding], (0.1 * (at_rest + per_speed * speed))[sliding], rtol=1e-9)
 
@@ -194,7 +201,9 @@ def test_every_feature_has_a_place_in_the_fit():
 def test_calibrate_keeps_the_scale_or_fits_it_to_recordings_apart_from_those_of_the_limits(tmp_path, monkeypatch):
     bundle, _ = trained(tmp_path, monkeypatch, [motion(seconds=60.0)], recipe="prior")
     recordings = [motion(seconds=60.0, seed=seed, name=f"day{seed}") for seed in range(10)]
-    dataset = SimpleNamespace(folder=tmp_path, loaders=lambda part: [lambda r=r: r for r in recordings])
+    dataset = SimpleNamespace(
+        folder=tmp_path, loaders=lambda part: [lambda r=r: r for r in recordings], files=lambda part: []
+    )
     made = {}
     for refit in (False, True):
         out = tmp_path / f"{refit}.tauext"

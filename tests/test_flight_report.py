@@ -236,7 +236,7 @@ def test_what_is_no_flight_or_whose_files_do_not_belong_together_is_refused(coll
     with pytest.raises(RecordingError, match="it is of another flight"):
         write_flight_report(tmp_path / "alone.parquet", tmp_path / "out")
     (tmp_path / "file").touch()
-    with pytest.raises(ConfigError, match="the report cannot be written"):
+    with pytest.raises(ConfigError, match="is no folder; choose another place"):
         write_flight_report(collision, tmp_path / "file")
 
 

@@ -145,9 +145,19 @@ def test_where_every_source_has_contacts_the_end_is_kept_whole_for_collisions(wo
 
 
 def test_training_takes_what_an_import_wrote(workplace, capsys):
-    assert run(capsys, workplace)[0] == 0
+    """The bags' torque is none of this arm's, which both say."""
+    code, out, err = run(capsys, workplace)
+    assert code == 0 and out.splitlines()[-1] == str(workplace / "out")
+    for words in (
+        "out: 2 faults, which `tauext train` refuses",
+        "effort-external (joints shoulder, elbow)",
+        "tauext check",
+    ):
+        assert words in err
     bundle = workplace / "prior.tauext"
-    assert main(["train", "--data", str(workplace / "out"), "--recipe", "prior", "--out", str(bundle)]) == 0
+    train = ["train", "--data", str(workplace / "out"), "--recipe", "prior", "--out", str(bundle)]
+    assert main(train) == 2 and not bundle.exists()
+    assert main([*train, "--accept", "effort-external"]) == 0
     assert bundle.exists()
 
 
@@ -175,7 +185,9 @@ def test_a_dataset_without_a_model_is_trained_without_one_and_goes_through_every
     assert main([*evaluate, "--bundles", str(bundle), "--baselines", "--methods", "observer"]) == 0
     report = ["report", "--results", str(results), "--data", str(out), "--out", str(workplace / "report")]
     assert main(report) == 0
-    with_robot = [*train, "--robot", str(workplace / "arm.urdf"), "--case", "mass"]
+    # The made torques know nothing of that model.
+    accept = ["--accept", "effort-external"]
+    with_robot = [*train, "--robot", str(workplace / "arm.urdf"), "--case", "mass", *accept]
     assert main(with_robot) == 0  # a model given beside the dataset is one
 
 
@@ -260,6 +272,33 @@ def test_an_import_that_fails_leaves_nothing_and_a_full_folder_is_refused(workpl
     assert code == 2 and "is not empty" in err
 
 
+WRONG_INTERVALS = {
+    "no such file": ('"tow.bag" = [[5, 6]]', "'tow.bag' is none of the sources: one.bag, two.bag, three.bag"),
+    "begins behind the end": (
+        '"two.bag" = [[31, 31.5]]',
+        "'two.bag' = [31, 31.5] must lie within the recording, 0 to 30 s",
+    ),
+    "ends behind the end": (
+        '"three.bag" = [[2, 3], [4, 60]]',
+        "'three.bag' = [4, 60] must lie within the recording, 0 to 40",
+    ),
+    "begins before it": ('"one.bag" = [[-1, 2]]', "'one.bag' = [-1, 2] must lie within the recording, 0 to 20 s"),
+}
+
+
+@pytest.mark.parametrize("fault", WRONG_INTERVALS)
+def test_a_contact_that_is_in_no_recording_is_refused_and_nothing_is_left(fault, workplace, capsys):
+    """Its motion would be trained on as free."""
+    interval, words = WRONG_INTERVALS[fault]
+    code, _, err = run(capsys, workplace, f"[contact.intervals]\n{interval}")
+    assert code == 2 and words in err and len(err.splitlines()) == 1
+    assert not [p for p in workplace.iterdir() if p.name.startswith("out")]
+
+
+def test_a_contact_may_end_a_little_after_its_recording(workplace, capsys):
+    assert run(capsys, workplace, '[contact.intervals]\n"two.bag" = [[28, 30.5]]')[0] == 0
+
+
 def test_new_writes_a_description_that_imports_as_it_is(workplace, capsys):
     new = workplace / "new.toml"
     arguments = ["--source", str(workplace / "one.bag"), "--robot", str(workplace / "arm.urdf")]
@@ -311,3 +350,18 @@ def test_a_recording_without_contacts_is_its_own_free_stretch(workplace, capsys)
     run(capsys, workplace)
     recording = load_recording(workplace / "out/two-train.parquet")
     assert free_stretches(recording, 0.5, 1.0, 2.0) == [recording]
+
+
+def test_an_array_of_hdf5_that_is_too_short_is_named_with_its_length(workplace, capsys):
+    import h5py
+
+    _, q, dq, tau = motion(joints=2)
+    with h5py.File(workplace / "run.h5", "w") as file:
+        for name, values in {"position": q, "velocity": dq, "effort": tau[:-7]}.items():
+            file[name] = values
+    (workplace / "arm.toml").write_text(ARM.format(rest="", robot=""))
+    options = ("--arm", str(workplace / "arm.toml"), "--out", str(workplace / "out"))
+    assert main(["import", "--source", str(workplace / "run.h5"), *options]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "arrays of another length than 400 left out: effort (393)" in line
+    assert not (workplace / "out").exists()

@@ -7,7 +7,18 @@ import pytest
 
 SOURCE = Path(__file__).parent.parent / "src" / "tauext"
 EVERYTHING = {"*"}
-OPEN = {"errors", "config", "recipes", "progress", "provenance", "whole_file"}
+OPEN = {
+    "errors",
+    "config",
+    "recipes",
+    "progress",
+    "provenance",
+    "whole_file",
+    "plain_file",
+    "room",
+    "half_done",
+    "caching",
+}
 """Standard library only, and the version: open to all."""
 STAGES = {"robot", "data", "rig", "learn", "calibrate", "train", "evaluate", "report"}
 # folder or module, or one file of a folder: (ours beside OPEN, outside libraries); only `__main__` imports `cli`.
@@ -18,6 +29,10 @@ TABLE = {
     "progress": (set(), set()),
     "provenance": ({"_core"}, set()),
     "whole_file": (set(), set()),
+    "half_done": (set(), set()),
+    "caching": (set(), set()),
+    "plain_file": (set(), set()),
+    "room": (set(), set()),
     "robot": ({"_core"}, {"numpy", "mujoco"}),
     "data": ({"_core"}, {"numpy", "pyarrow"}),
     "data/importers/ros1": (set(), {"rosbags"}),
@@ -27,9 +42,10 @@ TABLE = {
     "rig": ({"robot", "data"}, {"numpy", "mujoco"}),
     "learn": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
     "learn/torch_backend": ({"_core"}, {"numpy", "torch"}),
-    "train": ({"_core", "learn", "calibrate", "robot", "data"}, {"numpy"}),
-    "calibrate": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
+    "train": ({"_core", "learn", "calibrate", "look", "robot", "data"}, {"numpy"}),
+    "calibrate": ({"_core", "look", "robot", "data"}, {"numpy", "scipy"}),
     "doctor": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
+    "look": ({"doctor", "data"}, {"numpy"}),
     "doctor/picture": ({"report"}, {"numpy", "matplotlib"}),
     "evaluate": ({"_core", "robot", "data", "calibrate"}, {"numpy"}),
     "report": ({"data"}, {"numpy", "matplotlib", "jinja2"}),

@@ -228,7 +228,7 @@ def test_hdf5_arrays_may_lie_either_way(tmp_path, across):
         file["arm/time"], file["arm/q"], file["gains"] = table()["time"], both.T if across else both, np.ones(7)
     source, streams = read(path)
     np.testing.assert_array_equal(streams[""][1]["arm/q[1]"], table()["q1"])
-    assert source.notes == ["arrays of another length than 50 left out: gains"]
+    assert source.notes == ["arrays of another length than 50 left out: gains (7)"]
 
 
 def test_matlab_structs_of_version_5_and_7_3_come_alike(tmp_path):

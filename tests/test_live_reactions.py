@@ -32,6 +32,7 @@ from tauext.live.reaction_file import TEMPLATE
 from tauext.live.reaction_process import HELPER, ReactionFailed, ReactionProcess, content_of
 
 FACTS = {"joints": list(JOINTS), "tau_ext_nm": [1.5, None], "limit_nm": [2.0, 3.0], "health": "ok", "causes": []}
+FACTS["contact_limit_nm"] = [1.0, 1.5]
 
 
 def event(kind="collision", joint="shoulder", t_ns=7, received_ns=None) -> Event:
@@ -174,6 +175,8 @@ def test_a_command_gets_the_facts_in_its_environment_and_on_stdin(tmp_path):
     assert {k: environment[f"TAUEXT_{k}"] for k in expected} == expected
     assert environment["TAUEXT_CAUSES"] == "" and environment["TAUEXT_T_NS"] == "123"
     assert content_of(event(joint="elbow"))["environment"]["TAUEXT_TAU_EXT_NM"] == ""  # there is no number
+    limits = [content_of(event(kind))["environment"]["TAUEXT_LIMIT_NM"] for kind in ("collision", "contact")]
+    assert limits == ["2", "1"]
 
 
 def test_functions_that_fail_hang_or_end_their_process_find_a_new_one(module):

@@ -53,6 +53,43 @@ def test_the_promised_rate_is_kept_on_recordings_that_were_not_calibrated_on():
     json.dumps(found.facts(), allow_nan=False)
 
 
+def pushed(seed: int, at_s: float = 41.3, labelled: bool = False) -> Recording:
+    """A noisy recording with 0.2 s of a push of 60 Nm."""
+    made = noisy(seed)
+    push = (made.time_s >= at_s) & (made.time_s < at_s + 0.2)
+    contact = push.astype(np.int8) if labelled else None
+    return replace(made, tau=made.tau - 60.0 * push[:, None], contact=contact)
+
+
+WAYS = {
+    "promised by hours": (BUDGET, {}),
+    "supported by minutes": (AlarmConfig(), {"level_confidence": 0.5, "at_most_seen": True}),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_moment_that_sets_a_limit_is_named_with_the_limit_without_it(way):
+    """The limit without it is that of the same recordings with the push labelled, which leaves it out."""
+    bundle, (alarm, settings) = observer(), WAYS[way]
+
+    def limits(third: Recording, *others: Recording):
+        recordings = [noisy(1), noisy(2), third, noisy(4), noisy(5), *others]
+        return promised_limits(bundle, lambda: recordings, alarm, 1, **settings)
+
+    carried, labelled = limits(pushed(3)), limits(pushed(3, labelled=True))
+    (moment,) = carried.moments
+    assert (moment.joint, moment.recording) == ("slide", "noisy-3") and 41.3 <= moment.time_s <= 41.6
+    r = ("sliding", "near_stiction").index(moment.region)
+    of_region = [(found.collision.sliding_nm, found.collision.near_stiction_nm)[r][0] for found in (carried, labelled)]
+    assert moment.limit_nm == of_region[0] > 20  # the push less what K0 hides of 0.2 s
+    # 1.2 s of 5 minutes fewer peaks, and the hold time may differ
+    assert moment.without_nm == pytest.approx(of_region[1], rel=0.1)
+    assert f"{moment.limit_nm:.3g} Nm; without it {moment.without_nm:.3g} Nm" in moment.sentence()
+    assert carried.facts()["one_moment"] == [moment.facts()]
+    assert not limits(noisy(3)).moments and "one_moment" not in limits(noisy(3)).facts()
+    assert not limits(pushed(3), pushed(6, at_s=20.0), pushed(7, at_s=33.0)).moments  # an event that comes again
+
+
 def test_contacts_keep_their_rate_where_collisions_take_a_hold_time():
     """The direct residual of white torque: a few milliseconds lower its limits many times."""
     bundle = observer("direct")

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from made_results import SEVEN_BUNDLES, make_results
 
+from tauext.data import fingerprint, load_recording, save_recording
 from tauext.errors import ConfigError, RecordingError, TauextError
 from tauext.report import paper, write_report
 from tauext.report.after_contact import draw_after_contact
@@ -24,7 +25,7 @@ from tauext.report.learning_curves import draw_learning_curves
 from tauext.report.methods_table import methods
 from tauext.report.missed_curve import draw_missed_curve
 from tauext.report.naming import bundle_label
-from tauext.report.page import PageFigure, render_page
+from tauext.report.page import PageFigure, render_page, tile
 from tauext.report.results_file import load_results
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.strength import draw_strength
@@ -112,6 +113,28 @@ def test_the_same_results_give_the_same_bytes_and_no_file_is_left_over(made, wri
     assert not list(folder.rglob("*.part")) and not list(tmp_path.rglob("*.part"))
 
 
+def test_another_dataset_than_the_one_that_was_evaluated_is_refused(copied, tmp_path):
+    """As `tauext simulate` with another seed makes it: the same names, other recordings."""
+    results, data = copied
+    names = ("collisions-000", "free-000")
+
+    def keep_fingerprints(content):
+        content["provenance"] |= {"recordings": {name: fingerprint(data / f"{name}.parquet") for name in names}}
+
+    change(results, keep_fingerprints)
+    assert write_report(results, data, tmp_path / "report", page_mb=0).is_file()
+    other = shutil.copytree(data, tmp_path / "other")
+    recording = load_recording(other / "free-000.parquet")
+    save_recording(replace(recording, tau=1.001 * recording.tau), other / "free-000.parquet")
+    with pytest.raises(ConfigError, match="other: it is another dataset .* free-000 are not those that were evaluated"):
+        write_report(results, other, tmp_path / "none")
+    for name in names:
+        (other / f"{name}.parquet").unlink()
+    with pytest.raises(ConfigError, match="collisions-000, free-000 are not in it"):
+        write_report(results, other, tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+
+
 def test_a_report_of_seven_joints_and_bundles_of_other_names_is_drawn(tmp_path):
     folders = make_results(tmp_path, joints=7, bundles=("mine", "exact"), seconds=20, scale=None)
     page = write_report(*folders, tmp_path / "report").read_text()
@@ -144,8 +167,17 @@ def test_ours_stand_beside_the_papers(made):
     assert f"joint1 {ours.l1_nm[0]:.3f} 0.402 {ours.l2_nm[0]:.3f} 0.661 {ours.mse_nm2[0]:.3f} 0.435 189,000" in page
     assert f"{ours.limit_sliding_nm[0]:.2f} 4.62" in page
     assert "0.418" in page and "1.344" in page
-    assert f"{ours.false_alarms} false alarms in {ours.hours:.2f} h" in page
-    assert f"{ours.ten_found} of {len(load_results(made[0]).ten)}" in page
+    false, latched = ours.measured.false_collisions.count, ours.measured.latched
+    assert f"{false:,} false collision{'' if false == 1 else 's'} in {ours.hours:.2f} h" in page
+    assert f"exact {latched.strong_latched} of {latched.strong} strong collisions raised an alarm" in page
+
+
+def test_cards_count_as_the_table_of_methods_does(made):
+    results = load_results(made[0])
+    rows = {row.bundle: row.cells for row in methods(results).rows if row.bundle}
+    for bundle in results.bundles:
+        card, cells = tile(bundle, results, "#000000"), rows[bundle.name]
+        assert card.found == cells[-3] and card.false_alarms.startswith(f"{cells[1]} false collision")
 
 
 def test_kept_results_of_format_two_are_read(tmp_path):
@@ -195,15 +227,16 @@ def test_numbers_that_do_not_exist_are_dashes(copied):
             bundle["free_motion"][key] = [None, 0.5]
         for key in ("hours", "false_alarms", "false_alarms_per_hour", "l2_nm", "observer_peak_nm"):
             bundle["free_motion"][key] = None
-        for key in ("steps", "epochs", "limits", "ten_found"):
+        for key in ("steps", "epochs", "limits", "ten_found", "latched"):
             del bundle[key]
+        del bundle["free_motion"]["false_collisions"]
         bundle["collisions"] = []
         content["provenance"] = {}
 
     change(copied[0], edit)
     page = words_of(page_of(copied[0]))
     assert "exact joint1 – 0.402 – 0.661" in page
-    assert "false alarms: not available" in page
+    assert "false collisions: not available" in page
     assert "exact none tried" in page
 
 
@@ -554,7 +587,7 @@ def test_missing_results_and_an_unwritable_folder_are_refused(made, tmp_path):
     with pytest.raises(ConfigError, match="there are no such results; `tauext evaluate` writes them"):
         write_report(tmp_path, tmp_path, tmp_path / "report")
     (tmp_path / "file").touch()
-    with pytest.raises(TauextError, match="the report cannot be written"):
+    with pytest.raises(TauextError, match="is no folder; choose another place"):
         write_report(*made, tmp_path / "file")
 
 

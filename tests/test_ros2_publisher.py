@@ -84,6 +84,7 @@ def verdict(
     said = {
         "tau_ext": np.array([tau_ext]),
         "limit_nm": np.array([[5.0, 6.0]]),
+        "contact_limit_nm": np.array([[2.5, 3.0]]),
         "sigma_nm": np.array([[0.25, np.nan]]),
         "margin_nm": np.array([[5.0, 6.0]]) - np.abs([tau_ext]),
         "health": np.array([health]),
@@ -212,6 +213,7 @@ def test_diagnostics_of_the_arm(talking, peer, space, said, level, message):
     assert (
         values["margin_nm elbow"] == "4" and values["limit_nm shoulder"] == "5" and values["tau_ext_nm elbow"] == "-2"
     )
+    assert (values["contact_limit_nm shoulder"], values["contact_limit_nm elbow"]) == ("2.5", "3")
     assert (values["sigma_nm shoulder"], values["sigma_nm elbow"]) == ("0.25", "-")
     assert ("cause: gap" in values) == ("gap" in message)
 

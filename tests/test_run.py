@@ -36,7 +36,7 @@ from tauext.monitor.explanation import explain
 from tauext.monitor.flight_content import event_kind, flight_rate_hz, rows_kept
 from tauext.monitor.replay import chunk_rows
 
-CAUSES = 9
+CAUSES = 12
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,8 @@ def slow_changes(bundle, samples, acknowledge_after_s=None) -> list[tuple]:
             changes.append((row, t_ns, said.health.name, health, said.causes, said.cause_joint))
         if said.alarm.name != alarm:
             raised = ALARMS.index(said.alarm.name) > ALARMS.index(alarm)
-            values = (said.tau_ext[said.alarm_joint], said.limit_nm[said.alarm_joint]) if raised else ()
+            limits = said.contact_limit_nm if said.alarm.name == "contact" else said.limit_nm
+            values = (said.tau_ext[said.alarm_joint], limits[said.alarm_joint]) if raised else ()
             changes.append((row, t_ns, said.alarm.name, alarm, said.alarm_joint if raised else -1, *values))
         health, causes, alarm = said.health.name, said.causes, said.alarm.name
         raised_ns = said.alarm_t_ns if alarm == "collision" else None
@@ -303,6 +304,38 @@ def test_a_contact_is_explained_with_its_own_limit_and_only_where_asked_for(bund
     assert f"{abs(said['tau_ext'][k, joint]) - limit:.3f} Nm over its contact limit of {limit:.3f} Nm" in text
 
 
+def test_a_contact_is_told_with_its_own_limit_in_lines_and_json(bundle, tmp_path, capsys):
+    soft = pushed(pushes=((2.0, 1, 1.3 * LIMIT_NM / 2),), length_s=1.0)
+    bundle.save(str(tmp_path / "watching.tauext"))
+    save_recording(soft, tmp_path / "soft.parquet")
+    said = _core.Monitor(bundle).run(soft.t_ns, soft.q, soft.dq, soft.tau)
+    k = int(np.flatnonzero(said["alarm"] == 1)[0])
+    joint = int(said["alarm_joint"][k])
+    limit = LIMIT_NM / 2 * (1.5 if said["near_stiction"][k, joint] else 1.0)
+    assert said["contact_limit_nm"][k, joint] == limit
+    _, out, _ = run(capsys, tmp_path / "watching.tauext", tmp_path / "soft.parquet")
+    (told,) = [line for line in out.splitlines() if "CONTACT" in line]
+    assert "contact limit" in told and told.endswith(f" {limit:.2f} Nm")
+    _, out, _ = run(capsys, tmp_path / "watching.tauext", tmp_path / "soft.parquet", "--json")
+    events = [json.loads(line) for line in out.splitlines()]
+    (alarm,) = [one for one in events if one["event"] == "alarm" and one["alarm"] == "contact"]
+    assert alarm["limit_nm"] == limit < abs(alarm["tau_ext_nm"])
+    assert events[0]["estimate_units"] == ["N m", "N m"]
+
+
+def test_answers_are_told_in_the_bundle_s_own_units(tmp_path, capsys):
+    """An arm recorded in amperes, whose torque constants nobody knows."""
+    other = watching_bundle()
+    other.units = _core.TorqueUnits(given=_core.TorqueUnit.ampere)
+    assert other.estimate_units == ["A", "A"]
+    other.save(str(tmp_path / "other.tauext"))
+    save_recording(pushed(), tmp_path / "pushed.parquet")
+    _, out, _ = run(capsys, tmp_path / "other.tauext", tmp_path / "pushed.parquet", "--flights", tmp_path / "flights")
+    assert " Nm" not in out and " A, collision limit" in out
+    (text,) = (path.read_text() for path in (tmp_path / "flights").glob("*.txt"))
+    assert " Nm" not in text and " A over its collision limit" in text
+
+
 def test_a_limit_that_moves_is_told_with_the_standard_error(bundle, tmp_path, capsys):
     moving, recording = with_error_scale(watching_bundle()), pushed()
     moving.save(str(tmp_path / "moving.tauext"))
@@ -320,7 +353,7 @@ def test_a_limit_that_moves_is_told_with_the_standard_error(bundle, tmp_path, ca
     estimates = load_estimates(one.path.with_name(f"{one.path.stem}.estimates.parquet"))
     np.testing.assert_array_equal(estimates.sigma_nm, said["sigma_nm"][k - 1000 : k + 501].astype(np.float32))
     _, out, _ = run(capsys, tmp_path / "moving.tauext", tmp_path / "pushed.parquet")
-    assert f"|tau_ext| {size:.2f} Nm (standard error {sigma:.2f} Nm), limit {limit:.2f} Nm" in out
+    assert f"|tau_ext| {size:.2f} Nm (standard error {sigma:.2f} Nm), collision limit {limit:.2f} Nm" in out
     _, out, _ = run(capsys, tmp_path / "moving.tauext", tmp_path / "pushed.parquet", "--json", "--status-hz", 1)
     events = [json.loads(line) for line in out.splitlines()]
     (raised,) = (e for e in events if e["event"] == "alarm" and e["alarm"] == "collision")
@@ -527,7 +560,7 @@ def test_the_command_tells_events_and_a_summary_in_lines(place, capsys):
     told = [line for line in lines if "COLLISION" in line]
     assert len(told) == len(raised) == 2
     for line, (row, _, _, _, joint, tau_ext, limit) in zip(told, raised, strict=True):
-        words = f"COLLISION {JOINTS[joint]}: |tau_ext| {abs(tau_ext):.2f} Nm, limit {limit:.2f} Nm"
+        words = f"COLLISION {JOINTS[joint]}: |tau_ext| {abs(tau_ext):.2f} Nm, collision limit {limit:.2f} Nm"
         assert line == f"{row * 1e-3:11.3f} s  {words}"
     assert "samples       6,000" in out and "collision shoulder 1, elbow 1" in out and "worst margin  shoulder -" in out
     assert "flights" not in out and "stood from" not in out

@@ -79,6 +79,7 @@ FAULTS = {
     "name in two sets": ({"validation": [NAMES[0]], "train": [NAMES[0]], "test": []}, "in 'train' and in 'validation'"),
     "missing recording": ({"test": ["gone.parquet"]}, "'gone.parquet' in 'test' does not exist in"),
     "missing set": ({"train": None}, "'train' must be a list of file names; the sets are train, validation"),
+    "misspelt set": ({"colisions": []}, "'colisions' is no set; the sets are train, validation, test, collisions, cal"),
     "text for a list": ({"test": "a"}, "'test' must be a list of file names"),
     "number for a name": ({"collisions": [3]}, "3 in 'collisions' must be a file name"),
     "newer": ({"format": 2}, "its format is 2, this version reads 1"),

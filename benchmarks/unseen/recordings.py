@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -46,10 +47,11 @@ TAKES = (
 )
 
 
-def write_take(maker: Maker, seed: int, number: int, folder: Path) -> None:
-    """Simulate TAKES[number] of the arm that `seed` drew, and write NAME.csv and NAME.truth.json."""
+def write_take(maker: Maker, seed: int, number: int, folder: Path, takes: Sequence[Take] = ()) -> None:
+    """Simulate takes[number], of TAKES where none are given, of the arm that `seed` drew, and write NAME.csv and
+    NAME.truth.json."""
     arm = true_arm(maker, maker.random(seed, 0))
-    take, rng = TAKES[number], maker.random(seed, 1 + number)
+    take, rng = (takes or TAKES)[number], maker.random(seed, 1 + number)
     samples = round(take.minutes * 60 * RATE_HZ)
     contacts = draw_contacts(take.contacts, take.minutes * 60, len(maker.joints), rng)
     setpoints = draw_motion(maker, samples, RATE_HZ, rng)
@@ -67,15 +69,17 @@ def write_take(maker: Maker, seed: int, number: int, folder: Path) -> None:
     )
 
 
-def description(maker: Maker, seed: int, model: bool) -> str:
+def description(maker: Maker, seed: int, model: bool, takes: Sequence[Take] = ()) -> str:
     """The text of arm.toml as its integrator would write it, torque constants off by up to 10 % or unknown.
 
     Args:
         model: whether the maker gave a URDF.
+        takes: none: TAKES.
     """
+    takes = takes or TAKES
     constants = told_constants(maker, seed, model)
     numbers = ", ".join(f'"{number}"' for number in range(1, len(maker.joints) + 1))
-    by_part = {part: [f"{t.name}.csv" for t in TAKES if t.part == part] for part in ("train", "test", "collisions")}
+    by_part = {part: [f"{t.name}.csv" for t in takes if t.part == part] for part in ("train", "test", "collisions")}
     return f"""\
 [robot]
 model = {json.dumps(str(maker.model.resolve()) if model else "")}

@@ -4,11 +4,14 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <limits>
+
 #include "arrays.hpp"
 #include "lstm_gradient.hpp"
 #include "tauext/bundle.hpp"
 #include "tauext/estimates.hpp"
 #include "tauext/observation.hpp"
+#include "tauext/presliding.hpp"
 
 namespace nb = nanobind;
 using namespace tauext;
@@ -226,6 +229,55 @@ void bind_observer(nb::module_& m) {
       nb::arg("tree"), nb::arg("settings"), nb::arg("prior"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"),
       nb::arg("tau"), nb::arg("samples"), "The prior's terms, each filtered as the observer filters: (samples, terms).");
   m.def(
+      "presliding_states",
+      [](const Array<double, 2>& q, const std::vector<double>& widths) {
+        const std::size_t n = q.shape(1);
+        Presliding bank(static_cast<int>(n), widths);
+        std::vector<double> out(q.shape(0) * n * widths.size());
+        const std::size_t columns = n * widths.size();
+        {
+          nb::gil_scoped_release released;
+          for (std::size_t k = 0; k < q.shape(0); ++k) {
+            bank.step({q.data() + k * n, n});
+            bank.write({out.data() + k * columns, columns});
+          }
+        }
+        return to_numpy(std::move(out), {q.shape(0), n, widths.size()});
+      },
+      nb::arg("q"), nb::arg("widths"),
+      "Stop operators on finite positions (samples, joints), widths rising: states in -1 to 1, (samples, joints, widths).");
+  m.def(
+      "impossible_samples",
+      [](const ObserverSettings& settings, const std::vector<double>& torque_nm, const std::vector<double>& speed_rad_s,
+         const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
+         const Array<double, 2>& tau) {
+        const RecordingView recording = view(t_ns, q, dq, tau);
+        std::vector<ImpossibleSample> found;
+        {
+          nb::gil_scoped_release released;
+          // Drives at their limit and encoders that stand still are possible.
+          const std::vector<double> any(q.shape(1), std::numeric_limits<double>::infinity());
+          const std::vector<double> least(q.shape(1), std::numeric_limits<double>::min());
+          found = impossible_samples(settings, {any, least, torque_nm, speed_rad_s}, recording);
+        }
+        std::vector<std::int64_t> samples;
+        std::vector<std::uint32_t> causes;
+        std::vector<std::int8_t> joints;
+        for (const ImpossibleSample& one : found) {
+          samples.push_back(one.sample);
+          causes.push_back(one.found.cause);
+          joints.push_back(static_cast<std::int8_t>(one.found.joint));
+        }
+        ArrayDict out;
+        out["sample"] = to_numpy(std::move(samples), {found.size()});
+        out["cause"] = to_numpy(std::move(causes), {found.size()});
+        out["joint"] = to_numpy(std::move(joints), {found.size()});
+        return out;
+      },
+      nb::arg("settings"), nb::arg("possible_torque_nm"), nb::arg("possible_speed_rad_s"), nb::arg("t_ns"), nb::arg("q"),
+      nb::arg("dq"), nb::arg("tau"),
+      "Samples that a monitor refuses whose bundle has these ranges: sample, cause (a bit) and the first joint that shows it.");
+  m.def(
       "feature_rows",
       [](const Observation& observation, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q,
          const Array<double, 2>& dq, const Array<double, 2>& tau, const Array<float, 1>& factors) {
@@ -376,6 +428,12 @@ void bind_bundle(nb::module_& m) {
           "largest_torque_nm", [](const Bundle& b) { return b.signals.largest_torque_nm; },
           [](Bundle& b, std::vector<double> v) { b.signals.largest_torque_nm = std::move(v); })
       .def_prop_rw(
+          "possible_torque_nm", [](const Bundle& b) { return b.signals.possible_torque_nm; },
+          [](Bundle& b, std::vector<double> v) { b.signals.possible_torque_nm = std::move(v); })
+      .def_prop_rw(
+          "possible_speed_rad_s", [](const Bundle& b) { return b.signals.possible_speed_rad_s; },
+          [](Bundle& b, std::vector<double> v) { b.signals.possible_speed_rad_s = std::move(v); })
+      .def_prop_rw(
           "region_width", [](const Bundle& b) { return b.limits.region_width; },
           [](Bundle& b, int v) { b.limits.region_width = v; })
       .def_prop_rw(
@@ -472,30 +530,44 @@ void bind_bundle(nb::module_& m) {
         out["alarm"] = to_numpy(std::move(e.alarm), {N});
         out["alarm_joint"] = to_numpy(std::move(e.alarm_joint), {N});
         out["held_alarm"] = to_numpy(std::move(e.held_alarm), {N});
+        out["entered"] = to_numpy(std::move(e.entered), {N});
+        out["restarted"] = to_numpy(std::move(e.restarted), {N});
         return out;
       },
       nb::arg("bundle"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("threads"),
       "The whole chain on a recording, as run() of a new Monitor says it; see estimates.hpp.");
   m.def(
-      "motion_features",
-      [](const Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
-         const Array<double, 2>& tau, const Array<std::int64_t, 1>& samples) {
-        const RecordingView recording = view(t_ns, q, dq, tau);
-        std::vector<double> values;
+      "motion_errors",
+      [](const Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& dq,
+         const Array<std::uint8_t, 2>& near_stiction, const Array<std::uint8_t, 1>& entered,
+         const Array<std::uint8_t, 1>& restarted, const Array<std::int64_t, 1>& rows) {
+        const std::size_t samples = dq.shape(0) * dq.shape(1), near = near_stiction.shape(0) * near_stiction.shape(1);
+        MotionErrors e;
         {
           nb::gil_scoped_release released;
-          values = motion_features(b, recording, span_of(samples));
+          e = motion_errors(b,
+                            {span_of(t_ns), {dq.data(), samples}, {near_stiction.data(), near}, span_of(entered),
+                             span_of(restarted)},
+                            span_of(rows));
         }
-        return to_numpy(std::move(values), {samples.shape(0), q.shape(1), b.error_scale.features.size()});
+        const std::size_t N = rows.shape(0), n = dq.shape(1);
+        ArrayDict out;
+        out["features"] = to_numpy(std::move(e.features), {N, n, b.error_scale.features.size()});
+        out["scale"] = to_numpy(std::move(e.scale), {N, n});
+        out["sigma_nm"] = to_numpy(std::move(e.sigma_nm), {N, n});
+        return out;
       },
-      nb::arg("bundle"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("samples"),
-      "Features of the bundle's error scale at these samples, (samples, joints, features); see estimates.hpp.");
+      nb::arg("bundle"), nb::arg("t_ns"), nb::arg("dq"), nb::arg("near_stiction"), nb::arg("entered"),
+      nb::arg("restarted"), nb::arg("rows"),
+      "Features, scale and standard error of the bundle's error scale at these rows of a motion; see estimates.hpp.");
 }
 
 }  // namespace
 
 NB_MODULE(_core, m) {
   m.attr("__version__") = TAUEXT_VERSION;
+  m.attr("BUNDLE_FORMAT") = kBundleMajor;
+  m.attr("OLDEST_BUNDLE_FORMAT") = kOldestBundleMajor;
   m.attr("MAX_JOINTS") = kMaxJoints;
   nb::exception<Error>(m, "CoreError", nb::module_::import_("tauext.errors").attr("TauextError"));
   bind_tree(m);

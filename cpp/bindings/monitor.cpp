@@ -96,7 +96,7 @@ class Columns {
     const char* name;
     JointVector Estimate::*values;
   };
-  static constexpr std::array<Torque, 11> kTorques{{{"residual", &Estimate::residual},
+  static constexpr std::array<Torque, 12> kTorques{{{"residual", &Estimate::residual},
                                                    {"prior", &Estimate::prior},
                                                    {"network", &Estimate::network},
                                                    {"drift", &Estimate::drift},
@@ -106,6 +106,7 @@ class Columns {
                                                    {"sigma_nm", &Estimate::sigma_nm},
                                                    {"limit_scale", &Estimate::limit_scale},
                                                    {"limit_nm", &Estimate::limit_nm},
+                                                   {"contact_limit_nm", &Estimate::contact_limit_nm},
                                                    {"margin_nm", &Estimate::margin_nm}}};
   std::size_t joints_;
   std::array<std::vector<double>, kTorques.size()> torques_;
@@ -168,6 +169,7 @@ std::optional<FlightDict> take(FlightRecorder& recorder, std::size_t n) {
   out["tau_ext"] = to_numpy(std::move(f.tau_ext), {N, n});
   out["sigma_nm"] = to_numpy(std::move(f.sigma_nm), {N, n});
   out["limit_nm"] = to_numpy(std::move(f.limit_nm), {N, n});
+  out["contact_limit_nm"] = to_numpy(std::move(f.contact_limit_nm), {N, n});
   out["causes"] = to_numpy(std::move(f.causes), {N});
   out["health"] = to_numpy(std::move(f.health), {N});
   out["alarm"] = to_numpy(std::move(f.alarm), {N});
@@ -186,7 +188,9 @@ void bind_estimate(nb::module_& m) {
   m.def("cause_names", &cause_names, nb::arg("causes"), "Names of the bits of `causes`.");
   nb::class_<Estimate> estimate(m, "Estimate", "What the monitor says of one sample; torques that do not exist are NaN.");
   estimate.def_ro("t_ns", &Estimate::t_ns)
-      .def_ro("health", &Estimate::health)
+      .def_ro("health", &Estimate::health,
+              "Whether the torques can be trusted. warming_up: there are none yet, and tau_ext is NaN, for about a second\n"
+              "after the start and after whatever `causes` names.")
       .def_prop_ro("causes", [](const Estimate& e) { return cause_names(e.causes); })
       .def_ro("cause_joint", &Estimate::cause_joint)
       .def_ro("alarm", &Estimate::alarm)
@@ -216,6 +220,7 @@ void bind_estimate(nb::module_& m) {
   bind_torques("sigma_nm", &Estimate::sigma_nm);
   bind_torques("limit_scale", &Estimate::limit_scale);
   bind_torques("limit_nm", &Estimate::limit_nm);
+  bind_torques("contact_limit_nm", &Estimate::contact_limit_nm);
   bind_torques("margin_nm", &Estimate::margin_nm);
 }
 

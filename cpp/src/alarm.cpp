@@ -88,7 +88,7 @@ bool AlarmStage::set_factors(std::span<const double> collision, std::span<const 
 
 bool AlarmStage::step(std::int64_t t_ns, std::span<const double> tau_ext, std::span<const double> scale,
                       std::span<const double> doubt, std::uint32_t near_stiction, bool trusted,
-                      std::span<double> limit_nm) noexcept {
+                      std::span<double> limit_nm, std::span<double> contact_limit_nm) noexcept {
   for (int j = 0; state_.pushed != 0 && j < joints_; ++j) {
     const std::uint32_t bit = std::uint32_t{1} << j;
     if (near_stiction & bit) state_.stuck_t_ns[j] = t_ns;
@@ -110,6 +110,7 @@ bool AlarmStage::step(std::int64_t t_ns, std::span<const double> tau_ext, std::s
       return over && elapsed_ns(t_ns, since_ns) >= hold_ns;
     };
     const double contact_limit = times * factors_.contact[j] * limits_.limit_nm(limits_.contact, j, near) + doubt[j];
+    contact_limit_nm[j] = contact_limit;
     const bool over = size > limit_nm[j], over_contact = size > contact_limit;
     detection = detection || over;
     touching = touching || over_contact;

@@ -20,6 +20,7 @@ constexpr char kMagic[] = {'T', 'A', 'U', 'E', 'X', 'T', '\r', '\n'};
 constexpr std::size_t kHeaderBytes = sizeof kMagic + 4 + 4 + 8 + 4;
 constexpr std::uint32_t kMinor = 0;
 constexpr std::uint32_t kConstantsMajor = 5;  // from here on torque constants are fields, before they stood in provenance:
+constexpr std::uint32_t kPossibleMajor = 7;   // from here on what is possible are fields, before it is assumed
 constexpr const char* kOldConstants = "\"torque_constants\": {";
 
 class Writer {
@@ -177,6 +178,10 @@ void fields(File& file, Bundle& b) {
   }
   field(file, b.signals.torque_limit_nm);
   field(file, b.signals.largest_torque_nm);
+  if (file.major >= kPossibleMajor) {
+    field(file, b.signals.possible_torque_nm);
+    field(file, b.signals.possible_speed_rad_s);
+  }
   field(file, b.reference.t_ns);
   field(file, b.reference.q);
   field(file, b.reference.dq);
@@ -236,6 +241,7 @@ Bundle read(std::span<const char> bytes, bool convert) {
   Reader reader(version[0], payload);
   Bundle bundle;
   fields(reader, bundle);
+  if (version[0] < kPossibleMajor) bundle.signals.assume_possible();
   if (!reader.done()) throw Error("it has contents that this version does not know");
   if (!convert && version[0] < kConstantsMajor && bundle.provenance.find(kOldConstants) != std::string::npos)
     throw Error("it is of format " + std::to_string(version[0]) +

@@ -42,7 +42,10 @@ static_assert(+TAUEXT_GAP == +tauext::kGap);
 static_assert(+TAUEXT_WRONG_RATE == +tauext::kWrongRate);
 static_assert(+TAUEXT_TORQUE_SATURATED == +tauext::kTorqueSaturated);
 static_assert(+TAUEXT_ENCODER_STILL == +tauext::kEncoderStill);
-static_assert(TAUEXT_ENCODER_STILL == 1 << (tauext::kCauseCount - 1), "a cause has been added");
+static_assert(+TAUEXT_IMPOSSIBLE_TORQUE == +tauext::kImpossibleTorque);
+static_assert(+TAUEXT_IMPOSSIBLE_VELOCITY == +tauext::kImpossibleVelocity);
+static_assert(+TAUEXT_IMPOSSIBLE_POSITION == +tauext::kImpossiblePosition);
+static_assert(TAUEXT_IMPOSSIBLE_POSITION == 1 << (tauext::kCauseCount - 1), "a cause has been added");
 
 // A caller built with a shorter tauext_estimate gets as much of it as it has room for, but never less than what says
 // whether the rest can be trusted.

@@ -113,6 +113,8 @@ void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen&
     out.unseen_other[k] = static_cast<std::int8_t>(e.unseen_other);
     out.alarm[k] = static_cast<std::uint8_t>(e.alarm);
     out.held_alarm[k] = static_cast<std::uint8_t>(e.held_alarm);
+    out.entered[k] = entered;
+    out.restarted[k] = row.restarted;
   }
 }
 
@@ -132,7 +134,8 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
                        &out.limit_scale, &out.limit_nm})
     torque->resize(N * n);
   out.near_stiction.resize(N * n);
-  for (auto* flags : {&out.health, &out.detection, &out.alarm, &out.held_alarm, &out.unseen})
+  for (auto* flags : {&out.health, &out.detection, &out.alarm, &out.held_alarm, &out.unseen, &out.entered,
+                      &out.restarted})
     flags->resize(N);
   for (auto* which : {&out.cause_joint, &out.alarm_joint, &out.unseen_joint, &out.unseen_other}) which->resize(N);
   out.unfamiliar.resize(N);
@@ -142,25 +145,32 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
   return out;
 }
 
-std::vector<double> motion_features(const Bundle& bundle, const RecordingView& recording,
-                                    std::span<const std::int64_t> samples) {
-  expect_joints(bundle, recording);
+MotionErrors motion_errors(const Bundle& bundle, const MotionView& motion, std::span<const std::int64_t> rows) {
   if (!bundle.error_scale.on()) throw Error("the bundle has no error scale");
+  const auto n = static_cast<std::size_t>(bundle.joints()), samples = motion.t_ns.size();
+  if (motion.dq.size() != samples * n || motion.near_stiction.size() != samples * n ||
+      motion.entered.size() != samples || motion.restarted.size() != samples)
+    throw Error("dq and near_stiction must hold a value a sample and joint, entered and restarted one a sample");
   const int features = static_cast<int>(bundle.error_scale.features.size());
-  std::vector<double> out;
-  out.reserve(samples.size() * bundle.links.size() * bundle.error_scale.features.size());
-  ObserveStage observe(bundle, 1);
-  JudgeStage judge(bundle);
+  ErrorScale stage(bundle.error_scale, bundle.joints(), bundle.observer.gain_per_s);
+  MotionErrors out;
+  std::vector<double> scale(n, 1.0), sigma_nm(n);
   std::size_t next = 0;
-  for (std::int64_t k = 0; k < recording.samples && next < samples.size(); ++k) {
-    const Sample sample = recording.at(k);
-    judge.step(observe.step(sample), sample, {});
-    if (samples[next] != k) continue;
+  for (std::size_t k = 0; k < samples && next < rows.size(); ++k) {
+    std::uint32_t near = 0;
+    for (std::size_t j = 0; j < n; ++j) near |= std::uint32_t{motion.near_stiction[k * n + j] != 0} << j;
+    if (motion.entered[k] != 0) {
+      if (motion.restarted[k] != 0) stage.restart();
+      stage.step(motion.t_ns[k], motion.dq.subspan(k * n, n), near, scale, sigma_nm);
+    }
+    if (rows[next] != static_cast<std::int64_t>(k)) continue;
     ++next;
-    for (int j = 0; j < recording.joints; ++j)
-      for (int m = 0; m < features; ++m) out.push_back(judge.error_scale().feature(j, m));
+    for (int j = 0; j < bundle.joints(); ++j)
+      for (int m = 0; m < features; ++m) out.features.push_back(stage.feature(j, m));
+    out.scale.insert(out.scale.end(), scale.begin(), scale.end());
+    out.sigma_nm.insert(out.sigma_nm.end(), sigma_nm.begin(), sigma_nm.end());
   }
-  if (next != samples.size()) throw Error("samples must rise and stand in the recording");
+  if (next != rows.size()) throw Error("rows must rise and stand in the motion");
   return out;
 }
 

@@ -65,7 +65,7 @@ void JudgeStage::blank(bool also_residual) noexcept {
   Estimate& e = estimate_;
   for (int j = 0; j < e.joints; ++j) {
     e.network[j] = e.uncertainty[j] = e.tau_ext[j] = e.sigma_nm[j] = e.margin_nm[j] = nan;
-    if (also_residual) e.residual[j] = e.prior[j] = e.drift[j] = e.limit_scale[j] = e.limit_nm[j] = nan;
+    if (also_residual) e.residual[j] = e.prior[j] = e.drift[j] = e.limit_scale[j] = e.limit_nm[j] = e.contact_limit_nm[j] = nan;
   }
   if (also_residual) e.near_stiction = 0;
   e.detection = false;
@@ -133,7 +133,7 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   }
   e.near_stiction = o.near_stiction;
   e.detection = alarm_.step(o.t_ns, first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt),
-                            e.near_stiction, o.judged, first_joints(e.limit_nm));
+                            e.near_stiction, o.judged, first_joints(e.limit_nm), first_joints(e.contact_limit_nm));
   // Where training never was, the error is the prior's and no drift.
   const bool teaches = o.teaches && e.unfamiliar < Coverage::kWorthTelling;
   drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), e.near_stiction, teaches);

@@ -68,6 +68,32 @@ Observation observe(const Tree& tree, const ObserverSettings& settings, const Pr
   return out;
 }
 
+std::vector<ImpossibleSample> impossible_samples(const ObserverSettings& settings, const SignalRanges& ranges,
+                                                 const RecordingView& recording) {
+  settings.validate_constants(recording.joints);
+  SampleClock(settings.sample_period_ns, settings.network_stride);  // throws where they make no sense
+  SignalWatch watch(recording.joints, settings.sample_period_ns, settings.network_stride, ranges);
+  const auto network_period_ns = static_cast<std::uint64_t>(settings.sample_period_ns * settings.network_stride);
+  const auto n = static_cast<std::size_t>(recording.joints);
+  std::vector<ImpossibleSample> out;
+  JointVector tau{};
+  bool follows = false;
+  for (std::int64_t k = 0; k < recording.samples; ++k) {
+    const Sample s = recording.at(k);
+    for (std::size_t j = 0; j < n; ++j)
+      tau[j] = settings.nm_per_unit.empty() ? s.tau[j] : s.tau[j] * settings.nm_per_unit[j];
+    const std::span<const double> torque(tau.data(), n);
+    const bool near = k > 0 && elapsed_ns(s.t_ns, recording.t_ns[k - 1]) <= network_period_ns;
+    const Impossible found = watch.look(s.t_ns, s.q, s.dq, torque, follows && near);
+    follows = found.cause == 0;
+    if (follows)
+      watch.step(s.t_ns, s.q, s.dq, torque);
+    else
+      out.push_back({k, found});
+  }
+  return out;
+}
+
 std::vector<double> prior_regressors(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior,
                                      const RecordingView& recording, std::span<const std::int64_t> samples) {
   expect_joints(tree, recording);

@@ -29,6 +29,9 @@ const char* name(Cause cause) noexcept {
     case kWrongRate: return "wrong rate";
     case kTorqueSaturated: return "torque saturated";
     case kEncoderStill: return "encoder still";
+    case kImpossibleTorque: return "impossible torque";
+    case kImpossibleVelocity: return "impossible velocity";
+    case kImpossiblePosition: return "impossible position";
   }
   return "";
 }
@@ -53,7 +56,7 @@ ObserveStage::ObserveStage(const Tree& tree, const ObserverSettings& observer, c
 
 ObserveStage::ObserveStage(const Bundle& bundle, int answer_every)
     : ObserveStage(Tree(bundle.links, bundle.gravity), bundle.observer, bundle.prior) {
-  watch_.emplace(joints_, bundle.observer.sample_period_ns, bundle.signals);
+  watch_.emplace(joints_, bundle.observer.sample_period_ns, bundle.observer.network_stride, bundle.signals);
   limits_ = bundle.limits;
   near_memory_ns_ = std::llround(1e9 * bundle.limits.near_memory_s);
   if (!bundle.has_network()) return;
@@ -114,13 +117,11 @@ bool ObserveStage::usable(const Sample& s) noexcept {
     if (watch_) watch_->pass(s.t_ns);
     return false;
   }
-  for (std::size_t j = 0; j < n; ++j) {
-    tau_[j] = nm_per_unit_.empty() ? s.tau[j] : s.tau[j] * nm_per_unit_[j];
-    if (!std::isfinite(s.q[j]) || !std::isfinite(s.dq[j]) || !std::isfinite(tau_[j])) {
-      refuse(s.t_ns, kNotFinite, static_cast<int>(j));
-      if (watch_) watch_->pass(s.t_ns);
-      return false;
-    }
+  for (std::size_t j = 0; j < n; ++j) tau_[j] = nm_per_unit_.empty() ? s.tau[j] : s.tau[j] * nm_per_unit_[j];
+  if (const Impossible found = impossible(s); found.cause != 0) {
+    refuse(s.t_ns, found.cause, found.joint);
+    if (watch_) watch_->pass(s.t_ns);
+    return false;
   }
   const Progress& p = progress_;
   if (!p.started || p.restart_next || s.t_ns > p.t_ns) return true;
@@ -129,6 +130,19 @@ bool ObserveStage::usable(const Sample& s) noexcept {
   else
     hold(s.t_ns, kLateSample);
   return false;
+}
+
+// What of the sample cannot be true; tau_ext is no part of it.
+Impossible ObserveStage::impossible(const Sample& s) const noexcept {
+  const Progress& p = progress_;
+  if (watch_) {
+    const bool follows = p.started && !p.restart_next && s.t_ns > p.t_ns &&
+                         elapsed_ns(s.t_ns, p.t_ns) <= static_cast<std::uint64_t>(network_period_ns_);
+    return watch_->look(s.t_ns, s.q, s.dq, tau(), follows);
+  }
+  for (std::size_t j = 0; j < s.q.size(); ++j)
+    if (!std::isfinite(s.q[j]) || !std::isfinite(s.dq[j]) || !std::isfinite(tau_[j])) return {kNotFinite, static_cast<int>(j)};
+  return {};
 }
 
 // Clock, dynamics, residual, prior, features and region.

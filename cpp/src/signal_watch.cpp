@@ -2,8 +2,17 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+
+#include "tauext/sample.hpp"
 
 namespace tauext {
+
+void SignalRanges::assume_possible() {
+  possible_torque_nm = largest_torque_nm;
+  for (double& torque : possible_torque_nm) torque *= SignalWatch::kAssumed;
+  possible_speed_rad_s.assign(largest_torque_nm.size(), std::numeric_limits<double>::infinity());
+}
 
 void SignalRanges::validate(int joints) const {
   const auto expect = [&](const char* what, const std::vector<double>& values, bool may_be_infinite) {
@@ -16,11 +25,55 @@ void SignalRanges::validate(int joints) const {
   };
   expect("torque_limit_nm", torque_limit_nm, true);
   expect("largest_torque_nm", largest_torque_nm, false);
+  expect("possible_torque_nm", possible_torque_nm, true);
+  expect("possible_speed_rad_s", possible_speed_rad_s, true);
+  for (std::size_t j = 0; j < possible_torque_nm.size(); ++j)
+    if (possible_torque_nm[j] < largest_torque_nm[j])
+      throw Error("signals.possible_torque_nm = " + to_text(possible_torque_nm[j]) +
+                  " must be at least largest_torque_nm = " + to_text(largest_torque_nm[j]));
 }
 
-SignalWatch::SignalWatch(int joints, std::int64_t sample_period_ns, const SignalRanges& ranges)
-    : joints_(joints), sample_period_ns_(static_cast<double>(sample_period_ns)), ranges_(ranges) {
+SignalWatch::SignalWatch(int joints, std::int64_t sample_period_ns, int network_stride, const SignalRanges& ranges)
+    : joints_(joints),
+      sample_period_ns_(static_cast<double>(sample_period_ns)),
+      network_period_ns_(sample_period_ns_ * network_stride),
+      ranges_(ranges) {
   ranges.validate(joints);
+  constexpr double most = std::numeric_limits<double>::max();
+  for (std::size_t j = 0; j < static_cast<std::size_t>(joints); ++j) {
+    torque_[j] = std::min(ranges.possible_torque_nm[j], most);
+    speed_[j] = std::min(ranges.possible_speed_rad_s[j], most);
+  }
+}
+
+Impossible SignalWatch::look(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
+                             std::span<const double> tau, bool follows) const noexcept {
+  follows = follows && state_.started;
+  // How long a position that changes with every sample went on; of the others explain() knows.
+  const double since_s = follows ? 1e-9 * (static_cast<double>(elapsed_ns(t_ns, state_.t_ns)) + sample_period_ns_)
+                                 : std::numeric_limits<double>::infinity();
+  bool possible = true;
+  for (int j = 0; j < joints_; ++j)  // no branches
+    possible &= (std::fabs(q[j]) <= kFarthest) & (std::fabs(dq[j]) <= speed_[j]) & (std::fabs(tau[j]) <= torque_[j]) &
+                (std::fabs(q[j] - state_.q[j]) <= speed_[j] * since_s + kEncoderRad);
+  return possible ? Impossible{} : explain(t_ns, q, dq, tau, follows);
+}
+
+Impossible SignalWatch::explain(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
+                                std::span<const double> tau, bool follows) const noexcept {
+  for (int j = 0; j < joints_; ++j) {
+    const auto found = [&](Cause cause) noexcept { return Impossible{cause, j}; };
+    if (!std::isfinite(q[j]) || !std::isfinite(dq[j]) || !std::isfinite(tau[j])) return found(kNotFinite);
+    if (std::fabs(tau[j]) > torque_[j]) return found(kImpossibleTorque);
+    if (std::fabs(dq[j]) > speed_[j]) return found(kImpossibleVelocity);
+    if (std::fabs(q[j]) > kFarthest) return found(kImpossiblePosition);
+    if (!follows) continue;
+    const double held_ns = static_cast<double>(elapsed_ns(t_ns, state_.since_ns[static_cast<std::size_t>(j)]));
+    const double step_ns = static_cast<double>(elapsed_ns(t_ns, state_.t_ns));
+    const double time_ns = std::max(step_ns, std::min(held_ns, network_period_ns_)) + sample_period_ns_;
+    if (std::fabs(q[j] - state_.q[j]) > speed_[j] * (1e-9 * time_ns) + kEncoderRad) return found(kImpossiblePosition);
+  }
+  return {};
 }
 
 // The step since the last sample, [ns]; enters the mean.

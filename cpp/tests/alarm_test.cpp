@@ -27,14 +27,14 @@ struct Stage {
     limits.after_contact_factor = after_contact_factor;
     alarm = AlarmStage(2, 0, limits);
   }
-  double limit_nm[2], doubt[2] = {0, 0}, scale[2] = {1, 1};
+  double limit_nm[2], contact_limit_nm[2], doubt[2] = {0, 0}, scale[2] = {1, 1};
   std::uint32_t near_stiction = 0;
   bool detection = false;
 
   const AlarmStage::State& step(std::int64_t t_ms, double tau_1, double tau_2, bool trusted = true, double dq = 1.0) {
     const double tau[] = {tau_1, tau_2};
     near_stiction = make_limits().near_stiction(dq, 0) ? 1 : 0;
-    detection = alarm.step(t_ms * kMs, tau, scale, doubt, near_stiction, trusted, limit_nm);
+    detection = alarm.step(t_ms * kMs, tau, scale, doubt, near_stiction, trusted, limit_nm, contact_limit_nm);
     return alarm.state();
   }
 };
@@ -78,6 +78,7 @@ void near_stiction_has_its_own_limits() {
   Stage s;
   for (int t = 0; t < 20; ++t) CHECK(s.step(t, 15, 0, true, 0.01).alarm != Alarm::collision);
   CHECK(s.near_stiction == 1 && s.limit_nm[0] == 20 && s.limit_nm[1] == 5);
+  CHECK(s.contact_limit_nm[0] == 8 && s.contact_limit_nm[1] == 2);
   CHECK(s.alarm.state().alarm == Alarm::contact);
 }
 

@@ -146,6 +146,11 @@ void limits_and_signals_that_make_no_sense_are_refused_by_name() {
   refused_after("signals.torque_limit_nm", [](Bundle& b) { b.signals.torque_limit_nm[0] = NAN; });
   refused_after("signals.torque_limit_nm", [](Bundle& b) { b.signals.torque_limit_nm.clear(); });
   refused_after("signals.largest_torque_nm", [](Bundle& b) { b.signals.largest_torque_nm[1] = INFINITY; });
+  refused_after("signals.possible_torque_nm", [](Bundle& b) { b.signals.possible_torque_nm[1] = NAN; });
+  refused_after("signals.possible_torque_nm", [](Bundle& b) { b.signals.possible_torque_nm.pop_back(); });
+  refused_after("must be at least largest_torque_nm", [](Bundle& b) { b.signals.possible_torque_nm[0] = 99; });
+  refused_after("signals.possible_speed_rad_s", [](Bundle& b) { b.signals.possible_speed_rad_s[0] = 0; });
+  refused_after("signals.possible_speed_rad_s", [](Bundle& b) { b.signals.possible_speed_rad_s.clear(); });
 }
 
 void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
@@ -155,8 +160,8 @@ void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
     std::memcpy(bytes.data() + 8, &major, sizeof major);
     return [bytes] { from_bytes(bytes); };
   };
-  refused("version 7, this program reads versions 3 to 6; it was made by a newer tauext", with_version(kBundleMajor + 1));
-  refused("version 2, this program reads versions 3 to 6; train it again", with_version(kOldestBundleMajor - 1));
+  refused("version 8, this program reads versions 3 to 7; it was made by a newer tauext", with_version(kBundleMajor + 1));
+  refused("version 2, this program reads versions 3 to 7; train it again", with_version(kOldestBundleMajor - 1));
   std::vector<char> bytes = good;
   bytes.push_back(0);
   refused("something appended", [&] { from_bytes(bytes); });
@@ -294,8 +299,12 @@ void an_old_bundle_with_torque_constants_is_refused_with_the_command_that_conver
     // Nor without what came with format 6: two numbers of 8 bytes before the drift tracker, behind it seven empty lists of
     // the error scale and what it has beside it, seven of the coverage and a byte.
     const std::size_t n = bundle.links.size(), samples = bundle.reference.t_ns.size();
-    const std::size_t signals_and_reference = 2 * (8 + 8 * n) + 8 + 8 * samples + 3 * (8 + 8 * samples * n) + 3 * (8 + 8 * n);
+    const std::size_t reference = 8 + 8 * samples + 3 * (8 + 8 * samples * n) + 3 * (8 + 8 * n);
+    const std::size_t signals_and_reference = 2 * (8 + 8 * n) + reference;
     const std::size_t drift = 8 + (8 + 8 * bundle.drift.size_nm.size()) + 3 * 8;
+    // Nor what came with format 7: what is possible, two lists before the reference.
+    const auto possible = bytes.end() - static_cast<std::ptrdiff_t>(reference);
+    bytes.erase(possible - static_cast<std::ptrdiff_t>(2 * (8 + 8 * n)), possible);
     const auto end = bytes.end() - static_cast<std::ptrdiff_t>(signals_and_reference);
     bytes.erase(end - 14 * 8 - 1, end);
     const auto numbers = bytes.end() - static_cast<std::ptrdiff_t>(signals_and_reference + drift + 16);
@@ -308,7 +317,12 @@ void an_old_bundle_with_torque_constants_is_refused_with_the_command_that_conver
     return bytes;
   };
   b.provenance = R"({"settings": {"fit_torque_constants": true}})";
-  CHECK(from_bytes(as_format_4(b)).reference.residual == b.reference.residual);
+  const Bundle old = from_bytes(as_format_4(b));
+  CHECK(old.reference.residual == b.reference.residual);
+  for (std::size_t j = 0; j < b.links.size(); ++j) {  // what an older bundle assumes
+    CHECK(old.signals.possible_torque_nm[j] == 1000 * b.signals.largest_torque_nm[j]);
+    CHECK(std::isinf(old.signals.possible_speed_rad_s[j]));
+  }
   b.provenance = R"({"torque_constants": {"used": [2.0, 3.0]}})";
   refused("tauext convert OLD.tauext", [&] { from_bytes(as_format_4(b)); });
   CHECK(from_old_bytes(as_format_4(b)).provenance == b.provenance);

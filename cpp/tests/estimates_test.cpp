@@ -89,6 +89,11 @@ std::vector<Bundle> chains() {
     answer_reference(other);
     all.push_back(other);
   }
+  // Half of them know what is possible; the others see what overflows them.
+  for (const std::size_t k : {1u, 3u, 4u, 6u}) {
+    all[k].signals.possible_torque_nm.assign(all[k].links.size(), 90.0);
+    all[k].signals.possible_speed_rad_s.assign(all[k].links.size(), 8.0);
+  }
   return all;
 }
 
@@ -97,11 +102,13 @@ struct Fault {
   int tried = 0;
 };
 enum Which {
-  kNumber, kHuge, kWide, kJitter, kBridged, kLongGap, kLate, kBackwards, kRepeated, kSlow, kSaturated, kStill, kPush, kCount
+  kNumber, kHuge, kWide, kJitter, kBridged, kLongGap, kLate, kBackwards, kRepeated, kSlow, kSaturated, kStill, kPush,
+  kTorqueSpike, kSpeedSpike, kJump, kCount
 };
 Fault faults[kCount] = {{"not finite"}, {"overflow"},  {"overflow of the network"}, {"jitter"},    {"bridged gap"},
                         {"long gap"},   {"late"},      {"backwards"},               {"repeated stamp"}, {"other rate"},
-                        {"saturated"},  {"still"},     {"push"}};
+                        {"saturated"},  {"still"},     {"push"},
+                        {"impossible torque"}, {"impossible velocity"}, {"position jump"}};
 
 // The made motion with up to six faults at random places, of random length.
 Signals broken(int joints, std::mt19937_64& random) {
@@ -156,6 +163,9 @@ Signals broken(int joints, std::mt19937_64& random) {
       if (hit.which == kSaturated) s.tau[cell(k)] = k % 2 ? 40 : -41;
       if (hit.which == kStill) s.q[cell(k)] = s.q[cell(hit.at)];
       if (hit.which == kPush) s.tau[cell(k)] -= 25;
+      if (hit.which == kTorqueSpike) s.tau[cell(k)] = which_huge < 0 ? -1000 : 1e6;
+      if (hit.which == kSpeedSpike) s.dq[cell(k)] = which_huge < 0 ? -8.5 : 1e5;
+      if (hit.which == kJump) s.q[cell(k)] += 1.5;  // there and back
     }
   }
   return s;
@@ -227,7 +237,8 @@ void both_ways_say_the_same_of_random_mixtures_of_all_faults() {
     tried += fault.tried;
   }
   for (const int samples : seen.health) CHECK(samples > kRecordings / 10);  // stale ones are few by their nature
-  CHECK(seen.causes == (kNotFinite | kLateSample | kTimeBackwards | kGap | kWrongRate | kTorqueSaturated | kEncoderStill));
+  CHECK(seen.causes == (kNotFinite | kLateSample | kTimeBackwards | kGap | kWrongRate | kTorqueSaturated | kEncoderStill |
+                        kImpossibleTorque | kImpossibleVelocity | kImpossiblePosition));
   CHECK(seen.unseen == 0b1111);
   CHECK(seen.alarms > kRecordings && seen.detections > kRecordings);
   std::printf("%d recordings of %d samples with %d faults, both ways, bit for bit: %d differ\n", recordings, kSamples, tried,
@@ -259,7 +270,7 @@ void features_that_would_overflow_the_network_are_a_fault() {
   for (const double share : {0.999, 1.001}) {
     Monitor monitor(bundle);
     double q[2] = {0, 0}, dq[2] = {0, 0}, tau[2] = {0, 0};
-    q[1] = share * static_cast<double>(largest) / static_cast<double>(bundle.input_factors[1]);
+    dq[1] = share * static_cast<double>(largest) / static_cast<double>(bundle.input_factors[3]);
     const Estimate& e = monitor.step({0, q, dq, tau});
     CHECK((e.health == Health::fault) == (share > 1));
     if (share > 1) CHECK(e.causes == kNotFinite && e.cause_joint == 1);

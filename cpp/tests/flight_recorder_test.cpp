@@ -21,7 +21,7 @@ struct Source {
     const auto x = static_cast<double>(k);
     for (int j = 0; j < 2; ++j) {
       q[j] = x + 0.1 * j, dq[j] = -x, tau[j] = 2 * x;
-      e.residual[j] = 3 * x, e.network[j] = 4 * x, e.tau_ext[j] = 5 * x, e.limit_nm[j] = 6 * x;
+      e.residual[j] = 3 * x, e.network[j] = 4 * x, e.tau_ext[j] = 5 * x, e.limit_nm[j] = 6 * x, e.contact_limit_nm[j] = 8 * x;
       e.sigma_nm[j] = 7 * x + 0.1 * j;
     }
     e.joints = 2;
@@ -40,7 +40,7 @@ void check_rows(const Flight& f, std::int64_t first, std::int64_t last) {
     CHECK(f.t_ns[row] == (first + static_cast<std::int64_t>(row)) * kMs);
     CHECK(f.q[2 * row + 1] == k + 0.1 && f.dq[2 * row] == -k && f.tau[2 * row + 1] == 2 * k);
     CHECK(f.residual[2 * row] == 3 * k && f.network[2 * row + 1] == 4 * k && f.tau_ext[2 * row] == 5 * k);
-    CHECK(f.limit_nm[2 * row + 1] == 6 * k && f.sigma_nm[2 * row + 1] == 7 * k + 0.1);
+    CHECK(f.contact_limit_nm[2 * row + 1] == 8 * k && f.limit_nm[2 * row + 1] == 6 * k && f.sigma_nm[2 * row + 1] == 7 * k + 0.1);
     CHECK(f.causes[row] == static_cast<std::uint32_t>(k));
   }
 }

@@ -152,8 +152,8 @@ constexpr int kWarm = 700;  // samples after which observer and window are full
 // Whatever broke the chain: the monitor says fault, comes back by itself, and from there on says what a fresh one says
 // that saw only what came afterwards.
 template <class Break>
-void comes_back(std::uint32_t cause, Break&& broken, std::int64_t resumes_at_ms) {
-  const Bundle bundle = made::bundle(2, 20, kSteps, kStride, 3);
+void comes_back(std::uint32_t cause, Break&& broken, std::int64_t resumes_at_ms, const Bundle* of = nullptr) {
+  const Bundle bundle = of ? *of : made::bundle(2, 20, kSteps, kStride, 3);
   Monitor monitor(bundle);
   CHECK(feed(monitor, regular(2, kWarm), 0, kWarm).health == Health::ok);
   const Estimate fault = broken(monitor);
@@ -198,6 +198,103 @@ void broken_signals_are_faults_and_the_monitor_comes_back() {
   }, kWarm + 1);
   comes_back(kTimeBackwards, [](Monitor& m) { return m.step(regular(2, 1, kWarm - 100).at(0)); }, kWarm - 99);
   comes_back(kGap, [](Monitor& m) { return m.no_sample((kWarm + 50) * kMs); }, kWarm + 60);
+}
+
+// That knows what its arm can do.
+Bundle bounded() {
+  Bundle b = made::bundle(2, 20, kSteps, kStride, 3);
+  b.signals.torque_limit_nm = {150, 60};
+  b.signals.possible_torque_nm = {300, 120};
+  b.signals.possible_speed_rad_s = {10, 10};
+  return b;
+}
+
+void what_no_arm_sends_is_a_fault_of_its_own_and_costs_no_more_than_a_nan() {
+  const Bundle bundle = bounded();
+  struct Case {
+    std::uint32_t cause;
+    std::vector<double> Signals::*signal;
+    double value;
+  };
+  const Case cases[] = {{kImpossibleTorque, &Signals::tau, 120.5},   {kImpossibleTorque, &Signals::tau, -1e300},
+                        {kImpossibleVelocity, &Signals::dq, -10.01}, {kImpossibleVelocity, &Signals::dq, 1e300},
+                        {kImpossiblePosition, &Signals::q, 3.0},     {kImpossiblePosition, &Signals::q, -1e300},
+                        {kNotFinite, &Signals::tau, NAN},            {kNotFinite, &Signals::q, -INFINITY}};
+  for (const Case& one : cases)
+    comes_back(
+        one.cause,
+        [&](Monitor& m) {
+          Signals s = regular(2, 1, kWarm);
+          (s.*one.signal)[1] = one.value;
+          const Estimate e = m.step(s.at(0));
+          CHECK(e.cause_joint == 1 && e.causes == one.cause);
+          return e;
+        },
+        kWarm + 1, &bundle);
+}
+
+// A drive at its limit, whatever sign, and what touches the arm however hard is judged.
+void what_a_collision_can_cause_is_judged() {
+  const Bundle bundle = bounded();
+  Monitor monitor(bundle);
+  Signals s = regular(2, 3000);
+  for (std::size_t k = 1000; k < 1100; ++k) s.tau[2 * k] = k % 2 ? 150 : -155, s.tau[2 * k + 1] = 119;
+  for (std::size_t k = 1050; k < 1100; ++k) s.dq[2 * k] = 9.9;
+  for (std::int64_t k = 0; k < 3000; ++k) {
+    const Estimate& e = monitor.step(s.at(k));
+    CHECK((e.causes & (kImpossibleTorque | kImpossibleVelocity | kImpossiblePosition | kNotFinite)) == 0);
+    if (k >= 1000 && k < 1100) CHECK(e.causes == kTorqueSaturated && !std::isnan(e.tau_ext[1]));
+    if (k == 1099) CHECK(e.alarm == Alarm::collision);
+  }
+}
+
+void a_position_that_jumps_is_a_fault_once_wherever_it_stays() {
+  const Bundle bundle = bounded();
+  // A zero that was moved, then a spike of five samples: a fault where it jumps, nowhere else.
+  Signals s = regular(2, 4000);
+  for (std::size_t k = 1500; k < 4000; ++k) s.q[2 * k + 1] += 0.5;
+  for (std::size_t k = 2500; k < 2505; ++k) s.q[2 * k] -= 1.0;
+  Monitor monitor(bundle);
+  int faults = 0;
+  for (std::int64_t k = 0; k < 4000; ++k) {
+    const Estimate& e = monitor.step(s.at(k));
+    const bool jumps = k == 1500 || k == 2500 || k == 2505;
+    CHECK((e.health == Health::fault) == jumps);
+    if (jumps) ++faults, CHECK(e.causes == kImpossiblePosition && e.cause_joint == (k == 1500 ? 1 : 0));
+  }
+  CHECK(faults == 3 && monitor.last().health == Health::ok);
+  // A position that goes to and fro with every sample is never ok.
+  s = regular(2, 2000);
+  for (std::size_t k = 1000; k < 2000; k += 2) s.q[2 * k] += 1.0;
+  Monitor torn(bundle);
+  for (std::int64_t k = 0; k < 2000; ++k) CHECK(torn.step(s.at(k)).health != Health::ok || k < 1000);
+  // Where samples are missing the joint has gone on; over a gap it may be anywhere.
+  s = regular(2, 3000);
+  Monitor gaps(bundle);
+  for (std::int64_t k = 0; k < 3000; ++k) {
+    if (k % 500 < 9) continue;
+    if (k == 1600) k += 600;
+    CHECK((gaps.step(s.at(k)).causes & kImpossiblePosition) == 0);
+  }
+}
+
+// A bus that brings every eighth position only, at nearly the speed that is possible, with stamps that jitter.
+void positions_that_are_held_and_stamps_that_jitter_are_no_jumps() {
+  const Bundle bundle = bounded();
+  Monitor monitor(bundle);
+  double q[2] = {0, 0}, dq[2] = {9, 0};
+  const double tau[2] = {0, 0};
+  for (std::int64_t k = 0; k < 2000; ++k) {
+    if (k % 8 == 0) q[0] = 9e-3 * static_cast<double>(k);
+    const std::int64_t jitter = k % 3 == 0 ? 900'000 : 0;
+    CHECK((monitor.step({k * kMs + jitter, q, dq, tau}).causes & kImpossiblePosition) == 0);
+  }
+  // The same as one step of a position that came with every sample is none.
+  q[1] += 0.072;
+  CHECK(monitor.step({2000 * kMs, q, dq, tau}).causes == 0);  // joint 2 stood still for long: 10 ms count
+  q[1] += 0.072;
+  const Estimate& e = monitor.step({2001 * kMs, q, dq, tau});
+  CHECK(e.causes == kImpossiblePosition && e.cause_joint == 1);
 }
 
 void a_gap_in_the_samples_warms_up_anew_and_says_why() {
@@ -600,6 +697,10 @@ int main() {
   online_equals_offline_for_every_method();
   the_network_at_its_own_rate_holds_its_last_value();
   broken_signals_are_faults_and_the_monitor_comes_back();
+  what_no_arm_sends_is_a_fault_of_its_own_and_costs_no_more_than_a_nan();
+  what_a_collision_can_cause_is_judged();
+  a_position_that_jumps_is_a_fault_once_wherever_it_stays();
+  positions_that_are_held_and_stamps_that_jitter_are_no_jumps();
   a_gap_in_the_samples_warms_up_anew_and_says_why();
   late_and_missing_samples_are_stale_and_change_nothing();
   another_rate_is_refused_and_the_right_one_taken_up_again();

@@ -8,6 +8,7 @@ What a program needs, each name loaded when it is first asked for:
     bundle = tauext.train_bundle(dataset, "runs/arm.tauext", config=tauext.TrainConfig(recipe="prior"))
     recording = tauext.load_recording("runs/data/collisions-000.parquet")
     estimates = tauext.estimate_recording(bundle, recording)  # estimates.tau_ext: (samples, joints)
+    estimates.why(0)  # "warming up": there is no estimate yet, and tau_ext is NaN
 
     monitor = tauext.Monitor(bundle)  # in a control loop: one sample in, one answer out
     estimate = monitor.step(t_ns, q, dq, tau)  # tau in bundle.torque_units, answers in bundle.estimate_units

@@ -15,6 +15,13 @@ LimitsKind = Literal["auto", "promised", "supported", "paper"]
 OnOff = Literal["on", "off"]
 PAPER_GAIN_PER_S = 20.0
 """Observer gain of [Lim2021]."""
+MOST_HIDDEN = 256
+"""Units of a network that the core runs."""
+MOST_THREADS = 1024
+"""More than any processor has; each takes memory of its own."""
+LARGEST_SEED = 2**63 - 1
+MOST_STEPS = 10**12
+"""Of a training: more would run for years on any machine."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +76,7 @@ class ObserverConfig:
         numbers = {"gain_per_s": self.first_gain_per_s}
         numbers |= {name: getattr(self, name) for name in ("network_period_s", "window_s", "near_stiction_rad_s")}
         for name, value in numbers.items():
-            require(math.isfinite(value) and value > 0, name, value, "> 0")
+            require(0 < value <= 1e6, name, value, "> 0, at most 1e6")
 
     @property
     def first_gain_per_s(self) -> float:
@@ -143,7 +150,7 @@ class AlarmConfig:
         for name in ("minutes_factor", "after_contact_factor"):
             require(1 <= getattr(self, name) <= 10, name, getattr(self, name), "1 to 10")
         for name in ("false_alarms", "in_hours", "contacts_an_hour"):
-            require(0 < getattr(self, name) < math.inf, name, getattr(self, name), "> 0")
+            require(1e-6 <= getattr(self, name) <= 1e6, name, getattr(self, name), "1e-6 to 1e6")
         require(0.5 <= self.confidence < 1, "confidence", self.confidence, "0.5 to below 1")
         rising = all(a < b for a, b in zip(self.holds_s, self.holds_s[1:], strict=False))
         rule = "one or more times from 0 on, rising, at most 60"
@@ -179,9 +186,9 @@ class PriorConfig:
     def __post_init__(self) -> None:
         for name in ("widths_rad", "coulomb_speeds_rad_s"):
             values = getattr(self, name)
-            rising = all(a < b < math.inf for a, b in zip((0.0, *values), values, strict=False))
-            require(rising and len(values) <= 8, name, values, "at most 8 numbers > 0, rising")
-        require(self.region_width_rad > 0, "region_width_rad", self.region_width_rad, "> 0")
+            rising = all(a < b <= 1e3 for a, b in zip((0.0, *values), values, strict=False))
+            require(rising and len(values) <= 8, name, values, "at most 8 numbers > 0, rising, none above 1000")
+        require(0 < self.region_width_rad <= 10, "region_width_rad", self.region_width_rad, "> 0, at most 10")
         require(len(self.coulomb_speeds_rad_s) > 0, "coulomb_speeds_rad_s", self.coulomb_speeds_rad_s, "at least one")
         require(0 <= self.most_ripples <= 10, "most_ripples", self.most_ripples, "0 to 10")
 
@@ -213,7 +220,7 @@ class DriftConfig:
         time_s = self.time_constant_s
         require(time_s == 0 or 1 <= time_s <= 1e6, "time_constant_s", time_s, "0 (no tracker) or 1 to 1e6")
         for name in ("size_share", "least_size_nm"):
-            require(0 <= getattr(self, name) < math.inf, name, getattr(self, name), ">= 0")
+            require(0 <= getattr(self, name) <= 1e6, name, getattr(self, name), ">= 0, at most 1e6")
         for name in ("rate_share_per_s", "freeze_share", "freeze_floor_share"):
             require(0 < getattr(self, name) <= 1, name, getattr(self, name), "above 0, at most 1")
         require(0 <= self.freeze_s <= 60, "freeze_s", self.freeze_s, "0 to 60")
@@ -234,7 +241,7 @@ class FilterConfig:
 
     def __post_init__(self) -> None:
         for name in ("high_pass_per_s", "low_pass_per_s"):
-            require(0 < getattr(self, name) < math.inf, name, getattr(self, name), "> 0")
+            require(0 < getattr(self, name) <= 1e6, name, getattr(self, name), "> 0, at most 1e6")
         require(
             self.low_pass_per_s > self.high_pass_per_s,
             "low_pass_per_s",
@@ -318,7 +325,8 @@ class TrainConfig:
         require(self.minutes is None or 0 < self.minutes < math.inf, "minutes", self.minutes, "> 0")
         for name in ("hidden", "epochs", "max_steps", "batch", "targets"):
             value = getattr(self, name)
-            require(value is None or value >= 1, name, value, ">= 1")
+            require(value is None or 1 <= value <= MOST_STEPS, name, value, ">= 1, at most 1e12")
+        require(self.hidden <= MOST_HIDDEN, "hidden", self.hidden, f"1 to {MOST_HIDDEN}: the core runs no more")
         drawn = self.row.draws
         require(
             self.observer.gain_per_s != "auto" or self.row.chooses_gain,
@@ -328,9 +336,14 @@ class TrainConfig:
         )
         require(not drawn or self.epochs is None, "epochs", self.epochs, f"left out with recipe {self.recipe}")
         require(0 <= self.gate_margin < 1, "gate_margin", self.gate_margin, "0 to 1")
-        require(self.learning_rate is None or self.learning_rate > 0, "learning_rate", self.learning_rate, "> 0")
-        require(self.threads >= 0, "threads", self.threads, ">= 0")
-        require(self.seed >= 0, "seed", self.seed, ">= 0")
+        require(
+            self.learning_rate is None or 0 < self.learning_rate <= 1e3,
+            "learning_rate",
+            self.learning_rate,
+            "above 0, at most 1000",
+        )
+        require_threads(self.threads)
+        require_seed(self.seed)
 
     @property
     def row(self) -> Recipe:
@@ -365,3 +378,13 @@ def require(ok: bool, name: str, value: object, rule: str) -> None:
     """Raise ConfigError `name = value must be rule` unless ok."""
     if not ok:
         raise ConfigError(f"{name} = {value} must be {rule}")
+
+
+def require_seed(seed: int) -> None:
+    """Raise ConfigError unless every generator takes this seed."""
+    require(0 <= seed <= LARGEST_SEED, "seed", seed, f">= 0, at most {LARGEST_SEED}")
+
+
+def require_threads(threads: int) -> None:
+    """Raise ConfigError unless so many threads can be of use; 0: one a core."""
+    require(0 <= threads <= MOST_THREADS, "threads", threads, f"0 (one a core) to {MOST_THREADS}")

@@ -3,9 +3,13 @@
 The C++ core's own error, `tauext._core.CoreError`, is a TauextError too.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+
 
 class TauextError(Exception):
-    """Base of every error that a user can cause; the command line prints it on one line and exits with 2."""
+    """Base of every error that a user can cause; the command line prints its message and exits with 2."""
 
 
 class RobotError(TauextError):
@@ -26,3 +30,12 @@ class BundleError(TauextError):
 
 class TrainingError(TauextError):
     """Training that cannot succeed: constant target, diverging loss, too little data."""
+
+
+class FaultyDataError(TauextError):
+    """Recordings or a robot file with faults that nobody accepted; the message is a block, a few lines a fault."""
+
+    def __init__(self, message: str, findings: Sequence[object] = ()) -> None:
+        super().__init__(message)
+        self.findings = list(findings)
+        """Each a `tauext.doctor.Finding`."""

@@ -20,7 +20,12 @@ def write_json(content: Any, path: Path) -> None:
     """Write under a temporary name, then rename; the same content gives the same bytes."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as part:
-        part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
+        part.write_text(json_text(content))
+
+
+def json_text(content: Any) -> str:
+    """As all files of ours have it."""
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 def provenance(command: str, settings: Any, seed: int | None) -> dict:

@@ -13,7 +13,7 @@ from tauext.progress import SILENT, Reporter
 from tauext.report import write_report
 from tauext.rig import RigConfig, simulate_dataset
 from tauext.robot import estimated_model
-from tauext.train import finished, train_on_recordings
+from tauext.train import finished, look_first, train_on_recordings
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,9 @@ def reproduce_paper(
         for name in missing:
             case, config = jobs[name]
             tree = estimated_model(robot, training[0].joints, case)
-            train_on_recordings(tree, robot, case, training, validation, config, bundles[name], report=report)
+            looked = look_first(dataset, robot, case, training, validation, config, (), report)
+            train_on_recordings(
+                tree, robot, case, training, validation, config, bundles[name], report=report, looked=looked
+            )
     evaluate_bundles(dataset, bundles, out / "results", seed, 0, command, scale_name, report=report)
     return write_report(out / "results", data, out / "report")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,11 +15,39 @@ def whole_file(path: Path) -> Iterator[Path]:
 
     Folders are not made. Errors of the system come out as they are.
     """
-    part = path.with_name(path.name + ".part")
+    with whole_files(path) as (part,):
+        yield part
+
+
+@contextmanager
+def whole_files(*paths: Path) -> Iterator[tuple[Path, ...]]:
+    """The same for files that belong together: none is renamed before all are written; the last one is so at last."""
+    parts = tuple(path.with_name(path.name + ".part") for path in paths)
+    try:
+        yield parts
+        for part, path in zip(parts, paths, strict=True):
+            os.replace(part, path)
+    except BaseException:
+        for part in parts:
+            with suppress(OSError):
+                part.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """A folder NAME.part beside it to write into; its files move into the folder at the end, which is made.
+
+    What else stands in the folder stays. Where writing fails nothing has changed.
+    """
+    part = folder.with_name(folder.name + ".part") if folder.name else folder / ".part"
+    shutil.rmtree(part, ignore_errors=True)  # of a run that was killed
+    part.mkdir(parents=True)
     try:
         yield part
-        os.replace(part, path)
-    except BaseException:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-        raise
+        for file in sorted(path for path in part.rglob("*") if path.is_file()):
+            place = folder / file.relative_to(part)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(file, place)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)

@@ -22,15 +22,28 @@ struct Estimates {
   std::vector<std::int8_t> cause_joint, alarm_joint;  // (samples): -1: none
   std::vector<std::uint8_t> detection;               // (samples)
   std::vector<std::uint8_t> alarm, held_alarm;       // (samples): of Alarm, latched and not
+  std::vector<std::uint8_t> entered, restarted;      // (samples): the sample went on the chain; the chain began anew with it
 };
 
 // Equal to Monitor::step() for sample after sample, to the last bit, whatever is wrong with them: times that go backwards,
 // numbers that are not finite, gaps, another rate. Throws Error where the joints differ.
 Estimates estimate(const Bundle& bundle, const RecordingView& recording, int threads);
 
-// The features of the error scale as they stand at each of `samples`, which rise: (samples, joints, features). For its
-// fit; weights do not count. Throws Error where the bundle has no error scale, or the joints differ.
-std::vector<double> motion_features(const Bundle& bundle, const RecordingView& recording,
-                                    std::span<const std::int64_t> samples);
+// A motion as the error scale sees it: dq and near_stiction (samples, joints), row-major; entered and restarted
+// (samples), as estimate() says them of a recording.
+struct MotionView {
+  std::span<const std::int64_t> t_ns;
+  std::span<const double> dq;
+  std::span<const std::uint8_t> near_stiction, entered, restarted;
+};
+
+struct MotionErrors {
+  std::vector<double> features;         // (rows, joints, features): for the fit, weights do not count
+  std::vector<double> scale, sigma_nm;  // (rows, joints): without what doubt and unfamiliar motion add
+};
+
+// What the bundle's error scale says of a motion at `rows`, which rise. The chain does not run: speeds are all it takes.
+// Throws Error where the bundle has no error scale, or sizes do not fit.
+MotionErrors motion_errors(const Bundle& bundle, const MotionView& motion, std::span<const std::int64_t> rows);
 
 }  // namespace tauext

@@ -18,7 +18,8 @@ struct FlightSettings {
 struct Flight {
   std::int64_t event_row = 0;
   std::vector<std::int64_t> t_ns;                                               // (samples)
-  std::vector<double> q, dq, tau, residual, prior, network, drift, tau_ext, sigma_nm, limit_nm;  // (samples, joints)
+  std::vector<double> q, dq, tau, residual, prior, network, drift, tau_ext, sigma_nm, limit_nm,
+      contact_limit_nm;  // (samples, joints)
   std::vector<std::uint32_t> near_stiction, causes;                         // (samples): bits
   std::vector<std::uint8_t> health, alarm, held_alarm, detection;                 // (samples)
   Estimate event;  // what the monitor said at the event

@@ -42,6 +42,7 @@ struct Estimate {
   JointVector sigma_nm{};           // standard error of tau_ext in free motion, doubt included, [N m]; NaN without an error scale
   JointVector limit_scale{};        // what the motion multiplies the limits by, unfamiliar motion too; usual is 1
   JointVector limit_nm{};           // that |tau_ext| must exceed for a collision; scale and doubt included
+  JointVector contact_limit_nm{};   // the same for a contact
   JointVector margin_nm{};          // limit - |tau_ext|
 
   // The only thing that may be read as "no collision".

@@ -7,6 +7,7 @@
 
 #include "tauext/residual.hpp"
 #include "tauext/sample.hpp"
+#include "tauext/signal_watch.hpp"
 
 namespace tauext {
 
@@ -33,6 +34,17 @@ Observation observe(const Tree& tree, const ObserverSettings& settings, const Pr
 // `samples`, which rise. The same filter as Prior's: their weighted sum is the prior.
 std::vector<double> prior_regressors(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior,
                                      const RecordingView& recording, std::span<const std::int64_t> samples);
+
+// A sample of a recording that no arm sends.
+struct ImpossibleSample {
+  std::int64_t sample = 0;
+  Impossible found;
+};
+
+// Those that a monitor refuses whose bundle has these ranges, in their order. For training, whose recordings have finite
+// numbers and increasing times; settings: period, stride and torque constants. Throws Error where something does not fit.
+std::vector<ImpossibleSample> impossible_samples(const ObserverSettings& settings, const SignalRanges& ranges,
+                                                 const RecordingView& recording);
 
 // Rows of features on the regular clock: q_1..q_n, dq_1..dq_n and the presliding states, each times its factor, in
 // float; (row_count, 2 joints + joints x widths). Bridged ticks hold the sample before.

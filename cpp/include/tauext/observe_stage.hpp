@@ -49,7 +49,8 @@ class ObserveStage {
  public:
   static constexpr double kLargest = 1e306;  // a torque beyond it counts as not finite: sums of a few would overflow
 
-  // Of training: nothing is watched but that numbers are finite and times increase. Throws Error as ResidualStage.
+  // Of training: nothing is watched but that numbers are finite and times increase; impossible_samples() have been left
+  // out before. Throws Error as ResidualStage.
   ObserveStage(const Tree& tree, const ObserverSettings& observer, const PriorSettings& prior);
   // Of a bundle that holds together. answer_every: rows between two answers of its network.
   ObserveStage(const Bundle& bundle, int answer_every);
@@ -107,6 +108,7 @@ class ObserveStage {
   };
 
   bool usable(const Sample& sample) noexcept;
+  Impossible impossible(const Sample& sample) const noexcept;
   void enter(const Sample& sample) noexcept;
   void find_overflow(Findings& findings) noexcept;
   void watch(const Sample& sample, Findings& findings) noexcept;

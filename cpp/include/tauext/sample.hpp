@@ -47,8 +47,11 @@ enum Cause : std::uint32_t {
   kWrongRate = 64,         // the samples' mean step is not the bundle's
   kTorqueSaturated = 128,  // a drive at its limit gives another torque than it is told
   kEncoderStill = 256,     // a position stands still while velocity or torque say otherwise
+  kImpossibleTorque = 512,     // more than the drive can give, whatever touches the arm (SignalRanges)
+  kImpossibleVelocity = 1024,  // faster than the joint can get
+  kImpossiblePosition = 2048,  // farther from the last position than the joint can have gone, or from all positions
 };
-inline constexpr std::uint32_t kCauseCount = 9;
+inline constexpr std::uint32_t kCauseCount = 12;
 
 const char* name(Health health) noexcept;
 const char* name(Cause cause) noexcept;  // of a single bit: "not finite", ...

@@ -1,4 +1,5 @@
-// Looks for signals that no arm sends: a wrong rate, a drive at its limit, an encoder that stands still.
+// Looks for signals that no arm sends: values beyond all that joints and drives can do, a wrong rate, a drive at its
+// limit, an encoder that stands still.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -12,9 +13,20 @@ namespace tauext {
 struct SignalRanges {
   std::vector<double> torque_limit_nm;    // the drive gives no more, [N m]; infinite where unknown
   std::vector<double> largest_torque_nm;  // largest |tau_m| in training, [N m]; > 0
+  // Beyond these nothing is true, whatever touches the arm; infinite where nobody knows.
+  std::vector<double> possible_torque_nm = {};    // of |tau_m|, [N m]; at least the largest of training
+  std::vector<double> possible_speed_rad_s = {};  // of |dq|, [rad/s], and of how fast q changes
 
+  // Of a bundle that was made before they stood there: a thousand times what the arm needed, and any speed.
+  void assume_possible();
   // Throws Error, naming what does not fit.
   void validate(int joints) const;
+};
+
+// A sample that no arm sends: why, and the first joint that shows it.
+struct Impossible {
+  std::uint32_t cause = 0;  // a bit of Cause: kNotFinite or kImpossible...; 0: it may be true
+  int joint = -1;
 };
 
 class SignalWatch {
@@ -25,6 +37,9 @@ class SignalWatch {
   static constexpr double kStillTravelRad = 0.05;       // travel that dq claims while q does not change
 
   static constexpr double kLongestStep = 20;
+  static constexpr double kFarthest = 1e6;      // |q| that no encoder counts to, [rad or m]: 160,000 turns
+  static constexpr double kEncoderRad = 0.005;  // of a step that is no travel: a few counts of a coarse encoder
+  static constexpr double kAssumed = 1000;      // see SignalRanges::assume_possible
 
   struct Verdict {
     bool wrong_rate = false;
@@ -41,7 +56,15 @@ class SignalWatch {
   };
 
   // Throws Error where the ranges do not fit the joints.
-  SignalWatch(int joints, std::int64_t sample_period_ns, const SignalRanges& ranges);
+  SignalWatch(int joints, std::int64_t sample_period_ns, int network_stride, const SignalRanges& ranges);
+
+  // Whether a sample cannot be true; looked at before it enters anything.
+  // Position: it lies farther from the last one than possible_speed_rad_s goes in the time since that one changed, and a
+  // sample period and kEncoderRad more: stamps jitter. A position may have been held so for one network period at most, as
+  // samples that are missing are. Only where the sample follows the last one that step() saw: after a fault or a gap
+  // positions begin anew, so that a zero that was moved costs one sample.
+  Impossible look(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
+                  std::span<const double> tau, bool follows) const noexcept;
 
   // One sample with finite values.
   // Rate: the mean step, over an exponential second, differs from the sample period by more than kRateTolerance; a
@@ -60,10 +83,13 @@ class SignalWatch {
 
  private:
   double take_step(std::int64_t t_ns) noexcept;
+  Impossible explain(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
+                     std::span<const double> tau, bool follows) const noexcept;
 
   int joints_;
-  double sample_period_ns_;
+  double sample_period_ns_, network_period_ns_;
   SignalRanges ranges_;
+  JointVector torque_{}, speed_{};  // what is possible, finite: so that one comparison finds NaN and infinity too
   State state_;
 };
 

@@ -50,7 +50,10 @@ typedef enum tauext_cause {
   TAUEXT_GAP = 32,
   TAUEXT_WRONG_RATE = 64,
   TAUEXT_TORQUE_SATURATED = 128,
-  TAUEXT_ENCODER_STILL = 256
+  TAUEXT_ENCODER_STILL = 256,
+  TAUEXT_IMPOSSIBLE_TORQUE = 512,
+  TAUEXT_IMPOSSIBLE_VELOCITY = 1024,
+  TAUEXT_IMPOSSIBLE_POSITION = 2048
 } tauext_cause;
 
 /* What the monitor says of one sample. A torque that does not exist is NaN. Only (health == TAUEXT_HEALTHY &&

@@ -1,6 +1,6 @@
 """Limits, and the claims they support."""
 
-from tauext.calibrate.bundle_limits import NO_CALIBRATION, calibrate_bundle, recalibrate
+from tauext.calibrate.bundle_limits import NO_CALIBRATION, calibrate_bundle, forget_half_done, recalibrate
 from tauext.calibrate.error_scale import LeftOutErrors, add_friction, fit_error_scale, left_out_errors
 from tauext.calibrate.judged import Judged, whole_recordings
 from tauext.calibrate.limits import (
@@ -11,6 +11,7 @@ from tauext.calibrate.limits import (
     set_limits,
     usual_speed_rad_s,
 )
+from tauext.calibrate.moments import Moment
 from tauext.calibrate.promise import FalseAlarmBudget, Promise, is_consistent, rate_interval
 from tauext.calibrate.promised_limits import PromisedLimits, apply_promised, promised_limits
 
@@ -20,12 +21,14 @@ __all__ = [
     "Judged",
     "LeftOutErrors",
     "LevelLimits",
+    "Moment",
     "Promise",
     "PromisedLimits",
     "add_friction",
     "apply_promised",
     "at_rest_sentence",
     "calibrate_bundle",
+    "forget_half_done",
     "fit_error_scale",
     "is_consistent",
     "left_out_errors",

@@ -19,7 +19,7 @@ from scipy.ndimage import maximum_filter1d
 from scipy.optimize import minimize
 
 from tauext import _core
-from tauext.calibrate.judged import Judged, errors, no_free_motion
+from tauext.calibrate.judged import Judged, judge, no_free_motion
 from tauext.config import DriftConfig, FreeMotionConfig
 from tauext.data import Recording
 
@@ -177,12 +177,13 @@ def collect_rows(
     stride, count = bundle.observer.network_stride, 0
     for one in judged:
         one = one if isinstance(one, Judged) else Judged(one)
-        _, error, near, counted = errors(bundle, one, threads, margins)
+        said, error, counted = judge(bundle, one, threads, margins)
         at = np.flatnonzero(counted)[::stride].astype(np.int64)
         if len(at) == 0:
             continue
-        r = one.recording
-        found.append((error[at], near[at], _core.motion_features(plain, r.t_ns, r.q, r.dq, r.tau, at)))
+        r, near = one.recording, said["near_stiction"]
+        motion = _core.motion_errors(plain, r.t_ns, r.dq, near, said["entered"], said["restarted"], at)
+        found.append((error[at], near[at].astype(bool), motion["features"]))
         count += len(at)
         if count > MOST_ROWS:  # every other one of all serves as well
             found = [tuple(column[::2] for column in rows) for rows in found]

@@ -1,11 +1,4 @@
-r"""Peaks of the error in free motion, as an alarm with a hold time sees it.
-
-An alarm rises at sample k when |tau_ext| of a joint has been over its limit L without a break since a sample that is
-`hold_s` old or older. So it rises over L exactly where the held minimum does:
-
-.. math:: m(t_k) = \min_{s \le j \le k} |\tau_{ext}(t_j)|, \quad s = \max\{j : t_j \le t_k - hold\}, \qquad m(t_k) > L
-
-and m stands for |tau_ext| in everything that is said of limits. With no hold time m is |tau_ext| itself.
+"""Peaks of the error in free motion, as an alarm with a hold time sees it: of the held minimum (held_minimum.py).
 
 A joint has one limit for sliding and one near stiction. A window with samples of both counts for both: an alarm there
 has every sample over its own limit, hence the window's minimum over the lower of the two. So the alarms of an arm are
@@ -23,7 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext import _core
+from tauext.calibrate.held_minimum import held_minimum, hold_lengths
 from tauext.calibrate.judged import Judged, errors, no_free_motion
+from tauext.calibrate.kept_peaks import KeptPeaks
 from tauext.config import FreeMotionConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError
@@ -35,54 +30,6 @@ KEEP = 4000
 """Peaks that are kept of each joint and region: the largest. A tail is a twentieth of them at most."""
 AT_A_TIME = 4
 """Recordings that are estimated at a time, at most."""
-
-
-def held_minimum(tau_abs: np.ndarray, healthy: np.ndarray, hold_samples: int | np.ndarray) -> np.ndarray:
-    """m of every sample: the least |tau_ext| of the last hold_samples + 1 samples, (samples,), [N m]; exact.
-
-    NaN where one of them is unhealthy or NaN, or would lie before the first: no alarm can rise there.
-
-    Args:
-        tau_abs: |tau_ext| of one joint, (samples,), [N m].
-        healthy: (samples,), bool.
-        hold_samples: one number for all samples, or one for each, (samples,), as `hold_lengths` gives.
-
-    Raises:
-        ConfigError: shapes that differ, or hold_samples < 0.
-    """
-    tau_abs, healthy, hold = np.asarray(tau_abs, dtype=float), np.asarray(healthy, dtype=bool), np.asarray(hold_samples)
-    if tau_abs.ndim != 1 or healthy.shape != tau_abs.shape or hold.shape not in ((), tau_abs.shape):
-        raise ConfigError(
-            f"held minimum: |tau_ext|, healthy and hold_samples have shapes {tau_abs.shape}, {healthy.shape} and "
-            f"{hold.shape}; they must be one and the same (samples,)"
-        )
-    if (hold < 0).any():
-        raise ConfigError(f"hold_samples = {hold.min()} must be >= 0")
-    least = np.full(len(tau_abs), -np.inf)
-    over = np.where(healthy & ~np.isnan(tau_abs), tau_abs, -np.inf)
-    length = _one_length(hold)
-    if length is not None:
-        least[length:] = _over_windows(over, length + 1)
-    else:
-        last = np.arange(len(tau_abs))
-        first = last - hold
-        whole = first >= 0
-        least[whole] = _over_ranges(over, first[whole], last[whole])
-    return np.where(np.isneginf(least), np.nan, least)
-
-
-def hold_lengths(t_ns: np.ndarray, hold_s: float) -> np.ndarray:
-    """Samples back to the youngest that is hold_s old or older, (samples,), int64; k + 1, one too many, if none is.
-
-    From stamps and not from a rate, as in the alarm: where samples are missing, fewer of them fill the same time.
-
-    Args:
-        t_ns: sample times, increasing, (samples,), [ns].
-    """
-    so_far, hold_ns, steps = np.arange(1, len(t_ns) + 1), round(hold_s * 1e9), np.diff(t_ns)
-    if len(steps) and (steps == steps[0]).all():  # nothing to search for in a regular recording
-        return np.minimum(so_far, -(-hold_ns // int(steps[0])))
-    return so_far - np.searchsorted(t_ns, t_ns - hold_ns, side="right")
 
 
 def cluster_peaks(values: np.ndarray, times_s: np.ndarray, gap_s: float = GAP_S, floor: float = 0.0) -> np.ndarray:
@@ -101,7 +48,12 @@ def cluster_peaks(values: np.ndarray, times_s: np.ndarray, gap_s: float = GAP_S,
 
 
 def separate_peaks(values: np.ndarray, t_ns: np.ndarray, gap_s: float = GAP_S, floor: float = 0.0) -> np.ndarray:
-    """Values > floor with none larger less than gap_s before or after, (peaks,), in order of time.
+    """The values at `peak_places`, (peaks,), in order of time."""
+    return values[peak_places(values, t_ns, gap_s, floor)]
+
+
+def peak_places(values: np.ndarray, t_ns: np.ndarray, gap_s: float = GAP_S, floor: float = 0.0) -> np.ndarray:
+    """Indices of values > floor with none larger less than gap_s before or after, (peaks,), rising.
 
     Of equal ones the first. Any two lie gap_s or more apart, and **over any level from the floor up there are at least
     as many peaks as episodes**, because the largest value of each episode is a peak. The largest values of episodes
@@ -114,7 +66,7 @@ def separate_peaks(values: np.ndarray, t_ns: np.ndarray, gap_s: float = GAP_S, f
     """
     at = np.flatnonzero(values > floor)  # what is larger than a value over the floor is over it too
     if len(at) == 0:
-        return np.zeros(0)
+        return at
     value, t, gap_ns = values[at], t_ns[at], max(1, round(gap_s * 1e9))
     # Values of one block lie less than a gap apart, so only its largest, and of equal ones the first, can be a peak.
     starts = np.r_[0, 1 + np.flatnonzero(np.diff(t // gap_ns))]
@@ -125,7 +77,7 @@ def separate_peaks(values: np.ndarray, t_ns: np.ndarray, gap_s: float = GAP_S, f
     # What else is less than a gap away stands at the end of the block before and at the beginning of the next one.
     first, last = np.searchsorted(t, t[k] - gap_ns, side="right"), np.searchsorted(t, t[k] + gap_ns, side="left")
     before, after = _largest_between(value, first, starts), _largest_between(value, ends, last)
-    return value[k[(value[k] > before) & (value[k] >= after)]]
+    return at[k[(value[k] > before) & (value[k] >= after)]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +93,10 @@ class Peaks:
     """(joints, regions): how long a joint was in a region."""
     nm: tuple[tuple[np.ndarray, ...], ...]
     """[joint][region]: the largest peaks, falling, (peaks,), [N m]."""
+    at: tuple[tuple[np.ndarray, ...], ...]
+    """[joint][region]: which recording each of them is of, and when after its first sample [ns], (peaks, 2), int64."""
+    recordings: tuple[str, ...] = ()
+    """Names, in the order in which they came; a recording of which several spans are judged comes several times."""
 
 
 class PeakCollector:
@@ -165,6 +121,8 @@ class PeakCollector:
         self._hours = 0.0
         self._region_hours = np.zeros((len(self._joints), len(REGIONS)))
         self._nm = [[np.zeros(0) for _ in REGIONS] for _ in self._joints]
+        self._at = [[np.zeros((0, 2), dtype=np.int64) for _ in REGIONS] for _ in self._joints]
+        self._recordings = 0
 
     def add(self, t_ns: np.ndarray, tau_ext: np.ndarray, near_stiction: np.ndarray, healthy: np.ndarray) -> None:
         """Take in one recording of free motion; peaks of two recordings are separate however they follow.
@@ -192,13 +150,22 @@ class PeakCollector:
                 at = np.flatnonzero(held > floor)  # soon few, so what follows costs little
                 near_samples = near_before[at + 1] - near_before[first[at]]
                 touched = at[near_samples > 0 if region else near_samples < at + 1 - first[at]]
-                found = separate_peaks(held[touched], t_ns[touched], self._gap_s, floor)
-                self._nm[joint][region] = np.sort(np.r_[kept, found])[::-1][: self._keep]
+                found = touched[peak_places(held[touched], t_ns[touched], self._gap_s, floor)]
+                values = np.r_[kept, held[found]]
+                places = np.column_stack([np.full(len(found), self._recordings), t_ns[found] - t_ns[0]])
+                order = np.argsort(-values, kind="stable")[: self._keep]
+                self._nm[joint][region] = values[order]
+                self._at[joint][region] = np.concatenate([self._at[joint][region], places])[order]
+        self._recordings += 1
 
-    def peaks(self) -> Peaks:
-        """What was found so far."""
-        nm = tuple(tuple(of_region.copy() for of_region in of_joint) for of_joint in self._nm)
-        return Peaks(self._joints, self._hold_s, self._gap_s, self._hours, self._region_hours.copy(), nm)
+    def peaks(self, recordings: Sequence[str] = ()) -> Peaks:
+        """What was found so far, in recordings of these names."""
+        nm, at = (
+            tuple(tuple(of_region.copy() for of_region in of_joint) for of_joint in kept)
+            for kept in (self._nm, self._at)
+        )
+        hours = self._region_hours.copy()
+        return Peaks(self._joints, self._hold_s, self._gap_s, self._hours, hours, nm, at, tuple(recordings))
 
 
 def collect_peaks(
@@ -209,6 +176,7 @@ def collect_peaks(
     gap_s: float = GAP_S,
     keep: int = KEEP,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
+    kept: KeptPeaks | None = None,
 ) -> tuple[Peaks, ...]:
     """Run the bundle on recordings of free motion; the peaks for each hold time, in their order.
 
@@ -220,16 +188,28 @@ def collect_peaks(
 
     Args:
         threads: of the estimates, 0: one a core. The result does not depend on it.
+        kept: what a killed process has done of this; `recordings` begins behind that.
 
     Raises:
         TrainingError: no recording with a healthy sample of free motion.
         ConfigError: as PeakCollector.
     """
     collectors = [PeakCollector([link.joint_name for link in bundle.links], hold, gap_s, keep) for hold in holds_s]
-    for samples in _errors(bundle, recordings, threads or os.cpu_count() or 1, margins):
+    names: list[str] = []
+    if kept and kept.collectors:
+        collectors, names = kept.collectors, list(kept.names)
+
+    def named() -> Iterator[Recording | Judged]:
+        for one in recordings:
+            names.append((one.recording if isinstance(one, Judged) else one).name)
+            yield one
+
+    for samples in _errors(bundle, named(), threads or os.cpu_count() or 1, margins):
         for collector in collectors:
             collector.add(*samples)
-    found = tuple(collector.peaks() for collector in collectors)
+        if kept:
+            kept.offer(collectors, names)
+    found = tuple(collector.peaks(names) for collector in collectors)
     if any(peaks.hours == 0 for peaks in found):
         raise no_free_motion(bundle, margins)
     return found
@@ -249,42 +229,6 @@ def _errors(
                 yield coming.popleft().result()
         while coming:
             yield coming.popleft().result()
-
-
-def _one_length(hold: np.ndarray) -> int | None:
-    """The hold time in samples where all samples have the same, but for those that reach before the first one."""
-    if hold.ndim == 0:
-        return int(hold)
-    length = int(hold[-1]) if len(hold) else 0
-    return length if (hold == np.minimum(np.arange(1, len(hold) + 1), length)).all() else None
-
-
-def _over_windows(values: np.ndarray, samples: int) -> np.ndarray:
-    """Least of each `samples` values in a row, (len(values) - samples + 1 or 0,), as two overlapping blocks of 2^p."""
-    if samples > len(values):
-        return np.zeros(0)
-    power, table = samples.bit_length() - 1, values
-    for p in range(power):
-        table = np.minimum(table[: -(2**p)], table[2**p :])
-    rest = samples - 2**power
-    return np.minimum(table[:-rest], table[rest:]) if rest else table
-
-
-def _over_ranges(values: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Least of values[first..last] for each pair of indices, first <= last, as two overlapping blocks of 2^p values.
-
-    Memory of one block size at a time; O(samples log of the longest range).
-    """
-    power = np.frexp(last - first + 1)[1] - 1
-    out = np.empty(len(first))
-    table = values  # table[i] = min(values[i .. i + 2^p - 1])
-    for p in range(int(power.max(initial=-1)) + 1):
-        if p:
-            half = 2 ** (p - 1)
-            table = np.minimum(table[:-half], table[half:])
-        now = power == p
-        out[now] = np.minimum(table[first[now]], table[last[now] - 2**p + 1])
-    return out
 
 
 def _largest_between(values: np.ndarray, first: np.ndarray, end: np.ndarray) -> np.ndarray:

@@ -40,6 +40,15 @@ def errors(
     limits, also while a drive is saturated, which is no healthy one. The whole recording runs through the chain, so
     that filters are warm where the span begins.
     """
+    said, error, counted = judge(bundle, judged, threads, margins)
+    recording = judged.recording if isinstance(judged, Judged) else judged
+    return recording.t_ns, error, said["near_stiction"].astype(bool), counted
+
+
+def judge(
+    bundle: _core.Bundle, judged: Recording | Judged, threads: int, margins: FreeMotionConfig
+) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+    """All that the chain said of the recording, and of errors() |tau_ext| and which samples count."""
     judged = judged if isinstance(judged, Judged) else Judged(judged)
     recording = judged.recording
     said = _core.estimate(judged.bundle or bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads)
@@ -48,7 +57,7 @@ def errors(
     counted &= (said["health"] != STALE) & np.isfinite(said["tau_ext"]).all(axis=1) & free_samples(recording, margins)
     # What the prior's doubt raises the limits by is no error that limits must stand.
     error = np.maximum(np.abs(said["tau_ext"]) - said["doubt"], 0) / said["limit_scale"]
-    return recording.t_ns, error, said["near_stiction"].astype(bool), counted
+    return said, error, counted
 
 
 def no_free_motion(bundle: _core.Bundle, margins: FreeMotionConfig) -> TrainingError:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from tauext import _core
 from tauext.calibrate.held_peaks import REGIONS, Peaks, collect_peaks
 from tauext.calibrate.judged import Judged
+from tauext.calibrate.kept_peaks import KeptPeaks
 from tauext.calibrate.limits import LevelLimits
+from tauext.calibrate.moments import Moment, carrying_moments
 from tauext.calibrate.promise import FalseAlarmBudget, Promise, split
 from tauext.calibrate.tail import Tail, TooFewPeaks, fit_tail
 from tauext.config import AlarmConfig, FreeMotionConfig
@@ -33,6 +35,8 @@ class PromisedLimits:
     """What the limits were set for: what was asked, or the smallest that the recordings support."""
     tails: dict
     """Facts of every fit, by joint and region."""
+    moments: list[Moment] = field(default_factory=list)
+    """Those that carry a collision limit."""
 
     @property
     def misfits(self) -> list[str]:
@@ -58,6 +62,7 @@ class PromisedLimits:
             "set_for": str(self.budget),
             "hold_s": self.hold_s,
             "tails": self.tails,
+            **({"one_moment": [moment.facts() for moment in self.moments]} if self.moments else {}),
         }
 
 
@@ -69,6 +74,7 @@ def promised_limits(
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
     level_confidence: float | None = None,
     at_most_seen: bool = False,
+    kept: KeptPeaks | None = None,
 ) -> PromisedLimits:
     """Limits from the tail of the error on calibration recordings, which nothing was trained or validated on.
 
@@ -84,13 +90,14 @@ def promised_limits(
     Args:
         recordings: loads them one at a time; called once.
         level_confidence: with which each limit keeps its share of the budget; None: that of the promise.
+        kept: what a killed process has done of this; `recordings` begins behind that.
         at_most_seen: no limit is above the largest peak, however far the tail's fit reaches beyond it.
 
     Raises:
         TrainingError: no free motion, or too few peaks to say anything.
     """
     n = bundle.joints
-    found = collect_peaks(bundle, recordings(), alarm.holds_s, threads, margins=margins)
+    found = collect_peaks(bundle, recordings(), alarm.holds_s, threads, margins=margins, kept=kept)
     asked = FalseAlarmBudget(alarm.false_alarms, alarm.in_hours)
     promise = Promise(asked, found[0].hours, streams=n * len(REGIONS), confidence=alarm.confidence)
     budget = asked if promise.is_supported else promise.supported
@@ -113,29 +120,55 @@ def promised_limits(
     contact = LevelLimits(
         np.minimum(contact.sliding_nm, limits.sliding_nm), np.minimum(contact.near_stiction_nm, limits.near_stiction_nm)
     )
-    return PromisedLimits(limits, contact, alarm.holds_s[best], alarm.holds_s[held], promise, budget, tails)
+    moments = _moments(found[best], budget, level_confidence, at_most_seen)
+    return PromisedLimits(limits, contact, alarm.holds_s[best], alarm.holds_s[held], promise, budget, tails, moments)
+
+
+def _moments(peaks: Peaks, budget: FalseAlarmBudget, confidence: float, at_most_seen: bool) -> list[Moment]:
+    def limits_of(joint: int, nm: Sequence[np.ndarray]) -> np.ndarray:
+        return np.maximum.accumulate(_of_joint(peaks, joint, nm, budget, confidence, at_most_seen)[0])
+
+    try:
+        return carrying_moments(peaks, limits_of)
+    except TooFewPeaks:  # none to spare
+        return []
 
 
 def _limits(peaks: Peaks, budget: FalseAlarmBudget, confidence: float, at_most_seen: bool) -> tuple[LevelLimits, dict]:
-    n = len(peaks.joints)
-    shares = split(budget, n, len(REGIONS))
-    levels, facts = np.zeros((n, len(REGIONS))), {}
+    facts: dict = {}
+    levels = []
     for j, joint in enumerate(peaks.joints):
-        for r, region in enumerate(REGIONS):
-            tail = _tail(peaks, j, r)
-            levels[j, r] = tail.upper_level(float(shares[j, r]), confidence)
-            if at_most_seen:
-                levels[j, r] = min(levels[j, r], tail.peaks_nm[0])
-            facts[f"{joint} {region}"] = tail.summary() | {"limit_nm": float(levels[j, r])}
-    return LevelLimits(levels[:, 0], np.maximum(levels[:, 1], levels[:, 0])), facts
+        of_joint, tails = _of_joint(peaks, j, peaks.nm[j], budget, confidence, at_most_seen)
+        levels.append(of_joint)
+        for region, tail, level in zip(REGIONS, tails, of_joint.tolist(), strict=True):
+            facts[f"{joint} {region}"] = tail.summary() | {"limit_nm": level}
+    found = np.array(levels)
+    return LevelLimits(found[:, 0], np.maximum(found[:, 1], found[:, 0])), facts
 
 
-def _tail(peaks: Peaks, joint: int, region: int) -> Tail:
+def _of_joint(
+    peaks: Peaks,
+    joint: int,
+    nm: Sequence[np.ndarray],
+    budget: FalseAlarmBudget,
+    confidence: float,
+    at_most_seen: bool,
+) -> tuple[np.ndarray, list[Tail]]:
+    """The levels of a joint's regions, (regions,), from these of its peaks, and their tails."""
+    shares = split(budget, len(peaks.joints), len(REGIONS))[joint]
+    tails = [_tail(nm, region, peaks.hours) for region in range(len(REGIONS))]
+    levels = np.array([tail.upper_level(float(share), confidence) for tail, share in zip(tails, shares, strict=True)])
+    if at_most_seen:
+        levels = np.minimum(levels, [tail.peaks_nm[0] for tail in tails])
+    return levels, tails
+
+
+def _tail(nm: Sequence[np.ndarray], region: int, hours: float) -> Tail:
     """Of a region that a joint hardly enters too little is known: it takes the tail of both regions together."""
     try:
-        return fit_tail(peaks.nm[joint][region], peaks.hours)
+        return fit_tail(nm[region], hours)
     except TooFewPeaks:
-        return fit_tail(np.sort(np.concatenate(peaks.nm[joint]))[::-1], peaks.hours)
+        return fit_tail(np.sort(np.concatenate(nm))[::-1], hours)
 
 
 def apply_promised(bundle: _core.Bundle, found: PromisedLimits, alarm: AlarmConfig) -> None:

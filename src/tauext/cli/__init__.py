@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import _thread
 import os
 import sys
+import warnings
+from contextlib import suppress
+from importlib.metadata import version
+from io import TextIOWrapper
+from typing import Any
 
 # The fits solve many small systems: more threads of the linear algebra only wait for each other. NumPy reads it once.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -19,21 +25,34 @@ from tauext.cli.demo import demo
 from tauext.cli.evaluate import evaluate
 from tauext.cli.import_data import import_data
 from tauext.cli.monitor import monitor
+from tauext.cli.parsing import deferred, understood
+from tauext.cli.replaced import RULE
 from tauext.cli.report import report
 from tauext.cli.reproduce import reproduce
 from tauext.cli.run import run
 from tauext.cli.show import show
 from tauext.cli.simulate import simulate
 from tauext.cli.train import train
-from tauext.errors import TauextError
+from tauext.errors import FaultyDataError, TauextError
 
+KILLED = (
+    "Whatever ends a process (Ctrl-C, kill -9, a power cut) leaves whole files, and costs at most the last 30 s of "
+    "simulated, trained, calibrated or evaluated motion: the same command goes on there. What is fitted in between "
+    "(a prior, the gate) is done again; so is an import, a check and a report."
+)
 DESCRIPTION = (
     "External joint torque and collision detection for robot arms, from encoders and motor torque alone. "
     "simulate (or import: your own recordings) -> train -> evaluate -> report; reproduce does all four. "
     "check: what recordings and robot file have wrong, before anyone trains. "
     "train -> run: the monitor on recordings; monitor: on a live arm. calibrate: other limits for a trained bundle. "
-    "demo: push a simulated arm in the browser. convert: a bundle of an older format."
+    "demo: push a simulated arm in the browser. convert: a bundle of an older format. "
+    "--version: of package, core and bundles. "
+    f"{RULE} {KILLED}"
 )
+
+
+LONGEST_ERROR = 1500
+"""Letters of an error: what a hostile file holds is quoted no further."""
 
 
 def spelled_out(argv: list[str]) -> list[str]:
@@ -41,24 +60,86 @@ def spelled_out(argv: list[str]) -> list[str]:
     return [word for arg in argv for word in (("--source", "ros2") if arg == "--ros2" else (arg,))]
 
 
+def version_text() -> str:
+    """Versions of the package and of its core, and which bundles both read and write."""
+    from tauext import _core
+    from tauext.provenance import VERSION
+
+    formats = f"bundle format {_core.BUNDLE_FORMAT} (reads {_core.OLDEST_BUNDLE_FORMAT} to {_core.BUNDLE_FORMAT})"
+    return f"tauext {version('tauext')}, core {VERSION}, {formats}"
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run one command; 0 done, 1 a fault (check), 2 bad input (one line on stderr), 130 interrupted, 141 no reader."""
+    argv = sys.argv[1:] if argv is None else argv
+    if argv == ["--version"]:
+        print(version_text())
+        return 0
     app = tyro.extras.SubcommandApp()
     for command in (reproduce, simulate, check, train, calibrate, evaluate, report, run, monitor, show, demo, convert):
-        app.command(command)
-    app.command(name="import")(import_data)
+        app.command(deferred(command))
+    app.command(name="import")(deferred(import_data))
+    # What overflows is found by whoever checks the number; the interpreter's own words about it are none of ours.
+    warnings.filterwarnings("ignore", category=RuntimeWarning)
+    sys.unraisablehook = not_swallowed
     try:
-        status = app.cli(
-            prog="tauext", description=DESCRIPTION, args=spelled_out(sys.argv[1:] if argv is None else argv)
-        )
-    except TauextError as error:
-        print(f"tauext: error: {error}", file=sys.stderr)
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, TextIOWrapper):
+                stream.reconfigure(errors="backslashreplace")  # names of files may be any bytes
+        status = understood(app, "tauext", DESCRIPTION, spelled_out(argv))()
+        flush()
+    except FaultyDataError as error:
+        tell(f"tauext: error: {error}")  # a block: what is found in data, and how to mend it
         return 2
+    except TauextError as error:
+        return refused(str(error))
     except KeyboardInterrupt as stop:
         kept = str(stop) or "what was finished is kept, and the same command goes on from there"
-        print(f"tauext: interrupted; {kept}", file=sys.stderr)
+        tell(f"tauext: interrupted; {kept}")
         return 130
-    except BrokenPipeError:  # `tauext run --json | head`: nobody reads on, and Python must not flush what is left
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # `tauext run --json | head`: nobody reads on
+        forget(sys.stdout)
         return 141
+    except OSError as error:
+        forget(sys.stdout)
+        return refused(f"{error.filename or 'output'}: cannot be read or written ({error.strerror or error})")
+    except UnicodeError as error:
+        return refused(f"a name or text is no UTF-8: {error}")
+    except MemoryError as error:
+        return refused(f"this needs more memory than there is; ask for less at a time ({str(error) or 'none is left'})")
     return status if isinstance(status, int) else 0
+
+
+def not_swallowed(lost: sys.UnraisableHookArgs) -> None:
+    """A Ctrl-C that came within a destructor, where Python would print it and go on, comes again."""
+    if issubclass(lost.exc_type, KeyboardInterrupt):
+        _thread.interrupt_main()
+    else:
+        sys.__unraisablehook__(lost)
+
+
+def refused(why: str) -> int:
+    """Say in one line why there is nothing; the exit status."""
+    line = " ".join(why.split())
+    tell(f"tauext: error: {line if len(line) <= LONGEST_ERROR else f'{line[:LONGEST_ERROR]} ...'}")
+    return 2
+
+
+def tell(line: str) -> None:
+    """On stderr, which may be full or closed."""
+    try:
+        print(line, file=sys.stderr, flush=True)
+    except OSError:
+        forget(sys.stderr)
+
+
+def flush() -> None:
+    """What is printed and does not arrive is an error here, not a word of the interpreter at its end."""
+    if sys.stdout is not None:
+        sys.stdout.flush()
+
+
+def forget(stream: Any) -> None:
+    """What stands in its buffer cannot be written: the interpreter shall not try again at its end."""
+    with suppress(OSError, AttributeError, ValueError):  # none, closed or a test's own
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

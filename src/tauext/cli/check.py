@@ -23,17 +23,25 @@ def check(
     Args:
         data: a dataset folder, a folder of recordings, or recordings (*.parquet), of free motion.
         robot: URDF or MJCF of the arm; default: the dataset's own. Without any, what needs a model is not looked for.
-        out: folder to write: check.txt, check.json, and measured against predicted torque as pictures.
+        out: folder to write: check.txt, check.json, and measured against predicted torque as pictures; those that are
+            there are replaced, and said to be.
         gravity: acceleration of free fall in the base frame, m/s^2; default: the robot file's.
         as_json: print the findings as JSON for scripts.
     """
     import json
 
+    from tauext.cli.replaced import tell_replaced
+    from tauext.cli.reporter import Terminal
     from tauext.doctor import examine, gather
     from tauext.doctor.summary import as_data, as_text
+    from tauext.room import expect_folder
+    from tauext.whole_file import whole_folder
 
-    recordings, free, robot = gather(data, robot)
-    diagnosis = examine(recordings, robot, gravity, free)
+    if out is not None:
+        expect_folder(out)
+        tell_replaced(out / "check.json")
+    recordings, free, robot = gather(data, robot, Terminal())
+    diagnosis = examine(recordings, robot, gravity, free, Terminal())
     text, content = as_text(diagnosis), as_data(diagnosis)
     if robot is None:
         text = f"no robot model: order, scale, gravity and payload cannot be checked\n{text}"
@@ -41,9 +49,9 @@ def check(
     if out is not None:
         from tauext.doctor.picture import draw
 
-        out.mkdir(parents=True, exist_ok=True)
-        (out / "check.txt").write_text(text + "\n")
-        (out / "check.json").write_text(json.dumps(content, indent=1) + "\n")
-        draw(diagnosis, out)
+        with whole_folder(out) as part:
+            (part / "check.txt").write_text(text + "\n")
+            (part / "check.json").write_text(json.dumps(content, indent=1) + "\n")
+            draw(diagnosis, part, Terminal())
     print(json.dumps(content, indent=1) if as_json else text)
     return 1 if diagnosis.faulty else 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from tauext.config import require
+from tauext.config import require, require_seed
 
 if TYPE_CHECKING:
     from tauext.cli.progress import ProgressBar
@@ -33,7 +33,8 @@ def demo(
     """
     from tauext.demo.bundles import cache_folder
 
-    require(seed >= 0, "seed", seed, ">= 0")
+    require_seed(seed)
+    require(1 <= port <= 65535, "port", port, "1 to 65535")
     if headless_seconds is not None:
         require(0 < headless_seconds <= 3600, "headless_seconds", headless_seconds, "above 0, at most 3600")
         print(headless(arm, headless_seconds, seed))

@@ -7,9 +7,10 @@ from typing import Annotated
 
 import tyro
 
-from tauext.config import CaseName, EventsConfig
+from tauext.config import CaseName, EventsConfig, require, require_seed, require_threads
 from tauext.errors import ConfigError
 from tauext.recipes import baselines as known_baselines
+from tauext.room import expect_folder
 
 METHODS = f"train and compare only these of the baselines: {', '.join(known_baselines())}."
 
@@ -25,13 +26,14 @@ def evaluate(
     seed: int = 0,
     threads: int = 0,
     keep_free_estimates: int = 20,
+    accept: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")] = (),
     events: Annotated[EventsConfig, tyro.conf.arg(name="")] = EventsConfig(),  # noqa: B008
 ) -> None:
     """Errors and false alarms on test free motion, collisions found and delays, and the estimates behind them.
 
     Args:
         data: dataset folder; its test and collision recordings are used.
-        out: results folder to write: results.json and estimates/.
+        out: results folder to write: results.json and estimates/; results that are there are replaced, and said to be.
         bundles: bundles (*.tauext) to compare, named in the results by their file names.
         baselines: also train every known method on the dataset, with limits for the same promise, into OUT/bundles, and
             compare them, beside detectors that know nothing; those that are there are used again.
@@ -41,13 +43,19 @@ def evaluate(
         threads: threads that train and estimate; 0: one a core. The result does not depend on it.
         keep_free_estimates: how many test recordings of free motion, the first ones, have their estimates written, for
             figures.
+        accept: codes of findings that are no fault of the baselines' training data on your word, as of train.
         events: how alarms are held against labels.
     """
     from tauext.cli.command_line import command_line
+    from tauext.cli.replaced import tell_replaced
     from tauext.cli.reporter import Terminal
     from tauext.data import load_dataset
     from tauext.evaluate import evaluate_bundles
 
+    require_seed(seed)
+    require_threads(threads)
+    require(keep_free_estimates >= 0, "keep_free_estimates", keep_free_estimates, ">= 0")
+    expect_folder(out)
     for path in bundles:
         if not path.is_file():  # before baselines are trained for minutes
             raise ConfigError(f"{path}: there is no such bundle; `tauext train` makes one")
@@ -55,13 +63,14 @@ def evaluate(
         raise ConfigError("--methods chooses among the baselines; give --baselines, too")
     if not bundles and not baselines:
         raise ConfigError("there is nothing to evaluate: give --bundles, or --baselines to train every known method")
+    tell_replaced(out / "results.json")
     dataset = load_dataset(data)
     paths = list(bundles)
     if baselines:
         from tauext.train import train_baselines
 
         folder = out / "bundles"
-        trained = train_baselines(dataset, robot, case, folder, seed, threads, methods or None, report=Terminal())
+        trained = train_baselines(dataset, robot, case, folder, seed, threads, methods or None, (), Terminal(), accept)
         paths = [*trained.values(), *paths]
     names = [path.stem for path in paths]
     if len(set(names)) < len(names):

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from tauext.errors import ConfigError
+from tauext.plain_file import read_text
+from tauext.room import expect_folder, expect_new_file
 
 if TYPE_CHECKING:
     from tauext.data import Recording
@@ -24,7 +26,8 @@ def import_data(
 
     First `tauext import --new arm.toml --source FILE --robot FILE` writes a description to fill in, then
     `tauext import --source FILE ... --arm arm.toml --out DIR` imports. All that was done to the numbers is printed and
-    kept in the recordings.
+    kept in the recordings. In the end all that would be trained on is looked at: faults, which train will refuse, and
+    warnings are told; the dataset stays, so that `tauext check` can draw it.
 
     Args:
         source: files or folders to import: ROS 1 and ROS 2 bags (sqlite3, MCAP), CSV, Parquet, HDF5, MATLAB, LeRobot
@@ -57,10 +60,12 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
 
     from tauext.data.description_template import Guess, guess, template
     from tauext.data.importers import open_raw
+    from tauext.live.toml_file import write_template as write_text
     from tauext.robot import movable_joints
 
     if path.exists():
         raise ConfigError(f"{path}: is there already; choose another name or remove it")
+    expect_new_file(path)
     guessed, streams = Guess(), {}
     if sources:
         (first, *_) = open_raw(sources[0])
@@ -70,7 +75,7 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
     if robot is not None:
         joints = movable_joints(robot)
         model = Path(os.path.relpath(robot, path.parent)).as_posix()
-    path.write_text(template(guessed, model, joints, list(streams)))
+    write_text(path, template(guessed, model, joints, list(streams)))
     print(path)
 
 
@@ -90,6 +95,7 @@ def import_dataset(paths: tuple[Path, ...], arm_file: Path, out: Path, format: s
     arm = load_arm(arm_file)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ConfigError(f"{out}: is not empty; choose another folder or remove it")
+    expect_folder(out)
     sources = [source for path in paths for source in open_raw(path, arm.topics)]
     if arm.model is not None:
         load_tree(arm.model, joints=arm.robot.joints)  # names its faults before an hour is imported
@@ -104,7 +110,7 @@ def import_dataset(paths: tuple[Path, ...], arm_file: Path, out: Path, format: s
             robot = _robot_file(arm, part)
             for line in write_dataset(sources, arm, robot_sha256(robot), part, _told).said:
                 print(line)
-        settings = {"arm": arm_file.read_text(), "sources": [path.name for path in paths], "format": format}
+        settings = {"arm": read_text(arm_file), "sources": [path.name for path in paths], "format": format}
         write_json(provenance("tauext import", settings, None), part / "run.json")
         write_json({"import_s": round(time.monotonic() - started, 3)}, part / "wall_time_s.json")
         if out.exists():
@@ -113,7 +119,35 @@ def import_dataset(paths: tuple[Path, ...], arm_file: Path, out: Path, format: s
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)  # half a dataset serves nobody
         raise
+    if format == "tauext":
+        tell_findings(out)
     print(out)
+
+
+def tell_findings(out: Path) -> None:
+    """Say on stderr what `tauext train` would refuse of this dataset, and what it would warn of."""
+    from tauext.cli.reporter import Terminal
+    from tauext.config import PAPER_CASES, TrainConfig
+    from tauext.data import load_dataset
+    from tauext.look import entries, sentence, told
+    from tauext.robot import chosen_case
+    from tauext.train import view_dataset
+
+    dataset, terminal = load_dataset(out), Terminal()
+    if not dataset.split.train:
+        return
+    robot = dataset.robot_file(None)
+    case = PAPER_CASES[chosen_case(None, robot)[0]]
+    training, validation = dataset.training(), dataset.recordings("validation")
+    looks = view_dataset(dataset, robot, case, training, validation, TrainConfig(), terminal)
+    findings = [finding for look in looks.values() for finding in look.findings]
+    for entry in entries(finding for finding in findings if finding.severity == "warning"):
+        terminal.say(f"warning: {sentence(entry)}")
+    faults = [finding for finding in findings if finding.severity == "fault"]
+    if faults:
+        plural = "" if len(faults) == 1 else "s"
+        words = f"{out}: {len(faults)} fault{plural}, which `tauext train` refuses; mend arm.toml, and import again"
+        terminal.say("\n".join([words, *told(faults), f"  `tauext check --data {out} --out DIR` draws it"]))
 
 
 def _robot_file(arm: Arm, out: Path) -> Path:

@@ -16,7 +16,9 @@ from tauext.cli.run_output import FlightCount
 from tauext.cli.run_settings import RunSettings
 from tauext.cli.run_text import TextLines
 from tauext.data import Recording
+from tauext.data.units import SEVERAL, of_all, short
 from tauext.monitor import ALARMS, HEALTHS, Chunk, Tally
+from tauext.monitor.readable import readable
 
 REFRESH_S = 0.1
 BAR_CELLS = 40
@@ -86,7 +88,8 @@ class LiveView(TextLines):
         table = Table(box=None, pad_edge=False)
         for title in ("joint", "tau_ext from −limit to +limit"):
             table.add_column(title)
-        for title in ("tau_ext, Nm", "limit, Nm", "margin, Nm", "speed, rad/s"):
+        unit = of_all(self._units)
+        for title in (f"tau_ext, {unit}", f"limit, {unit}", f"margin, {unit}", "speed, rad/s"):
             table.add_column(title, justify="right")
         table.add_column("")
         said = chunk.said
@@ -96,12 +99,12 @@ class LiveView(TextLines):
             sigma = said["sigma_nm"][-1, j]
             near = "near stiction" if said["near_stiction"][-1, j] else ""
             table.add_row(
-                joint,
+                f"{joint} [{short(self._units[j])}]" if unit == SEVERAL else joint,
                 bar(tau_ext[k] / limit[k]),
                 text_number(tau_ext[-1], "+") + (f" ± {sigma:.2f}" if math.isfinite(sigma) else ""),
                 text_number(limit[-1]),
                 text_number(said["margin_nm"][-1, j], "+"),
-                f"{chunk.dq[-1, j]:+.3f}",
+                readable(chunk.dq[-1, j], "+.3f"),
                 near,
             )
         return table
@@ -118,4 +121,4 @@ def bar(share: float) -> Text:
 
 
 def text_number(value: float, sign: str = "") -> str:
-    return f"{value:{sign}.2f}" if math.isfinite(value) else "–"
+    return readable(value, f"{sign}.2f") if math.isfinite(value) else "–"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,11 +19,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from tauext._core import Bundle
-    from tauext.cli.monitor_output import MonitorOutput
+    from tauext.cli.monitor_output import MonitorOutput, Outcome
     from tauext.live import Loop, LoopSettings
     from tauext.live.flight_sink import FlightSink
 
 STDIN = Path("-")
+MOST_CORES = 1024
+"""That Linux pins threads to."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ def monitor(
     after_s: float = 1.0,
     contacts: bool = False,
     record: Path | None = None,
-    segment_s: float = 60.0,
+    segment_s: float = 25.0,
     core: int | None = None,
     priority: int | None = None,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
@@ -93,7 +95,7 @@ def monitor(
         after_s: seconds that a flight keeps from after its event.
         contacts: write flights of contacts, too.
         record: folder for recordings of all samples that came, to train with again.
-        segment_s: length of each of the recordings, [s].
+        segment_s: length of each of the recordings, [s]: what a killed process loses at most.
         core: processor core that the loop and what receives samples are pinned to. None: any.
         priority: real-time priority of the loop and what receives samples, SCHED_FIFO, 1 to 99. None: an ordinary one.
         as_json: print JSON lines, an object an event.
@@ -109,7 +111,8 @@ def monitor(
     require_positive(acknowledge_after_s=acknowledge_after_s, duration_s=duration_s)
     require(1 <= segment_s <= 3600, "segment_s", segment_s, "1 to 3600")
     require(priority is None or 1 <= priority <= 99, "priority", priority, "1 to 99")
-    require(0 <= status_hz < float("inf"), "status_hz", status_hz, ">= 0")
+    require(0 <= status_hz <= 1e6, "status_hz", status_hz, "0 to 1e6")
+    require(core is None or 0 <= core < MOST_CORES, "core", core, f"0 to {MOST_CORES - 1}")
     require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
 
     from tauext.cli.monitor_output import open_output
@@ -121,13 +124,27 @@ def monitor(
     extras = Extras(reactions, profiles, flights, before_s, after_s, contacts, record, segment_s, control)
     shown = RunSettings(None, own_rate, acknowledge_after_s, flights, before_s, after_s, contacts)
     options = SourceOptions(speed, torque_constants, None if ros2 == Ros2Settings() else ros2)
-    watch(bundle, source, options, settings, extras, open_output(as_json, status_hz, shown))
+    with quiet_library(source):
+        watch(bundle, source, options, settings, extras, open_output(as_json, status_hz, shown))
+
+
+def quiet_library(source: str) -> AbstractContextManager[None]:
+    """A publisher of garbage is told of by its count, not by the library's line for each message."""
+    if source != "ros2":
+        return nullcontext()
+    import sys
+
+    try:
+        from tauext.ros2.unreadable import without_lines
+    except ImportError:  # the source says what is missing
+        return nullcontext()
+    return without_lines() if sys.stderr is sys.__stderr__ else nullcontext()
 
 
 def require_positive(**values: float | None) -> None:
-    """Raise ConfigError where an option is given that is no finite number > 0."""
+    """Raise ConfigError where an option is given that is no number > 0 of a use."""
     for name, value in values.items():
-        require(value is None or 0 < value < float("inf"), name, value, "> 0")
+        require(value is None or 1e-6 <= value <= 1e9, name, value, "> 0: 1e-6 to 1e9")
 
 
 def write_templates(reactions: Path | None, profiles: Path | None, also_run: bool) -> None:
@@ -179,6 +196,8 @@ def watch(
         aside = stack.enter_context(Aside(lambda: loop.stop("an output that cannot be written")))
         shown = OutputSink(output, aside, loop.monitor, reactions, flights)
         loop.sinks.append(shown)
+        if record is not None:
+            record.note = shown.note
         loop.note, loop.switched = shown.note, shown.switched
         stack.enter_context(controlled(extras.control, loop))
         aside.do(partial(output.begin, source.name, bundle))
@@ -190,6 +209,17 @@ def watch(
         outcome.reactions = {thread.reaction.name: thread.count for thread in reactions.threads}
         outcome.recorded = record.count if record else None
         aside.do(partial(output.finish, outcome))
+    expect_all_kept(outcome)
+
+
+def expect_all_kept(outcome: Outcome) -> None:
+    """Raise ConfigError where samples or flights that were to be kept are lost."""
+    recorded, flights = outcome.recorded, outcome.flights
+    if recorded is not None and recorded.lost:
+        total = recorded.lost + recorded.samples
+        raise ConfigError(f"{recorded.lost} of {total} samples of the recording are lost: {recorded.error}")
+    if flights.failed:
+        raise ConfigError(f"{flights.failed} of {flights.failed + flights.written} flights are lost: {flights.error}")
 
 
 def flight_sink(bundle: Bundle, extras: Extras, source: str) -> FlightSink:

@@ -68,7 +68,7 @@ class LiveWords(TextLines):
     """In words; TextLines or LiveView comes behind it."""
 
     def begin(self, source: str, bundle: _core.Bundle) -> None:
-        self._joints = tuple(link.joint_name for link in bundle.links)
+        self._joints, self._units = tuple(link.joint_name for link in bundle.links), bundle.estimate_units
         self._latched_s, self._start_ns, self._of, self._has_begun = None, 0, 1, False
         self._second, self._shown, self._hidden = 0, 0, 0
         self._title, self._began, self._duration_s = source, 0.0, math.inf
@@ -141,7 +141,8 @@ class MonitorJson(JsonLines):
         self._recording, self._joints = source, tuple(link.joint_name for link in bundle.links)
         self._start_ns, self._clock = 0, None
         rate_hz = 1e9 / bundle.observer.sample_period_ns
-        self._write("start", bundle=bundle.name, joints=self._joints, rate_hz=rate_hz)
+        units = bundle.estimate_units
+        self._write("start", bundle=bundle.name, joints=self._joints, estimate_units=units, rate_hz=rate_hz)
 
     def first(self, t_ns: int) -> None:
         self._start_ns = t_ns
@@ -189,7 +190,7 @@ class OutputSink:
         reactions: Reactions,
         flights: FlightSink | None = None,
     ):
-        self.tally = Tally(tuple(monitor.joint_names), monitor.sample_period_ns)
+        self.tally = Tally(tuple(monitor.joint_names), monitor.sample_period_ns, tuple(monitor.estimate_units))
         self.flights = FlightCount()
         self._output, self._aside, self._monitor = output, aside, monitor
         self._reactions, self._flight_sink = reactions, flights

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from tauext.errors import ConfigError
@@ -20,7 +21,7 @@ def report(
     Give --results and --data, or --flight. The page holds traces to zoom into; it is one file and needs no network.
 
     Args:
-        out: folder to write the page and its figures to.
+        out: folder to write the page and its figures to; a page that is there is replaced, and said to be.
         results: results folder to draw (`tauext evaluate` makes one).
         data: dataset folder that was evaluated.
         flight: flight to draw (FLIGHT.parquet, `tauext run --flights` writes them), or a folder of flights, of which
@@ -28,6 +29,7 @@ def report(
         page_mb: largest size of the page; traces fill it, in as much detail as there is room for. 0: no traces.
         trace_methods: bundles whose traces stand in the page, by their names; default: the best five.
     """
+    from tauext.cli.replaced import tell_replaced
     from tauext.data import load_dataset
     from tauext.report import write_flight_report, write_report
 
@@ -36,8 +38,13 @@ def report(
             raise ConfigError("give either --results and --data, or --flight; not both")
         if trace_methods:
             raise ConfigError("--trace-methods chooses among the methods of --results; a flight has one")
-        print(write_flight_report(flight, out, page_mb))
+        there = set(out.glob("*.html"))
+        page = write_flight_report(flight, out, page_mb)
+        if page in there:
+            print(f"tauext: {page} was there already and is replaced", file=sys.stderr)
+        print(page)
     elif results is not None and data is not None:
+        tell_replaced(out / "report.html")
         print(write_report(results, load_dataset(data).folder, out, page_mb, trace_methods))
     else:
         missing = "--results" if results is None else "--data"

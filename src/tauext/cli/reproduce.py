@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from tauext.config import CaseName
+from tauext.config import CaseName, require_seed
 
 
 def reproduce(
@@ -16,7 +16,8 @@ def reproduce(
 ) -> None:
     """Simulate, train five models, evaluate and report: the whole paper in one command.
 
-    What is finished is kept: the same command goes on where it was interrupted.
+    What is finished is kept: the same command goes on where it was interrupted. Results and report are written anew,
+    and those that are there said to be replaced.
 
     Args:
         out: folder for data, bundles, results and report.
@@ -27,7 +28,12 @@ def reproduce(
         seed: seed of everything that is drawn.
     """
     from tauext.cli.command_line import command_line
+    from tauext.cli.replaced import tell_replaced
     from tauext.cli.reporter import Terminal
     from tauext.reproduce import SCALES, reproduce_paper
+    from tauext.room import expect_folder
 
+    require_seed(seed)
+    expect_folder(out)
+    tell_replaced(out / "results" / "results.json", out / "report" / "report.html")
     print(reproduce_paper(out, scale, SCALES[scale], cases, seed, command_line(), Terminal()))

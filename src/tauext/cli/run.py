@@ -59,11 +59,11 @@ def run(
         status_hz: with --json, how many times per second of the recording the estimates are printed, too; 0: events
             only.
     """
-    require(speed is None or 0 < speed < float("inf"), "speed", speed, "> 0")
+    require(speed is None or 1e-6 <= speed <= 1e6, "speed", speed, "> 0: 1e-6 to 1e6")
     require(not real_time or speed is None, "speed", speed, "left out with --real-time, which is speed 1")
     after = acknowledge_after_s
-    require(after is None or 0 < after < float("inf"), "acknowledge_after_s", after, "> 0; left out: never")
-    require(0 <= status_hz < float("inf"), "status_hz", status_hz, ">= 0")
+    require(after is None or 0 < after <= 1e6, "acknowledge_after_s", after, "> 0, at most 1e6; left out: never")
+    require(0 <= status_hz <= 1e6, "status_hz", status_hz, "0 to 1e6")
     require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
     loaded = fitting_bundle(bundle, recordings)
     settings = RunSettings(
@@ -131,7 +131,9 @@ def replay_all(bundle: Bundle, recordings: tuple[Path, ...], settings: RunSettin
     from tauext.data import load_recording
     from tauext.monitor import Tally
 
-    total = Tally(tuple(link.joint_name for link in bundle.links), bundle.observer.sample_period_ns)
+    total = Tally(
+        tuple(link.joint_name for link in bundle.links), bundle.observer.sample_period_ns, tuple(bundle.estimate_units)
+    )
     flights, done, stopped = FlightCount(), 0, None
     try:
         for number, path in enumerate(recordings, 1):
@@ -159,7 +161,7 @@ def counted(
     from tauext.cli.run_output import FlightCount
     from tauext.monitor import Tally
 
-    tally, own_flights = Tally(total.joints, total.sample_period_ns), FlightCount()
+    tally, own_flights = Tally(total.joints, total.sample_period_ns, total.units), FlightCount()
     try:
         yield tally, own_flights
     finally:

@@ -42,6 +42,7 @@ class JsonLines:
             "start",
             bundle=bundle.name,
             joints=recording.joints,
+            estimate_units=bundle.estimate_units,
             samples=recording.samples,
             duration_s=recording.duration_s,
             rate_hz=recording.rate_hz,

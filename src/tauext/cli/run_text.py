@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
@@ -10,6 +11,7 @@ from tauext._core import Bundle, cause_names
 from tauext.cli.run_output import FlightCount
 from tauext.cli.run_settings import RunSettings
 from tauext.data import Recording
+from tauext.data.units import short
 from tauext.monitor import (
     ALARMS,
     HEALTHS,
@@ -47,6 +49,7 @@ class TextLines:
 
     def start(self, bundle: Bundle, recording: Recording, number: int, of: int) -> None:
         self._joints, self._start_ns, self._of = recording.joints, int(recording.t_ns[0]), of
+        self._units = bundle.estimate_units
         self._latched_s: float | None = None
         self._second, self._shown, self._hidden = 0, 0, 0
         which = f" ({number} of {of})" if of > 1 else ""
@@ -108,7 +111,7 @@ class TextLines:
         collision = change.alarm == ALARMS.index("collision")
         if self._settings.acknowledge_after_s is None and collision:
             self._latched_s = (change.t_ns - self._start_ns) * 1e-9
-        self._event(change.t_ns, alarm_words(change, self._joints))
+        self._event(change.t_ns, alarm_words(change, self._joints, self._units))
 
 
 def health_words(change: HealthChange, joints: tuple[str, ...]) -> str:
@@ -120,17 +123,21 @@ def health_words(change: HealthChange, joints: tuple[str, ...]) -> str:
     return f"{HEALTHS[change.health]}{why}{was}"
 
 
-def alarm_words(change: AlarmChange, joints: tuple[str, ...]) -> str:
-    """`COLLISION joint1: |tau_ext| 6.21 Nm (standard error 0.35 Nm), limit 4.62 Nm`."""
+def alarm_words(change: AlarmChange, joints: tuple[str, ...], units: Sequence[str]) -> str:
+    """`COLLISION joint1: |tau_ext| 6.21 Nm (standard error 0.35 Nm), collision limit 4.62 Nm`.
+
+    units: of the answers, a joint.
+    """
     if change.acknowledged:
         return f"{ALARMS[change.was]} acknowledged"
     if change.joint < 0:
         return f"no {ALARMS[change.was]} any more" if change.alarm == 0 else ALARMS[change.alarm]
+    level, unit = ALARMS[change.alarm], short(units[change.joint])
     region = " near stiction" if change.near_stiction else ""
-    error = f" (standard error {change.sigma_nm:.2f} Nm)" if math.isfinite(change.sigma_nm) else ""
+    error = f" (standard error {change.sigma_nm:.2f} {unit})" if math.isfinite(change.sigma_nm) else ""
     return (
-        f"{ALARMS[change.alarm].upper()} {joints[change.joint]}: |tau_ext| {abs(change.tau_ext_nm):.2f} Nm{error}, "
-        f"limit{region} {change.limit_nm:.2f} Nm"
+        f"{level.upper()} {joints[change.joint]}: |tau_ext| {abs(change.tau_ext_nm):.2f} {unit}{error}, "
+        f"{level} limit{region} {change.limit_nm:.2f} {unit}"
     )
 
 
@@ -144,7 +151,11 @@ def summary_lines(tally: Tally, flights: FlightCount, folder: Path | None, timin
     for level, counts in told["alarms"].items():
         raised = [f"{joint} {count}" for joint, count in counts.items() if count]
         alarms.append(f"{level} {', '.join(raised) if raised else 'none'}")
-    margins = [f"{joint} {margin:+.2f} Nm" for joint, margin in told["worst_margin_nm"].items() if margin is not None]
+    margins = [
+        f"{joint} {margin:+.2f} {short(unit)}"
+        for (joint, margin), unit in zip(told["worst_margin_nm"].items(), tally.units, strict=True)
+        if margin is not None
+    ]
     lines = [
         f"samples       {tally.samples:,} ({duration_text(tally.hours)}), "
         + (timing or f"{told['us_per_sample']:.2f} µs each"),

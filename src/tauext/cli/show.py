@@ -48,14 +48,17 @@ def show(file: tyro.conf.Positional[Path], as_json: Annotated[bool, tyro.conf.ar
 
 def describe_bundle(file: Path) -> dict:
     """Plain content of a bundle; loading it also replays its reference."""
-    from tauext import _core
+    from tauext.data import load_bundle
+    from tauext.data.units import of_all
 
-    bundle = _core.Bundle.load(str(file))
+    bundle = load_bundle(file)
     names = [link.joint_name for link in bundle.links]
     facts = json.loads(bundle.provenance or "{}")
+    facts = in_order(facts, names)  # provenance has its keys by the alphabet: joint10 before joint2
     period_s = bundle.observer.sample_period_ns * 1e-9
     network_period_s = period_s * bundle.observer.network_stride
     usual = ", in usual motion" if bundle.error_scale.on else ""
+    unit = of_all(bundle.estimate_units)  # of answers and limits; what is given may be another
     content: dict[str, Any] = {
         "bundle": bundle.name,
         "joints": names,
@@ -68,12 +71,12 @@ def describe_bundle(file: Path) -> dict:
         "observer": describe_observer(bundle.observer),
         "sample rate [Hz]": 1 / period_s,
         "network": "none: the plain observer",
-        f"limits sliding{usual} [Nm]": dict(zip(names, bundle.sliding_limit_nm, strict=True)),
-        f"limits near stiction{usual} [Nm]": dict(zip(names, bundle.near_stiction_limit_nm, strict=True)),
+        f"limits sliding{usual} [{unit}]": dict(zip(names, bundle.sliding_limit_nm, strict=True)),
+        f"limits near stiction{usual} [{unit}]": dict(zip(names, bundle.near_stiction_limit_nm, strict=True)),
         "near stiction below [rad/s]": bundle.near_stiction_rad_s,
         "collision held for [s]": bundle.hold_s,
-        f"contact limits sliding{usual} [Nm]": dict(zip(names, bundle.contact_sliding_limit_nm, strict=True)),
-        f"contact limits near stiction{usual} [Nm]": dict(
+        f"contact limits sliding{usual} [{unit}]": dict(zip(names, bundle.contact_sliding_limit_nm, strict=True)),
+        f"contact limits near stiction{usual} [{unit}]": dict(
             zip(names, bundle.contact_near_stiction_limit_nm, strict=True)
         ),
         "contact held for, released after [s]": [bundle.contact_hold_s, bundle.contact_release_s],
@@ -82,6 +85,7 @@ def describe_bundle(file: Path) -> dict:
             name: limit if math.isfinite(limit) else "not known"
             for name, limit in zip(names, bundle.torque_limit_nm, strict=True)
         },
+        "a fault beyond": {name: beyond(bundle, joint) for joint, name in enumerate(names)},
         "reference": "replayed, equal",
         "made by": {key: facts.get(key) for key in ("command", "version", "seed", "recipe", "case", "steps", "batch")},
     }
@@ -106,24 +110,67 @@ def describe_bundle(file: Path) -> dict:
             "and so long afterwards [s]": bundle.drift.freeze_s,
         }
         if any(bundle.drift.freeze_floor_nm):
-            content["but never below this [Nm]"] = dict(zip(names, bundle.drift.freeze_floor_nm, strict=True))
-        content["drift of a coefficient at most [Nm]"] = dict(zip(names, bundle.drift.size_nm, strict=True))
-        content["and a minute at most [Nm]"] = {
+            content[f"but never below this [{unit}]"] = dict(zip(names, bundle.drift.freeze_floor_nm, strict=True))
+        content[f"drift of a coefficient at most [{unit}]"] = dict(zip(names, bundle.drift.size_nm, strict=True))
+        content[f"and a minute at most [{unit}]"] = {
             name: min(1.0, 60 * bundle.drift.rate_share_per_s) * size
             for name, size in zip(names, bundle.drift.size_nm, strict=True)
         }
     content |= describe_coverage(bundle)
     for joint, reason in facts.get("gate", {}).items():
         content[f"network of {joint}"] = reason
+    content |= describe_look(facts)
     content |= describe_limits(bundle, facts)
     if "reason" in facts.get("gain", {}):
         content["gain was chosen"] = facts["gain"]["reason"]
     limits = facts.get("limits", {})
+    for moment in limits.get("one_moment", []):
+        where = f"at {moment['time_s']:.1f} s of {moment['recording']}"
+        content[f"warning: one moment sets the limit of {moment['joint']}"] = (
+            f"{where}: {moment['limit_nm']:.3g} Nm {moment['region'].replace('_', ' ')}, "
+            f"without it {moment['without_nm']:.3g} Nm"
+        )
     if "sentence" in limits:
         content["limits promise"] = limits["sentence"]
     if "set_for" in limits:
         content["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"
     return content
+
+
+def describe_look(facts: dict) -> dict:
+    """What the data had wrong and a person accepted, and what they were warned of."""
+    content: dict[str, str] = {}
+    for recordings, looked in facts.get("look", {}).items():
+        for what, entries in looked.items():
+            for entry in entries:
+                joint = f" of {entry['joint']}" if entry["joint"] else ""
+                content[f"{LOOKED[what]} in {recordings}: {entry['code']}{joint}"] = entry["evidence"]
+    return content
+
+
+LOOKED = {"accepted": "accepted", "warnings": "warning"}
+"""What a look found, by its name in the provenance."""
+
+
+def in_order(facts: Any, names: list[str]) -> Any:
+    """The same, with every object that goes by joints in the arm's order of joints."""
+    if not isinstance(facts, dict):
+        return facts
+    keys = [name for name in names if name in facts]
+    keys += [key for key in facts if key not in keys]
+    return {key: in_order(facts[key], names) for key in keys}
+
+
+def beyond(bundle: Bundle, joint: int) -> str:
+    """What of a joint the monitor takes for no sample at all, in words."""
+    from tauext.data.units import short
+
+    unit = short(bundle.estimate_units[joint])
+    speed_unit = "m/s" if bundle.links[joint].type.name == "prismatic" else "rad/s"
+    torque, speed = bundle.possible_torque_nm[joint], bundle.possible_speed_rad_s[joint]
+    told = [f"{torque:.4g} {unit}"] if math.isfinite(torque) else []
+    told += [f"{speed:.4g} {speed_unit}, also from one position to the next"] if math.isfinite(speed) else []
+    return " and ".join(told) or "nothing is known"
 
 
 def describe_limits(bundle: Bundle, facts: dict) -> dict:

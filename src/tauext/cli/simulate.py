@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
-from tauext.config import require
+from tauext.config import require, require_seed
 
 
 def simulate(
@@ -34,9 +35,10 @@ def simulate(
     from tauext.rig import simulate_dataset
     from tauext.rig.config import changed_rig
 
-    require(minutes > 0, "minutes", minutes, "> 0")
-    require(calibration_hours >= 0, "calibration_hours", calibration_hours, ">= 0")
-    require(test_hours >= 0, "test_hours", test_hours, ">= 0")
+    require(0 < minutes < math.inf, "minutes", minutes, "> 0")
+    require(0 <= calibration_hours < math.inf, "calibration_hours", calibration_hours, ">= 0")
+    require(0 <= test_hours < math.inf, "test_hours", test_hours, ">= 0")
+    require_seed(seed)
     require(collision_recordings >= 0, "collision_recordings", collision_recordings, ">= 0")
     require(12 <= encoder_bits <= 24, "encoder_bits", encoder_bits, "12 to 24")
     require(0.1 <= friction <= 10, "friction", friction, "0.1 to 10")

@@ -16,23 +16,32 @@ def train(
     out: Path,
     case: CaseName | None = None,
     robot: Path | None = None,
+    accept: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")] = (),
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = TrainConfig(),  # noqa: B008
 ) -> None:
     """Train on a dataset's free motion, find the limits on its validation recordings, write one bundle.
 
+    First all that is used is looked at, as `tauext check` does; a second training of the same data does not look again.
+    A fault refuses, unless it is accepted; warnings are told, and stand in the bundle.
+
     Args:
         data: dataset folder (`tauext simulate` makes one).
-        out: bundle to write, NAME.tauext. An interrupted run goes on from its checkpoint beside it.
+        out: bundle to write, NAME.tauext; one that is there is replaced, and said to be. While its network is trained,
+            a checkpoint beside it is written every 20 s, and kept until the bundle is: after Ctrl-C, or whatever ends
+            the process, the same command goes on from there. What comes before the network is done again.
         case: the estimated model: the robot file as it is (exact), mass and/or centre of mass halved, or no model at
             all (none). Left out: exact, or none where the dataset was imported without a model.
         robot: URDF or MJCF of the arm; default: the dataset's own.
+        accept: codes of findings that are no fault on your word, at all joints or at one; they stand in the bundle.
         config: recipe, seed and sizes.
     """
+    from tauext.cli.replaced import tell_replaced
     from tauext.cli.reporter import Terminal
     from tauext.data import load_dataset
     from tauext.train import train_bundle
 
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
-    train_bundle(load_dataset(data), out, case, robot, config, Terminal())
+    tell_replaced(out)
+    train_bundle(load_dataset(data), out, case, robot, config, Terminal(), accept)
     print(out)

@@ -16,7 +16,7 @@ from tauext.data.description import TIME_UNITS, Arm
 from tauext.data.importers import RawRecording, RawSignals
 from tauext.data.merge import Table, base_stream, held, interpolated
 from tauext.data.recording import Recording
-from tauext.data.stamps import count_gaps, fresh, ordered
+from tauext.data.stamps import count_gaps, fresh, lost_share, ordered
 from tauext.data.velocity import derived_velocity
 from tauext.errors import RecordingError
 
@@ -24,6 +24,8 @@ PIECE_S = 600.0
 """A longer raw recording becomes several recordings of about this length, [s] ..."""
 PIECE_ROWS = 150_000
 """... or about so many samples, whichever is less: memory stays bounded."""
+WORTH_SAYING = 1e-3
+"""Share of lost samples from which on it is told."""
 LATE_S = 1.0
 """A packet may come so much later than its stamp and still be sorted in, [s]."""
 MEASURED = ("q", "dq", "tau")
@@ -153,7 +155,7 @@ def _piece(
     signals = {key: in_si(key, arm.signals[key], values, arm) for key, values in taken.items() if key != "contact"}
     own = fresh(t_ns, np.hstack([signals["q"], signals["tau"]]), True, Counter())
     if not own.all():
-        facts["measured_hz"] = round(float((own.sum() - 1) / (t_ns[-1] - t_ns[0]) * 1e9), 3)
+        facts["measured_hz"] = round(_nominal_rate(t_ns) * float(own.mean()), 3)  # what gaps lost is told apart
     if "dq" not in signals:
         low_pass = arm.signals["dq"].low_pass_hz
         # A held position has the speed of its measurement: not 0, and then twice as much.
@@ -164,13 +166,16 @@ def _piece(
     start_ns = int(t_ns[0]) if start_ns is None else start_ns
     rate_hz = rate_hz or _nominal_rate(t_ns)
     facts["longest_step_s"] = round(count_gaps(t_ns, counts), 6)
+    facts["lost_share"] = round(lost_share(t_ns), 6)
     facts["start_s"] = round((int(t_ns[0]) - start_ns) * 1e-9, 9)
     measured = FROM_AMPERES if arm.signals["tau"].is_current else "N m"
     facts["torque"] = AMPERES if constant_unknown(arm) else measured
     counts = Counter({text: n for text, n in counts.items() if n})
     done = [*raw.notes, *(f"{n} {text}" for text, n in counts.items()), *conversions(arm)]
     if "measured_hz" in facts:
-        done.append(f"{facts['measured_hz']:.3g} samples a second are measurements of their own, the others hold them")
+        done.append(f"{facts['measured_hz']:.4g} samples a second are measurements of their own, the others hold them")
+    if facts["lost_share"] >= WORTH_SAYING:
+        done.append(f"{facts['lost_share']:.1%} of the samples at {_nominal_rate(t_ns):.4g} Hz are missing: gaps")
     if "velocity" in facts:
         done.append(f"velocity {facts['velocity']}")
     if "merged" in facts:

@@ -5,7 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from tauext import _core
-from tauext.errors import BundleError
+from tauext.errors import BundleError, ConfigError
+from tauext.plain_file import json_of
+from tauext.provenance import json_text
+from tauext.whole_file import whole_files
 
 
 def load_bundle(path: Path | str) -> _core.Bundle:
@@ -17,4 +20,45 @@ def load_bundle(path: Path | str) -> _core.Bundle:
     """
     if not Path(path).is_file():
         raise BundleError(f"{path}: there is no such bundle; `tauext train` makes one")
-    return _core.Bundle.load(str(path))
+    try:
+        str(path).encode()  # the core takes no other names
+        bundle = _core.Bundle.load(str(path))
+    except (RuntimeError, UnicodeError) as error:  # a disk that fails while it is read; a name that is no text
+        raise BundleError(f"{path}: cannot be read ({error})") from error
+    try:
+        expect_text(bundle)
+    except BundleError as error:
+        raise BundleError(f"{path}: {error}") from error
+    return bundle
+
+
+def expect_text(bundle: _core.Bundle) -> None:
+    """Raise BundleError where names are no text or the provenance is no JSON object: the core takes both as bytes."""
+    try:
+        facts = json_of(bundle.provenance or "{}")
+        names = [bundle.name, *(link.joint_name for link in bundle.links)]
+    except (UnicodeError, ValueError) as error:
+        raise BundleError(f"its names or provenance cannot be read ({error}); it is damaged") from error
+    if not isinstance(facts, dict) or not all(names):
+        raise BundleError("its provenance is no JSON object, or a joint has no name; it is damaged")
+
+
+def write_bundle(bundle: _core.Bundle, path: Path, run: dict, wall_time: dict) -> None:
+    """Write NAME.tauext with NAME.run.json and NAME.wall_time_s.json beside it: all three, or none.
+
+    The bundle comes last: where it stands, its run file stands.
+
+    Raises:
+        ConfigError: one of them cannot be written.
+    """
+    beside = (path.with_suffix(".run.json"), path.with_suffix(".wall_time_s.json"))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_files(*beside, path) as (run_part, wall_part, part):
+            run_part.write_text(json_text(run))
+            wall_part.write_text(json_text(wall_time))
+            bundle.save(str(part))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
+    except _core.CoreError as error:
+        raise ConfigError(f"{path}: {str(error).removeprefix(f'{path}.part: ')}") from error

@@ -1,4 +1,4 @@
-"""Samples of a recording in a row, as a recording of its own."""
+"""Some samples of a recording, as a recording of its own."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from tauext.data.recording import FLAGS, SIGNALS, Recording
 
 
-def cut(recording: Recording, span: slice) -> Recording:
-    """Some samples of a recording in a row, at least one, under its name."""
+def cut(recording: Recording, span: slice | np.ndarray) -> Recording:
+    """Some samples of a recording, at least one, under its name: those of a slice, or where a flag a sample says so."""
     arrays = {name: getattr(recording, name) for name in ("t_ns", *SIGNALS, *FLAGS)}
     return replace(recording, **{name: a[span] for name, a in arrays.items() if a is not None})
 

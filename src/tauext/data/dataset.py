@@ -24,7 +24,7 @@ class Dataset:
 
     def recordings(self, set_name: str) -> list[Recording]:
         """All recordings of `train`, `validation`, `test`, `collisions` or `calibration`, in order."""
-        return [load_recording(self.folder / name) for name in getattr(self.split, set_name)]
+        return [load_recording(file) for file in self.files(set_name)]
 
     def training(self) -> list[Recording]:
         """The training recordings; raise ConfigError where there are none."""
@@ -32,9 +32,13 @@ class Dataset:
             raise ConfigError(f"{self.folder}: split.json lists no training recording; one is enough")
         return self.recordings("train")
 
+    def files(self, set_name: str) -> list[Path]:
+        """Their files."""
+        return [self.folder / name for name in getattr(self.split, set_name)]
+
     def loaders(self, set_name: str) -> list[Callable[[], Recording]]:
         """The same, each loaded when called."""
-        return [partial(load_recording, self.folder / name) for name in getattr(self.split, set_name)]
+        return [partial(load_recording, file) for file in self.files(set_name)]
 
     def robot_file(self, given: Path | None) -> Path:
         """The robot file given, or the one in the folder."""

@@ -21,6 +21,9 @@ from tauext.errors import ConfigError
 LEAST_FREE_S = 2.0
 """A shorter stretch between contacts is left out, [s]: a window and the observer's warm-up would not fit."""
 
+ROUNDED_S = 1.0
+"""An interval may end so much after its recording, [s]: whoever marks its end rounds up."""
+
 
 @dataclass
 class Imported:
@@ -37,7 +40,7 @@ def recordings_of(
     """Recordings of all raw ones, in their order and at one nominal rate: the description's, or the first one's.
 
     Raises:
-        ConfigError: two raw recordings of one name.
+        ConfigError: two raw recordings of one name; a contact in a recording that is not there, or beyond its end.
     """
     names = [raw.name for raw in raws]
     for name in names:
@@ -45,11 +48,35 @@ def recordings_of(
             raise ConfigError(
                 f"{names.count(name)} sources are named '{name}'; rename their files so that names differ"
             )
+    expect_sources(arm, raws)
     rate_hz = arm.time.rate_hz
     for raw in raws:
+        end_s = 0.0
         for recording in assemble(raw, arm, robot_sha256, rate_hz):
             rate_hz = recording.rate_hz
+            end_s = recording.provenance["start_s"] + length_s(recording)
             yield raw, recording
+        if [other.path for other in raws].count(raw.path) == 1:  # else an interval may be another one's of the file
+            expect_within(arm, raw, end_s)
+
+
+def expect_sources(arm: Arm, raws: Sequence[RawRecording]) -> None:
+    """Raise ConfigError where contacts are given of what is no source: they would be trained on as free motion."""
+    known = dict.fromkeys(name for raw in raws for name in (raw.path.name, raw.name))
+    for name in arm.contact.intervals:
+        if name not in known:
+            files = dict.fromkeys(raw.path.name for raw in raws)
+            raise ConfigError(f"{arm.path}: [contact.intervals] '{name}' is none of the sources: {', '.join(files)}")
+
+
+def expect_within(arm: Arm, raw: RawRecording, end_s: float) -> None:
+    """Raise ConfigError where a contact lies beyond the end of its recording: it was meant elsewhere."""
+    for begin, end in arm.contact.intervals.get(raw.path.name, arm.contact.intervals.get(raw.name, ())):
+        if begin < 0 or begin >= end_s or end > end_s + ROUNDED_S:
+            raise ConfigError(
+                f"{arm.path}: [contact.intervals] '{raw.path.name}' = [{begin:g}, {end:g}] must lie within the "
+                f"recording, 0 to {end_s:.6g} s after its first sample"
+            )
 
 
 def write_dataset(

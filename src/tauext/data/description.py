@@ -152,7 +152,9 @@ class Arm:
         self._require(all(j >= 0 for j in inertia), "robot", "rotor_inertia_kg_m2", inertia, ">= 0")
         self._require(len(robot.gravity_m_s2) in (0, 3), "robot", "gravity_m_s2", robot.gravity_m_s2, "three numbers")
         self._check_payload()
-        self._require(self.time.rate_hz >= 0, "time", "rate_hz", self.time.rate_hz, ">= 0; 0: as measured")
+        rate_hz, unit = self.time.rate_hz, self.time.unit
+        self._require(0 <= rate_hz <= 1e6, "time", "rate_hz", rate_hz, ">= 0, at most 1e6; 0: as measured")
+        self._require(unit in TIME_UNITS, "time", "unit", repr(unit), f"one of {', '.join(TIME_UNITS)}")
         for name in ("q", "tau"):
             if name not in self.signals:
                 raise ConfigError(f"{self.path}: [signals.{name}] is missing; position and torque are needed")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import math
-import tomllib
 from collections.abc import Callable
 from dataclasses import MISSING, fields
 from pathlib import Path
@@ -25,6 +24,7 @@ from tauext.data.description import (
 )
 from tauext.data.recording import TORQUE_TIMINGS
 from tauext.errors import ConfigError
+from tauext.plain_file import read_text, toml_of
 
 
 def load_arm(path: Path | str) -> Arm:
@@ -36,7 +36,7 @@ def load_arm(path: Path | str) -> Arm:
     """
     path = Path(path)
     try:
-        return parse_arm(path.read_text(), path)
+        return parse_arm(read_text(path), path)
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: there is no such file; `tauext import --new {path}` writes a template") from error
     except (OSError, UnicodeDecodeError) as error:
@@ -47,8 +47,8 @@ def parse_arm(text: str, path: Path | str = "arm.toml") -> Arm:
     """As load_arm, from the text of the file."""
     path = Path(path)
     try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        content = toml_of(text)
+    except ValueError as error:
         raise ConfigError(f"{path}: not readable as TOML: {error}") from error
     tables = {"robot": RobotTable, "payload": PayloadTable, "time": TimeTable}
     tables |= {"contact": ContactTable, "split": SplitTable}

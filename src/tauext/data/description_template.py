@@ -42,7 +42,10 @@ def guess(streams: Mapping[str, Sequence[str]]) -> Guess:
             single = signal in ("time", "label")
             fits = [g for g in fits if (groups[g] == 1) == single or (single and g in names)]
             if fits and signal not in found.columns:
-                found.columns[signal] = min(fits, key=len)
+                # A file with torque and current: the torque needs no constant that somebody must know.
+                found.columns[signal] = min(
+                    fits, key=lambda group: (signal == "tau" and _is_current(group), len(group))
+                )
                 if signal == "q":
                     found.topic, found.count = stream, groups[fits[0]]
         base = found.columns.get("q", "")
@@ -84,7 +87,7 @@ def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics
         "DQ": json.dumps(dq),
         "DQ_UNIT": json.dumps("deg/s" if "deg" in dq else "rad/s"),
         "TAU": json.dumps(columns.get("tau", "effort")),
-        "TAU_UNIT": json.dumps("A" if re.fullmatch(r"\w*current\w*|i", _bare(columns.get("tau", ""))) else "Nm"),
+        "TAU_UNIT": json.dumps("A" if _is_current(columns.get("tau", "")) else "Nm"),
         "LABEL": json.dumps(columns.get("label", "")),
     }
     values["CONSTANT"] = ("" if values["TAU_UNIT"] == '"A"' else "# ") + 'torque_constant = "unknown"'
@@ -114,6 +117,10 @@ def _groups(names: Sequence[str]) -> dict[str, int]:
         key = "index" if min(numbers) == 0 else "number"
         spelled[pattern.replace("{#}", f"{{{key}}}")] = len(numbers)
     return spelled
+
+
+def _is_current(pattern: str) -> bool:
+    return re.fullmatch(r"\w*current\w*|i", _bare(pattern), re.IGNORECASE) is not None
 
 
 def _bare(pattern: str) -> str:

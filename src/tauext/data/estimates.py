@@ -11,23 +11,32 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from tauext._core import cause_names
 from tauext.data.parquet_file import write_parquet
 from tauext.errors import RecordingError
+from tauext.plain_file import expect_file, json_of
 
+HEALTHS = ("warming up", "ok", "stale", "fault")
+"""By the core's number."""
 WARMING_UP, OK, STALE, FAULT = range(4)  # health
 CONTACT, COLLISION = 1, 2  # alarm
 
 
 @dataclass(frozen=True)
 class Estimates:
-    """One row a sample of the recording; torques are (samples, joints) float32, [N m]."""
+    """One row a sample of the recording; torques are (samples, joints) float32, in the bundle's estimate units.
+
+    The first rows' tau_ext is NaN: until the observer has forgotten how it began, 10/K0, and a network's window is
+    full, there is no estimate (a second at K0 = 20; without a network half of that). `health` says so, `why(row)` in
+    words.
+    """
 
     joints: tuple[str, ...]
     t_ns: np.ndarray  # (samples,) int64
     r: np.ndarray  # the observer
     network: np.ndarray  # NaN while warming up
     tau_ext: np.ndarray  # r - prior - network - drift; NaN while warming up
-    limit: np.ndarray
+    limit: np.ndarray  # that |tau_ext| must exceed for a collision
     near_stiction: np.ndarray  # (samples, joints) bool: region of the limit
     health: np.ndarray  # (samples,) int8
     detection: np.ndarray  # (samples,) bool: healthy and some |tau_ext| over its limit
@@ -35,6 +44,7 @@ class Estimates:
     drift: np.ndarray | None = None  # (samples, joints): what the tracker takes off; None where the bundle has none
     # (samples, joints): standard error of tau_ext; NaN where that is, None where the bundle has no error scale.
     sigma_nm: np.ndarray | None = None
+    contact_limit: np.ndarray | None = None  # (samples, joints): for a contact; beside flights
     held_alarm: np.ndarray | None = None  # (samples,) int8: held at it: 0 none, 1 contact, 2 collision
     alarm: np.ndarray | None = None  # (samples,) int8: the same, latched; of a monitor, which somebody acknowledges
     causes: np.ndarray | None = None  # (samples,) uint32: bits, why health is not ok
@@ -42,6 +52,16 @@ class Estimates:
     @property
     def healthy(self) -> np.ndarray:
         return self.health == OK
+
+    def why(self, row: int) -> str:
+        """What health says of one sample: `ok`, `warming up`, `warming up: gap`, `fault: not finite`."""
+        causes = cause_names(int(self.causes[row])) if self.causes is not None else []
+        return HEALTHS[int(self.health[row])] + (f": {', '.join(causes)}" if causes else "")
+
+    @property
+    def has_network(self) -> bool:
+        """A bundle without one says 0 throughout."""
+        return bool(np.nan_to_num(self.network).any())
 
     @property
     def uncertainty(self) -> np.ndarray:
@@ -51,7 +71,7 @@ class Estimates:
 
 
 TORQUES = ("r", "network", "tau_ext", "limit")
-OPTIONAL = ("prior", "drift", "sigma_nm")
+OPTIONAL = ("prior", "drift", "sigma_nm", "contact_limit")
 """Torques that some bundles have; a file holds their columns or not."""
 STATES = {"held_alarm": np.int8, "alarm": np.int8, "causes": np.uint32}
 """Columns that a file holds or not."""
@@ -89,9 +109,12 @@ def load_estimates(path: Path) -> Estimates:
         RecordingError: missing, damaged or foreign file.
     """
     try:
+        expect_file(path)
         table = pq.read_table(path)
-        joints = tuple(json.loads(table.schema.metadata[b"joints"]))
+        joints = tuple(json_of(table.schema.metadata[b"joints"]))
         column = {name: table.column(name).to_numpy() for name in table.column_names}
+        if odd := [name for name, values in column.items() if values.dtype.kind not in "fiub"]:
+            raise ValueError(f"column '{odd[0]}' holds no numbers")
         signals = {
             signal: np.stack([column[f"{signal}_{joint}"] for joint in joints], axis=1)
             for signal in (*TORQUES, "near_stiction", *OPTIONAL)
@@ -106,5 +129,5 @@ def load_estimates(path: Path) -> Estimates:
         raise RecordingError(
             f"{path}: there are no such estimates; `tauext evaluate` and `tauext run --flights` write them"
         ) from error
-    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
+    except (OSError, pa.ArrowException, KeyError, IndexError, TypeError, ValueError) as error:
         raise RecordingError(f"{path}: not a readable estimates file ({error}); evaluate again") from error

@@ -11,6 +11,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.errors import ConfigError
+from tauext.plain_file import json_of, read_text
 
 MOST_ENTRIES = 200
 
@@ -29,7 +30,7 @@ def read_loss_history(bundle: _core.Bundle, path: Path) -> LossHistory | None:
     """
     run_file = path.with_suffix(".run.json")
     try:
-        run = json.loads(run_file.read_text(encoding="utf-8"))
+        run = json_of(read_text(run_file))
         if not isinstance(run, dict):
             raise ValueError("it is no JSON object")
         history = check_history(run.get("loss_history") or [])

@@ -24,5 +24,6 @@ def write_parquet(table: pa.Table, path: Path, **encoding: Any) -> None:
     try:
         with whole_file(path) as part:
             pq.write_table(table, part, compression="zstd", compression_level=1, **encoding)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written ({error.strerror or error})") from error
+    except (OSError, UnicodeEncodeError) as error:  # or a name that is no UTF-8
+        cause = getattr(error, "strerror", None) or error
+        raise RecordingError(f"{path}: cannot be written ({cause})") from error

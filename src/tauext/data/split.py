@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext.errors import ConfigError
+from tauext.plain_file import json_of, read_text
 from tauext.whole_file import whole_file
 
 FORMAT = 1
@@ -106,12 +107,13 @@ def load_split(folder: Path | str) -> Split:
     """Read a dataset folder's `split.json`; every file it lists exists.
 
     Raises:
-        ConfigError: no such file, not JSON, another format, a set missing, a name twice, a listed file missing.
+        ConfigError: no such file, not JSON, another format, a set missing or none of SETS, a name twice, a listed file
+            missing.
     """
     folder = Path(folder)
     path = folder / FILE_NAME
     try:
-        content = json.loads(path.read_text())
+        content = json_of(read_text(path))
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: there is no such file; a dataset folder holds one beside its recordings") from error
     except (OSError, ValueError) as error:
@@ -119,6 +121,9 @@ def load_split(folder: Path | str) -> Split:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         found = content.get("format") if isinstance(content, dict) else None
         raise ConfigError(f"{path}: its format is {found!r}, this version reads {FORMAT}")
+    for key in content:
+        if key != "format" and key not in SETS:  # a list that nobody reads would be a set that is empty unsaid
+            raise ConfigError(f"{path}: '{key}' is no set; the sets are {', '.join(SETS)}")
     for set_name in SETS:
         if set_name in OPTIONAL and set_name not in content:
             content[set_name] = []

@@ -68,5 +68,14 @@ def count_gaps(t_ns: np.ndarray, counts: Counter[str]) -> float:
     return float(steps.max()) * 1e-9
 
 
+def lost_share(t_ns: np.ndarray) -> float:
+    """Share of the samples that gaps left out, were all steps the median one; stamps increasing, (samples,), [ns]."""
+    if len(t_ns) < 2:
+        return 0.0
+    steps = np.diff(t_ns)
+    lost = float((np.round(steps[steps > GAP_STEPS * np.median(steps)] / np.median(steps)) - 1).sum())
+    return lost / (lost + len(t_ns))
+
+
 def _same_as_before(values: np.ndarray) -> np.ndarray:
     return np.r_[False, (values[1:] == values[:-1]).all(axis=1)] if values.shape[1] else np.zeros(len(values), bool)

@@ -13,6 +13,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
+from tauext import caching
 from tauext.config import PAPER_CASES, AlarmConfig, ModelCase, PriorConfig, TrainConfig
 from tauext.data import load_bundle
 from tauext.demo.arms import DemoArm
@@ -67,8 +68,7 @@ LESSONS = {
 
 def cache_folder() -> Path:
     """Where bundles of demos are kept: $XDG_CACHE_HOME/tauext/demo, or ~/.cache/tauext/demo."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base and Path(base).is_absolute() else Path.home() / ".cache") / "tauext" / "demo"
+    return caching.cache_folder() / "demo"
 
 
 def bundle_folder(arm: DemoArm, error: str, lesson: Lesson, seed: int, cache: Path) -> Path:

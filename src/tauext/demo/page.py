@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from tauext.demo.arms import ARMS
 from tauext.demo.bundles import LESSONS, Lesson, bundle_folder, find_bundles
+from tauext.demo.door import guarded
 from tauext.demo.simulation import Event, Snapshot
 from tauext.demo.workers import SNAPSHOT, run_simulation, run_training, start_worker
 from tauext.errors import ConfigError, TauextError
@@ -66,7 +67,7 @@ def open_server(host: str, port: int) -> viser.ViserServer:
         raise ConfigError(
             "the demo's page needs viser: pip install 'tauext[live]' (--headless-seconds does not)"
         ) from error
-    with contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()), guarded(host, f"viser-v{viser.__version__}"):
         server = viser.ViserServer(host=host, port=port, verbose=False)
     server.request_share_url = lambda verbose=True: None
     return server

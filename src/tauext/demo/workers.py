@@ -9,6 +9,7 @@ import signal
 import sys
 import time
 from collections import deque
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -99,7 +100,9 @@ def run_simulation(pipe: Connection, arm_name: str, seed: int) -> None:
                     _send(pipe, simulation, clock)
                     asked = True
                 elif name in COMMANDS:
-                    getattr(simulation, name)(*arguments)
+                    # A page sends what it likes; numbers that are none, and names that nobody knows, change nothing.
+                    with suppress(TypeError, ValueError, KeyError, IndexError, AttributeError):
+                        getattr(simulation, name)(*arguments)
             for _ in range(clock.due()):
                 if simulation.step() and asked:
                     _send(pipe, simulation, clock)

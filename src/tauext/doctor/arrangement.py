@@ -21,6 +21,8 @@ from tauext.doctor.regressors import Rows, rows_of
 
 SEARCH_S = 60.0
 """Of motion, spread over all of it: the search fits dozens of arrangements."""
+SEARCH_ROWS = 5000
+"""Of all pairs of joints, spread over all of the data."""
 GAIN = 1.0
 """Sum over joints of the logarithm of how much the error falls: two joints by 40 % each, say. Chance: hundredths."""
 HALVED = 0.6
@@ -40,9 +42,9 @@ Best = tuple[float, str, str, tuple[list[str], Change, np.ndarray] | None, np.nd
 """Gain, code and words of a change; its joints, itself and the ratio of errors, None: there is none; the errors."""
 
 
-def search_stretches(stretches: Sequence[Stretch]) -> list[Stretch]:
-    """A share of every stretch, SEARCH_S in all."""
-    share = min(1.0, SEARCH_S / max(1e-9, sum(s.seconds for s in stretches)))
+def search_stretches(stretches: Sequence[Stretch], seconds: float = SEARCH_S) -> list[Stretch]:
+    """A share of every stretch, so many seconds in all."""
+    share = min(1.0, seconds / max(1e-9, sum(s.seconds for s in stretches)))
 
     def part(s: Stretch) -> Stretch:
         rows = slice(0, max(1, round(share * len(s.q))))
@@ -54,7 +56,8 @@ def search_stretches(stretches: Sequence[Stretch]) -> list[Stretch]:
 
 def exchanged_efforts(rows: Rows, joints: Sequence[str]) -> tuple[list[Finding], list[int]]:
     """Torques that fit the motion of another joint; and for each joint the column that holds its torque."""
-    n = rows.joints
+    n, every = rows.joints, max(1, len(rows.time_s) // SEARCH_ROWS)
+    rows = Rows(*(getattr(rows, name)[::every] for name in rows.__dataclass_fields__))
     errors = np.empty((n, n))  # log error of torque column k as that of joint j
     for k in range(n):
         y = rows.tau[:, k]

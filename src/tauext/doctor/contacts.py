@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tauext import _core
+from tauext.config import FreeMotionConfig
 from tauext.data import Recording
 from tauext.doctor.finding import Finding
 from tauext.doctor.fit import CONSTANT, columns_of, robust_solve, robust_spread
@@ -35,7 +36,10 @@ SPOILING = ("stuck", "saturated", "smoothed", "clock-irregular", "repeated-rows"
 
 
 def contact_findings(recordings: Sequence[Recording], called_free: Collection[str] = ()) -> list[Finding]:
-    """Recordings that are called free, by `called_free` or by what made them, and hold samples labelled contact."""
+    """Recordings that are called free, by `called_free` or by what made them, and hold samples labelled contact.
+
+    No fault: what is labelled is left out of training and limits; what the label misses at its ends is not.
+    """
     found = []
     for r in recordings:
         free = r.name in called_free or r.provenance.get("contacts") == "none"
@@ -45,27 +49,23 @@ def contact_findings(recordings: Sequence[Recording], called_free: Collection[st
         first = r.time_s[int(touched.argmax())]
         evidence = f"'{r.name}': {touched.mean():.1%} of the samples are labelled contact, the first at {first:.2f} s"
         advice = (
-            "leave them out of training and limits: list the recording with the collisions, or exclude the interval"
+            "they are left out of training and limits; list the recording with the collisions, or exclude the "
+            "interval, if the labels may begin late or end early"
         )
-        found.append(Finding("contact-in-free-motion", "fault", None, evidence, advice))
+        found.append(Finding("contact-in-free-motion", "warning", None, evidence, advice, r.name))
     return found
 
 
 def unlabelled_findings(
     stretches: Sequence[Stretch], tree: _core.Tree | None, lag_s: float, recordings: Sequence[Recording]
 ) -> list[Finding]:
-    """Disturbances far beyond the usual error, in recordings without a labelled contact; one finding for all.
+    """Disturbances far beyond the usual error, where no contact is labelled or near a label; one finding for all.
 
     Without a model there is none: what its gravity is off by at a rare pose looks like a push. Impacts
     and pushes that stay below a few times what friction does at reversals are not seen.
     """
-    labelled = [r.contact is not None and bool((r.contact == 1).any()) for r in recordings]
     # the torque through the positions' own filter, or steps of acceleration would be seen in the torque alone
-    motion = [
-        replace(s, tau=low_pass(s.tau, min(POSITION_CUTOFF_HZ, 0.3 * s.rate_hz), s.rate_hz))
-        for s in stretches
-        if not labelled[s.recording]
-    ]
+    motion = [replace(s, tau=low_pass(s.tau, min(POSITION_CUTOFF_HZ, 0.3 * s.rate_hz), s.rate_hz)) for s in stretches]
     if not motion or tree is None:
         return []
     rows = rows_of(motion, tree, lag_s, CUTOFF_HZ, ROWS_HZ)
@@ -74,6 +74,7 @@ def unlabelled_findings(
     number = np.unique((rows.time_s // WINDOW_S).astype(int), return_inverse=True)[1]
     windows = np.split(np.arange(len(number)), np.flatnonzero(np.diff(number)) + 1)
     largest = np.stack([np.abs(errors[at]).max(axis=0) for at in windows])
+    near = near_label(rows, recordings)
     moving = np.array([(np.abs(rows.dq[at]) > MOVING_RAD_S).any() for at in windows])
     if moving.sum() < LEAST_WINDOWS:
         return []
@@ -86,6 +87,7 @@ def unlabelled_findings(
     alone = seen & (times > ALONE) & (spreads > SPREADS_ALONE)
     together = seen & (times > TOGETHER) & (spreads > SPREADS_TOGETHER)
     touched = alone.any(axis=1) | (together.sum(axis=1) >= 2)
+    touched &= ~np.array([bool(near[at].any()) for at in windows])
     if not touched.any():
         return []
     begins = np.flatnonzero(touched & ~np.r_[False, touched[:-1]])
@@ -96,6 +98,20 @@ def unlabelled_findings(
     evidence = f"{len(begins)} {what} of the torque that no motion explains: {'; '.join(told)}"
     advice = "look there: leave contacts out of training and limits, by a label or by cutting the recording"
     return [Finding("contact-in-free-motion", "warning", None, evidence, advice)]
+
+
+def near_label(rows: Rows, recordings: Sequence[Recording]) -> np.ndarray:
+    """Which rows (rows,) bool are so near a labelled contact that training leaves them out."""
+    margins, start_s = FreeMotionConfig(), 0.0
+    near = np.zeros(len(rows.time_s), dtype=bool)
+    for r in recordings:
+        touched = np.zeros(r.samples, dtype=np.int8) if r.contact is None else (r.contact == 1).astype(np.int8)
+        edges = np.flatnonzero(np.diff(np.r_[0, touched, 0]))
+        for first, last in zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True):
+            begin, end = start_s + r.time_s[first] - margins.before_s, start_s + r.time_s[last] + margins.after_s
+            near |= (rows.time_s >= begin) & (rows.time_s <= end)
+        start_s += r.duration_s
+    return near
 
 
 def _error(rows: Rows, j: int) -> tuple[np.ndarray, np.ndarray]:

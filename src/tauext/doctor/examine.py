@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.data import Recording
+from tauext.data.amperes import from_amperes, in_amperes
 from tauext.doctor.arrangement import exchanged_efforts, rearranged
 from tauext.doctor.clock import clock_findings
 from tauext.doctor.contacts import SPOILING, contact_findings, unlabelled_findings
@@ -22,15 +23,35 @@ from tauext.doctor.fit import LEAST_ROWS, JointFit, fit_joint
 from tauext.doctor.gravity import gravity_finding
 from tauext.doctor.limits import limit_findings
 from tauext.doctor.motion import Stretch, stretches
+from tauext.doctor.odd_motion import odd_motions, odd_rates
+from tauext.doctor.odd_torque import odd_torques
 from tauext.doctor.payload import fit_load, loaded, payload_findings
 from tauext.doctor.poses import pose_findings
 from tauext.doctor.regressors import Rows, rows_of
-from tauext.doctor.robot_file import RobotFile, open_robot
+from tauext.doctor.robot_file import RobotFile, changed_findings, open_robot
 from tauext.doctor.sensors import noise_nm, sensor_findings, torque_step_nm
 from tauext.doctor.sign import sign_vote
+from tauext.doctor.spikes import normal_ranges, spike_findings, spikes_of, without_spikes
+from tauext.doctor.time_unit import time_findings
 from tauext.doctor.units import degree_findings
 from tauext.doctor.velocity import DEGREES, VelocityFit, velocity_findings
 from tauext.errors import ConfigError
+from tauext.progress import SILENT, Reporter
+
+STEPS = (
+    "signals",
+    "velocities",
+    "order of the torques",
+    "order and zero of the joints",
+    "signs",
+    "delays",
+    "gravity, scale and payload",
+    "drift and contacts",
+)
+"""As they are told while they last."""
+
+OF_CURRENTS = ("effort-scale", "effort-motor-side", "position-offset")
+"""Faults of a torque, but to be expected of a current."""
 
 
 @dataclass(frozen=True)
@@ -55,29 +76,60 @@ def examine(
     robot: Path | None = None,
     gravity: Sequence[float] | None = None,
     called_free: Collection[str] = (),
+    report: Reporter = SILENT,
 ) -> Diagnosis:
     """Look for everything that recordings of one arm in free motion may have wrong.
 
-    A fault that is found is mended before the next step (degrees, order, sign, delay, gravity, payload), so that one
-    fault is one finding. Thresholds stand beside each check, with their reasons.
+    A fault that is found is mended before the next step (time, spikes, degrees, order, sign, delay, gravity, payload),
+    and a recording that disagrees with the others is left out, so that one fault is one finding. Thresholds stand
+    beside each check, with their reasons.
 
     Args:
         recordings: of the same joints; stretches labelled contact are left out of fits.
         robot: URDF or MJCF; None: what needs a model is not looked for.
         gravity: acceleration of free fall in the base frame; None: the file's.
         called_free: names of recordings that are said to hold no contact.
+        report: is told how far it is.
 
     Raises:
         ConfigError: no recording, or recordings of different joints.
         RobotError: there is no such robot file.
     """
+    with report.progress("check") as show:
+        told = _examine(recordings, robot, gravity, called_free, lambda step: show(STEPS.index(step), len(STEPS), step))
+        show(len(STEPS), len(STEPS), "steps")
+    return told
+
+
+def _examine(
+    recordings: Sequence[Recording],
+    robot: Path | None,
+    gravity: Sequence[float] | None,
+    called_free: Collection[str],
+    begin: Callable[[str], None],
+) -> Diagnosis:
+    """begin: is called with each of STEPS that there is something to do for."""
+    begin("signals")
     joints = _same_joints(recordings)
     file = open_robot(robot, joints, gravity) if robot is not None else None
     found = [*(file.findings if file else []), *contact_findings(recordings, called_free)]
-    found += clock_findings(recordings) + sensor_findings(recordings)
+    found += changed_findings(recordings, robot) if robot is not None else []
+    timed, recordings = time_findings(recordings)
+    recordings, odd = _alike(recordings, odd_rates(recordings))
+    found += odd
+    spikes, recordings = _spikes(recordings, file)
+    found += timed + spikes
+    motion = stretches(recordings)
+    recordings, odd = _alike(recordings, odd_motions(recordings, motion))
+    motion = stretches(recordings) if odd else motion
+    found += odd + clock_findings(recordings) + sensor_findings(recordings)
 
-    recordings, motion, velocities, units = _in_radians(recordings, file)
-    found += units + excitation_findings(recordings, motion)
+    begin("velocities")
+    recordings, motion, velocities, units = _in_radians(recordings, motion, file)
+    tree = file.tree if file else None
+    recordings, odd = _alike(recordings, odd_torques(motion, tree, joints, [r.name for r in recordings]))
+    motion = stretches(recordings) if odd else motion
+    found += units + odd + excitation_findings(recordings, motion)
     found += limit_findings(recordings, file) if file else []
 
     standing = any(finding.code == "never-moves" for finding in found)
@@ -85,10 +137,10 @@ def examine(
     fits: list[JointFit] = []
     lags: list[tuple[float, float, float]] = []
     if not standing and motion and len(rows_of(motion, None).time_s) >= LEAST_ROWS:
-        torque_found, rows, fits, lags = _torque(motion, file.tree if file else None, joints, recordings, found)
-        found += torque_found
-    elif file and file.tree is not None:
-        found += pose_findings(recordings, file.tree, joints)
+        torque_found, rows, fits, lags = _torque(motion, tree, joints, recordings, found, begin)
+        found += _of_currents(torque_found) if in_amperes(recordings) or from_amperes(recordings) else torque_found
+    elif tree is not None:
+        found += pose_findings(recordings, tree, joints)
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
     return Diagnosis(joints, found, _facts(recordings, velocities, rows, fits, lags), rows, fits)
 
@@ -105,11 +157,26 @@ def _same_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
     return recordings[0].joints
 
 
+def _spikes(recordings: Sequence[Recording], file: RobotFile | None) -> tuple[list[Finding], list[Recording]]:
+    normal, limits = normal_ranges(recordings), file.torque_limits_nm if file else None
+    found, mended = [], []
+    for r in recordings:
+        spikes = spikes_of(r, normal, limits)
+        found += spike_findings(r, spikes, normal)
+        mended.append(without_spikes(r, spikes))
+    return found, mended
+
+
+def _alike(recordings: Sequence[Recording], odd: list[Finding]) -> tuple[list[Recording], list[Finding]]:
+    """The recordings without those that the findings are about, and the findings."""
+    names = {finding.recording for finding in odd}
+    return [r for r in recordings if r.name not in names], odd
+
+
 def _in_radians(
-    recordings: Sequence[Recording], file: RobotFile | None
+    recordings: Sequence[Recording], motion: list[Stretch], file: RobotFile | None
 ) -> tuple[Sequence[Recording], list[Stretch], list[VelocityFit | None], list[Finding]]:
     joints = recordings[0].joints
-    motion = stretches(recordings)
     found, velocities, factors = velocity_findings(motion, joints) if motion else ([], [None] * len(joints), None)
     if factors is not None and (factors != 1).any():
         recordings = [replace(r, q=r.q / factors) for r in recordings]
@@ -129,10 +196,12 @@ def _torque(
     joints: Sequence[str],
     recordings: Sequence[Recording],
     signal_findings: Sequence[Finding],
+    begin: Callable[[str], None],
 ) -> tuple[list[Finding], Rows, list[JointFit], list[tuple[float, float, float]]]:
     """Order, axes, zeros, sign, gravity, delay, kind and payload, friction over time, contacts: each on what the one
     before mended."""
     n = len(joints)
+    begin("order of the torques")
     rows = rows_of(motion, tree)
     found: list[Finding] = []
     spoilt = any(finding.code in SPOILING for finding in signal_findings)
@@ -141,8 +210,10 @@ def _torque(
         found, column = exchanged_efforts(rows, joints)
         motion = [replace(s, tau=np.ascontiguousarray(s.tau[:, column])) for s in motion]
     if long_enough and tree is not None:
+        begin("order and zero of the joints")
         arranged, motion = rearranged(motion, tree, joints)
         found += arranged
+    begin("signs")
     rows = rows_of(motion, tree)
     fits = [fit_joint(rows, j) for j in range(n)]
     votes = [sign_vote(rows, j, fit) for j, fit in enumerate(fits)]
@@ -151,9 +222,11 @@ def _torque(
     motion = [replace(s, tau=s.tau * signs) for s in motion]
     rows = rows_of(motion, tree)
 
+    begin("delays")
     lags = torque_lags(motion, rows)
     late, lag_s = delay_findings(lags, joints, 1 / motion[0].rate_hz) if long_enough else ([], 0.0)
     found += late
+    begin("gravity, scale and payload")
     if tree is not None:
         tilted, tree = gravity_finding(motion, tree, rows)
         found += tilted
@@ -164,9 +237,20 @@ def _torque(
         found += scaled
         rows = rows_of(motion, tree, lag_s)
         fits = [fit_joint(rows, j) for j in range(n)]
+    begin("drift and contacts")
     found += drift_findings(rows, joints, fits, recordings)
     found += [] if spoilt else unlabelled_findings(motion, tree, lag_s, recordings)
     return found, rows, fits, lags
+
+
+def _of_currents(found: Sequence[Finding]) -> list[Finding]:
+    """Training finds the constants of what was recorded as a current; without them gravity's size says little."""
+    return [
+        replace(f, severity="warning", advice=f"the effort is a current, whose constant `train` finds; else {f.advice}")
+        if f.code in OF_CURRENTS
+        else f
+        for f in found
+    ]
 
 
 def _scale(

@@ -28,16 +28,20 @@ CODES = {
     "mass-missing": "a moving link of the robot file has no mass",
     "model-unusable": "the robot file cannot be used",
     "never-moves": "no joint moves",
+    "odd-recording": "a recording disagrees with the others: in unit, sign, order, zero, scale or load",
     "payload-absent": "the model carries something that is not mounted",
     "payload-missing": "something is mounted that is not in the model",
     "position-limit": "a position exceeds the robot file's limit",
     "position-offset": "a joint's zero position is elsewhere than in the robot file",
     "quantised": "the torque has few levels",
     "repeated-rows": "rows are equal to the row before",
+    "robot-file-changed": "the robot file is not the one that was recorded with",
     "saturated": "many samples stand at one extreme value",
     "smoothed": "the torque has less noise than a measurement can have",
+    "spike": "a few samples lie far beyond their neighbours",
     "stuck": "a signal stands still while its joint moves",
     "temperature-drift": "friction changes with time",
+    "time-unit": "the time stamps are in another unit",
     "too-short": "the recordings are short",
     "torque-delay": "the torque comes late, or early, against the motion",
     "velocity-delay": "the velocity comes late against the position",
@@ -62,6 +66,8 @@ class Finding:
     """In numbers."""
     advice: str
     """What to do."""
+    recording: str | None = None
+    """Name of the one it is about; None: all, or several."""
 
     def __post_init__(self) -> None:
         assert self.code in CODES and self.severity in SEVERITIES

@@ -7,13 +7,16 @@ from pathlib import Path
 from tauext.data import Recording, describe, load_recording
 from tauext.data.dataset import ROBOT_FILES, load_dataset
 from tauext.errors import ConfigError
+from tauext.progress import SILENT, Reporter
 from tauext.robot import is_placeholder
 
 MOST_MINUTES = 30.0
 """Recordings beyond this are left out, evenly: what half an hour does not show is no mistake of units."""
 
 
-def gather(data: tuple[Path, ...], robot: Path | None) -> tuple[list[Recording], set[str], Path | None]:
+def gather(
+    data: tuple[Path, ...], robot: Path | None, report: Reporter = SILENT
+) -> tuple[list[Recording], set[str], Path | None]:
     """Recordings, at most MOST_MINUTES of them; names of those that a dataset calls free; and the robot file.
 
     Raises:
@@ -37,12 +40,17 @@ def gather(data: tuple[Path, ...], robot: Path | None) -> tuple[list[Recording],
         robot = None
     if not files:
         raise ConfigError(f"{', '.join(map(str, data)) or 'data'}: no recording (*.parquet) is there to check")
-    return _evenly(files), free, robot
+    return _evenly(files, report), free, robot
 
 
-def _evenly(files: list[Path]) -> list[Recording]:
+def _evenly(files: list[Path], report: Reporter) -> list[Recording]:
     """Loaded, every second or third only where there are too many."""
     heads = [describe(file) for file in files]
     minutes = sum(head.samples / head.rate_hz for head in heads) / 60
     stride = max(1, -int(-minutes // MOST_MINUTES))
-    return [load_recording(file) for file in files[::stride]]
+    chosen, recordings = files[::stride], []
+    with report.progress("read") as show:
+        for file in chosen:
+            recordings.append(load_recording(file))
+            show(len(recordings), len(chosen), "recordings")
+    return recordings

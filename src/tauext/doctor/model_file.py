@@ -54,9 +54,10 @@ def model_findings(root: ElementTree.Element | None, joints: Sequence[str]) -> l
     links = {link.get("name"): link for link in root.findall("link")}
     found = []
     for joint in root.findall("joint"):
-        if joint.get("name") not in joints:
+        child = joint.find("child")
+        if joint.get("name") not in joints or child is None:  # the tree says what is wrong with such a joint
             continue
-        name = joint.find("child").get("link")  # type: ignore[union-attr]
+        name = child.get("link")
         carried = [name, *_fixed_to(root, name)]
         masses = {link: _mass(links[link]) for link in carried if link in links}
         for link, mass in masses.items():

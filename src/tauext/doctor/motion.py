@@ -18,6 +18,8 @@ POSITION_CUTOFF_HZ = 15.0
 FIT_CUTOFF_HZ = 5.0
 """Of torque and model alike before they are compared: friction at a reversal and inertia still show, noise does not."""
 FIT_ROWS_HZ = 25.0
+MOST_HZ, THINNED_CUTOFF_HZ = 250.0, 60.0
+"""Faster recordings are low-passed and thinned: no fit looks above 15 Hz."""
 CONTACT_MARGIN_S = 0.5
 """Left out on both sides of a labelled contact: labels come late, and an arm springs back."""
 REPEATS_S = 0.25
@@ -28,25 +30,29 @@ GAP_PERIODS = 5.0
 
 @dataclass(frozen=True)
 class Stretch:
-    """Free motion without a gap on an even clock; arrays (samples, joints)."""
+    """Free motion without a gap on an even clock of at most MOST_HZ; arrays (samples, joints)."""
 
     recording: int
     start_s: float  # after the beginning of the first recording; recordings follow one another without a pause
     rate_hz: float
     q: np.ndarray  # [rad], smooth
     dq: np.ndarray  # [rad/s], derivative of q, no delay
-    tau: np.ndarray  # [N m], as recorded
-    q_raw: np.ndarray  # [rad], as recorded
-    dq_raw: np.ndarray  # [rad/s], as recorded
+    tau: np.ndarray  # [N m], as recorded, thinned
+    q_raw: np.ndarray  # [rad], as recorded, thinned
+    dq_raw: np.ndarray  # [rad/s], as recorded, thinned
 
     @property
     def seconds(self) -> float:
         return len(self.q) / self.rate_hz
 
 
+PADDED_ROWS = 9
+"""With which the filter begins at either end."""
+
+
 def low_pass(x: np.ndarray, cutoff_hz: float, rate_hz: float) -> np.ndarray:
-    """Second-order Butterworth forwards and backwards over axis 0: no delay. Too high a cut-off: unchanged."""
-    if cutoff_hz >= 0.45 * rate_hz:
+    """Second-order Butterworth there and back over axis 0, no delay. Too high a cut-off, few rows: unchanged."""
+    if cutoff_hz >= 0.45 * rate_hz or len(x) <= PADDED_ROWS:
         return x
     return sosfiltfilt(_butterworth(cutoff_hz, rate_hz), x, axis=0)
 
@@ -105,10 +111,14 @@ def _even(recording: Recording, rows: np.ndarray, number: int, start_s: float) -
     rate_hz = min(recording.rate_hz, (len(rows) - 1) / (t[-1] - t[0]) * 1.25)
     even = np.arange(t[0], t[-1], 1 / rate_hz)
 
-    def on_clock(x: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(even, t, x[rows, j]) for j in range(x.shape[1])], axis=1)
+    every = max(1, int(rate_hz / MOST_HZ + 0.5)) if rate_hz > MOST_HZ else 1
 
-    raw = on_clock(recording.q)
+    def on_clock(x: np.ndarray) -> np.ndarray:
+        x = np.stack([np.interp(even, t, x[rows, j]) for j in range(x.shape[1])], axis=1)
+        return x if every == 1 else np.ascontiguousarray(low_pass(x, THINNED_CUTOFF_HZ, rate_hz)[::every])
+
+    raw, tau, said = on_clock(recording.q), on_clock(recording.tau), on_clock(recording.dq)
+    rate_hz /= every
     smooth = low_pass(raw, min(POSITION_CUTOFF_HZ, 0.3 * rate_hz), rate_hz)
     dq = np.gradient(smooth, 1 / rate_hz, axis=0)
-    return Stretch(number, start_s + even[0], rate_hz, smooth, dq, on_clock(recording.tau), raw, on_clock(recording.dq))
+    return Stretch(number, start_s + even[0], rate_hz, smooth, dq, tau, raw, said)

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from tauext.doctor.examine import Diagnosis
 from tauext.doctor.regressors import Rows
+from tauext.progress import SILENT, Reporter
 from tauext.report.style import DPI, LIMIT, RC, WIDTH_IN, label_joint
 
 SHOWN_S = 60.0
@@ -21,14 +22,18 @@ BREAK_S = 0.5
 """Between rows further apart no line is drawn."""
 
 
-def draw(diagnosis: Diagnosis, folder: Path) -> list[Path]:
+def draw(diagnosis: Diagnosis, folder: Path, report: Reporter = SILENT) -> list[Path]:
     """Write torque.png, all joints, and torque-1.png ..., one a joint over all of the motion; nothing without a fit."""
     if diagnosis.rows is None:
         return []
-    with matplotlib.rc_context(RC):
+    count = 1 + len(diagnosis.joints)
+    with matplotlib.rc_context(RC), report.progress("draw") as show:
+        show(0, count, "pictures")
         paths = [_save(_all(diagnosis), folder / "torque.png")]
         for j in range(len(diagnosis.joints)):
+            show(len(paths), count, "pictures")
             paths.append(_save(_one(diagnosis, j), folder / f"torque-{j + 1}.png"))
+        show(count, count, "pictures")
     return paths
 
 

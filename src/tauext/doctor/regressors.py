@@ -78,7 +78,7 @@ def _of_stretch(
         gravity = tree.momentum(q, np.zeros_like(q))[1]
         inertial = np.gradient(momentum, 1 / rate, axis=0) + beta - gravity
     friction = [np.ones_like(dq), dq] + [np.tanh(dq / speed) for speed in COULOMB_SPEEDS_RAD_S]
-    friction += [presliding(q, width, rate) for width in PRESLIDING_RAD]
+    friction += list(np.moveaxis(presliding(q, PRESLIDING_RAD, rate), 2, 0))
     time = picked(stretch.start_s + np.arange(len(q)) / rate, rate, rows_hz)
     tau = delayed(stretch.tau, lag_s, rate)
 
@@ -89,18 +89,20 @@ def _of_stretch(
     return (time, np.full(len(time), stretch.recording), *(filtered(x) for x in signals))
 
 
-def presliding(q: np.ndarray, width_rad: float, rate_hz: float) -> np.ndarray:
-    """Stop operator z <- clip(z + dq, -w, w) on positions (samples, joints), scaled by w; 0 before the joint moves."""
+def presliding(q: np.ndarray, widths_rad: Sequence[float], rate_hz: float) -> np.ndarray:
+    """The core's stop operators on positions (samples, joints): (samples, joints, widths), in -1 to 1.
+
+    Stepped at PRESLIDING_RATE_HZ, as encoders' noise at 1 kHz would bend them, and straight in between; 0 until the
+    joint has moved so far that they are known.
+    """
     every = max(1, int(rate_hz / PRESLIDING_RATE_HZ))
-    coarse = q[::every]
-    states, z = np.zeros_like(coarse), np.zeros(q.shape[1])
-    for k, step in enumerate(np.diff(coarse, axis=0) / width_rad, start=1):
-        z = np.minimum(1.0, np.maximum(-1.0, z + step))
-        states[k] = z
+    states = _core.presliding_states(np.ascontiguousarray(q[::every]), widths_rad)
     if every == 1:
         return states
-    at, known = np.arange(len(q)), np.arange(len(coarse)) * every
-    return np.stack([np.interp(at, known, column) for column in states.T], axis=1)
+    at = np.minimum(np.arange(len(q)) / every, len(states) - 1)
+    low = np.minimum(at.astype(np.int64), max(0, len(states) - 2))
+    share = (at - low)[:, None, None]
+    return states[low] + share * (states[np.minimum(low + 1, len(states) - 1)] - states[low])
 
 
 def torque_rows(stretches: Sequence[Stretch], lag_s: float) -> np.ndarray:

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
+from tauext.data import Recording
 from tauext.doctor.finding import Finding
 from tauext.doctor.model_file import model_findings, moving_joints, position_limits, read_xml
 from tauext.errors import RobotError
-from tauext.robot import load_tree, torque_limits
+from tauext.robot import load_tree, robot_sha256, torque_limits
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,23 @@ def open_robot(path: Path, joints: Sequence[str], gravity: Sequence[float] | Non
                 Finding("model-unusable", "fault", None, str(error), "mend the file, or check without --robot")
             )
         return none
+
+
+def changed_findings(recordings: Sequence[Recording], path: Path) -> list[Finding]:
+    """Recordings that name another robot file by its content; those that name none are left alone."""
+    now = robot_sha256(path)
+    others = [r for r in recordings if r.robot_sha256 and r.robot_sha256 != now]
+    if not others:
+        return []
+    names = ", ".join(f"'{r.name}'" for r in others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
+    evidence = (
+        f"{len(others)} of {len(recordings)} recordings ({names}) were made with a file of SHA-256 "
+        f"{others[0].robot_sha256[:12]}..., {path.name} has {now[:12]}..."
+    )
+    advice = "fine where you mended the model on purpose; else give the file that was there when it was recorded"
+    return [
+        Finding("robot-file-changed", "warning", None, evidence, advice, others[0].name if len(others) == 1 else None)
+    ]
 
 
 def _names(path: Path, otherwise: list[str]) -> list[str]:

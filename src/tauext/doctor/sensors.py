@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,11 +17,13 @@ STUCK_S = 0.2
 """A signal that has not changed in a single bit for so long while its joint turns by STUCK_RAD stands still."""
 STUCK_RAD = 0.02
 STUCK_TIMES = 10.0
-"""... and so many times longer than 99 of 100 equal runs: a current of few levels keeps each for a while."""
+"""... and so many times longer than 99 of 100 equal runs: a current or speed of few levels keeps each for a while."""
 CLEAN = 1e-3
 """Noise as a share of the torque's spread. Motor currents and torque sensors have 0.01 to 0.2, none a thousandth."""
 CLEAN_RATE_HZ = 60.0
 """At lower rates motion itself fills the spectrum, and at much higher ones a drive's own filter empties its top."""
+STEP_SAMPLES = 200_000
+"""That are looked at for steps: all levels of a coarse signal are among them."""
 COARSE = 0.1
 """Step of the torque as a share of its spread."""
 MOVING_RAD_S = 0.02
@@ -77,6 +80,7 @@ def _stuck(recordings: Sequence[Recording], j: int, joint: str) -> Finding | Non
     count, longest, told = 0, 0.0, ""
     ends = {name: _ends(recordings, name, j) for name in ("tau", "dq")}  # there a signal is saturated, not stuck
     signals = ("q", "dq") if _is_coarse(recordings, j) else ("q", "dq", "tau")
+    velocity_step = min((_least_step(r.dq[:, j]) for r in recordings), default=0.0)
     for r in recordings:
         whole = repeated_rows(r)
         travelled = {"q": r.dq, "dq": r.q, "tau": r.q}
@@ -85,10 +89,11 @@ def _stuck(recordings: Sequence[Recording], j: int, joint: str) -> Finding | Non
             edges = np.flatnonzero(np.diff(np.r_[0, ((x[1:] == x[:-1]) & ~whole[1:]).astype(np.int8), 0]))
             lasted = (r.t_ns[edges[1::2]] - r.t_ns[edges[::2]]) * 1e-9
             least_s = STUCK_S
-            if signal == "tau" and len(lasted) >= 100:
+            if signal != "q" and len(lasted) >= 100:
                 least_s = max(STUCK_S, STUCK_TIMES * float(np.percentile(lasted, 99)))
-            for first, last, seconds in zip(edges[::2], edges[1::2], lasted, strict=True):
-                if seconds < least_s or last - first < 10 or x[first] in ends.get(signal, ()):
+            long = (lasted >= least_s) & (edges[1::2] - edges[::2] >= 10)
+            for first, last, seconds in zip(edges[::2][long], edges[1::2][long], lasted[long], strict=True):
+                if x[first] in ends.get(signal, ()):
                     continue
                 other = travelled[signal][first : last + 1, j]
                 if signal == "q":
@@ -96,7 +101,8 @@ def _stuck(recordings: Sequence[Recording], j: int, joint: str) -> Finding | Non
                 else:
                     way = float(np.ptp(other))
                 # a constant velocity that says what the position does is a cruise, not a fault
-                cruise = signal == "dq" and abs(abs(x[first]) * seconds - way) < 0.1 * way
+                step = velocity_step if signal == "dq" else 0.0
+                cruise = signal == "dq" and abs(abs(x[first]) * seconds - way) < max(0.1 * way, step * seconds)
                 if way < STUCK_RAD or cruise:
                     continue
                 count += 1
@@ -111,9 +117,16 @@ def _stuck(recordings: Sequence[Recording], j: int, joint: str) -> Finding | Non
     return Finding("stuck", "fault", joint, evidence, advice)
 
 
+def _least_step(x: np.ndarray) -> float:
+    """Between two values that a signal takes; 0 where it takes one."""
+    steps = np.abs(np.diff(x))
+    return float(steps[steps > 0].min(initial=np.inf)) if (steps > 0).any() else 0.0
+
+
 def torque_step_nm(recordings: Sequence[Recording], j: int) -> float | None:
     """Step of which every torque is a whole multiple, [N m]; None where there is none."""
-    tau = np.concatenate([r.tau[:, j] for r in recordings])
+    stride = max(1, sum(r.samples for r in recordings) // STEP_SAMPLES)
+    tau = np.concatenate([r.tau[::stride, j] for r in recordings])
     levels = np.unique(tau)
     if not 3 <= len(levels) <= 0.5 * len(tau):
         return None
@@ -127,7 +140,8 @@ def torque_step_nm(recordings: Sequence[Recording], j: int) -> float | None:
 
 def _ends(recordings: Sequence[Recording], signal: str, j: int) -> tuple[float, float]:
     columns = [getattr(r, signal)[:, j] for r in recordings]
-    return min(float(x.min()) for x in columns), max(float(x.max()) for x in columns)
+    low, high = min(float(x.min()) for x in columns), max(float(x.max()) for x in columns)
+    return (low, high) if low < high else (math.nan, math.nan)  # a signal that never changes has no ends
 
 
 def _is_coarse(recordings: Sequence[Recording], j: int) -> bool:
@@ -171,7 +185,7 @@ def _smoothed(recordings: Sequence[Recording]) -> list[Finding]:
         "and the filter's delay is unknown; record the raw signal"
     )
     joint = recordings[0].joints[int(np.argmax(clean))] if clean.sum() == 1 else None
-    return [Finding("smoothed", "fault", joint, evidence, advice)]
+    return [Finding("smoothed", "warning", joint, evidence, advice)]
 
 
 def _empty_above(recordings: Sequence[Recording], joints: np.ndarray) -> float:

@@ -81,6 +81,7 @@ class BundleMeasures:
         return {
             "name": self._name,
             "bundle": f"{bundle.name}.tauext",
+            "estimate_units": list(bundle.estimate_units),
             **{key: trained.get(key) for key in COPIED},
             "free_motion": errors.summary()
             | check_promise(promised, errors.false_collisions, float(errors.seconds) / 3600),

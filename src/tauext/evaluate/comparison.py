@@ -20,6 +20,7 @@ from tauext.evaluate.estimating import estimate_recording
 from tauext.evaluate.own_torque import OwnTorque, own_limits
 from tauext.evaluate.reference import sensor_reference
 from tauext.evaluate.sanity import Sanity, sanity_detectors
+from tauext.half_done import HalfDone
 
 Loader = Callable[[], Recording]
 
@@ -37,6 +38,7 @@ def evaluate(
     sanity: bool = False,
     events: EventsConfig = EventsConfig(),  # noqa: B008
     quiet: Sequence[Loader] = (),
+    kept: HalfDone | None = None,
 ) -> dict:
     """Results of every bundle: the content of results.json but for its provenance.
 
@@ -55,6 +57,7 @@ def evaluate(
         sanity: add detectors that know nothing, see sanity.py.
         events: how labels are read, see events.py.
         quiet: recordings whose free time gives the limits of the robot's own tau_ext, where it has one.
+        kept: where the work of a killed process goes on; its estimates are on disk already.
 
     Raises:
         BundleError: a recording does not fit a bundle.
@@ -63,15 +66,21 @@ def evaluate(
     expect_work(bundles, test, collisions, keep_free_estimates)
     for name in bundles:
         (estimates_dir / name).mkdir(parents=True, exist_ok=True)
-    own_nm = own_limits(load() for load in quiet)
-    own = None if own_nm is None else OwnTorque(own_nm, events, next(iter(bundles.values())).near_stiction_rad_s)
-    comparison = Comparison(bundles, events, sanity_detectors(seed) if sanity else [], own)
+    comparison, done = (kept.load() if kept else None) or (None, 0)
+    if comparison is None:
+        own_nm = own_limits(load() for load in quiet)
+        own = None if own_nm is None else OwnTorque(own_nm, events, next(iter(bundles.values())).near_stiction_rad_s)
+        comparison = Comparison(bundles, events, sanity_detectors(seed) if sanity else [], own)
     total = len(test) + len(collisions)
     for number, load in enumerate([*test, *collisions]):
+        if number < done:
+            continue
         free = number < len(test)
         keep_in = estimates_dir if not free or number < keep_free_estimates else None
         comparison.add(number, load(), free, threads, keep_in)
         progress("evaluate", number + 1, total)
+        if kept:
+            kept.offer((comparison, number + 1))
     return comparison.summary(seed, loss_histories or {})
 
 

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import time
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from tauext._core import Bundle
 from tauext.config import EventsConfig
-from tauext.data import Dataset, load_bundle
+from tauext.data import Dataset, fingerprint, load_bundle
 from tauext.data.loss_history import read_loss_history
 from tauext.evaluate.comparison import evaluate
+from tauext.half_done import HalfDone
 from tauext.progress import SILENT, Reporter
-from tauext.provenance import provenance, write_json
+from tauext.provenance import VERSION, provenance, write_json
 
 
 def evaluate_bundles(
@@ -32,6 +37,8 @@ def evaluate_bundles(
     """Write results.json, estimates, run.json and wall times for bundles, each by a name of its own.
 
     Returned is what stands in results.json; docs/files.md says what that is.
+
+    A killed or interrupted run goes on with the recording after the last one that was taken in.
 
     Where a bundle's NAME.run.json stands beside it, the loss history of its training goes into results.json too.
 
@@ -52,6 +59,8 @@ def evaluate_bundles(
     """
     started = time.monotonic()
     loaded = {name: load_bundle(path) for name, path in bundles.items()}
+    work = {"seed": seed, "keep_free_estimates": keep_free_estimates, "sanity": sanity, "events": asdict(events)}
+    kept = HalfDone(out / "evaluate.half-done", work_key(dataset, loaded, work), loaded)
     histories = {name: read_loss_history(loaded[name], path) for name, path in bundles.items()}
     with report.progress("evaluate") as show:
         results = evaluate(
@@ -67,12 +76,28 @@ def evaluate_bundles(
             sanity,
             events,
             dataset.loaders("calibration") or dataset.loaders("validation") or dataset.loaders("train"),
+            kept,
         )
     run = provenance("tauext evaluate", {"bundles": list(bundles)}, seed)
-    source = {"command": command, "dataset": dataset.folder.name, "scale": scale}
+    judged = [*dataset.split.test, *dataset.split.collisions]
+    recordings = {name.removesuffix(".parquet"): fingerprint(dataset.folder / name) for name in judged}
+    source = {"command": command, "dataset": dataset.folder.name, "scale": scale, "recordings": recordings}
     keep = {key: run[key] for key in ("version", "seed", "machine")}
     write_json(run, out / "run.json")
     write_json({"evaluate_s": time.monotonic() - started}, out / "wall_time_s.json")
     results = {"format": 3, "provenance": source | keep} | results
     write_json(results, out / "results.json")
+    kept.end()
     return results
+
+
+def work_key(dataset: Dataset, bundles: Mapping[str, Bundle], settings: dict) -> str:
+    """All that results depend on: the version, the bundles' bytes, the recordings' files, and settings."""
+    files = []
+    for set_name in ("train", "validation", "test", "collisions", "calibration"):
+        for name in getattr(dataset.split, set_name):
+            status = (dataset.folder / name).stat()
+            files.append([set_name, name, status.st_size, status.st_mtime_ns])
+    digests = [[name, hashlib.sha256(bundle.to_bytes()).hexdigest()] for name, bundle in bundles.items()]
+    work = {"version": VERSION, "bundles": digests, "recordings": files, "settings": settings}
+    return hashlib.sha256(json.dumps(work, default=str).encode()).hexdigest()

@@ -14,6 +14,7 @@ from tauext.learn.gate import Gate, apply_gate
 from tauext.learn.network_training import Progress, TrainedNetwork, train_network
 from tauext.learn.prior import fit_prior
 from tauext.learn.prior_fit import PriorFit
+from tauext.learn.signal_bounds import signal_bounds
 from tauext.learn.torque_constants import TorqueConstants, fit_torque_constants
 from tauext.learn.training_set import Scaling, Setup, WindowSet, build_windows, find_scaling
 
@@ -38,6 +39,7 @@ __all__ = [
     "reference_recording",
     "set_drift",
     "set_signal_ranges",
+    "signal_bounds",
     "train_network",
     "with_presliding",
 ]

@@ -9,18 +9,17 @@ import numpy as np
 
 from tauext import _core
 from tauext.config import DriftConfig, FilterConfig, ObserverConfig, RecipeName
-from tauext.data import Recording
+from tauext.data import Recording, SignalBounds
 from tauext.errors import TrainingError
 from tauext.learn.network_training import TrainedNetwork
 from tauext.learn.prior_facts import friction_nm
 from tauext.learn.prior_fit import PriorFit
+from tauext.learn.signal_bounds import LEAST_TORQUE_NM
 from tauext.learn.training_set import Scaling, Setup
 from tauext.recipes import recipe_of
 
 DRIFT_SPEED_RAD_S = 0.5
 """A joint's friction at this speed is what its drift is measured by."""
-LEAST_TORQUE_NM = 1.0
-"""A joint that needed no torque in training may yet need some: least torque that counts as the largest."""
 
 
 def build_setup(
@@ -114,7 +113,10 @@ def reference_recording(setup: Setup, recordings: Sequence[Recording]) -> Record
 
 
 def set_signal_ranges(
-    bundle: _core.Bundle, recordings: Sequence[Recording], torque_limit_nm: Sequence[float] | np.ndarray | None = None
+    bundle: _core.Bundle,
+    recordings: Sequence[Recording],
+    torque_limit_nm: Sequence[float] | np.ndarray | None = None,
+    bounds: SignalBounds | None = None,
 ) -> None:
     """What the monitor must know of the arm's signals to tell a broken one.
 
@@ -123,11 +125,15 @@ def set_signal_ranges(
             encoder that stands still while the torque moves by more is a fault.
         torque_limit_nm: what each drive can give at most, infinite where unknown; None: unknown throughout. A drive at
             its limit is a fault, since it no longer gives what it is told.
+        bounds: what is possible at all, None: anything; beyond them a sample is refused.
     """
     largest = np.max([np.abs(recording.tau).max(axis=0) for recording in recordings], axis=0)
     largest *= np.abs(bundle.observer.nm_per_unit or 1.0)
     bundle.largest_torque_nm = np.maximum(largest, LEAST_TORQUE_NM).tolist()
     bundle.torque_limit_nm = list(torque_limit_nm) if torque_limit_nm is not None else [float("inf")] * bundle.joints
+    bounds = bounds or SignalBounds(*np.full((2, bundle.joints), np.inf))
+    bundle.possible_torque_nm = np.maximum(bounds.torque_nm, bundle.largest_torque_nm).tolist()
+    bundle.possible_speed_rad_s = bounds.speed_rad_s.tolist()
 
 
 def set_drift(bundle: _core.Bundle, fit: PriorFit, config: DriftConfig) -> None:

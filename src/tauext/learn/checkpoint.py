@@ -16,12 +16,14 @@ from tauext.whole_file import whole_file
 
 @dataclass
 class TrainState:
-    """Everything that moves while training. A step replaces `at` as a whole, so an interruption never tears it."""
+    """Everything that moves while training. Fields are replaced, never changed in place, so a copy stays as it is."""
 
     at: tuple[np.ndarray, Adam]  # parameters (float64) and the optimiser's state
     history: list[tuple[int, float, float]]  # (step, training loss, validation loss), scaled units
     best: np.ndarray  # float32, the parameters of the lowest validation loss so far
     seconds: float = 0.0
+    running_loss: float | None = None
+    """The training loss as the next entry of the history goes on from it; None before the first step."""
 
 
 def save(state: TrainState, settings: dict, path: Path) -> None:
@@ -37,6 +39,7 @@ def save(state: TrainState, settings: dict, path: Path) -> None:
             history=np.array(state.history, dtype=float).reshape(-1, 3),
             best=state.best,
             seconds=state.seconds,
+            running_loss=np.nan if state.running_loss is None else state.running_loss,
             settings=json.dumps(settings, sort_keys=True),
         )
 
@@ -53,11 +56,13 @@ def load(settings: dict, path: Path) -> TrainState | None:
     try:
         with np.load(path, allow_pickle=False) as stored:
             theirs = json.loads(str(stored["settings"]))
+            running = float(stored["running_loss"])
             state = TrainState(
                 (stored["parameters"], Adam(stored["m"], stored["v"], int(stored["steps"]))),
                 [(int(step), float(loss), float(validation)) for step, loss, validation in stored["history"]],
                 stored["best"],
                 float(stored["seconds"]),
+                None if np.isnan(running) else running,
             )
     except (OSError, KeyError, ValueError, BadZipFile) as error:
         raise ConfigError(f"{path}: this checkpoint cannot be read ({error}); {advice}") from error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -20,7 +20,8 @@ from tauext.learn.core_backend import CoreBackend
 from tauext.learn.schedules import Schedule, make_schedule
 from tauext.learn.training_set import Setup, WindowSet
 
-CHECKPOINT_EVERY_S = 30.0
+CHECKPOINT_EVERY_S = 20.0
+"""With what a step, a validation and the writing itself take, a killed training loses less than 30 s."""
 LARGEST_LOSS = 1e3  # targets lie within +-1, so a useful loss is far below 1
 
 
@@ -71,11 +72,12 @@ def train_network(
     The weights of the lowest validation loss are kept (see Schedule.score): at the paper's learning rate the loss jumps
     up now and then and recovers, and the last step would be a draw of luck. The paper does not say which it keeps.
 
-    The same seed and data give the same bytes for any number of threads, whether or not the run was interrupted.
+    The same seed and data give the same bytes for any number of threads, whether or not the run was interrupted, be it
+    by SIGKILL: what the last CHECKPOINT_EVERY_S did is done again.
 
     Args:
-        checkpoint_path: where the state is kept while training; resumed from, saved on KeyboardInterrupt, removed at
-            the end.
+        checkpoint_path: where the state is kept while training; resumed from, and saved on KeyboardInterrupt and at the
+            end. Whoever has written what the network is for removes it.
         settings: what a checkpoint must agree on to be resumed.
         report: called every few hundred steps.
         backend: what computes, of any kind of network; default: the one that the config names.
@@ -93,29 +95,30 @@ def train_network(
         state = TrainState((start, Adam.start(len(start))), [], start.astype(np.float32))
     resumed_at, resumed_seconds = state.at[1].steps, state.seconds
     started = saved = time.monotonic()
-    running_loss = state.history[-1][1] if state.history else None
+    whole = replace(state)  # after a step with all that belongs to it: an interruption may come between
     try:
         while (done := state.at[1].steps) < schedule.steps and not schedule.gives_up(state.history):
             loss = take_step(state, backend, schedule, config)
-            running_loss = loss if running_loss is None else 0.99 * running_loss + 0.01 * loss
+            state.running_loss = loss if state.running_loss is None else 0.99 * state.running_loss + 0.01 * loss
             done += 1
             if done % schedule.report_every == 0 or done == schedule.steps:
                 candidate = state.at[0].astype(np.float32)
                 error = backend.predict(candidate, validation, shown) - validation.target_rows[shown]
-                keep_best(state, schedule, candidate, running_loss, float(np.mean(np.square(error, dtype=np.float64))))
+                validated = float(np.mean(np.square(error, dtype=np.float64)))
+                keep_best(state, schedule, candidate, state.running_loss, validated)
                 state.seconds = resumed_seconds + time.monotonic() - started
                 pace = (state.seconds - resumed_seconds) / (done - resumed_at)
                 report(Progress(done, schedule.steps, *state.history[-1][1:], pace * (schedule.steps - done)))
-                if checkpoint_path and time.monotonic() - saved > CHECKPOINT_EVERY_S:
-                    checkpoint.save(state, settings or {}, checkpoint_path)
-                    saved = time.monotonic()
+            whole = replace(state, seconds=resumed_seconds + time.monotonic() - started)
+            if checkpoint_path and time.monotonic() - saved > CHECKPOINT_EVERY_S:
+                checkpoint.save(whole, settings or {}, checkpoint_path)
+                saved = time.monotonic()
     except KeyboardInterrupt:
         if checkpoint_path:
-            state.seconds = resumed_seconds + time.monotonic() - started
-            checkpoint.save(state, settings or {}, checkpoint_path)
+            checkpoint.save(whole, settings or {}, checkpoint_path)
         raise
     if checkpoint_path:
-        checkpoint_path.unlink(missing_ok=True)
+        checkpoint.save(state, settings or {}, checkpoint_path)
     shape = _core.LstmShape(len(setup.inputs), config.hidden, setup.tree.size)
     return TrainedNetwork(shape, state.best, state.history, state.at[1].steps, state.seconds)
 
@@ -147,7 +150,7 @@ def keep_best(state: TrainState, schedule: Schedule, candidate: np.ndarray, loss
     score = schedule.score(done, validated)
     if all(score < schedule.score(step, earlier) for step, _, earlier in state.history):
         state.best = candidate
-    state.history.append((done, loss, validated))
+    state.history = [*state.history, (done, loss, validated)]
 
 
 def make_backend(setup: Setup, training: WindowSet, config: TrainConfig, length: int, targets: int) -> Backend:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 from tauext import _core
+from tauext.data.bundle_file import expect_text
 from tauext.errors import BundleError
 from tauext.learn.torque_constants import with_constants
 
@@ -20,6 +21,7 @@ def converted(old: bytes) -> _core.Bundle:
         BundleError: there are no torque constants in its provenance, and it needs no conversion; or none to be read.
     """
     bundle = _core.Bundle.from_old_bytes(old)
+    expect_text(bundle)
     facts = json.loads(bundle.provenance or "{}")
     constants = facts.get("torque_constants")
     if constants is None:
@@ -28,7 +30,7 @@ def converted(old: bytes) -> _core.Bundle:
         used = [float(constant) for constant in constants["used"]]
         units = _units([link.joint_name for link in bundle.links], constants, used, facts)
         factors = [1 / constant for constant in used]
-    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+    except (KeyError, TypeError, ValueError, ZeroDivisionError, AttributeError) as error:
         raise BundleError(f"the torque constants in its provenance cannot be read ({error!r})") from error
     bundle.observer, bundle.units = with_constants(bundle.observer, used), units
     bundle.scale_reference(factors)

@@ -7,6 +7,7 @@ import socket
 import stat
 import sys
 import threading
+import time
 from contextlib import suppress
 from pathlib import Path
 from typing import TextIO
@@ -15,6 +16,9 @@ from tauext.errors import ConfigError, TauextError
 from tauext.live.sink import Control
 
 LONGEST = 1000
+MOST_CONNECTIONS = 8
+"""More than programs and people that steer one arm; beyond it the one that was silent longest gives way."""
+RETRY_S = 0.1
 USAGE = "`profile NAME`, `acknowledge`, `resume` or `stop`"
 
 
@@ -59,6 +63,10 @@ class ControlSocket:
     def __init__(self, path: Path, control: Control):
         """Raises ConfigError where there can be no socket, or another monitor listens there."""
         self._path, self._control = path, control
+        self._spoke: dict[socket.socket, float] = {}
+        """When each connection said something last, by time.monotonic()."""
+        self._changing = threading.Lock()
+        self._closed = False
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             if path.exists() and stat.S_ISSOCK(path.stat().st_mode) and not listened_to(path):
@@ -76,6 +84,7 @@ class ControlSocket:
 
     def close(self) -> None:
         """Nobody can connect any more, and the path is free."""
+        self._closed = True
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
@@ -86,10 +95,32 @@ class ControlSocket:
             try:
                 connection, _ = self._socket.accept()
             except OSError:
-                return
+                if self._closed:
+                    return
+                time.sleep(RETRY_S)  # no descriptor is free: somebody else's connections end, too
+                continue
+            self._make_room()
+            with self._changing:
+                self._spoke[connection] = time.monotonic()
             threading.Thread(target=self._serve, args=(connection,), name="control", daemon=True).start()
 
+    def _make_room(self) -> None:
+        """Close whoever was silent longest, where there are too many: who comes is never locked out."""
+        with self._changing:
+            while len(self._spoke) >= MOST_CONNECTIONS:
+                silent = min(self._spoke, key=self._spoke.__getitem__)
+                del self._spoke[silent]
+                with suppress(OSError):
+                    silent.shutdown(socket.SHUT_RDWR)
+
     def _serve(self, connection: socket.socket) -> None:
+        try:
+            self._converse(connection)
+        finally:
+            with self._changing:
+                self._spoke.pop(connection, None)
+
+    def _converse(self, connection: socket.socket) -> None:
         # Two files: writing to one that is read, too, drops what was read ahead.
         with (
             suppress(OSError, UnicodeDecodeError),
@@ -98,6 +129,9 @@ class ControlSocket:
             connection.makefile("w", encoding="utf-8") as answers,
         ):
             while line := lines.readline(LONGEST):
+                with self._changing:
+                    if connection in self._spoke:
+                        self._spoke[connection] = time.monotonic()
                 answers.write(obey(line, self._control, "control socket") + "\n")
                 answers.flush()
 

@@ -11,7 +11,7 @@ from tauext.monitor import ALARMS, HEALTHS, AlarmChange, HealthChange
 from tauext.monitor.changes import COLLISION, CONTACT, FAULT, NONE, OK
 from tauext.monitor.status import number
 
-TORQUES = ("tau_ext", "sigma_nm", "limit_nm", "margin_nm", "residual")
+TORQUES = ("tau_ext", "sigma_nm", "limit_nm", "contact_limit_nm", "margin_nm", "residual")
 
 
 class EventFinder:

@@ -10,7 +10,6 @@ import numpy as np
 
 from tauext import _core
 from tauext.data.recording import TorqueTiming
-from tauext.live.loop import Loop
 from tauext.live.record_sink import file_name
 from tauext.live.sink import Control, LoopReport, Verdict
 from tauext.monitor import FlightNews, FlightSource, FlightWriter, write_flight
@@ -38,10 +37,9 @@ class FlightSink:
         self._folder, self._bundle, self._name = folder, bundle, file_name(source)
         self._source: FlightSource | None = None
         self._writer = FlightWriter(recorder, self._write)
-        self._control: Control | None = None
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
-        self._joints, self._control = joints, control
+        self._joints = joints
         self._writer.__enter__()
 
     def verdict(self, verdict: Verdict) -> None:
@@ -63,13 +61,5 @@ class FlightSink:
         return self._writer.news()
 
     def _write(self, flight: Flight) -> Path:
-        profile = self._control.profile if isinstance(self._control, Loop) else None
-        source = self._source
-        assert source is not None  # a flight comes after a verdict
-        if profile is not None:  # that holds now; the flight is a second old at most
-            contact = [
-                tuple((np.array(share) * profile.contact / profile.collision).tolist())
-                for share in (source.contact_sliding_share, source.contact_near_stiction_share)
-            ]
-            source = replace(source, contact_sliding_share=contact[0], contact_near_stiction_share=contact[1])
-        return write_flight(flight, self._folder, source)
+        assert self._source is not None  # a flight comes after a verdict
+        return write_flight(flight, self._folder, self._source)

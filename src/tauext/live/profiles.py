@@ -100,7 +100,7 @@ def load_profiles(path: Path, joints: Sequence[str]) -> Profiles:
     start = content.get("start", {})
     refuse_unknown(path, "start", start, ("profile",))
     first = start.get("profile", next(iter(found)))
-    if first not in found:
+    if not isinstance(first, str) or first not in found:
         raise ConfigError(f"{path}: [start] profile = {first!r} must be one of {', '.join(found)}")
     return Profiles(found, first)
 

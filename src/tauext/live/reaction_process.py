@@ -144,7 +144,8 @@ def content_of(event: Event) -> dict[str, Any]:
         "TAUEXT_HEALTH": str(event.facts.get("health", "")),
         "TAUEXT_CAUSES": ", ".join(event.facts.get("causes", ())),
     }
-    for name in ("tau_ext_nm", "limit_nm"):
+    limit = "contact_limit_nm" if event.kind == "contact" else "limit_nm"
+    for variable, name in (("TAUEXT_TAU_EXT_NM", "tau_ext_nm"), ("TAUEXT_LIMIT_NM", limit)):
         value = event.facts[name][j] if j is not None and name in event.facts else None
-        environment[f"TAUEXT_{name.upper()}"] = "" if value is None else f"{value:.9g}"
+        environment[variable] = "" if value is None else f"{value:.9g}"
     return {"facts": facts, "environment": environment}

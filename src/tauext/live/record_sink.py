@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -15,10 +16,11 @@ from tauext import _core
 from tauext.data import Recording, save_recording
 from tauext.data.amperes import AMPERES
 from tauext.data.recording import TorqueTiming
-from tauext.errors import ConfigError, TauextError
+from tauext.errors import ConfigError
 from tauext.live.sink import Control, LoopReport, Verdict
 from tauext.monitor.changes import NONE, OK
 from tauext.provenance import VERSION
+from tauext.room import expect_folder
 
 MOST_WAITING = 4
 """Segments in memory before the disk; then new ones are lost, and counted."""
@@ -49,12 +51,16 @@ class RecordSink:
     costs the loop a copy; a thread writes.
     """
 
-    def __init__(self, folder: Path, bundle: _core.Bundle, source: str, segment_s: float = 60.0):
+    def __init__(self, folder: Path, bundle: _core.Bundle, source: str, segment_s: float = 25.0):
         """source: its name, for the files' names and their provenance."""
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ConfigError(f"{folder}: no folder for recordings ({error.strerror or error})") from error
+        expect_folder(folder)
+        self.note: Callable[[str], None] = lambda text: None
+        """Called in the loop's thread, at most once a second, while samples are lost; to be set before open()."""
+        self._told = 0
         self._folder, self._bundle, self._source = folder, bundle, source
         self._stem = f"{file_name(source)}-{time.strftime('%Y%m%dT%H%M%S')}"
         self._period_ns = bundle.observer.sample_period_ns
@@ -97,7 +103,10 @@ class RecordSink:
         self._row = k + 1
 
     def every_second(self, report: LoopReport) -> None:
-        pass
+        lost = self._lost
+        if lost > self._told:
+            self._told = lost
+            self.note(f"RECORDING LOSES SAMPLES: {lost:,} so far ({self._error})")
 
     def close(self) -> None:
         """Write what is left, and wait for the disk."""
@@ -163,7 +172,7 @@ class RecordSink:
                 **segment,
             )
             save_recording(recording, path)
-        except TauextError as error:
+        except Exception as error:  # whatever it is, the next segment is tried
             self._lost += len(segment["t_ns"])
             self._error = self._error or str(error)
         else:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from tauext.errors import ConfigError
+from tauext.plain_file import read_text, toml_of
+from tauext.whole_file import whole_file
 
 
 def read_toml(path: Path, option: str = "") -> dict[str, Any]:
@@ -17,13 +18,13 @@ def read_toml(path: Path, option: str = "") -> dict[str, Any]:
         ConfigError: no such file, or not TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return toml_of(read_text(path))
     except FileNotFoundError as error:
         advice = f"; `tauext monitor {option} {path}` writes a template" if option else ""
         raise ConfigError(f"{path}: there is no such file{advice}") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read ({error})") from error
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:
         raise ConfigError(f"{path}: not readable as TOML: {error}") from error
 
 
@@ -38,10 +39,10 @@ def number(where: str, value: Any, lowest: float, highest: float) -> float:
 
 def write_template(path: Path, text: str) -> None:
     """Write a template; nothing is overwritten."""
+    if path.exists():
+        raise ConfigError(f"{path}: is there already; choose another name or remove it")
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError as error:
-        raise ConfigError(f"{path}: is there already; choose another name or remove it") from error
+        with whole_file(path) as part:
+            part.write_text(text, encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error

@@ -16,6 +16,12 @@ MEANING = {
     "less, or expect doubtful estimates there",
     "encoder still": "a position did not change while velocity or torque say that the joint moved; look at the encoder "
     "and its cable",
+    "impossible torque": "a torque was larger than the drive can give, whatever touches the arm; look at the driver, "
+    "at the unit of its torques and at the conversion of their values",
+    "impossible velocity": "a velocity was higher than the joint can get; look at the encoder, at the unit of the "
+    "velocity and at how it is differentiated",
+    "impossible position": "a position lay farther from the one before than the joint can have gone, or beyond all "
+    "that encoders count; look at the encoder, its cable and its zero: after a new zero the monitor goes on by itself",
 }
 """By the core's name of the cause."""
 

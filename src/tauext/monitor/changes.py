@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-HEALTHS = ("warming up", "ok", "stale", "fault")
-"""By the core's number."""
+from tauext.data.estimates import HEALTHS as HEALTHS
+
 ALARMS = ("none", "contact", "collision")
 """By the core's number."""
 WARMING_UP, OK, STALE, FAULT = range(4)
@@ -42,7 +42,7 @@ class AlarmChange:
     tau_ext_nm: float = np.nan
     """Of that joint at this sample; NaN where it fell."""
     limit_nm: float = np.nan
-    """That |tau_ext| of that joint must exceed for a collision."""
+    """That |tau_ext| of that joint must exceed for this level: a contact's for a contact, else a collision's."""
     near_stiction: bool = False
     acknowledged: bool = False
     """It did not fall by itself."""
@@ -114,7 +114,7 @@ class ChangeFinder:
             was,
             joint,
             float(said["tau_ext"][k, joint]),
-            float(said["limit_nm"][k, joint]),
+            float(said["contact_limit_nm" if alarm == CONTACT else "limit_nm"][k, joint]),
             bool(said["near_stiction"][k, joint]),
             sigma_nm=float(said["sigma_nm"][k, joint]),
         )

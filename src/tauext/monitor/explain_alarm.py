@@ -16,17 +16,13 @@ def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
     """By how much over which limit, and since when."""
     event, row = flight["event"], flight["event_row"]
     j = event.alarm_joint
-    limits = flight["limit_nm"][:, j]
-    if kind == "contact" and source.contact_sliding_share:
-        near, sliding = source.contact_near_stiction_share[j], source.contact_sliding_share[j]
-        # Doubt is added to both levels' limits; it hardly changes in the time over a limit.
-        raised = event.doubt[j]
-        limits = raised + (limits - raised) * np.where(flight["near_stiction"][:, j], near, sliding)
+    limits = limits_of(flight, kind)[:, j]
     size, limit, speed = abs(event.tau_ext[j]), limits[row], flight["dq"][row, j]
     region, edge = ("near stiction", "below") if event.near_stiction[j] else ("sliding", "not below")
+    unit = source.unit(j)
     text = (
-        f"|tau_ext| of {source.joints[j]} was {size:.3f} Nm, {size - limit:.3f} Nm over its {kind} limit of "
-        f"{limit:.3f} Nm ({region}: its speed was {speed:+.4f} rad/s, {edge} {source.near_stiction_rad_s:g})."
+        f"|tau_ext| of {source.joints[j]} was {size:.3f} {unit}, {size - limit:.3f} {unit} over its {kind} limit of "
+        f"{limit:.3f} {unit} ({region}: its speed was {speed:+.4f} rad/s, {edge} {source.near_stiction_rad_s:g})."
     )
     text += certainty(flight, source)
     since = row
@@ -46,8 +42,8 @@ def certainty(flight: Flight, source: FlightSource) -> str:
     if not source.has_error_scale or not sigma > 0:
         return ""
     return (
-        f" It was {abs(event.tau_ext[j]) / sigma:.2g} times its standard error of {sigma:.3f} Nm; the motion "
-        f"multiplied the limit of usual motion by {event.limit_scale[j]:.2f}."
+        f" It was {abs(event.tau_ext[j]) / sigma:.2g} times its standard error of {sigma:.3f} {source.unit(j)}; the "
+        f"motion multiplied the limit of usual motion by {event.limit_scale[j]:.2f}."
     )
 
 
@@ -73,18 +69,19 @@ def sum_of_terms(flight: Flight, source: FlightSource) -> str:
     """What observer, prior and network said of the joint."""
     event = flight["event"]
     j = event.alarm_joint
-    residual = event.residual[j]
+    residual, unit = event.residual[j], source.unit(j)
     if source.has_prior:
-        said = f"the prior expected {event.prior[j]:+.3f} Nm of it in free motion"
-        said += f" and the network {event.network[j]:+.3f} Nm more" if source.has_network else ""
-        said += f", slow changes since training {event.drift[j]:+.3f} Nm" if source.has_drift else ""
-        left = f"what is left is tau_ext = {event.tau_ext[j]:+.3f} Nm"
-        return f"The observer said {residual:+.3f} Nm, {said}; {left}."
+        said = f"the prior expected {event.prior[j]:+.3f} {unit} of it in free motion"
+        said += f" and the network {event.network[j]:+.3f} {unit} more" if source.has_network else ""
+        said += f", slow changes since training {event.drift[j]:+.3f} {unit}" if source.has_drift else ""
+        left = f"what is left is tau_ext = {event.tau_ext[j]:+.3f} {unit}"
+        return f"The observer said {residual:+.3f} {unit}, {said}; {left}."
     if not source.has_network:
-        return f"The observer said {residual:+.3f} Nm; the bundle has no network, so this is tau_ext."
+        return f"The observer said {residual:+.3f} {unit}; the bundle has no network, so this is tau_ext."
+    expected = f"the network expected {event.network[j]:+.3f} {unit} of it in free motion"
     return (
-        f"The observer said {residual:+.3f} Nm, the network expected {event.network[j]:+.3f} Nm of it in free motion; "
-        f"their difference is tau_ext = {event.tau_ext[j]:+.3f} Nm."
+        f"The observer said {residual:+.3f} {unit}, {expected}; "
+        f"their difference is tau_ext = {event.tau_ext[j]:+.3f} {unit}."
     )
 
 
@@ -94,15 +91,20 @@ def others(flight: Flight, source: FlightSource, kind: str) -> str:
     rest = [j for j in range(len(source.joints)) if j != flight["event"].alarm_joint]
     if kind == "fault" or not rest:
         return ""
-    share = np.abs(flight["tau_ext"][row]) / flight["limit_nm"][row]
+    share = np.abs(flight["tau_ext"][row]) / limits_of(flight, kind)[row]
     nearest = sorted(rest, key=lambda j: -share[j])[:MOST_OTHERS]
-    return f"Other joints, nearest to their limits first: {loads(flight, row, source, nearest)}."
+    return f"Other joints, nearest to their {kind} limits first: {loads(flight, row, source, nearest, kind)}."
 
 
-def loads(flight: Flight, row: int, source: FlightSource, joints: list[int] | range) -> str:
+def limits_of(flight: Flight, kind: str) -> np.ndarray:
+    """What |tau_ext| must exceed for this kind of alarm, (samples, joints); for a fault, a collision's."""
+    return flight["contact_limit_nm" if kind == "contact" else "limit_nm"]
+
+
+def loads(flight: Flight, row: int, source: FlightSource, joints: list[int] | range, kind: str = "collision") -> str:
     """`joint2 1.100 of 2.600 Nm (42%)` for each joint."""
-    parts = []
+    parts, limits = [], limits_of(flight, kind)
     for j in joints:
-        size, limit = abs(flight["tau_ext"][row, j]), flight["limit_nm"][row, j]
-        parts.append(f"{source.joints[j]} {size:.3f} of {limit:.3f} Nm ({size / limit:.0%})")
+        size, limit = abs(flight["tau_ext"][row, j]), limits[row, j]
+        parts.append(f"{source.joints[j]} {size:.3f} of {limit:.3f} {source.unit(j)} ({size / limit:.0%})")
     return ", ".join(parts)

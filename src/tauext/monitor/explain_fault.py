@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from tauext.data.units import short
 from tauext.monitor.causes import MEANING
 from tauext.monitor.explain_alarm import loads
 from tauext.monitor.flight_content import Flight, FlightSource
+from tauext.monitor.readable import readable
 
 
 def fault_causes(flight: Flight) -> list[str]:
@@ -27,8 +29,9 @@ def fault_sample(flight: Flight, source: FlightSource) -> str:
 def signals(flight: Flight, row: int, joint: int, source: FlightSource) -> str:
     """Position, velocity and torque of one joint."""
     q, dq, tau = (flight[name][row, joint] for name in ("q", "dq", "tau"))
-    unit = source.torque_units[joint] if source.torque_units else "N m"
-    return f"q = {q:.5f} rad, dq = {dq:+.4f} rad/s, tau = {tau:+.3f} {unit.replace('N m', 'Nm')}"
+    unit = short(source.torque_units[joint]) if source.torque_units else "Nm"
+    told = f"q = {readable(q, '.5f')} rad, dq = {readable(dq, '+.4f')} rad/s, tau = {readable(tau, '+.3f')}"
+    return f"{told} {unit}"
 
 
 def last_estimate(flight: Flight, source: FlightSource) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from tauext import _core
 from tauext.monitor.causes import in_words
 from tauext.monitor.changes import CONTACT, FAULT, HEALTHS, NONE
-from tauext.monitor.explain_alarm import doubt, others, over_limit, sum_of_terms, unfamiliar
+from tauext.monitor.explain_alarm import doubt, limits_of, others, over_limit, sum_of_terms, unfamiliar
 from tauext.monitor.explain_fault import fault_causes, fault_sample, last_estimate
 from tauext.monitor.flight_content import Flight, FlightSource, event_kind
 
@@ -100,10 +100,10 @@ def after(flight: Flight, source: FlightSource, kind: str) -> str:
     if np.isfinite(size).any():
         peak = int(np.nanargmax(size))
         peak_s = (flight["t_ns"][row + peak] - flight["t_ns"][row]) * 1e-9
-        text += f"|tau_ext| of {source.joints[j]} peaked at {size[peak]:.3f} Nm, "
+        text += f"|tau_ext| of {source.joints[j]} peaked at {size[peak]:.3f} {source.unit(j)}, "
         text += f"{peak_s:.3f} s after it; " if peak else "at the event; "
-        over = size > flight["limit_nm"][row:, j]
-        text += "it was over the limit at the end; " if over[-1] else "it was not over the limit at the end; "
+        over = size > limits_of(flight, kind)[row:, j]
+        text += f"it was {'' if over[-1] else 'not '}over its {kind} limit at the end; "
     return text + f"health at the end was {HEALTHS[int(health[-1])]}."
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -12,6 +11,7 @@ from tauext import _core
 from tauext.data import Recording
 from tauext.data.estimates import Estimates
 from tauext.data.recording import RATE_TOLERANCE, TorqueTiming
+from tauext.data.units import short
 from tauext.monitor.changes import ALARMS, COLLISION, FAULT, HEALTHS
 
 Flight = dict[str, Any]
@@ -50,9 +50,6 @@ class FlightSource:
     torque_timing: TorqueTiming
     robot_sha256: str = ""
     near_stiction_rad_s: float = 0.0
-    contact_sliding_share: tuple[float, ...] = ()
-    """Limits of a contact, a joint, in those of a collision, which stand in the flight; doubt left out of both."""
-    contact_near_stiction_share: tuple[float, ...] = ()
     has_network: bool = True
     has_prior: bool = False
     has_drift: bool = False
@@ -61,6 +58,8 @@ class FlightSource:
     """That watches, for the files' provenance."""
     torque_units: tuple[str, ...] = ()
     """Of tau, a joint; empty: N m."""
+    estimate_units: tuple[str, ...] = ()
+    """Of the answers, likewise."""
 
     @classmethod
     def of(cls, bundle: _core.Bundle, recording: Replayed) -> FlightSource:
@@ -74,23 +73,21 @@ class FlightSource:
             torque_timing=recording.torque_timing,
             robot_sha256=recording.robot_sha256,
             near_stiction_rad_s=bundle.near_stiction_rad_s,
-            contact_sliding_share=shares(bundle.contact_sliding_limit_nm, bundle.sliding_limit_nm),
-            contact_near_stiction_share=shares(bundle.contact_near_stiction_limit_nm, bundle.near_stiction_limit_nm),
             has_network=bundle.has_network,
             has_prior=bool(bundle.prior.terms or bundle.prior.corrected_links),
             has_drift=bundle.drift.time_constant_s > 0,
             has_error_scale=bundle.error_scale.on,
             torque_units=tuple(bundle.torque_units),
+            estimate_units=tuple(bundle.estimate_units),
         )
+
+    def unit(self, joint: int) -> str:
+        """Of what is said of the joint, as it stands behind a number."""
+        return short(self.estimate_units[joint]) if self.estimate_units else "Nm"
 
     def time_s(self, t_ns: int) -> float:
         """Counted from the start, [s]."""
         return (t_ns - self.start_ns) * 1e-9
-
-
-def shares(contact_nm: Sequence[float], collision_nm: Sequence[float]) -> tuple[float, ...]:
-    """Contact limits in collision limits, a joint."""
-    return tuple(contact / collision for contact, collision in zip(contact_nm, collision_nm, strict=True))
 
 
 def event_kind(flight: Flight) -> str:
@@ -144,7 +141,7 @@ def as_recording(
 
 def as_estimates(flight: Flight, kept: np.ndarray, source: FlightSource) -> Estimates:
     """What the monitor said of the samples that are kept."""
-    torques = {"r": "residual", "tau_ext": "tau_ext", "limit": "limit_nm"}
+    torques = {"r": "residual", "tau_ext": "tau_ext", "limit": "limit_nm", "contact_limit": "contact_limit_nm"}
     prior, drift = flight["prior"][kept], flight["drift"][kept]
     return Estimates(
         joints=source.joints,
@@ -192,6 +189,7 @@ def event_numbers(flight: Flight, source: FlightSource) -> dict[str, Any]:
                 ("tau_ext_nm", "tau_ext"),
                 ("sigma_nm", "sigma_nm"),
                 ("limit_nm", "limit_nm"),
+                ("contact_limit_nm", "contact_limit_nm"),
                 ("margin_nm", "margin_nm"),
             )
         },
@@ -199,4 +197,5 @@ def event_numbers(flight: Flight, source: FlightSource) -> dict[str, Any]:
         "dq_rad_s": numbers(flight["dq"][row]),
         "tau": numbers(flight["tau"][row]),
         "torque_units": list(source.torque_units or ("N m",) * len(source.joints)),
+        "estimate_units": list(source.estimate_units or ("N m",) * len(source.joints)),
     }

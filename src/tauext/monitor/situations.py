@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from tauext import _core
+from tauext.data.units import short
 
 SPEED_RAD_S = 0.5
 """Of a joint that slides ..."""
@@ -26,20 +27,15 @@ Situation = dict[str, dict[str, float]]
 def situations(bundle: _core.Bundle) -> dict[str, Situation]:
     """Collision limit and standard error after each motion, all joints moving alike; none without an error scale.
 
-    The features of each motion are the core's own, of a recording of it.
+    Both are the core's own, of speeds as in each motion.
     """
     if not bundle.error_scale.on:
         return {}
     names = [link.joint_name for link in bundle.links]
-    scale = bundle.error_scale
-    shape = len(names), len(scale.features)
     found = {}
     for name, (dq, near) in motions(bundle).items():
-        features = last_features(bundle, dq)
-        sigma_weights = scale.sigma_near_weights if near else scale.sigma_weights
         level = bundle.near_stiction_limit_nm if near else bundle.sliding_limit_nm
-        times = np.minimum((features * np.reshape(scale.limit_weights, shape)).sum(axis=1), scale.largest)
-        sigma = np.minimum((features * np.reshape(sigma_weights, shape)).sum(axis=1), scale.largest_sigma)
+        times, sigma = last_errors(bundle, dq, near)
         found[name] = {
             "limit": dict(zip(names, (times * level).tolist(), strict=True)),
             "standard error": dict(zip(names, sigma.tolist(), strict=True)),
@@ -65,13 +61,18 @@ def motions(bundle: _core.Bundle) -> dict[str, tuple[np.ndarray, bool]]:
     }
 
 
-def last_features(bundle: _core.Bundle, dq: np.ndarray) -> np.ndarray:
-    """Features of the error scale after a motion in which every joint has these speeds, (joints, features)."""
-    period_ns, n = bundle.observer.sample_period_ns, bundle.joints
-    t_ns = np.arange(len(dq), dtype=np.int64) * period_ns
-    q = np.cumsum(dq) * 1e-9 * period_ns
-    positions, speeds, torques = (np.repeat(signal[:, None], n, axis=1) for signal in (q, dq, 0 * dq))
-    return _core.motion_features(bundle, t_ns, positions, speeds, torques, np.array([len(dq) - 1]))[0]
+def last_errors(bundle: _core.Bundle, dq: np.ndarray, near: bool) -> tuple[np.ndarray, np.ndarray]:
+    """What a motion in which every joint has these speeds multiplies limits by, and the standard error: 2 x (joints,).
+
+    near: it is near stiction at its end, which alone counts.
+    """
+    n, count = bundle.joints, len(dq)
+    t_ns = np.arange(count, dtype=np.int64) * bundle.observer.sample_period_ns
+    region = np.full((count, n), near, dtype=np.uint8)
+    entered, restarted = np.ones(count, dtype=np.uint8), np.zeros(count, dtype=np.uint8)
+    speeds = np.repeat(dq[:, None], n, axis=1)
+    said = _core.motion_errors(bundle, t_ns, speeds, region, entered, restarted, np.array([count - 1]))
+    return said["scale"][0], said["sigma_nm"][0]
 
 
 def sentences(found: Mapping[str, Situation], units: Mapping[str, str]) -> dict[str, str]:
@@ -86,5 +87,4 @@ def sentences(found: Mapping[str, Situation], units: Mapping[str, str]) -> dict[
 
 def certainty(situation: Situation, joint: str, unit: str) -> str:
     """`limit 4.1 Nm, standard error 0.9 Nm`."""
-    unit = unit.replace("N m", "Nm")
-    return ", ".join(f"{what} {of_joints[joint]:.2g} {unit}" for what, of_joints in situation.items())
+    return ", ".join(f"{what} {of_joints[joint]:.2g} {short(unit)}" for what, of_joints in situation.items())

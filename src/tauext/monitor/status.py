@@ -17,6 +17,7 @@ TORQUES = {
     "tau_ext_nm": "tau_ext",
     "sigma_nm": "sigma_nm",
     "limit_nm": "limit_nm",
+    "contact_limit_nm": "contact_limit_nm",
     "margin_nm": "margin_nm",
 }
 """Names of lists over the joints, and of the monitor's arrays that hold them."""

@@ -20,6 +20,8 @@ class Tally:
 
     joints: tuple[str, ...]
     sample_period_ns: int
+    units: tuple[str, ...] = ()
+    """Of the answers, a joint; empty: N m."""
     samples: int = 0
     bridged_ticks: int = 0
     restarts: int = 0
@@ -35,6 +37,7 @@ class Tally:
     """Smallest margin of each joint where there is one; negative: over the limit; infinite: there was none."""
 
     def __post_init__(self) -> None:
+        self.units = self.units or ("N m",) * len(self.joints)
         self.alarms = np.zeros((len(ALARMS), len(self.joints)), dtype=np.int64)
         self.worst_margin_nm = np.full(len(self.joints), np.inf)
 

@@ -27,7 +27,7 @@ def draw_after_contact(results: Results) -> Drawing:
     if not bundles or not any(b.hours for bundle in bundles for b in bundle.measured.after_contact):
         raise NotAvailable("the results hold no time after contacts")
     panels: list[tuple[str, str, Callable[[Aftermath], float | None]]] = [
-        (name, "RMSE, Nm", partial(error_of, j)) for j, name in enumerate(results.joints)
+        (name, f"RMSE, {results.unit_of(j)}", partial(error_of, j)) for j, name in enumerate(results.joints)
     ]
     panels.append(("contact alarms that begin", "an hour", lambda entry: entry.contacts_per_hour))
     rows = -(-len(panels) // MOST_COLUMNS)

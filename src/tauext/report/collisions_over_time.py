@@ -70,7 +70,7 @@ def draw_collisions(results: Results, signals: Signals) -> Drawing:
     for joint, (axes, name) in enumerate(zip(grid, results.joints, strict=True)):
         for excerpt in excerpts:
             draw_excerpt(axes, excerpt, joint, colour, results)
-        label_joint(axes, name)
+        label_joint(axes, name, f"torque, {results.unit_of(joint)}")
         axes.set_xlim(0, excerpts[-1].shown_at_s + excerpts[-1].length_s)
     label_excerpts(grid[0], grid[-1], excerpts)
     what = uncertainty_words([excerpts[0].said])

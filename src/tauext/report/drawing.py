@@ -41,8 +41,11 @@ def sigma_words(estimates: Iterable[Estimates]) -> str:
 
 
 def uncertainty_words(estimates: Iterable[Estimates]) -> str:
-    """What these estimates' uncertainty is made of: network; prior and network; prior, network and drift."""
+    """What these estimates' uncertainty is made of: prior; network; prior, network and drift; nothing, said so."""
     several = list(estimates)
     words = ["prior"] if any(said.prior is not None for said in several) else []
-    words += ["network"] + (["drift"] if any(said.drift is not None for said in several) else [])
+    words += ["network"] if any(said.has_network for said in several) else []
+    words += ["drift"] if any(said.drift is not None for said in several) else []
+    if not words:
+        return "nothing learned"
     return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else words[0]

@@ -57,9 +57,9 @@ def draw_error_against_sigma(results: Results) -> Drawing:
         use_log_height(axes)
         use_log_width(axes)
         axes.set_title(results.joints[joint])
-        axes.set_xlabel("standard error as told, Nm")
+        axes.set_xlabel(f"standard error as told, {results.unit_of(joint)}")
         if joint % columns == 0:
-            axes.set_ylabel("RMS error, Nm")
+            axes.set_ylabel(f"RMS error, {results.unit_of(joint)}")
     ink = "#555555"
     handles = [Line2D([], [], color=colours[b.name], linestyle="none", marker="o", label=b.label) for b in bundles]
     handles += [

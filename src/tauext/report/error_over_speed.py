@@ -54,7 +54,7 @@ def draw_error_over_speed(results: Results, signals: Signals) -> Drawing:
                 draw_limits(axes, *limits, near, reach)
             axes.set(xlim=(-reach, reach), ylim=(-top, top))
             axes.xaxis.set_major_locator(MaxNLocator(6))
-        label_joint(grid[joint, 0], name, "error, Nm")
+        label_joint(grid[joint, 0], name, f"error, {results.unit_of(joint)}")
     for axes, title in zip(grid[0], ("all speeds", f"close-up of |speed| < {CLOSE_UP * near:g} rad/s"), strict=True):
         axes.set_title(title)
     for axes in grid[-1]:

@@ -7,13 +7,15 @@ from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 
+from tauext.data.units import SEVERAL
 from tauext.errors import ConfigError
-from tauext.report.flight_figures import draw_close, draw_flight
+from tauext.report.flight_figures import draw_close, draw_flight, heading_words
 from tauext.report.flight_file import Flight, load_flight
 from tauext.report.page import PageFigure
 from tauext.report.traces import NO_TRACES, PAGE_MB, PageTraces, flight_traces, or_reason
 from tauext.report.write import check_page_mb, make_figure
-from tauext.whole_file import whole_file
+from tauext.room import expect_folder
+from tauext.whole_file import whole_folder
 
 TEMPLATE = Path(__file__).with_name("flight.html.j2")
 
@@ -30,17 +32,17 @@ def write_flight_report(flight_path: Path, out_dir: Path, page_mb: float = PAGE_
         RecordingError: a file is damaged, no flight, or of another one.
     """
     check_page_mb(page_mb)
+    expect_folder(out_dir)
     flight = load_flight(flight_path)
     name = flight.recording.name
     draw = {name: partial(draw_flight, flight), f"{name}-close": partial(draw_close, flight)}
     page = out_dir / f"{name}.html"
     try:
-        (out_dir / "figures").mkdir(parents=True, exist_ok=True)
-        figures = [make_figure(one, out_dir / "figures" / f"{stem}.png") for stem, one in draw.items()]
-        room = page_mb * 1e6 - len(render_flight(flight, figures[::-1]).encode())
-        traces = or_reason(partial(flight_traces, flight, room))
-        with whole_file(page) as part:
-            part.write_bytes(render_flight(flight, figures[::-1], traces).encode())
+        with whole_folder(out_dir) as part:
+            figures = [make_figure(one, part / "figures" / f"{stem}.png") for stem, one in draw.items()]
+            room = page_mb * 1e6 - len(render_flight(flight, figures[::-1]).encode())
+            traces = or_reason(partial(flight_traces, flight, room))
+            (part / page.name).write_bytes(render_flight(flight, figures[::-1], traces).encode())
     except OSError as error:
         raise ConfigError(f"{out_dir}: the report cannot be written ({error.strerror or error})") from error
     return page
@@ -54,7 +56,7 @@ def render_flight(flight: Flight, figures: list[PageFigure], traces: PageTraces 
         headline=flight.explanation[0],
         explanation=flight.explanation[1:],
         facts=facts(flight),
-        columns=[column.format(torque_unit=flight.torque_unit) for column in COLUMNS],
+        columns=[column.format(**heading_words(flight)) for column in COLUMNS],
         rows=event_rows(flight),
         figures=figures,
         traces=traces,
@@ -74,12 +76,12 @@ def facts(flight: Flight) -> list[tuple[str, str]]:
 
 COLUMNS = (
     "joint",
-    "tau_ext, Nm",
-    "standard error, Nm",
-    "limit, Nm",
-    "margin, Nm",
-    "observer, Nm",
-    "uncertainty, Nm",
+    "tau_ext, {unit}",
+    "standard error, {unit}",
+    "{level} limit, {unit}",
+    "margin, {unit}",
+    "observer, {unit}",
+    "{learned}, {unit}",
     "motor torque, {torque_unit}",
     "speed, rad/s",
     "region",
@@ -92,8 +94,17 @@ def event_rows(flight: Flight) -> list[tuple[bool, list[str]]]:
     rows, n = [], len(flight.recording.joints)
     regions = flight.event.get("near_stiction") or [None] * n
     for j, joint in enumerate(flight.recording.joints):
-        values = [(flight.event.get(field) or [None] * n)[j] for field in FIELDS]
+        said = {field: (flight.event.get(field) or [None] * n)[j] for field in FIELDS}
+        if flight.limit_level == "contact":
+            said |= contact_margin((flight.event.get("contact_limit_nm") or [None] * n)[j], said["tau_ext_nm"])
+        values = said.values()
         cells = ["–" if value is None else f"{value:.3f}".replace("-", "−") for value in values]
+        name = f"{joint} [{flight.estimate_unit_of(j)}]" if flight.estimate_unit == SEVERAL else joint
         region = {None: "–", True: "near stiction", False: "sliding"}[regions[j]]
-        rows.append((joint == flight.event["joint"], [joint, *cells, region]))
+        rows.append((joint == flight.event["joint"], [name, *cells, region]))
     return rows
+
+
+def contact_margin(limit: float | None, tau_ext: float | None) -> dict[str, float | None]:
+    """The contact limit in the place of the collision's, and the margin to it."""
+    return {"limit_nm": limit, "margin_nm": None if limit is None or tau_ext is None else limit - abs(tau_ext)}

@@ -24,12 +24,22 @@ EVENT = "#d55e00"
 NOT_OK = "#dcdcdc"
 CLOSE_BEFORE_S, CLOSE_AFTER_S = 0.15, 0.35
 COLUMNS = {
-    "tau_ext": "external torque, Nm",
-    "observer": "observer and uncertainty, Nm",
+    "tau_ext": "external torque, {unit}",
+    "observer": "observer; {learned}, {unit}",
     "tau": "motor torque, {torque_unit}",
     "dq": "speed, rad/s",
     "q": "position, rad",
 }
+
+
+def heading_words(flight: Flight) -> dict[str, str]:
+    """Units, the level whose limits are told, and what is taken off the observer's output."""
+    return {
+        "unit": flight.estimate_unit,
+        "torque_unit": flight.torque_unit,
+        "level": flight.limit_level,
+        "learned": uncertainty_words([flight.estimates]),
+    }
 
 
 def draw_flight(flight: Flight) -> Drawing:
@@ -43,14 +53,14 @@ def draw_flight(flight: Flight) -> Drawing:
             draw_signal(axes, flight, column, joint, slice(None))
         grid[joint, 0].set_ylabel(name, fontweight="bold" if name == flight.event["joint"] else "normal")
     for axes, column in zip(grid[0], columns, strict=True):
-        axes.set_title(COLUMNS[column].format(torque_unit=flight.torque_unit))
+        axes.set_title(COLUMNS[column].format(**heading_words(flight)))
     for axes in grid[-1]:
         axes.set_xlabel("time since the event, s")
     figure.legend(handles=legend(flight, columns), loc="outside upper left", ncols=4)
     return Drawing(
         figure,
         f"All that the flight holds, {flight.since_s[0]:+.2f} s to {flight.since_s[-1]:+.2f} s around the event. "
-        "A joint is found in collision where its external torque leaves the limits."
+        f"A joint is found in {flight.limit_level} where its external torque leaves the limits."
         + (f" {flight.event['joint']} is the event's joint." if flight.event["joint"] else ""),
     )
 
@@ -65,7 +75,7 @@ def draw_close(flight: Flight) -> Drawing:
     grid = figure.subplots(2, 2, sharex=True)
     for axes, column in zip(grid.flat, columns, strict=True):
         draw_signal(axes, flight, column, joint, part, unit_s=1e-3)
-        axes.set_title(COLUMNS[column].format(torque_unit=flight.torque_unit))
+        axes.set_title(COLUMNS[column].format(**heading_words(flight)))
     for axes in grid[-1]:
         axes.set_xlim(-CLOSE_BEFORE_S * 1e3, CLOSE_AFTER_S * 1e3)
         axes.set_xlabel("time since the event, ms")
@@ -86,7 +96,7 @@ def draw_signal(axes: Axes, flight: Flight, column: str, joint: int, part: slice
         shade(axes, since, said.near_stiction[part, joint], NEAR_STICTION, 0)
     shade(axes, since, said.health[part] != OK, NOT_OK, 1)
     if column == "tau_ext":
-        limit = said.limit[part, joint]
+        limit = flight.limit_nm[part, joint]
         for side in (-1, 1):
             axes.plot(*broken(since, side * limit, period), color=LIMIT, linestyle="--", linewidth=0.9, zorder=3)
         curves: list[tuple[np.ndarray, dict[str, Any]]] = [(said.tau_ext[part, joint], {"color": TAU_EXT})]
@@ -129,7 +139,7 @@ def legend(flight: Flight, columns: Sequence[str]) -> list[Line2D | Patch]:
     sigma = flight.estimates.sigma_nm
     lines = [
         Line2D([], [], color=TAU_EXT, label="external torque" + ("" if sigma is None else " ± standard error")),
-        Line2D([], [], color=LIMIT, linestyle="--", linewidth=0.9, label="collision limit"),
+        Line2D([], [], color=LIMIT, linestyle="--", linewidth=0.9, label=f"{flight.limit_level} limit"),
     ]
     if "observer" in columns:
         lines += [

@@ -10,11 +10,15 @@ import numpy as np
 
 from tauext.data import Recording, load_recording
 from tauext.data.estimates import Estimates, load_estimates
+from tauext.data.units import of_all, short
 from tauext.errors import ConfigError, RecordingError
 
 ESTIMATES = ".estimates.parquet"
 NEEDED = {"what", "t_ns", "joint"}
 """Of an event."""
+LISTS = {"tau_ext_nm", "sigma_nm", "limit_nm", "margin_nm", "residual_nm", "uncertainty_nm", "tau", "dq_rad_s"}
+LISTS |= {"near_stiction", "torque_units"}
+"""A value a joint; none of them has to be there."""
 
 
 @dataclass(frozen=True)
@@ -38,15 +42,37 @@ class Flight:
     @property
     def torque_unit(self) -> str:
         """Of the motor torque: Nm, A or whatever the bundle took."""
-        units: list[str] = self.event.get("torque_units") or ["N m"]
-        return units[0].replace("N m", "Nm")
+        return of_all(self.event.get("torque_units") or ())
+
+    @property
+    def estimate_unit(self) -> str:
+        """Of external torque and limits, which need not be Nm where the arm had no model."""
+        return of_all(self.event.get("estimate_units") or ())
+
+    def estimate_unit_of(self, joint: int) -> str:
+        """Of one joint."""
+        units: list[str] = self.event.get("estimate_units") or ["N m"] * len(self.recording.joints)
+        return short(units[joint])
+
+    @property
+    def limit_nm(self) -> np.ndarray:
+        """What |tau_ext| had to exceed for the event's level, (samples, joints)."""
+        contact = self.estimates.contact_limit if self.limit_level == "contact" else None
+        return self.estimates.limit if contact is None else contact
+
+    @property
+    def limit_level(self) -> str:
+        """`contact` or `collision`: whose limits are shown. Flights of older versions know a collision's alone."""
+        return (
+            "contact" if self.event["what"] == "contact" and self.estimates.contact_limit is not None else "collision"
+        )
 
     @property
     def joint(self) -> int:
         """The event's joint or, where it concerns none, the one that came nearest to its limit."""
         if self.event["joint"] in self.recording.joints:
             return self.recording.joints.index(self.event["joint"])
-        share = np.abs(self.estimates.tau_ext) / self.estimates.limit
+        share = np.abs(self.estimates.tau_ext) / self.limit_nm
         return int(np.argmax(np.nan_to_num(share).max(axis=0)))
 
 
@@ -61,7 +87,8 @@ def load_flight(path: Path) -> Flight:
     recording = load_recording(path)
     facts = dict(recording.provenance)
     event, explanation = facts.pop("event", None), facts.pop("explanation", None)
-    if not isinstance(event, dict) or not NEEDED <= event.keys() or not explanation:
+    told = isinstance(explanation, str) and bool(explanation.strip())
+    if not isinstance(event, dict) or not NEEDED <= event.keys() or not told:
         raise RecordingError(
             f"{path}: a recording, but no flight: its provenance has no event; `tauext run --flights` writes flights"
         )
@@ -71,7 +98,22 @@ def load_flight(path: Path) -> Flight:
         raise RecordingError(f"{beside}: its joints or times are not those of {path.name}; it is of another flight")
     if "tau_nm" in event:  # as flights had it while all torques were in N m
         event["tau"] = event.pop("tau_nm")
+    check_event(path, event, len(recording.joints))
     return Flight(recording, estimates, event, tuple(explanation.splitlines()), facts)
+
+
+def check_event(path: Path, event: dict[str, Any], joints: int) -> None:
+    """Raise RecordingError unless every field of the event has its kind: text, whole numbers, or a list a joint."""
+    kinds: dict[str, Any] = {"what": str, "t_ns": int, "joint": str | None}
+    for name, kind in kinds.items():
+        if not isinstance(event[name], kind) or isinstance(event[name], bool):
+            raise RecordingError(f"{path}: its event's {name} = {event[name]!r} is of the wrong kind; record it again")
+    for name in LISTS & event.keys():
+        value = event[name]
+        if value is not None:
+            of = {"torque_units": str, "near_stiction": bool | None}.get(name, int | float | None)
+            if not isinstance(value, list) or len(value) != joints or not all(isinstance(one, of) for one in value):
+                raise RecordingError(f"{path}: its event's {name} is no list of {joints} values; record it again")
 
 
 def newest(folder: Path) -> Path:

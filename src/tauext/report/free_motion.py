@@ -46,7 +46,7 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
         grid[0, column].set_title(results.labels[bundle].replace(", ", ",\n"), color=colours[bundle], fontweight="bold")
         grid[-1, column].set_xlabel("time, s")
     for joint, name in enumerate(recording.joints):
-        label_joint(grid[joint, 0], name)
+        label_joint(grid[joint, 0], name, f"torque, {results.unit_of(joint)}")
     what = uncertainty_words(estimates.values())
     handles = [
         Line2D([], [], color=OBSERVER, linewidth=OBSERVER_WIDTH, label="observer r"),
@@ -55,7 +55,7 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
     figure.legend(handles=handles, loc="outside upper left", ncols=2)
     return Drawing(
         figure,
-        f"Figure 5. Free motion, test recording {recording.name}: output of the momentum observer (grey) and of the "
-        f"network trained for that model. In free motion the observer shows what the model gets wrong, and the network "
-        f"learns it. Axes of a row have one scale." + missing_bundles(results, missing) + results.shown_note,
+        f"Figure 5. Free motion, test recording {recording.name}: output of the momentum observer (grey) and what "
+        f"was learned for that model ({what}). In free motion the observer shows what the model gets wrong: that is "
+        f"learned. Axes of a row have one scale." + missing_bundles(results, missing) + results.shown_note,
     )

@@ -47,7 +47,7 @@ def draw_learning_curves(results: Results) -> Drawing:
         axes.set_xticks(minutes, [f"{m:.3g}" for m in minutes])
         use_log_height(axes)
         axes.set_title(name)
-        axes.set_ylabel("L1, Nm")
+        axes.set_ylabel(f"L1, {results.unit}")
     for axes in grid.flat[len(results.joints) :]:
         axes.remove()
     figure.supxlabel("training data, minutes", fontsize=9)

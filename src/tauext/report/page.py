@@ -11,7 +11,7 @@ from jinja2 import Environment, StrictUndefined
 from tauext.report import paper, tables
 from tauext.report.error_against_sigma import sigma_table
 from tauext.report.events import events_table
-from tauext.report.methods_table import methods
+from tauext.report.methods_table import method_errors, methods
 from tauext.report.results import EvaluatedBundle, Numbers, Results
 from tauext.report.style import bundle_colours
 from tauext.report.traces import NO_TRACES, PageTraces
@@ -52,6 +52,8 @@ class Tile:
     bundle: str
     colour: str
     found: str
+    of_what: str
+    """What was found."""
     false_alarms: str
     error: str
 
@@ -75,12 +77,14 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         tiles=[tile(bundle, results, colours[bundle.name]) for bundle in results.bundles],
         near_stiction=f"{results.near_stiction_rad_s:g}",
         methods=methods(results),
+        method_errors=method_errors(results),
         sanity=results.sanity,
         events=events_table(results.events) if results.events else None,
         labels=results.events[0] if results.events else None,
         table_one=tables.table_one(results),
         regions=tables.regions(results),
         limits_move=results.some_limits_move,
+        units_note=results.units_note,
         sigma=sigma_table(results),
         extremes=tables.extremes(results),
         alarms=tables.alarms(results),
@@ -123,21 +127,38 @@ def by_bundle(values: dict[str, str]) -> str:
 
 def tile(bundle: EvaluatedBundle, results: Results, colour: str) -> Tile:
     """Headline of one bundle; what does not exist is said to be so."""
-    tried = bundle.ten_found is not None and results.ten
-    found = f"{bundle.ten_found} of {len(results.ten)}" if tried else "none tried"
-    if bundle.false_alarms is None or bundle.hours is None:
-        alarms = "false alarms: not available"
-    else:
-        plural = "" if bundle.false_alarms == 1 else "s"
-        alarms = f"{bundle.false_alarms:,} false alarm{plural} in {bundle.hours:.2f}\N{NO-BREAK SPACE}h"
-    return Tile(bundle.label, colour, found, alarms, f"L1 {short_list(bundle.l1_nm)}")
+    found, of_what = headline(bundle, results)
+    error = f"L1 {short_list(bundle.l1_nm, results.unit)}"
+    return Tile(bundle.label, colour, found, of_what, false_collisions(bundle), error)
 
 
-def short_list(values: Numbers) -> str:
+def headline(bundle: EvaluatedBundle, results: Results) -> tuple[str, str]:
+    """How many collisions it found that it had to, and what those are.
+
+    Those of the table of methods: strong ones, by an alarm that a monitor would have raised. Results that do not know
+    them have the ten that were drawn by seed.
+    """
+    latched = bundle.measured.latched
+    if latched is not None and latched.strong:
+        return f"{latched.strong_latched} of {latched.strong}", "strong collisions raised an alarm"
+    if bundle.ten_found is not None and results.ten:
+        return f"{bundle.ten_found} of {len(results.ten)}", "chosen collisions went over a limit"
+    return "none tried", "collisions"
+
+
+def false_collisions(bundle: EvaluatedBundle) -> str:
+    """False collisions in test free motion, as the table of methods counts them."""
+    count = bundle.measured.false_collisions.count
+    if count is None or bundle.hours is None:
+        return "false collisions: not available"
+    return f"{count:,} false collision{'' if count == 1 else 's'} in {bundle.hours:.2f}\N{NO-BREAK SPACE}h"
+
+
+def short_list(values: Numbers, unit: str = "Nm") -> str:
     """Two or three joints' numbers in full, more as their range."""
     known = [value for value in values if value is not None]
     if not known:
         return "not available"
     if len(values) <= 3:
-        return " / ".join(tables.number(value, 2) for value in values) + " Nm"
-    return f"{min(known):.2f} to {max(known):.2f} Nm"
+        return " / ".join(tables.number(value, 2) for value in values) + f" {unit}"
+    return f"{min(known):.2f} to {max(known):.2f} {unit}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from tauext.data.units import of_all, short
 from tauext.report.methods import Measured, SanityRow
 from tauext.report.naming import bundle_label, model_of
 
@@ -80,6 +81,8 @@ class EvaluatedBundle:
     """Beyond the paper's own measures."""
     limits_move: bool = False
     """Its limits are multiplied by what the motion announces; those named are of usual motion."""
+    estimate_units: tuple[str, ...] = ()
+    """Of its torques, a joint: not Nm where an arm without a model was recorded in amperes, or by power."""
 
     @property
     def model(self) -> str | None:
@@ -120,6 +123,31 @@ class Results:
     @property
     def some_limits_move(self) -> bool:
         return any(bundle.limits_move for bundle in self.bundles)
+
+    @property
+    def unit(self) -> str:
+        """Of torques, as headings say it: one for all joints and bundles, or that each has its own."""
+        return of_all([unit for bundle in self.bundles for unit in bundle.estimate_units])
+
+    def unit_of(self, joint: int) -> str:
+        """Of torques of one joint."""
+        return of_all([bundle.estimate_units[joint] for bundle in self.bundles if bundle.estimate_units])
+
+    @property
+    def units_note(self) -> str:
+        """Which bundle answers in what, where that is not Nm throughout; else empty."""
+        if self.unit == "Nm":
+            return ""
+        told = {
+            bundle.label: ", ".join(
+                f"{name} in {short(unit)}" for name, unit in zip(self.joints, bundle.estimate_units, strict=True)
+            )
+            for bundle in self.bundles
+            if bundle.estimate_units
+        }
+        if len(set(told.values())) == 1:
+            return f"All bundles answer {next(iter(told.values()))}."
+        return "".join(f"{label} answers {units}. " for label, units in told.items()).strip()
 
     @property
     def labels(self) -> dict[str, str]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from tauext.errors import ConfigError
+from tauext.plain_file import json_of, read_text
 from tauext.report.entry import Entry
 from tauext.report.events import read_events
 from tauext.report.methods_file import read_measured, read_sanity
@@ -25,7 +25,7 @@ def load_results(folder: Path) -> Results:
     """
     path = folder / "results.json"
     try:
-        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse_constant)
+        content = json_of(read_text(path), refuse_constant)
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: there are no such results; `tauext evaluate` writes them") from error
     except (OSError, ValueError) as error:
@@ -99,6 +99,7 @@ def read_bundle(entry: Entry, joints: int) -> EvaluatedBundle:
         loss_history=entry.loss_history("loss_history"),
         measured=read_measured(entry, joints),
         limits_move=bool(limits.get("moving", bool)),
+        estimate_units=entry.texts("estimate_units") or ("N m",) * joints,
     )
 
 

@@ -104,14 +104,15 @@ def by_joint(
 
 def table_one(results: Results) -> Table:
     """The paper's Table I: errors on test free motion; how each was trained, where that differs."""
+    unit, squared = results.unit, "N²m²" if results.unit == "Nm" else f"({results.unit})²"
     several_recipes = len({bundle.recipe for bundle in results.bundles}) > 1
     last = {"recipe": lambda bundle: bundle.recipe or NONE} if several_recipes else {}
     return by_joint(
         results,
         (
-            Measure("L1, Nm", lambda bundle: bundle.l1_nm, paper.L1_NM),
-            Measure("L2 (RMSE), Nm", lambda bundle: bundle.l2_nm, paper.L2_NM),
-            Measure("MSE, N²m²", lambda bundle: bundle.mse_nm2, paper.MSE_NM2),
+            Measure(f"L1, {unit}", lambda bundle: bundle.l1_nm, paper.L1_NM),
+            Measure(f"L2 (RMSE), {unit}", lambda bundle: bundle.l2_nm, paper.L2_NM),
+            Measure(f"MSE, {squared}", lambda bundle: bundle.mse_nm2, paper.MSE_NM2),
         ),
         last=last | {"steps": lambda bundle: whole(bundle.steps)},
     )
@@ -119,15 +120,21 @@ def table_one(results: Results) -> Table:
 
 def regions(results: Results) -> Table:
     """Errors and limits, sliding and near stiction."""
-    limit = limit_heading(results)
+    limit, unit = limit_heading(results), results.unit
     return by_joint(
         results,
         (
-            Measure("RMSE sliding, Nm", lambda bundle: bundle.rmse_sliding_nm, paper.RMSE_SLIDING_NM),
-            Measure("RMSE near stiction, Nm", lambda bundle: bundle.rmse_near_stiction_nm, paper.RMSE_NEAR_STICTION_NM),
+            Measure(f"RMSE sliding, {unit}", lambda bundle: bundle.rmse_sliding_nm, paper.RMSE_SLIDING_NM),
+            Measure(
+                f"RMSE near stiction, {unit}",
+                lambda bundle: bundle.rmse_near_stiction_nm,
+                paper.RMSE_NEAR_STICTION_NM,
+            ),
             Measure("share near stiction, %", lambda bundle: bundle.near_stiction_share, digits=1, factor=100.0),
-            Measure(f"{limit} sliding, Nm", lambda bundle: bundle.limit_sliding_nm, paper.LIMIT_SLIDING_NM, digits=2),
-            Measure(f"{limit} near stiction, Nm", lambda bundle: bundle.limit_near_stiction_nm, digits=2),
+            Measure(
+                f"{limit} sliding, {unit}", lambda bundle: bundle.limit_sliding_nm, paper.LIMIT_SLIDING_NM, digits=2
+            ),
+            Measure(f"{limit} near stiction, {unit}", lambda bundle: bundle.limit_near_stiction_nm, digits=2),
         ),
     )
 
@@ -138,7 +145,8 @@ def limit_heading(results: Results) -> str:
 
 def extremes(results: Results) -> Table:
     """Largest observer output in free motion: how large the uncertainty is that the network has to learn."""
-    measure = Measure("largest |r|, Nm", lambda bundle: bundle.observer_peak_nm, paper.OBSERVER_PEAK_NM, digits=1)
+    heading = f"largest |r|, {results.unit}"
+    measure = Measure(heading, lambda bundle: bundle.observer_peak_nm, paper.OBSERVER_PEAK_NM, digits=1)
     return by_joint(results, (measure,))
 
 

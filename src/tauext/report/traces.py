@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from jinja2 import Environment, StrictUndefined
 
 from tauext.data import describe
 from tauext.errors import ConfigError
+from tauext.report.drawing import uncertainty_words
 from tauext.report.flight_file import Flight
 from tauext.report.results import EvaluatedBundle, Results
 from tauext.report.signals import NotAvailable, Signals
@@ -45,6 +46,16 @@ class PageTraces:
 NO_TRACES = PageTraces("")
 
 
+@dataclass(frozen=True)
+class Words:
+    """What the page calls things."""
+
+    learned: str
+    """Taken off the observer's output: prior, network, drift."""
+    units: list[str]
+    """Of torques, a joint."""
+
+
 def results_traces(results: Results, signals: Signals, room: float, methods: Sequence[str] = ()) -> PageTraces:
     """Traces of recordings with contacts and of free motion, an hour in all, with what methods said of them.
 
@@ -67,10 +78,12 @@ def results_traces(results: Results, signals: Signals, room: float, methods: Seq
     samples = sum(head.samples for head in heads[: len(shown)])
     plan = make_plan(samples, len(results.joints), len(bundles), room)
     ten = [results.collisions[one] for one in results.ten if one in results.collisions]
-    traced = []
+    traced: list[Traced] = []
+    learned: set[str] = set()
     for name in shown:
         recording = signals.recording(name)
         said, _ = signals.by_bundle([bundle.name for bundle in bundles], recording)
+        learned |= {uncertainty_words([one]) for one in said.values()}
         first = [(touch.start_s, touch.end_s) for touch in ten if touch.recording == name]
         traced.append(trace(recording, said, plan.size, plan.windows(recording), first))
     colours = bundle_colours([bundle.name for bundle in results.bundles])
@@ -82,7 +95,13 @@ def results_traces(results: Results, signals: Signals, room: float, methods: Seq
     note = f"{len(shown)} of the {len(there)} recordings that have estimates, " if len(shown) < len(there) else ""
     note += "an hour at most. " if note else ""
     note += f"Methods left out: {', '.join(left)}; --trace-methods chooses. " if left else ""
-    return section(traced, results.joints, told, plan.room, note)
+    words = Words(learned.pop() if len(learned) == 1 else "what was learned", units_of(results))
+    return section(traced, results.joints, told, plan.room, note, words)
+
+
+def units_of(results: Results) -> list[str]:
+    """Of torques, a joint."""
+    return [results.unit_of(joint) for joint in range(len(results.joints))]
 
 
 def flight_traces(flight: Flight, room: float) -> PageTraces:
@@ -94,10 +113,18 @@ def flight_traces(flight: Flight, room: float) -> PageTraces:
     recording, name = flight.recording, str(flight.facts.get("bundle", "monitor"))
     plan = make_plan(recording.samples, len(recording.joints), 1, room)
     event_s = (flight.event["t_ns"] - int(recording.t_ns[0])) * 1e-9
-    traced = trace(recording, {name: flight.estimates}, plan.size, plan.windows(recording), [(event_s, event_s)])
+    traced = trace(
+        recording,
+        {name: replace(flight.estimates, limit=flight.limit_nm)},
+        plan.size,
+        plan.windows(recording),
+        [(event_s, event_s)],
+    )
     traced.head["marks"] = [(event_s, flight.event["what"])]
     method = {"name": name, "label": name, "colour": CASE_COLOURS["exact"], "on": True}
-    return section([traced], recording.joints, [method], plan.room, "")
+    units = [flight.estimate_unit_of(joint) for joint in range(len(recording.joints))]
+    words = Words(uncertainty_words([flight.estimates]), units)
+    return section([traced], recording.joints, [method], plan.room, "", words)
 
 
 def or_reason(draw: Callable[[], PageTraces]) -> PageTraces:
@@ -152,10 +179,16 @@ def is_there(name: str, bundles: Sequence[EvaluatedBundle], signals: Signals) ->
 
 
 def section(
-    traced: list[Traced], joints: Sequence[str], methods: list[dict[str, Any]], room: int, note: str
+    traced: list[Traced],
+    joints: Sequence[str],
+    methods: list[dict[str, Any]],
+    room: int,
+    note: str,
+    words: Words,
 ) -> PageTraces:
     """Their part of the page."""
     told, texts = pack(traced, joints, room)
+    told |= {"learned": words.learned, "units": words.units}
     windows = sum(len(one["windows"]) for one in told["recordings"])
     size = max(one["tiers"][0]["size"] for one in told["recordings"])
     if size > 1:

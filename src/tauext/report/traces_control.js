@@ -69,7 +69,8 @@ function valuesAt(joint, t) {
   if (Math.abs(t - Math.min(Math.max(t, first[k]), last[k])) > recording().gap_s) return { time: t, lines: ["no samples: a gap"] };
   const lines = curves().filter((c) => c.joint === joint).reverse().map((c) => {
     const [low, high] = tier.trace(c.index, 0).map((v) => v[k]);
-    const number = Number.isNaN(low) ? "none" : high - low > 1e-12 ? `${text(low, 3)} to ${text(high, 3)} Nm` : `${text(low, 3)} Nm`;
+    const unit = told.units[c.joint];
+    const number = Number.isNaN(low) ? "none" : high - low > 1e-12 ? `${text(low, 3)} to ${text(high, 3)} ${unit}` : `${text(low, 3)} ${unit}`;
     return `${BANDS[c.signal] ? `${c.signal === "limit" ? "limit" : c.label} ±` : c.label}${c.method && methods().length > 1 ? ` (${c.method.label})` : ""}  ${number}`;
   });
   return { time: first[k], until: last[k], lines };

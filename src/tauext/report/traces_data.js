@@ -1,7 +1,7 @@
 // Data of the traces: what trace_coding.py wrote, and coarser levels of it made here by merging buckets in pairs.
 
 class Tier {
-  // Values in Nm, NaN where there is a hole; times in s from the recording's first sample; quanta of every trace in Nm.
+  // Values in the unit of their joint, NaN where there is a hole; times in s from the recording's first sample; quanta of every trace likewise.
   constructor(told, bytes, startS, quanta) {
     const n = told.count;
     const row = (k, read) => {

@@ -9,7 +9,7 @@ const SIGNALS = {
   limit: { label: "limits", width: 1, shade: 0.35 },
   sigma: { label: "standard error", width: 0.8, shade: 0.5 },
   r: { label: "observer r", width: 2.6, shade: 0.6 },
-  learned: { label: "prior, network, drift", width: 1.1, shade: -0.35 },
+  learned: { label: told.learned, width: 1.1, shade: -0.35 },
   reference: { label: "reference", width: 1, colour: "#000000" },
   tau: { label: "motor torque", width: 0.9, colour: "#7a7a7a" },
 };
@@ -57,7 +57,7 @@ function pieces(pixels) {
   return found;
 }
 
-// Lowest and highest value a pixel column of one trace, in Nm; or its samples, where they are wide apart.
+// Lowest and highest value a pixel column of one trace, in its joint's unit; or its samples, where they are wide apart.
 function columns(curve, parts, pixels) {
   const low = new Float32Array(pixels).fill(Infinity), high = new Float32Array(pixels).fill(-Infinity), lines = [], soft = new Uint8Array(pixels);
   const scale = pixels / (state.to - state.from), x = (t) => (t - state.from) * scale;
@@ -214,7 +214,7 @@ function drawRow(g, joint, y, height, width, pixels, ratio, drawn, bars) {
   g.translate(9, y + height / 2);
   g.rotate(-Math.PI / 2);
   g.textAlign = "center";
-  g.fillText(`${told.joints[joint]}, Nm`, 0, 0, height - 4);
+  g.fillText(`${told.joints[joint]}, ${told.units[joint]}`, 0, 0, height - 4);
   g.restore();
   return { joint, y, height, least, most };
 }

@@ -20,13 +20,18 @@ from tauext.report.learning_curves import draw_learning_curves
 from tauext.report.missed_curve import draw_missed_curve
 from tauext.report.page import PageFigure, render_page
 from tauext.report.results_file import load_results
+from tauext.report.same_dataset import expect_same_dataset
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.strength import draw_strength
 from tauext.report.style import DPI, RC
 from tauext.report.three_collisions import draw_three_collisions
 from tauext.report.traces import PAGE_MB, PageTraces, chosen_bundles, or_reason, results_traces
 from tauext.report.training_loss import draw_training_loss
-from tauext.whole_file import whole_file
+from tauext.room import expect_folder
+from tauext.whole_file import whole_folder
+
+LARGEST_PAGE_MB = 1000.0
+"""No browser opens a larger one."""
 
 
 def write_report(
@@ -44,12 +49,14 @@ def write_report(
         trace_methods: bundles whose traces stand in the page; none: the five best.
 
     Raises:
-        ConfigError: results.json is missing or damaged, out_dir cannot be written, page_mb < 0, or there is no such
-            bundle.
+        ConfigError: results.json is missing or damaged, or of another dataset; out_dir cannot be written, page_mb < 0,
+            or there is no such bundle.
         RecordingError: a recording or an estimates file is damaged, or they do not belong together.
     """
     check_page_mb(page_mb)
+    expect_folder(out_dir)
     results = load_results(results_dir)
+    expect_same_dataset(results, results_dir, dataset_dir)
     chosen_bundles(results, trace_methods)
     signals = Signals(dataset_dir, results_dir, results.joints)
     draw: dict[str, Callable[[], Drawing]] = {
@@ -67,32 +74,36 @@ def write_report(
     }
     page = out_dir / "report.html"
     try:
-        (out_dir / "figures").mkdir(parents=True, exist_ok=True)
-        figures = {name: make_figure(one, out_dir / "figures" / f"{name}.png") for name, one in draw.items()}
-        linked = PageTraces("", tuple(collision.recording for collision in results.collisions.values()))
-        room = page_mb * 1e6 - len(render_page(results, figures, linked).encode())
-        traces = or_reason(partial(results_traces, results, signals, room, trace_methods))
-        with whole_file(page) as part:
-            part.write_bytes(render_page(results, figures, traces).encode())
+        with whole_folder(out_dir) as part:
+            figures = {name: make_figure(one, part / "figures" / f"{name}.png") for name, one in draw.items()}
+            linked = PageTraces("", tuple(collision.recording for collision in results.collisions.values()))
+            room = page_mb * 1e6 - len(render_page(results, figures, linked).encode())
+            traces = or_reason(partial(results_traces, results, signals, room, trace_methods))
+            (part / page.name).write_bytes(render_page(results, figures, traces).encode())
+        for name, figure in figures.items():
+            if figure.png is None:
+                (out_dir / "figures" / f"{name}.png").unlink(missing_ok=True)  # of results that had it
     except OSError as error:
         raise ConfigError(f"{out_dir}: the report cannot be written ({error.strerror or error})") from error
     return page
 
 
 def check_page_mb(page_mb: float) -> None:
-    if not 0 <= page_mb < float("inf"):
-        raise ConfigError(f"page_mb = {page_mb:g} must be a number of megabytes >= 0")
+    if not 0 <= page_mb <= LARGEST_PAGE_MB:
+        raise ConfigError(f"page_mb = {page_mb:g} must be a number of megabytes, 0 to {LARGEST_PAGE_MB:g}")
 
 
 def make_figure(draw: Callable[[], Drawing], path: Path) -> PageFigure:
-    """Draw and save one figure; where it cannot be drawn, the reason in its place, and no old file left."""
+    """Draw and save one figure; where it cannot be drawn, the reason in its place."""
     title = path.stem.replace("-", " ").capitalize()
+    path.parent.mkdir(parents=True, exist_ok=True)
     with matplotlib.rc_context(RC):
         try:
             drawing = draw()
+            drawing.figure.savefig(path, format="png", dpi=DPI, metadata={"Software": None})
         except NotAvailable as reason:
-            path.unlink(missing_ok=True)
             return PageFigure(png=None, caption=f"{title} is not available: {reason}.")
-        with whole_file(path) as part:
-            drawing.figure.savefig(part, format="png", dpi=DPI, metadata={"Software": None})
+        except (ArithmeticError, ValueError) as error:  # numbers that no axis holds: 1e308 in a damaged file
+            path.unlink(missing_ok=True)
+            return PageFigure(png=None, caption=f"{title} cannot be drawn: {error}.")
     return PageFigure(png=path.read_bytes(), caption=drawing.caption, width_in=drawing.figure.get_figwidth())

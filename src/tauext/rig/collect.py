@@ -8,23 +8,28 @@ import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 
 from tauext.data import save_recording, save_split, split_recordings
 from tauext.errors import ConfigError
+from tauext.plain_file import json_of, read_text
 from tauext.provenance import VERSION, write_json
 from tauext.rig.arm import arm_xml
 from tauext.rig.config import RigConfig
 from tauext.rig.recording import simulate_recording
 from tauext.rig.scene import Kind
+from tauext.room import expect_folder, span
 from tauext.whole_file import whole_file
 
 LEAST_RECORDINGS = 20
 """Of free motion: whole recordings are dealt to train, validation and test."""
 FIRST_CALIBRATION, FIRST_TEST = 1_000_000, 2_000_000
 """Numbers of recordings of free motion that are not of the split: their random streams are their own."""
+BYTES_A_SAMPLE = 30.0
+"""Of a recording, each joint, on disk: measured are 37, and less is asked for than is needed."""
 LEAST_LENGTH_S = 3.0
 """Of a recording: the observer's warm-up and the network's window take the first 1.5 s."""
 
@@ -57,6 +62,8 @@ def simulate_dataset(
     Raises:
         ConfigError: the folder holds another dataset, or recordings would be too short to be of use.
     """
+    seconds = 60.0 * minutes + 3600.0 * (calibration_hours + test_hours)
+    _expect_room(out_dir, config, seconds + config.collision_recording_s * collision_recordings)
     count, length_s = _cut(minutes, config)
     touching: tuple[Kind, Kind] = ("pulses", "pads")
     kinds: list[Kind] = ["free"] * count
@@ -97,6 +104,10 @@ def simulate_dataset(
             kind = future.result()
             if progress is not None:
                 progress("free motion" if kind == "free" else f"collisions by {kind}", done, len(names))
+    except BaseException:
+        pool.shutdown(cancel_futures=True)
+        _unclaim(out_dir)
+        raise
     finally:
         pool.shutdown(cancel_futures=True)
     collisions = names[count : count + collision_recordings]
@@ -104,6 +115,13 @@ def simulate_dataset(
     more_test = (*split.test, *more_names["test"])
     save_split(replace(split, test=more_test, calibration=tuple(more_names["calibration"])), out_dir)
     write_json({"simulate": round(time.monotonic() - started, 3)}, out_dir / "wall_time_s.json")
+
+
+def _expect_room(out_dir: Path, config: RigConfig, seconds: float) -> None:
+    """Raise ConfigError unless the folder can be written to, and holds recordings of so many seconds in all."""
+    size = BYTES_A_SAMPLE * config.rate_hz * len(config.drives) * seconds
+    written = sum(path.stat().st_size for path in out_dir.glob("*.parquet")) if out_dir.is_dir() else 0
+    expect_folder(out_dir, max(size - written, 0.0), f"a dataset of {span(seconds)}")
 
 
 def _cut(minutes: float, config: RigConfig) -> tuple[int, float]:
@@ -136,8 +154,8 @@ def _claim(out_dir: Path, settings: dict) -> None:
     run = out_dir / "run.json"
     if run.exists():
         try:
-            found = json.loads(run.read_text())
-        except ValueError as error:
+            found = json_of(read_text(run))
+        except (OSError, ValueError) as error:
             raise ConfigError(f"{run}: not readable ({error}); choose another folder") from error
         if found != settings:
             raise ConfigError(
@@ -149,6 +167,15 @@ def _claim(out_dir: Path, settings: dict) -> None:
         raise ConfigError(f"{out_dir}: is not empty and holds no simulated dataset; choose another folder")
     out_dir.mkdir(parents=True, exist_ok=True)
     write_json(settings, run)
+
+
+def _unclaim(out_dir: Path) -> None:
+    """Where no recording came about, leave nothing that would block another simulation."""
+    if not any(out_dir.glob("*.parquet")):
+        for name in ("run.json", "robot.xml"):
+            (out_dir / name).unlink(missing_ok=True)
+        with suppress(OSError):  # not made here, and in use
+            out_dir.rmdir()
 
 
 def _first_difference(found: object, wanted: object, name: str = "run.json") -> str:

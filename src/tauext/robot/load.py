@@ -4,7 +4,8 @@ import hashlib
 import math
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,6 +17,10 @@ from tauext.robot.constraints import check_constraints
 from tauext.robot.joint_choice import choose_joints
 from tauext.robot.tree_from_mujoco import LEAST, make_tree
 from tauext.robot.urdf import read_urdf
+from tauext.room import in_words
+
+MOST_JOINTS = 1000
+"""Of a robot file: a humanoid with its hands has a hundred; a chain of ten thousand takes MuJoCo gigabytes."""
 
 
 def load_tree(
@@ -83,8 +88,28 @@ def robot_sha256(path: str | os.PathLike[str]) -> str:
 def _compile(path: Path) -> mujoco.MjModel:
     if not path.is_file():
         raise RobotError(f"{path}: no such file; a robot is a URDF or MJCF file")
+    with no_mujoco_warnings():
+        return _read(path)
+
+
+@contextmanager
+def no_mujoco_warnings() -> Iterator[None]:
+    """MuJoCo would print them and write a file in the current folder; what matters of them is checked and refused."""
+    mujoco.set_mju_user_warning(lambda text: None)
     try:
-        root = _root_tag(path)
+        yield
+    finally:
+        mujoco.set_mju_user_warning(None)
+
+
+def _read(path: Path) -> mujoco.MjModel:
+    try:
+        root, joints = _root_tag(path)
+        if joints > MOST_JOINTS:
+            raise RobotError(
+                f"{path}: has {joints} joints, whose mass matrix alone needs {in_words(8.0 * joints**2)} of memory; at "
+                f"most {MOST_JOINTS} are read, of which 32 may be in use"
+            )
         if root == "robot":
             spec = read_urdf(path)
         elif root == "mujoco":
@@ -98,6 +123,8 @@ def _compile(path: Path) -> mujoco.MjModel:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return spec.compile()
+    except RecursionError as error:
+        raise RobotError(f"{path}: its elements are nested too deeply") from error
     except ElementTree.ParseError as error:
         raise RobotError(f"{path}: not readable as XML: {error}") from error
     except (ValueError, OSError, mujoco.FatalError) as error:
@@ -113,11 +140,19 @@ def _refuse_negative_mass(spec: mujoco.MjSpec, path: Path) -> None:
             )
 
 
-def _root_tag(path: Path) -> str:
+def _root_tag(path: Path) -> tuple[str, int]:
+    """Name of the root element, and how many joints stand in the file, read without keeping it."""
+    root, joints = "", 0
     with path.open("rb") as file:
         for _, element in ElementTree.iterparse(file, events=("start",)):
-            return element.tag
-    raise ElementTree.ParseError("no element found")
+            root = root or element.tag
+            joints += element.tag in ("joint", "freejoint")
+            if (named := element.get("file")) and (beside := path.parent / named).exists() and not beside.is_file():
+                raise RobotError(f"{path}: <{element.tag} file={named!r}> names no file but a folder, pipe or device")
+            element.clear()
+    if not root:
+        raise ElementTree.ParseError("no element found")
+    return root, joints
 
 
 def _gravity(model: mujoco.MjModel, asked: Sequence[float] | None) -> list[float]:

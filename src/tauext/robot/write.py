@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import mujoco
 
 from tauext.errors import RobotError
+from tauext.plain_file import expect_file
 from tauext.whole_file import whole_file
 
 NO_MODEL = "no_model"
@@ -91,6 +92,7 @@ def write_placeholder(joints: Sequence[str], folder: Path) -> Path:
 def is_placeholder(path: Path) -> bool:
     """Whether a robot file is one of write_placeholder, which stands for no model; what cannot be read is none."""
     try:
+        expect_file(path)
         return ElementTree.parse(path).getroot().get("name") == NO_MODEL
     except (OSError, ElementTree.ParseError):
         return False

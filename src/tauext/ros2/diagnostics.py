@@ -13,12 +13,19 @@ from tauext.monitor.changes import OK as HEALTHY
 from tauext.monitor.changes import STALE as HEALTH_STALE
 from tauext.ros2.messages import ERROR, OK, STALE, WARN, DiagnosticStatus, KeyValue
 
-TORQUES = (("tau_ext_nm", "tau_ext"), ("sigma_nm", "sigma_nm"), ("limit_nm", "limit_nm"), ("margin_nm", "margin_nm"))
+TORQUES = (
+    ("tau_ext_nm", "tau_ext"),
+    ("sigma_nm", "sigma_nm"),
+    ("limit_nm", "limit_nm"),
+    ("contact_limit_nm", "contact_limit_nm"),
+    ("margin_nm", "margin_nm"),
+)
 """Of `tauext: arm`, a joint, and what of the verdict holds them."""
 
 
 def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: str) -> DiagnosticStatus:
-    """Alarm, health and its causes, and per joint the torque, its standard error, its limit and the margin, [N m].
+    """Alarm, health and its causes, and per joint the torque, its standard error, its limits and the margin
+    (to a collision), [N m] or what the bundle answers in.
 
     Level: ERROR for a collision or a fault, STALE while no sample comes, WARN for a contact, while warming up, where a
     joint's drift stands at its bound and while the motion is none that training saw, else OK. A collision outranks

@@ -27,6 +27,7 @@ except ImportError as missing:
     raise ConfigError(f"ROS 2 needs CycloneDDS ({missing}): pip install 'tauext[ros2]'") from missing
 
 from tauext.ros2.messages import GRAPH_TYPES, TYPE_HASHES, ParticipantEntitiesInfo
+from tauext.ros2.unreadable import Unreadable
 
 Kind = Literal["best-effort", "reliable"]
 Lasting = Literal["volatile", "transient-local"]
@@ -42,6 +43,7 @@ class Node:
     def __init__(self, settings: Ros2Settings):
         """Raises ConfigError where the domain cannot be joined: no network, or CYCLONEDDS_URI is wrong."""
         self.settings = settings
+        self.unreadable = Unreadable.of(settings.domain_id)
         try:
             # Nodes ignore participants that do not say their enclave, the name of their security settings.
             self.participant = DomainParticipant(settings.domain_id, Qos(Policy.Userdata(b"enclave=/;")))

@@ -57,6 +57,7 @@ class Ros2Source:
         self._averaged = settings.torque_timing == "averaged"
         self._torques: list[np.ndarray] = []
         self.counts = SourceCounts()
+        self._unreadable = self._node.unreadable.count(chosen.topic)
         self._lost_before = 0
         self._t_ns: int | None = None
         self._inbox = self._node.inbox(chosen.topic, JointState, chosen.reliability, chosen.durability, chosen.depth)
@@ -72,6 +73,7 @@ class Ros2Source:
                 if sample is not None:
                     return sample
             now_ns = time.monotonic_ns()
+            self._count_unreadable(now_ns)
             left_ns = until_ns - now_ns
             if self._inbox is None or (left_ns <= 0 and timeout_s > 0):
                 return None
@@ -109,6 +111,16 @@ class Ros2Source:
         for message in messages:
             message.received_ns, message.wall_ns = received_ns, wall_ns
             self._pending.append(message)
+
+    def _count_unreadable(self, now_ns: int) -> None:
+        """Messages that the library itself dropped since the last look."""
+        count = self._node.unreadable.count(self._node.settings.topic)
+        if count == self._unreadable:
+            return
+        self.counts.received += count - self._unreadable
+        self.counts.refused += count - self._unreadable
+        self._unreadable = count
+        self._say("unreadable", "messages come that are no JointState inside: they are counted as refused", now_ns)
 
     def _use(self, message: JointState) -> Sample | None:
         """The sample of a message, if it has one that the bundle's rate wants."""

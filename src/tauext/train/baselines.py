@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from tauext.config import PAPER_CASES, CaseName, LimitsKind, TrainConfig
 from tauext.data import Dataset
 from tauext.errors import ConfigError
+from tauext.look import expect_codes
 from tauext.progress import SILENT, Reporter
 from tauext.recipes import RECIPES, baselines
 from tauext.robot import chosen_case, estimated_model
+from tauext.train.look import look_first
 from tauext.train.settings import finished, why_impossible
 from tauext.train.stage import train_on_recordings
 
@@ -25,6 +27,7 @@ def train_baselines(
     names: Collection[str] | None = None,
     skip: Collection[str] = (),
     report: Reporter = SILENT,
+    accept: Sequence[str] = (),
 ) -> dict[str, Path]:
     """Train the baselines into folder/NAME.tauext; their bundles by name, simplest first.
 
@@ -36,8 +39,10 @@ def train_baselines(
         case_name: None: as chosen_case.
         names: train only these; None: all.
         skip: leave these out.
+        accept: as of train_bundle.
 
     Raises:
+        FaultyDataError: recordings or robot file have a fault that is not accepted.
         ConfigError: a name that is none of theirs, a bundle of other settings in the folder, no training recording,
             or a case that the dataset has no model for.
     """
@@ -45,6 +50,7 @@ def train_baselines(
     for name in (*(names or ()), *skip):
         if name not in known:
             raise ConfigError(f"baseline '{name}' does not exist; they are {', '.join(known)}")
+    expect_codes(accept)
     robot_file = dataset.robot_file(robot)
     case_name, said = chosen_case(case_name, robot_file)
     if said:
@@ -66,7 +72,10 @@ def train_baselines(
     if missing:
         training, validation = dataset.training(), dataset.recordings("validation")
         tree = estimated_model(robot_file, training[0].joints, case)
+        # One look for all: none of them uses more than limits that keep a promise do.
+        config = TrainConfig(seed=seed, threads=threads)
+        looked = look_first(dataset, robot_file, case, training, validation, config, accept, report)
         for name, config in missing.items():
             out = bundles[name]
-            train_on_recordings(tree, robot_file, case, training, validation, config, out, calibration, report)
+            train_on_recordings(tree, robot_file, case, training, validation, config, out, calibration, report, looked)
     return bundles

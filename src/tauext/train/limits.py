@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from tauext._core import Bundle
 from tauext.calibrate import (
     NO_CALIBRATION,
     Judged,
+    Moment,
     add_friction,
     apply_promised,
     calibrate_bundle,
@@ -66,12 +67,15 @@ def calibrate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> N
             one.bundle.error_scale = bundle.error_scale
     if kind == "promised":
         promised, job.facts["limits"] = calibrate_bundle(
-            bundle, job.name, job.calibration, config.alarm, job.threads, config.margins, job.report
+            bundle, job.name, job.calibration, config.alarm, job.threads, config.margins, job.report, job.out
         )
         job.report.say(promised.sentence())
     elif kind == "supported":
         words, job.facts["limits"] = set_supported_limits(bundle, judged, config, job.threads, fit)
         job.notes.append(words)
+        units = dict(zip(job.joints, bundle.estimate_units, strict=True))
+        for moment in (Moment(**facts) for facts in job.facts["limits"].get("one_moment", [])):
+            job.notes.append(moment.sentence(units[moment.joint]))
     else:
         set_limits(bundle, paper_limits(bundle, unseen or judged, job.threads, config.margins), config.alarm)
     if fit is not None:
@@ -116,6 +120,7 @@ def left_out_of_fit(bundle: Bundle, fit: PriorFit, setup: Setup, reference: Reco
         other.region_width, other.drift = bundle.region_width, bundle.drift
         other.near_memory_s = bundle.near_memory_s
         other.largest_torque_nm, other.torque_limit_nm = bundle.largest_torque_nm, bundle.torque_limit_nm
+        other.possible_torque_nm, other.possible_speed_rad_s = bundle.possible_torque_nm, bundle.possible_speed_rad_s
         judged += [Judged(recording, span, other) for recording, span in fold.spans]
     return judged
 
@@ -151,6 +156,7 @@ def set_supported_limits(
     if bundle.error_scale.on:
         raise_limits(bundle, config.alarm.minutes_factor)
         facts["minutes_factor"] = config.alarm.minutes_factor
+        raise_moments(facts, {}, config.alarm.minutes_factor)
         words += f" They are {config.alarm.minutes_factor:g} times what these minutes show."
         share = config.alarm.friction_reserve * math.exp(-total_s(whole_recordings(judged)) / SHORT_S)
         if fit is not None and share > LEAST_RESERVE:
@@ -164,7 +170,20 @@ def set_supported_limits(
     raise_limits(bundle, 1.0, reserve)
     names = [link.joint_name for link in bundle.links]
     facts["friction_reserve_nm"] = dict(zip(names, reserve.tolist(), strict=True))
+    raise_moments(facts, facts["friction_reserve_nm"])
     return f"{words} They are raised by {config.alarm.friction_reserve:.0%} of the friction.", facts
+
+
+def raise_moments(facts: dict, by_nm: Mapping[str, float], factor: float = 1.0) -> None:
+    """Say of moments that carry a limit what the limits are with and without them, as the limits were raised.
+
+    Args:
+        facts: of the limits.
+        by_nm: added, by joint; none: 0.
+    """
+    if "one_moment" in facts:
+        moments = [Moment(**entry) for entry in facts["one_moment"]]
+        facts["one_moment"] = [m.scaled(factor, by_nm.get(m.joint, 0.0)).facts() for m in moments]
 
 
 def friction_line(fit: PriorFit, speed_rad_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -43,8 +43,7 @@ def training_motion(
         ConfigError: no training recording.
         TrainingError: nothing of free motion is left; or no joint moves, and the recipe is to learn from motion.
     """
-    if not training:
-        raise ConfigError("the dataset lists no training recording; one is enough")
+    expect_some(training)
     stand = standing_joints(training)
     if not config.row.learns:
         return as_they_are(training, validation, left_out_sentences([*training, *validation], config))
@@ -83,6 +82,12 @@ def training_motion(
         names = ", ".join(np.array(training[0].joints)[stand])
         notes.append(f"{names} never moved in the training recordings: nothing is known of their friction")
     return TrainingMotion(learned_on, validated_on, list(validation), uncut, notes, network)
+
+
+def expect_some(training: Sequence[Recording]) -> None:
+    """Raise ConfigError where there is no training recording."""
+    if not training:
+        raise ConfigError("the dataset lists no training recording; one is enough")
 
 
 def as_they_are(training: Sequence[Recording], validation: Sequence[Recording], notes: list[str]) -> TrainingMotion:

@@ -21,6 +21,9 @@ from tauext.learn import (
 from tauext.learn.training_set import TooShort
 from tauext.train.preparation import Job
 
+CHECKPOINT = ".checkpoint.npz"
+"""Of a bundle's network, beside the bundle until that is written."""
+
 
 @dataclass(frozen=True)
 class ScaledNetwork:
@@ -50,7 +53,7 @@ def fit_network(job: Job, setup: Setup) -> ScaledNetwork | None:
                 build_windows(setup, scaling, job.motion.training),
                 build_windows(setup, scaling, job.motion.validation),
                 job.config,
-                checkpoint_path=job.out.with_suffix(".checkpoint.npz"),
+                checkpoint_path=job.out.with_suffix(CHECKPOINT),
                 settings={key: job.run[key] for key in ("settings", "recordings")} | {"robot": model_digest(job.tree)},
                 report=report,
             )
@@ -72,7 +75,7 @@ def assemble(job: Job, setup: Setup, network: ScaledNetwork | None = None) -> Bu
     bundle = make_bundle(job.name, setup, job.config.observer.near_stiction_rad_s, job.reference(setup), *learned)
     bundle.units = job.units
     # Before gate and limits, which judge by the same watch as the control loop.
-    set_signal_ranges(bundle, job.training, job.torque_limit_nm.tolist())
+    set_signal_ranges(bundle, job.training, job.possible.torque_limit_nm, job.possible.bounds)
     return bundle
 
 

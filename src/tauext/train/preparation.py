@@ -7,19 +7,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from tauext._core import TorqueUnits, Tree
 from tauext.calibrate import at_rest_sentence
 from tauext.config import ModelCase, TrainConfig
-from tauext.data import Recording, free_pieces, from_amperes, standing_joints
+from tauext.data import Recording, standing_joints
 from tauext.errors import ConfigError
-from tauext.learn import Setup, TorqueConstants, fit_torque_constants, reference_recording
+from tauext.learn import Setup, TorqueConstants, reference_recording
 from tauext.progress import Reporter
 from tauext.provenance import provenance
 from tauext.robot import torque_limits
-from tauext.train.motion import TrainingMotion, training_motion
-from tauext.train.recordings import chosen_recordings, given_unit, wants_constants
+from tauext.train.motion import TrainingMotion, expect_some, training_motion
+from tauext.train.possible import PossibleMotion, possible_motion
+from tauext.train.recordings import chosen_recordings, given_unit
 from tauext.train.settings import training_settings, why_impossible
 
 
@@ -31,14 +30,9 @@ class Job:
     case: ModelCase
     config: TrainConfig
     out: Path
-    training: list[Recording]
-    """As many minutes as shall be trained on, as recorded; contacts and all, as all recordings here."""
-    validation: list[Recording]
+    possible: PossibleMotion
     calibration: list[Callable[[], Recording]]
-    constants: TorqueConstants | None
-    """That the recordings' tau is to be multiplied by; None: it is in N m, or nothing tells."""
-    torque_limit_nm: np.ndarray
-    """What each drive can give at most, infinite where the robot file does not say."""
+    """Load recordings, contacts and all."""
     motion: TrainingMotion
     report: Reporter
     run: dict
@@ -55,6 +49,21 @@ class Job:
     def joints(self) -> tuple[str, ...]:
         """Names, in the recordings' order."""
         return self.training[0].joints
+
+    @property
+    def training(self) -> list[Recording]:
+        """As many minutes as shall be trained on, contacts and all, without samples that are impossible."""
+        return self.possible.training
+
+    @property
+    def validation(self) -> list[Recording]:
+        """Likewise."""
+        return self.possible.validation
+
+    @property
+    def constants(self) -> TorqueConstants | None:
+        """That the recordings' tau is to be multiplied by; None: it is in N m, or nothing tells."""
+        return self.possible.constants
 
     @property
     def units(self) -> TorqueUnits:
@@ -92,26 +101,29 @@ def prepare(
     calibration: Sequence[Callable[[], Recording]],
     report: Reporter,
 ) -> Job:
-    """Choose the minutes, find torque constants, leave contacts out; see train_on_recordings for the arguments.
+    """Choose the minutes, leave out what is impossible, find torque constants, leave contacts out.
+
+    See train_on_recordings for the arguments.
 
     Raises:
         ConfigError: settings that the case or the recordings cannot serve.
-        TrainingError: too little motion.
+        TrainingError: too little motion, or too much of it is impossible.
     """
     if impossible := why_impossible(config.row, case):
         raise ConfigError(impossible)
     training, validation = chosen_recordings(training, validation, config)
-    constants = None
-    if wants_constants(config, training, case):
-        free = free_pieces(training, config.margins)
-        constants = fit_torque_constants(tree, free, config.observer, from_amperes(training))
-    motion = training_motion(training, validation, config)
+    expect_some(training)
+    limits_nm = torque_limits(robot, training[0].joints)
+    possible = possible_motion(tree, case, training, validation, limits_nm, config)
+    motion = training_motion(possible.training, possible.validation, config)
     out.parent.mkdir(parents=True, exist_ok=True)
     run = provenance("tauext train", training_settings(case, config), config.seed)
     run["recordings"] = {"train": [r.name for r in training], "validation": [r.name for r in validation]}
-    sets = (list(training), list(validation), list(calibration))
-    limits_nm = torque_limits(robot, training[0].joints)
-    return Job(tree, case, config, out, *sets, constants, limits_nm, motion, report, run)
+    job = Job(tree, case, config, out, possible, list(calibration), motion, report, run)
+    if possible.left_out.found:
+        job.notes.insert(0, possible.left_out.sentence())
+        job.facts["impossible"] = possible.left_out.facts()
+    return job
 
 
 def note_recordings(job: Job) -> None:

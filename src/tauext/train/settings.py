@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tauext.config import FreeMotionConfig, ModelCase, TrainConfig
 from tauext.errors import ConfigError
+from tauext.plain_file import json_of, read_text
 from tauext.recipes import Recipe
 
 
@@ -35,10 +36,24 @@ def finished(bundle: Path, case: ModelCase, config: TrainConfig) -> bool:
     run = bundle.with_suffix(".run.json")
     if not bundle.exists() or not run.exists():
         return False
-    settings = json.loads(run.read_text())["settings"]
+    settings = run_settings(run)
     if settings == training_settings(case, config):
         return True
     raise ConfigError(f"{bundle}: it was trained with other settings; choose another --out or remove it")
+
+
+def run_settings(run: Path) -> dict:
+    """The settings in a run file.
+
+    Raises:
+        ConfigError: it is damaged.
+    """
+    try:
+        return json_of(read_text(run))["settings"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(
+            f"{run}: not a readable run file ({error}); remove it and the bundle, or train elsewhere"
+        ) from error
 
 
 def why_impossible(recipe: Recipe, case: ModelCase) -> str | None:

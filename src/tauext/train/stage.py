@@ -9,14 +9,18 @@ from tauext._core import Bundle, Tree
 from tauext.config import PAPER_CASES, CaseName, ModelCase, TrainConfig
 from tauext.data import Dataset, Recording, load_bundle
 from tauext.errors import ConfigError
+from tauext.look import expect_codes
 from tauext.progress import SILENT, Reporter
 from tauext.robot import chosen_case, estimated_model
+from tauext.room import expect_new_file
 from tauext.train.fitting import fit_prior, observe, put_coverage, put_prior, with_fit
 from tauext.train.gain import choose_gain
 from tauext.train.gating import gate
 from tauext.train.limits import calibrate
+from tauext.train.look import look_first
 from tauext.train.network import assemble, fit_network
 from tauext.train.preparation import note_recordings, prepare
+from tauext.train.size import expect_size
 from tauext.train.writing import write
 
 
@@ -27,8 +31,12 @@ def train_bundle(
     robot: Path | None = None,
     config: TrainConfig = TrainConfig(),  # noqa: B008
     report: Reporter = SILENT,
+    accept: Sequence[str] = (),
+    look: bool = True,
 ) -> Bundle:
     """Train on a dataset's free motion, find limits on its validation or calibration recordings, and write one bundle.
+
+    First the doctor looks at all that is used (tauext.look): faults refuse, warnings are told and stand in the bundle.
 
     Args:
         out: NAME.tauext; its run file and wall time are written beside it. An interrupted training of a network goes on
@@ -37,15 +45,21 @@ def train_bundle(
         robot: URDF or MJCF of the arm; None: the dataset's own.
         config: recipe, seed and sizes.
         report: is told how far it is, and what was found, in sentences.
+        accept: codes of the doctor that are no fault on your word, CODE or CODE:joint; they stand in the bundle.
+        look: False: do not look; for recordings that are known to be good.
 
     Raises:
+        FaultyDataError: recordings or robot file have a fault that is not accepted.
         ConfigError: a name that does not end in .tauext, no training recording, no robot file, or settings that the
             case or the recordings cannot serve.
         TrainingError: too little motion for the recipe, or a loss that diverges.
     """
     out = Path(out)
+    expect_codes(accept)
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
+    expect_new_file(out)
+    expect_size(config)
     robot_file = dataset.robot_file(robot)
     case, said = chosen_case(case, robot_file)
     if said:
@@ -53,8 +67,11 @@ def train_bundle(
     training, validation = dataset.training(), dataset.recordings("validation")
     model = PAPER_CASES[case]
     tree = estimated_model(robot_file, training[0].joints, model)
+    looked = None
+    if look:
+        looked = look_first(dataset, robot_file, model, training, validation, config, accept, report)
     calibration = dataset.loaders("calibration")
-    train_on_recordings(tree, robot_file, model, training, validation, config, out, calibration, report)
+    train_on_recordings(tree, robot_file, model, training, validation, config, out, calibration, report, looked)
     return load_bundle(out)
 
 
@@ -68,6 +85,7 @@ def train_on_recordings(
     out: Path,
     calibration: Sequence[Callable[[], Recording]] = (),
     report: Reporter = SILENT,
+    looked: dict | None = None,
 ) -> None:
     """Train on recordings that are at hand by the config's recipe, find limits, and write the bundle.
 
@@ -82,12 +100,15 @@ def train_on_recordings(
         out: NAME.tauext; its folder is made.
         calibration: load the recordings on which a promise about false alarms is kept.
         report: is told how far it is, and what was found, in sentences.
+        looked: what the doctor found (look_first), for provenance; None: nobody looked.
 
     Raises:
         ConfigError: settings that the case or the recordings cannot serve.
         TrainingError: too little motion for the recipe, or a loss that diverges.
     """
     job = prepare(tree, robot, case, training, validation, config, out, calibration, report)
+    if looked is not None:
+        job.facts["look"] = looked
     setup = observe(job)
     fit = fit_prior(job, setup, job.motion.training if job.motion.network else job.motion.uncut)
     if config.resolved().observer.gain_per_s == "auto" and fit is not None:

@@ -6,23 +6,24 @@ import json
 from typing import Any
 
 from tauext._core import Bundle
-from tauext.data import total_s
-from tauext.provenance import write_json
-from tauext.train.network import ScaledNetwork
+from tauext.calibrate import forget_half_done
+from tauext.data import total_s, write_bundle
+from tauext.train.network import CHECKPOINT, ScaledNetwork
 from tauext.train.preparation import Job
 
 
 def write(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> None:
-    """Write all three; the notes are told, too. The bundle comes last: where it stands, its run file stands."""
+    """Write all three, or none; the notes are told, too."""
     for note in job.notes:
         job.say(note)
     facts = facts_of(job, bundle, network)
     bundle.provenance = json.dumps(facts | job.run, sort_keys=True)
     history = [list(entry) for entry in network.trained.history] if network else []
-    write_json(facts | job.run | {"loss_history": history}, job.out.with_suffix(".run.json"))
     seconds = network.trained.seconds if network else 0.0
-    write_json({"train_s": seconds}, job.out.with_suffix(".wall_time_s.json"))
-    bundle.save(str(job.out))
+    run = facts | job.run | {"loss_history": history}
+    write_bundle(bundle, job.out, run, {"train_s": seconds})
+    forget_half_done(job.out)
+    job.out.with_suffix(CHECKPOINT).unlink(missing_ok=True)  # not before: gate and limits take minutes, too
 
 
 def facts_of(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> dict:

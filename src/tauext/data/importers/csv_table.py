@@ -6,7 +6,7 @@ import gzip
 import zlib
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,8 @@ class Dialect:
     separator: str
     decimal: str
     skip_lines: int
+    marked: bool = False
+    """Begins with the mark of UTF-8, which only its decoder knows."""
 
 
 def open_csv(path: Path) -> list[RawRecording]:
@@ -44,7 +46,9 @@ def open_csv(path: Path) -> list[RawRecording]:
             lines = [line for _ in range(20) if (line := file.readline())]
     except (OSError, EOFError, zlib.error) as error:
         raise _unreadable(path, error) from error
-    dialect = _dialect(path, lines)
+    with path.open("rb") as raw:
+        marked = raw.read(3) == b"\xef\xbb\xbf"
+    dialect = replace(_dialect(path, lines), marked=marked)
     numeric = _numeric_columns(dialect, lines)
     if not numeric:
         raise RecordingError(f"{path}: no table of numbers; its first line is {lines[0].strip()[:60]!r}")
@@ -120,7 +124,11 @@ def _blocks(path: Path, dialect: Dialect, numeric: tuple[str, ...], counts: Coun
         reader = csv.open_csv(
             pa.input_stream(str(path), compression="gzip" if path.open("rb").read(2) == GZIP_MAGIC else None),
             read_options=csv.ReadOptions(
-                column_names=list(dialect.names), skip_rows=dialect.skip_lines, block_size=BLOCK_BYTES
+                column_names=list(dialect.names),
+                skip_rows=dialect.skip_lines,
+                block_size=BLOCK_BYTES,
+                # Numbers are the same in both; a damaged line need not be UTF-8, which the reader would stumble over.
+                encoding="utf8" if dialect.marked else "latin-1",
             ),
             parse_options=csv.ParseOptions(delimiter=dialect.separator, invalid_row_handler=broken),
             convert_options=csv.ConvertOptions(

@@ -12,6 +12,8 @@ from tauext.data.importers.named_arrays import columns_of, sample_count
 from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list
 from tauext.errors import RecordingError
 
+BROKEN = (OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError)
+"""What h5py meets in damaged bytes."""
 MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
@@ -28,11 +30,11 @@ def open_hdf5(path: Path, separator: str = "/", kind: str = "HDF5") -> list[RawR
     try:
         with h5py.File(path) as file:
             shapes = _numeric(file, separator)
-    except OSError as error:
+    except BROKEN as error:
         raise _unreadable(path, kind, error) from error
     samples = sample_count(path, {name: shape for name, (_, shape) in shapes.items()})
     columns = {name: columns_of(name, shape, samples) for name, (_, shape) in shapes.items()}
-    others = [name for name in shapes if columns[name] is None]
+    others = [f"{name} ({max(shape, default=1)})" for name, (_, shape) in shapes.items() if columns[name] is None]
     notes = [f"arrays of another length than {samples} left out: {short_list(others)}"] if others else []
 
     def blocks() -> Iterator[RawSignals]:
@@ -43,7 +45,7 @@ def open_hdf5(path: Path, separator: str = "/", kind: str = "HDF5") -> list[RawR
                     rows = slice(first, min(first + BLOCK_ROWS, samples))
                     parts = [_rows(file[shapes[a][0]], rows, samples) for a in columns if columns[a]]
                     yield RawSignals("", names, None, np.column_stack(parts).astype(np.float64, copy=False))
-        except OSError as error:
+        except BROKEN as error:
             raise _unreadable(path, kind, error) from error
 
     return [RawRecording(path.stem, path, kind, blocks, notes)]
@@ -72,6 +74,6 @@ def _rows(dataset: Any, rows: slice, samples: int) -> np.ndarray:
     return values
 
 
-def _unreadable(path: Path, kind: str, error: OSError) -> RecordingError:
+def _unreadable(path: Path, kind: str, error: Exception) -> RecordingError:
     cause = " ".join(str(error).split())
     return RecordingError(f"{path}: cannot be read as {kind} ({cause}); it is truncated or damaged: copy it again")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import pyarrow.dataset as ds
 
 from tauext.data.importers.raw import RawRecording, RawSignals
 from tauext.errors import RecordingError
+from tauext.plain_file import json_of, read_text
 
 INFO = "meta/info.json"
 VERSION = "v3.0"
@@ -27,9 +27,12 @@ def open_lerobot(path: Path) -> list[RawRecording]:
         RecordingError: another version, a file missing or damaged.
     """
     try:
-        info = json.loads((path / INFO).read_text())
+        info = json_of(read_text(path / INFO))
         version, fps, features = info["codebase_version"], float(info["fps"]), info["features"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        [feature["dtype"] for feature in features.values()]  # each has one
+        if not 0 < fps <= 1e6:
+            raise ValueError(f"fps = {fps:g} must be above 0")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise RecordingError(f"{path / INFO}: cannot be read as LeRobot's ({type(error).__name__}: {error})") from error
     if not str(version).startswith("v3"):
         raise RecordingError(
@@ -42,24 +45,37 @@ def open_lerobot(path: Path) -> list[RawRecording]:
         table = ds.dataset(files)
         episodes = ds.dataset(sorted((path / "meta/episodes").glob("chunk-*/file-*.parquet")))
         numbers = episodes.to_table(columns=["episode_index", "length"]).to_pydict()
-    except (pa.ArrowException, OSError, KeyError) as error:
-        cause = str(error).splitlines()[0]
+    except (pa.ArrowException, OSError, KeyError, ValueError) as error:
+        cause = " ".join(str(error).split())
         raise RecordingError(f"{path}: its episodes cannot be read ({cause}); copy it again") from error
+    if not all(isinstance(n, int) for column in numbers.values() for n in column):
+        raise RecordingError(f"{path}: an episode has no number or no length; copy it again")
+    if not numbers["length"]:
+        raise RecordingError(f"{path}: it holds no episode")
     listed = sorted(zip(numbers["episode_index"], numbers["length"], strict=True))
     return [_episode(path, table, number, length, fps, features) for number, length in listed]
 
 
 def _episode(path: Path, table: ds.Dataset, number: int, length: int, fps: float, features: dict) -> RawRecording:
-    numeric = [n for n, f in features.items() if n in table.schema.names and f["dtype"].startswith(("float", "int"))]
+    numeric = [
+        n for n, f in features.items() if n in table.schema.names and str(f["dtype"]).startswith(("float", "int"))
+    ]
 
     def blocks() -> Iterator[RawSignals]:
         try:
             rows = table.to_table(columns=numeric, filter=ds.field("episode_index") == number).sort_by("frame_index")
-        except (pa.ArrowException, OSError) as error:
-            cause = str(error).splitlines()[0]
+        except (pa.ArrowException, OSError, ValueError, KeyError) as error:
+            cause = " ".join(str(error).split())
             raise RecordingError(f"{path}: episode {number} cannot be read ({cause}); copy it again") from error
         if len(rows) != length:
             raise RecordingError(f"{path}: episode {number} has {len(rows)} frames, its metadata says {length}")
+        try:
+            yield signals(rows)
+        except (pa.ArrowException, ValueError, KeyError, TypeError) as error:
+            cause = " ".join(str(error).split())
+            raise RecordingError(f"{path}: episode {number} cannot be read ({cause}); copy it again") from error
+
+    def signals(rows: pa.Table) -> RawSignals:
         columns: dict[str, np.ndarray] = {}
         for name in numeric:
             column = rows.column(name).combine_chunks()
@@ -73,7 +89,7 @@ def _episode(path: Path, table: ds.Dataset, number: int, length: int, fps: float
             t_ns = rows.column("t_ns").to_numpy().astype(np.int64)
         else:
             t_ns = np.round(columns["frame_index"] * (1e9 / fps)).astype(np.int64)
-        yield RawSignals("", tuple(columns), t_ns, np.column_stack(list(columns.values())))
+        return RawSignals("", tuple(columns), t_ns, np.column_stack(list(columns.values())))
 
     return RawRecording(f"{path.name}-episode-{number:03d}", path, "LeRobot v3 dataset", blocks)
 

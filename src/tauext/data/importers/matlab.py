@@ -46,7 +46,9 @@ def open_matlab(path: Path) -> list[RawRecording]:
             names += held
             columns.append(array if array.shape[0] == samples else array.T)
     others = [
-        name for name, array in arrays.items() if array.size > 1 and columns_of(name, array.shape, samples) is None
+        f"{name} ({max(array.shape)})"
+        for name, array in arrays.items()
+        if array.size > 1 and columns_of(name, array.shape, samples) is None
     ]
     notes = [f"arrays of another length than {samples} left out: {short_list(others)}"] if others else []
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from tauext.data.importers import csv_table, hdf5, lerobot, matlab, parquet, ros1, ros2
 from tauext.data.importers.raw import RawRecording
 from tauext.errors import RecordingError
+from tauext.plain_file import expect_file
 
 FORMATS = (
     "ROS 1 bag, ROS 2 bag (sqlite3, MCAP, or their folder), CSV (also gzipped), Parquet, HDF5, MATLAB, "
@@ -30,6 +31,7 @@ def open_raw(path: Path | str, topics: Sequence[str] = ()) -> list[RawRecording]
             return lerobot.open_lerobot(path)
         return ros2.open_ros2(path, topics)
     try:
+        expect_file(path)
         with path.open("rb") as file:
             begin = file.read(1024)
     except FileNotFoundError as error:

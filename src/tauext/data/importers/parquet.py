@@ -46,6 +46,8 @@ def parquet_blocks(path: Path, names: list[str]) -> Iterator[RawSignals]:
     """
     try:
         with pq.ParquetFile(path) as file:
+            if not file.metadata.num_rows:
+                raise RecordingError(f"{path}: it has no rows")
             for batch in file.iter_batches(BLOCK_ROWS, columns=names):
                 columns: dict[str, np.ndarray] = {}
                 for name, column in zip(batch.schema.names, batch.columns, strict=True):

@@ -1,0 +1,232 @@
+"""One case: a folder, a command line and what is hostile about it, all drawn from a seed and the case's number."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hostile_cases.damage import damage
+from hostile_cases.values import PLACES, hostile_words, options_of
+from tauext import cli
+
+COMMANDS = {
+    "simulate": cli.simulate,
+    "check": cli.check,
+    "train": cli.train,
+    "calibrate": cli.calibrate,
+    "evaluate": cli.evaluate,
+    "report": cli.report,
+    "run": cli.run,
+    "monitor": cli.monitor,
+    "show": cli.show,
+    "convert": cli.convert,
+    "import": cli.import_data,
+    "reproduce": cli.reproduce,
+    "demo": cli.demo,
+}
+OPTIONS = {name: options_of(command) for name, command in COMMANDS.items()}
+# What works and is soon done; {} takes a file where a reader is tried.
+SIMULATE = "simulate --out out/data --minutes 1 --collision-recordings 0"
+TRAIN = "train --data data --out out/a.tauext --recipe observer"
+PRIOR = "train --data data --out out/a.tauext --recipe prior"
+NETWORK = "train --data data --out out/a.tauext --recipe tauext --max-steps 2 --batch 4"
+EVALUATE = "evaluate --data data --out out/results --bundles observer.tauext"
+CALIBRATE = "calibrate --bundle prior.tauext --data hours --out out/a.tauext"
+CHECK = "check --data data/free-000.parquet --robot robot.xml --out out/check"
+REPORT = "report --results results --data data --out out/report --page-mb 1"
+FLIGHT = "report --flight flights --out out/report --page-mb 1"
+RUN = "run observer.tauext data/free-006.parquet data/free-007.parquet --flights out/flights"
+MONITOR = "monitor observer.tauext --source replay:data/free-006.parquet --speed 20 --duration-s 0.3"
+RECORD = MONITOR + " --record out/record --flights out/flights"
+CONVERT = "convert old.tauext --out out/a.tauext"
+IMPORT = "import --source arm.csv --arm table.toml --out out/imported"
+LEROBOT = IMPORT + " --format lerobot"
+NEW = "import --new out/arm.toml --source arm.csv --robot robot.xml"
+GOOD = (SIMULATE, TRAIN, PRIOR, NETWORK, EVALUATE, CALIBRATE, CHECK, REPORT, FLIGHT, RUN, MONITOR, RECORD, CONVERT)
+GOOD += (IMPORT, LEROBOT, NEW, "show observer.tauext", "reproduce --scale smoke --out out/all --cases exact")
+GOOD += ("demo --no-open --headless-seconds 0.1", "demo --no-open")
+RARE = {"reproduce": 0.1, "demo": 0.1, "report": 0.2, "evaluate": 0.4, "calibrate": 0.3, "check": 0.4}
+RARE |= {"results": 0.2, "flight": 0.4, "run.json": 0.4}
+"""Commands and readers whose good lines take seconds come so much less often."""
+WRITERS = (SIMULATE, TRAIN, NETWORK, EVALUATE, CHECK, REPORT, FLIGHT, RUN, RECORD, CONVERT, IMPORT, LEROBOT, NEW)
+BUNDLE = ("show {}", "show {}", "run {} data/free-006.parquet", "evaluate --data data --out out/results --bundles {}")
+BUNDLE += ("calibrate --bundle {} --data hours --out out/a.tauext",)
+BUNDLE += ("monitor {} --source replay:data/free-006.parquet --speed 50 --duration-s 0.2",)
+RECORDING = ("show {}", "show {}", "run observer.tauext {}", "check --data {} --robot robot.xml", TRAIN, CHECK)
+RECORDING += (
+    "monitor observer.tauext --source replay:{} --speed 50 --duration-s 0.2",
+    "import --source {} --new out/arm.toml",
+)
+ROBOT = ("check --data data/free-000.parquet --robot {}", "import --new out/arm.toml --source arm.csv --robot {}")
+ROBOT += ("train --data data --out out/a.tauext --recipe observer --robot {}",)
+RAW = ("import --source {} --arm table.toml --out out/imported", "import --source {} --new out/arm.toml")
+ARRAYS = ("import --source {} --arm arrays.toml --out out/imported", "import --source {} --new out/arm.toml")
+BAG = ("import --source {} --arm topics.toml --out out/imported", "import --source {} --new out/arm.toml")
+# Reader: its files, of which one is damaged, and commands that read it.
+READERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "bundle": (("observer.tauext", "prior.tauext", "tauext.tauext"), BUNDLE),
+    "recording": (("data/free-000.parquet",), RECORDING),
+    "contacts": (("data/collisions-000.parquet",), (EVALUATE, "run observer.tauext {}", "show {}")),
+    "split.json": (("data/split.json",), (TRAIN, EVALUATE, "check --data data", REPORT, CALIBRATE)),
+    "old bundle": (("old.tauext",), ("convert {} --out out/a.tauext", "show {}")),
+    "run.json": (("data/run.json",), ("simulate --out data --minutes 1 --collision-recordings 1",)),
+    "MJCF": (("robot.xml",), ROBOT),
+    "URDF": (("robot.urdf",), ROBOT),
+    "csv": (("arm.csv",), RAW),
+    "parquet": (("arm.parquet",), RAW),
+    "hdf5": (("arm.h5",), ARRAYS),
+    "mat": (("arm.mat",), ARRAYS),
+    "bag of ROS 1": (("arm.bag",), BAG),
+    "bag of ROS 2": (
+        ("arm/arm.db3", "arm/metadata.yaml"),
+        ("import --source arm --arm topics.toml --out out/imported", BAG[1]),
+    ),
+    "mcap": (("arm-mcap/arm-mcap.mcap",), BAG),
+    "lerobot": (
+        ("lerobot/meta/info.json", "lerobot/data/*/*.parquet", "lerobot/meta/episodes/*/*.parquet"),
+        ("import --source lerobot --new out/arm.toml",),
+    ),
+    "arm.toml": (("table.toml",), (IMPORT, IMPORT, LEROBOT)),
+    "results": (("results/results.json", "results/results.json", "results/estimates/*/*.parquet"), (REPORT,)),
+    "flight": (("flights/*.parquet",), (FLIGHT,)),
+    "reactions": (("reactions.toml",), (MONITOR + " --reactions {}",)),
+    "profiles": (("profiles.toml",), (MONITOR + " --profiles {}",)),
+    "constants": (("constants.toml",), ("monitor observer.tauext --source ur:127.0.0.1 --torque-constants {}",)),
+    "any place": (
+        (),
+        (
+            "show {}",
+            "run {} data/free-006.parquet",
+            "run observer.tauext {}",
+            "check --data {}",
+            "train --data {} --out out/a.tauext",
+            "report --flight {} --out out/r",
+            "report --results {} --data data --out out/r",
+            "import --source {} --new out/a.toml",
+            "import --source arm.csv --arm {} --out out/i",
+            "check --data data/free-000.parquet --robot {}",
+            "convert {} --out out/a.tauext",
+            MONITOR + " --reactions {}",
+            "monitor observer.tauext --source replay:{}",
+            "evaluate --data data --out out/r --bundles {}",
+        ),
+    ),
+}
+FILE_LIMITS = (2000, 5000, 30_000, 100_000)
+"""Standard output and error are files, too, and bear two thousand bytes."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is run, and why it is hostile."""
+
+    kind: str
+    """options, output, or the reader."""
+    arguments: list[str]
+    what: str
+    largest_file: int | None = None
+    """Writing beyond it fails, as on a full disk, [bytes]."""
+
+    @property
+    def command(self) -> str:
+        return self.arguments[0]
+
+
+def lay_out(good: Path, folder: Path, full: Path | None) -> None:
+    """The good files as links, and hostile places, in a folder that is made."""
+    for source in good.rglob("*"):
+        place = folder / source.relative_to(good)
+        if source.is_dir():
+            place.mkdir(parents=True, exist_ok=True)
+        else:
+            place.symlink_to(source)
+    for name in ("empty", "read-only", "out"):
+        (folder / name).mkdir()
+    (folder / "read-only").chmod(0o555)
+    os.mkfifo(folder / "pipe")
+    (folder / "loop").symlink_to("loop")
+    if full is not None:
+        (folder / "full").symlink_to(full)
+
+
+def make_case(seed: int, number: int, folder: Path, only: str = "") -> Case:
+    """Draw the case and damage what it damages; the current folder is `folder`, and is laid out."""
+    rng = np.random.default_rng([seed, number])
+    share = rng.random()
+    if only:
+        share = {"options": 0.0, "output": 0.4}.get(only, 0.9)
+    if share < 0.35:
+        return of_options(rng)
+    if share < 0.45:
+        return of_output(rng)
+    return of_reader(rng, only if only in READERS else drawn(tuple(READERS), rng), folder)
+
+
+def of_options(rng: np.random.Generator) -> Case:
+    """One to three options of a command with hostile values."""
+    arguments = drawn(GOOD, rng).split()
+    command = arguments[0]
+    told = []
+    for option in rng.choice(np.array(OPTIONS[command], dtype=object), int(rng.choice([1, 1, 1, 2, 3]))):
+        words = hostile_words(option, rng)
+        arguments = without(arguments, option.name) + words
+        told.append(" ".join(words)[:80])
+    return Case("options", arguments, " ".join(told))
+
+
+def drawn(choices: tuple[str, ...], rng: np.random.Generator) -> str:
+    """One of the command lines or readers; what takes long less often."""
+    while True:
+        chosen = str(rng.choice(choices))
+        if rng.random() < RARE.get(chosen, RARE.get(chosen.split()[0], 1.0)):
+            return chosen
+
+
+def without(arguments: list[str], name: str) -> list[str]:
+    """The arguments without an option and its values."""
+    if name not in arguments:
+        return arguments
+    k = arguments.index(name)
+    end = k + 1
+    while end < len(arguments) and not arguments[end].startswith("--"):
+        end += 1
+    return arguments[:k] + arguments[end:]
+
+
+def of_output(rng: np.random.Generator) -> Case:
+    """A place that cannot be written to, or a disk that is full at some point."""
+    arguments = drawn(WRITERS, rng).split()
+    if rng.random() < 0.5:
+        limit = int(rng.choice(FILE_LIMITS))
+        return Case("output", arguments, f"no file beyond {limit} bytes", limit)
+    outs = [k for k, word in enumerate(arguments) if word.startswith("out/")]
+    k = int(rng.choice(outs))
+    place = str(rng.choice(PLACES))
+    if rng.random() < 0.5 and arguments[k].endswith(".tauext"):
+        place += ".tauext"
+    arguments[k] = place
+    return Case("output", arguments, f"{arguments[k - 1]} {place[:60]!r}")
+
+
+def of_reader(rng: np.random.Generator, reader: str, folder: Path) -> Case:
+    """A damaged file, and a command that reads it."""
+    patterns, lines = READERS[reader]
+    line = str(rng.choice(lines))
+    if not patterns:
+        place = str(rng.choice(PLACES))
+        arguments = [word.replace("{}", place) for word in line.split()]
+        return Case(reader, arguments, f"{place[:60]!r}")
+    files = [file for pattern in patterns for file in sorted(folder.glob(pattern))]
+    file = files[int(rng.integers(len(files)))]
+    source = file.resolve()
+    file.unlink()
+    shutil.copyfile(source, file)
+    told = damage(file, rng)
+    if rng.random() < 0.2:
+        told += f"; {damage(file, rng)}" if file.stat().st_size else ""
+    name = str(file.relative_to(folder))
+    return Case(reader, [word.replace("{}", name) for word in line.split()], f"{name}: {told}")

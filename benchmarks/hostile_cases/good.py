@@ -1,0 +1,177 @@
+"""What hostile cases begin with: a small dataset, bundles, results, flights, and one recording in every format."""
+
+from __future__ import annotations
+
+import shutil
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.io import savemat
+
+from tauext.cli import main
+from tauext.data import load_recording, save_recording, save_split
+from tauext.data.first_seconds import first_seconds
+from tauext.data.split import Split
+
+EVERY = 10
+"""Of 1000 samples a second: files in other formats stay small."""
+OLD_BUNDLE = Path(__file__).parents[2] / "tests/golden/format-4-amperes.tauext"
+TOUCHED_S = 12.0
+LITTLE = ("--minutes", "1", "--collision-recordings", "1")
+ARM = """[robot]
+model = "robot.xml"
+joints = ["joint1", "joint2"]
+[split]
+gap_s = 0.0
+[signals.q]
+columns = "q_{joint}"
+unit = "rad"
+[signals.dq]
+columns = "dq_{joint}"
+unit = "rad/s"
+[signals.tau]
+columns = "tau_{joint}"
+unit = "Nm"
+[time]
+column = "t"
+unit = "s"
+"""
+ARRAYS = ARM.replace("_{joint}", "")
+TOPICS = """[robot]
+model = "robot.xml"
+joints = ["joint1", "joint2"]
+[split]
+gap_s = 0.0
+[signals.q]
+columns = "position"
+unit = "rad"
+[signals.dq]
+columns = "velocity"
+unit = "rad/s"
+[signals.tau]
+columns = "effort"
+unit = "Nm"
+"""
+URDF = """<robot name="two">
+<link name="base"/><link name="a"><inertial><mass value="2"/><origin xyz="0.1 0 0"/>
+<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="b"><inertial><mass value="1"/><origin xyz="0.1 0 0"/>
+<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="joint1" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/>
+<limit effort="50" velocity="3" lower="-3" upper="3"/></joint>
+<joint name="joint2" type="revolute"><parent link="a"/><child link="b"/><origin xyz="0.3 0 0"/><axis xyz="0 0 1"/>
+<limit effort="50" velocity="3" lower="-3" upper="3"/></joint>
+</robot>
+"""
+
+
+def make_good(folder: Path, quick: bool = False) -> Path:
+    """Everything, in a folder that is made; what stands there is used again.
+
+    quick: one bundle and dataset stand for several that take seconds to make.
+    """
+    if (folder / "ready").is_file():
+        return folder
+    folder.mkdir(parents=True, exist_ok=True)
+    data = folder / "data"
+    done(["simulate", "--out", str(data), *LITTLE])
+    names = sorted(path.name for path in data.glob("free-*.parquet"))
+    split = Split(tuple(names[:4]), tuple(names[4:6]), tuple(names[6:8]), ("collisions-000.parquet",))
+    save_split(split, data)
+    for name in names[8:]:
+        (data / name).unlink()
+    if quick:
+        (folder / "hours").mkdir()
+        for path in data.iterdir():
+            (folder / "hours" / path.name).symlink_to(path)
+    else:
+        done(["simulate", "--out", str(folder / "hours"), *LITTLE, "--calibration-hours", "0.1"])
+    shutil.copyfile(OLD_BUNDLE, folder / "old.tauext")
+    for recipe in ("observer", "prior", "tauext"):
+        if quick and recipe != "observer":
+            shutil.copyfile(folder / "observer.tauext", folder / f"{recipe}.tauext")
+            continue
+        sizes = ["--max-steps", "3", "--batch", "4"] if recipe == "tauext" else []
+        done(["train", "--data", str(data), "--out", str(folder / f"{recipe}.tauext"), "--recipe", recipe, *sizes])
+    bundle = str(folder / "observer.tauext")
+    touched = data / "collisions-000.parquet"
+    save_recording(first_seconds([load_recording(touched)], TOUCHED_S)[0], touched)
+    done(["evaluate", "--data", str(data), "--bundles", bundle, "--out", str(folder / "results")])
+    done(["run", bundle, str(touched), "--flights", str(folder / "flights")])
+    for file, kind in (("reactions.toml", "--new-reactions"), ("profiles.toml", "--new-profiles")):
+        done(["monitor", kind, str(folder / file)])
+    make_formats(folder, data)
+    (folder / "ready").touch()
+    return folder
+
+
+def done(arguments: list[str]) -> None:
+    """Run a command that must work."""
+    with redirect_stdout(StringIO()), redirect_stderr(StringIO()) as told:
+        status = main(arguments)
+    if status:
+        raise SystemExit(f"tauext {' '.join(arguments)} ended with {status}: {told.getvalue()}")
+
+
+def make_formats(folder: Path, data: Path) -> None:
+    """The beginning of one recording in every format that is imported, with a description for each kind."""
+    recording = load_recording(data / "collisions-000.parquet")
+    t_s = (recording.t_ns[::EVERY] - recording.t_ns[0]) * 1e-9
+    table = {"t": t_s}
+    arrays = {"t": t_s}
+    for name in ("q", "dq", "tau"):
+        values = getattr(recording, name)[::EVERY]
+        arrays[name] = values
+        table |= {f"{name}_{joint}": values[:, j] for j, joint in enumerate(recording.joints)}
+    rows = np.column_stack(list(table.values()))
+    np.savetxt(folder / "arm.csv", rows, delimiter=",", header=",".join(table), comments="")
+    pq.write_table(pa.table(table), folder / "arm.parquet")
+    with h5py.File(folder / "arm.h5", "w") as file:
+        for name, values in arrays.items():
+            file[name] = values
+    savemat(folder / "arm.mat", arrays)
+    write_bag(folder / "arm", recording, "sqlite3")
+    write_bag(folder / "arm-mcap", recording, "mcap")
+    write_bag(folder / "arm.bag", recording, "ros1")
+    (folder / "robot.xml").write_bytes((data / "robot.xml").read_bytes())
+    (folder / "robot.urdf").write_text(URDF)
+    for name, text in (("table.toml", ARM), ("arrays.toml", ARRAYS), ("topics.toml", TOPICS)):
+        (folder / name).write_text(text)
+    lerobot = [
+        "import",
+        "--source",
+        str(folder / "arm.csv"),
+        "--arm",
+        str(folder / "table.toml"),
+        "--format",
+        "lerobot",
+    ]
+    done([*lerobot, "--out", str(folder / "lerobot")])
+    (folder / "constants.toml").write_text("[nm_per_ampere]\njoint1 = 1.0\njoint2 = 2.0\n")
+
+
+def write_bag(path: Path, recording, kind: str) -> None:
+    """JointState messages, a bag of ROS 1 or ROS 2."""
+    ros1 = kind == "ros1"
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    types, message = store.types, "sensor_msgs/msg/JointState"
+    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+    with Writer1(path) if ros1 else Writer(path, version=9, storage_plugin=plugin) as writer:
+        connection = writer.add_connection("/joint_states", message, typestore=store)
+        for k in range(0, recording.samples, EVERY):
+            stamp_ns = 10**18 + int(recording.t_ns[k])
+            stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="", **({"seq": k} if ros1 else {}))
+            values = {"position": recording.q[k], "velocity": recording.dq[k], "effort": recording.tau[k]}
+            values = {name: np.array(value) for name, value in values.items()}
+            content = types[message](header=header, name=list(recording.joints), **values)
+            raw = (store.serialize_ros1 if ros1 else store.serialize_cdr)(content, message)
+            writer.write(connection, stamp_ns, raw)

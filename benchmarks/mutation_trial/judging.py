@@ -1,0 +1,108 @@
+"""What the door says of a dataset, and what a bundle is worth that was trained on it all the same."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mutation_trial.named import fits
+from tauext.config import PAPER_CASES, EventsConfig, ObserverConfig, PriorConfig, TrainConfig
+from tauext.data import Recording, load_dataset
+from tauext.evaluate import estimate_recording
+from tauext.evaluate.events import EventMeasures, event_time
+from tauext.progress import SILENT
+from tauext.robot import chosen_case
+from tauext.train import train_bundle
+from tauext.train.look import view
+
+CONFIG = TrainConfig(
+    recipe="prior", threads=1, observer=ObserverConfig(gain_per_s=20.0), prior=PriorConfig(most_ripples=0)
+)
+"""Two searches are left out, each of which takes longer than all the rest; clean and broken alike."""
+TOLERANCE = 0.05
+"""Of limits and of contacts found: less is no harm."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A finding before training."""
+
+    code: str
+    joint: str | None
+    severity: str
+    evidence: str
+    recording: str | None = None
+
+    @property
+    def key(self) -> tuple[str | None, ...]:
+        return (self.code, self.joint, self.severity, self.recording)
+
+
+@dataclass(frozen=True)
+class Worth:
+    """Of a bundle."""
+
+    limits_nm: list[float]
+    """Median over free samples of the recordings it is judged on, a joint."""
+    found: int
+    events: int
+
+
+def looked_at(folder: Path) -> list[Seen]:
+    """Faults and warnings that a training on this dataset would be told before it learns anything.
+
+    Raises:
+        TauextError: it cannot even be read.
+    """
+    dataset = load_dataset(folder)
+    robot = dataset.robot_file(None)
+    case, _ = chosen_case(None, robot)
+    recordings = dataset.training(), dataset.recordings("validation")
+    looks = view(dataset, robot, PAPER_CASES[case], *recordings, CONFIG, SILENT)
+    findings = [finding for look in looks.values() for finding in look.findings]
+    return [Seen(f.code, f.joint, f.severity, f.evidence, f.recording) for f in findings]
+
+
+def worth_of(folder: Path, out: Path, judged: Iterable[Recording]) -> Worth:
+    """Train on the dataset, and judge the bundle on these recordings.
+
+    Raises:
+        TauextError: the training refuses, or the bundle does not fit the recordings.
+    """
+    bundle = train_bundle(load_dataset(folder), out, config=CONFIG, look=False)
+    measures = EventMeasures(EventsConfig(), CONFIG.observer.near_stiction_rad_s)
+    limits = []
+    for recording in judged:
+        estimates = estimate_recording(bundle, recording, 1)
+        measures.add_estimates(recording, estimates)
+        limits.append(estimates.limit[~event_time(recording, 0.5) & estimates.healthy])
+    counts = measures.summary()["all"]
+    return Worth(np.median(np.concatenate(limits), axis=0).tolist(), counts["found"], counts["events"])
+
+
+def verdict_before(
+    what: str, signals: tuple[str, ...], seen: list[Seen], clean: list[Seen]
+) -> tuple[str | None, list[Seen]]:
+    """refused: a fault that the clean dataset lacks; named: a warning whose code fits; None: it would be trained on.
+
+    And what is new.
+    """
+    known = {one.key for one in clean}
+    new = [one for one in seen if one.key not in known]
+    if any(one.severity == "fault" for one in new):
+        return "refused", new
+    if any(fits(what, signals, one.code) for one in new):
+        return "named", new
+    return None, new
+
+
+def verdict_after(worth: Worth, clean: Worth) -> tuple[str, float, int]:
+    """harmless or missed; the largest share by which a limit differs; contacts found more or fewer."""
+    ratio = np.array(worth.limits_nm) / np.array(clean.limits_nm) - 1
+    off = float(np.abs(ratio).max()) if np.isfinite(ratio).all() else float("inf")
+    more = worth.found - clean.found
+    harmless = off <= TOLERANCE and abs(more) <= TOLERANCE * clean.found
+    return ("harmless" if harmless else "missed"), off, more

@@ -1,0 +1,38 @@
+"""The cheap look at one recording: no fits, so that hours pass in seconds."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tauext.data import Recording
+from tauext.doctor.clock import clock_findings
+from tauext.doctor.finding import SEVERITIES, Finding
+from tauext.doctor.motion import stretches
+from tauext.doctor.sensors import sensor_findings
+from tauext.doctor.spikes import normal_ranges, spike_findings, spikes_of, without_spikes
+from tauext.doctor.time_unit import time_findings
+from tauext.doctor.units import degree_findings
+
+OF_ALL = ("quantised", "smoothed", "saturated")
+"""A joint that rests in one recording, or holds one torque, shows none of these; all of them together do."""
+
+
+def quick_look(recording: Recording, torque_limits_nm: np.ndarray | None) -> list[Finding]:
+    """Clock, spikes, stuck and saturated signals, degrees and unit of time of one recording, the worst first.
+
+    Args:
+        torque_limits_nm: (joints,) of the robot file, infinite where it has none; None: no robot file.
+    """
+    found, (mended,) = time_findings([recording])
+    normal = normal_ranges([mended])
+    spikes = spikes_of(mended, normal, torque_limits_nm)
+    found += spike_findings(mended, spikes, normal)
+    mended = without_spikes(mended, spikes)
+    found += clock_findings([mended])
+    found += [f for f in sensor_findings([mended]) if f.code not in OF_ALL]
+    found += degree_findings([mended], stretches([mended]))
+    return sorted((_of(recording, f) for f in found), key=lambda f: SEVERITIES.index(f.severity))
+
+
+def _of(recording: Recording, finding: Finding) -> Finding:
+    return Finding(finding.code, finding.severity, finding.joint, finding.evidence, finding.advice, recording.name)

@@ -1,0 +1,73 @@
+"""What the arm can do at most, and the recordings without the samples that say more."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tauext._core import TorqueUnit, Tree
+from tauext.config import ModelCase, TrainConfig
+from tauext.data import LeftOut, Recording, SignalBounds, free_pieces, from_amperes, possible_parts
+from tauext.learn import TorqueConstants, build_setup, fit_torque_constants, signal_bounds
+from tauext.learn.torque_constants import with_constants
+from tauext.train.recordings import given_unit, wants_constants
+
+
+@dataclass(frozen=True)
+class PossibleMotion:
+    """The recordings as a monitor of this bundle would see them."""
+
+    training: list[Recording]
+    validation: list[Recording]
+    bounds: SignalBounds
+    torque_limit_nm: np.ndarray
+    """Of each drive, infinite where nobody knows."""
+    constants: TorqueConstants | None
+    """That tau is to be multiplied by; None: it is in N m, or nothing tells."""
+    left_out: LeftOut
+
+
+def possible_motion(
+    tree: Tree,
+    case: ModelCase,
+    training: Sequence[Recording],
+    validation: Sequence[Recording],
+    torque_limit_nm: np.ndarray,
+    config: TrainConfig,
+) -> PossibleMotion:
+    """Leave impossible samples out, and find torque constants on what is left.
+
+    Bounds are in the unit of the bundle's answers, which follows from the constants: those are fitted to what is
+    possible in the recordings' own unit, which no drive limit speaks of.
+
+    Args:
+        training: at least one.
+        torque_limit_nm: what the robot file says of each drive, infinite where it does not.
+
+    Raises:
+        TrainingError: too many samples are impossible, or the recordings' joints are not the model's.
+    """
+    observer = build_setup(tree, training[0], config.observer, config.recipe, config.filters).observer
+    constants = None
+    if wants_constants(config, training, case):
+        parts = possible_parts(training, observer, signal_bounds(training), LeftOut("training"))
+        free = free_pieces(parts, config.margins)
+        constants = fit_torque_constants(tree, free, config.observer, from_amperes(training))
+        observer = with_constants(observer, constants.used)
+    drives = np.where(in_newton_metres(constants, training, config), torque_limit_nm, np.inf)
+    bounds = signal_bounds(training, drives, constants.used if constants else (1.0,))
+    left_out = LeftOut("training and validation" if validation else "training")
+    learned_on = possible_parts(training, observer, bounds, left_out)
+    validated_on = possible_parts(validation, observer, bounds, left_out)
+    return PossibleMotion(learned_on, validated_on, bounds, drives, constants, left_out)
+
+
+def in_newton_metres(
+    constants: TorqueConstants | None, training: Sequence[Recording], config: TrainConfig
+) -> np.ndarray | bool:
+    """Whether a joint's torque is known in N m, so that it can be held against what the robot file says."""
+    if constants is None:
+        return given_unit(config, training) == TorqueUnit.newton_metre
+    return constants.given or (constants.determined & (constants.relative_to is None))

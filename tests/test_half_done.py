@@ -1,0 +1,142 @@
+"""Work goes on where a killed process left it, and a file from elsewhere does nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_pushes import pushed, watching_bundle
+
+from tauext import half_done
+from tauext.calibrate import held_peaks, recalibrate
+from tauext.config import AlarmConfig
+from tauext.data import Split, load_dataset, save_recording, save_split
+from tauext.evaluate import comparison, evaluate_bundles
+from tauext.half_done import HalfDone
+
+
+@pytest.fixture
+def at_once(monkeypatch):
+    """Everything that is offered is written."""
+    monkeypatch.setattr(half_done, "EVERY_S", 0.0)
+
+
+@pytest.fixture
+def place(tmp_path):
+    """A dataset of six recordings, and two bundles."""
+    names = [f"made-{k}" for k in range(6)]
+    for k, name in enumerate(names):
+        save_recording(pushed(name, pushes=((2.0, k % 2, 4.0 + k),)), tmp_path / f"{name}.parquet")
+    files = [f"{name}.parquet" for name in names]
+    save_split(Split(files[:1], files[1:2], files[2:4], files[4:]), tmp_path)
+    bundle = watching_bundle()
+    for name in ("one", "two"):
+        bundle.save(str(tmp_path / f"{name}.tauext"))
+    return tmp_path
+
+
+def evaluated(place: Path, out: str) -> dict:
+    bundles = {name: place / f"{name}.tauext" for name in ("one", "two")}
+    evaluate_bundles(load_dataset(place), bundles, place / out, threads=1, sanity=True)
+    return json.loads((place / out / "results.json").read_text())
+
+
+def killed_while_evaluating(place: Path, out: str, at: int) -> None:
+    """In a process of its own, by SIGKILL, while recording number `at` is judged."""
+    pid = os.fork()
+    if pid == 0:
+        judged, calls = comparison.estimate_recording, []
+
+        def killed(*arguments):
+            calls.append(1)
+            if len(calls) == 2 * at + 1:  # of two bundles
+                os.kill(os.getpid(), signal.SIGKILL)
+            return judged(*arguments)
+
+        comparison.estimate_recording = killed
+        evaluated(place, out)
+        os._exit(0)  # not reached
+    assert os.WTERMSIG(os.waitpid(pid, 0)[1]) == signal.SIGKILL
+
+
+def test_a_killed_evaluation_goes_on_to_the_same_results(place, at_once, monkeypatch):
+    whole = evaluated(place, "whole")
+    assert not (place / "whole" / "evaluate.half-done").exists()
+    killed_while_evaluating(place, "killed", at=2)
+    assert (place / "killed" / "evaluate.half-done").exists() and not (place / "killed" / "results.json").exists()
+    judged, again = comparison.estimate_recording, []
+    monkeypatch.setattr(comparison, "estimate_recording", lambda *a: (again.append(a[1].name), judged(*a))[1])
+    assert evaluated(place, "killed") == whole
+    assert again == ["made-4", "made-4", "made-5", "made-5"]  # the two before are not judged again
+    assert not (place / "killed" / "evaluate.half-done").exists()
+    for file in (place / "whole" / "estimates").rglob("*.parquet"):
+        assert file.read_bytes() == (place / "killed" / file.relative_to(place / "whole")).read_bytes()
+
+
+def test_a_state_of_other_work_counts_as_none(place, at_once):
+    killed_while_evaluating(place, "out", at=2)
+    save_recording(pushed("made-3", pushes=((2.0, 1, 9.0),)), place / "made-3.parquet")
+    assert evaluated(place, "out") == evaluated(place, "whole")
+
+
+def test_what_is_damaged_or_asks_for_other_classes_is_no_state(tmp_path, at_once):
+    path = tmp_path / "state"
+    work = HalfDone(path, "key")
+    assert work.load() is None
+    work.offer({"rows": np.arange(4.0), "names": ["a"]})
+    np.testing.assert_array_equal(work.load()["rows"], np.arange(4.0))
+    assert HalfDone(path, "other").load() is None
+    whole = path.read_bytes()
+    for end in range(0, len(whole), 7):
+        path.write_bytes(whole[:end])
+        assert work.load() is None
+
+    class Harm:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "harm"),)
+
+    for content in (pickle.dumps(("key", Harm())), pickle.dumps(("key", Path("x"))), pickle.dumps("key")):
+        path.write_bytes(content)
+        assert work.load() is None
+    assert not (tmp_path / "harm").exists()
+
+
+def test_a_killed_calibration_goes_on_to_the_same_limits(place, at_once, monkeypatch):
+    files = sorted(path.name for path in place.glob("made-*.parquet"))
+    for k, name in enumerate(files):
+        noise = np.random.default_rng(k).normal(0, 9, (30_000, 2))
+        save_recording(pushed(Path(name).stem, seconds=30.0, pushes=(), tau=noise), place / name)
+    save_split(Split((), (), (), (), calibration=tuple(files)), place)
+    alarm = AlarmConfig(false_alarms=1.0, in_hours=0.001, holds_s=(0.0, 0.005))
+
+    def calibrated(out: str) -> bytes:
+        recalibrate(place / "one.tauext", load_dataset(place), place / out / "new.tauext", alarm, threads=1)
+        return (place / out / "new.tauext").read_bytes()
+
+    pid = os.fork()
+    if pid == 0:
+        judged, calls = held_peaks.errors, []
+
+        def killed(*arguments):
+            calls.append(1)
+            if len(calls) == 5:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return judged(*arguments)
+
+        held_peaks.errors = killed
+        calibrated("killed")
+        os._exit(0)  # not reached
+    assert os.WTERMSIG(os.waitpid(pid, 0)[1]) == signal.SIGKILL
+    kept = place / "killed" / "new.limits.half-done"
+    assert kept.exists()
+    judged, again = held_peaks.errors, []
+    monkeypatch.setattr(held_peaks, "errors", lambda *a: (again.append(a[1].name), judged(*a))[1])
+    resumed = calibrated("killed")
+    assert 0 < len(again) < len(files) and not kept.exists()
+    monkeypatch.undo()
+    assert resumed == calibrated("whole")

@@ -1,0 +1,270 @@
+"""Training looks before it learns: faults refuse, a person may overrule, and nobody looks at the same data twice."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from made_motion import made_motion
+from trees import six_axis, urdf
+
+import tauext.look.viewing
+from tauext import _core
+from tauext.calibrate import recalibrate
+from tauext.cli import main
+from tauext.config import AlarmConfig, TrainConfig
+from tauext.data import Recording, Split, load_dataset, load_recording, save_recording, save_split
+from tauext.doctor import CODES, Finding
+from tauext.errors import ConfigError, FaultyDataError
+from tauext.look import judge
+from tauext.look.memory import folder
+from tauext.look.verdict import Look
+from tauext.look.viewing import MOST_MOVING_S, shares
+from tauext.progress import Silent
+from tauext.robot import load_tree
+from tauext.train import train_bundle
+
+OBSERVER = TrainConfig(recipe="observer", limits="paper")
+
+
+class Heard(Silent):
+    def __init__(self):
+        self.said: list[str] = []
+
+    def say(self, sentence: str) -> None:
+        self.said.append(sentence)
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory) -> Path:
+    """A dataset of a six-axis arm without a fault: two recordings to train, one to validate, one to calibrate."""
+    path = tmp_path_factory.mktemp("good")
+    (path / "robot.urdf").write_text(urdf(six_axis()).replace('effort="100"', 'effort="3000"'))
+    made = made_motion(load_tree(path / "robot.urdf"), 1.2, 100.0, pieces=4).recordings
+    names = ("one", "two", "three", "four")
+    for name, recording in zip(names, made, strict=True):
+        save_recording(replace(recording, name=name), path / f"{name}.parquet")
+    files = [f"{name}.parquet" for name in names]
+    save_split(Split(files[:2], files[2:3], (), (), files[3:]), path)
+    return path
+
+
+@pytest.fixture
+def data(good, tmp_path) -> Path:
+    """A copy of it that a test may spoil."""
+    for file in good.iterdir():
+        (tmp_path / "data").mkdir(exist_ok=True)
+        (tmp_path / "data" / file.name).write_bytes(file.read_bytes())
+    return tmp_path / "data"
+
+
+@pytest.fixture(autouse=True)
+def forgotten(monkeypatch, tmp_path):
+    """Each test begins without a memory."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def examined(monkeypatch) -> list[list[str]]:
+    """The recordings of each examination, as they come; all checks but the cheap ones find nothing."""
+    calls: list[list[str]] = []
+
+    def nothing_found(recordings, robot):
+        calls.append([r.name for r in recordings])
+        return SimpleNamespace(findings=[])
+
+    monkeypatch.setattr(tauext.look.viewing, "examine", nothing_found)
+    return calls
+
+
+def spoil(data: Path, name: str, **changes) -> None:
+    """Change signals of a recording: each a function of the signal."""
+    file = data / f"{name}.parquet"
+    recording = load_recording(file)
+    made = {signal: change(getattr(recording, signal).copy()) for signal, change in changes.items()}
+    save_recording(replace(recording, **made), file)
+
+
+def spike(tau: np.ndarray) -> np.ndarray:
+    tau[1000, 1] = 1e6
+    return tau
+
+
+def kept(bundle: Path) -> dict:
+    return json.loads(_core.Bundle.load(str(bundle)).provenance)["look"]
+
+
+def train(data: Path, out: Path, *options: str) -> int:
+    recipe = ["--recipe", "observer", "--limits", "paper"]
+    return main(["train", "--data", str(data), "--out", str(out), *recipe, *options])
+
+
+def test_good_data_is_trained_on_and_the_bundle_says_that_somebody_looked(data, tmp_path, capsys):
+    assert train(data, tmp_path / "a.tauext") == 0
+    assert kept(tmp_path / "a.tauext")["training"]["accepted"] == []
+    assert "fault" not in capsys.readouterr().err
+
+
+def test_one_sample_in_one_file_is_refused_in_one_block_and_nothing_is_written(data, tmp_path, capsys):
+    spoil(data, "two", tau=spike)
+    assert train(data, tmp_path / "a.tauext") == 2
+    err = capsys.readouterr().err
+    told = err[err.index("tauext: error: ") :]
+    for word in ("spike", "joint joint2", "recording two", "1e+06 Nm at 10.000 s", "-> ", "--accept spike:joint2"):
+        assert word in told, word
+    assert told.count("spike (") == 1
+    assert not list(tmp_path.glob("a*"))
+
+
+def test_what_a_person_accepts_stands_in_bundle_and_run_file_and_is_shown(data, tmp_path, capsys):
+    spoil(data, "two", tau=spike)
+    out = tmp_path / "a.tauext"
+    assert train(data, out, "--accept", "spike:joint1") == 2  # of another joint
+    assert train(data, out, "--accept", "quantised", "spike:joint2") == 0
+    assert "accepted: spike (joint2)" in capsys.readouterr().err
+    (entry,) = kept(out)["training"]["accepted"]
+    assert (entry["code"], entry["joint"], entry["recordings"], entry["count"]) == ("spike", "joint2", ["two"], 1)
+    assert json.loads(out.with_suffix(".run.json").read_text())["look"] == kept(out)
+    assert main(["show", str(out)]) == 0
+    assert "accepted in training: spike of joint2" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("accept", "words"),
+    [("spikes", ["'spikes' is no code", *CODES]), ("spike:joint9", ["no joint 'joint9'", "joint1, joint2", "joint6"])],
+)
+def test_a_code_or_joint_that_does_not_exist_is_refused_with_the_choices(accept, words, data, tmp_path, capsys):
+    assert train(data, tmp_path / "a.tauext", "--accept", accept) == 2
+    err = capsys.readouterr().err
+    assert all(word in err for word in words) and len(err.splitlines()) == 1
+    with pytest.raises(ConfigError, match="accept = "):
+        recalibrate(tmp_path / "none.tauext", load_dataset(data), tmp_path / "b.tauext", AlarmConfig(), accept=["x"])
+
+
+def test_the_same_data_is_looked_at_once_and_other_data_again(data, tmp_path, examined):
+    def once_more(**settings):
+        train_bundle(load_dataset(data), tmp_path / "a.tauext", config=OBSERVER, **settings)
+        return len(examined)
+
+    assert once_more() == 1 and once_more() == 1
+    assert examined == [["one", "two", "three"]]
+    spoil(data, "three", tau=lambda tau: tau + np.where(np.arange(len(tau))[:, None] == 500, 1e-9, 0.0))
+    assert once_more() == 2  # one sample of one recording
+    robot = data / "robot.urdf"
+    robot.write_text(robot.read_text() + "<!-- -->")
+    assert once_more() == 3
+    (file,) = [
+        f for f in folder().iterdir() if f.stat().st_mtime_ns == max(f.stat().st_mtime_ns for f in folder().iterdir())
+    ]
+    file.write_text("[{")  # damaged: as if nobody had looked
+    assert once_more() == 4 and once_more() == 4
+    assert once_more(look=False) == 4 and "look" not in json.loads((tmp_path / "a.run.json").read_text())
+
+
+def test_what_is_remembered_refuses_and_warns_as_what_is_seen(data, tmp_path, examined):
+    spoil(data, "one", tau=spike)
+    messages = []
+    for _ in range(2):
+        with pytest.raises(FaultyDataError) as caught:
+            train_bundle(load_dataset(data), tmp_path / "a.tauext", config=OBSERVER)
+        messages.append(str(caught.value))
+        assert {finding.code for finding in caught.value.findings} == {"spike"}
+    assert messages[0] == messages[1] and len(examined) == 1
+
+
+def test_a_cache_that_cannot_be_written_is_no_error(data, tmp_path, monkeypatch, examined):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    for _ in range(2):
+        train_bundle(load_dataset(data), tmp_path / "a.tauext", config=OBSERVER)
+    assert len(examined) == 2
+
+
+def test_labelled_contacts_are_left_out_and_no_fault(data, tmp_path, capsys):
+    file = data / "one.parquet"
+    recording = load_recording(file)
+    contact = np.zeros(recording.samples, np.int8)
+    contact[500:520] = 1
+    pushed = recording.tau + 30.0 * contact[:, None]
+    save_recording(replace(recording, contact=contact, tau=pushed, provenance={"contacts": "none"}), file)
+    assert train(data, tmp_path / "a.tauext", "--recipe", "friction") == 0
+    assert not kept(tmp_path / "a.tauext")["training"]["accepted"]
+
+
+def test_calibrate_looks_at_its_recordings_and_keeps_what_training_found(data, tmp_path, capsys, monkeypatch):
+    """Its 20 s of motion support no limits: these are not looked for."""
+    found = SimpleNamespace(sentence=lambda: "found")
+    monkeypatch.setattr("tauext.calibrate.bundle_limits.calibrate_bundle", lambda *a, **more: (found, {}))
+    spoil(data, "one", tau=spike)
+    bundle, out = tmp_path / "a.tauext", tmp_path / "b.tauext"
+    assert train(data, bundle, "--accept", "spike") == 0
+    spoil(data, "four", tau=spike)
+    calibrate = ["calibrate", "--bundle", str(bundle), "--data", str(data), "--out", str(out), "--in-hours", "0.001"]
+    capsys.readouterr()
+    assert main(calibrate) == 2
+    err = capsys.readouterr().err
+    assert "spike" in err and "recording four" in err and "recording one" not in err
+    assert not list(tmp_path.glob("b*"))
+    assert main([*calibrate, "--accept", "spike:joint2"]) == 0
+    assert "accepted: spike (joint2)" in capsys.readouterr().err
+    looked = kept(out)
+    assert [e["recordings"] for e in looked["training"]["accepted"]] == [["one"]]
+    assert [e["recordings"] for e in looked["calibration"]["accepted"]] == [["four"]]
+
+
+def test_training_with_a_promise_looks_at_the_calibration_recordings_too(data, tmp_path):
+    spoil(data, "four", tau=spike)
+    train_bundle(load_dataset(data), tmp_path / "a.tauext", config=OBSERVER)  # the paper's limits do not use them
+    with pytest.raises(FaultyDataError, match="recording four"):
+        train_bundle(load_dataset(data), tmp_path / "b.tauext", config=TrainConfig(recipe="observer"))
+
+
+def test_without_a_model_the_robot_file_is_held_against_nobody(data, tmp_path):
+    """Half the torque: a fault against the model, and no matter without one."""
+    for name in ("one", "two", "three"):
+        spoil(data, name, tau=lambda tau: 0.5 * tau)
+    with pytest.raises(FaultyDataError, match="effort-scale"):
+        train_bundle(load_dataset(data), tmp_path / "a.tauext", config=OBSERVER)
+    train_bundle(load_dataset(data), tmp_path / "a.tauext", case="none", config=OBSERVER)
+
+
+def test_a_factor_that_training_finds_is_no_fault(data, tmp_path):
+    for name in ("one", "two", "three"):
+        spoil(data, name, tau=lambda tau: 0.5 * tau)
+    config = replace(OBSERVER, fit_torque_constants=True)
+    train_bundle(load_dataset(data), tmp_path / "a.tauext", config=config)
+
+
+def test_warnings_are_told_once_and_faults_of_many_joints_are_accepted_by_their_code():
+    heard = Heard()
+    many = [Finding("clock-gaps", "warning", None, f"'{k}': gaps", "look", str(k)) for k in range(50)]
+    judge([Look(many)], "data", [], heard)
+    assert heard.said == ["warning: clock-gaps: '0': gaps (and 49 more)"]
+    (entry,) = Look(many).facts([])["warnings"]
+    assert entry["count"] == 50 and len(entry["recordings"]) < 50
+    faults = [Finding("effort-sign", "fault", f"joint{j}", "-1", "negate") for j in range(6)]
+    with pytest.raises(FaultyDataError) as caught:
+        judge([Look(faults)], "data", [], heard)
+    assert str(caught.value).splitlines()[-1].strip() == "--accept effort-sign"
+    judge([Look(faults)], "data", ["effort-sign"], heard)
+
+
+def moving(seconds: float, still_s: float) -> Recording:
+    """A joint that stands, then turns."""
+    t_ns = np.arange(round((still_s + seconds) * 10), dtype=np.int64) * 100_000_000
+    dq = np.where(t_ns[:, None] * 1e-9 < still_s, 0.0, 1.0)
+    zeros = np.zeros_like(dq)
+    return Recording("made", ("a",), t_ns, zeros, dq, zeros, 10.0, "instant", "test", "")
+
+
+def test_a_share_of_every_recording_is_looked_at_whole_where_there_is_little():
+    little = [moving(60.0, 10.0), moving(60.0, 0.0)]
+    assert shares(little) == little
+    much = [moving(0.5 * MOST_MOVING_S, 20.0), moving(4 * MOST_MOVING_S, 0.0), moving(0.5 * MOST_MOVING_S, 5.0)]
+    seconds = [float((r.dq[:, 0] != 0).sum() / r.rate_hz) for r in shares(much)]
+    assert abs(sum(seconds) - MOST_MOVING_S) < 5.0 and min(seconds) > 0.09 * MOST_MOVING_S
+    assert all(r.t_ns[0] == 0 for r in shares(much))  # so that times are those of the recording

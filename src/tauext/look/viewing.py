@@ -23,6 +23,8 @@ MOST_MOVING_S = 180.0
 and scales show within half a minute, what is rare the cheap checks see."""
 LEAST_MOVING_S = 20.0
 """Of each recording, [s]: a shorter one shows too little to be held against the others."""
+LEAST_ROWS = 100
+"""Of each recording: stamps of another unit make seconds of an hour, or hours of a second."""
 MOVES_RAD_S = 0.02
 FITTED = ("effort-scale", "effort-motor-side")
 """Is no fault where the factor is what training finds."""
@@ -100,7 +102,7 @@ def shares(recordings: Sequence[Recording]) -> list[Recording]:
     share = min(1.0, MOST_MOVING_S / max(1e-9, sum(float(m[-1]) for m in moving)))
     if share == 1.0:
         return list(recordings)
-    ends = [int(np.searchsorted(m, max(LEAST_MOVING_S, share * m[-1]))) + 1 for m in moving]
+    ends = [max(LEAST_ROWS, int(np.searchsorted(m, max(LEAST_MOVING_S, share * m[-1]))) + 1) for m in moving]
     return [r if end >= r.samples else cut(r, slice(0, end)) for r, end in zip(recordings, ends, strict=True)]
 
 

@@ -140,3 +140,12 @@ def test_a_recording_of_another_rate_is_named(planar):
     slow = replace(planar[ODD], rate_hz=planar[ODD].rate_hz / 2, **half)  # type: ignore[arg-type]
     (found,) = odd([slow if k == ODD else r for k, r in enumerate(planar)])
     assert (found.recording, found.severity) == (slow.name, "fault") and "samples a second" in found.evidence
+
+
+def test_stamps_far_too_long_leave_rows_to_search(arm):
+    from tauext.doctor.arrangement import search_stretches
+    from tauext.doctor.motion import stretches
+
+    _, _, good = arm
+    slow = stretches([replace(r, t_ns=r.t_ns * 1_000_000, rate_hz=r.rate_hz / 1e6) for r in good])
+    assert min(len(s.q) for s in search_stretches(slow, 30.0)) > 9

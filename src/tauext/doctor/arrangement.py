@@ -14,7 +14,7 @@ from tauext import _core
 from tauext.doctor.finding import Finding
 from tauext.doctor.fit import columns_of, robust_solve, robust_spread
 from tauext.doctor.gravity import gravity_finding
-from tauext.doctor.motion import Stretch
+from tauext.doctor.motion import PADDED_ROWS, Stretch
 from tauext.doctor.offset import Offset, best_offset
 from tauext.doctor.payload import fit_load, loaded
 from tauext.doctor.regressors import Rows, rows_of
@@ -43,7 +43,7 @@ Best = tuple[float, str, str, tuple[list[str], Change, np.ndarray] | None, np.nd
 
 
 def search_stretches(stretches: Sequence[Stretch], seconds: float = SEARCH_S) -> list[Stretch]:
-    """A share of every stretch, so many seconds in all."""
+    """A share of every stretch, so many seconds in all; where that leaves too few rows the longest one, whole."""
     share = min(1.0, seconds / max(1e-9, sum(s.seconds for s in stretches)))
 
     def part(s: Stretch) -> Stretch:
@@ -51,7 +51,8 @@ def search_stretches(stretches: Sequence[Stretch], seconds: float = SEARCH_S) ->
         return replace(s, **{name: getattr(s, name)[rows] for name in ("q", "dq", "tau", "q_raw", "dq_raw")})
 
     parts = [part(s) for s in stretches]
-    return [s for s in parts if s.seconds > 2.0] or [max(stretches, key=lambda s: s.seconds)]
+    enough = [s for s in parts if s.seconds > 2.0 and len(s.q) > PADDED_ROWS]
+    return enough or [max(stretches, key=lambda s: s.seconds)]
 
 
 def exchanged_efforts(rows: Rows, joints: Sequence[str]) -> tuple[list[Finding], list[int]]:

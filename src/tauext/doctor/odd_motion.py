@@ -117,6 +117,12 @@ def _degrees(recording: Recording, one: Motion, others: Sequence[Motion]) -> lis
     return [Finding("odd-recording", "fault", joint, evidence, ADVICE, recording.name)]
 
 
+def _fault(recording: Recording, wrong: np.ndarray, evidence: str) -> Finding:
+    """Of these joints, by their numbers: one is named, more are all."""
+    joint = recording.joints[int(wrong[0])] if len(wrong) == 1 else None
+    return Finding("odd-recording", "fault", joint, evidence, ADVICE, recording.name)
+
+
 def _velocity(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:
     moves = np.array([np.isfinite(m.factor) for m in others])
     agree = np.array([(np.abs(m.factor - 1) < FACTOR_OFF) & (m.correlation > LEAST_CORRELATION) for m in others])
@@ -130,8 +136,7 @@ def _velocity(recording: Recording, one: Motion, others: Sequence[Motion]) -> li
         f"'{recording.name}': the velocity is {one.factor[j]:.4g} times the derivative of the position, correlation "
         f"{one.correlation[j]:.3f}, at {', '.join(recording.joints[k] for k in wrong)}; elsewhere it is the derivative"
     )
-    joint = recording.joints[j] if len(wrong) == 1 else None
-    return [Finding("odd-recording", "fault", joint, evidence, ADVICE, recording.name)]
+    return [_fault(recording, wrong, evidence)]
 
 
 def _torque_unit(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:
@@ -145,8 +150,7 @@ def _torque_unit(recording: Recording, one: Motion, others: Sequence[Motion]) ->
         f"'{recording.name}': torques of {', '.join(recording.joints[k] for k in wrong)} are of another unit, as it "
         f"seems: '{recording.joints[j]}' takes {one.torque_nm[j]:.3g}, elsewhere {low[j]:.3g} to {high[j]:.3g}"
     )
-    joint = recording.joints[j] if len(wrong) == 1 else None
-    return [Finding("odd-recording", "fault", joint, evidence, ADVICE, recording.name)]
+    return [_fault(recording, wrong, evidence)]
 
 
 def _turns(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:

@@ -23,7 +23,7 @@ MOST_MOVING_S = 180.0
 and scales show within half a minute, what is rare the cheap checks see."""
 LEAST_MOVING_S = 20.0
 """Of each recording, [s]: a shorter one shows too little to be held against the others."""
-LEAST_ROWS = 100
+LEAST_ROWS = 200
 """Of each recording: stamps of another unit make seconds of an hour, or hours of a second."""
 MOVES_RAD_S = 0.02
 FITTED = ("effort-scale", "effort-motor-side")

@@ -274,6 +274,8 @@ def test_numbers_that_make_no_sense_are_refused(tmp_path, monkeypatch):
         load_tree(write(tmp_path, two_links('armature="-1"')))
     with refused(r"arm\.xml: joint 'b': every number of a link must be finite"):
         load_tree(write(tmp_path, two_links(second='pos="nan 0 0"')))
+    with refused(r"every number of a link must be within \+-1e\+09, not 1e\+300"):
+        load_tree(write(tmp_path, two_links().replace('mass="1"', 'mass="1e300"', 1)))
 
 
 def test_joints_that_do_not_exist_are_refused_with_those_that_do(tmp_path):

@@ -44,17 +44,22 @@ Rotation columns(const std::array<double, 9>& r) noexcept {
   return {{r[0], r[3], r[6]}, {r[1], r[4], r[7]}, {r[2], r[5], r[8]}};
 }
 
-bool finite(std::span<const double> values) noexcept {
-  for (double v : values)
-    if (!std::isfinite(v)) return false;
-  return true;
+// Of a mass, a length, an inertia or a gravity, in SI units: products of larger ones end in infinite torques.
+constexpr double kLargestOfAnArm = 1e9;
+
+void expect_sizes_of_an_arm(std::span<const double> values, const std::string& who) {
+  for (double v : values) {
+    if (!std::isfinite(v)) throw Error(who + "must be finite");
+    if (std::fabs(v) > kLargestOfAnArm)
+      throw Error(who + "must be within +-" + to_text(kLargestOfAnArm) + ", not " + to_text(v));
+  }
 }
 
 void validate(const std::vector<Link>& links, const std::array<double, 3>& gravity) {
   const int n = static_cast<int>(links.size());
   if (n < 1 || n > kMaxJoints)
     throw Error("a tree has 1 to " + std::to_string(kMaxJoints) + " moving joints, not " + std::to_string(n));
-  if (!finite(gravity)) throw Error("gravity must be finite");
+  expect_sizes_of_an_arm(gravity, "gravity ");
   for (const Link& link : links) {
     const std::string who = "joint '" + link.joint_name + "': ";
     if (link.parent < -1 || link.parent >= n)
@@ -63,9 +68,10 @@ void validate(const std::vector<Link>& links, const std::array<double, 3>& gravi
     if (link.type != JointType::revolute && link.type != JointType::prismatic)
       throw Error(who + "the joint type must be revolute or prismatic");
     const double scalars[] = {link.mass, link.rotor_inertia};
-    if (!finite(link.rotation) || !finite(link.translation) || !finite(link.com) || !finite(link.inertia) ||
-        !finite(scalars))
-      throw Error(who + "every number of a link must be finite");
+    using Numbers = std::span<const double>;
+    for (Numbers numbers : {Numbers(link.rotation), Numbers(link.translation), Numbers(link.com), Numbers(link.inertia),
+                            Numbers(scalars)})
+      expect_sizes_of_an_arm(numbers, who + "every number of a link ");
     if (link.mass < 0) throw Error(who + "mass = " + std::to_string(link.mass) + " kg must be >= 0");
     if (link.rotor_inertia < 0)
       throw Error(who + "rotor inertia = " + std::to_string(link.rotor_inertia) + " must be >= 0");

@@ -164,6 +164,8 @@ void bad_links_are_refused() {
   refused([](auto& links) { links[1].rotor_inertia = -1; });
   refused([](auto& links) { links[1].com[2] = std::nan(""); });
   refused([](auto& links) { links[1].inertia[5] = std::numeric_limits<double>::infinity(); });
+  refused([](auto& links) { links[1].mass = 1e308; });  // finite, and no torque of it is
+  refused([](auto& links) { links[1].translation[0] = -2e9; });
   refused([](auto& links) { links[1].rotation[0] = 0.999; });
   refused([](auto& links) { links[1].rotation = {1, 0, 0, 0, 1, 0, 0, 0, -1}; });  // a reflection
   refused([](auto& links) { links[1].rotation[1] = 1e-8; });                       // a shear

@@ -82,11 +82,10 @@ def _of_stretch(
     time = picked(stretch.start_s + np.arange(len(q)) / rate, rate, rows_hz)
     tau = delayed(stretch.tau, lag_s, rate)
 
-    def filtered(x: np.ndarray) -> np.ndarray:
-        return picked(low_pass(x, min(cutoff_hz, rate / 6), rate), rate, rows_hz)
-
-    signals = (q, dq, tau, gravity, inertial, np.gradient(dq, 1 / rate, axis=0), np.stack(friction, axis=2))
-    return (time, np.full(len(time), stretch.recording), *(filtered(x) for x in signals))
+    signals = [q, dq, tau, gravity, inertial, np.gradient(dq, 1 / rate, axis=0), *friction]
+    together = picked(low_pass(np.concatenate(signals, axis=1), min(cutoff_hz, rate / 6), rate), rate, rows_hz)
+    parts = np.split(together, len(signals), axis=1)
+    return (time, np.full(len(time), stretch.recording), *parts[:6], np.stack(parts[6:], axis=2))
 
 
 def presliding(q: np.ndarray, widths_rad: Sequence[float], rate_hz: float) -> np.ndarray:

@@ -163,16 +163,16 @@ def _runs(leap: np.ndarray, least: float, longest: int) -> list[tuple[int, int]]
     """First row and row after the last, of runs that begin and end by leaps of at least so much, the second undoing
     the first."""
     found: list[tuple[int, int]] = []
-    big = np.flatnonzero(np.abs(leap) > least)
-    for i, at in enumerate(big.tolist()):
-        if found and at < found[-1][1]:
+    at = np.flatnonzero(np.abs(leap) > least)
+    rows, sizes = at.tolist(), leap[at].tolist()
+    for i, (first, up) in enumerate(zip(rows, sizes, strict=True)):
+        if found and first < found[-1][1]:
             continue
-        for back in big[i + 1 :].tolist():
-            if back - at > longest:
+        for back, down in zip(rows[i + 1 : i + 1 + longest], sizes[i + 1 : i + 1 + longest], strict=True):
+            if back - first > longest:
                 break
-            up, down = leap[at], leap[back]
             if (up < 0) != (down < 0) and abs(up + down) < RETURNED * min(abs(up), abs(down)):
-                found.append((at + 1, back + 1))
+                found.append((first + 1, back + 1))
                 break
     return found
 

@@ -130,6 +130,23 @@ def test_contact_that_nobody_labelled_is_told_with_time_joint_and_torque(six):
     assert found.severity == "warning" and "'joint3' at 20.0 s of 'free-1'" in found.evidence
 
 
+def test_velocity_that_stands_still_by_chance_near_its_mean_is_stuck(six):
+    """Over the whole second the joint goes as far as the held value says, in between it does not."""
+    arm = six.made.recordings[0]
+    speed = arm.dq[:, 1]
+    at = int(np.argmax(speed)) - 30
+    way = arm.q[at + 99, 1] - arm.q[at, 1]
+    dq = arm.dq.copy()
+    dq[at : at + 100, 1] = way / (arm.time_s[at + 99] - arm.time_s[at])
+    found = [f for f in examine([replace(arm, dq=dq)]).findings if f.code == "stuck"]
+    assert [f.joint for f in found] == ["joint2"] and "dq stays" in found[0].evidence
+
+
+def test_torque_in_a_thousand_times_its_unit_is_named_against_a_model(six):
+    findings = examine([replace(r, tau=1e3 * r.tau) for r in six.made.recordings], six.urdf).findings
+    assert {f.code for f in findings if f.severity == "fault"} == {"effort-scale"}
+
+
 def test_coarse_current_that_rests_on_a_level_is_not_stuck():
     """A slow joint of a current in steps of a tenth of its spread keeps each level for a while."""
     t = np.arange(6000) / 100.0

@@ -99,6 +99,25 @@ def test_shifted_zero_is_named_in_rad(arm, by, told):
     assert found.severity == ("fault" if abs(by) > 0.5 else "warning")
 
 
+@pytest.mark.parametrize("late_s", [0.025, -0.06])
+def test_a_recording_whose_torque_comes_late_is_named_in_ms(arm, late_s):
+    path, _, good = arm
+    shifted = np.round(late_s * good[ODD].rate_hz).astype(int)
+    recordings = [replace(r, tau=np.roll(r.tau, shifted, axis=0)) if k == ODD else r for k, r in enumerate(good)]
+    (found,) = odd(recordings, path)
+    assert (found.recording, found.joint, found.severity) == (good[ODD].name, None, "warning")
+    told_ms = float(found.evidence.split(" by ")[1].split()[0])
+    assert abs(told_ms - 1e3 * late_s) < 0.2 * 1e3 * abs(late_s)  # the fit is by the torque's slope alone
+
+
+def test_a_zero_that_is_a_little_off_is_named(arm):
+    """Less than what doubles the error."""
+    path, _, good = arm
+    recordings = [replace(r, q=one(r, "q", lambda x: x + 0.1)) if k == ODD else r for k, r in enumerate(good)]
+    (found,) = odd(recordings, path)
+    assert (found.recording, found.joint, found.severity) == (good[ODD].name, "joint2", "warning")
+
+
 def test_another_load_is_a_warning(arm):
     path, tree, good = arm
     heavier = made_motion(with_load(tree, np.array([6.0, 0.1, 0.0, 0.5])), 0.5, 100.0, seed=5, pieces=1).recordings[0]

@@ -18,6 +18,7 @@ from tauext.calibrate import recalibrate
 from tauext.cli import main
 from tauext.config import AlarmConfig, TrainConfig
 from tauext.data import Recording, Split, load_dataset, load_recording, save_recording, save_split
+from tauext.data.amperes import FROM_AMPERES
 from tauext.doctor import CODES, Finding
 from tauext.errors import ConfigError, FaultyDataError
 from tauext.look import judge
@@ -195,6 +196,22 @@ def test_labelled_contacts_are_left_out_and_no_fault(data, tmp_path, capsys):
     assert not kept(tmp_path / "a.tauext")["training"]["accepted"]
 
 
+def test_contacts_are_looked_for_beyond_the_share_that_all_checks_look_at(data, tmp_path, monkeypatch):
+    """A push of 0.3 s at the end of one recording, once with a label that comes 0.5 s late, once with the right one."""
+    monkeypatch.setattr("tauext.look.viewing.MOST_MOVING_S", 20.0)
+    monkeypatch.setattr("tauext.look.viewing.LEAST_MOVING_S", 8.0)
+    whole = load_recording(data / "one.parquet")
+    push = (whole.time_s > 14.0) & (whole.time_s < 14.3)
+    tau = whole.tau + 4 * whole.tau.std(axis=0) * push[:, None]
+    for late_s in (0.5, 0.0):
+        label = np.roll(push, round(late_s * whole.rate_hz)).astype(np.int8)
+        save_recording(replace(whole, contact=label, tau=tau), data / "one.parquet")
+        train_bundle(load_dataset(data), tmp_path / f"{late_s}.tauext", config=OBSERVER)
+        warned = kept(tmp_path / f"{late_s}.tauext")["training"]["warnings"]
+        contacts = [w["evidence"] for w in warned if w["code"] == "contact-in-free-motion"]
+        assert len(contacts) == (1 if late_s else 0) and all("at 14." in told for told in contacts)
+
+
 def test_calibrate_looks_at_its_recordings_and_keeps_what_training_found(data, tmp_path, capsys, monkeypatch):
     """Its 20 s of motion support no limits: these are not looked for."""
     found = SimpleNamespace(sentence=lambda: "found")
@@ -237,6 +254,16 @@ def test_a_factor_that_training_finds_is_no_fault(data, tmp_path):
         spoil(data, name, tau=lambda tau: 0.5 * tau)
     config = replace(OBSERVER, fit_torque_constants=True)
     train_bundle(load_dataset(data), tmp_path / "a.tauext", config=config)
+
+
+def test_a_given_constant_that_is_far_off_is_told(data, tmp_path):
+    """Training would correct it, and say so; half of it is no correction."""
+    for name in ("one", "two", "three"):
+        recording = load_recording(data / f"{name}.parquet")
+        given = {**recording.provenance, "torque": FROM_AMPERES}
+        save_recording(replace(recording, tau=0.5 * recording.tau, provenance=given), data / f"{name}.parquet")
+    train_bundle(load_dataset(data), tmp_path / "a.tauext", config=OBSERVER)
+    assert "effort-scale" in {warning["code"] for warning in kept(tmp_path / "a.tauext")["training"]["warnings"]}
 
 
 def test_warnings_are_told_once_and_faults_of_many_joints_are_accepted_by_their_code():

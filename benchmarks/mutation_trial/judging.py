@@ -38,7 +38,9 @@ class Seen:
 
     @property
     def key(self) -> tuple[str | None, ...]:
-        return (self.code, self.joint, self.severity, self.recording)
+        """Equal findings have equal keys; of contacts there are more where more are told."""
+        count = self.evidence.split(" disturbance")[0] if self.code == "contact-in-free-motion" else None
+        return (self.code, self.joint, self.severity, self.recording, count)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,6 @@
 from tauext.doctor.examine import Diagnosis, examine
 from tauext.doctor.finding import CODES, Finding
 from tauext.doctor.gather import gather
-from tauext.doctor.quick import quick_look
+from tauext.doctor.quick import quick_look, unlabelled_contacts
 
-__all__ = ["CODES", "Diagnosis", "Finding", "examine", "gather", "quick_look"]
+__all__ = ["CODES", "Diagnosis", "Finding", "examine", "gather", "quick_look", "unlabelled_contacts"]

@@ -11,12 +11,14 @@ from tauext import _core
 from tauext.config import FreeMotionConfig
 from tauext.data import Recording
 from tauext.doctor.finding import Finding
-from tauext.doctor.fit import CONSTANT, columns_of, robust_solve, robust_spread
-from tauext.doctor.motion import POSITION_CUTOFF_HZ, Stretch, low_pass
-from tauext.doctor.regressors import FRICTION, Rows, rows_of
+from tauext.doctor.fit import CONSTANT, LEAST_ROWS, columns_of, robust_solve, robust_spread
+from tauext.doctor.motion import POSITION_CUTOFF_HZ, Stretch, low_pass, stretches
+from tauext.doctor.regressors import FRICTION, PRESLIDING_RAD, Rows, picked, rows_of
 
 CUTOFF_HZ, ROWS_HZ = 10.0, 50.0
 """An impact lasts 50 to 200 ms: the fits' own filter would take half of it."""
+END_S = 0.05
+"""Left out of a stretch: a program that ends in an impact, or is stopped by one, ends in it."""
 WINDOW_S = 0.5
 LEAST_WINDOWS = 60
 USUAL = 90
@@ -29,7 +31,8 @@ LEAST_SHARE = 0.1
 """Of the torque's spread, or of its swing in the window: steps of acceleration are explained but for some of that."""
 MOVING_RAD_S = 0.02
 CRAWL_RAD_S = 0.05
-"""A joint that is as slow may stick and slip: there it takes more than its whole friction."""
+CRAWLS = 0.5
+"""A joint that is as slow may stick and slip: there it takes so much of its friction more."""
 TOLD = 3
 SPOILING = ("stuck", "saturated", "smoothed", "clock-irregular", "repeated-rows", "quantised")
 """Findings after which torque that no motion explains is no contact."""
@@ -56,25 +59,38 @@ def contact_findings(recordings: Sequence[Recording], called_free: Collection[st
     return found
 
 
-def unlabelled_findings(
-    stretches: Sequence[Stretch], tree: _core.Tree | None, lag_s: float, recordings: Sequence[Recording]
-) -> list[Finding]:
-    """Disturbances far beyond the usual error, where no contact is labelled or near a label; one finding for all.
+def unlabelled_findings(recordings: Sequence[Recording], tree: _core.Tree | None, lag_s: float = 0.0) -> list[Finding]:
+    """Disturbances far beyond the usual error that training would take for free motion; one finding for all.
 
-    Without a model there is none: what its gravity is off by at a rare pose looks like a push. Impacts
-    and pushes that stay below a few times what friction does at reversals are not seen.
+    What it leaves out around a label is not looked at, all else is: a label that comes late shows here. Without a model
+    there is none: what its gravity is off by at a rare pose looks like a push. Impacts and pushes that stay below a few
+    times what friction does at reversals are not seen.
+
+    Args:
+        recordings: with nothing wrong about their signals.
+        tree: the model, or None.
+        lag_s: by which the torque comes late.
     """
     # the torque through the positions' own filter, or steps of acceleration would be seen in the torque alone
-    motion = [replace(s, tau=low_pass(s.tau, min(POSITION_CUTOFF_HZ, 0.3 * s.rate_hz), s.rate_hz)) for s in stretches]
+    motion = [
+        replace(s, tau=low_pass(s.tau, min(POSITION_CUTOFF_HZ, 0.3 * s.rate_hz), s.rate_hz))
+        for s in stretches(recordings, contacts=True)
+    ]
     if not motion or tree is None:
         return []
-    rows = rows_of(motion, tree, lag_s, CUTOFF_HZ, ROWS_HZ)
-    errors, friction = (np.stack(x, axis=1) for x in zip(*(_error(rows, j) for j in range(rows.joints)), strict=True))
-    spread = np.maximum([robust_spread(x) for x in errors.T], 1e-12)
+    rows = rows_of(motion, tree, lag_s, CUTOFF_HZ, ROWS_HZ, END_S)
+    free = ~near_label(rows, recordings)
+    known = np.concatenate([picked(has_moved(s), s.rate_hz, ROWS_HZ, END_S) for s in motion])
+    if free.sum() < LEAST_ROWS:
+        return []
+    errors, friction = (
+        np.stack(x, axis=1) for x in zip(*(_error(rows, j, free) for j in range(rows.joints)), strict=True)
+    )
+    spread = np.maximum([robust_spread(x) for x in errors[free].T], 1e-12)
+    errors[~(known & free[:, None])] = 0.0
     number = np.unique((rows.time_s // WINDOW_S).astype(int), return_inverse=True)[1]
     windows = np.split(np.arange(len(number)), np.flatnonzero(np.diff(number)) + 1)
     largest = np.stack([np.abs(errors[at]).max(axis=0) for at in windows])
-    near = near_label(rows, recordings)
     moving = np.array([(np.abs(rows.dq[at]) > MOVING_RAD_S).any() for at in windows])
     if moving.sum() < LEAST_WINDOWS:
         return []
@@ -82,12 +98,11 @@ def unlabelled_findings(
     swings = np.stack([np.ptp(rows.tau[at], axis=0) for at in windows])
     crawls = np.stack([np.abs(rows.dq[at]).min(axis=0) < CRAWL_RAD_S for at in windows])
     least = LEAST_SHARE * np.maximum(swings, rows.tau.std(axis=0))
-    seen = largest > least + crawls * np.percentile(np.abs(friction), USUAL, axis=0)
+    seen = largest > least + CRAWLS * crawls * np.percentile(np.abs(friction), USUAL, axis=0)
     times, spreads = largest / usual, largest / spread
     alone = seen & (times > ALONE) & (spreads > SPREADS_ALONE)
     together = seen & (times > TOGETHER) & (spreads > SPREADS_TOGETHER)
     touched = alone.any(axis=1) | (together.sum(axis=1) >= 2)
-    touched &= ~np.array([bool(near[at].any()) for at in windows])
     if not touched.any():
         return []
     begins = np.flatnonzero(touched & ~np.r_[False, touched[:-1]])
@@ -98,6 +113,22 @@ def unlabelled_findings(
     evidence = f"{len(begins)} {what} of the torque that no motion explains: {'; '.join(told)}"
     advice = "look there: leave contacts out of training and limits, by a label or by cutting the recording"
     return [Finding("contact-in-free-motion", "warning", None, evidence, advice)]
+
+
+def has_moved(stretch: Stretch) -> np.ndarray:
+    """(samples, joints) bool: the joint has gone so far that it is known which way friction holds it."""
+    gone = np.maximum.accumulate(np.abs(stretch.q - stretch.q[0]), axis=0)
+    return gone > 2 * max(PRESLIDING_RAD)
+
+
+def is_unlabelled_contact(finding: Finding) -> bool:
+    """Whether it is of `unlabelled_findings`."""
+    return finding.code == "contact-in-free-motion" and finding.recording is None
+
+
+def spoils_contacts(findings: Collection[Finding]) -> bool:
+    """Whether signals are such that torque which no motion explains is no contact."""
+    return any(finding.code in SPOILING for finding in findings)
 
 
 def near_label(rows: Rows, recordings: Sequence[Recording]) -> np.ndarray:
@@ -114,13 +145,14 @@ def near_label(rows: Rows, recordings: Sequence[Recording]) -> np.ndarray:
     return near
 
 
-def _error(rows: Rows, j: int) -> tuple[np.ndarray, np.ndarray]:
-    """What gravity, inertia and friction leave of a joint's torque, and the friction (rows,), [N m]."""
+def _error(rows: Rows, j: int, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What gravity, inertia and friction, as fitted to free rows, leave of a joint's torque, and the friction (rows,),
+    [N m]."""
     columns, torque = columns_of(rows, j), rows.tau[:, j]
-    weights = robust_solve(columns, torque)[0]
+    weights = robust_solve(columns[free], torque[free])[0]
     error = torque - columns @ weights
     resists = slice(CONSTANT + 1, CONSTANT + FRICTION)
-    return error - np.median(error), columns[:, resists] @ weights[resists]
+    return error - np.median(error[free]), columns[:, resists] @ weights[resists]
 
 
 def _told(

@@ -25,6 +25,8 @@ ABSENT = 0.15
 """Gravity factor below which there is no gravity in the torque ..."""
 ABSENT_SHARE = 0.2
 """... unless what there is makes up this share of the torque (then the unit is small, not gravity)."""
+FAR = 50.0
+"""Times what gravity and inertia make: no friction is as much at a joint that gravity loads; a unit is."""
 LITTLE = 0.5
 """Share of variance explained, below which there is neither gravity, nor friction, nor inertia in an effort."""
 
@@ -60,6 +62,21 @@ def strong_joints(rows: Rows, fits: Sequence[JointFit]) -> list[int]:
         and rows.gravity[:, j].std() > 0.02 * rows.gravity.std(axis=0).max()
         and (rows.gravity[:, j].std() > STRONG * fit.torque_nm or fit.gravity_nm > SHOWN * fit.torque_nm)
     ]
+
+
+def far_findings(rows: Rows, joints: Sequence[str], fits: Sequence[JointFit]) -> list[Finding]:
+    """Findings of efforts so large that a fit sees nothing of the model in them."""
+    model_nm, gravity_nm = rows.model.std(axis=0), rows.gravity.std(axis=0)
+    found = []
+    for j, fit in enumerate(fits):
+        if gravity_nm[j] > 0.02 * gravity_nm.max() and fit.torque_nm > FAR * model_nm[j]:
+            evidence = (
+                f"the effort varies by {fit.torque_nm:.3g}, gravity and inertia of the model by {model_nm[j]:.3g} Nm: "
+                f"{fit.torque_nm / model_nm[j]:.2g} times as much"
+            )
+            advice = "another unit, mNm or encoder counts for instance: convert it to Nm at import"
+            found.append(Finding("effort-scale", "fault", joints[j], evidence, advice))
+    return found
 
 
 def kind_findings(

@@ -13,10 +13,10 @@ from tauext.data import Recording
 from tauext.data.amperes import from_amperes, in_amperes
 from tauext.doctor.arrangement import exchanged_efforts, rearranged
 from tauext.doctor.clock import clock_findings
-from tauext.doctor.contacts import SPOILING, contact_findings, unlabelled_findings
+from tauext.doctor.contacts import contact_findings, spoils_contacts, unlabelled_findings
 from tauext.doctor.delay import delay_findings, torque_lags
 from tauext.doctor.drift import drift_findings
-from tauext.doctor.effort import inverted, kind_findings, scale_findings, sign_findings, strong_joints
+from tauext.doctor.effort import far_findings, inverted, kind_findings, scale_findings, sign_findings, strong_joints
 from tauext.doctor.excitation import SEARCH_S, excitation_findings, moving_s
 from tauext.doctor.finding import SEVERITIES, Finding
 from tauext.doctor.fit import LEAST_ROWS, JointFit, fit_joint
@@ -65,6 +65,10 @@ class Diagnosis:
     rows: Rows | None = None
     """The mended data that the last fit was made of; None where nothing moves."""
     fits: list[JointFit] = field(default_factory=list)
+    tree: _core.Tree | None = None
+    """The model, with a load or a gravity that the file lacks; None where there is none."""
+    lag_s: float = 0.0
+    """By which the torque comes late."""
 
     @property
     def faulty(self) -> bool:
@@ -136,13 +140,14 @@ def _examine(
     rows: Rows | None = None
     fits: list[JointFit] = []
     lags: list[tuple[float, float, float]] = []
+    lag_s = 0.0
     if not standing and motion and len(rows_of(motion, None).time_s) >= LEAST_ROWS:
-        torque_found, rows, fits, lags = _torque(motion, tree, joints, recordings, found, begin)
+        torque_found, rows, fits, lags, tree, lag_s = _torque(motion, tree, joints, recordings, found, begin)
         found += _of_currents(torque_found) if in_amperes(recordings) or from_amperes(recordings) else torque_found
     elif tree is not None:
         found += pose_findings(recordings, tree, joints)
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
-    return Diagnosis(joints, found, _facts(recordings, velocities, rows, fits, lags), rows, fits)
+    return Diagnosis(joints, found, _facts(recordings, velocities, rows, fits, lags), rows, fits, tree, lag_s)
 
 
 def _same_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
@@ -197,14 +202,13 @@ def _torque(
     recordings: Sequence[Recording],
     signal_findings: Sequence[Finding],
     begin: Callable[[str], None],
-) -> tuple[list[Finding], Rows, list[JointFit], list[tuple[float, float, float]]]:
+) -> tuple[list[Finding], Rows, list[JointFit], list[tuple[float, float, float]], _core.Tree | None, float]:
     """Order, axes, zeros, sign, gravity, delay, kind and payload, friction over time, contacts: each on what the one
-    before mended."""
+    before mended. Findings, the last rows and fits, the lags, the mended model and the lag of the torque."""
     n = len(joints)
     begin("order of the torques")
     rows = rows_of(motion, tree)
     found: list[Finding] = []
-    spoilt = any(finding.code in SPOILING for finding in signal_findings)
     long_enough = moving_s(motion) >= SEARCH_S
     if long_enough:
         found, column = exchanged_efforts(rows, joints)
@@ -239,8 +243,9 @@ def _torque(
         fits = [fit_joint(rows, j) for j in range(n)]
     begin("drift and contacts")
     found += drift_findings(rows, joints, fits, recordings)
-    found += [] if spoilt else unlabelled_findings(motion, tree, lag_s, recordings)
-    return found, rows, fits, lags
+    if not spoils_contacts(signal_findings) and not any(f.severity == "fault" for f in found):
+        found += unlabelled_findings(recordings, tree, lag_s)
+    return found, rows, fits, lags, tree, lag_s
 
 
 def _of_currents(found: Sequence[Finding]) -> list[Finding]:
@@ -258,6 +263,7 @@ def _scale(
 ) -> tuple[list[Finding], _core.Tree]:
     """A payload where it explains every factor, else the factors; and the tree with the payload."""
     found, judged = kind_findings(rows, joints, fits, strong_joints(rows, fits))
+    found += far_findings(rows, joints, fits)
     factors = scale_findings(joints, fits, judged)
     if found or not judged:
         return found + factors, tree

@@ -62,11 +62,15 @@ def _butterworth(cutoff_hz: float, rate_hz: float) -> np.ndarray:
     return butter(2, cutoff_hz, fs=rate_hz, output="sos")
 
 
-def stretches(recordings: Iterable[Recording]) -> list[Stretch]:
-    """All stretches of at least LEAST_STRETCH_S; rows equal to the one before and labelled contacts are left out."""
+def stretches(recordings: Iterable[Recording], contacts: bool = False) -> list[Stretch]:
+    """All stretches of at least LEAST_STRETCH_S; rows equal to the one before and labelled contacts are left out.
+
+    Args:
+        contacts: they are not.
+    """
     found, start_s = [], 0.0
     for number, recording in enumerate(recordings):
-        for rows in _whole(recording):
+        for rows in _whole(recording, contacts):
             stretch = _even(recording, rows, number, start_s)
             if stretch is not None:
                 found.append(stretch)
@@ -85,10 +89,10 @@ def repeated_rows(recording: Recording) -> np.ndarray:
     return repeated
 
 
-def _whole(recording: Recording) -> list[np.ndarray]:
+def _whole(recording: Recording, contacts: bool) -> list[np.ndarray]:
     """Rows of each stretch, repeats left out."""
     keep = ~repeated_rows(recording)
-    if recording.contact is not None:
+    if recording.contact is not None and not contacts:
         touched = recording.time_s[recording.contact == 1]
         if len(touched):
             after = np.searchsorted(touched, recording.time_s)

@@ -206,14 +206,7 @@ def _of_load(
     rows: Rows, predicted: np.ndarray, stretches: Sequence[Stretch], tree: _core.Tree, joints: Sequence[str]
 ) -> Iterator[Mend]:
     """A mass at the last link more or less than the others carry."""
-    columns = []
-    for k in range(4):
-        links = list(tree.links)
-        parameters = inertial_parameters(links[-1])
-        parameters[k] += 1.0
-        links[-1] = with_inertial_parameters(links[-1], parameters)
-        columns.append(rows_of(stretches, _core.Tree(links, tree.gravity)).model - rows.model)
-    shared, error = np.stack(columns, axis=2), rows.tau - predicted
+    shared, error = load_columns(stretches, tree, rows), rows.tau - predicted
     scale = 1 / spread_about_zero(error)
     for _ in range(3):
         x = (shared * scale[:, None]).reshape(-1, 4)
@@ -223,3 +216,19 @@ def _of_load(
         way = "more" if load[0] > 0 else "less"
         told = f"{abs(load[0]):.2g} kg {way} at '{joints[-1]}' than in the others taken into account"
         yield Mend(told, None, spread_about_zero(error - shared @ load), "warning", 4, rough=True)
+
+
+def load_columns(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) -> np.ndarray:
+    """Torque a kg, and a kg m of first moment, at the last link: (rows, joints, 4).
+
+    Args:
+        rows: of these stretches with this tree.
+    """
+    columns = []
+    for k in range(4):
+        links = list(tree.links)
+        parameters = inertial_parameters(links[-1])
+        parameters[k] += 1.0
+        links[-1] = with_inertial_parameters(links[-1], parameters)
+        columns.append(rows_of(stretches, _core.Tree(links, tree.gravity)).model - rows.model)
+    return np.stack(columns, axis=2)

@@ -11,9 +11,10 @@ from tauext import _core
 from tauext.doctor.arrangement import search_stretches
 from tauext.doctor.effort import inverted
 from tauext.doctor.finding import Finding
-from tauext.doctor.fit import LEAST_ROWS, columns_of, fit_joint, robust_solve
+from tauext.doctor.fit import LEAST_ROWS, SEEN, columns_of, fit_joint, robust_solve
 from tauext.doctor.motion import FIT_ROWS_HZ, Stretch
 from tauext.doctor.odd_mends import Mend, mends_of_motion, mends_of_torque, spread_about_zero
+from tauext.doctor.odd_shift import odd_shifts
 from tauext.doctor.regressors import Rows, rows_of
 from tauext.doctor.sign import sign_vote
 
@@ -42,9 +43,9 @@ LEAST_DRIVEN_S = 20.0
 """Of motion, in which friction shows on a joint by itself."""
 PER_PARAMETER = 0.15
 """Of the gain, for each free number of a mend."""
-UNLIKE, UNLIKE_MATTERS, MOSTLY_COMPARABLE = 3.0, 0.4, 0.8
+UNLIKE, UNLIKE_MATTERS, MOSTLY_COMPARABLE, UNLIKE_S = 3.2, 0.4, 0.8, 8.0
 """Told without a mend from so many times the usual error and such a share of the spread on, where so large a share
-of the motion is the others': a cold arm's friction is less."""
+of the motion is the others', for so long: a cold arm's friction is less, and after rest it is unknown."""
 REACH = 3.0
 """Rows of so many times the others' leverage are of motion that the others do not have ..."""
 COMPARABLE = 0.3
@@ -101,7 +102,13 @@ def odd_torques(
             found.append(_finding(replace(mend, severity=severity), before, pool, joints, names[k]))
         elif tree is not None and (unlike := _unlike(parts[k], pool, joints, names[k])) is not None:
             found.append(unlike)
-    if tree is None:
+    if tree is not None:
+        named = {f.recording for f in found}
+        parts_left = {k: part for k, part in parts.items() if names[k] not in named}
+        left_nm = {k: part.tau - pool.predicted(part) for k, part in parts_left.items()}
+        usual_nm = np.maximum(pool.usual_nm, SEEN * pool.spread_nm)
+        found += odd_shifts(parts_left, left_nm, usual_nm, motion, tree, joints, names)
+    else:
         found += _driven(
             {k: part for k, part in parts.items() if names[k] not in {f.recording for f in found}}, joints, names
         )
@@ -215,7 +222,7 @@ def _unlike(part: Rows, pool: Pool, joints: Sequence[str], name: str) -> Finding
     """Where nothing mends a recording, and its motion is the others' all the same."""
     error, usual = pool.errors(part), np.maximum(pool.usual_nm, 1e-9)
     off = (error > UNLIKE * usual) & (error > UNLIKE_MATTERS * pool.spread_nm)
-    if not off.any() or pool.comparable(part, off) < MOSTLY_COMPARABLE:
+    if not off.any() or len(part.time_s) < UNLIKE_S * FIT_ROWS_HZ or pool.comparable(part, off) < MOSTLY_COMPARABLE:
         return None
     j = int(np.argmax(np.where(off, error / usual, 0)))
     evidence = (

@@ -1,11 +1,15 @@
-"""The cheap look at one recording: no fits, so that hours pass in seconds."""
+"""The cheap looks: at one recording without any fit, and at all of them with one, so that hours pass in seconds."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from tauext.data import Recording
 from tauext.doctor.clock import clock_findings
+from tauext.doctor.contacts import unlabelled_findings
+from tauext.doctor.examine import Diagnosis
 from tauext.doctor.finding import SEVERITIES, Finding
 from tauext.doctor.motion import stretches
 from tauext.doctor.sensors import sensor_findings
@@ -32,6 +36,18 @@ def quick_look(recording: Recording, torque_limits_nm: np.ndarray | None) -> lis
     found += [f for f in sensor_findings([mended]) if f.code not in OF_ALL]
     found += degree_findings([mended], stretches([mended]))
     return sorted((_of(recording, f) for f in found), key=lambda f: SEVERITIES.index(f.severity))
+
+
+def unlabelled_contacts(recordings: Sequence[Recording], diagnosis: Diagnosis) -> list[Finding]:
+    """What `examine` says of contacts without a label, of more than it saw.
+
+    Args:
+        recordings: of the same joints.
+        diagnosis: of a share of them, without a fault.
+    """
+    normal = normal_ranges(recordings)
+    mended = [without_spikes(r, spikes_of(r, normal)) for r in recordings]
+    return unlabelled_findings(mended, diagnosis.tree, diagnosis.lag_s)
 
 
 def _of(recording: Recording, finding: Finding) -> Finding:

@@ -16,6 +16,7 @@ PRESLIDING_RAD = (5e-4, 5e-3)
 """Travel in which friction turns round after a reversal. It is kept at rest, where a sign of the speed says 0 and what
 friction holds would be taken for gravity: a joint mostly comes to rest from the side of its middle."""
 PRESLIDING_RATE_HZ = 100.0
+END_S = 0.2
 FRICTION = 2 + len(COULOMB_SPEEDS_RAD_S) + len(PRESLIDING_RAD)  # constant, viscous, Coulomb, presliding
 
 
@@ -52,6 +53,7 @@ def rows_of(
     lag_s: float = 0.0,
     cutoff_hz: float = FIT_CUTOFF_HZ,
     rows_hz: float = FIT_ROWS_HZ,
+    end_s: float = END_S,
 ) -> Rows:
     r"""LP(tau) beside LP(dp/dt + beta) and friction of the same motion.
 
@@ -63,13 +65,14 @@ def rows_of(
         lag_s: the torque is taken so much later than its stamp says; positive where torque lags behind motion.
         cutoff_hz: of the low-pass.
         rows_hz: rows a second.
+        end_s: left out at both ends of a stretch.
     """
-    parts = [_of_stretch(stretch, tree, lag_s, cutoff_hz, rows_hz) for stretch in stretches]
+    parts = [_of_stretch(stretch, tree, lag_s, cutoff_hz, rows_hz, end_s) for stretch in stretches]
     return Rows(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def _of_stretch(
-    stretch: Stretch, tree: _core.Tree | None, lag_s: float, cutoff_hz: float, rows_hz: float
+    stretch: Stretch, tree: _core.Tree | None, lag_s: float, cutoff_hz: float, rows_hz: float, end_s: float
 ) -> tuple[np.ndarray, ...]:
     q, dq, rate = stretch.q, stretch.dq, stretch.rate_hz
     gravity = inertial = np.zeros_like(q)
@@ -79,11 +82,11 @@ def _of_stretch(
         inertial = np.gradient(momentum, 1 / rate, axis=0) + beta - gravity
     friction = [np.ones_like(dq), dq] + [np.tanh(dq / speed) for speed in COULOMB_SPEEDS_RAD_S]
     friction += list(np.moveaxis(presliding(q, PRESLIDING_RAD, rate), 2, 0))
-    time = picked(stretch.start_s + np.arange(len(q)) / rate, rate, rows_hz)
+    time = picked(stretch.start_s + np.arange(len(q)) / rate, rate, rows_hz, end_s)
     tau = delayed(stretch.tau, lag_s, rate)
 
     signals = [q, dq, tau, gravity, inertial, np.gradient(dq, 1 / rate, axis=0), *friction]
-    together = picked(low_pass(np.concatenate(signals, axis=1), min(cutoff_hz, rate / 6), rate), rate, rows_hz)
+    together = picked(low_pass(np.concatenate(signals, axis=1), min(cutoff_hz, rate / 6), rate), rate, rows_hz, end_s)
     parts = np.split(together, len(signals), axis=1)
     return (time, np.full(len(time), stretch.recording), *parts[:6], np.stack(parts[6:], axis=2))
 
@@ -121,7 +124,7 @@ def delayed(x: np.ndarray, lag_s: float, rate_hz: float) -> np.ndarray:
     return np.stack([np.interp(at + lag_s, at, column) for column in x.T], axis=1)
 
 
-def picked(x: np.ndarray, rate_hz: float, rows_hz: float = FIT_ROWS_HZ) -> np.ndarray:
+def picked(x: np.ndarray, rate_hz: float, rows_hz: float = FIT_ROWS_HZ, end_s: float = END_S) -> np.ndarray:
     """Rows at `rows_hz`, the ends left out, where a filter that runs both ways sees one side only."""
-    end = int(0.2 * rate_hz)
+    end = int(end_s * rate_hz)
     return x[end : len(x) - end : max(1, round(rate_hz / rows_hz))]

@@ -18,6 +18,8 @@ STUCK_S = 0.2
 STUCK_RAD = 0.02
 STUCK_TIMES = 10.0
 """... and so many times longer than 99 of 100 equal runs: a current or speed of few levels keeps each for a while."""
+CRUISE = 0.05
+"""Share of the way by which a position may leave the line of a velocity that is constant in truth."""
 CLEAN = 1e-3
 """Noise as a share of the torque's spread. Motor currents and torque sensors have 0.01 to 0.2, none a thousandth."""
 CLEAN_RATE_HZ = 60.0
@@ -96,14 +98,10 @@ def _stuck(recordings: Sequence[Recording], j: int, joint: str) -> Finding | Non
                 if x[first] in ends.get(signal, ()):
                     continue
                 other = travelled[signal][first : last + 1, j]
-                if signal == "q":
-                    way = abs(float(other.mean())) * seconds
-                else:
-                    way = float(np.ptp(other))
-                # a constant velocity that says what the position does is a cruise, not a fault
-                step = velocity_step if signal == "dq" else 0.0
-                cruise = signal == "dq" and abs(abs(x[first]) * seconds - way) < max(0.1 * way, step * seconds)
-                if way < STUCK_RAD or cruise:
+                way = abs(float(other.mean())) * seconds if signal == "q" else float(np.ptp(other))
+                if way < STUCK_RAD:
+                    continue
+                if signal == "dq" and _cruises(r, j, first, last, max(CRUISE * way, velocity_step * seconds)):
                     continue
                 count += 1
                 if seconds > longest:
@@ -115,6 +113,13 @@ def _stuck(recordings: Sequence[Recording], j: int, joint: str) -> Finding | Non
     evidence = f"{count} times, the longest: {told}, while the joint turns"
     advice = "a driver that repeats its last value: look for lost packets of this joint; leave these stretches out"
     return Finding("stuck", "fault", joint, evidence, advice)
+
+
+def _cruises(r: Recording, j: int, first: int, last: int, within_rad: float) -> bool:
+    """Whether the position goes all the while by what the constant velocity of these rows says: no fault."""
+    since_s = (r.t_ns[first : last + 1] - r.t_ns[first]) * 1e-9
+    gone = r.q[first : last + 1, j] - r.q[first, j]
+    return bool(np.abs(gone - r.dq[first, j] * since_s).max() < within_rad)
 
 
 def _least_step(x: np.ndarray) -> float:

@@ -1,4 +1,4 @@
-"""All checks look at a share of what is learned from, the cheap ones at every sample of every recording."""
+"""All checks look at a share of what is learned from; the cheap ones, and for contacts, at every sample of it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import numpy as np
 
 from tauext.data import Recording, load_recording
 from tauext.data.cut import cut
-from tauext.doctor import Finding, examine, quick_look
+from tauext.doctor import Diagnosis, Finding, examine, quick_look, unlabelled_contacts
+from tauext.doctor.contacts import is_unlabelled_contact, spoils_contacts
 from tauext.doctor.finding import Severity
 from tauext.look.memory import digest_of, file_digest, remembered
 from tauext.look.verdict import Look
@@ -57,7 +58,7 @@ def look_at_training(
         recordings: for training and validation, as they will be used.
         robot: the robot file; None: there is no model, and nothing is held against one.
         limits_nm: largest torque of each drive, (joints,); None: tau is in another unit, or nothing is known.
-        finds_constants: whether training finds what tau is to be multiplied by.
+        finds_constants: whether training finds what tau is to be multiplied by, which nobody knows before.
         threads: 0: one a core. What is found does not depend on it.
     """
     settings = [str(finds_constants), "none" if robot is None else file_digest(robot), _words(limits_nm)]
@@ -67,11 +68,20 @@ def look_at_training(
 
     def find() -> list[Finding]:
         few = shares(recordings)
-        tasks: list[Callable[[], list[Finding]]] = [lambda: examine(few, robot).findings]
-        tasks += [_quick(one, limits_nm) for one in recordings]
+        diagnoses: list[Diagnosis] = []
+
+        def examined() -> list[Finding]:
+            diagnoses.append(examine(few, robot))
+            return diagnoses[0].findings
+
+        tasks = [examined, *(_quick(one, limits_nm) for one in recordings)]
         general, *quick = _in_parallel(tasks, workers, "look at the data", report)
-        whole = all(a is b for a, b in zip(few, recordings, strict=True))
-        general = [f for f in general if whole or f.code not in TOO_FEW]
+        if any(a is not b for a, b in zip(few, recordings, strict=True)):
+            general = [f for f in general if f.code not in TOO_FEW]
+            refused = any(forgiven(f).severity == "fault" for f in general)
+            if not refused and not spoils_contacts(general):
+                general = [f for f in general if not is_unlabelled_contact(f)]
+                general += unlabelled_contacts(recordings, diagnoses[0])
         return together([f for f in map(forgiven, general) if not (finds_constants and f.code in FITTED)], quick)
 
     return Look(_worth_telling(remembered(["training", *settings, *digests], find)))

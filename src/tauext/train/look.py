@@ -53,13 +53,12 @@ def view(
     Without a model nothing is held against the robot file: it is not trained on.
     """
     training, validation = chosen_recordings(training, validation, config)
-    constants = wants_constants(config, training, case)
+    # constants that were given may be corrected, by a little: what says more is told
+    unknown = wants_constants(config, training, case) and (bool(config.fit_torque_constants) or in_amperes(training))
     no_torque = in_amperes(training) or bool(config.fit_torque_constants)
     limits_nm = None if case.no_model or no_torque else torque_limits(robot, training[0].joints)
     model = None if case.no_model else robot
-    looks = {
-        "training": look_at_training([*training, *validation], model, limits_nm, constants, config.threads, report)
-    }
+    looks = {"training": look_at_training([*training, *validation], model, limits_nm, unknown, config.threads, report)}
     if uses_calibration(config) and dataset.split.calibration:
         looks["calibration"] = look_at_calibration(dataset.files("calibration"), limits_nm, config.threads, report)
     return looks

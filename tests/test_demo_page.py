@@ -137,6 +137,35 @@ async def push_in_a_browser(session, record_property):
 
 
 @in_chromium
+@pytest.mark.parametrize("width, height", [(1000, 400), (760, 420), (1280, 900)])
+def test_the_pointer_reaches_the_link_though_the_browser_has_no_gpu(session, width, height):
+    asyncio.run(point_at_a_link(session, width, height))
+
+
+async def point_at_a_link(session, width, height):
+    async with open_pages(1, width, height) as (page,):
+        await page.goto(f"http://127.0.0.1:{session.server.get_port()}")
+        await page.get_by_text("Free motion").wait_for()
+        notice = page.get_by_text("Software WebGL rendering detected")
+        await notice.wait_for()
+        await until(lambda: len(session.server.get_clients()) == 1)
+        session.send("rest")
+        await until(lambda: session.snapshot.doing == "stop")
+        grabbed, _ = grab_point(session)
+        at = await on_screen(page, session.server, grabbed)
+        covers = await notice.evaluate("(element, at) => " + NOTICE_COVERS, list(map(float, at)))
+        reached = await page.evaluate("at => document.elementFromPoint(...at).tagName", list(map(float, at)))
+        assert (reached, covers) == ("CANVAS", False)
+        await notice.wait_for(state="hidden")  # by itself
+
+
+NOTICE_COVERS = """{
+  const box = element.closest('.mantine-Notification-root').getBoundingClientRect();
+  return box.left <= at[0] && at[0] <= box.right && box.top <= at[1] && at[1] <= box.bottom;
+}"""
+
+
+@in_chromium
 def test_two_browsers_see_the_same_and_one_that_closes_leaves_the_other(session):
     asyncio.run(push_with_two_browsers(session))
 

@@ -24,6 +24,18 @@ TRUTH, ESTIMATE, LIMIT = "#22a05a", "#206ee6", "#b3bac4"
 SIGMA = "#206ee640"
 """The estimate's, see-through."""
 
+NOTICES = """<style>
+.mantine-Notifications-root { top: auto !important; bottom: 0.5em !important; }
+.mantine-Notification-root {
+  pointer-events: none !important; padding: 2px 12px 2px 20px; opacity: 0.8;
+  animation: tauext-notice-leaves 0.5s 8s forwards;
+}
+.mantine-Notification-description, .mantine-Notification-closeButton { display: none; }
+@keyframes tauext-notice-leaves { to { visibility: hidden; opacity: 0; } }
+</style>"""
+"""What viser tells of the browser (no GPU, too old) is one line at the lower edge, which the mouse goes through and
+which leaves: over the arm, where viser puts it, it would take the mouse until somebody closes it."""
+
 Send = Callable[..., None]
 """Sends a command of the simulation: its name, its arguments."""
 
@@ -51,6 +63,7 @@ class Panel:
         gui.set_panel_label("tauext: push the arm")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(330)
+        Html(gui).show(NOTICES)
         self._banner = Html(gui)
         self._progress = gui.add_progress_bar(0.0, animated=True, visible=False)
         resume = gui.add_button("Resume", icon=viser.Icon.PLAYER_PLAY, hint="end the collision and move on")

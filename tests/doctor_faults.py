@@ -319,6 +319,8 @@ FAULTS = [
     Fault("a limit of effort too low", "effort-limit", J, lambda c: file_text(c, r'effort="[^"]*"', 'effort="1"')),
     Fault("an inertia that is not positive", "inertia-impossible", J,
           lambda c: link_text(c, lambda x: re.sub(r'ixx="[^"]*"', 'ixx="-0.01"', x), J)),
+    Fault("an inertia that is no number", "inertia-impossible", J,
+          lambda c: link_text(c, lambda x: re.sub(r'iyy="[^"]*"', 'iyy="nan"', x), J)),
     Fault("an inertia against the triangle rule", "inertia-impossible", J,
           lambda c: link_text(c, lambda x: re.sub(r'izz="[^"]*"', 'izz="9"', x), J)),
     Fault("a moving link without mass", "mass-missing", J,

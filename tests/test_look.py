@@ -301,3 +301,14 @@ def test_stamps_of_another_unit_leave_rows_enough_to_tell_it():
     good = [moving(60.0, 0.0), moving(60.0, 0.0)]
     slow = [replace(r, t_ns=r.t_ns * 1_000_000, rate_hz=r.rate_hz / 1e6) for r in good]
     assert min(r.samples for r in shares(slow)) >= 200
+
+
+def test_what_no_training_could_keep_is_refused_before_it_begins(data, tmp_path, capsys):
+    split = load_dataset(data).split
+    save_split(replace(split, calibration=()), data)
+    for options, told in (
+        (["--limits", "promised"], "needs calibration recordings"),
+        (["--minutes", "1e-308"], "must be longer than one sample"),
+    ):
+        assert train(data, tmp_path / "out" / "a.tauext", *options) == 2
+        assert told in capsys.readouterr().err and not (tmp_path / "out").exists()

@@ -103,6 +103,8 @@ def _impossible(link: ElementTree.Element) -> str | None:
         xx, yy, zz, xy, xz, yz = (float(inertia.get(k, "0")) for k in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
     except ValueError:
         return "an inertia is no number"
+    if not np.isfinite([xx, yy, zz, xy, xz, yz]).all():
+        return "an inertia is not finite"
     principal = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     told = ", ".join(f"{x:.3g}" for x in principal)
     if principal[0] <= 0:

@@ -22,6 +22,8 @@ LATE_S = 0.015
 """Of the velocity, all joints together, beside the others': as much as a drive's filter does not differ by."""
 UNIT_OFF, UNLIKE = 0.3, 0.5
 """Of the factor and the correlation of a velocity: signals that stand still at times make less of a difference."""
+ALIKE, UNLIKE_BESIDE = 0.95, 0.75
+"""Where the correlation is that high in all others, one below this is of another joint."""
 RATE_OFF = 0.1
 """The monitor's own tolerance is half of that; logs lose a few percent of their rows."""
 ADVICE = "give it the others' units at import, or leave it out"
@@ -128,7 +130,9 @@ def _velocity(recording: Recording, one: Motion, others: Sequence[Motion]) -> li
     agree = np.array([(np.abs(m.factor - 1) < FACTOR_OFF) & (m.correlation > LEAST_CORRELATION) for m in others])
     usual = agree.any(axis=0) & (agree | ~moves).all(axis=0)
     unit = (one.correlation > LEAST_CORRELATION) & (np.abs(one.factor - 1) > UNIT_OFF)
-    wrong = np.flatnonzero(usual & np.isfinite(one.factor) & (unit | (one.correlation < UNLIKE)))
+    sure = np.array([(m.correlation > ALIKE) | ~np.isfinite(m.factor) for m in others]).all(axis=0)
+    unlike = one.correlation < np.where(sure, UNLIKE_BESIDE, UNLIKE)
+    wrong = np.flatnonzero(usual & np.isfinite(one.factor) & (unit | unlike))
     if not len(wrong):
         return []
     j = int(wrong[0])

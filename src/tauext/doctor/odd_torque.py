@@ -102,21 +102,19 @@ def odd_torques(
             found.append(_finding(replace(mend, severity=severity), before, pool, joints, names[k]))
         elif tree is not None and (unlike := _unlike(parts[k], pool, joints, names[k])) is not None:
             found.append(unlike)
+    left = {k: part for k, part in parts.items() if names[k] not in {f.recording for f in found}}
+    found += (driven := _driven(left, joints, names))
     if tree is not None:
-        named = {f.recording for f in found}
-        parts_left = {k: part for k, part in parts.items() if names[k] not in named}
-        left_nm = {k: part.tau - pool.predicted(part) for k, part in parts_left.items()}
+        left = {k: part for k, part in left.items() if names[k] not in {f.recording for f in driven}}
+        left_nm = {k: part.tau - pool.predicted(part) for k, part in left.items()}
         usual_nm = np.maximum(pool.usual_nm, SEEN * pool.spread_nm)
-        found += odd_shifts(parts_left, left_nm, usual_nm, motion, tree, joints, names)
-    else:
-        found += _driven(
-            {k: part for k, part in parts.items() if names[k] not in {f.recording for f in found}}, joints, names
-        )
+        found += odd_shifts(left, left_nm, usual_nm, motion, tree, joints, names)
     return found if 2 * len(found) <= len(parts) else []
 
 
 def _driven(parts: dict[int, Rows], joints: Sequence[str], names: Sequence[str]) -> list[Finding]:
-    """Without a model, poses of its own leave a recording's gravity open; friction resists in all of them."""
+    """Poses of its own may leave a recording's gravity open, and a joint that mostly rests a small error; friction
+    resists in all of them."""
     inverse: dict[int, list[int]] = {}
     for k, part in parts.items():
         work = (part.tau * part.dq).mean(axis=0)

@@ -30,9 +30,12 @@ def chosen_recordings(
             f"minutes = {config.minutes:g} must be at most {most:g}: the training recordings hold no more"
         )
     window_s = config.warm_up_s + config.observer.window_s
+    chosen = first_seconds(training, wanted_s)
+    if not chosen:
+        raise ConfigError(f"minutes = {config.minutes:g} must be longer than one sample of the recordings")
     if not validation:
-        return first_seconds(training, wanted_s), []
-    return first_seconds(training, wanted_s), first_seconds(validation, max(wanted_s / 5, 60.0, window_s))
+        return chosen, []
+    return chosen, first_seconds(validation, max(wanted_s / 5, 60.0, window_s))
 
 
 def given_unit(config: TrainConfig, training: Sequence[Recording]) -> TorqueUnit:

@@ -16,7 +16,7 @@ from tauext.room import expect_new_file
 from tauext.train.fitting import fit_prior, observe, put_coverage, put_prior, with_fit
 from tauext.train.gain import choose_gain
 from tauext.train.gating import gate
-from tauext.train.limits import calibrate
+from tauext.train.limits import calibrate, limits_kind
 from tauext.train.look import look_first
 from tauext.train.network import assemble, fit_network
 from tauext.train.preparation import note_recordings, prepare
@@ -60,6 +60,7 @@ def train_bundle(
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
     expect_new_file(out)
     expect_size(config)
+    limits_kind(config, dataset.split.calibration)
     robot_file = dataset.robot_file(robot)
     case, said = chosen_case(case, robot_file)
     if said:
@@ -106,6 +107,7 @@ def train_on_recordings(
         ConfigError: settings that the case or the recordings cannot serve.
         TrainingError: too little motion for the recipe, or a loss that diverges.
     """
+    limits_kind(config, calibration)  # refuses what could not be kept before anything is learned
     job = prepare(tree, robot, case, training, validation, config, out, calibration, report)
     if looked is not None:
         job.facts["look"] = looked

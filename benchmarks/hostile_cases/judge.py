@@ -275,11 +275,13 @@ def faults_of(case: Case, status: int, error: str, out: str, place: Path) -> lis
         faults.append("traceback")
     if native := re.search(r"\w+Warning: |Exception ignored|HDF5-DIAG|terminate called|RuntimeError|WARNING", error):
         faults.append(f"prints {native[0]!r} beside its own words")
-    lines = [line for line in error.splitlines() if line.startswith("tauext: error:")]
-    if status == 2 and (len(lines) != 1 or not error.rstrip().splitlines()[-1].startswith("tauext: error:")):
-        faults.append(f"{len(lines)} lines of error instead of one at the end")
-    if lines and len(lines[0]) > 4000:
-        faults.append(f"an error of {len(lines[0])} characters")
+    told = error.rstrip().splitlines()
+    begins = [k for k, line in enumerate(told) if line.startswith("tauext: error:")]
+    # faults of data are told in a block, indented below their line
+    if status == 2 and (len(begins) != 1 or not all(line.startswith("  ") for line in told[begins[0] + 1 :])):
+        faults.append(f"{len(begins)} lines of error instead of one at the end")
+    if begins and len(told[begins[0]]) > 4000:
+        faults.append(f"an error of {len(told[begins[0]])} characters")
     return faults + half_written(case, status, place)
 
 

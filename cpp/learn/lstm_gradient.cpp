@@ -2,45 +2,56 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
 #include <vector>
 
 #include "../src/lstm_lanes.hpp"
+#include "transpose.hpp"
 
 namespace tauext::learn {
 namespace {
 
 using namespace lanes;
 
-constexpr int kTimeBlock = 4;  // steps whose deltas and inputs stay in the first cache while weight sums pass through
-constexpr int kInputTile = 6;  // inputs of a weight-gradient tile; 4 gates x 6 inputs = 24 accumulators
+constexpr int kTimeBlock = 4;  // steps whose deltas and inputs stay in the first cache while the weight sums read them
+constexpr int kInputTile = 5;  // inputs of a weight-gradient tile, at up to 5 vectors of deltas: 25 accumulators
 
 // Sequences in a chunk follow from the batch alone, never from the threads: a small batch is cut finer.
 std::size_t chunk_size(std::size_t batch) noexcept { return batch >= 512 ? 64 : batch >= 256 ? 32 : 16; }
 
-int tiles(int inputs_with_bias) noexcept { return (inputs_with_bias + kInputTile - 1) / kInputTile; }
-
-// One thread's memory: the history of one lane group, and the weight sums of one chunk, a lane each.
+// One thread's memory: the history of one lane group, and the weight sums of one chunk.
 template <int L>
 struct Workspace {
-  int F, P, O, T, K, K_tiled;
-  Buffer gates;      // [T][P][4]: gates on the way forward, deltas on the way back
-  Buffer cells;      // [T + 1][P], zero first
-  Buffer tanh_cells; // [T][P]
-  Buffer inputs;     // [kTimeBlock][K_tiled]: x, h before, 1, zeros
-  Buffer hidden, d_hidden, d_cell, d_y;
-  Buffer weight_sums;  // [P][tile][4][kInputTile]
+  int F, P, O, T, K;  // K: inputs of a unit, x, h before and the 1 of the bias
+  Buffer gates;       // [T][P][4]
+  Buffer cells;       // [T + 1][P], zero first
+  Buffer tanh_cells;  // [T][P]
+  Buffer inputs;      // [T + 1][K], h zero first; behind the last step only h
+  Buffer d_hidden, d_cell;
+  Buffer deltas;       // [P][4] of one step
+  Buffer delta_lines;  // [kTimeBlock][L][P * 4]: a line of deltas for each window, no longer a lane
+  Buffer weight_sums;  // [K][P * 4], numbers
   Buffer head_sums;    // [O][P + 1]
 
   Workspace(const Packed& w, int steps)
-      : F(w.inputs), P(w.padded), O(w.outputs), T(steps), K(F + P), K_tiled(tiles(K + 1) * kInputTile),
-        gates(vectors(static_cast<std::size_t>(T) * P * 4)), cells(vectors(static_cast<std::size_t>(T + 1) * P)),
-        tanh_cells(vectors(static_cast<std::size_t>(T) * P)),
-        inputs(vectors(static_cast<std::size_t>(kTimeBlock) * K_tiled)), hidden(vectors(P)), d_hidden(vectors(P)),
-        d_cell(vectors(P)), d_y(vectors(O)), weight_sums(vectors(weight_sum_vectors())),
-        head_sums(vectors(static_cast<std::size_t>(O) * (P + 1))) {}
+      : F(w.inputs), P(w.padded), O(w.outputs), T(steps), K(F + P + 1), gates(vectors(T, P * 4)),
+        cells(vectors(T + 1, P)), tanh_cells(vectors(T, P)), inputs(vectors(T + 1, K)), d_hidden(vectors(1, P)),
+        d_cell(vectors(1, P)), deltas(vectors(1, P * 4)), delta_lines(vectors(kTimeBlock, P * 4)),
+        weight_sums(make_buffer(static_cast<std::size_t>(K) * P * 4)), head_sums(vectors(O, P + 1)) {
+    for (int t = 0; t <= T; ++t) store<L>(inputs_of(t) + (K - 1) * L, splat<L>(1.0f));
+  }
 
-  static Buffer vectors(std::size_t count) { return make_buffer(count * L); }
-  std::size_t weight_sum_vectors() const noexcept { return static_cast<std::size_t>(P) * 4 * K_tiled; }
+  // Sums at zero; the history is written before it is read.
+  void begin_chunk() noexcept {
+    std::memset(weight_sums.get(), 0, sizeof(float) * K * P * 4);
+    std::memset(head_sums.get(), 0, sizeof(float) * O * (P + 1) * L);
+  }
+  static Buffer vectors(int lines, int of) { return make_buffer(static_cast<std::size_t>(lines) * of * L); }
+  float* gates_of(int t) const noexcept { return gates.get() + static_cast<std::ptrdiff_t>(t) * P * 4 * L; }
+  float* cells_before(int t) const noexcept { return cells.get() + static_cast<std::ptrdiff_t>(t) * P * L; }
+  float* tanh_cells_of(int t) const noexcept { return tanh_cells.get() + static_cast<std::ptrdiff_t>(t) * P * L; }
+  float* inputs_of(int t) const noexcept { return inputs.get() + static_cast<std::ptrdiff_t>(t) * K * L; }
+  float* hidden_before(int t) const noexcept { return inputs_of(t) + F * L; }
 };
 
 struct Job {
@@ -52,32 +63,16 @@ struct Job {
   int targets;
   std::vector<double> loss;                   // a chunk
   std::vector<std::vector<double>> gradient;  // a chunk, layout of the parameters
+  std::vector<std::shared_ptr<void>> workspaces;  // a thread, its Workspace<L> from its first chunk on
 };
 
 template <int L>
 TAUEXT_INLINE void forward_with_history(const Job& job, const std::int64_t* ends, Workspace<L>& m) {
-  const int P = m.P;
-  float* in = m.inputs.get();
-  std::memset(in + m.F * L, 0, sizeof(float) * P * L);
   for (int t = 0; t < m.T; ++t) {
-    gather<L>(job.windows, ends, t, in);
-    float* cell = m.cells.get() + static_cast<std::ptrdiff_t>(t) * P * L;
-    step<L>(job.packed, in, in + m.F * L, cell, m.gates.get() + static_cast<std::ptrdiff_t>(t) * P * 4 * L, cell + P * L,
-            m.tanh_cells.get() + static_cast<std::ptrdiff_t>(t) * P * L, m.hidden.get());
-    std::memcpy(in + m.F * L, m.hidden.get(), sizeof(float) * P * L);
+    gather<L>(job.windows, ends, t, m.inputs_of(t));
+    step<L>(job.packed, m.inputs_of(t), m.hidden_before(t), m.cells_before(t), m.gates_of(t), m.cells_before(t + 1),
+            m.tanh_cells_of(t), m.hidden_before(t + 1));
   }
-}
-
-// h = o tanh(c) of step t, whose gates are still gates; zero before the first.
-template <int L>
-TAUEXT_INLINE void hidden_of_step(int t, const Workspace<L>& m, float* h) noexcept {
-  if (t < 0) {
-    std::memset(h, 0, sizeof(float) * m.P * L);
-    return;
-  }
-  const float* gate = m.gates.get() + static_cast<std::ptrdiff_t>(t) * m.P * 4 * L;
-  const float* tanh_cell = m.tanh_cells.get() + static_cast<std::ptrdiff_t>(t) * m.P * L;
-  for (int u = 0; u < m.P; ++u) store<L>(h + u * L, load<L>(gate + (u * 4 + 3) * L) * load<L>(tanh_cell + u * L));
 }
 
 // Loss of step t of the group's first `count` lanes; adds to dL/dh and to the head's sums.
@@ -87,9 +82,9 @@ TAUEXT_INLINE double head_backward(const Job& job, const std::int64_t* ends, int
   double loss = 0;
   const float scale = 2.0f / (static_cast<float>(job.ends.size()) * static_cast<float>(O) * static_cast<float>(job.targets));
   const std::int64_t back = static_cast<std::int64_t>(m.T - 1 - t) * job.windows.stride;
-  hidden_of_step<L>(t, m, m.hidden.get());
+  const float* hidden = m.hidden_before(t + 1);
   for (int o = 0; o < O; ++o) {
-    const V<L> y = head<L>(job.packed, m.hidden.get(), o);
+    const V<L> y = head<L>(job.packed, hidden, o);
     V<L> d_y{};
     for (int l = 0; l < count; ++l) {
       const float error = y[l] - job.target_rows[(ends[l] - back) * O + o];
@@ -102,29 +97,38 @@ TAUEXT_INLINE double head_backward(const Job& job, const std::int64_t* ends, int
     for (int k = 0; k < P; ++k) {
       float* d_h = m.d_hidden.get() + k * L;
       store<L>(d_h, load<L>(d_h) + d_y * weights[k]);
-      store<L>(sums + k * L, load<L>(sums + k * L) + d_y * load<L>(m.hidden.get() + k * L));
+      store<L>(sums + k * L, load<L>(sums + k * L) + d_y * load<L>(hidden + k * L));
     }
     store<L>(sums + P * L, load<L>(sums + P * L) + d_y);
   }
   return loss;
 }
 
-// Turns the gates of step t into deltas, in place, and dL/dc of step t into that of step t - 1.
+// Deltas of step t, and dL/dc of step t into that of step t - 1. The deltas are written twice: as they are, a window a
+// lane, and a line for each window into lines (L, P * 4).
 template <int L>
-TAUEXT_INLINE void deltas(int t, Workspace<L>& m) {
+TAUEXT_INLINE void deltas(int t, Workspace<L>& m, float* lines) {
   const int P = m.P;
-  float* gate = m.gates.get() + static_cast<std::ptrdiff_t>(t) * P * 4 * L;
-  const float* cell_before = m.cells.get() + static_cast<std::ptrdiff_t>(t) * P * L;
-  const float* tanh_cell = m.tanh_cells.get() + static_cast<std::ptrdiff_t>(t) * P * L;
-  for (int u = 0; u < P; ++u, gate += 4 * L) {
-    const V<L> i = load<L>(gate), f = load<L>(gate + L), g = load<L>(gate + 2 * L), o = load<L>(gate + 3 * L);
-    const V<L> tc = load<L>(tanh_cell + u * L), dh = load<L>(m.d_hidden.get() + u * L);
-    const V<L> dc = load<L>(m.d_cell.get() + u * L) + dh * o * (1.0f - tc * tc);
-    store<L>(gate, dc * g * i * (1.0f - i));
-    store<L>(gate + L, dc * load<L>(cell_before + u * L) * f * (1.0f - f));
-    store<L>(gate + 2 * L, dc * i * (1.0f - g * g));
-    store<L>(gate + 3 * L, dh * tc * o * (1.0f - o));
-    store<L>(m.d_cell.get() + u * L, dc * f);
+  const float *gate = m.gates_of(t), *cell_before = m.cells_before(t), *tanh_cell = m.tanh_cells_of(t);
+  float* delta = m.deltas.get();
+  for (int u = 0; u < P; u += L / 4) {
+    V<L> square[L];
+#pragma GCC unroll 4
+    for (int a = 0; a < L / 4; ++a, gate += 4 * L) {
+      const V<L> i = load<L>(gate), f = load<L>(gate + L), g = load<L>(gate + 2 * L), o = load<L>(gate + 3 * L);
+      const V<L> tc = load<L>(tanh_cell + (u + a) * L), dh = load<L>(m.d_hidden.get() + (u + a) * L);
+      const V<L> dc = load<L>(m.d_cell.get() + (u + a) * L) + dh * o * (1.0f - tc * tc);
+      square[a * 4] = dc * g * i * (1.0f - i);
+      square[a * 4 + 1] = dc * load<L>(cell_before + (u + a) * L) * f * (1.0f - f);
+      square[a * 4 + 2] = dc * i * (1.0f - g * g);
+      square[a * 4 + 3] = dh * tc * o * (1.0f - o);
+      store<L>(m.d_cell.get() + (u + a) * L, dc * f);
+    }
+#pragma GCC unroll 16
+    for (int r = 0; r < L; ++r) store<L>(delta + (u * 4 + r) * L, square[r]);
+    transpose<L>(square);
+#pragma GCC unroll 16
+    for (int l = 0; l < L; ++l) store<L>(lines + l * P * 4 + u * 4, square[l]);
   }
 }
 
@@ -153,32 +157,46 @@ TAUEXT_INLINE void hidden_backward(const Packed& w, const float* delta, float* d
   for (; k < w.padded; k += kUnits) hidden_backward_block<L, kUnits>(w, delta, k, d_hidden);
 }
 
-// Adds delta x input over `steps` consecutive steps to the weight sums; delta (steps, P, 4), inputs (steps, K_tiled).
-template <int L>
-TAUEXT_INLINE void add_weight_sums(const float* delta, int steps, Workspace<L>& m) {
-  constexpr int N = L == 16 ? kInputTile : kInputTile / 2;  // narrower machines have half the registers
-  float* sums = m.weight_sums.get();
-  for (int u = 0; u < m.P; ++u)
-    for (int k = 0; k < m.K_tiled; k += N, sums += 4 * N * L) {
-      V<L> sum[4 * N];
-#pragma GCC unroll 24
-      for (int a = 0; a < 4 * N; ++a) sum[a] = load<L>(sums + a * L);
-      for (int s = 0; s < steps; ++s) {
-        const float* d = delta + (static_cast<std::ptrdiff_t>(s) * m.P + u) * 4 * L;
-        const float* x = m.inputs.get() + (static_cast<std::ptrdiff_t>(s) * m.K_tiled + k) * L;
-        const V<L> d0 = load<L>(d), d1 = load<L>(d + L), d2 = load<L>(d + 2 * L), d3 = load<L>(d + 3 * L);
-#pragma GCC unroll 6
-        for (int a = 0; a < N; ++a) {
-          const V<L> v = load<L>(x + a * L);
-          sum[a] += d0 * v;
-          sum[N + a] += d1 * v;
-          sum[2 * N + a] += d2 * v;
-          sum[3 * N + a] += d3 * v;
-        }
-      }
-#pragma GCC unroll 24
-      for (int a = 0; a < 4 * N; ++a) store<L>(sums + a * L, sum[a]);
+// Adds delta x input over all windows of `steps` steps to the weight sums of N inputs from `k` on and M vectors of deltas
+// from `row` on. A tile's sum begins at zero, so that few numbers are added one to the other: it rounds less.
+template <int L, int M, int N>
+TAUEXT_INLINE void add_weight_tile(int steps, const float* inputs, int k, int row, Workspace<L>& m) noexcept {
+  V<L> sum[N][M];
+#pragma GCC unroll 25
+  for (int a = 0; a < N * M; ++a) sum[a / M][a % M] = V<L>{};
+  const float* line = m.delta_lines.get() + row;
+  for (int s = 0; s < steps; ++s) {
+    const float* x = inputs + (static_cast<std::ptrdiff_t>(s) * m.K + k) * L;
+    for (int l = 0; l < L; ++l, ++x, line += m.P * 4) {
+      V<L> d[M];
+#pragma GCC unroll 5
+      for (int b = 0; b < M; ++b) d[b] = load<L>(line + b * L);
+#pragma GCC unroll 25
+      for (int a = 0; a < N * M; ++a) sum[a / M][a % M] += d[a % M] * x[a / M * L];
     }
+  }
+#pragma GCC unroll 25
+  for (int a = 0; a < N * M; ++a) {
+    float* to = m.weight_sums.get() + static_cast<std::ptrdiff_t>(k + a / M) * m.P * 4 + row + a % M * L;
+    store<L>(to, load<L>(to) + sum[a / M][a % M]);
+  }
+}
+
+template <int L, int M>
+TAUEXT_INLINE void add_weight_rows(int steps, const float* inputs, int row, Workspace<L>& m) noexcept {
+  int k = 0;
+  for (; k + kInputTile <= m.K; k += kInputTile) add_weight_tile<L, M, kInputTile>(steps, inputs, k, row, m);
+  for (; k + 2 <= m.K; k += 2) add_weight_tile<L, M, 2>(steps, inputs, k, row, m);
+  for (; k < m.K; ++k) add_weight_tile<L, M, 1>(steps, inputs, k, row, m);
+}
+
+// Adds delta x input over `steps` consecutive steps; inputs (steps, K).
+template <int L>
+TAUEXT_INLINE void add_weight_sums(int steps, const float* inputs, Workspace<L>& m) noexcept {
+  constexpr int kVectors = L == 16 ? 5 : 2;  // narrower machines have half the registers
+  int row = 0;
+  for (; row + kVectors * L <= m.P * 4; row += kVectors * L) add_weight_rows<L, kVectors>(steps, inputs, row, m);
+  for (; row < m.P * 4; row += L) add_weight_rows<L, 1>(steps, inputs, row, m);
 }
 
 // The way back through a group's history; returns the loss of its first `count` lanes.
@@ -191,18 +209,11 @@ TAUEXT_INLINE double backward(const Job& job, const std::int64_t* ends, int coun
   for (int block_end = m.T; block_end > 0;) {
     const int block_begin = std::max(0, block_end - kTimeBlock);
     for (int t = block_end; t-- > block_begin;) {
-      float* x = m.inputs.get() + static_cast<std::ptrdiff_t>(t - block_begin) * m.K_tiled * L;
-      gather<L>(job.windows, ends, t, x);
-      hidden_of_step<L>(t - 1, m, x + m.F * L);
-      store<L>(x + m.K * L, splat<L>(1.0f));
-      for (int k = m.K + 1; k < m.K_tiled; ++k) store<L>(x + k * L, V<L>{});
       if (t >= m.T - job.targets) loss += head_backward<L>(job, ends, t, count, m);
-      deltas<L>(t, m);
-      if (t > 0)
-        hidden_backward<L>(job.packed, m.gates.get() + static_cast<std::ptrdiff_t>(t) * P * 4 * L, m.d_hidden.get());
+      deltas<L>(t, m, m.delta_lines.get() + static_cast<std::ptrdiff_t>(t - block_begin) * P * 4 * L);
+      if (t > 0) hidden_backward<L>(job.packed, m.deltas.get(), m.d_hidden.get());
     }
-    add_weight_sums<L>(m.gates.get() + static_cast<std::ptrdiff_t>(block_begin) * P * 4 * L, block_end - block_begin,
-                       m);
+    add_weight_sums<L>(block_end - block_begin, m.inputs_of(block_begin), m);
     block_end = block_begin;
   }
   return loss;
@@ -219,7 +230,6 @@ TAUEXT_INLINE double lane_sum(const Buffer& sums, std::ptrdiff_t index) noexcept
 // Sums over the lanes into one chunk's gradient, in the order of the parameters.
 template <int L>
 TAUEXT_INLINE void reduce(const LstmShape& shape, const Workspace<L>& m, std::vector<double>& gradient) {
-  constexpr int N = L == 16 ? kInputTile : kInputTile / 2;
   const int F = shape.inputs, H = shape.hidden, O = shape.outputs;
   double* w_x = gradient.data();
   double* w_h = w_x + static_cast<std::ptrdiff_t>(4) * H * F;
@@ -228,15 +238,13 @@ TAUEXT_INLINE void reduce(const LstmShape& shape, const Workspace<L>& m, std::ve
   double* b_head = w_head + static_cast<std::ptrdiff_t>(O) * H;
   for (int gate = 0; gate < 4; ++gate)
     for (int u = 0; u < H; ++u)
-      for (int k = 0; k <= m.K; ++k) {
+      for (int k = 0; k < m.K; ++k) {
         const int row = gate * H + u;
-        double* to = k < F            ? w_x + row * F + k
-                     : k < F + H      ? w_h + row * H + (k - F)
-                     : k == m.K       ? b + row
-                                      : nullptr;  // padding
-        if (to)
-          *to = lane_sum<L>(m.weight_sums, static_cast<std::ptrdiff_t>(u) * 4 * m.K_tiled + (k / N) * 4 * N + gate * N +
-                                               k % N);
+        double* to = k < F          ? w_x + row * F + k
+                     : k < F + H    ? w_h + row * H + (k - F)
+                     : k == m.K - 1 ? b + row
+                                    : nullptr;  // padding
+        if (to) *to = m.weight_sums[(static_cast<std::ptrdiff_t>(k) * m.P + u) * 4 + gate];
       }
   for (int o = 0; o < O; ++o) {
     for (int k = 0; k < H; ++k) w_head[o * H + k] = lane_sum<L>(m.head_sums, o * (m.P + 1) + k);
@@ -245,8 +253,11 @@ TAUEXT_INLINE void reduce(const LstmShape& shape, const Workspace<L>& m, std::ve
 }
 
 template <int L>
-TAUEXT_INLINE void gradient_chunk(Job& job, int chunk) {
-  Workspace<L> m(job.packed, job.windows.length);
+TAUEXT_INLINE void gradient_chunk(Job& job, int chunk, int thread) {
+  std::shared_ptr<void>& own = job.workspaces[static_cast<std::size_t>(thread)];
+  if (!own) own = std::make_shared<Workspace<L>>(job.packed, job.windows.length);
+  Workspace<L>& m = *static_cast<Workspace<L>*>(own.get());
+  m.begin_chunk();
   const std::size_t size = chunk_size(job.ends.size()), first = static_cast<std::size_t>(chunk) * size;
   const std::size_t last = std::min(first + size, job.ends.size());
   double loss = 0;
@@ -261,16 +272,16 @@ TAUEXT_INLINE void gradient_chunk(Job& job, int chunk) {
   reduce<L>(job.shape, m, job.gradient[chunk]);
 }
 
-TAUEXT_TARGET_16 void gradient_16(Job& job, int chunk) { gradient_chunk<16>(job, chunk); }
-TAUEXT_TARGET_8 void gradient_8(Job& job, int chunk) { gradient_chunk<8>(job, chunk); }
-void gradient_4(Job& job, int chunk) { gradient_chunk<4>(job, chunk); }
+TAUEXT_TARGET_16 void gradient_16(Job& job, int chunk, int thread) { gradient_chunk<16>(job, chunk, thread); }
+TAUEXT_TARGET_8 void gradient_8(Job& job, int chunk, int thread) { gradient_chunk<8>(job, chunk, thread); }
+void gradient_4(Job& job, int chunk, int thread) { gradient_chunk<4>(job, chunk, thread); }
 
-void gradient_any(int chunk, int, void* context) {
+void gradient_any(int chunk, int thread, void* context) {
   auto& job = *static_cast<Job*>(context);
   const int count = lane_count();
-  if (count == 16) return gradient_16(job, chunk);
-  if (count == 8) return gradient_8(job, chunk);
-  gradient_4(job, chunk);
+  if (count == 16) return gradient_16(job, chunk, thread);
+  if (count == 8) return gradient_8(job, chunk, thread);
+  gradient_4(job, chunk, thread);
 }
 
 }  // namespace
@@ -297,7 +308,8 @@ double lstm_gradient(const LstmShape& shape, std::span<const float> parameters, 
           target_rows,
           targets,
           std::vector<double>(chunks),
-          std::vector<std::vector<double>>(chunks, std::vector<double>(count))};
+          std::vector<std::vector<double>>(chunks, std::vector<double>(count)),
+          std::vector<std::shared_ptr<void>>(static_cast<std::size_t>(std::max(threads, 1)))};
   parallel_chunks(static_cast<int>(chunks), threads, gradient_any, &job);
   double loss = 0;
   for (double part : job.loss) loss += part;

@@ -76,45 +76,57 @@ TAUEXT_INLINE void store(float* p, V<L> v) noexcept {
   __builtin_memcpy(__builtin_assume_aligned(p, sizeof v), &v, sizeof v);
 }
 
-// 1 + exp(-x) with x clamped to +-20 (the activations' saturation error there is 2e-9), NaN kept.
-// 2^y = 2^n 2^f, f in [-1/2, 1/2]; the polynomial is the minimax of degree 6, relative error 2e-9.
-template <int L>
+// Where the activations saturate: exp(20) = 5e8, so that the error there is 2e-9. Defined in a file of its own, since gcc
+// makes one operation of a comparison and a choice only where it does not know the limit's value.
+extern const float kSaturation;
+
+// 1 + exp(-scale x) = 1 + 2^y for x clamped to +-kSaturation, scale 1 or 2, NaN kept. y = n + f with f in [-1/2, 1/2]; the
+// polynomial is the minimax of 2^f of degree 5 with 2^0 = 1, relative error 1.1e-7: what it adds to a sigmoid is a quarter
+// of that at most, half a last bit, and to a tanh twice as much.
+template <int L, int kScale>
 TAUEXT_INLINE V<L> one_plus_exp_minus(V<L> x) noexcept {
   using I = typename Types<L>::I;
-  const V<L> high = splat<L>(20.0f), low = splat<L>(-20.0f);
+  constexpr float kToPower = -1.44269504f * kScale;
+  const V<L> high = splat<L>(kSaturation), low = splat<L>(-kSaturation);
   x = x > high ? high : x;
   x = x < low ? low : x;
-  const V<L> y = x * -1.44269504f;
-  const V<L> magic = splat<L>(12582912.0f);  // 1.5 * 2^23: adding it rounds y to an integer in the low mantissa bits
-  const V<L> shifted = y + magic;
-  const V<L> f = y - (shifted - magic);
-  V<L> p = f * 0.0001534581242594868f + 0.0013399930903688073f;
-  p = p * f + 0.009618489071726799f;
-  p = p * f + 0.05550328642129898f;
-  p = p * f + 0.24022646248340607f;
-  p = p * f + 0.6931471824645996f;
+  // 1.5 * 2^23 + 127: adding it rounds y to n and leaves n + 127, the exponent of 2^n, in the low bits of the mantissa.
+  const V<L> magic = splat<L>(12583039.0f);
+  const V<L> shifted = x * kToPower + magic;
+  const V<L> f = x * kToPower - (shifted - magic);
+  V<L> p = f * 0.001326472731307149f + 0.009671512991189957f;
+  p = p * f + 0.05550733581185341f;
+  p = p * f + 0.24022242426872253f;
+  p = p * f + 0.6931470036506653f;
   p = p * f + 1.0f;
-  const I exponent = (I)shifted << 23;  // n, moved into the exponent; the magic bits fall off
-  return (V<L>)((I)p + exponent) + 1.0f;
+  return p * (V<L>)((I)shifted << 23) + 1.0f;
 }
 
-// Gates of one unit: sigmoid(i), sigmoid(f), tanh(g), sigmoid(o) with a single division.
-template <int L>
-TAUEXT_INLINE void activate_gates(V<L>& i, V<L>& f, V<L>& g, V<L>& o) noexcept {
-  const V<L> a = one_plus_exp_minus<L>(i), b = one_plus_exp_minus<L>(f);
-  const V<L> c = one_plus_exp_minus<L>(g + g), d = one_plus_exp_minus<L>(o);
-  const V<L> ab = a * b, cd = c * d;
-  const V<L> r = 1.0f / (ab * cd);
-  const V<L> r_ab = r * cd, r_cd = r * ab;
-  i = r_ab * b;
-  f = r_ab * a;
-  g = (r_cd * d) * 2.0f - 1.0f;
-  o = r_cd * c;
-}
-
-template <int L>
-TAUEXT_INLINE V<L> tanh(V<L> x) noexcept {
-  return 2.0f / one_plus_exp_minus<L>(x + x) - 1.0f;
+// A unit's new cell and h from its sums i, f, g, o and the cell before:
+//   cell = sigmoid(f) c + sigmoid(i) tanh(g),  h = sigmoid(o) tanh(cell)
+// with sigmoid(x) = 1 / (1 + exp(-x)) and tanh(x) = 2 / (1 + exp(-2 x)) - 1. Everything over one denominator: a division
+// for the cell and one for h. Only where kKeep do i, f, g, o become the gates, and tanh_cell is written.
+template <int L, bool kKeep>
+TAUEXT_INLINE void cell_step(V<L>& i, V<L>& f, V<L>& g, V<L>& o, V<L> before, V<L>& cell, V<L>& tanh_cell,
+                             V<L>& h) noexcept {
+  const V<L> a = one_plus_exp_minus<L, 1>(i), b = one_plus_exp_minus<L, 1>(f);
+  const V<L> c = one_plus_exp_minus<L, 2>(g), d = one_plus_exp_minus<L, 1>(o);
+  const V<L> ac = a * c;
+  const V<L> r = 1.0f / (ac * b);
+  const V<L> added = (b + b) - b * c;  // b (2 - c), but no product: only one way is left to fuse the next line
+  cell = (before * ac + added) * r;
+  const V<L> e = one_plus_exp_minus<L, 2>(cell);
+  const V<L> tanh_e = 2.0f - e;  // tanh(cell) e
+  const V<L> q = 1.0f / (d * e);
+  h = tanh_e * q;
+  if constexpr (kKeep) {
+    const V<L> r_b = r * b;
+    i = r_b * c;
+    f = r * ac;
+    g = (2.0f - c) * (r_b * a);
+    o = q * e;
+    tanh_cell = tanh_e * (q * d);
+  }
 }
 
 // Where the sums of a step begin. With the projection b + W_x x made beforehand the step's inputs are not read; the order
@@ -164,10 +176,8 @@ TAUEXT_INLINE void step(const Packed& w, const float* x, const float* h_before, 
     weights += kUnits * 4;  // the bias row
 #pragma GCC unroll 4
     for (int a = 0; a < kUnits; ++a) {
-      V<L> i = sum[a][0], f = sum[a][1], g = sum[a][2], o = sum[a][3];
-      activate_gates<L>(i, f, g, o);
-      const V<L> cell = f * load<L>(c_before + (u + a) * L) + i * g;
-      const V<L> t = tanh<L>(cell);
+      V<L> i = sum[a][0], f = sum[a][1], g = sum[a][2], o = sum[a][3], cell, t, new_h;
+      cell_step<L, kKeep>(i, f, g, o, load<L>(c_before + (u + a) * L), cell, t, new_h);
       if constexpr (kKeep) {
         float* gate = gates + (u + a) * 4 * L;
         store<L>(gate, i);
@@ -177,7 +187,7 @@ TAUEXT_INLINE void step(const Packed& w, const float* x, const float* h_before, 
         store<L>(tanh_c + (u + a) * L, t);
       }
       store<L>(c + (u + a) * L, cell);
-      store<L>(h + (u + a) * L, o * t);
+      store<L>(h + (u + a) * L, new_h);
     }
   }
 }
@@ -200,12 +210,13 @@ TAUEXT_INLINE void gather_rows(const WindowRows& windows, std::int64_t first, st
 template <int L>
 TAUEXT_INLINE void gather(const WindowRows& windows, const std::int64_t* ends, int t, float* in) noexcept {
   const std::int64_t back = static_cast<std::int64_t>(windows.length - 1 - t) * windows.stride;
+  const float* row[L];
+  for (int l = 0; l < L; ++l) row[l] = windows.rows + (ends[l] - back) * windows.columns;
   const int F = static_cast<int>(windows.inputs.size());
   for (int f = 0; f < F; ++f) {
     const LstmInput input = windows.inputs[f];
-    const float* column = windows.rows + input.column;
-    const std::int64_t offset = back + static_cast<std::int64_t>(input.lag) * windows.stride;
-    for (int l = 0; l < L; ++l) in[f * L + l] = column[(ends[l] - offset) * windows.columns];
+    const std::int64_t at = input.column - static_cast<std::int64_t>(input.lag) * windows.stride * windows.columns;
+    for (int l = 0; l < L; ++l) in[f * L + l] = row[l][at];
   }
 }
 

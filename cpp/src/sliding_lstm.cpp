@@ -165,10 +165,10 @@ struct SlidingLstm::Windows {
     for (int u = 0; u < P; u += L) {  // lanes past the last unit hold other gates' sums; nobody reads what they give
       V<L> i = load_anywhere<L>(sums.get() + u), f = load_anywhere<L>(sums.get() + P + u);
       V<L> g = load_anywhere<L>(sums.get() + 2 * P + u), o = load_anywhere<L>(sums.get() + 3 * P + u);
-      activate_gates<L>(i, f, g, o);
-      const V<L> cell = f * load<L>(c.get() + u) + i * g;
+      V<L> cell, tanh_cell, new_h;
+      cell_step<L, false>(i, f, g, o, load<L>(c.get() + u), cell, tanh_cell, new_h);
       store<L>(c.get() + u, cell);
-      store<L>(h.get() + u, o * tanh<L>(cell));
+      store<L>(h.get() + u, new_h);
     }
   }
 

@@ -6,7 +6,6 @@ import json
 import os
 import platform
 from dataclasses import asdict, is_dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +29,8 @@ def json_text(content: Any) -> str:
 
 def provenance(command: str, settings: Any, seed: int | None) -> dict:
     """Which command, version, settings and seed made an output."""
+    from importlib.metadata import version  # asked for by whoever writes, not by whoever reads
+
     plain = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else settings
     return {
         "command": command,

@@ -7,7 +7,6 @@ import os
 import sys
 import warnings
 from contextlib import suppress
-from importlib.metadata import version
 from io import TextIOWrapper
 from typing import Any
 
@@ -62,6 +61,8 @@ def spelled_out(argv: list[str]) -> list[str]:
 
 def version_text() -> str:
     """Versions of the package and of its core, and which bundles both read and write."""
+    from importlib.metadata import version
+
     from tauext import _core
     from tauext.provenance import VERSION
 

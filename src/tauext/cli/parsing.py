@@ -11,6 +11,7 @@ from typing import Any
 
 from tyro.extras import SubcommandApp
 
+from tauext.cli.quick_parser import quicken
 from tauext.errors import ConfigError
 
 HELP_INDENT = 8
@@ -28,6 +29,7 @@ def understood(app: SubcommandApp, prog: str, description: str, arguments: Seque
     Raises:
         ConfigError: they cannot be understood.
     """
+    quicken()
     said = StringIO()
     try:
         with redirect_stderr(said):

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from tauext._core import cause_names
 from tauext.data.parquet_file import write_parquet
@@ -84,6 +82,8 @@ def save_estimates(estimates: Estimates, path: Path) -> None:
     Raises:
         RecordingError: the file cannot be written; what was written of it is removed.
     """
+    import pyarrow as pa
+
     columns: dict[str, np.ndarray] = {"t_ns": estimates.t_ns}
     torque_names = [*TORQUES, *(signal for signal in OPTIONAL if getattr(estimates, signal) is not None)]
     for signal in (*torque_names, "near_stiction"):
@@ -108,6 +108,9 @@ def load_estimates(path: Path) -> Estimates:
     Raises:
         RecordingError: missing, damaged or foreign file.
     """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     try:
         expect_file(path)
         table = pq.read_table(path)

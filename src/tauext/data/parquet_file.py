@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
-
-import pyarrow as pa
-import pyarrow.parquet as pq
+from typing import TYPE_CHECKING, Any
 
 from tauext.errors import RecordingError
 from tauext.whole_file import whole_file
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 
 def write_parquet(table: pa.Table, path: Path, **encoding: Any) -> None:
@@ -21,6 +21,8 @@ def write_parquet(table: pa.Table, path: Path, **encoding: Any) -> None:
     Raises:
         RecordingError: the file cannot be written; what was written of it is removed.
     """
+    import pyarrow.parquet as pq
+
     try:
         with whole_file(path) as part:
             pq.write_table(table, part, compression="zstd", compression_level=1, **encoding)

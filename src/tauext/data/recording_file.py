@@ -9,16 +9,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from tauext.data.parquet_file import write_parquet
 from tauext.data.recording import FLAGS, REQUIRED_SIGNALS, SIGNALS, Recording, check_joints
 from tauext.errors import RecordingError
 from tauext.plain_file import expect_file, json_of
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
 FORMAT = 1
 UNITS = {"t": "ns", "q": "rad", "dq": "rad/s", "tau": "N m"}
@@ -54,6 +56,8 @@ def save_recording(recording: Recording, path: Path | str) -> None:
     path = Path(path)
     if path.suffix != ".parquet":
         raise RecordingError(f"{path}: the name of a recording's file must end in .parquet")
+    import pyarrow as pa
+
     held = [signal for signal in SIGNALS if getattr(recording, signal) is not None]
     columns = {"t_ns": recording.t_ns}
     for signal in held:
@@ -138,6 +142,9 @@ def fingerprint(path: Path | str) -> str:
 @contextmanager
 def opened(path: Path) -> Iterator[pq.ParquetFile]:
     """The Parquet file at this path, open for reading; its own errors come out as RecordingError."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     try:
         expect_file(path)
         with path.open("rb") as raw:
@@ -199,6 +206,8 @@ def read_head(path: Path, file: pq.ParquetFile) -> Description:
 
 def check_columns(path: Path, head: Description, schema: pa.Schema) -> None:
     """Every column is there once, of its type; a signal stands for all joints or for none."""
+    import pyarrow as pa
+
     per_joint = [signal for signal in SIGNALS if signal in head.signals or signal in REQUIRED_SIGNALS]
     expected = {"t_ns": pa.int64()}
     expected |= {f"{signal}_{joint}": pa.float64() for signal in per_joint for joint in head.joints}

@@ -12,7 +12,7 @@ WORKERS ?= auto
 PYTEST = $(VENV)/bin/python -m pytest
 CORE := $(shell find cpp/include cpp/src cpp/learn cpp/bindings -type f)
 
-.PHONY: help setup build reproduce test test-all test-arm fuzz soak lint bench bench-train bench-monitor clean
+.PHONY: help setup build reproduce test test-all test-arm fuzz soak lint docs bench bench-train bench-monitor clean
 help: ## Show this help
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
 setup: $(STAMP) ## Environment and build, in .venv
@@ -49,9 +49,16 @@ fuzz: setup ## A minute of hostile bundles, with clang; finds stay in build/fuzz
 soak: build ## A monitor after a day of samples beside a fresh one
 	build/cpp/soak_bench
 lint: setup ## Style and types of the Python code
-	$(VENV)/bin/ruff check src tests benchmarks examples
-	$(VENV)/bin/ruff format --check src tests benchmarks examples
+	$(VENV)/bin/ruff check src tests benchmarks examples docs
+	$(VENV)/bin/ruff format --check src tests benchmarks examples docs
 	$(VENV)/bin/mypy
+$(VENV)/.docs: pyproject.toml constraints.txt | setup
+	$(RUN) $(PIP) install -c constraints.txt --no-build-isolation -e '.[docs]'
+	touch $@
+docs: setup $(VENV)/.docs ## The documentation site in build/docs, with its links checked; no warning is let through
+	rm -rf build/docs docs/reference/made
+	$(VENV)/bin/python -m sphinx -n -W --keep-going -q -b html docs build/docs
+	$(VENV)/bin/python docs/check_site.py build/docs
 bench: build ## Dynamics sweep and network, with ratios to what else one would use
 	$(VENV)/bin/python benchmarks/dynamics.py
 	build/cpp/tree_bench

@@ -3,7 +3,7 @@
     python benchmarks/drift.py BUNDLE DATASET [--recordings 20]
 
 BUNDLE: of recipe prior or tauext, with limits, trained on DATASET, which the virtual rig made with its default settings
-and calibration recordings; the last of these are used. docs/method.md holds the numbers that it prints.
+and calibration recordings; the last of these are used. docs/method/evidence.md holds the numbers that it prints.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""The commands as a user types them: README, help, wrong input, interruption. All at smoke scale."""
+"""The commands as a user types them: README and docs, help, wrong input, interruption. All at smoke scale."""
 
 import ast
 import json
@@ -15,7 +15,9 @@ import pytest
 from tauext import _core
 from tauext.cli import main
 
-README = (Path(__file__).parent.parent / "README.md").read_text()
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text()
+STEP_BY_STEP = (ROOT / "docs" / "start" / "research.md").read_text().partition("## Step by step")[2]
 SMALLER = {
     "--minutes 20": "--minutes 2",
     "--collision-recordings 6": "--collision-recordings 1",
@@ -26,17 +28,17 @@ SMALLER = {
 }
 
 
-def readme_commands() -> list[str]:
-    return re.findall(r"^    (tauext \w+ .*)$", README, flags=re.MULTILINE)
+def commands(text: str) -> list[str]:
+    return re.findall(r"^    (tauext \w+ .*)$", text, flags=re.MULTILINE)
 
 
 @pytest.fixture(scope="module")
 def workplace(tmp_path_factory):
-    """A folder in which every command of the README was run in its order, at smoke scale."""
+    """A folder in which every command of the page for research was run in its order, at smoke scale."""
     folder = tmp_path_factory.mktemp("readme")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        for command in readme_commands():
+        for command in commands(STEP_BY_STEP):
             for quick, smoke in SMALLER.items():
                 command = command.replace(quick, smoke)
             assert main(shlex.split(command)[1:]) == 0, command
@@ -75,8 +77,8 @@ def run(capsys, *arguments: object) -> tuple[int, str, str]:
     return code, out, err
 
 
-def test_every_command_of_the_readme_works_as_written(workplace):
-    assert len(readme_commands()) >= 9
+def test_every_command_step_by_step_works_as_written(workplace):
+    assert len(commands(STEP_BY_STEP)) >= 9
     for made in (
         "data/split.json",
         "exact.tauext",
@@ -91,6 +93,11 @@ def test_every_command_of_the_readme_works_as_written(workplace):
         assert (workplace / "runs" / made).exists(), made
 
 
+def test_the_readme_is_short_and_its_commands_are_among_those_that_were_run():
+    assert len(README.splitlines()) <= 120
+    assert commands(README) and set(commands(README)) <= set(commands(STEP_BY_STEP))
+
+
 def test_the_python_of_the_readme_runs(workplace, monkeypatch):
     monkeypatch.chdir(workplace)
     (block,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
@@ -98,11 +105,10 @@ def test_the_python_of_the_readme_runs(workplace, monkeypatch):
 
 
 def test_every_make_target_and_link_of_the_readme_exists():
-    root = Path(__file__).parent.parent
-    targets = set(re.findall(r"^([a-z-]+):", (root / "Makefile").read_text(), flags=re.MULTILINE))
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
     assert set(re.findall(r"\bmake ([a-z-]+)", README)) <= targets
-    for link in re.findall(r"\]\(([^)#:]+)\)", README):
-        assert (root / link).exists(), link
+    for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", README):
+        assert (ROOT / link).exists(), link
 
 
 def test_reproduce_covers_all_five_cases_and_prints_the_report_last(workplace, again):

@@ -46,7 +46,7 @@ def bundle_of_real_size() -> tuple[_core.Bundle, Scaling]:
 
 
 def twin_residual(made: Recording) -> np.ndarray:
-    """The observer with the textbook matrices of two planar links, from the recurrence of docs/method.md."""
+    """The observer with the textbook matrices of two planar links, from the recurrence of docs/method/theory.md."""
     (m1, m2), (c1, c2), (i1, i2), link = (8.191, 9.920), (0.12079, 0.16078), (0.06, 0.07), 0.3
     (q1, q2), (w1, w2) = made.q.T, made.dq.T
     own, coupled = i2 + m2 * c2**2, m2 * link * c2

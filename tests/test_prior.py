@@ -38,7 +38,7 @@ FILTERED_NOISE_NM = NOISE_NM * np.sqrt((1 - np.exp(-GAIN / RATE_HZ)) / (1 + np.e
 
 
 def twin_filter(v: np.ndarray, momentum: np.ndarray, t_ns: np.ndarray, restarts=()) -> np.ndarray:
-    """The observer's recurrence of docs/method.md: d = dP/dt + mean over the step of v."""
+    """The observer's recurrence of docs/method/theory.md: d = dP/dt + mean over the step of v."""
     out = np.zeros_like(v)
     for k in range(1, len(v)):
         if k in restarts:

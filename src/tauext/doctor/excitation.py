@@ -19,7 +19,7 @@ SEARCH_S = 30.0
 """Of motion, below which order, axes and delay of torque are not judged: of dozens of arrangements one will fit."""
 FRICTION_MIN, NETWORK_MIN = 1.0, 10.0
 """Minutes of motion: for a friction fit, five to ten reversals a joint at several speeds; for a network, see
-docs/method.md."""
+docs/method/training.md."""
 
 
 def excitation_findings(recordings: Sequence[Recording], stretches: Sequence[Stretch]) -> list[Finding]:

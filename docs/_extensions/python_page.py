@@ -1,0 +1,67 @@
+"""The page of the Python API: every name of `tauext.__all__`, in the groups that `help(tauext)` has."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from typing import Any
+
+from made_pages import write_page
+
+import tauext
+
+
+def groups() -> dict[str, list[str]]:
+    """The names by the headings of the package's docstring."""
+    found: dict[str, list[str]] = {}
+    known = set(tauext.__all__)
+    told: set[str] = set()
+    for heading, text in re.findall(r"^\*\*(\w+)\*\* (.*?)(?=^\*\*|^\s*$)", tauext.__doc__ or "", re.M | re.S):
+        names = dict.fromkeys(name for name in re.findall(r"\w+", text) if name in known)
+        found[heading] = [name for name in names if name not in told]  # a sentence may name it once more
+        told |= set(names)
+    missing = known - {"__version__"} - told
+    if missing:
+        raise ValueError(f"help(tauext) names no {', '.join(sorted(missing))}")
+    return found
+
+
+def directive(name: str) -> str:
+    value = getattr(tauext, name)
+    if inspect.isclass(value):
+        return "autoexception" if issubclass(value, BaseException) else "autoclass"
+    return "autofunction"
+
+
+def members(name: str) -> list[str]:
+    """The options of a class; its static functions of the C++ module, which autodoc takes for data, by their text."""
+    of_core = [
+        (member, value.__doc__ or "")
+        for member, value in vars(getattr(tauext, name)).items()
+        if type(value).__name__ == "nb_func" and not member.startswith("_")
+    ]
+    lines = ["   :members:", "   :undoc-members:"]
+    if of_core:
+        lines.append(f"   :exclude-members: {', '.join(member for member, _ in of_core)}")
+    for _, text in of_core:
+        shown, _, told = text.partition("\n")
+        lines += ["", f"   .. py:staticmethod:: {shown.replace('tauext._core.', 'tauext.')}", ""]
+        lines += [f"      {line.strip()}" for line in told.strip().splitlines()]
+    return lines
+
+
+def write(app: Any) -> None:
+    lines: list[str] = []
+    for heading, names in groups().items():
+        lines += [f"## {heading}", ""]
+        for name in names:
+            kind = directive(name)
+            lines += [f"### {name}", "", "```{eval-rst}", f".. {kind}:: tauext.{name}"]
+            lines += members(name) if kind == "autoclass" else []
+            lines += ["```", ""]
+    write_page("python.inc", lines)
+
+
+def setup(app: Any) -> dict[str, bool]:
+    app.connect("builder-inited", write)
+    return {"parallel_read_safe": True}

@@ -1,0 +1,67 @@
+"""Settings of the documentation site: `make docs` builds it, with warnings as errors."""
+
+import shutil
+import sys
+from importlib.metadata import version as version_of
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
+
+project = "tauext"
+author = "The tauext developers"
+copyright = "the tauext developers"
+
+
+def copy_reports(app, error):
+    """The reports that are kept beside their results, for pages that link to them."""
+    for report in sorted(Path(app.srcdir).glob("results/*/report.html")):
+        if error is None and app.builder.name == "html":
+            target = Path(app.outdir) / report.relative_to(app.srcdir)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(report, target)
+
+
+def setup(app):
+    app.connect("build-finished", copy_reports)
+
+
+version = release = version_of("tauext")
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "cli_pages",
+    "python_page",
+    "cpp_pages",
+    "root_pages",
+    "rst_text",
+]
+source_suffix = {".md": "markdown"}
+exclude_patterns = ["_extensions", "_static"]
+nitpicky = True
+# Only names of the front door have a page. Other packages' pages are on other hosts, other modules of ours have none.
+nitpick_ignore_regex = [("py:.*", r"(?!tauext\.\w+$).*")]
+
+myst_enable_extensions = ["deflist", "colon_fence", "attrs_inline", "attrs_block"]
+myst_heading_anchors = 4
+highlight_language = "none"  # blocks that are only indented: commands, equations, files
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_typehints_format = "fully-qualified"
+autodoc_preserve_defaults = True
+python_use_unqualified_type_names = True
+
+html_theme = "furo"
+html_title = "tauext"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_show_sphinx = False
+html_show_copyright = False
+html_copy_source = False
+# Excerpts of found pages would be fetched, which a browser refuses from file://.
+html_show_search_summary = False
+# One family of fonts, which every system has: nothing is asked of another host.
+html_theme_options = {"navigation_with_keys": True}
+pygments_style = "friendly"
+pygments_dark_style = "monokai"

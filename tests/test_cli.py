@@ -5,7 +5,7 @@ import json
 import re
 import shlex
 from contextlib import redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from io import StringIO
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +14,7 @@ import pytest
 
 from tauext import _core
 from tauext.cli import main
+from tauext.config import TrainConfig
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -156,6 +157,27 @@ COMMANDS = ["simulate", "import", "train", "calibrate", "evaluate", "report", "r
 def test_help_answers_for_every_command(capsys, command):
     code, out, _ = run(capsys, *([command] if command else []), "--help")
     assert code == 0 and "usage: tauext" in out
+
+
+def options_of(text: str) -> list[str]:
+    return re.findall(r"^  (--[\w.-]+)", text, flags=re.MULTILINE)
+
+
+def test_help_of_train_has_the_common_options_first_and_all_when_asked(capsys):
+    """Held against the fields of the settings themselves, so that no option is lost in the arrangement."""
+    short, everything = (run(capsys, "train", word)[1] for word in ("--help", "--help-all"))
+    named = {"--data", "--out", "--case", "--robot", "--accept"}
+    for field in fields(TrainConfig):
+        value = getattr(TrainConfig(), field.name)
+        inner = [f"--{field.name}.{one.name}" for one in fields(value)] if is_dataclass(value) else []
+        named |= {name.replace("_", "-") for name in inner or [f"--{field.name}"]}
+    assert sorted(options_of(everything)) == sorted(named)
+    assert options_of(short) == options_of(everything)[: len(options_of(short))] and len(options_of(short)) < 20
+    assert options_of(short)[:2] == ["--data", "--out"] and {"--case", "--recipe"} <= set(options_of(short))
+    assert f"{len(named) - len(options_of(short))} more" in short and "--help-all" in short
+    for text in (short, everything):
+        assert max(len(line) for line in text.splitlines() if "{" not in line) <= 100
+    assert "a checkpoint beside it is written every 20 s, and kept" in " ".join(short.split())
 
 
 WRONG = [

@@ -92,6 +92,19 @@ def test_lines_of_text_end_with_a_summary(place, capsys):
     np.testing.assert_array_equal(load_recording(kept).q, pushed().q)
 
 
+def test_what_a_standing_alarm_hides_is_shown_and_how_to_show_it(place, capsys):
+    """The push of the elbow comes while the alarm of the shoulder's stands; acknowledged before, it is an alarm."""
+    code, out, _ = monitor(capsys, *SOURCE)
+    assert code == 0 and out.count("COLLISION") == 1
+    (line,) = [line for line in out.splitlines() if "another collision" in line]
+    seconds, text = line.split(" s  ", 1)
+    assert 3.6 < float(seconds) < 3.9 and text.startswith("another collision, elbow: hidden by the alarm of 2.0")
+    assert "to the end and hid 1 more collision; --acknowledge-after-s 1 " in out
+    assert "collision shoulder 1; 1 more collision hidden by an alarm that stood" in out
+    code, out, _ = monitor(capsys, *SOURCE, "--acknowledge-after-s", 0.8)
+    assert out.count("COLLISION") == 2 and "hidden" not in out and "hid " not in out
+
+
 @pytest.mark.parametrize(
     "arguments, message",
     [

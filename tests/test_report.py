@@ -368,10 +368,9 @@ def test_bundles_stand_in_the_papers_order_with_other_recipes_behind_their_model
 
 def test_the_papers_numbers_stand_beside_both_recipes_and_the_recipe_is_named(seven):
     page = words_of(page_of(seven[0]))
-    for label, name, trained in (
-        ("exact", "exact", "dense 20,000"),
-        ("exact, paper recipe", "exact-paper", "paper 189,000"),
-    ):
+    by_the_paper, by_dense = page.index("By the paper&#39;s own recipe"), page.index("By recipe dense")
+    assert by_the_paper < page.index("exact, paper recipe joint1") < by_dense
+    for label, name, trained in (("exact", "exact", "20,000"), ("exact, paper recipe", "exact-paper", "189,000")):
         ours = load_results(seven[0]).bundle(name)
         measures = f"{ours.l1_nm[0]:.3f} 0.402 {ours.l2_nm[0]:.3f} 0.661 {ours.mse_nm2[0]:.3f} 0.435"
         assert f"{label} joint1 {measures} {trained}" in page

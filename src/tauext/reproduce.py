@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from tauext.config import PAPER_CASES, TrainConfig
+from tauext.config import PAPER_CASES, ModelCase, TrainConfig
 from tauext.data import load_dataset
 from tauext.evaluate import evaluate_bundles
 from tauext.progress import SILENT, Reporter
@@ -14,6 +14,14 @@ from tauext.report import write_report
 from tauext.rig import RigConfig, simulate_dataset
 from tauext.robot import estimated_model
 from tauext.train import finished, look_first, train_on_recordings
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Bundles beside those of every case: what the same data gives by another recipe; named CASE-RECIPE."""
+
+    training: TrainConfig
+    cases: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -26,22 +34,37 @@ class Scale:
     """Recordings with about ten collisions each."""
     training: TrainConfig
     """How every model case is trained."""
-    paper_cases: tuple[str, ...] = ()
-    """Cases that are trained by the paper's whole recipe as well; their bundles are named CASE-paper."""
+    beside: Beside | None = None
 
 
 SCALES = {
     "smoke": Scale(
         minutes=2.0, collision_recordings=1, training=TrainConfig(recipe="paper", epochs=1, batch=64, max_steps=20)
     ),
-    "quick": Scale(minutes=45.0, collision_recordings=20, training=TrainConfig(recipe="paper", epochs=20, batch=128)),
+    "quick": Scale(
+        minutes=45.0,
+        collision_recordings=20,
+        training=TrainConfig(recipe="dense", max_steps=10_000),
+        # Minutes of motion are all that it needs, and its fit takes as long as what it is fitted to.
+        beside=Beside(TrainConfig(minutes=10.0, max_steps=3000), ("exact",)),
+    ),
     "full": Scale(
         minutes=90.0,
         collision_recordings=20,
         training=TrainConfig(recipe="dense"),
-        paper_cases=("exact", "none"),
+        beside=Beside(TrainConfig(recipe="paper"), tuple(PAPER_CASES)),
     ),
 }
+
+
+def trainings(scale: Scale, cases: Sequence[str], seed: int) -> dict[str, tuple[ModelCase, TrainConfig]]:
+    """What is trained, by the names of the bundles: every case, then those by another recipe, one after the other."""
+    jobs = {case: (PAPER_CASES[case], replace(scale.training, seed=seed)) for case in cases}
+    if scale.beside is not None:
+        other = replace(scale.beside.training, seed=seed)
+        chosen = [case for case in scale.beside.cases if case in cases]
+        jobs |= {f"{case}-{other.recipe}": (PAPER_CASES[case], other) for case in chosen}
+    return jobs
 
 
 def reproduce_paper(
@@ -70,18 +93,18 @@ def reproduce_paper(
             lambda what, done, total: show(done, total, what),
         )
     dataset = load_dataset(data)
-    jobs = {case: (PAPER_CASES[case], replace(scale.training, seed=seed)) for case in cases}
-    paper = TrainConfig(recipe="paper", seed=seed)
-    jobs |= {f"{case}-paper": (PAPER_CASES[case], paper) for case in scale.paper_cases if case in cases}
+    jobs = trainings(scale, cases, seed)
     bundles = {name: out / "bundles" / f"{name}.tauext" for name in jobs}
     missing = [name for name, (case, config) in jobs.items() if not finished(bundles[name], case, config)]
     if missing:
         robot = dataset.robot_file(None)
         training, validation = dataset.recordings("train"), dataset.recordings("validation")
+        # One look for all: with a model it holds all that one without a model would.
+        case, config = max((jobs[name] for name in missing), key=lambda job: not job[0].no_model)
+        looked = look_first(dataset, robot, case, training, validation, config, (), report)
         for name in missing:
             case, config = jobs[name]
             tree = estimated_model(robot, training[0].joints, case)
-            looked = look_first(dataset, robot, case, training, validation, config, (), report)
             train_on_recordings(
                 tree, robot, case, training, validation, config, bundles[name], report=report, looked=looked
             )

@@ -25,6 +25,7 @@ from tauext.cli.evaluate import evaluate
 from tauext.cli.import_data import import_data
 from tauext.cli.monitor import monitor
 from tauext.cli.parsing import deferred, understood
+from tauext.cli.purposes import arranged_help
 from tauext.cli.replaced import RULE
 from tauext.cli.report import report
 from tauext.cli.reproduce import reproduce
@@ -87,6 +88,10 @@ def main(argv: list[str] | None = None) -> int:
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, TextIOWrapper):
                 stream.reconfigure(errors="backslashreplace")  # names of files may be any bytes
+        if (told := arranged_help(app, "tauext", argv)) is not None:
+            print(told)
+            flush()
+            return 0
         status = understood(app, "tauext", DESCRIPTION, spelled_out(argv))()
         flush()
     except FaultyDataError as error:

@@ -76,6 +76,8 @@ class LiveView(TextLines):
         )
         if said["alarm_joint"][-1] >= 0:
             status.append(f" {self._joints[said['alarm_joint'][-1]]}")
+        if alarm == "collision" and self._behind:
+            status.append(f", hides {self._behind} more; --acknowledge-after-s 1 shows them")
         return Group(Text(self.heading(time_s, wall_s)), status, self.joints(chunk))
 
     def heading(self, time_s: float, wall_s: float) -> str:

@@ -69,8 +69,8 @@ class LiveWords(TextLines):
 
     def begin(self, source: str, bundle: _core.Bundle) -> None:
         self._joints, self._units = tuple(link.joint_name for link in bundle.links), bundle.estimate_units
-        self._latched_s, self._start_ns, self._of, self._has_begun = None, 0, 1, False
-        self._second, self._shown, self._hidden = 0, 0, 0
+        self._start_ns, self._of, self._has_begun = 0, 1, False
+        self._begin_events()
         self._title, self._began, self._duration_s = source, 0.0, math.inf
         rate_hz = 1e9 / bundle.observer.sample_period_ns
         self.say(f"{source}: {len(self._joints)} joints at {rate_hz:g} Hz, bundle {bundle.name}; Ctrl-C ends")
@@ -103,6 +103,7 @@ class LiveWords(TextLines):
 
     def finish(self, outcome: Outcome) -> None:
         self._tell_hidden()
+        self._tell_latched()
         counts = outcome.counts
         self.say("ended")
         timing = f"told after {outcome.tick.text()}"

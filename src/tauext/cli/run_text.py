@@ -20,6 +20,8 @@ from tauext.monitor import (
     DriftChange,
     FlightNews,
     HealthChange,
+    HiddenCollision,
+    HiddenFinder,
     Tally,
     unseen_words,
 )
@@ -30,6 +32,8 @@ MOST_UNFAMILIAR = 3
 """Of what training never saw."""
 MOST_HEALTH_LINES = 10
 """About health in one second of a recording; a bad cable can change it at every sample."""
+MOST_BEHIND_LINES = 10
+"""About collisions behind one alarm that stands."""
 
 
 class TextLines:
@@ -50,17 +54,23 @@ class TextLines:
     def start(self, bundle: Bundle, recording: Recording, number: int, of: int) -> None:
         self._joints, self._start_ns, self._of = recording.joints, int(recording.t_ns[0]), of
         self._units = bundle.estimate_units
-        self._latched_s: float | None = None
-        self._second, self._shown, self._hidden = 0, 0, 0
+        self._begin_events()
         which = f" ({number} of {of})" if of > 1 else ""
         self.say(
             f"{recording.name}{which}: {recording.duration_s:.1f} s, {recording.samples:,} samples at "
             f"{recording.rate_hz:g} Hz, bundle {bundle.name}"
         )
 
+    def _begin_events(self) -> None:
+        self._latched_s: float | None = None
+        self._behind, self._finder = 0, HiddenFinder()
+        self._second, self._shown, self._hidden = 0, 0, 0
+
     def chunk(self, chunk: Chunk, tally: Tally) -> None:
-        for change in chunk.changes:
-            if isinstance(change, HealthChange):
+        for change in sorted([*chunk.changes, *self._finder.find(chunk)], key=lambda event: event.t_ns):
+            if isinstance(change, HiddenCollision):
+                self._hide(change)
+            elif isinstance(change, HealthChange):
                 self._health(change)
             elif isinstance(change, DriftChange):
                 self._event(change.t_ns, f"recalibrate: joint {self._joints[change.joint]}'s drift is at its bound")
@@ -72,11 +82,7 @@ class TextLines:
 
     def end(self, tally: Tally, flights: FlightCount, complete: bool) -> None:
         self._tell_hidden()
-        if self._latched_s is not None:
-            self.say(
-                f"  the collision alarm stood from {self._latched_s:.3f} s to the end and hid what came after it; "
-                "--acknowledge-after-s ends it"
-            )
+        self._tell_latched()
         if self._of > 1:
             for line in summary_lines(tally, flights, self._settings.flights):
                 self.say(f"  {line}")
@@ -107,10 +113,33 @@ class TextLines:
             self.say(f"{self._second:11d} s  ... and {self._hidden} more changes of health in that second")
         self._hidden = 0
 
+    def _tell_latched(self) -> None:
+        """What an alarm hid that stands at the end, and how to see it."""
+        if self._latched_s is None or self._settings.acknowledge_after_s is not None:
+            return
+        count = collisions_text(self._behind) if self._behind else "what came after it"
+        self.say(
+            f"  the collision alarm stood from {self._latched_s:.3f} s to the end and hid {count}; "
+            "--acknowledge-after-s 1 ends each alarm after a second and shows all"
+        )
+
+    def _hide(self, collision: HiddenCollision) -> None:
+        """One more behind the alarm that stands."""
+        self._behind += 1
+        if self._latched_s is None or self._behind > MOST_BEHIND_LINES:
+            return
+        until = ", which stands until it is acknowledged" if self._behind == 1 else ""
+        last = "; more like it are only counted" if self._behind == MOST_BEHIND_LINES else ""
+        joint = self._joints[collision.joint]
+        self._event(
+            collision.t_ns, f"another collision, {joint}: hidden by the alarm of {self._latched_s:.3f} s{until}{last}"
+        )
+
     def _alarm(self, change: AlarmChange) -> None:
-        collision = change.alarm == ALARMS.index("collision")
-        if self._settings.acknowledge_after_s is None and collision:
-            self._latched_s = (change.t_ns - self._start_ns) * 1e-9
+        if change.alarm == ALARMS.index("collision"):
+            self._latched_s, self._behind = (change.t_ns - self._start_ns) * 1e-9, 0
+        elif change.was == ALARMS.index("collision"):
+            self._latched_s = None
         self._event(change.t_ns, alarm_words(change, self._joints, self._units))
 
 
@@ -160,7 +189,9 @@ def summary_lines(tally: Tally, flights: FlightCount, folder: Path | None, timin
         f"samples       {tally.samples:,} ({duration_text(tally.hours)}), "
         + (timing or f"{told['us_per_sample']:.2f} µs each"),
         f"health        {', '.join(shares)}",
-        f"alarms        {'; '.join(alarms)}" + (f"; {tally.acknowledged} acknowledged" if tally.acknowledged else ""),
+        f"alarms        {'; '.join(alarms)}"
+        + (f"; {tally.acknowledged} acknowledged" if tally.acknowledged else "")
+        + (f"; {collisions_text(tally.hidden)} hidden by an alarm that stood" if tally.hidden else ""),
         f"worst margin  {', '.join(margins) if margins else 'none: there was no estimate'}",
         f"chain         {tally.bridged_ticks} bridged ticks, {tally.restarts} restarts",
     ]
@@ -183,6 +214,10 @@ def unfamiliar_text(tally: Tally) -> str:
     if tally.unfamiliar_share < WARNS_FROM:
         return text
     return f"{text}. WARNING: estimates may be wrong there, and limits are up to half higher; train with such motion"
+
+
+def collisions_text(count: int) -> str:
+    return f"{count} more collision{'s' * (count != 1)}"
 
 
 def duration_text(hours: float) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -72,15 +73,16 @@ def evaluate(
         own = None if own_nm is None else OwnTorque(own_nm, events, next(iter(bundles.values())).near_stiction_rad_s)
         comparison = Comparison(bundles, events, sanity_detectors(seed) if sanity else [], own)
     total = len(test) + len(collisions)
-    for number, load in enumerate([*test, *collisions]):
-        if number < done:
-            continue
-        free = number < len(test)
-        keep_in = estimates_dir if not free or number < keep_free_estimates else None
-        comparison.add(number, load(), free, threads, keep_in)
-        progress("evaluate", number + 1, total)
-        if kept:
-            kept.offer((comparison, number + 1))
+    with ThreadPoolExecutor(max(1, min(threads, len(bundles)))) as pool:
+        for number, load in enumerate([*test, *collisions]):
+            if number < done:
+                continue
+            free = number < len(test)
+            keep_in = estimates_dir if not free or number < keep_free_estimates else None
+            comparison.add(number, load(), free, threads, keep_in, pool)
+            progress("evaluate", number + 1, total)
+            if kept:
+                kept.offer((comparison, number + 1))
     return comparison.summary(seed, loss_histories or {})
 
 
@@ -98,11 +100,21 @@ class Comparison:
         self._measures = {name: BundleMeasures(name, bundle, events) for name, bundle in bundles.items()}
         self._touches: list[Collision] = []
 
-    def add(self, number: int, recording: Recording, free: bool, threads: int, keep_in: Path | None) -> None:
+    def add(
+        self,
+        number: int,
+        recording: Recording,
+        free: bool,
+        threads: int,
+        keep_in: Path | None,
+        pool: ThreadPoolExecutor,
+    ) -> None:
         """Take in a recording: number in the order of all; free: it is of the test set, whose free motion counts.
 
         Args:
+            threads: of all bundles together.
             keep_in: folder for its estimates, with a folder a bundle; None: they are not kept.
+            pool: the bundles are done in it, each by one thread: most of it is not the core, which knows several.
         """
         found = find_collisions(recording)
         self._touches += found
@@ -110,17 +122,23 @@ class Comparison:
             self._own.add(recording)
         gains = set() if not found else {bundle.observer.gain_per_s for bundle in self._bundles.values()}
         references = {gain: sensor_reference(recording, gain) for gain in gains}
-        for name, bundle in self._bundles.items():
-            estimates = estimate_recording(bundle, recording, threads)
+        own_threads, last = max(1, threads // len(self._bundles)), list(self._bundles)[-1]
+
+        def judge(name: str) -> Estimates | None:
+            bundle, measures = self._bundles[name], self._measures[name]
+            estimates = estimate_recording(bundle, recording, own_threads)
             if keep_in is not None:
                 save_estimates(estimates, keep_in / name / f"{recording.name}.parquet")
-            measures = self._measures[name]
             measures.add_events(recording, estimates)
             if free:
                 measures.add_free(recording, free_part(recording, estimates) if found else estimates)
             if found or not free:
                 measures.add_touched(found, recording, estimates, references.get(bundle.observer.gain_per_s))
+            return estimates if self._ignorant and name == last else None  # else the memory of all at once
+
+        *_, estimates = pool.map(judge, self._bundles)
         for detector in self._ignorant:
+            assert estimates is not None
             if free and not found:
                 detector.add_free(number, recording)
             else:

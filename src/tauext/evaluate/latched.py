@@ -59,15 +59,17 @@ def held(over: np.ndarray, hold_samples: int) -> np.ndarray:
 
 def latched_summary(verdicts: Sequence[dict]) -> dict:
     """The entry `latched` of a bundle in results.json."""
-    delays = [v["delay_against_sensor_s"] for v in verdicts if v["delay_against_sensor_s"] is not None]
-    median, late = (float(np.quantile(delays, q)) if delays else None for q in (0.5, 0.95))
+    delays: dict[str, float | None] = {}
+    for key in ("delay", "delay_against_sensor"):
+        known = [v[f"{key}_s"] for v in verdicts if v[f"{key}_s"] is not None]
+        for name, quantile in (("median", 0.5), ("p95", 0.95)):
+            delays[f"{key}_{name}_s"] = float(np.quantile(known, quantile)) if known else None
     return {
         "collisions": len(verdicts),
         "latched": sum(v["latched"] for v in verdicts),
         "strong": sum(v["strong"] for v in verdicts),
         "strong_latched": sum(v["strong"] and v["latched"] for v in verdicts),
-        "delay_against_sensor_median_s": median,
-        "delay_against_sensor_p95_s": late,
+        **delays,
     }
 
 

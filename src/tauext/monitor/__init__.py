@@ -3,6 +3,7 @@
 from tauext.monitor.changes import ALARMS, HEALTHS, AlarmChange, Change, DriftChange, HealthChange
 from tauext.monitor.flight_files import FlightSource, write_flight
 from tauext.monitor.flight_writer import FlightNews, FlightWriter
+from tauext.monitor.hidden import HiddenCollision, HiddenFinder
 from tauext.monitor.pace import Pace
 from tauext.monitor.replay import Chunk, Samples, replay
 from tauext.monitor.status import StatusClock, status
@@ -20,6 +21,8 @@ __all__ = [
     "FlightSource",
     "FlightWriter",
     "HealthChange",
+    "HiddenCollision",
+    "HiddenFinder",
     "Pace",
     "Samples",
     "StatusClock",

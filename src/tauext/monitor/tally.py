@@ -10,6 +10,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.monitor.changes import ALARMS, HEALTHS, NONE, AlarmChange, Change
+from tauext.monitor.hidden import HiddenFinder
 from tauext.monitor.replay import Chunk
 from tauext.monitor.unfamiliar import KINDS, Unseen, unseen_of
 
@@ -27,6 +28,8 @@ class Tally:
     restarts: int = 0
     core_s: float = 0.0
     acknowledged: int = 0
+    hidden: int = 0
+    """Collisions that raised no alarm, since one stood."""
     health: np.ndarray = field(default_factory=lambda: np.zeros(len(HEALTHS), dtype=np.int64))
     """Samples of each health."""
     unfamiliar: Counter[Unseen] = field(default_factory=Counter)
@@ -37,6 +40,7 @@ class Tally:
     """Smallest margin of each joint where there is one; negative: over the limit; infinite: there was none."""
 
     def __post_init__(self) -> None:
+        self._finder = HiddenFinder()
         self.units = self.units or ("N m",) * len(self.joints)
         self.alarms = np.zeros((len(ALARMS), len(self.joints)), dtype=np.int64)
         self.worst_margin_nm = np.full(len(self.joints), np.inf)
@@ -48,6 +52,7 @@ class Tally:
         self.health += np.bincount(chunk.said["health"], minlength=len(HEALTHS))
         self.worst_margin_nm = np.fmin(self.worst_margin_nm, np.fmin.reduce(chunk.said["margin_nm"], axis=0))
         self.unfamiliar += unseen_of(chunk.said)
+        self.hidden += len(self._finder.find(chunk))
         self.add_changes(chunk.changes)
         self.bridged_ticks, self.restarts = monitor.bridged_ticks, monitor.restarts
 
@@ -67,6 +72,7 @@ class Tally:
             "restarts",
             "core_s",
             "acknowledged",
+            "hidden",
             "health",
             "alarms",
             "unfamiliar",
@@ -97,6 +103,7 @@ class Tally:
                 if level != ALARMS[NONE]
             },
             "acknowledged": self.acknowledged,
+            "hidden_collisions": self.hidden,
             "bridged_ticks": self.bridged_ticks,
             "restarts": self.restarts,
             "unfamiliar_share": self.unfamiliar_share,

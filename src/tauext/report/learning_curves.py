@@ -17,15 +17,15 @@ def draw_learning_curves(results: Results) -> Drawing:
     """L1 in free motion over minutes of training data; a panel a joint, a line a recipe (and model, where they differ).
 
     Raises:
-        NotAvailable: fewer than two amounts of training data.
+        NotAvailable: no recipe was trained on two amounts of data.
     """
     lines: dict[tuple[str, str], list[EvaluatedBundle]] = {}
     for bundle in results.bundles:
         if bundle.measured.training_minutes:
             lines.setdefault((bundle.recipe or bundle.name, bundle.measured.model_case or ""), []).append(bundle)
     minutes = sorted({bundle.measured.training_minutes or 0.0 for bundles in lines.values() for bundle in bundles})
-    if len(minutes) < 2:
-        raise NotAvailable("the bundles were trained on fewer than two amounts of data")
+    if all(len({bundle.measured.training_minutes for bundle in of_one}) < 2 for of_one in lines.values()):
+        raise NotAvailable("no recipe was trained on two amounts of data")
     several_models = len({model for _, model in lines}) > 1
     rows = -(-len(results.joints) // MOST_COLUMNS)
     columns = -(-len(results.joints) // rows)

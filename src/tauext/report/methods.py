@@ -18,6 +18,9 @@ class Latched:
     delay_median_s: Number
     """Against the sensor, as the next."""
     delay_p95_s: Number
+    onset_median_s: Number = None
+    """From the true onset to the alarm, as the next; None in results of earlier versions."""
+    onset_p95_s: Number = None
 
 
 @dataclass(frozen=True)

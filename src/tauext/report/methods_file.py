@@ -57,6 +57,8 @@ def read_latched(entry: Entry) -> Latched | None:
         **{key: entry.get(key, int, needed=True) for key in counts},
         delay_median_s=entry.number("delay_against_sensor_median_s"),
         delay_p95_s=entry.number("delay_against_sensor_p95_s"),
+        onset_median_s=entry.number("delay_median_s"),
+        onset_p95_s=entry.number("delay_p95_s"),
     )
 
 

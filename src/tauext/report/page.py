@@ -11,6 +11,7 @@ from jinja2 import Environment, StrictUndefined
 from tauext.report import paper, tables
 from tauext.report.error_against_sigma import sigma_table
 from tauext.report.events import events_table
+from tauext.report.first_screen import first_screen
 from tauext.report.methods_table import method_errors, methods
 from tauext.report.results import EvaluatedBundle, Numbers, Results
 from tauext.report.style import bundle_colours
@@ -22,9 +23,9 @@ MOST_TILES = 5
 """In one row; more stand in rows of about the same number."""
 SCALES = {
     "smoke": "Scale smoke: seconds of data and training, to test that everything runs. The numbers mean nothing.",
-    "quick": "Scale quick: less data and training than the paper's. It shows the shape of every result; the numbers of "
-    "the paper need scale full.",
-    "full": "Scale full: as much data and training as the paper's.",
+    "quick": "Scale quick: less motion, and every model's network by a short training of its own (recipe dense); "
+    "tauext's own recipe stands beside them. The paper's recipe, whole and for all five models, is in --scale full.",
+    "full": "Scale full: as much data as the paper's, and every model by its whole recipe beside tauext's short one.",
 }
 
 
@@ -69,6 +70,7 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
     ten = [results.collisions[one] for one in results.ten if one in results.collisions]
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+        first=first_screen(results),
         facts=facts(results),
         notice=SCALES.get(str(results.provenance.get("scale"))),
         compared=tables.has_paper(results),
@@ -81,7 +83,7 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         sanity=results.sanity,
         events=events_table(results.events) if results.events else None,
         labels=results.events[0] if results.events else None,
-        table_one=tables.table_one(results),
+        table_one=tables.tables_one(results),
         regions=tables.regions(results),
         limits_move=results.some_limits_move,
         units_note=results.units_note,

@@ -111,14 +111,21 @@ class Results:
 
     @property
     def shown(self) -> tuple[EvaluatedBundle, ...]:
-        """Those that stand in figures with a column, a lane or a curve over time for each: all, or the first few."""
-        return self.bundles if len(self.bundles) <= ROOM else self.bundles[:SHOWN]
+        """Those that stand in figures with a column, a lane or a curve over time for each: all, or the first few.
+
+        Of the paper's models, all of which were trained by two recipes, those of the case's own name.
+        """
+        if len(self.bundles) <= ROOM:
+            return self.bundles
+        own = tuple(bundle for bundle in self.bundles if bundle.name == bundle.model)
+        return own if len(own) == SHOWN else self.bundles[:SHOWN]
 
     @property
     def shown_note(self) -> str:
         """A sentence for the caption of such a figure; empty where all are shown."""
         left = len(self.bundles) - len(self.shown)
-        return f" Only the first {len(self.shown)} of {len(self.bundles)} bundles are drawn." if left else ""
+        first = "the first " if self.shown == self.bundles[: len(self.shown)] else ""
+        return f" Only {first}{len(self.shown)} of {len(self.bundles)} bundles are drawn." if left else ""
 
     @property
     def some_limits_move(self) -> bool:

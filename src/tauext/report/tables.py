@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from urllib.parse import quote
 
 from tauext.report import paper
@@ -102,11 +103,34 @@ def by_joint(
     return Table(tuple(groups), tuple(columns), tuple(rows), words=2)
 
 
+def tables_one(results: Results) -> list[tuple[str, Table]]:
+    """The paper's Table I, with a heading, of each recipe that several of the paper's models were trained by.
+
+    The paper's own recipe comes first. One table without a heading where there are not several.
+    """
+    bundles = results.bundles
+    counts = Counter(bundle.recipe for bundle in bundles if bundle.model)
+    several = [recipe for recipe, count in counts.items() if recipe is not None and count > 1]
+    if len(several) < 2:
+        return [("", table_one(results))]
+    several.sort(key=lambda recipe: recipe != "paper")
+    told = {"paper": "By the paper's own recipe", None: "Others"}
+    of = {recipe: [b for b in bundles if b.recipe == recipe and b.model] for recipe in several}
+    rest = [bundle for bundle in bundles if not any(bundle in those for those in of.values())]
+    parts = [*of.items(), *([(None, rest)] if rest else [])]
+    return [
+        (told.get(recipe, f"By recipe {recipe}"), table_one(replace(results, bundles=tuple(those))))
+        for recipe, those in parts
+    ]
+
+
 def table_one(results: Results) -> Table:
-    """The paper's Table I: errors on test free motion; how each was trained, where that differs."""
+    """Errors on test free motion; how each was trained, where that differs."""
     unit, squared = results.unit, "N²m²" if results.unit == "Nm" else f"({results.unit})²"
     several_recipes = len({bundle.recipe for bundle in results.bundles}) > 1
     last = {"recipe": lambda bundle: bundle.recipe or NONE} if several_recipes else {}
+    if len({bundle.measured.training_minutes for bundle in results.bundles}) > 1:
+        last |= {"minutes": lambda bundle: number(bundle.measured.training_minutes, 1)}
     return by_joint(
         results,
         (

@@ -12,14 +12,15 @@ WORKERS ?= auto
 PYTEST = $(VENV)/bin/python -m pytest
 CORE := $(shell find cpp/include cpp/src cpp/learn cpp/bindings -type f)
 
-.PHONY: help setup build reproduce test test-all test-arm fuzz soak lint docs bench bench-train bench-monitor clean
+.PHONY: help setup build reproduce test test-all test-arm fuzz soak lint docs bench bench-train bench-monitor dist \
+  test-dist clean
 help: ## Show this help
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
 setup: $(STAMP) ## Environment and build, in .venv
 $(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(CORE)
 	test -d $(VENV) || $(PYTHON) -m venv $(VENV)
 	$(PIP) install -c constraints.txt scikit-build-core nanobind cmake ninja
-	$(RUN) $(PIP) install -c constraints.txt --no-build-isolation -e '.[dev]'
+	$(RUN) $(PIP) install -c constraints.txt --no-build-isolation -C cmake.define.TAUEXT_WERROR=ON -e '.[dev]'
 	cp $(VENV)/lib/python*/site-packages/tauext/_core.pyi src/tauext  # where mypy looks for it
 	rm -f $(VENV)/.installed-*
 	touch $@
@@ -49,8 +50,8 @@ fuzz: setup ## A minute of hostile bundles, with clang; finds stay in build/fuzz
 soak: build ## A monitor after a day of samples beside a fresh one
 	build/cpp/soak_bench
 lint: setup ## Style and types of the Python code
-	$(VENV)/bin/ruff check src tests benchmarks examples docs
-	$(VENV)/bin/ruff format --check src tests benchmarks examples docs
+	$(VENV)/bin/ruff check src tests benchmarks examples docs wheels
+	$(VENV)/bin/ruff format --check src tests benchmarks examples docs wheels
 	$(VENV)/bin/mypy
 $(VENV)/.docs: pyproject.toml constraints.txt | setup
 	$(RUN) $(PIP) install -c constraints.txt --no-build-isolation -e '.[docs]'
@@ -67,6 +68,10 @@ bench-train: setup ## Training and evaluation against PyTorch, where it is insta
 	$(VENV)/bin/python benchmarks/train.py
 bench-monitor: build ## The monitor in a control loop, beside ONNX Runtime and PyTorch where they are installed
 	$(VENV)/bin/python benchmarks/monitor.py
+dist: ## The sdist and audited wheels for x86-64 and 64-bit Arm, in dist
+	$(PYTHON) wheels/make_dist.py
+test-dist: ## This machine's wheels, in an empty environment of each Python that is there, without a compiler
+	$(PYTHON) wheels/try_wheels.py
 clean: ## Remove builds; recordings and runs stay
 	rm -rf build $(VENV) .mypy_cache src/tauext/_core.pyi
 

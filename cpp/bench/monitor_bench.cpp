@@ -53,7 +53,7 @@ std::int64_t now_ns() noexcept {
   return duration_cast<nanoseconds>(steady_clock::now().time_since_epoch()).count();
 }
 
-std::string format(const char* pattern, ...) {
+[[gnu::format(printf, 1, 2)]] std::string format(const char* pattern, ...) {
   char text[512];
   va_list values;
   va_start(values, pattern);

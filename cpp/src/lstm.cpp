@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "lstm_lanes.hpp"
+#include "widest_simd.hpp"
 
 namespace tauext {
 
@@ -100,10 +101,9 @@ std::atomic<int> lane_limit{0};
 
 int machine_lanes() noexcept {
 #if defined(__x86_64__)
-  if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512bw") &&
-      __builtin_cpu_supports("avx512dq"))
-    return 16;
-  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return 8;
+  const Simd widest = widest_simd();
+  if (widest == Simd::kAvx512) return 16;
+  if (widest == Simd::kAvx2) return 8;
 #endif
   return 4;
 }

@@ -243,8 +243,12 @@ void parallel_chunks(int chunks, int threads, void (*body)(int chunk, int thread
 // The instruction set of the wrapper around a 16- and an 8-lane instance; lane_count() chooses at run time. Explicit
 // wrappers rather than target_clones, because the number of lanes, and with it the register tiling, differs.
 #if defined(__x86_64__)
-#define TAUEXT_TARGET_16 [[gnu::target("arch=x86-64-v4")]]
-#define TAUEXT_TARGET_8 [[gnu::target("arch=x86-64-v3")]]
+// The features of an architecture are named one by one: zig's clang switches off on its command line whatever the oldest
+// processor lacks; there `arch` loses to the command line, and a name does not.
+#define TAUEXT_FEATURES_8 "avx,avx2,bmi,bmi2,f16c,fma,lzcnt,movbe"
+#define TAUEXT_FEATURES_16 TAUEXT_FEATURES_8 ",avx512f,avx512bw,avx512cd,avx512dq,avx512vl"
+#define TAUEXT_TARGET_16 [[gnu::target("arch=x86-64-v4," TAUEXT_FEATURES_16)]]
+#define TAUEXT_TARGET_8 [[gnu::target("arch=x86-64-v3," TAUEXT_FEATURES_8)]]
 #else
 #define TAUEXT_TARGET_16
 #define TAUEXT_TARGET_8

@@ -52,10 +52,11 @@ Impossible SignalWatch::look(std::int64_t t_ns, std::span<const double> q, std::
   // How long a position that changes with every sample went on; of the others explain() knows.
   const double since_s = follows ? 1e-9 * (static_cast<double>(elapsed_ns(t_ns, state_.t_ns)) + sample_period_ns_)
                                  : std::numeric_limits<double>::infinity();
-  bool possible = true;
+  const auto within = [](double value, double most) { return static_cast<unsigned>(std::fabs(value) <= most); };
+  unsigned possible = 1;
   for (int j = 0; j < joints_; ++j)  // no branches
-    possible &= (std::fabs(q[j]) <= kFarthest) & (std::fabs(dq[j]) <= speed_[j]) & (std::fabs(tau[j]) <= torque_[j]) &
-                (std::fabs(q[j] - state_.q[j]) <= speed_[j] * since_s + kEncoderRad);
+    possible &= within(q[j], kFarthest) & within(dq[j], speed_[j]) & within(tau[j], torque_[j]) &
+                within(q[j] - state_.q[j], speed_[j] * since_s + kEncoderRad);
   return possible ? Impossible{} : explain(t_ns, q, dq, tau, follows);
 }
 

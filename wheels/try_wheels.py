@@ -1,0 +1,98 @@
+"""This machine's wheels in dist/, used as whoever has only pip would: empty environments and no compiler.
+
+    python3.11 wheels/try_wheels.py [--pythons 3.12 ...]
+
+For every Python that is there (pythons.py): installs the wheel and its extra `live`, runs `tauext --help`, the
+experiment at smoke scale and five seconds of the demo. Times are printed only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from pythons import find_python
+
+ROOT = Path(__file__).resolve().parent.parent
+WORK = ROOT / "build" / "dist" / "try"
+PYTHONS = ["3.11", "3.12", "3.13"]
+# No compiler, no CMake: programs of the environment and the few that a shell script needs.
+PROGRAMS = ["env", "sh", "uname"]
+
+
+def main() -> None:
+    """Every Python that is there; none there, or anything that fails, is an error."""
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--pythons", nargs="+", choices=PYTHONS, default=PYTHONS)
+    tried = 0
+    for version in arguments.parse_args().pythons:
+        python = find_python(version)
+        if python:
+            try_wheel(version, python, wheel_of(version))
+            tried += 1
+        else:
+            print(f"Python {version}: not here", flush=True)
+    if not tried:
+        sys.exit("no Python to try a wheel with")
+
+
+def wheel_of(version: str) -> Path:
+    """The one that pip would take of those in dist/."""
+    kind = "cp311-cp311" if version == "3.11" else "cp312-abi3"
+    found = sorted((ROOT / "dist").glob(f"tauext-*-{kind}-*_{os.uname().machine}.whl"))
+    if not found:
+        sys.exit(f"dist/ has no wheel {kind} for {os.uname().machine}: make dist")
+    return found[-1]
+
+
+def try_wheel(version: str, python: str, wheel: Path) -> None:
+    """Install and use it, far from the sources and with a home of its own."""
+    folder = WORK / version
+    shutil.rmtree(folder, ignore_errors=True)
+    (folder / "home").mkdir(parents=True)
+    timed(version, "environment", [python, "-m", "venv", folder / "venv"], folder, dict(os.environ))
+    settings = bare(folder)
+    pip = [folder / "venv/bin/pip", "--disable-pip-version-check", "-q", "install", "--only-binary=:all:"]
+    pip += ["-c", ROOT / "constraints.txt"]
+    tauext = folder / "venv/bin/tauext"
+    timed(version, "install", [*pip, wheel], folder, settings)
+    timed(version, "tauext --help", [tauext, "--help"], folder, settings)
+    timed(version, "reproduce", [tauext, "reproduce", "--scale", "smoke", "--out", "smoke"], folder, settings)
+    if not list((folder / "smoke").rglob("report.html")):
+        sys.exit(f"Python {version}: no report of the experiment in {folder / 'smoke'}")
+    timed(version, "install [live]", [*pip, f"{wheel}[live]"], folder, settings)
+    timed(version, "demo", [tauext, "demo", "--headless-seconds", "5"], folder, settings)
+
+
+def bare(folder: Path) -> dict[str, str]:
+    """Surroundings of a machine without developers' tools."""
+    (folder / "bin").mkdir()
+    for name in PROGRAMS:
+        (folder / "bin" / name).symlink_to(shutil.which(name) or sys.exit(f"no {name} here"))
+    kept = {name: os.environ[name] for name in ("PIP_CACHE_DIR", "PIP_INDEX_URL", "LANG") if name in os.environ}
+    cache = kept.get("PIP_CACHE_DIR", str(Path.home() / ".cache" / "pip"))
+    return kept | {
+        "PATH": f"{folder / 'venv/bin'}:{folder / 'bin'}",
+        "HOME": str(folder / "home"),
+        "PIP_CACHE_DIR": cache,
+        "CC": "false",
+        "CXX": "false",
+    }
+
+
+def timed(version: str, what: str, command: list[str | Path], folder: Path, settings: dict[str, str]) -> None:
+    """Run one step; one line for it, or its output and an end."""
+    began = time.monotonic()
+    done = subprocess.run(command, cwd=folder, env=settings, capture_output=True, text=True)
+    if done.returncode:
+        sys.exit(f"{done.stdout}{done.stderr}Python {version}: {what} failed")
+    print(f"Python {version}: {what}: {time.monotonic() - began:.1f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -458,6 +458,14 @@ def test_the_filtered_basis_without_a_model_holds_the_planar_arm_exactly():
 # --- ripple
 
 
+def test_threads_change_no_bit_of_a_fit_with_its_search_for_ripple():
+    made = recordings(rippling((24, 1.0)), seconds=60.0)
+    one, four = (fit_prior(replace(setup_of(planar_arm()), threads=n), made, SEARCHED) for n in (1, 4))
+    assert ripples_of(one) == ripples_of(four) == [(1, 24)]
+    np.testing.assert_array_equal(one.weights, four.weights)
+    np.testing.assert_array_equal(one.standard_errors, four.standard_errors)
+
+
 def ripples_of(fit: PriorFit) -> list[tuple[int, int]]:
     """(joint, cycles) that the fit holds."""
     return sorted({(t.a, t.b) for t in fit.settings.terms if t.kind == Kind.ripple})

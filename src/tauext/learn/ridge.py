@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from tauext.learn.prior_fit import LeftOut, PriorFit
 from tauext.learn.regression import FOLDS, NormalEquations, Regression
 from tauext.learn.training_set import Setup
 from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
+
+AT_A_TIME = 4
+"""Recordings whose regressors are held at a time, at most."""
 
 
 def fit_ridge(
@@ -46,11 +50,14 @@ def fit_ridge(
     terms = [term for group in own for term in group] + list(shared)
     usable = [recording for recording in recordings if recording.duration_s > setup.warm_up_s + 1]
     pieces = FOLDS if len(usable) < FOLDS else 1  # of each recording, so that there is something to leave out
-    found = [
-        (problem, (recording, span))
-        for recording in usable or recordings
-        for problem, span in _problems(setup, recording, own, shared, terms, corrected, loads, pieces)
-    ]
+    chosen = usable or recordings
+    with ThreadPoolExecutor(min(setup.threads, AT_A_TIME)) as pool:
+        each = pool.map(lambda one: _problems(setup, one, own, shared, terms, corrected, loads, pieces), chosen)
+        found = [
+            (problem, (recording, span))
+            for recording, problems in zip(chosen, each, strict=True)
+            for problem, span in problems
+        ]
     if not found:
         raise TrainingError(f"no training recording is longer than the observer's warm-up of {setup.warm_up_s:g} s")
     regression = Regression([problem for problem, _ in found])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -16,6 +17,8 @@ RIPPLE_DATA_S = 300.0  # so much motion is enough to find a ripple, and it takes
 RIPPLE_JOINTS_S = 600.0  # ... for each joint anew, so with many joints this over their number, but RIPPLE_ENOUGH_S
 RIPPLE_ENOUGH_S = 120.0
 RIPPLE_LEAST_S = 45.0  # in less, noise looks like one
+AT_A_TIME = 2
+"""Joints: all numbers of cycles of one take hundreds of MB."""
 RIPPLE_SHARE, RIPPLE_OUTSTANDS = 0.03, 5.0
 
 
@@ -51,17 +54,11 @@ def find_ripple(
         rows = np.flatnonzero(observation.warm.astype(bool))[:: setup.observer.network_stride].astype(np.int64)
         left = (observation.residual - observation.prior)[rows]
         energy += (left**2).sum(axis=0)
-        for joint in range(n):
-            settings = _core.PriorSettings()
-            settings.terms = [
-                _core.Term(_core.TermKind.ripple, joint, b=cycles, form=form)
-                for cycles in range(1, MOST_CYCLES + 1)
-                for form in (0, 1)
-            ]
-            settings.weights = [0.0] * (n * len(settings.terms))
-            values = _core.prior_regressors(setup.tree, setup.observer, settings, *signals, rows)
-            moments[joint] += (values.T @ left[:, joint]).reshape(-1, 2)
-            squares[joint] += (values**2).sum(axis=0).reshape(-1, 2)
+        with ThreadPoolExecutor(min(setup.threads, AT_A_TIME)) as pool:
+            each = pool.map(lambda joint, r=recording, k=rows, x=left: _of_joint(setup, r, k, x, joint), range(n))
+            for joint, (moment, square) in enumerate(each):
+                moments[joint] += moment
+                squares[joint] += square
     explained = (moments**2 / np.maximum(squares, 1e-12)).sum(axis=2)
     explained[:, : least_cycles - 1] = 0
     found = []
@@ -71,3 +68,19 @@ def find_ripple(
         matters = explained[joint, best] > RIPPLE_SHARE * energy[joint]
         found.append([best + 1] if stands_out and matters and best + 1 not in known[joint] else [])
     return found
+
+
+def _of_joint(
+    setup: Setup, recording: Recording, rows: np.ndarray, left: np.ndarray, joint: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Products of each number's sine and cosine with what is left of the joint, and their squares: (MOST_CYCLES, 2)."""
+    settings = _core.PriorSettings()
+    settings.terms = [
+        _core.Term(_core.TermKind.ripple, joint, b=cycles, form=form)
+        for cycles in range(1, MOST_CYCLES + 1)
+        for form in (0, 1)
+    ]
+    settings.weights = [0.0] * (setup.tree.size * len(settings.terms))
+    signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+    values = _core.prior_regressors(setup.tree, setup.observer, settings, *signals, rows)
+    return (values.T @ left[:, joint]).reshape(-1, 2), (values**2).sum(axis=0).reshape(-1, 2)

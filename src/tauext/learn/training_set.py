@@ -25,6 +25,8 @@ class Setup:
     observer: _core.ObserverSettings
     window_steps: int
     prior: _core.PriorSettings = field(default_factory=_core.PriorSettings)  # none: as in the paper
+    threads: int = 1
+    """That fits take; what they find does not depend on it."""
 
     @property
     def widths_rad(self) -> list[float]:

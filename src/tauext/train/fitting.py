@@ -54,6 +54,7 @@ def observe(job: Job, gain_per_s: float | None = None) -> Setup:
     """
     config = job.config.observer if gain_per_s is None else replace(job.config.observer, gain_per_s=gain_per_s)
     setup = build_setup(job.tree, job.training[0], config, job.config.recipe, job.config.filters)
+    setup = replace(setup, threads=job.threads)
     if job.constants is None:
         return setup
     return replace(setup, observer=with_constants(setup.observer, job.constants.used))

@@ -7,6 +7,7 @@ import pytest
 
 from tauext.demo.door import is_own_name, why_not
 from tauext.demo.page import free_port, open_server
+from tauext.errors import ConfigError
 
 viser = pytest.importorskip("viser", reason="the page needs the extra tauext[live]")
 sync = pytest.importorskip("websockets.sync.client")
@@ -81,3 +82,8 @@ def test_a_server_for_a_network_goes_by_addresses_and_its_own_name():
     headers = {"Host": "192.168.0.7:80", "Upgrade": "websocket", "Origin": "http://192.168.0.7:80"}
     assert why_not(headers | {"Sec-WebSocket-Protocol": f"x, {PROTOCOL}"}, "0.0.0.0", PROTOCOL) == ""
     assert why_not(headers | {"Sec-WebSocket-Protocol": "viser-v0"}, "0.0.0.0", PROTOCOL)
+
+
+def test_a_host_that_no_name_can_be_is_refused():
+    with pytest.raises(ConfigError, match="must be an address of this machine"):
+        free_port("\xe4\udcff", 8123)

@@ -17,7 +17,7 @@ from tauext import _core
 from tauext.calibrate import recalibrate
 from tauext.cli import main
 from tauext.config import AlarmConfig, TrainConfig
-from tauext.data import Recording, Split, load_dataset, load_recording, save_recording, save_split
+from tauext.data import Recording, Split, load_bundle, load_dataset, load_recording, save_recording, save_split
 from tauext.data.amperes import FROM_AMPERES
 from tauext.doctor import CODES, Finding
 from tauext.errors import ConfigError, FaultyDataError
@@ -312,3 +312,15 @@ def test_what_no_training_could_keep_is_refused_before_it_begins(data, tmp_path,
     ):
         assert train(data, tmp_path / "out" / "a.tauext", *options) == 2
         assert told in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_show_refuses_a_provenance_that_lost_a_key(data, tmp_path, capsys):
+    assert train(data, tmp_path / "a.tauext", "--recipe", "observer") == 0
+    bundle = load_bundle(tmp_path / "a.tauext")
+    facts = json.loads(bundle.provenance)
+    facts["look"]["training"]["warnings"] = [{"code": "spike", "joint": None}]
+    bundle.provenance = json.dumps(facts)
+    bundle.save(str(tmp_path / "b.tauext"))
+    capsys.readouterr()
+    assert main(["show", str(tmp_path / "b.tauext")]) == 2
+    assert "its provenance is damaged" in capsys.readouterr().err

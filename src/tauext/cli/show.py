@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from tauext.errors import ConfigError
+from tauext.errors import BundleError, ConfigError
 
 if TYPE_CHECKING:
     from tauext._core import Bundle, ObserverSettings
@@ -25,7 +25,10 @@ def show(file: tyro.conf.Positional[Path], as_json: Annotated[bool, tyro.conf.ar
     if not file.is_file():
         raise ConfigError(f"{file}: there is no such file; give a bundle (*.tauext) or a recording (*.parquet)")
     if file.suffix == ".tauext":
-        content = describe_bundle(file)
+        try:
+            content = describe_bundle(file)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise BundleError(f"{file}: its provenance is damaged ({type(error).__name__}: {error})") from error
     elif file.suffix == ".parquet":
         content = describe_recording(file)
     else:

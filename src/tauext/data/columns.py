@@ -55,6 +55,8 @@ def _stream(arm: Arm, raw: RawRecording, there: Mapping[str, Sequence[str]], top
         return topic
     if topic:
         raise ConfigError(f"{arm.path}: [{table}] topic = '{topic}' has no messages in {raw.path.name}")
+    if not there:
+        raise ConfigError(f"{raw.path.name}: it holds no messages to read [{table}] from")
     if len(there) > 1:
         listed = ", ".join(sorted(there))
         raise ConfigError(f"{arm.path}: [{table}] topic must be named, since several are read: {listed}")

@@ -47,7 +47,7 @@ def free_port(host: str, wanted: int) -> int:
                 return port
             except PermissionError as error:
                 raise ConfigError(f"port = {wanted} needs rights that this user has not; take one from 1024") from error
-            except socket.gaierror as error:
+            except (socket.gaierror, TypeError, UnicodeError) as error:
                 raise ConfigError(f"host = {host} must be an address of this machine, e.g. 127.0.0.1") from error
             except OSError as error:
                 if error.errno != 98 and "in use" not in str(error):

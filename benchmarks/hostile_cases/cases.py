@@ -103,7 +103,7 @@ READERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
             "run {} data/free-006.parquet",
             "run observer.tauext {}",
             "check --data {}",
-            "train --data {} --out out/a.tauext",
+            "train --data {} --out out/a.tauext --max-steps 20",
             "report --flight {} --out out/r",
             "report --results {} --data data --out out/r",
             "import --source {} --new out/a.toml",

@@ -58,6 +58,16 @@ def test_who_speaks_stays_while_silent_ones_come_and_go(listening):
         assert ask(speaking) == b"ok\n"
 
 
+def test_many_who_come_at_once_do_not_drive_out_who_spoke(listening):
+    with ExitStack() as stack:
+        speaking = call(listening, stack)
+        assert ask(speaking) == b"ok\n"
+        for _ in range(3 * MOST_CONNECTIONS):
+            call(listening, stack)
+        assert ask(call(listening, stack)) == b"ok\n"
+        assert ask(speaking) == b"ok\n"
+
+
 @pytest.fixture
 def place(tmp_path, monkeypatch):
     watching_bundle().save(str(tmp_path / "watching.tauext"))

@@ -18,6 +18,8 @@ from tauext.live.sink import Control
 LONGEST = 1000
 MOST_CONNECTIONS = 8
 """More than programs and people that steer one arm; beyond it the one that was silent longest gives way."""
+UNHEARD_S = 5.0
+"""One that has said nothing yet counts as silent for so much longer: several may come before a speaker's next line."""
 RETRY_S = 0.1
 USAGE = "`profile NAME`, `acknowledge`, `resume` or `stop`"
 
@@ -64,7 +66,7 @@ class ControlSocket:
         """Raises ConfigError where there can be no socket, or another monitor listens there."""
         self._path, self._control = path, control
         self._spoke: dict[socket.socket, float] = {}
-        """When each connection said something last, by time.monotonic()."""
+        """When each connection said something last, by time.monotonic(); UNHEARD_S before it came where it never did."""
         self._changing = threading.Lock()
         self._closed = False
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -101,7 +103,7 @@ class ControlSocket:
                 continue
             self._make_room()
             with self._changing:
-                self._spoke[connection] = time.monotonic()
+                self._spoke[connection] = time.monotonic() - UNHEARD_S
             threading.Thread(target=self._serve, args=(connection,), name="control", daemon=True).start()
 
     def _make_room(self) -> None:

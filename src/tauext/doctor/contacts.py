@@ -17,8 +17,9 @@ from tauext.doctor.regressors import FRICTION, PRESLIDING_RAD, Rows, picked, row
 
 CUTOFF_HZ, ROWS_HZ = 10.0, 50.0
 """An impact lasts 50 to 200 ms: the fits' own filter would take half of it."""
-END_S = 0.05
-"""Left out of a stretch: a program that ends in an impact, or is stopped by one, ends in it."""
+END_S = 0.1
+"""Left out of a stretch, four times what the filter remembers: there it sees one side only. No more, since a program
+that ends in an impact, or is stopped by one, ends in it."""
 WINDOW_S = 0.5
 LEAST_WINDOWS = 60
 USUAL = 90

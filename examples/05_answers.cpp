@@ -1,6 +1,7 @@
 // The monitor's answers to recorded samples, in full precision:   05_answers ARM.tauext < SAMPLES.csv
 //
-// To hold a controller's build against `tauext evaluate`: the same samples must give the same numbers, to the last bit.
+// To hold a controller's build against `tauext evaluate`: the same samples must give the same numbers, to the last bit
+// where one compiler made both (tauext --version names Python's).
 // A line of SAMPLES.csv is t_ns,q...,dq...,tau..., a value for each joint, tau as the arm gives it; a header is passed
 // over. A line of the output is t_ns,health,alarm,tau_ext...; stderr says which units the bundle takes and answers in.
 #include <cstdio>

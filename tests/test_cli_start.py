@@ -4,6 +4,8 @@ import subprocess
 import sys
 
 import tyro
+from made_error_scale import with_error_scale
+from made_pushes import watching_bundle
 
 from tauext.cli.quick_parser import quicken, without_own_source, without_typeguard
 
@@ -24,11 +26,13 @@ def test_help_loads_the_parser_and_little_else():
     assert not loaded & {"numpy", "pyarrow", "typeguard", "asyncio", "importlib.metadata", "tauext._core"}
 
 
-def test_show_reads_a_bundle_without_the_library_of_recordings(tmp_path):
-    (tmp_path / "broken.tauext").write_bytes(b"no bundle")
-    loaded = modules_after("show", str(tmp_path / "broken.tauext"))
-    assert "tauext.data.bundle_file" in loaded
-    assert not loaded & {"pyarrow", "typeguard"}
+def test_show_describes_a_bundle_without_numpy_and_the_library_of_recordings(tmp_path):
+    bundle = with_error_scale(watching_bundle())
+    bundle.after_contact_factor = 2.0
+    bundle.save(str(tmp_path / "arm.tauext"))
+    loaded = modules_after("show", str(tmp_path / "arm.tauext"))
+    assert "tauext.bundles.situations" in loaded
+    assert not loaded & {"numpy", "tauext.data", "pyarrow", "typeguard"}
 
 
 def test_the_shorter_ways_answer_as_the_long_ones():

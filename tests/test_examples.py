@@ -21,6 +21,10 @@ from tauext.data import save_recording
 from tauext.evaluate import estimate_recording
 
 ROOT = Path(__file__).parent.parent
+RELATIVE_TO_PEAK = 2e-5
+"""By how much answers of two compilers may differ, in the largest answer. They choose anew which products and sums are
+fused, so the network's sums in single precision (6e-8 a rounding, some hundreds of them a step, in gates that saturate)
+differ; ten times what gcc and clang were seen to differ by."""
 TOOLS = os.pathsep.join([os.path.dirname(sys.executable), os.environ["PATH"]])
 """cmake and ninja stand beside the Python that the tests run with."""
 
@@ -70,6 +74,15 @@ def place(tmp_path_factory) -> Path:
     watching_bundle().save(str(folder / "watching.tauext"))
     save_recording(pushed(), folder / "pushed.parquet")
     return folder
+
+
+def same_compiler(programs: Path) -> bool:
+    """Whether the installed module was made by the compiler that the programs were made with: not so of a wheel."""
+    cache = (programs.parent / "package" / "CMakeCache.txt").read_text()
+    (compiler,) = re.findall(r"^CMAKE_CXX_COMPILER:\w+=(.*)$", cache, re.M)
+    code, out, err = run(compiler, "-x", "c++", "-E", "-P", "-", text="__VERSION__")
+    assert code == 0, err
+    return _core.COMPILER.removeprefix("gcc ") == out[-1].strip('"')
 
 
 def as_csv(made) -> str:
@@ -132,7 +145,10 @@ def test_the_c_program_makes_its_own_samples_where_there_are_none(programs, plac
 
 
 def test_one_recording_in_amperes_gets_one_answer_to_the_last_bit_whoever_asks(programs, tmp_path):
-    """evaluate, run, the Python monitor, the C API and C++, of a bundle whose constants are no powers of two."""
+    """evaluate, run, the Python monitor, the C API and C++, of a bundle whose constants are no powers of two.
+
+    C and C++ to the last bit where one compiler made them and the module.
+    """
     nm_per_ampere = np.array([7.3, -0.19])
     bundle = taking_amperes(watching_bundle(), nm_per_ampere)
     bundle.save(str(tmp_path / "amperes.tauext"))
@@ -159,11 +175,13 @@ def test_one_recording_in_amperes_gets_one_answer_to_the_last_bit_whoever_asks(p
     code, out, err = run(programs / "05_answers", tmp_path / "amperes.tauext", text=as_csv(made))
     assert code == 0 and err.splitlines()[0] == "shoulder takes tau in A, answers in N m"
     cpp = np.array([[float(cell) for cell in line.split(",")[3:]] for line in out])
-    np.testing.assert_array_equal(cpp, said)
+    within = 0.0 if same_compiler(programs) else RELATIVE_TO_PEAK * seen.max()
+    np.testing.assert_allclose(cpp, said, rtol=0, atol=within)
 
     code, out, err = run(programs / "02_c_program", tmp_path / "amperes.tauext", text=as_csv(made))
     assert code == 0 and out[0] == "tau in A A"
-    np.testing.assert_array_equal([float(word) for word in out[-1].split("tau_ext ")[1].split()], said[-1])
+    last = [float(word) for word in out[-1].split("tau_ext ")[1].split()]
+    np.testing.assert_allclose(last, said[-1], rtol=0, atol=within)
 
 
 def test_the_replay_prints_both_pushes(place):

@@ -18,8 +18,9 @@ OPEN = {
     "room",
     "half_done",
     "caching",
+    "bundles",
 }
-"""Standard library only, and the version: open to all."""
+"""Standard library, and of the core what knows no NumPy: open to all."""
 STAGES = {"robot", "data", "rig", "learn", "calibrate", "train", "evaluate", "report"}
 # folder or module, or one file of a folder: (ours beside OPEN, outside libraries); only `__main__` imports `cli`.
 TABLE = {
@@ -32,6 +33,7 @@ TABLE = {
     "half_done": (set(), set()),
     "caching": (set(), set()),
     "plain_file": (set(), set()),
+    "bundles": ({"_core"}, set()),
     "room": (set(), set()),
     "robot": ({"_core"}, {"numpy", "mujoco"}),
     "data": ({"_core"}, {"numpy", "pyarrow"}),

@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 from made_amperes import taking_amperes
-from made_live import Keeper, ScriptedSource, samples_of
+from made_live import Clock, Keeper, ScriptedSource, samples_of
 from made_pushes import JOINTS, pushed, watching_bundle
 
 from tauext import _core
@@ -34,6 +34,14 @@ from tauext.monitor.changes import COLLISION, FAULT, OK, STALE
 @pytest.fixture(scope="module")
 def bundle():
     return watching_bundle()
+
+
+@pytest.fixture
+def clock(monkeypatch) -> Clock:
+    """What the loop goes by."""
+    one = Clock()
+    monkeypatch.setattr("tauext.live.loop.time", one)
+    return one
 
 
 def looped(bundle, source, *sinks, profiles=None, recorder=None, **settings) -> tuple[Loop, Keeper]:
@@ -81,7 +89,7 @@ def test_torques_are_multiplied_by_the_constants_of_the_bundle(bundle):
     assert other.verdicts[2100].sample.tau.tolist() == (recording.tau / constants)[2100].tolist()  # as it came
 
 
-def test_missing_samples_are_told_to_the_monitor_and_the_next_one_goes_on(bundle):
+def test_missing_samples_are_told_to_the_monitor_and_the_next_one_goes_on(bundle, clock):
     everything = samples_of(pushed(pushes=()))
     waits = []
 
@@ -94,7 +102,7 @@ def test_missing_samples_are_told_to_the_monitor_and_the_next_one_goes_on(bundle
 
     keeper = Keeper()
     script = [*everything[:1000], still_stale, *everything[1001:2000], until(20), *everything[2500:3500]]
-    source = ScriptedSource(script)
+    source = ScriptedSource(script, clock)
     loop = Loop(bundle, source, [keeper])
     loop.run()
     changes = [c for c in keeper.changes if isinstance(c, HealthChange)]
@@ -108,11 +116,12 @@ def test_missing_samples_are_told_to_the_monitor_and_the_next_one_goes_on(bundle
     assert (loop.monitor.bridged_ticks >= 1, loop.monitor.restarts) == (True, 1)
 
 
-def test_a_loop_ends_after_its_time_and_reports_every_second(bundle):
-    source = ScriptedSource([lambda: False])
-    loop, keeper = looped(bundle, source, duration_s=1.05)
-    (report,) = keeper.reports
+def test_a_loop_ends_after_its_time_and_reports_every_second(bundle, clock):
+    source = ScriptedSource([lambda: False], clock)
+    loop, keeper = looped(bundle, source, duration_s=2.05)
+    report, _ = keeper.reports
     assert (report.samples, report.missing, report.profile, source.closed) == (0, 0, "", 1)
+    assert clock.monotonic() == pytest.approx(2.05, abs=0.1)  # it looks ten times a second
     assert np.isnan(report.tick_p50_us) and loop.samples == 0
 
 

@@ -560,12 +560,38 @@ void bind_bundle(nb::module_& m) {
       nb::arg("bundle"), nb::arg("t_ns"), nb::arg("dq"), nb::arg("near_stiction"), nb::arg("entered"),
       nb::arg("restarted"), nb::arg("rows"),
       "Features, scale and standard error of the bundle's error scale at these rows of a motion; see estimates.hpp.");
+  m.def(
+      "errors_after",
+      [](const Bundle& b, const std::vector<double>& speeds_rad_s, bool near_stiction) {
+        const auto n = static_cast<std::size_t>(b.joints()), samples = speeds_rad_s.size();
+        std::vector<std::int64_t> t_ns(samples);
+        std::vector<double> dq;
+        for (std::size_t k = 0; k < samples; ++k) {
+          t_ns[k] = static_cast<std::int64_t>(k) * b.observer.sample_period_ns;
+          dq.insert(dq.end(), n, speeds_rad_s[k]);
+        }
+        const std::vector<std::uint8_t> near(samples * n, near_stiction), entered(samples, 1), restarted(samples, 0);
+        const std::int64_t last = static_cast<std::int64_t>(samples) - 1;
+        const MotionErrors e = motion_errors(b, {t_ns, dq, near, entered, restarted}, {&last, 1});
+        return std::pair(e.scale, e.sigma_nm);
+      },
+      nb::arg("bundle"), nb::arg("speeds_rad_s"), nb::arg("near_stiction"),
+      "Scale and standard error of each joint at the end of a motion in which every joint has these speeds, a sample "
+      "period apart; near_stiction: whether that is its end, which alone counts. Lists, so that no NumPy is loaded.");
 }
+
+// Answers are equal to the last bit only within what one compiler made.
+#ifdef __clang__
+constexpr const char* kCompiler = __VERSION__;  // begins with its name
+#else
+constexpr const char* kCompiler = "gcc " __VERSION__;
+#endif
 
 }  // namespace
 
 NB_MODULE(_core, m) {
   m.attr("__version__") = TAUEXT_VERSION;
+  m.attr("COMPILER") = kCompiler;
   m.attr("BUNDLE_FORMAT") = kBundleMajor;
   m.attr("OLDEST_BUNDLE_FORMAT") = kOldestBundleMajor;
   m.attr("MAX_JOINTS") = kMaxJoints;

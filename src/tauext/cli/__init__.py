@@ -46,7 +46,7 @@ DESCRIPTION = (
     "check: what recordings and robot file have wrong, before anyone trains. "
     "train -> run: the monitor on recordings; monitor: on a live arm. calibrate: other limits for a trained bundle. "
     "demo: push a simulated arm in the browser. convert: a bundle of an older format. "
-    "--version: of package, core and bundles. "
+    "--version: of package, core, its compiler and bundles. "
     f"{RULE} {KILLED}"
 )
 
@@ -61,14 +61,15 @@ def spelled_out(argv: list[str]) -> list[str]:
 
 
 def version_text() -> str:
-    """Versions of the package and of its core, and which bundles both read and write."""
+    """Versions of the package, of its core and of the compiler that made it; which bundles both read and write."""
     from importlib.metadata import version
 
     from tauext import _core
     from tauext.provenance import VERSION
 
     formats = f"bundle format {_core.BUNDLE_FORMAT} (reads {_core.OLDEST_BUNDLE_FORMAT} to {_core.BUNDLE_FORMAT})"
-    return f"tauext {version('tauext')}, core {VERSION}, {formats}"
+    compiler = _core.COMPILER.partition(" (")[0]  # clang adds where its sources came from
+    return f"tauext {version('tauext')}, core {VERSION} by {compiler}, {formats}"
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -12,11 +12,11 @@ from rich.table import Table
 from rich.text import Text
 
 from tauext._core import Bundle, cause_names
+from tauext.bundles.units import SEVERAL, of_all, short
 from tauext.cli.run_output import FlightCount
 from tauext.cli.run_settings import RunSettings
 from tauext.cli.run_text import TextLines
 from tauext.data import Recording
-from tauext.data.units import SEVERAL, of_all, short
 from tauext.monitor import ALARMS, HEALTHS, Chunk, Tally
 from tauext.monitor.readable import readable
 

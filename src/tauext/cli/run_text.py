@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Self
 
 from tauext._core import Bundle, cause_names
+from tauext.bundles.units import short
 from tauext.cli.run_output import FlightCount
 from tauext.cli.run_settings import RunSettings
 from tauext.data import Recording
-from tauext.data.units import short
 from tauext.monitor import (
     ALARMS,
     HEALTHS,

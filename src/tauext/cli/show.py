@@ -36,7 +36,7 @@ def show(file: tyro.conf.Positional[Path], as_json: Annotated[bool, tyro.conf.ar
     if as_json:
         print(json.dumps(content, indent=1))
         return
-    from tauext.monitor.situations import certainty
+    from tauext.bundles.situations import certainty
 
     tabled = content.pop("situations", {})
     width = max(map(len, content))
@@ -51,8 +51,8 @@ def show(file: tyro.conf.Positional[Path], as_json: Annotated[bool, tyro.conf.ar
 
 def describe_bundle(file: Path) -> dict:
     """Plain content of a bundle; loading it also replays its reference."""
-    from tauext.data import load_bundle
-    from tauext.data.units import of_all
+    from tauext.bundles.bundle_file import load_bundle
+    from tauext.bundles.units import of_all
 
     bundle = load_bundle(file)
     names = [link.joint_name for link in bundle.links]
@@ -166,7 +166,7 @@ def in_order(facts: Any, names: list[str]) -> Any:
 
 def beyond(bundle: Bundle, joint: int) -> str:
     """What of a joint the monitor takes for no sample at all, in words."""
-    from tauext.data.units import short
+    from tauext.bundles.units import short
 
     unit = short(bundle.estimate_units[joint])
     speed_unit = "m/s" if bundle.links[joint].type.name == "prismatic" else "rad/s"
@@ -178,7 +178,7 @@ def beyond(bundle: Bundle, joint: int) -> str:
 
 def describe_limits(bundle: Bundle, facts: dict) -> dict:
     """What raises limits beside the error scale, and how sure each joint is in motions that everybody knows."""
-    from tauext.monitor.situations import sentences, situations
+    from tauext.bundles.situations import sentences, situations
 
     content: dict[str, Any] = {}
     limits, scale = facts.get("limits", {}), facts.get("error_scale", {})

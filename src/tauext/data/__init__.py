@@ -1,7 +1,7 @@
 """Recordings, their file, and which recording serves for training, validation and test."""
 
+from tauext.bundles.bundle_file import load_bundle, write_bundle
 from tauext.data.amperes import from_amperes, in_amperes
-from tauext.data.bundle_file import load_bundle, write_bundle
 from tauext.data.bundle_fit import expect_fit
 from tauext.data.dataset import Dataset, load_dataset
 from tauext.data.first_seconds import first_seconds, total_s

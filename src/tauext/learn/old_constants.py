@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 from tauext import _core
-from tauext.data.bundle_file import expect_text
+from tauext.bundles.bundle_file import expect_text
 from tauext.errors import BundleError
 from tauext.learn.torque_constants import with_constants
 

@@ -8,10 +8,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from tauext import _core
+from tauext.bundles.units import short
 from tauext.data import Recording
 from tauext.data.estimates import Estimates
 from tauext.data.recording import RATE_TOLERANCE, TorqueTiming
-from tauext.data.units import short
 from tauext.monitor.changes import ALARMS, COLLISION, FAULT, HEALTHS
 
 Flight = dict[str, Any]

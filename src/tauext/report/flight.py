@@ -7,7 +7,7 @@ from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 
-from tauext.data.units import SEVERAL
+from tauext.bundles.units import SEVERAL
 from tauext.errors import ConfigError
 from tauext.report.flight_figures import draw_close, draw_flight, heading_words
 from tauext.report.flight_file import Flight, load_flight

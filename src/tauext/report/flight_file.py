@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from tauext.bundles.units import of_all, short
 from tauext.data import Recording, load_recording
 from tauext.data.estimates import Estimates, load_estimates
-from tauext.data.units import of_all, short
 from tauext.errors import ConfigError, RecordingError
 
 ESTIMATES = ".estimates.parquet"

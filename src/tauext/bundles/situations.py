@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
-import numpy as np
-
 from tauext import _core
-from tauext.data.units import short
+from tauext.bundles.units import short
 
 SPEED_RAD_S = 0.5
 """Of a joint that slides ..."""
@@ -35,44 +34,30 @@ def situations(bundle: _core.Bundle) -> dict[str, Situation]:
     found = {}
     for name, (dq, near) in motions(bundle).items():
         level = bundle.near_stiction_limit_nm if near else bundle.sliding_limit_nm
-        times, sigma = last_errors(bundle, dq, near)
+        scale, sigma_nm = _core.errors_after(bundle, dq, near)
         found[name] = {
-            "limit": dict(zip(names, (times * level).tolist(), strict=True)),
-            "standard error": dict(zip(names, sigma.tolist(), strict=True)),
+            "limit": {joint: s * limit for joint, s, limit in zip(names, scale, level, strict=True)},
+            "standard error": dict(zip(names, sigma_nm, strict=True)),
         }
     return found
 
 
-def motions(bundle: _core.Bundle) -> dict[str, tuple[np.ndarray, bool]]:
-    """Speeds of each motion, (samples,) [rad/s], and whether it ends near stiction."""
+def motions(bundle: _core.Bundle) -> dict[str, tuple[list[float], bool]]:
+    """Speeds of each motion, a sample period apart, [rad/s], and whether it ends near stiction."""
     period_s = 1e-9 * bundle.observer.sample_period_ns
     before, soon = (max(1, round(length_s / period_s)) for length_s in (BEFORE_S, SOON_S))
     edge = bundle.near_stiction_rad_s
     creeping = CREEPING_RAD_S if CREEPING_RAD_S < edge or edge == 0 else edge / 2
-    sliding = np.full(before, SPEED_RAD_S)
-    faster = SPEEDING_UP_RAD_S2 * period_s * np.arange(1, soon + 1)
-    braking = np.arange(SPEED_RAD_S, 0, -SPEEDING_UP_RAD_S2 * period_s)
+    sliding, change = [SPEED_RAD_S] * before, SPEEDING_UP_RAD_S2 * period_s
+    faster = [SPEED_RAD_S + change * k for k in range(1, soon + 1)]
+    braking = [SPEED_RAD_S - change * k for k in range(math.ceil(SPEED_RAD_S / change))]
     return {
-        "standing": (np.zeros(before), True),
-        "just after it stopped": (np.concatenate([sliding, braking, np.zeros(soon)]), True),
-        f"creeping at {creeping:g} rad/s": (np.full(before, creeping), True),
+        "standing": ([0.0] * before, True),
+        "just after it stopped": (sliding + braking + [0.0] * soon, True),
+        f"creeping at {creeping:g} rad/s": ([creeping] * before, True),
         f"sliding steadily at {SPEED_RAD_S:g} rad/s": (sliding, False),
-        f"speeding up by {SPEEDING_UP_RAD_S2:g} rad/s2": (np.concatenate([sliding, SPEED_RAD_S + faster]), False),
+        f"speeding up by {SPEEDING_UP_RAD_S2:g} rad/s2": (sliding + faster, False),
     }
-
-
-def last_errors(bundle: _core.Bundle, dq: np.ndarray, near: bool) -> tuple[np.ndarray, np.ndarray]:
-    """What a motion in which every joint has these speeds multiplies limits by, and the standard error: 2 x (joints,).
-
-    near: it is near stiction at its end, which alone counts.
-    """
-    n, count = bundle.joints, len(dq)
-    t_ns = np.arange(count, dtype=np.int64) * bundle.observer.sample_period_ns
-    region = np.full((count, n), near, dtype=np.uint8)
-    entered, restarted = np.ones(count, dtype=np.uint8), np.zeros(count, dtype=np.uint8)
-    speeds = np.repeat(dq[:, None], n, axis=1)
-    said = _core.motion_errors(bundle, t_ns, speeds, region, entered, restarted, np.array([count - 1]))
-    return said["scale"][0], said["sigma_nm"][0]
 
 
 def sentences(found: Mapping[str, Situation], units: Mapping[str, str]) -> dict[str, str]:

@@ -44,24 +44,32 @@ std::vector<std::string> units(const Bundle& bundle, std::string (Bundle::*unit)
 }
 
 template <class T>
-void bind_list(nb::class_<Bundle>& cls, const char* name, std::vector<T> Bundle::*member) {
+void bind_list(nb::class_<Bundle>& cls, const char* name, std::vector<T> Bundle::*member, const char* doc) {
   cls.def_prop_rw(
       name, [member](const Bundle& b) { return b.*member; },
-      [member](Bundle& b, std::vector<T> values) { b.*member = std::move(values); });
+      [member](Bundle& b, std::vector<T> values) { b.*member = std::move(values); }, doc);
 }
 
 // sliding_limit_nm, near_stiction_limit_nm and hold_s of the collision, and the same with contact_ before them.
 void bind_level(nb::class_<Bundle>& cls, const std::string& prefix, Level Limits::*level) {
+  const std::string what = prefix.empty() ? "collision" : "contact";
+  const auto limit = [&what](const std::string& where) {
+    return "|tau_ext| that each joint must exceed for a " + what + " " + where +
+           ", [N m]; in usual motion where there is an error scale.";
+  };
   cls.def_prop_rw(
          (prefix + "sliding_limit_nm").c_str(), [level](const Bundle& b) { return (b.limits.*level).sliding_nm; },
-         [level](Bundle& b, std::vector<double> v) { (b.limits.*level).sliding_nm = std::move(v); })
+         [level](Bundle& b, std::vector<double> v) { (b.limits.*level).sliding_nm = std::move(v); },
+         limit("while it slides").c_str())
       .def_prop_rw(
           (prefix + "near_stiction_limit_nm").c_str(),
           [level](const Bundle& b) { return (b.limits.*level).near_stiction_nm; },
-          [level](Bundle& b, std::vector<double> v) { (b.limits.*level).near_stiction_nm = std::move(v); })
+          [level](Bundle& b, std::vector<double> v) { (b.limits.*level).near_stiction_nm = std::move(v); },
+          limit("near stiction").c_str())
       .def_prop_rw(
           (prefix + "hold_s").c_str(), [level](const Bundle& b) { return (b.limits.*level).hold_s; },
-          [level](Bundle& b, double v) { (b.limits.*level).hold_s = v; });
+          [level](Bundle& b, double v) { (b.limits.*level).hold_s = v; },
+          ("Time over its limit before a joint raises a " + what + ", [s]; 0: the first sample does.").c_str());
 }
 
 void bind_tree(nb::module_& m) {
@@ -393,15 +401,19 @@ void bind_bundle(nb::module_& m) {
       .def_prop_ro("on", &ErrorScaleSettings::on);
   nb::class_<Bundle> bundle(m, "Bundle", "Everything the chain needs to run, in one file.");
   bundle.def(nb::init<>())
-      .def_rw("name", &Bundle::name)
-      .def_rw("provenance", &Bundle::provenance)
-      .def_rw("gravity", &Bundle::gravity)
-      .def_rw("observer", &Bundle::observer)
-      .def_rw("window_steps", &Bundle::window_steps)
-      .def_rw("shape", &Bundle::shape)
-      .def_prop_ro("joints", &Bundle::joints)
-      .def_prop_ro("has_network", &Bundle::has_network)
-      .def_rw("units", &Bundle::units)
+      .def_rw("name", &Bundle::name, "What it calls itself; its file may have another name.")
+      .def_rw("provenance", &Bundle::provenance,
+              "JSON text of what made it: command, versions, settings, recordings and what was found. The chain does not "
+              "read it.")
+      .def_rw("gravity", &Bundle::gravity, "Acceleration of gravity in the frame of the base, [m/s2].")
+      .def_rw("observer", &Bundle::observer,
+              "Gain K0 [1/s], torque timing, sample period [ns], rate of the network; torque constants.")
+      .def_rw("window_steps", &Bundle::window_steps, "Network steps in a window.")
+      .def_rw("shape", &Bundle::shape, "Inputs, hidden units and outputs of the network; hidden = 0: there is none.")
+      .def_prop_ro("joints", &Bundle::joints, "How many joints it is for.")
+      .def_prop_ro("has_network", &Bundle::has_network, "False: the observer alone, or with a prior.")
+      .def_rw("units", &Bundle::units,
+              "What tau and the answers are given in; torque_units and estimate_units say it in words.")
       .def_prop_ro("torque_units", [](const Bundle& b) { return units(b, &Bundle::torque_unit); },
                    "Unit of the tau that is to be given, a joint.")
       .def_prop_ro("estimate_units", [](const Bundle& b) { return units(b, &Bundle::estimate_unit); },
@@ -411,34 +423,45 @@ void bind_bundle(nb::module_& m) {
           [](Bundle& b, const std::vector<std::pair<int, int>>& pairs) {
             b.inputs.clear();
             for (const auto& [column, lag] : pairs) b.inputs.push_back({column, lag});
-          })
+          },
+          "Inputs of a network step: pairs of a column (q, dq, then presliding states of every joint) and a lag in steps.")
       .def_prop_rw(
           "contact_release_s", [](const Bundle& b) { return b.limits.contact_release_s; },
-          [](Bundle& b, double v) { b.limits.contact_release_s = v; })
+          [](Bundle& b, double v) { b.limits.contact_release_s = v; },
+          "A contact ends once every joint has been under its contact limit for so long, [s].")
       .def_prop_rw(
           "near_memory_s", [](const Bundle& b) { return b.limits.near_memory_s; },
-          [](Bundle& b, double v) { b.limits.near_memory_s = v; })
+          [](Bundle& b, double v) { b.limits.near_memory_s = v; },
+          "A joint counts as near stiction for so long after it began to slide, [s].")
       .def_prop_rw(
           "after_contact_factor", [](const Bundle& b) { return b.limits.after_contact_factor; },
-          [](Bundle& b, double v) { b.limits.after_contact_factor = v; })
+          [](Bundle& b, double v) { b.limits.after_contact_factor = v; },
+          "Factor on the limits of a joint that was pushed while it was stuck, until it has slid; 1: none.")
       .def_prop_rw(
           "torque_limit_nm", [](const Bundle& b) { return b.signals.torque_limit_nm; },
-          [](Bundle& b, std::vector<double> v) { b.signals.torque_limit_nm = std::move(v); })
+          [](Bundle& b, std::vector<double> v) { b.signals.torque_limit_nm = std::move(v); },
+          "Torque at which each drive saturates, [N m]; infinite: not known.")
       .def_prop_rw(
           "largest_torque_nm", [](const Bundle& b) { return b.signals.largest_torque_nm; },
-          [](Bundle& b, std::vector<double> v) { b.signals.largest_torque_nm = std::move(v); })
+          [](Bundle& b, std::vector<double> v) { b.signals.largest_torque_nm = std::move(v); },
+          "Largest |tau| of each joint in training, [N m].")
       .def_prop_rw(
           "possible_torque_nm", [](const Bundle& b) { return b.signals.possible_torque_nm; },
-          [](Bundle& b, std::vector<double> v) { b.signals.possible_torque_nm = std::move(v); })
+          [](Bundle& b, std::vector<double> v) { b.signals.possible_torque_nm = std::move(v); },
+          "A sample with a larger |tau| is a fault, [N m], a joint; infinite: not known.")
       .def_prop_rw(
           "possible_speed_rad_s", [](const Bundle& b) { return b.signals.possible_speed_rad_s; },
-          [](Bundle& b, std::vector<double> v) { b.signals.possible_speed_rad_s = std::move(v); })
+          [](Bundle& b, std::vector<double> v) { b.signals.possible_speed_rad_s = std::move(v); },
+          "A sample with a larger |dq| is a fault, and so is a step of q that would need one, [rad/s], a joint; infinite: "
+          "not known.")
       .def_prop_rw(
           "region_width", [](const Bundle& b) { return b.limits.region_width; },
-          [](Bundle& b, int v) { b.limits.region_width = v; })
+          [](Bundle& b, int v) { b.limits.region_width = v; },
+          "Index of the presliding width that tells, beside the speed, whether a joint is near stiction; -1: none does.")
       .def_prop_rw(
           "near_stiction_rad_s", [](const Bundle& b) { return b.limits.near_stiction_rad_s; },
-          [](Bundle& b, double v) { b.limits.near_stiction_rad_s = v; })
+          [](Bundle& b, double v) { b.limits.near_stiction_rad_s = v; },
+          "A joint slower than this is near stiction, [rad/s].")
       .def(
           "drop_network",
           [](Bundle& b) {
@@ -449,7 +472,7 @@ void bind_bundle(nb::module_& m) {
             b.output_scale_nm.clear();
             answer_reference(b);
           },
-          "Leave the network out: what is left is observer and prior.")
+          "Leave the network out: what is left is observer and prior. CoreError without a reference to answer.")
       .def("answer_reference", [](Bundle& b) { answer_reference(b); }, "Answer the kept reference anew, after a change.")
       .def(
           "set_reference",
@@ -464,9 +487,9 @@ void bind_bundle(nb::module_& m) {
           nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"),
           "Keep this stretch of free motion and the chain's answer at its last sample, to be replayed at load.")
       .def("save", [](const Bundle& b, const std::string& path) { save_bundle(b, path); }, nb::arg("path"),
-           "Write the file.")
+           "Write the file, under a temporary name first. CoreError, naming what does not fit or cannot be written.")
       .def_static("load", [](const std::string& path) { return load_bundle(path); }, nb::arg("path"),
-                  "Read the file, check it, and replay the kept reference.")
+                  "Read the file, check it, and replay the kept reference; CoreError says why it is refused.")
       .def(
           "to_bytes",
           [](const Bundle& b) {
@@ -486,17 +509,23 @@ void bind_bundle(nb::module_& m) {
           },
           nb::arg("by"), "The kept reference's tau times these, a joint, answered anew.")
       .def_static(
-          "from_bytes", [](nb::bytes bytes) { return from_bytes({bytes.c_str(), bytes.size()}); }, nb::arg("bytes"));
+          "from_bytes", [](nb::bytes bytes) { return from_bytes({bytes.c_str(), bytes.size()}); }, nb::arg("bytes"),
+          "The bundle that to_bytes() gave, checked as load() checks a file.");
   bind_level(bundle, "", &Limits::collision);
   bind_level(bundle, "contact_", &Limits::contact);
-  bind_list(bundle, "links", &Bundle::links);
-  bind_list(bundle, "input_factors", &Bundle::input_factors);
-  bind_list(bundle, "parameters", &Bundle::parameters);
-  bundle.def_rw("prior", &Bundle::prior);
-  bundle.def_rw("drift", &Bundle::drift);
-  bundle.def_rw("error_scale", &Bundle::error_scale);
-  bundle.def_rw("coverage", &Bundle::coverage);
-  bind_list(bundle, "output_scale_nm", &Bundle::output_scale_nm);
+  bind_list(bundle, "links", &Bundle::links,
+            "Moving links of the estimated model, each with the joint that carries it. A copy: change it and assign it.");
+  bind_list(bundle, "input_factors", &Bundle::input_factors,
+            "Factor on each column that inputs are read from: 1 / its largest magnitude in training.");
+  bind_list(bundle, "parameters", &Bundle::parameters, "Weights of the network, in the order that LstmShape says.");
+  bundle.def_rw("prior", &Bundle::prior,
+                "What physics, fitted to the data, expects of r: terms and their weights; no terms: none.");
+  bundle.def_rw("drift", &Bundle::drift, "Tracker of slow changes; time_constant_s = 0: none.");
+  bundle.def_rw("error_scale", &Bundle::error_scale,
+                "How limits and standard error follow the motion; no features: limits are constants.");
+  bundle.def_rw("coverage", &Bundle::coverage, "What motion training saw; empty: nobody knows, and all motion is familiar.");
+  bind_list(bundle, "output_scale_nm", &Bundle::output_scale_nm,
+            "Torque of a network output of 1, [N m], a joint; 0: the network is shut off for it.");
   m.def(
       "estimate",
       [](const Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,

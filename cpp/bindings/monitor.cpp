@@ -179,49 +179,70 @@ std::optional<FlightDict> take(FlightRecorder& recorder, std::size_t n) {
 }
 
 void bind_estimate(nb::module_& m) {
-  nb::enum_<Alarm>(m, "Alarm").value("none", Alarm::none).value("contact", Alarm::contact).value("collision", Alarm::collision);
-  nb::enum_<Health>(m, "Health")
-      .value("warming_up", Health::warming_up)
+  nb::enum_<Alarm>(m, "Alarm", "How far |tau_ext| has gone over the limits, and for how long.")
+      .value("none", Alarm::none)
+      .value("contact", Alarm::contact, "Over the contact limit for its hold time; falls back by itself.")
+      .value("collision", Alarm::collision, "Over the collision limit for its hold time; stays until acknowledged.");
+  nb::enum_<Health>(m, "Health", "Whether the torques of an answer can be trusted.")
+      .value("warming_up", Health::warming_up, "There are none yet.")
       .value("ok", Health::ok)
-      .value("stale", Health::stale)
-      .value("fault", Health::fault);
-  m.def("cause_names", &cause_names, nb::arg("causes"), "Names of the bits of `causes`.");
+      .value("stale", Health::stale, "Nothing new for at most one network period; those of the sample before are held.")
+      .value("fault", Health::fault, "The signals cannot be used; `causes` says why.");
+  m.def("cause_names", &cause_names, nb::arg("causes"),
+        "Names of the bits of `causes`, as Monitor.run() and Estimates have them: why health is not ok.");
   nb::class_<Estimate> estimate(m, "Estimate", "What the monitor says of one sample; torques that do not exist are NaN.");
-  estimate.def_ro("t_ns", &Estimate::t_ns)
+  estimate.def_ro("t_ns", &Estimate::t_ns, "Stamp of the sample, [ns].")
       .def_ro("health", &Estimate::health,
               "Whether the torques can be trusted. warming_up: there are none yet, and tau_ext is NaN, for about a second\n"
               "after the start and after whatever `causes` names.")
-      .def_prop_ro("causes", [](const Estimate& e) { return cause_names(e.causes); })
-      .def_ro("cause_joint", &Estimate::cause_joint)
-      .def_ro("alarm", &Estimate::alarm)
+      .def_prop_ro("causes", [](const Estimate& e) { return cause_names(e.causes); },
+                   "Why health is not ok, or was not when the warm-up began, in words.")
+      .def_ro("cause_joint", &Estimate::cause_joint, "Index of the first joint that a cause concerns; -1: none.")
+      .def_ro("alarm", &Estimate::alarm, "The latched alarm: a collision stays until acknowledge() or resume().")
       .def_ro("held_alarm", &Estimate::held_alarm, "The level that some joint is over at this sample, its hold time past; no latch.")
-      .def_ro("alarm_joint", &Estimate::alarm_joint)
-      .def_ro("alarm_t_ns", &Estimate::alarm_t_ns)
-      .def_ro("detection", &Estimate::detection)
+      .def_ro("alarm_joint", &Estimate::alarm_joint, "Index of the joint that raised the alarm to its level; -1: no alarm.")
+      .def_ro("alarm_t_ns", &Estimate::alarm_t_ns, "Stamp of the sample at which it did, [ns].")
+      .def_ro("detection", &Estimate::detection,
+              "Some |tau_ext| is over its collision limit at this sample; no hold time.")
       .def_prop_ro("clear", &Estimate::clear, "Healthy and no alarm: the only thing that means no collision.")
-      .def_prop_ro("near_stiction", [](const Estimate& e) { return joint_bits(e.near_stiction, e.joints); })
-      .def_prop_ro("drift_saturated", [](const Estimate& e) { return joint_bits(e.drift_saturated, e.joints); })
+      .def_prop_ro("near_stiction", [](const Estimate& e) { return joint_bits(e.near_stiction, e.joints); },
+                   "Whether each joint sticks or creeps, so that its limit near stiction holds.")
+      .def_prop_ro("drift_saturated", [](const Estimate& e) { return joint_bits(e.drift_saturated, e.joints); },
+                   "Whether each joint's drift is at its bound: the arm has changed, and new training is due.")
       .def_ro("unfamiliar", &Estimate::unfamiliar, "How far the motion is from all that training saw, 0 to 1.")
       .def_ro("unseen", &Estimate::unseen, "What of the motion is farthest from it: of unseen_joint, with unseen_other.")
-      .def_ro("unseen_joint", &Estimate::unseen_joint)
-      .def_ro("unseen_other", &Estimate::unseen_other);
-  const auto bind_torques = [&](const char* torque, JointVector Estimate::*values) {
-    estimate.def_prop_ro(torque, [values](const Estimate& e) {
-      return std::vector<double>((e.*values).begin(), (e.*values).begin() + e.joints);
-    });
+      .def_ro("unseen_joint", &Estimate::unseen_joint, "Index of the joint whose motion is; -1: none.")
+      .def_ro("unseen_other", &Estimate::unseen_other,
+              "Index of the joint whose position training never saw together with that one's; -1: none.");
+  const auto bind_torques = [&](const char* torque, JointVector Estimate::*values, const char* doc) {
+    estimate.def_prop_ro(
+        torque,
+        [values](const Estimate& e) {
+          return std::vector<double>((e.*values).begin(), (e.*values).begin() + e.joints);
+        },
+        doc);
   };
-  bind_torques("residual", &Estimate::residual);
-  bind_torques("prior", &Estimate::prior);
-  bind_torques("network", &Estimate::network);
-  bind_torques("drift", &Estimate::drift);
-  bind_torques("uncertainty", &Estimate::uncertainty);
-  bind_torques("tau_ext", &Estimate::tau_ext);
-  bind_torques("doubt", &Estimate::doubt);
-  bind_torques("sigma_nm", &Estimate::sigma_nm);
-  bind_torques("limit_scale", &Estimate::limit_scale);
-  bind_torques("limit_nm", &Estimate::limit_nm);
-  bind_torques("contact_limit_nm", &Estimate::contact_limit_nm);
-  bind_torques("margin_nm", &Estimate::margin_nm);
+  bind_torques("residual", &Estimate::residual, "r of the observer, [N m], a joint: dr/dt = K0 (tau_dist - r).");
+  bind_torques("prior", &Estimate::prior,
+               "What physics, fitted to the data, expects of r in free motion, [N m]; 0 without a prior.");
+  bind_torques("network", &Estimate::network, "What the network expects of r beside the prior, [N m]; 0 without one.");
+  bind_torques("drift", &Estimate::drift,
+               "What slow changes since training add to r, as the tracker has learned it, [N m]; 0 without one.");
+  bind_torques("uncertainty", &Estimate::uncertainty,
+               "The r that is expected in free motion: prior + network + drift, [N m].");
+  bind_torques("tau_ext", &Estimate::tau_ext,
+               "External torque, residual - uncertainty, [N m]: positive where the environment pushes the joint in its\n"
+               "positive direction.");
+  bind_torques("doubt", &Estimate::doubt,
+               "How far the prior may be off while presliding states are unknown, [N m]; limits include it.");
+  bind_torques("sigma_nm", &Estimate::sigma_nm,
+               "Standard error of tau_ext in free motion as it is believed now, doubt included, [N m]; NaN without an\n"
+               "error scale.");
+  bind_torques("limit_scale", &Estimate::limit_scale, "What the motion multiplies the limits by; 1 in usual motion.");
+  bind_torques("limit_nm", &Estimate::limit_nm,
+               "What |tau_ext| must exceed for a collision at this sample, [N m]; scale and doubt included.");
+  bind_torques("contact_limit_nm", &Estimate::contact_limit_nm, "The same for a contact.");
+  bind_torques("margin_nm", &Estimate::margin_nm, "limit_nm - |tau_ext|: what is left, [N m]; negative at a detection.");
 }
 
 }  // namespace
@@ -241,10 +262,14 @@ void bind_monitor(nb::module_& m) {
           },
           nb::arg("joints"), nb::arg("sample_period_ns"), nb::arg("before_s") = 5.0, nb::arg("after_s") = 1.0,
           nb::arg("contacts") = false)
-      .def("finish", [](Recorder& r) { return r.finish(); }, "False: the flight before must be taken first.")
-      .def("take", [](Recorder& r) { return take(r, r.joints); }, "A flight as arrays, or None.")
-      .def_prop_ro("events", [](const Recorder& r) { return r.events(); })
-      .def_prop_ro("missed", [](const Recorder& r) { return r.missed(); });
+      .def("finish", [](Recorder& r) { return r.finish(); },
+           "At the end: let an event go that still waits for what comes after it. False: the flight before must be taken\n"
+           "first; call it again then.")
+      .def("take", [](Recorder& r) { return take(r, r.joints); }, "A flight as arrays, oldest row first, or None.")
+      .def_prop_ro("events", [](const Recorder& r) { return r.events(); },
+                   "Events so far, those within another one's flight among them.")
+      .def_prop_ro("missed", [](const Recorder& r) { return r.missed(); },
+                   "Flights that were given up, since the one before was not taken in time.");
 
   using Signal = const Array<double, 1>&;
   nb::class_<Monitor>(m, "Monitor", "The chain inside a control loop: one sample in, torque, alarm and health out.")
@@ -266,7 +291,8 @@ void bind_monitor(nb::module_& m) {
             return self.estimate(sample_of(t_ns, q, dq, tau));
           },
           nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), "The answer; advance() may follow later.")
-      .def("advance", &Monitor::advance, "What need not be done before the answer is out.")
+      .def("advance", &Monitor::advance,
+           "What need not be done before the answer is out; estimate() does it first where it was left out.")
       .def("no_sample", [](Monitor& self, std::int64_t now_ns) { return self.no_sample(now_ns); }, nb::arg("now_ns"),
            "The loop ran and no sample came: stale for one network period, then a fault.")
       .def("acknowledge", &Monitor::acknowledge, "End a latched alarm, and nothing else.")
@@ -293,35 +319,39 @@ void bind_monitor(nb::module_& m) {
           "run_missing",
           [](Monitor& self, std::int64_t now_ns, Recorder* recorder) { return run_missing(self, now_ns, recorder); },
           nb::arg("now_ns"), nb::arg("recorder") = nb::none(), "no_sample(), told as run() tells a single row.")
-      .def_prop_ro("last", [](const Monitor& self) { return self.last(); })
-      .def_prop_ro("joints", &Monitor::joints)
+      .def_prop_ro("last", [](const Monitor& self) { return self.last(); }, "The last answer.")
+      .def_prop_ro("joints", &Monitor::joints, "How many joints a sample has.")
       .def_prop_ro("joint_names",
                    [](const Monitor& self) {
                      std::vector<std::string> names;
                      for (int j = 0; j < self.joints(); ++j) names.push_back(self.joint_name(j));
                      return names;
-                   })
+                   },
+                   "Names of the joints, in the order of q, dq and tau.")
       .def_prop_ro("torque_units", [](const Monitor& self) { return units(self, &Monitor::torque_unit); },
                    "Unit of the tau that is to be given, a joint.")
       .def_prop_ro("estimate_units", [](const Monitor& self) { return units(self, &Monitor::estimate_unit); },
                    "Unit of the torques in the answers, a joint.")
-      .def_prop_ro("sample_period_ns", &Monitor::sample_period_ns)
-      .def_prop_ro("samples", &Monitor::samples)
-      .def_prop_ro("bridged_ticks", &Monitor::bridged_ticks)
-      .def_prop_ro("restarts", &Monitor::restarts)
+      .def_prop_ro("sample_period_ns", &Monitor::sample_period_ns, "Sample period of the bundle, [ns].")
+      .def_prop_ro("samples", &Monitor::samples, "Samples that went on the chain; those of faults did not.")
+      .def_prop_ro("bridged_ticks", &Monitor::bridged_ticks,
+                   "Ticks of the regular clock without a sample of their own, at which the one before was held.")
+      .def_prop_ro("restarts", &Monitor::restarts, "How often the chain began anew after its first start.")
       .def("save_state",
            [](const Monitor& self) {
              std::vector<std::byte> state(self.state_bytes());
              self.save_state(state);
              return nb::bytes(reinterpret_cast<const char*>(state.data()), state.size());
-           })
+           },
+           "All that the monitor remembers, as bytes for restore_state(): of the same bundle, network rate and build.")
       .def(
           "restore_state",
           [](Monitor& self, nb::bytes state) {
             if (!self.restore_state({reinterpret_cast<const std::byte*>(state.c_str()), state.size()}))
               throw Error("the state is damaged, or of another bundle, network rate or build");
           },
-          nb::arg("state"));
+          nb::arg("state"),
+          "Go on where save_state() was called. CoreError where the state is damaged, or of another bundle or build.");
 }
 
 }  // namespace tauext::bindings

@@ -302,6 +302,7 @@ class TrainConfig:
     threads: int = 0
     """Threads that compute the gradient; 0: one a core. The result does not depend on it."""
     observer: ObserverConfig = field(default_factory=ObserverConfig)
+    """The momentum observer and the rates of the chain."""
     limits: LimitsKind = "auto"
     """How limits are found. promised: from the false alarms that the alarm options allow, on the dataset's calibration
     recordings. supported: for the fewest false alarms that its validation recordings support, and what a fit says of
@@ -316,10 +317,15 @@ class TrainConfig:
     model or, without one, from the arm found in the motion. None: do so where the recordings were currents; given
     constants are corrected."""
     margins: FreeMotionConfig = field(default_factory=FreeMotionConfig)
+    """What is left out of recordings that hold contacts."""
     alarm: AlarmConfig = field(default_factory=AlarmConfig)
+    """How often a false alarm may come, and what it takes to raise one."""
     prior: PriorConfig = field(default_factory=PriorConfig)
+    """What the prior may hold, and how it is fitted."""
     drift: DriftConfig = field(default_factory=DriftConfig)
+    """The tracker of slow changes."""
     filters: FilterConfig = field(default_factory=FilterConfig)
+    """Rates of the filters of recipes highpass and bandpass."""
 
     def __post_init__(self) -> None:
         require(self.minutes is None or 0 < self.minutes < math.inf, "minutes", self.minutes, "> 0")

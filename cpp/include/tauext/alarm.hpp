@@ -9,13 +9,14 @@
 
 namespace tauext {
 
+// Levels of an alarm, each over the one before it.
 enum class Alarm : std::uint8_t {
   none,
   contact,    // over the contact limit for its hold time; falls back by itself
   collision,  // over the collision limit for its hold time; stays until acknowledged
 };
 
-const char* name(Alarm alarm) noexcept;
+const char* name(Alarm alarm) noexcept;  // "none", "contact", "collision"
 
 // Judges one sample after the other. Knows nothing of health: the caller says whether tau_ext can be trusted.
 class AlarmStage {
@@ -55,9 +56,11 @@ class AlarmStage {
   // Limits are the bundle's times these from the next sample on. false, and nothing changed, unless there is one number
   // a joint, each within LimitFactors' bounds.
   bool set_factors(std::span<const double> collision, std::span<const double> contact) noexcept;
+  // Those that hold now, and to go on with them: restore() leaves them alone.
   const LimitFactors& factors() const noexcept { return factors_; }
   void restore_factors(const LimitFactors& factors) noexcept { factors_ = factors; }
 
+  // All that it remembers; restore() goes on from there, in another one of the same settings.
   const State& state() const noexcept { return state_; }
   void restore(const State& state) noexcept { state_ = state; }
 

@@ -18,12 +18,13 @@
 
 namespace tauext {
 
+// Formats of bundles.
 inline constexpr std::uint32_t kBundleMajor = 7;        // what is written
 inline constexpr std::uint32_t kOldestBundleMajor = 3;  // what is still read; fields that it lacks keep their defaults
 
 // A short stretch of free motion and what the chain said at its last sample; replayed at load.
 struct Reference {
-  std::vector<std::int64_t> t_ns;
+  std::vector<std::int64_t> t_ns;         // (samples)
   std::vector<double> q, dq, tau;         // (samples, joints)
   std::vector<double> residual, prior, network;  // (joints), [N m]
 };
@@ -37,6 +38,7 @@ enum class TorqueUnit : std::uint8_t {  // the numbers stand in bundles
   ampere = 1,
   recorded = 2,                         // as the recordings had it; nobody said what that is
 };
+// Which units a bundle takes and answers in.
 struct TorqueUnits {
   TorqueUnit given = TorqueUnit::newton_metre;  // of the tau that the chain is given
   int relative_to = -1;               // the joint in whose given unit torques are answered; -1: N m
@@ -47,30 +49,31 @@ struct TorqueUnits {
   void validate(int joints, bool constants) const;
 };
 
-// The network is absent where shape.hidden is 0: the plain observer.
+// Plain content of a bundle: whoever changes it calls validate() before it is used. The network is absent where
+// shape.hidden is 0: the plain observer.
 struct Bundle {
-  std::string name;
-  std::string provenance;  // JSON, for people; nothing here reads it
-  std::vector<Link> links;
-  std::array<double, 3> gravity{};
-  ObserverSettings observer;
+  std::string name;                     // what it calls itself; its file may have another name
+  std::string provenance;               // JSON, for people; nothing here reads it
+  std::vector<Link> links;              // of the estimated model, in the order of the joints
+  std::array<double, 3> gravity{};      // in the base frame, [m/s^2]
+  ObserverSettings observer;            // gain, torque timing, sample period, rate of the network, torque constants
   int window_steps = 0;                 // network steps in a window
   std::vector<LstmInput> inputs;        // columns of feature_rows()
   std::vector<float> input_factors;     // a column, 1 / largest magnitude in training
-  LstmShape shape;
-  std::vector<float> parameters;
+  LstmShape shape;                      // of the network
+  std::vector<float> parameters;        // its weights, in LstmShape's order
   std::vector<double> output_scale_nm;  // a joint; 0 where the network did not earn its place
-  PriorSettings prior;
-  Limits limits;
-  DriftSettings drift;
-  ErrorScaleSettings error_scale;
-  CoverageSettings coverage;
-  SignalRanges signals;
-  TorqueUnits units;
-  Reference reference;
+  PriorSettings prior;                  // what physics expects of r; may be empty
+  Limits limits;                        // of contact and collision, in usual motion where there is an error scale
+  DriftSettings drift;                  // tracker of slow changes; may be off
+  ErrorScaleSettings error_scale;       // how limits follow the motion; may be off
+  CoverageSettings coverage;            // what motion training saw; may be empty
+  SignalRanges signals;                 // beyond which a sample is a fault
+  TorqueUnits units;                    // of tau and of the answers
+  Reference reference;                  // replayed at load
 
-  int joints() const noexcept { return static_cast<int>(links.size()); }
-  bool has_network() const noexcept { return shape.hidden > 0; }
+  int joints() const noexcept { return static_cast<int>(links.size()); }  // how many
+  bool has_network() const noexcept { return shape.hidden > 0; }          // or observer and prior alone
   // Of feature_rows(): q, dq and presliding states of every joint.
   int columns() const noexcept { return joints() * (2 + static_cast<int>(prior.widths_rad.size())); }
   // The network's windows, without the rows that they are read from.

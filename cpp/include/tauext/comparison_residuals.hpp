@@ -74,6 +74,7 @@ class ResidualFilter {
   // Rates w [1/s]; 0: no such filter. Throws Error where one is negative or not finite.
   ResidualFilter(int joints, double high_pass_per_s, double low_pass_per_s);
 
+  // The next sample starts both filters anew.
   void reset() noexcept { started_ = warm_ = false; }
   // One sample, later than the last; residual is replaced. residual_warm: r without filters counts as warmed up.
   void step(std::int64_t t_ns, bool residual_warm, std::span<double> residual) noexcept {

@@ -22,7 +22,7 @@ struct CoverageSettings {
   std::vector<std::uint32_t> seen_together;  // empty where ...
   std::uint8_t reach_together = 0;           // ... this is 0: pairs tell nothing
 
-  bool empty() const noexcept { return fastest_rad_s.empty(); }
+  bool empty() const noexcept { return fastest_rad_s.empty(); }  // nobody knows
   // Throws Error, naming what does not fit.
   void validate(int joints) const;
   // Marks the cells of a sample of training as seen; the settings hold together, and q is finite.
@@ -42,12 +42,13 @@ const char* name(Unseen unseen) noexcept;  // "speed", ...
 struct Unfamiliar {
   double share = 0;  // 0: training saw the like, 1: clearly nothing like it; never NaN
   Unseen what = Unseen::nothing;
-  int joint = -1, other = -1;
+  int joint = -1, other = -1;  // of which joint, and together with which other; -1: none
 };
 
+// Holds a motion, sample after sample, against what training saw.
 class Coverage {
  public:
-  static constexpr int kCells = 64, kPairCells = 32;
+  static constexpr int kCells = 64, kPairCells = 32;  // of a joint by itself, and of each joint of a pair
   static constexpr int kMostReach = 16;         // cells: a quarter or half of a turn
   static constexpr int kFartherCells = 2;       // a position beyond its reach by so many is wholly unfamiliar
   static constexpr double kFasterShare = 0.25;  // a speed over the fastest by this share is wholly unfamiliar
@@ -73,6 +74,7 @@ class Coverage {
   // The residual began anew.
   void reset() noexcept { state_ = {}; }
 
+  // All that it remembers; restore() goes on from there, in another one of the same settings.
   const State& state() const noexcept { return state_; }
   void restore(const State& state) noexcept { state_ = state; }
 

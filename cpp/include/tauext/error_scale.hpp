@@ -21,7 +21,7 @@ enum class MotionFeature : std::uint8_t {
   arm_acceleration = 6,
   arm_jerk = 7,
 };
-inline constexpr int kMotionFeatures = 8;
+inline constexpr int kMotionFeatures = 8;  // kinds that there are
 
 // Weights are >= 0 and stand in rows of one joint, (joints, features).
 struct ErrorScaleSettings {
@@ -32,7 +32,7 @@ struct ErrorScaleSettings {
   std::vector<double> sigma_near_weights; // and near stiction
   std::vector<double> largest_sigma;      // a joint: likewise, [N m]
 
-  bool on() const noexcept { return !features.empty(); }
+  bool on() const noexcept { return !features.empty(); }  // limits follow the motion
   // Throws Error, naming what does not fit `joints`.
   void validate(int joints) const;
 };
@@ -47,7 +47,7 @@ struct ErrorScaleSettings {
 class ErrorScale {
  public:
   static constexpr double kAccelerationPerS = 40;  // Ka, [1/s]
-  static constexpr double kMemoryS = 0.15, kCreepRadS = 0.02;
+  static constexpr double kMemoryS = 0.15, kCreepRadS = 0.02;  // of standstill, [s] and [rad/s]
   static constexpr double kLargestSpeed = 1e3;  // [rad/s]; what is beyond counts as this, so that sums stay finite
 
   struct State {
@@ -69,10 +69,11 @@ class ErrorScale {
   // near_stiction: a bit a joint, by which sigma has its weights.
   void step(std::int64_t t_ns, std::span<const double> dq, std::uint32_t near_stiction, std::span<double> scale,
             std::span<double> sigma_nm) noexcept;
-  bool on() const noexcept { return settings_.on(); }
+  bool on() const noexcept { return settings_.on(); }  // as the settings are
   // F_m of a joint at the last sample, m counted in the settings.
   double feature(int joint, int m) const noexcept;
 
+  // All that it remembers; restore() goes on from there, in another one of the same settings.
   const State& state() const noexcept { return state_; }
   void restore(const State& state) noexcept { state_ = state; }
 

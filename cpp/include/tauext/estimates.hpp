@@ -37,6 +37,7 @@ struct MotionView {
   std::span<const std::uint8_t> near_stiction, entered, restarted;
 };
 
+// What motion_errors() says, a row for each that was asked for.
 struct MotionErrors {
   std::vector<double> features;         // (rows, joints, features): for the fit, weights do not count
   std::vector<double> scale, sigma_nm;  // (rows, joints): without what doubt and unfamiliar motion add

@@ -8,15 +8,16 @@
 
 namespace tauext {
 
+// What a flight holds, and what makes one.
 struct FlightSettings {
-  double before_s = 5;  // kept from before the event
-  double after_s = 1;   // and after it
+  double before_s = 5;    // kept from before the event, [s]
+  double after_s = 1;     // and after it, [s]
   bool contacts = false;  // a contact is an event too
 };
 
 // Samples and estimates around one event, oldest first.
 struct Flight {
-  std::int64_t event_row = 0;
+  std::int64_t event_row = 0;  // at which the event is
   std::vector<std::int64_t> t_ns;                                               // (samples)
   std::vector<double> q, dq, tau, residual, prior, network, drift, tau_ext, sigma_nm, limit_nm,
       contact_limit_nm;  // (samples, joints)

@@ -17,9 +17,9 @@ namespace tauext {
 // What the chain says of one sample. A torque that does not exist is NaN: tau_ext, sigma, network, uncertainty and margin
 // exist where health is ok or stale, or kTorqueSaturated is all that is or was wrong.
 struct Estimate {
-  std::int64_t t_ns = 0;
-  int joints = 0;
-  Health health = Health::warming_up;
+  std::int64_t t_ns = 0;            // stamp of the sample
+  int joints = 0;                   // of the vectors below, so many numbers count
+  Health health = Health::warming_up;  // whether torques can be trusted
   std::uint32_t causes = 0;         // bits of Cause
   int cause_joint = -1;             // the first joint that a cause concerns
   Alarm alarm = Alarm::none;        // latched
@@ -49,6 +49,7 @@ struct Estimate {
   bool clear() const noexcept { return health == Health::ok && alarm == Alarm::none; }
 };
 
+// Second half of the chain: from what was observed, and the network's answer, to the estimate.
 class JudgeStage {
  public:
   static constexpr double kUnfamiliarWidens = 0.5;  // share of a limit by which wholly unfamiliar motion raises it
@@ -61,14 +62,15 @@ class JudgeStage {
   // sample: the one observed; only that of one that entered is looked at.
   const Estimate& step(const Observed& observed, const Sample& sample, std::span<const float> network) noexcept;
 
+  // As AlarmStage's calls of these names.
   void acknowledge() noexcept;
   void forget_pushes() noexcept { alarm_.forget_pushes(); }
   bool set_limit_factors(std::span<const double> collision, std::span<const double> contact) noexcept {
     return alarm_.set_factors(collision, contact);
   }
   const LimitFactors& limit_factors() const noexcept { return alarm_.factors(); }
-  const Estimate& last() const noexcept { return estimate_; }
-  const ErrorScale& error_scale() const noexcept { return scale_; }
+  const Estimate& last() const noexcept { return estimate_; }  // of the last sample
+  const ErrorScale& error_scale() const noexcept { return scale_; }  // as it stands there
   // As newly made.
   void reset() noexcept;
 
@@ -80,6 +82,7 @@ class JudgeStage {
     Coverage::State coverage;
     Estimate estimate;
   };
+  // All that it remembers; restore() goes on from there, in a stage of the same bundle.
   State state() const noexcept {
     return {alarm_.state(), alarm_.factors(), drift_.state(), scale_.state(), coverage_.state(), estimate_};
   }

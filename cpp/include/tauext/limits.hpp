@@ -19,13 +19,15 @@ struct Level {
 // Factors on the limits of a bundle, chosen while the monitor runs: above 1 it takes more to raise an alarm.
 struct LimitFactors {
   static constexpr double kLowest = 0.1, kHighest = 10;  // beyond it nothing is left of what calibration promised
-  JointVector collision, contact;
+  JointVector collision, contact;  // a joint
+  // All 1: the limits of the bundle.
   LimitFactors() noexcept {
     collision.fill(1.0);
     contact.fill(1.0);
   }
 };
 
+// Limits of both levels, and which joints are near stiction.
 struct Limits {
   double near_stiction_rad_s = 0;  // near stiction: |dq| below this,
   int region_width = -1;           // or the presliding state of this width bent; -1: only the speed tells ...
@@ -44,7 +46,8 @@ struct Limits {
   bool near_stiction(double dq, double state) const noexcept {
     return std::fabs(dq) < near_stiction_rad_s || (region_width >= 0 && std::fabs(state) < kBent);
   }
-  static constexpr double kBent = 0.9;
+  static constexpr double kBent = 0.9;  // a smaller |state|: the joint has not slid on
+  // That of a joint in its region, [N m].
   double limit_nm(const Level& level, int joint, bool near) const noexcept {
     return near ? level.near_stiction_nm[joint] : level.sliding_nm[joint];
   }

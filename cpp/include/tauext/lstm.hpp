@@ -13,8 +13,9 @@ namespace tauext {
 // order i, f, g, o (input, forget, cell, output), H rows each:
 //   W_x (4H, inputs) | W_h (4H, H) | b (4H) | W_head (outputs, H) | b_head (outputs)
 struct LstmShape {
-  int inputs = 0, hidden = 0, outputs = 0;
+  int inputs = 0, hidden = 0, outputs = 0;  // H is hidden; 0: no network
 
+  // How many numbers the flat array holds.
   std::size_t parameter_count() const noexcept {
     const auto F = static_cast<std::size_t>(inputs), H = static_cast<std::size_t>(hidden),
                O = static_cast<std::size_t>(outputs);
@@ -23,13 +24,14 @@ struct LstmShape {
   // Throws Error where a size is not in 1..kMaxLstmInputs, 1..kMaxLstmHidden, 1..kMaxJoints.
   void validate() const;
 };
+// Largest sizes: what a monitor allocates stays small.
 inline constexpr int kMaxLstmInputs = 512;
 inline constexpr int kMaxLstmHidden = 256;
 inline constexpr int kMaxWindowSteps = 10000;
 
 // Input f of a network step is column `column` of the row `lag` network steps before that step's row.
 struct LstmInput {
-  int column = 0;
+  int column = 0;  // of the row
   int lag = 0;  // 0 or more network steps
 };
 
@@ -37,13 +39,13 @@ struct LstmInput {
 // ends at row e takes the rows e - (length - 1) stride, ..., e - stride, e.
 struct WindowRows {
   const float* rows = nullptr;  // (row_count, columns)
-  std::int64_t row_count = 0;
-  int columns = 0;
+  std::int64_t row_count = 0;   // rows that there are
+  int columns = 0;              // numbers in a row
   int stride = 1;  // rows per network step
   int length = 0;  // network steps in a window
-  std::span<const LstmInput> inputs;
+  std::span<const LstmInput> inputs;  // what a network step reads of them
 
-  int largest_lag() const noexcept;
+  int largest_lag() const noexcept;  // of the inputs, in network steps
   // Rows before its end that a window reaches back to.
   std::int64_t reach() const noexcept {
     return (static_cast<std::int64_t>(length) - 1 + largest_lag()) * stride;

@@ -31,6 +31,7 @@ class MomentumObserver {
 
   // Time since the start, [s]; r counts as warmed up after 10/K0.
   double age_s() const noexcept { return started_ ? 1e-9 * static_cast<double>(elapsed_ns(t_ns_, start_ns_)) : 0.0; }
+  // Whether it does.
   bool warm() const noexcept { return started_ && age_s() * gain_per_s_ >= 10.0; }
 
  private:

@@ -23,6 +23,7 @@ class Monitor {
   // Throws Error where the bundle does not hold together.
   explicit Monitor(const Bundle& bundle, NetworkRate rate = NetworkRate::every_sample);
 
+  // estimate() and advance() in one: the answer for this sample.
   const Estimate& step(const Sample& sample) noexcept {
     estimate(sample);
     advance();
@@ -48,22 +49,26 @@ class Monitor {
   bool set_limit_factors(std::span<const double> collision, std::span<const double> contact) noexcept {
     return judge_.set_limit_factors(collision, contact);
   }
-  const LimitFactors& limit_factors() const noexcept { return judge_.limit_factors(); }
+  const LimitFactors& limit_factors() const noexcept { return judge_.limit_factors(); }  // those that hold now
   // As newly made.
   void reset() noexcept;
 
+  // The last answer; the same object as estimate() returned, so the next call changes it.
   const Estimate& last() const noexcept { return judge_.last(); }
-  int joints() const noexcept { return last().joints; }
+  int joints() const noexcept { return last().joints; }  // how many
+  // Of the bundle, in the order of q, dq and tau. Throws std::out_of_range where there is no such joint.
   const std::string& joint_name(int joint) const { return joint_names_.at(static_cast<std::size_t>(joint)); }
-  // What the bundle says of its units: that of the tau to be given, and that of the torques in the answer.
+  // What the bundle says of its units: that of the tau to be given, and that of the torques in the answer. Throw
+  // std::out_of_range, too.
   const std::string& torque_unit(int joint) const { return torque_units_.at(static_cast<std::size_t>(joint)); }
   const std::string& estimate_unit(int joint) const { return estimate_units_.at(static_cast<std::size_t>(joint)); }
-  std::int64_t sample_period_ns() const noexcept { return sample_period_ns_; }
+  std::int64_t sample_period_ns() const noexcept { return sample_period_ns_; }  // of the bundle
+  // Counted since it was made or reset: samples that went on the chain, ticks of the clock that were bridged, restarts.
   std::uint64_t samples() const noexcept { return observe_.progress().samples; }
   std::uint64_t bridged_ticks() const noexcept { return observe_.progress().bridged; }  // without a sample of their own
   std::uint64_t restarts() const noexcept { return observe_.progress().restarts; }      // after the first start
 
-  // The whole state, to go on in another monitor of the same bundle, rate, build and kind of processor.
+  // Size of the whole state, to go on in another monitor of the same bundle, rate, build and kind of processor.
   std::size_t state_bytes() const noexcept;
   // false, and nothing changed, where the size is wrong or, in restore(), the bytes are of another monitor or damaged.
   bool save_state(std::span<std::byte> state) const noexcept;

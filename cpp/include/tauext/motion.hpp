@@ -10,6 +10,7 @@
 
 namespace tauext {
 
+// What the chain begins with.
 class MotionStage {
  public:
   // Throws Error where the clock's or the presliding settings do not fit.
@@ -32,7 +33,7 @@ class MotionStage {
   // Of the last sample, one value a joint: [N m s] and [N m].
   std::span<const double> momentum() const noexcept { return {momentum_.data(), static_cast<std::size_t>(tree_.size())}; }
   std::span<const double> beta() const noexcept { return {beta_.data(), static_cast<std::size_t>(tree_.size())}; }
-  const Presliding& presliding() const noexcept { return presliding_; }
+  const Presliding& presliding() const noexcept { return presliding_; }  // after the last sample
   // Nothing is known any more of what this joint's motion told of its static friction.
   void forget_friction(int joint) noexcept { presliding_.forget(joint); }
   // The next sample starts anew, whenever it comes.
@@ -42,6 +43,7 @@ class MotionStage {
     SampleClock clock;
     Presliding::State presliding;
   };
+  // All that it remembers; restore() goes on from there.
   State state() const noexcept { return {clock_, presliding_.state()}; }
   void restore(const State& state) noexcept {
     clock_ = state.clock;

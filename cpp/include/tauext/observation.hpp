@@ -21,7 +21,7 @@ struct Observation {
   std::vector<std::int64_t> row;            // (samples)
   std::vector<std::int64_t> stretch_begin;  // (samples): first row of the stretch that the sample stands in
   std::vector<std::uint8_t> warm;           // (samples): 10/K0 after the stretch began, or later (ResidualStage)
-  std::int64_t row_count = 0;
+  std::int64_t row_count = 0;  // rows of the clock
   std::int64_t held_rows = 0;  // ticks without a sample of their own
   int restarts = 0;            // stretches after the first
 };
@@ -37,8 +37,8 @@ std::vector<double> prior_regressors(const Tree& tree, const ObserverSettings& s
 
 // A sample of a recording that no arm sends.
 struct ImpossibleSample {
-  std::int64_t sample = 0;
-  Impossible found;
+  std::int64_t sample = 0;  // its index
+  Impossible found;         // why
 };
 
 // Those that a monitor refuses whose bundle has these ranges, in their order. For training, whose recordings have finite
@@ -53,7 +53,8 @@ std::vector<float> feature_rows(const RecordingView& recording, const Observatio
 
 // Where samples stand on the regular clock of a recording.
 struct RowCount {
-  std::int64_t row = -1, stretch_begin = 0;
+  std::int64_t row = -1, stretch_begin = 0;  // of the last sample
+  // The next sample, so many ticks later; those of one that restarts do not count.
   void add(bool restarted, std::int64_t ticks) noexcept {
     row += restarted ? 1 : ticks;
     if (restarted) stretch_begin = row;

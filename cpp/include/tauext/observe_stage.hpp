@@ -26,9 +26,9 @@ enum class Passage : std::uint8_t {
 // What is known of one sample before the network has spoken. Where it did not enter, only its time, passage, health and
 // causes hold.
 struct Observed {
-  std::int64_t t_ns = 0;
-  Passage passage = Passage::refused;
-  Health health = Health::warming_up;
+  std::int64_t t_ns = 0;            // stamp of the sample
+  Passage passage = Passage::refused;  // what became of it
+  Health health = Health::warming_up;  // nothing later changes it
   std::uint32_t causes = 0;         // bits of Cause
   int cause_joint = -1;             // the first joint that a cause concerns
   bool restarted = false;           // the chain began anew with this sample
@@ -59,7 +59,7 @@ class ObserveStage {
   const Observed& step(const Sample& sample) noexcept;
   // The loop ran and no sample came: held for one network period, then a fault.
   const Observed& no_sample(std::int64_t now_ns) noexcept;
-  // As ResidualStage; a bit a joint.
+  // As ResidualStage's calls of these names; a bit a joint.
   void forget_friction(std::uint32_t joints) noexcept;
   bool tells_friction() const noexcept { return residual_.tells_friction(); }
   // As newly made.
@@ -68,7 +68,7 @@ class ObserveStage {
   // Of the last sample that entered: the network's features, q, dq and presliding states times their factors; none where
   // the bundle has no network.
   std::span<const float> features() const noexcept { return row_; }
-  const Presliding& presliding() const noexcept { return residual_.presliding(); }
+  const Presliding& presliding() const noexcept { return residual_.presliding(); }  // after it
 
   // Plain bytes, so that a monitor's state can be saved.
   struct Progress {
@@ -92,6 +92,7 @@ class ObserveStage {
     ResidualStage::State residual;
     SignalWatch::State watch;
   };
+  // All that it remembers; restore() goes on from there, in a stage of the same settings.
   State state() const noexcept { return {progress_, residual_.state(), watch_ ? watch_->state() : SignalWatch::State{}}; }
   void restore(const State& state) noexcept;
 

@@ -8,7 +8,7 @@
 
 namespace tauext {
 
-inline constexpr int kMaxWidths = 8;
+inline constexpr int kMaxWidths = 8;  // of a bank
 
 // A bank of stop operators (Maxwell-slip elements) on each joint's displacement, for widths w:
 //   z <- clip(z + (q_k - q_{k-1}), -w, w); the state is z / w, in [-1, 1].
@@ -34,8 +34,8 @@ class Presliding {
   // One sample of finite positions.
   void step(std::span<const double> q) noexcept;
 
-  int columns() const noexcept { return joints_ * width_count(); }
-  int width_count() const noexcept { return static_cast<int>(widths_.size()); }
+  int columns() const noexcept { return joints_ * width_count(); }  // states of all joints
+  int width_count() const noexcept { return static_cast<int>(widths_.size()); }  // states of a joint
   // The state of a joint for a width.
   double value(int joint, int width) const noexcept {
     const std::size_t at = index(joint, width);
@@ -46,6 +46,7 @@ class Presliding {
     const std::size_t at = index(joint, width);
     return 0.5 * (state_.high[at] - state_.low[at]);
   }
+  // Whether the two ends have met.
   bool determined(int joint, int width) const noexcept {
     const std::size_t at = index(joint, width);
     return state_.low[at] == state_.high[at];
@@ -53,6 +54,7 @@ class Presliding {
   // All of them, in rows of one joint: columns() values.
   void write(std::span<double> states) const noexcept;
 
+  // All that it remembers; restore() goes on from there, in another one of the same settings.
   const State& state() const noexcept { return state_; }
   void restore(const State& state) noexcept { state_ = state; }
 

@@ -31,12 +31,14 @@ enum class TermKind : std::uint8_t {
   momentum = 9,         // dq_a times form 0 1, 1 cos b, 2 sin b
 };
 
+// One term: its kind, and what TermKind says of a, b, c, form and speed there; what a kind does not name is 0.
 struct Term {
   TermKind kind = TermKind::constant;
   std::int32_t a = 0, b = 0, c = 0, form = 0;
   double speed = 0;
 };
 
+// The terms of a prior with their weights, and the corrected model.
 struct PriorSettings {
   std::vector<double> widths_rad;   // of the presliding states, also the network's
   std::vector<Term> terms;          // empty: no prior
@@ -49,6 +51,7 @@ struct PriorSettings {
   void validate(int joints) const;
 };
 
+// What kind of term it is: of the load on the gear, of presliding states, of generalised momentum.
 inline bool is_load(const Term& term) noexcept {
   return term.kind == TermKind::load || term.kind == TermKind::load_presliding;
 }
@@ -71,7 +74,7 @@ class PriorTerms {
   // How far from that the term may be while its presliding state is not determined.
   double doubt(std::size_t term) const noexcept;
 
-  std::size_t size() const noexcept { return terms_.size(); }
+  std::size_t size() const noexcept { return terms_.size(); }  // how many
   const Term& operator[](std::size_t term) const noexcept { return terms_[term]; }
   bool corrects_model() const noexcept { return corrected_.has_value(); }
   // p and beta of the corrected model, where there is one.
@@ -103,12 +106,13 @@ class Prior {
   // Throws Error where the settings do not fit.
   Prior(const PriorSettings& settings, const std::array<double, 3>& gravity, int joints, double gain_per_s);
 
+  // The next sample starts anew, with a prior of 0.
   void reset() noexcept {
     state_.filter.reset();
     state_.doubt_filter.reset();
     state_.forgotten = false;
   }
-  bool has_presliding() const noexcept { return has_presliding_; }
+  bool has_presliding() const noexcept { return has_presliding_; }  // some term follows from presliding states
   // Presliding states were forgotten: at the next sample the doubt stands where it would after a long rest, and not where
   // its filter has come to, since what it covers has been there before.
   void forget() noexcept { state_.forgotten = true; }
@@ -118,6 +122,7 @@ class Prior {
             std::span<const double> momentum, std::span<const double> beta, std::span<double> prior,
             std::span<double> doubt) noexcept;
 
+  // All that it remembers; restore() goes on from there, in another one of the same settings.
   const State& state() const noexcept { return state_; }
   void restore(const State& state) noexcept { state_ = state; }
 

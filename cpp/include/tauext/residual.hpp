@@ -17,10 +17,10 @@ namespace tauext {
 // What training and monitor must share beside the model.
 struct ObserverSettings {
   double gain_per_s = 0;              // K0, [1/s]
-  TorqueTiming timing = TorqueTiming::held;
+  TorqueTiming timing = TorqueTiming::held;  // what a sample of tau means
   std::int64_t sample_period_ns = 0;  // of the recording or the control loop
   int network_stride = 0;             // samples in a network period, the multiple of the sample period nearest 10 ms
-  ResidualMethod method = ResidualMethod::momentum;
+  ResidualMethod method = ResidualMethod::momentum;  // what r is
   double high_pass_per_s = 0;         // filters on the residual, [1/s]; 0: none
   double low_pass_per_s = 0;
   // Torque constants, a joint: what is given as tau is multiplied by them before anything looks at it. Empty: tau is in
@@ -46,8 +46,8 @@ class ResidualStage {
   SampleClock::Tick step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
                          std::span<const double> tau, std::span<double> residual, std::span<double> prior,
                          std::span<double> doubt) noexcept;
-  const Presliding& presliding() const noexcept { return motion_.presliding(); }
-  bool warm() const noexcept { return filter_.warm(); }
+  const Presliding& presliding() const noexcept { return motion_.presliding(); }  // after the last sample
+  bool warm() const noexcept { return filter_.warm(); }  // r has forgotten how it began
   // Whether the prior follows from static friction, so that forgetting it raises a doubt.
   bool tells_friction() const noexcept { return prior_.has_presliding(); }
   // What the motion of a joint told of its static friction holds no longer. Nothing happens where no prior follows from
@@ -67,6 +67,7 @@ class ResidualStage {
     ResidualFilter filter;
     Prior::State prior;
   };
+  // All that it remembers; restore() goes on from there, in a stage of the same settings.
   State state() const noexcept { return {motion_.state(), observer_, comparison_, filter_, prior_.state()}; }
   void restore(const State& state) noexcept;
 

@@ -7,21 +7,23 @@
 
 namespace tauext {
 
+// What a control loop gives once a cycle.
 struct Sample {
-  std::int64_t t_ns = 0;
+  std::int64_t t_ns = 0;               // when it was measured, by a clock that goes on steadily
   std::span<const double> q, dq, tau;  // a joint: [rad], [rad/s], tau in the bundle's given unit
 };
 
 // Samples one after the other; q, dq, tau are (samples, joints), row-major. Nothing is said of their values: times may
 // go backwards and numbers be NaN.
 struct RecordingView {
-  std::int64_t samples = 0;
-  int joints = 0;
+  std::int64_t samples = 0;  // how many
+  int joints = 0;            // of each
   const std::int64_t* t_ns = nullptr;
   const double* q = nullptr;
   const double* dq = nullptr;
   const double* tau = nullptr;
 
+  // Sample k, counted from 0, where it lies.
   Sample at(std::int64_t k) const noexcept {
     const auto n = static_cast<std::size_t>(joints), from = static_cast<std::size_t>(k) * n;
     return {t_ns[k], {q + from, n}, {dq + from, n}, {tau + from, n}};
@@ -51,9 +53,9 @@ enum Cause : std::uint32_t {
   kImpossibleVelocity = 1024,  // faster than the joint can get
   kImpossiblePosition = 2048,  // farther from the last position than the joint can have gone, or from all positions
 };
-inline constexpr std::uint32_t kCauseCount = 12;
+inline constexpr std::uint32_t kCauseCount = 12;  // bits that there are
 
-const char* name(Health health) noexcept;
+const char* name(Health health) noexcept;  // "warming up", "ok", ...
 const char* name(Cause cause) noexcept;  // of a single bit: "not finite", ...
 
 }  // namespace tauext

@@ -12,12 +12,14 @@ class SampleClock {
   // Throws Error where the period or the stride is not positive.
   SampleClock(std::int64_t sample_period_ns, int network_stride);
 
+  // Where a sample stands: at the start of a stretch, after the last one, or nowhere.
   enum class Kind : std::uint8_t { restart, next, not_later };
   struct Tick {
     Kind kind;
     std::int64_t advance;  // ticks since the last sample, at least 1; 0 unless kind is next
   };
 
+  // The next sample is a first one.
   void reset() noexcept { started_ = false; }
   // not_later, which changes nothing, where t_ns is not later than the last sample; restart for the first sample.
   Tick step(std::int64_t t_ns) noexcept;

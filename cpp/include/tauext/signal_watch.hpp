@@ -26,9 +26,10 @@ struct SignalRanges {
 // A sample that no arm sends: why, and the first joint that shows it.
 struct Impossible {
   std::uint32_t cause = 0;  // a bit of Cause: kNotFinite or kImpossible...; 0: it may be true
-  int joint = -1;
+  int joint = -1;           // -1: none
 };
 
+// Watches the signals of an arm, sample after sample.
 class SignalWatch {
  public:
   static constexpr double kRateTolerance = 0.05;        // of the sample period, over an exponential second
@@ -36,7 +37,7 @@ class SignalWatch {
   static constexpr double kStillForS = 0.1;             // an encoder may stand still for so long whatever else it says
   static constexpr double kStillTravelRad = 0.05;       // travel that dq claims while q does not change
 
-  static constexpr double kLongestStep = 20;
+  static constexpr double kLongestStep = 20;    // in sample periods: after a longer one positions begin anew
   static constexpr double kFarthest = 1e6;      // |q| that no encoder counts to, [rad or m]: 160,000 turns
   static constexpr double kEncoderRad = 0.005;  // of a step that is no travel: a few counts of a coarse encoder
   static constexpr double kAssumed = 1000;      // see SignalRanges::assume_possible
@@ -76,8 +77,10 @@ class SignalWatch {
                std::span<const double> tau) noexcept;
   // A sample whose values cannot be used came in time all the same.
   void pass(std::int64_t t_ns) noexcept;
+  // As newly made.
   void reset() noexcept { state_ = {}; }
 
+  // All that it remembers; restore() goes on from there, in another one of the same settings.
   const State& state() const noexcept { return state_; }
   void restore(const State& state) noexcept { state_ = state; }
 

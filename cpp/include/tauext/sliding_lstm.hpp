@@ -44,7 +44,7 @@ class SlidingLstm {
   // Everything that the next row's answer does not wait for. push() does it first where it was left out.
   void advance() noexcept;
 
-  // State as bytes, for the same sizes, rate and build.
+  // State as bytes, of this size, for the same sizes, rate and build.
   std::size_t state_bytes() const noexcept;
   void save(std::span<std::byte> state) const noexcept;
   void restore(std::span<const std::byte> state) noexcept;
@@ -53,6 +53,7 @@ class SlidingLstm {
   struct Windows;
   std::unique_ptr<Windows> windows_;
 };
+// Most memory that the states of a network may take.
 inline constexpr std::size_t kMaxSlidingBytes = std::size_t{1} << 28;
 
 }  // namespace tauext

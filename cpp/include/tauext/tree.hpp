@@ -8,11 +8,12 @@
 
 namespace tauext {
 
-enum class JointType : std::uint8_t { revolute = 0, prismatic = 1 };  // the numbers stand in bundles
+// How a joint moves its link: it turns it or it slides it. The numbers stand in bundles.
+enum class JointType : std::uint8_t { revolute = 0, prismatic = 1 };
 
 // One moving link and the joint that carries it. The joint axis is the link frame's +z, its origin the frame's origin.
 struct Link {
-  std::string joint_name;
+  std::string joint_name;  // that users know it by
   int parent = -1;  // index of the parent link, -1 for the base; it may come before or after the link itself
   JointType type = JointType::revolute;
   std::array<double, 9> rotation{};     // parent from link at q = 0, row-major
@@ -38,7 +39,8 @@ class Tree {
   void momentum(std::span<const double> q, std::span<const double> dq, std::span<double> p,
                 std::span<double> beta) const noexcept;
 
-  int size() const noexcept { return static_cast<int>(links_.size()); }
+  int size() const noexcept { return static_cast<int>(links_.size()); }  // joints
+  // As they were given.
   const std::vector<Link>& links() const noexcept { return links_; }
   const std::array<double, 3>& gravity() const noexcept { return gravity_; }
 

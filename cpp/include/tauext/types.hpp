@@ -9,9 +9,11 @@
 
 namespace tauext {
 
+// Largest sizes.
 inline constexpr int kMaxJoints = 32;
 inline constexpr int kMaxNetworkStride = 10000;  // samples in a network period
 
+// One number for each joint; those beyond an arm's joints mean nothing.
 using JointVector = std::array<double, kMaxJoints>;
 
 // What a torque sample means; getting it wrong puts a false residual of tenths to whole newton metres into the observer.

@@ -20,7 +20,9 @@ class Dataset:
     """A folder of recordings, and which of them serves for what."""
 
     folder: Path
+    """Where the recordings and the robot file lie."""
     split: Split
+    """Names of the recordings' files, by the set that they belong to."""
 
     def recordings(self, set_name: str) -> list[Recording]:
         """All recordings of `train`, `validation`, `test`, `collisions` or `calibration`, in order."""

@@ -30,25 +30,41 @@ class Estimates:
     """
 
     joints: tuple[str, ...]
-    t_ns: np.ndarray  # (samples,) int64
-    r: np.ndarray  # the observer
-    network: np.ndarray  # NaN while warming up
-    tau_ext: np.ndarray  # r - prior - network - drift; NaN while warming up
-    limit: np.ndarray  # that |tau_ext| must exceed for a collision
-    near_stiction: np.ndarray  # (samples, joints) bool: region of the limit
-    health: np.ndarray  # (samples,) int8
-    detection: np.ndarray  # (samples,) bool: healthy and some |tau_ext| over its limit
-    prior: np.ndarray | None = None  # (samples, joints); None where the bundle has none
-    drift: np.ndarray | None = None  # (samples, joints): what the tracker takes off; None where the bundle has none
-    # (samples, joints): standard error of tau_ext; NaN where that is, None where the bundle has no error scale.
+    """Names of the joints, in the order of the columns."""
+    t_ns: np.ndarray
+    """(samples,) int64: stamps of the samples, [ns]."""
+    r: np.ndarray
+    """Residual of the observer."""
+    network: np.ndarray
+    """What the network expects of r beside the prior; 0 where the bundle has none, NaN while warming up."""
+    tau_ext: np.ndarray
+    """External torque, r - prior - network - drift; NaN while warming up."""
+    limit: np.ndarray
+    """What |tau_ext| must exceed for a collision, at each sample."""
+    near_stiction: np.ndarray
+    """(samples, joints) bool: whether the limit is that near stiction, not that of sliding."""
+    health: np.ndarray
+    """(samples,) int8: 0 warming up, 1 ok, 2 stale, 3 fault."""
+    detection: np.ndarray
+    """(samples,) bool: healthy, and some |tau_ext| over its limit."""
+    prior: np.ndarray | None = None
+    """What physics, fitted to the data, expects of r; None where the bundle has no prior."""
+    drift: np.ndarray | None = None
+    """What the tracker of slow changes takes off; None where the bundle has none."""
     sigma_nm: np.ndarray | None = None
-    contact_limit: np.ndarray | None = None  # (samples, joints): for a contact; beside flights
-    held_alarm: np.ndarray | None = None  # (samples,) int8: held at it: 0 none, 1 contact, 2 collision
-    alarm: np.ndarray | None = None  # (samples,) int8: the same, latched; of a monitor, which somebody acknowledges
-    causes: np.ndarray | None = None  # (samples,) uint32: bits, why health is not ok
+    """Standard error of tau_ext; NaN where that is, None where the bundle has no error scale."""
+    contact_limit: np.ndarray | None = None
+    """What |tau_ext| must exceed for a contact; None but beside flights."""
+    held_alarm: np.ndarray | None = None
+    """(samples,) int8: the level held at that sample, 0 none, 1 contact, 2 collision."""
+    alarm: np.ndarray | None = None
+    """(samples,) int8: the same, latched until somebody acknowledges it; None but of a monitor."""
+    causes: np.ndarray | None = None
+    """(samples,) uint32: a bit for each cause why health is not ok; `cause_names` has the words."""
 
     @property
     def healthy(self) -> np.ndarray:
+        """(samples,) bool: health is ok."""
         return self.health == OK
 
     def why(self, row: int) -> str:

@@ -35,6 +35,7 @@ class Recording:
     name: str
     """The stem of its file."""
     joints: tuple[str, ...]
+    """Names of the joints, in the order of the columns."""
     t_ns: np.ndarray
     """(samples,) int64, sample times, [ns], strictly increasing."""
     q: np.ndarray

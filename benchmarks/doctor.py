@@ -62,9 +62,9 @@ def main() -> None:
     lines.say("# What the doctor finds\n")
     lines.say(f"    python benchmarks/doctor.py {shlex.join(sys.argv[1:])}\n")
     lines.say(
-        f"Faults in {options.minutes:g} minutes of recordings; good data are {options.good_minutes:g} minutes long. "
-        "*Besides* are findings\nthat do not follow from the fault. The second joint, the broken one, of `scara` turns "
-        "about the vertical: gravity tells\nneither its factor nor its zero."
+        f"Each fault stands in {options.minutes:g} minutes of recordings; good data are {options.good_minutes:g} "
+        "minutes long. *Besides*: findings that do not\nfollow from the fault. In `scara` the faulty joint, the "
+        "second, turns about a vertical axis: gravity shows neither its\nscale nor its zero."
     )
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -115,8 +115,8 @@ def print_settings(lines: Lines, folder: Path, options: argparse.Namespace) -> N
     lines.say("\n## Other arms and drives\n")
     lines.say(
         f"Findings on {SETTING_MINUTES:g} minutes of good data. With a model, currents and torques before the gear are "
-        "rightly named as such.\nThe limits of stuck efforts, drift and unlabelled contacts were set with these in "
-        "sight, those of the other checks were not.\n"
+        "named as such, rightly.\nThe thresholds for stuck efforts, drift and unlabelled contacts were set on these "
+        "data, those of the other checks were not.\n"
     )
     lines.say("| arm | with a model | without |\n|---|---|---|")
     for setting in (*SETTINGS, *CURRENTS):

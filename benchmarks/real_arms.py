@@ -202,13 +202,11 @@ def carry_out(name: str, folder: Path) -> None:
 def page(name: str, folder: Path) -> str:
     """What is kept of an arm: tables, figures, and every command with what it said."""
     arm = ARMS[name]
-    parts = [
-        f"# {name}\n\nMade by `python benchmarks/real_arms.py`; what it means stands in [the index](../README.md)."
-    ]
+    parts = [f"# {name}\n\nMade by `python benchmarks/real_arms.py`; [the index](../README.md) says what it means."]
     tables = arm.tables(folder)
     parts += [tables] if tables else []
     parts += [f"![{figure}]({figure})" for figure in arm.figures]
-    parts.append("## Commands, and what they said")
+    parts.append("## Commands and their output")
     for command, bare in zip(arm.commands, plain(arm.commands), strict=True):
         lines = [line for line in file_of(folder, bare).read_text().splitlines() if line and line[0] != "{"]
         lines = [line for line in lines if not re.match(r"(evaluate|train \w+): ", line)]

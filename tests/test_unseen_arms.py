@@ -137,7 +137,7 @@ def test_tables_keep_fresh_arms_apart_and_total_each_group():
     new = [outcome("palletizer", True, "prior", 1, 1, 2), outcome("palletizer", True, "friction", 0, 5, 5)]
     text = markdown([*old, *new], "python made.py")
     before, after = text.split("## Arms that were run once, afterwards")
-    assert "## Arms the method was fixed on" in before and "palletizer" not in before and "ur5" not in after
+    assert "## Arms that the method was developed on" in before and "palletizer" not in before and "ur5" not in after
     assert "| ur5 | urdf | prior | 3/4 | 3/3 | 2.0 | 0 | 1 |" in before
     assert "| **all** | urdf | prior | 7/8 | 6/6 | 3.0 | 2 | 1 |" in before
     assert "| **all** | urdf | prior | 1/4 | 1/3 | 6.0 | 1 | 2 |" in after

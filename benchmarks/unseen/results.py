@@ -19,14 +19,14 @@ STRONG = 3.0
 AFTER_CONTACT_S = 3.0
 GROUPS = {
     False: (
-        "Arms the method was fixed on",
-        ("What stands here guided the method: it says little of the next arm.",),
+        "Arms that the method was developed on",
+        ("These results guided the method, so they say little about the next arm.",),
     ),
     True: (
         "Arms that were run once, afterwards",
         (
-            "Other kinematics, sample rates and draws; stamps jitter by a tenth of the period, one arm's log lacks 3 %",
-            "of its samples, and a fifth of the moves end in an abrupt stop, within 30 to 80 ms.",
+            "Other kinematics, sample rates and random draws. Stamps jitter by a tenth of the period, one arm's log",
+            "lacks 3 % of its samples, and a fifth of the moves end in an abrupt stop, within 30 to 80 ms.",
         ),
     ),
 }
@@ -121,13 +121,14 @@ def markdown(outcomes: Sequence[Outcome], command: str) -> str:
         "",
         f"Written by `{command}`.",
         "",
-        "Simulated arms with what real ones have: a model that is wrong (masses by 20 %, centres of mass by 2 cm, a",
-        "tool and rotor inertias missing), friction with memory, load and warmth, motor currents with wrong torque",
-        "constants or none, jittering stamps, labels late or early by 30 ms. Twelve minutes to train on, ten of free",
-        "motion and ten with 50 labelled contacts to test on. `urdf`: with the maker's model; `none`: without any.",
-        f"Limits are those that `train` chooses by itself. Strong: turns some joint by {STRONG:g} times its held-out",
-        "error or more. Torques are true ones, whatever constants the method believes. False alarms are told apart by",
-        f"whether they begin within {AFTER_CONTACT_S:g} s after a contact (its label's end) or in free motion proper.",
+        "Simulated arms with the flaws of real ones: a wrong model (masses off by 20 %, centres of mass by 2 cm,",
+        "tool and rotor inertias missing), friction that depends on history, load and temperature, motor currents with",
+        "wrong torque constants or none, jittering stamps, labels 30 ms early or late. Each arm has twelve minutes to",
+        "train on, and is tested on ten minutes of free motion and ten with 50 labelled contacts. `urdf`: with the",
+        "maker's model; `none`: without a model. Limits are those that `train` chooses by itself. Strong: a contact",
+        f"whose torque at some joint is {STRONG:g} times the held-out error there or more. Torques are the true ones,",
+        "whatever constants the method uses. False alarms that begin within",
+        f"{AFTER_CONTACT_S:g} s after a contact (its label's end) are counted apart from those in free motion proper.",
     ]
     for fresh, (heading, words) in GROUPS.items():
         group = [outcome for outcome in outcomes if outcome.fresh == fresh]

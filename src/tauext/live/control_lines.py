@@ -66,7 +66,7 @@ class ControlSocket:
         """Raises ConfigError where there can be no socket, or another monitor listens there."""
         self._path, self._control = path, control
         self._spoke: dict[socket.socket, float] = {}
-        """When each connection said something last, by time.monotonic(); UNHEARD_S before it came where it never did."""
+        """When each connection said something last, by time.monotonic(); UNHEARD_S before it came if it never did."""
         self._changing = threading.Lock()
         self._closed = False
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

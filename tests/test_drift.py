@@ -10,6 +10,7 @@ from made_pushes import cut_flight
 from test_train import recording
 
 from tauext import _core
+from tauext.calibrate.error_scale import unit_scale
 from tauext.cli.show import describe_bundle
 from tauext.config import PAPER_CASES, DriftConfig, ObserverConfig, PriorConfig, TrainConfig
 from tauext.data import Recording, save_recording
@@ -77,6 +78,38 @@ def test_lower_friction_is_followed_and_the_monitor_says_the_same(fitted):
     np.testing.assert_array_equal(run["drift"], said["drift"])
     np.testing.assert_array_equal(run["tau_ext"], said["tau_ext"])
     np.testing.assert_array_equal(run["uncertainty"][600:], (said["prior"] + said["network"] + said["drift"])[600:])
+
+
+def with_sigma(bundle: _core.Bundle, sigma_nm: float) -> _core.Bundle:
+    """A bundle whose standard error is a constant."""
+    copy = _core.Bundle.from_bytes(bundle.to_bytes())
+    scale = unit_scale(copy.joints)
+    scale.sigma_weights = scale.sigma_near_weights = (sigma_nm * np.array(scale.sigma_weights)).tolist()
+    scale.largest_sigma = [sigma_nm] * copy.joints
+    copy.error_scale = scale
+    return copy
+
+
+def test_friction_that_is_off_at_once_is_followed_although_it_looks_like_a_touch(fitted):
+    bundle, fit = fitted
+    drifting = with_sigma(tracking(bundle, fit), 0.1)
+    freeze_drift(drifting, CONFIG)
+    drifting.contact_sliding_limit_nm = drifting.contact_near_stiction_limit_nm = [0.5, 0.5]
+    drifting.sliding_limit_nm = drifting.near_stiction_limit_nm = [1.0, 1.0]
+    assert drifting.drift.friction_share == 0.4
+    made = with_dynamics(recording(9, seconds=60.0), friction=0.75)
+    signals = (made.t_ns, made.q, made.dq, made.tau)
+    said = _core.estimate(drifting, *signals, 1)
+    slow = _core.Bundle.from_bytes(drifting.to_bytes())
+    slow.drift.friction_share = 0.0
+    last = slice(-20_000, None)
+    rmse = [np.sqrt((one["tau_ext"][last] ** 2).mean(axis=0)) for one in (said, _core.estimate(slow, *signals, 1))]
+    assert (rmse[0] < 0.15).all() and (rmse[1] > 1.0).all()
+    np.testing.assert_array_equal(_core.Monitor(drifting).run(*signals)["tau_ext"], said["tau_ext"])
+    first, second = _core.Monitor(drifting), _core.Monitor(drifting)
+    first.run(*(column[:30_000] for column in signals))
+    second.restore_state(first.save_state())
+    np.testing.assert_array_equal(second.run(*(column[30_000:] for column in signals))["drift"], said["drift"][30_000:])
 
 
 def test_in_a_minute_a_coefficient_changes_by_no_more_than_its_rate(fitted):
@@ -180,6 +213,7 @@ def test_drift_is_found_at_the_same_row_whatever_the_chunks():
         ({"rate_share_per_s": 0.0}, "rate_share_per_s = 0.0 must be above 0"),
         ({"freeze_share": 0.0}, "freeze_share = 0.0 must be above 0"),
         ({"freeze_s": float("nan")}, "freeze_s = nan must be 0 to 60"),
+        ({"friction_share": 1.5}, "friction_share = 1.5 must be 0 "),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(changes, message):
@@ -191,6 +225,9 @@ def test_a_bundle_of_settings_that_make_no_sense_is_refused(fitted):
     drifting = tracking(*fitted)
     drifting.drift.freeze_share = 2.0
     with pytest.raises(TauextError, match="drift.freeze_share = 2 must be 0"):
+        drifting.to_bytes()
+    drifting.drift.freeze_share, drifting.drift.friction_share = 0.5, -1.0
+    with pytest.raises(TauextError, match="drift.friction_share = -1 must be 0"):
         drifting.to_bytes()
 
 

@@ -380,7 +380,8 @@ void bind_bundle(nb::module_& m) {
       .def_rw("rate_share_per_s", &DriftSettings::rate_share_per_s)
       .def_rw("freeze_share", &DriftSettings::freeze_share)
       .def_rw("freeze_s", &DriftSettings::freeze_s)
-      .def_rw("freeze_floor_nm", &DriftSettings::freeze_floor_nm);
+      .def_rw("freeze_floor_nm", &DriftSettings::freeze_floor_nm)
+      .def_rw("friction_share", &DriftSettings::friction_share);
   nb::enum_<MotionFeature>(m, "MotionFeature", "What of the motion errors grow with; see error_scale.hpp.")
       .value("constant", MotionFeature::constant)
       .value("speed", MotionFeature::speed)

@@ -189,6 +189,7 @@ void fields(File& file, Bundle& b) {
   field(file, b.reference.residual);
   field(file, b.reference.prior);
   field(file, b.reference.network);
+  if (file.major >= 8) field(file, b.drift.friction_share);
 }
 
 }  // namespace

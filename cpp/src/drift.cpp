@@ -26,6 +26,7 @@ void DriftSettings::validate(int joints) const {
   if (!freeze_floor_nm.empty() && static_cast<int>(freeze_floor_nm.size()) != joints)
     throw Error("drift.freeze_floor_nm has " + std::to_string(freeze_floor_nm.size()) + " values where " +
                 std::to_string(joints) + " or none belong");
+  expect(friction_share >= 0 && friction_share <= 1, "friction_share", friction_share, "0 (not followed) to 1");
   for (double floor : freeze_floor_nm)
     expect(floor >= 0 && floor <= kLargestSize, "freeze_floor_nm", floor, "0 to 1e300");
 }

@@ -18,6 +18,7 @@ struct Seen {
   };
   std::vector<Row> rows;                      // (samples)
   std::vector<float> features;                // (clock rows, columns)
+  std::vector<double> friction;               // (samples, Coulomb's and viscous, joints), where the bundle follows it
   std::vector<std::int64_t> judged_ends;      // clock rows of the samples that are judged
   std::int64_t clock_rows = 0;
 };
@@ -39,6 +40,11 @@ Seen observe_all(const Bundle& bundle, const RecordingView& recording, Estimates
       out.residual[k * n + j] = o.residual[j];
       out.prior[k * n + j] = o.prior[j];
       out.doubt[k * n + j] = o.doubt[j];
+    }
+    if (!o.coulomb.empty()) {
+      seen.friction.resize(2 * N * n);
+      std::ranges::copy(o.coulomb, seen.friction.begin() + static_cast<std::ptrdiff_t>(2 * k * n));
+      std::ranges::copy(o.viscous, seen.friction.begin() + static_cast<std::ptrdiff_t>((2 * k + 1) * n));
     }
     at.add(o.restarted, o.ticks);
     // Bridged ticks hold the sample before.
@@ -85,6 +91,10 @@ void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen&
     o.residual = std::span(out.residual).subspan(k * n, n);
     o.prior = std::span(out.prior).subspan(k * n, n);
     o.doubt = std::span(out.doubt).subspan(k * n, n);
+    if (!seen.friction.empty()) {
+      o.coulomb = std::span(seen.friction).subspan(2 * k * n, n);
+      o.viscous = std::span(seen.friction).subspan((2 * k + 1) * n, n);
+    }
     const bool entered = row.passage == Passage::entered;
     const std::span<const float> network =
         entered && row.judged && !outputs.empty() ? outputs.subspan(n * judged, n) : std::span<const float>();

@@ -20,6 +20,7 @@ JudgeStage::JudgeStage(const Bundle& bundle)
     : output_scale_nm_(bundle.output_scale_nm),
       alarm_(bundle.joints(), static_cast<int>(bundle.prior.widths_rad.size()), bundle.limits),
       drift_(bundle.drift, bundle.limits, bundle.joints(), bundle.observer.gain_per_s),
+      factors_(bundle.drift.on() ? bundle.drift.friction_share : 0.0, bundle.joints(), bundle.observer.gain_per_s),
       scale_(bundle.error_scale, bundle.joints(), bundle.observer.gain_per_s),
       coverage_(bundle.joints(), bundle.coverage, bundle.observer.slowest_per_s()) {
   estimate_.joints = bundle.joints();
@@ -30,6 +31,7 @@ void JudgeStage::reset() noexcept {
   alarm_.reset();
   alarm_.restore_factors({});
   drift_.reset();
+  factors_.reset();
   scale_.reset();
   coverage_.reset();
   const int joints = estimate_.joints;
@@ -42,6 +44,7 @@ void JudgeStage::restore(const State& state) noexcept {
   alarm_.restore(state.alarm);
   alarm_.restore_factors(state.factors);
   drift_.restore(state.drift);
+  factors_.restore(state.factors_of_friction);
   scale_.restore(state.scale);
   coverage_.restore(state.coverage);
   estimate_ = state.estimate;
@@ -85,10 +88,12 @@ const Estimate& JudgeStage::step(const Observed& o, const Sample& sample, std::s
     }
     if (o.restarted) {
       drift_.restart();
+      factors_.restart();
       scale_.restart();
       coverage_.reset();
     }
     drift_.step(o.t_ns, sample.dq, first_joints(e.drift));
+    factors_.step(o.t_ns, o.coulomb, o.viscous, first_joints(e.drift));
     judge(o, sample, network);
   } else {  // the alarm stands as it did
     e.detection = false;
@@ -137,7 +142,9 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   // Where training never was, the error is the prior's and no drift.
   const bool teaches = o.teaches && e.unfamiliar < Coverage::kWorthTelling;
   drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), e.near_stiction, teaches);
-  e.drift_saturated = drift_.saturated();
+  factors_.learn(sample.dq, first_joints(e.tau_ext), first_joints(e.sigma_nm), first_joints(e.doubt), e.near_stiction,
+                 teaches);
+  e.drift_saturated = drift_.saturated() | factors_.saturated();
   for (int j = 0; o.judged && j < e.joints; ++j) e.margin_nm[j] = e.limit_nm[j] - std::fabs(e.tau_ext[j]);
   report_alarm();
 }

@@ -6,7 +6,7 @@
 namespace tauext {
 namespace {
 
-constexpr std::uint32_t kStateVersion = 6;
+constexpr std::uint32_t kStateVersion = 7;
 
 // What a saved state begins with.
 struct StateHead {

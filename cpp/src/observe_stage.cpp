@@ -58,6 +58,7 @@ ObserveStage::ObserveStage(const Bundle& bundle, int answer_every)
     : ObserveStage(Tree(bundle.links, bundle.gravity), bundle.observer, bundle.prior) {
   watch_.emplace(joints_, bundle.observer.sample_period_ns, bundle.observer.network_stride, bundle.signals);
   limits_ = bundle.limits;
+  tells_parts_ = bundle.drift.follows_factors();
   near_memory_ns_ = std::llround(1e9 * bundle.limits.near_memory_s);
   if (!bundle.has_network()) return;
   input_factors_ = bundle.input_factors;
@@ -157,6 +158,12 @@ void ObserveStage::enter(const Sample& s) noexcept {
   o.residual = residual;
   o.prior = prior;
   o.doubt = doubt;
+  if (tells_parts_) {
+    const std::span coulomb = std::span(coulomb_nm_).first(n), viscous = std::span(viscous_nm_).first(n);
+    residual_.friction(coulomb, viscous);
+    o.coulomb = coulomb;
+    o.viscous = viscous;
+  }
   o.restarted = tick.kind == SampleClock::Kind::restart;
   if (o.restarted) {
     if (p.started && !p.restart_next) {
@@ -223,7 +230,8 @@ void ObserveStage::find_overflow(Findings& findings) noexcept {
   Observed& o = observed_;
   o.overflowed = false;
   for (int j = 0; j < joints_ && !o.overflowed; ++j)
-    if (too_large(residual_nm_[j]) || too_large(prior_nm_[j]) || too_large(doubt_nm_[j])) {
+    if (too_large(residual_nm_[j]) || too_large(prior_nm_[j]) || too_large(doubt_nm_[j]) ||
+        too_large(coulomb_nm_[j]) || too_large(viscous_nm_[j])) {
       findings.add(kNotFinite, j);
       o.overflowed = true;
     }

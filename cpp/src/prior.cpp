@@ -101,6 +101,7 @@ Prior::Prior(const PriorSettings& settings, const std::array<double, 3>& gravity
     : joints_(joints),
       terms_((settings.validate(joints), settings), gravity),
       weights_(settings.weights),
+      values_(settings.terms.size()),
       has_presliding_(std::ranges::any_of(settings.terms, is_presliding)),
       state_{MomentumObserver(joints, gain_per_s, TorqueTiming::held),
              MomentumObserver(joints, gain_per_s, TorqueTiming::held), false} {}
@@ -119,7 +120,7 @@ void Prior::step(std::int64_t t_ns, std::span<const double> q, std::span<const d
       v[i] = beta[i] - terms_.corrected_beta()[i];
     }
   for (std::size_t m = 0; m < terms_.size(); ++m) {
-    const double value = terms_.value(m);
+    const double value = values_[m] = terms_.value(m);
     JointVector& to = is_momentum(terms_[m]) ? p : v;
     for (std::size_t i = 0; i < n; ++i) to[i] += weights_[i * terms_.size() + m] * value;
     const double off = terms_.doubt(m);
@@ -130,6 +131,16 @@ void Prior::step(std::int64_t t_ns, std::span<const double> q, std::span<const d
   state_.doubt_filter.step(t_ns, std::span(zero).first(n), std::span(unknown).first(n), std::span(zero).first(n), doubt);
   if (state_.forgotten) state_.doubt_filter.raise(std::span(unknown).first(n), doubt);
   state_.forgotten = false;
+}
+
+void Prior::friction(std::span<double> coulomb, std::span<double> viscous) const noexcept {
+  for (std::size_t i = 0; i < coulomb.size(); ++i) coulomb[i] = viscous[i] = 0.0;
+  for (std::size_t m = 0; m < terms_.size(); ++m) {
+    const Term& t = terms_[m];
+    if (!is_coulomb(t) && t.kind != TermKind::viscous) continue;
+    const auto joint = static_cast<std::size_t>(t.a);
+    (t.kind == TermKind::viscous ? viscous : coulomb)[joint] += weights_[joint * terms_.size() + m] * values_[m];
+  }
 }
 
 }  // namespace tauext

@@ -215,6 +215,9 @@ class DriftConfig:
     be over this share of a coefficient's bound to stop the tracker."""
     most_frozen: float = 0.03
     """Largest share of free motion in which the tracker stands still; |tau_ext| must be over as much as that takes."""
+    friction_share: float = 0.4
+    """Share of a joint's friction by which it may be off at once, as on a cold morning, and be followed within some
+    strokes to and fro, whatever touches the arm (0: never; at most 1). Needs limits that follow the error."""
 
     def __post_init__(self) -> None:
         time_s = self.time_constant_s
@@ -224,6 +227,7 @@ class DriftConfig:
         for name in ("rate_share_per_s", "freeze_share", "freeze_floor_share"):
             require(0 < getattr(self, name) <= 1, name, getattr(self, name), "above 0, at most 1")
         require(0 <= self.freeze_s <= 60, "freeze_s", self.freeze_s, "0 to 60")
+        require(0 <= self.friction_share <= 1, "friction_share", self.friction_share, "0 (not followed) to 1")
         require(0 < self.most_frozen < 1, "most_frozen", self.most_frozen, "above 0, below 1")
 
 

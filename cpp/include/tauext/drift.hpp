@@ -18,8 +18,10 @@ struct DriftSettings {
   double freeze_share = 0;      // |tau_ext| over this share of the lower limit is a touch; 0: nothing is
   double freeze_s = 0;          // nothing is learned for so long after a touch
   std::vector<double> freeze_floor_nm = {};  // a joint: what is below is no touch, however low its limit, [N m]; empty: 0
+  double friction_share = 0;  // the most that friction may be off by at once (friction_factors.hpp); 0: not followed
 
   bool on() const noexcept { return time_constant_s > 0; }
+  bool follows_factors() const noexcept { return on() && friction_share > 0; }
   // Throws Error, naming what does not fit `joints`.
   void validate(int joints) const;
 };

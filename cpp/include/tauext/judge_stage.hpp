@@ -8,6 +8,7 @@
 #include "tauext/coverage.hpp"
 #include "tauext/drift.hpp"
 #include "tauext/error_scale.hpp"
+#include "tauext/friction_factors.hpp"
 #include "tauext/observe_stage.hpp"
 #include "tauext/sample.hpp"
 #include "tauext/types.hpp"
@@ -78,13 +79,14 @@ class JudgeStage {
     AlarmStage::State alarm;
     LimitFactors factors;
     DriftTracker::State drift;
+    FrictionFactors::State factors_of_friction;
     ErrorScale::State scale;
     Coverage::State coverage;
     Estimate estimate;
   };
   // All that it remembers; restore() goes on from there, in a stage of the same bundle.
   State state() const noexcept {
-    return {alarm_.state(), alarm_.factors(), drift_.state(), scale_.state(), coverage_.state(), estimate_};
+    return {alarm_.state(), alarm_.factors(), drift_.state(), factors_.state(), scale_.state(), coverage_.state(), estimate_};
   }
   void restore(const State& state) noexcept;
 
@@ -101,6 +103,7 @@ class JudgeStage {
   std::vector<double> output_scale_nm_;
   AlarmStage alarm_;
   DriftTracker drift_;
+  FrictionFactors factors_;
   ErrorScale scale_;
   Coverage coverage_;
   Estimate estimate_;

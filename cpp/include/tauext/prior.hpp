@@ -58,6 +58,10 @@ inline bool is_load(const Term& term) noexcept {
 inline bool is_presliding(const Term& term) noexcept {
   return term.kind == TermKind::presliding || term.kind == TermKind::load_presliding;
 }
+// Friction that grows with the force on a contact, whatever the speed.
+inline bool is_coulomb(const Term& term) noexcept {
+  return term.kind == TermKind::coulomb || is_load(term) || is_presliding(term);
+}
 inline bool is_momentum(const Term& term) noexcept { return term.kind == TermKind::momentum; }
 
 // Terms of a prior at one sample after the other.
@@ -121,6 +125,9 @@ class Prior {
   void step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
             std::span<const double> momentum, std::span<const double> beta, std::span<double> prior,
             std::span<double> doubt) noexcept;
+  // What of the last step's prior is friction of each joint's own motion, before the filter, [N m]: Coulomb's with what
+  // load and presliding states add to it, and the viscous one.
+  void friction(std::span<double> coulomb, std::span<double> viscous) const noexcept;
 
   // All that it remembers; restore() goes on from there, in another one of the same settings.
   const State& state() const noexcept { return state_; }
@@ -130,6 +137,7 @@ class Prior {
   int joints_;
   PriorTerms terms_;
   std::vector<double> weights_;
+  std::vector<double> values_;  // of the terms at the last step
   bool has_presliding_;
   State state_;
 };

@@ -48,6 +48,10 @@ class ResidualStage {
                          std::span<double> doubt) noexcept;
   const Presliding& presliding() const noexcept { return motion_.presliding(); }  // after the last sample
   bool warm() const noexcept { return filter_.warm(); }  // r has forgotten how it began
+  // As Prior; of the last step.
+  void friction(std::span<double> coulomb, std::span<double> viscous) const noexcept {
+    prior_.friction(coulomb, viscous);
+  }
   // Whether the prior follows from static friction, so that forgetting it raises a doubt.
   bool tells_friction() const noexcept { return prior_.has_presliding(); }
   // What the motion of a joint told of its static friction holds no longer. Nothing happens where no prior follows from

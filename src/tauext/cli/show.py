@@ -114,6 +114,8 @@ def describe_bundle(file: Path) -> dict:
         }
         if any(bundle.drift.freeze_floor_nm):
             content[f"but never below this [{unit}]"] = dict(zip(names, bundle.drift.freeze_floor_nm, strict=True))
+        if bundle.drift.friction_share:
+            content["drift tracker"]["follows friction that is off at once by this share"] = bundle.drift.friction_share
         content[f"drift of a coefficient at most [{unit}]"] = dict(zip(names, bundle.drift.size_nm, strict=True))
         content[f"and a minute at most [{unit}]"] = {
             name: min(1.0, 60 * bundle.drift.rate_share_per_s) * size

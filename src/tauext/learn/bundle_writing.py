@@ -147,6 +147,7 @@ def set_drift(bundle: _core.Bundle, fit: PriorFit, config: DriftConfig) -> None:
     drift.size_nm = size_nm.tolist()
     drift.rate_share_per_s = config.rate_share_per_s
     drift.freeze_s = config.freeze_s
+    drift.friction_share = config.friction_share
     bundle.drift = drift
 
 

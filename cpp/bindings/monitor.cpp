@@ -179,15 +179,20 @@ std::optional<FlightDict> take(FlightRecorder& recorder, std::size_t n) {
 }
 
 void bind_estimate(nb::module_& m) {
-  nb::enum_<Alarm>(m, "Alarm", "How far |tau_ext| has gone over the limits, and for how long.")
+  nb::enum_<Alarm>(m, "Alarm",
+                   "Levels of an alarm. contact: over the contact limit for its hold time; it falls back by itself.\n"
+                   "collision: over the collision limit for its hold time; it stays until somebody acknowledges it.")
       .value("none", Alarm::none)
-      .value("contact", Alarm::contact, "Over the contact limit for its hold time; falls back by itself.")
-      .value("collision", Alarm::collision, "Over the collision limit for its hold time; stays until acknowledged.");
-  nb::enum_<Health>(m, "Health", "Whether the torques of an answer can be trusted.")
-      .value("warming_up", Health::warming_up, "There are none yet.")
+      .value("contact", Alarm::contact)
+      .value("collision", Alarm::collision);
+  nb::enum_<Health>(m, "Health",
+                    "Whether the torques of an answer can be trusted. warming_up: there are none yet. stale: nothing new for\n"
+                    "at most one network period, and those of the sample before are held. fault: the signals cannot be used,\n"
+                    "and `causes` says why.")
+      .value("warming_up", Health::warming_up)
       .value("ok", Health::ok)
-      .value("stale", Health::stale, "Nothing new for at most one network period; those of the sample before are held.")
-      .value("fault", Health::fault, "The signals cannot be used; `causes` says why.");
+      .value("stale", Health::stale)
+      .value("fault", Health::fault);
   m.def("cause_names", &cause_names, nb::arg("causes"),
         "Names of the bits of `causes`, as Monitor.run() and Estimates have them: why health is not ok.");
   nb::class_<Estimate> estimate(m, "Estimate", "What the monitor says of one sample; torques that do not exist are NaN.");

@@ -42,11 +42,20 @@ def with_fields(lines: list[str]) -> list[str]:
     return told
 
 
+def type_of(obj: object) -> str:
+    """Of a property of the C++ module, which has it before its docstring; empty of anything else."""
+    shown = (getattr(obj.fget, "__doc__", None) or "").partition("\n")[0] if isinstance(obj, property) else ""
+    typed = OF_A_PROPERTY.match(shown)
+    return typed[1].replace("tauext._core.", "") if typed else ""
+
+
 def plain(app: Any, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
     """The docstring as reStructuredText, in place."""
-    if lines and (typed := OF_A_PROPERTY.match(lines[0])):  # of the C++ module: all that it says is the type
-        lines[0] = f"``{typed[1].replace('::', '.').rpartition('.')[2]}``" if "[" not in typed[1] else f"``{typed[1]}``"
-        return
+    kind = type_of(obj)
+    if kind and lines and not OF_A_PROPERTY.match(lines[0]):
+        lines[0] = f"`{kind}`. {lines[0]}"
+    elif kind:  # all that it says
+        lines[:] = [f"`{kind}`"]
     lines[:] = with_fields([line if line.lstrip().startswith(".. ") else escaped(line) for line in lines])
 
 

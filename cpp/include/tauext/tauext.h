@@ -6,7 +6,8 @@
  *   tauext_estimate e = {.size = sizeof e};
  *   tauext_monitor_step(monitor, t_ns, q, dq, tau, &e);      every sample period
  *
- * A torque is positive where it pushes the joint in its positive direction; tau is the motor's torque seen at the joint.
+ * A torque is positive where it pushes the joint in its positive direction; tau is the motor's torque on the joint's
+ * side of the gear. A null pointer where something belongs is TAUEXT_BAD_ARGUMENT, unless it is said to be allowed.
  * tauext_monitor_estimate, _advance, _step, _no_sample, _acknowledge, _resume, _set_limit_factors, _reset, _save_state
  * and _restore_state do not allocate, lock, log or call the system. One thread at a time for each monitor. */
 #ifndef TAUEXT_H
@@ -19,62 +20,66 @@
 extern "C" {
 #endif
 
-#define TAUEXT_MAX_JOINTS 32
+#define TAUEXT_MAX_JOINTS 32 /* that an arm may have, and that arrays of an estimate hold */
 
+/* What became of a call. */
 typedef enum tauext_status {
   TAUEXT_OK = 0,
   TAUEXT_BAD_ARGUMENT = 1, /* a null pointer, a size that does not fit */
   TAUEXT_BAD_BUNDLE = 2,   /* the message says what is wrong with it */
-  TAUEXT_NO_MEMORY = 3,
+  TAUEXT_NO_MEMORY = 3,    /* the monitor could not be made */
   TAUEXT_BAD_STATE = 4     /* of another monitor, or damaged */
 } tauext_status;
 
+/* When the network answers: at every sample, or, for slow processors, once in its own period (about 10 ms). */
 typedef enum tauext_network_rate { TAUEXT_EVERY_SAMPLE = 0, TAUEXT_NETWORK_PERIOD = 1 } tauext_network_rate;
 
+/* Whether the torques of an estimate can be trusted. */
 typedef enum tauext_health {
   TAUEXT_WARMING_UP = 0, /* there is no estimate yet */
-  TAUEXT_HEALTHY = 1,
+  TAUEXT_HEALTHY = 1,    /* they can */
   TAUEXT_STALE = 2,      /* the last estimate is held */
   TAUEXT_FAULT = 3       /* the signals cannot be true or cannot be used */
 } tauext_health;
 
+/* A contact falls back by itself; a collision stays until it is acknowledged. */
 typedef enum tauext_alarm { TAUEXT_NO_ALARM = 0, TAUEXT_CONTACT = 1, TAUEXT_COLLISION = 2 } tauext_alarm;
 
-/* Bits of tauext_estimate.causes; monitor.hpp explains them. */
+/* Bits of tauext_estimate.causes: why health is not healthy, or was not when the warm-up began. */
 typedef enum tauext_cause {
-  TAUEXT_NOT_FINITE = 1,
-  TAUEXT_WRONG_SIZE = 2,
-  TAUEXT_LATE_SAMPLE = 4,
-  TAUEXT_TIME_BACKWARDS = 8,
-  TAUEXT_MISSING_SAMPLE = 16,
-  TAUEXT_GAP = 32,
-  TAUEXT_WRONG_RATE = 64,
-  TAUEXT_TORQUE_SATURATED = 128,
-  TAUEXT_ENCODER_STILL = 256,
-  TAUEXT_IMPOSSIBLE_TORQUE = 512,
-  TAUEXT_IMPOSSIBLE_VELOCITY = 1024,
-  TAUEXT_IMPOSSIBLE_POSITION = 2048
+  TAUEXT_NOT_FINITE = 1,             /* NaN or infinity in q, dq or tau, or too large a number */
+  TAUEXT_WRONG_SIZE = 2,             /* not one value a joint; not possible from C */
+  TAUEXT_LATE_SAMPLE = 4,            /* older than the newest, by a network period at most: left out */
+  TAUEXT_TIME_BACKWARDS = 8,         /* older by more: the clock was set back */
+  TAUEXT_MISSING_SAMPLE = 16,        /* none came for a network period at most */
+  TAUEXT_GAP = 32,                   /* none came for longer */
+  TAUEXT_WRONG_RATE = 64,            /* the samples' mean step is not the bundle's */
+  TAUEXT_TORQUE_SATURATED = 128,     /* a drive at its limit gives another torque than it is told */
+  TAUEXT_ENCODER_STILL = 256,        /* a position stands still while velocity or torque say otherwise */
+  TAUEXT_IMPOSSIBLE_TORQUE = 512,    /* more than the drive can give */
+  TAUEXT_IMPOSSIBLE_VELOCITY = 1024, /* faster than the joint can get */
+  TAUEXT_IMPOSSIBLE_POSITION = 2048  /* farther from the last position than the joint can have gone */
 } tauext_cause;
 
 /* What the monitor says of one sample. A torque that does not exist is NaN. Only (health == TAUEXT_HEALTHY &&
  * alarm == TAUEXT_NO_ALARM) may be read as "no collision". */
 typedef struct tauext_estimate {
   size_t size; /* set by the caller: sizeof(tauext_estimate), at least up to `residual`; no more is written */
-  int64_t t_ns;
-  int32_t joints;
+  int64_t t_ns;           /* stamp of the sample */
+  int32_t joints;         /* so many numbers of each array count */
   int32_t health;         /* tauext_health */
   uint32_t causes;        /* bits of tauext_cause */
-  int32_t cause_joint;    /* -1: none */
-  int32_t alarm;          /* tauext_alarm */
-  int32_t alarm_joint;    /* -1: none */
-  int64_t alarm_t_ns;
+  int32_t cause_joint;    /* the first joint that a cause concerns; -1: none */
+  int32_t alarm;          /* tauext_alarm, latched */
+  int32_t alarm_joint;    /* that raised the alarm to its level; -1: none */
+  int64_t alarm_t_ns;     /* when it did */
   int32_t detection;      /* 1: some |tau_ext| over its collision limit, at this sample */
-  uint32_t near_stiction; /* a bit a joint */
-  double residual[TAUEXT_MAX_JOINTS];    /* [N m] */
+  uint32_t near_stiction; /* a bit a joint: it sticks or creeps, so that its limit near stiction holds */
+  double residual[TAUEXT_MAX_JOINTS];    /* [N m], r of the observer */
   double uncertainty[TAUEXT_MAX_JOINTS]; /* [N m], r expected in free motion: prior, network and drift */
-  double tau_ext[TAUEXT_MAX_JOINTS];     /* [N m] */
-  double limit_nm[TAUEXT_MAX_JOINTS];
-  double margin_nm[TAUEXT_MAX_JOINTS];
+  double tau_ext[TAUEXT_MAX_JOINTS];     /* [N m], residual - uncertainty */
+  double limit_nm[TAUEXT_MAX_JOINTS];    /* that |tau_ext| must exceed for a collision */
+  double margin_nm[TAUEXT_MAX_JOINTS];   /* limit - |tau_ext| */
   double drift[TAUEXT_MAX_JOINTS];       /* [N m], part of uncertainty: slow changes since training */
   uint32_t drift_saturated;              /* a bit a joint: drift at its bound, train anew; health stays as it is */
   uint32_t unused;                       /* 0 */
@@ -82,37 +87,45 @@ typedef struct tauext_estimate {
   double unfamiliar;                     /* how far the motion is from all that training saw: 0 to 1, told from 0.5 on */
 } tauext_estimate;
 
-typedef struct tauext_monitor tauext_monitor;
+typedef struct tauext_monitor tauext_monitor; /* made by tauext_monitor_open, freed by tauext_monitor_close */
 
 /* The core is compiled with hidden symbols; these are what a shared library around it shows. */
 #if defined(__GNUC__)
 #pragma GCC visibility push(default)
 #endif
 
+/* Of the library, as "0.1.0". */
 const char* tauext_version(void);
+/* In words, as "warming up"; "" where there is no such value. */
 const char* tauext_status_name(tauext_status status);
 const char* tauext_health_name(int32_t health);
 const char* tauext_alarm_name(int32_t alarm);
-/* Of a single bit; "" for none. */
+/* Of a single bit. */
 const char* tauext_cause_name(uint32_t cause);
 
-/* On any status but TAUEXT_OK *monitor is NULL and message, unless NULL, holds the reason, cut to message_size. */
+/* Reads the bundle, checks it and makes a monitor. On any status but TAUEXT_OK *monitor is NULL and message, unless NULL,
+ * holds the reason, cut to message_size. */
 tauext_status tauext_monitor_open(const char* bundle_path, tauext_network_rate rate, tauext_monitor** monitor,
                                   char* message, size_t message_size);
 /* The same for a bundle in memory, which is not needed afterwards. */
 tauext_status tauext_monitor_open_bytes(const void* bundle, size_t bundle_size, tauext_network_rate rate,
                                         tauext_monitor** monitor, char* message, size_t message_size);
-void tauext_monitor_close(tauext_monitor* monitor); /* NULL is allowed */
+/* Frees it; NULL is allowed. */
+void tauext_monitor_close(tauext_monitor* monitor);
 
+/* How many joints a sample has; 0 of NULL. */
 int32_t tauext_monitor_joints(const tauext_monitor* monitor);
-const char* tauext_monitor_joint_name(const tauext_monitor* monitor, int32_t joint); /* NULL: no such joint */
+/* In the order of q, dq and tau. NULL: no such joint. Texts live as long as the monitor. */
+const char* tauext_monitor_joint_name(const tauext_monitor* monitor, int32_t joint);
 /* Unit of the tau that is to be given of a joint, and of the torques in the answers: "N m", "N", "A", "recorded unit",
  * "units of JOINT", "W". NULL: no such joint. Ask them once: a bundle that was trained on currents takes amperes. */
 const char* tauext_monitor_torque_unit(const tauext_monitor* monitor, int32_t joint);
 const char* tauext_monitor_estimate_unit(const tauext_monitor* monitor, int32_t joint);
+/* Of the bundle, [ns]; 0 of NULL. */
 int64_t tauext_monitor_sample_period_ns(const tauext_monitor* monitor);
 
-/* q [rad], dq [rad/s], tau in the unit that tauext_monitor_torque_unit names: one value a joint. estimate may be NULL. A bad signal is no error of the call: it is
+/* One sample: t_ns [ns] of a clock that goes on steadily, q [rad], dq [rad/s], tau in the unit that
+ * tauext_monitor_torque_unit names, one value a joint. estimate may be NULL. A bad signal is no error of the call: it is
  * answered in estimate->health. */
 tauext_status tauext_monitor_step(tauext_monitor* monitor, int64_t t_ns, const double* q, const double* dq,
                                   const double* tau, tauext_estimate* estimate);
@@ -120,8 +133,9 @@ tauext_status tauext_monitor_step(tauext_monitor* monitor, int64_t t_ns, const d
 tauext_status tauext_monitor_estimate(tauext_monitor* monitor, int64_t t_ns, const double* q, const double* dq,
                                       const double* tau, tauext_estimate* estimate);
 tauext_status tauext_monitor_advance(tauext_monitor* monitor);
-/* The loop ran and no sample came. */
+/* The loop ran and no sample came: stale for one network period, then a fault. */
 tauext_status tauext_monitor_no_sample(tauext_monitor* monitor, int64_t now_ns, tauext_estimate* estimate);
+/* Ends a latched alarm, and nothing else; one whose cause lasts comes back. */
 tauext_status tauext_monitor_acknowledge(tauext_monitor* monitor);
 /* The same where nothing touches the arm any more and it is to move on: the static friction of joints near stiction is
  * unknown again, and with a prior raises their limits until they have slid. */
@@ -129,8 +143,11 @@ tauext_status tauext_monitor_resume(tauext_monitor* monitor);
 /* Limits are the bundle's times these, a joint: 0.1 to 10, 1 leaves them as they are; else TAUEXT_BAD_ARGUMENT, and
  * nothing is changed. */
 tauext_status tauext_monitor_set_limit_factors(tauext_monitor* monitor, const double* collision, const double* contact);
+/* As newly made. */
 tauext_status tauext_monitor_reset(tauext_monitor* monitor);
 
+/* The whole state, of so many bytes, to go on in another monitor of the same bundle, rate, build and kind of processor.
+ * A wrong size to save is TAUEXT_BAD_ARGUMENT; TAUEXT_BAD_STATE: nothing was restored. */
 size_t tauext_monitor_state_bytes(const tauext_monitor* monitor);
 tauext_status tauext_monitor_save_state(const tauext_monitor* monitor, void* state, size_t size);
 tauext_status tauext_monitor_restore_state(tauext_monitor* monitor, const void* state, size_t size);

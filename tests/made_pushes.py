@@ -88,4 +88,5 @@ def cut_flight(bundle: _core.Bundle, samples, row: int, before: int = 1000, afte
         key: said[key][rows]
         for key in (*torques, "near_stiction", "causes", "health", "alarm", "held_alarm", "detection")
     }
+    flight["load"] = np.zeros((len(flight["t_ns"]), 10))
     return flight | {"event_row": row - first, "event": monitor.last}

@@ -23,7 +23,7 @@ def format_of(content: bytes) -> int:
     return struct.unpack_from("<I", content, 8)[0]
 
 
-@pytest.mark.parametrize("name", ["format-3", "format-4", "format-5", "format-5-amperes", "format-6"])
+@pytest.mark.parametrize("name", ["format-3", "format-4", "format-5", "format-5-amperes", "format-6", "format-7"])
 def test_a_bundle_of_every_released_format_is_read_and_written_as_today_s(name):
     content = (GOLDEN / f"{name}.tauext").read_bytes()
     assert format_of(content) == int(name[7])
@@ -32,6 +32,10 @@ def test_a_bundle_of_every_released_format_is_read_and_written_as_today_s(name):
     assert format_of(new) == 8 and _core.Bundle.from_bytes(new).to_bytes() == new
     assert bundle.torque_units == (["A", "A"] if name == "format-5-amperes" else ["N m", "N m"])
     assert bundle.estimate_units == ["N m", "N m"]
+    load = bundle.load_settings  # what an older bundle assumes
+    moving_kg = sum(link.mass for link in bundle.links)
+    assert load.settable and load.frame == f"link of {bundle.links[-1].joint_name}"
+    assert load.largest_mass_kg == 0.5 * moving_kg
 
 
 def test_old_torque_constants_are_refused_by_name_with_the_command_that_converts_them(tmp_path, capsys):

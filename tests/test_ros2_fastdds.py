@@ -114,7 +114,7 @@ def test_alarms_diagnostics_events_and_nodes_arrive(run):
     arm = [status for statuses in got["diagnostics"] for status in statuses if status["name"] == "tauext: arm"]
     assert {(2, "collision on shoulder"), (0, "ok")} <= {(status["level"], status["message"]) for status in arm}
     assert ["health", "ok"] in arm[-1]["values"] and arm[-1]["hardware_id"] == TOPIC
-    assert {"space": SPACE, "name": "tauext", "readers": 4, "writers": 5} in [node for m in got["nodes"] for node in m]
+    assert {"space": SPACE, "name": "tauext", "readers": 5, "writers": 5} in [node for m in got["nodes"] for node in m]
 
 
 @pytest.mark.slow

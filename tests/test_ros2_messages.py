@@ -14,10 +14,12 @@ from tauext.ros2.messages import (
     DiagnosticArray,
     DiagnosticStatus,
     Header,
+    Inertia,
     JointState,
     KeyValue,
     String,
     Time,
+    Vector3,
 )
 
 STORES = {16: get_typestore(Stores.ROS2_JAZZY), 24: get_typestore(Stores.ROS2_HUMBLE)}
@@ -43,6 +45,7 @@ MADE = {
     "false": Bool(False),
     "string": String("slow and careful"),
     "no string": String(),
+    "inertia": Inertia(2.5, Vector3(0.1, -0.2, 0.3), 0.01, 0.001, -0.002, 0.02, 0.003, 0.03),
     "key and value": KeyValue("limit_nm a", "3.5"),
     "diagnostics": DiagnosticArray(
         Header(Time(7, 8)),

@@ -23,6 +23,7 @@ from cyclonedds.core import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
+from tauext._core import Load
 from tauext.errors import ConfigError
 from tauext.live import Event, LoopReport, Publisher, Sample, SourceCounts, Verdict
 from tauext.monitor import HealthChange
@@ -36,8 +37,10 @@ from tauext.ros2.messages import (
     WARN,
     Bool,
     DiagnosticArray,
+    Inertia,
     JointState,
     String,
+    Vector3,
 )
 from tauext.ros2.node import GRAPH_TOPIC, Node, quality
 
@@ -64,6 +67,11 @@ class Loop:
 
     def resume(self, by):
         self.asked.append(("resume", by))
+
+    def set_load(self, load, by, ago_s=None):
+        if load.mass > 5:
+            raise ConfigError(f"{load.mass:g} kg are too heavy")
+        self.asked.append((load, by))
 
     def stop(self, by):
         self.asked.append(("stop", by))
@@ -291,6 +299,19 @@ def test_others_ask_for_profiles_acknowledge_and_resume(talking, peer, space):
     assert publisher._conditions.untold() == [f"ros2 {space}/profile: no profile 'wild'; there is careful"]
 
 
+def test_others_say_what_the_arm_carries(talking, peer, space):
+    publisher, loop = talking
+    load = peer.writer(f"{space}/load", Inertia, "reliable", "volatile", 8)
+    until(load.get_matched_subscriptions, "the reader")
+    load.write(Inertia(m=6.0))
+    load.write(Inertia(2.0, Vector3(0.1, 0.2, 0.3), ixx=1.0, ixy=4.0, ixz=5.0, iyy=2.0, iyz=6.0, izz=3.0))
+    load.write(Inertia())
+    until(lambda: len(loop.asked) == 2, "the loads")
+    by = f"ros2 {space}/load"
+    assert loop.asked == [(Load(2.0, [0.1, 0.2, 0.3], [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), by), (Load(), by)]
+    assert publisher._conditions.untold() == [f"{by}: 6 kg are too heavy"]
+
+
 def test_events_are_json(talking, peer, space):
     publisher, _ = talking
     reader = reading(peer, f"{space}/event", String)
@@ -320,7 +341,7 @@ def test_the_graph_shows_one_node_with_its_readers_and_writers(settings, peer, d
 
     (node,) = until(announced, "the node")[-1].node_entities_info_seq
     assert (node.node_namespace, node.node_name) == (settings.namespace, "tauext")
-    assert len(node.reader_gid_seq) == 3 and len(node.writer_gid_seq) == 5
+    assert len(node.reader_gid_seq) == 4 and len(node.writer_gid_seq) == 5
     assert bytes(node.writer_gid_seq[0].data) == publisher._torque.guid.bytes.ljust(size, b"\0")
     there = BuiltinDataReader(peer.participant, BuiltinTopicDcpsParticipant).take(64)
     assert b"enclave=/;" in [one.qos[Policy.Userdata].data for one in there if one.key.bytes == gid]

@@ -400,6 +400,35 @@ void bind_bundle(nb::module_& m) {
       .def_rw("sigma_near_weights", &ErrorScaleSettings::sigma_near_weights)
       .def_rw("largest_sigma", &ErrorScaleSettings::largest_sigma)
       .def_prop_ro("on", &ErrorScaleSettings::on);
+  nb::class_<Load>(m, "Load", "What the arm carries, in the axes of a load frame; mass 0: nothing.")
+      .def(
+          "__init__",
+          [](Load* load, double mass, const std::array<double, 3>& com, const std::array<double, 6>& inertia,
+             double error_share) { new (load) Load{mass, com, inertia, error_share}; },
+          nb::arg("mass") = 0.0, nb::arg("com") = std::array<double, 3>{}, nb::arg("inertia") = std::array<double, 6>{},
+          nb::arg("error_share") = Load::kUsualError,
+          "Mass [kg], centre of mass [m], inertia about it xx, yy, zz, xy, xz, yz [kg m^2], share of its torques that\n"
+          "may be wrong.")
+      .def_ro("mass", &Load::mass, "[kg].")
+      .def_ro("com", &Load::com, "Centre of mass, [m].")
+      .def_ro("inertia", &Load::inertia, "About the centre of mass, xx, yy, zz, xy, xz, yz, [kg m^2].")
+      .def_ro("error_share", &Load::error_share, "Share of its torques that may be wrong.")
+      .def("__eq__", [](const Load& a, const Load& b) { return a == b; }, nb::is_operator(),
+           nb::sig("def __eq__(self, other: object, /) -> bool"));
+  nb::class_<LoadSettings>(m, "LoadSettings", "Where a load is fixed, and what is believed of one; see load.hpp.")
+      .def(nb::init<>())
+      .def_rw("frame", &LoadSettings::frame, "Name of the frame that loads are given in.")
+      .def_rw("link", &LoadSettings::link, "Index of the link that it is fixed to; -1: none.")
+      .def_rw("rotation", &LoadSettings::rotation, "Link from load frame, row-major.")
+      .def_rw("translation", &LoadSettings::translation, "The frame's origin in the link's frame, [m].")
+      .def_rw("largest_mass_kg", &LoadSettings::largest_mass_kg, "A heavier load is refused.")
+      .def_rw("largest_reach_m", &LoadSettings::largest_reach_m, "From the frame's origin to the centre of mass; a farther one is refused.")
+      .def_rw("refused", &LoadSettings::refused, "Why none can be set; empty: it can.")
+      .def_prop_ro("settable", &LoadSettings::settable, "Whether a load can be set at all.")
+      .def("why_not", [](const LoadSettings& s, const Load& load) { return s.words(s.fault(load), load); },
+           nb::arg("load"), "Why such a load is refused; empty: it is not.")
+      .def("merged", [](const LoadSettings& s, const Load& load, const Link& link) { return s.merged(load, link); },
+           nb::arg("load"), nb::arg("link"), "The link with the load as a part of it.");
   nb::class_<Bundle> bundle(m, "Bundle", "Everything the chain needs to run, in one file.");
   bundle.def(nb::init<>())
       .def_rw("name", &Bundle::name, "What it calls itself; its file may have another name.")
@@ -415,6 +444,8 @@ void bind_bundle(nb::module_& m) {
       .def_prop_ro("has_network", &Bundle::has_network, "False: the observer alone, or with a prior.")
       .def_rw("units", &Bundle::units,
               "What tau and the answers are given in; torque_units and estimate_units say it in words.")
+      .def_rw("load_settings", &Bundle::load, "Where a load is fixed, and what is believed of one.")
+      .def("assume_load", &Bundle::assume_load, "What is said of a load where nobody says more: see bundle.hpp.")
       .def_prop_ro("torque_units", [](const Bundle& b) { return units(b, &Bundle::torque_unit); },
                    "Unit of the tau that is to be given, a joint.")
       .def_prop_ro("estimate_units", [](const Bundle& b) { return units(b, &Bundle::estimate_unit); },

@@ -1,6 +1,7 @@
 // The monitor and its flight recorder in Python: the same objects as a controller's.
 #include "tauext/monitor.hpp"
 
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -145,6 +146,24 @@ ArrayDict run_missing(Monitor& monitor, std::int64_t now_ns, FlightRecorder* rec
   return said.take();
 }
 
+// A value in the samples' time, or from now on.
+std::int64_t since(const std::optional<std::int64_t>& since_ns) { return since_ns.value_or(kFromNow); }
+
+void set_load(Monitor& self, const Load& load, std::int64_t since_ns) {
+  if (!self.set_load(load, since_ns)) throw Error(self.why_no_load(load, since_ns));
+}
+
+// Mass, centre of mass and inertia of every sample, (samples, 10).
+std::vector<double> load_rows(const std::vector<Load>& loads) {
+  std::vector<double> rows;
+  for (const Load& load : loads) {
+    rows.push_back(load.mass);
+    rows.insert(rows.end(), load.com.begin(), load.com.end());
+    rows.insert(rows.end(), load.inertia.begin(), load.inertia.end());
+  }
+  return rows;
+}
+
 using FlightDict = nb::typed<nb::dict, nb::str, nb::any>;
 
 std::optional<FlightDict> take(FlightRecorder& recorder, std::size_t n) {
@@ -158,6 +177,7 @@ std::optional<FlightDict> take(FlightRecorder& recorder, std::size_t n) {
   out["event_row"] = f.event_row;
   out["event"] = f.event;
   out["near_stiction"] = to_numpy(bits(f.near_stiction, n), {N, n});
+  out["load"] = to_numpy(load_rows(f.load), {N, 10});
   out["t_ns"] = to_numpy(std::move(f.t_ns), {N});
   out["q"] = to_numpy(std::move(f.q), {N, n});
   out["dq"] = to_numpy(std::move(f.dq), {N, n});
@@ -216,6 +236,7 @@ void bind_estimate(nb::module_& m) {
                    "Whether each joint's drift is at its bound: the arm has changed, and new training is due.")
       .def_ro("unfamiliar", &Estimate::unfamiliar, "How far the motion is from all that training saw, 0 to 1.")
       .def_ro("unseen", &Estimate::unseen, "What of the motion is farthest from it: of unseen_joint, with unseen_other.")
+      .def_ro("load", &Estimate::load, "What the arm is taken to carry; mass 0: nothing.")
       .def_ro("unseen_joint", &Estimate::unseen_joint, "Index of the joint whose motion is; -1: none.")
       .def_ro("unseen_other", &Estimate::unseen_other,
               "Index of the joint whose position training never saw together with that one's; -1: none.");
@@ -313,6 +334,29 @@ void bind_monitor(nb::module_& m) {
                           to_text(LimitFactors::kHighest));
           },
           nb::arg("collision"), nb::arg("contact"), "Limits are the bundle's times these from the next sample on.")
+      .def(
+          "set_load",
+          [](Monitor& self, double mass, const std::array<double, 3>& com, const std::array<double, 6>& inertia,
+             const std::optional<std::int64_t>& since_ns, double error_share) {
+            set_load(self, {mass, com, inertia, error_share}, since(since_ns));
+          },
+          nb::arg("mass"), nb::arg("com") = std::array<double, 3>{}, nb::arg("inertia") = std::array<double, 6>{},
+          nb::kw_only(), nb::arg("since_ns") = nb::none(), nb::arg("error_share") = Load::kUsualError,
+          "What the arm carries from the next sample on, or as if it had been told at since_ns: mass [kg], centre of\n"
+          "mass [m] in load_settings.frame, inertia about it xx, yy, zz, xy, xz, yz [kg m^2]. Limits rise by error_share\n"
+          "of its torques. Raises CoreError, and changes nothing, where it is refused.")
+      .def("clear_load", [](Monitor& self, const std::optional<std::int64_t>& since_ns) { set_load(self, {}, since(since_ns)); },
+           nb::arg("since_ns") = nb::none(), "The arm carries nothing.")
+      .def_prop_ro("load", [](const Monitor& self) { return self.load(); },
+                   "What the arm is taken to carry from the next sample on; mass 0: nothing.")
+      .def_prop_ro("load_settings", [](const Monitor& self) { return self.load_settings(); },
+                   "The frame that loads are given in, and the largest mass and reach that are believed.")
+      .def(
+          "why_no_load",
+          [](const Monitor& self, const Load& load, const std::optional<std::int64_t>& since_ns) {
+            return self.why_no_load(load, since(since_ns));
+          },
+          nb::arg("load"), nb::arg("since_ns") = nb::none(), "Why set_load() would refuse it; empty: it would not.")
       .def("reset", &Monitor::reset, "As newly made.")
       .def(
           "run",

@@ -157,6 +157,9 @@ void Bundle::validate() const {
   coverage.validate(joints());
   signals.validate(joints());
   units.validate(joints(), !observer.nm_per_unit.empty());
+  load.validate(joints());
+  if (load.settable() && !tree.has_mass() && prior.corrected_links.empty())
+    throw Error("it says that a load can be set, and no model carries one");
   const auto samples = reference.t_ns.size();
   if (samples == 0) throw Error("its reference is empty");
   expect_length("reference.q", reference.q, samples * n);
@@ -169,6 +172,16 @@ void Bundle::validate() const {
   for (const auto* list : {&reference.residual, &reference.prior, &reference.network}) expect_finite("reference", *list);
   expect_regular(*this);
   expect_reference(*this);
+}
+
+void Bundle::assume_load() {
+  load = assumed_load_settings(links, prior.corrected_links);
+  for (int j = 0; load.settable() && j < joints(); ++j)
+    if (const std::string unit = estimate_unit(j); unit != "N m" && unit != "N" && unit != "W") {
+      load.link = -1;
+      load.refused = "joint '" + links[static_cast<std::size_t>(j)].joint_name + "' answers in " + unit +
+                     ", and a mass weighs newtons";
+    }
 }
 
 void answer_reference(Bundle& bundle) {

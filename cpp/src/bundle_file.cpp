@@ -21,6 +21,8 @@ constexpr std::size_t kHeaderBytes = sizeof kMagic + 4 + 4 + 8 + 4;
 constexpr std::uint32_t kMinor = 0;
 constexpr std::uint32_t kConstantsMajor = 5;  // from here on torque constants are fields, before they stood in provenance:
 constexpr std::uint32_t kPossibleMajor = 7;   // from here on what is possible are fields, before it is assumed
+constexpr std::uint32_t kLoadMajor = 8;       // from here on what may be carried is stated, before it is assumed; and by how much friction
+                                              // may be off at once, before by nothing
 constexpr const char* kOldConstants = "\"torque_constants\": {";
 
 class Writer {
@@ -182,6 +184,16 @@ void fields(File& file, Bundle& b) {
     field(file, b.signals.possible_torque_nm);
     field(file, b.signals.possible_speed_rad_s);
   }
+  if (file.major >= kLoadMajor) {
+    field(file, b.load.frame);
+    field(file, b.load.link);
+    field(file, b.load.rotation);
+    field(file, b.load.translation);
+    field(file, b.load.largest_mass_kg);
+    field(file, b.load.largest_reach_m);
+    field(file, b.load.refused);
+    field(file, b.drift.friction_share);
+  }
   field(file, b.reference.t_ns);
   field(file, b.reference.q);
   field(file, b.reference.dq);
@@ -189,7 +201,6 @@ void fields(File& file, Bundle& b) {
   field(file, b.reference.residual);
   field(file, b.reference.prior);
   field(file, b.reference.network);
-  if (file.major >= 8) field(file, b.drift.friction_share);
 }
 
 }  // namespace
@@ -249,6 +260,7 @@ Bundle read(std::span<const char> bytes, bool convert) {
                 " with torque constants, which its control loop was told to apply; bundles apply them themselves now: "
                 "`tauext convert OLD.tauext --out NEW.tauext`, and let the loop give tau as it was recorded");
   bundle.validate();
+  if (version[0] < kLoadMajor) bundle.assume_load();
   return bundle;
 }
 

@@ -26,6 +26,8 @@ using tauext::NetworkRate;
 static_assert(TAUEXT_MAX_JOINTS == tauext::kMaxJoints);
 static_assert(TAUEXT_EVERY_SAMPLE == static_cast<int>(NetworkRate::every_sample));
 static_assert(TAUEXT_NETWORK_PERIOD == static_cast<int>(NetworkRate::network_period));
+static_assert(TAUEXT_USUAL_LOAD_ERROR == tauext::Load::kUsualError);
+static_assert(TAUEXT_FROM_NOW == tauext::kFromNow);
 static_assert(TAUEXT_WARMING_UP == static_cast<int>(Health::warming_up));
 static_assert(TAUEXT_HEALTHY == static_cast<int>(Health::ok));
 static_assert(TAUEXT_STALE == static_cast<int>(Health::stale));
@@ -76,6 +78,7 @@ void write(const tauext::Estimate& from, tauext_estimate* to) noexcept {
   e.drift_saturated = from.drift_saturated;
   std::ranges::copy(from.sigma_nm, e.sigma_nm);
   e.unfamiliar = from.unfamiliar;
+  e.load_kg = from.load.mass;
   std::memcpy(to, &e, std::min(to->size, sizeof e));
 }
 
@@ -83,6 +86,15 @@ tauext::Sample sample(const tauext_monitor* m, std::int64_t t_ns, const double* 
                       const double* tau) noexcept {
   const auto n = static_cast<std::size_t>(m->monitor.joints());
   return {t_ns, {q, n}, {dq, n}, {tau, n}};
+}
+
+tauext::Load load_of(const tauext_load& from) noexcept {
+  tauext::Load to;
+  to.mass = from.mass;
+  std::ranges::copy(from.com, to.com.begin());
+  std::ranges::copy(from.inertia, to.inertia.begin());
+  to.error_share = from.error_share;
+  return to;
 }
 
 void say(const char* text, char* message, std::size_t message_size) noexcept {
@@ -131,6 +143,7 @@ const char* tauext_status_name(tauext_status status) {
     case TAUEXT_BAD_BUNDLE: return "bad bundle";
     case TAUEXT_NO_MEMORY: return "no memory";
     case TAUEXT_BAD_STATE: return "bad state";
+    case TAUEXT_BAD_LOAD: return "bad load";
   }
   return "";
 }
@@ -221,6 +234,42 @@ tauext_status tauext_monitor_set_limit_factors(tauext_monitor* monitor, const do
   if (!monitor || !collision || !contact) return TAUEXT_BAD_ARGUMENT;
   const auto n = static_cast<std::size_t>(monitor->monitor.joints());
   return monitor->monitor.set_limit_factors({collision, n}, {contact, n}) ? TAUEXT_OK : TAUEXT_BAD_ARGUMENT;
+}
+
+tauext_status tauext_monitor_set_load(tauext_monitor* monitor, const tauext_load* load, int64_t since_ns) {
+  if (!monitor || !load) return TAUEXT_BAD_ARGUMENT;
+  return monitor->monitor.set_load(load_of(*load), since_ns) ? TAUEXT_OK : TAUEXT_BAD_LOAD;
+}
+
+tauext_status tauext_monitor_clear_load(tauext_monitor* monitor, int64_t since_ns) {
+  if (!monitor) return TAUEXT_BAD_ARGUMENT;
+  return monitor->monitor.clear_load(since_ns) ? TAUEXT_OK : TAUEXT_BAD_LOAD;
+}
+
+tauext_status tauext_monitor_load(const tauext_monitor* monitor, tauext_load* load) {
+  if (!monitor || !load) return TAUEXT_BAD_ARGUMENT;
+  const tauext::Load& from = monitor->monitor.load();
+  load->mass = from.mass;
+  std::ranges::copy(from.com, load->com);
+  std::ranges::copy(from.inertia, load->inertia);
+  load->error_share = from.error_share;
+  return TAUEXT_OK;
+}
+
+tauext_status tauext_monitor_why_no_load(const tauext_monitor* monitor, const tauext_load* load, int64_t since_ns,
+                                         char* message, size_t message_size) {
+  say("", message, message_size);
+  if (!monitor || !load) return TAUEXT_BAD_ARGUMENT;
+  try {
+    say(monitor->monitor.why_no_load(load_of(*load), since_ns).c_str(), message, message_size);
+    return TAUEXT_OK;
+  } catch (...) {
+    return TAUEXT_NO_MEMORY;
+  }
+}
+
+const char* tauext_monitor_load_frame(const tauext_monitor* monitor) {
+  return monitor && monitor->monitor.load_settings().settable() ? monitor->monitor.load_settings().frame.c_str() : "";
 }
 
 tauext_status tauext_monitor_reset(tauext_monitor* monitor) {

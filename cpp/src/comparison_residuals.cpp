@@ -79,6 +79,28 @@ void ComparisonResidual::start(const Tree& tree, std::span<const double> q) noex
   for (std::size_t i = 0; i < q.size(); ++i) inertia_[i] = mass[i][i];
 }
 
+// What stands beside tau_m, a joint, and the kinetic energy where it counts.
+double ComparisonResidual::model(const Tree& tree, std::span<const double> q, std::span<const double> dq,
+                                 std::span<const double> momentum, std::span<const double> beta,
+                                 JointVector& model) const noexcept {
+  const std::size_t n = q.size();
+  double energy = 0.0;
+  for (std::size_t i = 0; i < n; ++i) model[i] = beta[i];
+  if (method_ == ResidualMethod::energy) {  // beta is g where nothing moves
+    const JointVector rest{};
+    JointVector none;
+    tree.momentum(q, std::span(rest).first(n), std::span(none).first(n), std::span(model).first(n));
+    for (std::size_t i = 0; i < n; ++i) energy += 0.5 * dq[i] * momentum[i];
+  }
+  return energy;
+}
+
+void ComparisonResidual::carry_on(const Tree& tree, std::span<const double> q, std::span<const double> dq,
+                                  std::span<const double> momentum, std::span<const double> beta) noexcept {
+  energy_ = model(tree, q, dq, momentum, beta, model_);
+  for (std::size_t i = 0; i < q.size(); ++i) momentum_[i] = momentum[i];
+}
+
 void ComparisonResidual::step(const Tree& tree, std::int64_t t_ns, std::span<const double> q,
                               std::span<const double> dq, std::span<const double> momentum,
                               std::span<const double> beta, std::span<const double> tau_m,
@@ -86,14 +108,7 @@ void ComparisonResidual::step(const Tree& tree, std::int64_t t_ns, std::span<con
   const std::size_t n = q.size();
   const bool of_energy = method_ == ResidualMethod::energy;
   JointVector model;
-  double energy = 0.0;
-  for (std::size_t i = 0; i < n; ++i) model[i] = beta[i];
-  if (of_energy) {  // beta is g where nothing moves
-    const JointVector rest{};
-    JointVector none;
-    tree.momentum(q, std::span(rest).first(n), std::span(none).first(n), std::span(model).first(n));
-    for (std::size_t i = 0; i < n; ++i) energy += 0.5 * dq[i] * momentum[i];
-  }
+  const double energy = this->model(tree, q, dq, momentum, beta, model);
   if (!started_) {
     start_ns_ = t_ns;
     start(tree, q);

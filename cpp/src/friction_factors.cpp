@@ -28,6 +28,24 @@ void FrictionFactors::restart() noexcept {
   for (Joint& joint : state_.joints) joint.open = {};
 }
 
+void FrictionFactors::forget_strokes() noexcept {
+  for (Joint& joint : state_.joints) {
+    joint.strokes = {};
+    joint.open = {};
+  }
+}
+
+FrictionFactors::Learned FrictionFactors::learned() const noexcept {
+  Learned factors;
+  std::ranges::transform(state_.joints, factors.begin(), &Joint::wanted);
+  return factors;
+}
+
+void FrictionFactors::put_learned(const Learned& factors) noexcept {
+  forget_strokes();
+  for (std::size_t j = 0; j < factors.size(); ++j) state_.joints[j].factors = state_.joints[j].wanted = factors[j];
+}
+
 void FrictionFactors::step(std::int64_t t_ns, std::span<const double> coulomb, std::span<const double> viscous,
                            std::span<double> drift) noexcept {
   if (!on() || coulomb.empty()) return;

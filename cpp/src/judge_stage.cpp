@@ -32,6 +32,7 @@ void JudgeStage::reset() noexcept {
   alarm_.restore_factors({});
   drift_.reset();
   factors_.reset();
+  history_.clear();
   scale_.reset();
   coverage_.reset();
   const int joints = estimate_.joints;
@@ -45,6 +46,7 @@ void JudgeStage::restore(const State& state) noexcept {
   alarm_.restore_factors(state.factors);
   drift_.restore(state.drift);
   factors_.restore(state.factors_of_friction);
+  history_.clear();
   scale_.restore(state.scale);
   coverage_.restore(state.coverage);
   estimate_ = state.estimate;

@@ -17,6 +17,23 @@ void MomentumObserver::raise(std::span<const double> least, std::span<double> re
   for (int i = 0; i < joints_; ++i) residual[i] = residual_[i] = std::max(residual_[i], least[i]);
 }
 
+void MomentumObserver::carry_on(std::span<const double> momentum, std::span<const double> beta) noexcept {
+  for (int i = 0; i < joints_; ++i) {
+    momentum_[i] = momentum[i];
+    beta_[i] = beta[i];
+  }
+}
+
+void MomentumObserver::go_back(std::int64_t t_ns, std::span<const double> momentum, std::span<const double> beta,
+                               std::span<const double> tau_m, std::span<const double> residual) noexcept {
+  t_ns_ = t_ns;
+  carry_on(momentum, beta);
+  for (int i = 0; i < joints_; ++i) {
+    tau_m_[i] = tau_m[i];
+    residual_[i] = residual[i];
+  }
+}
+
 bool MomentumObserver::step(std::int64_t t_ns, std::span<const double> momentum, std::span<const double> beta,
                             std::span<const double> tau_m, std::span<double> residual) noexcept {
   if (started_ && t_ns <= t_ns_) return false;

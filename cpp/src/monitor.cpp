@@ -30,6 +30,7 @@ std::uint32_t fingerprint(const Bundle& bundle, NetworkRate rate) {
 
 Monitor::Monitor(const Bundle& bundle, NetworkRate rate)
     : sample_period_ns_(bundle.observer.sample_period_ns),
+      load_settings_(bundle.load),
       fingerprint_(fingerprint(bundle, rate)),
       observe_(bundle, rate == NetworkRate::every_sample ? 1 : bundle.observer.network_stride),
       judge_(bundle) {
@@ -37,6 +38,10 @@ Monitor::Monitor(const Bundle& bundle, NetworkRate rate)
     joint_names_.push_back(bundle.links[static_cast<std::size_t>(j)].joint_name);
     torque_units_.push_back(bundle.torque_unit(j));
     estimate_units_.push_back(bundle.estimate_unit(j));
+  }
+  if (load_settings_.settable()) {
+    observe_.allow_loads(load_settings_);
+    judge_.allow_loads();
   }
   if (!bundle.has_network()) return;
   network_.emplace(bundle.shape, bundle.parameters, bundle.inputs, bundle.columns(), bundle.observer.network_stride,
@@ -71,7 +76,24 @@ void Monitor::predict(const Observed& observed) noexcept {
 }
 
 void Monitor::advance() noexcept {
+  observe_.keep();
+  if (observe_.progress().started) judge_.keep(observe_.progress().t_ns);
   if (network_) network_->advance();
+}
+
+LoadFault Monitor::load_fault(const Load& load, std::int64_t since_ns) const noexcept {
+  const LoadFault fault = load_settings_.fault(load);
+  if (fault != LoadFault::none || since_ns == kFromNow || observe_.can_go_back()) return fault;
+  return LoadFault::no_past;
+}
+
+bool Monitor::set_load(const Load& load, std::int64_t since_ns) noexcept {
+  if (load_fault(load, since_ns) != LoadFault::none) return false;
+  advance();
+  observe_.set_load(load, since_ns);
+  judge_.set_load(observe_.load());
+  if (since_ns < observe_.progress().t_ns) judge_.take_back_drift(since_ns);
+  return true;
 }
 
 const Estimate& Monitor::no_sample(std::int64_t now_ns) noexcept {

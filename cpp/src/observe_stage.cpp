@@ -71,6 +71,7 @@ ObserveStage::ObserveStage(const Bundle& bundle, int answer_every)
 
 void ObserveStage::reset() noexcept {
   residual_.reset();
+  residual_.set_load({}, kFromNow);
   if (watch_) watch_->reset();
   progress_ = {};
 }

@@ -45,6 +45,16 @@ void Presliding::step(std::span<const double> q) noexcept {
   state_.started = true;
 }
 
+void Presliding::write_ends(std::span<double> low, std::span<double> high) const noexcept {
+  std::copy_n(state_.low.begin(), columns(), low.begin());
+  std::copy_n(state_.high.begin(), columns(), high.begin());
+}
+
+void Presliding::read_ends(std::span<const double> low, std::span<const double> high) noexcept {
+  std::copy_n(low.begin(), columns(), state_.low.begin());
+  std::copy_n(high.begin(), columns(), state_.high.begin());
+}
+
 void Presliding::write(std::span<double> states) const noexcept {
   for (int j = 0; j < joints_; ++j)
     for (int w = 0; w < width_count(); ++w) states[index(j, w)] = value(j, w);

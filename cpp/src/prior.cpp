@@ -106,13 +106,11 @@ Prior::Prior(const PriorSettings& settings, const std::array<double, 3>& gravity
       state_{MomentumObserver(joints, gain_per_s, TorqueTiming::held),
              MomentumObserver(joints, gain_per_s, TorqueTiming::held), false} {}
 
-void Prior::step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
-                 std::span<const double> momentum, std::span<const double> beta, std::span<double> prior,
-                 std::span<double> doubt) noexcept {
+void Prior::sum(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
+                std::span<const double> momentum, std::span<const double> beta, Sums& sums) noexcept {
   const auto n = static_cast<std::size_t>(joints_);
-  JointVector p, v, unknown{};
-  constexpr JointVector zero{};
-  for (std::size_t i = 0; i < n; ++i) p[i] = v[i] = 0.0;
+  auto& [p, v, unknown] = sums;
+  for (std::size_t i = 0; i < n; ++i) p[i] = v[i] = unknown[i] = 0.0;
   terms_.look(q, dq, presliding, beta);
   if (terms_.corrects_model())
     for (std::size_t i = 0; i < n; ++i) {
@@ -126,10 +124,26 @@ void Prior::step(std::int64_t t_ns, std::span<const double> q, std::span<const d
     const double off = terms_.doubt(m);
     for (std::size_t i = 0; off > 0 && i < n; ++i) unknown[i] += std::fabs(weights_[i * terms_.size() + m]) * off;
   }
-  // The filter is linear and never changes a sign, so that of a bound is the bound of what is filtered.
-  state_.filter.step(t_ns, std::span(p).first(n), std::span(v).first(n), std::span(zero).first(n), prior);
-  state_.doubt_filter.step(t_ns, std::span(zero).first(n), std::span(unknown).first(n), std::span(zero).first(n), doubt);
-  if (state_.forgotten) state_.doubt_filter.raise(std::span(unknown).first(n), doubt);
+}
+
+// The filter is linear and never changes a sign, so that of a bound is the bound of what is filtered.
+void Prior::filter(std::int64_t t_ns, const Sums& sums, bool raise, std::span<double> prior,
+                   std::span<double> doubt) noexcept {
+  const auto n = static_cast<std::size_t>(joints_);
+  constexpr JointVector zero{};
+  const auto of = [n](const JointVector& values) noexcept { return std::span(values).first(n); };
+  state_.filter.step(t_ns, of(sums.p), of(sums.v), of(zero), prior);
+  state_.doubt_filter.step(t_ns, of(zero), of(sums.unknown), of(zero), doubt);
+  if (raise) state_.doubt_filter.raise(of(sums.unknown), doubt);
+}
+
+void Prior::step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
+                 std::span<const double> momentum, std::span<const double> beta, std::span<double> prior,
+                 std::span<double> doubt) noexcept {
+  Sums sums;
+  sum(q, dq, presliding, momentum, beta, sums);
+  filter(t_ns, sums, state_.forgotten, prior, doubt);
+  state_.raised = state_.forgotten;
   state_.forgotten = false;
 }
 
@@ -141,6 +155,27 @@ void Prior::friction(std::span<double> coulomb, std::span<double> viscous) const
     const auto joint = static_cast<std::size_t>(t.a);
     (t.kind == TermKind::viscous ? viscous : coulomb)[joint] += weights_[joint * terms_.size() + m] * values_[m];
   }
+}
+
+void Prior::step_again(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
+                       const Presliding& presliding, std::span<const double> momentum, std::span<const double> beta,
+                       bool raised) noexcept {
+  Sums sums;
+  JointVector prior, doubt;
+  sum(q, dq, presliding, momentum, beta, sums);
+  filter(t_ns, sums, raised, prior, doubt);
+}
+
+void Prior::go_back(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
+                    const Presliding& presliding, std::span<const double> momentum, std::span<const double> beta,
+                    std::span<const double> prior, std::span<const double> doubt) noexcept {
+  const auto n = static_cast<std::size_t>(joints_);
+  Sums sums;
+  constexpr JointVector zero{};
+  const auto of = [n](const JointVector& values) noexcept { return std::span(values).first(n); };
+  sum(q, dq, presliding, momentum, beta, sums);
+  state_.filter.go_back(t_ns, of(sums.p), of(sums.v), of(zero), prior);
+  state_.doubt_filter.go_back(t_ns, of(zero), of(sums.unknown), of(zero), doubt);
 }
 
 }  // namespace tauext

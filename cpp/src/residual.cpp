@@ -1,5 +1,6 @@
 #include "tauext/residual.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 namespace tauext {
@@ -21,10 +22,13 @@ ResidualStage::ResidualStage(const Tree& tree, const ObserverSettings& settings,
       comparison_(tree, settings.method, settings.gain_per_s, settings.timing),
       filter_(tree.size(), settings.high_pass_per_s, settings.low_pass_per_s),
       prior_(prior, tree.gravity(), tree.size(), settings.gain_per_s),
-      has_prior_(!prior.empty()) {
+      has_prior_(!prior.empty()),
+      gain_per_s_(settings.gain_per_s),
+      sample_period_ns_(settings.sample_period_ns),
+      unfiltered_(!(settings.high_pass_per_s > 0 || settings.low_pass_per_s > 0)),
+      carrying_(MomentumObserver(tree.size(), settings.gain_per_s, TorqueTiming::held)) {
   settings.validate_constants(tree.size());
-  const bool filtered = settings.high_pass_per_s > 0 || settings.low_pass_per_s > 0;
-  if (has_prior_ && (method_ != ResidualMethod::momentum || filtered))
+  if (has_prior_ && (method_ != ResidualMethod::momentum || !unfiltered_))
     throw Error(std::string("a prior is filtered as the momentum observer filters; it does not fit the method ") +
                 name(method_) + " with a high-pass of " + to_text(settings.high_pass_per_s) + " and a low-pass of " +
                 to_text(settings.low_pass_per_s) + " 1/s; presliding widths alone do");
@@ -36,6 +40,17 @@ void ResidualStage::restore(const State& state) noexcept {
   comparison_ = state.comparison;
   filter_ = state.filter;
   prior_.restore(state.prior);
+  carrying_ = state.carrying;
+  past_.clear();
+  carry(carrying_.load);
+  if (!loads_ || !carrying_.seen) return;
+  look_again();
+  if (carrying_.kept && can_go_back()) push_past();
+}
+
+void ResidualStage::reset() noexcept {
+  motion_.reset();
+  carrying_.seen = false;
 }
 
 SampleClock::Tick ResidualStage::step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
@@ -48,6 +63,8 @@ SampleClock::Tick ResidualStage::step(std::int64_t t_ns, std::span<const double>
     comparison_.reset();
     filter_.reset();
     prior_.reset();
+    carrying_.torques.reset();
+    past_.clear();
   }
   const std::span<const double> momentum = motion_.momentum(), beta = motion_.beta();
   if (method_ == ResidualMethod::momentum)
@@ -59,6 +76,15 @@ SampleClock::Tick ResidualStage::step(std::int64_t t_ns, std::span<const double>
     prior_.step(t_ns, q, dq, presliding(), momentum, beta, prior, doubt);
   else
     for (std::size_t i = 0; i < momentum.size(); ++i) prior[i] = doubt[i] = 0.0;
+  if (!loads_) return tick;
+  if (carrying_.follows)
+    for (std::size_t i = 0; i < doubt.size(); ++i)
+      doubt[i] += carrying_.error_share * std::fabs(carrying_.torques.residual()[i]);
+  carrying_.t_ns = t_ns;
+  std::ranges::copy(q, carrying_.q.begin());
+  std::ranges::copy(dq, carrying_.dq.begin());
+  carrying_.seen = true;
+  carrying_.kept = false;
   return tick;
 }
 

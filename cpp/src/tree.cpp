@@ -1,5 +1,6 @@
 #include "tauext/tree.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 namespace tauext {
@@ -55,6 +56,20 @@ void expect_sizes_of_an_arm(std::span<const double> values, const std::string& w
   }
 }
 
+// A link's own mass about its origin.
+Carried about_origin(const Link& link) noexcept {
+  const auto& c = link.com;
+  const double m = link.mass;
+  Carried own{m, {m * c[0], m * c[1], m * c[2]}, link.inertia};
+  own.inertia[0] += m * (c[1] * c[1] + c[2] * c[2]);
+  own.inertia[1] += m * (c[0] * c[0] + c[2] * c[2]);
+  own.inertia[2] += m * (c[0] * c[0] + c[1] * c[1]);
+  own.inertia[3] -= m * c[0] * c[1];
+  own.inertia[4] -= m * c[0] * c[2];
+  own.inertia[5] -= m * c[1] * c[2];
+  return own;
+}
+
 void validate(const std::vector<Link>& links, const std::array<double, 3>& gravity) {
   const int n = static_cast<int>(links.size());
   if (n < 1 || n > kMaxJoints)
@@ -85,7 +100,8 @@ void validate(const std::vector<Link>& links, const std::array<double, 3>& gravi
 
 }  // namespace
 
-std::vector<Tree::Body> Tree::sort_bodies(const std::vector<Link>& links) {
+std::vector<Tree::Body> Tree::sort_bodies() const {
+  const std::vector<Link>& links = links_;
   const int n = static_cast<int>(links.size());
   std::vector<int> place(n, -1);  // of a link among the bodies
   std::vector<Body> bodies;
@@ -95,31 +111,44 @@ std::vector<Tree::Body> Tree::sort_bodies(const std::vector<Link>& links) {
       const Link& link = links[i];
       if (place[i] >= 0 || (link.parent >= 0 && place[link.parent] < 0)) continue;
       place[i] = static_cast<int>(bodies.size());
-      const auto& c = link.com;
-      const double m = link.mass;
-      auto inertia = link.inertia;
-      inertia[0] += m * (c[1] * c[1] + c[2] * c[2]);
-      inertia[1] += m * (c[0] * c[0] + c[2] * c[2]);
-      inertia[2] += m * (c[0] * c[0] + c[1] * c[1]);
-      inertia[3] -= m * c[0] * c[1];
-      inertia[4] -= m * c[0] * c[2];
-      inertia[5] -= m * c[1] * c[2];
-      bodies.push_back({i, link.parent < 0 ? -1 : place[link.parent], link.type, link.rotation, link.translation, m, m,
-                        {m * c[0], m * c[1], m * c[2]}, inertia, link.rotor_inertia});
+      const Carried& own = own_[static_cast<std::size_t>(i)];
+      bodies.push_back({i, link.parent < 0 ? -1 : place[link.parent], link.type, link.rotation, link.translation,
+                        own.mass, own.mass, own.first_moment, own.inertia, link.rotor_inertia});
     }
     if (bodies.size() == before)
       for (int i = 0; i < n; ++i)
         if (place[i] < 0)
           throw Error("joint '" + links[i].joint_name + "': its chain of parents ends in a ring, never at the base");
   }
-  for (int k = n; k-- > 0;)
-    if (bodies[k].parent >= 0) bodies[bodies[k].parent].subtree_mass += bodies[k].subtree_mass;
+  sum_masses(bodies);
   return bodies;
+}
+
+void Tree::sum_masses(std::vector<Body>& bodies) noexcept {
+  for (Body& body : bodies) body.subtree_mass = body.mass;
+  for (std::size_t k = bodies.size(); k-- > 0;)
+    if (bodies[k].parent >= 0) bodies[static_cast<std::size_t>(bodies[k].parent)].subtree_mass += bodies[k].subtree_mass;
+}
+
+void Tree::carry(int link, const Carried& what) noexcept {
+  for (Body& body : bodies_) {
+    if (body.joint != link) continue;
+    const Carried& own = own_[static_cast<std::size_t>(link)];
+    body.mass = own.mass + what.mass;
+    for (std::size_t i = 0; i < 3; ++i) body.first_moment[i] = own.first_moment[i] + what.first_moment[i];
+    for (std::size_t i = 0; i < 6; ++i) body.inertia[i] = own.inertia[i] + what.inertia[i];
+  }
+  sum_masses(bodies_);
 }
 
 Tree::Tree(std::vector<Link> links, std::array<double, 3> gravity) : links_(std::move(links)), gravity_(gravity) {
   validate(links_, gravity_);
-  bodies_ = sort_bodies(links_);
+  for (const Link& link : links_) own_.push_back(about_origin(link));
+  bodies_ = sort_bodies();
+}
+
+bool Tree::has_mass() const noexcept {
+  return std::ranges::any_of(links_, [](const Link& link) { return link.mass > 0; });
 }
 
 void Tree::momentum(std::span<const double> q, std::span<const double> dq, std::span<double> p,

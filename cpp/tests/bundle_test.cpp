@@ -290,7 +290,6 @@ void an_old_bundle_with_torque_constants_is_refused_with_the_command_that_conver
   Bundle b = make_bundle();
   const auto as_format_4 = [](const Bundle& bundle) {
     std::vector<char> bytes = to_bytes(bundle);
-    bytes.resize(bytes.size() - 8);  // what came with format 8 stands at the end
     // Without constants and units, which stand as (u64 0, u8 0, i32 -1, u64 0) behind the two filters.
     const std::size_t name = 28 + 8 + bundle.name.size(), links_at = name + 8 + bundle.provenance.size();
     std::size_t at = links_at + 8;
@@ -303,6 +302,10 @@ void an_old_bundle_with_torque_constants_is_refused_with_the_command_that_conver
     const std::size_t reference = 8 + 8 * samples + 3 * (8 + 8 * samples * n) + 3 * (8 + 8 * n);
     const std::size_t signals_and_reference = 2 * (8 + 8 * n) + reference;
     const std::size_t drift = 8 + (8 + 8 * bundle.drift.size_nm.size()) + 3 * 8;
+    // Nor what came with format 8, what may be carried: two texts and their lengths, a link, 14 numbers; one of friction.
+    const std::size_t load = 8 + bundle.load.frame.size() + 4 + 8 * 14 + 8 + bundle.load.refused.size() + 8;
+    const auto carried = bytes.end() - static_cast<std::ptrdiff_t>(reference);
+    bytes.erase(carried - static_cast<std::ptrdiff_t>(load), carried);
     // Nor what came with format 7: what is possible, two lists before the reference.
     const auto possible = bytes.end() - static_cast<std::ptrdiff_t>(reference);
     bytes.erase(possible - static_cast<std::ptrdiff_t>(2 * (8 + 8 * n)), possible);
@@ -324,6 +327,9 @@ void an_old_bundle_with_torque_constants_is_refused_with_the_command_that_conver
     CHECK(old.signals.possible_torque_nm[j] == 1000 * b.signals.largest_torque_nm[j]);
     CHECK(std::isinf(old.signals.possible_speed_rad_s[j]));
   }
+  double mass = 0;
+  for (const Link& link : b.links) mass += link.mass;
+  CHECK(old.load.settable() && old.load.largest_mass_kg == 0.5 * mass && old.load.link == b.joints() - 1);
   b.provenance = R"({"torque_constants": {"used": [2.0, 3.0]}})";
   refused("tauext convert OLD.tauext", [&] { from_bytes(as_format_4(b)); });
   CHECK(from_old_bytes(as_format_4(b)).provenance == b.provenance);

@@ -62,7 +62,7 @@ bool same(const tauext_estimate& c, const tauext::Estimate& e) {
          c.alarm_joint == e.alarm_joint && c.alarm_t_ns == e.alarm_t_ns && c.detection == e.detection &&
          c.near_stiction == e.near_stiction && equal(c.residual, e.residual) && equal(c.uncertainty, e.uncertainty) &&
          equal(c.tau_ext, e.tau_ext) && equal(c.drift, e.drift) &&
-         c.drift_saturated == e.drift_saturated && c.unfamiliar == e.unfamiliar && c.unused == 0 && equal(c.limit_nm, e.limit_nm) && equal(c.margin_nm, e.margin_nm);
+         c.drift_saturated == e.drift_saturated && c.unfamiliar == e.unfamiliar && c.unused == 0 && c.load_kg == e.load.mass && equal(c.limit_nm, e.limit_nm) && equal(c.margin_nm, e.margin_nm);
 }
 
 void estimates_are_those_of_the_cpp_monitor_through_faults_and_alarms() {
@@ -90,6 +90,17 @@ void estimates_are_those_of_the_cpp_monitor_through_faults_and_alarms() {
       if (k == 3200) {
         CHECK(tauext_monitor_resume(c) == TAUEXT_OK);
         cpp.resume();
+      }
+      if (k == 2500) {
+        const tauext_load load = {1.5, {0.1, 0, 0.05}, {0.01, 0.01, 0.01, 0, 0, 0}, TAUEXT_USUAL_LOAD_ERROR};
+        CHECK(tauext_monitor_set_load(c, &load, t_ns - 200'000'000) == TAUEXT_OK);
+        CHECK(cpp.set_load({1.5, {0.1, 0, 0.05}, {0.01, 0.01, 0.01, 0, 0, 0}}, t_ns - 200'000'000));
+        tauext_load carried;
+        CHECK(tauext_monitor_load(c, &carried) == TAUEXT_OK && std::memcmp(&carried, &load, sizeof load) == 0);
+      }
+      if (k == 2900) {
+        CHECK(tauext_monitor_clear_load(c, TAUEXT_FROM_NOW) == TAUEXT_OK);
+        CHECK(cpp.clear_load());
       }
       if (k == 3500) {
         CHECK(tauext_monitor_reset(c) == TAUEXT_OK);
@@ -200,6 +211,19 @@ void null_pointers_are_bad_arguments() {
   CHECK(tauext_monitor_set_limit_factors(m, twice.data(), nullptr) == TAUEXT_BAD_ARGUMENT);
   CHECK(tauext_monitor_set_limit_factors(m, none.data(), twice.data()) == TAUEXT_BAD_ARGUMENT);
   CHECK(tauext_monitor_set_limit_factors(m, twice.data(), twice.data()) == TAUEXT_OK);
+  tauext_load heavy = {1e4, {0, 0, 0}, {0, 0, 0, 0, 0, 0}, 0};
+  char why[64];
+  CHECK(tauext_monitor_set_load(nullptr, &heavy, 0) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_set_load(m, nullptr, 0) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_set_load(m, &heavy, TAUEXT_FROM_NOW) == TAUEXT_BAD_LOAD);
+  CHECK(tauext_monitor_clear_load(nullptr, 0) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_load(nullptr, &heavy) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_load(m, nullptr) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_why_no_load(nullptr, &heavy, 0, why, sizeof why) == TAUEXT_BAD_ARGUMENT && why[0] == '\0');
+  CHECK(tauext_monitor_why_no_load(m, &heavy, 0, why, sizeof why) == TAUEXT_OK && std::strstr(why, "10000 kg"));
+  heavy.mass = 1;
+  CHECK(tauext_monitor_why_no_load(m, &heavy, 0, why, sizeof why) == TAUEXT_OK && why[0] == '\0');
+  CHECK(std::strstr(tauext_monitor_load_frame(m), "joint3") && !*tauext_monitor_load_frame(nullptr));
   CHECK(tauext_monitor_reset(nullptr) == TAUEXT_BAD_ARGUMENT);
   CHECK(tauext_monitor_save_state(nullptr, nullptr, 0) == TAUEXT_BAD_ARGUMENT);
   CHECK(tauext_monitor_save_state(m, nullptr, tauext_monitor_state_bytes(m)) == TAUEXT_BAD_ARGUMENT);
@@ -261,7 +285,8 @@ void what_cannot_be_opened_says_why() {
 void every_code_has_a_name() {
   CHECK(std::strcmp(tauext_version(), TAUEXT_VERSION) == 0);
   CHECK(std::strcmp(tauext_status_name(TAUEXT_BAD_STATE), "bad state") == 0);
-  CHECK(*tauext_status_name(TAUEXT_OK) && !*tauext_status_name(static_cast<tauext_status>(5)));
+  CHECK(*tauext_status_name(TAUEXT_OK) && !*tauext_status_name(static_cast<tauext_status>(6)));
+  CHECK(std::strcmp(tauext_status_name(TAUEXT_BAD_LOAD), "bad load") == 0);
   CHECK(std::strcmp(tauext_health_name(TAUEXT_HEALTHY), "ok") == 0);
   CHECK(!*tauext_health_name(-1) && !*tauext_health_name(256));
   CHECK(std::strcmp(tauext_alarm_name(TAUEXT_COLLISION), "collision") == 0);

@@ -29,6 +29,7 @@ struct Source {
     e.alarm = alarm;
     e.health = health;
     e.causes = static_cast<std::uint32_t>(k);
+    e.load = {x, {0, x, 0}, {}, 0.5};
     return {k * kMs, q, dq, tau};
   }
 };
@@ -42,6 +43,7 @@ void check_rows(const Flight& f, std::int64_t first, std::int64_t last) {
     CHECK(f.residual[2 * row] == 3 * k && f.network[2 * row + 1] == 4 * k && f.tau_ext[2 * row] == 5 * k);
     CHECK(f.contact_limit_nm[2 * row + 1] == 8 * k && f.limit_nm[2 * row + 1] == 6 * k && f.sigma_nm[2 * row + 1] == 7 * k + 0.1);
     CHECK(f.causes[row] == static_cast<std::uint32_t>(k));
+    CHECK(f.load[row] == Load({k, {0, k, 0}, {}, 0.5}));
   }
 }
 

@@ -72,6 +72,7 @@ inline tauext::Bundle bundle(int joints, int hidden, int window_steps, int strid
   b.signals.largest_torque_nm.assign(n, 100.0);
   b.signals.possible_torque_nm.assign(n, std::numeric_limits<double>::infinity());
   b.signals.possible_speed_rad_s.assign(n, std::numeric_limits<double>::infinity());
+  b.assume_load();
   const auto append = [&](tauext::Reference& to, int k) {
     double q[tauext::kMaxJoints], dq[tauext::kMaxJoints], tau[tauext::kMaxJoints];
     signal(k, joints, q, dq, tau);

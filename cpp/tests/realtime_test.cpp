@@ -62,6 +62,15 @@ Bundle compared(int joints) {
 
 Bundle tracking(int joints) {
   Bundle bundle = made::bundle(joints, 20, 30, 10, 1);
+  for (int j = 0; j < joints; ++j) {
+    bundle.prior.terms.push_back({TermKind::load, j, 0, 0, 1, 0.1});
+    bundle.prior.terms.push_back({TermKind::load_presliding, j, 0, 0, 0, 0});
+  }
+  bundle.prior.widths_rad = {0.01};
+  bundle.prior.weights.assign(bundle.prior.terms.size() * static_cast<std::size_t>(joints), 0.05);
+  bundle.prior.corrected_links = bundle.links;
+  bundle.input_factors.resize(static_cast<std::size_t>(bundle.columns()), 0.3f);
+  answer_reference(bundle);
   bundle.drift = {10, std::vector<double>(static_cast<std::size_t>(joints), 2.0), 0.02, 0.9, 0.1};
   bundle.coverage = made::half_seen(joints);
   return bundle;
@@ -105,6 +114,10 @@ struct Everything {
       if (k % 1100 == 0) every.resume();
       if (k % 1300 == 0) every.set_limit_factors(std::span(q).first(1), std::span(q).first(1));
       if (k % 1700 == 0) own.set_limit_factors(own.limit_factors().contact, own.limit_factors().collision);
+      if (k % 800 == 0) every.set_load({1.0, {0.1, 0, 0}, {}}, k % 1600 ? kFromNow : t_ns - 300'000'000);
+      if (k % 900 == 0) every.set_load({-1.0});
+      if (k % 850 == 0) velocity.set_load({1.0}), plain.set_load({1.0}, 0);
+      if (k % 1750 == 0) every.clear_load(), plain.clear_load(t_ns - 30'000'000);
       if (k % 1900 == 0) every.save_state(state), every.restore_state(state);
       if (k % 5000 == 0) every.reset();
     }

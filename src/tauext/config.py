@@ -320,6 +320,9 @@ class TrainConfig:
     """Take the recordings' tau for motor current or another multiple of torque, and find one constant a joint from the
     model or, without one, from the arm found in the motion. None: do so where the recordings were currents; given
     constants are corrected."""
+    load_frame: str | None = None
+    """Link (URDF) or body (MJCF) in whose frame the monitor is told what the arm carries. None: the last one that is
+    fixed behind the last joint, such as tool0, else the last joint's own."""
     margins: FreeMotionConfig = field(default_factory=FreeMotionConfig)
     """What is left out of recordings that hold contacts."""
     alarm: AlarmConfig = field(default_factory=AlarmConfig)

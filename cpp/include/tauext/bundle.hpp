@@ -10,6 +10,7 @@
 #include "tauext/drift.hpp"
 #include "tauext/error_scale.hpp"
 #include "tauext/limits.hpp"
+#include "tauext/load.hpp"
 #include "tauext/lstm.hpp"
 #include "tauext/prior.hpp"
 #include "tauext/residual.hpp"
@@ -70,6 +71,7 @@ struct Bundle {
   CoverageSettings coverage;            // what motion training saw; may be empty
   SignalRanges signals;                 // beyond which a sample is a fault
   TorqueUnits units;                    // of tau and of the answers
+  LoadSettings load;                    // where a load is fixed, and what is believed of one
   Reference reference;                  // replayed at load
 
   int joints() const noexcept { return static_cast<int>(links.size()); }  // how many
@@ -86,6 +88,9 @@ struct Bundle {
   std::string estimate_unit(int joint) const;
   // Throws Error, naming what does not fit.
   void validate() const;
+  // What is said of a load where nobody says more: see assumed_load_settings(). None can be set where the answers are in
+  // another unit than N m.
+  void assume_load();
 };
 
 // Fills the answers of bundle.reference from its samples. Throws Error where they are too few to fill a window.

@@ -43,12 +43,19 @@ class ComparisonResidual {
             std::span<const double> momentum, std::span<const double> beta, std::span<const double> tau_m,
             std::span<double> residual) noexcept;
 
+  // The tree has changed since the last sample, whose p and beta by it these are: r goes on from where it is, and so does
+  // the velocity observer's D.
+  void carry_on(const Tree& tree, std::span<const double> q, std::span<const double> dq,
+                std::span<const double> momentum, std::span<const double> beta) noexcept;
+
   // Whether what r started from has faded to e^-10: after 10/K0, in the velocity observer later where M couples joints.
   // The direct residual has no memory and waits as long, so that methods are compared on the same samples.
   bool warm() const noexcept { return started_ && faded_ >= 10.0; }
 
  private:
   void start(const Tree& tree, std::span<const double> q) noexcept;
+  double model(const Tree& tree, std::span<const double> q, std::span<const double> dq,
+               std::span<const double> momentum, std::span<const double> beta, JointVector& model) const noexcept;
   void observe_velocity(const Tree& tree, std::span<const double> q, double dt,
                         const JointVector& disturbance) noexcept;
 

@@ -68,6 +68,9 @@ class DriftTracker {
   void learn(std::span<const double> tau_ext, std::span<const double> scale, std::span<const double> doubt,
              std::uint32_t near_stiction, bool trusted) noexcept;
 
+  // As if so much had been learned until now.
+  void put_coefficients(const Terms& coefficients) noexcept { state_.coefficients = coefficients; }
+
   bool on() const noexcept { return settings_.on(); }
   // A bit a joint: one of its coefficients is at its bound. Training anew is due.
   std::uint32_t saturated() const noexcept { return state_.saturated; }

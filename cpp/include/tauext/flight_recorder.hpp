@@ -23,6 +23,7 @@ struct Flight {
       contact_limit_nm;  // (samples, joints)
   std::vector<std::uint32_t> near_stiction, causes;                         // (samples): bits
   std::vector<std::uint8_t> health, alarm, held_alarm, detection;                 // (samples)
+  std::vector<Load> load;                                                   // (samples): that the arm was taken to carry
   Estimate event;  // what the monitor said at the event
 };
 
@@ -53,6 +54,7 @@ class FlightRecorder {
     std::vector<double> signals;  // (capacity, 10 joints)
     std::vector<std::uint32_t> near_stiction, causes;
     std::vector<std::uint8_t> health, alarm, held_alarm, detection;
+    std::vector<Load> load;
     std::int64_t next = 0, count = 0;  // row to be written, rows written
     std::int64_t event = -1;           // row count at the event, -1 without one
     Estimate estimate;

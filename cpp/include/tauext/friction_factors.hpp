@@ -72,6 +72,14 @@ class FrictionFactors {
   void restart() noexcept;
   // As newly made.
   void reset() noexcept { state_ = {}; }
+  // The arm became another one: what was seen of its strokes says nothing more, what was learned stays.
+  void forget_strokes() noexcept;
+
+  // Of a joint's friction, less 1.
+  using Learned = std::array<Parts, kMaxJoints>;
+  Learned learned() const noexcept;
+  // The factors are those at once, and what was seen of strokes is forgotten.
+  void put_learned(const Learned& factors) noexcept;
 
   // One sample, later than the last, with the friction that the prior expects before the observer's filter: adds to the
   // drift of every joint, [N m], what is known of its factors.

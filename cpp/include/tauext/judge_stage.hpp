@@ -7,8 +7,10 @@
 #include "tauext/alarm.hpp"
 #include "tauext/coverage.hpp"
 #include "tauext/drift.hpp"
+#include "tauext/drift_history.hpp"
 #include "tauext/error_scale.hpp"
 #include "tauext/friction_factors.hpp"
+#include "tauext/load.hpp"
 #include "tauext/observe_stage.hpp"
 #include "tauext/sample.hpp"
 #include "tauext/types.hpp"
@@ -39,12 +41,14 @@ struct Estimate {
   JointVector drift{};              // what the tracker has learned since, [N m]; 0 without one
   JointVector uncertainty{};        // r expected in free motion: prior + network + drift, [N m]
   JointVector tau_ext{};            // residual - uncertainty, [N m]
-  JointVector doubt{};              // how far the prior may be off while presliding states are unknown, [N m]
+  JointVector doubt{};              // how far the prior may be off while presliding states are unknown, and the torques of a
+                                    // load because it is not known exactly, [N m]
   JointVector sigma_nm{};           // standard error of tau_ext in free motion, doubt included, [N m]; NaN without an error scale
   JointVector limit_scale{};        // what the motion multiplies the limits by, unfamiliar motion too; usual is 1
   JointVector limit_nm{};           // that |tau_ext| must exceed for a collision; scale and doubt included
   JointVector contact_limit_nm{};   // the same for a contact
   JointVector margin_nm{};          // limit - |tau_ext|
+  Load load;                        // what the arm is taken to carry; mass 0: nothing
 
   // The only thing that may be read as "no collision".
   bool clear() const noexcept { return health == Health::ok && alarm == Alarm::none; }
@@ -70,6 +74,16 @@ class JudgeStage {
     return alarm_.set_factors(collision, contact);
   }
   const LimitFactors& limit_factors() const noexcept { return alarm_.factors(); }
+  // The load that the next sample is seen with.
+  void set_load(const Load& load) noexcept {
+    estimate_.load = load;
+    factors_.forget_strokes();
+  }
+  // Allocates: from here on keep() keeps what the trackers of drift know, once a second of the samples' time.
+  void allow_loads() { history_.begin(); }
+  void keep(std::int64_t t_ns) noexcept { history_.keep(t_ns, drift_, factors_); }
+  // Drift is what it was then, as far as that is kept.
+  void take_back_drift(std::int64_t since_ns) noexcept { history_.go_back(since_ns, drift_, factors_); }
   const Estimate& last() const noexcept { return estimate_; }  // of the last sample
   const ErrorScale& error_scale() const noexcept { return scale_; }  // as it stands there
   // As newly made.
@@ -104,6 +118,7 @@ class JudgeStage {
   AlarmStage alarm_;
   DriftTracker drift_;
   FrictionFactors factors_;
+  DriftHistory history_;
   ErrorScale scale_;
   Coverage coverage_;
   Estimate estimate_;

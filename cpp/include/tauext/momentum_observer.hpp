@@ -26,12 +26,24 @@ class MomentumObserver {
   bool step(std::int64_t t_ns, std::span<const double> momentum, std::span<const double> beta,
             std::span<const double> tau_m, std::span<double> residual) noexcept;
 
+  // The last sample stood at this momentum and beta, by another model than it came with: r goes on from where it is.
+  // Nothing happens before the first sample.
+  void carry_on(std::span<const double> momentum, std::span<const double> beta) noexcept;
+  // The last sample is this earlier one of the same stretch, and r is what it was then.
+  void go_back(std::int64_t t_ns, std::span<const double> momentum, std::span<const double> beta,
+               std::span<const double> tau_m, std::span<const double> residual) noexcept;
+
   // r of every joint is at least this after the last sample, as if so much had pushed for long; residual is written.
   void raise(std::span<const double> least, std::span<double> residual) noexcept;
 
   // Time since the start, [s]; r counts as warmed up after 10/K0.
   double age_s() const noexcept { return started_ ? 1e-9 * static_cast<double>(elapsed_ns(t_ns_, start_ns_)) : 0.0; }
-  // Whether it does.
+  // Whether it does, and at which sample.
+  bool started() const noexcept { return started_; }
+  std::int64_t last_ns() const noexcept { return t_ns_; }
+  // Of the last sample, a value a joint.
+  std::span<const double> tau_m() const noexcept { return {tau_m_.data(), static_cast<std::size_t>(joints_)}; }
+  std::span<const double> residual() const noexcept { return {residual_.data(), static_cast<std::size_t>(joints_)}; }
   bool warm() const noexcept { return started_ && age_s() * gain_per_s_ >= 10.0; }
 
  private:

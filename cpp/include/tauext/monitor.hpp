@@ -50,6 +50,25 @@ class Monitor {
     return judge_.set_limit_factors(collision, contact);
   }
   const LimitFactors& limit_factors() const noexcept { return judge_.limit_factors(); }  // those that hold now
+
+  // What the arm carries from the next sample on, in the axes of load_settings().frame; mass 0: nothing. r goes on from
+  // where it is. With since_ns, in the samples' time, r, prior and drift are what they would be had it been set then:
+  // exactly within the last 10/K0 (8192 samples at most), all but e^-10 of the load's torques before that; drift
+  // to a second, within the last minute. What is known of the time before is lost by restore_state() and by whatever breaks
+  // the chain. Limits rise by the load's error_share of its torques. false, and nothing changed, where the load is
+  // refused. Takes no longer than a microsecond or two for each sample since then.
+  bool set_load(const Load& load, std::int64_t since_ns = kFromNow) noexcept;
+  // It carries nothing more.
+  bool clear_load(std::int64_t since_ns = kFromNow) noexcept { return set_load({}, since_ns); }
+  const Load& load() const noexcept { return observe_.load(); }  // that holds now
+  // Where it is fixed, and what is believed of one.
+  const LoadSettings& load_settings() const noexcept { return load_settings_; }
+  // Why it would be refused.
+  LoadFault load_fault(const Load& load, std::int64_t since_ns = kFromNow) const noexcept;
+  // The same in a sentence; empty: it would be taken. Not for the loop: it allocates.
+  std::string why_no_load(const Load& load, std::int64_t since_ns = kFromNow) const {
+    return load_settings_.words(load_fault(load, since_ns), load);
+  }
   // As newly made.
   void reset() noexcept;
 
@@ -79,6 +98,7 @@ class Monitor {
 
   std::vector<std::string> joint_names_, torque_units_, estimate_units_;
   std::int64_t sample_period_ns_;
+  LoadSettings load_settings_;
   std::uint32_t fingerprint_;  // CRC-32 of the bundle and of what else a state depends on
   ObserveStage observe_;
   std::optional<SlidingLstm> network_;

@@ -54,6 +54,11 @@ class Presliding {
   // All of them, in rows of one joint: columns() values.
   void write(std::span<double> states) const noexcept;
 
+  // Both ends of what is possible, columns() each, to be given back later for the same joints and widths; the positions
+  // stay those of the last sample.
+  void write_ends(std::span<double> low, std::span<double> high) const noexcept;
+  void read_ends(std::span<const double> low, std::span<const double> high) noexcept;
+
   // All that it remembers; restore() goes on from there, in another one of the same settings.
   const State& state() const noexcept { return state_; }
   void restore(const State& state) noexcept { state_ = state; }

@@ -78,6 +78,13 @@ class PriorTerms {
   // How far from that the term may be while its presliding state is not determined.
   double doubt(std::size_t term) const noexcept;
 
+  // The corrected model, where there is one.
+  const std::optional<Tree>& corrected() const noexcept { return corrected_; }
+  // The corrected model carries this from now on (Tree::carry); look() again for its p and beta.
+  void carry(int link, const Carried& what) noexcept {
+    if (corrected_) corrected_->carry(link, what);
+  }
+
   std::size_t size() const noexcept { return terms_.size(); }  // how many
   const Term& operator[](std::size_t term) const noexcept { return terms_[term]; }
   bool corrects_model() const noexcept { return corrected_.has_value(); }
@@ -105,6 +112,11 @@ class Prior {
   struct State {
     MomentumObserver filter, doubt_filter;
     bool forgotten = false;  // presliding states were, since the last sample
+    bool raised = false;     // the doubt was at the last sample, as they had been forgotten before it
+  };
+  // A sample's part of the sums that the filters see, a joint.
+  struct Sums {
+    JointVector p, v, unknown;
   };
 
   // Throws Error where the settings do not fit.
@@ -114,7 +126,7 @@ class Prior {
   void reset() noexcept {
     state_.filter.reset();
     state_.doubt_filter.reset();
-    state_.forgotten = false;
+    state_.forgotten = state_.raised = false;
   }
   bool has_presliding() const noexcept { return has_presliding_; }  // some term follows from presliding states
   // Presliding states were forgotten: at the next sample the doubt stands where it would after a long rest, and not where
@@ -129,11 +141,27 @@ class Prior {
   // load and presliding states add to it, and the viscous one.
   void friction(std::span<double> coulomb, std::span<double> viscous) const noexcept;
 
+  // The model changed, and maybe the last sample is an earlier one: the filters stand there as they did (prior, doubt),
+  // and go on with p and beta by the new model. `momentum` and `beta` as in step().
+  void go_back(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
+               std::span<const double> momentum, std::span<const double> beta, std::span<const double> prior,
+               std::span<const double> doubt) noexcept;
+  // A step over a sample that has been seen before, by the new model.
+  void step_again(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
+                  const Presliding& presliding, std::span<const double> momentum, std::span<const double> beta,
+                  bool raised) noexcept;
+  // To carry a load.
+  PriorTerms& terms() noexcept { return terms_; }
+
   // All that it remembers; restore() goes on from there, in another one of the same settings.
   const State& state() const noexcept { return state_; }
   void restore(const State& state) noexcept { state_ = state; }
 
  private:
+  void sum(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
+           std::span<const double> momentum, std::span<const double> beta, Sums& sums) noexcept;
+  void filter(std::int64_t t_ns, const Sums& sums, bool raise, std::span<double> prior, std::span<double> doubt) noexcept;
+
   int joints_;
   PriorTerms terms_;
   std::vector<double> weights_;

@@ -2,12 +2,15 @@
 #pragma once
 #include <algorithm>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
 #include "tauext/comparison_residuals.hpp"
+#include "tauext/load.hpp"
 #include "tauext/momentum_observer.hpp"
 #include "tauext/motion.hpp"
+#include "tauext/past_samples.hpp"
 #include "tauext/prior.hpp"
 #include "tauext/tree.hpp"
 #include "tauext/types.hpp"
@@ -38,6 +41,9 @@ struct ObserverSettings {
 // Motion, residual with its filters, and prior together, one sample at a time; torques in the unit of the answers.
 class ResidualStage {
  public:
+  // 10/K0 of samples, what r remembers, but no more than these: so long finding r anew takes at most.
+  static constexpr std::size_t kMostPast = 8192;
+
   // Throws Error where the settings do not fit, or a prior stands beside a residual that is not filtered like it.
   ResidualStage(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior);
 
@@ -58,21 +64,48 @@ class ResidualStage {
   // it: there would be no doubt to raise the limits.
   void forget_friction(int joint) noexcept {
     if (!tells_friction()) return;
+    keep();  // as it was
     motion_.forget_friction(joint);
     prior_.forget();
   }
   // The next sample starts anew, whenever it comes.
-  void reset() noexcept { motion_.reset(); }
+  void reset() noexcept;
 
+  // Loads may be set from here on. Allocates; before the first sample.
+  void allow_loads(const LoadSettings& settings);
+  // Whether a load can be set from an earlier time on: r of the momentum observer without filters can be found anew.
+  bool can_go_back() const noexcept { return past_.capacity() > 0; }
+  // A load that the settings take, in the place of the one before; a mass of 0 takes it off. From the next step on r and
+  // prior follow the arm with it, and go on from where they would be had it been carried since `since_ns`: since the
+  // oldest sample kept where that is earlier.
+  void set_load(const Load& load, std::int64_t since_ns) noexcept;
+  const Load& load() const noexcept { return carrying_.load; }
+  // Keeps the last sample, for set_load; once is enough. step() needs the sample before to be kept.
+  void keep() noexcept;
+
+  // What the arm carries, and the last sample with it.
+  struct Carrying {
+    Load load;
+    bool seen = false, kept = true;  // there is a last sample; it is among those kept
+    bool follows = false;  // torques of the load where it may be wrong, or of one that was taken off and still shows in r
+    double error_share = 0;          // of them, by which limits rise
+    std::int64_t t_ns = 0;
+    JointVector q{}, dq{};
+    MomentumObserver torques;  // of the load as r shows them
+    explicit Carrying(const MomentumObserver& none) noexcept : torques(none) {}
+  };
   struct State {
     MotionStage::State motion;
     MomentumObserver observer;
     ComparisonResidual comparison;
     ResidualFilter filter;
     Prior::State prior;
+    Carrying carrying;
   };
   // All that it remembers; restore() goes on from there, in a stage of the same settings.
-  State state() const noexcept { return {motion_.state(), observer_, comparison_, filter_, prior_.state()}; }
+  State state() const noexcept {
+    return {motion_.state(), observer_, comparison_, filter_, prior_.state(), carrying_};
+  }
   void restore(const State& state) noexcept;
 
  private:
@@ -83,6 +116,31 @@ class ResidualStage {
   ResidualFilter filter_;
   Prior prior_;
   bool has_prior_;
+
+  static constexpr double kFadedNm = 1e-6;  // of a load taken off: less than any torque is known to
+
+  void carry(const Load& load) noexcept;
+  void look_again() noexcept;
+  void go_back(std::size_t first) noexcept;
+  void push_past() noexcept;
+  void load_torques(std::span<const double> q, std::span<const double> dq, JointVector& p, JointVector& beta) noexcept;
+  void begin_load_torques(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
+                          std::span<const double> least) noexcept;
+  void step_load_torques(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq) noexcept;
+  void forget_load_torques() noexcept;
+  std::span<const double> q() const noexcept { return {carrying_.q.data(), joints()}; }
+  std::span<const double> dq() const noexcept { return {carrying_.dq.data(), joints()}; }
+  std::size_t joints() const noexcept { return static_cast<std::size_t>(motion_.tree().size()); }
+
+  double gain_per_s_;
+  std::int64_t sample_period_ns_;
+  bool unfiltered_;
+  std::optional<LoadSettings> loads_;
+  std::optional<Tree> bare_;  // without the load, of the model that carries it
+  bool model_carries_ = false;
+  PastSamples past_;
+  std::optional<Presliding> past_presliding_;
+  Carrying carrying_;
 };
 
 }  // namespace tauext

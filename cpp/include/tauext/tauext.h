@@ -8,8 +8,9 @@
  *
  * A torque is positive where it pushes the joint in its positive direction; tau is the motor's torque on the joint's
  * side of the gear. A null pointer where something belongs is TAUEXT_BAD_ARGUMENT, unless it is said to be allowed.
- * tauext_monitor_estimate, _advance, _step, _no_sample, _acknowledge, _resume, _set_limit_factors, _reset, _save_state
- * and _restore_state do not allocate, lock, log or call the system. One thread at a time for each monitor. */
+ * tauext_monitor_estimate, _advance, _step, _no_sample, _acknowledge, _resume, _set_limit_factors, _set_load,
+ * _clear_load, _reset, _save_state and _restore_state do not allocate, lock, log or call the system. One thread at a
+ * time for each monitor. */
 #ifndef TAUEXT_H
 #define TAUEXT_H
 
@@ -28,7 +29,8 @@ typedef enum tauext_status {
   TAUEXT_BAD_ARGUMENT = 1, /* a null pointer, a size that does not fit */
   TAUEXT_BAD_BUNDLE = 2,   /* the message says what is wrong with it */
   TAUEXT_NO_MEMORY = 3,    /* the monitor could not be made */
-  TAUEXT_BAD_STATE = 4     /* of another monitor, or damaged */
+  TAUEXT_BAD_STATE = 4,    /* of another monitor, or damaged */
+  TAUEXT_BAD_LOAD = 5      /* tauext_monitor_why_no_load says what is wrong with it */
 } tauext_status;
 
 /* When the network answers: at every sample, or, for slow processors, once in its own period (about 10 ms). */
@@ -85,7 +87,19 @@ typedef struct tauext_estimate {
   uint32_t unused;                       /* 0 */
   double sigma_nm[TAUEXT_MAX_JOINTS];    /* [N m], standard error of tau_ext as the motion announces it; NaN: unknown */
   double unfamiliar;                     /* how far the motion is from all that training saw: 0 to 1, told from 0.5 on */
+  double load_kg;                        /* that the arm is taken to carry; 0: nothing */
 } tauext_estimate;
+
+/* What the arm carries beside its own links, in the axes of tauext_monitor_load_frame(). */
+typedef struct tauext_load {
+  double mass;        /* [kg]; 0: nothing */
+  double com[3];      /* centre of mass in the load frame, [m] */
+  double inertia[6];  /* about the centre of mass: xx, yy, zz, xy, xz, yz, [kg m^2]; zeros: a point */
+  double error_share; /* limits rise by this share of its torques; TAUEXT_USUAL_LOAD_ERROR, 0: it is known exactly */
+} tauext_load;
+
+#define TAUEXT_USUAL_LOAD_ERROR 0.03
+#define TAUEXT_FROM_NOW INT64_MAX /* for since_ns: from the next sample on */
 
 typedef struct tauext_monitor tauext_monitor; /* made by tauext_monitor_open, freed by tauext_monitor_close */
 
@@ -143,6 +157,17 @@ tauext_status tauext_monitor_resume(tauext_monitor* monitor);
 /* Limits are the bundle's times these, a joint: 0.1 to 10, 1 leaves them as they are; else TAUEXT_BAD_ARGUMENT, and
  * nothing is changed. */
 tauext_status tauext_monitor_set_limit_factors(tauext_monitor* monitor, const double* collision, const double* contact);
+/* What the arm carries from the next sample on or, since_ns being a time of the samples, as if it had been told then
+ * (monitor.hpp says how exactly). Else TAUEXT_BAD_LOAD, and nothing is changed. */
+tauext_status tauext_monitor_set_load(tauext_monitor* monitor, const tauext_load* load, int64_t since_ns);
+/* It carries nothing more. */
+tauext_status tauext_monitor_clear_load(tauext_monitor* monitor, int64_t since_ns);
+/* The load that holds now. */
+tauext_status tauext_monitor_load(const tauext_monitor* monitor, tauext_load* load);
+/* Writes why such a load would be refused, cut to message_size; "" where it would be taken. Not for the loop. */
+tauext_status tauext_monitor_why_no_load(const tauext_monitor* monitor, const tauext_load* load, int64_t since_ns,
+                                         char* message, size_t message_size);
+const char* tauext_monitor_load_frame(const tauext_monitor* monitor); /* "" where no load can be set */
 /* As newly made. */
 tauext_status tauext_monitor_reset(tauext_monitor* monitor);
 

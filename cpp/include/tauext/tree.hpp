@@ -24,6 +24,13 @@ struct Link {
   double rotor_inertia = 0;             // motor inertia times gear ratio squared, [kg m^2] or [kg]
 };
 
+// What is fixed to a link beside its own mass, in the link's axes and about its origin.
+struct Carried {
+  double mass = 0;                       // [kg]
+  std::array<double, 3> first_moment{};  // mass times centre of mass, [kg m]
+  std::array<double, 6> inertia{};       // xx, yy, zz, xy, xz, yz, [kg m^2]
+};
+
 // A tree of 1 to kMaxJoints links in any order: the order of the links is that of q, dq, p and beta.
 // All masses, inertias and rotor inertias zero is the "no model": p = beta = 0.
 class Tree {
@@ -39,7 +46,13 @@ class Tree {
   void momentum(std::span<const double> q, std::span<const double> dq, std::span<double> p,
                 std::span<double> beta) const noexcept;
 
+  // From now on this link carries that, and nothing else; links() stay as they are. A Carried of zeros takes it off to
+  // the last bit. Nothing happens where there is no such link.
+  void carry(int link, const Carried& what) noexcept;
+
   int size() const noexcept { return static_cast<int>(links_.size()); }  // joints
+  // Whether some link has mass: the "no model" has none.
+  bool has_mass() const noexcept;
   // As they were given.
   const std::vector<Link>& links() const noexcept { return links_; }
   const std::array<double, 3>& gravity() const noexcept { return gravity_; }
@@ -56,10 +69,12 @@ class Tree {
     std::array<double, 6> inertia;       // as in Link, but about the origin
     double rotor_inertia;
   };
-  static std::vector<Body> sort_bodies(const std::vector<Link>& links);
+  std::vector<Body> sort_bodies() const;
+  static void sum_masses(std::vector<Body>& bodies) noexcept;
 
   std::vector<Link> links_;
   std::array<double, 3> gravity_;
+  std::vector<Carried> own_;  // of every link
   std::vector<Body> bodies_;  // parents before their children
 };
 

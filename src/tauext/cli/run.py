@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tauext._core import Bundle
     from tauext.cli.run_output import FlightCount, Output
     from tauext.data import Recording
-    from tauext.monitor import FlightWriter, Tally
+    from tauext.monitor import FlightWriter, Tally, TimedLoad
 
 
 def run(
@@ -33,6 +33,8 @@ def run(
     before_s: float = 5.0,
     after_s: float = 1.0,
     contacts: bool = False,
+    load: str | None = None,
+    loads: Path | None = None,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
     status_hz: float = 0.0,
 ) -> None:
@@ -55,6 +57,9 @@ def run(
         before_s: seconds that a flight keeps from before its event.
         after_s: seconds that a flight keeps from after its event.
         contacts: write flights of contacts, too.
+        load: what the arm carries all the time, in the bundle's load frame: "mass=2.8, com=0 0 0.05", with
+            inertia=XX YY ZZ XY XZ YZ and error=SHARE where they are known; in kg, m, kg m^2.
+        loads: file (TOML) of what it carries from when on; docs/monitor.md.
         as_json: print JSON lines, an object an event: start, health, alarm, flight, status, end, summary.
         status_hz: with --json, how many times per second of the recording the estimates are printed, too; 0: events
             only.
@@ -67,11 +72,33 @@ def run(
     require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
     loaded = fitting_bundle(bundle, recordings)
     settings = RunSettings(
-        1.0 if real_time else speed, own_rate, acknowledge_after_s, flights, before_s, after_s, contacts
+        1.0 if real_time else speed,
+        own_rate,
+        acknowledge_after_s,
+        flights,
+        before_s,
+        after_s,
+        contacts,
+        told_loads(loaded, load, loads),
     )
     check_flights(loaded, settings)
     with open_output(as_json, status_hz, settings) as output:
         replay_all(loaded, recordings, settings, output)
+
+
+def told_loads(bundle: Bundle, load: str | None, loads: Path | None) -> tuple[TimedLoad, ...]:
+    """What the arm carries, and from when on.
+
+    Raises:
+        ConfigError: it cannot be read, or the bundle takes no such load.
+    """
+    from tauext.monitor import TimedLoad, expect_load, load_of_text, read_loads
+
+    require(load is None or loads is None, "load", load, "left out where --loads gives a file of them")
+    told = [TimedLoad(0.0, load_of_text(load))] if load is not None else read_loads(loads) if loads is not None else []
+    for one in told:
+        expect_load(bundle.load_settings, one.load)
+    return tuple(told)
 
 
 def open_output(as_json: bool, status_hz: float, settings: RunSettings) -> Output:
@@ -192,7 +219,13 @@ def replay_one(
     try:
         with writer or nullcontext():
             for chunk in replay(
-                monitor, recording, Pace(settings.speed), recorder, settings.acknowledge_after_s, chunk_s
+                monitor,
+                recording,
+                Pace(settings.speed),
+                recorder,
+                settings.acknowledge_after_s,
+                chunk_s,
+                settings.loads,
             ):
                 tally.add(chunk, monitor)
                 if writer is not None:

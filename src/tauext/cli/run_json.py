@@ -16,8 +16,10 @@ from tauext.monitor import (
     DriftChange,
     FlightNews,
     HealthChange,
+    LoadChange,
     StatusClock,
     Tally,
+    load_facts,
     status,
 )
 from tauext.monitor.status import number
@@ -73,8 +75,10 @@ class JsonLines:
         return {"t_ns": int(t_ns), "time_s": (int(t_ns) - self._start_ns) * 1e-9}
 
     def _change(self, change: Change) -> tuple[str, dict[str, Any]]:
-        joint = self._joints[change.joint] if change.joint >= 0 else None
         where = {"row": change.row, **self._when(change.t_ns)}
+        if isinstance(change, LoadChange):
+            return "load", {**where, **load_facts(change.load), "by": change.by, "since_ns": change.since_ns}
+        joint = self._joints[change.joint] if change.joint >= 0 else None
         if isinstance(change, DriftChange):
             return "drift", {**where, "joint": joint, "advice": "recalibrate"}
         if isinstance(change, HealthChange):

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tauext.monitor import TimedLoad
 
 
 @dataclass(frozen=True)
@@ -17,3 +21,4 @@ class RunSettings:
     before_s: float
     after_s: float
     contacts: bool
+    loads: tuple[TimedLoad, ...] = ()

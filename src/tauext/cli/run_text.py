@@ -22,7 +22,9 @@ from tauext.monitor import (
     HealthChange,
     HiddenCollision,
     HiddenFinder,
+    LoadChange,
     Tally,
+    load_words,
     unseen_words,
 )
 
@@ -72,6 +74,8 @@ class TextLines:
                 self._hide(change)
             elif isinstance(change, HealthChange):
                 self._health(change)
+            elif isinstance(change, LoadChange):
+                self._event(change.t_ns, load_change_words(change))
             elif isinstance(change, DriftChange):
                 self._event(change.t_ns, f"recalibrate: joint {self._joints[change.joint]}'s drift is at its bound")
             else:
@@ -214,6 +218,11 @@ def unfamiliar_text(tally: Tally) -> str:
     if tally.unfamiliar_share < WARNS_FROM:
         return text
     return f"{text}. WARNING: estimates may be wrong there, and limits are up to half higher; train with such motion"
+
+
+def load_change_words(change: LoadChange) -> str:
+    since = f" since {(change.t_ns - change.since_ns) * 1e-9:.3f} s" if change.since_ns is not None else ""
+    return f"carries {load_words(change.load)}{since}" + (f", by {change.by}" if change.by else "")
 
 
 def collisions_text(count: int) -> str:

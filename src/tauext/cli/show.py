@@ -12,7 +12,7 @@ import tyro
 from tauext.errors import BundleError, ConfigError
 
 if TYPE_CHECKING:
-    from tauext._core import Bundle, ObserverSettings
+    from tauext._core import Bundle, LoadSettings, ObserverSettings
 
 
 def show(file: tyro.conf.Positional[Path], as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> None:
@@ -89,6 +89,7 @@ def describe_bundle(file: Path) -> dict:
             for name, limit in zip(names, bundle.torque_limit_nm, strict=True)
         },
         "a fault beyond": {name: beyond(bundle, joint) for joint, name in enumerate(names)},
+        "load": describe_load(bundle.load_settings),
         "reference": "replayed, equal",
         "made by": {key: facts.get(key) for key in ("command", "version", "seed", "recipe", "case", "steps", "batch")},
     }
@@ -140,6 +141,14 @@ def describe_bundle(file: Path) -> dict:
     if "set_for" in limits:
         content["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"
     return content
+
+
+def describe_load(settings: LoadSettings) -> dict | str:
+    """In which frame a load is told, and the most that is believed."""
+    if not settings.settable:
+        return f"none can be set: {settings.refused}"
+    most = {"at most [kg]": settings.largest_mass_kg, "reaching [m]": settings.largest_reach_m}
+    return {"in the frame": settings.frame, **most}
 
 
 def describe_look(facts: dict) -> dict:

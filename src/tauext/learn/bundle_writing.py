@@ -98,6 +98,7 @@ def make_bundle(
     bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [1.0] * n
     bundle.contact_sliding_limit_nm = bundle.contact_near_stiction_limit_nm = [1.0] * n
     set_signal_ranges(bundle, [reference])
+    bundle.assume_load()
     samples = setup.reach * setup.observer.network_stride + 1
     if reference.samples < samples:
         raise TrainingError(f"{reference.name}: {reference.samples} samples are fewer than a window's {samples}")

@@ -107,6 +107,13 @@ def pieces(recordings: Sequence[Recording], most_s: float, piece_s: float) -> li
     whole_s = sum(recording.duration_s for recording in recordings)
     if whole_s <= most_s:
         return list(recordings)
+    cut = all_pieces(recordings, piece_s)
+    wanted = max(1, int(most_s // piece_s))
+    return [cut[k] for k in np.unique(np.linspace(0, len(cut) - 1, wanted).astype(int))]
+
+
+def all_pieces(recordings: Sequence[Recording], piece_s: float) -> list[Recording]:
+    """All of them cut into pieces of at least this length."""
     cut = []
     for recording in recordings:
         count = max(1, int(recording.duration_s // piece_s))
@@ -114,8 +121,7 @@ def pieces(recordings: Sequence[Recording], most_s: float, piece_s: float) -> li
         cut += [
             between(recording, a, b, recording.name) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a > 1
         ]
-    wanted = max(1, int(most_s // piece_s))
-    return [cut[k] for k in np.unique(np.linspace(0, len(cut) - 1, wanted).astype(int))]
+    return cut
 
 
 def thinned(recording: Recording, stride: int) -> Recording:

@@ -14,6 +14,7 @@ from typing import TextIO
 
 from tauext.errors import ConfigError, TauextError
 from tauext.live.sink import Control
+from tauext.monitor import load_and_ago_of_text
 
 LONGEST = 1000
 MOST_CONNECTIONS = 8
@@ -21,7 +22,7 @@ MOST_CONNECTIONS = 8
 UNHEARD_S = 5.0
 """One that has said nothing yet counts as silent for so much longer: several may come before a speaker's next line."""
 RETRY_S = 0.1
-USAGE = "`profile NAME`, `acknowledge`, `resume` or `stop`"
+USAGE = "`profile NAME`, `acknowledge`, `resume`, `load mass=KG com=X,Y,Z`, `load none` or `stop`"
 
 
 def obey(line: str, control: Control, by: str) -> str:
@@ -34,6 +35,9 @@ def obey(line: str, control: Control, by: str) -> str:
             control.acknowledge(by)
         elif what == "resume" and not name:
             control.resume(by)
+        elif what == "load" and name.strip():
+            load, ago_s = load_and_ago_of_text(name)
+            control.set_load(load, by, ago_s)
         elif what == "stop" and not name:
             control.stop(by)
         else:

@@ -21,7 +21,7 @@ from tauext.live.reactions import Reactions
 from tauext.live.real_time import ask_for_real_time
 from tauext.live.sink import LoopReport, Sink, Verdict
 from tauext.live.source import Sample, Source, SourceSettings
-from tauext.monitor import Change
+from tauext.monitor import Change, LoadChange
 from tauext.monitor.changes import COLLISION, ChangeFinder
 
 IDLE_S = 0.1
@@ -63,7 +63,7 @@ class ProfileSwitch:
 class Loop:
     """Runs a bundle's monitor on a source until that ends, someone stops it, or Ctrl-C does.
 
-    The control of the loop (use_profile, acknowledge, resume, stop) may be called by any thread.
+    The control of the loop (use_profile, acknowledge, resume, set_load, stop) may be called by any thread.
     """
 
     def __init__(
@@ -93,6 +93,10 @@ class Loop:
         self._profile: Profile | None = None
         self._settings = settings
         self._requests: queue.SimpleQueue[tuple[str, str, str]] = queue.SimpleQueue()
+        self._loads: queue.SimpleQueue[tuple[_core.Load, float | None]] = queue.SimpleQueue()
+        for profile in profiles.by_name.values() if profiles else ():
+            if profile.load is not None and (reason := self.monitor.why_no_load(profile.load)):
+                raise ConfigError(f"profile {profile.name}: {reason}")
         self._changes = ChangeFinder()
         self._events = EventFinder(self.joints, {"bundle": bundle.name, "source": source.name})
         self._noted: list[Change] = []
@@ -119,6 +123,13 @@ class Loop:
     def resume(self, by: str) -> None:
         """The same where nothing touches the arm any more and it is to move on: _core.Monitor.resume()."""
         self._requests.put(("resume", "", by))
+
+    def set_load(self, load: _core.Load, by: str, ago_s: float | None = None) -> None:
+        """Take the arm to carry this from the next sample on, or as if it had been told so long before the last one."""
+        if reason := self.monitor.why_no_load(load, None if ago_s is None else 0):
+            raise ConfigError(reason)
+        self._loads.put((load, ago_s))
+        self._requests.put(("load", "", by))
 
     def stop(self, by: str) -> None:
         """End the loop before the next sample."""
@@ -214,6 +225,8 @@ class Loop:
 
     def _tell(self, t_ns: int, sample: Sample | None, said: dict[str, np.ndarray]) -> None:
         """Changes, then events to reactions, which must not wait, then the verdict to sinks."""
+        if not self.samples:  # what was told before the first sample holds from there on
+            self._noted = [replace(one, t_ns=t_ns) if isinstance(one, LoadChange) else one for one in self._noted]
         changes = self._noted + self._changes.find(self.samples, np.array([t_ns]), said)
         self._noted = []
         verdict = Verdict(self.samples, t_ns, sample, said, tuple(changes))
@@ -261,6 +274,8 @@ class Loop:
             elif what == "acknowledge":
                 self.note(f"acknowledged by {by}")
                 self._end_alarm(self.monitor.acknowledge)
+            elif what == "load":
+                self._carry(*self._loads.get(), by)
             elif what == "resume":
                 self.note(f"resumed by {by}")
                 self._end_alarm(self.monitor.resume)
@@ -273,8 +288,17 @@ class Loop:
         old, new = self._profile, self._profiles.named(name)
         self._profile = new
         self.monitor.set_limit_factors(new.collision, new.contact)
+        if new.load is not None:
+            self._carry(new.load, None, f"profile {name}")
         last_ns = self._last.t_ns if self._last else None
         self.switched(ProfileSwitch(last_ns, by, old.name if old else "", name))
+
+    def _carry(self, load: _core.Load, ago_s: float | None, by: str) -> None:
+        """As in replay() the change belongs to the next sample."""
+        t_ns = self._last.t_ns if self._last else 0
+        since_ns = None if ago_s is None else t_ns - round(ago_s * 1e9)
+        self.monitor.set_load(load.mass, load.com, load.inertia, since_ns=since_ns, error_share=load.error_share)
+        self._noted.append(LoadChange(self.samples, t_ns, load, by, since_ns))
 
     def _acknowledge_when_due(self, t_ns: int) -> None:
         if self._due_ns is not None and t_ns >= self._due_ns:

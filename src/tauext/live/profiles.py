@@ -9,9 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from tauext._core import Load
 from tauext.data.description_file import refuse_unknown
 from tauext.errors import ConfigError
 from tauext.live.toml_file import number, read_toml
+from tauext.monitor import load_of_table, load_of_text
+from tauext.monitor.loads import KEYS as LOAD_KEYS
 
 LEVELS = ("contact", "collision")
 LOWEST, HIGHEST = 0.1, 10.0
@@ -36,6 +39,10 @@ collision = 1.0
 [profiles.pressing]
 contact = 3.0
 collision = { others = 1.5 }    # ... or one a joint, by its name; `others` stands for those not named, else 1
+
+# [profiles.carrying]
+# load = { mass = 2.8, com = [0.0, 0.0, 0.05] }   # kg, m: what the arm carries from then on, or "none"; a profile
+#                                                 # without load leaves it as it is
 """
 
 
@@ -46,6 +53,8 @@ class Profile:
     name: str
     contact: np.ndarray
     collision: np.ndarray
+    load: Load | None = None
+    """That the arm carries from then on; None: it stays as it is."""
 
 
 @dataclass(frozen=True)
@@ -89,20 +98,31 @@ def load_profiles(path: Path, joints: Sequence[str]) -> Profiles:
     found = {}
     for name, table in tables.items():
         where = f"profiles.{name}"
-        refuse_unknown(path, where, table, LEVELS)
+        refuse_unknown(path, where, table, (*LEVELS, "load"))
         if name != name.strip() or not name or any(character in name for character in "\r\n"):
             raise ConfigError(f"{path}: profile name {name!r} must be a word or words on one line")
         factors = {
             level: _factors(f"{path}: [{where}] {level}", table.get(level, 1.0), joints, lowest, highest)
             for level in LEVELS
         }
-        found[name] = Profile(name, factors["contact"], factors["collision"])
+        load = _load(path, where, table["load"]) if "load" in table else None
+        found[name] = Profile(name, factors["contact"], factors["collision"], load)
     start = content.get("start", {})
     refuse_unknown(path, "start", start, ("profile",))
     first = start.get("profile", next(iter(found)))
     if not isinstance(first, str) or first not in found:
         raise ConfigError(f"{path}: [start] profile = {first!r} must be one of {', '.join(found)}")
     return Profiles(found, first)
+
+
+def _load(path: Path, where: str, value: Any) -> Load:
+    if isinstance(value, str):
+        try:
+            return load_of_text(value)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: [{where}] {error}") from error
+    refuse_unknown(path, f"{where}.load", value, LOAD_KEYS)
+    return load_of_table(f"{path}: [{where}] load", value)
 
 
 def _factors(where: str, value: Any, joints: Sequence[str], lowest: float, highest: float) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
+from tauext._core import Load
 from tauext.live.source import Sample, SourceCounts
 from tauext.monitor import Change
 
@@ -121,6 +122,17 @@ class Control(Protocol):
         """End a latched alarm where nothing touches the arm any more and it is to move on.
 
         A push leaves static friction at another level: limits of joints at rest are higher until they have slid.
+        """
+        ...
+
+    def set_load(self, load: Load, by: str, ago_s: float | None = None) -> None:
+        """What the arm carries from the next sample on; mass 0: nothing.
+
+        Args:
+            ago_s: as if it had been told so many seconds before the last sample; None: from now on.
+
+        Raises:
+            ConfigError: the bundle takes no such load; says why.
         """
         ...
 

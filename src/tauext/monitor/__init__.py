@@ -1,9 +1,19 @@
 """The monitor on recordings: replay through the core, what changed and when, and the flights around it."""
 
-from tauext.monitor.changes import ALARMS, HEALTHS, AlarmChange, Change, DriftChange, HealthChange
+from tauext.monitor.changes import ALARMS, HEALTHS, AlarmChange, Change, DriftChange, HealthChange, LoadChange
 from tauext.monitor.flight_files import FlightSource, write_flight
 from tauext.monitor.flight_writer import FlightNews, FlightWriter
 from tauext.monitor.hidden import HiddenCollision, HiddenFinder
+from tauext.monitor.loads import (
+    TimedLoad,
+    expect_load,
+    load_and_ago_of_text,
+    load_facts,
+    load_of_table,
+    load_of_text,
+    load_words,
+    read_loads,
+)
 from tauext.monitor.pace import Pace
 from tauext.monitor.replay import Chunk, Samples, replay
 from tauext.monitor.status import StatusClock, status
@@ -23,11 +33,20 @@ __all__ = [
     "HealthChange",
     "HiddenCollision",
     "HiddenFinder",
+    "LoadChange",
     "Pace",
     "Samples",
     "StatusClock",
     "Tally",
+    "TimedLoad",
     "WORTH_TELLING",
+    "expect_load",
+    "load_and_ago_of_text",
+    "load_facts",
+    "load_of_table",
+    "load_of_text",
+    "load_words",
+    "read_loads",
     "replay",
     "status",
     "unseen_words",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tauext._core import Load
 from tauext.data.estimates import HEALTHS as HEALTHS
 
 ALARMS = ("none", "contact", "collision")
@@ -59,7 +60,20 @@ class DriftChange:
     joint: int
 
 
-Change = HealthChange | AlarmChange | DriftChange
+@dataclass(frozen=True)
+class LoadChange:
+    """The arm was told just before this sample what it carries."""
+
+    row: int
+    t_ns: int
+    load: Load
+    by: str = ""
+    """Who told it; empty: whoever started the replay."""
+    since_ns: int | None = None
+    """As if it had been told then; None: from this sample on."""
+
+
+Change = HealthChange | AlarmChange | DriftChange | LoadChange
 
 
 class ChangeFinder:

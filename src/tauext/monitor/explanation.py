@@ -11,7 +11,8 @@ from tauext.monitor.causes import in_words
 from tauext.monitor.changes import CONTACT, FAULT, HEALTHS, NONE
 from tauext.monitor.explain_alarm import doubt, limits_of, others, over_limit, sum_of_terms, unfamiliar
 from tauext.monitor.explain_fault import fault_causes, fault_sample, last_estimate
-from tauext.monitor.flight_content import Flight, FlightSource, event_kind
+from tauext.monitor.flight_content import Flight, FlightSource, carried, event_kind
+from tauext.monitor.loads import load_words
 
 MOST_HEALTHS = 5
 MOST_SAMPLES_TOLD = 10
@@ -34,7 +35,13 @@ def explain(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
             unfamiliar(flight, source),
             doubt(flight),
         ]
-    lines += [others(flight, source, kind), before(flight), standing_alarm(flight, source), after(flight, source, kind)]
+    lines += [
+        load_told(flight, source),
+        others(flight, source, kind),
+        before(flight),
+        standing_alarm(flight, source),
+        after(flight, source, kind),
+    ]
     lines += left_out(flight, kept, source)
     return "\n".join(line for line in lines if line)
 
@@ -47,6 +54,19 @@ def headline(flight: Flight, source: FlightSource, kind: str) -> str:
         return f"{kind.capitalize()} on joint {source.joints[event.alarm_joint]}, {when}."
     where = f", first on joint {source.joints[event.cause_joint]}" if event.cause_joint >= 0 else ""
     return f"Fault ({in_words(event.causes)}){where}, {when}."
+
+
+def load_told(flight: Flight, source: FlightSource) -> str:
+    """What the arm was taken to carry, and when that changed; nothing where it never carried anything."""
+    told = carried(flight)
+    if all(load.mass == 0 for _, load in told):
+        return ""
+    text = f"The arm was taken to carry {load_words(told[0][1], source.load_frame)}"
+    for row, load in told[1:]:
+        since_s = (flight["t_ns"][row] - flight["t_ns"][flight["event_row"]]) * 1e-9
+        when = f"{abs(since_s):.3f} s {'before' if since_s < 0 else 'after'} it"
+        text += f", from {when} on {load_words(load, source.load_frame)}"
+    return f"{text}."
 
 
 def before(flight: Flight) -> str:

@@ -60,6 +60,8 @@ class FlightSource:
     """Of tau, a joint; empty: N m."""
     estimate_units: tuple[str, ...] = ()
     """Of the answers, likewise."""
+    load_frame: str = ""
+    """In which a load is told."""
 
     @classmethod
     def of(cls, bundle: _core.Bundle, recording: Replayed) -> FlightSource:
@@ -79,6 +81,7 @@ class FlightSource:
             has_error_scale=bundle.error_scale.on,
             torque_units=tuple(bundle.torque_units),
             estimate_units=tuple(bundle.estimate_units),
+            load_frame=bundle.load_settings.frame,
         )
 
     def unit(self, joint: int) -> str:
@@ -158,6 +161,16 @@ def as_estimates(flight: Flight, kept: np.ndarray, source: FlightSource) -> Esti
         held_alarm=flight["held_alarm"][kept].astype(np.int8),
         causes=flight["causes"][kept].astype(np.uint32),
     )
+
+
+def carried(flight: Flight) -> list[tuple[int, _core.Load]]:
+    """What the arm was taken to carry at the flight's first sample and at each later one that changed it."""
+    rows = flight["load"]
+    changed = np.flatnonzero(np.any(rows[1:] != rows[:-1], axis=1)) + 1
+    return [
+        (row, _core.Load(rows[row, 0], rows[row, 1:4].tolist(), rows[row, 4:].tolist()))
+        for row in (0, *changed.tolist())
+    ]
 
 
 def event_numbers(flight: Flight, source: FlightSource) -> dict[str, Any]:

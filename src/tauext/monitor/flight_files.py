@@ -20,10 +20,12 @@ from tauext.monitor.flight_content import (
     FlightSource,
     as_estimates,
     as_recording,
+    carried,
     event_kind,
     event_numbers,
     rows_kept,
 )
+from tauext.monitor.loads import load_facts
 from tauext.provenance import VERSION
 from tauext.whole_file import whole_file
 
@@ -65,6 +67,7 @@ def write_flight(flight: Flight, folder: Path, source: FlightSource) -> Path:
         "bundle": source.bundle,
         "event": event,
         "dropped_samples": int((~kept).sum()),
+        "loads": [{"t_ns": int(flight["t_ns"][row])} | load_facts(load) for row, load in carried(flight)],
         "explanation": text,
     }
     if "A" in source.torque_units:

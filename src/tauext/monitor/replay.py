@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from tauext import _core
-from tauext.monitor.changes import COLLISION, Change, ChangeFinder
+from tauext.monitor.changes import COLLISION, Change, ChangeFinder, LoadChange
+from tauext.monitor.loads import TimedLoad
 from tauext.monitor.pace import Pace
 
 CHUNK_S = 1.0
@@ -59,6 +60,7 @@ def replay(
     recorder: _core.FlightRecorder | None = None,
     acknowledge_after_s: float | None = None,
     chunk_s: float = CHUNK_S,
+    loads: Sequence[TimedLoad] = (),
 ) -> Iterator[Chunk]:
     """Every sample in order, as a control loop would send it; chunks come when their last sample has its time.
 
@@ -73,6 +75,10 @@ def replay(
         acknowledge_after_s: a collision alarm is acknowledged before the first sample that is this much later than the
             one that raised it, > 0; None: never.
         chunk_s: length of a chunk in the time of the samples, [s]; a chunk has at least one sample.
+        loads: what the arm carries and since when, in the order of their times.
+
+    Raises:
+        CoreError: the bundle takes no such load.
     """
     pace = pace or Pace(None)
     changes = ChangeFinder()
@@ -82,13 +88,19 @@ def replay(
     most = max(1, round(chunk_s * 1e9 / monitor.sample_period_ns))
     wait_ns = None if acknowledge_after_s is None else round(acknowledge_after_s * 1e9)
     due_ns, begin = None, 0
+    waiting = [(int(t_ns[0]) + round(one.from_s * 1e9), one.load) for one in loads] if len(t_ns) else []
     while begin < len(t_ns):
         noted: list[Change] = []
         if due_ns is not None and t_ns[begin] >= due_ns:
             monitor.acknowledge()
             noted.append(changes.acknowledged(begin, t_ns[begin]))
             due_ns = None
-        rows = slice(begin, begin + chunk_rows(t_ns[begin : begin + most], wait_ns, due_ns))
+        while waiting and t_ns[begin] >= waiting[0][0]:
+            load = waiting.pop(0)[1]
+            monitor.set_load(load.mass, load.com, load.inertia, error_share=load.error_share)
+            noted.append(LoadChange(begin, int(t_ns[begin]), load))
+        ends = [end for end in (due_ns, *(load[0] for load in waiting[:1])) if end is not None]
+        rows = slice(begin, begin + chunk_rows(t_ns[begin : begin + most], wait_ns, min(ends, default=None)))
         pace.wait_until(int(t_ns[rows.stop - 1]))
         started = time.perf_counter()
         said = monitor.run(t_ns[rows], samples.q[rows], samples.dq[rows], samples.tau[rows], recorder)

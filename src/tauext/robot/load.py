@@ -53,7 +53,7 @@ def load_tree(
             another one.
     """
     path = Path(path)
-    model = _compile(path)
+    model = compiled(path)
     choice = choose_joints(model, joints, locked or {}, str(path))
     check_constraints(model, choice.joint_ids, str(path))
     return make_tree(model, choice.joint_ids, choice.qpos, _gravity(model, gravity), str(path))
@@ -65,7 +65,7 @@ def movable_joints(path: str | os.PathLike[str]) -> list[str]:
     Raises:
         RobotError: the file is missing or cannot be read.
     """
-    model = _compile(Path(path))
+    model = compiled(Path(path))
     coupled = model.eq_type[: model.neq] == mujoco.mjtEq.mjEQ_JOINT
     followers = set(model.eq_obj1id[: model.neq][coupled].tolist())
     plain = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -85,11 +85,19 @@ def robot_sha256(path: str | os.PathLike[str]) -> str:
         raise RobotError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _compile(path: Path) -> mujoco.MjModel:
+def compiled(path: Path, keep_fixed: bool = False) -> mujoco.MjModel:
+    """The robot file as MuJoCo understands it.
+
+    Args:
+        keep_fixed: links that are fixed to others stay bodies of their own, where MuJoCo would make one of them.
+
+    Raises:
+        RobotError: the file is missing or cannot be read.
+    """
     if not path.is_file():
         raise RobotError(f"{path}: no such file; a robot is a URDF or MJCF file")
     with no_mujoco_warnings():
-        return _read(path)
+        return _read(path, keep_fixed)
 
 
 @contextmanager
@@ -102,7 +110,7 @@ def no_mujoco_warnings() -> Iterator[None]:
         mujoco.set_mju_user_warning(None)
 
 
-def _read(path: Path) -> mujoco.MjModel:
+def _read(path: Path, keep_fixed: bool) -> mujoco.MjModel:
     try:
         root, joints = _root_tag(path)
         if joints > MOST_JOINTS:
@@ -117,6 +125,7 @@ def _read(path: Path) -> mujoco.MjModel:
         else:
             raise RobotError(f"{path}: its root element is <{root}>; a URDF has <robot>, an MJCF <mujoco>")
         _refuse_negative_mass(spec, path)
+        spec.compiler.fusestatic = spec.compiler.fusestatic and not keep_fixed
         # MuJoCo refuses a moving body without mass even where its joint is locked; make_tree knows better.
         spec.compiler.boundmass = max(spec.compiler.boundmass, LEAST)
         spec.compiler.boundinertia = max(spec.compiler.boundinertia, LEAST)

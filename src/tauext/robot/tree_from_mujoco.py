@@ -39,8 +39,7 @@ def make_tree(
     mujoco.mj_kinematics(model, data)
     carrier = carriers(model, joint_ids)
     parents = [_parent(model, joint, joint_ids, carrier) for joint in joint_ids]
-    origins = [np.array(data.xanchor[joint]) for joint in joint_ids]
-    frames = [_frame_along(np.array(data.xaxis[joint])) for joint in joint_ids]
+    frames, origins = zip(*(frame_of_joint(data, joint) for joint in joint_ids), strict=True)
     links = []
     for i, joint in enumerate(joint_ids):
         parent = parents[i]
@@ -67,6 +66,11 @@ def make_tree(
         return Tree(links, list(gravity))
     except CoreError as error:
         raise RobotError(f"{where}: {error}") from error
+
+
+def frame_of_joint(data: mujoco.MjData, joint: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation and origin, in the base, of the link's frame that this joint moves, at the pose of `data`."""
+    return _frame_along(np.array(data.xaxis[joint])), np.array(data.xanchor[joint])
 
 
 def _joints_of(model: mujoco.MjModel, body: int) -> range:

@@ -16,6 +16,8 @@ from tauext.whole_file import whole_file
 
 NO_MODEL = "no_model"
 """Name of a placeholder robot."""
+PAYLOAD = "tauext_payload"
+"""Name of the link that a payload becomes."""
 NO_MODEL_MASS_KG = 1e-9
 """Of each link of a placeholder: small enough to weigh nothing, since a link that moves must have a mass."""
 
@@ -120,11 +122,11 @@ def _change_urdf(
         ElementTree.SubElement(actuator, "gear_ratio").text = repr(gear)
     if payload:
         _require(source, "link", payload.link, [link.get("name", "") for link in root.findall("link")])
-        carried = ElementTree.SubElement(root, "link", name="tauext_payload")
+        carried = ElementTree.SubElement(root, "link", name=PAYLOAD)
         _inertial(carried, payload.com_m, payload.mass_kg, payload.inertia_kg_m2)
-        fixed = ElementTree.SubElement(root, "joint", name="tauext_payload", type="fixed")
+        fixed = ElementTree.SubElement(root, "joint", name=PAYLOAD, type="fixed")
         ElementTree.SubElement(fixed, "parent", link=payload.link)
-        ElementTree.SubElement(fixed, "child", link="tauext_payload")
+        ElementTree.SubElement(fixed, "child", link=PAYLOAD)
     if gravity:
         extension = root.find("mujoco")
         extension = ElementTree.SubElement(root, "mujoco") if extension is None else extension
@@ -171,7 +173,7 @@ def _changed_mjcf(
         bodies = {body.name: body for body in spec.bodies}
         _require(source, "link", payload.link, list(bodies))
         xx, yy, zz, xy, xz, yz = payload.inertia_kg_m2
-        carried = bodies[payload.link].add_body(name="tauext_payload", mass=payload.mass_kg, ipos=list(payload.com_m))
+        carried = bodies[payload.link].add_body(name=PAYLOAD, mass=payload.mass_kg, ipos=list(payload.com_m))
         carried.fullinertia = [xx, yy, zz, xy, xz, yz]
         carried.explicitinertial = True
     if gravity:

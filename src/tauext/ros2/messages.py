@@ -54,6 +54,27 @@ class String(IdlStruct, typename="std_msgs::msg::dds_::String_"):
 
 
 @dataclass
+class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
+    x: float64 = 0.0
+    y: float64 = 0.0
+    z: float64 = 0.0
+
+
+@dataclass
+class Inertia(IdlStruct, typename="geometry_msgs::msg::dds_::Inertia_"):
+    """Of a body: mass [kg], centre of mass [m], inertia about it [kg m^2]."""
+
+    m: float64 = 0.0
+    com: Vector3 = field(default_factory=Vector3)
+    ixx: float64 = 0.0
+    ixy: float64 = 0.0
+    ixz: float64 = 0.0
+    iyy: float64 = 0.0
+    iyz: float64 = 0.0
+    izz: float64 = 0.0
+
+
+@dataclass
 class KeyValue(IdlStruct, typename="diagnostic_msgs::msg::dds_::KeyValue_"):
     key: str = ""
     value: str = ""
@@ -126,6 +147,7 @@ TYPE_HASHES: dict[type, str] = {
     JointState: "a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
     Bool: "feb91e995ff9ebd09c0cb3d2aed18b11077585839fb5db80193b62d74528f6c9",
     String: "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
+    Inertia: "2ddd5dab5c347825ba2e56c895ddccfd0b8efe53ae931bf67f905529930b4bd7",
     DiagnosticArray: "5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
     ParticipantEntitiesInfo: "e725f4a506958c79f95dd693b965722c57b19cd18e7eff984f49561b93dc985d",
 }

@@ -9,12 +9,13 @@ from typing import Any
 
 from cyclonedds.core import DDSException, GuardCondition, WaitSet
 
+from tauext._core import Load
 from tauext.errors import ConfigError
 from tauext.live import Control, Event, LoopReport, Sample, Verdict
 from tauext.monitor.changes import COLLISION, NONE
 from tauext.ros2.conditions import Conditions
 from tauext.ros2.diagnostics import arm_status, input_status
-from tauext.ros2.messages import Bool, DiagnosticArray, Header, JointState, String, Time
+from tauext.ros2.messages import Bool, DiagnosticArray, Header, Inertia, JointState, String, Time
 from tauext.ros2.node import Node
 from tauext.ros2.source import Ros2Source
 
@@ -29,7 +30,8 @@ class Ros2Publisher:
     `external_torque`: JointState with the stamp of the sample it speaks of, effort = tau_ext [N m], positive where the
     environment pushes the joint in its positive direction, NaN while there is no estimate. `contact`, `collision`:
     Bool, latched: who subscribes later gets the last one. `event`: String, JSON, for reactions with publish = true.
-    `diagnostics`: DiagnosticArray. Asked: `profile` (String: its name), `acknowledge` and `resume` (Bool: true).
+    `diagnostics`: DiagnosticArray. Asked: `profile` (String: its name), `acknowledge` and `resume` (Bool: true),
+    `load` (Inertia, in the bundle's load frame; m = 0: nothing).
 
     A subscriber that does not keep up never holds the loop: it misses what is older than a topic's depth. What the
     library refuses to send is counted in `unsent`.
@@ -67,6 +69,7 @@ class Ros2Publisher:
                 ("profile", String, self._use_profile),
                 ("acknowledge", Bool, self._acknowledge),
                 ("resume", Bool, self._resume),
+                ("load", Inertia, self._load),
             )
         }
         node.announce()
@@ -151,7 +154,7 @@ class Ros2Publisher:
                 if damaged:
                     self._conditions.say(name, f"{topic}: {damaged}", time.monotonic_ns())
                 for message in messages:
-                    do(message.data, f"ros2 {topic}")
+                    do(message if isinstance(message, Inertia) else message.data, f"ros2 {topic}")
 
     def _use_profile(self, name: str, by: str) -> None:
         try:
@@ -162,6 +165,13 @@ class Ros2Publisher:
     def _acknowledge(self, asked: bool, by: str) -> None:
         if asked:
             self._control.acknowledge(by)
+
+    def _load(self, body: Inertia, by: str) -> None:
+        inertia = [body.ixx, body.iyy, body.izz, body.ixy, body.ixz, body.iyz]
+        try:
+            self._control.set_load(Load(body.m, [body.com.x, body.com.y, body.com.z], inertia), by)
+        except ConfigError as refused:
+            self._conditions.say("load", f"{by}: {refused}", time.monotonic_ns())
 
     def _resume(self, asked: bool, by: str) -> None:
         if asked:

@@ -21,6 +21,8 @@ def training_settings(case: ModelCase, config: TrainConfig) -> dict:
         del plain["minutes"]
     if config.margins == FreeMotionConfig():
         del plain["margins"]
+    if config.load_frame is None:
+        del plain["load_frame"]
     if config.fit_torque_constants is None:
         del plain["fit_torque_constants"]
     settings = {"case": asdict(case), "config": {k: v for k, v in plain.items() if k not in config.row.unused}}

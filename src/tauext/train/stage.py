@@ -17,6 +17,7 @@ from tauext.train.fitting import fit_prior, observe, put_coverage, put_prior, wi
 from tauext.train.gain import choose_gain
 from tauext.train.gating import gate
 from tauext.train.limits import calibrate, limits_kind
+from tauext.train.load import put_load
 from tauext.train.look import look_first
 from tauext.train.network import assemble, fit_network
 from tauext.train.preparation import note_recordings, prepare
@@ -121,6 +122,7 @@ def train_on_recordings(
         bundle, fit = gate(job, bundle, setup, fit)
     put_prior(job, bundle, fit)
     put_coverage(job, bundle, setup)
+    put_load(job, bundle, robot, with_fit(setup, fit), fit)
     note_recordings(job)
     calibrate(job, bundle, setup, fit)
     write(job, bundle, network)

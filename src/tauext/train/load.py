@@ -1,0 +1,102 @@
+"""What the arm may carry: in which frame a load is given, and from which mass on it is none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tauext._core import Bundle, Load, LoadSettings, Tree
+from tauext.errors import ConfigError, RobotError
+from tauext.learn import PriorFit, Setup, load_disagreement
+from tauext.learn.kinematics import Kinematics
+from tauext.robot import load_frame
+from tauext.train.preparation import Job
+
+MOST_POSES = 5000
+MOST_DISAGREEMENT = 0.1
+"""Of a load's torques by the arms that each half of the motion makes: three times what a load is wrong by itself."""
+LEAST_REACH_M = 0.3
+LEAST_LEVER_NM = 1e-6  # of a kilogram: what weighs less on a joint tells nothing of the mass
+
+
+def put_load(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit | None) -> None:
+    """Let the bundle take a load where a model can carry one, and say why not where none can.
+
+    The frame is the robot file's (robot.load_frame), or the last link's of an arm that was found in the motion and that
+    each half of it finds again. The largest mass is the one whose weight at that frame takes a drive to its limit at
+    some pose of training; half the arm's own where the robot file states no limits.
+
+    Args:
+        setup: with the prior, if there is one.
+        fit: what the prior came from; None: there is none.
+
+    Raises:
+        ConfigError: a load frame is asked for that there is none.
+    """
+    bundle.assume_load()
+    settings, asked = bundle.load_settings, job.config.load_frame
+    carries = any(link.mass > 0 for link in bundle.links)
+    newtons = all(unit in ("N m", "N", "W") for unit in bundle.estimate_units)
+    if carries and newtons:
+        try:
+            frame = load_frame(robot, job.tree, asked)
+        except RobotError as error:
+            if asked is not None:
+                raise ConfigError(str(error)) from error
+            settings.refused = str(error)
+            settings.link = -1
+        else:
+            settings.frame, settings.link, settings.refused = frame.name, frame.link, ""
+            settings.rotation, settings.translation = frame.rotation.ravel().tolist(), frame.translation.tolist()
+            limits = job.possible.torque_limit_nm
+            settings.largest_mass_kg = largest_mass_kg(job, settings, job.tree, limits) or settings.largest_mass_kg
+    elif asked is not None:
+        raise ConfigError(f"load_frame = {asked}: the arm has no model that knows this frame")
+    elif newtons and fit is not None and fit.kinematics is not None:
+        put_found_arm(job, bundle, settings, setup, fit.kinematics)
+    bundle.load_settings = settings
+    job.facts["load"] = facts_of(settings)
+
+
+def put_found_arm(job: Job, bundle: Bundle, settings: LoadSettings, setup: Setup, found: Kinematics) -> None:
+    """Let the arm that was found in the motion carry loads, where each half of the motion finds it again."""
+    share = load_disagreement(setup, job.motion.uncut, job.config.prior, found)
+    if share is None or share > MOST_DISAGREEMENT:
+        why = (
+            "there is too little motion to check it" if share is None else f"its halves differ by {share:.0%} of a load"
+        )
+        settings.refused = f"the bundle has no model of the arm, and that found in the motion is not sure enough: {why}"
+        return
+    job.facts["load_disagreement"] = round(share, 4)
+    tree = found.tree(job.joints, job.tree.gravity)
+    length_m = sum(float(np.linalg.norm(link.translation)) for link in tree.links)
+    settings.frame, settings.link = f"axis of {job.joints[-1]}", len(job.joints) - 1
+    settings.largest_reach_m = max(0.5 * length_m, LEAST_REACH_M)
+    settings.refused = ""
+    limits = np.array(bundle.possible_torque_nm)
+    settings.largest_mass_kg = largest_mass_kg(job, settings, tree, limits) or 1.0
+
+
+def largest_mass_kg(job: Job, settings: LoadSettings, tree: Tree, limits: np.ndarray) -> float | None:
+    """The mass at the frame's origin whose weight is more than a joint's limit at some pose of training.
+
+    None: there is no limit of a joint that the mass weighs on.
+    """
+    poses = np.concatenate([recording.q for recording in job.training])
+    poses = np.ascontiguousarray(poses[:: max(1, len(poses) // MOST_POSES)])
+    links = tree.links
+    links[settings.link] = settings.merged(Load(1.0), links[settings.link])
+    at_rest = np.zeros_like(poses)
+    heavier = Tree(links, tree.gravity).momentum(poses, at_rest)[1] - tree.momentum(poses, at_rest)[1]
+    levers = np.abs(heavier).max(axis=0)
+    told = np.isfinite(limits) & (levers > LEAST_LEVER_NM)
+    return float((limits[told] / levers[told]).min()) if told.any() else None
+
+
+def facts_of(settings: LoadSettings) -> dict:
+    """What was found, as plain JSON."""
+    if not settings.settable:
+        return {"refused": settings.refused}
+    bounds = {"largest_mass_kg": settings.largest_mass_kg, "largest_reach_m": settings.largest_reach_m}
+    return {"frame": settings.frame, **bounds}

@@ -410,3 +410,39 @@ def test_training_finds_the_frame_and_the_mass_that_a_drive_cannot_hold(arm, tmp
 
 def signals(recording: Recording, rows: slice) -> dict[str, np.ndarray]:
     return {name: getattr(recording, name)[rows] for name in ("t_ns", "q", "dq", "tau")}
+
+
+# An arm that was found in its motion.
+
+
+def test_halves_of_good_motion_agree_on_what_a_load_weighs_and_halves_of_little_do_not():
+    from made_motion import made_motion
+    from test_kinematics import CONFIG, LOWER_M, UPPER_M, X, Y, Z, setup_of
+    from test_kinematics import arm as arm_of_four
+
+    from tauext.learn import load_disagreement
+    from tauext.learn.kinematics import Kinematics
+
+    tree = arm_of_four()
+    origins = np.array([[0, 0, 0], [0, 0, 0.2], [0, 0, 0.2 + UPPER_M], [0.1, 0, 0.2 + UPPER_M + LOWER_M]])
+    true = Kinematics(np.array([Z, Y, Y, X]), origins)
+    setup = setup_of(tree)
+    wide = made_motion(tree, 1.0, pieces=2, ranges=0.8).recordings
+    narrow = made_motion(tree, 1.0, pieces=2, ranges=0.1).recordings  # hardly any of gravity's change is seen
+    known, unknown = (load_disagreement(setup, made, CONFIG, true) for made in (wide, narrow))
+    assert known < 0.1 < unknown
+    assert load_disagreement(setup, made_motion(tree, 0.15, pieces=1).recordings, CONFIG, true) is None
+
+
+def test_a_last_axis_that_nothing_weighs_on_may_point_anywhere():
+    from made_motion import made_motion
+    from test_kinematics import arm as arm_of_four
+
+    from tauext.learn import last_axis_shows
+
+    tree = arm_of_four()
+    made = made_motion(tree, 0.2, pieces=1).recordings
+    assert last_axis_shows(tree.links, tree.gravity, made, error_nm=0.05)
+    links = tree.links
+    links[-1].com = [0.0, 0.0, 0.1]  # on the axis: balanced
+    assert not last_axis_shows(links, tree.gravity, made, error_nm=0.05)

@@ -9,7 +9,7 @@ from tauext.learn.bundle_writing import (
     set_signal_ranges,
     with_presliding,
 )
-from tauext.learn.found_load import load_disagreement
+from tauext.learn.found_load import last_axis_shows, load_disagreement
 from tauext.learn.friction import fit_friction
 from tauext.learn.gate import Gate, apply_gate
 from tauext.learn.network_training import Progress, TrainedNetwork, train_network
@@ -36,6 +36,7 @@ __all__ = [
     "fit_prior",
     "fit_torque_constants",
     "freeze_drift",
+    "last_axis_shows",
     "load_disagreement",
     "make_bundle",
     "reference_recording",

@@ -8,7 +8,7 @@ import numpy as np
 
 from tauext._core import Bundle, Load, LoadSettings, Tree
 from tauext.errors import ConfigError, RobotError
-from tauext.learn import PriorFit, Setup, load_disagreement
+from tauext.learn import PriorFit, Setup, last_axis_shows, load_disagreement
 from tauext.learn.kinematics import Kinematics
 from tauext.robot import load_frame
 from tauext.train.preparation import Job
@@ -54,14 +54,24 @@ def put_load(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit 
     elif asked is not None:
         raise ConfigError(f"load_frame = {asked}: the arm has no model that knows this frame")
     elif newtons and fit is not None and fit.kinematics is not None:
-        put_found_arm(job, bundle, settings, setup, fit.kinematics)
+        put_found_arm(job, bundle, settings, setup, fit, fit.kinematics)
     bundle.load_settings = settings
     job.facts["load"] = facts_of(settings)
 
 
-def put_found_arm(job: Job, bundle: Bundle, settings: LoadSettings, setup: Setup, found: Kinematics) -> None:
-    """Let the arm that was found in the motion carry loads, where each half of the motion finds it again."""
-    share = load_disagreement(setup, job.motion.uncut, job.config.prior, found)
+def put_found_arm(
+    job: Job, bundle: Bundle, settings: LoadSettings, setup: Setup, fit: PriorFit, found: Kinematics
+) -> None:
+    """Let the arm that was found in the motion carry loads, where its last axis shows and each half of the motion finds
+    its lengths again."""
+    motion, last = job.motion.uncut, job.joints[-1]
+    if not last_axis_shows(fit.settings.corrected_links, bundle.gravity, motion, float(fit.error_nm[-1])):
+        settings.refused = (
+            "the bundle has no model of the arm, and in that found in the motion nothing shows where the axis of "
+            f"{last} points: hardly anything weighs on it"
+        )
+        return
+    share = load_disagreement(setup, motion, job.config.prior, found)
     if share is None or share > MOST_DISAGREEMENT:
         why = (
             "there is too little motion to check it" if share is None else f"its halves differ by {share:.0%} of a load"
@@ -71,7 +81,7 @@ def put_found_arm(job: Job, bundle: Bundle, settings: LoadSettings, setup: Setup
     job.facts["load_disagreement"] = round(share, 4)
     tree = found.tree(job.joints, job.tree.gravity)
     length_m = sum(float(np.linalg.norm(link.translation)) for link in tree.links)
-    settings.frame, settings.link = f"axis of {job.joints[-1]}", len(job.joints) - 1
+    settings.frame, settings.link = f"axis of {last}", len(job.joints) - 1
     settings.largest_reach_m = max(0.5 * length_m, LEAST_REACH_M)
     settings.refused = ""
     limits = np.array(bundle.possible_torque_nm)

@@ -70,6 +70,9 @@ def ur(monkeypatch):
         def getActualCurrent(self):
             return arm.signal(3)
 
+        def getJointTemperatures(self):
+            return arm.signal(4)
+
         def isConnected(self):
             return arm.reachable
 
@@ -195,10 +198,11 @@ def test_ur_sends_positions_velocities_and_currents_times_constants(ur, constant
     np.testing.assert_array_equal(one.q, ur.signal(1, k))
     np.testing.assert_array_equal(one.dq, ur.signal(2, k))
     np.testing.assert_allclose(one.tau, np.array(ur.signal(3, k)) * list(CONSTANTS.values()), rtol=1e-15)
+    np.testing.assert_array_equal(one.temperature, ur.signal(4, k))
     assert ur.asked == {
         "hostname": "10.0.0.2",
         "frequency": 500.0,
-        "variables": ["timestamp", "actual_q", "actual_qd", "actual_current"],
+        "variables": ["timestamp", "actual_q", "actual_qd", "actual_current", "joint_temperatures"],
     }
 
 

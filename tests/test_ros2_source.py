@@ -13,7 +13,7 @@ from cyclonedds._clayer import ddspy_write
 from tauext.errors import ConfigError
 from tauext.live import SourceSettings
 from tauext.ros2 import Ros2Settings, connect, source
-from tauext.ros2.messages import JointState
+from tauext.ros2.messages import JointState, Temperature
 from tauext.ros2.sample_rate import LEARNT_FROM
 
 MS = 1_000_000
@@ -69,6 +69,28 @@ def test_samples_have_the_arms_order_the_stamps_and_every_number(listen, robot):
     assert live.last_stamp_ns == samples[-1].t_ns
     assert (live.counts.received, live.counts.lost, live.counts.refused) == (LEARNT_FROM + 30, 0, 0)
     assert live.notes() == []
+
+
+def test_the_latest_temperature_of_each_joint_holds(listen, robot, topic):
+    topics = tuple(f"{topic}/{joint}/temperature" for joint in "ab")
+    live, arm = listen(temperatures=topics), robot()
+    told = [arm.node.writer(name, Temperature, "reliable", "volatile", 10) for name in topics]
+    arm.meets()
+    for writer in told:
+        until(lambda writer=writer: writer.get_matched_subscriptions(), "a subscriber")
+    arm.send(LEARNT_FROM)
+    assert np.isnan(received(live)[0].temperature).all()
+    told[1].write(Temperature(temperature=20.0))
+    told[1].write(Temperature(temperature=41.5))
+    told[1].write(Temperature(temperature=float("nan")))
+    until(lambda: live._temperatures.latest()[1] == 41.5, "the temperature")
+    arm.send(3)
+    for sample in received(live):
+        np.testing.assert_array_equal(sample.temperature, [np.nan, 41.5])
+    with pytest.raises(ConfigError, match="1 topics for 2 joints"):
+        listen(temperatures=topics[:1])
+    with pytest.raises(ConfigError, match="'a b' must begin with /"):
+        Ros2Settings(temperatures=("a b",))
 
 
 def test_joints_under_other_names(listen, robot):

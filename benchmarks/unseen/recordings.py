@@ -17,6 +17,11 @@ from unseen.motions import draw_motion
 from unseen.simulation import RATE_HZ, Run, simulate
 
 DRIVE_VELOCITY_RAD_S = 200.0
+ROOM_C, RISE_K = 22.0, 15.0
+"""Of a motor: where it starts, and by how much it gets warmer."""
+MOTOR_SOONER = 0.8
+"""Time constant of the motor, where the sensor is, over that of the gear, where the friction is."""
+TEMPERATURE_NOISE_K, TEMPERATURE_STEP_K = 0.3, 0.5
 LARGEST_JITTER = 0.4
 """Of the sample period: stamps still increase."""
 KNOWN_TO = 0.1
@@ -57,7 +62,8 @@ def write_take(maker: Maker, seed: int, number: int, folder: Path, takes: Sequen
     setpoints = draw_motion(maker, samples, RATE_HZ, rng)
     known = load_tree(maker.model, maker.joints)
     run = simulate(arm, known, setpoints, maker.torque_nm, contacts, take.warm_from_s)
-    _write_csv(folder / f"{take.name}.csv", maker, arm, run, contacts, rng)
+    celsius = motor_temperature(arm, take.warm_from_s, samples, maker.random(seed, 200 + number))
+    _write_csv(folder / f"{take.name}.csv", maker, arm, run, contacts, rng, celsius)
     peaks = [_peak(run.tau_ext, c) for c in contacts]
     truth = [asdict(c) | {"peak_nm": peak.tolist()} for c, peak in zip(contacts, peaks, strict=True)]
     (folder / f"{take.name}.truth.json").write_text(json.dumps(truth, indent=1) + "\n")
@@ -69,14 +75,24 @@ def write_take(maker: Maker, seed: int, number: int, folder: Path, takes: Sequen
     )
 
 
-def description(maker: Maker, seed: int, model: bool, takes: Sequence[Take] = ()) -> str:
+def motor_temperature(arm: TrueArm, warm_from_s: float, samples: int, rng: np.random.Generator) -> np.ndarray:
+    """What sensors in the motors say, (samples, joints), [degC]: they warm up sooner than the gears, and are coarse."""
+    t = warm_from_s + np.arange(samples)[:, None] / RATE_HZ
+    celsius = ROOM_C + RISE_K * -np.expm1(-t / (MOTOR_SOONER * arm.warm_s))
+    noise = TEMPERATURE_NOISE_K * rng.standard_normal((samples, len(arm.coulomb_nm)))
+    return np.round((celsius + noise) / TEMPERATURE_STEP_K) * TEMPERATURE_STEP_K
+
+
+def description(maker: Maker, seed: int, model: bool, takes: Sequence[Take] = (), temperature: bool = False) -> str:
     """The text of arm.toml as its integrator would write it, torque constants off by up to 10 % or unknown.
 
     Args:
         model: whether the maker gave a URDF.
         takes: none: TAKES.
+        temperature: whether that of the motors is imported.
     """
     takes = takes or TAKES
+    warm = '[signals.temperature]\ncolumns = "temperature_{joint}"\nunit = "degC"\n' if temperature else ""
     constants = told_constants(maker, seed, model)
     numbers = ", ".join(f'"{number}"' for number in range(1, len(maker.joints) + 1))
     by_part = {part: [f"{t.name}.csv" for t in takes if t.part == part] for part in ("train", "test", "collisions")}
@@ -101,7 +117,7 @@ unit = "rad/s"
 columns = "current_{{joint}}"
 unit = "A"
 torque_constant = {json.dumps(constants)}
-
+{warm}
 [contact]
 column = "touched"
 
@@ -122,7 +138,13 @@ def told_constants(maker: Maker, seed: int, model: bool) -> list[float] | str:
 
 
 def _write_csv(
-    path: Path, maker: Maker, arm: TrueArm, run: Run, contacts: list[Contact], rng: np.random.Generator
+    path: Path,
+    maker: Maker,
+    arm: TrueArm,
+    run: Run,
+    contacts: list[Contact],
+    rng: np.random.Generator,
+    celsius: np.ndarray,
 ) -> None:
     """What the controller logs at its own rate: stamps that jitter, and on some arms with samples missing."""
     import pyarrow as pa
@@ -137,7 +159,7 @@ def _write_csv(
     jitter_s = maker.stamp_jitter_s * rng.standard_normal(len(time_s))
     jitter_s = np.clip(jitter_s, -LARGEST_JITTER / maker.rate_hz, LARGEST_JITTER / maker.rate_hz)
     columns = {"time": (time_s + jitter_s).round(6)}
-    signals = {"position": q, "current": ampere}
+    signals = {"position": q, "current": ampere, "temperature": celsius}
     if maker.measured_velocity:
         signals["velocity"] = velocity(q, DRIVE_VELOCITY_RAD_S, 1 / RATE_HZ)
     for name, signal in signals.items():

@@ -2,7 +2,9 @@
 #pragma once
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
 
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -40,6 +42,18 @@ inline RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double
     if (signal->shape(0) != N || signal->shape(1) != n)
       throw Error("q, dq and tau must have the shape (" + std::to_string(N) + ", " + std::to_string(n) + ")");
   return {static_cast<std::int64_t>(N), static_cast<int>(n), t_ns.data(), q.data(), dq.data(), tau.data()};
+}
+
+// The same with temperatures of the joints, [degC], where there are any.
+using Temperatures = std::optional<Array<double, 2>>;
+inline RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
+                   const Array<double, 2>& tau, const Temperatures& temperature) {
+  RecordingView out = view(t_ns, q, dq, tau);
+  if (!temperature) return out;
+  if (temperature->shape(0) != t_ns.shape(0) || temperature->shape(1) != q.shape(1))
+    throw Error("temperature must have the shape of q");
+  out.temperature = temperature->data();
+  return out;
 }
 
 void bind_coverage(nb::module_& m);

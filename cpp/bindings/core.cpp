@@ -167,12 +167,19 @@ void bind_observer(nb::module_& m) {
       .def_ro("c", &Term::c)
       .def_ro("form", &Term::form)
       .def_ro("speed", &Term::speed);
+  nb::class_<FrictionTemperature>(m, "FrictionTemperature", "How friction follows the joints' temperatures; see prior.hpp.")
+      .def(nb::init<>())
+      .def_rw("reference_c", &FrictionTemperature::reference_c)
+      .def_rw("reach_k", &FrictionTemperature::reach_k)
+      .def_rw("coulomb_per_10k", &FrictionTemperature::coulomb_per_10k)
+      .def_rw("viscous_per_10k", &FrictionTemperature::viscous_per_10k);
   nb::class_<PriorSettings>(m, "PriorSettings", "Presliding widths [rad], terms with weights (joints, terms), corrected links.")
       .def(nb::init<>())
       .def_rw("widths_rad", &PriorSettings::widths_rad)
       .def_rw("terms", &PriorSettings::terms)
       .def_rw("weights", &PriorSettings::weights)
-      .def_rw("corrected_links", &PriorSettings::corrected_links);
+      .def_rw("corrected_links", &PriorSettings::corrected_links)
+      .def_rw("temperature", &PriorSettings::temperature);
   nb::class_<Observation>(m, "Observation", "Residuals of a recording and where its samples stand on the regular clock.")
       .def_ro("row_count", &Observation::row_count)
       .def_ro("held_rows", &Observation::held_rows)
@@ -214,13 +221,14 @@ void bind_observer(nb::module_& m) {
   m.def(
       "observe",
       [](const Tree& tree, const ObserverSettings& settings, const Array<std::int64_t, 1>& t_ns,
-         const Array<double, 2>& q, const Array<double, 2>& dq, const Array<double, 2>& tau, const PriorSettings& prior) {
-        const RecordingView recording = view(t_ns, q, dq, tau);
+         const Array<double, 2>& q, const Array<double, 2>& dq, const Array<double, 2>& tau, const PriorSettings& prior,
+         const Temperatures& temperature) {
+        const RecordingView recording = view(t_ns, q, dq, tau, temperature);
         nb::gil_scoped_release released;
         return observe(tree, settings, prior, recording);
       },
       nb::arg("tree"), nb::arg("settings"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"),
-      nb::arg("prior") = PriorSettings(), "The residual of every sample of a recording, before any network.");
+      nb::arg("prior") = PriorSettings(), nb::arg("temperature") = nb::none(), "The residual of every sample of a recording, before any network.");
   m.def(
       "prior_regressors",
       [](const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior,
@@ -561,8 +569,8 @@ void bind_bundle(nb::module_& m) {
   m.def(
       "estimate",
       [](const Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
-         const Array<double, 2>& tau, int threads) {
-        const RecordingView recording = view(t_ns, q, dq, tau);
+         const Array<double, 2>& tau, int threads, const Temperatures& temperature) {
+        const RecordingView recording = view(t_ns, q, dq, tau, temperature);
         Estimates e;
         {
           nb::gil_scoped_release released;
@@ -596,6 +604,7 @@ void bind_bundle(nb::module_& m) {
         return out;
       },
       nb::arg("bundle"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("threads"),
+      nb::arg("temperature") = nb::none(),
       "The whole chain on a recording, as run() of a new Monitor says it; see estimates.hpp.");
   m.def(
       "motion_errors",

@@ -23,8 +23,13 @@ std::vector<std::string> cause_names(std::uint32_t causes) {
   return names;
 }
 
-Sample sample_of(std::int64_t t_ns, const Array<double, 1>& q, const Array<double, 1>& dq, const Array<double, 1>& tau) {
-  return {t_ns, span_of(q), span_of(dq), span_of(tau)};
+using Temperature = std::optional<Array<double, 1>>;
+
+Sample sample_of(std::int64_t t_ns, const Array<double, 1>& q, const Array<double, 1>& dq, const Array<double, 1>& tau,
+                 const Temperature& temperature) {
+  Sample sample{t_ns, span_of(q), span_of(dq), span_of(tau)};
+  if (temperature) sample.temperature = span_of(*temperature);
+  return sample;
 }
 
 std::vector<std::uint8_t> bits(const std::vector<std::uint32_t>& words, std::size_t joints) {
@@ -119,8 +124,8 @@ class Columns {
 
 // step() for many samples; signals in rows of n joints.
 ArrayDict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
-              const Array<double, 2>& tau, FlightRecorder* recorder) {
-  const RecordingView r = view(t_ns, q, dq, tau);
+              const Array<double, 2>& tau, FlightRecorder* recorder, const Temperatures& temperature) {
+  const RecordingView r = view(t_ns, q, dq, tau, temperature);
   if (r.joints != monitor.joints())
     throw Error("the monitor has " + std::to_string(monitor.joints()) + " joints, the samples " + std::to_string(r.joints));
   const auto N = static_cast<std::size_t>(r.samples), n = static_cast<std::size_t>(r.joints);
@@ -128,7 +133,7 @@ ArrayDict run(Monitor& monitor, const Array<std::int64_t, 1>& t_ns, const Array<
   {
     nb::gil_scoped_release released;
     for (std::size_t k = 0; k < N; ++k) {
-      const Sample sample{r.t_ns[k], {r.q + k * n, n}, {r.dq + k * n, n}, {r.tau + k * n, n}};
+      const Sample sample = r.at(static_cast<std::int64_t>(k));
       const Estimate& e = monitor.step(sample);
       if (recorder) recorder->push(sample, e);
       said.add(e);
@@ -307,16 +312,18 @@ void bind_monitor(nb::module_& m) {
           nb::arg("bundle"), nb::arg("own_rate") = false)
       .def(
           "step",
-          [](Monitor& self, std::int64_t t_ns, Signal q, Signal dq, Signal tau) {
-            return self.step(sample_of(t_ns, q, dq, tau));
+          [](Monitor& self, std::int64_t t_ns, Signal q, Signal dq, Signal tau, const Temperature& temperature) {
+            return self.step(sample_of(t_ns, q, dq, tau, temperature));
           },
-          nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), "estimate() and advance().")
+          nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("temperature") = nb::none(),
+          "estimate() and advance(). temperature: of the joints, [degC], where it is known; NaN where not.")
       .def(
           "estimate",
-          [](Monitor& self, std::int64_t t_ns, Signal q, Signal dq, Signal tau) {
-            return self.estimate(sample_of(t_ns, q, dq, tau));
+          [](Monitor& self, std::int64_t t_ns, Signal q, Signal dq, Signal tau, const Temperature& temperature) {
+            return self.estimate(sample_of(t_ns, q, dq, tau, temperature));
           },
-          nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), "The answer; advance() may follow later.")
+          nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("temperature") = nb::none(),
+          "The answer; advance() may follow later.")
       .def("advance", &Monitor::advance,
            "What need not be done before the answer is out; estimate() does it first where it was left out.")
       .def("no_sample", [](Monitor& self, std::int64_t now_ns) { return self.no_sample(now_ns); }, nb::arg("now_ns"),
@@ -357,12 +364,22 @@ void bind_monitor(nb::module_& m) {
             return self.why_no_load(load, since(since_ns));
           },
           nb::arg("load"), nb::arg("since_ns") = nb::none(), "Why set_load() would refuse it; empty: it would not.")
+      .def(
+          "set_temperature",
+          [](Monitor& self, Signal celsius) {
+            if (!self.set_temperature(span_of(celsius)))
+              throw Error("temperatures must be " + std::to_string(self.joints()) + " numbers, one a joint");
+          },
+          nb::arg("celsius"), "Of the joints, [degC], NaN where it is not known, from the next sample on; it holds.")
       .def("reset", &Monitor::reset, "As newly made.")
       .def(
           "run",
           [](Monitor& self, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
-             const Array<double, 2>& tau, Recorder* recorder) { return run(self, t_ns, q, dq, tau, recorder); },
+             const Array<double, 2>& tau, Recorder* recorder, const Temperatures& temperature) {
+            return run(self, t_ns, q, dq, tau, recorder, temperature);
+          },
           nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("tau"), nb::arg("recorder") = nb::none(),
+          nb::arg("temperature") = nb::none(),
           "step() for every row; a dict of arrays.")
       .def(
           "run_missing",

@@ -21,8 +21,8 @@ constexpr std::size_t kHeaderBytes = sizeof kMagic + 4 + 4 + 8 + 4;
 constexpr std::uint32_t kMinor = 0;
 constexpr std::uint32_t kConstantsMajor = 5;  // from here on torque constants are fields, before they stood in provenance:
 constexpr std::uint32_t kPossibleMajor = 7;   // from here on what is possible are fields, before it is assumed
-constexpr std::uint32_t kLoadMajor = 8;       // from here on what may be carried is stated, before it is assumed; and by how much friction
-                                              // may be off at once, before by nothing
+constexpr std::uint32_t kTodayMajor = 8;      // from here on what may be carried is stated, before it is assumed; and how
+                                              // friction may be another one than in training, before it may not
 constexpr const char* kOldConstants = "\"torque_constants\": {";
 
 class Writer {
@@ -184,7 +184,7 @@ void fields(File& file, Bundle& b) {
     field(file, b.signals.possible_torque_nm);
     field(file, b.signals.possible_speed_rad_s);
   }
-  if (file.major >= kLoadMajor) {
+  if (file.major >= kTodayMajor) {
     field(file, b.load.frame);
     field(file, b.load.link);
     field(file, b.load.rotation);
@@ -193,6 +193,10 @@ void fields(File& file, Bundle& b) {
     field(file, b.load.largest_reach_m);
     field(file, b.load.refused);
     field(file, b.drift.friction_share);
+    field(file, b.prior.temperature.reference_c);
+    field(file, b.prior.temperature.reach_k);
+    field(file, b.prior.temperature.coulomb_per_10k);
+    field(file, b.prior.temperature.viscous_per_10k);
   }
   field(file, b.reference.t_ns);
   field(file, b.reference.q);
@@ -260,7 +264,7 @@ Bundle read(std::span<const char> bytes, bool convert) {
                 " with torque constants, which its control loop was told to apply; bundles apply them themselves now: "
                 "`tauext convert OLD.tauext --out NEW.tauext`, and let the loop give tau as it was recorded");
   bundle.validate();
-  if (version[0] < kLoadMajor) bundle.assume_load();
+  if (version[0] < kTodayMajor) bundle.assume_load();
   return bundle;
 }
 

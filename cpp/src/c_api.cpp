@@ -272,6 +272,12 @@ const char* tauext_monitor_load_frame(const tauext_monitor* monitor) {
   return monitor && monitor->monitor.load_settings().settable() ? monitor->monitor.load_settings().frame.c_str() : "";
 }
 
+tauext_status tauext_monitor_set_temperature(tauext_monitor* monitor, const double* celsius) {
+  if (!monitor || !celsius) return TAUEXT_BAD_ARGUMENT;
+  monitor->monitor.set_temperature({celsius, static_cast<std::size_t>(monitor->monitor.joints())});
+  return TAUEXT_OK;
+}
+
 tauext_status tauext_monitor_reset(tauext_monitor* monitor) {
   if (!monitor) return TAUEXT_BAD_ARGUMENT;
   monitor->monitor.reset();

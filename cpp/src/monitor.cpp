@@ -61,6 +61,12 @@ void Monitor::resume() noexcept {
   acknowledge();
 }
 
+bool Monitor::set_temperature(std::span<const double> celsius) noexcept {
+  if (celsius.size() != static_cast<std::size_t>(joints())) return false;
+  observe_.follow_temperature(celsius);
+  return true;
+}
+
 const Estimate& Monitor::estimate(const Sample& sample) noexcept {
   advance();
   const Observed& observed = observe_.step(sample);

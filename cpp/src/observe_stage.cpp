@@ -72,6 +72,7 @@ ObserveStage::ObserveStage(const Bundle& bundle, int answer_every)
 void ObserveStage::reset() noexcept {
   residual_.reset();
   residual_.set_load({}, kFromNow);
+  residual_.forget_temperature();
   if (watch_) watch_->reset();
   progress_ = {};
 }
@@ -114,7 +115,8 @@ const Observed& ObserveStage::no_sample(std::int64_t now_ns) noexcept {
 // Whether the sample can enter the chain; else it was held or refused. Fills tau_.
 bool ObserveStage::usable(const Sample& s) noexcept {
   const auto n = static_cast<std::size_t>(joints_);
-  if (s.q.size() != n || s.dq.size() != n || s.tau.size() != n) {
+  const bool temperatures = s.temperature.empty() || s.temperature.size() == n;
+  if (s.q.size() != n || s.dq.size() != n || s.tau.size() != n || !temperatures) {
     refuse(s.t_ns, kWrongSize, -1);
     if (watch_) watch_->pass(s.t_ns);
     return false;
@@ -153,6 +155,7 @@ void ObserveStage::enter(const Sample& s) noexcept {
   Observed& o = observed_;
   const auto n = static_cast<std::size_t>(joints_);
   if (p.restart_next) residual_.reset();
+  residual_.follow_temperature(s.temperature);
   const std::span residual = std::span(residual_nm_).first(n), prior = std::span(prior_nm_).first(n),
                   doubt = std::span(doubt_nm_).first(n);
   const SampleClock::Tick tick = residual_.step(s.t_ns, s.q, s.dq, tau(), residual, prior, doubt);

@@ -8,7 +8,24 @@ namespace {
 constexpr int kMaxCycles = 10000;
 }
 
+void FrictionTemperature::validate(int joints) const {
+  if (!on()) return;
+  const auto expect = [joints](const char* what, const std::vector<double>& values, double least, double most) {
+    const std::string name = std::string("prior.temperature.") + what;
+    if (values.size() != static_cast<std::size_t>(joints))
+      throw Error(name + " has " + std::to_string(values.size()) + " values where " + std::to_string(joints) + " belong");
+    for (double value : values)
+      if (!(value >= least && value <= most))
+        throw Error(name + " = " + to_text(value) + " must be " + to_text(least) + " to " + to_text(most));
+  };
+  expect("reference_c", reference_c, -273.15, 1000);
+  expect("reach_k", reach_k, 0, 1000);
+  expect("coulomb_per_10k", coulomb_per_10k, -10, 10);
+  expect("viscous_per_10k", viscous_per_10k, -10, 10);
+}
+
 void PriorSettings::validate(int joints) const {
+  temperature.validate(joints);
   const Presliding probe(joints, widths_rad);
   const auto expect = [](bool ok, std::size_t term, const char* rule) {
     if (!ok) throw Error("prior term " + std::to_string(term) + ": " + rule);
@@ -102,9 +119,18 @@ Prior::Prior(const PriorSettings& settings, const std::array<double, 3>& gravity
       terms_((settings.validate(joints), settings), gravity),
       weights_(settings.weights),
       values_(settings.terms.size()),
+      temperature_(settings.temperature),
       has_presliding_(std::ranges::any_of(settings.terms, is_presliding)),
       state_{MomentumObserver(joints, gain_per_s, TorqueTiming::held),
-             MomentumObserver(joints, gain_per_s, TorqueTiming::held), false} {}
+             MomentumObserver(joints, gain_per_s, TorqueTiming::held), false, false, {}} {}
+
+void Prior::follow_temperature(std::span<const double> celsius) noexcept {
+  if (!temperature_.on()) return;
+  for (std::size_t i = 0; i < celsius.size(); ++i) {
+    const double over = celsius[i] - temperature_.reference_c[i], reach = temperature_.reach_k[i];
+    if (std::isfinite(over)) state_.warmth[i] = 0.1 * std::clamp(over, -reach, reach);
+  }
+}
 
 void Prior::sum(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
                 std::span<const double> momentum, std::span<const double> beta, Sums& sums) noexcept {
@@ -123,6 +149,12 @@ void Prior::sum(std::span<const double> q, std::span<const double> dq, const Pre
     for (std::size_t i = 0; i < n; ++i) to[i] += weights_[i * terms_.size() + m] * value;
     const double off = terms_.doubt(m);
     for (std::size_t i = 0; off > 0 && i < n; ++i) unknown[i] += std::fabs(weights_[i * terms_.size() + m]) * off;
+  }
+  if (temperature_.on()) {
+    JointVector coulomb, viscous;
+    sum_friction(std::span(coulomb).first(n), std::span(viscous).first(n));
+    for (std::size_t i = 0; i < n; ++i)
+      v[i] += state_.warmth[i] * (temperature_.coulomb_per_10k[i] * coulomb[i] + temperature_.viscous_per_10k[i] * viscous[i]);
   }
 }
 
@@ -148,6 +180,15 @@ void Prior::step(std::int64_t t_ns, std::span<const double> q, std::span<const d
 }
 
 void Prior::friction(std::span<double> coulomb, std::span<double> viscous) const noexcept {
+  sum_friction(coulomb, viscous);
+  for (std::size_t i = 0; temperature_.on() && i < coulomb.size(); ++i) {
+    coulomb[i] *= 1 + state_.warmth[i] * temperature_.coulomb_per_10k[i];
+    viscous[i] *= 1 + state_.warmth[i] * temperature_.viscous_per_10k[i];
+  }
+}
+
+// At the reference temperature.
+void Prior::sum_friction(std::span<double> coulomb, std::span<double> viscous) const noexcept {
   for (std::size_t i = 0; i < coulomb.size(); ++i) coulomb[i] = viscous[i] = 0.0;
   for (std::size_t m = 0; m < terms_.size(); ++m) {
     const Term& t = terms_[m];

@@ -182,6 +182,8 @@ class PriorConfig:
     """Let the data correct mass, centre of mass and inertia of the estimated model."""
     find_kinematics: bool = True
     """Without a model, look for the arm's axes and link lengths in its motion."""
+    follow_temperature: bool = True
+    """Where recordings hold temperatures of the joints, let friction follow them if that helps on motion left out."""
 
     def __post_init__(self) -> None:
         for name in ("widths_rad", "coulomb_speeds_rad_s"):

@@ -69,6 +69,9 @@ class Monitor {
   std::string why_no_load(const Load& load, std::int64_t since_ns = kFromNow) const {
     return load_settings_.words(load_fault(load, since_ns), load);
   }
+  // Temperatures of the joints, [degC], NaN where one is not known, from the next sample on; for loops whose samples hold
+  // none, since they change slowly. What was known before holds. false, and nothing changed, where they are not one a joint.
+  bool set_temperature(std::span<const double> celsius) noexcept;
   // As newly made.
   void reset() noexcept;
 

@@ -69,6 +69,8 @@ class ObserveStage {
   void set_load(const Load& load, std::int64_t since_ns) noexcept { residual_.set_load(load, since_ns); }
   const Load& load() const noexcept { return residual_.load(); }
   void keep() noexcept { residual_.keep(); }
+  // As Prior.
+  void follow_temperature(std::span<const double> celsius) noexcept { residual_.follow_temperature(celsius); }
   // As newly made.
   void reset() noexcept;
 

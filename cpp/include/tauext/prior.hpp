@@ -38,6 +38,19 @@ struct Term {
   double speed = 0;
 };
 
+// Friction of a joint follows its temperature: factors 1 + share (T - reference) / 10 K of what is Coulomb's and of what is
+// viscous in the prior. Lists over the joints; empty: it does not. A joint whose temperature nobody told has its reference.
+struct FrictionTemperature {
+  std::vector<double> reference_c;      // [degC]
+  std::vector<double> reach_k;          // farther from the reference than this is taken as this
+  std::vector<double> coulomb_per_10k;  // shares
+  std::vector<double> viscous_per_10k;
+
+  bool on() const noexcept { return !reference_c.empty(); }
+  // Throws Error, naming what does not fit `joints`.
+  void validate(int joints) const;
+};
+
 // The terms of a prior with their weights, and the corrected model.
 struct PriorSettings {
   std::vector<double> widths_rad;   // of the presliding states, also the network's
@@ -45,6 +58,7 @@ struct PriorSettings {
   std::vector<double> weights;      // (joints, terms), [N m], [N m s] ... as the term asks
   // The model as data corrected it, in the order of the bundle's links; empty: not corrected.
   std::vector<Link> corrected_links;
+  FrictionTemperature temperature = {};
 
   bool empty() const noexcept { return terms.empty() && corrected_links.empty(); }
   // Throws Error, naming what does not fit `joints`.
@@ -113,6 +127,7 @@ class Prior {
     MomentumObserver filter, doubt_filter;
     bool forgotten = false;  // presliding states were, since the last sample
     bool raised = false;     // the doubt was at the last sample, as they had been forgotten before it
+    JointVector warmth{};    // the temperature over its reference, [10 K]
   };
   // A sample's part of the sums that the filters see, a joint.
   struct Sums {
@@ -132,6 +147,10 @@ class Prior {
   // Presliding states were forgotten: at the next sample the doubt stands where it would after a long rest, and not where
   // its filter has come to, since what it covers has been there before.
   void forget() noexcept { state_.forgotten = true; }
+  // Temperatures of the joints, [degC], from the next sample on; of those that are NaN what was known holds.
+  void follow_temperature(std::span<const double> celsius) noexcept;
+  // None is known any more.
+  void forget_temperature() noexcept { state_.warmth = {}; }
   // One sample: momentum and beta are those of the estimated model. Writes the prior of every joint, and how far the
   // truth may lie from it because of presliding states that are not determined yet, both [N m].
   void step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
@@ -161,11 +180,13 @@ class Prior {
   void sum(std::span<const double> q, std::span<const double> dq, const Presliding& presliding,
            std::span<const double> momentum, std::span<const double> beta, Sums& sums) noexcept;
   void filter(std::int64_t t_ns, const Sums& sums, bool raise, std::span<double> prior, std::span<double> doubt) noexcept;
+  void sum_friction(std::span<double> coulomb, std::span<double> viscous) const noexcept;
 
   int joints_;
   PriorTerms terms_;
   std::vector<double> weights_;
   std::vector<double> values_;  // of the terms at the last step
+  FrictionTemperature temperature_;
   bool has_presliding_;
   State state_;
 };

@@ -54,6 +54,9 @@ class ResidualStage {
                          std::span<double> doubt) noexcept;
   const Presliding& presliding() const noexcept { return motion_.presliding(); }  // after the last sample
   bool warm() const noexcept { return filter_.warm(); }  // r has forgotten how it began
+  // As Prior.
+  void follow_temperature(std::span<const double> celsius) noexcept { prior_.follow_temperature(celsius); }
+  void forget_temperature() noexcept { prior_.forget_temperature(); }
   // As Prior; of the last step.
   void friction(std::span<double> coulomb, std::span<double> viscous) const noexcept {
     prior_.friction(coulomb, viscous);

@@ -11,6 +11,8 @@ namespace tauext {
 struct Sample {
   std::int64_t t_ns = 0;               // when it was measured, by a clock that goes on steadily
   std::span<const double> q, dq, tau;  // a joint: [rad], [rad/s], tau in the bundle's given unit
+  // A joint, [degC]; empty, or NaN for a joint: not known at this sample, and what was known holds.
+  std::span<const double> temperature = {};
 };
 
 // Samples one after the other; q, dq, tau are (samples, joints), row-major. Nothing is said of their values: times may
@@ -22,11 +24,13 @@ struct RecordingView {
   const double* q = nullptr;
   const double* dq = nullptr;
   const double* tau = nullptr;
+  const double* temperature = nullptr;  // as q; null: nobody measured it
 
   // Sample k, counted from 0, where it lies.
   Sample at(std::int64_t k) const noexcept {
     const auto n = static_cast<std::size_t>(joints), from = static_cast<std::size_t>(k) * n;
-    return {t_ns[k], {q + from, n}, {dq + from, n}, {tau + from, n}};
+    return {t_ns[k], {q + from, n}, {dq + from, n}, {tau + from, n},
+            temperature ? std::span<const double>(temperature + from, n) : std::span<const double>()};
   }
 };
 

@@ -157,6 +157,9 @@ tauext_status tauext_monitor_resume(tauext_monitor* monitor);
 /* Limits are the bundle's times these, a joint: 0.1 to 10, 1 leaves them as they are; else TAUEXT_BAD_ARGUMENT, and
  * nothing is changed. */
 tauext_status tauext_monitor_set_limit_factors(tauext_monitor* monitor, const double* collision, const double* contact);
+/* Temperatures of the joints, [degC], NaN where one is not known, from the next sample on; what was known before holds. Call
+ * it as often as there are new ones: friction follows them where training found that it does. */
+tauext_status tauext_monitor_set_temperature(tauext_monitor* monitor, const double* celsius);
 /* What the arm carries from the next sample on or, since_ns being a time of the samples, as if it had been told then
  * (monitor.hpp says how exactly). Else TAUEXT_BAD_LOAD, and nothing is changed. */
 tauext_status tauext_monitor_set_load(tauext_monitor* monitor, const tauext_load* load, int64_t since_ns);

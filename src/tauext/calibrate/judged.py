@@ -51,7 +51,8 @@ def judge(
     """All that the chain said of the recording, and of errors() |tau_ext| and which samples count."""
     judged = judged if isinstance(judged, Judged) else Judged(judged)
     recording = judged.recording
-    said = _core.estimate(judged.bundle or bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads)
+    signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+    said = _core.estimate(judged.bundle or bundle, *signals, threads, recording.temperature)
     counted = np.zeros(recording.samples, dtype=bool)
     counted[judged.span] = True
     counted &= (said["health"] != STALE) & np.isfinite(said["tau_ext"]).all(axis=1) & free_samples(recording, margins)

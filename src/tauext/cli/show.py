@@ -266,6 +266,13 @@ def describe_prior(bundle: Bundle, facts: dict) -> dict:
         if friction["not_supported"]:
             words.append(f"not supported by the data: {', '.join(friction['not_supported'])}")
         content[f"friction of {joint}"] = "; ".join(words)
+    warm = bundle.prior.temperature
+    if warm.reference_c:
+        shares = zip(warm.coulomb_per_10k, warm.viscous_per_10k, warm.reference_c, strict=True)
+        content["friction follows the temperature: share for 10 K (Coulomb, viscous), fitted at [degC]"] = {
+            link.joint_name: f"{coulomb:+.1%}, {viscous:+.1%}, {celsius:.0f}" if coulomb or viscous else "no"
+            for link, (coulomb, viscous, celsius) in zip(bundle.links, shares, strict=True)
+        }
     for joint, found in fitted.get("arm", {}).items():
         words = ["axis " + " ".join(f"{value:.2g}" for value in found["axis"])]
         if "angle_deg" in found:

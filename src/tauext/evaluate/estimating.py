@@ -22,7 +22,9 @@ def estimate_recording(bundle: _core.Bundle, recording: Recording, threads: int 
     """
     expect_fit(bundle, recording)
     threads = threads or os.cpu_count() or 1
-    said = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads)
+    said = _core.estimate(
+        bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads, recording.temperature
+    )
     return Estimates(
         joints=recording.joints,
         t_ns=recording.t_ns,

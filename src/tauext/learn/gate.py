@@ -36,7 +36,8 @@ def apply_gate(bundle: _core.Bundle, validation: Sequence[Recording], margin: fl
     n = bundle.joints
     prior, both, samples = np.zeros(n), np.zeros(n), 0
     for recording in validation:
-        said = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads)
+        signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+        said = _core.estimate(bundle, *signals, threads, recording.temperature)
         healthy = said["health"] == OK
         prior += ((said["residual"] - said["prior"])[healthy] ** 2).sum(axis=0)
         both += (said["tau_ext"][healthy] ** 2).sum(axis=0)

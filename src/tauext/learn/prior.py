@@ -17,6 +17,7 @@ from tauext.learn.prior_fit import PriorFit
 from tauext.learn.prior_terms import CORRECTED, ESTIMATED, has_model, own_terms, shared_terms
 from tauext.learn.ridge import fit_ridge
 from tauext.learn.ripple import find_ripple
+from tauext.learn.temperature import with_temperature
 from tauext.learn.training_set import Setup
 from tauext.learn.widths import idle_widths
 
@@ -82,24 +83,30 @@ def fit_prior(
         prior.widths_rad = [width for width in setup.widths_rad if width not in dropped]
         without = fit_terms(replace(setup, prior=prior), recordings, config, ripple, inertia)
         fit = replace(without, dropped_widths=dropped)
-    return chosen(fit, recordings, config, ripple, inertia)
+    return chosen(setup, fit, recordings, config, ripple, inertia)
 
 
 def chosen(
+    fitted_to: Setup,
     fit: PriorFit,
     recordings: Sequence[Recording],
     config: PriorConfig,
     ripple: Sequence[Sequence[int]],
     inertia: Inertia,
 ) -> PriorFit:
-    """The fit with what was chosen on the way to it, so that the same terms can be fitted to another observer's r."""
+    """The fit with what was chosen on the way to it, so that the same terms can be fitted to another observer's r.
+
+    Where temperatures were recorded, its friction follows them if that helps.
+    """
 
     def refit(setup: Setup) -> PriorFit:
         prior = _core.PriorSettings()
         prior.widths_rad = fit.settings.widths_rad
         again = fit_terms(replace(setup, prior=prior), recordings, config, ripple, inertia)
-        return chosen(replace(again, dropped_widths=fit.dropped_widths), recordings, config, ripple, inertia)
+        return chosen(setup, replace(again, dropped_widths=fit.dropped_widths), recordings, config, ripple, inertia)
 
+    if config.follow_temperature:
+        fit = with_temperature(fitted_to, recordings, fit)
     return replace(fit, kinematics=inertia.kinematics, refit=refit)
 
 

@@ -162,4 +162,4 @@ def remainder(observation: _core.Observation) -> np.ndarray:
 
 def _observe(setup: Setup, recording: Recording) -> _core.Observation:
     signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-    return _core.observe(setup.tree, setup.observer, *signals, setup.prior)
+    return _core.observe(setup.tree, setup.observer, *signals, setup.prior, recording.temperature)

@@ -203,6 +203,8 @@ class Loop:
 
     def _sample(self, sample: Sample) -> None:
         self._acknowledge_when_due(sample.t_ns)
+        if sample.temperature is not None:
+            self.monitor.set_temperature(sample.temperature)
         said = self.monitor.run(
             np.array([sample.t_ns]), sample.q[None], sample.dq[None], sample.tau[None], self._recorder
         )

@@ -117,6 +117,9 @@ class ReaderSource(ABC):
         self._last_ns = t_ns
 
 
-def sample_of(t_s: float, q: list[float], dq: list[float], tau: np.ndarray) -> Sample:
+def sample_of(
+    t_s: float, q: list[float], dq: list[float], tau: np.ndarray, temperature: np.ndarray | None = None
+) -> Sample:
     """A sample that has just come in, from what a robot's library gives."""
-    return Sample(round(t_s * 1e9), np.array(q, dtype=float), np.array(dq, dtype=float), tau, time.monotonic_ns())
+    signals = (np.array(q, dtype=float), np.array(dq, dtype=float), tau)
+    return Sample(round(t_s * 1e9), *signals, time.monotonic_ns(), temperature)

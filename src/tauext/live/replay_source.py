@@ -46,7 +46,8 @@ class ReplaySource:
         self._pace.wait_until(t_ns)
         self._next += 1
         self.counts.received += 1
-        return Sample(t_ns, recording.q[k], recording.dq[k], recording.tau[k], time.monotonic_ns())
+        temperature = None if recording.temperature is None else recording.temperature[k]
+        return Sample(t_ns, recording.q[k], recording.dq[k], recording.tau[k], time.monotonic_ns(), temperature)
 
     @property
     def ended(self) -> bool:

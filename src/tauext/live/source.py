@@ -23,6 +23,8 @@ class Sample:
     units that the source was opened with: SourceSettings.torque_units. NaN where it was not measured."""
     received_ns: int
     """When it came into this process, by time.monotonic_ns()."""
+    temperature: np.ndarray | None = None
+    """[degC], NaN where it was not measured; None: the source measures none."""
 
 
 @dataclass

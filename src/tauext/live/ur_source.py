@@ -16,14 +16,14 @@ from tauext.live.reader_source import ReaderSource, Unreachable, sample_of
 from tauext.live.source import Sample, SourceSettings
 from tauext.live.torque_constants_file import load_torque_constants
 
-VARIABLES = ["timestamp", "actual_q", "actual_qd", "actual_current"]
+VARIABLES = ["timestamp", "actual_q", "actual_qd", "actual_current", "joint_temperatures"]
 POLLS_A_PERIOD = 10
 """The library has its own thread and keeps the newest packet alone: a new one is seen by its time stamp."""
 
 
 class UrSource(ReaderSource):
     """actual_q [rad], actual_qd [rad/s] and actual_current, joints base to wrist 3; currents as they come for a bundle
-    that takes amperes, times torque constants [N m/A] for one that takes N m.
+    that takes amperes, times torque constants [N m/A] for one that takes N m; joint_temperatures [degC].
 
     The stamp is the controller's time since its start. stop() ends the program on the controller by its dashboard.
     """
@@ -67,13 +67,14 @@ class UrSource(ReaderSource):
                 return None
             time.sleep(self.settings.period_ns * 1e-9 / POLLS_A_PERIOD)
         while True:  # the getters read the newest packet each: all of one sample must be of one packet
-            q, dq, current = (get() for get in self._getters())
+            q, dq, current, celsius = (get() for get in self._getters())
             again_s = self._receive.getTimestamp()
             if again_s == stamp_s:
                 break
             stamp_s = again_s
         self._stamp_s = stamp_s
-        return sample_of(stamp_s, q, dq, np.array(current, dtype=float) * self._constants)
+        tau = np.array(current, dtype=float) * self._constants
+        return sample_of(stamp_s, q, dq, tau, np.array(celsius, dtype=float))
 
     def disconnect(self) -> None:
         if self._receive is not None:
@@ -90,7 +91,8 @@ class UrSource(ReaderSource):
             dashboard.disconnect()
 
     def _getters(self) -> Sequence:
-        return self._receive.getActualQ, self._receive.getActualQd, self._receive.getActualCurrent
+        receive = self._receive
+        return receive.getActualQ, receive.getActualQd, receive.getActualCurrent, receive.getJointTemperatures
 
 
 def ur_rtde(module: str) -> ModuleType:

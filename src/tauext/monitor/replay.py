@@ -82,7 +82,7 @@ def replay(
     """
     pace = pace or Pace(None)
     changes = ChangeFinder()
-    t_ns = samples.t_ns
+    t_ns, temperature = samples.t_ns, getattr(samples, "temperature", None)
     if len(t_ns):
         pace.wait_until(int(t_ns[0]))
     most = max(1, round(chunk_s * 1e9 / monitor.sample_period_ns))
@@ -103,7 +103,8 @@ def replay(
         rows = slice(begin, begin + chunk_rows(t_ns[begin : begin + most], wait_ns, min(ends, default=None)))
         pace.wait_until(int(t_ns[rows.stop - 1]))
         started = time.perf_counter()
-        said = monitor.run(t_ns[rows], samples.q[rows], samples.dq[rows], samples.tau[rows], recorder)
+        warm = None if temperature is None else temperature[rows]
+        said = monitor.run(t_ns[rows], samples.q[rows], samples.dq[rows], samples.tau[rows], recorder, warm)
         core_s = time.perf_counter() - started
         noted += changes.find(begin, t_ns[rows], said)
         yield Chunk(begin, t_ns[rows], samples.dq[rows], said, noted, core_s)

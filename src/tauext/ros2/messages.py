@@ -44,6 +44,13 @@ class JointState(IdlStruct, typename="sensor_msgs::msg::dds_::JointState_"):
 
 
 @dataclass
+class Temperature(IdlStruct, typename="sensor_msgs::msg::dds_::Temperature_"):
+    header: Header = field(default_factory=Header)
+    temperature: float64 = 0.0
+    variance: float64 = 0.0
+
+
+@dataclass
 class Bool(IdlStruct, typename="std_msgs::msg::dds_::Bool_"):
     data: bool = False
 
@@ -145,6 +152,7 @@ GRAPH_TYPES: dict[int, tuple[type, type, type]] = {
 
 TYPE_HASHES: dict[type, str] = {
     JointState: "a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
+    Temperature: "72514a14126ab9f8a9abec974c78e5610a367b59db5da355ff1fb982d5bad4b8",
     Bool: "feb91e995ff9ebd09c0cb3d2aed18b11077585839fb5db80193b62d74528f6c9",
     String: "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
     Inertia: "2ddd5dab5c347825ba2e56c895ddccfd0b8efe53ae931bf67f905529930b4bd7",

@@ -28,6 +28,8 @@ class Ros2Settings:
     """Topic of the arm's sensor_msgs/JointState: position [rad], velocity [rad/s], effort [N m]."""
     names: tuple[str, ...] = ()
     """The arm's joints as the messages name them, in the order of the bundle's joints; empty: as the bundle does."""
+    temperatures: tuple[str, ...] = ()
+    """Topics of sensor_msgs/Temperature [degC], one for each joint in the bundle's order; empty: none is known."""
     reliability: Literal["best-effort", "reliable"] = "best-effort"
     """Reliability asked of publishers: best-effort receives from both kinds; reliable refuses best-effort ones."""
     durability: Literal["volatile", "transient-local"] = "volatile"
@@ -55,6 +57,9 @@ class Ros2Settings:
                     f"ROS 2 {field} {name!r} {begins}consist of letters, digits and _"
                     f"{'' if field == 'node' else ' between slashes'}, no part beginning with a digit"
                 )
+        for name in self.temperatures:
+            if not NAME.fullmatch(name) or name[0] != "/":
+                raise ConfigError(f"ROS 2 temperatures {name!r} must begin with / and be a topic's name")
         if self.depth < 1:
             raise ConfigError(f"ROS 2 depth = {self.depth} must be >= 1")
         if len(set(self.names)) < len(self.names):

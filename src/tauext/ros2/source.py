@@ -18,6 +18,7 @@ from tauext.ros2.messages import JointState
 from tauext.ros2.node import Inbox, Node
 from tauext.ros2.sample_rate import SampleRate
 from tauext.ros2.sample_time import SampleTime
+from tauext.ros2.temperatures import Temperatures
 
 LOOK_NS = 500_000_000
 """After so long without a message, and as often, the publishers are looked at."""
@@ -61,6 +62,7 @@ class Ros2Source:
         self._lost_before = 0
         self._t_ns: int | None = None
         self._inbox = self._node.inbox(chosen.topic, JointState, chosen.reliability, chosen.durability, chosen.depth)
+        self._temperatures = Temperatures(self._node, len(settings.joints))
         self._waitset = WaitSet(self._node.participant)
         self._waitset.attach(self._inbox.new)
         self._node.announce()
@@ -97,7 +99,7 @@ class Ros2Source:
         if self._inbox is None:
             return
         inbox, self._inbox, self._waitset = self._inbox, None, None
-        self._node.leave([inbox.reader])
+        self._node.leave([inbox.reader, *self._temperatures.readers])
         self._pending.clear()
 
     def _take(self) -> None:
@@ -159,7 +161,7 @@ class Ros2Source:
         if not wanted:
             return None
         self.last_stamp_ns = stamp_ns or t_ns
-        return Sample(t_ns, q, dq, tau, now_ns)
+        return Sample(t_ns, q, dq, tau, now_ns, self._temperatures.latest())
 
     def _torque(self, tau: np.ndarray, wanted: bool) -> np.ndarray:
         """Of the sample; where its torque means an average, over all samples since the last one given."""

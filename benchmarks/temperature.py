@@ -1,0 +1,115 @@
+"""What the joints' temperatures are worth: an arm trained over its warm-up, met cold and warm, with and without them.
+
+    python benchmarks/temperature.py MODELS OUT [--arms ur5 seven_axis] [--seed 0]
+
+MODELS: as for unseen_arms.py, whose arms these are. OUT/ARM gets recordings, dataset and bundles; what is there is used
+again. Training: twelve minutes from switch-on. Test: four minutes from switch-on, and four after half an hour.
+The floor is what is left of the error where the two parts of each joint's friction have factors of their own in every
+20 s. docs/method/evidence.md holds the table that it prints.
+"""
+
+import argparse
+import os
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+from unseen.arms import Maker, makers
+from unseen.recordings import Take, description, write_take
+from unseen_arms import command
+
+from tauext import _core
+from tauext.data import Recording, load_recording
+from tauext.learn.temperature import COULOMB, of_kinds
+
+TAKES = (
+    *(Take(f"train-{k}", "train", 3, 0, 180.0 * k) for k in range(4)),
+    Take("cold", "test", 4),
+    Take("warm", "test", 4, 0, 1800),
+)
+OK, COLLISION = 1, 2
+PIECE_S = 20
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("models", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--arms", nargs="+", default=["ur5", "seven_axis"])
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    titles = ("arm, test", "temperature", "tracker", "RMSE of each joint, Nm", "of all, over that without", "floor")
+    print(f"| {' | '.join(titles)} | false collisions |")
+    print("|---" * 7 + "|")
+    for name in options.arms:
+        maker, folder = makers(options.models)[name], options.out / name
+        make(maker, folder, options.seed)
+        bundles = {word: folder / f"{word}.tauext" for word in ("without", "with")}
+        for word, bundle in bundles.items():
+            if not bundle.exists():
+                how = ["--prior.follow-temperature" if word == "with" else "--prior.no-follow-temperature"]
+                command(folder / f"train-{word}.txt", "train", "--data", folder / "data", "--out", bundle, *how)
+        for test in ("cold", "warm"):
+            for tracking in (False, True):
+                compare(f"{name}, {test}", bundles, folder / "data" / f"{test}.parquet", tracking)
+
+
+def make(maker: Maker, folder: Path, seed: int) -> None:
+    """Recordings and dataset, unless they are there."""
+    if (folder / "data").is_dir():
+        return
+    raw = folder / "csv"
+    raw.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        for done in [pool.submit(write_take, maker, seed, number, raw, TAKES) for number in range(len(TAKES))]:
+            done.result()
+    (raw / "arm.toml").write_text(description(maker, seed, True, TAKES, temperature=True))
+    files = [str(raw / f"{take.name}.csv") for take in TAKES]
+    command(folder / "import.txt", "import", "--source", *files, "--arm", raw / "arm.toml", "--out", folder / "data")
+
+
+def compare(title: str, bundles: dict[str, Path], recording: Path, tracking: bool) -> None:
+    """Errors of tau_ext, which is 0, with and without temperatures."""
+    made = load_recording(recording)
+    without = floor = None
+    for word, path in bundles.items():
+        bundle = _core.Bundle.load(str(path))
+        if not tracking:
+            bundle.drift.time_constant_s = 0
+        signals = (made.t_ns, made.q, made.dq, made.tau)
+        said = _core.estimate(bundle, *signals, os.cpu_count() or 1, made.temperature)
+        rmse = np.sqrt(np.mean(said["tau_ext"][said["health"] == OK] ** 2, axis=0))
+        if without is None or floor is None:
+            without, floor = rmse, floor_nm(bundle, made)
+        at = np.flatnonzero(said["held_alarm"] == COLLISION)
+        alarms = 0 if len(at) == 0 else 1 + int((np.diff(made.t_ns[at]) >= 500_000_000).sum())
+        each = " ".join(f"{x:.2f}" for x in rmse)
+        shares = " | ".join(f"{np.sqrt(np.mean((one / without) ** 2)):.2f}" for one in (rmse, floor))
+        print(f"| {title} | {word} | {'on' if tracking else 'off'} | {each} | {shares} | {alarms} |", flush=True)
+
+
+def floor_nm(bundle: _core.Bundle, made: Recording) -> np.ndarray:
+    """RMSE of each joint, (n,), that the two parts of its friction cannot explain in pieces of 20 s, no tracker."""
+    signals = (made.t_ns, made.q, made.dq, made.tau)
+
+    def estimate(prior: _core.PriorSettings) -> dict[str, np.ndarray]:
+        other = _core.Bundle.from_bytes(bundle.to_bytes())
+        other.prior, other.drift = prior, _core.DriftSettings()
+        return _core.estimate(other, *signals, os.cpu_count() or 1)
+
+    said = estimate(bundle.prior)
+    parts = [estimate(of_kinds(bundle.prior, frozenset(kinds)))["prior"] for kinds in ((), COULOMB, ("viscous",))]
+    piece = (made.t_ns - made.t_ns[0]) // (PIECE_S * 10**9)
+    squares, rows = np.zeros(bundle.joints), 0
+    for k in np.unique(piece):
+        at = (piece == k) & (said["health"] == OK)
+        for joint in range(bundle.joints):
+            friction = np.stack([part[at, joint] - parts[0][at, joint] for part in parts[1:]], axis=1)
+            left = said["tau_ext"][at, joint]
+            squares[joint] += np.sum((left - friction @ np.linalg.lstsq(friction, left, rcond=None)[0]) ** 2)
+        rows += int(at.sum())
+    return np.sqrt(squares / rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -224,6 +224,9 @@ void null_pointers_are_bad_arguments() {
   heavy.mass = 1;
   CHECK(tauext_monitor_why_no_load(m, &heavy, 0, why, sizeof why) == TAUEXT_OK && why[0] == '\0');
   CHECK(std::strstr(tauext_monitor_load_frame(m), "joint3") && !*tauext_monitor_load_frame(nullptr));
+  CHECK(tauext_monitor_set_temperature(nullptr, twice.data()) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_set_temperature(m, nullptr) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_set_temperature(m, twice.data()) == TAUEXT_OK);  // a bundle that follows none takes no notice
   CHECK(tauext_monitor_reset(nullptr) == TAUEXT_BAD_ARGUMENT);
   CHECK(tauext_monitor_save_state(nullptr, nullptr, 0) == TAUEXT_BAD_ARGUMENT);
   CHECK(tauext_monitor_save_state(m, nullptr, tauext_monitor_state_bytes(m)) == TAUEXT_BAD_ARGUMENT);

@@ -63,7 +63,8 @@ std::vector<Bundle> chains() {
   std::mt19937 random(9);
   std::normal_distribution<float> normal(0, 0.4f);
   for (std::size_t k = 0; k < prior.shape.parameter_count(); ++k) prior.parameters.push_back(normal(random));
-  prior.drift = {1, {3, 3}, 0.2, 0.8, 0.005, {0.5, 0.1}};
+  prior.drift = {1, {3, 3}, 0.2, 0.8, 0.005, {0.5, 0.1}, 0.4};
+  prior.prior.temperature = {{20, 20}, {500, 30}, {-0.1, 0.3}, {0.2, -0.2}};
   prior.limits.after_contact_factor = 2;
   prior.limits.near_memory_s = 0.007;
   prior.error_scale.features = {MotionFeature::constant, MotionFeature::arm_jerk, MotionFeature::standstill};
@@ -178,10 +179,12 @@ struct Seen {
 
 // The first difference, in words; empty: none.
 std::string difference(const Bundle& bundle, const Signals& s, int threads, Seen& seen) {
-  const Estimates bulk = estimate(bundle, s.view(), threads);
+  RecordingView recording = s.view();
+  recording.temperature = s.tau.data();  // as wild as anything
+  const Estimates bulk = estimate(bundle, recording, threads);
   Monitor monitor(bundle);
   for (std::int64_t k = 0; k < s.samples(); ++k) {
-    const Estimate& e = monitor.step(s.at(k));
+    const Estimate& e = monitor.step(recording.at(k));
     const auto row = static_cast<std::size_t>(k);
     const auto n = static_cast<std::size_t>(s.joints);
     const std::string here = " at sample " + std::to_string(k);

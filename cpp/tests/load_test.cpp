@@ -411,21 +411,28 @@ void the_drift_of_an_earlier_second_comes_back() {
   Limits limits;
   limits.collision = limits.contact = {{10}, {10}, 0};
   DriftTracker tracker(settings, limits, 1, 20);
+  FrictionFactors factors(1, 1, 20);
+  FrictionFactors::Learned learned{};
   DriftHistory history;
   history.begin();
   std::vector<double> known;  // after each whole second
   const double dq[] = {1.0}, scale[] = {1.0}, doubt[] = {0.0};
   double drift[1], tau_ext[1];
-  history.go_back(0, tracker);  // nothing is kept yet
+  history.go_back(0, tracker, factors);  // nothing is kept yet
   for (std::int64_t k = 0; k <= 90'000; ++k) {
     tracker.step(k * kMs, dq, drift);
     tau_ext[0] = 1e-3 * static_cast<double>(k) - drift[0];
     tracker.learn(tau_ext, scale, doubt, 0, true);
-    history.keep(k * kMs, tracker);
+    learned[0][0] = 1e-3 * static_cast<double>(k / 1000);  // another one in each second
+    factors.put_learned(learned);
+    history.keep(k * kMs, tracker, factors);
     if (k % 1000 == 0) known.push_back(tracker.state().coefficients[0][0]);
   }
+  std::int64_t last_ms = 90'000;  // what came later was forgotten
   const auto back = [&](std::int64_t t_ms) {
-    history.go_back(t_ms * kMs, tracker);
+    history.go_back(t_ms * kMs, tracker, factors);
+    CHECK(factors.learned()[0][0] == 1e-3 * static_cast<double>(std::max<std::int64_t>(std::min(t_ms, last_ms) / 1000, 31)));
+    last_ms = std::min(t_ms, last_ms);
     return tracker.state().coefficients[0][0];
   };
   CHECK(known[90] > known[80] && known[80] > known[40]);

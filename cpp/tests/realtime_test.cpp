@@ -65,14 +65,25 @@ Bundle tracking(int joints) {
   for (int j = 0; j < joints; ++j) {
     bundle.prior.terms.push_back({TermKind::load, j, 0, 0, 1, 0.1});
     bundle.prior.terms.push_back({TermKind::load_presliding, j, 0, 0, 0, 0});
+    bundle.prior.terms.push_back({TermKind::coulomb, j, 0, 0, 0, 0.05});
+    bundle.prior.terms.push_back({TermKind::viscous, j, 0, 0, 0, 0});
   }
+  const auto n = static_cast<std::size_t>(joints);
   bundle.prior.widths_rad = {0.01};
-  bundle.prior.weights.assign(bundle.prior.terms.size() * static_cast<std::size_t>(joints), 0.05);
+  bundle.prior.weights.assign(4 * n * n, 0.05);
+  for (std::size_t j = 0; j < n; ++j) bundle.prior.weights[4 * n * j + 4 * j + 2] = bundle.prior.weights[4 * n * j + 4 * j + 3] = -1;
   bundle.prior.corrected_links = bundle.links;
   bundle.input_factors.resize(static_cast<std::size_t>(bundle.columns()), 0.3f);
   answer_reference(bundle);
   bundle.drift = {10, std::vector<double>(static_cast<std::size_t>(joints), 2.0), 0.02, 0.9, 0.1};
+  bundle.drift.friction_share = 0.4;
   bundle.coverage = made::half_seen(joints);
+  bundle.prior.temperature = {std::vector<double>(n, 30), std::vector<double>(n, 20), std::vector<double>(n, -0.1),
+                              std::vector<double>(n, -0.2)};
+  bundle.error_scale.features = {MotionFeature::constant};
+  bundle.error_scale.limit_weights = bundle.error_scale.sigma_weights = bundle.error_scale.sigma_near_weights =
+      bundle.error_scale.largest = bundle.error_scale.largest_sigma = std::vector<double>(n, 1.0);
+  answer_reference(bundle);
   return bundle;
 }
 
@@ -102,8 +113,9 @@ struct Everything {
       if (k % 2003 == 0) q[0] = std::nan("");
       if (k % 2500 == 0) t_ns -= 100'000'000;
       if (k % 1500 > 1400) tau[0] += 80;
-      const Sample sample{t_ns, {q, static_cast<std::size_t>(joints)}, {dq, static_cast<std::size_t>(joints)},
-                          {tau, static_cast<std::size_t>(k % 1777 ? joints : 1)}};
+      Sample sample{t_ns, {q, static_cast<std::size_t>(joints)}, {dq, static_cast<std::size_t>(joints)},
+                    {tau, static_cast<std::size_t>(k % 1777 ? joints : 1)}};
+      if (k % 13 == 0) sample.temperature = {tau, static_cast<std::size_t>(joints)};
       recorder.push(sample, every.step(sample));
       own.estimate(sample);
       plain.estimate(sample);
@@ -118,6 +130,7 @@ struct Everything {
       if (k % 900 == 0) every.set_load({-1.0});
       if (k % 850 == 0) velocity.set_load({1.0}), plain.set_load({1.0}, 0);
       if (k % 1750 == 0) every.clear_load(), plain.clear_load(t_ns - 30'000'000);
+      if (k % 300 == 0) every.set_temperature(sample.dq);
       if (k % 1900 == 0) every.save_state(state), every.restore_state(state);
       if (k % 5000 == 0) every.reset();
     }

@@ -150,7 +150,8 @@ def test_the_plain_observer_is_a_bundle_too(workplace, capsys, tmp_path):
     assert run(capsys, "evaluate", "--data", data, "--bundles", out, "--out", tmp_path / "results")[0] == 0
 
 
-COMMANDS = ["simulate", "import", "train", "calibrate", "evaluate", "report", "run", "monitor", "show", "reproduce"]
+COMMANDS = ["simulate", "import", "train", "calibrate", "evaluate", "report", "run", "monitor", "load", "show"]
+COMMANDS += ["reproduce"]
 
 
 @pytest.mark.parametrize("command", ["", *COMMANDS])

@@ -51,6 +51,7 @@ TABLE = {
     "doctor/picture": ({"report"}, {"numpy", "matplotlib"}),
     "evaluate": ({"_core", "robot", "data", "calibrate"}, {"numpy"}),
     "report": ({"data"}, {"numpy", "matplotlib", "jinja2"}),
+    "load": ({"_core", "data"}, {"numpy"}),
     "monitor": ({"_core", "data"}, {"numpy"}),
     "live": ({"_core", "data", "monitor"}, {"numpy"}),
     "live/ur_source": ({"_core", "data", "monitor"}, {"numpy", "rtde_receive", "dashboard_client"}),

@@ -22,6 +22,7 @@ COMMANDS = {
     "report": cli.report,
     "run": cli.run,
     "monitor": cli.monitor,
+    "load": cli.load,
     "show": cli.show,
     "convert": cli.convert,
     "import": cli.import_data,
@@ -41,12 +42,14 @@ REPORT = "report --results results --data data --out out/report --page-mb 1"
 FLIGHT = "report --flight flights --out out/report --page-mb 1"
 RUN = "run observer.tauext data/free-006.parquet data/free-007.parquet --flights out/flights"
 MONITOR = "monitor observer.tauext --source replay:data/free-006.parquet --speed 20 --duration-s 0.3"
+LOAD = "load observer.tauext data/free-006.parquet"
 RECORD = MONITOR + " --record out/record --flights out/flights"
 CONVERT = "convert old.tauext --out out/a.tauext"
 IMPORT = "import --source arm.csv --arm table.toml --out out/imported"
 LEROBOT = IMPORT + " --format lerobot"
 NEW = "import --new out/arm.toml --source arm.csv --robot robot.xml"
 GOOD = (SIMULATE, TRAIN, PRIOR, NETWORK, EVALUATE, CALIBRATE, CHECK, REPORT, FLIGHT, RUN, MONITOR, RECORD, CONVERT)
+GOOD += (LOAD,)
 GOOD += (IMPORT, LEROBOT, NEW, "show observer.tauext", "reproduce --scale smoke --out out/all --cases exact")
 GOOD += ("demo --no-open --headless-seconds 0.1", "demo --no-open")
 RARE = {"reproduce": 0.1, "demo": 0.1, "report": 0.2, "evaluate": 0.4, "calibrate": 0.3, "check": 0.4}

@@ -671,5 +671,6 @@ NB_MODULE(_core, m) {
   bind_lstm(m);
   bind_bundle(m);
   bind_coverage(m);
+  bind_load(m);
   bind_monitor(m);
 }

@@ -325,6 +325,9 @@ class TrainConfig:
     load_frame: str | None = None
     """Link (URDF) or body (MJCF) in whose frame the monitor is told what the arm carries. None: the last one that is
     fixed behind the last joint, such as tool0, else the last joint's own."""
+    torque_constants: tuple[float, ...] | None = None
+    """Torque constants that are known, one a joint, N m a unit of the recordings' tau: taken as they are (`tauext load
+    --known-kg` finds some). None: --fit-torque-constants decides."""
     margins: FreeMotionConfig = field(default_factory=FreeMotionConfig)
     """What is left out of recordings that hold contacts."""
     alarm: AlarmConfig = field(default_factory=AlarmConfig)
@@ -351,6 +354,11 @@ class TrainConfig:
         )
         require(not drawn or self.epochs is None, "epochs", self.epochs, f"left out with recipe {self.recipe}")
         require(0 <= self.gate_margin < 1, "gate_margin", self.gate_margin, "0 to 1")
+        known = self.torque_constants
+        sound = known is None or all(1e-9 <= abs(constant) <= 1e9 for constant in known)
+        require(sound, "torque_constants", known, "within 1e-9 and 1e9, or minus that")
+        alone = known is None or self.fit_torque_constants is None
+        require(alone, "fit_torque_constants", self.fit_torque_constants, "left out beside torque_constants")
         require(
             self.learning_rate is None or 0 < self.learning_rate <= 1e3,
             "learning_rate",

@@ -23,6 +23,7 @@ from tauext.cli.convert import convert
 from tauext.cli.demo import demo
 from tauext.cli.evaluate import evaluate
 from tauext.cli.import_data import import_data
+from tauext.cli.load import load
 from tauext.cli.monitor import monitor
 from tauext.cli.parsing import deferred, understood
 from tauext.cli.purposes import arranged_help
@@ -45,6 +46,7 @@ DESCRIPTION = (
     "simulate (or import: your own recordings) -> train -> evaluate -> report; reproduce does all four. "
     "check: what recordings and robot file have wrong, before anyone trains. "
     "train -> run: the monitor on recordings; monitor: on a live arm. calibrate: other limits for a trained bundle. "
+    "load: what the arm carries, or torque constants by a known weight. "
     "demo: push a simulated arm in the browser. convert: a bundle of an older format. "
     "--version: of package, core, its compiler and bundles. "
     f"{RULE} {KILLED}"
@@ -79,7 +81,21 @@ def main(argv: list[str] | None = None) -> int:
         print(version_text())
         return 0
     app = tyro.extras.SubcommandApp()
-    for command in (reproduce, simulate, check, train, calibrate, evaluate, report, run, monitor, show, demo, convert):
+    for command in (
+        reproduce,
+        simulate,
+        check,
+        train,
+        calibrate,
+        evaluate,
+        report,
+        run,
+        monitor,
+        load,
+        show,
+        demo,
+        convert,
+    ):
         app.command(deferred(command))
     app.command(name="import")(deferred(import_data))
     # What overflows is found by whoever checks the number; the interpreter's own words about it are none of ours.

@@ -9,7 +9,8 @@ import numpy as np
 
 from tauext._core import TorqueUnit, Tree
 from tauext.config import ModelCase, TrainConfig
-from tauext.data import LeftOut, Recording, SignalBounds, free_pieces, from_amperes, possible_parts
+from tauext.data import LeftOut, Recording, SignalBounds, free_pieces, from_amperes, in_amperes, possible_parts
+from tauext.errors import ConfigError
 from tauext.learn import TorqueConstants, build_setup, fit_torque_constants, signal_bounds
 from tauext.learn.torque_constants import with_constants
 from tauext.train.recordings import given_unit, wants_constants
@@ -47,11 +48,15 @@ def possible_motion(
         torque_limit_nm: what the robot file says of each drive, infinite where it does not.
 
     Raises:
+        ConfigError: torque constants are not one a joint.
         TrainingError: too many samples are impossible, or the recordings' joints are not the model's.
     """
     observer = build_setup(tree, training[0], config.observer, config.recipe, config.filters).observer
     constants = None
-    if wants_constants(config, training, case):
+    if config.torque_constants is not None:
+        constants = known_constants(config.torque_constants, training)
+        observer = with_constants(observer, constants.used)
+    elif wants_constants(config, training, case):
         parts = possible_parts(training, observer, signal_bounds(training), LeftOut("training"))
         free = free_pieces(parts, config.margins)
         constants = fit_torque_constants(tree, free, config.observer, from_amperes(training))
@@ -62,6 +67,22 @@ def possible_motion(
     learned_on = possible_parts(training, observer, bounds, left_out)
     validated_on = possible_parts(validation, observer, bounds, left_out)
     return PossibleMotion(learned_on, validated_on, bounds, drives, constants, left_out)
+
+
+def known_constants(nm_per_unit: Sequence[float], training: Sequence[Recording]) -> TorqueConstants:
+    """Constants on a person's word.
+
+    Raises:
+        ConfigError: they are not one a joint.
+    """
+    joints = training[0].joints
+    if len(nm_per_unit) != len(joints):
+        raise ConfigError(
+            f"torque_constants = {', '.join(f'{k:g}' for k in nm_per_unit)}: must be {len(joints)}, one for each of "
+            f"{', '.join(joints)}"
+        )
+    sure = np.ones(len(joints), dtype=bool)
+    return TorqueConstants(np.array(nm_per_unit), np.zeros(len(joints)), sure, given=not in_amperes(training))
 
 
 def in_newton_metres(

@@ -25,6 +25,8 @@ def training_settings(case: ModelCase, config: TrainConfig) -> dict:
         del plain["load_frame"]
     if config.fit_torque_constants is None:
         del plain["fit_torque_constants"]
+    if config.torque_constants is None:
+        del plain["torque_constants"]
     settings = {"case": asdict(case), "config": {k: v for k, v in plain.items() if k not in config.row.unused}}
     return json.loads(json.dumps(settings))  # as a file gives them back: lists, no tuples
 

@@ -1,0 +1,109 @@
+"""Recordings of an unseen arm that carries something: what it is, how the arm moves, what the controller logs."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from unseen.arms import Maker, TrueArm, true_arm
+from unseen.contacts import Contact
+from unseen.motions import draw_motion
+from unseen.recordings import Take, _write_csv
+from unseen.simulation import RATE_HZ, simulate
+
+from tauext import _core
+from tauext.robot import load_tree
+
+FIRST_S = 1.2
+"""Before the first window: observer and limits' memory have warmed up."""
+WINDOW_S = 4.0
+WINDOWS = 2
+"""Of each load."""
+LOADS = 25
+PUSHES = 8
+KNOWN_KG, KNOWN_S = 2.805, 40.0
+FARTHEST_M = 0.10
+WARM_S = 400.0
+"""How long the arm has run: training covers it."""
+
+TRAIN = tuple(Take(f"train-{k + 1}", "train", 3, 0, 180.0 * k) for k in range(3))
+"""Nine minutes of free motion."""
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What is fixed to the last link, in its frame."""
+
+    mass_kg: float
+    com_m: tuple[float, float, float]
+    radius_m: float = 0.04
+    push_n: float = 0.0
+    """A force on the last link instead: along a direction of the base that never changes, for the whole recording."""
+    direction: tuple[float, float, float] = (1.0, 0.0, 0.0)
+
+
+def carried(maker: Maker, seed: int) -> dict[str, Carried]:
+    """By the recording's name: LOADS loads of 0.5 to 3 kg, one that is known, and PUSHES forces of 10 to 40 N."""
+    rng = maker.random(seed, 500)
+    takes = {}
+    for k in range(LOADS):
+        com = direction(rng) * rng.uniform(0, FARTHEST_M)
+        takes[f"load-{k:02d}"] = Carried(
+            float(rng.uniform(0.5, 3.0)), tuple(com.tolist()), float(rng.uniform(0.02, 0.06))
+        )
+    takes["known"] = Carried(KNOWN_KG, tuple((direction(rng) * 0.06).tolist()))
+    for k in range(PUSHES):
+        across = direction(rng) * [1, 1, 0.3]  # not along gravity: that is a load
+        across /= np.linalg.norm(across)
+        takes[f"push-{k}"] = Carried(0.0, (0.0, 0.0, 0.0), 0.0, float(rng.uniform(10, 40)), tuple(across.tolist()))
+    return takes
+
+
+def direction(rng: np.random.Generator) -> np.ndarray:
+    x = rng.standard_normal(3)
+    return x / np.linalg.norm(x)
+
+
+def write_carrying(maker: Maker, seed: int, name: str, folder: Path) -> None:
+    """Simulate one of `carried` and write NAME.csv and NAME.truth.json."""
+    what = carried(maker, seed)[name]
+    number = list(carried(maker, seed)).index(name)
+    arm = true_arm(maker, maker.random(seed, 0))
+    loaded = replace(arm, tree=with_load(arm, what))
+    seconds = KNOWN_S if name == "known" else FIRST_S + WINDOWS * WINDOW_S + 0.1
+    known = load_tree(maker.model, maker.joints)
+    for trial in range(5):  # a heavy load far out may shake an arm whose drive knows nothing of it
+        rng = maker.random(seed, 1000 + 10 * number + trial)
+        setpoints = draw_motion(maker, round(seconds * RATE_HZ), RATE_HZ, rng)
+        try:
+            run = simulate(loaded, known, setpoints, maker.torque_nm, pushes(what, maker, seconds), WARM_S)
+            break
+        except RuntimeError:
+            continue
+    _write_csv(folder / f"{name}.csv", maker, loaded, run, [], rng)
+    (folder / f"{name}.truth.json").write_text(json.dumps(asdict(what)) + "\n")
+
+
+def with_load(arm: TrueArm, what: Carried) -> _core.Tree:
+    """The arm's tree, its last link with the load."""
+    links = arm.tree.links
+    link, mass = links[-1], what.mass_kg
+    own, at = np.array(link.com), np.array(what.com_m)
+    both = (link.mass * own + mass * at) / (link.mass + mass)
+    xx, yy, zz, xy, xz, yz = link.inertia
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) + 0.4 * mass * what.radius_m**2 * np.eye(3)
+    for one, place in ((link.mass, own), (mass, at)):
+        lever = place - both
+        inertia += one * (lever @ lever * np.eye(3) - np.outer(lever, lever))
+    link.mass, link.com = link.mass + mass, both.tolist()
+    link.inertia = [float(inertia[k]) for k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    return _core.Tree(links, arm.tree.gravity)
+
+
+def pushes(what: Carried, maker: Maker, seconds: float) -> list[Contact]:
+    """The force on the last link, on from before the first window."""
+    if not what.push_n:
+        return []
+    return [Contact("hold", 0.5, seconds, len(maker.joints) - 1, 0.5, what.direction, what.push_n, (0.5, seconds))]

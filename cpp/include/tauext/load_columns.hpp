@@ -1,0 +1,73 @@
+// What a load that nobody told shows in tau_ext, per unit of its parameters; and what else could show there.
+#pragma once
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "tauext/load_regressor.hpp"
+#include "tauext/momentum_observer.hpp"
+#include "tauext/prior.hpp"
+#include "tauext/sample.hpp"
+
+namespace tauext {
+
+struct Bundle;
+
+// Share of a load's torque by which it adds to the friction of a joint, as the prior found it for the arm's own weight: the
+// sum of its load terms' weights, turned. Kept within 0 and kMostLoadFriction: weights of a joint whose own weight is
+// little were fitted to a beta near 0, and are anything. (joints)
+inline constexpr double kMostLoadFriction = 0.15;  // of strain-wave gears: 0.02 to 0.1
+std::vector<double> load_friction_shares(const PriorSettings& prior, int joints);
+
+// All of it passed through the observer's own filter, so that it stands beside tau_ext:
+//   load       -(dP_k/dt + B_k) - s tanh(dq / v) sign(beta + B phi) B_k      for a unit of phi_k
+//   offset     what of the load's friction does not grow with phi: -s tanh(dq / v) (sign(beta + B phi) beta - |beta|)
+//   frame, base force   torque of 1 N at the load frame's origin along its own axes and along the base's
+//   coulomb    tanh(dq / v): friction that is not what training saw
+// with phi the load as known so far, which decides only on the side that the gear is loaded on.
+class LoadColumns {
+ public:
+  static constexpr int kParameters = LoadRegressor::kParameters;
+  static constexpr double kSignSpeed = 0.05;  // v, [rad/s], as in drift and friction: what is slower has no direction
+
+  struct State {
+    std::vector<MomentumObserver> filters;
+    LoadRegressor::Columns load{};
+    LoadRegressor::Forces frame_forces{}, base_forces{};
+    JointVector offset{}, coulomb{};
+  };
+
+  // Throws Error where the frame or the shares do not fit the tree.
+  LoadColumns(const Tree& tree, const PriorSettings& prior, const LoadFrame& frame, double gain_per_s);
+
+  // The next sample starts anew.
+  void reset() noexcept;
+  // One sample, with beta of the estimated model; phi: (kParameters), of the load.
+  void step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, std::span<const double> beta,
+            std::span<const double> phi) noexcept;
+
+  const State& state() const noexcept { return state_; }
+
+ private:
+  void filter(std::size_t which, std::int64_t t_ns, const JointVector& p, const JointVector& v, JointVector& out) noexcept;
+
+  int joints_;
+  LoadRegressor regressor_;
+  std::optional<Tree> corrected_;  // whose beta the prior's load terms go by; none: the estimated model's
+  std::vector<double> shares_;
+  State state_;
+};
+
+// The columns at `samples` of a recording, which rise; row-major.
+struct LoadRows {
+  std::vector<double> load;                       // (rows, joints, parameters)
+  std::vector<double> frame_forces, base_forces;  // (rows, joints, 3)
+  std::vector<double> offset, coulomb;            // (rows, joints)
+};
+
+// Throws Error where something does not fit, or `samples` do not rise.
+LoadRows load_rows(const Bundle& bundle, const LoadFrame& frame, std::span<const double> phi,
+                   const RecordingView& recording, std::span<const std::int64_t> samples);
+
+}  // namespace tauext

@@ -1,0 +1,118 @@
+#include "tauext/load_columns.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "tauext/bundle.hpp"
+#include "tauext/motion.hpp"
+
+namespace tauext {
+namespace {
+
+constexpr std::size_t kLoads = LoadColumns::kParameters, kOffset = kLoads, kFrame = kOffset + 1, kBase = kFrame + 3,
+                      kCoulomb = kBase + 3, kFilters = kCoulomb + 1;
+
+bool goes_by_corrected(const PriorSettings& prior) {
+  return std::ranges::any_of(prior.terms, [](const Term& term) { return is_load(term) && term.form == 1; });
+}
+
+}  // namespace
+
+std::vector<double> load_friction_shares(const PriorSettings& prior, int joints) {
+  std::vector<double> shares(static_cast<std::size_t>(joints));
+  for (std::size_t m = 0; m < prior.terms.size(); ++m) {
+    const auto joint = static_cast<std::size_t>(prior.terms[m].a);
+    if (is_load(prior.terms[m])) shares[joint] -= prior.weights[joint * prior.terms.size() + m];
+  }
+  for (double& share : shares) share = std::clamp(share, 0.0, kMostLoadFriction);
+  return shares;
+}
+
+LoadColumns::LoadColumns(const Tree& tree, const PriorSettings& prior, const LoadFrame& frame, double gain_per_s)
+    : joints_(tree.size()),
+      regressor_(tree, frame),
+      shares_((prior.validate(tree.size()), load_friction_shares(prior, tree.size()))),
+      state_{std::vector(kFilters, MomentumObserver(tree.size(), gain_per_s, TorqueTiming::held)), {}, {}, {}, {}, {}} {
+  if (goes_by_corrected(prior)) corrected_.emplace(prior.corrected_links, tree.gravity());
+}
+
+void LoadColumns::reset() noexcept {
+  for (MomentumObserver& one : state_.filters) one.reset();
+}
+
+void LoadColumns::filter(std::size_t which, std::int64_t t_ns, const JointVector& p, const JointVector& v,
+                         JointVector& out) noexcept {
+  constexpr JointVector zero{};
+  const auto n = static_cast<std::size_t>(joints_);
+  state_.filters[which].step(t_ns, std::span(p).first(n), std::span(v).first(n), std::span(zero).first(n),
+                             std::span(out).first(n));
+}
+
+void LoadColumns::step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
+                       std::span<const double> beta, std::span<const double> phi) noexcept {
+  constexpr JointVector zero{};
+  const auto n = static_cast<std::size_t>(joints_);
+  regressor_.look(q, dq);
+  JointVector corrected_momentum, corrected_beta, rubbing{}, offset{}, coulomb{};
+  if (corrected_) {
+    corrected_->momentum(q, dq, std::span(corrected_momentum).first(n), std::span(corrected_beta).first(n));
+    beta = std::span<const double>(corrected_beta).first(n);
+  }
+  for (std::size_t j = 0; j < n; ++j) {
+    double loaded = beta[j];
+    for (std::size_t k = 0; k < kLoads; ++k) loaded += regressor_.beta()[k][j] * phi[k];
+    const double side = std::copysign(1.0, loaded);
+    coulomb[j] = std::tanh(dq[j] / kSignSpeed);
+    rubbing[j] = -shares_[j] * coulomb[j] * side;
+    offset[j] = -shares_[j] * coulomb[j] * (side * beta[j] - std::fabs(beta[j]));
+  }
+  for (std::size_t k = 0; k < kLoads; ++k) {
+    JointVector p, v;
+    for (std::size_t j = 0; j < n; ++j) {
+      p[j] = -regressor_.momentum()[k][j];
+      v[j] = (rubbing[j] - 1) * regressor_.beta()[k][j];
+    }
+    filter(k, t_ns, p, v, state_.load[k]);
+  }
+  filter(kOffset, t_ns, zero, offset, state_.offset);
+  for (std::size_t k = 0; k < 3; ++k) {
+    filter(kFrame + k, t_ns, zero, regressor_.frame_forces()[k], state_.frame_forces[k]);
+    filter(kBase + k, t_ns, zero, regressor_.base_forces()[k], state_.base_forces[k]);
+  }
+  filter(kCoulomb, t_ns, zero, coulomb, state_.coulomb);
+}
+
+LoadRows load_rows(const Bundle& bundle, const LoadFrame& frame, std::span<const double> phi,
+                   const RecordingView& recording, std::span<const std::int64_t> samples) {
+  if (recording.joints != bundle.joints())
+    throw Error("the bundle has " + std::to_string(bundle.joints()) + " joints, the recording " +
+                std::to_string(recording.joints));
+  if (phi.size() != kLoads) throw Error("a load has 10 parameters, not " + std::to_string(phi.size()));
+  const Tree tree(bundle.links, bundle.gravity);
+  MotionStage motion(tree, bundle.observer.sample_period_ns, bundle.observer.network_stride, {});
+  LoadColumns columns(tree, bundle.prior, frame, bundle.observer.gain_per_s);
+  const auto n = static_cast<std::size_t>(bundle.joints());
+  LoadRows out;
+  std::size_t next = 0;
+  for (std::int64_t k = 0; k < recording.samples && next < samples.size(); ++k) {
+    const Sample sample = recording.at(k);
+    const SampleClock::Tick tick = motion.step(sample.t_ns, sample.q, sample.dq);
+    if (tick.kind == SampleClock::Kind::restart) columns.reset();
+    if (tick.kind != SampleClock::Kind::not_later)
+      columns.step(sample.t_ns, sample.q, sample.dq, motion.beta(), phi);
+    if (samples[next] != k) continue;
+    ++next;
+    const LoadColumns::State& s = columns.state();
+    for (std::size_t j = 0; j < n; ++j) {
+      for (const JointVector& column : s.load) out.load.push_back(column[j]);
+      for (const JointVector& column : s.frame_forces) out.frame_forces.push_back(column[j]);
+      for (const JointVector& column : s.base_forces) out.base_forces.push_back(column[j]);
+      out.offset.push_back(s.offset[j]);
+      out.coulomb.push_back(s.coulomb[j]);
+    }
+  }
+  if (next != samples.size()) throw Error("samples must rise and stand in the recording");
+  return out;
+}
+
+}  // namespace tauext

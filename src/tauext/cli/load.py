@@ -1,0 +1,110 @@
+"""`tauext load`: what the arm carries, by its own joints; torque constants, by a weight that is known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from tauext.config import require
+from tauext.errors import ConfigError
+
+if TYPE_CHECKING:
+    from tauext._core import Bundle
+    from tauext.load import LoadEstimate, NamedFrame, Seen
+
+
+def load(
+    bundle: tyro.conf.Positional[Path],
+    recordings: tyro.conf.Positional[tuple[Path, ...]],
+    from_s: Annotated[float | None, tyro.conf.arg(name="from")] = None,
+    to_s: Annotated[float | None, tyro.conf.arg(name="to")] = None,
+    frame: str | None = None,
+    reach_m: float = 0.3,
+    known_kg: float | None = None,
+    known_com_m: tuple[float, float, float] | None = None,
+    out: Path | None = None,
+    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+) -> None:
+    """Weigh what the arm carries: mass and centre of mass, from seconds of ordinary motion or some standing poses.
+
+    The bundle must have been trained without this load, and nothing may touch the arm. What the motion cannot tell is
+    named, and so is what turns unlike gravity: a contact. With --known-kg the question is turned round: a weight that
+    is known sets the torque constants.
+
+    Args:
+        bundle: bundle (*.tauext) of the arm.
+        recordings: recordings (*.parquet) of the arm with one and the same load.
+        from_s: seconds from the start of each recording that are left out. None: none.
+        to_s: seconds from the start of each recording at which it ends. None: with its last sample.
+        frame: joint whose link carries the load. None: the last link.
+        reach_m: how far from that link's origin the centre of mass can be at most, [m].
+        known_kg: what the load weighs, [kg]: find torque constants instead of a mass. None: it is not known.
+        known_com_m: centre of mass of the known weight in the link's frame, [m]. None: it is found.
+        out: bundle (*.tauext) to write with the torque constants that a known weight told. None: none is written.
+        as_json: print one JSON object for scripts.
+    """
+    require(1e-3 <= reach_m <= 100, "reach_m", reach_m, "0.001 to 100")
+    require(from_s is None or from_s >= 0, "from", from_s, ">= 0")
+    require(to_s is None or to_s > (from_s or 0), "to", to_s, "> --from")
+    require(known_kg is None or 1e-3 <= known_kg <= 1e4, "known_kg", known_kg, "0.001 to 1e4")
+    near = known_com_m is None or all(abs(c) <= 100 for c in known_com_m)
+    require(near, "known_com_m", known_com_m, "three numbers within +-100")
+    if known_kg is None and (out is not None or known_com_m is not None):
+        raise ConfigError("--out and --known-com-m need --known-kg: without a known weight there is nothing to set")
+    from tauext.cli.run import fitting_bundle
+    from tauext.data import load_recording
+    from tauext.load import between, load_frame, see
+
+    loaded = fitting_bundle(bundle, recordings)
+    expect_weighable(loaded)
+    where = load_frame(loaded, frame)
+    parts = [between(see(loaded, load_recording(path)), from_s, to_s) for path in recordings]
+    if known_kg is None:
+        weigh(loaded, where, parts, reach_m, as_json)
+    else:
+        from tauext.cli.load_known import set_constants
+
+        set_constants(loaded, bundle, where, parts, known_kg, known_com_m, reach_m, out, as_json)
+
+
+def expect_weighable(bundle: Bundle) -> None:
+    """Raise ConfigError where tau_ext is no torque of the joint that a weight could be read from."""
+    if bundle.observer.method.name != "momentum":
+        raise ConfigError(
+            f"bundle '{bundle.name}' follows the {bundle.observer.method.name} residual; a load is weighed by the "
+            "momentum observer's (recipes tauext, prior, friction, observer)"
+        )
+    if not any(link.mass > 0 for link in [*bundle.links, *bundle.prior.corrected_links]):
+        raise ConfigError(
+            f"bundle '{bundle.name}' knows no arm, neither from a model nor found in its motion: no levers"
+        )
+
+
+def weigh(bundle: Bundle, where: NamedFrame, parts: list[Seen], reach_m: float, as_json: bool) -> None:
+    """Print what all of it says, and what each window says alone."""
+    from tauext.load import each_window, identify, load_facts, load_sentences
+
+    found = identify(bundle, where, parts, reach_m)
+    alone = each_window(bundle, where, parts, found) if found.verdict == "load" else []
+    unit = bundle.estimate_units[where.frame.link]
+    if as_json:
+        windows = [{"recording": name, "from_s": start} | load_facts(own) for name, start, own in alone]
+        print(json.dumps({"frame": where.name, "unit": unit} | load_facts(found) | {"windows": windows}, indent=1))
+        return
+    for line in load_sentences(found, where.name, unit):
+        print(line)
+    if len(alone) > 1:
+        print(scatter_sentence(alone))
+        for name, start, own in alone:
+            com = ", ".join(f"{1e3 * c:.0f}" for c in own.com_m)
+            mass = f"{own.mass_kg:.2f} ± {own.mass_error_kg:.2f} kg"
+            print(f"  {name} from {start:.1f} s: {mass} at ({com}) mm, {own.verdict}")
+
+
+def scatter_sentence(alone: list[tuple[str, float, LoadEstimate]]) -> str:
+    """How the windows agree."""
+    masses = sorted(own.mass_kg for _, _, own in alone)
+    return f"by windows of 4 s each alone: {len(masses)} say {masses[0]:.2f} to {masses[-1]:.2f} kg"

@@ -1,0 +1,117 @@
+"""`tauext load --known-kg`: torque constants from a weight that is known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tauext.cli.replaced import tell_replaced
+from tauext.errors import ConfigError
+
+if TYPE_CHECKING:
+    from tauext._core import Bundle
+    from tauext.load import KnownWeight, NamedFrame, Seen
+
+
+def set_constants(
+    bundle: Bundle,
+    path: Path,
+    where: NamedFrame,
+    parts: list[Seen],
+    mass_kg: float,
+    com_m: tuple[float, float, float] | None,
+    reach_m: float,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Find the factors, say them, and write a bundle with the common one where that is asked for.
+
+    Raises:
+        ConfigError: a joint is in a unit of its own, the weight does not tell, or the new bundle cannot be written.
+    """
+    from tauext.load import weigh_constants
+
+    if any(bundle.units.unknown):
+        joints = [link.joint_name for link, unknown in zip(bundle.links, bundle.units.unknown, strict=True) if unknown]
+        raise ConfigError(
+            f"torques of {', '.join(joints)} are in the recordings' own unit; --known-kg corrects constants that are "
+            "about right, and finds none"
+        )
+    check_out(path, out)
+    known = weigh_constants(bundle, where, parts, mass_kg, com_m, reach_m)
+    constants = known.constants(bundle)
+    joints = [link.joint_name for link in bundle.links]
+    if as_json:
+        print(json.dumps(known_facts(known, joints, constants), indent=1))
+    else:
+        for line in known_sentences(known, joints, mass_kg, constants):
+            print(line)
+    if out is not None:
+        write(bundle, path, known, mass_kg, [part.recording.name for part in parts], out)
+        if not as_json:
+            print(out)
+
+
+def check_out(path: Path, out: Path | None) -> None:
+    """Raise ConfigError where the new bundle cannot be written, before anything is computed."""
+    from tauext.room import expect_new_file
+
+    if out is None:
+        return
+    if out.suffix != ".tauext":
+        raise ConfigError(f"{out}: a bundle's name ends in .tauext")
+    if out.exists() and out.samefile(path):
+        raise ConfigError(f"{out}: it is the bundle to correct, which stays as it is; choose another --out")
+    expect_new_file(out)
+
+
+def write(bundle: Bundle, path: Path, known: KnownWeight, mass_kg: float, recordings: list[str], out: Path) -> None:
+    """The bundle with its constants times the common factor; its run file is copied along, where there is one."""
+    from tauext.load import scaled_bundle, with_provenance
+    from tauext.whole_file import whole_files
+
+    new = scaled_bundle(bundle, known.common)
+    with_provenance(new, known, mass_kg, recordings)
+    tell_replaced(out)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    run = path.with_suffix(".run.json")
+    beside = [run] if run.is_file() else []
+    with whole_files(*(out.with_suffix(".run.json") for _ in beside), out) as (*copies, part):
+        for copy, source in zip(copies, beside, strict=True):
+            copy.write_bytes(source.read_bytes())
+        new.save(str(part))
+
+
+def known_sentences(known: KnownWeight, joints: list[str], mass_kg: float, constants: list[float]) -> list[str]:
+    """The factors in words, and what to do where one for all joints is not enough."""
+    lines = [
+        f"with {mass_kg:g} kg known, torques are to be multiplied by {known.common:.3f} ± {known.common_error:.3f}, "
+        "all joints together"
+    ]
+    own = [
+        f"{joint} {factor:.3f} ± {error:.3f}" if shows else f"{joint} as all"
+        for joint, factor, error, shows in zip(joints, known.factors, known.errors, known.shows, strict=True)
+    ]
+    lines.append(f"joint by joint: {', '.join(own)}")
+    if not known.one_factor:
+        told = " ".join(f"{constant:.5g}" for constant in constants)
+        lines.append(
+            "joints differ by more than their errors, which do not know how far the bundle's own arm was fitted with "
+            f"wrong constants; a bundle takes one factor. A training of its own takes all: --torque-constants {told}"
+        )
+    return lines
+
+
+def known_facts(known: KnownWeight, joints: list[str], constants: list[float]) -> dict:
+    """The same for scripts."""
+    return {
+        "factor": known.common,
+        "standard_error": known.common_error,
+        "joints": {
+            joint: {"factor": float(f), "standard_error": float(e), "shows": bool(s), "nm_per_unit": c}
+            for joint, f, e, s, c in zip(joints, known.factors, known.errors, known.shows, constants, strict=True)
+        },
+        "one_factor": known.one_factor,
+        "com_m": known.com_m.tolist(),
+    }

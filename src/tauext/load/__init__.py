@@ -1,0 +1,26 @@
+"""What the arm carries, weighed with its own joints; and its torque constants, from a weight that is known."""
+
+from tauext.load.frame import NamedFrame, load_frame
+from tauext.load.identify import LoadEstimate, identify
+from tauext.load.known import KnownWeight, weigh_constants
+from tauext.load.rows import Seen, see
+from tauext.load.scaled_bundle import scaled_bundle, with_provenance
+from tauext.load.windows import between, each_window
+from tauext.load.words import load_facts, load_sentences
+
+__all__ = [
+    "KnownWeight",
+    "LoadEstimate",
+    "NamedFrame",
+    "Seen",
+    "between",
+    "each_window",
+    "identify",
+    "load_facts",
+    "load_frame",
+    "load_sentences",
+    "scaled_bundle",
+    "see",
+    "weigh_constants",
+    "with_provenance",
+]

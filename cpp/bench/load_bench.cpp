@@ -50,7 +50,8 @@ void measure(const Bundle& b, int steps) {
   const int joints = b.joints();
   const auto n = static_cast<std::size_t>(joints);
   double q[kMaxJoints], dq[kMaxJoints], tau[kMaxJoints];
-  for (Turn* turn : {&without, &with}) turn->estimate.ns.reserve(static_cast<std::size_t>(steps)), turn->advance.ns.reserve(static_cast<std::size_t>(steps));
+  for (Turn* turn : {&without, &with})
+    for (Times* times : {&turn->estimate, &turn->advance}) times->ns.reserve(static_cast<std::size_t>(steps));
   Times whole, now;
   const std::int64_t period_ns = b.observer.sample_period_ns;
   for (int k = 0; k < steps; ++k) {
@@ -68,12 +69,14 @@ void measure(const Bundle& b, int steps) {
       whole.ns.push_back(middle - start), now.ns.push_back(now_ns() - middle);
     }
   }
-  std::printf("{\"joints\": %d, \"steps\": %d, \"terms\": %zu, \"hidden\": %d, ", joints, steps, b.prior.terms.size(), b.shape.hidden);
+  std::printf("{\"joints\": %d, \"steps\": %d, \"terms\": %zu, \"hidden\": %d, ", joints, steps, b.prior.terms.size(),
+              b.shape.hidden);
   for (const auto& [name, turn] : {std::pair("without", &without), {"with", &with}})
     std::printf("\"%s\": {\"estimate_p50_ns\": %lld, \"estimate_p99_ns\": %lld, \"advance_p50_ns\": %lld}, ", name,
                 static_cast<long long>(turn->estimate.at(0.5)), static_cast<long long>(turn->estimate.at(0.99)),
                 static_cast<long long>(turn->advance.at(0.5)));
-  std::printf("\"ratio_of_p50\": %.3f, ", static_cast<double>(with.estimate.at(0.5)) / static_cast<double>(without.estimate.at(0.5)));
+  const auto p50 = [](Turn& turn) { return static_cast<double>(turn.estimate.at(0.5)); };
+  std::printf("\"ratio_of_p50\": %.3f, ", p50(with) / p50(without));
   std::printf("\"set_since_10_over_k0_us\": {\"p50\": %.1f, \"max\": %.1f}, ", 1e-3 * static_cast<double>(whole.at(0.5)),
               1e-3 * static_cast<double>(whole.at(1.0)));
   std::printf("\"set_from_now_us\": {\"p50\": %.2f, \"max\": %.1f}, \"state_bytes\": %zu}\n",

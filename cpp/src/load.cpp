@@ -159,9 +159,9 @@ LoadSettings assumed_load_settings(const std::vector<Link>& links, const std::ve
   LoadSettings settings;
   const bool model = total_mass(links) > 0;
   if (!model) {
-    settings.refused = corrected.empty()
-                           ? "the bundle has no model of the arm, and none was found in its motion"
-                           : "the bundle has no model of the arm, and nobody checked how well the one found in its motion is known";
+    settings.refused = "the bundle has no model of the arm, and ";
+    settings.refused += corrected.empty() ? "none was found in its motion"
+                                          : "nobody checked how well the one found in its motion is known";
     return settings;
   }
   int deepest = -1, leaves = 0;

@@ -122,7 +122,14 @@ Prior::Prior(const PriorSettings& settings, const std::array<double, 3>& gravity
       temperature_(settings.temperature),
       has_presliding_(std::ranges::any_of(settings.terms, is_presliding)),
       state_{MomentumObserver(joints, gain_per_s, TorqueTiming::held),
-             MomentumObserver(joints, gain_per_s, TorqueTiming::held), false, false, {}} {}
+             MomentumObserver(joints, gain_per_s, TorqueTiming::held), false, false, {}} {
+  for (std::size_t m = 0; m < terms_.size(); ++m) {
+    const Term& t = terms_[m];
+    const double weight = weights_[static_cast<std::size_t>(t.a) * terms_.size() + m];
+    if ((is_coulomb(t) || t.kind == TermKind::viscous) && weight != 0)
+      friction_.push_back({weight, static_cast<std::uint32_t>(m), static_cast<std::uint32_t>(t.a), t.kind == TermKind::viscous});
+  }
+}
 
 void Prior::follow_temperature(std::span<const double> celsius) noexcept {
   if (!temperature_.on()) return;
@@ -190,12 +197,7 @@ void Prior::friction(std::span<double> coulomb, std::span<double> viscous) const
 // At the reference temperature.
 void Prior::sum_friction(std::span<double> coulomb, std::span<double> viscous) const noexcept {
   for (std::size_t i = 0; i < coulomb.size(); ++i) coulomb[i] = viscous[i] = 0.0;
-  for (std::size_t m = 0; m < terms_.size(); ++m) {
-    const Term& t = terms_[m];
-    if (!is_coulomb(t) && t.kind != TermKind::viscous) continue;
-    const auto joint = static_cast<std::size_t>(t.a);
-    (t.kind == TermKind::viscous ? viscous : coulomb)[joint] += weights_[joint * terms_.size() + m] * values_[m];
-  }
+  for (const Friction& f : friction_) (f.viscous ? viscous : coulomb)[f.joint] += f.weight * values_[f.term];
 }
 
 void Prior::step_again(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,

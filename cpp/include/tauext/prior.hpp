@@ -186,6 +186,12 @@ class Prior {
   PriorTerms terms_;
   std::vector<double> weights_;
   std::vector<double> values_;  // of the terms at the last step
+  struct Friction {
+    double weight;
+    std::uint32_t term, joint;
+    bool viscous;
+  };
+  std::vector<Friction> friction_;  // the terms that are friction of a joint's own motion
   FrictionTemperature temperature_;
   bool has_presliding_;
   State state_;

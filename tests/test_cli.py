@@ -150,8 +150,7 @@ def test_the_plain_observer_is_a_bundle_too(workplace, capsys, tmp_path):
     assert run(capsys, "evaluate", "--data", data, "--bundles", out, "--out", tmp_path / "results")[0] == 0
 
 
-COMMANDS = ["simulate", "import", "train", "calibrate", "evaluate", "report", "run", "monitor", "load", "show"]
-COMMANDS += ["reproduce"]
+COMMANDS = "simulate import train calibrate refit evaluate report run monitor load show reproduce".split()
 
 
 @pytest.mark.parametrize("command", ["", *COMMANDS])
@@ -202,6 +201,7 @@ WRONG = [
     (("simulate", "--out", "x", "--minutes", "-1"), ["minutes", "> 0"]),
     (("simulate", "--out", "x", "--encoder-bits", "11"), ["encoder_bits = 11", "12 to 24"]),
     (("simulate", "--out", "x", "--friction", "0"), ["friction = 0", "0.1 to 10"]),
+    (("refit", "gone.tauext", "--data", "{data}", "--out", "a.tauext"), ["gone.tauext", "tauext train"]),
     (
         ("calibrate", "--bundle", "gone.tauext", "--data", "{data}", "--out", "a.tauext"),
         ["gone.tauext", "tauext train"],

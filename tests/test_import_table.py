@@ -21,7 +21,7 @@ OPEN = {
     "bundles",
 }
 """Standard library, and of the core what knows no NumPy: open to all."""
-STAGES = {"robot", "data", "rig", "learn", "calibrate", "train", "evaluate", "report"}
+STAGES = {"robot", "data", "rig", "learn", "calibrate", "train", "refit", "evaluate", "report"}
 # folder or module, or one file of a folder: (ours beside OPEN, outside libraries); only `__main__` imports `cli`.
 TABLE = {
     "errors": (set(), set()),
@@ -46,6 +46,7 @@ TABLE = {
     "learn/torch_backend": ({"_core"}, {"numpy", "torch"}),
     "train": ({"_core", "learn", "calibrate", "look", "robot", "data"}, {"numpy"}),
     "calibrate": ({"_core", "look", "robot", "data"}, {"numpy", "scipy"}),
+    "refit": ({"_core", "calibrate", "look", "data"}, {"numpy"}),
     "doctor": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
     "look": ({"doctor", "data"}, {"numpy"}),
     "doctor/picture": ({"report"}, {"numpy", "matplotlib"}),

@@ -18,6 +18,7 @@ COMMANDS = {
     "check": cli.check,
     "train": cli.train,
     "calibrate": cli.calibrate,
+    "refit": cli.refit,
     "evaluate": cli.evaluate,
     "report": cli.report,
     "run": cli.run,
@@ -37,6 +38,7 @@ PRIOR = "train --data data --out out/a.tauext --recipe prior"
 NETWORK = "train --data data --out out/a.tauext --recipe tauext --max-steps 2 --batch 4"
 EVALUATE = "evaluate --data data --out out/results --bundles observer.tauext"
 CALIBRATE = "calibrate --bundle prior.tauext --data hours --out out/a.tauext"
+REFIT = "refit prior.tauext --data data/free-000.parquet --out out/a.tauext"
 CHECK = "check --data data/free-000.parquet --robot robot.xml --out out/check"
 REPORT = "report --results results --data data --out out/report --page-mb 1"
 FLIGHT = "report --flight flights --out out/report --page-mb 1"
@@ -49,7 +51,7 @@ IMPORT = "import --source arm.csv --arm table.toml --out out/imported"
 LEROBOT = IMPORT + " --format lerobot"
 NEW = "import --new out/arm.toml --source arm.csv --robot robot.xml"
 GOOD = (SIMULATE, TRAIN, PRIOR, NETWORK, EVALUATE, CALIBRATE, CHECK, REPORT, FLIGHT, RUN, MONITOR, RECORD, CONVERT)
-GOOD += (LOAD,)
+GOOD += (LOAD, REFIT)
 GOOD += (IMPORT, LEROBOT, NEW, "show observer.tauext", "reproduce --scale smoke --out out/all --cases exact")
 GOOD += ("demo --no-open --headless-seconds 0.1", "demo --no-open")
 RARE = {"reproduce": 0.1, "demo": 0.1, "report": 0.2, "evaluate": 0.4, "calibrate": 0.3, "check": 0.4}
@@ -58,9 +60,11 @@ RARE |= {"results": 0.2, "flight": 0.4, "run.json": 0.4}
 WRITERS = (SIMULATE, TRAIN, NETWORK, EVALUATE, CHECK, REPORT, FLIGHT, RUN, RECORD, CONVERT, IMPORT, LEROBOT, NEW)
 BUNDLE = ("show {}", "show {}", "run {} data/free-006.parquet", "evaluate --data data --out out/results --bundles {}")
 BUNDLE += ("calibrate --bundle {} --data hours --out out/a.tauext",)
+BUNDLE += ("refit {} --data data/free-000.parquet --out out/a.tauext",)
 BUNDLE += ("monitor {} --source replay:data/free-006.parquet --speed 50 --duration-s 0.2",)
 RECORDING = ("show {}", "show {}", "run observer.tauext {}", "check --data {} --robot robot.xml", TRAIN, CHECK)
 RECORDING += (
+    "refit prior.tauext --data {} --out out/a.tauext",
     "monitor observer.tauext --source replay:{} --speed 50 --duration-s 0.2",
     "import --source {} --new out/arm.toml",
 )

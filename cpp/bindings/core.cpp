@@ -673,4 +673,5 @@ NB_MODULE(_core, m) {
   bind_coverage(m);
   bind_load(m);
   bind_monitor(m);
+  bind_refit(m);
 }

@@ -372,6 +372,32 @@ void bind_monitor(nb::module_& m) {
           },
           nb::arg("celsius"), "Of the joints, [degC], NaN where it is not known, from the next sample on; it holds.")
       .def("reset", &Monitor::reset, "As newly made.")
+      .def("reserve_refit", &Monitor::reserve_refit, nb::arg("seconds") = 60.0,
+           "Memory for so much motion, before the loop begins; what was kept is lost.")
+      .def(
+          "start_refit",
+          [](Monitor& self, double friction_share) {
+            if (!self.start_refit(friction_share))
+              throw Error("a refit needs reserve_refit(), a prior that knows friction, and a friction_share of 0 to 2, not " +
+                          to_text(friction_share));
+          },
+          nb::arg("friction_share") = Monitor::kRefitFrictionShare,
+          "Keep motion from the next sample on, with limits higher by this share of the friction.")
+      .def_prop_ro("refit_full", &Monitor::refit_full, "As much motion is kept as was reserved.")
+      .def(
+          "finish_refit",
+          [](Monitor& self) {
+            const RecordingView r = self.finish_refit();
+            const auto N = static_cast<std::size_t>(r.samples), n = static_cast<std::size_t>(r.joints);
+            const auto copy = [&](const double* from) { return to_numpy(std::vector(from, from + N * n), {N, n}); };
+            ArrayDict out;
+            out["t_ns"] = to_numpy(std::vector(r.t_ns, r.t_ns + N), {N});
+            out["q"] = copy(r.q);
+            out["dq"] = copy(r.dq);
+            out["tau"] = copy(r.tau);
+            return out;
+          },
+          "The usual limits again, and the motion that was kept: for tauext.refit_motion.")
       .def(
           "run",
           [](Monitor& self, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,

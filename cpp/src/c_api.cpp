@@ -11,6 +11,7 @@
 #include <string>
 
 #include "tauext/monitor.hpp"
+#include "tauext/refit.hpp"
 
 struct tauext_monitor {
   tauext::Monitor monitor;
@@ -286,6 +287,52 @@ tauext_status tauext_monitor_reset(tauext_monitor* monitor) {
 
 size_t tauext_monitor_state_bytes(const tauext_monitor* monitor) {
   return monitor ? monitor->monitor.state_bytes() : 0;
+}
+
+tauext_status tauext_monitor_reserve_refit(tauext_monitor* monitor, double seconds) {
+  if (!monitor) return TAUEXT_BAD_ARGUMENT;
+  try {
+    monitor->monitor.reserve_refit(seconds);
+    return TAUEXT_OK;
+  } catch (const std::bad_alloc&) {
+    return TAUEXT_NO_MEMORY;
+  } catch (...) {
+    return TAUEXT_BAD_ARGUMENT;
+  }
+}
+
+tauext_status tauext_monitor_start_refit(tauext_monitor* monitor, double friction_share) {
+  return monitor && monitor->monitor.start_refit(friction_share) ? TAUEXT_OK : TAUEXT_BAD_ARGUMENT;
+}
+
+int32_t tauext_monitor_refit_full(const tauext_monitor* monitor) { return monitor && monitor->monitor.refit_full(); }
+
+tauext_status tauext_monitor_finish_refit(tauext_monitor* monitor) {
+  if (!monitor) return TAUEXT_BAD_ARGUMENT;
+  monitor->monitor.finish_refit();
+  return TAUEXT_OK;
+}
+
+tauext_status tauext_refit(const char* bundle_path, const tauext_monitor* monitor, const char* out_path, char* message,
+                           size_t message_size) {
+  say("", message, message_size);
+  if (!bundle_path || !monitor || !out_path) {
+    say("a null pointer where the bundle, the monitor or the new bundle belongs", message, message_size);
+    return TAUEXT_BAD_ARGUMENT;
+  }
+  try {
+    const tauext::RefitSource source{monitor->monitor.refit_motion().view(), {}};
+    tauext::save_bundle(tauext::refit(tauext::load_bundle(bundle_path), {&source, 1}).bundle, out_path);
+    return TAUEXT_OK;
+  } catch (const std::bad_alloc&) {
+    say("not enough memory for the refit", message, message_size);
+    return TAUEXT_NO_MEMORY;
+  } catch (const std::exception& e) {
+    say(e.what(), message, message_size);
+  } catch (...) {
+    say("the refit failed", message, message_size);
+  }
+  return TAUEXT_BAD_BUNDLE;
 }
 
 tauext_status tauext_monitor_save_state(const tauext_monitor* monitor, void* state, size_t size) {

@@ -30,6 +30,7 @@ JudgeStage::JudgeStage(const Bundle& bundle)
 void JudgeStage::reset() noexcept {
   alarm_.reset();
   alarm_.restore_factors({});
+  widen_limits({}, {});
   drift_.reset();
   factors_.reset();
   history_.clear();
@@ -138,8 +139,11 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   } else {
     blank(o.overflowed);
   }
+  JointVector raised{};
+  for (int j = 0; j < e.joints; ++j)
+    raised[j] = e.doubt[j] + widened_at_rest_nm_[j] + widened_per_speed_[j] * std::fabs(sample.dq[static_cast<std::size_t>(j)]);
   e.near_stiction = o.near_stiction;
-  e.detection = alarm_.step(o.t_ns, first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt),
+  e.detection = alarm_.step(o.t_ns, first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(raised),
                             e.near_stiction, o.judged, first_joints(e.limit_nm), first_joints(e.contact_limit_nm));
   // Where training never was, the error is the prior's and no drift.
   const bool teaches = o.teaches && e.unfamiliar < Coverage::kWorthTelling;

@@ -1,5 +1,7 @@
 #include "tauext/monitor.hpp"
 
+#include <algorithm>
+#include <cmath>
 #include <cstring>
 #include <type_traits>
 
@@ -26,6 +28,28 @@ std::uint32_t fingerprint(const Bundle& bundle, NetworkRate rate) {
   return crc32(std::span(&how, 1), crc32(bytes));
 }
 
+// Of a joint that slides at this speed: its presliding states are 1.
+double friction_nm(const PriorSettings& prior, std::size_t joint, double speed) {
+  double sum = 0;
+  for (std::size_t m = 0; m < prior.terms.size(); ++m) {
+    const Term& term = prior.terms[m];
+    if (static_cast<std::size_t>(term.a) != joint) continue;
+    const double weight = prior.weights[joint * prior.terms.size() + m];
+    if (term.kind == TermKind::coulomb) sum += weight * std::tanh(speed / term.speed);
+    if (term.kind == TermKind::presliding) sum += weight;
+    if (term.kind == TermKind::viscous) sum += weight * speed;
+  }
+  return std::fabs(sum);
+}
+
+// Through the friction at a slow and at a usual speed.
+FrictionLine friction_line(const PriorSettings& prior, std::size_t joint) {
+  constexpr double slow = 0.15, usual = 0.5;  // [rad/s]: where Coulomb terms have levelled off
+  const double at_slow = friction_nm(prior, joint, slow), at_usual = friction_nm(prior, joint, usual);
+  const double slope = std::max((at_usual - at_slow) / (usual - slow), 0.0);
+  return {std::max(at_usual - slope * usual, 0.0), slope};
+}
+
 }  // namespace
 
 Monitor::Monitor(const Bundle& bundle, NetworkRate rate)
@@ -35,6 +59,7 @@ Monitor::Monitor(const Bundle& bundle, NetworkRate rate)
       observe_(bundle, rate == NetworkRate::every_sample ? 1 : bundle.observer.network_stride),
       judge_(bundle) {
   for (int j = 0; j < bundle.joints(); ++j) {
+    friction_.push_back(friction_line(bundle.prior, static_cast<std::size_t>(j)));
     joint_names_.push_back(bundle.links[static_cast<std::size_t>(j)].joint_name);
     torque_units_.push_back(bundle.torque_unit(j));
     estimate_units_.push_back(bundle.estimate_unit(j));
@@ -53,6 +78,33 @@ void Monitor::reset() noexcept {
   observe_.reset();
   if (network_) network_->restart();
   judge_.reset();
+  refit_motion_.stop();
+}
+
+void Monitor::reserve_refit(double seconds) {
+  if (!(seconds > 0 && seconds <= 600)) throw Error("a refit's motion of " + to_text(seconds) + " s must be above 0, at most 600");
+  finish_refit();
+  refit_motion_.reserve(joints(), std::llround(std::ceil(1e9 * seconds / static_cast<double>(sample_period_ns_))));
+}
+
+bool Monitor::start_refit(double friction_share) noexcept {
+  const auto any = [](const FrictionLine& line) noexcept { return line.at_rest_nm > 0 || line.per_speed > 0; };
+  if (!refit_motion_.reserved() || !(friction_share >= 0 && friction_share <= 2) || !std::ranges::any_of(friction_, any))
+    return false;
+  JointVector at_rest{}, per_speed{};
+  for (std::size_t j = 0; j < friction_.size(); ++j) {
+    at_rest[j] = friction_share * friction_[j].at_rest_nm;
+    per_speed[j] = friction_share * friction_[j].per_speed;
+  }
+  judge_.widen_limits(at_rest, per_speed);
+  refit_motion_.start();
+  return true;
+}
+
+RecordingView Monitor::finish_refit() noexcept {
+  judge_.widen_limits({}, {});
+  refit_motion_.stop();
+  return refit_motion_.view();
 }
 
 void Monitor::resume() noexcept {
@@ -71,6 +123,7 @@ const Estimate& Monitor::estimate(const Sample& sample) noexcept {
   advance();
   const Observed& observed = observe_.step(sample);
   if (network_ && observed.passage == Passage::entered) predict(observed);
+  if (observed.passage == Passage::entered) refit_motion_.push(sample);
   return judge_.step(observed, sample, network_out_);
 }
 
@@ -145,6 +198,7 @@ bool Monitor::restore_state(std::span<const std::byte> state) noexcept {
   observe_.restore(take(observe_.state()));
   judge_.restore(take(judge_.state()));
   if (network_) network_->restore(left);
+  finish_refit();
   return true;
 }
 

@@ -11,6 +11,7 @@
 #include "check.hpp"
 #include "made_bundle.hpp"
 #include "tauext/monitor.hpp"
+#include "tauext/refit.hpp"
 
 extern "C" int estimates_of_c_program(const void* bundle, size_t bundle_size, size_t samples, const double* q,
                                       const double* dq, const double* tau, double* tau_ext, int32_t* alarms);
@@ -250,6 +251,55 @@ tauext_status open_path(const char* path, tauext_network_rate rate, char* messag
   return status;
 }
 
+// A bundle that knows the friction of its first joint, and what a loop in C does of a morning.
+void a_refit_in_c_is_that_of_cpp() {
+  const auto folder = std::filesystem::temp_directory_path();
+  const std::string old_path = (folder / "tauext_c_refit_old.tauext").string(), new_path = (folder / "tauext_c_refit_new.tauext").string();
+  tauext::Bundle friction = made::bundle(kJoints, 0, 8, 10, 1);
+  friction.prior.terms = {{tauext::TermKind::viscous, 0}};
+  friction.prior.weights = {-2, 0, 0};
+  tauext::answer_reference(friction);
+  tauext::save_bundle(friction, old_path);
+  char message[256];
+  tauext_monitor* m = nullptr;
+  CHECK(tauext_monitor_open(old_path.c_str(), TAUEXT_EVERY_SAMPLE, &m, message, sizeof message) == TAUEXT_OK);
+  CHECK(tauext_monitor_start_refit(m, 0.4) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_reserve_refit(m, 0) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_reserve_refit(m, 12) == TAUEXT_OK);
+  CHECK(tauext_monitor_start_refit(m, 3) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_start_refit(m, 0.4) == TAUEXT_OK && tauext_monitor_refit_full(m) == 0);
+  tauext::Monitor same(friction);
+  same.reserve_refit(12);
+  CHECK(same.start_refit(0.4));
+  for (std::int64_t k = 0; k < 12'000; ++k) {
+    const Signals s(k);
+    CHECK(tauext_monitor_step(m, k * made::kPeriodNs, s.q, s.dq, s.tau, nullptr) == TAUEXT_OK);
+    same.step(s.sample(k * made::kPeriodNs));
+  }
+  CHECK(tauext_monitor_refit_full(m) == 1);
+  CHECK(tauext_monitor_finish_refit(m) == TAUEXT_OK && tauext_monitor_refit_full(m) == 0);
+  std::filesystem::remove(new_path);
+  const tauext_status status = tauext_refit(old_path.c_str(), m, new_path.c_str(), message, sizeof message);
+  const tauext::RefitSource source{same.finish_refit(), {}};
+  try {
+    const tauext::Refit found = tauext::refit(friction, {&source, 1});
+    CHECK(status == TAUEXT_OK && message[0] == '\0');
+    CHECK(tauext::to_bytes(tauext::load_bundle(new_path)) == tauext::to_bytes(found.bundle));
+  } catch (const tauext::Error& e) {  // these signals are no arm's: then both say so
+    CHECK(status == TAUEXT_BAD_BUNDLE && std::string(message) == std::string(e.what()).substr(0, sizeof message - 1));
+    CHECK(!std::filesystem::exists(new_path));
+  }
+  CHECK(tauext_refit(nullptr, m, new_path.c_str(), message, sizeof message) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_refit(old_path.c_str(), nullptr, new_path.c_str(), nullptr, 0) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_reserve_refit(nullptr, 1) == TAUEXT_BAD_ARGUMENT && tauext_monitor_refit_full(nullptr) == 0);
+  CHECK(tauext_monitor_start_refit(nullptr, 0.4) == TAUEXT_BAD_ARGUMENT && tauext_monitor_finish_refit(nullptr) == TAUEXT_BAD_ARGUMENT);
+  tauext_monitor_close(m);
+  tauext_monitor* empty = open();  // nothing kept
+  CHECK(tauext_refit(old_path.c_str(), empty, new_path.c_str(), message, sizeof message) == TAUEXT_BAD_BUNDLE);
+  CHECK(std::strlen(message) > 0);
+  tauext_monitor_close(empty);
+}
+
 void what_cannot_be_opened_says_why() {
   char message[256];
   const auto says = [&](const char* part) {
@@ -306,6 +356,7 @@ int main() {
   a_restored_state_goes_on_as_if_nothing_had_happened();
   no_more_is_written_than_the_caller_has_room_for();
   null_pointers_are_bad_arguments();
+  a_refit_in_c_is_that_of_cpp();
   what_cannot_be_opened_says_why();
   every_code_has_a_name();
   return check::result();

@@ -98,7 +98,9 @@ struct Everything {
         plain(made::bundle(joints, 0, 30, 10, 1)),
         velocity(compared(joints)),
         recorder(joints, 1'000'000, {0.5, 0.1, true}),
-        state(every.state_bytes()) {}
+        state(every.state_bytes()) {
+    every.reserve_refit(1.0);
+  }
 
   // Every path that a control loop can take: health, warm-up, gaps, bad samples, alarms, flights, saving.
   void run(std::int64_t samples) noexcept {
@@ -132,6 +134,8 @@ struct Everything {
       if (k % 1750 == 0) every.clear_load(), plain.clear_load(t_ns - 30'000'000);
       if (k % 300 == 0) every.set_temperature(sample.dq);
       if (k % 1900 == 0) every.save_state(state), every.restore_state(state);
+      if (k % 2100 == 0) CHECK(every.start_refit());
+      if (k % 3600 == 0) every.finish_refit();
       if (k % 5000 == 0) every.reset();
     }
     recorder.finish();

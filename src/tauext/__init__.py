@@ -15,8 +15,8 @@ What a program needs, each name loaded when it is first asked for:
     if not estimate.clear: ...
 
 **Data** load_recording, save_recording, Recording · load_dataset, Dataset · load_bundle, Bundle
-**Train** train_bundle, recalibrate; TrainConfig and the settings in it: ObserverConfig, PriorConfig, DriftConfig,
-AlarmConfig, FilterConfig, FreeMotionConfig
+**Train** train_bundle, recalibrate; refit_bundle, refit_motion, refit_recordings; TrainConfig and the settings in it:
+ObserverConfig, PriorConfig, DriftConfig, AlarmConfig, FilterConfig, FreeMotionConfig
 **Estimate** estimate_recording, Estimates · evaluate_bundles, EventsConfig
 **Monitor** expect_fit, Monitor, Estimate, Health, Alarm, cause_names, FlightRecorder
 **Progress** Reporter: what train_bundle and evaluate_bundles tell while they work
@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     from tauext.errors import BundleError, ConfigError, RecordingError, RobotError, TauextError, TrainingError
     from tauext.evaluate import estimate_recording, evaluate_bundles
     from tauext.progress import Reporter
+    from tauext.refit import refit_bundle, refit_motion, refit_recordings
     from tauext.train import train_bundle
 
 __all__ = [
@@ -104,6 +105,9 @@ __all__ = [
     "load_dataset",
     "load_recording",
     "recalibrate",
+    "refit_bundle",
+    "refit_motion",
+    "refit_recordings",
     "save_recording",
     "train_bundle",
 ]
@@ -134,6 +138,7 @@ _WHERE = {
     "errors": ("BundleError", "ConfigError", "RecordingError", "RobotError", "TauextError", "TrainingError"),
     "evaluate": ("estimate_recording", "evaluate_bundles"),
     "progress": ("Reporter",),
+    "refit": ("refit_bundle", "refit_motion", "refit_recordings"),
     "train": ("train_bundle",),
 }
 """Module of each name. No name is that of a subpackage, which would take its place once it is imported."""

@@ -84,6 +84,12 @@ class JudgeStage {
   void keep(std::int64_t t_ns) noexcept { history_.keep(t_ns, drift_, factors_); }
   // Drift is what it was then, as far as that is kept.
   void take_back_drift(std::int64_t since_ns) noexcept { history_.go_back(since_ns, drift_, factors_); }
+  // Limits are higher by at_rest + per_speed |dq| of each joint, [N m] and [N m s/rad] >= 0, from the next sample on until
+  // they are told otherwise. No part of the state.
+  void widen_limits(const JointVector& at_rest_nm, const JointVector& per_speed) noexcept {
+    widened_at_rest_nm_ = at_rest_nm;
+    widened_per_speed_ = per_speed;
+  }
   const Estimate& last() const noexcept { return estimate_; }  // of the last sample
   const ErrorScale& error_scale() const noexcept { return scale_; }  // as it stands there
   // As newly made.
@@ -122,6 +128,7 @@ class JudgeStage {
   ErrorScale scale_;
   Coverage coverage_;
   Estimate estimate_;
+  JointVector widened_at_rest_nm_{}, widened_per_speed_{};
 };
 
 }  // namespace tauext

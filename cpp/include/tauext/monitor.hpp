@@ -10,6 +10,7 @@
 #include "tauext/bundle.hpp"
 #include "tauext/judge_stage.hpp"
 #include "tauext/observe_stage.hpp"
+#include "tauext/refit_motion.hpp"
 #include "tauext/sample.hpp"
 #include "tauext/sliding_lstm.hpp"
 
@@ -72,6 +73,22 @@ class Monitor {
   // Temperatures of the joints, [degC], NaN where one is not known, from the next sample on; for loops whose samples hold
   // none, since they change slowly. What was known before holds. false, and nothing changed, where they are not one a joint.
   bool set_temperature(std::span<const double> celsius) noexcept;
+  static constexpr double kRefitFrictionShare = 0.4;  // usual
+  // A refit's morning routine (refit.hpp). Outside the loop, since it allocates: memory for so many seconds of samples.
+  // Throws Error where they are not above 0 and at most 600.
+  void reserve_refit(double seconds);
+  // From the next sample on, motion is kept until that memory is full, and limits are higher by this share of the friction
+  // that the prior expects of the joint at its speed: 0.4 covers friction of 0.6 to 1.4 times the old one. No alarm that a
+  // push beyond that would raise is held back. false, and nothing changed: no memory, no friction in the prior, or a share
+  // outside 0 to 2. reset() and restore_state() end it.
+  bool start_refit(double friction_share = kRefitFrictionShare) noexcept;
+  // So much motion is kept.
+  bool refit_full() const noexcept { return refit_motion_.running() && refit_motion_.full(); }
+  // Limits are the usual ones again. What was kept stays until the next start, so that another thread can give it to refit()
+  // while the loop goes on.
+  RecordingView finish_refit() noexcept;
+  // What is kept.
+  const RefitMotion& refit_motion() const noexcept { return refit_motion_; }
   // As newly made.
   void reset() noexcept;
 
@@ -107,6 +124,8 @@ class Monitor {
   std::optional<SlidingLstm> network_;
   std::vector<float> network_out_;
   JudgeStage judge_;
+  std::vector<FrictionLine> friction_;  // a joint
+  RefitMotion refit_motion_;
 };
 
 }  // namespace tauext

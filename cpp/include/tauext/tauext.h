@@ -174,6 +174,19 @@ const char* tauext_monitor_load_frame(const tauext_monitor* monitor); /* "" wher
 /* As newly made. */
 tauext_status tauext_monitor_reset(tauext_monitor* monitor);
 
+/* A refit's morning routine. reserve allocates, outside the loop: memory for so many seconds, above 0 and at most 600.
+ * From start on motion is kept and limits are higher by a share of the joint's friction, 0 to 2 (0.4 is usual), until
+ * finish; TAUEXT_BAD_ARGUMENT without memory, or where the bundle knows no friction. full: 1 once as much is kept. start,
+ * full and finish do not allocate, lock, log or call the system. */
+tauext_status tauext_monitor_reserve_refit(tauext_monitor* monitor, double seconds);
+tauext_status tauext_monitor_start_refit(tauext_monitor* monitor, double friction_share);
+int32_t tauext_monitor_refit_full(const tauext_monitor* monitor);
+tauext_status tauext_monitor_finish_refit(tauext_monitor* monitor);
+/* After finish, and in any thread while the loop goes on: the bundle whose friction is that of the motion kept. Takes
+ * seconds. On any status but TAUEXT_OK nothing is written, and message, unless NULL, holds the reason. */
+tauext_status tauext_refit(const char* bundle_path, const tauext_monitor* monitor, const char* out_path, char* message,
+                           size_t message_size);
+
 /* The whole state, of so many bytes, to go on in another monitor of the same bundle, rate, build and kind of processor.
  * A wrong size to save is TAUEXT_BAD_ARGUMENT; TAUEXT_BAD_STATE: nothing was restored. */
 size_t tauext_monitor_state_bytes(const tauext_monitor* monitor);

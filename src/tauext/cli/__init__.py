@@ -27,6 +27,7 @@ from tauext.cli.load import load
 from tauext.cli.monitor import monitor
 from tauext.cli.parsing import deferred, understood
 from tauext.cli.purposes import arranged_help
+from tauext.cli.refit import refit
 from tauext.cli.replaced import RULE
 from tauext.cli.report import report
 from tauext.cli.reproduce import reproduce
@@ -47,6 +48,7 @@ DESCRIPTION = (
     "check: what recordings and robot file have wrong, before anyone trains. "
     "train -> run: the monitor on recordings; monitor: on a live arm. calibrate: other limits for a trained bundle. "
     "load: what the arm carries, or torque constants by a known weight. "
+    "refit: its friction brought up to date by a minute of today's motion. "
     "demo: push a simulated arm in the browser. convert: a bundle of an older format. "
     "--version: of package, core, its compiler and bundles. "
     f"{RULE} {KILLED}"
@@ -87,6 +89,7 @@ def main(argv: list[str] | None = None) -> int:
         check,
         train,
         calibrate,
+        refit,
         evaluate,
         report,
         run,

@@ -21,7 +21,8 @@ def load_frame(bundle: _core.Bundle, joint: str | None = None) -> NamedFrame:
     joint's axis, z along it.
 
     Args:
-        joint: whose link carries the load; None: the bundle's frame or, if it names none, the link that most joints carry.
+        joint: whose link carries the load; None: the bundle's frame or, if it names none, the link that most joints
+            carry.
 
     Raises:
         ConfigError: there is no such joint.

@@ -179,6 +179,7 @@ void bind_observer(nb::module_& m) {
       .def_rw("terms", &PriorSettings::terms)
       .def_rw("weights", &PriorSettings::weights)
       .def_rw("corrected_links", &PriorSettings::corrected_links)
+      .def_rw("most_load_nm", &PriorSettings::most_load_nm)
       .def_rw("temperature", &PriorSettings::temperature);
   nb::class_<Observation>(m, "Observation", "Residuals of a recording and where its samples stand on the regular clock.")
       .def_ro("row_count", &Observation::row_count)

@@ -193,6 +193,7 @@ void fields(File& file, Bundle& b) {
     field(file, b.load.largest_reach_m);
     field(file, b.load.refused);
     field(file, b.drift.friction_share);
+    field(file, b.prior.most_load_nm);
     field(file, b.prior.temperature.reference_c);
     field(file, b.prior.temperature.reach_k);
     field(file, b.prior.temperature.coulomb_per_10k);

@@ -18,16 +18,6 @@ bool goes_by_corrected(const PriorSettings& prior) {
 
 }  // namespace
 
-std::vector<double> load_friction_shares(const PriorSettings& prior, int joints) {
-  std::vector<double> shares(static_cast<std::size_t>(joints));
-  for (std::size_t m = 0; m < prior.terms.size(); ++m) {
-    const auto joint = static_cast<std::size_t>(prior.terms[m].a);
-    if (is_load(prior.terms[m])) shares[joint] -= prior.weights[joint * prior.terms.size() + m];
-  }
-  for (double& share : shares) share = std::clamp(share, 0.0, kMostLoadFriction);
-  return shares;
-}
-
 LoadColumns::LoadColumns(const Tree& tree, const PriorSettings& prior, const LoadFrame& frame, double gain_per_s)
     : joints_(tree.size()),
       regressor_(tree, frame),

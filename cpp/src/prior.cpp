@@ -5,6 +5,12 @@
 
 namespace tauext {
 namespace {
+
+constexpr double kSignSpeed = 0.05;  // [rad/s], as in drift: what is slower has no direction
+
+}  // namespace
+
+namespace {
 constexpr int kMaxCycles = 10000;
 }
 
@@ -60,9 +66,28 @@ void PriorSettings::validate(int joints) const {
   if (!corrected_links.empty() && corrected_links.size() != static_cast<std::size_t>(joints))
     throw Error("the prior's corrected model has " + std::to_string(corrected_links.size()) + " links where " +
                 std::to_string(joints) + " belong");
+  if (!most_load_nm.empty() && most_load_nm.size() != static_cast<std::size_t>(joints))
+    throw Error("prior.most_load_nm has " + std::to_string(most_load_nm.size()) + " values where " +
+                std::to_string(joints) + " belong");
+  for (double most : most_load_nm)
+    if (!(most >= 0 && std::isfinite(most))) throw Error("prior.most_load_nm = " + to_text(most) + " must be >= 0 and finite");
 }
 
-PriorTerms::PriorTerms(const PriorSettings& settings, const std::array<double, 3>& gravity) : terms_(settings.terms) {
+std::vector<double> load_friction_shares(const PriorSettings& prior, int joints) {
+  std::vector<double> shares(static_cast<std::size_t>(joints));
+  for (std::size_t m = 0; m < prior.terms.size(); ++m) {
+    const auto joint = static_cast<std::size_t>(prior.terms[m].a);
+    if (is_load(prior.terms[m])) shares[joint] -= prior.weights[joint * prior.terms.size() + m];
+  }
+  for (double& share : shares) share = std::clamp(share, 0.0, kMostLoadFriction);
+  return shares;
+}
+
+PriorTerms::PriorTerms(const PriorSettings& settings, const std::array<double, 3>& gravity)
+    : terms_(settings.terms), most_load_nm_(settings.most_load_nm) {
+  load_form_.fill(-1);
+  for (const Term& t : terms_)
+    if (is_load(t) && load_form_[static_cast<std::size_t>(t.a)] < 0) load_form_[static_cast<std::size_t>(t.a)] = t.form;
   if (!settings.corrected_links.empty()) corrected_.emplace(settings.corrected_links, gravity);
 }
 
@@ -78,7 +103,14 @@ void PriorTerms::look(std::span<const double> q, std::span<const double> dq, con
 }
 
 double PriorTerms::load_nm(const Term& t) const noexcept {
-  return std::fabs(t.form == 0 ? beta_[t.a] : corrected_beta_[t.a]);
+  const double load = std::fabs(t.form == 0 ? beta_[t.a] : corrected_beta_[t.a]);
+  return most_load_nm_.empty() ? load : std::min(load, most_load_nm_[static_cast<std::size_t>(t.a)]);
+}
+
+double PriorTerms::beyond_nm(std::size_t joint) const noexcept {
+  if (most_load_nm_.empty() || load_form_[joint] < 0) return 0.0;
+  const double load = std::fabs(load_form_[joint] == 0 ? beta_[joint] : corrected_beta_[joint]);
+  return std::max(load - most_load_nm_[joint], 0.0);
 }
 
 double PriorTerms::value(std::size_t term) const noexcept {
@@ -119,6 +151,7 @@ Prior::Prior(const PriorSettings& settings, const std::array<double, 3>& gravity
       terms_((settings.validate(joints), settings), gravity),
       weights_(settings.weights),
       values_(settings.terms.size()),
+      shares_(settings.most_load_nm.empty() ? std::vector<double>() : load_friction_shares(settings, joints)),
       temperature_(settings.temperature),
       has_presliding_(std::ranges::any_of(settings.terms, is_presliding)),
       state_{MomentumObserver(joints, gain_per_s, TorqueTiming::held),
@@ -156,6 +189,10 @@ void Prior::sum(std::span<const double> q, std::span<const double> dq, const Pre
     for (std::size_t i = 0; i < n; ++i) to[i] += weights_[i * terms_.size() + m] * value;
     const double off = terms_.doubt(m);
     for (std::size_t i = 0; off > 0 && i < n; ++i) unknown[i] += std::fabs(weights_[i * terms_.size() + m]) * off;
+  }
+  for (std::size_t i = 0; i < shares_.size(); ++i) {
+    beyond_nm_[i] = -shares_[i] * terms_.beyond_nm(i) * std::tanh(dq[i] / kSignSpeed);
+    v[i] += beyond_nm_[i];
   }
   if (temperature_.on()) {
     JointVector coulomb, viscous;
@@ -196,7 +233,10 @@ void Prior::friction(std::span<double> coulomb, std::span<double> viscous) const
 
 // At the reference temperature.
 void Prior::sum_friction(std::span<double> coulomb, std::span<double> viscous) const noexcept {
-  for (std::size_t i = 0; i < coulomb.size(); ++i) coulomb[i] = viscous[i] = 0.0;
+  for (std::size_t i = 0; i < coulomb.size(); ++i) {
+    coulomb[i] = beyond_nm_[i];
+    viscous[i] = 0.0;
+  }
   for (const Friction& f : friction_) (f.viscous ? viscous : coulomb)[f.joint] += f.weight * values_[f.term];
 }
 

@@ -302,9 +302,9 @@ void an_old_bundle_with_torque_constants_is_refused_with_the_command_that_conver
     const std::size_t reference = 8 + 8 * samples + 3 * (8 + 8 * samples * n) + 3 * (8 + 8 * n);
     const std::size_t signals_and_reference = 2 * (8 + 8 * n) + reference;
     const std::size_t drift = 8 + (8 + 8 * bundle.drift.size_nm.size()) + 3 * 8;
-    // Nor what came with format 8, what may be carried: two texts and their lengths, a link, 14 numbers; of friction one and four
+    // Nor what came with format 8, what may be carried: two texts and their lengths, a link, 14 numbers; of friction one and five
     // empty lists.
-    const std::size_t load = 8 + bundle.load.frame.size() + 4 + 8 * 14 + 8 + bundle.load.refused.size() + 5 * 8;
+    const std::size_t load = 8 + bundle.load.frame.size() + 4 + 8 * 14 + 8 + bundle.load.refused.size() + 6 * 8;
     const auto carried = bytes.end() - static_cast<std::ptrdiff_t>(reference);
     bytes.erase(carried - static_cast<std::ptrdiff_t>(load), carried);
     // Nor what came with format 7: what is possible, two lists before the reference.

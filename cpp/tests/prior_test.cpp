@@ -144,6 +144,43 @@ void terms_and_corrected_model_add_up() {
 
 // More than 32 terms, so that several filters share the work, at samples that are not all; across a bridged gap and a
 // restart.
+// Up to the bound nothing differs. Beyond it the terms stand still, and friction grows by their sum alone, whatever large
+// weights of either sign they have.
+void load_terms_see_no_more_than_they_were_fitted_to() {
+  const auto friction = [](double mass, std::vector<double> most, double dq) {
+    Link link;
+    link.joint_name = "lift";
+    link.rotation = {0, 0, 1, 0, 1, 0, -1, 0, 0};  // z of the joint lies in the horizontal plane
+    link.mass = mass;
+    link.com = {0.5, 0, 0};
+    PriorSettings settings;
+    settings.terms = {{TermKind::load, 0, 0, 0, 0, 0.01}, {TermKind::load, 0, 0, 0, 0, 1.0}};
+    settings.weights = {-3.0, 2.9};
+    settings.most_load_nm = std::move(most);
+    const Tree tree({link}, {0, 0, -9.81});
+    Prior prior(settings, tree.gravity(), 1, 20);
+    Presliding presliding(1, {});
+    double p[1], beta[1], said[1], doubt[1], coulomb[1], viscous[1];
+    for (int k = 0; k <= 4000; ++k) {
+      const double q[] = {std::numbers::pi / 2}, speed[] = {dq};
+      tree.momentum(q, speed, p, beta);
+      prior.step(k * std::int64_t{1'000'000}, q, speed, presliding, p, beta, said, doubt);
+    }
+    prior.friction(coulomb, viscous);
+    CHECK(std::fabs(coulomb[0] - said[0]) < 1e-9 * std::fabs(said[0]));
+    return std::pair(std::fabs(beta[0]), said[0]);
+  };
+  const double dq = 0.2, shape = -3.0 * std::tanh(dq / 0.01) + 2.9 * std::tanh(dq / 1.0);
+  const auto [light, usual] = friction(1, {}, dq);
+  CHECK(light > 4 && std::fabs(usual - light * shape) < 1e-9 * light);
+  CHECK(friction(1, {1.2 * light}, dq).second == usual);
+  const auto [heavy, loaded] = friction(3, {1.2 * light}, dq);
+  CHECK(std::fabs(heavy - 3 * light) < 1e-9 * heavy);
+  const double expected = 1.2 * light * shape - 0.1 * (heavy - 1.2 * light) * std::tanh(dq / 0.05);
+  CHECK(std::fabs(loaded - expected) < 1e-9 * heavy);
+  CHECK(std::fabs(friction(3, {1.2 * light}, -dq).second + expected) < 1e-9 * heavy);
+}
+
 void the_weighted_regressors_are_the_prior() {
   const Bundle b = made::bundle(3, 0, kSteps, kStride, 1);
   const Tree tree(b.links, b.gravity);
@@ -258,6 +295,8 @@ void invalid_settings_are_refused_by_name() {
   const auto refused_term = [&](const char* part_of_message, Term term) {
     refused_after(part_of_message, [&](PriorSettings& prior) { prior.terms[3] = term; });
   };
+  refused_after("prior.most_load_nm has 1 values where 2 belong", [](PriorSettings& p) { p.most_load_nm = {1}; });
+  refused_after("prior.most_load_nm = -1 must be >= 0 and finite", [](PriorSettings& p) { p.most_load_nm = {1, -1}; });
   refused_term("prior term 3: its kind is unknown", {static_cast<TermKind>(10), 0, 0, 0, 0, 0});
   for (int kind = 0; kind <= static_cast<int>(TermKind::momentum); ++kind) {
     const auto of = static_cast<TermKind>(kind);
@@ -584,6 +623,7 @@ int main() {
   a_constant_torque_and_a_rising_momentum_give_the_closed_form();
   a_corrected_model_turns_r_into_that_of_the_corrected_model();
   terms_and_corrected_model_add_up();
+  load_terms_see_no_more_than_they_were_fitted_to();
   the_weighted_regressors_are_the_prior();
   regressors_of_samples_that_do_not_rise_or_do_not_exist_are_refused();
   a_gap_restarts_filter_and_presliding_states();

@@ -14,12 +14,6 @@ namespace tauext {
 
 struct Bundle;
 
-// Share of a load's torque by which it adds to the friction of a joint, as the prior found it for the arm's own weight: the
-// sum of its load terms' weights, turned. Kept within 0 and kMostLoadFriction: weights of a joint whose own weight is
-// little were fitted to a beta near 0, and are anything. (joints)
-inline constexpr double kMostLoadFriction = 0.15;  // of strain-wave gears: 0.02 to 0.1
-std::vector<double> load_friction_shares(const PriorSettings& prior, int joints);
-
 // All of it passed through the observer's own filter, so that it stands beside tau_ext:
 //   load       -(dP_k/dt + B_k) - s tanh(dq / v) sign(beta + B phi) B_k      for a unit of phi_k
 //   offset     what of the load's friction does not grow with phi: -s tanh(dq / v) (sign(beta + B phi) beta - |beta|)

@@ -59,6 +59,9 @@ struct PriorSettings {
   // The model as data corrected it, in the order of the bundle's links; empty: not corrected.
   std::vector<Link> corrected_links;
   FrictionTemperature temperature = {};
+  // A joint: the most |beta| that its load terms were fitted to, [N m]. They see no more than that; what is beyond, as with
+  // a load, adds to the joint's friction by load_friction_shares() of it. Empty: no bound, and no such friction.
+  std::vector<double> most_load_nm = {};
 
   bool empty() const noexcept { return terms.empty() && corrected_links.empty(); }
   // Throws Error, naming what does not fit `joints`.
@@ -77,6 +80,12 @@ inline bool is_coulomb(const Term& term) noexcept {
   return term.kind == TermKind::coulomb || is_load(term) || is_presliding(term);
 }
 inline bool is_momentum(const Term& term) noexcept { return term.kind == TermKind::momentum; }
+
+// Share of what weighs on a gear by which it adds to the friction of a joint, as the prior found it for the arm's own weight:
+// the sum of its load terms' weights, turned. Kept within 0 and kMostLoadFriction: weights of a joint whose own weight is
+// little were fitted to a beta near 0, and are anything. (joints)
+inline constexpr double kMostLoadFriction = 0.15;  // of strain-wave gears: 0.02 to 0.1
+std::vector<double> load_friction_shares(const PriorSettings& prior, int joints);
 
 // Terms of a prior at one sample after the other.
 class PriorTerms {
@@ -102,6 +111,8 @@ class PriorTerms {
   std::size_t size() const noexcept { return terms_.size(); }  // how many
   const Term& operator[](std::size_t term) const noexcept { return terms_[term]; }
   bool corrects_model() const noexcept { return corrected_.has_value(); }
+  // What of |beta| of a joint is beyond the most that its load terms were fitted to, [N m]; 0 without such a bound.
+  double beyond_nm(std::size_t joint) const noexcept;
   // p and beta of the corrected model, where there is one.
   std::span<const double> corrected_momentum() const noexcept { return {corrected_momentum_.data(), q_.size()}; }
   std::span<const double> corrected_beta() const noexcept { return {corrected_beta_.data(), q_.size()}; }
@@ -111,6 +122,8 @@ class PriorTerms {
   double load_nm(const Term& term) const noexcept;
 
   std::vector<Term> terms_;
+  std::vector<double> most_load_nm_;
+  std::array<std::int32_t, kMaxJoints> load_form_{};  // of the first load term of a joint; -1: it has none
   std::optional<Tree> corrected_;
   JointVector corrected_momentum_{}, corrected_beta_{};
   std::span<const double> q_, dq_, beta_;
@@ -186,6 +199,8 @@ class Prior {
   PriorTerms terms_;
   std::vector<double> weights_;
   std::vector<double> values_;  // of the terms at the last step
+  std::vector<double> shares_;  // load_friction_shares(); empty: no bound of load terms
+  JointVector beyond_nm_{};     // friction at the last step of what is beyond that bound
   struct Friction {
     double weight;
     std::uint32_t term, joint;

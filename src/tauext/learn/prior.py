@@ -25,6 +25,9 @@ RIPPLE_HELPS = 0.01
 """A ripple stays that lowers the error on left-out motion by this share: in minutes, noise may look like one."""
 FOUND_ARM_COSTS = 0.1
 """Sines and cosines must explain left-out motion better by this share to stand in for an arm found in the motion."""
+BEYOND = 1.2
+"""Times the most that the arm itself weighed in training: so far load terms are believed."""
+LOAD_TERMS = (_core.TermKind.load, _core.TermKind.load_presliding)
 LEAST_CYCLES = 5  # a turn: what comes back more seldom is gravity that is not quite right, and no gear
 
 
@@ -105,9 +108,32 @@ def chosen(
         again = fit_terms(replace(setup, prior=prior), recordings, config, ripple, inertia)
         return chosen(setup, replace(again, dropped_widths=fit.dropped_widths), recordings, config, ripple, inertia)
 
+    bound_loads(fitted_to, recordings, fit)
     if config.follow_temperature:
         fit = with_temperature(fitted_to, recordings, fit)
     return replace(fit, kinematics=inertia.kinematics, refit=refit)
+
+
+def bound_loads(setup: Setup, recordings: Sequence[Recording], fit: PriorFit) -> None:
+    """Load terms of the fit see no more than what the arm itself weighs in this motion, and BEYOND.
+
+    With what a hand carries more would be asked of them than they were fitted to; those of a joint that weighs next to
+    nothing were fitted to nothing.
+    """
+    forms = {term.form for term in fit.settings.terms if term.kind in LOAD_TERMS}
+    if not forms:
+        return
+    trees = [setup.tree] if forms == {ESTIMATED} else [_core.Tree(fit.settings.corrected_links, setup.tree.gravity)]
+    if len(forms) > 1:
+        trees.append(setup.tree)
+    stride = setup.observer.network_stride
+    most = np.zeros(setup.tree.size)
+    for recording in recordings:
+        for tree in trees:
+            beta = tree.momentum(recording.q[::stride].copy(), recording.dq[::stride].copy())[1]
+            most = np.maximum(most, np.abs(beta).max(axis=0))
+    for settings in (fit.settings, *(one.settings for one in fit.left_out)):
+        settings.most_load_nm = (BEYOND * most).tolist()
 
 
 def find_inertia(

@@ -25,6 +25,7 @@ def scaled_bundle(bundle: _core.Bundle, factor: float) -> _core.Bundle:
     new.units = _core.TorqueUnits(bundle.units.given, -1, bundle.units.unknown)  # a weight in kg says what a N m is
     new.links = [scaled_link(link, factor) for link in bundle.links]
     prior, terms = new.prior, len(new.prior.terms)
+    prior.most_load_nm = times(factor, prior.most_load_nm)
     prior.corrected_links = [scaled_link(link, factor) for link in prior.corrected_links]
     share = [term.kind in RATIOS for term in prior.terms]
     prior.weights = [weight if share[k % terms] else factor * weight for k, weight in enumerate(prior.weights)]

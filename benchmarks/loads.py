@@ -115,7 +115,7 @@ def command(*arguments: str | Path) -> None:
 def weigh(folder: Path, label: str, path: Path, maker: Maker, seed: int) -> list[Weighed]:
     """Every window of every load and push."""
     bundle = load_bundle(path)
-    frame = load_frame(bundle)
+    frame = load_frame(bundle, maker.joints[-1])
     data = folder / f"data-{label.split(',')[0]}"
     outcomes = []
     for name, truth in carried(maker, seed).items():
@@ -143,7 +143,7 @@ def correct(folder: Path, maker: Maker, seed: int) -> dict:
     constants = np.array(bundle.observer.nm_per_unit or np.ones(bundle.joints))
     facts: dict = {"left": (1 / (wrong * constants)).tolist()}
     try:
-        known = weigh_constants(bundle, load_frame(bundle), [see(bundle, recording)], KNOWN_KG)
+        known = weigh_constants(bundle, load_frame(bundle, maker.joints[-1]), [see(bundle, recording)], KNOWN_KG)
     except TauextError as error:
         return facts | {"refused": str(error)}
     scaled_bundle(bundle, known.common).save(str(folder / "off-common.tauext"))

@@ -152,7 +152,8 @@ def test_an_arm_is_found_in_a_minute_of_its_motion(gravity):
 def test_friction_that_grows_with_the_load_is_that_of_the_arm_found():
     fit = fit_prior(setup_of(arm()), made_motion(arm(), 1.0, pieces=2).recordings, CONFIG)
     loads = [term for term in fit.settings.terms if term.kind == _core.TermKind.load]
-    assert len(loads) == 4 and {term.form for term in loads} == {1}
+    # nothing weighs on the turntable, and little on the wrist
+    assert {(term.a, term.form) for term in loads} == {(1, 1), (2, 1)}
     assert len(fit.settings.corrected_links) == 4 and all(link.mass > 0 for link in fit.settings.corrected_links)
 
 

@@ -1,6 +1,7 @@
 #include "tauext/prior.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 
 namespace tauext {
@@ -75,19 +76,26 @@ void PriorSettings::validate(int joints) const {
 
 std::vector<double> load_friction_shares(const PriorSettings& prior, int joints) {
   std::vector<double> shares(static_cast<std::size_t>(joints));
+  std::uint32_t known = 0;
   for (std::size_t m = 0; m < prior.terms.size(); ++m) {
     const auto joint = static_cast<std::size_t>(prior.terms[m].a);
-    if (is_load(prior.terms[m])) shares[joint] -= prior.weights[joint * prior.terms.size() + m];
+    if (!is_load(prior.terms[m])) continue;
+    shares[joint] -= prior.weights[joint * prior.terms.size() + m];
+    known |= std::uint32_t{1} << joint;
   }
-  for (double& share : shares) share = std::clamp(share, 0.0, kMostLoadFriction);
+  double sum = 0;
+  for (double& share : shares) sum += share = std::clamp(share, 0.0, kMostLoadFriction);
+  for (std::size_t j = 0; known != 0 && j < shares.size(); ++j)
+    if (!(known >> j & 1)) shares[j] = sum / std::popcount(known);
   return shares;
 }
 
 PriorTerms::PriorTerms(const PriorSettings& settings, const std::array<double, 3>& gravity)
     : terms_(settings.terms), most_load_nm_(settings.most_load_nm) {
-  load_form_.fill(-1);
   for (const Term& t : terms_)
-    if (is_load(t) && load_form_[static_cast<std::size_t>(t.a)] < 0) load_form_[static_cast<std::size_t>(t.a)] = t.form;
+    if (is_load(t)) load_form_.fill(t.form);
+  for (const Term& t : terms_)
+    if (is_load(t)) load_form_[static_cast<std::size_t>(t.a)] = t.form;
   if (!settings.corrected_links.empty()) corrected_.emplace(settings.corrected_links, gravity);
 }
 
@@ -108,7 +116,7 @@ double PriorTerms::load_nm(const Term& t) const noexcept {
 }
 
 double PriorTerms::beyond_nm(std::size_t joint) const noexcept {
-  if (most_load_nm_.empty() || load_form_[joint] < 0) return 0.0;
+  if (most_load_nm_.empty()) return 0.0;
   const double load = std::fabs(load_form_[joint] == 0 ? beta_[joint] : corrected_beta_[joint]);
   return std::max(load - most_load_nm_[joint], 0.0);
 }

@@ -18,7 +18,7 @@ What a program needs, each name loaded when it is first asked for:
 **Train** train_bundle, recalibrate; refit_bundle, refit_motion, refit_recordings; TrainConfig and the settings in it:
 ObserverConfig, PriorConfig, DriftConfig, AlarmConfig, FilterConfig, FreeMotionConfig
 **Estimate** estimate_recording, Estimates · evaluate_bundles, EventsConfig
-**Monitor** expect_fit, Monitor, Estimate, Health, Alarm, cause_names, FlightRecorder
+**Monitor** expect_fit, Monitor, Estimate, Health, Alarm, cause_names, FlightRecorder; Load
 **Progress** Reporter: what train_bundle and evaluate_bundles tell while they work
 **Errors** TauextError and under it RobotError, RecordingError, ConfigError, BundleError, TrainingError
 
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
         Estimate,
         FlightRecorder,
         Health,
+        Load,
         Monitor,
         __version__,
         cause_names,
@@ -86,6 +87,7 @@ __all__ = [
     "FlightRecorder",
     "FreeMotionConfig",
     "Health",
+    "Load",
     "Monitor",
     "ObserverConfig",
     "PriorConfig",
@@ -113,7 +115,17 @@ __all__ = [
 ]
 
 _WHERE = {
-    "_core": ("Alarm", "Bundle", "Estimate", "FlightRecorder", "Health", "Monitor", "__version__", "cause_names"),
+    "_core": (
+        "Alarm",
+        "Bundle",
+        "Estimate",
+        "FlightRecorder",
+        "Health",
+        "Load",
+        "Monitor",
+        "__version__",
+        "cause_names",
+    ),
     "calibrate": ("recalibrate",),
     "config": (
         "AlarmConfig",

@@ -82,8 +82,8 @@ inline bool is_coulomb(const Term& term) noexcept {
 inline bool is_momentum(const Term& term) noexcept { return term.kind == TermKind::momentum; }
 
 // Share of what weighs on a gear by which it adds to the friction of a joint, as the prior found it for the arm's own weight:
-// the sum of its load terms' weights, turned. Kept within 0 and kMostLoadFriction: weights of a joint whose own weight is
-// little were fitted to a beta near 0, and are anything. (joints)
+// the sum of its load terms' weights, turned, within 0 and kMostLoadFriction. A joint without load terms has the mean of the
+// others: it weighs too little for its own to show. (joints)
 inline constexpr double kMostLoadFriction = 0.15;  // of strain-wave gears: 0.02 to 0.1
 std::vector<double> load_friction_shares(const PriorSettings& prior, int joints);
 
@@ -123,7 +123,7 @@ class PriorTerms {
 
   std::vector<Term> terms_;
   std::vector<double> most_load_nm_;
-  std::array<std::int32_t, kMaxJoints> load_form_{};  // of the first load term of a joint; -1: it has none
+  std::array<std::int32_t, kMaxJoints> load_form_{};  // of the load terms of a joint, or of any other
   std::optional<Tree> corrected_;
   JointVector corrected_momentum_{}, corrected_beta_{};
   std::span<const double> q_, dq_, beta_;

@@ -27,6 +27,9 @@ FOUND_ARM_COSTS = 0.1
 """Sines and cosines must explain left-out motion better by this share to stand in for an arm found in the motion."""
 BEYOND = 1.2
 """Times the most that the arm itself weighed in training: so far load terms are believed."""
+USUAL_SHARE, WEIGHS = 0.05, 0.05
+"""Of a load in the friction of a strain-wave gear; and of a joint's friction, below which that does not show."""
+MOVES_RAD_S = 0.05
 LOAD_TERMS = (_core.TermKind.load, _core.TermKind.load_presliding)
 LEAST_CYCLES = 5  # a turn: what comes back more seldom is gravity that is not quite right, and no gear
 
@@ -114,11 +117,37 @@ def chosen(
     return replace(fit, kinematics=inertia.kinematics, refit=refit)
 
 
+def weighs_on(setup: Setup, recordings: Sequence[Recording], inertia: Inertia) -> np.ndarray:
+    """Which joints (n,) bool the arm loads so much that its motion can tell the friction of load.
+
+    USUAL_SHARE of what it weighs there is WEIGHS of the friction or more, which is the mean of the torque along the
+    joint's speed.
+    """
+    n = setup.tree.size
+    if inertia.load is None:
+        return np.zeros(n, dtype=bool)
+    tree = setup.tree if inertia.load == ESTIMATED else _core.Tree(list(inertia.loads), setup.tree.gravity)
+    along, rows = np.zeros(n), np.zeros(n)
+    for recording in recordings:
+        moves = np.abs(recording.dq) > MOVES_RAD_S
+        along += np.sum(np.where(moves, recording.tau * np.sign(recording.dq), 0.0), axis=0)
+        rows += np.sum(moves, axis=0)
+    return USUAL_SHARE * largest_beta(tree, setup, recordings) >= WEIGHS * np.abs(along) / np.maximum(rows, 1)
+
+
+def largest_beta(tree: _core.Tree, setup: Setup, recordings: Sequence[Recording]) -> np.ndarray:
+    """The most |beta| of each joint (n,) in this motion, [N m]."""
+    stride, most = setup.observer.network_stride, np.zeros(tree.size)
+    for recording in recordings:
+        beta = tree.momentum(recording.q[::stride].copy(), recording.dq[::stride].copy())[1]
+        most = np.maximum(most, np.abs(beta).max(axis=0))
+    return most
+
+
 def bound_loads(setup: Setup, recordings: Sequence[Recording], fit: PriorFit) -> None:
     """Load terms of the fit see no more than what the arm itself weighs in this motion, and BEYOND.
 
-    With what a hand carries more would be asked of them than they were fitted to; those of a joint that weighs next to
-    nothing were fitted to nothing.
+    With what a hand carries more would be asked of them than they were fitted to.
     """
     forms = {term.form for term in fit.settings.terms if term.kind in LOAD_TERMS}
     if not forms:
@@ -126,12 +155,7 @@ def bound_loads(setup: Setup, recordings: Sequence[Recording], fit: PriorFit) ->
     trees = [setup.tree] if forms == {ESTIMATED} else [_core.Tree(fit.settings.corrected_links, setup.tree.gravity)]
     if len(forms) > 1:
         trees.append(setup.tree)
-    stride = setup.observer.network_stride
-    most = np.zeros(setup.tree.size)
-    for recording in recordings:
-        for tree in trees:
-            beta = tree.momentum(recording.q[::stride].copy(), recording.dq[::stride].copy())[1]
-            most = np.maximum(most, np.abs(beta).max(axis=0))
+    most = np.max([largest_beta(tree, setup, recordings) for tree in trees], axis=0)
     for settings in (fit.settings, *(one.settings for one in fit.left_out)):
         settings.most_load_nm = (BEYOND * most).tolist()
 
@@ -177,6 +201,8 @@ def fit_terms(
 ) -> PriorFit:
     """All terms of the prior, with these ripples of each joint: see fit_ridge."""
     tops = np.max([np.abs(recording.dq).max(axis=0) for recording in recordings], axis=0)
-    own = [own_terms(setup, config, j, ripple[j], inertia.load, top) for j, top in enumerate(tops.tolist())]
+    weighs = weighs_on(setup, recordings, inertia)
+    loads = [inertia.load if load else None for load in weighs]
+    own = [own_terms(setup, config, j, ripple[j], loads[j], top) for j, top in enumerate(tops.tolist())]
     shared = [] if has_model(setup) or inertia.tree else shared_terms(setup)
     return fit_ridge(setup, recordings, own, shared, inertia.tree, inertia.loads)

@@ -39,10 +39,10 @@ def load(
         recordings: recordings (*.parquet) of the arm with one and the same load.
         from_s: seconds from the start of each recording that are left out. None: none.
         to_s: seconds from the start of each recording at which it ends. None: with its last sample.
-        frame: joint whose link carries the load. None: the last link.
-        reach_m: how far from that link's origin the centre of mass can be at most, [m].
+        frame: joint whose link carries the load. None: the bundle's load frame, on the last link.
+        reach_m: how far from that frame's origin the centre of mass can be at most, [m].
         known_kg: what the load weighs, [kg]: find torque constants instead of a mass. None: it is not known.
-        known_com_m: centre of mass of the known weight in the link's frame, [m]. None: it is found.
+        known_com_m: centre of mass of the known weight in that frame, [m]. None: it is found.
         out: bundle (*.tauext) to write with the torque constants that a known weight told. None: none is written.
         as_json: print one JSON object for scripts.
     """

@@ -16,7 +16,10 @@ from tauext.data import Recording
 from tauext.learn import PriorFit, Setup, fit_prior
 from tauext.learn.kinematic_sample import pieces, thinned
 from tauext.learn.kinematics import Kinematics, frame_of
+from tauext.learn.prior import Inertia, weighs_on
 from tauext.learn.prior_facts import arm_found
+from tauext.learn.prior_terms import ESTIMATED
+from tauext.load.scaled_bundle import observer_with
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
 
 X, Y, Z = np.eye(3)
@@ -155,6 +158,17 @@ def test_friction_that_grows_with_the_load_is_that_of_the_arm_found():
     # nothing weighs on the turntable, and little on the wrist
     assert {(term.a, term.form) for term in loads} == {(1, 1), (2, 1)}
     assert len(fit.settings.corrected_links) == 4 and all(link.mass > 0 for link in fit.settings.corrected_links)
+
+
+def test_what_shows_of_a_load_does_not_depend_on_the_unit_of_the_torque():
+    setup = replace(setup_of(arm()), tree=arm())
+    made = made_motion(arm(), 0.5, pieces=1).recordings
+    in_amperes = [replace(one, tau=one.tau / 50.0) for one in made]
+    known = replace(setup, observer=observer_with(setup.observer, [50.0] * 4))
+    shows = weighs_on(setup, made, Inertia(load=ESTIMATED))
+    assert shows.tolist() == [False, True, True, False]
+    np.testing.assert_array_equal(weighs_on(known, in_amperes, Inertia(load=ESTIMATED)), shows)
+    assert weighs_on(setup, in_amperes, Inertia(load=ESTIMATED))[3]  # what it would say of numbers in another unit
 
 
 def test_the_same_motion_finds_the_same_arm():

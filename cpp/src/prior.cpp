@@ -6,12 +6,6 @@
 
 namespace tauext {
 namespace {
-
-constexpr double kSignSpeed = 0.05;  // [rad/s], as in drift: what is slower has no direction
-
-}  // namespace
-
-namespace {
 constexpr int kMaxCycles = 10000;
 }
 

@@ -23,7 +23,6 @@ struct Bundle;
 class LoadColumns {
  public:
   static constexpr int kParameters = LoadRegressor::kParameters;
-  static constexpr double kSignSpeed = 0.05;  // v, [rad/s], as in drift and friction: what is slower has no direction
 
   struct State {
     std::vector<MomentumObserver> filters;

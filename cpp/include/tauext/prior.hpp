@@ -86,6 +86,7 @@ inline bool is_momentum(const Term& term) noexcept { return term.kind == TermKin
 // others: it weighs too little for its own to show. (joints)
 inline constexpr double kMostLoadFriction = 0.15;  // of strain-wave gears: 0.02 to 0.1
 std::vector<double> load_friction_shares(const PriorSettings& prior, int joints);
+inline constexpr double kSignSpeed = 0.05;  // of what they are shares of, [rad/s], as in drift: what is slower has no direction
 
 // Terms of a prior at one sample after the other.
 class PriorTerms {

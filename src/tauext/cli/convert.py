@@ -6,10 +6,8 @@ from pathlib import Path
 
 import tyro
 
-from tauext.cli.replaced import tell_replaced
+from tauext.cli.another_bundle import expect_another, write_another
 from tauext.errors import ConfigError, TauextError
-from tauext.room import expect_new_file
-from tauext.whole_file import whole_files
 
 
 def convert(bundle: tyro.conf.Positional[Path], out: Path) -> None:
@@ -27,23 +25,12 @@ def convert(bundle: tyro.conf.Positional[Path], out: Path) -> None:
 
     if not bundle.is_file():
         raise ConfigError(f"{bundle}: there is no such bundle; give one of format 3 or 4")
-    if out.suffix != ".tauext":
-        raise ConfigError(f"{out}: a bundle's name ends in .tauext")
-    if out.exists() and out.samefile(bundle):
-        raise ConfigError(f"{out}: it is the bundle to convert, which stays as it is; choose another --out")
-    expect_new_file(out)
+    expect_another(out, bundle, "convert")
     try:
         new = converted(bundle.read_bytes())
     except TauextError as error:
         raise ConfigError(f"{bundle}: {error}") from error
-    tell_replaced(out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    run = bundle.with_suffix(".run.json")
-    beside = [run] if run.is_file() else []
-    with whole_files(*(out.with_suffix(".run.json") for _ in beside), out) as (*parts, part):
-        for copy, source in zip(parts, beside, strict=True):
-            copy.write_bytes(source.read_bytes())
-        new.save(str(part))
+    write_another(new, bundle, out)
     takes = ", ".join(f"{link.joint_name} {unit}" for link, unit in zip(new.links, new.torque_units, strict=True))
     print(f"tau is now given as it was recorded: {takes}")
     print(out)

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tauext.cli.replaced import tell_replaced
+from tauext.cli.another_bundle import expect_another, write_another
 from tauext.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -55,32 +55,17 @@ def set_constants(
 
 def check_out(path: Path, out: Path | None) -> None:
     """Raise ConfigError where the new bundle cannot be written, before anything is computed."""
-    from tauext.room import expect_new_file
-
-    if out is None:
-        return
-    if out.suffix != ".tauext":
-        raise ConfigError(f"{out}: a bundle's name ends in .tauext")
-    if out.exists() and out.samefile(path):
-        raise ConfigError(f"{out}: it is the bundle to correct, which stays as it is; choose another --out")
-    expect_new_file(out)
+    if out is not None:
+        expect_another(out, path, "correct")
 
 
 def write(bundle: Bundle, path: Path, known: KnownWeight, mass_kg: float, recordings: list[str], out: Path) -> None:
     """The bundle with its constants times the common factor; its run file is copied along, where there is one."""
     from tauext.load import scaled_bundle, with_provenance
-    from tauext.whole_file import whole_files
 
     new = scaled_bundle(bundle, known.common)
     with_provenance(new, known, mass_kg, recordings)
-    tell_replaced(out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    run = path.with_suffix(".run.json")
-    beside = [run] if run.is_file() else []
-    with whole_files(*(out.with_suffix(".run.json") for _ in beside), out) as (*copies, part):
-        for copy, source in zip(copies, beside, strict=True):
-            copy.write_bytes(source.read_bytes())
-        new.save(str(part))
+    write_another(new, path, out)
 
 
 def known_sentences(known: KnownWeight, joints: list[str], mass_kg: float, constants: list[float]) -> list[str]:

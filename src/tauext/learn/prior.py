@@ -132,7 +132,8 @@ def weighs_on(setup: Setup, recordings: Sequence[Recording], inertia: Inertia) -
         moves = np.abs(recording.dq) > MOVES_RAD_S
         along += np.sum(np.where(moves, recording.tau * np.sign(recording.dq), 0.0), axis=0)
         rows += np.sum(moves, axis=0)
-    return USUAL_SHARE * largest_beta(tree, setup, recordings) >= WEIGHS * np.abs(along) / np.maximum(rows, 1)
+    friction_nm = np.abs(setup.observer.nm_per_unit or 1.0) * np.abs(along) / np.maximum(rows, 1)
+    return USUAL_SHARE * largest_beta(tree, setup, recordings) >= WEIGHS * friction_nm
 
 
 def largest_beta(tree: _core.Tree, setup: Setup, recordings: Sequence[Recording]) -> np.ndarray:

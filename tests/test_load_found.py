@@ -326,6 +326,9 @@ def test_the_command_writes_a_bundle_by_a_known_weight(tmp_path, arm, loaded_mot
     right = load_bundle(out)
     assert right.observer.nm_per_unit == pytest.approx([1.0] * 6, abs=0.01)
     assert json.loads(right.provenance)["known_weight"]["mass_kg"] == MASS
+    assert main(["show", str(out)]) == 0
+    corrected = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("torques corrected"))
+    assert "times 1.12" in corrected and f"{MASS:g} kg" in corrected
     assert main(["load", str(out), command[2], "--json"]) == 0
     assert abs(json.loads(capsys.readouterr().out)["mass_kg"] - MASS) < 0.03
     assert main([*command, "--known-kg", "1600"]) == 2

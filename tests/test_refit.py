@@ -279,6 +279,9 @@ def test_the_command_prints_a_row_a_joint_and_writes_where_it_came_from(files, c
     assert facts["command"] == "tauext refit" and facts["settings"]["bundle"] == "old.tauext"
     assert set(facts["settings"]["data"]) == {"today.parquet"} and len(facts["settings"]["bundle_sha256"]) == 64
     assert json.loads((files / "new.run.json").read_text())["refitted"]["joints"][0]["joint"] == "shoulder"
+    assert main(["show", str(files / "new.tauext")]) == 0
+    shown = capsys.readouterr().out
+    assert "friction brought up to date" in shown and "since training, shoulder" in shown and "times 1.3" in shown
     assert main([*arguments, str(files / "short.tauext"), "--from", "5", "--seconds", "30", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["used_s"] == pytest.approx(29.5, abs=0.2) and told["joints"][0]["coulomb"][0] == pytest.approx(

@@ -220,6 +220,20 @@ def test_names_are_text_and_never_markup(copied):
     assert "&lt;b&gt;fast&lt;/b&gt; &amp; loud" in page and "<i>exact" not in page
 
 
+def test_what_was_done_to_a_bundle_after_its_training_is_said(copied):
+    words = "is not as training left it"
+    assert words not in page_of(copied[0])
+    first = load_results(copied[0]).bundles[0]
+
+    def edit(content):
+        (bundle,) = (one for one in content["bundles"] if one["name"] == first.name)
+        bundle["changed_since_training"] = {"since training, joint1": "friction times 1.31 ± 0.02"}
+
+    change(copied[0], edit)
+    told = words_of(page_of(copied[0]))
+    assert f"{first.label} {words}" in told and "joint1 friction times 1.31 ± 0.02" in told
+
+
 def test_numbers_that_do_not_exist_are_dashes(copied):
     def edit(content):
         bundle = content["bundles"][0]

@@ -52,6 +52,7 @@ def show(file: tyro.conf.Positional[Path], as_json: Annotated[bool, tyro.conf.ar
 def describe_bundle(file: Path) -> dict:
     """Plain content of a bundle; loading it also replays its reference."""
     from tauext.bundles.bundle_file import load_bundle
+    from tauext.bundles.changed import changed_since_training
     from tauext.bundles.units import of_all
 
     bundle = load_bundle(file)
@@ -125,6 +126,7 @@ def describe_bundle(file: Path) -> dict:
     content |= describe_coverage(bundle)
     for joint, reason in facts.get("gate", {}).items():
         content[f"network of {joint}"] = reason
+    content |= changed_since_training(facts)
     content |= describe_look(facts)
     content |= describe_limits(bundle, facts)
     if "reason" in facts.get("gain", {}):

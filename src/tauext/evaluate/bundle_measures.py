@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tauext import _core
+from tauext.bundles.changed import changed_since_training
 from tauext.config import EventsConfig
 from tauext.data import Recording
 from tauext.data.estimates import Estimates
@@ -101,4 +102,5 @@ class BundleMeasures:
             "error_against_sigma": self._sigma.summary(),
             "events": self._events.summary(),
             "loss_history": loss_history,
+            "changed_since_training": changed_since_training(trained),
         }

@@ -3,12 +3,13 @@
 from tauext.load.frame import NamedFrame, load_frame
 from tauext.load.identify import LoadEstimate, identify
 from tauext.load.known import KnownWeight, weigh_constants
-from tauext.load.rows import Seen, see
+from tauext.load.rows import SIGMA_SHARE, Seen, see, stand_worth
 from tauext.load.scaled_bundle import scaled_bundle, with_provenance
 from tauext.load.windows import between, each_window
 from tauext.load.words import load_facts, load_sentences
 
 __all__ = [
+    "SIGMA_SHARE",
     "KnownWeight",
     "LoadEstimate",
     "NamedFrame",
@@ -21,6 +22,7 @@ __all__ = [
     "load_sentences",
     "scaled_bundle",
     "see",
+    "stand_worth",
     "weigh_constants",
     "with_provenance",
 ]

@@ -11,6 +11,7 @@ from tauext.monitor.causes import in_words
 from tauext.monitor.changes import CONTACT, FAULT, HEALTHS, NONE
 from tauext.monitor.explain_alarm import doubt, limits_of, others, over_limit, sum_of_terms, unfamiliar
 from tauext.monitor.explain_fault import fault_causes, fault_sample, last_estimate
+from tauext.monitor.fits_load import fits_load
 from tauext.monitor.flight_content import Flight, FlightSource, carried, event_kind
 from tauext.monitor.loads import load_words
 
@@ -37,6 +38,7 @@ def explain(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
         ]
     lines += [
         load_told(flight, source),
+        fits_load(flight, kept, source),
         others(flight, source, kind),
         before(flight),
         standing_alarm(flight, source),

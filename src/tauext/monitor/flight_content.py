@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -62,6 +62,8 @@ class FlightSource:
     """Of the answers, likewise."""
     load_frame: str = ""
     """In which a load is told."""
+    chain: _core.Bundle | None = field(default=None, repr=False, compare=False)
+    """The bundle itself, by which an alarm may turn out to be a load; None: nobody weighs."""
 
     @classmethod
     def of(cls, bundle: _core.Bundle, recording: Replayed) -> FlightSource:
@@ -82,6 +84,7 @@ class FlightSource:
             torque_units=tuple(bundle.torque_units),
             estimate_units=tuple(bundle.estimate_units),
             load_frame=bundle.load_settings.frame,
+            chain=bundle,
         )
 
     def unit(self, joint: int) -> str:

@@ -76,14 +76,10 @@ def facts(flight: Flight) -> list[tuple[str, str]]:
 
 def loads(flight: Flight) -> list[tuple[str, str]]:
     """What the arm was taken to carry, where it ever carried anything; flights of older versions do not know."""
-    told = flight.facts.get("loads")
-    if not isinstance(told, list) or not any(one.get("mass_kg") for one in told):
-        return []
     words: list[str] = []
-    for one in told:
-        since_s = (one["t_ns"] - flight.event["t_ns"]) * 1e-9
-        words.append(f"{one['mass_kg']:.4g} kg" + (f" from {since_s:+.3f} s on" if words else ""))
-    return [("carried", ", ".join(words))]
+    for since_s, mass_kg in flight.loads:
+        words.append(f"{mass_kg:.4g} kg" + (f" from {since_s:+.3f} s on" if words else ""))
+    return [("carried", ", ".join(words))] if words else []
 
 
 COLUMNS = (

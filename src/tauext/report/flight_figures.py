@@ -21,6 +21,7 @@ TAU_EXT = "#0072b2"
 UNCERTAINTY = "#009e73"
 MEASURED = "#333333"
 EVENT = "#d55e00"
+LOAD = "#cc79a7"
 NOT_OK = "#dcdcdc"
 CLOSE_BEFORE_S, CLOSE_AFTER_S = 0.15, 0.35
 COLUMNS = {
@@ -61,8 +62,19 @@ def draw_flight(flight: Flight) -> Drawing:
         figure,
         f"All that the flight holds, {flight.since_s[0]:+.2f} s to {flight.since_s[-1]:+.2f} s around the event. "
         f"A joint is found in {flight.limit_level} where its external torque leaves the limits."
-        + (f" {flight.event['joint']} is the event's joint." if flight.event["joint"] else ""),
+        + (f" {flight.event['joint']} is the event's joint." if flight.event["joint"] else "")
+        + carried_words(flight),
     )
+
+
+def carried_words(flight: Flight) -> str:
+    """What the arm was taken to carry, for the caption."""
+    if not flight.loads:
+        return ""
+    first, *later = (f"{mass_kg:.3g} kg" if mass_kg else "nothing" for _, mass_kg in flight.loads)
+    changes = zip(later, flight.loads[1:], strict=True)
+    told = [first, *(f"{words} from {since_s:+.2f} s on" for words, (since_s, _) in changes)]
+    return f" It was taken to carry {', '.join(told)}."
 
 
 def draw_close(flight: Flight) -> Drawing:
@@ -115,6 +127,9 @@ def draw_signal(axes: Axes, flight: Flight, column: str, joint: int, part: slice
     if not any(np.isfinite(values).any() for values, _ in curves):
         axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color="#777777", zorder=6)
     axes.axvline(0, color=EVENT, linewidth=1, zorder=5)
+    for since_s, _ in flight.loads[1:]:
+        if len(since) and since[0] <= since_s / unit_s <= since[-1]:
+            axes.axvline(since_s / unit_s, color=LOAD, linewidth=1, linestyle=":", zorder=5)
     if len(since) > 1:
         axes.set_xlim(min(since[0], 0), max(since[-1], 0))
 
@@ -150,6 +165,7 @@ def legend(flight: Flight, columns: Sequence[str]) -> list[Line2D | Patch]:
         *lines,
         Line2D([], [], color=MEASURED, linewidth=0.8, label="measured"),
         Line2D([], [], color=EVENT, linewidth=1, label=flight.event["what"]),
+        *[Line2D([], [], color=LOAD, linewidth=1, linestyle=":", label="another load told")][: len(flight.loads[1:])],
         Patch(color=NEAR_STICTION, label="near stiction"),
         Patch(color=NOT_OK, label="health not ok"),
     ]

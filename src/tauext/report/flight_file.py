@@ -40,6 +40,17 @@ class Flight:
         return (self.recording.t_ns - self.event["t_ns"]) * 1e-9
 
     @property
+    def loads(self) -> list[tuple[float, float]]:
+        """What the arm was taken to carry, [kg], and since when, [s] from the event on; none where it never carried.
+
+        The first is of the whole time before the second. Flights of older versions do not know.
+        """
+        told = self.facts.get("loads")
+        if not isinstance(told, list) or not any(one.get("mass_kg") for one in told):
+            return []
+        return [((one["t_ns"] - self.event["t_ns"]) * 1e-9, one["mass_kg"]) for one in told]
+
+    @property
     def torque_unit(self) -> str:
         """Of the motor torque: Nm, A or whatever the bundle took."""
         return of_all(self.event.get("torque_units") or ())

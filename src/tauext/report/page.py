@@ -72,6 +72,7 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         first=first_screen(results),
         facts=facts(results),
+        changed=[(bundle.label, bundle.changed) for bundle in results.bundles if bundle.changed],
         notice=SCALES.get(str(results.provenance.get("scale"))),
         compared=tables.has_paper(results),
         colours=colours,

@@ -100,7 +100,12 @@ def read_bundle(entry: Entry, joints: int) -> EvaluatedBundle:
         measured=read_measured(entry, joints),
         limits_move=bool(limits.get("moving", bool)),
         estimate_units=entry.texts("estimate_units") or ("N m",) * joints,
+        changed=read_changed(entry.object("changed_since_training")),
     )
+
+
+def read_changed(entry: Entry) -> tuple[tuple[str, str], ...]:
+    return tuple((key, entry.text(key, needed=True)) for key in entry.content)
 
 
 def read_verdict(entry: Entry) -> Verdict:

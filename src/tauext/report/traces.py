@@ -120,11 +120,18 @@ def flight_traces(flight: Flight, room: float) -> PageTraces:
         plan.windows(recording),
         [(event_s, event_s)],
     )
-    traced.head["marks"] = [(event_s, flight.event["what"])]
+    marks = [(event_s, flight.event["what"])]
+    marks += [(event_s + since_s, load_words(mass_kg)) for since_s, mass_kg in flight.loads[1:]]
+    traced.head["marks"] = sorted(marks)
     method = {"name": name, "label": name, "colour": CASE_COLOURS["exact"], "on": True}
     units = [flight.estimate_unit_of(joint) for joint in range(len(recording.joints))]
     words = Words(uncertainty_words([flight.estimates]), units)
     return section([traced], recording.joints, [method], plan.room, "", words)
+
+
+def load_words(mass_kg: float) -> str:
+    """A change of what the arm was taken to carry."""
+    return f"told of a load of {mass_kg:.3g} kg" if mass_kg else "told that it carries nothing"
 
 
 def or_reason(draw: Callable[[], PageTraces]) -> PageTraces:

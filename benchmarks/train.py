@@ -270,10 +270,13 @@ def busy_seconds() -> float:
 
 
 def compiler_flags() -> str:
-    """As CMakeLists.txt gives them, warnings left out."""
-    cmake = (Path(__file__).parent.parent / "CMakeLists.txt").read_text()
-    flags = re.search(r"target_compile_options\(tauext_flags INTERFACE ([^)]*)\)", cmake).group(1).split()
-    return " ".join(["C++20", *(flag for flag in flags if not flag.startswith("-W"))])
+    """What the core was compiled by, and the flags that its arithmetic depends on."""
+    cmake = (Path(__file__).parent.parent / "CMakeLists.txt").read_text(encoding="utf-8")
+    flags = re.search(r"target_compile_options\(tauext_flags INTERFACE ([^)]*)\)", cmake).group(1)
+    gnu = _core.COMPILER.startswith("gcc")
+    flags = re.sub(r"\$<IF:\$\{gnu\},([^,>]*),([^>]*)>", lambda found: found.group(1 if gnu else 2), flags)
+    shown = [flag for flag in flags.split() if not flag.startswith(("-W", "$<"))]
+    return " ".join([_core.COMPILER, "C++20", *shown])
 
 
 def processor() -> str:

@@ -1,8 +1,9 @@
-// What a load costs: time of a sample with one set and without, in turns, and of setting it since an earlier time; one
-// JSON object on stdout.
+// What a load costs: time of a sample with one set, without, and while it is weighed, in turns, of setting it since an
+// earlier time, and of saying what was weighed; one JSON object on stdout.
 //   load_bench [joints 7] [steps 200000] [bundle -]
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <string>
@@ -44,15 +45,16 @@ struct Turn {
 };
 
 void measure(const Bundle& b, int steps) {
-  Turn without(b), with(b);
+  Turn without(b), with(b), weighing(b);
   const Load load{std::min(0.5 * b.load.largest_mass_kg, 2.0), {0.02, 0.01, 0.05}, {}};
   if (!with.monitor.set_load(load)) throw Error(with.monitor.why_no_load(load));
+  if (!weighing.monitor.start_weighing()) throw Error(weighing.monitor.why_no_weighing());
   const int joints = b.joints();
   const auto n = static_cast<std::size_t>(joints);
   double q[kMaxJoints], dq[kMaxJoints], tau[kMaxJoints];
-  for (Turn* turn : {&without, &with})
+  for (Turn* turn : {&without, &with, &weighing})
     for (Times* times : {&turn->estimate, &turn->advance}) times->ns.reserve(static_cast<std::size_t>(steps));
-  Times whole, now;
+  Times whole, now, found;
   const std::int64_t period_ns = b.observer.sample_period_ns;
   for (int k = 0; k < steps; ++k) {
     const std::int64_t t_ns = k * period_ns;
@@ -60,7 +62,12 @@ void measure(const Bundle& b, int steps) {
     const Sample sample{t_ns, {q, n}, {dq, n}, {tau, n}};
     Turn *first = &without, *second = &with;
     if (k % 2) std::swap(first, second);
-    first->step(sample), second->step(sample);
+    first->step(sample), second->step(sample), weighing.step(sample);
+    if (k % 2000 == 1999) {
+      const std::int64_t start = now_ns();
+      if (std::isnan(weighing.monitor.estimate_load().misfit)) throw Error("no load was weighed");
+      found.ns.push_back(now_ns() - start);
+    }
     if (k % 2000 == 1999) {  // the load it has: what it computes stays the same
       const std::int64_t start = now_ns();
       with.monitor.set_load(load, 0);
@@ -71,10 +78,12 @@ void measure(const Bundle& b, int steps) {
   }
   std::printf("{\"joints\": %d, \"steps\": %d, \"terms\": %zu, \"hidden\": %d, ", joints, steps, b.prior.terms.size(),
               b.shape.hidden);
-  for (const auto& [name, turn] : {std::pair("without", &without), {"with", &with}})
-    std::printf("\"%s\": {\"estimate_p50_ns\": %lld, \"estimate_p99_ns\": %lld, \"advance_p50_ns\": %lld}, ", name,
-                static_cast<long long>(turn->estimate.at(0.5)), static_cast<long long>(turn->estimate.at(0.99)),
-                static_cast<long long>(turn->advance.at(0.5)));
+  for (const auto& [name, turn] : {std::pair("without", &without), {"with", &with}, {"weighing", &weighing}})
+    std::printf("\"%s\": {\"estimate_p50_ns\": %lld, \"estimate_p99_ns\": %lld, \"advance_p50_ns\": %lld, "
+                "\"advance_p99_ns\": %lld}, ",
+                name, static_cast<long long>(turn->estimate.at(0.5)), static_cast<long long>(turn->estimate.at(0.99)),
+                static_cast<long long>(turn->advance.at(0.5)), static_cast<long long>(turn->advance.at(0.99)));
+  std::printf("\"estimate_load_us\": %.1f, ", 1e-3 * static_cast<double>(found.at(0.5)));
   const auto p50 = [](Turn& turn) { return static_cast<double>(turn.estimate.at(0.5)); };
   std::printf("\"ratio_of_p50\": %.3f, ", p50(with) / p50(without));
   std::printf("\"set_since_10_over_k0_us\": {\"p50\": %.1f, \"max\": %.1f}, ", 1e-3 * static_cast<double>(whole.at(0.5)),

@@ -58,6 +58,7 @@ inline RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double
 
 void bind_coverage(nb::module_& m);
 void bind_load(nb::module_& m);
+void bind_load_found(nb::module_& m);
 void bind_monitor(nb::module_& m);
 void bind_refit(nb::module_& m);
 

@@ -673,6 +673,7 @@ NB_MODULE(_core, m) {
   bind_bundle(m);
   bind_coverage(m);
   bind_load(m);
+  bind_load_found(m);
   bind_monitor(m);
   bind_refit(m);
 }

@@ -371,6 +371,20 @@ void bind_monitor(nb::module_& m) {
               throw Error("temperatures must be " + std::to_string(self.joints()) + " numbers, one a joint");
           },
           nb::arg("celsius"), "Of the joints, [degC], NaN where it is not known, from the next sample on; it holds.")
+      .def(
+          "start_weighing",
+          [](Monitor& self, double reach_m) {
+            if (self.start_weighing(reach_m)) return;
+            const std::string reason = self.why_no_weighing();
+            throw Error(reason.empty() ? "the reach of a load = " + to_text(reach_m) + " m must be above 0" : reason);
+          },
+          nb::arg("reach_m") = WeighSettings::kUsualReach_m,
+          "Weigh what the arm carries beside the load that is set, from the next sample on; drift learns nothing meanwhile.\n"
+          "reach_m: how far its centre of mass may be from the load frame.")
+      .def("stop_weighing", &Monitor::stop_weighing, "What was found stays for estimate_load().")
+      .def_prop_ro("weighing", &Monitor::weighing, "Whether it runs.")
+      .def("estimate_load", &Monitor::estimate_load, "What was found so far; `load` of it is for set_load().")
+      .def("why_no_weighing", &Monitor::why_no_weighing, "Why start_weighing() would refuse; empty: it would not.")
       .def("reset", &Monitor::reset, "As newly made.")
       .def("reserve_refit", &Monitor::reserve_refit, nb::arg("seconds") = 60.0,
            "Memory for so much motion, before the loop begins; what was kept is lost.")

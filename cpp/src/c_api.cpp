@@ -29,6 +29,13 @@ static_assert(TAUEXT_EVERY_SAMPLE == static_cast<int>(NetworkRate::every_sample)
 static_assert(TAUEXT_NETWORK_PERIOD == static_cast<int>(NetworkRate::network_period));
 static_assert(TAUEXT_USUAL_LOAD_ERROR == tauext::Load::kUsualError);
 static_assert(TAUEXT_FROM_NOW == tauext::kFromNow);
+static_assert(TAUEXT_USUAL_REACH_M == tauext::WeighSettings::kUsualReach_m);
+static_assert(TAUEXT_TOO_LITTLE_MOTION == static_cast<int>(tauext::LoadVerdict::too_little));
+static_assert(TAUEXT_NO_LOAD_SHOWS == static_cast<int>(tauext::LoadVerdict::nothing));
+static_assert(TAUEXT_LOAD_SHOWS == static_cast<int>(tauext::LoadVerdict::load));
+static_assert(TAUEXT_CONTACT_FITS_BETTER == static_cast<int>(tauext::LoadVerdict::contact));
+static_assert(TAUEXT_PULLS_UP == static_cast<int>(tauext::LoadVerdict::lifts));
+static_assert(TAUEXT_LOAD_UNCLEAR == static_cast<int>(tauext::LoadVerdict::unclear));
 static_assert(TAUEXT_WARMING_UP == static_cast<int>(Health::warming_up));
 static_assert(TAUEXT_HEALTHY == static_cast<int>(Health::ok));
 static_assert(TAUEXT_STALE == static_cast<int>(Health::stale));
@@ -97,6 +104,18 @@ tauext::Load load_of(const tauext_load& from) noexcept {
   to.error_share = from.error_share;
   return to;
 }
+
+tauext_load in_c(const tauext::Load& from) noexcept {
+  tauext_load to;
+  to.mass = from.mass;
+  std::ranges::copy(from.com, to.com);
+  std::ranges::copy(from.inertia, to.inertia);
+  to.error_share = from.error_share;
+  return to;
+}
+
+// As kLeastSize: what says whether the rest can be believed.
+constexpr std::size_t kLeastFound = offsetof(tauext_load_found, load);
 
 void say(const char* text, char* message, std::size_t message_size) noexcept {
   if (!message || message_size == 0) return;
@@ -249,11 +268,43 @@ tauext_status tauext_monitor_clear_load(tauext_monitor* monitor, int64_t since_n
 
 tauext_status tauext_monitor_load(const tauext_monitor* monitor, tauext_load* load) {
   if (!monitor || !load) return TAUEXT_BAD_ARGUMENT;
-  const tauext::Load& from = monitor->monitor.load();
-  load->mass = from.mass;
-  std::ranges::copy(from.com, load->com);
-  std::ranges::copy(from.inertia, load->inertia);
-  load->error_share = from.error_share;
+  *load = in_c(monitor->monitor.load());
+  return TAUEXT_OK;
+}
+
+tauext_status tauext_monitor_start_weighing(tauext_monitor* monitor, double reach_m) {
+  if (!monitor) return TAUEXT_BAD_ARGUMENT;
+  if (monitor->monitor.start_weighing(reach_m)) return TAUEXT_OK;
+  return monitor->monitor.can_weigh() ? TAUEXT_BAD_ARGUMENT : TAUEXT_BAD_LOAD;
+}
+
+tauext_status tauext_monitor_stop_weighing(tauext_monitor* monitor) {
+  if (!monitor) return TAUEXT_BAD_ARGUMENT;
+  monitor->monitor.stop_weighing();
+  return TAUEXT_OK;
+}
+
+int32_t tauext_monitor_weighing(const tauext_monitor* monitor) { return monitor && monitor->monitor.weighing(); }
+
+tauext_status tauext_monitor_estimate_load(const tauext_monitor* monitor, tauext_load_found* found) {
+  if (!monitor || !found || found->size < kLeastFound) return TAUEXT_BAD_ARGUMENT;
+  const tauext::LoadFound from = monitor->monitor.estimate_load();
+  tauext_load_found to{};
+  to.size = found->size;
+  to.verdict = static_cast<std::int32_t>(from.verdict);
+  to.mass_seen = from.mass_seen;
+  to.load = in_c(from.load);
+  to.mass_kg = from.mass_kg;
+  to.mass_error_kg = from.mass_error_kg;
+  std::ranges::copy(from.com_m, to.com_m);
+  std::ranges::copy(from.com_error_m, to.com_error_m);
+  std::ranges::copy(from.com_covariance, to.com_covariance);
+  to.seconds = from.seconds;
+  to.misfit = from.misfit;
+  to.unseen_count = from.unseen_count;
+  to.at_bound = from.at_bound;
+  for (std::size_t k = 0; k < from.unseen.size(); ++k) std::ranges::copy(from.unseen[k], to.unseen + 3 * k);
+  std::memcpy(found, &to, std::min(found->size, sizeof to));
   return TAUEXT_OK;
 }
 

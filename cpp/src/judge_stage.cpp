@@ -31,6 +31,7 @@ void JudgeStage::reset() noexcept {
   alarm_.reset();
   alarm_.restore_factors({});
   widen_limits({}, {});
+  hold_drift(false);
   drift_.reset();
   factors_.reset();
   history_.clear();
@@ -146,7 +147,7 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   e.detection = alarm_.step(o.t_ns, first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(raised),
                             e.near_stiction, o.judged, first_joints(e.limit_nm), first_joints(e.contact_limit_nm));
   // Where training never was, the error is the prior's and no drift.
-  const bool teaches = o.teaches && e.unfamiliar < Coverage::kWorthTelling;
+  const bool teaches = o.teaches && e.unfamiliar < Coverage::kWorthTelling && !drift_held_;
   drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), e.near_stiction, teaches);
   factors_.learn(sample.dq, first_joints(e.tau_ext), first_joints(e.sigma_nm), first_joints(e.doubt), e.near_stiction,
                  teaches);

@@ -72,6 +72,28 @@ void LoadColumns::step(std::int64_t t_ns, std::span<const double> q, std::span<c
   filter(kCoulomb, t_ns, zero, coulomb, state_.coulomb);
 }
 
+LoadSums::Row LoadColumns::row(int joint, double tau_ext) const noexcept {
+  const auto j = static_cast<std::size_t>(joint);
+  LoadSums::Row row{};
+  for (std::size_t k = 0; k < kLoads; ++k) row[LoadSums::kLoad + k] = state_.load[k][j];
+  row[LoadSums::kOffset] = 1.0;
+  row[LoadSums::kCoulomb] = state_.coulomb[j];
+  for (std::size_t k = 0; k < 3; ++k) {
+    row[LoadSums::kBase + k] = state_.base_forces[k][j];
+    row[LoadSums::kFrame + k] = state_.frame_forces[k][j];
+  }
+  row[LoadSums::kGear] = state_.offset[j];
+  row[LoadSums::kTauExt] = tau_ext;
+  return row;
+}
+
+double LoadColumns::torque(int joint, std::span<const double> phi) const noexcept {
+  const auto j = static_cast<std::size_t>(joint);
+  double sum = state_.offset[j];
+  for (std::size_t k = 0; k < kLoads; ++k) sum += state_.load[k][j] * phi[k];
+  return sum;
+}
+
 LoadRows load_rows(const Bundle& bundle, const LoadFrame& frame, std::span<const double> phi,
                    const RecordingView& recording, std::span<const std::int64_t> samples) {
   if (recording.joints != bundle.joints())

@@ -64,6 +64,7 @@ Monitor::Monitor(const Bundle& bundle, NetworkRate rate)
     torque_units_.push_back(bundle.torque_unit(j));
     estimate_units_.push_back(bundle.estimate_unit(j));
   }
+  if (Weighing::possible(bundle)) weighing_.emplace(bundle);
   if (load_settings_.settable()) {
     observe_.allow_loads(load_settings_);
     judge_.allow_loads();
@@ -79,6 +80,34 @@ void Monitor::reset() noexcept {
   if (network_) network_->restart();
   judge_.reset();
   refit_motion_.stop();
+  end_weighing();
+}
+
+bool Monitor::start_weighing(double reach_m) noexcept {
+  if (!weighing_ || !(reach_m > 0) || !std::isfinite(reach_m)) return false;
+  advance();
+  weighing_->start(reach_m, observe_.load());
+  judge_.hold_drift(true);
+  return true;
+}
+
+void Monitor::stop_weighing() noexcept {
+  if (!weighing()) return;
+  advance();
+  weighing_->stop();
+  judge_.hold_drift(false);
+}
+
+// And nothing was found.
+void Monitor::end_weighing() noexcept {
+  if (weighing_) weighing_->reset();
+  judge_.hold_drift(false);
+}
+
+std::string Monitor::why_no_weighing() const {
+  if (weighing_) return "";
+  if (load_settings_.link < 0) return "no load can be weighed: " + load_settings_.refused;
+  return "no load can be weighed: the bundle's residual is not that of the momentum observer without filters";
 }
 
 void Monitor::reserve_refit(double seconds) {
@@ -124,7 +153,9 @@ const Estimate& Monitor::estimate(const Sample& sample) noexcept {
   const Observed& observed = observe_.step(sample);
   if (network_ && observed.passage == Passage::entered) predict(observed);
   if (observed.passage == Passage::entered) refit_motion_.push(sample);
-  return judge_.step(observed, sample, network_out_);
+  const Estimate& answer = judge_.step(observed, sample, network_out_);
+  if (weighing()) weighing_->look(sample, observed, answer);
+  return answer;
 }
 
 // The network's answer for the window that ends at this sample, in network_out_; what stood there while none is full.
@@ -138,6 +169,7 @@ void Monitor::advance() noexcept {
   observe_.keep();
   if (observe_.progress().started) judge_.keep(observe_.progress().t_ns);
   if (network_) network_->advance();
+  if (weighing()) weighing_->advance(observe_.beta());
 }
 
 LoadFault Monitor::load_fault(const Load& load, std::int64_t since_ns) const noexcept {
@@ -152,6 +184,7 @@ bool Monitor::set_load(const Load& load, std::int64_t since_ns) noexcept {
   observe_.set_load(load, since_ns);
   judge_.set_load(observe_.load());
   if (since_ns < observe_.progress().t_ns) judge_.take_back_drift(since_ns);
+  if (weighing()) weighing_->start(weighing_->settings().reach_m, observe_.load());
   return true;
 }
 
@@ -199,6 +232,7 @@ bool Monitor::restore_state(std::span<const std::byte> state) noexcept {
   judge_.restore(take(judge_.state()));
   if (network_) network_->restore(left);
   finish_refit();
+  end_weighing();
   return true;
 }
 

@@ -252,6 +252,53 @@ tauext_status open_path(const char* path, tauext_network_rate rate, char* messag
 }
 
 // A bundle that knows the friction of its first joint, and what a loop in C does of a morning.
+void what_is_weighed_in_c_is_that_of_cpp() {
+  const tauext::Bundle bundle = made::bundle(3, 0, 12, 10, 1);
+  const std::vector<char> bytes = tauext::to_bytes(bundle);
+  tauext_monitor* m = nullptr;
+  CHECK(tauext_monitor_open_bytes(bytes.data(), bytes.size(), TAUEXT_EVERY_SAMPLE, &m, nullptr, 0) == TAUEXT_OK);
+  tauext::Monitor cpp(bundle);
+  tauext_load_found found{};
+  CHECK(tauext_monitor_estimate_load(m, &found) == TAUEXT_BAD_ARGUMENT);  // no size
+  found.size = sizeof found;
+  CHECK(tauext_monitor_estimate_load(m, &found) == TAUEXT_OK && found.verdict == TAUEXT_TOO_LITTLE_MOTION);
+  CHECK(tauext_monitor_start_weighing(m, 0) == TAUEXT_BAD_ARGUMENT && tauext_monitor_weighing(m) == 0);
+  CHECK(tauext_monitor_start_weighing(m, 0.25) == TAUEXT_OK && tauext_monitor_weighing(m) == 1);
+  CHECK(cpp.start_weighing(0.25));
+  for (std::int64_t k = 0; k < 3000; ++k) {
+    double q[3], dq[3], tau[3];
+    made::signal(k, 3, q, dq, tau);
+    CHECK(tauext_monitor_step(m, k * made::kPeriodNs, q, dq, tau, nullptr) == TAUEXT_OK);
+    cpp.step({k * made::kPeriodNs, q, dq, tau});
+  }
+  CHECK(tauext_monitor_stop_weighing(m) == TAUEXT_OK && tauext_monitor_weighing(m) == 0);
+  CHECK(tauext_monitor_estimate_load(m, &found) == TAUEXT_OK);
+  const tauext::LoadFound same = cpp.estimate_load();
+  CHECK(found.verdict == static_cast<int>(same.verdict) && found.verdict != TAUEXT_TOO_LITTLE_MOTION);
+  CHECK(found.mass_kg == same.mass_kg && found.mass_error_kg == same.mass_error_kg && found.seconds == same.seconds);
+  CHECK(found.misfit == same.misfit && found.misfit > 0 && found.load.mass == same.load.mass);
+  CHECK(found.mass_seen == same.mass_seen && found.at_bound == same.at_bound && found.unseen_count == same.unseen_count);
+  for (std::size_t i = 0; i < 3; ++i) {
+    CHECK(found.com_m[i] == same.com_m[i] && found.com_error_m[i] == same.com_error_m[i]);
+    CHECK(found.unseen[i] == same.unseen[0][i] && found.load.com[i] == same.load.com[i]);
+  }
+  for (std::size_t i = 0; i < 9; ++i) CHECK(found.com_covariance[i] == same.com_covariance[i]);
+  tauext_load_found shorter{};  // of a caller that knows less of it
+  shorter.size = offsetof(tauext_load_found, mass_error_kg);
+  CHECK(tauext_monitor_estimate_load(m, &shorter) == TAUEXT_OK);
+  CHECK(shorter.mass_kg == same.mass_kg && shorter.mass_error_kg == 0 && shorter.seconds == 0);
+  tauext_monitor_close(m);
+  CHECK(tauext_monitor_start_weighing(nullptr, 0.3) == TAUEXT_BAD_ARGUMENT && tauext_monitor_weighing(nullptr) == 0);
+  CHECK(tauext_monitor_stop_weighing(nullptr) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_estimate_load(nullptr, &found) == TAUEXT_BAD_ARGUMENT);
+  tauext::Bundle nowhere = bundle;
+  nowhere.load = {};
+  const std::vector<char> other = tauext::to_bytes(nowhere);
+  CHECK(tauext_monitor_open_bytes(other.data(), other.size(), TAUEXT_EVERY_SAMPLE, &m, nullptr, 0) == TAUEXT_OK);
+  CHECK(tauext_monitor_start_weighing(m, 0.3) == TAUEXT_BAD_LOAD);
+  tauext_monitor_close(m);
+}
+
 void a_refit_in_c_is_that_of_cpp() {
   const auto folder = std::filesystem::temp_directory_path();
   const std::string old_path = (folder / "tauext_c_refit_old.tauext").string(), new_path = (folder / "tauext_c_refit_new.tauext").string();
@@ -356,6 +403,7 @@ int main() {
   a_restored_state_goes_on_as_if_nothing_had_happened();
   no_more_is_written_than_the_caller_has_room_for();
   null_pointers_are_bad_arguments();
+  what_is_weighed_in_c_is_that_of_cpp();
   a_refit_in_c_is_that_of_cpp();
   what_cannot_be_opened_says_why();
   every_code_has_a_name();

@@ -90,6 +90,7 @@ Bundle tracking(int joints) {
 struct Everything {
   Monitor every, own, plain, velocity;
   FlightRecorder recorder;
+  double weighed = 0;
   std::vector<std::byte> state;
 
   explicit Everything(int joints)
@@ -135,6 +136,9 @@ struct Everything {
       if (k % 300 == 0) every.set_temperature(sample.dq);
       if (k % 1900 == 0) every.save_state(state), every.restore_state(state);
       if (k % 2100 == 0) CHECK(every.start_refit());
+      if (k % 2200 == 0) CHECK(every.start_weighing() && own.start_weighing(0.4) && !velocity.start_weighing());
+      if (k % 450 == 0) weighed += every.estimate_load().misfit + own.estimate_load().misfit;
+      if (k % 3700 == 3699) own.stop_weighing();
       if (k % 3600 == 0) every.finish_refit();
       if (k % 5000 == 0) every.reset();
     }
@@ -153,6 +157,7 @@ void nothing_is_allocated() {
     allocations = 0;
     everything.run(6'000);
     CHECK(allocations == 0);
+    CHECK(everything.weighed != 0);
   }
 }
 

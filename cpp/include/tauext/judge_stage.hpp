@@ -90,6 +90,8 @@ class JudgeStage {
     widened_at_rest_nm_ = at_rest_nm;
     widened_per_speed_ = per_speed;
   }
+  // The trackers of drift learn nothing while this holds; what they know is still taken off. No part of the state.
+  void hold_drift(bool hold) noexcept { drift_held_ = hold; }
   const Estimate& last() const noexcept { return estimate_; }  // of the last sample
   const ErrorScale& error_scale() const noexcept { return scale_; }  // as it stands there
   // As newly made.
@@ -129,6 +131,7 @@ class JudgeStage {
   Coverage coverage_;
   Estimate estimate_;
   JointVector widened_at_rest_nm_{}, widened_per_speed_{};
+  bool drift_held_ = false;
 };
 
 }  // namespace tauext

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "tauext/load_regressor.hpp"
+#include "tauext/load_sums.hpp"
 #include "tauext/momentum_observer.hpp"
 #include "tauext/prior.hpp"
 #include "tauext/sample.hpp"
@@ -40,7 +41,18 @@ class LoadColumns {
   void step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, std::span<const double> beta,
             std::span<const double> phi) noexcept;
 
+  // The arm carries that already, on this link: the model that the prior's load terms go by has it too.
+  void carry(int link, const Carried& what) noexcept {
+    if (corrected_) corrected_->carry(link, what);
+  }
+
   const State& state() const noexcept { return state_; }
+  bool warm() const noexcept { return state_.filters.front().warm(); }  // the filters have forgotten how they began
+  // A joint's row of LoadSums at the last sample.
+  LoadSums::Row row(int joint, double tau_ext) const noexcept;
+  // What a load shows in tau_ext of a joint at the last sample, [N m]; phi: (kParameters), the one that was stepped with or
+  // near it.
+  double torque(int joint, std::span<const double> phi) const noexcept;
 
  private:
   void filter(std::size_t which, std::int64_t t_ns, const JointVector& p, const JointVector& v, JointVector& out) noexcept;

@@ -13,6 +13,7 @@
 #include "tauext/refit_motion.hpp"
 #include "tauext/sample.hpp"
 #include "tauext/sliding_lstm.hpp"
+#include "tauext/weighing.hpp"
 
 namespace tauext {
 
@@ -89,6 +90,21 @@ class Monitor {
   RecordingView finish_refit() noexcept;
   // What is kept.
   const RefitMotion& refit_motion() const noexcept { return refit_motion_; }
+  // What is it carrying? From the next sample on, what the arm carries beside the load that is set now is weighed: sums of
+  // healthy samples a network period apart, from 10/K0 on, in advance(). Until stop_weighing() the trackers of drift learn
+  // nothing, else they would learn the load away. Sums begin anew where it runs already, and with every set_load(); reset()
+  // and restore_state() end it. reach_m: how far the centre of mass may be from the origin of the load frame. false, and
+  // nothing changed: why_no_weighing() is not empty, or a reach that is not above 0.
+  bool start_weighing(double reach_m = WeighSettings::kUsualReach_m) noexcept;
+  // What was found until now stays, for estimate_load(), until the next start.
+  void stop_weighing() noexcept;
+  bool can_weigh() const noexcept { return weighing_.has_value(); }  // start_weighing() refuses no reach above 0
+  bool weighing() const noexcept { return weighing_ && weighing_->on(); }
+  // What the sums say: see LoadFound. It takes as long as some fifty samples (60 us for six joints on a desktop); nothing
+  // is changed. A contact of the time is not cut out, but told: the verdict is another one than load.
+  LoadFound estimate_load() const noexcept { return weighing_ ? weighing_->found() : LoadFound{}; }
+  // Empty: it can be weighed. Allocates.
+  std::string why_no_weighing() const;
   // As newly made.
   void reset() noexcept;
 
@@ -115,6 +131,7 @@ class Monitor {
 
  private:
   void predict(const Observed& observed) noexcept;
+  void end_weighing() noexcept;
 
   std::vector<std::string> joint_names_, torque_units_, estimate_units_;
   std::int64_t sample_period_ns_;
@@ -126,6 +143,7 @@ class Monitor {
   JudgeStage judge_;
   std::vector<FrictionLine> friction_;  // a joint
   RefitMotion refit_motion_;
+  std::optional<Weighing> weighing_;  // where it is possible
 };
 
 }  // namespace tauext

@@ -68,6 +68,7 @@ class ObserveStage {
   bool can_go_back() const noexcept { return residual_.can_go_back(); }
   void set_load(const Load& load, std::int64_t since_ns) noexcept { residual_.set_load(load, since_ns); }
   const Load& load() const noexcept { return residual_.load(); }
+  std::span<const double> beta() const noexcept { return residual_.beta(); }  // as ResidualStage
   void keep() noexcept { residual_.keep(); }
   // As Prior.
   void follow_temperature(std::span<const double> celsius) noexcept { residual_.follow_temperature(celsius); }

@@ -53,6 +53,7 @@ class ResidualStage {
                          std::span<const double> tau, std::span<double> residual, std::span<double> prior,
                          std::span<double> doubt) noexcept;
   const Presliding& presliding() const noexcept { return motion_.presliding(); }  // after the last sample
+  std::span<const double> beta() const noexcept { return motion_.beta(); }  // of the estimated model, likewise
   bool warm() const noexcept { return filter_.warm(); }  // r has forgotten how it began
   // As Prior.
   void follow_temperature(std::span<const double> celsius) noexcept { prior_.follow_temperature(celsius); }

@@ -101,6 +101,36 @@ typedef struct tauext_load {
 #define TAUEXT_USUAL_LOAD_ERROR 0.03
 #define TAUEXT_FROM_NOW INT64_MAX /* for since_ns: from the next sample on */
 
+/* What was weighed. */
+typedef enum tauext_load_verdict {
+  TAUEXT_TOO_LITTLE_MOTION = 0, /* three tenths of a second are the least */
+  TAUEXT_NO_LOAD_SHOWS = 1,
+  TAUEXT_LOAD_SHOWS = 2,
+  TAUEXT_CONTACT_FITS_BETTER = 3, /* a constant force does: something touches the arm */
+  TAUEXT_PULLS_UP = 4,
+  TAUEXT_LOAD_UNCLEAR = 5         /* neither explains it */
+} tauext_load_verdict;
+
+/* Numbers without `load` are of what there is beside the load that is set; lengths and axes of the load frame. */
+typedef struct tauext_load_found {
+  size_t size;               /* set by the caller: sizeof(tauext_load_found); no more is written */
+  int32_t verdict;           /* tauext_load_verdict */
+  int32_t mass_seen;         /* 0: the mass is not told apart from its lever */
+  tauext_load load;          /* both together, for tauext_monitor_set_load */
+  double mass_kg;            /* below 0 only where a load is set, which is less then */
+  double mass_error_kg;      /* standard error */
+  double com_m[3];           /* centre of mass */
+  double com_error_m[3];     /* its standard errors */
+  double com_covariance[9];  /* (3, 3), [m^2] */
+  double seconds;            /* of motion */
+  double misfit;             /* squared standard errors a row that the load leaves: 1 where nothing else is */
+  int32_t unseen_count;      /* directions of the centre of mass that the motion did not tell, unit vectors: */
+  int32_t at_bound;          /* 1: the centre of mass is at the reach */
+  double unseen[9];          /* (unseen_count, 3) */
+} tauext_load_found;
+
+#define TAUEXT_USUAL_REACH_M 0.3
+
 typedef struct tauext_monitor tauext_monitor; /* made by tauext_monitor_open, freed by tauext_monitor_close */
 
 /* The core is compiled with hidden symbols; these are what a shared library around it shows. */
@@ -171,6 +201,14 @@ tauext_status tauext_monitor_load(const tauext_monitor* monitor, tauext_load* lo
 tauext_status tauext_monitor_why_no_load(const tauext_monitor* monitor, const tauext_load* load, int64_t since_ns,
                                          char* message, size_t message_size);
 const char* tauext_monitor_load_frame(const tauext_monitor* monitor); /* "" where no load can be set */
+/* What is it carrying? Weighs it beside the load that is set, from the next sample on (monitor.hpp says how); the centre of
+ * mass is within reach_m > 0 of the load frame, TAUEXT_USUAL_REACH_M where nobody knows better. TAUEXT_BAD_LOAD: this
+ * bundle cannot; TAUEXT_BAD_ARGUMENT: no such reach; nothing is changed then. What was found stays after stop. */
+tauext_status tauext_monitor_start_weighing(tauext_monitor* monitor, double reach_m);
+tauext_status tauext_monitor_stop_weighing(tauext_monitor* monitor);
+int32_t tauext_monitor_weighing(const tauext_monitor* monitor); /* 1 while it runs */
+/* Takes as long as some fifty samples; allocates nothing. */
+tauext_status tauext_monitor_estimate_load(const tauext_monitor* monitor, tauext_load_found* found);
 /* As newly made. */
 tauext_status tauext_monitor_reset(tauext_monitor* monitor);
 

@@ -19,6 +19,7 @@ from tauext.monitor import (
     LoadChange,
     StatusClock,
     Tally,
+    WeighChange,
     load_facts,
     status,
 )
@@ -78,6 +79,8 @@ class JsonLines:
         where = {"row": change.row, **self._when(change.t_ns)}
         if isinstance(change, LoadChange):
             return "load", {**where, **load_facts(change.load), "by": change.by, "since_ns": change.since_ns}
+        if isinstance(change, WeighChange):
+            return "weigh", {**where, "what": change.what, "by": change.by, **found_facts(change)}
         joint = self._joints[change.joint] if change.joint >= 0 else None
         if isinstance(change, DriftChange):
             return "drift", {**where, "joint": joint, "advice": "recalibrate"}
@@ -98,3 +101,13 @@ class JsonLines:
 
     def _write(self, event: str, **content: Any) -> None:
         print(json.dumps({"event": event, "recording": self._recording, **content}, allow_nan=False), flush=True)
+
+
+def found_facts(change: WeighChange) -> dict[str, Any]:
+    """As plain JSON: what was found, and the load to set."""
+    from tauext.load import load_facts as facts_of_found
+
+    if change.found is None:
+        return {"frame": change.frame, "found": None, "load": None}
+    load = {**load_facts(change.found.load), "error_share": change.found.load.error_share}
+    return {"frame": change.frame, "found": facts_of_found(change.found), "load": load}

@@ -24,6 +24,7 @@ from tauext.monitor import (
     HiddenFinder,
     LoadChange,
     Tally,
+    WeighChange,
     load_words,
     unseen_words,
 )
@@ -76,6 +77,9 @@ class TextLines:
                 self._health(change)
             elif isinstance(change, LoadChange):
                 self._event(change.t_ns, load_change_words(change))
+            elif isinstance(change, WeighChange):
+                for words in weigh_words(change):
+                    self._event(change.t_ns, words)
             elif isinstance(change, DriftChange):
                 self._event(change.t_ns, f"recalibrate: joint {self._joints[change.joint]}'s drift is at its bound")
             else:
@@ -223,6 +227,18 @@ def unfamiliar_text(tally: Tally) -> str:
 def load_change_words(change: LoadChange) -> str:
     since = f" since {(change.t_ns - change.since_ns) * 1e-9:.3f} s" if change.since_ns is not None else ""
     return f"carries {load_words(change.load)}{since}" + (f", by {change.by}" if change.by else "")
+
+
+def weigh_words(change: WeighChange) -> list[str]:
+    """What was found, sentence by sentence."""
+    from tauext.load import load_sentences
+
+    if change.found is None:
+        return [f"weighs what the arm carries beside {load_words(change.beside)}, by {change.by}"]
+    sentences = load_sentences(change.found, change.frame, "N m")
+    if change.beside.mass > 0 and change.found.verdict == "load":
+        sentences.append(f"with the {change.beside.mass:.4g} kg that are set: {load_words(change.found.load)}")
+    return sentences
 
 
 def collisions_text(count: int) -> str:

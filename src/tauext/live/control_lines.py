@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TextIO
 
 from tauext.errors import ConfigError, TauextError
-from tauext.live.sink import Control
+from tauext.live.sink import USUAL_REACH_M, Control
 from tauext.monitor import load_and_ago_of_text
 
 LONGEST = 1000
@@ -22,7 +22,7 @@ MOST_CONNECTIONS = 8
 UNHEARD_S = 5.0
 """One that has said nothing yet counts as silent for so much longer: several may come before a speaker's next line."""
 RETRY_S = 0.1
-USAGE = "`profile NAME`, `acknowledge`, `resume`, `load mass=KG com=X,Y,Z`, `load none` or `stop`"
+USAGE = "`profile NAME`, `acknowledge`, `resume`, `load mass=KG com=X,Y,Z`, `load none`, `weigh [tell|stop]` or `stop`"
 
 
 def obey(line: str, control: Control, by: str) -> str:
@@ -38,6 +38,10 @@ def obey(line: str, control: Control, by: str) -> str:
         elif what == "load" and name.strip():
             load, ago_s = load_and_ago_of_text(name)
             control.set_load(load, by, ago_s)
+        elif what == "weigh" and name.strip() in ("tell", "stop"):
+            control.weigh(name.strip(), by)
+        elif what == "weigh":
+            control.weigh("start", by, reach_of_text(name.strip()))
         elif what == "stop" and not name:
             control.stop(by)
         else:
@@ -47,6 +51,17 @@ def obey(line: str, control: Control, by: str) -> str:
     except ReferenceError:
         return "error: the monitor has ended"
     return "ok"
+
+
+def reach_of_text(text: str) -> float:
+    """Of `reach=0.4`, [m]; the usual one of an empty text."""
+    if not text:
+        return USUAL_REACH_M
+    name, _, number = text.partition("=")
+    with suppress(ValueError):
+        if name == "reach":
+            return float(number)
+    raise ConfigError(f"weigh: {text[:60]!r} must be `reach=METRES`, `tell`, `stop` or nothing")
 
 
 def obey_lines(lines: TextIO, control: Control, by: str = "stdin", answers: TextIO | None = None) -> threading.Thread:

@@ -19,9 +19,9 @@ from tauext.live.latency import Latencies
 from tauext.live.profiles import Profile, Profiles
 from tauext.live.reactions import Reactions
 from tauext.live.real_time import ask_for_real_time
-from tauext.live.sink import LoopReport, Sink, Verdict
+from tauext.live.sink import USUAL_REACH_M, LoopReport, Sink, Verdict
 from tauext.live.source import Sample, Source, SourceSettings
-from tauext.monitor import Change, LoadChange
+from tauext.monitor import Change, LoadChange, WeighChange
 from tauext.monitor.changes import COLLISION, ChangeFinder
 
 IDLE_S = 0.1
@@ -63,7 +63,7 @@ class ProfileSwitch:
 class Loop:
     """Runs a bundle's monitor on a source until that ends, someone stops it, or Ctrl-C does.
 
-    The control of the loop (use_profile, acknowledge, resume, set_load, stop) may be called by any thread.
+    The control of the loop (use_profile, acknowledge, resume, set_load, weigh, stop) may be called by any thread.
     """
 
     def __init__(
@@ -93,6 +93,7 @@ class Loop:
         self._profile: Profile | None = None
         self._settings = settings
         self._requests: queue.SimpleQueue[tuple[str, str, str]] = queue.SimpleQueue()
+        self._reaches: queue.SimpleQueue[float] = queue.SimpleQueue()
         self._loads: queue.SimpleQueue[tuple[_core.Load, float | None]] = queue.SimpleQueue()
         for profile in profiles.by_name.values() if profiles else ():
             if profile.load is not None and (reason := self.monitor.why_no_load(profile.load)):
@@ -130,6 +131,17 @@ class Loop:
             raise ConfigError(reason)
         self._loads.put((load, ago_s))
         self._requests.put(("load", "", by))
+
+    def weigh(self, what: str, by: str, reach_m: float = USUAL_REACH_M) -> None:
+        """Weigh what the arm carries, tell what was found so far, or end it: see Control."""
+        if reason := self.monitor.why_no_weighing():
+            raise ConfigError(reason)
+        if not 0 < reach_m < math.inf:
+            raise ConfigError(
+                f"reach = {reach_m:g} must be the metres, above 0, that a load's centre of mass may be away"
+            )
+        self._reaches.put(reach_m)
+        self._requests.put(("weigh", what, by))
 
     def stop(self, by: str) -> None:
         """End the loop before the next sample."""
@@ -228,7 +240,8 @@ class Loop:
     def _tell(self, t_ns: int, sample: Sample | None, said: dict[str, np.ndarray]) -> None:
         """Changes, then events to reactions, which must not wait, then the verdict to sinks."""
         if not self.samples:  # what was told before the first sample holds from there on
-            self._noted = [replace(one, t_ns=t_ns) if isinstance(one, LoadChange) else one for one in self._noted]
+            told = LoadChange | WeighChange
+            self._noted = [replace(one, t_ns=t_ns) if isinstance(one, told) else one for one in self._noted]
         changes = self._noted + self._changes.find(self.samples, np.array([t_ns]), said)
         self._noted = []
         verdict = Verdict(self.samples, t_ns, sample, said, tuple(changes))
@@ -278,6 +291,8 @@ class Loop:
                 self._end_alarm(self.monitor.acknowledge)
             elif what == "load":
                 self._carry(*self._loads.get(), by)
+            elif what == "weigh":
+                self._weigh(name, self._reaches.get(), by)
             elif what == "resume":
                 self.note(f"resumed by {by}")
                 self._end_alarm(self.monitor.resume)
@@ -301,6 +316,15 @@ class Loop:
         since_ns = None if ago_s is None else t_ns - round(ago_s * 1e9)
         self.monitor.set_load(load.mass, load.com, load.inertia, since_ns=since_ns, error_share=load.error_share)
         self._noted.append(LoadChange(self.samples, t_ns, load, by, since_ns))
+
+    def _weigh(self, what: str, reach_m: float, by: str) -> None:
+        if what == "start":
+            self.monitor.start_weighing(reach_m)
+        elif what == "stop":
+            self.monitor.stop_weighing()
+        found = None if what == "start" else self.monitor.estimate_load()
+        t_ns, frame = self._last.t_ns if self._last else 0, self.monitor.load_settings.frame
+        self._noted.append(WeighChange(self.samples, t_ns, what, by, frame, self.monitor.load, found))
 
     def _acknowledge_when_due(self, t_ns: int) -> None:
         if self._due_ns is not None and t_ns >= self._due_ns:

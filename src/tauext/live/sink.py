@@ -103,6 +103,10 @@ class Publisher(Protocol):
         ...
 
 
+USUAL_REACH_M = 0.3
+"""How far the centre of mass of a load is from the load frame at most, where nobody knows better."""
+
+
 class Control(Protocol):
     """What others may ask of the loop, from any thread: it is done before the next sample, and logged."""
 
@@ -133,6 +137,18 @@ class Control(Protocol):
 
         Raises:
             ConfigError: the bundle takes no such load; says why.
+        """
+        ...
+
+    def weigh(self, what: str, by: str, reach_m: float = USUAL_REACH_M) -> None:
+        """What is the arm carrying? It is weighed from `start` to `stop`; `stop` and `tell` are answered by a change.
+
+        Args:
+            what: `start`, `tell` or `stop`.
+            reach_m: of the centre of mass, from the load frame.
+
+        Raises:
+            ConfigError: this bundle weighs no loads, or there is no such reach; says why.
         """
         ...
 

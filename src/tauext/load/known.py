@@ -10,10 +10,8 @@ import numpy as np
 from tauext import _core
 from tauext.errors import ConfigError
 from tauext.load.frame import NamedFrame
-from tauext.load.identify import ROUNDS, identify, reach_prior, with_inertia
-from tauext.load.normal import BLOCK_ROWS, Normal
-from tauext.load.rows import COLUMNS, COULOMB, LOAD, OFFSET, TARGET, Seen, columns, friction_sizes
-from tauext.load.solve import LEAST_CORRELATION, LEAST_SCALE, Noise
+from tauext.load.identify import ROUNDS, identify
+from tauext.load.rows import Seen, sums_about
 
 SPREAD = 0.06
 """Standard deviation, as a share, of one joint's constant about the factor common to all: what makers state is right to
@@ -29,6 +27,18 @@ OF_ITS_OWN = 0.7
 MOST_FACTOR = 5.0
 """By which constants in N m may be off: a gear ratio or a unit is another mistake."""
 STEPS = 6
+LEAST_SCALE, LEAST_CORRELATION = 0.5, 30.0
+"""As load_solve.hpp has them."""
+LEAST_MASS_KG = 0.1
+"""Whose first moment is believed at least, as there."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What is known of the errors of tau_ext beside its sigma."""
+
+    scale: np.ndarray  # (n,): times sigma
+    correlation: float  # rows that say as much as one
 
 
 @dataclass(frozen=True)
@@ -77,17 +87,12 @@ def weigh_constants(
         raise ConfigError(f"--known-kg {mass_kg:g} cannot set torque constants: {said}")
     common = first.mass_kg / mass_kg
     a, h = np.full(bundle.joints, common), first.phi[1:4] / common
-    phi = with_inertia(np.r_[mass_kg, h], reach_m)
-    covariance = np.zeros((3 + bundle.joints,) * 2)
+    phi = _core.load_parameters([mass_kg, *h], reach_m)
+    covariance, sizes = np.zeros((3 + bundle.joints,) * 2), _core.weigh_sizes(bundle)
     for _ in range(ROUNDS):
-        normal = Normal.empty(bundle.joints)
-        for part in parts:
-            z = columns(bundle, frame.frame, part, phi)
-            # inertia and friction's offset were taken off at a = 1
-            z[..., TARGET] = part.tau_ext - (part.tau_ext - z[..., TARGET]) * a
-            normal.add(z, part.sigma, part.worth)
-        a, h, covariance = solve_known(normal, friction_sizes(bundle), mass_kg, com_m, reach_m, a, h)
-        phi = with_inertia(np.r_[mass_kg, h], reach_m)
+        sums, target = sums_about(bundle, frame.frame, parts, phi), targets(a, phi)
+        a, h, covariance = solve_known(sums, target, sizes, mass_kg, com_m, reach_m, a, h)
+        phi = _core.load_parameters([mass_kg, *h], reach_m)
     known = known_weight(a, h / mass_kg, covariance)
     if bundle.units.relative_to < 0 and not 1 / MOST_FACTOR < known.common < MOST_FACTOR:
         raise ConfigError(
@@ -97,15 +102,25 @@ def weigh_constants(
     return known
 
 
+def targets(a: np.ndarray, phi: np.ndarray) -> np.ndarray:
+    """What is to be explained of each joint, as sums of the columns, (n, columns): less inertia and gear, a_j times."""
+    sums = _core.LoadSums
+    target = np.zeros((len(a), sums.COLUMNS))
+    target[:, sums.TAU_EXT], target[:, sums.GEAR] = 1.0, -a
+    target[:, sums.LOAD + 4 : sums.LOAD + 10] = -a[:, None] * phi[4:]
+    return target
+
+
 def solve_known(
-    normal: Normal, sizes: np.ndarray, mass_kg: float, com_m: Sequence[float] | None, reach_m: float, a: np.ndarray,
-    h: np.ndarray,
+    sums: _core.LoadSums, target: np.ndarray, sizes: np.ndarray, mass_kg: float, com_m: Sequence[float] | None,
+    reach_m: float, a: np.ndarray, h: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Gauss-Newton in h and every a_j; both and their covariance, (3 + n, 3 + n), h first."""
-    n, noise = len(a), Noise(np.ones(len(a)), float(BLOCK_ROWS))
+    n, whole, noise = len(a), sums.whole, Noise(np.ones(len(a)), float(sums.BLOCK_ROWS))
     start = float(a.mean())
     spread = (SPREAD * start) ** 2 * np.eye(n) + (ANY * start) ** 2 * np.ones((n, n))
-    about_a, prior_h, centre = np.linalg.inv(spread), reach_prior(mass_kg, reach_m)[1:, 1:], np.zeros(3)
+    about_a, centre = np.linalg.inv(spread), np.zeros(3)
+    prior_h = np.eye(3) / (max(mass_kg, LEAST_MASS_KG) * reach_m / 2) ** 2
     if com_m is not None:
         prior_h, centre = np.eye(3) / (mass_kg * COM_KNOWN_M) ** 2, mass_kg * np.array(com_m)
     for _ in range(STEPS):
@@ -114,7 +129,7 @@ def solve_known(
         moment = np.r_[prior_h @ centre, about_a @ np.full(n, start)]
         gains = []
         for j in range(n):
-            gram = turned_gram(normal.gram[j], a[j], mass_kg, h) / (noise.scale[j] ** 2 * noise.correlation)
+            gram = turned_gram(whole[j], target[j], a[j], mass_kg, h) / (noise.scale[j] ** 2 * noise.correlation)
             own = gram[4:6, 4:6] + np.diag(sizes[j] ** -2.0)
             gain = np.linalg.solve(own, np.column_stack([gram[:4, 4:6].T, gram[4:6, 6]]))
             at = [0, 1, 2, 3 + j]
@@ -125,30 +140,34 @@ def solve_known(
         found = covariance @ moment
         own_values = np.array([g[:, 4] - g[:, :4] @ found[[0, 1, 2, 3 + j]] for j, g in enumerate(gains)])
         h, a = found[:3], found[3:]
-        noise = known_noise(normal, a, mass_kg, h, own_values)
+        noise = known_noise(sums, target, a, mass_kg, h, own_values)
     return a, h, covariance
 
 
-def turned_gram(gram: np.ndarray, a: float, mass_kg: float, h: np.ndarray) -> np.ndarray:
+def turned_gram(gram: np.ndarray, target: np.ndarray, a: float, mass_kg: float, h: np.ndarray) -> np.ndarray:
     """Sums of h (3), a, offset, Coulomb and target of one joint, linear about a and h: (7, 7)."""
-    to = np.zeros((7, COLUMNS))
-    to[:3, 1:4] = a * np.eye(3)
-    to[3, LOAD] = np.r_[mass_kg, h]
-    to[4, OFFSET] = to[5, COULOMB] = 1.0
-    to[6, TARGET], to[6, 1:4] = 1.0, a * h
+    sums = _core.LoadSums
+    to = np.zeros((7, sums.COLUMNS))
+    to[:3, sums.LOAD + 1 : sums.LOAD + 4] = a * np.eye(3)
+    to[3, sums.LOAD : sums.LOAD + 4] = np.r_[mass_kg, h]
+    to[4, sums.OFFSET] = to[5, sums.COULOMB] = 1.0
+    to[6] = target
+    to[6, sums.LOAD + 1 : sums.LOAD + 4] += a * h
     turned: np.ndarray = to @ gram @ to.T
     return turned
 
 
-def known_noise(normal: Normal, a: np.ndarray, mass_kg: float, h: np.ndarray, own: np.ndarray) -> Noise:
-    """As noise_of() of a load."""
-    theta = np.zeros((len(a), COLUMNS))
-    theta[:, LOAD] = -a[:, None] * np.r_[mass_kg, h]
-    theta[:, OFFSET], theta[:, COULOMB], theta[:, TARGET] = -own[:, 0], -own[:, 1], 1.0
-    single, blocks = (np.einsum("ja,jab,jb->j", theta, sums, theta) for sums in (normal.gram, normal.blocks))
-    scale = np.sqrt(np.maximum(single / np.maximum(normal.worth, 1e-9), LEAST_SCALE**2))
+def known_noise(
+    sums: _core.LoadSums, target: np.ndarray, a: np.ndarray, mass_kg: float, h: np.ndarray, own: np.ndarray
+) -> Noise:
+    """As noise_left() of a load."""
+    theta = target.copy()
+    theta[:, sums.LOAD : sums.LOAD + 4] -= a[:, None] * np.r_[mass_kg, h]
+    theta[:, sums.OFFSET], theta[:, sums.COULOMB] = -own[:, 0], -own[:, 1]
+    single, blocks = (np.einsum("ja,jab,jb->j", theta, squares, theta) for squares in (sums.whole, sums.blocks))
+    scale = np.sqrt(np.maximum(single / np.maximum(sums.worth, 1e-9), LEAST_SCALE**2))
     correlation = np.sum(blocks / scale**2) / max(np.sum(single / scale**2), 1e-300)
-    return Noise(scale, float(np.clip(correlation, LEAST_CORRELATION, BLOCK_ROWS)))
+    return Noise(scale, float(np.clip(correlation, LEAST_CORRELATION, sums.BLOCK_ROWS)))
 
 
 def known_weight(a: np.ndarray, com_m: np.ndarray, covariance: np.ndarray) -> KnownWeight:

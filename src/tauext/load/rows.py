@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,13 +18,6 @@ STAND_S = 0.5
 """What holds a standing joint does not change meanwhile: however long, a stand tells as much as this of sliding."""
 SIGMA_SHARE = 0.2
 """Of a limit: the standard error of bundles that have no error scale, whose limits are some five of it."""
-OFFSET_SHARE, COULOMB_SHARE = 0.07, 0.2
-"""Standard deviations of what is co-estimated of each joint, an offset and friction of another size than in training,
-as shares of the most that its drift may be (0.3 of its friction): 2 % and 6 % of it. Warming up is 10 to 15 %."""
-
-LOAD, OFFSET, COULOMB, BASE_FORCE, FRAME_FORCE, TARGET = slice(0, 4), 4, 5, slice(6, 9), slice(9, 12), 12
-COLUMNS = 13
-"""Of a row: m and h, the joint's own offset and friction, forces along the base's and the frame's axes, tau_ext."""
 
 
 @dataclass(frozen=True)
@@ -88,21 +82,23 @@ def stand_worth(near: np.ndarray, steps_s: np.ndarray) -> np.ndarray:
 
 
 def columns(bundle: _core.Bundle, frame: _core.LoadFrame, seen: Seen, phi: np.ndarray) -> np.ndarray:
-    """All columns of the rows, (rows, n, COLUMNS), about a load phi (10,) as known so far.
+    """The rows of `_core.LoadSums`, (rows, n, columns), about a load phi (10,) as known so far.
 
-    It says which side the gears are loaded on; and its inertia, which follows from mass and first moment, is taken off.
+    It says which side the gears are loaded on.
     """
-    r = seen.recording
+    r, sums = seen.recording, _core.LoadSums
     told = _core.load_rows(bundle, frame, phi.tolist(), r.t_ns, r.q, r.dq, seen.samples)
-    z = np.empty((*seen.tau_ext.shape, COLUMNS))
-    z[..., LOAD] = told["load"][..., :4]
-    z[..., OFFSET], z[..., COULOMB] = 1.0, told["coulomb"]
-    z[..., BASE_FORCE], z[..., FRAME_FORCE] = told["base_forces"], told["frame_forces"]
-    z[..., TARGET] = seen.tau_ext - told["offset"] - told["load"][..., 4:] @ phi[4:]
+    z = np.empty((*seen.tau_ext.shape, sums.COLUMNS))
+    z[..., sums.LOAD : sums.LOAD + 10] = told["load"]
+    z[..., sums.OFFSET], z[..., sums.COULOMB] = 1.0, told["coulomb"]
+    z[..., sums.BASE : sums.BASE + 3], z[..., sums.FRAME : sums.FRAME + 3] = told["base_forces"], told["frame_forces"]
+    z[..., sums.GEAR], z[..., sums.TAU_EXT] = told["offset"], seen.tau_ext
     return z
 
 
-def friction_sizes(bundle: _core.Bundle) -> np.ndarray:
-    """Standard deviations of offset and Coulomb friction that are co-estimated, (n, 2), [N m]."""
-    size = np.array(bundle.drift.size_nm if bundle.drift.time_constant_s else 0.3 * np.array(bundle.sliding_limit_nm))
-    return np.column_stack([OFFSET_SHARE * size, COULOMB_SHARE * size])
+def sums_about(bundle: _core.Bundle, frame: _core.LoadFrame, parts: Sequence[Seen], phi: np.ndarray) -> _core.LoadSums:
+    """Of all rows of these recordings."""
+    sums = _core.LoadSums(bundle.joints)
+    for part in parts:
+        sums.add(columns(bundle, frame, part, phi), part.sigma, part.worth)
+    return sums

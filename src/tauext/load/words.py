@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from tauext.load.identify import SHOWS, LoadEstimate
+from tauext.load.identify import LoadEstimate
 
+SHOWS = 3.0
+"""Standard errors between a mass and 0: as the verdict has it."""
 ALONG = 0.9
 """Cosine from which a direction is called by the axis of the frame that it is near."""
 
@@ -19,6 +21,8 @@ def load_sentences(found: LoadEstimate, where: str, unit: str) -> list[str]:
     """
     kg = "kg" if unit == "N m" else f"kg times {unit} a N m"
     mass = f"{found.mass_kg:.2f} ± {found.mass_error_kg:.2f} {kg}"
+    if found.verdict == "too little":
+        return [f"{found.seconds:.2f} s of healthy motion are too little to weigh a load"]
     if found.verdict == "nothing":
         return [f"no load shows: {mass}; one of less than {SHOWS * found.mass_error_kg:.2g} {kg} would not"]
     if found.verdict == "lifts":

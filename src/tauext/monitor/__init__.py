@@ -1,6 +1,15 @@
 """The monitor on recordings: replay through the core, what changed and when, and the flights around it."""
 
-from tauext.monitor.changes import ALARMS, HEALTHS, AlarmChange, Change, DriftChange, HealthChange, LoadChange
+from tauext.monitor.changes import (
+    ALARMS,
+    HEALTHS,
+    AlarmChange,
+    Change,
+    DriftChange,
+    HealthChange,
+    LoadChange,
+    WeighChange,
+)
 from tauext.monitor.flight_files import FlightSource, write_flight
 from tauext.monitor.flight_writer import FlightNews, FlightWriter
 from tauext.monitor.hidden import HiddenCollision, HiddenFinder
@@ -40,6 +49,7 @@ __all__ = [
     "Tally",
     "TimedLoad",
     "WORTH_TELLING",
+    "WeighChange",
     "expect_load",
     "load_and_ago_of_text",
     "load_facts",

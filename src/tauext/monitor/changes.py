@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tauext._core import Load
+from tauext._core import Load, LoadFound
 from tauext.data.estimates import HEALTHS as HEALTHS
 
 ALARMS = ("none", "contact", "collision")
@@ -73,7 +73,24 @@ class LoadChange:
     """As if it had been told then; None: from this sample on."""
 
 
-Change = HealthChange | AlarmChange | DriftChange | LoadChange
+@dataclass(frozen=True)
+class WeighChange:
+    """Just before this sample weighing began, ended, or somebody asked what it says."""
+
+    row: int
+    t_ns: int
+    what: str
+    """`start`, `stop` or `tell`."""
+    by: str
+    frame: str
+    """That lengths are in, for people."""
+    beside: Load
+    """What is set, and not found again."""
+    found: LoadFound | None = None
+    """What was found until now; None where it begins."""
+
+
+Change = HealthChange | AlarmChange | DriftChange | LoadChange | WeighChange
 
 
 class ChangeFinder:

@@ -141,8 +141,8 @@ def unseen(results: Results, bundle: EvaluatedBundle) -> list[str]:
         "not feel them."
     )
     lines.append(
-        "A load that training did not have: a new tool or workpiece looks like a touch that stays, until the monitor is "
-        "told of it or the arm is trained with it."
+        "A load that training did not have: a new tool or workpiece looks like a touch that stays, until the monitor "
+        "is told of it or the arm is trained with it."
     )
     lines.append("The first second after a start, while the filters fill.")
     return lines

@@ -1,0 +1,165 @@
+// Sums that a load follows from, and what they say.
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/map.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <map>
+
+#include "arrays.hpp"
+#include "tauext/bundle.hpp"
+#include "tauext/weighing.hpp"
+
+namespace tauext::bindings {
+namespace {
+
+constexpr std::size_t kSize = LoadSums::kColumns;
+
+void add(LoadSums& sums, const Array<double, 3>& rows, const Array<double, 2>& sigma, const Array<double, 2>& worth) {
+  const std::size_t N = rows.shape(0), n = static_cast<std::size_t>(sums.joints());
+  if (rows.shape(1) != n || rows.shape(2) != kSize)
+    throw Error("rows of a load must have the shape (rows, " + std::to_string(n) + ", " + std::to_string(kSize) + ")");
+  for (const auto* one : {&sigma, &worth})
+    if (one->shape(0) != N || one->shape(1) != n)
+      throw Error("sigma and worth must have the shape (rows, " + std::to_string(n) + ")");
+  std::vector<LoadSums::Row> row(n);
+  for (std::size_t k = 0; k < N; ++k) {
+    for (std::size_t j = 0; j < n; ++j)
+      std::copy_n(rows.data() + (k * n + j) * kSize, kSize, row[j].begin());
+    sums.add(row, {sigma.data() + k * n, n}, {worth.data() + k * n, n});
+  }
+  sums.end_block();
+}
+
+// (n, columns, columns), both triangles; of the blocks with the open one.
+nb::ndarray<nb::numpy, double> squares(const LoadSums& sums, bool blocks) {
+  std::vector<double> out;
+  for (int joint = 0; joint < sums.joints(); ++joint) {
+    const LoadSums::Joint& one = sums.joint(joint);
+    for (std::size_t a = 0; a < kSize; ++a)
+      for (std::size_t b = 0; b < kSize; ++b) {
+        const std::size_t at = std::min(a, b) * kSize + std::max(a, b);
+        out.push_back(blocks ? one.blocks[at] + one.open[a] * one.open[b] : one.whole[at]);
+      }
+  }
+  return to_numpy(std::move(out), {static_cast<std::size_t>(sums.joints()), kSize, kSize});
+}
+
+nb::ndarray<nb::numpy, double> worth(const LoadSums& sums) {
+  std::vector<double> out;
+  for (int joint = 0; joint < sums.joints(); ++joint) out.push_back(sums.joint(joint).worth);
+  const std::size_t n = out.size();
+  return to_numpy(std::move(out), {n});
+}
+
+template <std::size_t N>
+nb::ndarray<nb::numpy, double> square(const std::array<double, N>& values, std::size_t size) {
+  return to_numpy(std::vector(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(size * size)), {size, size});
+}
+
+template <std::size_t N>
+nb::ndarray<nb::numpy, double> numbers(const std::array<double, N>& values) {
+  return to_numpy(std::vector(values.begin(), values.end()), {N});
+}
+
+void bind_sums(nb::module_& m) {
+  auto sums = nb::class_<LoadSums>(m, "LoadSums", "The sums that a load follows from, of rows whose columns these are.");
+  sums.def(nb::init<int>(), nb::arg("joints"))
+      .def("add", &add, nb::arg("rows"), nb::arg("sigma"), nb::arg("worth"),
+           "Rows that follow one another, (rows, n, columns); sigma and worth (rows, n).")
+      .def("fade", &LoadSums::fade, nb::arg("share"), "What was added counts only so much any more.")
+      .def_prop_ro("rows", &LoadSums::rows, "Added so far.")
+      .def_prop_ro("whole", [](const LoadSums& s) { return squares(s, false); }, "Sum of worth z z^T / sigma^2, (n, columns, columns).", nb::rv_policy::move)
+      .def_prop_ro("blocks", [](const LoadSums& s) { return squares(s, true); }, "The same of sums over blocks.", nb::rv_policy::move)
+      .def_prop_ro("worth", &worth, "Rows, each by what it is worth, (n,).", nb::rv_policy::move);
+  const std::pair<const char*, std::size_t> numbers[] = {
+      {"LOAD", LoadSums::kLoad}, {"OFFSET", LoadSums::kOffset}, {"COULOMB", LoadSums::kCoulomb},
+      {"BASE", LoadSums::kBase}, {"FRAME", LoadSums::kFrame},   {"GEAR", LoadSums::kGear},
+      {"TAU_EXT", LoadSums::kTauExt}, {"COLUMNS", kSize}, {"BLOCK_ROWS", static_cast<std::size_t>(LoadSums::kBlockRows)}};
+  for (const auto& [name, value] : numbers) sums.attr(name) = static_cast<int>(value);
+}
+
+void bind_fit(nb::module_& m) {
+  nb::class_<LoadFit>(m, "LoadFit", "What one cause would explain: a load, a force, or nothing.")
+      .def_prop_ro("values", [](const LoadFit& f) { return std::vector(f.values.begin(), f.values.begin() + f.size); },
+                   "Mass and first moment of a load, or a force.")
+      .def_prop_ro("covariance", [](const LoadFit& f) { return square(f.covariance, static_cast<std::size_t>(f.size)); },
+                   "Of them.", nb::rv_policy::move)
+      .def_prop_ro("correlation", [](const LoadFit& f) { return f.noise.correlation; }, "Rows that say as much as one.")
+      .def_ro("misfit", &LoadFit::misfit, "Squared standard errors that are left, a row.")
+      .def_ro("cost", &LoadFit::cost, "Independent squared errors that are left, and what priors hold against it.");
+  nb::class_<LoadFound>(m, "LoadFound",
+                        "What was weighed. Numbers without `load` are of what there is beside the load that is set; lengths and\n"
+                        "axes of the load frame.")
+      .def_prop_ro("verdict", [](const LoadFound& f) { return std::string(name(f.verdict)); },
+                   "`too little` (motion), `nothing`, `load`, `contact`, `lifts` or `unclear`.")
+      .def_ro("load", &LoadFound::load, "Both together, for set_load().")
+      .def_ro("mass_kg", &LoadFound::mass_kg, "Below 0 only where a load is set, which is less then.")
+      .def_ro("mass_error_kg", &LoadFound::mass_error_kg, "Standard error.")
+      .def_prop_ro("com_m", [](const LoadFound& f) { return numbers(f.com_m); }, "Centre of mass, (3,).", nb::rv_policy::move)
+      .def_prop_ro("com_error_m", [](const LoadFound& f) { return numbers(f.com_error_m); }, "Its standard errors, (3,).", nb::rv_policy::move)
+      .def_prop_ro("com_covariance", [](const LoadFound& f) { return square(f.com_covariance, 3); }, "(3, 3).", nb::rv_policy::move)
+      .def_prop_ro("covariance", [](const LoadFound& f) { return square(f.covariance, 4); },
+                   "Of mass and first moment, (4, 4).", nb::rv_policy::move)
+      .def_prop_ro("phi", [](const LoadFound& f) { return numbers(f.phi); },
+                   "Mass, first moment and inertia about the frame's origin, (10,).", nb::rv_policy::move)
+      .def_ro("seconds", &LoadFound::seconds, "Of motion.")
+      .def_ro("reach_m", &LoadFound::reach_m, "That was believed.")
+      .def_ro("misfit", &LoadFound::misfit, "Squared standard errors a row that the load leaves.")
+      .def_ro("mass_seen", &LoadFound::mass_seen, "Else the mass is not told apart from its lever.")
+      .def_ro("at_bound", &LoadFound::at_bound, "The centre of mass is at the reach.")
+      .def_prop_ro("unseen",
+                   [](const LoadFound& f) {
+                     std::vector<nb::ndarray<nb::numpy, double>> out;
+                     for (int k = 0; k < f.unseen_count; ++k) out.push_back(numbers(f.unseen[static_cast<std::size_t>(k)]));
+                     return out;
+                   },
+                   "Directions of the centre of mass that the motion did not tell, unit vectors.", nb::rv_policy::move)
+      .def_prop_ro("fits",
+                   [](const LoadFound& f) {
+                     constexpr const char* names[] = {"load", "base", "frame", "nothing"};
+                     std::map<std::string, LoadFit> out;
+                     for (std::size_t k = 0; k < f.fits.size(); ++k) out.emplace(names[k], f.fits[k]);
+                     return out;
+                   },
+                   "What a load, a force along the base's axes, one along the frame's and nothing would explain.");
+}
+
+}  // namespace
+
+void bind_load_found(nb::module_& m) {
+  bind_sums(m);
+  bind_fit(m);
+  m.def(
+      "weigh_load",
+      [](const Bundle& bundle, const LoadSums& sums, double reach_m, const LoadParameters& phi, const Load& set, int rounds) {
+        if (sums.joints() != bundle.joints()) throw Error("the sums are of an arm with another number of joints");
+        if (!(reach_m > 0)) throw Error("the reach of a load = " + to_text(reach_m) + " m must be above 0");
+        WeighSettings settings = Weighing::settings_of(bundle);
+        settings.reach_m = reach_m;
+        return weigh(sums, settings, set, phi, rounds);
+      },
+      nb::arg("bundle"), nb::arg("sums"), nb::arg("reach_m") = WeighSettings::kUsualReach_m,
+      nb::arg("phi") = LoadParameters{}, nb::arg("set") = Load{}, nb::arg("rounds") = kLoadRounds,
+      "What the sums say of a load, phi (10,) being what is known of it so far, beside one that is set.");
+  m.def(
+      "weigh_sizes",
+      [](const Bundle& bundle) {
+        const WeighSettings settings = Weighing::settings_of(bundle);
+        std::vector<double> out;
+        for (std::size_t j = 0; j < bundle.links.size(); ++j) {
+          out.push_back(settings.offset_nm[j]);
+          out.push_back(settings.coulomb_nm[j]);
+        }
+        return to_numpy(std::move(out), {bundle.links.size(), 2});
+      },
+      nb::arg("bundle"), "Standard deviations of each joint's own offset and Coulomb friction beside a load, (n, 2), [N m].");
+  m.def(
+      "load_parameters",
+      [](const std::array<double, 4>& found, double reach_m) { return numbers(beside(found, {}, reach_m)); },
+      nb::arg("found"), nb::arg("reach_m"),
+      "phi (10,) of a mass and a first moment: a mass is at least 0, its centre within the reach, its inertia a ball's.");
+  m.def("loads_together", &together, nb::arg("a"), nb::arg("b"), "Two bodies as one load.");
+}
+
+}  // namespace tauext::bindings

@@ -150,7 +150,7 @@ def test_the_plain_observer_is_a_bundle_too(workplace, capsys, tmp_path):
     assert run(capsys, "evaluate", "--data", data, "--bundles", out, "--out", tmp_path / "results")[0] == 0
 
 
-COMMANDS = "simulate import train calibrate refit evaluate report run monitor load show reproduce".split()
+COMMANDS = "simulate import train calibrate refit evaluate report run monitor load show reproduce fleet".split()
 
 
 @pytest.mark.parametrize("command", ["", *COMMANDS])

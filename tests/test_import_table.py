@@ -22,6 +22,7 @@ OPEN = {
 }
 """Standard library, and of the core what knows no NumPy: open to all."""
 STAGES = {"robot", "data", "rig", "learn", "calibrate", "train", "refit", "evaluate", "report"}
+FLEET = {"importing", "doctor", "look", "data", "train", "calibrate", "evaluate"}
 # folder or module, or one file of a folder: (ours beside OPEN, outside libraries); only `__main__` imports `cli`.
 TABLE = {
     "errors": (set(), set()),
@@ -41,6 +42,7 @@ TABLE = {
     "data/importers/ros2": (set(), {"rosbags", "ruamel"}),
     "data/importers/hdf5": (set(), {"numpy", "h5py"}),
     "data/importers/matlab": (set(), {"numpy", "scipy"}),
+    "importing": ({"robot", "data"}, set()),
     "rig": ({"robot", "data"}, {"numpy", "mujoco"}),
     "learn": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
     "learn/torch_backend": ({"_core"}, {"numpy", "torch"}),
@@ -63,6 +65,8 @@ TABLE = {
     "demo/panel": (set(), {"numpy", "viser"}),
     "demo/drawing": (set(), {"numpy", "mujoco", "viser", "trimesh"}),
     "demo/arrow": (set(), {"numpy", "viser", "trimesh"}),
+    "fleet": (FLEET, set()),
+    "fleet/ray_workers": (set(), {"ray"}),
     "cli": (EVERYTHING, {"tyro", "rich"}),
     "reproduce": (STAGES, set()),
     "__init__": (STAGES | {"_core"}, set()),

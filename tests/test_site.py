@@ -91,7 +91,7 @@ def test_a_help_text_becomes_options_with_their_help(text, titles):
 
 
 def test_every_option_of_a_verb_is_on_its_page():
-    assert {"train", "import", "monitor"} <= set(cli_pages.verbs())
+    assert {"train", "import", "monitor", "fleet run"} <= set(cli_pages.verbs())
     page = "\n".join(cli_pages.page("simulate"))
     options = set(re.findall(r"^[│ ] {1,2}(--[\w.-]+)", cli_pages.help_text("simulate"), re.MULTILINE))
     assert len(options) > 5 and options <= set(re.findall(r"^````\{option\} (--[\w.-]+)", page, re.MULTILINE))

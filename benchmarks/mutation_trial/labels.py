@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 import re
 import shutil
@@ -14,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tauext.cli.import_data import import_dataset
 from tauext.data import Recording
+from tauext.importing import import_dataset
 
 Spans = dict[str, list[list[float]]]
 BEYOND_S = 1000.0
@@ -88,7 +86,6 @@ def imported(toml: Path, change: Callable[[Spans, list[str]], Spans], folder: Pa
     arm.write_text(text)
     shutil.rmtree(folder, ignore_errors=True)
     try:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            import_dataset(tuple(toml.with_name(name) for name in sources), arm, folder, "tauext")
+        import_dataset([toml.with_name(name) for name in sources], arm, folder, "tauext", lambda line: None)
     finally:
         arm.unlink()

@@ -16,6 +16,8 @@ HELP_INDENT = 6
 
 
 HEADING = re.compile(r"(\S.*):")
+GROUPS = ("fleet",)
+"""Verbs that have verbs of their own."""
 EVERYTHING = "--help-all"
 """Of a verb whose `--help` keeps to the common options, and says so."""
 
@@ -33,10 +35,11 @@ def help_text(*verb: str) -> str:
     return said(EVERYTHING) if EVERYTHING in common else common
 
 
-def verbs() -> list[str]:
-    """The verbs in the order in which the help names them."""
-    (found,) = re.findall(r"\[-h\]\s+\{([a-z,\s]+)\}", help_text())
-    return re.sub(r"\s", "", found).split(",")
+def verbs(*group: str) -> list[str]:
+    """The verbs in the order in which the help names them; of a group of verbs each with the group's name before it."""
+    (found,) = re.findall(r"\[-h\]\s+\{([a-z,\s]+)\}", help_text(*group))
+    named = [" ".join((*group, verb)) for verb in re.sub(r"\s", "", found).split(",")]
+    return [verb for name in named for verb in (verbs(name) if name in GROUPS else [name])]
 
 
 def boxes(text: str) -> tuple[str, list[tuple[str, list[str]]]]:
@@ -84,7 +87,7 @@ def entries(lines: list[str]) -> tuple[str, list[tuple[str, str]]]:
 
 def page(verb: str) -> list[str]:
     """The Markdown of one verb."""
-    head, found = boxes(help_text(verb))
+    head, found = boxes(help_text(*verb.split()))
     usage, _, about = head.partition("\n\n")
     lines = [f"# tauext {verb}", "", "```text", usage.removeprefix("usage: ").strip(), "```", ""]
     lines += [prose(" ".join(part.split())) + "\n" for part in about.strip().split("\n\n") if part.strip()]
@@ -108,8 +111,9 @@ def write_pages(app: Any) -> None:
     index = ["| verb | what it does |", "|---|---|"]
     for verb in verbs():
         lines = page(verb)
-        write_page(f"cli/{verb}.md", lines)
-        index.append(f"| [{verb}](made/cli/{verb}.md) | {first_sentence(lines)} |")
+        name = verb.replace(" ", "-")
+        write_page(f"cli/{name}.md", lines)
+        index.append(f"| [{verb}](made/cli/{name}.md) | {first_sentence(lines)} |")
     write_page("cli.inc", index)
 
 

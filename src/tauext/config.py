@@ -388,6 +388,57 @@ class TrainConfig:
         return replace(filled, observer=replace(self.observer, gain_per_s=gain))
 
 
+@dataclass(frozen=True)
+class CalibrateStage(AlarmConfig):
+    """A fleet's stage calibrate: the promise, and how it is found."""
+
+    refit_error_scale: bool = False
+    """Find anew how errors grow with the motion, on the first fifth of the calibration recordings."""
+
+
+@dataclass(frozen=True)
+class EvaluateStage(EventsConfig):
+    """A fleet's stage evaluate."""
+
+    seed: int = 0
+    """Seed of the choice of the ten collisions."""
+    keep_free_estimates: int = 20
+    """How many test recordings of free motion, the first ones, have their estimates written."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_seed(self.seed)
+        require(self.keep_free_estimates >= 0, "keep_free_estimates", self.keep_free_estimates, ">= 0")
+
+
+@dataclass(frozen=True)
+class FleetConfig:
+    """Who works on a fleet's tasks. No output depends on it."""
+
+    workers: int = 0
+    """Processes of this machine that work, one thread each; 0: one a core."""
+    retries: int = 2
+    """How often a task is begun again whose worker died: killed, out of memory, its node lost. What a task refuses is
+    refused at once."""
+    ray: str | None = None
+    """Let Ray distribute the tasks: the address of a cluster, auto for the one of this machine, or local to start one
+    here with --workers cores (needs the extra tauext[fleet]). None: processes of this machine."""
+    task_gb: float = 0.0
+    """Memory that a task claims of a node of Ray, [GB]; 0: none is claimed, and cores alone count."""
+
+    def __post_init__(self) -> None:
+        most = f"0 (one a core) to {MOST_THREADS}"
+        require(0 <= self.workers <= MOST_THREADS, "workers", self.workers, most)
+        require(0 <= self.retries <= 100, "retries", self.retries, "0 to 100")
+        require(0 <= self.task_gb <= 1e6, "task_gb", self.task_gb, ">= 0, at most 1e6")
+        distributed = self.ray is not None
+        require(distributed or self.task_gb == 0, "task_gb", self.task_gb, "left out unless --ray is given")
+        own = not distributed or self.ray == "local"
+        require(
+            own or self.workers == 0, "workers", self.workers, "left out with a cluster, whose nodes have their own"
+        )
+
+
 def warm_up_s(gain_per_s: float, low_pass_per_s: float = 0.0) -> float:
     """When r counts as warmed up, [s] after its start: what it started from has faded to e^-10.
 

@@ -22,6 +22,8 @@ from tauext.cli.check import check
 from tauext.cli.convert import convert
 from tauext.cli.demo import demo
 from tauext.cli.evaluate import evaluate
+from tauext.cli.fleet import HELP as FLEET_HELP
+from tauext.cli.fleet import fleet_app
 from tauext.cli.import_data import import_data
 from tauext.cli.load import load
 from tauext.cli.monitor import monitor
@@ -49,6 +51,7 @@ DESCRIPTION = (
     "train -> run: the monitor on recordings; monitor: on a live arm. calibrate: other limits for a trained bundle. "
     "load: what the arm carries, or torque constants by a known weight. "
     "refit: its friction brought up to date by a minute of today's motion. "
+    "fleet: all of this for many arms, on many cores. "
     "demo: push a simulated arm in the browser. convert: a bundle of an older format. "
     "--version: of package, core, its compiler and bundles. "
     f"{RULE} {KILLED}"
@@ -77,7 +80,10 @@ def version_text() -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; 0 done, 1 a fault (check), 2 bad input (one line on stderr), 130 interrupted, 141 no reader."""
+    """Run one command and return its exit status.
+
+    0 done, 1 a fault (check) or a failed arm (fleet), 2 bad input (one line on stderr), 130 interrupted, 141 no reader.
+    """
     argv = sys.argv[1:] if argv is None else argv
     if argv == ["--version"]:
         print(version_text())
@@ -101,6 +107,7 @@ def main(argv: list[str] | None = None) -> int:
     ):
         app.command(deferred(command))
     app.command(name="import")(deferred(import_data))
+    app.command(fleet_app(), name="fleet", help=FLEET_HELP)
     # What overflows is found by whoever checks the number; the interpreter's own words about it are none of ours.
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     sys.unraisablehook = not_swallowed

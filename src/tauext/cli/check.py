@@ -33,7 +33,7 @@ def check(
     from tauext.cli.replaced import tell_replaced
     from tauext.cli.reporter import Terminal
     from tauext.doctor import examine, gather
-    from tauext.doctor.summary import as_data, as_text
+    from tauext.doctor.summary import as_files
     from tauext.room import expect_folder
     from tauext.whole_file import whole_folder
 
@@ -42,10 +42,7 @@ def check(
         tell_replaced(out / "check.json")
     recordings, free, robot = gather(data, robot, Terminal())
     diagnosis = examine(recordings, robot, gravity, free, Terminal())
-    text, content = as_text(diagnosis), as_data(diagnosis)
-    if robot is None:
-        text = f"no robot model: order, scale, gravity and payload cannot be checked\n{text}"
-    content["recordings"] = [recording.name for recording in recordings]
+    text, content = as_files(diagnosis, (recording.name for recording in recordings), robot is None)
     if out is not None:
         from tauext.doctor.picture import draw
 

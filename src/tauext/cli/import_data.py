@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from tauext.errors import ConfigError
-from tauext.plain_file import read_text
-from tauext.room import expect_folder, expect_new_file
-
-if TYPE_CHECKING:
-    from tauext.data import Recording
-    from tauext.data.description import Arm
+from tauext.room import expect_new_file
 
 
 def import_data(
@@ -51,7 +46,12 @@ def import_data(
         if not value:
             raise ConfigError(f"{name} is missing; `tauext import --new arm.toml --source FILE` writes a description")
     assert arm is not None and out is not None
-    import_dataset(source, arm, out, format)
+    from tauext.importing import import_dataset
+
+    import_dataset(source, arm, out, format, print)
+    if format == "tauext":
+        tell_findings(out)
+    print(out)
 
 
 def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) -> None:
@@ -79,51 +79,6 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
     print(path)
 
 
-def import_dataset(paths: tuple[Path, ...], arm_file: Path, out: Path, format: str) -> None:
-    """Import all sources into a folder that appears whole or not at all; what was done goes to stdout."""
-    import shutil
-    import time
-
-    from tauext.data.dataset_writing import recordings_of, write_dataset
-    from tauext.data.description_file import load_arm
-    from tauext.data.importers import open_raw
-    from tauext.data.lerobot_export import export_lerobot
-    from tauext.provenance import provenance, write_json
-    from tauext.robot import load_tree, robot_sha256
-
-    started = time.monotonic()
-    arm = load_arm(arm_file)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ConfigError(f"{out}: is not empty; choose another folder or remove it")
-    expect_folder(out)
-    sources = [source for path in paths for source in open_raw(path, arm.topics)]
-    if arm.model is not None:
-        load_tree(arm.model, joints=arm.robot.joints)  # names its faults before an hour is imported
-    part = out.with_name(out.name + ".part")
-    shutil.rmtree(part, ignore_errors=True)  # of an import that was killed
-    part.mkdir(parents=True)
-    try:
-        if format == "lerobot":
-            recordings = (_told(recording) for _, recording in recordings_of(sources, arm, ""))
-            print(f"{export_lerobot(recordings, part)} episodes")
-        else:
-            robot = _robot_file(arm, part)
-            for line in write_dataset(sources, arm, robot_sha256(robot), part, _told).said:
-                print(line)
-        settings = {"arm": read_text(arm_file), "sources": [path.name for path in paths], "format": format}
-        write_json(provenance("tauext import", settings, None), part / "run.json")
-        write_json({"import_s": round(time.monotonic() - started, 3)}, part / "wall_time_s.json")
-        if out.exists():
-            out.rmdir()
-        part.rename(out)
-    except BaseException:
-        shutil.rmtree(part, ignore_errors=True)  # half a dataset serves nobody
-        raise
-    if format == "tauext":
-        tell_findings(out)
-    print(out)
-
-
 def tell_findings(out: Path) -> None:
     """Say on stderr what `tauext train` would refuse of this dataset, and what it would warn of."""
     from tauext.cli.reporter import Terminal
@@ -148,35 +103,3 @@ def tell_findings(out: Path) -> None:
         plural = "" if len(faults) == 1 else "s"
         words = f"{out}: {len(faults)} fault{plural}, which `tauext train` refuses; mend arm.toml, and import again"
         terminal.say("\n".join([words, *told(faults), f"  `tauext check --data {out} --out DIR` draws it"]))
-
-
-def _robot_file(arm: Arm, out: Path) -> Path:
-    """The dataset's robot file: the arm's own with what the description adds, or a placeholder, and said so."""
-    from tauext.robot import Payload, load_tree, write_placeholder, write_robot
-
-    if arm.model is None:
-        print("robot: no model; robot.urdf is a placeholder without masses, and train takes the case none")
-        return write_placeholder(arm.robot.joints, out)
-    inertia = arm.robot.rotor_inertia_kg_m2
-    rotors = dict(zip(arm.robot.joints, zip(inertia, arm.gear_ratio, strict=True), strict=True)) if inertia else {}
-    carried = arm.payload
-    payload = Payload(carried.link, carried.mass_kg, carried.com_m, carried.inertia_kg_m2) if carried.mass_kg else None
-    path = write_robot(arm.model, out, rotors, payload, arm.robot.gravity_m_s2 or None)
-    tree = load_tree(path, joints=arm.robot.joints)
-    print(f"robot: {arm.model.name} with {tree.size} joints: {', '.join(arm.robot.joints)}")
-    if payload:
-        print(f"  payload of {payload.mass_kg:g} kg at {payload.link}")
-    if rotors:
-        print(f"  rotor inertia at the joint, kg m^2: {', '.join(f'{link.rotor_inertia:.4g}' for link in tree.links)}")
-    if arm.robot.gravity_m_s2:
-        print(f"  gravity {', '.join(f'{g:g}' for g in tree.gravity)} m/s^2")
-    return path
-
-
-def _told(recording: Recording) -> Recording:
-    """The recording, after printing what it is and what was done to it, a line each."""
-    joints = len(recording.joints)
-    head = f"{recording.name}: {recording.duration_s:.2f} s, {recording.rate_hz:g} Hz, {joints} joints, "
-    head += f"{recording.samples} samples from {recording.source}"
-    print("\n".join([head, *(f"  {line}" for line in recording.provenance["done"])]))
-    return recording

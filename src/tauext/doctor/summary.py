@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict
 
 from tauext.doctor.examine import Diagnosis
@@ -34,6 +35,19 @@ def as_text(diagnosis: Diagnosis) -> str:
     counts = [sum(f.severity == severity for f in diagnosis.findings) for severity in SEVERITIES]
     told = ", ".join(f"{n} {what}{'' if n == 1 else 's'}" for n, what in zip(counts, SEVERITIES, strict=True))
     return "\n".join([*lines, "" if lines else "nothing found", *_table(diagnosis), "", told])
+
+
+def as_files(diagnosis: Diagnosis, recordings: Iterable[str], without_model: bool) -> tuple[str, dict]:
+    """Contents of check.txt and check.json.
+
+    Args:
+        recordings: names of those that were examined.
+        without_model: no robot file was there to hold them against.
+    """
+    text = as_text(diagnosis)
+    if without_model:
+        text = f"no robot model: order, scale, gravity and payload cannot be checked\n{text}"
+    return text, as_data(diagnosis) | {"recordings": list(recordings)}
 
 
 def grouped(findings: list[Finding]) -> list[tuple[Finding, list[str]]]:

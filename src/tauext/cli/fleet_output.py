@@ -1,0 +1,262 @@
+"""What `tauext fleet run` tells: a table on a terminal, lines elsewhere, JSON lines for programs."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, Protocol, Self
+
+from tauext.fleet import FleetEnd, Outcome, Task
+from tauext.fleet.book import Book, stage_counts
+from tauext.fleet.fleet_file import STAGES
+from tauext.fleet.plan import PlannedArm
+from tauext.fleet.workers import Ended
+
+MOST_ROWS = 60
+"""Arms that are listed one by one at the end; of more, stages are counted."""
+READING_EVERY_S = 5.0
+"""Between two lines while files are read, which terabytes take long."""
+STATES = ("done", "refused", "failed", "skipped", "waiting")
+
+
+class Output(Protocol):
+    """A watcher that is a context and tells the end."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *error: object) -> None: ...
+
+    def reading(self, done: int, of: int) -> None: ...
+
+    def started(self, plan: Sequence[PlannedArm]) -> None: ...
+
+    def begun(self, task: Task) -> None: ...
+
+    def ended(self, ended: Ended) -> None: ...
+
+    def finish(self, end: FleetEnd) -> None: ...
+
+
+def open_watcher(as_json: bool) -> Output:
+    """JSON lines where asked for, a table that is redrawn on a terminal, else a line a task."""
+    if as_json:
+        return JsonLines()
+    if sys.stderr.isatty():
+        return LiveTable()
+    return TextLines()
+
+
+class JsonLines:
+    """On stdout, an object an event; docs/files.md lists them."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def reading(self, done: int, of: int) -> None:
+        pass
+
+    def started(self, plan: Sequence[PlannedArm]) -> None:
+        steps = [step for arm in plan for step in arm.steps]
+        to_do = sum(step.there is None for step in steps)
+        self._write("start", arms=len(plan), tasks=len(steps), to_do=to_do)
+
+    def begun(self, task: Task) -> None:
+        self._write("begun", arm=task.arm, stage=task.stage)
+
+    def ended(self, ended: Ended) -> None:
+        self._write("task", **about(ended.task), **told(ended.outcome), begun=ended.begun)
+
+    def finish(self, end: FleetEnd) -> None:
+        failed = [{"arm": arm, "stage": stage, "reason": why} for arm, stage, why in end.book.failures()]
+        counts = end.book.counts() | {"done_now": end.done_now, "kept": end.kept}
+        self._write("summary", **counts, failures=failed, file=str(end.book.path))
+
+    def _write(self, event: str, **content: Any) -> None:
+        print(json.dumps({"event": event} | content, allow_nan=False), flush=True)
+
+
+class TextLines:
+    """A line on stderr for each task that ends; tables and failures on stdout at the end."""
+
+    def __init__(self) -> None:
+        self._done = self._of = 0
+        self._told = time.monotonic()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def reading(self, done: int, of: int) -> None:
+        if time.monotonic() - self._told > READING_EVERY_S:
+            self._told = time.monotonic()
+            self.say(f"reading what the arms depend on: {done} of {of} files")
+
+    def started(self, plan: Sequence[PlannedArm]) -> None:
+        steps = [step for arm in plan for step in arm.steps]
+        self._of = sum(step.there is None for step in steps)
+        self.say(f"{len(plan)} arms, {len(steps)} tasks, of which {len(steps) - self._of} are done already")
+
+    def begun(self, task: Task) -> None:
+        pass
+
+    def ended(self, ended: Ended) -> None:
+        self._done += 1
+        self.say(f"[{self._done}/{self._of}] {task_line(ended)}")
+
+    def finish(self, end: FleetEnd) -> None:
+        for line in summary_lines(end):
+            print(line)
+
+    def say(self, line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+
+
+class LiveTable(TextLines):
+    """The same on a terminal, where a table of stages is redrawn below the lines of what failed."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.live import Live
+
+        super().__init__()
+        self._console = Console(stderr=True, highlight=False)
+        self._live = Live(console=self._console, refresh_per_second=4, transient=True)
+        self._counts: dict[str, Counter[str]] = {}
+        self._running: list[str] = []
+
+    def __enter__(self) -> Self:
+        self._live.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._live.stop()
+
+    def started(self, plan: Sequence[PlannedArm]) -> None:
+        self._counts = {stage: Counter() for stage in STAGES}
+        for step in (step for arm in plan for step in arm.steps):
+            self._counts[step.task.stage][step.there.state if step.there else "waiting"] += 1
+        super().started(plan)
+        self._draw()
+
+    def begun(self, task: Task) -> None:
+        self._running.append(f"{task.arm} {task.stage}")
+        self._draw()
+
+    def ended(self, ended: Ended) -> None:
+        task = ended.task
+        self._done += 1
+        if f"{task.arm} {task.stage}" in self._running:
+            self._running.remove(f"{task.arm} {task.stage}")
+        self._counts[task.stage]["waiting"] -= 1
+        self._counts[task.stage][ended.outcome.state] += 1
+        if ended.outcome.state != "done":
+            self.say(task_line(ended))
+        self._draw()
+
+    def say(self, line: str) -> None:
+        self._console.print(line, markup=False)
+
+    def _draw(self) -> None:
+        from rich.table import Table
+
+        shown = ("done", "refused", "failed", "waiting")
+        table = Table(*("stage", *shown), title=f"{self._done}/{self._of} tasks", title_justify="left")
+        for stage, counts in self._counts.items():
+            if counts:
+                table.add_row(stage, *(str(counts[state] or "") for state in shown))
+        few = self._running[:8]
+        more = f" and {len(self._running) - len(few)} more" if len(self._running) > len(few) else ""
+        table.caption = f"under way: {', '.join(few)}{more}" if few else ""
+        self._live.update(table)
+
+
+def tell_plan(plan: Sequence[PlannedArm], as_json: bool) -> None:
+    """What would be done, and why; of each arm the first stage says it, and those after it follow."""
+    to_do = 0
+    for arm in plan:
+        for step in arm.steps:
+            to_do += step.there is None
+            if as_json:
+                state = "to do" if step.there is None else step.there.state
+                said = {"event": "task", **about(step.task), "state": state, "why": step.why or None}
+                print(json.dumps(said, allow_nan=False))
+            elif step.there is None:
+                print(f"{arm.arm.name} {step.task.stage}: {step.why}")
+            elif step.there.state == "refused":
+                print(f"{arm.arm.name} {step.task.stage}: done, and refuses what follows: {step.there.reason}")
+    tasks = sum(len(arm.steps) for arm in plan)
+    if as_json:
+        print(json.dumps({"event": "plan", "arms": len(plan), "tasks": tasks, "to_do": to_do}))
+    else:
+        print(f"{to_do} of {tasks} tasks of {len(plan)} arms would be done")
+
+
+def about(task: Task) -> dict[str, Any]:
+    return {"arm": task.arm, "stage": task.stage, "hash": task.hash}
+
+
+def told(outcome: Outcome) -> dict[str, Any]:
+    return {"state": outcome.state, "seconds": round(outcome.seconds, 3), "reason": outcome.reason or None}
+
+
+def task_line(ended: Ended) -> str:
+    """`cell-01 train: done in 12.3 s`."""
+    task, outcome = ended.task, ended.outcome
+    again = f", begun {ended.begun} times" if ended.begun > 1 and outcome.state != "failed" else ""
+    if outcome.state == "done":
+        return f"{task.arm} {task.stage}: done in {outcome.seconds:.1f} s{again}"
+    return f"{task.arm} {task.stage}: {outcome.state}: {outcome.reason}{again}"
+
+
+def summary_lines(end: FleetEnd) -> list[str]:
+    """Stages of every arm, or counts where there are many; then a line a failed arm, and the sum."""
+    book = end.book
+    lines = arm_table(book) if len(book.plan) <= MOST_ROWS else stage_table(book)
+    lines.append("")
+    for arm, stage, why in book.failures():
+        lines.append(f"{arm}: {stage} {book.of(arm, stage).state}: {why}")
+    counts = book.counts()
+    lines.append(
+        f"{counts['done']} of {counts['arms']} arms are done, {counts['failed']} failed; "
+        f"{end.done_now} tasks were done now, {end.kept} before"
+    )
+    return [*lines, str(book.path)]
+
+
+def arm_table(book: Book) -> list[str]:
+    """A row an arm, a column a stage: seconds where it is done, else its state."""
+    stages = list(stage_counts(book))
+    rows = [["arm", *stages]]
+    for arm in book.plan:
+        has = {step.task.stage for step in arm.steps}
+        rows.append([arm.arm.name, *(cell(book.of(arm.arm.name, stage)) if stage in has else "-" for stage in stages)])
+    return aligned(rows)
+
+
+def cell(outcome: Outcome) -> str:
+    return f"{outcome.seconds:.1f} s" if outcome.state == "done" else outcome.state
+
+
+def stage_table(book: Book) -> list[str]:
+    """A row a stage, a column a state."""
+    found = stage_counts(book)
+    shown = [state for state in STATES if any(counts[state] for counts in found.values())]
+    return aligned(
+        [["stage", *shown], *([stage, *(str(counts[state]) for state in shown)] for stage, counts in found.items())]
+    )
+
+
+def aligned(rows: list[list[str]]) -> list[str]:
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return [
+        "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))])
+        for row in rows
+    ]

@@ -1,0 +1,234 @@
+"""FLEET.toml: arms, what they have in common by type, and the stages; all of it is checked before anything runs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, get_args
+
+from tauext.config import AlarmConfig, CalibrateStage, CaseName, EvaluateStage, TrainConfig
+from tauext.data import load_dataset
+from tauext.data.description_file import load_arm
+from tauext.errors import ConfigError
+from tauext.fleet.places import place_of, places_of
+from tauext.fleet.settings import settings_of, unknown_key
+from tauext.look import expect_codes
+from tauext.plain_file import read_text, toml_of
+
+STAGES = ("import", "check", "train", "calibrate", "evaluate")
+"""In their order; docs/files.md says what each needs."""
+TABLES = ("train", "calibrate", "evaluate")
+SHARED = ("arm", "robot", "case", "accept", "stages", *TABLES)
+"""Keys that stand at the top for all arms, in [types.NAME] for those of a type, or at an arm; the last one counts."""
+OWN = ("name", "type", "sources", "dataset", "calibration")
+"""Keys of an arm alone."""
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
+NAME_RULE = "1 to 100 letters, digits, dots, dashes, underscores: it names a folder and a bundle"
+ONE_THREAD = {"threads": "each task has one thread, and --workers says how many run at a time"}
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One arm of a fleet, with all that holds for it; places are absolute."""
+
+    name: str
+    type: str
+    stages: tuple[str, ...]
+    """Those that it has, in their order."""
+    sources: tuple[Path, ...] = ()
+    """To import, described by `description`; none: `dataset` is there already."""
+    description: Path | None = None
+    """Its arm.toml."""
+    dataset: Path | None = None
+    calibration: Path | None = None
+    """Dataset whose calibration recordings the stage calibrate uses; None: those of the arm's own dataset."""
+    robot: Path | None = None
+    case: CaseName | None = None
+    accept: tuple[str, ...] = ()
+    train: TrainConfig = TrainConfig()
+    calibrate: CalibrateStage = CalibrateStage()
+    evaluate: EvaluateStage = EvaluateStage()
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """What FLEET.toml says."""
+
+    path: Path
+    arms: tuple[Arm, ...]
+
+
+def load_fleet(path: Path | str) -> Fleet:
+    """Read a FLEET.toml; every key, value and place in it is looked at, and no recording is read.
+
+    Raises:
+        ConfigError: no such file, not TOML, an unknown key, a value of the wrong type or against its rule, two arms of
+            one name, a file that is not there.
+    """
+    path = Path(path)
+    try:
+        content = toml_of(read_text(path))
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path}: there is no such file; `tauext fleet example` prints one") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error})") from error
+    except ValueError as error:
+        raise ConfigError(f"{path}: not readable as TOML: {error}") from error
+    expect_keys(content, (*SHARED, "types", "arms"), f"{path}")
+    types = content.get("types", {})
+    listed = content.get("arms")
+    if not isinstance(types, dict):
+        raise ConfigError(f"{path}: types = {types!r} must be tables, [types.NAME]")
+    for name, table in types.items():
+        expect_keys(table, SHARED, f"{path}: [types.{name}]")
+    if not isinstance(listed, list) or not listed:
+        raise ConfigError(f"{path}: there is no arm; give one or more tables [[arms]], each with a name")
+    base = path.absolute().parent
+    arms = tuple(arm_of(one, number, content, types, path, base) for number, one in enumerate(listed, 1))
+    expect_different(arms, path)
+    return Fleet(path, arms)
+
+
+def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, Any], path: Path, base: Path) -> Arm:
+    """One arm from its own table, that of its type, and what stands at the top."""
+    where = f"{path}: arm {number}"
+    expect_keys(table, (*OWN, *SHARED), where)
+    name = text_of(table, "name", where)
+    if name is None or not NAME.fullmatch(name):
+        raise ConfigError(f"{where}: name = {name!r} must be {NAME_RULE}")
+    where = f"{path}: arm '{name}'"
+    kind = text_of(table, "type", where) or ""
+    if types and kind not in types:
+        raise ConfigError(f"{where}: type = {kind!r} must be one of {', '.join(types)}, which have tables [types.NAME]")
+    layers = [top, types.get(kind, {}), table]
+    said = {key: layer[key] for layer in layers for key in SHARED if key in layer and key not in TABLES}
+    tables = {key: merged([layer.get(key, {}) for layer in layers], f"{where}: {key}") for key in TABLES}
+    arm = Arm(name, kind, stages=(), accept=texts_of(said, "accept", where), case=case_of(said, where))
+    try:
+        expect_codes(arm.accept)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+    arm = with_data(arm, table, said, where, base)
+    arm = replace(
+        arm,
+        train=settings_of(TrainConfig, tables["train"], f"{where}: [train]", ONE_THREAD),
+        calibrate=settings_of(CalibrateStage, tables["calibrate"], f"{where}: [calibrate]", ONE_THREAD),
+        evaluate=settings_of(EvaluateStage, tables["evaluate"], f"{where}: [evaluate]", ONE_THREAD),
+    )
+    calibrates = arm.calibration is not None or any("calibrate" in layer for layer in layers)
+    return replace(arm, stages=stages_of(said, arm, calibrates, where))
+
+
+def with_data(arm: Arm, table: Mapping[str, Any], said: Mapping[str, Any], where: str, base: Path) -> Arm:
+    """The arm with its recordings and files, all of which are there."""
+    patterns, dataset = texts_of(table, "sources", where), place(table, "dataset", where, base)
+    if bool(patterns) == (dataset is not None):
+        raise ConfigError(f"{where}: give either sources (with arm, their arm.toml) or dataset, and not both")
+    sources = []
+    for pattern in patterns:
+        found = places_of(pattern, base)
+        if not found or not all(one.exists() for one in found):
+            raise ConfigError(f"{where}: sources = '{pattern}': there is no such file or folder")
+        sources += [one for one in found if one not in sources]
+    description = place(said, "arm", where, base) if patterns else None
+    if patterns and description is None:
+        raise ConfigError(f"{where}: arm is missing, the arm.toml of its sources; `tauext import --new` writes one")
+    calibration, robot = place(table, "calibration", where, base), place(said, "robot", where, base)
+    try:
+        if description is not None and (model := load_arm(description).model) is not None and not model.is_file():
+            raise ConfigError(f"{description}: [robot] model = '{model}': there is no such file")
+        for folder in (dataset, calibration):
+            if folder is not None:
+                load_dataset(folder)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+    if robot is not None and not robot.is_file():
+        raise ConfigError(f"{where}: robot = '{robot}': there is no such file; give a URDF or MJCF")
+    return replace(
+        arm, sources=tuple(sources), description=description, dataset=dataset, calibration=calibration, robot=robot
+    )
+
+
+def stages_of(said: Mapping[str, Any], arm: Arm, calibrates: bool, where: str) -> tuple[str, ...]:
+    """The stages that this arm has: those asked for, without import where it has a dataset, and with calibrate only
+    where something says on what or for which promise; train finds limits itself."""
+    asked = texts_of(said, "stages", where) if "stages" in said else STAGES
+    for stage in asked:
+        if stage not in STAGES:
+            raise ConfigError(f"{where}: stages = '{stage}' must be one or more of {', '.join(STAGES)}")
+    if arm.sources and "import" not in asked:
+        raise ConfigError(f"{where}: stages lack import, which its sources need; or give a dataset")
+    for stage in ("calibrate", "evaluate"):
+        if stage in asked and "train" not in asked:
+            raise ConfigError(f"{where}: stages lack train, which {stage} needs")
+    left_out = {"import": not arm.sources, "calibrate": not calibrates}
+    return tuple(stage for stage in STAGES if stage in asked and not left_out.get(stage, False))
+
+
+def expect_different(arms: tuple[Arm, ...], path: Path) -> None:
+    """Raise ConfigError where two arms would write to one folder, on a disk that knows no capitals too."""
+    seen: dict[str, str] = {}
+    for arm in arms:
+        other = seen.setdefault(arm.name.lower(), arm.name)
+        if other != arm.name or sum(one.name == arm.name for one in arms) > 1:
+            names = f"'{arm.name}'" if other == arm.name else f"'{other}' and '{arm.name}'"
+            raise ConfigError(f"{path}: two arms are named {names}; names must differ, capitals aside")
+
+
+def alarm_of(settings: CalibrateStage) -> AlarmConfig:
+    """The promise alone."""
+    return AlarmConfig(**{name: getattr(settings, name) for name in AlarmConfig.__dataclass_fields__})
+
+
+def expect_keys(table: Any, known: tuple[str, ...], where: str) -> None:
+    """Raise ConfigError unless it is a table, and all of its keys are known."""
+    if not isinstance(table, dict):
+        raise ConfigError(f"{where} = {table!r} must be a table")
+    for key in table:
+        if key not in known:
+            raise unknown_key(where, key, known)
+
+
+def merged(tables: list[Any], where: str) -> dict[str, Any]:
+    """Tables over one another, the last on top; so are those within."""
+    found: dict[str, Any] = {}
+    for table in tables:
+        if not isinstance(table, dict):
+            raise ConfigError(f"{where} = {table!r} must be a table")
+        for key, value in table.items():
+            both = isinstance(value, dict) and isinstance(found.get(key), dict)
+            found[key] = merged([found[key], value], f"{where}.{key}") if both else value
+    return found
+
+
+def text_of(table: Mapping[str, Any], key: str, where: str) -> str | None:
+    """The text under the key; None: there is none."""
+    value = table.get(key)
+    if value is not None and (not isinstance(value, str) or not value or "\0" in value):
+        raise ConfigError(f"{where}: {key} = {value!r} must be text")
+    return value
+
+
+def texts_of(table: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:
+    """One text, or a list of them."""
+    value = table.get(key, [])
+    listed = value if isinstance(value, list) else [value]
+    if not all(isinstance(one, str) and one and "\0" not in one for one in listed):
+        raise ConfigError(f"{where}: {key} = {value!r} must be a text or a list of texts")
+    return tuple(listed)
+
+
+def place(table: Mapping[str, Any], key: str, where: str, base: Path) -> Path | None:
+    """The place that is named under the key; None: there is none."""
+    text = text_of(table, key, where)
+    return None if text is None else place_of(text, base)
+
+
+def case_of(said: Mapping[str, Any], where: str) -> str | None:
+    """The model case; None: as train chooses it."""
+    case = text_of(said, "case", where)
+    if case is not None and case not in get_args(CaseName):
+        raise ConfigError(f"{where}: case = '{case}' must be one of {', '.join(get_args(CaseName))}")
+    return case

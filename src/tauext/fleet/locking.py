@@ -1,0 +1,39 @@
+"""One driver a folder: a second one would clear away what the first one's workers are writing."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tauext.errors import ConfigError
+
+LOCK = "fleet.lock"
+
+
+@contextmanager
+def locked(out: Path) -> Iterator[None]:
+    """The folder is ours; the lock ends with the process, whatever ends it.
+
+    Raises:
+        ConfigError: another driver is at work here.
+    """
+    try:
+        import fcntl
+    except ImportError:  # no such locks on this system
+        yield
+        return
+    with (out / LOCK).open("a+") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            file.seek(0)
+            raise ConfigError(f"{out}: another `tauext fleet run` is at work here ({file.read().strip()})") from error
+        except OSError:
+            pass  # a file system without locks
+        file.truncate(0)
+        file.write(f"process {os.getpid()} of {socket.gethostname()}")
+        file.flush()
+        yield

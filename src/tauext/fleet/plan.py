@@ -1,0 +1,147 @@
+"""Tasks of a fleet: what each depends on, whether it is done, and why it is to be done anew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tauext.fleet.contents import Contents
+from tauext.fleet.fleet_file import Arm, Fleet
+from tauext.fleet.inputs import dataset_files, digests, files_of, robot_files, source_files
+from tauext.fleet.settings import flat, plain
+from tauext.fleet.task import Outcome, Task, finished, marker_of
+
+MOST_NAMED = 4
+"""Changed inputs that are named; more are counted."""
+ARMS, MEMORY = "arms", "inputs.json"
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A task, and what stands of it."""
+
+    task: Task
+    there: Outcome | None
+    """How it ended; None: it is to be done."""
+    why: str
+    """It is to be done; empty where it is not."""
+
+
+@dataclass(frozen=True)
+class PlannedArm:
+    """An arm's tasks in their order, each of which needs those before it."""
+
+    arm: Arm
+    steps: tuple[Planned, ...]
+
+
+def plan_fleet(fleet: Fleet, out: Path, show: Callable[[int, int], object] = lambda done, of: None) -> list[PlannedArm]:
+    """All tasks of all arms; contents of files that nobody knows yet are read.
+
+    Args:
+        out: folder of the fleet, which need not be there.
+        show: is called with how many files are read, and of how many.
+
+    Raises:
+        ConfigError: a file that cannot be read.
+    """
+    contents = Contents(out / MEMORY)
+    try:
+        contents.read((file for arm in fleet.arms for file in files_of(arm)), show)
+    finally:
+        if out.is_dir():
+            contents.keep()
+    return [plan_arm(arm, out.absolute(), contents) for arm in fleet.arms]
+
+
+def plan_arm(arm: Arm, out: Path, contents: Contents) -> PlannedArm:
+    """The tasks of one arm."""
+    steps: list[Planned] = []
+    for task in tasks_of(arm, out, contents):
+        before = next((step for step in steps if not step.why == "" and step.task.hash in task.inputs.values()), None)
+        steps.append(planned(task, None if before is None else before.task.stage))
+    return PlannedArm(arm, tuple(steps))
+
+
+def tasks_of(arm: Arm, out: Path, contents: Contents) -> list[Task]:
+    """In the order of the stages."""
+    tasks: dict[str, Task] = {}
+    data = data_inputs(arm, contents)
+    robot = digests(robot_files(arm.robot), contents)
+    dataset, bundle = arm.dataset, Path()
+    given: dict[str, Any] = {"name": arm.name, "robot": None if arm.robot is None else str(arm.robot)}
+    accepted = {"accept": ", ".join(arm.accept)}
+
+    def add(stage: str, inputs: Mapping[str, str], **work: Any) -> Task:
+        folder = out / ARMS / arm.name / stage
+        tasks[stage] = Task(arm.name, stage, str(folder), {"name": arm.name, **inputs}, given | work)
+        return tasks[stage]
+
+    for stage in arm.stages:
+        if stage == "import":
+            sources = [str(source) for source in arm.sources]
+            named = {"sources": ", ".join(source.name for source in arm.sources)}
+            files = digests(source_files(arm), contents)
+            made = add(stage, named | files, sources=sources, description=str(arm.description))
+            dataset, data = Path(made.folder) / arm.name, {"import": made.hash}
+        elif stage == "check":
+            add(stage, data | robot | accepted, dataset=str(dataset), accept=list(arm.accept))
+        elif stage == "train":
+            settings = without_threads(plain(arm.train.resolved()))
+            said = {"case": arm.case or ""} | accepted | flat(settings, "train.")
+            work = {"case": arm.case, "accept": list(arm.accept), "settings": without_threads(plain(arm.train))}
+            made = add(stage, data | robot | said, dataset=str(dataset), **work)
+            bundle = Path(made.folder) / f"{arm.name}.tauext"
+        elif stage == "calibrate":
+            settings, used = plain(arm.calibrate), data
+            if arm.calibration is not None:
+                files = digests(dataset_files(arm.calibration, "calibration"), contents)
+                used = {"calibration": arm.calibration.name} | files
+            work = {"dataset": str(arm.calibration or dataset), "accept": list(arm.accept), "settings": settings}
+            said = {"train": tasks["train"].hash} | accepted | flat(settings, "calibrate.")
+            made = add(stage, used | said, bundle=str(bundle), **work)
+            bundle = Path(made.folder) / f"{arm.name}.tauext"
+        else:
+            settings, maker = plain(arm.evaluate), "calibrate" if "calibrate" in tasks else "train"
+            said = {maker: tasks[maker].hash} | flat(settings, "evaluate.")
+            add(stage, data | said, dataset=str(dataset), bundle=str(bundle), settings=settings)
+    return list(tasks.values())
+
+
+def data_inputs(arm: Arm, contents: Contents) -> dict[str, str]:
+    """Of the arm's own dataset; where it is imported, its import stands for it."""
+    if arm.dataset is None:
+        return {}
+    return {"dataset": arm.dataset.name} | digests(dataset_files(arm.dataset, "dataset"), contents)
+
+
+def without_threads(settings: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in settings.items() if key != "threads"}
+
+
+def planned(task: Task, before: str | None) -> Planned:
+    """before: stage that this one needs and that is to be done; None: there is none."""
+    there = finished(task)
+    if there is not None:
+        return Planned(task, there, "")
+    folder = Path(task.folder)
+    marker = marker_of(folder)
+    if marker is None:
+        failed = folder.with_name(f"{task.stage}.failed.txt").exists()
+        return Planned(task, None, "failed last time" if failed else "not done yet")
+    if marker.hash == task.hash:
+        return Planned(task, None, f"an output is missing or of another size: {marker.lacks(folder)}")
+    if marker.version != task.version:
+        return Planned(task, None, f"made by tauext {marker.version}, this is {task.version}")
+    changed = changes(marker.inputs, task.inputs)
+    if before is not None and changed == [before]:
+        return Planned(task, None, f"{before} is done anew")
+    more = f" and {len(changed) - MOST_NAMED} more" if len(changed) > MOST_NAMED else ""
+    return Planned(task, None, f"inputs changed: {', '.join(changed[:MOST_NAMED])}{more}")
+
+
+def changes(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
+    """Names of inputs that are other ones, gone or new."""
+    return [name for name in {**new, **old} if old.get(name) != new.get(name)]

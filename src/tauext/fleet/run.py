@@ -1,0 +1,138 @@
+"""The driver: hands out tasks whose inputs are there, and keeps the book of what became of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from tauext.config import FleetConfig
+from tauext.fleet.book import Book
+from tauext.fleet.fleet_file import Fleet
+from tauext.fleet.local_workers import LocalWorkers, cores
+from tauext.fleet.locking import locked
+from tauext.fleet.plan import ARMS, Planned, PlannedArm, plan_fleet
+from tauext.fleet.task import Outcome, Task, clean
+from tauext.fleet.workers import Begun, Ended, Workers
+from tauext.room import expect_folder
+
+
+class Watcher(Protocol):
+    """Is told what happens: the command line prints it."""
+
+    def reading(self, done: int, of: int) -> None:
+        """So many of all files are read, which tells whether they changed."""
+
+    def started(self, plan: Sequence[PlannedArm]) -> None:
+        """All tasks, done or not."""
+
+    def begun(self, task: Task) -> None:
+        """Somebody works on it or, with Ray, will."""
+
+    def ended(self, ended: Ended) -> None:
+        """It is done, refused or failed."""
+
+
+@dataclass
+class FleetEnd:
+    """How a run ended."""
+
+    book: Book
+    done_now: int = 0
+    """Tasks that this run did."""
+    kept: int = 0
+    """Tasks that had been done before."""
+
+
+@dataclass
+class Progress:
+    """Which task of each arm comes next."""
+
+    book: Book
+    left: dict[str, list[Planned]] = field(default_factory=dict)
+    """Steps of an arm that are neither done nor given to somebody, by its name."""
+    end: FleetEnd = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.end = FleetEnd(self.book)
+
+    def next_of(self, arm: str) -> Task | None:
+        """The next task to do; what was done before is passed over, and nothing follows what is refused."""
+        while self.left[arm]:
+            step = self.left[arm].pop(0)
+            if step.there is None:
+                return step.task
+            self.end.kept += 1
+            if not self.settled(step.task, step.there):
+                break
+        return None
+
+    def settled(self, task: Task, outcome: Outcome) -> bool:
+        """Note how it ended; whether the arm may go on."""
+        self.book.note(task, outcome)
+        if outcome.state == "done":
+            return True
+        for step in self.left[task.arm]:
+            self.book.note(step.task, Outcome("skipped", f"{task.stage} {outcome.state}"))
+        self.left[task.arm].clear()
+        return False
+
+
+def run_fleet(fleet: Fleet, out: Path, config: FleetConfig, watcher: Watcher) -> FleetEnd:
+    """Do what is not done yet; OUT/fleet.json says how all of it stands, after an interruption too.
+
+    Tasks are given out in the order in which they become possible, so that all imports come before the first training:
+    what is broken shows early.
+
+    Raises:
+        ConfigError: a folder that cannot be written to, another driver in it, no Ray.
+        KeyboardInterrupt: as it came; what was finished is kept.
+    """
+    expect_folder(out)
+    out.mkdir(parents=True, exist_ok=True)
+    with locked(out):
+        for arm in fleet.arms:
+            clean(out / ARMS / arm.name)
+        plan = plan_fleet(fleet, out, watcher.reading)
+        book = Book(fleet, plan, out)
+        watcher.started(plan)
+        progress = Progress(book, {one.arm.name: list(one.steps) for one in plan})
+        try:
+            first = [task for one in plan if (task := progress.next_of(one.arm.name)) is not None]
+            if first:
+                with workers_of(config, len(first), watcher.begun) as workers:
+                    work_off(first, workers, progress, watcher)
+        finally:
+            book.write()
+            for arm in fleet.arms:
+                clean(out / ARMS / arm.name)
+    return progress.end
+
+
+def work_off(first: Sequence[Task], workers: Workers, progress: Progress, watcher: Watcher) -> None:
+    """Until no task is left that is possible."""
+    under_way = 0
+    for task in first:
+        workers.submit(task)
+        under_way += 1
+    while under_way:
+        ended = workers.wait()
+        under_way -= 1
+        progress.end.done_now += ended.outcome.state != "failed"
+        on = progress.settled(ended.task, ended.outcome)
+        watcher.ended(ended)
+        progress.book.write(now=False)
+        following = progress.next_of(ended.task.arm) if on else None
+        if following is not None:
+            workers.submit(following)
+            under_way += 1
+
+
+def workers_of(config: FleetConfig, most: int, begun: Begun) -> Workers:
+    """most: tasks at a time that there can be."""
+    if config.ray is None:
+        return LocalWorkers(min(config.workers or cores(), most), config.retries, begun)
+    from tauext.fleet.ray_workers import RayWorkers
+
+    return RayWorkers(config.ray, config.workers, config.retries, config.task_gb, begun)

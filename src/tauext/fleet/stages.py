@@ -1,0 +1,106 @@
+"""What the stages do: each calls what its command calls, with one thread, and writes into a folder of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from tauext.config import CalibrateStage, EvaluateStage, EventsConfig, TrainConfig
+from tauext.fleet.fleet_file import alarm_of
+from tauext.fleet.settings import settings_of
+from tauext.fleet.task import Stage
+
+COMMAND = "tauext fleet run"
+
+
+def import_arm(work: Mapping[str, Any], part: Path) -> None:
+    """The dataset folder NAME, and what was done to the numbers in NAME.txt."""
+    from tauext.importing import import_dataset
+
+    said: list[str] = []
+    sources = [Path(source) for source in work["sources"]]
+    import_dataset(sources, Path(work["description"]), part / work["name"], "tauext", said.append)
+    (part / "import.txt").write_text("\n".join(said) + "\n")
+
+
+def check_arm(work: Mapping[str, Any], part: Path) -> str | None:
+    """check.txt and check.json, as `tauext check --out` writes them; pictures are left to that command."""
+    from tauext.doctor import examine, gather
+    from tauext.doctor.summary import as_files
+    from tauext.look.verdict import by_code, is_accepted
+    from tauext.provenance import write_json
+
+    recordings, free, robot = gather((Path(work["dataset"]),), place(work, "robot"))
+    diagnosis = examine(recordings, robot, None, free)
+    text, content = as_files(diagnosis, (recording.name for recording in recordings), robot is None)
+    (part / "check.txt").write_text(text + "\n")
+    write_json(content, part / "check.json")
+    refused = [f for f in diagnosis.findings if f.severity == "fault" and not is_accepted(f, work["accept"])]
+    if not refused:
+        return None
+    found = []
+    for code, same in by_code(refused).items():
+        joints = [joint for joint in dict.fromkeys(finding.joint for finding in same) if joint]
+        found.append(f"{code} ({', '.join(joints)})" if joints else code)
+    return f"{len(refused)} fault{'s' * (len(refused) > 1)}: {', '.join(found)}; see check.txt"
+
+
+def train_arm(work: Mapping[str, Any], part: Path) -> None:
+    """The bundle NAME.tauext with what stands beside it."""
+    from tauext.data import load_dataset
+    from tauext.train import train_bundle
+
+    config = replace(settings_of(TrainConfig, work["settings"], "train"), threads=1)
+    dataset, out = load_dataset(Path(work["dataset"])), part / f"{work['name']}.tauext"
+    train_bundle(dataset, out, work["case"], place(work, "robot"), config, accept=work["accept"])
+
+
+def calibrate_arm(work: Mapping[str, Any], part: Path) -> None:
+    """The bundle NAME.tauext with other limits."""
+    from tauext.calibrate import recalibrate
+    from tauext.data import load_dataset
+
+    settings = settings_of(CalibrateStage, work["settings"], "calibrate")
+    dataset, out = load_dataset(Path(work["dataset"])), part / f"{work['name']}.tauext"
+    recalibrate(
+        Path(work["bundle"]),
+        dataset,
+        out,
+        alarm_of(settings),
+        threads=1,
+        refit_error_scale=settings.refit_error_scale,
+        accept=work["accept"],
+    )
+
+
+def evaluate_arm(work: Mapping[str, Any], part: Path) -> None:
+    """The results folder."""
+    from tauext.data import load_dataset
+    from tauext.evaluate import evaluate_bundles
+
+    settings = settings_of(EvaluateStage, work["settings"], "evaluate")
+    evaluate_bundles(
+        load_dataset(Path(work["dataset"])),
+        {work["name"]: Path(work["bundle"])},
+        part,
+        settings.seed,
+        threads=1,
+        command=COMMAND,
+        keep_free_estimates=settings.keep_free_estimates,
+        events=EventsConfig(settings.shortest_event_s, settings.tolerance_s),
+    )
+
+
+def place(work: Mapping[str, Any], key: str) -> Path | None:
+    return None if work[key] is None else Path(work[key])
+
+
+STAGES: dict[str, Stage] = {
+    "import": import_arm,
+    "check": check_arm,
+    "train": train_arm,
+    "calibrate": calibrate_arm,
+    "evaluate": evaluate_arm,
+}

@@ -1,0 +1,225 @@
+"""One stage of one arm: done once, in a folder that appears whole, with a marker that says of what it was made."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from tauext.errors import ConfigError, FaultyDataError, TauextError
+from tauext.fleet.contents import digest_of, sha256_of
+from tauext.plain_file import json_of, read_text
+from tauext.provenance import VERSION, provenance, write_json
+
+FORMAT = 1
+MARKER, WALL_TIME = "task.json", "task.wall_time_s.json"
+TIMED = "wall_time_s.json"
+"""End of the names of files that differ from run to run: task.wall_time_s.json, and those of the commands."""
+LONGEST_REASON = 400
+"""Letters of a reason that is to stand on one line."""
+
+Stage = Callable[[Mapping[str, Any], Path], str | None]
+"""Does what `work` says in a new folder; returns why the arm's later stages must not follow, None where they may."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What there is to do, as plain JSON, so that any process on any machine can do it."""
+
+    arm: str
+    stage: str
+    folder: str
+    """Where its output stands when it is complete; absolute."""
+    inputs: dict[str, str]
+    """All that the output depends on, by names for people: digests of contents, settings, hashes of tasks before it."""
+    work: dict[str, Any] = field(default_factory=dict)
+    """What the stage is called with: places and settings. Where a place lies is no input, what is there is."""
+    version: str = VERSION
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 over stage, version and inputs: tasks of one hash give the same bytes."""
+        return digest_of([FORMAT, self.version, self.stage, self.inputs])
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a task ended."""
+
+    state: str
+    """done, refused (it is done, and says that nothing may be made of it), or failed."""
+    reason: str = ""
+    seconds: float = 0.0
+    """Wall time of whoever did it."""
+
+
+@dataclass(frozen=True)
+class Marker:
+    """What stands in a finished task's folder."""
+
+    hash: str
+    version: str
+    inputs: dict[str, str]
+    outputs: dict[str, dict[str, Any]]
+    refused: str | None
+    seconds: float
+
+    def lacks(self, folder: Path) -> str | None:
+        """The first output that is gone or has another size; None: all are there."""
+        for name, said in self.outputs.items():
+            try:
+                if (folder / name).stat().st_size == said["bytes"]:
+                    continue
+            except OSError:
+                pass
+            return name
+        return None
+
+
+def marker_of(folder: Path) -> Marker | None:
+    """What stands there; None: nothing that is whole."""
+    try:
+        said = json_of(read_text(folder / MARKER))
+        if said["format"] != FORMAT:
+            return None
+        seconds = float(json_of(read_text(folder / WALL_TIME))["task_s"])
+        return Marker(said["hash"], said["version"], said["inputs"], said["outputs"], said["refused"], seconds)
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+
+
+def finished(task: Task) -> Outcome | None:
+    """How it ended, where it was done already; None: it is to be done."""
+    folder = Path(task.folder)
+    marker = marker_of(folder)
+    if marker is None or marker.hash != task.hash or marker.lacks(folder) is not None:
+        return None
+    return ended(marker)
+
+
+def ended(marker: Marker) -> Outcome:
+    if marker.refused is not None:
+        return Outcome("refused", marker.refused, marker.seconds)
+    return Outcome("done", "", marker.seconds)
+
+
+def run_task(task: Task, stages: Mapping[str, Stage]) -> Outcome:
+    """Do it, unless it is done; whatever goes wrong is a failed outcome with its reason on one line.
+
+    The output is written to a folder of its own beside the final one and renamed: who is killed leaves no half of it.
+    Where it fails, STAGE.failed.txt beside it holds all that is to be said.
+    """
+    if task.version != VERSION:
+        return Outcome("failed", f"this worker has tauext {VERSION}, and the fleet is run by {task.version}")
+    if (outcome := finished(task)) is not None:
+        return outcome
+    folder = Path(task.folder)
+    told = folder.with_name(f"{task.stage}.failed.txt")
+    part = folder.with_name(f".{task.stage}.part-{socket.gethostname()}-{os.getpid()}-{uuid4().hex[:8]}")
+    started = time.monotonic()
+    try:
+        part.mkdir(parents=True)
+        with warnings.catch_warnings():
+            # What overflows is found by whoever checks the number; the interpreter's own words are none of ours.
+            warnings.simplefilter("ignore", RuntimeWarning)
+            refused = stages[task.stage](task.work, part)
+        marker = mark(task, part, refused, time.monotonic() - started)
+        publish(part, task)
+        told.unlink(missing_ok=True)
+        return ended(marker)
+    except Exception as error:
+        reason, block = (text.replace(str(part), str(folder)) for text in said_of(error))
+        try:
+            told.write_text(block + "\n")
+        except OSError:
+            pass  # the reason itself is reported
+        return Outcome("failed", reason, time.monotonic() - started)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def mark(task: Task, part: Path, refused: str | None, seconds: float) -> Marker:
+    """Write the marker into the folder that is complete but for it."""
+    files = sorted(path for path in part.rglob("*") if path.is_file() and not path.name.endswith(TIMED))
+    outputs = {
+        path.relative_to(part).as_posix(): {"bytes": path.stat().st_size, "sha256": sha256_of(path)} for path in files
+    }
+    said = {"format": FORMAT, "arm": task.arm, "stage": task.stage, "hash": task.hash, "inputs": task.inputs}
+    said |= {"refused": refused, "outputs": outputs}
+    made_by = {key: value for key, value in provenance("tauext fleet run", {}, None).items() if key != "settings"}
+    write_json({"task_s": round(seconds, 3)}, part / WALL_TIME)
+    write_json(said | made_by, part / MARKER)
+    return Marker(task.hash, task.version, task.inputs, outputs, refused, round(seconds, 3))
+
+
+def publish(part: Path, task: Task) -> None:
+    """The folder gets its name; what stood there of other inputs goes, and what another worker made of these stays.
+
+    Raises:
+        OSError: it cannot be renamed.
+    """
+    folder = Path(task.folder)
+    old = part.with_name(part.name.replace(".part-", ".old-"))
+    try:
+        if folder.exists() and finished(task) is None:
+            os.rename(folder, old)
+        os.rename(part, folder)
+    except OSError:
+        if finished(task) is None:
+            raise
+    finally:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def said_of(error: Exception) -> tuple[str, str]:
+    """One line, and all that there is to say."""
+    if isinstance(error, FaultyDataError):
+        codes = dict.fromkeys(getattr(finding, "code", "") for finding in error.findings)
+        line = str(error).splitlines()[0].partition(",")[0]
+        return one_line(f"{line}: {', '.join(codes)}" if codes else line), str(error)
+    if isinstance(error, TauextError):
+        return one_line(str(error)), str(error)
+    if isinstance(error, OSError):
+        line = f"{error.filename or 'output'}: cannot be read or written ({error.strerror or error})"
+        return one_line(line), line
+    if isinstance(error, MemoryError):
+        line = f"this needs more memory than there is ({str(error) or 'none is left'})"
+        return one_line(line), line
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    line = f"an error of tauext itself: {type(error).__name__}: {error} ({Path(last.filename).name}:{last.lineno})"
+    return one_line(line), "".join(traceback.format_exception(error))
+
+
+def one_line(text: str) -> str:
+    line = " ".join(text.split())
+    return line if len(line) <= LONGEST_REASON else f"{line[:LONGEST_REASON]} ..."
+
+
+def clean(arm_folder: Path) -> None:
+    """Remove what killed workers left of an arm; nobody else is at work there."""
+    for pattern in (".*.part-*", ".*.old-*"):
+        for left in arm_folder.glob(pattern):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def expect_json(content: Any) -> Task:
+    """The task that to_json wrote.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    try:
+        return Task(**content)
+    except TypeError as error:
+        raise ConfigError(f"this is no task of a fleet: {error}") from error

@@ -1,0 +1,113 @@
+"""Small fleets for tests: a simulated dataset, what a fleet wrote, and workers in the same process."""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tauext.config import FleetConfig
+from tauext.fleet import FleetEnd, load_fleet, run
+from tauext.fleet.stages import STAGES
+from tauext.fleet.task import Stage, Task, run_task
+from tauext.fleet.workers import Ended
+from tauext.rig import simulate_dataset
+from tauext.rig.config import RigConfig
+
+QUICK = '[train]\nrecipe = "observer"\n[evaluate]\nkeep_free_estimates = 1\n'
+
+
+def small_dataset(folder: Path) -> Path:
+    """The planar rig for a minute, with one recording of collisions."""
+    simulate_dataset(folder, RigConfig(), 0, 1.0, 1, lambda *told: None)
+    return folder
+
+
+def write_fleet(folder: Path, text: str) -> Path:
+    path = folder / "fleet.toml"
+    path.write_text(text)
+    return path
+
+
+def arms_of(*names: str, dataset: str, more: str = "") -> str:
+    return "".join(f'[[arms]]\nname = "{name}"\ndataset = "{dataset}"\n{more}\n' for name in names)
+
+
+class Here:
+    """Workers: this process, one task after the other; notes what was done."""
+
+    def __init__(self, stages: Mapping[str, Stage]) -> None:
+        self._stages = stages
+        self.done: list[tuple[str, str]] = []
+        self._waiting: deque[Task] = deque()
+
+    def __enter__(self) -> Here:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def submit(self, task: Task) -> None:
+        self._waiting.append(task)
+
+    def wait(self) -> Ended:
+        task = self._waiting.popleft()
+        self.done.append((task.arm, task.stage))
+        return Ended(task, run_task(task, self._stages))
+
+
+class Nobody:
+    """Watches and says nothing."""
+
+    def reading(self, done, of) -> None:
+        pass
+
+    def started(self, plan) -> None:
+        pass
+
+    def begun(self, task) -> None:
+        pass
+
+    def ended(self, ended) -> None:
+        pass
+
+
+def says_what_it_was_told(work: Mapping[str, Any], part: Path) -> None:
+    """A stage that takes no time, and whose output depends on all that it is called with."""
+    (part / "told.json").write_text(json.dumps(work))
+
+
+QUICKER: dict[str, Stage] = dict.fromkeys(STAGES, says_what_it_was_told)
+
+
+def workers_here(monkeypatch, stages: Mapping[str, Stage]) -> Here:
+    """Whoever runs a fleet gets these."""
+    here = Here(stages)
+    monkeypatch.setattr(run, "workers_of", lambda *settings: here)
+    return here
+
+
+def run_here(
+    fleet: Path, out: Path, monkeypatch, stages: Mapping[str, Stage] = STAGES
+) -> tuple[FleetEnd, list[tuple[str, str]]]:
+    """How it ended, and which tasks were done in which order."""
+    here = workers_here(monkeypatch, stages)
+    return run.run_fleet(load_fleet(fleet), out, FleetConfig(), Nobody()), here.done
+
+
+def written(out: Path) -> dict[str, bytes]:
+    """Every file of the arms but wall times, and the book without its seconds."""
+    files = sorted(path for path in (out / "arms").rglob("*") if path.is_file())
+    found = {str(p.relative_to(out)): p.read_bytes() for p in files if not p.name.endswith("wall_time_s.json")}
+    book = json.loads((out / "fleet.json").read_text())
+    for arm in book["arms"]:
+        for stage in arm["stages"].values():
+            del stage["seconds"]
+    return found | {"fleet.json": json.dumps(book).encode()}
+
+
+def touched(out: Path) -> dict[str, int]:
+    """When each file of the arms was written."""
+    return {str(p.relative_to(out)): p.stat().st_mtime_ns for p in (out / "arms").rglob("*") if p.is_file()}

@@ -1,0 +1,398 @@
+"""A fleet: what is done is kept, what changed is done again, and an arm that fails does so alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from made_bags import joint_rows, write_bag
+from made_fleets import QUICK, QUICKER, arms_of, run_here, small_dataset, touched, workers_here, write_fleet, written
+from trees import planar_rig, urdf
+
+from tauext.cli import main
+from tauext.config import TrainConfig
+from tauext.data import load_dataset, load_recording, save_recording
+from tauext.errors import ConfigError
+from tauext.fleet import Outcome, Task, load_fleet, plan_fleet
+from tauext.fleet.example import EXAMPLE
+from tauext.fleet.local_workers import LocalWorkers
+from tauext.fleet.locking import locked
+from tauext.fleet.ray_workers import RayWorkers
+from tauext.fleet.stages import STAGES
+from tauext.fleet.task import MARKER, finished, run_task
+from tauext.train import train_bundle
+
+ARM_TOML = """
+[robot]
+model = "arm.urdf"
+joints = ["shoulder", "elbow"]
+names = ["base", "tip"]
+[signals.q]
+columns = "position"
+[signals.dq]
+columns = "velocity"
+[signals.tau]
+columns = "effort"
+"""
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return small_dataset(tmp_path_factory.mktemp("fleet") / "data")
+
+
+@pytest.fixture(scope="module")
+def whole_bag(tmp_path_factory):
+    rows = joint_rows(("tip", "base"), 2000)
+    return write_bag(tmp_path_factory.mktemp("bags") / "whole", "ros1", {"/joint_states": rows})
+
+
+@pytest.fixture
+def place(tmp_path, data, whole_bag):
+    """A folder with the dataset, a robot file, its description, and two bags, of which one is cut off."""
+    (tmp_path / "data").symlink_to(data)
+    (tmp_path / "arm.urdf").write_text(urdf(planar_rig()))
+    (tmp_path / "arm.toml").write_text(ARM_TOML)
+    raw = whole_bag.read_bytes()
+    (tmp_path / "whole.bag").write_bytes(raw)
+    (tmp_path / "broken.bag").write_bytes(raw[: len(raw) // 2])
+    return tmp_path
+
+
+BAGS = """
+stages = ["import"]
+arm = "arm.toml"
+[[arms]]
+name = "one"
+sources = ["whole.bag"]
+[[arms]]
+name = "two"
+sources = ["broken.bag"]
+"""
+
+
+def whys(fleet, out) -> dict[tuple[str, str], str]:
+    """Why each task that is to be done is."""
+    steps = [step for arm in plan_fleet(load_fleet(fleet), out) for step in arm.steps]
+    return {(step.task.arm, step.task.stage): step.why for step in steps if step.why}
+
+
+def test_all_stages_are_done_once_and_bundles_are_those_of_train(place, monkeypatch):
+    fleet = write_fleet(place, QUICK + arms_of("a", dataset="data"))
+    end, done = run_here(fleet, place / "out", monkeypatch)
+    assert end.book.counts() == {"arms": 1, "done": 1, "failed": 0, "waiting": 0}
+    assert done == [("a", "check"), ("a", "train"), ("a", "evaluate")]
+    config = TrainConfig(recipe="observer", threads=1)
+    train_bundle(load_dataset(place / "data"), place / "a.tauext", config=config)
+    assert (place / "out/arms/a/train/a.tauext").read_bytes() == (place / "a.tauext").read_bytes()
+    before = touched(place / "out")
+    end, done = run_here(fleet, place / "out", monkeypatch)
+    assert done == [] and (end.done_now, end.kept) == (0, 3) and touched(place / "out") == before
+    book = json.loads((place / "out/fleet.json").read_text())
+    assert book["arms"][0]["bundle"] == "arms/a/train/a.tauext"
+    assert (place / "out" / book["arms"][0]["results"] / "results.json").is_file()
+
+
+def test_a_changed_setting_does_again_what_depends_on_it_and_says_so(place, monkeypatch):
+    arms = arms_of("a", "b", dataset="data")
+    out = place / "out"
+    done = run_here(write_fleet(place, QUICK + arms), out, monkeypatch, QUICKER)[1]
+    assert done == [(arm, stage) for stage in ("check", "train", "evaluate") for arm in "ab"]
+    fleet = write_fleet(place, QUICK + arms + "evaluate.seed = 5\n")
+    assert whys(fleet, out) == {("b", "evaluate"): "inputs changed: evaluate.seed"}
+    assert run_here(fleet, out, monkeypatch, QUICKER)[1] == [("b", "evaluate")]
+    fleet = write_fleet(place, QUICK + arms + "evaluate.seed = 5\ntrain.observer.gain_per_s = 25\n")
+    said = whys(fleet, out)
+    assert said == {
+        ("b", "train"): "inputs changed: train.observer.gain_per_s",
+        ("b", "evaluate"): "train is done anew",
+    }
+    assert run_here(fleet, out, monkeypatch, QUICKER)[1] == [("b", "train"), ("b", "evaluate")]
+    assert whys(fleet, out) == {}
+
+
+def test_contents_count_and_not_places_or_times(place, monkeypatch, data):
+    out, fleet = place / "out", write_fleet(place, BAGS.replace('sources = ["broken.bag"]', 'sources = ["whole.bag"]'))
+    run_here(fleet, out, monkeypatch)
+    os.utime(place / "whole.bag")
+    (place / "else").mkdir()
+    for name in ("whole.bag", "arm.toml", "arm.urdf", "fleet.toml"):
+        shutil.move(place / name, place / "else" / name)
+    fleet = place / "else/fleet.toml"
+    assert whys(fleet, out) == {}
+    with (place / "else/arm.urdf").open("a") as file:
+        file.write("\n")
+    assert whys(fleet, out) == {(arm, "import"): "inputs changed: robot file arm.urdf" for arm in ("one", "two")}
+    with (place / "else/arm.toml").open("a") as file:
+        file.write("\n")
+    assert whys(fleet, out)["two", "import"] == "inputs changed: arm.toml, robot file arm.urdf"
+
+
+def test_a_broken_bag_fails_alone_and_once_mended_goes_on_alone(place, capsys, monkeypatch):
+    workers_here(monkeypatch, QUICKER | {"import": STAGES["import"]})
+    text = BAGS.replace('"import"', '"import", "check"')
+    fleet, out = str(write_fleet(place, text)), place / "out"
+    assert main(["fleet", "run", fleet, "--out", str(out)]) == 1
+    told = capsys.readouterr().out.splitlines()
+    (line,) = [line for line in told if line.startswith("two: ")]
+    assert line.startswith("two: import failed: ") and "broken.bag" in line
+    book = {arm["name"]: arm for arm in json.loads((out / "fleet.json").read_text())["arms"]}
+    assert book["two"]["state"] == "failed" and book["two"]["stages"]["import"]["reason"] in line
+    assert book["two"]["stages"]["check"] == {
+        "state": "skipped",
+        "hash": book["two"]["stages"]["check"]["hash"],
+        "seconds": None,
+        "reason": "import failed",
+    }
+    assert (out / "arms/one/import/one/split.json").is_file() and not (out / "arms/two/import").exists()
+    assert (out / "arms/two/import.failed.txt").is_file()
+    before = {name: at for name, at in touched(out).items() if name.startswith("arms/one/")}
+    shutil.copy(place / "whole.bag", place / "broken.bag")
+    capsys.readouterr()
+    assert main(["fleet", "run", fleet, "--out", str(out), "--dry-run"]) == 0
+    assert "two import: failed last time" in capsys.readouterr().out
+    assert main(["fleet", "run", fleet, "--out", str(out), "--json"]) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [(event["event"], event.get("arm"), event.get("stage")) for event in events] == [
+        ("start", None, None),
+        ("task", "two", "import"),
+        ("task", "two", "check"),
+        ("summary", None, None),
+    ]
+    assert events[-1] == {"event": "summary", "arms": 2, "done": 2, "failed": 0, "waiting": 0} | {
+        "done_now": 2,
+        "kept": 2,
+        "failures": [],
+        "file": str(out / "fleet.json"),
+    }
+    assert before and before.items() <= touched(out).items()
+    assert not (out / "arms/two/import.failed.txt").exists()
+
+
+def test_what_the_doctor_refuses_is_done_and_nothing_follows_it(place, data, monkeypatch):
+    shutil.copytree(data, place / "flipped")
+    for path in (place / "flipped").glob("*.parquet"):
+        recording = load_recording(path)
+        save_recording(replace(recording, tau=recording.tau * np.array([1.0, -1.0])), path)
+    stages = QUICKER | {"check": STAGES["check"]}
+    fleet, out = write_fleet(place, QUICK + arms_of("a", dataset="flipped")), place / "out"
+    end, done = run_here(fleet, out, monkeypatch, stages)
+    assert done == [("a", "check")]
+    ((arm, stage, reason),) = end.book.failures()
+    assert (arm, stage) == ("a", "check") and "fault" in reason and "joint2" in reason and "\n" not in reason
+    assert "joint2" in (out / "arms/a/check/check.txt").read_text()
+    end, done = run_here(fleet, out, monkeypatch, stages)
+    assert done == [] and end.book.failures() == [(arm, stage, reason)]
+    codes = json.loads((out / "arms/a/check/check.json").read_text())["findings"]
+    accept = json.dumps([finding["code"] for finding in codes if finding["severity"] == "fault"])
+    fleet = write_fleet(place, f"accept = {accept}\n" + QUICK + arms_of("a", dataset="flipped"))
+    assert whys(fleet, out)["a", "check"] == "inputs changed: accept"
+    assert run_here(fleet, out, monkeypatch, stages)[1][:2] == [("a", "check"), ("a", "train")]
+
+
+def test_a_lost_output_is_made_again_and_a_half_one_is_cleared_away(place, monkeypatch):
+    fleet, out = write_fleet(place, QUICK + arms_of("a", dataset="data")), place / "out"
+    run_here(fleet, out, monkeypatch, QUICKER)
+    before = written(out)
+    (out / "arms/a/train/told.json").unlink()
+    (out / "arms/a/.train.part-elsewhere-1-0").mkdir()
+    assert whys(fleet, out) == {("a", "train"): "an output is missing or of another size: told.json"}
+    assert run_here(fleet, out, monkeypatch, QUICKER)[1] == [("a", "train")]
+    assert written(out) == before
+
+
+def test_calibrate_is_a_stage_where_something_says_for_what(place):
+    shutil.copytree(place / "data", place / "nights", symlinks=False)
+    text = QUICK + arms_of("a", dataset="data") + arms_of("b", dataset="data", more="calibrate = {in_hours = 2.0}")
+    fleet = load_fleet(write_fleet(place, text + arms_of("c", dataset="data", more='calibration = "nights"')))
+    assert [arm.stages[-2] for arm in fleet.arms] == ["train", "calibrate", "calibrate"]
+    plan = {
+        arm.arm.name: {step.task.stage: step.task for step in arm.steps} for arm in plan_fleet(fleet, place / "out")
+    }
+    assert plan["b"]["calibrate"].work["dataset"] == str(place / "data")
+    assert plan["c"]["calibrate"].work["dataset"] == str(place / "nights")
+    assert plan["c"]["evaluate"].work["bundle"] == str(place / "out/arms/c/calibrate/c.tauext")
+    assert plan["a"]["train"].inputs | {"name": "b"} == plan["b"]["train"].inputs
+
+
+def test_settings_stand_over_one_another_fleet_then_type_then_arm(place):
+    text = """
+    train = { recipe = "prior", alarm = { in_hours = 4.0, false_alarms = 2.0 } }
+    [types.light]
+    train = { alarm = { in_hours = 6.0 } }
+    [[arms]]
+    name = "a"
+    type = "light"
+    dataset = "data"
+    train.alarm.contact_hold_s = 0.5
+    """
+    (arm,) = load_fleet(write_fleet(place, text)).arms
+    alarm = arm.train.alarm
+    assert (arm.train.recipe, alarm.false_alarms, alarm.in_hours, alarm.contact_hold_s) == ("prior", 2.0, 6.0, 0.5)
+
+
+ONE = '[[arms]]\nname = "a"\ndataset = "data"\n'
+WRONG = [
+    ("", ["there is no arm", "[[arms]]"]),
+    ("arms = [", ["not readable as TOML"]),
+    ("stage = []\n" + ONE, ["unknown key 'stage'", "nearest known is 'stages'"]),
+    (ONE + "dat = 1", ["arm 1", "unknown key 'dat'"]),
+    ('[[arms]]\nname = "../a"\ndataset = "data"', ["name = '../a'", "letters"]),
+    (ONE + ONE, ["two arms are named 'a'"]),
+    (ONE + ONE.replace('"a"', '"A"'), ["two arms are named 'a' and 'A'"]),
+    ('[[arms]]\nname = "a"\n', ["either sources", "or dataset"]),
+    ('[[arms]]\nname = "a"\nsources = ["whole.bag"]\n', ["arm is missing", "tauext import --new"]),
+    ('[[arms]]\nname = "a"\nsources = ["*.mcap"]\narm = "arm.toml"\n', ["'*.mcap'", "no such file"]),
+    ('[[arms]]\nname = "a"\ndataset = "gone"\n', ["gone", "no such dataset"]),
+    (ONE + 'robot = "gone.urdf"', ["gone.urdf", "URDF or MJCF"]),
+    (ONE + 'case = "bent"', ["case = 'bent'", "exact, mass"]),
+    (ONE + 'accept = ["no-such"]', ["no-such", "no code"]),
+    (ONE + 'stages = ["train", "report"]', ["'report'", "import, check, train"]),
+    (ONE + 'stages = ["evaluate"]', ["lack train"]),
+    (ONE + "[types.light]\n", ["type = ''", "light"]),
+    (ONE + "train.max_stepz = 5", ["[train]", "unknown key 'max_stepz'", "'max_steps'"]),
+    (ONE + "train.max_steps = 'five'", ["max_steps = 'five' must be a whole number"]),
+    (ONE + "train.max_steps = true", ["max_steps = True must be a whole number"]),
+    (ONE + "train.recipe = 'best'", ["recipe = 'best' must be one of tauext, prior"]),
+    (ONE + "train.observer.gain_per_s = 'fast'", ["gain_per_s", "a number or one of auto"]),
+    (ONE + "train.alarm.holds_s = [0, 'x']", ["holds_s", "a list (a number each)"]),
+    (ONE + "train.hidden = 0", ["hidden = 0 must be >= 1"]),
+    (ONE + "train.threads = 4", ["threads is not set here", "--workers"]),
+    (ONE + "evaluate.seed = -1", ["[evaluate]", "seed = -1"]),
+    (ONE + "calibrate = 3", ["calibrate = 3 must be a table"]),
+]
+
+
+@pytest.mark.parametrize("text, says", WRONG, ids=lambda value: str(value)[:50])
+def test_a_wrong_fleet_file_gets_one_line_and_nothing_runs(place, capsys, text, says):
+    assert main(["fleet", "run", str(write_fleet(place, text)), "--out", str(place / "out")]) == 2
+    told = capsys.readouterr()
+    assert len(told.err.strip().splitlines()) == 1 and told.out == "" and not (place / "out").exists()
+    for part in ("tauext: error: ", "fleet.toml", *says):
+        assert part in told.err
+
+
+def test_the_example_is_a_fleet(tmp_path, data):
+    for name in ("ur10e.toml", "cell-02.toml"):
+        (tmp_path / name).write_text(ARM_TOML)
+    (tmp_path / "arm.urdf").write_text(urdf(planar_rig()))
+    for folder in ("bags/cell-01", "bags/cell-02", "datasets"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "bags/cell-01/a.mcap").touch()
+    for name in ("cell-03", "cell-03-nights"):
+        (tmp_path / "datasets" / name).symlink_to(data)
+    fleet = load_fleet(write_fleet(tmp_path, EXAMPLE))
+    assert [len(arm.stages) for arm in fleet.arms] == [4, 4, 4] and fleet.arms[1].train.max_steps == 20000
+
+
+def test_a_task_whose_worker_dies_each_time_fails_after_the_stated_number(tmp_path, data):
+    workers = LocalWorkers(1, 1, lambda task: [one.process.kill() for one in workers._processes])
+    task = Task("a", "check", str(tmp_path / "check"), {}, {"dataset": str(data), "robot": None, "accept": []})
+    with workers:
+        workers.submit(task)
+        ended = workers.wait()
+    assert ended.begun == 2 and ended.outcome.state == "failed"
+    assert "its worker died 2 times, by signal 9" in ended.outcome.reason
+
+
+def test_an_error_of_our_own_fails_one_task_and_is_told_in_full(tmp_path):
+    def stage(work, part):
+        (part / "half").touch()
+        raise KeyError("joint9")
+
+    outcome = run_task(Task("a", "check", str(tmp_path / "check"), {}), {"check": stage})
+    assert outcome.state == "failed" and "KeyError: 'joint9'" in outcome.reason and "test_fleet.py:" in outcome.reason
+    assert [path.name for path in tmp_path.iterdir()] == ["check.failed.txt"]
+    assert "Traceback" in (tmp_path / "check.failed.txt").read_text()
+
+
+def test_what_another_worker_finished_meanwhile_stays(tmp_path):
+    task = Task("a", "check", str(tmp_path / "check"), {})
+
+    def write(work, part):
+        (part / "out.txt").write_text("same")
+
+    def overtaken(work, part):
+        assert run_task(task, {"check": write}).state == "done"
+        write(work, part)
+
+    assert run_task(task, {"check": overtaken}).state == "done"
+    assert finished(task) is not None and sorted(p.name for p in tmp_path.iterdir()) == ["check"]
+    (tmp_path / "check" / MARKER).write_text("{")
+    assert finished(task) is None and run_task(task, {"check": write}).state == "done"
+
+
+def test_another_version_is_refused_by_the_worker(tmp_path):
+    outcome = run_task(Task("a", "check", str(tmp_path / "check"), {}, {}, version="0.0.1"), {})
+    assert outcome == Outcome("failed", outcome.reason) and "0.0.1" in outcome.reason
+
+
+def test_two_drivers_do_not_share_a_folder(tmp_path):
+    with locked(tmp_path), pytest.raises(ConfigError, match=f"at work here .process {os.getpid()}"), locked(tmp_path):
+        pass
+    with locked(tmp_path):
+        pass
+
+
+class OwnRay:
+    """What of Ray is used, in this process: a task of an arm named `lost` is one that Ray gives up."""
+
+    class exceptions:
+        class RayError(Exception):
+            pass
+
+    def __init__(self) -> None:
+        self.claims: dict = {}
+
+    def init(self, **settings) -> None:
+        if settings["address"] != "auto":
+            raise ConnectionError("nobody\nanswers")
+
+    def remote(self, **claims):
+        self.claims = claims
+        return lambda function: SimpleNamespace(remote=lambda task: (task["arm"], function, json.dumps(task)))
+
+    def wait(self, asked, num_returns):
+        return asked[-1:], asked[:-1]
+
+    def get(self, ready):
+        arm, function, task = ready
+        if arm == "lost":
+            raise self.exceptions.RayError("The node died.\nIts log is far away.")
+        return function(json.loads(task))
+
+    def shutdown(self) -> None:
+        self.claims = {}
+
+
+def test_with_ray_its_retries_and_resources_count_and_what_it_gives_up_has_a_reason(tmp_path, data, monkeypatch):
+    ray = OwnRay()
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    work = {"dataset": str(data), "robot": None, "accept": []}
+    tasks = {name: Task(name, "check", str(tmp_path / name / "check"), {}, work) for name in ("a", "lost")}
+    with RayWorkers("auto", 0, 2, 1.5, lambda task: None) as workers:
+        assert ray.claims == {"num_cpus": 1, "max_retries": 2, "memory": 1_500_000_000}
+        for task in tasks.values():
+            workers.submit(task)
+        ended = {one.task.arm: one.outcome for one in (workers.wait(), workers.wait())}
+    assert ended["a"].state == "done" and finished(tasks["a"]) is not None
+    assert ended["lost"] == Outcome("failed", "Ray gave it up: RayError: The node died.")
+    assert ray.claims == {}
+
+
+def test_without_ray_or_a_cluster_one_line_says_so(place, capsys, monkeypatch):
+    fleet = str(write_fleet(place, arms_of("a", dataset="data")))
+    for ray, says in ((None, "pip install 'tauext[fleet]'"), (OwnRay(), "nobody answers")):
+        monkeypatch.setitem(sys.modules, "ray", ray)
+        assert main(["fleet", "run", fleet, "--out", str(place / "out"), "--ray", "10.0.0.1:6379"]) == 2
+        (line,) = [line for line in capsys.readouterr().err.splitlines() if "error" in line]
+        assert says in line
+    for options, says in ((("--task-gb", "1"), "--ray"), (("--ray", "auto", "--workers", "2"), "workers = 2")):
+        assert main(["fleet", "run", fleet, "--out", str(place / "out"), *options]) == 2
+        assert says in capsys.readouterr().err

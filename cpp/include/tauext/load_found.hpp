@@ -60,9 +60,9 @@ LoadFound weigh(const LoadSums& sums, const WeighSettings& settings, const Load&
 
 // What is known of (m, h) of a load of so much mass before any motion: each of h within m reach / 2 of 0.
 LoadBefore before_weighing(const WeighSettings& settings, double mass_kg) noexcept;
-// All parameters that follow from (m, h) found beside a load that is set: with it, the mass is at least 0 and its centre within the
-// reach. The inertia of what came is that of a ball about its centre; where something was taken off, what is left keeps
-// its radii of gyration.
+// All parameters that follow from (m, h) found beside a load that is set: with it, the mass is at least 0 and its centre
+// within the reach. The inertia of what came is that of a ball about its centre; where something was taken off, what is
+// left keeps its radii of gyration.
 LoadParameters beside(const std::array<double, 4>& found, const Load& set, double reach_m) noexcept;
 
 // About the frame's origin.

@@ -41,8 +41,9 @@ struct LoadFit {
   double cost = 0;                       // independent squared errors that are left, and what `before` holds against it
 };
 
-// Of all that is asked for, (rows of one joint) tau_ext - gear - I.phi = X values + offset + coulomb_j tanh(..) + error. The joint's
-// own two unknowns are eliminated before the joints are added up. phi: the load as known so far, whose inertia is taken off.
+// Least squares of tau_ext - gear - X_I phi_I = X values + offset_j + coulomb_j tanh(dq_j / v) + error over all rows: each
+// joint's own two unknowns are eliminated before the joints are added up. phi: the load as known so far, whose inertia
+// phi_I is taken off.
 LoadFit solve_load(const LoadSums& sums, LoadCause cause, const LoadParameters& phi, const LoadBefore& before,
                    const LoadNoise& noise) noexcept;
 // Size and correlation of the errors that a fit leaves: sums over blocks grow with how long errors last.

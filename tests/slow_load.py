@@ -161,6 +161,8 @@ def models(normal: Normal, sizes: np.ndarray, prior: np.ndarray, noise: Noise) -
 
 ROUNDS = 3
 """In which inertia and the loaded side of each gear follow from the load found so far."""
+USUAL_KG = 2.0
+"""Where nothing is known: see the core."""
 DENSITY_KG_M3 = 2700.0
 """Aluminium: a load's inertia about its own centre is taken to be that of a ball of it, little beside m c^2."""
 LEAST_ROWS = 30
@@ -250,7 +252,7 @@ def identify(
         normal = Normal.empty(bundle.joints)
         for part in parts:
             normal.add(columns(bundle, frame.frame, part, phi), part.sigma, part.worth)
-        found = fit(normal, LOAD, sizes, reach_prior(phi[0], reach_m))
+        found = fit(normal, LOAD, sizes, reach_prior(phi[0] or USUAL_KG, reach_m))
         prior = reach_prior(found.values[0], reach_m)
         found = fit(normal, LOAD, sizes, prior)
         phi = with_inertia(found.values, reach_m)

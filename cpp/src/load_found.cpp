@@ -11,6 +11,7 @@ namespace {
 // Aluminium: a load's inertia about its own centre is taken to be that of a ball of it, little beside m c^2.
 constexpr double kDensity = 2700.0;      // [kg/m^3]
 constexpr double kLeastMass = 0.1;       // [kg], whose first moment is believed at least
+constexpr double kUsualMass = 2;         // [kg]: what arms of this size are given to carry
 constexpr double kShows = 3.0;           // standard errors between a mass and 0
 // By which another explanation must be cheaper: odds of 90 to 1 and more, in a comparison of independent errors; and by a
 // share, since errors of the model are not independent, and cost each explanation something else.
@@ -165,7 +166,8 @@ LoadFound weigh(const LoadSums& sums, const WeighSettings& settings, const Load&
   LoadBefore last;
   for (int round = 0; round < rounds; ++round) {
     about = now;
-    fit = fit_load(sums, LoadCause::load, about, before(about[0]));
+    // Where nothing is known a light load's short levers would hold a heavy one down, for good.
+    fit = fit_load(sums, LoadCause::load, about, before(about[0] == 0 ? kUsualMass : about[0]));
     last = before(fit.values[0]);
     fit = fit_load(sums, LoadCause::load, about, last);
     now = beside(fit.values, set, settings.reach_m);

@@ -108,7 +108,17 @@ def test_online_equals_offline_bit_for_bit_at_every_sample():
     made = recording(5, push_nm=-60)
     online = _core.Monitor(bundle).run(made.t_ns, made.q, made.dq, made.tau)
     offline = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 2)
-    assert set(online) - set(offline) == {"uncertainty", "margin_nm", "drift_saturated", "contact_limit_nm"}
+    assert set(online) - set(offline) == {
+        "uncertainty",
+        "margin_nm",
+        "drift_saturated",
+        "contact_limit_nm",
+        "load_nm",
+        "load_kg",
+        "load_error_kg",
+        "load_phase",
+        "load_found_ns",
+    }
     assert set(offline) - set(online) == {"entered", "restarted"}
     for name in set(offline) & set(online):
         np.testing.assert_array_equal(online[name], offline[name], err_msg=name)

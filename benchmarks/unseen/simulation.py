@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -19,6 +19,9 @@ BRISTLE_DAMPING = 0.1
 """Of what would damp a stuck joint critically."""
 VISCOUS_BEND_RAD_S = 2.0
 LINK_RADIUS_M = 0.05
+
+Grip = Callable[[mujoco.MjModel, mujoco.MjData, int], np.ndarray]
+"""Changes what the arm carries before a step, and says the joint torques of what else holds it, (joints,)."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,7 @@ def simulate(
     torque_nm: Sequence[float],
     contacts: Sequence[Contact],
     warm_from_s: float,
+    grip: Grip | None = None,
 ) -> Run:
     """Follow the setpoints at 1 kHz; the drive feeds forward what the known model says.
 
@@ -65,6 +69,7 @@ def simulate(
         known: the maker's model; the drive adds the rotor inertias, which it does know.
         torque_nm: most of each drive.
         warm_from_s: how long the arm has run when the recording begins.
+        grip: what happens at the flange; None: nothing.
     """
     model = build(arm.tree)
     data = mujoco.MjData(model)
@@ -121,6 +126,8 @@ def simulate(
                 data.xfrc_applied[:] = 0
                 touching = None
         data.qfrc_applied[:] = motor - friction
+        if grip is not None:
+            data.qfrc_applied[:] += grip(model, data, k)
         mujoco.mj_step(model, data)
     if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all():
         raise RuntimeError("the simulation diverged")

@@ -75,6 +75,10 @@ class Columns {
     held_alarm_.push_back(static_cast<std::uint8_t>(e.held_alarm));
     alarm_joint_.push_back(static_cast<std::int8_t>(e.alarm_joint));
     detection_.push_back(e.detection);
+    load_kg_.push_back(e.load.mass);
+    load_error_kg_.push_back(e.load_error_kg);
+    load_phase_.push_back(static_cast<std::uint8_t>(e.load_phase));
+    load_found_ns_.push_back(e.load_found_ns);
   }
   ArrayDict take() {
     const std::size_t N = health_.size(), n = joints_;
@@ -94,6 +98,10 @@ class Columns {
     out["held_alarm"] = to_numpy(std::move(held_alarm_), {N});
     out["alarm_joint"] = to_numpy(std::move(alarm_joint_), {N});
     out["detection"] = to_numpy(std::move(detection_), {N});
+    out["load_kg"] = to_numpy(std::move(load_kg_), {N});
+    out["load_error_kg"] = to_numpy(std::move(load_error_kg_), {N});
+    out["load_phase"] = to_numpy(std::move(load_phase_), {N});
+    out["load_found_ns"] = to_numpy(std::move(load_found_ns_), {N});
     return out;
   }
 
@@ -102,7 +110,7 @@ class Columns {
     const char* name;
     JointVector Estimate::*values;
   };
-  static constexpr std::array<Torque, 12> kTorques{{{"residual", &Estimate::residual},
+  static constexpr std::array<Torque, 13> kTorques{{{"residual", &Estimate::residual},
                                                    {"prior", &Estimate::prior},
                                                    {"network", &Estimate::network},
                                                    {"drift", &Estimate::drift},
@@ -113,12 +121,14 @@ class Columns {
                                                    {"limit_scale", &Estimate::limit_scale},
                                                    {"limit_nm", &Estimate::limit_nm},
                                                    {"contact_limit_nm", &Estimate::contact_limit_nm},
-                                                   {"margin_nm", &Estimate::margin_nm}}};
+                                                   {"margin_nm", &Estimate::margin_nm},
+                                                   {"load_nm", &Estimate::load_nm}}};
   std::size_t joints_;
   std::array<std::vector<double>, kTorques.size()> torques_;
   std::vector<std::uint32_t> near_stiction_, drift_saturated_, causes_;
-  std::vector<double> unfamiliar_;
-  std::vector<std::uint8_t> health_, alarm_, held_alarm_, detection_, unseen_;
+  std::vector<double> unfamiliar_, load_kg_, load_error_kg_;
+  std::vector<std::int64_t> load_found_ns_;
+  std::vector<std::uint8_t> health_, alarm_, held_alarm_, detection_, unseen_, load_phase_;
   std::vector<std::int8_t> alarm_joint_, cause_joint_, unseen_joint_, unseen_other_;
 };
 
@@ -210,6 +220,12 @@ void bind_estimate(nb::module_& m) {
       .value("none", Alarm::none)
       .value("contact", Alarm::contact)
       .value("collision", Alarm::collision);
+  nb::enum_<LoadPhase>(m, "LoadPhase", "How far the monitor is with a load that is expected.")
+      .value("none", LoadPhase::none, "Nothing is expected.")
+      .value("expecting", LoadPhase::expecting, "Nothing has shown yet.")
+      .value("deciding", LoadPhase::deciding, "An alarm is held back: what shows fits a load.")
+      .value("found", LoadPhase::found, "One was set; more of it is taken until the window ends.")
+      .value("weighing", LoadPhase::weighing, "The window is over and nothing is held back; the load is weighed on.");
   nb::enum_<Health>(m, "Health",
                     "Whether the torques of an answer can be trusted. warming_up: there are none yet. stale: nothing new for\n"
                     "at most one network period, and those of the sample before are held. fault: the signals cannot be used,\n"
@@ -242,6 +258,10 @@ void bind_estimate(nb::module_& m) {
       .def_ro("unfamiliar", &Estimate::unfamiliar, "How far the motion is from all that training saw, 0 to 1.")
       .def_ro("unseen", &Estimate::unseen, "What of the motion is farthest from it: of unseen_joint, with unseen_other.")
       .def_ro("load", &Estimate::load, "What the arm is taken to carry; mass 0: nothing.")
+      .def_ro("load_phase", &Estimate::load_phase, "Of a load that is expected.")
+      .def_ro("load_found_ns", &Estimate::load_found_ns,
+              "Stamp of the sample at which the last one that was expected was found, [ns]; 0: none.")
+      .def_ro("load_error_kg", &Estimate::load_error_kg, "Standard error of its mass.")
       .def_ro("unseen_joint", &Estimate::unseen_joint, "Index of the joint whose motion is; -1: none.")
       .def_ro("unseen_other", &Estimate::unseen_other,
               "Index of the joint whose position training never saw together with that one's; -1: none.");
@@ -257,6 +277,8 @@ void bind_estimate(nb::module_& m) {
   bind_torques("prior", &Estimate::prior,
                "What physics, fitted to the data, expects of r in free motion, [N m]; 0 without a prior.");
   bind_torques("network", &Estimate::network, "What the network expects of r beside the prior, [N m]; 0 without one.");
+  bind_torques("load_nm", &Estimate::load_nm,
+               "What of tau_ext is taken for a load that is expected, [N m]: the alarm looks at the rest. 0 while none is.");
   bind_torques("drift", &Estimate::drift,
                "What slow changes since training add to r, as the tracker has learned it, [N m]; 0 without one.");
   bind_torques("uncertainty", &Estimate::uncertainty,
@@ -354,6 +376,17 @@ void bind_monitor(nb::module_& m) {
           "of its torques. Raises CoreError, and changes nothing, where it is refused.")
       .def("clear_load", [](Monitor& self, const std::optional<std::int64_t>& since_ns) { set_load(self, {}, since(since_ns)); },
            nb::arg("since_ns") = nb::none(), "The arm carries nothing.")
+      .def(
+          "expect_load",
+          [](Monitor& self, double seconds, double at_most_kg) {
+            if (!self.expect_load(seconds, at_most_kg)) throw Error(self.why_not_expected(seconds, at_most_kg));
+          },
+          nb::arg("seconds"), nb::arg("at_most_kg"),
+          "The gripper closes or opens: for so long, what the arm carries may become anything up to at_most_kg in all. What\n"
+          "fits that is weighed, set and told, what does not is the usual alarm. Raises CoreError, and changes nothing,\n"
+          "where it is refused.")
+      .def("why_not_expected", &Monitor::why_not_expected, nb::arg("seconds"), nb::arg("at_most_kg"),
+           "Why expect_load() would refuse it; empty: it would not.")
       .def_prop_ro("load", [](const Monitor& self) { return self.load(); },
                    "What the arm is taken to carry from the next sample on; mass 0: nothing.")
       .def_prop_ro("load_settings", [](const Monitor& self) { return self.load_settings(); },

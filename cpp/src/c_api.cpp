@@ -28,6 +28,7 @@ static_assert(TAUEXT_MAX_JOINTS == tauext::kMaxJoints);
 static_assert(TAUEXT_EVERY_SAMPLE == static_cast<int>(NetworkRate::every_sample));
 static_assert(TAUEXT_NETWORK_PERIOD == static_cast<int>(NetworkRate::network_period));
 static_assert(TAUEXT_USUAL_LOAD_ERROR == tauext::Load::kUsualError);
+static_assert(TAUEXT_WEIGHING_LOAD == static_cast<int>(tauext::LoadPhase::weighing));
 static_assert(TAUEXT_FROM_NOW == tauext::kFromNow);
 static_assert(TAUEXT_USUAL_REACH_M == tauext::WeighSettings::kUsualReach_m);
 static_assert(TAUEXT_TOO_LITTLE_MOTION == static_cast<int>(tauext::LoadVerdict::too_little));
@@ -87,6 +88,10 @@ void write(const tauext::Estimate& from, tauext_estimate* to) noexcept {
   std::ranges::copy(from.sigma_nm, e.sigma_nm);
   e.unfamiliar = from.unfamiliar;
   e.load_kg = from.load.mass;
+  e.load_phase = static_cast<std::int32_t>(from.load_phase);
+  e.load_found_ns = from.load_found_ns;
+  e.load_error_kg = from.load_error_kg;
+  std::ranges::copy(from.load_nm, e.load_nm);
   std::memcpy(to, &e, std::min(to->size, sizeof e));
 }
 
@@ -306,6 +311,23 @@ tauext_status tauext_monitor_estimate_load(const tauext_monitor* monitor, tauext
   for (std::size_t k = 0; k < from.unseen.size(); ++k) std::ranges::copy(from.unseen[k], to.unseen + 3 * k);
   std::memcpy(found, &to, std::min(found->size, sizeof to));
   return TAUEXT_OK;
+}
+
+tauext_status tauext_monitor_expect_load(tauext_monitor* monitor, double seconds, double at_most_kg) {
+  if (!monitor) return TAUEXT_BAD_ARGUMENT;
+  return monitor->monitor.expect_load(seconds, at_most_kg) ? TAUEXT_OK : TAUEXT_BAD_LOAD;
+}
+
+tauext_status tauext_monitor_why_not_expected(const tauext_monitor* monitor, double seconds, double at_most_kg,
+                                              char* message, size_t message_size) {
+  say("", message, message_size);
+  if (!monitor) return TAUEXT_BAD_ARGUMENT;
+  try {
+    say(monitor->monitor.why_not_expected(seconds, at_most_kg).c_str(), message, message_size);
+    return TAUEXT_OK;
+  } catch (...) {
+    return TAUEXT_NO_MEMORY;
+  }
 }
 
 tauext_status tauext_monitor_why_no_load(const tauext_monitor* monitor, const tauext_load* load, int64_t since_ns,

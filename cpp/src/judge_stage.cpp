@@ -74,11 +74,13 @@ void JudgeStage::blank(bool also_residual) noexcept {
     e.network[j] = e.uncertainty[j] = e.tau_ext[j] = e.sigma_nm[j] = e.margin_nm[j] = nan;
     if (also_residual) e.residual[j] = e.prior[j] = e.drift[j] = e.limit_scale[j] = e.limit_nm[j] = e.contact_limit_nm[j] = nan;
   }
+  e.load_nm.fill(0.0);
   if (also_residual) e.near_stiction = 0;
   e.detection = false;
 }
 
-const Estimate& JudgeStage::step(const Observed& o, const Sample& sample, std::span<const float> network) noexcept {
+const Estimate& JudgeStage::step(const Observed& o, const Sample& sample, std::span<const float> network,
+                                 ExpectedLoad* expected) noexcept {
   Estimate& e = estimate_;
   e.t_ns = o.t_ns;
   e.health = o.health;
@@ -98,7 +100,7 @@ const Estimate& JudgeStage::step(const Observed& o, const Sample& sample, std::s
     }
     drift_.step(o.t_ns, sample.dq, first_joints(e.drift));
     factors_.step(o.t_ns, o.coulomb, o.viscous, first_joints(e.drift));
-    judge(o, sample, network);
+    judge(o, sample, network, expected);
   } else {  // the alarm stands as it did
     e.detection = false;
     e.held_alarm = Alarm::none;
@@ -106,6 +108,11 @@ const Estimate& JudgeStage::step(const Observed& o, const Sample& sample, std::s
       blank(true);
       tell({});
     }
+  }
+  if (expected) {
+    e.load_phase = expected->phase();
+    e.load_found_ns = expected->found_ns();
+    e.load_error_kg = expected->error_kg();
   }
   return e;
 }
@@ -126,8 +133,10 @@ void JudgeStage::tell(const Unfamiliar& unfamiliar) noexcept {
 }
 
 // tau_ext against its limits.
-void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const float> network) noexcept {
+void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const float> network,
+                       ExpectedLoad* expected) noexcept {
   Estimate& e = estimate_;
+  e.load_nm.fill(0.0);
   scale_limits(o, sample);
   if (o.judged) {
     for (int j = 0; j < e.joints; ++j) {
@@ -144,16 +153,38 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   for (int j = 0; j < e.joints; ++j)
     raised[j] = e.doubt[j] + widened_at_rest_nm_[j] + widened_per_speed_[j] * std::fabs(sample.dq[static_cast<std::size_t>(j)]);
   e.near_stiction = o.near_stiction;
-  e.detection = alarm_.step(o.t_ns, first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(raised),
-                            e.near_stiction, o.judged, first_joints(e.limit_nm), first_joints(e.contact_limit_nm));
+  const bool expects = expected && expected->on();
+  if (expects)
+    hold_alarm(o, sample, raised, *expected);
+  else
+    e.detection = alarm_.step(o.t_ns, first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(raised),
+                              e.near_stiction, o.judged, first_joints(e.limit_nm), first_joints(e.contact_limit_nm));
   // Where training never was, the error is the prior's and no drift.
-  const bool teaches = o.teaches && e.unfamiliar < Coverage::kWorthTelling && !drift_held_;
+  const bool teaches = o.teaches && !expects && e.unfamiliar < Coverage::kWorthTelling && !drift_held_;
   drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), e.near_stiction, teaches);
   factors_.learn(sample.dq, first_joints(e.tau_ext), first_joints(e.sigma_nm), first_joints(e.doubt), e.near_stiction,
                  teaches);
   e.drift_saturated = drift_.saturated() | factors_.saturated();
-  for (int j = 0; o.judged && j < e.joints; ++j) e.margin_nm[j] = e.limit_nm[j] - std::fabs(e.tau_ext[j]);
+  for (int j = 0; o.judged && j < e.joints; ++j) e.margin_nm[j] = e.limit_nm[j] - std::fabs(e.tau_ext[j] - e.load_nm[j]);
   report_alarm();
+}
+
+// The alarm of what no load explains; limits are higher by the share that a load's torques are usually wrong by.
+void JudgeStage::hold_alarm(const Observed& o, const Sample& sample, const JointVector& raised,
+                            ExpectedLoad& expected) noexcept {
+  Estimate& e = estimate_;
+  JointVector left{}, higher = raised;
+  expected.explain(sample, o, first_joints(e.tau_ext), first_joints(e.limit_nm), first_joints(e.load_nm),
+                   first_joints(higher));
+  for (int j = 0; j < e.joints; ++j) {
+    left[j] = e.tau_ext[j] - e.load_nm[j];
+    higher[j] += Load::kUsualError * std::fabs(e.load_nm[j]);
+  }
+  e.detection = alarm_.step(o.t_ns, first_joints(left), first_joints(e.limit_scale), first_joints(higher), e.near_stiction,
+                            o.judged, first_joints(e.limit_nm), first_joints(e.contact_limit_nm));
+  JointVector usual = raised;
+  expected.follow(o.t_ns, first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(usual), e.near_stiction,
+                  o.judged, alarm_);
 }
 
 }  // namespace tauext

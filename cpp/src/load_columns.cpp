@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
+#include <type_traits>
 
 #include "tauext/bundle.hpp"
 #include "tauext/motion.hpp"
@@ -36,6 +38,49 @@ void LoadColumns::filter(std::size_t which, std::int64_t t_ns, const JointVector
   const auto n = static_cast<std::size_t>(joints_);
   state_.filters[which].step(t_ns, std::span(p).first(n), std::span(v).first(n), std::span(zero).first(n),
                              std::span(out).first(n));
+  if (!settled_) return;
+  out = v;
+  state_.filters[which].go_back(t_ns, std::span(p).first(n), std::span(v).first(n), std::span(zero).first(n),
+                                std::span(v).first(n));
+}
+
+void LoadColumns::begin(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
+                        std::span<const double> beta, std::span<const double> phi) noexcept {
+  settled_ = true;
+  step(t_ns, q, dq, beta, phi);
+  settled_ = false;
+}
+
+std::size_t LoadColumns::state_bytes() const noexcept {
+  return state_.filters.size() * sizeof(MomentumObserver) + sizeof(state_.load) + 2 * sizeof(state_.frame_forces) +
+         2 * sizeof(JointVector);
+}
+
+void LoadColumns::save(std::span<std::byte> to) const noexcept {
+  static_assert(std::is_trivially_copyable_v<MomentumObserver>);
+  const auto put = [&to](const void* from, std::size_t size) noexcept {
+    std::memcpy(to.data(), from, size);
+    to = to.subspan(size);
+  };
+  put(state_.filters.data(), state_.filters.size() * sizeof(MomentumObserver));
+  put(&state_.load, sizeof state_.load);
+  put(&state_.frame_forces, sizeof state_.frame_forces);
+  put(&state_.base_forces, sizeof state_.base_forces);
+  put(&state_.offset, sizeof state_.offset);
+  put(&state_.coulomb, sizeof state_.coulomb);
+}
+
+void LoadColumns::restore(std::span<const std::byte> from) noexcept {
+  const auto take = [&from](void* to, std::size_t size) noexcept {
+    std::memcpy(to, from.data(), size);
+    from = from.subspan(size);
+  };
+  take(static_cast<void*>(state_.filters.data()), state_.filters.size() * sizeof(MomentumObserver));
+  take(&state_.load, sizeof state_.load);
+  take(&state_.frame_forces, sizeof state_.frame_forces);
+  take(&state_.base_forces, sizeof state_.base_forces);
+  take(&state_.offset, sizeof state_.offset);
+  take(&state_.coulomb, sizeof state_.coulomb);
 }
 
 void LoadColumns::step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,

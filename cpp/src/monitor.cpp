@@ -8,7 +8,7 @@
 namespace tauext {
 namespace {
 
-constexpr std::uint32_t kStateVersion = 7;
+constexpr std::uint32_t kStateVersion = 8;
 
 // What a saved state begins with.
 struct StateHead {
@@ -68,6 +68,7 @@ Monitor::Monitor(const Bundle& bundle, NetworkRate rate)
   if (load_settings_.settable()) {
     observe_.allow_loads(load_settings_);
     judge_.allow_loads();
+    if (ExpectedLoad::possible(bundle)) expected_.emplace(bundle);
   }
   if (!bundle.has_network()) return;
   network_.emplace(bundle.shape, bundle.parameters, bundle.inputs, bundle.columns(), bundle.observer.network_stride,
@@ -79,6 +80,7 @@ void Monitor::reset() noexcept {
   observe_.reset();
   if (network_) network_->restart();
   judge_.reset();
+  if (expected_) expected_->reset();
   refit_motion_.stop();
   end_weighing();
 }
@@ -153,7 +155,7 @@ const Estimate& Monitor::estimate(const Sample& sample) noexcept {
   const Observed& observed = observe_.step(sample);
   if (network_ && observed.passage == Passage::entered) predict(observed);
   if (observed.passage == Passage::entered) refit_motion_.push(sample);
-  const Estimate& answer = judge_.step(observed, sample, network_out_);
+  const Estimate& answer = judge_.step(observed, sample, network_out_, expected_ ? &*expected_ : nullptr);
   if (weighing()) weighing_->look(sample, observed, answer);
   return answer;
 }
@@ -170,6 +172,25 @@ void Monitor::advance() noexcept {
   if (observe_.progress().started) judge_.keep(observe_.progress().t_ns);
   if (network_) network_->advance();
   if (weighing()) weighing_->advance(observe_.beta());
+  if (expected_ && expected_->on()) follow_expected();
+}
+
+// What the last sample decided about a load that is expected.
+void Monitor::follow_expected() noexcept {
+  const ExpectedLoad::Decision decision = expected_->decide();
+  if (decision.alarm != Alarm::none) judge_.raise(decision.alarm, decision.joint);
+  if (decision.sets) put_load(decision.load, decision.since_ns);
+}
+
+bool Monitor::expect_load(double seconds, double at_most_kg) noexcept {
+  if (!expected_) return false;
+  advance();
+  return expected_->start(seconds, at_most_kg, load(), judge_.alarm());
+}
+
+std::string Monitor::why_not_expected(double seconds, double at_most_kg) const {
+  if (expected_) return expected_->why_not(seconds, at_most_kg);
+  return load_settings_.words(load_settings_.settable() ? LoadFault::no_past : LoadFault::not_settable, {});
 }
 
 LoadFault Monitor::load_fault(const Load& load, std::int64_t since_ns) const noexcept {
@@ -181,22 +202,27 @@ LoadFault Monitor::load_fault(const Load& load, std::int64_t since_ns) const noe
 bool Monitor::set_load(const Load& load, std::int64_t since_ns) noexcept {
   if (load_fault(load, since_ns) != LoadFault::none) return false;
   advance();
+  if (expected_) expected_->stop();
+  put_load(load, since_ns);
+  return true;
+}
+
+void Monitor::put_load(const Load& load, std::int64_t since_ns) noexcept {
   observe_.set_load(load, since_ns);
   judge_.set_load(observe_.load());
   if (since_ns < observe_.progress().t_ns) judge_.take_back_drift(since_ns);
   if (weighing()) weighing_->start(weighing_->settings().reach_m, observe_.load());
-  return true;
 }
 
 const Estimate& Monitor::no_sample(std::int64_t now_ns) noexcept {
   advance();
-  return judge_.step(observe_.no_sample(now_ns), {}, {});
+  return judge_.step(observe_.no_sample(now_ns), {}, {}, expected_ ? &*expected_ : nullptr);
 }
 
 // What a state holds, in this order; all of it plain bytes.
 std::size_t Monitor::state_bytes() const noexcept {
   return sizeof(StateHead) + sizeof(ObserveStage::State) + sizeof(JudgeStage::State) +
-         (network_ ? network_->state_bytes() : 0);
+         (expected_ ? expected_->state_bytes() : 0) + (network_ ? network_->state_bytes() : 0);
 }
 
 bool Monitor::save_state(std::span<std::byte> state) const noexcept {
@@ -209,6 +235,10 @@ bool Monitor::save_state(std::span<std::byte> state) const noexcept {
   };
   put(observe_.state());
   put(judge_.state());
+  if (expected_) {
+    expected_->save(left);
+    left = left.subspan(expected_->state_bytes());
+  }
   if (network_) network_->save(left);
   const StateHead head{kStateVersion, fingerprint_, state.size(), crc32(as_chars(state.subspan(sizeof head))), 0};
   std::memcpy(state.data(), &head, sizeof head);
@@ -230,6 +260,10 @@ bool Monitor::restore_state(std::span<const std::byte> state) noexcept {
   };
   observe_.restore(take(observe_.state()));
   judge_.restore(take(judge_.state()));
+  if (expected_) {
+    expected_->restore(left);
+    left = left.subspan(expected_->state_bytes());
+  }
   if (network_) network_->restore(left);
   finish_refit();
   end_weighing();

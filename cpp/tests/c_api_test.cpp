@@ -63,7 +63,7 @@ bool same(const tauext_estimate& c, const tauext::Estimate& e) {
          c.alarm_joint == e.alarm_joint && c.alarm_t_ns == e.alarm_t_ns && c.detection == e.detection &&
          c.near_stiction == e.near_stiction && equal(c.residual, e.residual) && equal(c.uncertainty, e.uncertainty) &&
          equal(c.tau_ext, e.tau_ext) && equal(c.drift, e.drift) &&
-         c.drift_saturated == e.drift_saturated && c.unfamiliar == e.unfamiliar && c.unused == 0 && c.load_kg == e.load.mass && equal(c.limit_nm, e.limit_nm) && equal(c.margin_nm, e.margin_nm);
+         c.drift_saturated == e.drift_saturated && c.unfamiliar == e.unfamiliar && c.unused == 0 && c.load_kg == e.load.mass && c.load_phase == static_cast<int>(e.load_phase) && c.load_found_ns == e.load_found_ns && c.load_error_kg == e.load_error_kg && equal(c.load_nm, e.load_nm) && c.unused_too == 0 && equal(c.limit_nm, e.limit_nm) && equal(c.margin_nm, e.margin_nm);
 }
 
 void estimates_are_those_of_the_cpp_monitor_through_faults_and_alarms() {
@@ -98,6 +98,10 @@ void estimates_are_those_of_the_cpp_monitor_through_faults_and_alarms() {
         CHECK(cpp.set_load({1.5, {0.1, 0, 0.05}, {0.01, 0.01, 0.01, 0, 0, 0}}, t_ns - 200'000'000));
         tauext_load carried;
         CHECK(tauext_monitor_load(c, &carried) == TAUEXT_OK && std::memcmp(&carried, &load, sizeof load) == 0);
+      }
+      if (k == 2750) {
+        CHECK(tauext_monitor_expect_load(c, 0.1, 1.0) == TAUEXT_OK);
+        CHECK(cpp.expect_load(0.1, 1.0));
       }
       if (k == 2900) {
         CHECK(tauext_monitor_clear_load(c, TAUEXT_FROM_NOW) == TAUEXT_OK);
@@ -224,6 +228,10 @@ void null_pointers_are_bad_arguments() {
   CHECK(tauext_monitor_why_no_load(m, &heavy, 0, why, sizeof why) == TAUEXT_OK && std::strstr(why, "10000 kg"));
   heavy.mass = 1;
   CHECK(tauext_monitor_why_no_load(m, &heavy, 0, why, sizeof why) == TAUEXT_OK && why[0] == '\0');
+  CHECK(tauext_monitor_expect_load(nullptr, 1, 1) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_expect_load(m, 0, 1) == TAUEXT_BAD_LOAD);
+  CHECK(tauext_monitor_why_not_expected(nullptr, 0, 1, why, sizeof why) == TAUEXT_BAD_ARGUMENT && why[0] == '\0');
+  CHECK(tauext_monitor_why_not_expected(m, 0, 1, why, sizeof why) == TAUEXT_OK && std::strstr(why, "60 s"));
   CHECK(std::strstr(tauext_monitor_load_frame(m), "joint3") && !*tauext_monitor_load_frame(nullptr));
   CHECK(tauext_monitor_set_temperature(nullptr, twice.data()) == TAUEXT_BAD_ARGUMENT);
   CHECK(tauext_monitor_set_temperature(m, nullptr) == TAUEXT_BAD_ARGUMENT);

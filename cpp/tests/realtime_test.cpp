@@ -131,6 +131,7 @@ struct Everything {
       if (k % 1700 == 0) own.set_limit_factors(own.limit_factors().contact, own.limit_factors().collision);
       if (k % 800 == 0) every.set_load({1.0, {0.1, 0, 0}, {}}, k % 1600 ? kFromNow : t_ns - 300'000'000);
       if (k % 900 == 0) every.set_load({-1.0});
+      if (k % 640 == 0) CHECK(every.expect_load(0.4, 1.0)), own.expect_load(3, 0.5), velocity.expect_load(1, 1);
       if (k % 850 == 0) velocity.set_load({1.0}), plain.set_load({1.0}, 0);
       if (k % 1750 == 0) every.clear_load(), plain.clear_load(t_ns - 30'000'000);
       if (k % 300 == 0) every.set_temperature(sample.dq);

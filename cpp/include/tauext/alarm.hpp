@@ -50,6 +50,13 @@ class AlarmStage {
   void reset() noexcept;
   // Ends any alarm; one whose cause lasts comes back after its hold time.
   void acknowledge() noexcept;
+  // An alarm that was held back and is one after all, by this joint; a higher one stands.
+  void raise(Alarm alarm, int joint, std::int64_t t_ns) noexcept {
+    if (alarm <= state_.alarm) return;
+    state_.alarm = alarm;
+    state_.joint = joint;
+    state_.raised_t_ns = state_.contact_seen_ns = t_ns;
+  }
   // Limits of joints that were pushed while stuck are the usual ones again: what that left is known otherwise.
   void forget_pushes() noexcept { state_.pushed = 0; }
 

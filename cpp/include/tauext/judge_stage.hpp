@@ -9,6 +9,7 @@
 #include "tauext/drift.hpp"
 #include "tauext/drift_history.hpp"
 #include "tauext/error_scale.hpp"
+#include "tauext/expected_load.hpp"
 #include "tauext/friction_factors.hpp"
 #include "tauext/load.hpp"
 #include "tauext/observe_stage.hpp"
@@ -47,8 +48,12 @@ struct Estimate {
   JointVector limit_scale{};        // what the motion multiplies the limits by, unfamiliar motion too; usual is 1
   JointVector limit_nm{};           // that |tau_ext| must exceed for a collision; scale and doubt included
   JointVector contact_limit_nm{};   // the same for a contact
-  JointVector margin_nm{};          // limit - |tau_ext|
+  JointVector margin_nm{};          // limit - |tau_ext - load_nm|
   Load load;                        // what the arm is taken to carry; mass 0: nothing
+  LoadPhase load_phase = LoadPhase::none;  // of a load that is expected
+  std::int64_t load_found_ns = 0;   // sample at which the last one that was expected was found; 0: none
+  double load_error_kg = 0;         // standard error of its mass
+  JointVector load_nm{};            // what of tau_ext is taken for a load that is expected, [N m]; 0 while none is
 
   // The only thing that may be read as "no collision".
   bool clear() const noexcept { return health == Health::ok && alarm == Alarm::none; }
@@ -65,10 +70,17 @@ class JudgeStage {
   // network: its outputs for the window that ends at this sample, in its own scale; empty where there is no network, and
   // not looked at unless the sample is to be judged.
   // sample: the one observed; only that of one that entered is looked at.
-  const Estimate& step(const Observed& observed, const Sample& sample, std::span<const float> network) noexcept;
+  // expected: a load that is, or none; it decides what of tau_ext is looked at.
+  const Estimate& step(const Observed& observed, const Sample& sample, std::span<const float> network,
+                       ExpectedLoad* expected = nullptr) noexcept;
 
   // As AlarmStage's calls of these names.
   void acknowledge() noexcept;
+  void raise(Alarm alarm, int joint) noexcept {
+    alarm_.raise(alarm, joint, estimate_.t_ns);
+    report_alarm();
+  }
+  const AlarmStage& alarm() const noexcept { return alarm_; }
   void forget_pushes() noexcept { alarm_.forget_pushes(); }
   bool set_limit_factors(std::span<const double> collision, std::span<const double> contact) noexcept {
     return alarm_.set_factors(collision, contact);
@@ -113,7 +125,8 @@ class JudgeStage {
   void restore(const State& state) noexcept;
 
  private:
-  void judge(const Observed& observed, const Sample& sample, std::span<const float> network) noexcept;
+  void judge(const Observed& observed, const Sample& sample, std::span<const float> network, ExpectedLoad* expected) noexcept;
+  void hold_alarm(const Observed& observed, const Sample& sample, const JointVector& raised, ExpectedLoad& expected) noexcept;
   void scale_limits(const Observed& observed, const Sample& sample) noexcept;
   void tell(const Unfamiliar& unfamiliar) noexcept;
   void blank(bool also_residual) noexcept;

@@ -1,5 +1,6 @@
 // What a load that nobody told shows in tau_ext, per unit of its parameters; and what else could show there.
 #pragma once
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <span>
@@ -40,6 +41,14 @@ class LoadColumns {
   // One sample, with beta of the estimated model; phi: (kParameters), of the load.
   void step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, std::span<const double> beta,
             std::span<const double> phi) noexcept;
+  // The first sample, where r has been running: the filters stand as if the arm had been so for long.
+  void begin(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq, std::span<const double> beta,
+             std::span<const double> phi) noexcept;
+  bool started() const noexcept { return state_.filters.front().started(); }
+  // The filters and what they showed last, as plain bytes.
+  std::size_t state_bytes() const noexcept;
+  void save(std::span<std::byte> to) const noexcept;
+  void restore(std::span<const std::byte> from) noexcept;
 
   // The arm carries that already, on this link: the model that the prior's load terms go by has it too.
   void carry(int link, const Carried& what) noexcept {
@@ -62,6 +71,7 @@ class LoadColumns {
   std::optional<Tree> corrected_;  // whose beta the prior's load terms go by; none: the estimated model's
   std::vector<double> shares_;
   State state_;
+  bool settled_ = false;  // filters stand at what goes into them
 };
 
 // The columns at `samples` of a recording, which rise; row-major.

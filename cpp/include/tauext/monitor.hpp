@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "tauext/bundle.hpp"
+#include "tauext/expected_load.hpp"
 #include "tauext/judge_stage.hpp"
 #include "tauext/observe_stage.hpp"
 #include "tauext/refit_motion.hpp"
@@ -40,7 +41,10 @@ class Monitor {
   const Estimate& no_sample(std::int64_t now_ns) noexcept;
 
   // Ends a latched alarm, and nothing else; one whose cause lasts comes back.
-  void acknowledge() noexcept { judge_.acknowledge(); }
+  void acknowledge() noexcept {
+    judge_.acknowledge();
+    if (expected_) expected_->acknowledge();
+  }
   // As acknowledge(), for an arm that nothing touches any more and that is to move on. A push leaves the static friction
   // of a joint at rest at a level that its position tells only roughly. So that of joints near stiction is unknown again,
   // as at the start: with a prior, their limits are higher at once by as much as it can hide, until the joints have slid.
@@ -49,6 +53,7 @@ class Monitor {
   // that bear more contact, or less. false, and nothing changed, where they are not. What the drift learns from does not
   // depend on them. The limits' promise of false alarms holds at factors from 1 on.
   bool set_limit_factors(std::span<const double> collision, std::span<const double> contact) noexcept {
+    if (expected_) expected_->set_limit_factors(collision, contact);
     return judge_.set_limit_factors(collision, contact);
   }
   const LimitFactors& limit_factors() const noexcept { return judge_.limit_factors(); }  // those that hold now
@@ -71,6 +76,15 @@ class Monitor {
   std::string why_no_load(const Load& load, std::int64_t since_ns = kFromNow) const {
     return load_settings_.words(load_fault(load, since_ns), load);
   }
+  // From the next sample on, for so many seconds (60 at most): the gripper closes or opens, and what the arm carries may
+  // become anything up to at_most_kg in all. A step that fits that is no alarm: it is weighed and set, and told
+  // (Estimate's load_phase, load_found_ns, load_error_kg); one that does not fit is the usual alarm. What would have been an
+  // alarm and does not become a load within about half a second of settling is one late (expected_load.hpp). Meanwhile
+  // drift learns nothing, and a sample takes about two microseconds longer. A load that is set or cleared ends it, and reset().
+  // false, and nothing changed, where why_not_expected() says why.
+  bool expect_load(double seconds, double at_most_kg) noexcept;
+  // Empty: it would be. Not for the loop: it allocates.
+  std::string why_not_expected(double seconds, double at_most_kg) const;
   // Temperatures of the joints, [degC], NaN where one is not known, from the next sample on; for loops whose samples hold
   // none, since they change slowly. What was known before holds. false, and nothing changed, where they are not one a joint.
   bool set_temperature(std::span<const double> celsius) noexcept;
@@ -131,6 +145,8 @@ class Monitor {
 
  private:
   void predict(const Observed& observed) noexcept;
+  void follow_expected() noexcept;
+  void put_load(const Load& load, std::int64_t since_ns) noexcept;
   void end_weighing() noexcept;
 
   std::vector<std::string> joint_names_, torque_units_, estimate_units_;
@@ -143,6 +159,7 @@ class Monitor {
   JudgeStage judge_;
   std::vector<FrictionLine> friction_;  // a joint
   RefitMotion refit_motion_;
+  std::optional<ExpectedLoad> expected_;  // where loads can be
   std::optional<Weighing> weighing_;  // where it is possible
 };
 

@@ -9,8 +9,8 @@
  * A torque is positive where it pushes the joint in its positive direction; tau is the motor's torque on the joint's
  * side of the gear. A null pointer where something belongs is TAUEXT_BAD_ARGUMENT, unless it is said to be allowed.
  * tauext_monitor_estimate, _advance, _step, _no_sample, _acknowledge, _resume, _set_limit_factors, _set_load,
- * _clear_load, _reset, _save_state and _restore_state do not allocate, lock, log or call the system. One thread at a
- * time for each monitor. */
+ * _clear_load, _expect_load, _reset, _save_state and _restore_state do not allocate, lock, log or call the system. One
+ * thread at a time for each monitor. */
 #ifndef TAUEXT_H
 #define TAUEXT_H
 
@@ -63,6 +63,14 @@ typedef enum tauext_cause {
   TAUEXT_IMPOSSIBLE_POSITION = 2048  /* farther from the last position than the joint can have gone */
 } tauext_cause;
 
+typedef enum tauext_load_phase {
+  TAUEXT_NO_LOAD_EXPECTED = 0,
+  TAUEXT_EXPECTING_LOAD = 1, /* nothing has shown yet */
+  TAUEXT_DECIDING_LOAD = 2,  /* an alarm is held back: what shows fits a load */
+  TAUEXT_LOAD_FOUND = 3,     /* one was set; more of it is taken until the window ends */
+  TAUEXT_WEIGHING_LOAD = 4   /* the window is over and nothing is held back; the load is weighed on */
+} tauext_load_phase;
+
 /* What the monitor says of one sample. A torque that does not exist is NaN. Only (health == TAUEXT_HEALTHY &&
  * alarm == TAUEXT_NO_ALARM) may be read as "no collision". */
 typedef struct tauext_estimate {
@@ -88,6 +96,11 @@ typedef struct tauext_estimate {
   double sigma_nm[TAUEXT_MAX_JOINTS];    /* [N m], standard error of tau_ext as the motion announces it; NaN: unknown */
   double unfamiliar;                     /* how far the motion is from all that training saw: 0 to 1, told from 0.5 on */
   double load_kg;                        /* that the arm is taken to carry; 0: nothing */
+  int32_t load_phase;                    /* tauext_load_phase */
+  uint32_t unused_too;                   /* 0 */
+  int64_t load_found_ns;                 /* sample at which the last load that was expected was found; 0: none */
+  double load_error_kg;                  /* standard error of its mass */
+  double load_nm[TAUEXT_MAX_JOINTS];     /* [N m], what of tau_ext is taken for a load that is expected */
 } tauext_estimate;
 
 /* What the arm carries beside its own links, in the axes of tauext_monitor_load_frame(). */
@@ -195,6 +208,13 @@ tauext_status tauext_monitor_set_temperature(tauext_monitor* monitor, const doub
 tauext_status tauext_monitor_set_load(tauext_monitor* monitor, const tauext_load* load, int64_t since_ns);
 /* It carries nothing more. */
 tauext_status tauext_monitor_clear_load(tauext_monitor* monitor, int64_t since_ns);
+/* The gripper closes or opens: for so many seconds (60 at most) what the arm carries may become anything up to at_most_kg
+ * in all. What fits that is weighed, set and told (load_phase, load_found_ns); what does not is the usual alarm, at most
+ * about half a second late. TAUEXT_BAD_LOAD where tauext_monitor_why_not_expected says why. */
+tauext_status tauext_monitor_expect_load(tauext_monitor* monitor, double seconds, double at_most_kg);
+/* Writes why, cut to message_size; "" where it would be. Not for the loop. */
+tauext_status tauext_monitor_why_not_expected(const tauext_monitor* monitor, double seconds, double at_most_kg,
+                                              char* message, size_t message_size);
 /* The load that holds now. */
 tauext_status tauext_monitor_load(const tauext_monitor* monitor, tauext_load* load);
 /* Writes why such a load would be refused, cut to message_size; "" where it would be taken. Not for the loop. */

@@ -15,6 +15,7 @@ from tauext.monitor import (
     Chunk,
     DriftChange,
     FlightNews,
+    FoundLoad,
     HealthChange,
     LoadChange,
     StatusClock,
@@ -79,6 +80,8 @@ class JsonLines:
         where = {"row": change.row, **self._when(change.t_ns)}
         if isinstance(change, LoadChange):
             return "load", {**where, **load_facts(change.load), "by": change.by, "since_ns": change.since_ns}
+        if isinstance(change, FoundLoad):
+            return "load", {**where, "mass_kg": change.mass_kg, "mass_error_kg": change.error_kg, "by": "expected"}
         if isinstance(change, WeighChange):
             return "weigh", {**where, "what": change.what, "by": change.by, **found_facts(change)}
         joint = self._joints[change.joint] if change.joint >= 0 else None

@@ -19,6 +19,7 @@ from tauext.monitor import (
     Chunk,
     DriftChange,
     FlightNews,
+    FoundLoad,
     HealthChange,
     HiddenCollision,
     HiddenFinder,
@@ -77,6 +78,8 @@ class TextLines:
                 self._health(change)
             elif isinstance(change, LoadChange):
                 self._event(change.t_ns, load_change_words(change))
+            elif isinstance(change, FoundLoad):
+                self._event(change.t_ns, found_load_words(change))
             elif isinstance(change, WeighChange):
                 for words in weigh_words(change):
                     self._event(change.t_ns, words)
@@ -227,6 +230,12 @@ def unfamiliar_text(tally: Tally) -> str:
 def load_change_words(change: LoadChange) -> str:
     since = f" since {(change.t_ns - change.since_ns) * 1e-9:.3f} s" if change.since_ns is not None else ""
     return f"carries {load_words(change.load)}{since}" + (f", by {change.by}" if change.by else "")
+
+
+def found_load_words(change: FoundLoad) -> str:
+    if change.mass_kg == 0:
+        return "the load that was expected to go is gone: carries nothing"
+    return f"the load that was expected: carries {change.mass_kg:.2f} ± {max(change.error_kg, 0.005):.2f} kg"
 
 
 def weigh_words(change: WeighChange) -> list[str]:

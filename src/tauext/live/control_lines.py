@@ -15,6 +15,7 @@ from typing import TextIO
 from tauext.errors import ConfigError, TauextError
 from tauext.live.sink import USUAL_REACH_M, Control
 from tauext.monitor import load_and_ago_of_text
+from tauext.monitor.loads import expected_of_text
 
 LONGEST = 1000
 MOST_CONNECTIONS = 8
@@ -22,7 +23,10 @@ MOST_CONNECTIONS = 8
 UNHEARD_S = 5.0
 """One that has said nothing yet counts as silent for so much longer: several may come before a speaker's next line."""
 RETRY_S = 0.1
-USAGE = "`profile NAME`, `acknowledge`, `resume`, `load mass=KG com=X,Y,Z`, `load none`, `weigh [tell|stop]` or `stop`"
+USAGE = (
+    "`profile NAME`, `acknowledge`, `resume`, `load mass=KG com=X,Y,Z`, `load none`, `expect seconds=S at_most=KG`, "
+    "`weigh [tell|stop]` or `stop`"
+)
 
 
 def obey(line: str, control: Control, by: str) -> str:
@@ -38,6 +42,8 @@ def obey(line: str, control: Control, by: str) -> str:
         elif what == "load" and name.strip():
             load, ago_s = load_and_ago_of_text(name)
             control.set_load(load, by, ago_s)
+        elif what == "expect" and name.strip():
+            control.expect_load(expected_of_text(name), by)
         elif what == "weigh" and name.strip() in ("tell", "stop"):
             control.weigh(name.strip(), by)
         elif what == "weigh":

@@ -23,6 +23,7 @@ from tauext.live.sink import USUAL_REACH_M, LoopReport, Sink, Verdict
 from tauext.live.source import Sample, Source, SourceSettings
 from tauext.monitor import Change, LoadChange, WeighChange
 from tauext.monitor.changes import COLLISION, ChangeFinder
+from tauext.monitor.loads import Expected
 
 IDLE_S = 0.1
 """Requests are looked at this often while no sample comes."""
@@ -95,8 +96,11 @@ class Loop:
         self._requests: queue.SimpleQueue[tuple[str, str, str]] = queue.SimpleQueue()
         self._reaches: queue.SimpleQueue[float] = queue.SimpleQueue()
         self._loads: queue.SimpleQueue[tuple[_core.Load, float | None]] = queue.SimpleQueue()
+        self._expected: queue.SimpleQueue[Expected] = queue.SimpleQueue()
         for profile in profiles.by_name.values() if profiles else ():
             if profile.load is not None and (reason := self.monitor.why_no_load(profile.load)):
+                raise ConfigError(f"profile {profile.name}: {reason}")
+            if profile.expect is not None and (reason := self._why_not(profile.expect)):
                 raise ConfigError(f"profile {profile.name}: {reason}")
         self._changes = ChangeFinder()
         self._events = EventFinder(self.joints, {"bundle": bundle.name, "source": source.name})
@@ -131,6 +135,16 @@ class Loop:
             raise ConfigError(reason)
         self._loads.put((load, ago_s))
         self._requests.put(("load", "", by))
+
+    def expect_load(self, expected: Expected, by: str) -> None:
+        """The gripper closes or opens: Monitor.expect_load() before the next sample."""
+        if reason := self._why_not(expected):
+            raise ConfigError(reason)
+        self._expected.put(expected)
+        self._requests.put(("expect", "", by))
+
+    def _why_not(self, expected: Expected) -> str:
+        return self.monitor.why_not_expected(expected.seconds, expected.at_most_kg)
 
     def weigh(self, what: str, by: str, reach_m: float = USUAL_REACH_M) -> None:
         """Weigh what the arm carries, tell what was found so far, or end it: see Control."""
@@ -291,6 +305,8 @@ class Loop:
                 self._end_alarm(self.monitor.acknowledge)
             elif what == "load":
                 self._carry(*self._loads.get(), by)
+            elif what == "expect":
+                self._expect(self._expected.get(), by)
             elif what == "weigh":
                 self._weigh(name, self._reaches.get(), by)
             elif what == "resume":
@@ -307,8 +323,14 @@ class Loop:
         self.monitor.set_limit_factors(new.collision, new.contact)
         if new.load is not None:
             self._carry(new.load, None, f"profile {name}")
+        if new.expect is not None:
+            self._expect(new.expect, f"profile {name}")
         last_ns = self._last.t_ns if self._last else None
         self.switched(ProfileSwitch(last_ns, by, old.name if old else "", name))
+
+    def _expect(self, expected: Expected, by: str) -> None:
+        self.monitor.expect_load(expected.seconds, expected.at_most_kg)
+        self.note(f"a load of at most {expected.at_most_kg:g} kg is expected for {expected.seconds:g} s, by {by}")
 
     def _carry(self, load: _core.Load, ago_s: float | None, by: str) -> None:
         """As in replay() the change belongs to the next sample."""

@@ -14,6 +14,7 @@ from tauext.data.description_file import refuse_unknown
 from tauext.errors import ConfigError
 from tauext.live.toml_file import number, read_toml
 from tauext.monitor import load_of_table, load_of_text
+from tauext.monitor.loads import EXPECTED_KEYS, Expected, expected_of_table
 from tauext.monitor.loads import KEYS as LOAD_KEYS
 
 LEVELS = ("contact", "collision")
@@ -43,6 +44,9 @@ collision = { others = 1.5 }    # ... or one a joint, by its name; `others` stan
 # [profiles.carrying]
 # load = { mass = 2.8, com = [0.0, 0.0, 0.05] }   # kg, m: what the arm carries from then on, or "none"; a profile
 #                                                 # without load leaves it as it is
+
+# [profiles.grasping]
+# expect = { seconds = 3, at_most = 2.5 }         # the gripper closes: a load of at most 2.5 kg is no collision
 """
 
 
@@ -55,6 +59,8 @@ class Profile:
     collision: np.ndarray
     load: Load | None = None
     """That the arm carries from then on; None: it stays as it is."""
+    expect: Expected | None = None
+    """What the gripper is about to do; None: nothing."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +104,7 @@ def load_profiles(path: Path, joints: Sequence[str]) -> Profiles:
     found = {}
     for name, table in tables.items():
         where = f"profiles.{name}"
-        refuse_unknown(path, where, table, (*LEVELS, "load"))
+        refuse_unknown(path, where, table, (*LEVELS, "load", "expect"))
         if name != name.strip() or not name or any(character in name for character in "\r\n"):
             raise ConfigError(f"{path}: profile name {name!r} must be a word or words on one line")
         factors = {
@@ -106,7 +112,8 @@ def load_profiles(path: Path, joints: Sequence[str]) -> Profiles:
             for level in LEVELS
         }
         load = _load(path, where, table["load"]) if "load" in table else None
-        found[name] = Profile(name, factors["contact"], factors["collision"], load)
+        expect = _expected(path, where, table["expect"]) if "expect" in table else None
+        found[name] = Profile(name, factors["contact"], factors["collision"], load, expect)
     start = content.get("start", {})
     refuse_unknown(path, "start", start, ("profile",))
     first = start.get("profile", next(iter(found)))
@@ -123,6 +130,11 @@ def _load(path: Path, where: str, value: Any) -> Load:
             raise ConfigError(f"{path}: [{where}] {error}") from error
     refuse_unknown(path, f"{where}.load", value, LOAD_KEYS)
     return load_of_table(f"{path}: [{where}] load", value)
+
+
+def _expected(path: Path, where: str, value: Any) -> Expected:
+    refuse_unknown(path, f"{where}.expect", value, EXPECTED_KEYS)
+    return expected_of_table(f"{path}: [{where}] expect", value)
 
 
 def _factors(where: str, value: Any, joints: Sequence[str], lowest: float, highest: float) -> np.ndarray:

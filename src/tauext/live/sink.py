@@ -11,6 +11,7 @@ import numpy as np
 from tauext._core import Load
 from tauext.live.source import Sample, SourceCounts
 from tauext.monitor import Change
+from tauext.monitor.loads import Expected
 
 EventKind = Literal["collision", "contact", "fault", "cleared"]
 EVENT_KINDS: tuple[EventKind, ...] = ("collision", "contact", "fault", "cleared")
@@ -137,6 +138,14 @@ class Control(Protocol):
 
         Raises:
             ConfigError: the bundle takes no such load; says why.
+        """
+        ...
+
+    def expect_load(self, expected: Expected, by: str) -> None:
+        """The gripper closes or opens: Monitor.expect_load() before the next sample.
+
+        Raises:
+            ConfigError: the bundle expects no such load; says why.
         """
         ...
 

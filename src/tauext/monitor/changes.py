@@ -74,6 +74,18 @@ class LoadChange:
 
 
 @dataclass(frozen=True)
+class FoundLoad:
+    """A load that was expected was found at this sample, or weighed better: it is set."""
+
+    row: int
+    t_ns: int
+    mass_kg: float
+    """All that is carried now; 0: nothing more."""
+    error_kg: float
+    """Standard error of what came or went."""
+
+
+@dataclass(frozen=True)
 class WeighChange:
     """Just before this sample weighing began, ended, or somebody asked what it says."""
 
@@ -90,7 +102,7 @@ class WeighChange:
     """What was found until now; None where it begins."""
 
 
-Change = HealthChange | AlarmChange | DriftChange | LoadChange | WeighChange
+Change = HealthChange | AlarmChange | DriftChange | LoadChange | FoundLoad | WeighChange
 
 
 class ChangeFinder:
@@ -99,6 +111,7 @@ class ChangeFinder:
     def __init__(self) -> None:
         self._last = {"health": WARMING_UP, "causes": 0, "alarm": NONE}
         self._saturated: set[int] = set()
+        self._found_ns, self._told_kg, self._told_error_kg = 0, np.nan, np.nan
 
     def acknowledged(self, row: int, t_ns: int) -> AlarmChange:
         """The alarm was acknowledged just before this sample; one that stands at the sample was raised anew there."""
@@ -124,8 +137,24 @@ class ChangeFinder:
                 changes.append(HealthChange(row, t, health, int(before["health"][k]), causes, joint))
             if differs["alarm"][k]:
                 changes.append(self._alarm_change(row, t, k, int(before["alarm"][k]), said))
+        if "load_found_ns" in said:
+            changes += self._found(first_row, t_ns, said)
         changes += self._drift(first_row, t_ns, said["drift_saturated"])
         return sorted(changes, key=lambda change: change.row)
+
+    def _found(self, first_row: int, t_ns: np.ndarray, said: dict[str, np.ndarray]) -> list[FoundLoad]:
+        """The first of a window, and those that differ by more than the error told last."""
+        found_ns = said["load_found_ns"]
+        told: list[FoundLoad] = []
+        for k in np.flatnonzero(found_ns != np.append(self._found_ns, found_ns[:-1])).tolist():
+            kg, error_kg = float(said["load_kg"][k]), float(said["load_error_kg"][k])
+            before_ns = found_ns[k - 1] if k else self._found_ns
+            news = before_ns == 0 or not abs(kg - self._told_kg) <= self._told_error_kg
+            if found_ns[k] and (news or (kg == 0) != (self._told_kg == 0)):
+                told.append(FoundLoad(first_row + k, int(t_ns[k]), kg, error_kg))
+                self._told_kg, self._told_error_kg = kg, error_kg
+        self._found_ns = int(found_ns[-1])
+        return told
 
     def _drift(self, first_row: int, t_ns: np.ndarray, saturated: np.ndarray) -> list[DriftChange]:
         new = [j for j in np.flatnonzero(saturated.any(axis=0)).tolist() if j not in self._saturated]

@@ -16,6 +16,8 @@ from tauext.plain_file import read_text, toml_of
 
 KEYS = ("mass", "com", "inertia", "error")
 USAGE = "none, or mass=KG com=X,Y,Z inertia=XX,YY,ZZ,XY,XZ,YZ error=SHARE; mass alone has to be there"
+EXPECTED_KEYS = ("seconds", "at_most")
+EXPECTED_USAGE = "seconds=S at_most=KG: for how long, and the most that may be carried then"
 NOTHING = Load()
 MOST_AGO_S = 1e6
 
@@ -27,6 +29,40 @@ class TimedLoad:
     from_s: float
     """Since the recording's first sample, [s]: it is set before the first sample that is not earlier."""
     load: Load
+
+
+@dataclass(frozen=True)
+class Expected:
+    """The gripper's word: for so long, what the arm carries may become anything up to that."""
+
+    seconds: float
+    at_most_kg: float
+
+
+def expected_of_text(text: str) -> Expected:
+    """What a line says: `seconds=3 at_most=2.5`.
+
+    Raises:
+        ConfigError: says what is wrong and how it is written.
+    """
+    where = f"expect {text.strip()[:80]!r}"
+    head, *rest = re.split(r"(?:^|(?<=[\s,]))([a-z_]+)\s*=", text.strip())
+    if head.strip(" ,\t") or len(rest) != 4:
+        raise ConfigError(f"{where} cannot be read; it is {EXPECTED_USAGE}")
+    return expected_of_table(
+        where, {key: value.strip(" ,\t") for key, value in zip(rest[::2], rest[1::2], strict=True)}
+    )
+
+
+def expected_of_table(where: str, table: Mapping[str, Any]) -> Expected:
+    """The same of a table.
+
+    Raises:
+        ConfigError: names the key, the value and the rule.
+    """
+    if set(table) != set(EXPECTED_KEYS):
+        raise ConfigError(f"{where}: has {', '.join(table) or 'nothing'}; it is {EXPECTED_USAGE}")
+    return Expected(*(_number(f"{where}: {key}", table[key]) for key in EXPECTED_KEYS))
 
 
 def load_of_text(text: str) -> Load:

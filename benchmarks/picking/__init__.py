@@ -1,0 +1,1 @@
+"""Picks and places of simulated arms, and collisions while one is expected."""

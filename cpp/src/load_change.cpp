@@ -1,0 +1,178 @@
+#include "tauext/load_change.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+namespace tauext {
+namespace {
+
+constexpr double kDensity = 2700;    // aluminium, [kg/m^3]
+constexpr double kLeastKg = 0.1;     // the reach of a lighter load counts as this one's: else nothing could begin to show
+constexpr double kNothing = 1e-6;    // information about the mass before any row, [1/kg^2]: invertible, and no more
+constexpr double kSameSigmas = 9;    // squared: three standard errors
+
+using Matrix = std::array<double, 16>;
+
+// Lower Cholesky factor in place of a symmetric positive definite matrix, of its rows and columns from `first` on.
+void factor(Matrix& a, std::size_t first) noexcept {
+  for (std::size_t j = first; j < 4; ++j) {
+    for (std::size_t k = first; k < j; ++k) a[5 * j] -= a[4 * j + k] * a[4 * j + k];
+    a[5 * j] = std::sqrt(std::max(a[5 * j], 1e-300));
+    for (std::size_t i = j + 1; i < 4; ++i) {
+      for (std::size_t k = first; k < j; ++k) a[4 * i + j] -= a[4 * i + k] * a[4 * j + k];
+      a[4 * i + j] /= a[5 * j];
+    }
+  }
+}
+
+LoadChange solved(const Matrix& lower, LoadChange b, std::size_t first) noexcept {
+  for (std::size_t i = first; i < 4; ++i) {
+    for (std::size_t k = first; k < i; ++k) b[i] -= lower[4 * i + k] * b[k];
+    b[i] /= lower[5 * i];
+  }
+  for (std::size_t i = 4; i-- > first;) {
+    for (std::size_t k = i + 1; k < 4; ++k) b[i] -= lower[4 * k + i] * b[k];
+    b[i] /= lower[5 * i];
+  }
+  return b;
+}
+
+Matrix with_prior(const Matrix& gram, double mass_kg, double reach_m) noexcept {
+  Matrix a = gram;
+  const double size = std::max(std::fabs(mass_kg), kLeastKg) * reach_m / 2;
+  a[0] += kNothing;
+  for (std::size_t i = 1; i < 4; ++i) a[5 * i] += 1 / (size * size);
+  return a;
+}
+
+Matrix inverse(Matrix a) noexcept {
+  factor(a, 0);
+  Matrix out;
+  for (std::size_t i = 0; i < 4; ++i) {
+    LoadChange unit{};
+    unit[i] = 1;
+    std::ranges::copy(solved(a, unit, 0), out.begin() + static_cast<std::ptrdiff_t>(4 * i));
+  }
+  return out;
+}
+
+double quadratic(const Matrix& a, const LoadChange& x) noexcept {
+  double sum = 0;
+  for (std::size_t i = 0; i < 4; ++i)
+    for (std::size_t k = 0; k < 4; ++k) sum += x[i] * a[4 * i + k] * x[k];
+  return sum;
+}
+
+// The best one with the prior of this mass.
+LoadChange best(const Matrix& gram, const LoadChange& moment, const LoadBounds& bounds, double mass_kg) noexcept {
+  const Matrix a = with_prior(gram, mass_kg, bounds.reach_m);
+  Matrix lower = a;
+  factor(lower, 0);
+  LoadChange x = solved(lower, moment, 0);
+  const double mass = std::clamp(x[0], bounds.low_kg, bounds.high_kg);
+  if (mass == 0) return {};
+  if (mass != x[0]) {
+    LoadChange rest = moment;
+    for (std::size_t i = 1; i < 4; ++i) rest[i] -= a[4 * i] * mass;
+    lower = a;
+    factor(lower, 1);
+    x = solved(lower, rest, 1);
+    x[0] = mass;
+  }
+  const double far = std::sqrt(x[1] * x[1] + x[2] * x[2] + x[3] * x[3]), reach = std::fabs(mass) * bounds.reach_m;
+  if (far > reach)
+    for (std::size_t i = 1; i < 4; ++i) x[i] *= reach / far;
+  return x;
+}
+
+}  // namespace
+
+void ChangeSums::add(const LoadRegressor::Columns& load, std::span<const double> torque, std::span<const double> inertia,
+                   std::span<const double> sigma_nm) noexcept {
+  for (std::size_t j = 0; j < torque.size(); ++j) {
+    const double weight = 1 / (sigma_nm[j] * sigma_nm[j]), y = torque[j] - inertia[j];
+    for (std::size_t i = 0; i < 4; ++i) {
+      const double x = weight * load[i][j];
+      for (std::size_t k = 0; k < 4; ++k) gram[4 * i + k] += x * load[k][j];
+      moment[i] += x * y;
+    }
+    squares += weight * y * y;
+  }
+  rows += static_cast<double>(torque.size());
+}
+
+void ChangeSums::add(const ChangeSums& other) noexcept {
+  for (std::size_t i = 0; i < 16; ++i) gram[i] += other.gram[i];
+  for (std::size_t i = 0; i < 4; ++i) moment[i] += other.moment[i];
+  squares += other.squares;
+  rows += other.rows;
+}
+
+double ChangeSums::left(const LoadChange& change) const noexcept {
+  double sum = squares + quadratic(gram, change);
+  for (std::size_t i = 0; i < 4; ++i) sum -= 2 * moment[i] * change[i];
+  return std::max(sum, 0.0);
+}
+
+double ChangeSums::size(const LoadChange& change) const noexcept { return quadratic(gram, change); }
+
+LoadChange ChangeSums::solve(const LoadBounds& bounds, const LoadChange& near) const noexcept {
+  return best(gram, moment, bounds, near[0]);
+}
+
+std::array<double, 16> ChangeSums::covariance(const LoadBounds& bounds, const LoadChange& near,
+                                              double alike) const noexcept {
+  Matrix a = gram;
+  for (double& value : a) value /= alike;
+  return inverse(with_prior(a, near[0], bounds.reach_m));
+}
+
+bool agree(const ChangeSums& one, const ChangeSums& other, const LoadBounds& bounds, const LoadChange& near,
+           double alike) noexcept {
+  LoadChange apart = one.solve(bounds, near);
+  const LoadChange from = other.solve(bounds, near);
+  for (std::size_t i = 0; i < 4; ++i) apart[i] -= from[i];
+  Matrix covariance = inverse(with_prior(one.gram, near[0], bounds.reach_m));
+  const Matrix more = inverse(with_prior(other.gram, near[0], bounds.reach_m));
+  for (std::size_t i = 0; i < 16; ++i) covariance[i] = alike * (covariance[i] + more[i]);
+  factor(covariance, 0);
+  const LoadChange half = solved(covariance, apart, 0);
+  double squared = 0;
+  for (std::size_t i = 0; i < 4; ++i) squared += half[i] * apart[i];
+  return squared <= kSameSigmas;
+}
+
+std::array<double, 10> ten_of(const LoadChange& change) noexcept {
+  const double mass = change[0];
+  if (mass == 0) return {};
+  const double x = change[1] / mass, y = change[2] / mass, z = change[3] / mass;
+  const double radius = std::cbrt(3 * std::fabs(mass) / (4 * std::numbers::pi * kDensity)), ball = 0.4 * radius * radius;
+  return {mass, change[1], change[2], change[3], mass * (ball + y * y + z * z), mass * (ball + x * x + z * z),
+          mass * (ball + x * x + y * y), -mass * x * y, -mass * x * z, -mass * y * z};
+}
+
+Load changed(const Load& before, const LoadChange& change) noexcept {
+  const std::array<double, 10> more = ten_of(change);
+  const double mass = before.mass + change[0];
+  Load load;
+  if (!(mass > 0)) return load;
+  load.mass = mass;
+  for (std::size_t i = 0; i < 3; ++i) load.com[i] = (before.mass * before.com[i] + change[i + 1]) / mass;
+  const double share = change[0] < 0 && before.mass > 0 ? mass / before.mass : 1.0;
+  load.inertia = before.inertia;
+  for (double& value : load.inertia) value *= share;
+  if (change[0] < 0) return load;  // what is left of a body: nobody knows how it is spread, and as before is possible
+  // Both about the frame's origin, and back to the centre of mass of the two.
+  const auto shift = [&load](const std::array<double, 3>& c, double m) noexcept {
+    const double square = c[0] * c[0] + c[1] * c[1] + c[2] * c[2];
+    constexpr std::size_t row[] = {0, 1, 2, 0, 0, 1}, column[] = {0, 1, 2, 1, 2, 2};
+    for (std::size_t k = 0; k < 6; ++k) load.inertia[k] += m * ((k < 3 ? square : 0.0) - c[row[k]] * c[column[k]]);
+  };
+  shift(before.com, before.mass);
+  for (std::size_t k = 0; k < 6; ++k) load.inertia[k] += more[k + 4];
+  shift(load.com, -mass);
+  return load;
+}
+
+}  // namespace tauext

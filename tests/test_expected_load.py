@@ -1,0 +1,178 @@
+"""The gripper's word: a step that fits a load is weighed and set, and told; what does not fit is a collision."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_live import Keeper, ScriptedSource, samples_of
+from trees import six_axis, urdf
+
+from tauext import _core
+from tauext._core import Load, LoadPhase
+from tauext.cli.run_text import found_load_words
+from tauext.config import ObserverConfig
+from tauext.data import Recording
+from tauext.errors import ConfigError
+from tauext.learn import build_setup, make_bundle
+from tauext.live import Loop
+from tauext.live.control_lines import obey
+from tauext.live.profiles import load_profiles
+from tauext.monitor import FoundLoad
+from tauext.monitor.changes import ChangeFinder
+from tauext.monitor.loads import Expected, expected_of_text
+from tauext.robot import load_tree
+
+PICKED, SAMPLES = 2500, 6500
+MASS = 1.6
+LIMITS = [6.0, 6.0, 5.0, 1.5, 1.5, 1.5]
+COLLISION = 2
+
+
+def drive_torque(tree: _core.Tree, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
+    """Averages over the steps of what the drives exert."""
+    p, beta = tree.momentum(q, dq)
+    mean = np.vstack([beta[:1], 0.5 * (beta[1:] + beta[:-1])])
+    return mean + np.vstack([np.zeros((1, 6)), np.diff(p, axis=0) / 1e-3])
+
+
+@pytest.fixture(scope="module")
+def arm(empty):
+    """A bundle that knows the empty arm exactly, and its motion as it picks up MASS."""
+    tree = empty
+    rng = np.random.default_rng(4)
+    t = np.arange(SAMPLES) * 1e-3
+    size, speed, phase = rng.uniform(0.3, 0.9, (1, 6)), rng.uniform(0.8, 2.2, (1, 6)), rng.uniform(0, 6, (1, 6))
+    q, dq = size * np.sin(speed * t[:, None] + phase), size * speed * np.cos(speed * t[:, None] + phase)
+    tau = drive_torque(tree, q, dq)
+    joints = tuple(link.joint_name for link in tree.links)
+    free = Recording("picks", joints, np.round(t * 1e9).astype(np.int64), q, dq, tau, 1000.0, "averaged", "t", "5" * 64)
+    bundle = make_bundle("six", build_setup(tree, free, ObserverConfig(window_s=0.1)), 0.02, free)
+    bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = LIMITS
+    bundle.contact_sliding_limit_nm = bundle.contact_near_stiction_limit_nm = LIMITS
+    links = tree.links
+    at = bundle.load_settings
+    links[at.link] = at.merged(Load(MASS, [0.03, -0.02, 0.06]), links[at.link])
+    tau = tau.copy()
+    tau[PICKED + 1 :] = drive_torque(_core.Tree(links, tree.gravity), q, dq)[PICKED + 1 :]
+    return bundle, replace(free, tau=tau)
+
+
+@pytest.fixture(scope="module")
+def empty(tmp_path_factory):
+    path = tmp_path_factory.mktemp("arm") / "six.urdf"
+    path.write_text(urdf(six_axis()))
+    return load_tree(path)
+
+
+def rows(recording: Recording, begin: int, end: int | None) -> list[np.ndarray]:
+    whole = (recording.t_ns, recording.q, recording.dq, recording.tau)
+    return [np.ascontiguousarray(a[begin:end]) for a in whole]
+
+
+def test_a_load_that_is_expected_is_weighed_and_set_and_one_that_is_not_is_a_collision(arm):
+    bundle, picks = arm
+    untold = _core.Monitor(bundle).run(*rows(picks, 0, None))
+    assert (untold["alarm"][:PICKED] == 0).all() and untold["alarm"][PICKED + 100] == COLLISION
+    monitor = _core.Monitor(bundle)
+    monitor.run(*rows(picks, 0, PICKED - 200))
+    monitor.expect_load(2.0, 3.0)
+    said = monitor.run(*rows(picks, PICKED - 200, None))
+    assert (said["alarm"] == 0).all()
+    phases = [LoadPhase(phase).name for phase in dict.fromkeys(said["load_phase"].tolist())]
+    assert phases == ["expecting", "deciding", "found", "weighing"]
+    assert monitor.load.mass == pytest.approx(MASS, rel=0.03)
+    assert 0 < monitor.last.load_error_kg < 0.2
+    assert picks.t_ns[PICKED] < monitor.last.load_found_ns
+    # what is left out of the alarm is the load, and nothing once it is set
+    deciding = said["load_phase"] == LoadPhase.deciding.value
+    left = np.abs(said["tau_ext"] - said["load_nm"])[deciding]
+    assert (np.abs(said["tau_ext"])[deciding] > LIMITS).any() and (left < 0.3 * np.array(LIMITS)).all()
+    assert np.abs(said["load_nm"][-1]).max() == 0
+
+
+def test_a_push_within_the_window_is_a_collision(arm, empty):
+    bundle, picks = arm
+    pushed = picks.tau.copy()
+    pushed[PICKED:] = drive_torque(empty, picks.q, picks.dq)[PICKED:]
+    pushed[PICKED : PICKED + 300, 0] -= 20.0  # about the first axis alone: no load does that
+    monitor = _core.Monitor(bundle)
+    recording = replace(picks, tau=pushed)
+    monitor.run(*rows(recording, 0, PICKED - 200))
+    monitor.expect_load(2.0, 3.0)
+    said = monitor.run(*rows(recording, PICKED - 200, None))
+    raised = np.flatnonzero(said["alarm"] == COLLISION)
+    assert 200 < raised[0] < 300 and monitor.load.mass == 0
+
+
+@pytest.mark.parametrize(
+    ("seconds", "at_most", "words"),
+    [(0.0, 1.0, "60 s"), (61.0, 1.0, "60 s"), (1.0, 1e4, "must be 0 to"), (1, -1, "-1")],
+)
+def test_what_is_refused_says_why(arm, seconds, at_most, words):
+    monitor = _core.Monitor(arm[0])
+    with pytest.raises(_core.CoreError, match=words):
+        monitor.expect_load(seconds, at_most)
+    assert words in monitor.why_not_expected(seconds, at_most) and monitor.why_not_expected(1.0, 1.0) == ""
+
+
+def test_a_line_of_text_says_what_is_expected():
+    assert expected_of_text("seconds=3 at_most=2.5") == Expected(3.0, 2.5)
+    assert expected_of_text("at_most = 2, seconds = 1") == Expected(1.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "3 2.5", "seconds=3", "seconds=3 at_most=x", "seconds=3 kg=2", "seconds=3 seconds=3"]
+)
+def test_a_line_that_says_none_is_refused(text):
+    with pytest.raises(ConfigError, match="expect"):
+        expected_of_text(text)
+
+
+def test_a_live_monitor_is_told_by_a_line_and_tells_what_was_found(arm):
+    bundle, picks = arm
+    said: list[str] = []
+
+    def ask(verdict):
+        if verdict.row == PICKED - 200:
+            said.append(obey("expect seconds=99 at_most=3", keeper.control, "a line"))
+            said.append(obey("expect seconds=2 at_most=3", keeper.control, "a line"))
+
+    keeper = Keeper(ask)
+    Loop(bundle, ScriptedSource(samples_of(picks, slice(0, SAMPLES))), [keeper]).run()
+    assert said[0].startswith("error: a load can be expected for 60 s") and said[1] == "ok"
+    told = [change for change in keeper.changes if isinstance(change, FoundLoad)]
+    assert 1 <= len(told) <= 4 and told[-1].mass_kg == pytest.approx(MASS, abs=2 * told[-1].error_kg)
+    assert PICKED < told[0].row < PICKED + 1000
+    assert all(verdict.said["alarm"][0] == 0 for verdict in keeper.verdicts)
+    assert found_load_words(told[0]).startswith("the load that was expected: carries 1.")
+    assert "carries nothing" in found_load_words(FoundLoad(0, 0, 0.0, 0.1))
+
+
+def test_a_profile_says_what_is_expected(arm, tmp_path):
+    bundle, picks = arm
+    text = "[bounds]\nlowest = 1.0\nhighest = 3.0\n[profiles.usual]\n[profiles.grasping]\n"
+    path = tmp_path / "profiles.toml"
+    path.write_text(text + "expect = { seconds = 2, at_most = 3.0 }\n")
+    keeper = Keeper(lambda verdict: verdict.row == PICKED - 200 and keeper.control.use_profile("grasping", "test"))
+    profiles = load_profiles(path, picks.joints)
+    Loop(bundle, ScriptedSource(samples_of(picks, slice(0, PICKED + 800))), [keeper], profiles=profiles).run()
+    assert any(isinstance(change, FoundLoad) for change in keeper.changes)
+    path.write_text(text + "expect = { seconds = 99, at_most = 3.0 }\n")
+    with pytest.raises(ConfigError, match="profile grasping: a load can be expected for 60 s"):
+        Loop(bundle, ScriptedSource([]), profiles=load_profiles(path, picks.joints))
+    path.write_text(text + "expect = { seconds = 2 }\n")
+    with pytest.raises(ConfigError, match="at_most=KG"):
+        load_profiles(path, picks.joints)
+
+
+def test_only_what_is_news_is_told_of_a_load_that_is_weighed_on():
+    said = {
+        "health": np.full(6, 1), "causes": np.zeros(6, int), "alarm": np.zeros(6, int),
+        "cause_joint": np.full(6, -1), "drift_saturated": np.zeros((6, 1), bool),
+        "load_found_ns": np.array([0, 2, 3, 4, 5, 5]), "load_error_kg": np.array([0, 0.2, 0.2, 0.1, 0.1, 0.1]),
+        "load_kg": np.array([0, 1.0, 1.1, 1.5, 1.5, 1.5]),
+    }  # fmt: skip
+    told = [change for change in ChangeFinder().find(0, np.arange(6), said) if isinstance(change, FoundLoad)]
+    assert [(one.row, one.mass_kg) for one in told] == [(1, 1.0), (3, 1.5)]

@@ -19,7 +19,8 @@ import numpy as np
 from tauext import __version__
 from tauext.demo.arms import ARMS
 from tauext.demo.bundles import LESSONS, cache_folder, find_or_train_bundles
-from tauext.demo.simulation import Event, Simulation
+from tauext.demo.simulation import Simulation
+from tauext.demo.snapshot import Event
 
 PULLS_M = 0.12, 0.25
 """About 30 and 60 N."""

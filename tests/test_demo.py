@@ -376,6 +376,11 @@ def test_the_simulation_runs_in_a_process_that_ends_with_its_pipe(trained):
     assert pipe.poll(30)
     snapshot = pipe.recv()
     assert snapshot.method == "tauext" and snapshot.poses.shape == (2, 7)
+    pipe.send(("hold", 2.0, True))  # the rig has no hand; it goes on
+    pipe.send((workers.RECENT,))
+    assert pipe.poll(30)
+    stretch = pipe.recv()
+    assert stretch.q.shape == (len(stretch.t_ns), 2) and (np.diff(stretch.t_ns) == 1_000_000).all()
     pipe.close()
     process.join(10)
     assert process.exitcode == 0

@@ -8,12 +8,15 @@ import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from made_demo import SHORT
 from page_mouse import CHROMIUM, PATIENCE_S, drag, on_screen, open_pages, until
 
+from tauext.demo.hand import Held
+from tauext.demo.hand_panel import GIVE, TAKE, HandPanel
 from tauext.demo.page import Session, free_port, open_server
 
 viser = pytest.importorskip("viser", reason="the page needs the extra tauext[live]")
@@ -80,6 +83,32 @@ def test_another_arm_or_model_error_is_taken_up(session):
     session._choose_arm("seven")
     wait_for(lambda: not session._process.is_alive())
     assert not list(session._cache.glob("*.part-*"))  # of the training that was cut off
+
+
+def test_the_hands_button_puts_a_weight_in_and_takes_it_out():
+    server, sent = open_server("127.0.0.1", free_port("127.0.0.1", 9560)), []
+
+    def send(*words):
+        sent.append(words)
+
+    try:
+        hand = HandPanel(server.gui, send)
+        assert (hand._button.label, hand._move_on.visible) == (GIVE, False)
+        hand._mass.value, hand._tell.value = 1.5, True
+        hand._press(send)
+        hand.show(told(Held(1.5, 3.0, True, "")), "Fits a load of 1.50 ± 0.02 kg.")
+        assert (hand._button.label, hand._move_on.visible, hand._mass.disabled) == (TAKE, True, True)
+        assert "Fits a load of 1.50" in hand._words._content and "knows of 1.5 kg" in hand._words._content
+        hand._press(send)
+        hand.show(told(None), "")
+        assert (hand._button.label, hand._mass.disabled, hand._words._content) == (GIVE, False, "")
+    finally:
+        server.stop()
+    assert sent == [("hold", 1.5, True), ("let_go",)]
+
+
+def told(held):
+    return SimpleNamespace(held=held, doing="moving")
 
 
 @pytest.mark.parametrize("after_s", [0.0, 2.5])

@@ -6,6 +6,7 @@
 
 #include "expected_load_parts.hpp"
 #include "tauext/bundle.hpp"
+#include "tauext/load_found.hpp"
 
 namespace tauext {
 
@@ -50,7 +51,7 @@ bool ExpectedLoad::start(double seconds, double at_most_kg, const Load& carried,
   state_.phase = LoadPhase::expecting;
   state_.seconds = seconds;
   state_.carried = carried;
-  state_.carried_ten = ten_of_load(carried);
+  state_.carried_ten = parameters_of(carried);
   state_.bounds = {-carried.mass, std::max(at_most_kg - carried.mass, 0.0), std::min(kReach_m, settings_.largest_reach_m)};
   columns_.reset();
   usual_.restore(alarm.state());
@@ -122,7 +123,7 @@ void ExpectedLoad::fit(std::span<const double> tau_ext, std::span<double> explai
   JointVector shown, inertia, sigma;
   for (std::size_t j = 0; j < n; ++j) {
     if (!(s.limit_nm[j] > 0)) return;
-    sigma[j] = kSigmaShare * s.limit_nm[j];
+    sigma[j] = kSigmaOfLimit * s.limit_nm[j];
     shown[j] = tau_ext[j] + torque(columns, told, j);
     inertia[j] = torque(columns, before, j, 4);
   }

@@ -2,17 +2,21 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numbers>
+
+#include "tauext/load_found.hpp"
 
 namespace tauext {
 namespace {
 
-constexpr double kDensity = 2700;    // aluminium, [kg/m^3]
 constexpr double kLeastKg = 0.1;     // the reach of a lighter load counts as this one's: else nothing could begin to show
 constexpr double kNothing = 1e-6;    // information about the mass before any row, [1/kg^2]: invertible, and no more
 constexpr double kSameSigmas = 9;    // squared: three standard errors
 
 using Matrix = std::array<double, 16>;
+
+std::array<double, 3> com_of(const LoadChange& change) noexcept {
+  return {change[1] / change[0], change[2] / change[0], change[3] / change[0]};
+}
 
 // Lower Cholesky factor in place of a symmetric positive definite matrix, of its rows and columns from `first` on.
 void factor(Matrix& a, std::size_t first) noexcept {
@@ -144,34 +148,26 @@ bool agree(const ChangeSums& one, const ChangeSums& other, const LoadBounds& bou
 }
 
 std::array<double, 10> ten_of(const LoadChange& change) noexcept {
-  const double mass = change[0];
-  if (mass == 0) return {};
-  const double x = change[1] / mass, y = change[2] / mass, z = change[3] / mass;
-  const double radius = std::cbrt(3 * std::fabs(mass) / (4 * std::numbers::pi * kDensity)), ball = 0.4 * radius * radius;
-  return {mass, change[1], change[2], change[3], mass * (ball + y * y + z * z), mass * (ball + x * x + z * z),
-          mass * (ball + x * x + y * y), -mass * x * y, -mass * x * z, -mass * y * z};
+  if (change[0] == 0) return {};
+  LoadParameters ten = parameters_of(ball(std::fabs(change[0]), com_of(change)));
+  if (change[0] < 0)
+    for (double& value : ten) value = -value;
+  return ten;
 }
 
 Load changed(const Load& before, const LoadChange& change) noexcept {
-  const std::array<double, 10> more = ten_of(change);
-  const double mass = before.mass + change[0];
   Load load;
+  const double mass = before.mass + change[0];
   if (!(mass > 0)) return load;
-  load.mass = mass;
-  for (std::size_t i = 0; i < 3; ++i) load.com[i] = (before.mass * before.com[i] + change[i + 1]) / mass;
-  const double share = change[0] < 0 && before.mass > 0 ? mass / before.mass : 1.0;
-  load.inertia = before.inertia;
-  for (double& value : load.inertia) value *= share;
-  if (change[0] < 0) return load;  // what is left of a body: nobody knows how it is spread, and as before is possible
-  // Both about the frame's origin, and back to the centre of mass of the two.
-  const auto shift = [&load](const std::array<double, 3>& c, double m) noexcept {
-    const double square = c[0] * c[0] + c[1] * c[1] + c[2] * c[2];
-    constexpr std::size_t row[] = {0, 1, 2, 0, 0, 1}, column[] = {0, 1, 2, 1, 2, 2};
-    for (std::size_t k = 0; k < 6; ++k) load.inertia[k] += m * ((k < 3 ? square : 0.0) - c[row[k]] * c[column[k]]);
-  };
-  shift(before.com, before.mass);
-  for (std::size_t k = 0; k < 6; ++k) load.inertia[k] += more[k + 4];
-  shift(load.com, -mass);
+  if (change[0] > 0) {
+    load = together(before, ball(change[0], com_of(change)));
+  } else {  // what is left of a body: nobody knows how it is spread, and as before is possible
+    load = before;
+    load.mass = mass;
+    for (std::size_t i = 0; i < 3; ++i) load.com[i] = (before.mass * before.com[i] + change[i + 1]) / mass;
+    for (double& value : load.inertia) value *= mass / before.mass;
+  }
+  load.error_share = Load::kUsualError;
   return load;
 }
 

@@ -38,11 +38,6 @@ std::array<double, 6> about_origin(double m, const Vec3& c) noexcept {
           -m * c[0] * c[1],                -m * c[0] * c[2],                -m * c[1] * c[2]};
 }
 
-Load ball(double mass, const Vec3& com) noexcept {
-  const double radius = std::cbrt(3 * mass / (4 * std::numbers::pi * kDensity)), own = 0.4 * mass * radius * radius;
-  return {mass, com, {own, own, own, 0, 0, 0}, 0};
-}
-
 // Drawn to the origin as far as the reach asks.
 Vec3 within(const Vec3& com, double reach_m) noexcept {
   const double share = std::min(1.0, reach_m / std::max(length(com), 1e-12));
@@ -129,6 +124,11 @@ double error_share(const LoadFound& found, double mass_kg) noexcept {
 }
 
 }  // namespace
+
+Load ball(double mass, const Vec3& com) noexcept {
+  const double radius = std::cbrt(3 * mass / (4 * std::numbers::pi * kDensity)), own = 0.4 * mass * radius * radius;
+  return {mass, com, {own, own, own, 0, 0, 0}, 0};
+}
 
 const char* name(LoadVerdict verdict) noexcept {
   constexpr const char* names[] = {"too little", "nothing", "load", "contact", "lifts", "unclear"};

@@ -86,7 +86,7 @@ void Weighing::look(const Sample& sample, const Observed& observed, const Estima
     const bool near = estimate.near_stiction >> j & 1;
     const double limit = limits_.limit_nm(limits_.collision, static_cast<int>(j), near);
     const double sigma = has_sigma_ ? estimate.sigma_nm[j]
-                                    : kSigmaShare * (estimate.limit_scale[j] * limit + estimate.doubt[j]);
+                                    : kSigmaOfLimit * (estimate.limit_scale[j] * limit + estimate.doubt[j]);
     sigma_nm_[j] = std::max(sigma, kLeastSigma);
     tau_ext_[j] = estimate.tau_ext[j];
   }

@@ -50,7 +50,6 @@ class ExpectedLoad {
   static constexpr double kDecide_s = 0.5;   // settling takes two stretches; as much again for what moves about
   static constexpr double kLongest_s = 2.5;  // a table that lets go in 1.5 s, and the decision
   static constexpr double kReach_m = 0.3;    // of a load's centre of mass from the frame's origin
-  static constexpr double kSigmaShare = 0.2;  // of a limit: the standard error that it stands for
   static constexpr double kPoor = 4;         // squared sigmas a row that a load may leave: twice the usual error
   static constexpr double kUnexplained = 0.5;   // of what shows: a load explains more than half
   static constexpr double kRest = 0.1;       // of a load: what may be left, within its error, and is taken for nothing

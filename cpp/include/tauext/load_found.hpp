@@ -31,6 +31,8 @@ enum class LoadVerdict : std::uint8_t {
 const char* name(LoadVerdict verdict) noexcept;
 inline constexpr int kLeastLoadRows = 30;  // three tenths of a second
 
+inline constexpr double kSigmaOfLimit = 0.2;  // where there is no error scale, whose limits are some five of it
+
 // Lengths and axes of the load frame. Numbers without `load` are of what was found BESIDE the load that is set.
 struct LoadFound {
   LoadVerdict verdict = LoadVerdict::too_little;
@@ -69,6 +71,8 @@ LoadParameters beside(const std::array<double, 4>& found, const Load& set, doubl
 LoadParameters parameters_of(const Load& load) noexcept;
 // Of such parameters, mass above 0; else no load.
 Load load_of(const LoadParameters& phi, double error_share) noexcept;
+// A body of this mass above 0 as a ball of aluminium: its inertia is little beside m c^2. It has no error.
+Load ball(double mass, const std::array<double, 3>& com) noexcept;
 // Two bodies as one; the error share is that of their torques where they pull alike.
 Load together(const Load& a, const Load& b) noexcept;
 

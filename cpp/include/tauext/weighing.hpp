@@ -20,7 +20,6 @@ class Weighing {
  public:
   static constexpr int kRefreshRows = 10;
   static constexpr double kStand_s = 0.5;       // what holds a standing joint does not change: a stand tells as much as this of sliding
-  static constexpr double kSigmaShare = 0.2;    // of a limit: sigma where there is no error scale, whose limits are some five of it
   static constexpr double kOffsetShare = 0.07, kCoulombShare = 0.2;  // of the most that drift may be: see LoadBefore
 
   // The bundle names a load's frame, and r is the momentum observer's without filters.

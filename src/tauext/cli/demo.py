@@ -29,7 +29,8 @@ def demo(
         host: address to listen on. 0.0.0.0: everyone in the network may push.
         seed: seed of motion, noise and training.
         open: open the page in a browser.
-        headless_seconds: show no page, simulate so many seconds with scripted pushes, and print what was found.
+        headless_seconds: show no page, simulate so many seconds with scripted pushes, then a weight in the hand of the
+            seven-axis arm, and print what was found.
     """
     from tauext.demo.bundles import cache_folder
 
@@ -46,15 +47,18 @@ def demo(
 
 
 def headless(arm_name: str, seconds: float, seed: int) -> str:
-    """What was found in so many seconds with scripted pushes."""
+    """What was found in so many seconds with scripted pushes, and of a weight in the hand where the arm has one."""
     from tauext.demo.arms import ARMS
     from tauext.demo.bundles import LESSONS, cache_folder, find_or_train_bundles
     from tauext.demo.headless import describe, scripted_pushes
+    from tauext.demo.headless_weight import carried_weights, describe_weights
 
     arm = ARMS[arm_name]()
     with TrainingBar() as bar:
         bundles = find_or_train_bundles(arm, "exact", LESSONS[arm_name], seed, cache_folder(), bar.report)
-    return describe(*scripted_pushes(arm, bundles, seconds, seed), arm)
+    pushes = describe(*scripted_pushes(arm, bundles, seconds, seed), arm)
+    weights = describe_weights(carried_weights(arm, bundles, seed), arm, bundles)
+    return f"{pushes}\n{weights}" if weights else pushes
 
 
 class TrainingBar:

@@ -56,7 +56,7 @@ def load(
         raise ConfigError("--out and --known-com-m need --known-kg: without a known weight there is nothing to set")
     from tauext.cli.run import fitting_bundle
     from tauext.data import load_recording
-    from tauext.load import between, load_frame, see
+    from tauext.load import between, expect_weighable, load_frame, see
 
     loaded = fitting_bundle(bundle, recordings)
     expect_weighable(loaded)
@@ -68,19 +68,6 @@ def load(
         from tauext.cli.load_known import set_constants
 
         set_constants(loaded, bundle, where, parts, known_kg, known_com_m, reach_m, out, as_json)
-
-
-def expect_weighable(bundle: Bundle) -> None:
-    """Raise ConfigError where tau_ext is no torque of the joint that a weight could be read from."""
-    if bundle.observer.method.name != "momentum":
-        raise ConfigError(
-            f"bundle '{bundle.name}' follows the {bundle.observer.method.name} residual; a load is weighed by the "
-            "momentum observer's (recipes tauext, prior, friction, observer)"
-        )
-    if not any(link.mass > 0 for link in [*bundle.links, *bundle.prior.corrected_links]):
-        raise ConfigError(
-            f"bundle '{bundle.name}' knows no arm, neither from a model nor found in its motion: no levers"
-        )
 
 
 def weigh(bundle: Bundle, where: NamedFrame, parts: list[Seen], reach_m: float, as_json: bool) -> None:

@@ -10,6 +10,7 @@ from importlib.resources import files
 import mujoco
 import numpy as np
 
+from tauext import _core
 from tauext.rig.arm import LINK_SPACING_M, arm_xml, joint_names
 from tauext.rig.config import DriveConfig, FrictionConfig, MotionConfig, RigConfig, SensorConfig, changed_friction
 from tauext.rig.scene import add_drivetrain
@@ -46,15 +47,22 @@ class DemoArm:
     camera_m: tuple[float, float, float]
     look_at_m: tuple[float, float, float]
     rate_hz: int = 1000
+    hand_m: float | None = None
+    """Along the last joint's axis from the last link's origin, where a weight in the hand has its centre, [m]; None:
+    the arm has no hand."""
 
     @cached_property
     def model(self) -> mujoco.MjModel:
         """The arm with drives, friction and sensors, compiled; bodies stand in the order of the joints."""
-        return self.scaled_model(1.0)
+        return self.changed_model(1.0)
 
-    def scaled_model(self, friction: float) -> mujoco.MjModel:
-        """The same with so many times its friction."""
+    def changed_model(self, friction: float, held: _core.Load | None = None) -> mujoco.MjModel:
+        """The same with so many times its friction, and with a weight in its hand: one body more, behind the links."""
         spec = mujoco.MjSpec.from_string(self.xml)
+        if held is not None:
+            spec.joint(self.joints[-1]).parent.add_body(
+                name="held", mass=held.mass, ipos=held.com, fullinertia=held.inertia, explicitinertial=True
+            )
         add_drivetrain(spec, self.joints, replace(self, friction=changed_friction(self.friction, friction)))
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         return spec.compile()
@@ -114,6 +122,7 @@ def seven_axis_arm() -> DemoArm:
         floor_m=0.0,
         camera_m=(1.35, 1.25, 0.95),
         look_at_m=(0.25, 0.0, 0.48),
+        hand_m=0.2,
     )
 
 

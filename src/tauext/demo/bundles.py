@@ -74,7 +74,9 @@ def cache_folder() -> Path:
 def bundle_folder(arm: DemoArm, error: str, lesson: Lesson, seed: int, cache: Path) -> Path:
     """Folder of the bundles of these settings; another version or other settings have another one."""
     looks = dict.fromkeys(("title", "camera_m", "look_at_m", "floor_m", "push"), None)
-    settings = [{**asdict(arm), **looks}, asdict(lesson), error, seed]
+    known = {**asdict(arm), **looks}
+    del known["hand_m"]  # it is empty in practice
+    settings = [known, asdict(lesson), error, seed]
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
     return cache / f"{VERSION}-{arm.name}-{error}-{digest[:12]}"
 

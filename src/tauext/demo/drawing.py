@@ -11,10 +11,12 @@ import viser
 
 from tauext.demo.arms import DemoArm
 from tauext.demo.arrow import Arrow, Rod
-from tauext.demo.simulation import Snapshot, Touch
+from tauext.demo.hand import ball_radius_m
+from tauext.demo.snapshot import Snapshot, Touch
 
 PART, DRUM = (196, 202, 211), (78, 88, 104)
 TOUCHED = {"contact": (245, 176, 30), "collision": (222, 44, 40)}
+STEEL = (112, 122, 138)
 TRUE, ESTIMATE, QUIET, SPRING = (10, 120, 50), (10, 60, 200), (165, 172, 182), (120, 120, 120)
 NEWTON_M = 0.004
 """Length of an arrow for each newton, [m]."""
@@ -56,6 +58,14 @@ class Drawing:
             limit = arc(arm, j, np.linspace(-ARC_RAD, ARC_RAD, ARC_POINTS))
             self._scene.add_line_segments(f"{name}/limit", limit, QUIET, thickness=0.004)
             self._arcs.append(self._scene.add_line_segments(f"{name}/torque", limit, ESTIMATE, thickness=0.014))
+        if arm.hand_m is not None:
+            sphere = trimesh.creation.icosphere(subdivisions=3)
+            self._ball = self._scene.add_mesh_simple(
+                f"/arm/{arm.joints[-1]}/held", sphere.vertices, sphere.faces, color=STEEL,
+                position=(0.0, 0.0, arm.hand_m), visible=False,
+            )  # fmt: skip
+            self._make_grabbable(self._ball, len(arm.joints) - 1, grab)
+        self._held_kg = 0.0
         park = self._stand()
         self._true = Arrow(self._scene, "/push/true", TRUE, 0.009, park)
         self._estimate = Arrow(self._scene, "/push/estimate", ESTIMATE, 0.007, park)
@@ -87,6 +97,7 @@ class Drawing:
             self._shares[j] = share
             self._arcs[j].points = arc(self._arm, j, np.linspace(0.0, share * ARC_RAD, ARC_POINTS))
             self._arcs[j].colors = np.array(TOUCHED["collision"] if abs(share) > 1 else ESTIMATE, np.uint8)
+        self._show_held(0.0 if snapshot.held is None else snapshot.held.mass_kg)
         self._say_verdict(snapshot, alarmed)
         self._show_push(snapshot.touch)
 
@@ -94,6 +105,13 @@ class Drawing:
         """Without floor and shadows, which cost a browser without a GPU nine tenths of its time."""
         self._floor.visible = not simple
         self._key.cast_shadow = not simple
+
+    def _show_held(self, mass_kg: float) -> None:
+        if mass_kg == self._held_kg:
+            return
+        self._held_kg, self._ball.visible = mass_kg, mass_kg > 0
+        if mass_kg > 0:
+            self._ball.scale = ball_radius_m(mass_kg)
 
     def _say_verdict(self, snapshot: Snapshot, joint: int) -> None:
         label, text = self._words["verdict"], ""

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from tauext.demo.arms import DemoArm
-from tauext.demo.simulation import Event, Simulation
+from tauext.demo.simulation import Simulation
+from tauext.demo.snapshot import Event
 
 FIRST_PUSH_S = 3.0
 PUSH_EVERY_S = 4.0

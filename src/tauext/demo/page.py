@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 from tauext.demo.arms import ARMS
 from tauext.demo.bundles import LESSONS, Lesson, bundle_folder, find_bundles
 from tauext.demo.door import guarded
-from tauext.demo.simulation import Event, Snapshot
-from tauext.demo.workers import SNAPSHOT, run_simulation, run_training, start_worker
+from tauext.demo.snapshot import Event, Snapshot
+from tauext.demo.weighing import Stretch, Weigher
+from tauext.demo.workers import RECENT, SNAPSHOT, run_simulation, run_training, start_worker
 from tauext.errors import ConfigError, TauextError
 
 if TYPE_CHECKING:
@@ -100,6 +101,8 @@ class Session:
         self._ended, self._watch_next = ended or threading.Event(), False
         self._trainer: Any = None
         self._method = "tauext"
+        self._bundles: dict[str, Path] = {}
+        self._weigher = Weigher(self.arm)
         self._sending = threading.Lock()
         self._process, self._pipe = start_worker(run_simulation, arm_name, seed)
         server.scene.reset()
@@ -134,7 +137,7 @@ class Session:
                 due = max(due + FRAME_S, time.monotonic())
                 while (left := due - time.monotonic()) > 0:
                     if self._pipe.poll(left):
-                        self._show(self._pipe.recv())
+                        self._receive(self._pipe.recv())
                 self._listen_to_trainer()
             return self._next_arm
         except (EOFError, OSError) as error:
@@ -149,14 +152,22 @@ class Session:
         self._process.terminate()
         self._process.join(1.0)
 
+    def _receive(self, message: Snapshot | Stretch) -> None:
+        if isinstance(message, Snapshot):
+            self._show(message)
+        elif self._method in self._bundles:
+            self._weigher.start(self._bundles[self._method], message)
+
     def _show(self, snapshot: Snapshot) -> None:
         self.snapshot = snapshot
         self.events += snapshot.events
         with self._server.atomic():
             self._drawing.show(snapshot)
-            self._panel.show(snapshot, len(self._server.get_clients()))
+            self._panel.show(snapshot, len(self._server.get_clients()), self._weigher.words)
         if snapshot.events:
             self._server.flush()
+        if self._bundles and self._weigher.wants(snapshot):
+            self.send(RECENT)
 
     def _drag(self, phase: str, who: object, joint: int, where: tuple[float, float, float]) -> None:
         if phase == "start":
@@ -172,6 +183,7 @@ class Session:
 
     def _choose_error(self, error: str) -> None:
         self.error = error
+        self._bundles = {}
         self.send("watch_nothing")
         self._watch_next = True
 
@@ -190,6 +202,7 @@ class Session:
 
     def _use(self, bundles: dict[str, Path]) -> None:
         self._tell(1.0, "")
+        self._bundles = bundles
         self.send("watch_with", {method: str(path) for method, path in bundles.items()}, self._method)
 
     def _listen_to_trainer(self) -> None:

@@ -10,7 +10,9 @@ import viser
 
 from tauext.demo.arms import ARMS, DemoArm
 from tauext.demo.bundles import ERRORS
-from tauext.demo.simulation import Event, Snapshot
+from tauext.demo.hand_panel import HandPanel
+from tauext.demo.sent_html import Html
+from tauext.demo.snapshot import Event, Snapshot
 
 METHODS = {"tauext": "tauext", "paper": "the paper's network", "observer": "plain observer"}
 REACTIONS = {"stop": "stop", "retreat": "retreat", "comply": "go compliant", "ignore": "go on"}
@@ -78,6 +80,7 @@ class Panel:
             friction = gui.add_slider("friction", 0.5, 2.0, 0.05, 1.0, hint="times what it was in training")
             still = gui.add_checkbox("hold still", False)
             simple = gui.add_checkbox("simple drawing", False, hint="no floor, no shadows: for browsers without a GPU")
+        self._hand = HandPanel(gui, send) if arm.hand_m is not None else None
         self._pace = Html(gui)
 
         def go_on(event: object) -> None:
@@ -96,12 +99,14 @@ class Panel:
         plots.dock_left()
         plots.set_width(340)
 
-    def show(self, snapshot: Snapshot, clients: int) -> None:
-        """Write and plot how things stand."""
+    def show(self, snapshot: Snapshot, clients: int, weighed: str = "") -> None:
+        """Write and plot how things stand; weighed: what the arm says of the weight in its hand."""
         for event in snapshot.events:
             self._last[event.method] = event
-        self._banner.show(self._banner_text(snapshot))
+        self._banner.show(self._banner_text(snapshot, weighed))
         self._table.show(self._table_text(snapshot))
+        if self._hand is not None:
+            self._hand.show(snapshot, weighed)
         self._pace.show(
             f"<div style='padding:2px 12px 8px;font-size:12px;color:#6b7683'>{snapshot.real_time_factor:.2f} × real "
             f"time · 1 kHz · {clients} browser{'s' if clients != 1 else ''}</div>"
@@ -114,7 +119,7 @@ class Panel:
         self._progress.visible = bool(what)
         self._progress.value = 100.0 * share
 
-    def _banner_text(self, snapshot: Snapshot) -> str:
+    def _banner_text(self, snapshot: Snapshot, weighed: str) -> str:
         verdict = snapshot.verdicts.get(snapshot.method)
         small = "Drag any link with the mouse to push it; drag beside the arm to look around."
         if verdict is None:
@@ -128,6 +133,8 @@ class Panel:
             big, color = f"{verdict.alarm.capitalize()}: {self._arm.joints[verdict.joint]}", COLORS[verdict.alarm]
         if verdict is not None and verdict.alarm == "collision":
             small = f"The arm {DOING[snapshot.doing]}. Resume ends the alarm."
+            if snapshot.held is not None and not snapshot.held.knows:
+                small = f"{small} {weighed}"
         if snapshot.touch is not None:
             small = shown_force(snapshot.touch.directions)
         if verdict is not None and self._training:
@@ -196,17 +203,6 @@ class Panel:
             plot.data = tuple(np.ascontiguousarray(column) for column in columns)
 
 
-class Html:
-    """A piece of HTML that is sent only where it changed."""
-
-    def __init__(self, gui: viser.GuiApi):
-        self._handle, self._content = gui.add_html(""), ""
-
-    def show(self, content: str) -> None:
-        if content != self._content:
-            self._handle.content = self._content = content
-
-
 def choose(
     gui: viser.GuiApi, label: str, titles: Mapping[str, str], first: str, chosen: Callable[[str], None]
 ) -> viser.GuiDropdownHandle[str]:
@@ -233,6 +229,7 @@ def last_alarm(event: Event | None, arm: DemoArm) -> str:
     if event is None:
         return "none yet"
     after = "false" if event.after_push_s is None else f"after {1e3 * event.after_push_s:.0f} ms"
+    after = "weight" if event.by_weight and event.after_push_s is None else after
     return f"{arm.joints[event.joint]}, {after}"
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from tauext import _core
 from tauext.demo.arms import DemoArm
 from tauext.rig.sensors import encoder, low_pass
 
@@ -22,7 +23,9 @@ class Sample:
     dq: np.ndarray
     tau: np.ndarray
     tau_ext: np.ndarray
-    """True external torque J^T f, [N m]."""
+    """True external torque J^T f of a push, [N m]."""
+    tau_held: np.ndarray
+    """The same of a weight in the hand: what a monitor sees that was not told of it, [N m]."""
 
 
 class Plant:
@@ -40,6 +43,8 @@ class Plant:
         self._q_before: np.ndarray | None = None
         self._dq = np.zeros(self._n)
         self._controls = np.empty((self._n, 2))
+        self._friction = 1.0
+        self._weight: _core.Load | None = None
 
     @property
     def time_s(self) -> float:
@@ -53,9 +58,18 @@ class Plant:
 
     def set_friction(self, factor: float) -> None:
         """Go on with so many times the arm's own friction; the bristles stay bent as they are."""
+        self._friction = factor
+        self._change()
+
+    def hold(self, held: _core.Load | None) -> None:
+        """Go on with this in the hand, at the hand's own speed; None: with nothing."""
+        self._weight = held
+        self._change()
+
+    def _change(self) -> None:
         state = np.empty(mujoco.mj_stateSize(self.model, STATE))
         mujoco.mj_getState(self.model, self.data, state, STATE)
-        self.model = self.arm.scaled_model(factor)
+        self.model = self.arm.changed_model(self._friction, self._weight)
         self.data = mujoco.MjData(self.model)
         mujoco.mj_setState(self.model, self.data, state, STATE)
         mujoco.mj_forward(self.model, self.data)
@@ -92,7 +106,17 @@ class Plant:
         tau = data.sensordata[: 3 * self._n : 3] + self._rng.standard_normal(self._n) * arm.sensors.torque_noise_nm
         t_ns = round(self._tick * 1e9 / arm.rate_hz)
         self._tick += 1
-        return Sample(t_ns, q, self._dq, tau, tau_ext)
+        return Sample(t_ns, q, self._dq, tau, tau_ext, self._held_nm())
+
+    def _held_nm(self) -> np.ndarray:
+        """What the weight does to the joints, by gravity and inertia: the wrench from hand to weight, turned round."""
+        torque = np.zeros(self._n)
+        if self._weight is not None:
+            mujoco.mj_rnePostConstraint(self.model, self.data)
+            wrench = -self.data.cfrc_int[self._n + 1]  # torque, force; about the centre of mass of the whole arm
+            about = self.data.subtree_com[1]
+            mujoco.mj_applyFT(self.model, self.data, wrench[3:], wrench[:3], about, self._n, torque)
+        return torque
 
     def body_pose(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
         """Position (3,) and rotation (3, 3) to the base frame of the link that a joint carries."""

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
 
 from tauext import _core
 from tauext.demo.arms import DemoArm
+from tauext.demo.hand import Hand, ball
 from tauext.demo.mover import REACTIONS, Mover, Reaction
 from tauext.demo.plant import Plant, Sample
 from tauext.demo.push import Drag, estimated_force
+from tauext.demo.snapshot import Event, Snapshot, Touch, Verdict
 from tauext.demo.watch import Watch
+from tauext.demo.weighing import LEAST_S, WEIGHED_S, Recent, Stretch
 from tauext.errors import ConfigError
 
 TRACE_EVERY_S = 0.02
@@ -25,63 +27,10 @@ RESUME_RAD, RESUME_S = 0.02, 1.2
 """After resume() a method that is blind to static friction is acknowledged anew at every sample until each joint has
 moved so far, or for so long: what a push leaves in the friction of a joint at rest looks like a push to it until the
 joint has slid, and would stop the arm again before it does."""
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What one method says now."""
-
-    health: str
-    alarm: str
-    joint: int
-    """That raised the alarm, -1 for none."""
-
-
-@dataclass(frozen=True)
-class Event:
-    """A method raised a contact or a collision."""
-
-    time_s: float
-    method: str
-    alarm: str
-    joint: int
-    after_push_s: float | None
-    """Since a push began; None: nothing pushed, the alarm is false."""
-
-
-@dataclass(frozen=True)
-class Touch:
-    """A push, true and estimated."""
-
-    joint: int
-    point_m: np.ndarray
-    target_m: np.ndarray
-    """Where the pointer pulls to."""
-    force_n: np.ndarray
-    estimate_n: np.ndarray
-    directions: int
-    """Of the force that the joints' torques show, 0 to 3."""
-
-
-@dataclass
-class Snapshot:
-    """What a viewer draws; arrays over the joints where nothing else is said."""
-
-    time_s: float
-    poses: np.ndarray
-    """Of the links in the base frame: position and quaternion w, x, y, z, (joints, 7)."""
-    doing: str
-    method: str
-    tau_ext: np.ndarray
-    """Estimate of the method shown, [N m]; NaN while it warms up."""
-    limit_nm: np.ndarray
-    verdicts: dict[str, Verdict]
-    touch: Touch | None
-    trace: np.ndarray
-    """Since the last snapshot, (rows, 1 + 4 joints): time, estimate, standard error (0: unknown), limit, truth."""
-    events: list[Event] = field(default_factory=list)
-    """Since the last snapshot."""
-    real_time_factor: float = float("nan")
+MOVE_ON_S = WEIGHED_S + LEAST_S
+"""So long the arm moves to be weighed, whatever the monitors say of its load."""
+LET_GO_S = 0.5
+"""So long after a push, or after a weight was taken out, an alarm is still its doing."""
 
 
 class Simulation:
@@ -95,15 +44,21 @@ class Simulation:
         self.method = ""
         self.reaction: Reaction = "stop"
         self.sensitivity = 1.0
+        self.hand = Hand()
         self.drag: Drag | None = None
         self._holder: object = None
         self._push_began_s = self._push_ended_s = -np.inf
         self._resumed_s = -np.inf
+        self._emptied_s = self._moves_on_until_s = -np.inf
+        self._unknown_weight: set[str] = set()
+        self._told_at, self._telling = -1, False
+        self._velocity_lag = round(arm.rate_hz / arm.sensors.velocity_cutoff_rad_s)
         self._stuck = np.zeros(len(arm.joints), bool)
         self._resumed_at = np.array(arm.home)
         self._said: dict[str, _core.Estimate] = {}
         self._alarms: dict[str, _core.Alarm] = {}
         self._sample: Sample | None = None
+        self._recent = Recent(arm)
         self._trace: deque[np.ndarray] = deque(maxlen=TRACE_ROWS)
         self._events: deque[Event] = deque(maxlen=EVENTS)
         self._ticks = 0
@@ -114,6 +69,7 @@ class Simulation:
         """Watch with these bundle files, by method, from now on; `method` is shown and reacted to."""
         self.watch = Watch({name: _core.Bundle.load(path) for name, path in bundles.items()}, self.sensitivity)
         self._said, self._alarms = {}, {}
+        self.hand.tell(self.hand.told, self.watch)
         self.set_method(method)
 
     def watch_nothing(self) -> None:
@@ -165,10 +121,44 @@ class Simulation:
     def rest(self) -> None:
         self.mover.rest()
 
+    def hold(self, mass_kg: float, told: bool) -> None:
+        """Put a weight into the hand, with or without telling the monitors; at most one is in it."""
+        self._take(ball(self.arm, mass_kg), told)
+
+    def let_go(self) -> None:
+        """Take the weight out of the hand; monitors that knew of it are told."""
+        methods = [] if self.watch is None else self.watch.methods
+        self._unknown_weight = {name for name in methods if not self.hand.knows(name)}
+        self._emptied_s = self.plant.time_s
+        self._take(None, False)
+
+    def tell(self, told: bool) -> None:
+        """Tell the monitors of the weight after all, as if they had been told when it came; or that there is none."""
+        self._told_at = -1
+        self.hand.tell(told, self.watch, afterwards=True)
+
+    def move_on(self) -> None:
+        """Move for some seconds in spite of every alarm, so that the weight shows at other poses too."""
+        self._moves_on_until_s = self.plant.time_s + MOVE_ON_S
+        self.resume()
+
+    def recent(self) -> Stretch:
+        """The last samples, for weighing."""
+        return self._recent.stretch(self.hand.since_ns)
+
+    def _take(self, load: _core.Load | None, told: bool) -> None:
+        """Monitors are told when the measured velocity shows it, behind its low-pass: of a weight that is there from
+        one sample to the next they would else expect what does not show yet, some 3 N m after 3 ms."""
+        self.plant.hold(load)
+        self.hand.take(load, -1 if self._sample is None else self._sample.t_ns)
+        self._told_at, self._telling = self._ticks + self._velocity_lag, told
+
     # The loop.
 
     def step(self) -> bool:
         """One sample; True where an alarm was raised at it."""
+        if self._ticks == self._told_at:
+            self.hand.tell(self._telling, self.watch)
         plant = self.plant
         force, point = self.drag.force_n(plant) if self.drag else (None, None)
         measured = self._sample
@@ -176,6 +166,7 @@ class Simulation:
         setpoints = self.mover.step(q, dq, plant.gravity_nm)
         sample = plant.step(*setpoints, force, point, self.drag.joint if self.drag else 0)
         self._sample = sample
+        self._recent.add(sample)
         raised = False
         if self.watch is not None:
             excused = self.watch.blind_to_stiction if self._resuming() else ()
@@ -187,7 +178,7 @@ class Simulation:
                 raised |= self._judge(method, alarm, said.alarm_joint)
         if self._ticks % round(TRACE_EVERY_S * self.arm.rate_hz) == 0:
             estimate, sigma, limit = self._shown()
-            self._trace.append(np.concatenate([[plant.time_s], estimate, sigma, limit, sample.tau_ext]))
+            self._trace.append(np.concatenate([[plant.time_s], estimate, sigma, limit, self.tau_ext_nm]))
         self._ticks += 1
         return raised
 
@@ -200,8 +191,11 @@ class Simulation:
 
     @property
     def tau_ext_nm(self) -> np.ndarray:
-        """True external torque of the last sample, (joints,)."""
-        return np.zeros(len(self.arm.joints)) if self._sample is None else self._sample.tau_ext
+        """True external torque of the last sample, (joints,): a push's, and a weight's that the method shown does not
+        know."""
+        if self._sample is None:
+            return np.zeros(len(self.arm.joints))
+        return self._sample.tau_ext + (0.0 if self.hand.knows(self.method) else self._sample.tau_held)
 
     def take_events(self) -> list[Event]:
         """Alarms since they were last taken."""
@@ -215,11 +209,11 @@ class Simulation:
         mujoco.mj_kinematics(self.plant.model, data)
         mujoco.mj_comPos(self.plant.model, data)
         estimate, _, limit = self._shown()
-        trace = np.array(self._trace)
+        trace, links = np.array(self._trace), 1 + len(self.arm.joints)
         self._trace.clear()
         return Snapshot(
             time_s=self.plant.time_s,
-            poses=np.hstack([data.xpos[1:], data.xquat[1:]]),
+            poses=np.hstack([data.xpos[1:links], data.xquat[1:links]]),
             doing=self.mover.doing,
             method=self.method,
             tau_ext=estimate,
@@ -231,6 +225,7 @@ class Simulation:
             touch=self._touch(estimate),
             trace=trace.reshape(len(trace), 1 + 4 * len(self.arm.joints)),
             events=self.take_events(),
+            held=self.hand.held(self.method),
         )
 
     def _judge(self, method: str, alarm: _core.Alarm, joint: int) -> bool:
@@ -240,10 +235,12 @@ class Simulation:
         if alarm.value <= was.value or alarm == _core.Alarm.none:
             return False
         now_s = self.plant.time_s
-        pushed = self.drag is not None or now_s - self._push_ended_s < 0.5
+        pushed = self.drag is not None or now_s - self._push_ended_s < LET_GO_S
         after_s = now_s - self._push_began_s if pushed else None
-        self._events.append(Event(now_s, method, alarm.name, joint, after_s))
-        if alarm == _core.Alarm.collision and method == self.method and self.mover.doing == "moving":
+        just_gone = now_s - self._emptied_s < LET_GO_S and method in self._unknown_weight
+        self._events.append(Event(now_s, method, alarm.name, joint, after_s, just_gone or not self.hand.knows(method)))
+        disturbs = now_s >= self._moves_on_until_s and self.mover.doing == "moving"
+        if alarm == _core.Alarm.collision and method == self.method and disturbs:
             self.mover.react(self.reaction)
         return True
 

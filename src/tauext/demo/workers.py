@@ -17,8 +17,9 @@ from typing import Any
 
 from tauext.demo.arms import ARMS
 from tauext.demo.bundles import Lesson, train_bundles
-from tauext.demo.simulation import Simulation, Snapshot
-from tauext.errors import TauextError
+from tauext.demo.simulation import Simulation
+from tauext.demo.snapshot import Snapshot
+from tauext.errors import ConfigError, TauextError
 
 COMMANDS = (
     "watch_with",
@@ -32,9 +33,13 @@ COMMANDS = (
     "release",
     "resume",
     "rest",
+    "hold",
+    "let_go",
+    "tell",
+    "move_on",
 )
 """Methods of Simulation that a message (name, *arguments) may call."""
-SNAPSHOT = "snapshot"
+SNAPSHOT, RECENT = "snapshot", "recent"
 MOST_BEHIND_S = 0.1
 """Further behind the clock the simulation does not catch up: the time is lost, and the real-time factor shows it."""
 FACTOR_OVER_S = 2.0
@@ -83,8 +88,9 @@ class RealTime:
 def run_simulation(pipe: Connection, arm_name: str, seed: int) -> None:
     """Step an arm in real time until the pipe closes.
 
-    A message is (name of a command, *arguments), or ("snapshot",), which is answered by a Snapshot; one more is sent
-    when an alarm rises, at once. So nothing waits in the pipe for a viewer that is slow, and no viewer holds up a step.
+    A message is (name of a command, *arguments); or ("snapshot",), answered by a Snapshot; or ("recent",), answered by
+    a Stretch of samples. One Snapshot more is sent when an alarm rises, at once. So nothing waits in the pipe for a
+    viewer that is slow, and no viewer holds up a step.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the page ends this process
     arm = ARMS[arm_name]()
@@ -99,9 +105,11 @@ def run_simulation(pipe: Connection, arm_name: str, seed: int) -> None:
                 if name == SNAPSHOT:
                     _send(pipe, simulation, clock)
                     asked = True
+                elif name == RECENT:
+                    pipe.send(simulation.recent())
                 elif name in COMMANDS:
                     # A page sends what it likes; numbers that are none, and names that nobody knows, change nothing.
-                    with suppress(TypeError, ValueError, KeyError, IndexError, AttributeError):
+                    with suppress(TypeError, ValueError, KeyError, IndexError, AttributeError, ConfigError):
                         getattr(simulation, name)(*arguments)
             for _ in range(clock.due()):
                 if simulation.step() and asked:

@@ -11,7 +11,7 @@ import numpy as np
 from tauext import _core
 from tauext.data import Recording, load_recording, load_split
 from tauext.evaluate import estimate_recording
-from tauext.refit import refit_recordings
+from tauext.refit import refit_motion, refit_recordings
 from unseen.arms import Maker, true_arm
 from unseen.recordings import told_constants
 from unseen.results import STRONG, nearest
@@ -21,7 +21,8 @@ WARM_UP_S = 3.0
 
 
 def judge_cold(maker: Maker, seed: int, path: Path, mornings_s: Sequence[float]) -> dict:
-    """False collisions and strong contacts that were found, of the old bundle and after a refit on so many seconds."""
+    """False collisions and strong contacts that were found: of the old bundle, after a refit on so many seconds each,
+    and after one inside a monitor on the first of these."""
     old = _core.Bundle.load(str(path))
     data = path.parent / "data"
     split = load_split(data)
@@ -29,17 +30,14 @@ def judge_cold(maker: Maker, seed: int, path: Path, mornings_s: Sequence[float])
     morning = next(one for name, one in tests.items() if name.startswith("morning"))
     free = [one for name, one in tests.items() if name.startswith("cold")]
     refits = [refit_recordings(old, [first(morning, s + WARM_UP_S)], threads=1) for s in mornings_s]
-    bundles = [old, *(one.bundle for one in refits)]
+    told, kept = during_refit(old, first(morning, mornings_s[0] + WARM_UP_S))
+    bundles = [old, *(one.bundle for one in refits), refit_motion(old, kept).bundle]
     false, hours = [0] * len(bundles), 0.0
     for recording in free:
         for k, bundle in enumerate(bundles):
             said = estimate_recording(bundle, recording, 1)
             false[k] += false_collisions(said.held_alarm, recording.t_ns)
             hours += float(said.healthy.sum()) / recording.rate_hz / 3600 if k == 0 else 0.0
-    monitor = _core.Monitor(old)
-    monitor.reserve_refit()
-    monitor.start_refit()
-    told = monitor.run(morning.t_ns, morning.q, morning.dq, morning.tau)
     meanwhile = false_collisions(told["held_alarm"], morning.t_ns)
     strong, found = strong_found(maker, seed, path, [load_recording(data / name) for name in split.collisions], bundles)
     return {
@@ -52,6 +50,16 @@ def judge_cold(maker: Maker, seed: int, path: Path, mornings_s: Sequence[float])
         "factors": " · ".join(f"{joint.coulomb[0]:.2f}" for joint in refits[0].joints),
         "raised": " · ".join(f"{joint.limit_factor:.2f}" for joint in refits[0].joints),
     }
+
+
+def during_refit(bundle: _core.Bundle, recording: Recording) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """What a monitor says that keeps this motion for a refit, its limits raised by the usual share of friction; and
+    the motion."""
+    monitor = _core.Monitor(bundle)
+    monitor.reserve_refit(recording.duration_s + 1)
+    monitor.start_refit()
+    said = monitor.run(recording.t_ns, recording.q, recording.dq, recording.tau)
+    return said, monitor.finish_refit()
 
 
 def strong_found(

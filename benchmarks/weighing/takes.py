@@ -10,7 +10,7 @@ import numpy as np
 from unseen.arms import Maker, TrueArm, true_arm
 from unseen.contacts import Contact
 from unseen.motions import draw_motion
-from unseen.recordings import Take, _write_csv
+from unseen.recordings import Take, _write_csv, motor_temperature
 from unseen.simulation import RATE_HZ, simulate
 
 from tauext import _core
@@ -82,7 +82,8 @@ def write_carrying(maker: Maker, seed: int, name: str, folder: Path) -> None:
             break
         except RuntimeError:
             continue
-    _write_csv(folder / f"{name}.csv", maker, loaded, run, [], rng)
+    celsius = motor_temperature(arm, WARM_S, len(run.q), maker.random(seed, 3000 + number))
+    _write_csv(folder / f"{name}.csv", maker, loaded, run, [], rng, celsius)
     (folder / f"{name}.truth.json").write_text(json.dumps(asdict(what)) + "\n")
 
 

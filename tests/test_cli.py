@@ -166,7 +166,7 @@ def options_of(text: str) -> list[str]:
 def test_help_of_train_has_the_common_options_first_and_all_when_asked(capsys):
     """Held against the fields of the settings themselves, so that no option is lost in the arrangement."""
     short, everything = (run(capsys, "train", word)[1] for word in ("--help", "--help-all"))
-    named = {"--data", "--out", "--case", "--robot", "--accept"}
+    named = {"--data", "--out", "--case", "--robot", "--like", "--accept"}
     for field in fields(TrainConfig):
         value = getattr(TrainConfig(), field.name)
         inner = [f"--{field.name}.{one.name}" for one in fields(value)] if is_dataclass(value) else []

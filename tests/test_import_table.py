@@ -47,6 +47,7 @@ TABLE = {
     "learn": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
     "learn/torch_backend": ({"_core"}, {"numpy", "torch"}),
     "train": ({"_core", "learn", "calibrate", "look", "robot", "data"}, {"numpy"}),
+    "fleet_prior": ({"_core", "train", "learn", "calibrate", "robot", "data"}, {"numpy"}),
     "calibrate": ({"_core", "look", "robot", "data"}, {"numpy", "scipy"}),
     "refit": ({"_core", "calibrate", "look", "data"}, {"numpy"}),
     "doctor": ({"_core", "robot", "data"}, {"numpy", "scipy"}),

@@ -16,6 +16,7 @@ from unseen.arms import makers, true_arm
 from unseen.contacts import Contact, draw_contacts, label
 from unseen.fresh import JITTER_SHARE, fresh_makers
 from unseen.motions import ACCELERATIONS_RAD_S2, STOP_S, draw_motion
+from unseen.of_type import arm_of
 from unseen.results import Outcome, markdown, nearest, truth_of
 from unseen.simulation import RATE_HZ, simulate
 
@@ -150,3 +151,16 @@ def test_a_label_is_held_against_its_contact_whether_its_take_was_cut_or_not():
     assert truth_of("contacts-1", truths) is truth_of("contacts-1-01", truths) is truths["contacts-1"]
     assert truth_of("contacts-2-00", truths) == []
     assert nearest(truths["contacts-1"], 9.8 + 160.2)["label_s"] == [170.0, 171.0]  # 9.8 s into the second piece
+
+
+def test_arms_of_one_type_share_links_and_gears_and_differ_in_friction_tool_and_constants():
+    maker = replace(SEVEN, type_seed=3)
+    one, other = (arm_of(maker, seed) for seed in (0, 1))
+    assert (one.ripple_cycles == other.ripple_cycles).all()
+    share = one.coulomb_nm / other.coulomb_nm
+    assert (share != 1).all() and (share > 0.7 * 0.9 / 1.3 / 1.1).all()
+    for a, b in zip(one.tree.links[:-1], other.tree.links[:-1], strict=True):
+        assert a.com == b.com and a.mass == pytest.approx(b.mass, rel=0.021) and a.rotor_inertia == b.rotor_inertia
+    assert abs(one.tree.links[-1].mass - other.tree.links[-1].mass) > 0.02
+    assert arm_of(maker, 0).tree.links[-1].mass == one.tree.links[-1].mass
+    assert recordings.told_constants(maker, 0, True) == recordings.told_constants(maker, 1, True)

@@ -45,6 +45,8 @@ class Maker:
     """Draws another arm, motion and contacts; those without it share theirs."""
     fresh: bool = False
     """Of the arms that no method was fixed on: they are run once, afterwards."""
+    type_seed: int | None = None
+    """Draws what arms of one type share (unseen.of_type); None: every arm is of a type of its own."""
 
     def random(self, seed: int, stream: int) -> np.random.Generator:
         """One of the arm's streams of draws: 0 the arm, 99 what the integrator believes, 1 + k take k."""
@@ -70,6 +72,7 @@ class TrueArm:
     ripple_nm: np.ndarray
     """0: none."""
     ripple_cycles: np.ndarray
+    ripple_phase_rad: np.ndarray
     nm_per_ampere: np.ndarray
     current_filter_s: float
     current_step_a: float
@@ -120,7 +123,7 @@ def makers(models: Path) -> dict[str, Maker]:
     return {maker.name: maker for maker in (ur5, panda, kinova, seven)}
 
 
-def true_arm(maker: Maker, rng: np.random.Generator) -> TrueArm:
+def true_arm(maker: Maker, rng: np.random.Generator, tool: bool = True) -> TrueArm:
     """An arm that could have left the maker's works: every number drawn once, from ranges found in the literature.
 
     Load and temperature: Bittencourt et al. 2010; warming by 10 to 15 % in minutes: Simoni et al. 2019; Stribeck and
@@ -134,7 +137,8 @@ def true_arm(maker: Maker, rng: np.random.Generator) -> TrueArm:
         link.inertia = [share * x for x in link.inertia]
         link.com = (np.array(link.com) + rng.uniform(0, 0.02) * _direction(rng)).tolist()
         links.append(link)
-    _add_tool(links[-1], rng.uniform(0.5, 1.5), np.append(rng.uniform(-0.03, 0.03, 2), rng.uniform(0.05, 0.14)))
+    if tool:
+        add_tool(links[-1], rng)
     for link, rotor in zip(links, maker.rotor_kg_m2, strict=True):
         link.rotor_inertia = rotor * rng.uniform(0.8, 1.2)
     coulomb = np.array(maker.coulomb_nm) * rng.uniform(0.7, 1.3, n)
@@ -151,6 +155,7 @@ def true_arm(maker: Maker, rng: np.random.Generator) -> TrueArm:
         warm_s=rng.uniform(180, 400),
         ripple_nm=np.where(rng.uniform(size=n) < 0.6, 0.06 * coulomb * rng.uniform(0.5, 1.5, n), 0.0),
         ripple_cycles=rng.choice(RIPPLES_A_TURN, n),
+        ripple_phase_rad=np.arange(n) * 1.0,
         nm_per_ampere=np.array(maker.nm_per_ampere) * rng.uniform(0.92, 1.08, n),
         current_filter_s=rng.uniform(0.002, 0.005),
         current_step_a=rng.uniform(0.01, 0.02),
@@ -163,8 +168,9 @@ def _direction(rng: np.random.Generator) -> np.ndarray:
     return x / np.linalg.norm(x)
 
 
-def _add_tool(link: _core.Link, mass: float, at: np.ndarray) -> None:
-    """A ball of 6 cm fixed to the last link."""
+def add_tool(link: _core.Link, rng: np.random.Generator) -> None:
+    """A ball of 6 cm fixed to the last link, of a mass and at a place that are drawn."""
+    mass, at = rng.uniform(0.5, 1.5), np.append(rng.uniform(-0.03, 0.03, 2), rng.uniform(0.05, 0.14))
     com = np.array(link.com)
     both = (link.mass * com + mass * at) / (link.mass + mass)
     xx, yy, zz, xy, xz, yz = link.inertia

@@ -11,9 +11,10 @@ import numpy as np
 
 from tauext.rig.sensors import encoder, low_pass, velocity
 from tauext.robot import load_tree
-from unseen.arms import Maker, TrueArm, true_arm
+from unseen.arms import Maker, TrueArm
 from unseen.contacts import Contact, draw_contacts, label
 from unseen.motions import draw_motion
+from unseen.of_type import arm_of
 from unseen.simulation import RATE_HZ, Run, simulate
 
 DRIVE_VELOCITY_RAD_S = 200.0
@@ -55,7 +56,7 @@ TAKES = (
 def write_take(maker: Maker, seed: int, number: int, folder: Path, takes: Sequence[Take] = ()) -> None:
     """Simulate takes[number], of TAKES where none are given, of the arm that `seed` drew, and write NAME.csv and
     NAME.truth.json."""
-    arm = true_arm(maker, maker.random(seed, 0))
+    arm = arm_of(maker, seed)
     take, rng = (takes or TAKES)[number], maker.random(seed, 1 + number)
     samples = round(take.minutes * 60 * RATE_HZ)
     contacts = draw_contacts(take.contacts, take.minutes * 60, len(maker.joints), rng)
@@ -131,8 +132,10 @@ collisions = {json.dumps(by_part["collisions"])}
 
 def told_constants(maker: Maker, seed: int, model: bool) -> list[float] | str:
     """What the integrator believes: constants off by up to 10 %; "unknown" where a model may tell, as some makers say
-    nothing."""
-    arm = true_arm(maker, maker.random(seed, 0))
+    nothing. All arms of one type get those of its data sheet."""
+    arm = arm_of(maker, seed)
+    if maker.type_seed is not None:
+        return list(maker.nm_per_ampere)
     wrong = maker.random(seed, 99).uniform(1 - KNOWN_TO, 1 + KNOWN_TO, len(maker.joints))
     return (arm.nm_per_ampere * wrong).round(3).tolist() if maker.constants_known or not model else "unknown"
 

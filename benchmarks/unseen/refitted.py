@@ -12,7 +12,8 @@ from tauext import _core
 from tauext.data import Recording, load_recording, load_split
 from tauext.evaluate import estimate_recording
 from tauext.refit import refit_motion, refit_recordings
-from unseen.arms import Maker, true_arm
+from unseen.arms import Maker
+from unseen.of_type import arm_of
 from unseen.recordings import told_constants
 from unseen.results import STRONG, nearest
 
@@ -69,7 +70,7 @@ def strong_found(
     facts = json.loads(bundles[0].provenance)
     error = np.array([facts["prior"]["error_nm"][joint] for joint in maker.joints])
     given = told_constants(maker, seed, True)
-    arm = true_arm(maker, maker.random(seed, 0))
+    arm = arm_of(maker, seed)
     believed = np.array(bundles[0].observer.nm_per_unit or 1.0)  # times what was told, where the import applied that
     true = arm.nm_per_ampere / (1.0 if given == "unknown" else given) / believed
     truths = json.loads((path.parent / "csv" / "touched.truth.json").read_text())

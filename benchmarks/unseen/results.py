@@ -11,7 +11,8 @@ import numpy as np
 
 from tauext import _core
 from tauext.data import load_recording, load_split
-from unseen.arms import Maker, true_arm
+from unseen.arms import Maker
+from unseen.of_type import arm_of
 from unseen.recordings import TAKES, told_constants
 
 STRONG = 3.0
@@ -70,7 +71,7 @@ def read_outcomes(maker: Maker, seed: int, model: str, folder: Path) -> list[Out
     touched = [load_recording(folder / model / name) for name in split.collisions]
     begins_s = {recording.name: 1e-9 * float(recording.t_ns[0]) for recording in touched}
     given = told_constants(maker, seed, model == "urdf")
-    true = true_arm(maker, maker.random(seed, 0)).nm_per_ampere / (1.0 if given == "unknown" else given)
+    true = arm_of(maker, seed).nm_per_ampere / (1.0 if given == "unknown" else given)
     torque = true * np.sqrt(np.mean(np.concatenate([test.tau for test in tests]) ** 2, axis=0))
     outcomes = []
     for entry in results["bundles"]:

@@ -82,7 +82,6 @@ def simulate(
     most = np.array(torque_nm, dtype=float)
     stiffness = arm.static_share * arm.coulomb_nm / arm.presliding_rad
     damping = 2 * BRISTLE_DAMPING * np.sqrt(stiffness * rotor)
-    phase = np.arange(n) * 1.0
     warm = 1 - arm.warm_drop * (1 - np.exp(-(warm_from_s + np.arange(len(q_des)) * dt) / arm.warm_s))[:, None]
 
     run = Run(*(np.zeros_like(q_des) for _ in range(4)))
@@ -105,7 +104,7 @@ def simulate(
         moved = (steady - bristle) * -np.expm1(-stiffness * np.abs(v) * dt / g)
         bristle = bristle + moved
         viscous = warm[k] * arm.viscous_nm_s_rad * v / np.sqrt(1 + (v / VISCOUS_BEND_RAD_S) ** 2)
-        ripple = arm.ripple_nm * np.sin(arm.ripple_cycles * q + phase)
+        ripple = arm.ripple_nm * np.sin(arm.ripple_cycles * q + arm.ripple_phase_rad)
         friction = stiffness * bristle + damping * moved / dt + viscous + ripple
 
         run.q[k], run.motor_nm[k], run.friction_nm[k] = q, motor, friction

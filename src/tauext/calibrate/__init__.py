@@ -1,7 +1,7 @@
 """Limits, and the claims they support."""
 
 from tauext.calibrate.bundle_limits import NO_CALIBRATION, calibrate_bundle, forget_half_done, recalibrate
-from tauext.calibrate.error_scale import LeftOutErrors, add_friction, fit_error_scale, left_out_errors
+from tauext.calibrate.error_scale import LeftOutErrors, add_friction, fit_error_scale, freeze_floor_nm, left_out_errors
 from tauext.calibrate.judged import Judged, whole_recordings
 from tauext.calibrate.limits import (
     LevelLimits,
@@ -30,6 +30,7 @@ __all__ = [
     "calibrate_bundle",
     "forget_half_done",
     "fit_error_scale",
+    "freeze_floor_nm",
     "is_consistent",
     "left_out_errors",
     "paper_limits",

@@ -80,14 +80,25 @@ def fit_error_scale(
         TrainingError: no free motion.
     """
     rows = collect_rows(bundle, judged, threads, margins)
-    weights = np.array([limit_weights(rows, j) for j in range(bundle.joints)])
+    bundle.error_scale = scale_of(rows)
+    if bundle.drift.time_constant_s > 0:
+        seen = freeze_floor_nm(rows.error_nm, drift, rows.period_s)
+        drifted = drift.freeze_floor_share * np.array(bundle.drift.size_nm)
+        bundle.drift.freeze_floor_nm = np.maximum(drifted, seen).tolist()
+    return {"hours": rows.hours, "power": rows.power}
+
+
+def scale_of(rows: Rows) -> _core.ErrorScaleSettings:
+    """The error scale that fits these rows."""
+    joints = rows.error_nm.shape[1]
+    weights = np.array([limit_weights(rows, j) for j in range(joints)])
     scale = _core.ErrorScaleSettings()
     scale.features = list(FEATURES)
     scale.limit_weights = weights.ravel().tolist()
     scale.largest = np.einsum("rjf,jf->rj", rows.features, weights).max(axis=0).tolist()
     sliding: list[np.ndarray] = []
     near: list[np.ndarray] = []
-    for j in range(bundle.joints):
+    for j in range(joints):
         error, features, stuck = rows.error_nm[:, j], rows.features[:, j], rows.near_stiction[:, j]
         both = sigma_weights(features, error)
         for inside, into in ((~stuck, sliding), (stuck, near)):
@@ -96,12 +107,7 @@ def fit_error_scale(
     scale.sigma_near_weights = np.concatenate(near).tolist()
     of_sliding, of_near = (np.einsum("rjf,jf->rj", rows.features, np.array(weights)) for weights in (sliding, near))
     scale.largest_sigma = np.where(rows.near_stiction, of_near, of_sliding).max(axis=0).tolist()
-    bundle.error_scale = scale
-    if bundle.drift.time_constant_s > 0:
-        seen = freeze_floor_nm(rows.error_nm, drift, rows.period_s)
-        drifted = drift.freeze_floor_share * np.array(bundle.drift.size_nm)
-        bundle.drift.freeze_floor_nm = np.maximum(drifted, seen).tolist()
-    return {"hours": rows.hours, "power": rows.power}
+    return scale
 
 
 def add_friction(bundle: _core.Bundle, share: float, at_rest_nm: np.ndarray, per_speed: np.ndarray) -> None:

@@ -51,7 +51,7 @@ DESCRIPTION = (
     "train -> run: the monitor on recordings; monitor: on a live arm. calibrate: other limits for a trained bundle. "
     "load: what the arm carries, or torque constants by a known weight. "
     "refit: its friction brought up to date by a minute of today's motion. "
-    "fleet: all of this for many arms, on many cores. "
+    "fleet: all of this for many arms, on many cores, and what arms of one type tell the next one (train --like). "
     "demo: push a simulated arm in the browser. convert: a bundle of an older format. "
     "--version: of package, core, its compiler and bundles. "
     f"{RULE} {KILLED}"

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from tauext.cli.fleet_prior import prior
 from tauext.cli.parsing import deferred
 from tauext.config import FleetConfig
 
@@ -70,12 +71,12 @@ def example(out: Path | None = None) -> None:
     print(out)
 
 
-HELP = "Many arms: all stages of every arm, on the cores of this machine or of a cluster."
+HELP = "Many arms: all stages of every arm, on many cores; and what arms of one type tell the next one."
 
 
 def fleet_app() -> tyro.extras.SubcommandApp:
     """`tauext fleet VERB`."""
     app = tyro.extras.SubcommandApp()
-    for command in (run, example):
+    for command in (run, example, prior):
         app.command(deferred(command))
     return app

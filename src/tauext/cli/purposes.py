@@ -39,7 +39,7 @@ TRAIN = (
     Purpose("What it needs", ("--data", "--out")),
     Purpose(
         "What is trained",
-        ("--case", "--robot", "--recipe", "--minutes", "--fit-torque-constants", "--torque-constants"),
+        ("--case", "--robot", "--like", "--recipe", "--minutes", "--fit-torque-constants", "--torque-constants"),
     ),
     Purpose(
         "How many false alarms, and so how low the limits", ("--alarm.false-alarms", "--alarm.in-hours", "--limits")

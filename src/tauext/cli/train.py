@@ -16,6 +16,7 @@ def train(
     out: Path,
     case: CaseName | None = None,
     robot: Path | None = None,
+    like: Path | None = None,
     accept: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")] = (),
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = TrainConfig(),  # noqa: B008
 ) -> None:
@@ -32,16 +33,20 @@ def train(
         case: the estimated model: the robot file as it is (exact), mass and/or centre of mass halved, or no model at
             all (none). Left out: exact, or none where the dataset was imported without a model.
         robot: URDF or MJCF of the arm; default: the dataset's own.
+        like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`): a minute of this one is enough.
+            None: the arm is by itself.
         accept: codes of findings that are no fault on your word, at all joints or at one; they stand in the bundle.
         config: recipe, seed and sizes.
     """
     from tauext.cli.replaced import tell_replaced
     from tauext.cli.reporter import Terminal
     from tauext.data import load_dataset
+    from tauext.learn.fleet_prior_file import load_fleet_prior
     from tauext.train import train_bundle
 
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
+    known = None if like is None else load_fleet_prior(like)
     tell_replaced(out)
-    train_bundle(load_dataset(data), out, case, robot, config, Terminal(), accept)
+    train_bundle(load_dataset(data), out, case, robot, config, Terminal(), accept, like=known)
     print(out)

@@ -107,6 +107,23 @@ def fit_coverage(setup: Setup, recordings: Sequence[Recording]) -> CoverageFit:
     return CoverageFit(seen(motion, slides, reach, together), told(reach, together, speeds=True))
 
 
+def seen_too(
+    fit: CoverageFit, others: _core.CoverageSettings, setup: Setup, recordings: Sequence[Recording]
+) -> CoverageFit:
+    """The fit with motion that other arms of the type showed, whose cells and reaches it takes over.
+
+    What a fleet's prior says of a pose holds for one more arm of the type, though this one never was there.
+    """
+    motion = Motion.of(recordings, setup.observer.network_stride)
+    both = _core.CoverageSettings()
+    for name in ("turns", "centre_rad", "span_rad", "seen", "reach", "seen_together", "reach_together"):
+        setattr(both, name, getattr(others, name))
+    own = np.maximum(motion.lasting.max(axis=0), LEAST_SPEED_RAD_S)
+    both.fastest_rad_s = np.maximum(own, others.fastest_rad_s).tolist()
+    both.see(motion.q)
+    return CoverageFit(both, fit.left_out_share)
+
+
 def seen(motion: Motion, slides: np.ndarray, reach: np.ndarray, together: int) -> _core.CoverageSettings:
     """What this motion shows. A joint that turns has its cells once round, and one that slides over twice its way.
 

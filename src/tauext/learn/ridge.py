@@ -47,12 +47,37 @@ def fit_ridge(
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
     """
+    found = gather(setup, recordings, own, shared, corrected, loads)
+    return solved(setup, Regression([problem for problem, _ in found]), found, own, shared, corrected)
+
+
+Found = tuple[NormalEquations, tuple[Recording, slice]]
+"""The equations of a piece of a recording, and where it lies."""
+
+
+def gather(
+    setup: Setup,
+    recordings: Sequence[Recording],
+    own: Sequence[Sequence[_core.Term]],
+    shared: Sequence[_core.Term],
+    corrected: _core.Tree | None = None,
+    loads: Sequence[_core.Link] = (),
+    pieces: int | None = None,
+) -> list[Found]:
+    """The equations of all recordings that are longer than the warm-up; see fit_ridge.
+
+    Args:
+        pieces: of each recording; None: as many as leave something to leave out.
+
+    Raises:
+        TrainingError: no recording is longer than the observer's warm-up.
+    """
     terms = [term for group in own for term in group] + list(shared)
     usable = [recording for recording in recordings if recording.duration_s > setup.warm_up_s + 1]
-    pieces = FOLDS if len(usable) < FOLDS else 1  # of each recording, so that there is something to leave out
+    count = pieces or (FOLDS if len(usable) < FOLDS else 1)
     chosen = usable or recordings
     with ThreadPoolExecutor(min(setup.threads, AT_A_TIME)) as pool:
-        each = pool.map(lambda one: _problems(setup, one, own, shared, terms, corrected, loads, pieces), chosen)
+        each = pool.map(lambda one: _problems(setup, one, own, shared, terms, corrected, loads, count), chosen)
         found = [
             (problem, (recording, span))
             for recording, problems in zip(chosen, each, strict=True)
@@ -60,7 +85,19 @@ def fit_ridge(
         ]
     if not found:
         raise TrainingError(f"no training recording is longer than the observer's warm-up of {setup.warm_up_s:g} s")
-    regression = Regression([problem for problem, _ in found])
+    return found
+
+
+def solved(
+    setup: Setup,
+    regression: Regression,
+    found: Sequence[Found],
+    own: Sequence[Sequence[_core.Term]],
+    shared: Sequence[_core.Term],
+    corrected: _core.Tree | None = None,
+) -> PriorFit:
+    """The fit that a regression of these equations makes; links that cannot be have no place in it."""
+    terms = [term for group in own for term in group] + list(shared)
     while True:
         ridge, error = regression.choose_ridge()
         solution = regression.solve(regression.whole, ridge)

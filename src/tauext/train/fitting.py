@@ -11,8 +11,9 @@ from tauext._core import Bundle
 from tauext.config import PriorConfig
 from tauext.data import Recording
 from tauext.learn import PriorFit, Setup, build_setup, set_drift, with_presliding
-from tauext.learn.coverage import coverage_facts, fit_coverage
+from tauext.learn.coverage import coverage_facts, fit_coverage, seen_too
 from tauext.learn.kinematics import Kinematics
+from tauext.learn.like_fit import fit_like
 from tauext.learn.prior_facts import prior_facts
 from tauext.learn.torque_constants import with_constants
 from tauext.learn.widths import region_width
@@ -69,6 +70,8 @@ def fit_prior(job: Job, setup: Setup, recordings: Sequence[Recording]) -> PriorF
     recipe, config = job.config.row, job.config.prior
     if recipe.fit is None:
         return None
+    if job.like is not None:
+        return fit_like(setup, recordings, config, job.like)
     fit: Fit = resolve_name(recipe.fit)
     bent = with_presliding(setup, config.widths_rad) if recipe.presliding else setup
     known = job.constants.kinematics if job.constants else None
@@ -98,6 +101,8 @@ def put_coverage(job: Job, bundle: Bundle, setup: Setup) -> None:
     if not job.config.row.coverage:
         return
     fit = fit_coverage(setup, job.motion.uncut)
+    if job.like is not None and job.like.coverage is not None:
+        fit = seen_too(fit, job.like.coverage, setup, job.motion.uncut)
     bundle.coverage = fit.settings
     job.facts["coverage"] = coverage_facts(fit, job.joints)
 

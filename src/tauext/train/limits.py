@@ -29,6 +29,7 @@ from tauext.data import Recording, total_s
 from tauext.errors import ConfigError, TrainingError
 from tauext.learn import PriorFit, Setup, freeze_drift, make_bundle
 from tauext.learn.prior_facts import friction_nm
+from tauext.train.fleet_limits import fleet_errors, put_fleet_limits, put_fleet_scale
 from tauext.train.preparation import Job
 
 SHORT_S = 240.0
@@ -60,8 +61,12 @@ def calibrate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> N
     judged = [*unseen, *left_out]
     if config.row.presliding:
         bundle.after_contact_factor = config.alarm.after_contact_factor
-    if scaled:
+    fleet = fleet_errors(job, bundle) if scaled else None
+    if fleet is not None:
+        put_fleet_scale(job, bundle, judged, fleet, config.drift)
+    elif scaled:
         job.facts["error_scale"] = fit_error_scale(bundle, judged, job.threads, config.margins, config.drift)
+    if scaled:
         for one in left_out:
             assert one.bundle is not None
             one.bundle.error_scale = bundle.error_scale
@@ -70,6 +75,9 @@ def calibrate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> N
             bundle, job.name, job.calibration, config.alarm, job.threads, config.margins, job.report, job.out
         )
         job.report.say(promised.sentence())
+    elif kind == "supported" and fleet is not None:
+        words, job.facts["limits"] = put_fleet_limits(bundle, fleet, config.alarm)
+        job.notes.append(words)
     elif kind == "supported":
         words, job.facts["limits"] = set_supported_limits(bundle, judged, config, job.threads, fit)
         job.notes.append(words)

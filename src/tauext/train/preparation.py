@@ -13,6 +13,7 @@ from tauext.config import ModelCase, TrainConfig
 from tauext.data import Recording, standing_joints
 from tauext.errors import ConfigError
 from tauext.learn import Setup, TorqueConstants, reference_recording
+from tauext.learn.fleet_prior import FleetPrior
 from tauext.progress import Reporter
 from tauext.provenance import provenance
 from tauext.robot import torque_limits
@@ -39,6 +40,8 @@ class Job:
     """Provenance: settings, versions, seed and the recordings' names."""
     facts: dict = field(default_factory=dict)
     """What was found, for provenance: the steps add to it."""
+    like: FleetPrior | None = None
+    """What a fleet of arms of this type knows; None: the arm is by itself."""
 
     @property
     def name(self) -> str:
@@ -100,6 +103,7 @@ def prepare(
     out: Path,
     calibration: Sequence[Callable[[], Recording]],
     report: Reporter,
+    like: FleetPrior | None = None,
 ) -> Job:
     """Choose the minutes, leave out what is impossible, find torque constants, leave contacts out.
 
@@ -119,7 +123,7 @@ def prepare(
     out.parent.mkdir(parents=True, exist_ok=True)
     run = provenance("tauext train", training_settings(case, config), config.seed)
     run["recordings"] = {"train": [r.name for r in training], "validation": [r.name for r in validation]}
-    job = Job(tree, case, config, out, possible, list(calibration), motion, report, run)
+    job = Job(tree, case, config, out, possible, list(calibration), motion, report, run, like=like)
     if possible.left_out.found:
         job.notes.insert(0, possible.left_out.sentence())
         job.facts["impossible"] = possible.left_out.facts()

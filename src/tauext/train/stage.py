@@ -9,6 +9,7 @@ from tauext._core import Bundle, Tree
 from tauext.config import PAPER_CASES, CaseName, ModelCase, TrainConfig
 from tauext.data import Dataset, Recording, load_bundle
 from tauext.errors import ConfigError
+from tauext.learn.fleet_prior import FleetPrior
 from tauext.look import expect_codes
 from tauext.progress import SILENT, Reporter
 from tauext.robot import chosen_case, estimated_model
@@ -16,6 +17,7 @@ from tauext.room import expect_new_file
 from tauext.train.fitting import fit_prior, observe, put_coverage, put_prior, with_fit
 from tauext.train.gain import choose_gain
 from tauext.train.gating import gate
+from tauext.train.like import expect_like, like_facts, like_settings
 from tauext.train.limits import calibrate, limits_kind
 from tauext.train.load import put_load
 from tauext.train.look import look_first
@@ -34,6 +36,7 @@ def train_bundle(
     report: Reporter = SILENT,
     accept: Sequence[str] = (),
     look: bool = True,
+    like: FleetPrior | None = None,
 ) -> Bundle:
     """Train on a dataset's free motion, find limits on its validation or calibration recordings, and write one bundle.
 
@@ -48,6 +51,7 @@ def train_bundle(
         report: is told how far it is, and what was found, in sentences.
         accept: codes of the doctor that are no fault on your word, CODE or CODE:joint; they stand in the bundle.
         look: False: do not look; for recordings that are known to be good.
+        like: what a fleet of arms of this type knows (tauext.learn.fleet_prior_file.load_fleet_prior); None: nothing.
 
     Raises:
         FaultyDataError: recordings or robot file have a fault that is not accepted.
@@ -61,6 +65,7 @@ def train_bundle(
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
     expect_new_file(out)
     expect_size(config)
+    like_settings(config, like)
     limits_kind(config, dataset.split.calibration)
     robot_file = dataset.robot_file(robot)
     case, said = chosen_case(case, robot_file)
@@ -73,7 +78,7 @@ def train_bundle(
     if look:
         looked = look_first(dataset, robot_file, model, training, validation, config, accept, report)
     calibration = dataset.loaders("calibration")
-    train_on_recordings(tree, robot_file, model, training, validation, config, out, calibration, report, looked)
+    train_on_recordings(tree, robot_file, model, training, validation, config, out, calibration, report, looked, like)
     return load_bundle(out)
 
 
@@ -88,6 +93,7 @@ def train_on_recordings(
     calibration: Sequence[Callable[[], Recording]] = (),
     report: Reporter = SILENT,
     looked: dict | None = None,
+    like: FleetPrior | None = None,
 ) -> None:
     """Train on recordings that are at hand by the config's recipe, find limits, and write the bundle.
 
@@ -103,16 +109,22 @@ def train_on_recordings(
         calibration: load the recordings on which a promise about false alarms is kept.
         report: is told how far it is, and what was found, in sentences.
         looked: what the doctor found (look_first), for provenance; None: nobody looked.
+        like: what a fleet of arms of this type knows; None: the arm is by itself.
 
     Raises:
         ConfigError: settings that the case or the recordings cannot serve.
         TrainingError: too little motion for the recipe, or a loss that diverges.
     """
     limits_kind(config, calibration)  # refuses what could not be kept before anything is learned
-    job = prepare(tree, robot, case, training, validation, config, out, calibration, report)
+    config = like_settings(config, like)
+    job = prepare(tree, robot, case, training, validation, config, out, calibration, report, like)
     if looked is not None:
         job.facts["look"] = looked
     setup = observe(job)
+    if like is not None:
+        expect_like(job, setup)
+        job.facts["like"] = like_facts(like)
+        job.facts["gain"] = {"chosen_per_s": setup.observer.gain_per_s, "reason": "the fleet prior's"}
     fit = fit_prior(job, setup, job.motion.training if job.motion.network else job.motion.uncut)
     if config.resolved().observer.gain_per_s == "auto" and fit is not None:
         setup, fit = choose_gain(job, setup, fit)

@@ -1,0 +1,210 @@
+"""A new arm with one minute of its own: with a fleet's prior, without it, and with ten minutes of its own.
+
+    python benchmarks/fleet_prior.py MODELS OUT [--type ur5] [--arms 10] [--new 6] [--type-seed 1]
+
+Simulated arms of one type (unseen.of_type): links, gears and drives they share; friction of each joint (0.7 to 1.3 of
+the type's), tool, torque constants (8 % about those of the data sheet) and ripple's size and phase are each arm's own.
+MODELS: folder of the arms' URDFs, as of unseen_arms.py. OUT gets recordings, bundles and README.md; what is there is
+used again. That of docs/results/fleet-prior is one of these.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from unseen.arms import Maker, makers
+from unseen.cold import command
+from unseen.fleet_takes import FLEET_TAKES, NEW_TAKES, make_arm
+from unseen.of_type import arm_of
+from unseen.recordings import told_constants
+from unseen.refitted import AFTER_S, COLLISION, EPISODE_S
+from unseen.results import STRONG, nearest, truth_of
+
+from tauext import _core
+from tauext.data import Recording, load_recording, load_split
+from tauext.evaluate import estimate_recording
+
+NEW_SEED = 100
+WAYS = {
+    "one": ("1 min, alone", ("--minutes", "1")),
+    "like": ("1 min, fleet prior", ("--minutes", "1", "--like")),
+    "ten": ("10 min, alone", ()),
+}
+WARM_UP_S = 3.0
+BEFORE_S, AFTER_CONTACT_S = 0.2, 3.0
+
+
+@dataclass
+class Outcome:
+    """One bundle of one new arm."""
+
+    error_nm: np.ndarray
+    """(n,), of true torque, on free motion."""
+    limit_nm: np.ndarray
+    """(n,), the mean of what was in force there."""
+    found: int = 0
+    found_strong: int = 0
+    false: int = 0
+    hours: float = 0.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("models", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--type", default="ur5", help="of the arms' maker, default: %(default)s")
+    parser.add_argument("--type-seed", type=int, default=1, help="draws the type, default: %(default)s")
+    parser.add_argument("--arms", type=int, default=10, help="of the fleet, default: %(default)s")
+    parser.add_argument("--new", type=int, default=6, help="arms that are met, default: %(default)s")
+    options = parser.parse_args()
+    maker = replace(makers(options.models)[options.type], type_seed=options.type_seed)
+    root = options.out / options.type
+    fleet = [make_arm(maker, k, root / f"arm-{k:02d}", FLEET_TAKES) for k in range(options.arms)]
+    prior = root / f"{options.type}-{options.arms}.prior.json"
+    if not prior.exists():
+        command("fleet", "prior", *fleet, "--out", prior)
+    rows = []
+    for k in range(options.new):
+        folder = root / f"new-{k}"
+        data = make_arm(maker, NEW_SEED + k, folder, NEW_TAKES)
+        bundles = {way: trained(way, data, folder, prior) for way in WAYS}
+        rows.append(judge(maker, NEW_SEED + k, folder, data, bundles))
+    text = "\n".join(markdown(rows, options, json.loads(prior.read_text()))) + "\n"
+    (options.out / "README.md").write_text(text)
+    print(text)
+
+
+def trained(way: str, data: Path, folder: Path, prior: Path) -> Path:
+    """The bundle of one way to train; not what is there."""
+    bundle = folder / (f"like-{prior.name.partition('.')[0]}.tauext" if way == "like" else f"{way}.tauext")
+    if not bundle.exists():
+        more = [*WAYS[way][1], *([prior] if way == "like" else [])]
+        command("train", "--data", data, "--recipe", "prior", "--threads", "1", "--out", bundle, *more)
+    return bundle
+
+
+def judge(maker: Maker, seed: int, folder: Path, data: Path, paths: dict[str, Path]) -> dict:
+    """Errors on free motion, contacts that were found and false collisions, of each bundle on the same recordings."""
+    split = load_split(data)
+    bundles = {way: _core.Bundle.load(str(path)) for way, path in paths.items()}
+    told = np.array(told_constants(maker, seed, True))
+    true = arm_of(maker, seed).nm_per_ampere / told
+    scale = {way: true / np.array(bundle.observer.nm_per_unit or 1.0) for way, bundle in bundles.items()}
+    tests = [load_recording(data / name) for name in (*split.test, *split.collisions)]
+    outcomes = {way: of_free(bundle, tests, scale[way]) for way, bundle in bundles.items()}
+    strong = every = 0
+    for name in split.collisions:
+        recording = load_recording(data / name)
+        truths = {take.name: json.loads((folder / "csv" / f"{take.name}.truth.json").read_text()) for take in NEW_TAKES}
+        said = {way: held_alarms(bundle, recording) for way, bundle in bundles.items()}
+        start_s, labels = 1e-9 * float(recording.t_ns[0]), contacts(recording)
+        for begin, end in labels:
+            truth = nearest(truth_of(recording.name, truths), start_s + float(recording.time_s[begin]))
+            is_strong = bool(np.max(np.array(truth["peak_nm"]) / outcomes["ten"].error_nm) >= STRONG)
+            every, strong = every + 1, strong + is_strong
+            last = end + round(AFTER_S * recording.rate_hz)
+            for way, held in said.items():
+                hit = bool((held[begin:last] == COLLISION).any())
+                outcomes[way].found += hit
+                outcomes[way].found_strong += hit and is_strong
+    return {"every": every, "strong": strong, "outcomes": outcomes}
+
+
+def of_free(bundle: _core.Bundle, recordings: Sequence[Recording], scale: np.ndarray) -> Outcome:
+    """Error, limits and false collisions where nothing touches."""
+    errors, limits = [], []
+    outcome = Outcome(np.zeros(bundle.joints), np.zeros(bundle.joints))
+    for recording in recordings:
+        said = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, 1, None)
+        free = free_of(recording)
+        errors.append(scale * said["tau_ext"][free])
+        level = np.where(said["near_stiction"], bundle.near_stiction_limit_nm, bundle.sliding_limit_nm)
+        limits.append(scale * (level * said["limit_scale"] + said["doubt"])[free])
+        at = np.flatnonzero((held_alarms(bundle, recording) == COLLISION) & free)
+        outcome.false += 0 if len(at) == 0 else 1 + int((np.diff(recording.t_ns[at]) >= EPISODE_S * 1e9).sum())
+        outcome.hours += float(free.sum()) / recording.rate_hz / 3600
+    outcome.error_nm = np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
+    outcome.limit_nm = np.mean(np.concatenate(limits), axis=0)
+    return outcome
+
+
+def free_of(recording: Recording) -> np.ndarray:
+    """Where nothing touches, (samples,) bool: not from BEFORE_S before a label until AFTER_CONTACT_S behind it."""
+    free = recording.time_s > WARM_UP_S
+    for begin, end in contacts(recording):
+        first, last = (round(s * recording.rate_hz) for s in (BEFORE_S, AFTER_CONTACT_S))
+        free[max(0, begin - first) : end + last] = False
+    return free
+
+
+def held_alarms(bundle: _core.Bundle, recording: Recording) -> np.ndarray:
+    """Of each sample, as evaluate sees them."""
+    held = estimate_recording(bundle, recording, 1).held_alarm
+    assert held is not None
+    return held
+
+
+def contacts(recording: Recording) -> list[tuple[int, int]]:
+    """First and last sample of each label."""
+    if recording.contact is None:
+        return []
+    edges = np.flatnonzero(np.diff(np.r_[0, recording.contact == 1, 0])).reshape(-1, 2)
+    return [(int(a), int(b)) for a, b in edges]
+
+
+def markdown(rows: Sequence[dict], options: argparse.Namespace, prior: dict) -> list[str]:
+    """The tables, and what they are of."""
+    usual = {"arms": 10, "new": 6}
+    said = [f" --{name} {getattr(options, name)}" for name in usual if getattr(options, name) != usual[name]]
+    minutes = sum(take.minutes for take in FLEET_TAKES)
+    lines = [
+        "# A new arm with a minute of its own",
+        "",
+        f"Written by `python benchmarks/fleet_prior.py MODELS OUT{''.join(said)}`.",
+        "",
+        f"A fleet of {len(prior['arms'])} simulated arms of one type ({options.type}), {minutes:g} minutes each, and "
+        f"{len(rows)} new arms. Links, gears and",
+        "drives are the type's; friction of each joint (0.7 to 1.3 of the type's), tool, torque constants (8 %",
+        "about those of the data sheet) and ripple are each arm's own. Each new arm is trained on its first minute",
+        "by itself, on that minute with the fleet's prior, and on ten minutes by itself; and judged on the same four",
+        "minutes of free motion and 50 contacts, at other times of its day. Error: RMS of tau_ext where nothing",
+        "touches, by that with ten minutes, the mean over joints. Limit likewise: the mean limit in force. Strong: a",
+        f"contact whose torque at some joint is {STRONG:g} times the error with ten minutes or more. Torques are the",
+        "true ones.",
+        "",
+        "| new arm | trained on | error, by 10 min | limit, by 10 min | found | of strong | false (minutes) |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for k, row in enumerate(rows):
+        for way, (words, _) in WAYS.items():
+            one = row["outcomes"][way]
+            lines.append(
+                f"| {k + 1} | {words} | {ratio(row, way, 'error_nm'):.2f} | {ratio(row, way, 'limit_nm'):.2f} | "
+                f"{one.found}/{row['every']} | {one.found_strong}/{row['strong']} | "
+                f"{one.false} ({60 * one.hours:.0f}) |"
+            )
+    for way, (words, _) in WAYS.items():
+        error, limit = (np.median([ratio(row, way, name) for row in rows]) for name in ("error_nm", "limit_nm"))
+        found = np.median([row["outcomes"][way].found / row["every"] for row in rows])
+        strong = np.median([row["outcomes"][way].found_strong / max(row["strong"], 1) for row in rows])
+        false = sum(row["outcomes"][way].false for row in rows)
+        minutes = 60 * sum(row["outcomes"][way].hours for row in rows)
+        lines.append(
+            f"| **median** | {words} | {error:.2f} | {limit:.2f} | {found:.0%} | {strong:.0%} | "
+            f"{false} ({minutes:.0f}), sum |"
+        )
+    return lines
+
+
+def ratio(row: dict, way: str, name: str) -> float:
+    """By that with ten minutes, the mean over joints."""
+    return float(np.mean(getattr(row["outcomes"][way], name) / getattr(row["outcomes"]["ten"], name)))
+
+
+if __name__ == "__main__":
+    main()

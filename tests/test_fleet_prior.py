@@ -1,0 +1,232 @@
+"""A fleet prior from small arms, and a new arm that is trained with it on less than a minute."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_fleet import CONFIG, FRICTION, dataset, fleet, moving
+
+from tauext import _core
+from tauext.cli import main
+from tauext.data import load_dataset
+from tauext.errors import ConfigError
+from tauext.fleet_prior import fleet_arms, make_fleet_prior
+from tauext.fleet_prior.arms import distinct, own_terms_of
+from tauext.fleet_prior.errors import factor_of
+from tauext.fleet_prior.summary import table
+from tauext.learn.fleet_prior_file import content, load_fleet_prior, write_fleet_prior
+from tauext.progress import SILENT
+from tauext.train import train_bundle
+from tauext.train.fleet_limits import scale_settings
+
+SECONDS = 20.0
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> tuple[Path, list[Path]]:
+    """The file of a fleet prior, and the datasets that it came from."""
+    folder = tmp_path_factory.mktemp("fleet")
+    data = fleet(folder)
+    out = folder / "planar.prior.json"
+    make_fleet_prior(fleet_arms([str(one) for one in data]), out, CONFIG)
+    return out, data
+
+
+@pytest.fixture(scope="module")
+def new(made, tmp_path_factory) -> dict[str, _core.Bundle]:
+    """A new arm trained on seconds of motion, with the fleet's prior and without."""
+    folder = tmp_path_factory.mktemp("new")
+    data = load_dataset(dataset(folder / "data", moving(70, SECONDS, (0.75, 1.15))))
+    like = load_fleet_prior(made[0])
+    return {
+        name: train_bundle(data, folder / f"{name}.tauext", config=CONFIG, look=False, like=known)
+        for name, known in (("like", like), ("alone", None))
+    }
+
+
+def rms(bundle: _core.Bundle) -> np.ndarray:
+    """Of tau_ext on other motion of the new arm, whose friction is known."""
+    other = moving(71, 60.0, (0.75, 1.15))
+    said = _core.estimate(bundle, other.t_ns, other.q, other.dq, other.tau, 1, None)
+    return np.sqrt(np.mean(said["tau_ext"][200:] ** 2, axis=0))
+
+
+def test_friction_of_each_arm_is_told_by_that_of_the_fleet(made):
+    facts = load_fleet_prior(made[0]).facts
+    healthy = np.mean([one[0] for one in FRICTION])
+    for one, (shoulder, _) in zip(facts["arms"], FRICTION, strict=True):
+        factor, error = one["friction"]["shoulder"]
+        assert factor == pytest.approx(shoulder / healthy, abs=0.05) and 0 < error < 0.05
+    assert facts["spread"]["shoulder"]["spread"] == pytest.approx(0.14, abs=0.08)
+
+
+def test_the_odd_joint_counts_for_less_and_is_marked(made):
+    facts = load_fleet_prior(made[0]).facts
+    trust = [one["trust"] for one in facts["arms"]]
+    assert trust[-1]["elbow"] < 0.1 and trust[-1]["shoulder"] == 1
+    assert all(one["elbow"] > 0.5 for one in trust[:-1])
+    assert facts["arms"][-1]["friction"]["elbow"][0] == pytest.approx(3.0, rel=0.1)  # the others are 1 on average
+    lines = table(facts).splitlines()
+    assert [line.partition(" ")[0] for line in lines if "*" in line] == ["arm-5"] and "3.00 ± 0.00 *" in lines[6]
+
+
+def test_the_file_is_read_as_it_was_written(made, tmp_path):
+    prior = load_fleet_prior(made[0])
+    again = tmp_path / "again.prior.json"
+    write_fleet_prior(prior, again)
+    assert again.read_bytes() == made[0].read_bytes()
+    assert len(prior.sha256) == 64
+
+
+def test_a_new_arm_of_seconds_is_better_with_the_fleet(new):
+    assert (rms(new["like"]) < rms(new["alone"])).all()
+    assert rms(new["like"]).max() < 0.2
+
+
+def test_limits_of_a_new_arm_are_the_fleets_and_say_so(made, new):
+    like, limits = load_fleet_prior(made[0]), json.loads(new["like"].provenance)["limits"]
+    assert like.errors is not None and like.errors.arms == 5  # without the odd one
+    assert new["like"].sliding_limit_nm == pytest.approx(like.errors.sliding_limit_nm)
+    assert "5 arms of this type" in limits["sentence"] and limits["like"] is True
+    assert "friction_reserve" not in limits
+    assert "friction_reserve" in json.loads(new["alone"].provenance)["limits"]
+
+
+def test_no_motion_of_the_new_arm_is_over_its_limits(new):
+    other = moving(72, 120.0, (0.75, 1.15))
+    said = _core.estimate(new["like"], other.t_ns, other.q, other.dq, other.tau, 1, None)
+    level = np.where(said["near_stiction"], new["like"].near_stiction_limit_nm, new["like"].sliding_limit_nm)
+    over = np.abs(said["tau_ext"]) > level * said["limit_scale"] + said["doubt"]
+    assert over[200:].mean() < 1e-3
+
+
+def test_the_bundle_says_which_fleet_it_is_like(made, new):
+    facts = json.loads(new["like"].provenance)
+    assert facts["like"]["sha256"] == load_fleet_prior(made[0]).sha256
+    assert facts["like"]["arms"] == [f"arm-{k}" for k in range(len(FRICTION))]
+
+
+def test_motion_that_other_arms_showed_is_familiar(made, new):
+    """What a fleet knows of a pose holds for one more arm."""
+    pose = moving(0, 150.0, FRICTION[0]).q[5000:5100].copy()  # of the first arm's training
+    still = np.zeros_like(pose)
+    strange = {name: bundle.coverage.look(pose, still)["share"].max() for name, bundle in new.items()}
+    assert strange["like"] < _core.CoverageSettings.WORTH_TELLING
+
+
+@pytest.mark.parametrize(
+    "changes, says",
+    [
+        ({"rate_hz": 100.0}, "rate hz"),
+        ({"joints": ("a", "b")}, "joints"),
+        ({"case": "mass"}, "case"),
+        ({"units": ("newton_metre", "ampere")}, "units"),
+        ({"links": "0" * 64}, "links"),
+    ],
+)
+def test_a_prior_of_another_type_is_refused_in_one_line(made, tmp_path, changes, says):
+    like = load_fleet_prior(made[0])
+    other = replace(like, type=replace(like.type, **changes))
+    data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (1.0, 1.0))))
+    with pytest.raises(ConfigError, match=f": {says} = .* must be .* as of the fleet prior"):
+        train_bundle(data, tmp_path / "no.tauext", config=CONFIG, look=False, like=other)
+    assert not (tmp_path / "no.tauext").exists()
+
+
+def test_recipes_without_such_a_prior_refuse_it(made, tmp_path):
+    data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (1.0, 1.0))))
+    with pytest.raises(ConfigError, match="recipe = friction must be tauext or prior"):
+        config = replace(CONFIG, recipe="friction", observer=replace(CONFIG.observer, gain_per_s=None))
+        train_bundle(data, tmp_path / "no.tauext", config=config, look=False, like=load_fleet_prior(made[0]))
+
+
+def test_too_few_arms_or_one_twice_are_refused(made, tmp_path, capsys):
+    data = [str(one) for one in made[1]]
+    assert main(["fleet", "prior", *data[:2], "--out", str(tmp_path / "a.prior.json")]) == 2
+    assert "2 arms: a fleet prior needs at least 3" in capsys.readouterr().err
+    assert main(["fleet", "prior", *data[:2], data[0], "--out", str(tmp_path / "a.prior.json")]) == 2
+    assert "the same arm twice" in capsys.readouterr().err
+    assert main(["fleet", "prior", *data[:3], "--out", str(tmp_path / "a.json")]) == 2
+    assert "a fleet prior's name ends in .prior.json" in capsys.readouterr().err
+
+
+def test_an_arm_that_cannot_be_used_is_left_out_with_its_reason(made, tmp_path):
+    data = [str(one) for one in made[1][:3]]
+    broken = tmp_path / "broken"
+    said: list[str] = []
+    told = type("Told", (), {"say": lambda self, line: said.append(line), "progress": quiet})()
+    with pytest.raises(ConfigError, match="2 of 3 arms can be used, and 3 are needed"):
+        make_fleet_prior(fleet_arms([*data[:2], str(broken)]), tmp_path / "a.prior.json", CONFIG, report=told)
+    assert any("broken is left out" in line for line in said)
+
+
+def quiet(self, title):
+    return SILENT.progress(title)
+
+
+def test_arms_of_two_types_are_refused(made, tmp_path):
+    other = dataset(tmp_path / "other", moving(5, 40.0, (1.0, 1.0), joints=("shoulder", "elbow"), torque_timing="held"))
+    arms = fleet_arms([str(made[1][0]), str(other), str(made[1][1])])
+    with pytest.raises(ConfigError, match="torque timing = held must be averaged as of arm-0"):
+        make_fleet_prior(arms, tmp_path / "a.prior.json", CONFIG)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda raw: raw | {"format": 2},
+        lambda raw: {key: value for key, value in raw.items() if key != "weights"},
+        lambda raw: raw | {"error_nm": [1.0]},
+        lambda raw: raw | {"trust": 0},
+        lambda raw: raw | {"weights": raw["weights"] | {"links": {"mean": [0.0], "covariance": [[1.0]]}}},
+        lambda raw: raw | {"terms": raw["terms"] | {"elbow": [["no_such_kind", 0, 0, 0, 0, 0.0]]}},
+        lambda raw: [],
+    ],
+)
+def test_a_damaged_file_is_refused_in_one_line(made, tmp_path, damage):
+    path = tmp_path / "damaged.prior.json"
+    path.write_text(json.dumps(damage(content(load_fleet_prior(made[0])))))
+    with pytest.raises(ConfigError, match="fleet prior") as refused:
+        load_fleet_prior(path)
+    assert "\n" not in str(refused.value)
+
+
+def test_arms_are_named_by_what_tells_their_folders_apart():
+    assert distinct([Path("/a/one/data"), Path("/a/two/data")]) == ["one", "two"]
+    assert distinct([Path("/a/one"), Path("/b/two")]) == ["one", "two"]
+    assert distinct([Path("/a/x/data"), Path("/b/x/data")]) == ["a", "b"]
+
+
+def test_from_minutes_enough_on_an_arms_limits_follow_from_its_own_errors(made, tmp_path, monkeypatch):
+    monkeypatch.setattr("tauext.train.fleet_limits.ENOUGH_S", SECONDS / 2)
+    data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (0.75, 1.15))))
+    like = load_fleet_prior(made[0])
+    bundle = train_bundle(data, tmp_path / "own.tauext", config=CONFIG, look=False, like=like)
+    limits = json.loads(bundle.provenance)["limits"]
+    assert "like" not in limits and limits["minutes_factor"] == CONFIG.alarm.minutes_factor
+
+
+def test_limits_are_raised_until_no_arm_is_over_those_of_the_others():
+    top = np.array([[[1.0, 2.0], [1.0, 1.0]], [[1.5, 2.0], [0.5, 1.0]], [[1.2, 2.2], [0.9, 1.0]]])
+    assert factor_of(top) == pytest.approx(1.5 / 1.2)  # the second arm's first joint, sliding
+    assert factor_of(np.ones((4, 2, 2))) == 1.0
+
+
+def test_an_arm_that_errs_twice_as_much_gets_limits_twice_as_high(made):
+    errors = load_fleet_prior(made[0]).errors
+    assert errors is not None
+    one, two = (scale_settings(errors, np.array(size)) for size in ([1.0, 1.0], [2.0, 1.0]))
+    for name in ("limit_weights", "sigma_weights", "sigma_near_weights", "largest", "largest_sigma"):
+        ratio = np.array(getattr(two, name)).reshape(2, -1), np.array(getattr(one, name)).reshape(2, -1)
+        assert ratio[0] == pytest.approx(ratio[1] * [[2.0], [1.0]])
+
+
+def test_a_bundle_beside_the_data_saves_the_search_for_terms(made, new, tmp_path):
+    new["alone"].save(str(tmp_path / "alone.tauext"))
+    (arm, *_) = fleet_arms([f"{tmp_path}/alone.tauext:{made[1][0]}", *map(str, made[1][1:3])])
+    assert arm.bundle == tmp_path / "alone.tauext" and arm.name == "arm-0"
+    own = own_terms_of(arm, CONFIG, (), SILENT)
+    assert own.widths_rad == tuple(new["alone"].prior.widths_rad)
+    assert own.gain_per_s == new["alone"].observer.gain_per_s and own.type.joints == ("shoulder", "elbow")

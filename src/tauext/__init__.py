@@ -18,7 +18,7 @@ What a program needs, each name loaded when it is first asked for:
 **Train** train_bundle, recalibrate; refit_bundle, refit_motion, refit_recordings; TrainConfig and the settings in it:
 ObserverConfig, PriorConfig, DriftConfig, AlarmConfig, FilterConfig, FreeMotionConfig
 **Estimate** estimate_recording, Estimates · evaluate_bundles, EventsConfig
-**Monitor** expect_fit, Monitor, Estimate, Health, Alarm, cause_names, FlightRecorder; Load
+**Monitor** expect_fit, Monitor, Estimate, Health, Alarm, cause_names, FlightRecorder; Load, LoadFound, LoadPhase
 **Progress** Reporter: what train_bundle and evaluate_bundles tell while they work
 **Errors** TauextError and under it RobotError, RecordingError, ConfigError, BundleError, TrainingError
 
@@ -41,6 +41,8 @@ if TYPE_CHECKING:
         FlightRecorder,
         Health,
         Load,
+        LoadFound,
+        LoadPhase,
         Monitor,
         __version__,
         cause_names,
@@ -88,6 +90,8 @@ __all__ = [
     "FreeMotionConfig",
     "Health",
     "Load",
+    "LoadFound",
+    "LoadPhase",
     "Monitor",
     "ObserverConfig",
     "PriorConfig",
@@ -122,6 +126,8 @@ _WHERE = {
         "FlightRecorder",
         "Health",
         "Load",
+        "LoadFound",
+        "LoadPhase",
         "Monitor",
         "__version__",
         "cause_names",

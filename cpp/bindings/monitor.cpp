@@ -374,7 +374,9 @@ void bind_monitor(nb::module_& m) {
           "What the arm carries from the next sample on, or as if it had been told at since_ns: mass [kg], centre of\n"
           "mass [m] in load_settings.frame, inertia about it xx, yy, zz, xy, xz, yz [kg m^2]. Limits rise by error_share\n"
           "of its torques. Raises CoreError, and changes nothing, where it is refused.")
-      .def("clear_load", [](Monitor& self, const std::optional<std::int64_t>& since_ns) { set_load(self, {}, since(since_ns)); },
+      .def("clear_load", [](Monitor& self, const std::optional<std::int64_t>& since_ns) {
+             if (self.load_settings().settable()) set_load(self, {}, since(since_ns));
+           },
            nb::arg("since_ns") = nb::none(), "The arm carries nothing.")
       .def(
           "expect_load",

@@ -493,6 +493,7 @@ void without_a_model_it_is_refused_and_the_bundle_says_why() {
   Monitor monitor(b);
   CHECK(!monitor.set_load(tool()));
   CHECK(monitor.load_fault(tool()) == LoadFault::not_settable);
+  CHECK(monitor.clear_load() && monitor.load().mass == 0);
   CHECK(monitor.why_no_load(tool()).find("no model") != std::string::npos);
   monitor.advance();
 }

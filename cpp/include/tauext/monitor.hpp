@@ -65,8 +65,8 @@ class Monitor {
   // the chain. Limits rise by the load's error_share of its torques. false, and nothing changed, where the load is
   // refused. Takes no longer than a microsecond or two for each sample since then.
   bool set_load(const Load& load, std::int64_t since_ns = kFromNow) noexcept;
-  // It carries nothing more.
-  bool clear_load(std::int64_t since_ns = kFromNow) noexcept { return set_load({}, since_ns); }
+  // It carries nothing more; true, and nothing happens, where none can be set.
+  bool clear_load(std::int64_t since_ns = kFromNow) noexcept { return !load_settings_.settable() || set_load({}, since_ns); }
   const Load& load() const noexcept { return observe_.load(); }  // that holds now
   // Where it is fixed, and what is believed of one.
   const LoadSettings& load_settings() const noexcept { return load_settings_; }

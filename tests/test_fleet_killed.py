@@ -22,8 +22,14 @@ def command(fleet: Path, out: Path, *more: str) -> list[str]:
     return [sys.executable, "-m", "tauext", "fleet", "run", str(fleet), "--out", str(out), *more]
 
 
+def heeds_ctrl_c() -> None:
+    """What a shell starts behind an & ignores SIGINT, and so do its children; a test run may be one of them."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def started(fleet: Path, out: Path, *more: str) -> subprocess.Popen:
-    return subprocess.Popen(command(fleet, out, *more), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(command(fleet, out, *more), preexec_fn=heeds_ctrl_c, **pipes)
 
 
 def until(there, process: subprocess.Popen):

@@ -228,19 +228,7 @@ class LoadEstimate:
 def identify(
     bundle: _core.Bundle, frame: NamedFrame, parts: Sequence[Seen], reach_m: float = 0.3, phi: np.ndarray | None = None
 ) -> LoadEstimate:
-    """The load that these rows show, by weighted least squares on tau_ext.
-
-        tau_ext_j = X_j(m, h) + offset_j + Coulomb_j tanh(dq_j / v) + error,   weights worth / (scale_j sigma_j)^2
-
-    X holds gravity, inertia and the friction that the load adds, through the observer's filter. The centre of mass is
-    within the reach: h is drawn to 0 with a standard deviation of m reach / 2.
-
-    Args:
-        phi: a load to begin with, (10,).
-
-    Raises:
-        RecordingError: fewer than LEAST_ROWS rows.
-    """
+    """As tauext.load.identify, with every round over the rows again."""
     if sum(part.rows for part in parts) < LEAST_ROWS:
         raise ValueError(
             f"{parts[0].recording.name if parts else 'nothing'}: too few healthy samples to weigh a load; it takes "

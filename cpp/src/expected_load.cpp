@@ -139,7 +139,7 @@ void ExpectedLoad::fit(std::span<const double> tau_ext, std::span<double> explai
     s.next = 1;
     s.block_end_ns = s.t_ns + to_ns(kBlock_s);
   }
-  Block& last = s.blocks[(s.next + kBlocks - 1) % kBlocks];
+  Stretch& last = s.blocks[(s.next + kBlocks - 1) % kBlocks];
   if (last.samples == 0) last.begin_ns = s.t_ns;
   last.samples += 1;
   last.sums.add(one);

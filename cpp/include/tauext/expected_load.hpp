@@ -110,11 +110,7 @@ class ExpectedLoad {
   void restore(std::span<const std::byte> from) noexcept;
 
  private:
-  struct Block {
-    std::int64_t begin_ns = 0;
-    double samples = 0;
-    ChangeSums sums;
-  };
+  // What samples in a row show; kBlocks short ones are kept, and added up.
   struct Stretch {
     std::int64_t begin_ns = 0;
     double samples = 0;
@@ -138,7 +134,7 @@ class ExpectedLoad {
     LoadBounds bounds;
     Alarm held = Alarm::none;
     int joint = -1;
-    std::array<Block, kBlocks> blocks{};
+    std::array<Stretch, kBlocks> blocks{};
     std::size_t next = 0, count = 0;
     AlarmStage::State usual;
     LimitFactors factors;
@@ -160,7 +156,7 @@ class ExpectedLoad {
   bool same(const Stretch& stretch, const LoadChange& one, const LoadChange& other) const noexcept;
   std::array<double, 16> covariance_of(const Stretch& stretch, const LoadChange& change) const noexcept;
   double error_of(const Stretch& stretch, const LoadChange& change) const noexcept;
-  const Block& block(std::size_t back) const noexcept { return state_.blocks[(state_.next + kBlocks - 1 - back) % kBlocks]; }
+  const Stretch& block(std::size_t back) const noexcept { return state_.blocks[(state_.next + kBlocks - 1 - back) % kBlocks]; }
   bool shows(const LoadChange& one, const LoadChange& other, double share) const noexcept;
 
   int joints_;

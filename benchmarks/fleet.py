@@ -1,8 +1,10 @@
 """What a fleet costs beside its tasks: one worker against two, overhead a task, and a run that has nothing to do.
 
-    python benchmarks/fleet.py --arms 40 --minutes 1 --out FOLDER [--ray local]
+    python benchmarks/fleet.py MODELS OUT [--arms 40] [--minutes 12] [--ray local]
 
-Arms are virtual rigs of drawn friction. Each run starts with empty folders and an empty memory of looks.
+Arms are of one simulated type (unseen.of_type), as CSV files of currents: friction, tool and constants are each
+arm's own. Of each 20 arms two have a broken source, and must fail alone. Each run starts with empty folders and an
+empty memory of looks. MODELS: folder of the arms' URDFs, as of unseen_arms.py.
 """
 
 from __future__ import annotations
@@ -14,27 +16,48 @@ import shutil
 import subprocess
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
+from unseen.arms import Maker, makers
+from unseen.recordings import Take, description, write_take
 
-RECIPE = "friction"
+FIRST_SEED = 300
+BROKEN = {7: "headless", 13: "empty"}
+"""Of each 20 arms."""
 
 
-def simulate(out: Path, arms: int, minutes: float) -> Path:
-    """Datasets and fleet.toml; what is there stays."""
-    from tauext.rig import simulate_dataset
-    from tauext.rig.config import changed_rig
-
-    factors = np.random.default_rng(0).uniform(0.7, 1.3, arms)
-    for k, friction in enumerate(factors):
-        folder = out / f"data-{k:02d}"
-        if not (folder / "split.json").is_file():
-            simulate_dataset(folder, changed_rig(20, float(friction)), k, minutes, 1, lambda *told: None)
-    tables = [f'[[arms]]\nname = "arm-{k:02d}"\ndataset = "data-{k:02d}"\n' for k in range(arms)]
+def simulate(maker: Maker, out: Path, arms: int, minutes: float, workers: int) -> Path:
+    """Sources, arm.toml and fleet.toml; what is there stays."""
+    takes = (
+        Take("work-1", "train", minutes / 4),
+        Take("work-2", "train", minutes / 4, 0, 600),
+        Take("free-1", "test", minutes / 4, 0, 60),
+        Take("contacts-1", "collisions", minutes / 4, round(1.5 * minutes), 360),
+    )
+    with ProcessPoolExecutor(workers) as pool:
+        for done in [pool.submit(sources, maker, k, out / f"arm-{k:02d}", takes) for k in range(arms)]:
+            done.result()
+    names = [f"arm-{k:02d}" for k in range(arms)]
+    tables = [f'[[arms]]\nname = "{n}"\narm = "{n}/arm.toml"\nsources = ["{n}/*.csv"]\n' for n in names]
     path = out / "fleet.toml"
-    path.write_text(f'[train]\nrecipe = "{RECIPE}"\n[evaluate]\nkeep_free_estimates = 1\n' + "".join(tables))
+    path.write_text("[evaluate]\nkeep_free_estimates = 1\n" + "".join(tables))
     return path
+
+
+def sources(maker: Maker, number: int, folder: Path, takes: tuple[Take, ...]) -> None:
+    """The CSV files of one arm and their description, some broken."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for k, take in enumerate(takes):
+        if not (folder / f"{take.name}.truth.npz").exists():
+            write_take(maker, FIRST_SEED + number, k, folder, takes)
+    (folder / "arm.toml").write_text(description(maker, FIRST_SEED + number, True, takes))
+    broken = folder / f"{takes[-1].name}.csv"
+    if BROKEN.get(number % 20) == "empty":
+        broken.write_bytes(b"")
+    if BROKEN.get(number % 20) == "headless" and (content := broken.read_bytes()).startswith(b'"time"'):
+        broken.write_bytes(content.partition(b"\n")[2])
 
 
 def run(fleet: Path, out: Path, *more: str) -> tuple[float, float]:
@@ -44,7 +67,7 @@ def run(fleet: Path, out: Path, *more: str) -> tuple[float, float]:
     environment = os.environ | {"XDG_CACHE_HOME": str(out.with_name(out.name + "-cache"))}
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment)
     _, status, usage = os.wait4(process.pid, 0)
-    if os.waitstatus_to_exitcode(status) != 0:
+    if os.waitstatus_to_exitcode(status) not in (0, 1):  # 1: an arm failed, as the broken ones must
         raise SystemExit(f"{' '.join(command)} ended with {os.waitstatus_to_exitcode(status)}")
     return time.monotonic() - started, usage.ru_utime + usage.ru_stime
 
@@ -56,14 +79,21 @@ def written(out: Path) -> dict[str, bytes]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--arms", type=int, default=40)
-    parser.add_argument("--minutes", type=float, default=1.0)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--ray", default=None)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("models", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--type", default="ur5", help="of the arms' maker, default: %(default)s")
+    parser.add_argument("--arms", type=int, default=40, help="default: %(default)s")
+    parser.add_argument("--minutes", type=float, default=12.0, help="of motion an arm, default: %(default)s")
+    parser.add_argument("--workers", type=int, default=2, help="that simulate, default: %(default)s")
+    parser.add_argument("--ray", default=None, help="a cluster of two cores, or local: two workers of Ray here")
+    parser.add_argument("--simulate-only", action="store_true")
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
-    fleet = simulate(asked.out, asked.arms, asked.minutes)
+    maker = replace(makers(asked.models)[asked.type], type_seed=1)
+    fleet = simulate(maker, asked.out, asked.arms, asked.minutes, asked.workers)
+    if asked.simulate_only:
+        return
     ways = {"local-1": ("--workers", "1"), "local-2": ("--workers", "2")}
     if asked.ray:
         ways["ray-2"] = ("--ray", asked.ray, *(("--workers", "2") if asked.ray == "local" else ()))
@@ -73,14 +103,17 @@ def main() -> None:
             shutil.rmtree(left, ignore_errors=True)
         seconds[name], busy_s = run(fleet, asked.out / name, *options)
         book = json.loads((asked.out / name / "fleet.json").read_text())
-        of_tasks = [stage["seconds"] for arm in book["arms"] for stage in arm["stages"].values()]
+        stages = [stage for arm in book["arms"] for stage in arm["stages"].values()]
+        of_tasks = [stage["seconds"] for stage in stages if stage["state"] == "done"]
+        failed = [arm["name"] for arm in book["arms"] if any(s["state"] == "failed" for s in arm["stages"].values())]
         workers = int(name[-1])
         beside = (workers * seconds[name] - sum(of_tasks)) / len(of_tasks)
         ratio = seconds["local-1"] / seconds[name]
         print(
             f"{name}: {seconds[name]:.1f} s wall, {busy_s:.1f} s of processors, "
             f"{len(of_tasks)} tasks of {sum(of_tasks):.1f} s in all, "
-            f"{1e3 * beside:.0f} ms of a worker beside each task, {ratio:.2f} times local-1",
+            f"{1e3 * beside:.0f} ms of a worker beside each task, {ratio:.2f} times local-1; "
+            f"failed alone: {', '.join(failed) or 'none'}",
             flush=True,
         )
     same = all(written(asked.out / name) == written(asked.out / "local-1") for name in ways)

@@ -19,6 +19,7 @@ OPEN = {
     "half_done",
     "caching",
     "bundles",
+    "store",
 }
 """Standard library, and of the core what knows no NumPy: open to all."""
 STAGES = {"robot", "data", "rig", "learn", "calibrate", "train", "refit", "evaluate", "report"}
@@ -36,6 +37,7 @@ TABLE = {
     "plain_file": (set(), set()),
     "bundles": ({"_core"}, set()),
     "room": (set(), set()),
+    "store": (set(), {"pyarrow"}),
     "robot": ({"_core"}, {"numpy", "mujoco"}),
     "data": ({"_core"}, {"numpy", "pyarrow"}),
     "data/importers/ros1": (set(), {"rosbags"}),

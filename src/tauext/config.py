@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
@@ -462,3 +463,31 @@ def require_seed(seed: int) -> None:
 def require_threads(threads: int) -> None:
     """Raise ConfigError unless so many threads can be of use; 0: one a core."""
     require(0 <= threads <= MOST_THREADS, "threads", threads, f"0 (one a core) to {MOST_THREADS}")
+
+
+@dataclass(frozen=True)
+class StoreConfig:
+    """How long an object store may take before a command gives up."""
+
+    connect_s: float = 5.0
+    """Time until a connection stands, [s]."""
+    stall_s: float = 20.0
+    """Nothing comes for so long, [s]: the request is tried again. A slow line sends something every second."""
+    tries: int = 4
+    """How often a request is made before the command gives up, with a growing pause between."""
+
+    @classmethod
+    def of_environment(cls) -> StoreConfig:
+        """TAUEXT_STORE_STALL_S and TAUEXT_STORE_TRIES, where they are set.
+
+        Raises:
+            ConfigError: one of them is no number, or out of range.
+        """
+        try:
+            stall_s = float(os.environ.get("TAUEXT_STORE_STALL_S") or cls.stall_s)
+            tries = int(os.environ.get("TAUEXT_STORE_TRIES") or cls.tries)
+        except ValueError as error:
+            raise ConfigError(f"TAUEXT_STORE_STALL_S and TAUEXT_STORE_TRIES must be numbers ({error})") from error
+        require(1 <= stall_s <= 3600, "TAUEXT_STORE_STALL_S", stall_s, "1 to 3600")
+        require(1 <= tries <= 100, "TAUEXT_STORE_TRIES", tries, "1 to 100")
+        return cls(min(cls.connect_s, stall_s), stall_s, tries)

@@ -32,6 +32,10 @@ class TrainingError(TauextError):
     """Training that cannot succeed: constant target, diverging loss, too little data."""
 
 
+class StoreError(TauextError):
+    """An object store that cannot be reached, refuses, stalls, or whose file changed while it was read."""
+
+
 class FaultyDataError(TauextError):
     """Recordings or a robot file with faults that nobody accepted; the message is a block, a few lines a fault."""
 

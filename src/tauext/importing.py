@@ -18,11 +18,12 @@ from tauext.plain_file import read_text
 from tauext.provenance import provenance, write_json
 from tauext.robot import Payload, load_tree, robot_sha256, write_placeholder, write_robot
 from tauext.room import expect_folder
+from tauext.store import Place
 
 Say = Callable[[str], object]
 
 
-def import_dataset(paths: Sequence[Path], arm_file: Path, out: Path, format: str, say: Say) -> None:
+def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: str, say: Say) -> None:
     """Import all sources into a folder that appears whole or not at all.
 
     Args:

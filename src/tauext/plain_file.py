@@ -8,14 +8,15 @@ import os
 import stat
 import tomllib
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
+
+from tauext.store import Place, answers
 
 LARGEST_TEXT = 1 << 28
 """Of a file that is read whole, [bytes]; results of a thousand hours are a hundredth of it."""
 
 
-def expect_file(path: Path) -> None:
+def expect_file(path: Place) -> None:
     """Raise OSError unless the path is a file: whoever opens a pipe waits, and a device may have no end."""
     mode = path.stat().st_mode
     if stat.S_ISDIR(mode):
@@ -24,7 +25,7 @@ def expect_file(path: Path) -> None:
         raise OSError(errno.EINVAL, "Not a file but a device, pipe or socket", str(path))
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Place) -> str:
     """The text of a file.
 
     Raises:
@@ -32,7 +33,7 @@ def read_text(path: Path) -> str:
         ValueError: it is no UTF-8.
     """
     expect_file(path)
-    with path.open("rb") as file:
+    with answers(path), path.open("rb") as file:
         raw = file.read(LARGEST_TEXT + 1)
     if len(raw) > LARGEST_TEXT:
         raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))

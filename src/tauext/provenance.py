@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from tauext._core import __version__ as VERSION
+from tauext.store import Place
 from tauext.whole_file import whole_file
 
 LIBRARIES = ("numpy", "mujoco", "pyarrow")
 
 
-def write_json(content: Any, path: Path) -> None:
+def write_json(content: Any, path: Place) -> None:
     """Write under a temporary name, then rename; the same content gives the same bytes."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as part:

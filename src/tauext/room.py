@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import os
 import shutil
-from pathlib import Path
 
 from tauext.errors import ConfigError
+from tauext.store import Place, StoredPlace, at_home
 
 LEAST_ROOM = 1 << 20
 """What a disk must have left for a bundle, a page or a description, [bytes]."""
@@ -16,7 +16,7 @@ LONGEST_S = 30 * 86400.0
 MEMORY_UNITS = ("bytes", "kB", "MB", "GB", "TB", "PB")
 
 
-def expect_new_file(path: Path, size: float = LEAST_ROOM) -> None:
+def expect_new_file(path: Place, size: float = LEAST_ROOM) -> None:
     """Raise ConfigError unless a file can be written under this name, of so many bytes."""
     expect_text(path)
     if path.is_dir():
@@ -26,7 +26,7 @@ def expect_new_file(path: Path, size: float = LEAST_ROOM) -> None:
     expect_folder(path.parent, size)
 
 
-def expect_text(path: Path) -> None:
+def expect_text(path: Place) -> None:
     """Raise ConfigError where the name is no text: the core and libraries take no other."""
     try:
         str(path).encode()
@@ -34,14 +34,19 @@ def expect_text(path: Path) -> None:
         raise ConfigError(f"{path}: this name is no UTF-8; choose another") from error
 
 
-def expect_folder(folder: Path, size: float = LEAST_ROOM, what: str = "") -> None:
+def expect_folder(folder: Place, size: float = LEAST_ROOM, what: str = "") -> None:
     """Raise ConfigError unless the folder is there or can be made, can be written to, and has room.
+
+    Of a store its bucket must be there, and this machine must have room for what is staged.
 
     Args:
         size: of what is to be written, [bytes].
         what: asks for so much: `minutes = 1e9`.
     """
     expect_text(folder)
+    if isinstance(folder, StoredPlace):
+        folder.expect_bucket()
+        folder = at_home(folder)
     there = folder.absolute()
     try:
         while not there.exists() and there != there.parent:

@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from tauext import _core
 from tauext.errors import BundleError, ConfigError
 from tauext.plain_file import json_of
 from tauext.provenance import json_text
+from tauext.store import Place, local_file, place_of, written_as
 from tauext.whole_file import whole_files
 
 
-def load_bundle(path: Path | str) -> _core.Bundle:
+def load_bundle(path: Place | str) -> _core.Bundle:
     """The bundle in a file NAME.tauext, checked and its reference replayed; `Bundle.save` writes one.
 
     Raises:
         BundleError: there is no such file.
         CoreError: damaged, of another format, or with torque constants that its loop had to apply (`tauext convert`).
     """
-    if not Path(path).is_file():
+    path = place_of(path)
+    if not path.is_file():
         raise BundleError(f"{path}: there is no such bundle; `tauext train` makes one")
     try:
         str(path).encode()  # the core takes no other names
-        bundle = _core.Bundle.load(str(path))
+        bundle = load_from(path)
     except (RuntimeError, UnicodeError) as error:  # a disk that fails while it is read; a name that is no text
         raise BundleError(f"{path}: cannot be read ({error})") from error
     try:
@@ -30,6 +30,15 @@ def load_bundle(path: Path | str) -> _core.Bundle:
     except BundleError as error:
         raise BundleError(f"{path}: {error}") from error
     return bundle
+
+
+def load_from(path: Place) -> _core.Bundle:
+    """By the core; its errors name the place."""
+    file = local_file(path)
+    try:
+        return _core.Bundle.load(str(file))
+    except _core.CoreError as error:
+        raise _core.CoreError(str(error).replace(str(file), str(path))) from error
 
 
 def expect_text(bundle: _core.Bundle) -> None:
@@ -43,7 +52,7 @@ def expect_text(bundle: _core.Bundle) -> None:
         raise BundleError("its provenance is no JSON object, or a joint has no name; it is damaged")
 
 
-def write_bundle(bundle: _core.Bundle, path: Path, run: dict, wall_time: dict) -> None:
+def write_bundle(bundle: _core.Bundle, path: Place, run: dict, wall_time: dict) -> None:
     """Write NAME.tauext with NAME.run.json and NAME.wall_time_s.json beside it: all three, or none.
 
     The bundle comes last: where it stands, its run file stands.
@@ -61,4 +70,4 @@ def write_bundle(bundle: _core.Bundle, path: Path, run: dict, wall_time: dict) -
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
     except _core.CoreError as error:
-        raise ConfigError(f"{path}: {str(error).removeprefix(f'{path}.part: ')}") from error
+        raise ConfigError(f"{path}: {str(error).removeprefix(f'{written_as(path)}: ')}") from error

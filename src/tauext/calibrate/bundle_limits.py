@@ -26,6 +26,7 @@ from tauext.look import expect_codes, judge, look_at_calibration
 from tauext.progress import SILENT, Reporter
 from tauext.provenance import VERSION, provenance
 from tauext.room import expect_new_file
+from tauext.store import Place, at_home, place_of
 
 SCALE_SHARE = 0.2
 """Of the calibration recordings, where the error scale is fitted anew."""
@@ -35,9 +36,9 @@ NO_CALIBRATION = (
 
 
 def recalibrate(
-    bundle: Path,
+    bundle: Place,
     dataset: Dataset,
-    out: Path,
+    out: Place,
     alarm: AlarmConfig,
     threads: int = 0,
     report: Reporter = SILENT,
@@ -170,7 +171,7 @@ def calibrate_bundle(
     threads: int,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
     report: Reporter = SILENT,
-    out: Path | None = None,
+    out: Place | None = None,
 ) -> tuple[PromisedLimits, dict]:
     """Put the limits into the bundle that the recordings support; what they promise, and the facts for its provenance.
 
@@ -203,7 +204,7 @@ def calibrate_bundle(
 
 
 def kept_peaks(
-    out: Path | None, bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], settings: list
+    out: Place | None, bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], settings: list
 ) -> KeptPeaks | None:
     """What a killed process found in these files with this bundle; None: nothing is kept."""
     if out is None or not all(isinstance(load, partial) for load in loaders):
@@ -214,17 +215,17 @@ def kept_peaks(
     return KeptPeaks(HalfDone(half_done_file(out), hashlib.sha256(work.encode()).hexdigest()))
 
 
-def file_of(load: Callable[[], Recording]) -> Path:
+def file_of(load: Callable[[], Recording]) -> Place:
     """That a dataset's loader reads."""
     assert isinstance(load, partial)
-    return Path(load.args[0])
+    return place_of(load.args[0])
 
 
-def half_done_file(out: Path) -> Path:
-    """Where the work on a bundle's limits is kept."""
-    return out.with_suffix(".limits.half-done")
+def half_done_file(out: Place) -> Path:
+    """Where the work on a bundle's limits is kept: on this machine."""
+    return at_home(out).with_suffix(".limits.half-done")
 
 
-def forget_half_done(out: Path) -> None:
+def forget_half_done(out: Place) -> None:
     """The bundle is written."""
     half_done_file(out).unlink(missing_ok=True)

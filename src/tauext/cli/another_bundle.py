@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tauext.cli.replaced import tell_replaced
 from tauext.errors import ConfigError
 from tauext.room import expect_new_file
+from tauext.store import Place, same_place
 from tauext.whole_file import whole_files
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
 
 
-def expect_another(out: Path, source: Path, purpose: str) -> None:
+def expect_another(out: Place, source: Place, purpose: str) -> None:
     """Raises ConfigError where a bundle cannot be written there, or it is the source, which is there to `purpose`."""
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
-    if out.exists() and out.samefile(source):
+    if same_place(out, source):
         raise ConfigError(f"{out}: it is the bundle to {purpose}, which stays as it is; choose another --out")
     expect_new_file(out)
 
 
-def write_another(new: Bundle, source: Path, out: Path) -> None:
+def write_another(new: Bundle, source: Place, out: Place) -> None:
     """Both files or none; those that are replaced are named on stderr."""
     tell_replaced(out)
     out.parent.mkdir(parents=True, exist_ok=True)

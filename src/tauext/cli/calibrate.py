@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from tauext.cli.place_argument import PlaceArg
 from tauext.config import AlarmConfig, require_threads
 from tauext.errors import ConfigError
+from tauext.store import same_place
 
 
 def calibrate(
-    bundle: Path,
-    data: Path,
-    out: Path,
+    bundle: PlaceArg,
+    data: PlaceArg,
+    out: PlaceArg,
     alarm: Annotated[AlarmConfig, tyro.conf.arg(name="")] = AlarmConfig(),  # noqa: B008
     threads: int = 0,
     refit_error_scale: bool = False,
@@ -42,7 +43,7 @@ def calibrate(
     require_threads(threads)
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
-    if bundle.exists() and out.exists() and out.samefile(bundle):
+    if same_place(out, bundle):
         raise ConfigError(f"{out}: it is the bundle to begin with, which stays as it is; choose another --out")
     tell_replaced(out)
     promised = recalibrate(bundle, load_dataset(data), out, alarm, threads, Terminal(), refit_error_scale, accept)

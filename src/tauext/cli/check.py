@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from tauext.cli.place_argument import PlaceArg
+
 
 def check(
-    data: tuple[Path, ...],
-    robot: Path | None = None,
-    out: Path | None = None,
+    data: tuple[PlaceArg, ...],
+    robot: PlaceArg | None = None,
+    out: PlaceArg | None = None,
     gravity: tuple[float, float, float] | None = None,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import tyro
 
 from tauext.cli.another_bundle import expect_another, write_another
+from tauext.cli.place_argument import PlaceArg
 from tauext.errors import ConfigError, TauextError
 
 
-def convert(bundle: tyro.conf.Positional[Path], out: Path) -> None:
+def convert(bundle: tyro.conf.Positional[PlaceArg], out: PlaceArg) -> None:
     """Write a bundle anew whose torque constants stood in its provenance, so that the core applies them.
 
     Bundles of formats 3 and 4 that were trained on motor currents left the multiplication to whoever called them, and

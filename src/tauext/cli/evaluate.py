@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from tauext.cli.place_argument import PlaceArg
 from tauext.config import CaseName, EventsConfig, require, require_seed, require_threads
 from tauext.errors import ConfigError
 from tauext.recipes import baselines as known_baselines
 from tauext.room import expect_folder
+from tauext.store import staged
 
 METHODS = f"train and compare only these of the baselines: {', '.join(known_baselines())}."
 
 
 def evaluate(
-    data: Path,
-    out: Path,
-    bundles: tuple[Path, ...] = (),
+    data: PlaceArg,
+    out: PlaceArg,
+    bundles: tuple[PlaceArg, ...] = (),
     baselines: bool = False,
     methods: Annotated[tuple[str, ...], tyro.conf.arg(help=METHODS)] = (),
     case: CaseName | None = None,
-    robot: Path | None = None,
+    robot: PlaceArg | None = None,
     seed: int = 0,
     threads: int = 0,
     keep_free_estimates: int = 20,
@@ -65,27 +66,28 @@ def evaluate(
         raise ConfigError("there is nothing to evaluate: give --bundles, or --baselines to train every known method")
     tell_replaced(out / "results.json")
     dataset = load_dataset(data)
-    paths = list(bundles)
-    if baselines:
-        from tauext.train import train_baselines
+    with staged(out) as folder:
+        paths = list(bundles)
+        if baselines:
+            from tauext.train import train_baselines
 
-        folder = out / "bundles"
-        trained = train_baselines(dataset, robot, case, folder, seed, threads, methods or None, (), Terminal(), accept)
-        paths = [*trained.values(), *paths]
-    names = [path.stem for path in paths]
-    if len(set(names)) < len(names):
-        raise ConfigError(f"bundles must differ in their file names, not only in their folders: {', '.join(names)}")
-    named = dict(zip(names, paths, strict=True))
-    evaluate_bundles(
-        dataset,
-        named,
-        out,
-        seed,
-        threads,
-        command_line(),
-        keep_free_estimates=keep_free_estimates,
-        sanity=baselines,
-        events=events,
-        report=Terminal(),
-    )
+            own, kinds = folder / "bundles", methods or None
+            trained = train_baselines(dataset, robot, case, own, seed, threads, kinds, (), Terminal(), accept)
+            paths = [*trained.values(), *paths]
+        names = [path.stem for path in paths]
+        if len(set(names)) < len(names):
+            raise ConfigError(f"bundles must differ in their file names, not only in their folders: {', '.join(names)}")
+        named = dict(zip(names, paths, strict=True))
+        evaluate_bundles(
+            dataset,
+            named,
+            folder,
+            seed,
+            threads,
+            command_line(),
+            keep_free_estimates=keep_free_estimates,
+            sanity=baselines,
+            events=events,
+            report=Terminal(),
+        )
     print(out / "results.json")

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from tauext.cli.place_argument import PlaceArg
 from tauext.config import require_threads
 
 
 def prior(
     arms: tyro.conf.Positional[tuple[str, ...]],
-    out: Path,
+    out: PlaceArg,
     threads: int = 0,
     accept: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")] = (),
 ) -> None:

@@ -5,16 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+from tauext.cli.place_argument import PlaceArg
 from tauext.errors import ConfigError
 from tauext.room import expect_new_file
+from tauext.store import is_stored, local_folder, local_robot, staged
 
 
 def import_data(
-    source: tuple[Path, ...] = (),
-    arm: Path | None = None,
-    out: Path | None = None,
+    source: tuple[PlaceArg, ...] = (),
+    arm: PlaceArg | None = None,
+    out: PlaceArg | None = None,
     new: Path | None = None,
-    robot: Path | None = None,
+    robot: PlaceArg | None = None,
     format: Literal["tauext", "lerobot"] = "tauext",
 ) -> None:
     """Bring recordings of a real arm to rad, rad/s and Nm, and write a dataset folder that `tauext train` takes.
@@ -38,7 +40,7 @@ def import_data(
     if new is not None:
         if arm is not None or out is not None:
             raise ConfigError("--new writes a description and imports nothing: leave --arm and --out out")
-        write_template(new, source, robot)
+        write_template(new, tuple(map(local_folder, source)), local_robot(robot) if robot is not None else None)
         return
     if robot is not None:
         raise ConfigError("--robot goes with --new; an import takes the robot file that arm.toml names (model)")
@@ -48,9 +50,12 @@ def import_data(
     assert arm is not None and out is not None
     from tauext.importing import import_dataset
 
-    import_dataset(source, arm, out, format, print)
-    if format == "tauext":
-        tell_findings(out)
+    if is_stored(out) and any(out.iterdir()):
+        raise ConfigError(f"{out}: is not empty; choose another folder or remove it")
+    with staged(out, fresh=True) as folder:
+        import_dataset([local_folder(one) for one in source], arm, folder, format, print)
+        if format == "tauext":
+            tell_findings(folder)
     print(out)
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from tauext.cli.place_argument import PlaceArg
 from tauext.config import require
 from tauext.errors import ConfigError
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
 
 def load(
-    bundle: tyro.conf.Positional[Path],
-    recordings: tyro.conf.Positional[tuple[Path, ...]],
+    bundle: tyro.conf.Positional[PlaceArg],
+    recordings: tyro.conf.Positional[tuple[PlaceArg, ...]],
     from_s: Annotated[float | None, tyro.conf.arg(name="from")] = None,
     to_s: Annotated[float | None, tyro.conf.arg(name="to")] = None,
     frame: str | None = None,
     reach_m: float = 0.3,
     known_kg: float | None = None,
     known_com_m: tuple[float, float, float] | None = None,
-    out: Path | None = None,
+    out: PlaceArg | None = None,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> None:
     """Weigh what the arm carries: mass and centre of mass, from seconds of ordinary motion or some standing poses.

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tauext.cli.another_bundle import expect_another, write_another
 from tauext.errors import ConfigError
+from tauext.store import Place
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 def set_constants(
     bundle: Bundle,
-    path: Path,
+    path: Place,
     where: NamedFrame,
     parts: list[Seen],
     mass_kg: float,
     com_m: tuple[float, float, float] | None,
     reach_m: float,
-    out: Path | None,
+    out: Place | None,
     as_json: bool,
 ) -> None:
     """Find the factors, say them, and write a bundle with the common one where that is asked for.
@@ -53,13 +53,13 @@ def set_constants(
             print(out)
 
 
-def check_out(path: Path, out: Path | None) -> None:
+def check_out(path: Place, out: Place | None) -> None:
     """Raise ConfigError where the new bundle cannot be written, before anything is computed."""
     if out is not None:
         expect_another(out, path, "correct")
 
 
-def write(bundle: Bundle, path: Path, known: KnownWeight, mass_kg: float, recordings: list[str], out: Path) -> None:
+def write(bundle: Bundle, path: Place, known: KnownWeight, mass_kg: float, recordings: list[str], out: Place) -> None:
     """The bundle with its constants times the common factor; its run file is copied along, where there is one."""
     from tauext.load import scaled_bundle, with_provenance
 

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from tauext.cli.monitor_sources import SourceOptions
+from tauext.cli.place_argument import LocalArg, PlaceArg
 from tauext.config import require
 from tauext.errors import ConfigError
 from tauext.ros2 import Ros2Settings
+from tauext.store import Place
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,8 +34,8 @@ MOST_CORES = 1024
 class Extras:
     """What runs beside the loop."""
 
-    reactions: Path | None
-    profiles: Path | None
+    reactions: Place | None
+    profiles: Place | None
     flights: Path | None
     before_s: float
     after_s: float
@@ -44,25 +46,25 @@ class Extras:
 
 
 def monitor(
-    bundle: Annotated[Path | None, tyro.conf.Positional] = None,
+    bundle: Annotated[PlaceArg | None, tyro.conf.Positional] = None,
     source: str | None = None,
     speed: float | None = None,
-    torque_constants: Path | None = None,
+    torque_constants: PlaceArg | None = None,
     ros2: Ros2Settings = Ros2Settings(),  # noqa: B008
-    reactions: Path | None = None,
+    reactions: PlaceArg | None = None,
     new_reactions: Path | None = None,
-    profiles: Path | None = None,
+    profiles: PlaceArg | None = None,
     new_profiles: Path | None = None,
     control: Path | None = None,
     own_rate: bool = False,
     missing_after_ms: float | None = None,
     acknowledge_after_s: float | None = None,
     duration_s: float | None = None,
-    flights: Path | None = None,
+    flights: LocalArg | None = None,
     before_s: float = 5.0,
     after_s: float = 1.0,
     contacts: bool = False,
-    record: Path | None = None,
+    record: LocalArg | None = None,
     segment_s: float = 25.0,
     core: int | None = None,
     priority: int | None = None,
@@ -162,7 +164,7 @@ def write_templates(reactions: Path | None, profiles: Path | None, also_run: boo
 
 
 def watch(
-    path: Path, text: str, options: SourceOptions, settings: LoopSettings, extras: Extras, output: MonitorOutput
+    path: Place, text: str, options: SourceOptions, settings: LoopSettings, extras: Extras, output: MonitorOutput
 ) -> None:
     """Connect everything, run the loop, tell the summary.
 

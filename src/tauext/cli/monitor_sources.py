@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tauext.errors import ConfigError
+from tauext.store import Place, place_of
 
 if TYPE_CHECKING:
     from tauext.live import Sink, Source
@@ -19,7 +19,7 @@ class SourceOptions:
     """Options of the command that only some sources take; None: not given."""
 
     speed: float | None = None
-    torque_constants: Path | None = None
+    torque_constants: Place | None = None
     ros2: Ros2Settings | None = None
 
 
@@ -38,7 +38,7 @@ def replay(target: str, options: SourceOptions) -> Connection:
     speed = options.speed or 1.0
     if speed < 1:  # by the clock, every sample would be missing
         raise ConfigError(f"speed = {speed:g} must be >= 1: a live loop takes samples that are slower for missing ones")
-    return Connection(ReplaySource(Path(target), speed))
+    return Connection(ReplaySource(place_of(target), speed))
 
 
 def ur(target: str, options: SourceOptions) -> Connection:

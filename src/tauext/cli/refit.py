@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from tauext.cli.place_argument import PlaceArg
 from tauext.config import require, require_threads
 from tauext.errors import ConfigError
+from tauext.store import same_place
 
 
 def refit(
-    bundle: tyro.conf.Positional[Path],
-    data: Path,
-    out: Path,
+    bundle: tyro.conf.Positional[PlaceArg],
+    data: PlaceArg,
+    out: PlaceArg,
     from_s: Annotated[float, tyro.conf.arg(name="from")] = 0.0,
     to_s: Annotated[float | None, tyro.conf.arg(name="to")] = None,
     seconds: float | None = None,
@@ -50,7 +51,7 @@ def refit(
     require(seconds is None or 0 < seconds <= 1e6, "seconds", seconds, "> 0, at most 1e6")
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
-    if bundle.exists() and out.exists() and out.samefile(bundle):
+    if same_place(out, bundle):
         raise ConfigError(f"{out}: it is the bundle to begin with, which stays as it is; choose another --out")
     tell_replaced(out)
     span = Span(from_s, to_s if seconds is None else from_s + seconds)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
+
+from tauext.store import Place
 
 RULE = (
     "What stands at --out already: bundles, results, reports and findings are replaced when the new ones are whole, "
@@ -13,7 +14,7 @@ RULE = (
 """As the help says it."""
 
 
-def tell_replaced(*outputs: Path) -> None:
+def tell_replaced(*outputs: Place) -> None:
     """Name those of these files that are there, on stderr."""
     for path in outputs:
         if path.is_file():

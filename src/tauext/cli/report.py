@@ -5,14 +5,16 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from tauext.cli.place_argument import PlaceArg
 from tauext.errors import ConfigError
+from tauext.store import Place, local_beside, local_folder, staged
 
 
 def report(
-    out: Path,
-    results: Path | None = None,
-    data: Path | None = None,
-    flight: Path | None = None,
+    out: PlaceArg,
+    results: PlaceArg | None = None,
+    data: PlaceArg | None = None,
+    flight: PlaceArg | None = None,
     page_mb: float = 9.5,
     trace_methods: tuple[str, ...] = (),
 ) -> None:
@@ -38,16 +40,24 @@ def report(
             raise ConfigError("give either --results and --data, or --flight; not both")
         if trace_methods:
             raise ConfigError("--trace-methods chooses among the methods of --results; a flight has one")
-        there = set(out.glob("*.html"))
-        page = write_flight_report(flight, out, page_mb)
-        if page in there:
+        there = {page.name for page in out.glob("*.html")}
+        with staged(out, fresh=True) as folder:
+            page = out / write_flight_report(local_flight(flight), folder, page_mb).name
+        if page.name in there:
             print(f"tauext: {page} was there already and is replaced", file=sys.stderr)
         print(page)
     elif results is not None and data is not None:
         tell_replaced(out / "report.html")
-        print(write_report(results, load_dataset(data).folder, out, page_mb, trace_methods))
+        with staged(out, fresh=True) as folder:
+            page = write_report(local_folder(results), load_dataset(data).folder, folder, page_mb, trace_methods)
+        print(out / page.name)
     else:
         missing = "--results" if results is None else "--data"
         raise ConfigError(
             f"{missing} is missing: give --results and --data (a report of results), or --flight (of one)"
         )
+
+
+def local_flight(flight: Place) -> Path:
+    """A flight with what stands beside it, or a folder of them, on this machine."""
+    return local_folder(flight) if flight.is_dir() else local_beside(flight)

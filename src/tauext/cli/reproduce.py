@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Literal
 
+from tauext.cli.place_argument import PlaceArg
 from tauext.config import CaseName, require_seed
+from tauext.store import staged
 
 
 def reproduce(
-    out: Path,
+    out: PlaceArg,
     scale: Literal["smoke", "quick", "full"] = "quick",
     cases: tuple[CaseName, ...] = ("exact", "mass", "com", "mass+com", "none"),
     seed: int = 0,
@@ -37,4 +38,6 @@ def reproduce(
     require_seed(seed)
     expect_folder(out)
     tell_replaced(out / "results" / "results.json", out / "report" / "report.html")
-    print(reproduce_paper(out, scale, SCALES[scale], cases, seed, command_line(), Terminal()))
+    with staged(out) as folder:
+        page = reproduce_paper(folder, scale, SCALES[scale], cases, seed, command_line(), Terminal())
+    print(out / page.relative_to(folder).as_posix())

@@ -5,15 +5,17 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from tauext.cli.place_argument import PlaceArg
 from tauext.cli.run_settings import RunSettings
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
+from tauext.store import Place, staged
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
@@ -23,18 +25,18 @@ if TYPE_CHECKING:
 
 
 def run(
-    bundle: tyro.conf.Positional[Path],
-    recordings: tyro.conf.Positional[tuple[Path, ...]],
+    bundle: tyro.conf.Positional[PlaceArg],
+    recordings: tyro.conf.Positional[tuple[PlaceArg, ...]],
     real_time: bool = False,
     speed: float | None = None,
     own_rate: bool = False,
     acknowledge_after_s: float | None = None,
-    flights: Path | None = None,
+    flights: PlaceArg | None = None,
     before_s: float = 5.0,
     after_s: float = 1.0,
     contacts: bool = False,
     load: str | None = None,
-    loads: Path | None = None,
+    loads: PlaceArg | None = None,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
     status_hz: float = 0.0,
 ) -> None:
@@ -71,22 +73,25 @@ def run(
     require(0 <= status_hz <= 1e6, "status_hz", status_hz, "0 to 1e6")
     require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
     loaded = fitting_bundle(bundle, recordings)
-    settings = RunSettings(
-        1.0 if real_time else speed,
-        own_rate,
-        acknowledge_after_s,
-        flights,
-        before_s,
-        after_s,
-        contacts,
-        told_loads(loaded, load, loads),
-    )
-    check_flights(loaded, settings)
-    with open_output(as_json, status_hz, settings) as output:
-        replay_all(loaded, recordings, settings, output)
+    flights_here = nullcontext(None) if flights is None else staged(flights)
+    with flights_here as folder:
+        settings = RunSettings(
+            1.0 if real_time else speed,
+            own_rate,
+            acknowledge_after_s,
+            flights,
+            before_s,
+            after_s,
+            contacts,
+            told_loads(loaded, load, loads),
+            folder,
+        )
+        check_flights(loaded, settings)
+        with open_output(as_json, status_hz, settings) as output:
+            replay_all(loaded, recordings, settings, output)
 
 
-def told_loads(bundle: Bundle, load: str | None, loads: Path | None) -> tuple[TimedLoad, ...]:
+def told_loads(bundle: Bundle, load: str | None, loads: Place | None) -> tuple[TimedLoad, ...]:
     """What the arm carries, and from when on.
 
     Raises:
@@ -116,7 +121,7 @@ def open_output(as_json: bool, status_hz: float, settings: RunSettings) -> Outpu
     return TextLines(settings)
 
 
-def fitting_bundle(path: Path, recordings: tuple[Path, ...]) -> Bundle:
+def fitting_bundle(path: Place, recordings: tuple[Place, ...]) -> Bundle:
     """The bundle, after a look at the head of every recording: all of them fit it.
 
     Raises:
@@ -137,10 +142,10 @@ def check_flights(bundle: Bundle, settings: RunSettings) -> None:
     """Make the folder, and refuse what the recorder would refuse, before anything is replayed."""
     from tauext import _core
 
-    if settings.flights is None:
+    if settings.folder is None:
         return
     try:
-        settings.flights.mkdir(parents=True, exist_ok=True)
+        settings.folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"{settings.flights}: no folder for flights ({error.strerror or error})") from error
     _core.FlightRecorder(
@@ -148,7 +153,7 @@ def check_flights(bundle: Bundle, settings: RunSettings) -> None:
     )
 
 
-def replay_all(bundle: Bundle, recordings: tuple[Path, ...], settings: RunSettings, output: Output) -> None:
+def replay_all(bundle: Bundle, recordings: tuple[Place, ...], settings: RunSettings, output: Output) -> None:
     """One recording after the other; after an interruption or a damaged one, still the summary of what was done.
 
     Raises:
@@ -208,13 +213,13 @@ def replay_one(
     monitor = _core.Monitor(bundle, settings.own_rate)
     recorder = writer = None
     chunk_s = CHUNK_S if settings.speed is None else PACED_CHUNK_S * settings.speed
-    if settings.flights is not None:
+    if settings.folder is not None:
         period_ns = monitor.sample_period_ns
         recorder = _core.FlightRecorder(
             monitor.joints, period_ns, settings.before_s, settings.after_s, settings.contacts
         )
         source = FlightSource.of(bundle, recording)
-        writer = FlightWriter(recorder, partial(write_flight, folder=settings.flights, source=source))
+        writer = FlightWriter(recorder, partial(write_flight, folder=settings.folder, source=source))
         chunk_s = min(chunk_s, max(settings.after_s, PACED_CHUNK_S))
     try:
         with writer or nullcontext():
@@ -231,15 +236,17 @@ def replay_one(
                 if writer is not None:
                     writer.catch_up()
                 output.chunk(chunk, tally)
-                tell_flights(writer, flights, output)
+                tell_flights(writer, flights, output, settings)
     finally:
-        tell_flights(writer, flights, output)
+        tell_flights(writer, flights, output, settings)
         if recorder is not None:
             flights.missed += recorder.missed
 
 
-def tell_flights(writer: FlightWriter | None, flights: FlightCount, output: Output) -> None:
+def tell_flights(writer: FlightWriter | None, flights: FlightCount, output: Output, settings: RunSettings) -> None:
     """Pass on what became of flights since the last time."""
     for news in writer.news() if writer is not None else ():
         flights.add(news)
+        if settings.flights is not None and news.path is not None:  # not where it waits to be sent
+            news = replace(news, path=settings.flights / news.path.name)
         output.flight(news)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tauext.store import Place
+
 if TYPE_CHECKING:
     from tauext.monitor import TimedLoad
 
@@ -17,8 +19,11 @@ class RunSettings:
     speed: float | None
     own_rate: bool
     acknowledge_after_s: float | None
-    flights: Path | None
+    flights: Place | None
+    """As it was given."""
     before_s: float
     after_s: float
     contacts: bool
     loads: tuple[TimedLoad, ...] = ()
+    folder: Path | None = None
+    """Where flights are written on this machine."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Self
 
 from tauext._core import Bundle, cause_names
@@ -29,6 +28,7 @@ from tauext.monitor import (
     load_words,
     unseen_words,
 )
+from tauext.store import Place
 
 WARNS_FROM = 0.01
 """Share of the motion that is unfamiliar: of motion like that of training a few thousandths may be."""
@@ -181,7 +181,7 @@ def alarm_words(change: AlarmChange, joints: tuple[str, ...], units: Sequence[st
     )
 
 
-def summary_lines(tally: Tally, flights: FlightCount, folder: Path | None, timing: str = "") -> list[str]:
+def summary_lines(tally: Tally, flights: FlightCount, folder: Place | None, timing: str = "") -> list[str]:
     """The summary of one recording or of all. timing: said of the samples instead of the core's time for each."""
     told = tally.summary()
     if not tally.samples:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import json
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from tauext.cli.place_argument import PlaceArg
 from tauext.errors import BundleError, ConfigError
+from tauext.store import Place
 
 if TYPE_CHECKING:
     from tauext._core import Bundle, LoadSettings, ObserverSettings
 
 
-def show(file: tyro.conf.Positional[Path], as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> None:
+def show(file: tyro.conf.Positional[PlaceArg], as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> None:
     """Say what is in a bundle (*.tauext) or a recording (*.parquet).
 
     Args:
@@ -49,7 +50,7 @@ def show(file: tyro.conf.Positional[Path], as_json: Annotated[bool, tyro.conf.ar
         print(f"{name:<{width}}  {'; '.join(told)}")
 
 
-def describe_bundle(file: Path) -> dict:
+def describe_bundle(file: Place) -> dict:
     """Plain content of a bundle; loading it also replays its reference."""
     from tauext.bundles.bundle_file import load_bundle
     from tauext.bundles.changed import changed_since_training
@@ -289,7 +290,7 @@ def describe_prior(bundle: Bundle, facts: dict) -> dict:
     return content
 
 
-def describe_recording(file: Path) -> dict:
+def describe_recording(file: Place) -> dict:
     """Plain content of a recording."""
     from tauext.data import load_recording
 

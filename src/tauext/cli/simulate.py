@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
+from tauext.cli.place_argument import PlaceArg
 from tauext.config import require, require_seed
+from tauext.store import staged
 
 
 def simulate(
-    out: Path,
+    out: PlaceArg,
     minutes: float = 90.0,
     collision_recordings: int = 10,
     seed: int = 0,
@@ -42,9 +43,9 @@ def simulate(
     require(collision_recordings >= 0, "collision_recordings", collision_recordings, ">= 0")
     require(12 <= encoder_bits <= 24, "encoder_bits", encoder_bits, "12 to 24")
     require(0.1 <= friction <= 10, "friction", friction, "0.1 to 10")
-    with ProgressBar("simulate") as bar:
+    with staged(out) as folder, ProgressBar("simulate") as bar:
         simulate_dataset(
-            out,
+            folder,
             changed_rig(encoder_bits, friction),
             seed,
             minutes,

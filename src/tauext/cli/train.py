@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from tauext.cli.place_argument import PlaceArg
 from tauext.config import CaseName, TrainConfig
 from tauext.errors import ConfigError
 
 
 def train(
-    data: Path,
-    out: Path,
+    data: PlaceArg,
+    out: PlaceArg,
     case: CaseName | None = None,
-    robot: Path | None = None,
-    like: Path | None = None,
+    robot: PlaceArg | None = None,
+    like: PlaceArg | None = None,
     accept: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")] = (),
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = TrainConfig(),  # noqa: B008
 ) -> None:

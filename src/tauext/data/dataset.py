@@ -11,6 +11,7 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.data.split import Split, load_split
 from tauext.errors import ConfigError
+from tauext.store import Place, local_robot, place_of
 
 ROBOT_FILES = ("robot.xml", "robot.urdf")
 
@@ -19,7 +20,7 @@ ROBOT_FILES = ("robot.xml", "robot.urdf")
 class Dataset:
     """A folder of recordings, and which of them serves for what."""
 
-    folder: Path
+    folder: Place
     """Where the recordings and the robot file lie."""
     split: Split
     """Names of the recordings' files, by the set that they belong to."""
@@ -34,7 +35,7 @@ class Dataset:
             raise ConfigError(f"{self.folder}: split.json lists no training recording; one is enough")
         return self.recordings("train")
 
-    def files(self, set_name: str) -> list[Path]:
+    def files(self, set_name: str) -> list[Place]:
         """Their files."""
         return [self.folder / name for name in getattr(self.split, set_name)]
 
@@ -42,25 +43,25 @@ class Dataset:
         """The same, each loaded when called."""
         return [partial(load_recording, file) for file in self.files(set_name)]
 
-    def robot_file(self, given: Path | None) -> Path:
-        """The robot file given, or the one in the folder."""
+    def robot_file(self, given: Place | None) -> Path:
+        """The robot file given, or the one in the folder; of a store, a copy of it and of what it names."""
         if given is not None:
             if not given.is_file():
                 raise ConfigError(f"{given}: there is no such robot file; give a URDF or MJCF")
-            return given
+            return local_robot(given)
         for name in ROBOT_FILES:
             if (self.folder / name).is_file():
-                return self.folder / name
+                return local_robot(self.folder / name)
         raise ConfigError(f"{self.folder}: it holds no {' or '.join(ROBOT_FILES)}; give one with --robot")
 
 
-def load_dataset(folder: Path | str) -> Dataset:
+def load_dataset(folder: Place | str) -> Dataset:
     """The dataset in a folder that `tauext simulate` or `tauext import` made; no recording is read yet.
 
     Raises:
         ConfigError: there is no such folder, or its split.json cannot be used.
     """
-    folder = Path(folder)
+    folder = place_of(folder)
     if not folder.is_dir():
         raise ConfigError(f"{folder}: there is no such dataset folder; `tauext simulate --out {folder}` makes one")
     return Dataset(folder, load_split(folder))

@@ -9,6 +9,7 @@ from typing import Literal
 
 from tauext.data.recording import TorqueTiming
 from tauext.errors import ConfigError
+from tauext.store import Place, local_robot, place_of
 
 Side = Literal["joint", "motor"]
 Repeats = Literal["drop", "keep"]
@@ -136,7 +137,7 @@ class Arm:
     time: TimeTable = TimeTable()
     contact: ContactTable = field(default_factory=ContactTable)
     split: SplitTable = SplitTable()
-    path: Path = Path("arm.toml")
+    path: Place = Path("arm.toml")
     """Its file; the robot model's path is relative to it."""
 
     def __post_init__(self) -> None:
@@ -182,8 +183,10 @@ class Arm:
 
     @property
     def model(self) -> Path | None:
-        """The robot file; None: there is no model."""
-        return self.path.parent / self.robot.model if self.robot.model else None
+        """The robot file, or its copy on this machine; None: there is no model."""
+        if not self.robot.model:
+            return None
+        return local_robot(place_of(self.robot.model, self.path.parent))
 
     @property
     def topics(self) -> tuple[str, ...]:

@@ -6,7 +6,6 @@ import difflib
 import math
 from collections.abc import Callable
 from dataclasses import MISSING, fields
-from pathlib import Path
 from typing import Any, get_args
 
 from tauext.data.description import (
@@ -25,16 +24,17 @@ from tauext.data.description import (
 from tauext.data.recording import TORQUE_TIMINGS
 from tauext.errors import ConfigError
 from tauext.plain_file import read_text, toml_of
+from tauext.store import Place, place_of
 
 
-def load_arm(path: Path | str) -> Arm:
+def load_arm(path: Place | str) -> Arm:
     """Read an arm.toml.
 
     Raises:
         ConfigError: no such file, not TOML, an unknown key (the nearest known one is named), a value of the wrong type
             or against its rule.
     """
-    path = Path(path)
+    path = place_of(path)
     try:
         return parse_arm(read_text(path), path)
     except FileNotFoundError as error:
@@ -43,9 +43,9 @@ def load_arm(path: Path | str) -> Arm:
         raise ConfigError(f"{path}: cannot be read ({error})") from error
 
 
-def parse_arm(text: str, path: Path | str = "arm.toml") -> Arm:
+def parse_arm(text: str, path: Place | str = "arm.toml") -> Arm:
     """As load_arm, from the text of the file."""
-    path = Path(path)
+    path = place_of(path)
     try:
         content = toml_of(text)
     except ValueError as error:
@@ -72,13 +72,13 @@ def parse_arm(text: str, path: Path | str = "arm.toml") -> Arm:
     return Arm(**read, path=path)
 
 
-def _a_table(path: Path, name: str, value: Any) -> dict | None:
+def _a_table(path: Place, name: str, value: Any) -> dict | None:
     if value is None or isinstance(value, dict):
         return value
     raise ConfigError(f"{path}: [{name}] is {value!r}, must be a table")
 
 
-def refuse_unknown(path: Path, table: str, content: Any, known: tuple[str, ...]) -> None:
+def refuse_unknown(path: Place, table: str, content: Any, known: tuple[str, ...]) -> None:
     """ConfigError unless the table of this name ("": the file's top) is one, and all of its keys are known."""
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: [{table}] is {content!r}, must be a table")
@@ -90,7 +90,7 @@ def refuse_unknown(path: Path, table: str, content: Any, known: tuple[str, ...])
             raise ConfigError(f"{path}: unknown key '{key}' {where}; {nearest}; known are {', '.join(known)}")
 
 
-def _table(path: Path, name: str, cls: type, content: Any, keys: tuple[str, ...] | None, joints: int) -> Any:
+def _table(path: Place, name: str, cls: type, content: Any, keys: tuple[str, ...] | None, joints: int) -> Any:
     """The dataclass of a table, each value of its field's type."""
     known = {f.name: f for f in fields(cls)}
     refuse_unknown(path, name, content, keys or tuple(known))

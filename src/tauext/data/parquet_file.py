@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tauext.errors import RecordingError
+from tauext.store import Place
 from tauext.whole_file import whole_file
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 
-def write_parquet(table: pa.Table, path: Path, **encoding: Any) -> None:
+def write_parquet(table: pa.Table, path: Place, **encoding: Any) -> None:
     """Write a table with its metadata.
 
     Args:

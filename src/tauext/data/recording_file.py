@@ -8,7 +8,6 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from tauext.data.parquet_file import write_parquet
 from tauext.data.recording import FLAGS, REQUIRED_SIGNALS, SIGNALS, Recording, check_joints
 from tauext.errors import RecordingError
 from tauext.plain_file import expect_file, json_of
+from tauext.store import Place, is_stored, place_of, reading
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -45,7 +45,7 @@ class Description:
     provenance: dict[str, Any]
 
 
-def save_recording(recording: Recording, path: Path | str) -> None:
+def save_recording(recording: Recording, path: Place | str) -> None:
     """Write a recording under a temporary name in the same folder, then rename; its name becomes the stem of `path`.
 
     The same recording gives the same bytes. Folders are not made.
@@ -53,7 +53,7 @@ def save_recording(recording: Recording, path: Path | str) -> None:
     Raises:
         RecordingError: the name does not end in .parquet, or the file cannot be written.
     """
-    path = Path(path)
+    path = place_of(path)
     if path.suffix != ".parquet":
         raise RecordingError(f"{path}: the name of a recording's file must end in .parquet")
     import pyarrow as pa
@@ -82,13 +82,13 @@ def save_recording(recording: Recording, path: Path | str) -> None:
     write_parquet(table, path, use_dictionary=flags, column_encoding=encoding, write_page_checksum=True)
 
 
-def load_recording(path: Path | str) -> Recording:
+def load_recording(path: Place | str) -> Recording:
     """Read a recording; its name is the stem of `path`. The file is only read, whatever is wrong with it.
 
     Raises:
         RecordingError: names the file, what is wrong in it and what would be right.
     """
-    path = Path(path)
+    path = place_of(path)
     with opened(path) as file:
         head = read_head(path, file)
         check_columns(path, head, file.schema_arrow)
@@ -110,20 +110,20 @@ def load_recording(path: Path | str) -> Recording:
         raise RecordingError(f"{path}: {what}") from error
 
 
-def describe(path: Path | str) -> Description:
+def describe(path: Place | str) -> Description:
     """Joints, signals, rate and number of samples from the head of the file alone: milliseconds for any length.
 
     Raises:
         RecordingError: as load_recording, but for faults of the samples, which are not read.
     """
-    path = Path(path)
+    path = place_of(path)
     with opened(path) as file:
         head = read_head(path, file)
         check_columns(path, head, file.schema_arrow)
         return head
 
 
-def fingerprint(path: Path | str) -> str:
+def fingerprint(path: Place | str) -> str:
     """SHA-256 of what stands at the end of a recording's file: metadata, and extremes and sizes of every column.
 
     It tells recordings apart, milliseconds for any length; nobody who means harm is kept from making two alike.
@@ -131,7 +131,7 @@ def fingerprint(path: Path | str) -> str:
     Raises:
         RecordingError: there is no such file, or it is no Parquet file.
     """
-    path = Path(path)
+    path = place_of(path)
     with opened(path), path.open("rb") as raw:
         raw.seek(-8, os.SEEK_END)
         length = int.from_bytes(raw.read(4), "little")
@@ -140,23 +140,22 @@ def fingerprint(path: Path | str) -> str:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[pq.ParquetFile]:
+def opened(path: Place) -> Iterator[pq.ParquetFile]:
     """The Parquet file at this path, open for reading; its own errors come out as RecordingError."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
-        expect_file(path)
-        with path.open("rb") as raw:
-            begins = raw.read(4) == MAGIC
-            raw.seek(max(0, raw.seek(0, os.SEEK_END) - 4))
-            ends = raw.read(4) == MAGIC
-        if not begins:
-            raise RecordingError(f"{path}: not a Parquet file: it begins otherwise; recordings are Parquet files")
-        if not ends:
-            raise RecordingError(f"{path}: truncated: the end of a Parquet file is missing; copy or record it again")
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            yield file
+        with reading(path) as source:
+            if not is_stored(path):  # a pipe is not to be waited for
+                expect_file(path)
+            try:
+                parquet = pq.ParquetFile(source, page_checksum_verification=True, pre_buffer=is_stored(path))
+            except pa.ArrowException:
+                expect_whole(path)
+                raise
+            with parquet as file:
+                yield file
     except FileNotFoundError as error:
         raise RecordingError(f"{path}: there is no such recording") from error
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
@@ -164,7 +163,20 @@ def opened(path: Path) -> Iterator[pq.ParquetFile]:
         raise RecordingError(f"{path}: cannot be read ({cause}); if it is damaged, copy or record it again") from error
 
 
-def read_head(path: Path, file: pq.ParquetFile) -> Description:
+def expect_whole(path: Place) -> None:
+    """Raise RecordingError unless it begins and ends as a Parquet file."""
+    with path.open("rb") as raw:
+        begins = raw.read(4) == MAGIC
+        raw.seek(0, os.SEEK_END)
+        raw.seek(max(0, raw.tell() - 4))
+        ends = raw.read(4) == MAGIC
+    if not begins:
+        raise RecordingError(f"{path}: not a Parquet file: it begins otherwise; recordings are Parquet files")
+    if not ends:
+        raise RecordingError(f"{path}: truncated: the end of a Parquet file is missing; copy or record it again")
+
+
+def read_head(path: Place, file: pq.ParquetFile) -> Description:
     """The metadata, each entry checked."""
     metadata = file.schema_arrow.metadata or {}
     texts = {key: metadata[key.encode()].decode(errors="replace") for key in TEXTS if key.encode() in metadata}
@@ -204,7 +216,7 @@ def read_head(path: Path, file: pq.ParquetFile) -> Description:
     )
 
 
-def check_columns(path: Path, head: Description, schema: pa.Schema) -> None:
+def check_columns(path: Place, head: Description, schema: pa.Schema) -> None:
     """Every column is there once, of its type; a signal stands for all joints or for none."""
     import pyarrow as pa
 
@@ -228,7 +240,7 @@ def check_columns(path: Path, head: Description, schema: pa.Schema) -> None:
             )
 
 
-def to_numpy(path: Path, columns: pa.Table, name: str) -> np.ndarray:
+def to_numpy(path: Place, columns: pa.Table, name: str) -> np.ndarray:
     """One column; an entry that is missing is an error."""
     column = columns.column(name)
     if column.null_count:
@@ -239,7 +251,7 @@ def to_numpy(path: Path, columns: pa.Table, name: str) -> np.ndarray:
     return values
 
 
-def parse_json(path: Path, key: str, text: str, kind: type) -> Any:
+def parse_json(path: Place, key: str, text: str, kind: type) -> Any:
     """The JSON value under this key of the metadata."""
     try:
         value = json_of(text)

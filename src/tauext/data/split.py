@@ -11,6 +11,7 @@ import numpy as np
 
 from tauext.errors import ConfigError
 from tauext.plain_file import json_of, read_text
+from tauext.store import Place, place_of
 from tauext.whole_file import whole_file
 
 FORMAT = 1
@@ -96,21 +97,21 @@ def split_recordings(
     return Split(train=drawn[2], validation=drawn[0], test=drawn[1], collisions=tuple(collisions))
 
 
-def save_split(split: Split, folder: Path | str) -> None:
+def save_split(split: Split, folder: Place | str) -> None:
     """Write `split.json` into a dataset folder, under a temporary name first."""
-    path = Path(folder) / FILE_NAME
+    path = place_of(folder) / FILE_NAME
     with whole_file(path) as part:
         part.write_text(json.dumps({"format": FORMAT} | asdict(split), indent=1) + "\n")
 
 
-def load_split(folder: Path | str) -> Split:
+def load_split(folder: Place | str) -> Split:
     """Read a dataset folder's `split.json`; every file it lists exists.
 
     Raises:
         ConfigError: no such file, not JSON, another format, a set missing or none of SETS, a name twice, a listed file
             missing.
     """
-    folder = Path(folder)
+    folder = place_of(folder)
     path = folder / FILE_NAME
     try:
         content = json_of(read_text(path))
@@ -133,8 +134,9 @@ def load_split(folder: Path | str) -> Split:
         split = Split(**{set_name: tuple(content[set_name]) for set_name in SETS})
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
+    there = {place.name for place in folder.iterdir() if place.is_file()}
     for set_name in SETS:
         for name in getattr(split, set_name):
-            if not (folder / name).is_file():
+            if name not in there:
                 raise ConfigError(f"{path}: '{name}' in '{set_name}' does not exist in {folder}")
     return split

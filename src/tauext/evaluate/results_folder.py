@@ -19,11 +19,12 @@ from tauext.evaluate.comparison import evaluate
 from tauext.half_done import HalfDone
 from tauext.progress import SILENT, Reporter
 from tauext.provenance import VERSION, provenance, write_json
+from tauext.store import Place
 
 
 def evaluate_bundles(
     dataset: Dataset,
-    bundles: Mapping[str, Path],
+    bundles: Mapping[str, Place],
     out: Path,
     seed: int = 0,
     threads: int = 0,

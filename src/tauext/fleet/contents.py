@@ -11,12 +11,13 @@ from pathlib import Path
 from tauext.errors import ConfigError
 from tauext.plain_file import expect_file, json_of, read_text
 from tauext.provenance import write_json
+from tauext.store import Place, is_stored, version_of
 
 AT_A_TIME = 4
 """Files that are read at a time: disks and networks have little more to give."""
 
 
-def sha256_of(path: Path) -> str:
+def sha256_of(path: Place) -> str:
     """Of a file's bytes, hexadecimal."""
     expect_file(path)
     digest = hashlib.sha256()
@@ -39,7 +40,7 @@ class Contents:
         except (OSError, ValueError, TypeError, AttributeError):
             pass
 
-    def read(self, files: Iterable[Path], show: Callable[[int, int], object]) -> None:
+    def read(self, files: Iterable[Place], show: Callable[[int, int], object]) -> None:
         """Read those that nobody knows, some at a time; show is called with how many are read, and of how many."""
         each = dict.fromkeys(files)
         pool = ThreadPoolExecutor(AT_A_TIME)
@@ -49,13 +50,15 @@ class Contents:
         finally:
             pool.shutdown(cancel_futures=True)  # a Ctrl-C waits for the files that are being read, and for no other
 
-    def digest(self, path: Path) -> str:
-        """Of one file.
+    def digest(self, path: Place) -> str:
+        """Of one file; of a stored one, what the store marks its content by.
 
         Raises:
             ConfigError: it cannot be read.
         """
         try:
+            if is_stored(path):
+                return version_of(path)
             status = path.stat()
             size, time_ns, digest = self._known.get(str(path), (None, None, ""))
             if (size, time_ns) != (status.st_size, status.st_mtime_ns):

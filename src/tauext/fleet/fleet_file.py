@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, get_args
 
 from tauext.config import AlarmConfig, CalibrateStage, CaseName, EvaluateStage, TrainConfig
@@ -16,6 +15,8 @@ from tauext.fleet.places import place_of, places_of
 from tauext.fleet.settings import settings_of, unknown_key
 from tauext.look import expect_codes
 from tauext.plain_file import read_text, toml_of
+from tauext.store import Place
+from tauext.store import place_of as any_place
 
 STAGES = ("import", "check", "train", "calibrate", "evaluate")
 """In their order; docs/files.md says what each needs."""
@@ -37,14 +38,14 @@ class Arm:
     type: str
     stages: tuple[str, ...]
     """Those that it has, in their order."""
-    sources: tuple[Path, ...] = ()
+    sources: tuple[Place, ...] = ()
     """To import, described by `description`; none: `dataset` is there already."""
-    description: Path | None = None
+    description: Place | None = None
     """Its arm.toml."""
-    dataset: Path | None = None
-    calibration: Path | None = None
+    dataset: Place | None = None
+    calibration: Place | None = None
     """Dataset whose calibration recordings the stage calibrate uses; None: those of the arm's own dataset."""
-    robot: Path | None = None
+    robot: Place | None = None
     case: CaseName | None = None
     accept: tuple[str, ...] = ()
     train: TrainConfig = TrainConfig()
@@ -56,18 +57,18 @@ class Arm:
 class Fleet:
     """What FLEET.toml says."""
 
-    path: Path
+    path: Place
     arms: tuple[Arm, ...]
 
 
-def load_fleet(path: Path | str) -> Fleet:
+def load_fleet(path: Place | str) -> Fleet:
     """Read a FLEET.toml; every key, value and place in it is looked at, and no recording is read.
 
     Raises:
         ConfigError: no such file, not TOML, an unknown key, a value of the wrong type or against its rule, two arms of
             one name, a file that is not there.
     """
-    path = Path(path)
+    path = any_place(path)
     try:
         content = toml_of(read_text(path))
     except FileNotFoundError as error:
@@ -91,7 +92,7 @@ def load_fleet(path: Path | str) -> Fleet:
     return Fleet(path, arms)
 
 
-def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, Any], path: Path, base: Path) -> Arm:
+def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, Any], path: Place, base: Place) -> Arm:
     """One arm from its own table, that of its type, and what stands at the top."""
     where = f"{path}: arm {number}"
     expect_keys(table, (*OWN, *SHARED), where)
@@ -121,12 +122,12 @@ def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, 
     return replace(arm, stages=stages_of(said, arm, calibrates, where))
 
 
-def with_data(arm: Arm, table: Mapping[str, Any], said: Mapping[str, Any], where: str, base: Path) -> Arm:
+def with_data(arm: Arm, table: Mapping[str, Any], said: Mapping[str, Any], where: str, base: Place) -> Arm:
     """The arm with its recordings and files, all of which are there."""
     patterns, dataset = texts_of(table, "sources", where), place(table, "dataset", where, base)
     if bool(patterns) == (dataset is not None):
         raise ConfigError(f"{where}: give either sources (with arm, their arm.toml) or dataset, and not both")
-    sources = []
+    sources: list[Place] = []
     for pattern in patterns:
         found = places_of(pattern, base)
         if not found or not all(one.exists() for one in found):
@@ -167,7 +168,7 @@ def stages_of(said: Mapping[str, Any], arm: Arm, calibrates: bool, where: str) -
     return tuple(stage for stage in STAGES if stage in asked and not left_out.get(stage, False))
 
 
-def expect_different(arms: tuple[Arm, ...], path: Path) -> None:
+def expect_different(arms: tuple[Arm, ...], path: Place) -> None:
     """Raise ConfigError where two arms would write to one folder, on a disk that knows no capitals too."""
     seen: dict[str, str] = {}
     for arm in arms:
@@ -220,7 +221,7 @@ def texts_of(table: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:
     return tuple(listed)
 
 
-def place(table: Mapping[str, Any], key: str, where: str, base: Path) -> Path | None:
+def place(table: Mapping[str, Any], key: str, where: str, base: Place) -> Place | None:
     """The place that is named under the key; None: there is none."""
     text = text_of(table, key, where)
     return None if text is None else place_of(text, base)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
-from pathlib import Path
 
 from tauext.data import load_dataset
 from tauext.data.dataset import ROBOT_FILES
@@ -12,13 +10,11 @@ from tauext.data.description_file import load_arm
 from tauext.data.split import SETS
 from tauext.fleet.contents import Contents
 from tauext.fleet.fleet_file import Arm
-from tauext.fleet.places import files_in
-
-NAMED_FILE = re.compile(r"""\b(?:file|filename)\s*=\s*["']([^"']+)["']""")
-NAMED_FOLDER = re.compile(r"""\b(?:meshdir|assetdir)\s*=\s*["']([^"']+)["']""")
+from tauext.fleet.places import below, files_in
+from tauext.store import Place, named_files
 
 
-def files_of(arm: Arm) -> Iterator[Path]:
+def files_of(arm: Arm) -> Iterator[Place]:
     """All files that anything of this arm depends on."""
     yield from source_files(arm).values()
     for name in ("dataset", "calibration"):
@@ -27,19 +23,19 @@ def files_of(arm: Arm) -> Iterator[Path]:
     yield from robot_files(arm.robot).values()
 
 
-def source_files(arm: Arm) -> dict[str, Path]:
+def source_files(arm: Arm) -> dict[str, Place]:
     """What an import reads: sources, description, and the robot file that this names."""
     if arm.description is None:
         return {}
     found = {"arm.toml": arm.description} | robot_files(load_arm(arm.description).model)
     for source in arm.sources:
         for file in files_in(source):
-            name = source.name if file == source else (Path(source.name) / file.relative_to(source)).as_posix()
+            name = source.name if file == source else f"{source.name}/{below(file, source)}"
             found[f"source {name}" if f"source {name}" not in found else f"source {file}"] = file
     return found
 
 
-def dataset_files(folder: Path, what: str) -> dict[str, Path]:
+def dataset_files(folder: Place, what: str) -> dict[str, Place]:
     """Split, robot file and recordings of a dataset, each once."""
     dataset = load_dataset(folder)
     there = [folder / name for name in ("split.json", *ROBOT_FILES) if (folder / name).is_file()]
@@ -47,22 +43,14 @@ def dataset_files(folder: Path, what: str) -> dict[str, Path]:
     return {f"{what} {file.name}": file for file in [*there, *recordings]}
 
 
-def robot_files(robot: Path | None) -> dict[str, Path]:
+def robot_files(robot: Place | None) -> dict[str, Place]:
     """A robot file, and meshes and includes that it names and that are there; MuJoCo reads masses off them."""
-    found: dict[str, Path] = {}
-    waiting = [robot] if robot is not None else []
-    while waiting:
-        file = waiting.pop()
-        if file in found.values():
-            continue
+    found: dict[str, Place] = {}
+    for file in () if robot is None else named_files(robot):
         found[f"robot file {file.name}" if f"robot file {file.name}" not in found else f"robot file {file}"] = file
-        text = file.read_bytes().decode("utf-8", "replace") if file.suffix.lower() in (".xml", ".urdf", ".mjcf") else ""
-        folders = [file.parent, *(file.parent / name for name in NAMED_FOLDER.findall(text))]
-        named = [folder / name for name in NAMED_FILE.findall(text) for folder in folders]
-        waiting += [path for path in reversed(named) if path.is_file()]
     return found
 
 
-def digests(files: dict[str, Path], contents: Contents) -> dict[str, str]:
+def digests(files: dict[str, Place], contents: Contents) -> dict[str, str]:
     """The same names with the files' contents."""
     return {name: contents.digest(path) for name, path in files.items()}

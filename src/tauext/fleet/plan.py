@@ -10,6 +10,7 @@ from typing import Any
 from tauext.fleet.contents import Contents
 from tauext.fleet.fleet_file import Arm, Fleet
 from tauext.fleet.inputs import dataset_files, digests, files_of, robot_files, source_files
+from tauext.fleet.places import text_of_place
 from tauext.fleet.settings import flat, plain
 from tauext.fleet.task import Outcome, Task, finished, marker_of
 
@@ -71,7 +72,7 @@ def tasks_of(arm: Arm, out: Path, contents: Contents) -> list[Task]:
     data = data_inputs(arm, contents)
     robot = digests(robot_files(arm.robot), contents)
     dataset, bundle = arm.dataset, Path()
-    given: dict[str, Any] = {"name": arm.name, "robot": None if arm.robot is None else str(arm.robot)}
+    given: dict[str, Any] = {"name": arm.name, "robot": None if arm.robot is None else text_of_place(arm.robot)}
     accepted = {"accept": ", ".join(arm.accept)}
 
     def add(stage: str, inputs: Mapping[str, str], **work: Any) -> Task:
@@ -81,32 +82,36 @@ def tasks_of(arm: Arm, out: Path, contents: Contents) -> list[Task]:
 
     for stage in arm.stages:
         if stage == "import":
-            sources = [str(source) for source in arm.sources]
+            sources = [text_of_place(source) for source in arm.sources]
             named = {"sources": ", ".join(source.name for source in arm.sources)}
             files = digests(source_files(arm), contents)
-            made = add(stage, named | files, sources=sources, description=str(arm.description))
+            made = add(stage, named | files, sources=sources, description=text_of_place(arm.description))
             dataset, data = Path(made.folder) / arm.name, {"import": made.hash}
         elif stage == "check":
-            add(stage, data | robot | accepted, dataset=str(dataset), accept=list(arm.accept))
+            add(stage, data | robot | accepted, dataset=text_of_place(dataset), accept=list(arm.accept))
         elif stage == "train":
             settings = without_threads(plain(arm.train.resolved()))
             said = {"case": arm.case or ""} | accepted | flat(settings, "train.")
             work = {"case": arm.case, "accept": list(arm.accept), "settings": without_threads(plain(arm.train))}
-            made = add(stage, data | robot | said, dataset=str(dataset), **work)
+            made = add(stage, data | robot | said, dataset=text_of_place(dataset), **work)
             bundle = Path(made.folder) / f"{arm.name}.tauext"
         elif stage == "calibrate":
             settings, used = plain(arm.calibrate), data
             if arm.calibration is not None:
                 files = digests(dataset_files(arm.calibration, "calibration"), contents)
                 used = {"calibration": arm.calibration.name} | files
-            work = {"dataset": str(arm.calibration or dataset), "accept": list(arm.accept), "settings": settings}
+            work = {
+                "dataset": text_of_place(arm.calibration or dataset),
+                "accept": list(arm.accept),
+                "settings": settings,
+            }
             said = {"train": tasks["train"].hash} | accepted | flat(settings, "calibrate.")
             made = add(stage, used | said, bundle=str(bundle), **work)
             bundle = Path(made.folder) / f"{arm.name}.tauext"
         else:
             settings, maker = plain(arm.evaluate), "calibrate" if "calibrate" in tasks else "train"
             said = {maker: tasks[maker].hash} | flat(settings, "evaluate.")
-            add(stage, data | said, dataset=str(dataset), bundle=str(bundle), settings=settings)
+            add(stage, data | said, dataset=text_of_place(dataset), bundle=str(bundle), settings=settings)
     return list(tasks.values())
 
 

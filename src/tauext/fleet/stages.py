@@ -11,6 +11,8 @@ from tauext.config import CalibrateStage, EvaluateStage, EventsConfig, TrainConf
 from tauext.fleet.fleet_file import alarm_of
 from tauext.fleet.settings import settings_of
 from tauext.fleet.task import Stage
+from tauext.store import Place, local_folder
+from tauext.store import place_of as any_place
 
 COMMAND = "tauext fleet run"
 
@@ -20,8 +22,8 @@ def import_arm(work: Mapping[str, Any], part: Path) -> None:
     from tauext.importing import import_dataset
 
     said: list[str] = []
-    sources = [Path(source) for source in work["sources"]]
-    import_dataset(sources, Path(work["description"]), part / work["name"], "tauext", said.append)
+    sources = [local_folder(any_place(source)) for source in work["sources"]]
+    import_dataset(sources, any_place(work["description"]), part / work["name"], "tauext", said.append)
     (part / "import.txt").write_text("\n".join(said) + "\n")
 
 
@@ -32,7 +34,7 @@ def check_arm(work: Mapping[str, Any], part: Path) -> str | None:
     from tauext.look.verdict import by_code, is_accepted
     from tauext.provenance import write_json
 
-    recordings, free, robot = gather((Path(work["dataset"]),), place(work, "robot"))
+    recordings, free, robot = gather((any_place(work["dataset"]),), place(work, "robot"))
     diagnosis = examine(recordings, robot, None, free)
     text, content = as_files(diagnosis, (recording.name for recording in recordings), robot is None)
     (part / "check.txt").write_text(text + "\n")
@@ -53,7 +55,7 @@ def train_arm(work: Mapping[str, Any], part: Path) -> None:
     from tauext.train import train_bundle
 
     config = replace(settings_of(TrainConfig, work["settings"], "train"), threads=1)
-    dataset, out = load_dataset(Path(work["dataset"])), part / f"{work['name']}.tauext"
+    dataset, out = load_dataset(any_place(work["dataset"])), part / f"{work['name']}.tauext"
     train_bundle(dataset, out, work["case"], place(work, "robot"), config, accept=work["accept"])
 
 
@@ -63,9 +65,9 @@ def calibrate_arm(work: Mapping[str, Any], part: Path) -> None:
     from tauext.data import load_dataset
 
     settings = settings_of(CalibrateStage, work["settings"], "calibrate")
-    dataset, out = load_dataset(Path(work["dataset"])), part / f"{work['name']}.tauext"
+    dataset, out = load_dataset(any_place(work["dataset"])), part / f"{work['name']}.tauext"
     recalibrate(
-        Path(work["bundle"]),
+        any_place(work["bundle"]),
         dataset,
         out,
         alarm_of(settings),
@@ -82,8 +84,8 @@ def evaluate_arm(work: Mapping[str, Any], part: Path) -> None:
 
     settings = settings_of(EvaluateStage, work["settings"], "evaluate")
     evaluate_bundles(
-        load_dataset(Path(work["dataset"])),
-        {work["name"]: Path(work["bundle"])},
+        load_dataset(any_place(work["dataset"])),
+        {work["name"]: any_place(work["bundle"])},
         part,
         settings.seed,
         threads=1,
@@ -93,8 +95,8 @@ def evaluate_arm(work: Mapping[str, Any], part: Path) -> None:
     )
 
 
-def place(work: Mapping[str, Any], key: str) -> Path | None:
-    return None if work[key] is None else Path(work[key])
+def place(work: Mapping[str, Any], key: str) -> Place | None:
+    return None if work[key] is None else any_place(work[key])
 
 
 STAGES: dict[str, Stage] = {

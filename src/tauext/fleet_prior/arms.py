@@ -13,6 +13,7 @@ from tauext.errors import ConfigError
 from tauext.learn.fleet_prior import ArmType, FleetPrior
 from tauext.progress import SILENT, Reporter
 from tauext.robot import chosen_case, estimated_model
+from tauext.store import Place, place_of
 from tauext.train.fitting import fit_prior, observe
 from tauext.train.gain import choose_gain
 from tauext.train.like import arm_type, like_settings
@@ -28,8 +29,8 @@ class FleetArm:
     """One arm: its recordings, and the bundle that was trained on them where there is one."""
 
     name: str
-    data: Path
-    bundle: Path | None = None
+    data: Place
+    bundle: Place | None = None
 
 
 @dataclass(frozen=True)
@@ -55,10 +56,10 @@ def fleet_arms(words: Sequence[str]) -> list[FleetArm]:
     Raises:
         ConfigError: fewer than LEAST_ARMS, or one twice.
     """
-    pairs: list[tuple[Path, Path | None]] = []
+    pairs: list[tuple[Place, Place | None]] = []
     for word in words:
         bundle, found, data = word.partition(BUNDLE_AND_DATA)
-        pairs.append((Path(data), Path(f"{bundle}.tauext")) if found else (Path(word), None))
+        pairs.append((place_of(data), place_of(f"{bundle}.tauext")) if found else (place_of(word), None))
     folders = [data.resolve() for data, _ in pairs]
     twice = [str(data) for k, data in enumerate(folders) if data in folders[:k]]
     if twice:
@@ -76,7 +77,7 @@ def expect_enough(arms: int) -> None:
         )
 
 
-def distinct(folders: Sequence[Path]) -> list[str]:
+def distinct(folders: Sequence[Place]) -> list[str]:
     """Names of folders: as many of their last parts as tell them apart, without those that all have."""
     most = max(len(folder.parts) for folder in folders)
     for count in range(1, most + 1):

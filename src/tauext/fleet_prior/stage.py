@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from tauext.progress import SILENT, Reporter
 from tauext.provenance import provenance
 from tauext.recipes import FULL_PRIOR
 from tauext.room import expect_new_file
+from tauext.store import Place
 from tauext.train.fitting import observe
 
 LEAST_JUDGED = 3
@@ -33,7 +33,7 @@ LEAST_JUDGED = 3
 
 def make_fleet_prior(
     arms: Sequence[FleetArm],
-    out: Path,
+    out: Place,
     config: TrainConfig = TrainConfig(recipe="prior"),  # noqa: B008
     accept: Sequence[str] = (),
     report: Reporter = SILENT,

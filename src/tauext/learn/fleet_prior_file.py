@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,13 +16,14 @@ from tauext.learn.map_regression import WeightPrior
 from tauext.plain_file import json_of, read_text
 from tauext.provenance import json_text, write_json
 from tauext.robot.inertial import PARAMETERS
+from tauext.store import Place
 
 FORMAT = 1
 SUFFIX = ".prior.json"
 COVERAGE = ("fastest_rad_s", "turns", "centre_rad", "span_rad", "seen", "reach", "seen_together", "reach_together")
 
 
-def write_fleet_prior(prior: FleetPrior, path: Path) -> None:
+def write_fleet_prior(prior: FleetPrior, path: Place) -> None:
     """Write the file, whole or not at all.
 
     Raises:
@@ -36,7 +36,7 @@ def write_fleet_prior(prior: FleetPrior, path: Path) -> None:
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
-def expect_name(path: Path) -> None:
+def expect_name(path: Place) -> None:
     """Raise ConfigError unless the name ends as a fleet prior's does."""
     if not path.name.endswith(SUFFIX):
         raise ConfigError(f"{path}: a fleet prior's name ends in {SUFFIX}")
@@ -77,7 +77,7 @@ def plain(values: Mapping[str, Any]) -> dict:
     return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in values.items()}
 
 
-def load_fleet_prior(path: Path) -> FleetPrior:
+def load_fleet_prior(path: Place) -> FleetPrior:
     """The fleet prior in a file.
 
     Raises:

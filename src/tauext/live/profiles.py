@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from tauext.live.toml_file import number, read_toml
 from tauext.monitor import load_of_table, load_of_text
 from tauext.monitor.loads import EXPECTED_KEYS, Expected, expected_of_table
 from tauext.monitor.loads import KEYS as LOAD_KEYS
+from tauext.store import Place
 
 LEVELS = ("contact", "collision")
 LOWEST, HIGHEST = 0.1, 10.0
@@ -81,7 +81,7 @@ class Profiles:
         return self.by_name[name]
 
 
-def load_profiles(path: Path, joints: Sequence[str]) -> Profiles:
+def load_profiles(path: Place, joints: Sequence[str]) -> Profiles:
     """Read a profiles.toml for an arm of these joints.
 
     Raises:
@@ -122,7 +122,7 @@ def load_profiles(path: Path, joints: Sequence[str]) -> Profiles:
     return Profiles(found, first)
 
 
-def _load(path: Path, where: str, value: Any) -> Load:
+def _load(path: Place, where: str, value: Any) -> Load:
     if isinstance(value, str):
         try:
             return load_of_text(value)
@@ -132,7 +132,7 @@ def _load(path: Path, where: str, value: Any) -> Load:
     return load_of_table(f"{path}: [{where}] load", value)
 
 
-def _expected(path: Path, where: str, value: Any) -> Expected:
+def _expected(path: Place, where: str, value: Any) -> Expected:
     refuse_unknown(path, f"{where}.expect", value, EXPECTED_KEYS)
     return expected_of_table(f"{path}: [{where}] expect", value)
 

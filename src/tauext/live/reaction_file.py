@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any
 
 from tauext.data.description_file import refuse_unknown
 from tauext.errors import ConfigError
 from tauext.live.sink import EVENT_KINDS, EventKind
 from tauext.live.toml_file import number, read_toml
+from tauext.store import Place
 
 TEMPLATE = """\
 # What shall happen when the monitor finds something. Each [[reaction]] has a thread of its own: one that fails, hangs
@@ -68,7 +68,7 @@ class Reaction:
 ACTIONS = ("command", "python", "publish", "stop")
 
 
-def load_reactions(path: Path, joints: Sequence[str]) -> list[Reaction]:
+def load_reactions(path: Place, joints: Sequence[str]) -> list[Reaction]:
     """Read a reactions.toml for an arm of these joints.
 
     Raises:
@@ -87,7 +87,7 @@ def load_reactions(path: Path, joints: Sequence[str]) -> list[Reaction]:
     return found
 
 
-def _reaction(path: Path, table: Any, joints: Sequence[str]) -> Reaction:
+def _reaction(path: Place, table: Any, joints: Sequence[str]) -> Reaction:
     refuse_unknown(path, "reaction", table, tuple(field.name for field in fields(Reaction)))
     name = table.get("name")
     if not isinstance(name, str) or not name.strip():

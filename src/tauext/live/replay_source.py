@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 
 from tauext.data import Recording, load_recording
 from tauext.errors import ConfigError
 from tauext.live.source import Sample, SourceCounts, SourceSettings
 from tauext.monitor import Pace
+from tauext.store import Place
 
 
 class ReplaySource:
     """Gives a recording's samples when their time has come; a late loop finds them waiting, and none is lost."""
 
-    def __init__(self, recording: Recording | Path | str, speed: float | None = 1.0):
+    def __init__(self, recording: Recording | Place | str, speed: float | None = 1.0):
         """speed: so many times as fast as recorded; None: as fast as the loop takes them.
 
         Raises:

@@ -8,10 +8,11 @@ from typing import Any
 
 from tauext.errors import ConfigError
 from tauext.plain_file import read_text, toml_of
+from tauext.store import Place
 from tauext.whole_file import whole_file
 
 
-def read_toml(path: Path, option: str = "") -> dict[str, Any]:
+def read_toml(path: Place, option: str = "") -> dict[str, Any]:
     """The content of the file; option, if there is one, writes a template of it: `--new-reactions`.
 
     Raises:

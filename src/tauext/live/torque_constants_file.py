@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from tauext.data.description_file import refuse_unknown
 from tauext.errors import ConfigError
 from tauext.live.toml_file import number, read_toml
+from tauext.store import Place
 
 LARGEST = 1e6
 
 
-def load_torque_constants(path: Path, joints: Sequence[str]) -> np.ndarray:
+def load_torque_constants(path: Place, joints: Sequence[str]) -> np.ndarray:
     """Joint torque a unit of current, after the gear, (joints,) [N m/A], from a TOML file of one table:
 
         [nm_per_ampere]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -15,6 +14,7 @@ from tauext.errors import ConfigError
 from tauext.live.reader_source import ReaderSource, Unreachable, sample_of
 from tauext.live.source import Sample, SourceSettings
 from tauext.live.torque_constants_file import load_torque_constants
+from tauext.store import Place
 
 VARIABLES = ["timestamp", "actual_q", "actual_qd", "actual_current", "joint_temperatures"]
 POLLS_A_PERIOD = 10
@@ -30,7 +30,7 @@ class UrSource(ReaderSource):
 
     robot_joints = 6
 
-    def __init__(self, host: str, torque_constants: Path | None = None):
+    def __init__(self, host: str, torque_constants: Place | None = None):
         """torque_constants: file (torque_constants_file.py); None where the bundle takes amperes."""
         super().__init__(f"ur {host}")
         self._host, self._file = host, torque_constants

@@ -14,6 +14,7 @@ from tauext.caching import cache_folder
 from tauext.data import Recording
 from tauext.doctor import Finding
 from tauext.provenance import VERSION
+from tauext.store import Place, is_stored, version_of
 from tauext.whole_file import whole_file
 
 FORMAT = 1
@@ -68,8 +69,10 @@ def digest_of(recording: Recording) -> str:
     return digest.hexdigest()
 
 
-def file_digest(path: Path) -> str:
-    """Of a file's bytes; a file that cannot be read has the digest of none."""
+def file_digest(path: Place) -> str:
+    """Of a file's bytes, or what a store marks its content by; a file that cannot be read has the digest of none."""
+    if is_stored(path):
+        return version_of(path)
     digest = hashlib.sha256()
     try:
         with path.open("rb") as file:

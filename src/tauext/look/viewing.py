@@ -18,6 +18,7 @@ from tauext.doctor.finding import Severity
 from tauext.look.memory import digest_of, file_digest, remembered
 from tauext.look.verdict import Look
 from tauext.progress import Reporter
+from tauext.store import Place
 
 MOST_MOVING_S = 180.0
 """Of motion that all checks look at, [s], the same share of each recording from its beginning on: order, axes, signs
@@ -87,7 +88,7 @@ def look_at_training(
     return Look(_worth_telling(remembered(["training", *settings, *digests], find)))
 
 
-def look_at_calibration(files: Sequence[Path], limits_nm: np.ndarray | None, threads: int, report: Reporter) -> Look:
+def look_at_calibration(files: Sequence[Place], limits_nm: np.ndarray | None, threads: int, report: Reporter) -> Look:
     """The cheap checks of every calibration recording, remembered by content.
 
     Args:
@@ -145,7 +146,7 @@ def _quick(recording: Recording, limits_nm: np.ndarray | None) -> Callable[[], l
     return lambda: quick_look(recording, limits_nm)
 
 
-def _quick_of_file(file: Path, limits_nm: np.ndarray | None) -> Callable[[], list[Finding]]:
+def _quick_of_file(file: Place, limits_nm: np.ndarray | None) -> Callable[[], list[Finding]]:
     return lambda: quick_look(load_recording(file), limits_nm)
 
 

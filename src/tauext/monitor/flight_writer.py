@@ -12,6 +12,7 @@ from types import TracebackType
 from tauext import _core
 from tauext.errors import TauextError
 from tauext.monitor.flight_content import Flight, event_kind
+from tauext.store import Place
 
 POLL_S = 0.05
 MOST_WAITING = 4
@@ -26,7 +27,7 @@ class FlightNews:
     """collision, contact or fault."""
     t_ns: int
     """Of the event."""
-    path: Path | None
+    path: Place | None
     error: str | None = None
 
 

@@ -6,13 +6,13 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from tauext._core import Load, LoadSettings
 from tauext.data.description_file import refuse_unknown
 from tauext.errors import ConfigError
 from tauext.plain_file import read_text, toml_of
+from tauext.store import Place
 
 KEYS = ("mass", "com", "inertia", "error")
 USAGE = "none, or mass=KG com=X,Y,Z inertia=XX,YY,ZZ,XY,XZ,YZ error=SHARE; mass alone has to be there"
@@ -118,7 +118,7 @@ def load_of_table(where: str, table: Mapping[str, Any]) -> Load:
     return Load(load.mass, load.com, load.inertia, found["error"][0]) if "error" in found else load
 
 
-def read_loads(path: Path) -> list[TimedLoad]:
+def read_loads(path: Place) -> list[TimedLoad]:
     """Loads with their times, from a TOML file of tables [[load]]: from_s, mass, com, inertia, error.
 
     Raises:

@@ -8,7 +8,6 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -37,6 +36,7 @@ from tauext.provenance import provenance
 from tauext.refit.report import JointReport, Refitted, Touch
 from tauext.refit.standing import STANDS, sentence, standing
 from tauext.room import expect_new_file
+from tauext.store import Place, local_file
 
 MARGINS = FreeMotionConfig()
 
@@ -66,9 +66,9 @@ class Span:
 
 
 def refit_bundle(
-    bundle: Path,
-    data: Path,
-    out: Path,
+    bundle: Place,
+    data: Place,
+    out: Place,
     span: Span = Span(),
     threads: int = 0,
     report: Reporter = SILENT,
@@ -181,7 +181,7 @@ def touch_of(touch: _core.RefitTouch, recordings: Sequence[Recording]) -> Touch:
     return Touch(recording.name, recording.joints[touch.joint], from_s, to_s, touch.share, touch.counted)
 
 
-def expect_prior(bundle: _core.Bundle, path: Path) -> None:
+def expect_prior(bundle: _core.Bundle, path: Place) -> None:
     """Raise TrainingError where there is nothing that could be brought up to date."""
     if not bundle.prior.terms:
         raise TrainingError(
@@ -190,7 +190,7 @@ def expect_prior(bundle: _core.Bundle, path: Path) -> None:
         )
 
 
-def recording_files(data: Path) -> list[Path]:
+def recording_files(data: Place) -> list[Place]:
     """A recording's file, or those of a dataset's training recordings.
 
     Raises:
@@ -204,7 +204,7 @@ def recording_files(data: Path) -> list[Path]:
     return files
 
 
-def file_sha256(path: Path) -> str:
+def file_sha256(path: Place) -> str:
     """Of a file's bytes."""
-    with path.open("rb") as file:
+    with local_file(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -9,12 +9,13 @@ from tauext.data.split import FILE_NAME
 from tauext.errors import ConfigError
 from tauext.report.entry import Entry
 from tauext.report.results import Results
+from tauext.store import Place
 
 NAMED = 3
 """So many of the recordings are named."""
 
 
-def expect_same_dataset(results: Results, results_dir: Path, dataset_dir: Path) -> None:
+def expect_same_dataset(results: Results, results_dir: Path, dataset_dir: Place) -> None:
     """Raise ConfigError where the dataset's recordings are not those that were evaluated.
 
     One that is missing is said on the page where it would stand; a dataset that has none of them is another one.

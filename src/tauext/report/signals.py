@@ -9,6 +9,7 @@ from pathlib import Path
 from tauext.data import Recording, load_recording
 from tauext.data.estimates import Estimates, load_estimates
 from tauext.errors import RecordingError
+from tauext.store import Place
 
 
 class NotAvailable(Exception):
@@ -19,7 +20,7 @@ class NotAvailable(Exception):
 class Signals:
     """Where recordings and estimates lie, and the joints that the results are about."""
 
-    dataset_dir: Path
+    dataset_dir: Place
     results_dir: Path
     joints: tuple[str, ...]
 

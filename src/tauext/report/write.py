@@ -28,6 +28,7 @@ from tauext.report.three_collisions import draw_three_collisions
 from tauext.report.traces import PAGE_MB, PageTraces, chosen_bundles, or_reason, results_traces
 from tauext.report.training_loss import draw_training_loss
 from tauext.room import expect_folder
+from tauext.store import Place
 from tauext.whole_file import whole_folder
 
 LARGEST_PAGE_MB = 1000.0
@@ -35,7 +36,7 @@ LARGEST_PAGE_MB = 1000.0
 
 
 def write_report(
-    results_dir: Path, dataset_dir: Path, out_dir: Path, page_mb: float = PAGE_MB, trace_methods: Sequence[str] = ()
+    results_dir: Path, dataset_dir: Place, out_dir: Path, page_mb: float = PAGE_MB, trace_methods: Sequence[str] = ()
 ) -> Path:
     """Write `figures/*.png` and `report.html`, one page that needs no other file; returns its path.
 

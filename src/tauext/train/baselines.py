@@ -12,6 +12,7 @@ from tauext.look import expect_codes
 from tauext.progress import SILENT, Reporter
 from tauext.recipes import RECIPES, baselines
 from tauext.robot import chosen_case, estimated_model
+from tauext.store import Place
 from tauext.train.look import look_first
 from tauext.train.settings import finished, why_impossible
 from tauext.train.stage import train_on_recordings
@@ -19,7 +20,7 @@ from tauext.train.stage import train_on_recordings
 
 def train_baselines(
     dataset: Dataset,
-    robot: Path | None,
+    robot: Place | None,
     case_name: CaseName | None,
     folder: Path,
     seed: int,

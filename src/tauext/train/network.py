@@ -19,6 +19,7 @@ from tauext.learn import (
     train_network,
 )
 from tauext.learn.training_set import TooShort
+from tauext.store import at_home
 from tauext.train.preparation import Job
 
 CHECKPOINT = ".checkpoint.npz"
@@ -53,7 +54,7 @@ def fit_network(job: Job, setup: Setup) -> ScaledNetwork | None:
                 build_windows(setup, scaling, job.motion.training),
                 build_windows(setup, scaling, job.motion.validation),
                 job.config,
-                checkpoint_path=job.out.with_suffix(CHECKPOINT),
+                checkpoint_path=at_home(job.out).with_suffix(CHECKPOINT),
                 settings={key: job.run[key] for key in ("settings", "recordings")} | {"robot": model_digest(job.tree)},
                 report=report,
             )

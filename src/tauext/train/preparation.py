@@ -17,6 +17,7 @@ from tauext.learn.fleet_prior import FleetPrior
 from tauext.progress import Reporter
 from tauext.provenance import provenance
 from tauext.robot import torque_limits
+from tauext.store import Place
 from tauext.train.motion import TrainingMotion, expect_some, training_motion
 from tauext.train.possible import PossibleMotion, possible_motion
 from tauext.train.recordings import chosen_recordings, given_unit
@@ -30,7 +31,7 @@ class Job:
     tree: Tree
     case: ModelCase
     config: TrainConfig
-    out: Path
+    out: Place
     possible: PossibleMotion
     calibration: list[Callable[[], Recording]]
     """Load recordings, contacts and all."""
@@ -100,7 +101,7 @@ def prepare(
     training: Sequence[Recording],
     validation: Sequence[Recording],
     config: TrainConfig,
-    out: Path,
+    out: Place,
     calibration: Sequence[Callable[[], Recording]],
     report: Reporter,
     like: FleetPrior | None = None,

@@ -14,6 +14,7 @@ from tauext.look import expect_codes
 from tauext.progress import SILENT, Reporter
 from tauext.robot import chosen_case, estimated_model
 from tauext.room import expect_new_file
+from tauext.store import Place, place_of
 from tauext.train.fitting import fit_prior, observe, put_coverage, put_prior, with_fit
 from tauext.train.gain import choose_gain
 from tauext.train.gating import gate
@@ -29,9 +30,9 @@ from tauext.train.writing import write
 
 def train_bundle(
     dataset: Dataset,
-    out: Path | str,
+    out: Place | str,
     case: CaseName | None = None,
-    robot: Path | None = None,
+    robot: Place | None = None,
     config: TrainConfig = TrainConfig(),  # noqa: B008
     report: Reporter = SILENT,
     accept: Sequence[str] = (),
@@ -59,7 +60,7 @@ def train_bundle(
             case or the recordings cannot serve.
         TrainingError: too little motion for the recipe, or a loss that diverges.
     """
-    out = Path(out)
+    out = place_of(out)
     expect_codes(accept)
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
@@ -89,7 +90,7 @@ def train_on_recordings(
     training: Sequence[Recording],
     validation: Sequence[Recording],
     config: TrainConfig,
-    out: Path,
+    out: Place,
     calibration: Sequence[Callable[[], Recording]] = (),
     report: Reporter = SILENT,
     looked: dict | None = None,

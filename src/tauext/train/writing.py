@@ -8,6 +8,7 @@ from typing import Any
 from tauext._core import Bundle
 from tauext.calibrate import forget_half_done
 from tauext.data import total_s, write_bundle
+from tauext.store import at_home
 from tauext.train.network import CHECKPOINT, ScaledNetwork
 from tauext.train.preparation import Job
 
@@ -23,7 +24,7 @@ def write(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> None:
     run = facts | job.run | {"loss_history": history}
     write_bundle(bundle, job.out, run, {"train_s": seconds})
     forget_half_done(job.out)
-    job.out.with_suffix(CHECKPOINT).unlink(missing_ok=True)  # not before: gate and limits take minutes, too
+    at_home(job.out).with_suffix(CHECKPOINT).unlink(missing_ok=True)  # not before: gate and limits take minutes, too
 
 
 def facts_of(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> dict:

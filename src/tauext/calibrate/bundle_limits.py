@@ -20,6 +20,7 @@ from tauext.calibrate.promised_limits import PromisedLimits, apply_promised, pro
 from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data import Dataset, LeftOut, Recording, SignalBounds, expect_fit, load_bundle, write_bundle
 from tauext.data.loss_history import read_loss_history
+from tauext.data.stretches import ahead
 from tauext.errors import ConfigError
 from tauext.half_done import HalfDone
 from tauext.look import expect_codes, judge, look_at_calibration
@@ -66,7 +67,7 @@ def recalibrate(
     """
     started = time.monotonic()
     expect_codes(accept)
-    loaders: Sequence[Callable[[], Recording]] = dataset.loaders("calibration")
+    loaders: Sequence[Callable[[], Recording]] = dataset.stretches("calibration")
     if not loaders:
         raise ConfigError(f"{dataset.folder}: calibrate {NO_CALIBRATION}")
     expect_new_file(out)
@@ -123,8 +124,8 @@ def refit_scale(
     left_out = LeftOut("calibration")
 
     def load_some() -> Iterator[Recording]:
-        for load in loaders[:apart]:
-            yield counted(bundle, load(), names, left_out)
+        for recording in ahead(loaders[:apart]):
+            yield counted(bundle, recording, names, left_out)
 
     bundle.error_scale = _core.ErrorScaleSettings()
     with no_freeze(bundle):
@@ -188,10 +189,10 @@ def calibrate_bundle(
     with report.progress(f"calibrate {name}") as show:
 
         def load_all() -> Iterator[Recording]:
-            for load in loaders[: len(names)]:  # what was impossible in them is told again
-                left_out.look(load(), bundle.observer, SignalBounds.of(bundle))
-            for load in loaders[len(names) :]:
-                yield counted(bundle, load(), names, left_out)
+            for recording in ahead(loaders[: len(names)]):  # what was impossible in them is told again
+                left_out.look(recording, bundle.observer, SignalBounds.of(bundle))
+            for recording in ahead(loaders[len(names) :]):
+                yield counted(bundle, recording, names, left_out)
                 show(len(names), len(loaders), "recordings")
 
         with no_freeze(bundle):

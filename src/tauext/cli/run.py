@@ -15,7 +15,7 @@ from tauext.cli.place_argument import PlaceArg
 from tauext.cli.run_settings import RunSettings
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
-from tauext.store import Place, staged
+from tauext.store import Place, added
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
@@ -73,7 +73,7 @@ def run(
     require(0 <= status_hz <= 1e6, "status_hz", status_hz, "0 to 1e6")
     require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
     loaded = fitting_bundle(bundle, recordings)
-    flights_here = nullcontext(None) if flights is None else staged(flights)
+    flights_here = nullcontext(None) if flights is None else added(flights)
     with flights_here as folder:
         settings = RunSettings(
             1.0 if real_time else speed,

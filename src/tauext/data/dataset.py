@@ -10,6 +10,7 @@ from pathlib import Path
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.data.split import Split, load_split
+from tauext.data.stretches import ahead, stretches
 from tauext.errors import ConfigError
 from tauext.store import Place, local_robot, place_of
 
@@ -27,7 +28,7 @@ class Dataset:
 
     def recordings(self, set_name: str) -> list[Recording]:
         """All recordings of `train`, `validation`, `test`, `collisions` or `calibration`, in order."""
-        return [load_recording(file) for file in self.files(set_name)]
+        return list(ahead(self.loaders(set_name)))
 
     def training(self) -> list[Recording]:
         """The training recordings; raise ConfigError where there are none."""
@@ -42,6 +43,10 @@ class Dataset:
     def loaders(self, set_name: str) -> list[Callable[[], Recording]]:
         """The same, each loaded when called."""
         return [partial(load_recording, file) for file in self.files(set_name)]
+
+    def stretches(self, set_name: str) -> list[Callable[[], Recording]]:
+        """The same for limits: in stretches where a recording is long, without signals that limits do not need."""
+        return stretches(self.files(set_name))
 
     def robot_file(self, given: Place | None) -> Path:
         """The robot file given, or the one in the folder; of a store, a copy of it and of what it names."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -27,6 +27,8 @@ UNITS = {"t": "ns", "q": "rad", "dq": "rad/s", "tau": "N m"}
 TEXTS = ("tauext_format", "joints", "units", "rate_hz", "torque_timing", "source", "robot_sha256", "provenance")
 """Keys of the schema's metadata, all needed."""
 MAGIC = b"PAR1"
+ROW_GROUP = 225_000
+"""Samples that are written, and can be read, at a time: half an hour at 125 Hz; no import puts more in a file."""
 
 
 @dataclass(frozen=True)
@@ -79,11 +81,24 @@ def save_recording(recording: Recording, path: Place | str) -> None:
         }
     )
     encoding = {"t_ns": "DELTA_BINARY_PACKED"} | dict.fromkeys(floats, "BYTE_STREAM_SPLIT")
-    write_parquet(table, path, use_dictionary=flags, column_encoding=encoding, write_page_checksum=True)
+    write_parquet(
+        table,
+        path,
+        use_dictionary=flags,
+        column_encoding=encoding,
+        write_page_checksum=True,
+        row_group_size=ROW_GROUP,
+    )
 
 
-def load_recording(path: Place | str) -> Recording:
+def load_recording(
+    path: Place | str, signals: Collection[str] | None = None, rows: tuple[int, int] | None = None
+) -> Recording:
     """Read a recording; its name is the stem of `path`. The file is only read, whatever is wrong with it.
+
+    Args:
+        signals: of the optional ones those that are wanted, where they are there; None: all.
+        rows: first sample that is wanted, and the first that is not any more; None: all.
 
     Raises:
         RecordingError: names the file, what is wrong in it and what would be right.
@@ -92,11 +107,12 @@ def load_recording(path: Place | str) -> Recording:
     with opened(path) as file:
         head = read_head(path, file)
         check_columns(path, head, file.schema_arrow)
-        columns = file.read()
+        kept = [s for s in head.signals if signals is None or s in signals or s in REQUIRED_SIGNALS]
+        columns = read_rows(file, column_names(head.joints, kept), rows)
     arrays = {flag: to_numpy(path, columns, flag) for flag in ("t_ns", *FLAGS) if flag in columns.column_names}
-    for signal in head.signals:
+    for signal in kept:
         if signal not in FLAGS:
-            values = np.empty((head.samples, len(head.joints)))
+            values = np.empty((columns.num_rows, len(head.joints)))
             for j, joint in enumerate(head.joints):
                 values[:, j] = to_numpy(path, columns, f"{signal}_{joint}")
             values.flags.writeable = False
@@ -108,6 +124,25 @@ def load_recording(path: Place | str) -> Recording:
     except RecordingError as error:
         what = str(error).removeprefix(f"recording '{path.stem}': ")
         raise RecordingError(f"{path}: {what}") from error
+
+
+def column_names(joints: Sequence[str], signals: Sequence[str]) -> list[str]:
+    """Of these signals' columns, and of the time."""
+    per_joint = [f"{signal}_{joint}" for signal in signals if signal not in FLAGS for joint in joints]
+    return ["t_ns", *per_joint, *(flag for flag in FLAGS if flag in signals)]
+
+
+def read_rows(file: pq.ParquetFile, columns: list[str], rows: tuple[int, int] | None) -> pa.Table:
+    """These columns; of row groups that hold none of the rows nothing is read."""
+    if rows is None:
+        return file.read(columns)
+    first, end = rows
+    sizes = [file.metadata.row_group(g).num_rows for g in range(file.num_row_groups)]
+    starts = [sum(sizes[:g]) for g in range(len(sizes))]
+    wanted = [
+        g for g, (start, size) in enumerate(zip(starts, sizes, strict=True)) if start < end and start + size > first
+    ]
+    return file.read_row_groups(wanted, columns).slice(first - starts[wanted[0]], end - first)
 
 
 def describe(path: Place | str) -> Description:

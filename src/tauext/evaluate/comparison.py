@@ -14,6 +14,7 @@ from tauext.config import EventsConfig
 from tauext.data import Recording, free_samples
 from tauext.data.estimates import STALE, Estimates, save_estimates
 from tauext.data.loss_history import LossHistory
+from tauext.data.stretches import ahead
 from tauext.errors import ConfigError
 from tauext.evaluate.bundle_measures import BundleMeasures
 from tauext.evaluate.collisions import STRONG_PEAK, Collision, choose_ten, find_collisions
@@ -74,12 +75,10 @@ def evaluate(
         comparison = Comparison(bundles, events, sanity_detectors(seed) if sanity else [], own)
     total = len(test) + len(collisions)
     with ThreadPoolExecutor(max(1, min(threads, len(bundles)))) as pool:
-        for number, load in enumerate([*test, *collisions]):
-            if number < done:
-                continue
+        for number, recording in enumerate(ahead([*test, *collisions][done:]), done):
             free = number < len(test)
             keep_in = estimates_dir if not free or number < keep_free_estimates else None
-            comparison.add(number, load(), free, threads, keep_in, pool)
+            comparison.add(number, recording, free, threads, keep_in, pool)
             progress("evaluate", number + 1, total)
             if kept:
                 kept.offer((comparison, number + 1))

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tauext.data import Recording, load_recording
+from tauext.data import Recording
 from tauext.data.cut import cut
+from tauext.data.stretches import stretches
 from tauext.doctor import Diagnosis, Finding, examine, quick_look, unlabelled_contacts
 from tauext.doctor.contacts import is_unlabelled_contact, spoils_contacts
 from tauext.doctor.finding import Severity
@@ -100,7 +101,7 @@ def look_at_calibration(files: Sequence[Place], limits_nm: np.ndarray | None, th
         digests = [f"{file.name} {digest}" for file, digest in zip(files, pool.map(file_digest, files), strict=True)]
 
     def find() -> list[Finding]:
-        tasks = [_quick_of_file(file, limits_nm) for file in files]
+        tasks = [_quick_of(load, limits_nm) for load in stretches(files)]
         found = _in_parallel(tasks, workers, "look at the calibration recordings", report)
         return [forgiven(finding) for of_recording in found for finding in of_recording]
 
@@ -146,8 +147,8 @@ def _quick(recording: Recording, limits_nm: np.ndarray | None) -> Callable[[], l
     return lambda: quick_look(recording, limits_nm)
 
 
-def _quick_of_file(file: Place, limits_nm: np.ndarray | None) -> Callable[[], list[Finding]]:
-    return lambda: quick_look(load_recording(file), limits_nm)
+def _quick_of(load: Callable[[], Recording], limits_nm: np.ndarray | None) -> Callable[[], list[Finding]]:
+    return lambda: quick_look(load(), limits_nm)
 
 
 def _in_parallel(

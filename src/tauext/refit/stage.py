@@ -29,6 +29,7 @@ from tauext.data import (
 from tauext.data.cut import within
 from tauext.data.loss_history import read_loss_history
 from tauext.data.recording import TorqueTiming
+from tauext.data.stretches import FOR_LIMITS
 from tauext.errors import ConfigError, TrainingError
 from tauext.look import expect_codes, judge, look_at_calibration
 from tauext.progress import SILENT, Reporter
@@ -95,7 +96,7 @@ def refit_bundle(
     expect_prior(loaded, bundle)
     expect_codes(accept, [link.joint_name for link in loaded.links])
     files = recording_files(data)
-    recordings = [load_recording(file) for file in files]
+    recordings = [load_recording(file, FOR_LIMITS) for file in files]
     for recording in recordings:
         expect_fit(loaded, recording)
     in_nm = all(unit == "N m" for unit in loaded.torque_units)

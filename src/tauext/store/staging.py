@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -82,9 +82,35 @@ def staged(place: Place, fresh: bool = False) -> Iterator[Path]:
     shutil.rmtree(folder, ignore_errors=True)
 
 
-def send_folder(folder: Path, place: StoredPlace) -> None:
-    """All files in it, those of LAST at last; a file of the same name is replaced, others stay."""
-    files = [path.relative_to(folder) for path in folder.rglob("*") if path.is_file()]
+@contextmanager
+def added(place: Place) -> Iterator[Path]:
+    """A folder to add files to, whose names must be new: itself, or one here that is sent however the work ends.
+
+    For names that the store's folder has already there is an empty file here.
+    """
+    if not isinstance(place, StoredPlace):
+        yield place
+        return
+    folder = at_home(place)
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    taken = {one.name for one in place.iterdir()}
+    for name in taken:
+        (folder / name).touch()
+    try:
+        yield folder
+    finally:
+        send_folder(folder, place, taken)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def send_folder(folder: Path, place: StoredPlace, but: Collection[str] = ()) -> None:
+    """All files in it, those of LAST at last; a file of the same name is replaced, others stay.
+
+    Args:
+        but: names of files that are left out.
+    """
+    files = [path.relative_to(folder) for path in folder.rglob("*") if path.is_file() and path.name not in but]
     for file in sorted(files, key=lambda one: (-LAST.index(one.name) if one.name in LAST else -len(LAST), str(one))):
         send(folder / file, place / file.as_posix())
 

@@ -142,9 +142,9 @@ class StoredPlace:
             FileNotFoundError: nothing is there.
         """
         info = self.info()
-        if not self.exists():
+        if not info.type:
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self))
-        mode, size, changed_ns = stat.S_IFREG if self.is_file() else stat.S_IFDIR, info.size or 0, info.mtime_ns or 0
+        mode, size, changed_ns = stat.S_IFDIR if info.size is None else stat.S_IFREG, info.size or 0, info.mtime_ns or 0
         whole, exact = changed_ns // 10**9, changed_ns * 1e-9
         return os.stat_result(
             (mode, 0, 0, 0, 0, 0, size, 0, whole, 0),

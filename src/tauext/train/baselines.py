@@ -56,7 +56,7 @@ def train_baselines(
     case_name, said = chosen_case(case_name, robot_file)
     if said:
         report.say(said)
-    case, calibration = PAPER_CASES[case_name], dataset.loaders("calibration")
+    case, calibration = PAPER_CASES[case_name], dataset.stretches("calibration")
     bundles: dict[str, Path] = {}
     missing: dict[str, TrainConfig] = {}
     for name, recipe in known.items():

@@ -78,7 +78,7 @@ def train_bundle(
     looked = None
     if look:
         looked = look_first(dataset, robot_file, model, training, validation, config, accept, report)
-    calibration = dataset.loaders("calibration")
+    calibration = dataset.stretches("calibration")
     train_on_recordings(tree, robot_file, model, training, validation, config, out, calibration, report, looked, like)
     return load_bundle(out)
 

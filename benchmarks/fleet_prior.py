@@ -1,11 +1,11 @@
 """A new arm with one minute of its own: with a fleet's prior, without it, and with ten minutes of its own.
 
-    python benchmarks/fleet_prior.py MODELS OUT [--type ur5] [--arms 10] [--new 6] [--type-seed 1]
+    python benchmarks/fleet_prior.py MODELS OUT [--type ur5] [--arms 10] [--minutes 6] [--new 6] [--type-seed 1]
 
 Simulated arms of one type (unseen.of_type): links, gears and drives they share; friction of each joint (0.7 to 1.3 of
 the type's), tool, torque constants (8 % about those of the data sheet) and ripple's size and phase are each arm's own.
-MODELS: folder of the arms' URDFs, as of unseen_arms.py. OUT gets recordings, bundles and README.md; what is there is
-used again. That of docs/results/fleet-prior is one of these.
+MODELS: folder of the arms' URDFs, as of unseen_arms.py. OUT gets recordings, bundles and README.md (TYPE.md of
+another type than ur5); what is there is used again. Those of docs/results/fleet-prior are of these.
 """
 
 from __future__ import annotations
@@ -60,11 +60,13 @@ def main() -> None:
     parser.add_argument("--type", default="ur5", help="of the arms' maker, default: %(default)s")
     parser.add_argument("--type-seed", type=int, default=1, help="draws the type, default: %(default)s")
     parser.add_argument("--arms", type=int, default=10, help="of the fleet, default: %(default)s")
+    parser.add_argument("--minutes", type=float, default=6, help="of each arm of the fleet, default: %(default)s")
     parser.add_argument("--new", type=int, default=6, help="arms that are met, default: %(default)s")
     options = parser.parse_args()
     maker = replace(makers(options.models)[options.type], type_seed=options.type_seed)
     root = options.out / options.type
-    fleet = [make_arm(maker, k, root / f"arm-{k:02d}", FLEET_TAKES) for k in range(options.arms)]
+    takes = [replace(take, minutes=options.minutes / len(FLEET_TAKES)) for take in FLEET_TAKES]
+    fleet = [make_arm(maker, k, root / f"arm-{k:02d}", takes) for k in range(options.arms)]
     prior = root / f"{options.type}-{options.arms}.prior.json"
     if not prior.exists():
         command("fleet", "prior", *fleet, "--out", prior)
@@ -75,7 +77,7 @@ def main() -> None:
         bundles = {way: trained(way, data, folder, prior) for way in WAYS}
         rows.append(judge(maker, NEW_SEED + k, folder, data, bundles))
     text = "\n".join(markdown(rows, options, json.loads(prior.read_text()))) + "\n"
-    (options.out / "README.md").write_text(text)
+    (options.out / ("README.md" if options.type == "ur5" else f"{options.type}.md")).write_text(text)
     print(text)
 
 
@@ -159,16 +161,17 @@ def contacts(recording: Recording) -> list[tuple[int, int]]:
 
 def markdown(rows: Sequence[dict], options: argparse.Namespace, prior: dict) -> list[str]:
     """The tables, and what they are of."""
-    usual = {"arms": 10, "new": 6}
-    said = [f" --{name} {getattr(options, name)}" for name in usual if getattr(options, name) != usual[name]]
-    minutes = sum(take.minutes for take in FLEET_TAKES)
+    usual = {"type": "ur5", "type_seed": 1, "arms": 10, "minutes": 6, "new": 6}
+    given = {name: getattr(options, name) for name in usual if getattr(options, name) != usual[name]}
+    said = [f" --{name.replace('_', '-')} {value:g}" if name != "type" else f" --type {value}"
+            for name, value in given.items()]  # fmt: skip
     lines = [
         "# A new arm with a minute of its own",
         "",
         f"Written by `python benchmarks/fleet_prior.py MODELS OUT{''.join(said)}`.",
         "",
-        f"A fleet of {len(prior['arms'])} simulated arms of one type ({options.type}), {minutes:g} minutes each, and "
-        f"{len(rows)} new arms. Links, gears and",
+        f"A fleet of {len(prior['arms'])} simulated arms of one type ({options.type}), "
+        f"{options.minutes:g} minutes each, and {len(rows)} new arms. Links, gears and",
         "drives are the type's; friction of each joint (0.7 to 1.3 of the type's), tool, torque constants (8 %",
         "about those of the data sheet) and ripple are each arm's own. Each new arm is trained on its first minute",
         "by itself, on that minute with the fleet's prior, and on ten minutes by itself; and judged on the same four",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import sys
 from dataclasses import replace
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from made_bags import joint_rows, write_bag
 from made_fleets import QUICK, QUICKER, arms_of, run_here, small_dataset, touched, workers_here, write_fleet, written
+from test_import_table import TABLE
 from trees import planar_rig, urdf
 
 from tauext.cli import main
@@ -20,6 +22,7 @@ from tauext.config import TrainConfig
 from tauext.data import load_dataset, load_recording, save_recording
 from tauext.errors import ConfigError
 from tauext.fleet import Outcome, Task, load_fleet, plan_fleet
+from tauext.fleet import build as build_file
 from tauext.fleet.example import EXAMPLE
 from tauext.fleet.local_workers import LocalWorkers
 from tauext.fleet.locking import locked
@@ -329,8 +332,47 @@ def test_what_another_worker_finished_meanwhile_stays(tmp_path):
 
 
 def test_another_version_is_refused_by_the_worker(tmp_path):
-    outcome = run_task(Task("a", "check", str(tmp_path / "check"), {}, {}, version="0.0.1"), {})
-    assert outcome == Outcome("failed", outcome.reason) and "0.0.1" in outcome.reason
+    outcome = run_task(Task("a", "check", str(tmp_path / "check"), {}, {}, build="0.0.1+abc"), {})
+    assert outcome == Outcome("failed", outcome.reason) and "0.0.1+abc" in outcome.reason
+
+
+def test_code_that_decides_the_bytes_is_another_build(tmp_path, monkeypatch):
+    root = tmp_path / "tauext"
+    for name, text in {"fleet/build.py": "", "train/gain.py": "K = 1", "cli/show.py": "print()"}.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text)
+    monkeypatch.setattr(build_file, "__file__", str(root / "fleet/build.py"))
+    asked = build_file.build.__wrapped__
+    first = asked()
+    assert re.fullmatch(r"\d[^+]*\+[0-9a-f]{12}", first)
+    (root / "cli/show.py").write_text("print(2)")
+    assert asked() == first
+    (root / "train/gain.py").write_text("K = 2")
+    second = asked()
+    (root / "train/gain.py").rename(root / "train/other.py")
+    assert len({first, second, asked()}) == 3
+
+
+def test_no_stage_can_import_what_does_not_count_to_the_build():
+    apart = {name.removesuffix(".py") for name in build_file.APART}
+    reached, waiting = set(), {"fleet"}
+    while waiting:
+        part = waiting.pop()
+        reached.add(part)
+        waiting |= (TABLE[part][0] & TABLE.keys()) - reached
+    assert reached.isdisjoint(apart) and apart <= TABLE.keys()
+
+
+def test_another_build_does_the_work_again_and_says_so(place, monkeypatch):
+    fleet = write_fleet(place, QUICK + arms_of("a", dataset="data"))
+    run_here(fleet, place / "out", monkeypatch, QUICKER)
+    assert whys(fleet, place / "out") == {}
+    mine = build_file.build()
+    marker = place / "out/arms/a/check" / MARKER
+    said = json.loads(marker.read_text())
+    assert said["build"] == mine
+    marker.write_text(json.dumps(said | {"build": "0.1.0+000000000000", "hash": "0" * 64}))
+    assert whys(fleet, place / "out") == {("a", "check"): f"made by tauext 0.1.0+000000000000, this is {mine}"}
 
 
 def test_two_drivers_do_not_share_a_folder(tmp_path):

@@ -1,17 +1,22 @@
 """A fleet prior from small arms, and a new arm that is trained with it on less than a minute."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from made_fleet import CONFIG, FRICTION, dataset, fleet, moving
+from made_fleets import QUICKER, run_here, write_fleet
 
 from tauext import _core
 from tauext.cli import main
 from tauext.data import load_dataset
 from tauext.errors import ConfigError
+from tauext.fleet import load_fleet, plan_fleet
+from tauext.fleet.settings import plain
+from tauext.fleet.stages import train_arm
 from tauext.fleet_prior import fleet_arms, make_fleet_prior
 from tauext.fleet_prior.arms import distinct, own_terms_of
 from tauext.fleet_prior.errors import factor_of
@@ -135,6 +140,43 @@ def test_a_prior_of_another_type_is_refused_in_one_line(made, tmp_path, changes,
     assert not (tmp_path / "no.tauext").exists()
 
 
+def test_a_fleet_trains_new_arms_with_it(made, tmp_path, monkeypatch):
+    data = dataset(tmp_path / "data", moving(70, SECONDS, (0.75, 1.15)))
+    shutil.copy(made[0], tmp_path / "a.prior.json")
+    text = '[train]\nrecipe = "prior"\nlike = "a.prior.json"\n[[arms]]\nname = "new"\ndataset = "data"\n'
+    fleet = write_fleet(tmp_path, text)
+    (arm,) = load_fleet(fleet).arms
+    assert arm.like == tmp_path / "a.prior.json"
+    run_here(fleet, tmp_path / "out", monkeypatch, QUICKER)
+    assert json.loads((tmp_path / "out/arms/new/train/told.json").read_text())["like"] == str(arm.like)
+    arm.like.write_text(arm.like.read_text() + " ")
+    steps = {step.task.stage: step.why for one in plan_fleet(load_fleet(fleet), tmp_path / "out") for step in one.steps}
+    assert steps == {"check": "", "train": "inputs changed: train.like", "evaluate": "train is done anew"}
+    work = {"name": "new", "dataset": str(data), "case": None, "robot": None, "accept": [], "settings": plain(CONFIG)}
+    monkeypatch.setattr("tauext.train.stage.look_first", lambda *told: {})
+    train_arm(work | {"like": str(made[0])}, tmp_path)
+    like = load_fleet_prior(made[0])
+    assert json.loads((tmp_path / "new.run.json").read_text())["like"]["sha256"] == like.sha256
+
+
+@pytest.mark.parametrize(
+    ("train", "says"),
+    [
+        ('like = "none.prior.json"', "none.prior.json: not a readable fleet prior"),
+        ('like = "fleet.toml"', "fleet.toml: not a readable fleet prior"),
+        ("like = 3", "like = 3 must be text"),
+        ('like = "a.prior.json"\nrecipe = "friction"', "recipe = friction must be tauext or prior"),
+    ],
+)
+def test_a_fleet_with_a_wrong_prior_is_refused_before_anything_runs(made, tmp_path, train, says):
+    dataset(tmp_path / "data", moving(70, SECONDS, (0.75, 1.15)))
+    shutil.copy(made[0], tmp_path / "a.prior.json")
+    fleet = write_fleet(tmp_path, f'[train]\n{train}\n[[arms]]\nname = "new"\ndataset = "data"\n')
+    with pytest.raises(ConfigError) as refused:
+        load_fleet(fleet)
+    assert says in str(refused.value) and "arm 'new'" in str(refused.value) and "\n" not in str(refused.value)
+
+
 def test_recipes_without_such_a_prior_refuse_it(made, tmp_path):
     data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (1.0, 1.0))))
     with pytest.raises(ConfigError, match="recipe = friction must be tauext or prior"):
@@ -191,6 +233,40 @@ def test_a_damaged_file_is_refused_in_one_line(made, tmp_path, damage):
     with pytest.raises(ConfigError, match="fleet prior") as refused:
         load_fleet_prior(path)
     assert "\n" not in str(refused.value)
+
+
+def test_show_says_what_the_next_arm_is_told(made, capsys):
+    assert main(["show", str(made[0]), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    raw = json.loads(made[0].read_text())
+    assert told["table"] == table(raw).splitlines() and told["arms"] == 6
+    assert told["not like the others"] == {"arm-5": ["elbow", "links"]}
+    assert told["limits sliding [Nm]"] == dict(
+        zip(raw["type"]["joints"], raw["errors"]["sliding_limit_nm"], strict=True)
+    )
+    assert told["limits promise"] == raw["errors"]["facts"]["sentence"]
+    assert main(["show", str(made[0])]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[: len(told["table"])] == told["table"]
+    assert any(line.split() == ["sha256", load_fleet_prior(made[0]).sha256] for line in lines)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda raw: raw | {"arms": [{"name": "arm-0"}]},
+        lambda raw: raw | {"spread": 3},
+        lambda raw: raw | {"settings": None},
+        lambda raw: {key: value for key, value in raw.items() if key != "left_out"},
+        lambda raw: {"format": 1},
+    ],
+)
+def test_show_of_a_damaged_file_is_one_line(made, tmp_path, capsys, damage):
+    path = tmp_path / "damaged.prior.json"
+    path.write_text(json.dumps(damage(json.loads(made[0].read_text()))))
+    assert main(["show", str(path)]) == 2
+    said = capsys.readouterr().err.strip()
+    assert "\n" not in said and "damaged.prior.json" in said and "`tauext fleet prior` makes one" in said
 
 
 def test_arms_are_named_by_what_tells_their_folders_apart():

@@ -55,7 +55,9 @@ void bind_refit(nb::module_& m) {
       .def_rw("constant", &RefitSettings::constant)
       .def_rw("ripple", &RefitSettings::ripple)
       .def_rw("trend", &RefitSettings::trend)
-      .def_rw("network", &RefitSettings::network);
+      .def_rw("network", &RefitSettings::network)
+      .def_rw("expected", &RefitSettings::expected)
+      .def_rw("expected_error", &RefitSettings::expected_error);
   const auto pair = [](const RefitFactor& factor) { return std::pair(factor.value, factor.error); };
   nb::class_<RefitJoint>(m, "RefitJoint", "What a refit found of one joint; see refit.hpp.")
       .def_prop_ro("coulomb", [pair](const RefitJoint& j) { return pair(j.coulomb); }, "Factor and standard error.")

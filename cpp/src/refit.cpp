@@ -77,13 +77,13 @@ std::vector<std::uint8_t> free_rows(const RefitRows& rows, std::span<const Refit
 
 void tell_error(const RefitRows& rows, int joint, std::span<const double> left, std::span<const std::uint8_t> free,
                 RefitJoint& out) {
-  const std::vector<double>& sigma = rows.joints[static_cast<std::size_t>(joint)].sigma;
+  const RefitRows::Joint& of = rows.joints[static_cast<std::size_t>(joint)];
   std::vector<double> all, of_blocks;
   for (int block = 0; block < kBlocks; ++block) {
     const auto [first, end] = block_of(rows.size(), block, kBlocks);
     std::vector<double> ratios;
     for (std::size_t k = first; k < end; ++k)
-      if (free[k]) ratios.push_back(std::fabs(left[k]) / sigma[k]);
+      if (free[k] && of.shows[k]) ratios.push_back(std::fabs(left[k]) / of.sigma[k]);
     all.insert(all.end(), ratios.begin(), ratios.end());
     if (!ratios.empty()) of_blocks.push_back(quantile(std::move(ratios), kOneSigma));
   }
@@ -134,14 +134,22 @@ void expect_explained(const Bundle& bundle, int joint, double error_ratio) {
 
 }  // namespace
 
-void RefitSettings::validate() const {
+void RefitSettings::validate(int joints) const {
   for (double one : {common, apart, single, constant, ripple, trend, network})
     if (!(one >= 0 && one <= 10)) throw Error("a refit's standard deviation of " + to_text(one) + " must be 0 to 10");
+  const auto count = static_cast<std::size_t>(joints);
+  if (expected.size() != expected_error.size() || (!expected.empty() && expected.size() != count))
+    throw Error("a refit's expectations must be one a joint, with their standard deviations");
+  for (std::size_t j = 0; j < expected.size(); ++j)
+    if (!(expected[j] >= kLeastFactor && expected[j] <= kMostFactor && expected_error[j] > 0 && expected_error[j] <= 10))
+      throw Error("a refit's expected factor of " + to_text(expected[j]) + " with a standard deviation of " +
+                  to_text(expected_error[j]) + " must be " + to_text(kLeastFactor) + " to " + to_text(kMostFactor) +
+                  ", and above 0 to 10");
 }
 
 Refit refit(const Bundle& bundle, std::span<const RefitSource> sources, const RefitSettings& settings, int threads) {
-  settings.validate();
   bundle.validate();
+  settings.validate(bundle.joints());
   const RefitRows rows = refit_rows(bundle, sources, threads);
   Refit out;
   out.bundle = bundle;

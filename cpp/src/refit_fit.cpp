@@ -16,10 +16,12 @@ constexpr double kMedianOfNormal = 0.6745;
 constexpr double kLongestTrendMin = 2;
 constexpr std::size_t kTrend = 3, kShared = 4;  // unknowns before those of single terms
 
-double rms(std::span<const double> values) {
-  double squares = 0;
-  for (double one : values) squares += one * one;
-  return std::sqrt(squares / static_cast<double>(std::max<std::size_t>(values.size(), 1)));
+// Of the rows that count.
+double rms(std::span<const double> values, std::span<const std::uint8_t> counts) {
+  double squares = 0, rows = 0;
+  for (std::size_t r = 0; r < values.size(); ++r)
+    if (counts[r]) squares += values[r] * values[r], ++rows;
+  return rows > 0 ? std::sqrt(squares / rows) : 0;
 }
 
 double median_size(std::vector<double> values) {
@@ -96,30 +98,34 @@ void JointFit::find_columns() {
     columns_.push_back({Group::network, 0, 1.0, of.network});
 }
 
-// RMS of what these terms say together.
+// RMS of what these terms say together, where the joint shows friction.
 double JointFit::size_of(Group group) const {
   std::vector<double> sum(rows_.size());
   for (const Column& column : columns_)
     for (std::size_t r = 0; column.group == group && r < sum.size(); ++r) sum[r] += column.weight * column.values[r];
-  return rms(sum);
+  return rms(sum, rows_.joints[joint_].shows);
 }
 
 void JointFit::build(const RefitSettings& settings) {
   const std::size_t C = columns_.size();
   unknowns_ = kShared + C;
-  unseen_error_ = std::hypot(settings.common, settings.apart);
+  const bool known = !settings.expected.empty();
+  expected_ = known ? settings.expected[joint_] : 1.0;
+  const double common = known ? settings.expected_error[joint_] : settings.common;
+  const double apart = known && settings.common > 0 ? settings.apart * common / settings.common : settings.apart;
+  unseen_error_ = std::hypot(common, apart);
   effect_.assign(C * unknowns_, 0.0);
   const double friction = std::hypot(size_of(Group::friction), size_of(Group::viscous));
   for (std::size_t c = 0; c < C; ++c) {
     const Column& column = columns_[c];
-    const double shown = rms(column.values);
+    const double shown = rms(column.values, rows_.joints[joint_].shows);
     double* row = &effect_[c * unknowns_];
     double own = 0;
     switch (column.group) {
       case Group::friction:
       case Group::viscous:
-        row[0] = settings.common * column.weight;
-        row[column.group == Group::friction ? 1 : 2] = settings.apart * column.weight;
+        row[0] = common * column.weight;
+        row[column.group == Group::friction ? 1 : 2] = apart * column.weight;
         own = settings.single * friction / std::max(shown, kUnexcited);
         break;
       case Group::constant: own = settings.constant * friction; break;
@@ -129,7 +135,13 @@ void JointFit::build(const RefitSettings& settings) {
     row[kShared + c] = shown < kUnexcited ? 0.0 : own;
   }
   standard_.assign(rows_.size() * unknowns_, 0.0);
-  const std::vector<double>& sigma = rows_.joints[joint_].sigma;
+  const std::vector<double>&sigma = rows_.joints[joint_].sigma, &error = rows_.joints[joint_].error;
+  for (std::size_t r = 0; r < rows_.size(); ++r) {
+    given_.push_back(error[r] / sigma[r]);
+    for (const Column& column : columns_)
+      if (column.group == Group::friction || column.group == Group::viscous)
+        given_.back() -= (expected_ - 1) * column.weight * column.values[r] / sigma[r];
+  }
   for (std::size_t r = 0; r < rows_.size(); ++r)
     for (std::size_t c = 0; c < C; ++c) {
       const double value = columns_[c].values[r] / sigma[r];
@@ -141,22 +153,18 @@ void JointFit::build(const RefitSettings& settings) {
 }
 
 std::vector<double> JointFit::left(std::span<const double> unknowns) const {
-  const RefitRows::Joint& of = rows_.joints[joint_];
-  std::vector<double> out(rows_.size());
-  for (std::size_t r = 0; r < out.size(); ++r) {
-    out[r] = of.error[r] / of.sigma[r];
+  std::vector<double> out = given_;
+  for (std::size_t r = 0; r < out.size(); ++r)
     for (std::size_t u = 0; u < unknowns_; ++u) out[r] -= standard_[r * unknowns_ + u] * unknowns[u];
-  }
   return out;
 }
 
 std::vector<double> JointFit::solve(std::size_t first, std::size_t end, std::vector<double>* covariance) const {
-  const RefitRows::Joint& of = rows_.joints[joint_];
   std::vector<double> gram(unknowns_ * unknowns_), moment(unknowns_);
   for (std::size_t u = 0; u < unknowns_; ++u) gram[u * unknowns_ + u] = 1;
   for (std::size_t r = 0; r < rows_.size(); ++r) {
     if ((r >= first && r < end) || trust_[r] == 0) continue;
-    const double weight = independent_ * trust_[r] / (spread_ * spread_), y = of.error[r] / of.sigma[r];
+    const double weight = independent_ * trust_[r] / (spread_ * spread_), y = given_[r];
     const double* a = &standard_[r * unknowns_];
     for (std::size_t i = 0; i < unknowns_; ++i) {
       const double scaled = weight * a[i];
@@ -177,19 +185,28 @@ std::vector<double> JointFit::solve(std::size_t first, std::size_t end, std::vec
   return substitute(gram, unknowns_, std::move(moment));
 }
 
+// Of the rows that show friction; as training left it where none does.
+double JointFit::spread_of(std::span<const double> rest) const {
+  std::vector<double> shown;
+  for (std::size_t r = 0; r < rest.size(); ++r)
+    if (rows_.joints[joint_].shows[r]) shown.push_back(rest[r]);
+  return shown.empty() ? 1.0 : std::max(kLeastSpread, median_size(std::move(shown)) / kMedianOfNormal);
+}
+
 void JointFit::iterate() {
+  const std::vector<std::uint8_t>& shows = rows_.joints[joint_].shows;
   independent_ = std::min(1.0, rows_.period_s / kFirstMemoryS);
   found_.assign(unknowns_, 0.0);
   std::vector<double> rest = left(found_);
-  spread_ = std::max(kLeastSpread, median_size(rest) / kMedianOfNormal);
+  spread_ = spread_of(rest);
   for (int round = 0; round < kRounds; ++round) {
     for (std::size_t r = 0; r < rest.size(); ++r) {
       const double size = std::fabs(rest[r]) / spread_, tukey = 1 - size * size / (kTukey * kTukey);
-      trust_[r] = round < kConvexRounds ? std::min(1.0, kHuber / std::max(size, kHuber)) : size < kTukey ? tukey * tukey : 0;
+      trust_[r] = !shows[r] ? 0 : round < kConvexRounds ? std::min(1.0, kHuber / std::max(size, kHuber)) : size < kTukey ? tukey * tukey : 0;
     }
     found_ = solve(0, 0, nullptr);
     rest = left(found_);
-    spread_ = std::max(kLeastSpread, median_size(rest) / kMedianOfNormal);
+    spread_ = spread_of(rest);
     if (round < kConvexRounds) continue;
     std::vector<double> counted(rest.size());
     for (std::size_t r = 0; r < rest.size(); ++r) counted[r] = trust_[r] > 0 ? rest[r] : 0.0;
@@ -201,7 +218,8 @@ void JointFit::iterate() {
 }
 
 double JointFit::change(std::size_t column, std::span<const double> unknowns) const {
-  double sum = 0;
+  const Column& of = columns_[column];
+  double sum = of.group == Group::friction || of.group == Group::viscous ? (expected_ - 1) * of.weight : 0;
   for (std::size_t u = 0; u < unknowns_; ++u) sum += effect_[column * unknowns_ + u] * unknowns[u];
   return sum;
 }
@@ -224,7 +242,7 @@ RefitFactor JointFit::factor(Group group) const {
     for (std::size_t r = 0; column.group == group && r < old.size(); ++r) old[r] += column.weight * column.values[r];
   double squares = 0;
   for (double one : old) squares += one * one;
-  if (squares <= 0) return {1.0, unseen_error_};
+  if (squares <= 0) return {expected_, unseen_error_};
   std::vector<double> slope(unknowns_);  // of the factor by the unknowns
   for (std::size_t c = 0; c < columns_.size(); ++c) {
     if (columns_[c].group != group) continue;
@@ -232,7 +250,7 @@ RefitFactor JointFit::factor(Group group) const {
     for (std::size_t r = 0; r < old.size(); ++r) product += old[r] * columns_[c].values[r];
     for (std::size_t u = 0; u < unknowns_; ++u) slope[u] += product / squares * effect_[c * unknowns_ + u];
   }
-  double value = 1, variance = 0;
+  double value = expected_, variance = 0;
   for (std::size_t i = 0; i < unknowns_; ++i) {
     value += slope[i] * found_[i];
     for (std::size_t k = 0; k < unknowns_; ++k) variance += slope[i] * covariance_[i * unknowns_ + k] * slope[k];

@@ -42,6 +42,7 @@ class JointFit {
   void find_columns();
   void build(const RefitSettings& settings);
   void iterate();
+  double spread_of(std::span<const double> rest) const;
   // Unknowns by the rows outside [first, end), and their covariance where it is asked for.
   std::vector<double> solve(std::size_t first, std::size_t end, std::vector<double>* covariance) const;
   std::vector<double> left(std::span<const double> unknowns) const;
@@ -54,9 +55,11 @@ class JointFit {
   std::size_t joint_;
   std::vector<Column> columns_;
   std::size_t unknowns_ = 0;
+  double expected_ = 1;              // factor of friction before today's motion is seen
   double unseen_error_ = 0;          // of a factor of which today's motion says nothing
   std::vector<double> effect_;       // (columns, unknowns): change of a weight by a unit of an unknown
   std::vector<double> standard_;     // (rows, unknowns): a
+  std::vector<double> given_;        // (rows): error / sigma beside what is expected
   std::vector<double> trust_;        // (rows): t
   double spread_ = 1, independent_ = 1, memory_s_ = 0;
   std::vector<double> found_, covariance_;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <string>
 
 #include "tauext/estimates.hpp"
@@ -11,6 +12,10 @@ namespace tauext {
 namespace {
 
 constexpr double kLimitOverSigma = 4;  // limits of hours are 4 to 16 times it
+// Pauses of a routine are shorter, and how the joint came to rest says what holds it; later its load has crept elsewhere.
+constexpr double kStoodS = 5;
+// In one direction, faster than near stiction: 2 mrad at least, which is a gear's presliding, and no noise of a velocity.
+constexpr double kMovesS = 0.1;
 
 // A recording's samples that a monitor would take, as a recording of their own: what it refuses would stay in the filters.
 struct Entered {
@@ -59,6 +64,22 @@ void add_row(RefitRows& rows, const Bundle& bundle, const Estimates& said, const
   }
 }
 
+constexpr std::int64_t kNever = std::numeric_limits<std::int64_t>::min();
+constexpr auto kStoodNs = static_cast<std::int64_t>(1e9 * kStoodS), kMovesNs = static_cast<std::int64_t>(1e9 * kMovesS);
+
+// When a joint last moved, as far as it has been told.
+struct LastMotion {
+  std::int64_t since_ns = kNever, moved_ns = kNever;  // begin of what may be one, and its last sample that was one
+  double direction = 0;
+
+  void take(std::int64_t t_ns, double speed, double least) noexcept {
+    if (std::fabs(speed) <= least || speed * direction <= 0) since_ns = t_ns;
+    direction = speed;
+    if (std::fabs(speed) > least && t_ns - since_ns >= kMovesNs) moved_ns = t_ns;
+  }
+  bool shows(std::int64_t t_ns) const noexcept { return moved_ns != kNever && t_ns - moved_ns <= kStoodNs; }
+};
+
 }  // namespace
 
 bool may_change(const Term& term) noexcept {
@@ -104,8 +125,11 @@ RefitRows refit_rows(const Bundle& bundle, std::span<const RefitSource> sources,
     const RecordingView clean{static_cast<std::int64_t>(kept.t_ns.size()), r.joints, kept.t_ns.data(), kept.q.data(),
                               kept.dq.data(), kept.tau.data()};
     std::vector<std::int64_t> at;
+    std::vector<LastMotion> motion(bundle.links.size());
     for (std::size_t k = 0; k < kept.from.size(); k += stride) {
       const auto from = static_cast<std::size_t>(kept.from[k]);
+      for (std::size_t j = 0; j < motion.size(); ++j)
+        motion[j].take(kept.t_ns[k], r.dq[from * motion.size() + j], bundle.limits.near_stiction_rad_s);
       const bool used = source.use.empty() || source.use[from];
       if (!used || said.health[from] != static_cast<std::uint8_t>(Health::ok) ||
           said.unfamiliar[from] >= Coverage::kWorthTelling)
@@ -114,6 +138,7 @@ RefitRows refit_rows(const Bundle& bundle, std::span<const RefitSource> sources,
       rows.t_ns.push_back(kept.t_ns[k]);
       rows.source.push_back(static_cast<int>(number));
       add_row(rows, bundle, said, r, from);
+      for (std::size_t j = 0; j < motion.size(); ++j) rows.joints[j].shows.push_back(motion[j].shows(kept.t_ns[k]));
     }
     if (at.empty()) continue;
     const std::vector<double> values = prior_regressors(tree, bundle.observer, prior, clean, at);

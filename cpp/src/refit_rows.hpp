@@ -16,6 +16,7 @@ struct RefitRows {
     std::vector<double> limit;           // collision limit as it follows the motion, without doubt
     std::vector<double> doubt;
     std::vector<std::uint8_t> near_stiction;
+    std::vector<std::uint8_t> shows;     // friction: it moved within the last kStoodS
     std::vector<double> network;         // what it says; empty: there is none
     double moved_s = 0;
   };

@@ -15,7 +15,9 @@ namespace tauext {
 //   constant, ripple, network:                                w + constant F u_m, w (1 + ripple u_m), w (1 + network u_m)
 // and all friction, a minute before the end, w (1 + trend u_3) of what it is at the end, for which the weights are.
 // F is the RMS of the joint's friction in today's motion and x the term's filtered value, so that a single weight moves
-// by as much as it shows. Terms of the arm (gravity, inertia, corrections of the model) stay as they are: a minute of a
+// by as much as it shows. A joint that has stood for 5 s, or since the recording's begin, shows no friction: what holds it is
+// anything up to the static one, so that those rows do not count for it, and a joint that stands throughout stays as it is.
+// Terms of the arm (gravity, inertia, corrections of the model) stay as they are: a minute of a
 // routine determines them worse than the training did, and what it would move them by is another load.
 struct RefitSettings {
   double common = 0.3;     // gears a night older or 30 K colder
@@ -25,9 +27,12 @@ struct RefitSettings {
   double ripple = 0.1;
   double trend = 0.1;      // of the friction, a minute: it warms up while it is recorded; weights are those at the end
   double network = 0.3;    // it learned what the prior left of the old friction, which moves with that
+  // Of each joint, where somebody knows more of today than that: friction by the old one that is expected, instead of 1,
+  // and its standard deviation, instead of common (apart stays in proportion). Empty: nobody does.
+  std::vector<double> expected = {}, expected_error = {};
 
-  // Throws Error, naming what is not 0 to 10.
-  void validate() const;
+  // Throws Error, naming what is not 0 to 10, or an expectation that is none of a friction (0.2 to 5, above 0 to 10).
+  void validate(int joints) const;
 };
 
 // Some motion of today. Samples at which something may touch the arm are not used, and run through the chain all the same.

@@ -19,6 +19,7 @@ def refit(
     from_s: Annotated[float, tyro.conf.arg(name="from")] = 0.0,
     to_s: Annotated[float | None, tyro.conf.arg(name="to")] = None,
     seconds: float | None = None,
+    like: PlaceArg | None = None,
     threads: int = 0,
     accept: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")] = (),
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
@@ -37,12 +38,15 @@ def refit(
         from_s: seconds of each recording at which the motion to be used begins.
         to_s: seconds of each recording at which it ends. None: at its end.
         seconds: how many seconds of each recording are used, instead of --to. None: all.
+        like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`): a joint that hardly moved follows
+            those that did, as far as the fleet's arms showed it from one recording to the next.
         threads: threads that estimate; 0: one a core. The result does not depend on it.
         accept: codes of findings that are no fault on your word, at all joints or at one; they stand in the bundle.
         as_json: print one JSON object instead of the table.
     """
     from tauext.cli.replaced import tell_replaced
     from tauext.cli.reporter import Terminal
+    from tauext.learn.fleet_prior_file import load_fleet_prior
     from tauext.provenance import json_text
     from tauext.refit import Span, refit_bundle
 
@@ -53,9 +57,10 @@ def refit(
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
     if same_place(out, bundle):
         raise ConfigError(f"{out}: it is the bundle to begin with, which stays as it is; choose another --out")
+    known = None if like is None else load_fleet_prior(like)
     tell_replaced(out)
     span = Span(from_s, to_s if seconds is None else from_s + seconds)
-    found = refit_bundle(bundle, data, out, span, threads, Terminal(), accept)
+    found = refit_bundle(bundle, data, out, span, threads, Terminal(), accept, known)
     if as_json:
         print(json_text(found.facts() | {"bundle": str(out)}), end="")
         return

@@ -1,4 +1,4 @@
-"""`tauext show`: what is in a bundle or a recording."""
+"""`tauext show`: what is in a bundle, a recording or a fleet prior."""
 
 from __future__ import annotations
 
@@ -9,22 +9,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from tauext.cli.place_argument import PlaceArg
+from tauext.cli.show_prior import describe_fleet_prior
 from tauext.errors import BundleError, ConfigError
 from tauext.store import Place
 
 if TYPE_CHECKING:
     from tauext._core import Bundle, LoadSettings, ObserverSettings
 
+SHOWN = "a bundle (*.tauext), a recording (*.parquet) or a fleet prior (*.prior.json)"
+
 
 def show(file: tyro.conf.Positional[PlaceArg], as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> None:
-    """Say what is in a bundle (*.tauext) or a recording (*.parquet).
+    """Say what is in a bundle (*.tauext), a recording (*.parquet) or a fleet prior (*.prior.json).
 
     Args:
-        file: bundle (*.tauext) or recording (*.parquet) to show.
+        file: bundle (*.tauext), recording (*.parquet) or fleet prior (*.prior.json) to show.
         as_json: print what is found as JSON for scripts.
     """
     if not file.is_file():
-        raise ConfigError(f"{file}: there is no such file; give a bundle (*.tauext) or a recording (*.parquet)")
+        raise ConfigError(f"{file}: there is no such file; give {SHOWN}")
     if file.suffix == ".tauext":
         try:
             content = describe_bundle(file)
@@ -32,13 +35,17 @@ def show(file: tyro.conf.Positional[PlaceArg], as_json: Annotated[bool, tyro.con
             raise BundleError(f"{file}: its provenance is damaged ({type(error).__name__}: {error})") from error
     elif file.suffix == ".parquet":
         content = describe_recording(file)
+    elif file.name.endswith(".prior.json"):
+        content = describe_fleet_prior(file)
     else:
-        raise ConfigError(f"{file}: its name must end in .tauext (bundle) or .parquet (recording)")
+        raise ConfigError(f"{file}: its name must end as that of {SHOWN}")
     if as_json:
         print(json.dumps(content, indent=1))
         return
     from tauext.bundles.situations import certainty
 
+    if "table" in content:
+        print("\n".join(content.pop("table")))
     tabled = content.pop("situations", {})
     width = max(map(len, content))
     for key, value in content.items():

@@ -17,6 +17,7 @@ keep_free_estimates = 5
 [types.ur10e]
 arm = "ur10e.toml"          # description of its recordings: `tauext import --new ur10e.toml` writes one
 # robot = "ur10e.urdf"      # instead of the dataset's own, as for `tauext train`
+# train.like = "ur10e.prior.json"   # what a fleet of this type knows: a minute of a new arm is enough
 # case = "none"             # model case: exact, mass, com, mass+com, none
 # accept = ["gravity"]      # codes of the doctor that are no fault on your word
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from tauext.config import AlarmConfig, CalibrateStage, CaseName, EvaluateStage, TrainConfig
 from tauext.data import load_dataset
@@ -17,6 +17,9 @@ from tauext.look import expect_codes
 from tauext.plain_file import read_text, toml_of
 from tauext.store import Place
 from tauext.store import place_of as any_place
+
+if TYPE_CHECKING:
+    from tauext.learn.fleet_prior import FleetPrior
 
 STAGES = ("import", "check", "train", "calibrate", "evaluate")
 """In their order; docs/files.md says what each needs."""
@@ -49,6 +52,8 @@ class Arm:
     case: CaseName | None = None
     accept: tuple[str, ...] = ()
     train: TrainConfig = TrainConfig()
+    like: Place | None = None
+    """Fleet prior that its training begins with; None: it is by itself."""
     calibrate: CalibrateStage = CalibrateStage()
     evaluate: EvaluateStage = EvaluateStage()
 
@@ -89,6 +94,7 @@ def load_fleet(path: Place | str) -> Fleet:
     base = path.absolute().parent
     arms = tuple(arm_of(one, number, content, types, path, base) for number, one in enumerate(listed, 1))
     expect_different(arms, path)
+    expect_likes(arms, path)
     return Fleet(path, arms)
 
 
@@ -112,9 +118,12 @@ def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, 
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
     arm = with_data(arm, table, said, where, base)
+    like = place(tables["train"], "like", f"{where}: [train]", base)
+    own = {key: value for key, value in tables["train"].items() if key != "like"}
     arm = replace(
         arm,
-        train=settings_of(TrainConfig, tables["train"], f"{where}: [train]", ONE_THREAD),
+        train=settings_of(TrainConfig, own, f"{where}: [train]", ONE_THREAD),
+        like=like,
         calibrate=settings_of(CalibrateStage, tables["calibrate"], f"{where}: [calibrate]", ONE_THREAD),
         evaluate=settings_of(EvaluateStage, tables["evaluate"], f"{where}: [evaluate]", ONE_THREAD),
     )
@@ -176,6 +185,23 @@ def expect_different(arms: tuple[Arm, ...], path: Place) -> None:
         if other != arm.name or sum(one.name == arm.name for one in arms) > 1:
             names = f"'{arm.name}'" if other == arm.name else f"'{other}' and '{arm.name}'"
             raise ConfigError(f"{path}: two arms are named {names}; names must differ, capitals aside")
+
+
+def expect_likes(arms: tuple[Arm, ...], path: Place) -> None:
+    """Raise ConfigError of a fleet prior that is none, or that an arm's recipe cannot take."""
+    from tauext.learn.fleet_prior_file import load_fleet_prior
+    from tauext.train.like import like_settings
+
+    priors: dict[Place, FleetPrior] = {}
+    for arm in arms:
+        if arm.like is None:
+            continue
+        try:
+            if arm.like not in priors:
+                priors[arm.like] = load_fleet_prior(arm.like)
+            like_settings(arm.train, priors[arm.like])
+        except ConfigError as error:
+            raise ConfigError(f"{path}: arm '{arm.name}': [train] {error}") from None
 
 
 def alarm_of(settings: CalibrateStage) -> AlarmConfig:

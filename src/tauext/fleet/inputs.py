@@ -21,6 +21,7 @@ def files_of(arm: Arm) -> Iterator[Place]:
         folder = getattr(arm, name)
         yield from dataset_files(folder, name).values() if folder else ()
     yield from robot_files(arm.robot).values()
+    yield from like_files(arm).values()
 
 
 def source_files(arm: Arm) -> dict[str, Place]:
@@ -41,6 +42,11 @@ def dataset_files(folder: Place, what: str) -> dict[str, Place]:
     there = [folder / name for name in ("split.json", *ROBOT_FILES) if (folder / name).is_file()]
     recordings = [file for set_name in SETS for file in dataset.files(set_name)]
     return {f"{what} {file.name}": file for file in [*there, *recordings]}
+
+
+def like_files(arm: Arm) -> dict[str, Place]:
+    """The fleet prior that its training begins with."""
+    return {} if arm.like is None else {"train.like": arm.like}
 
 
 def robot_files(robot: Place | None) -> dict[str, Place]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from tauext.fleet.contents import Contents
 from tauext.fleet.fleet_file import Arm, Fleet
-from tauext.fleet.inputs import dataset_files, digests, files_of, robot_files, source_files
+from tauext.fleet.inputs import dataset_files, digests, files_of, like_files, robot_files, source_files
 from tauext.fleet.places import text_of_place
 from tauext.fleet.settings import flat, plain
 from tauext.fleet.task import Outcome, Task, finished, marker_of
@@ -91,8 +91,9 @@ def tasks_of(arm: Arm, out: Path, contents: Contents) -> list[Task]:
             add(stage, data | robot | accepted, dataset=text_of_place(dataset), accept=list(arm.accept))
         elif stage == "train":
             settings = without_threads(plain(arm.train.resolved()))
-            said = {"case": arm.case or ""} | accepted | flat(settings, "train.")
+            said = {"case": arm.case or ""} | accepted | flat(settings, "train.") | digests(like_files(arm), contents)
             work = {"case": arm.case, "accept": list(arm.accept), "settings": without_threads(plain(arm.train))}
+            work |= {"like": None if arm.like is None else text_of_place(arm.like)}
             made = add(stage, data | robot | said, dataset=text_of_place(dataset), **work)
             bundle = Path(made.folder) / f"{arm.name}.tauext"
         elif stage == "calibrate":
@@ -138,8 +139,8 @@ def planned(task: Task, before: str | None) -> Planned:
         return Planned(task, None, "failed last time" if failed else "not done yet")
     if marker.hash == task.hash:
         return Planned(task, None, f"an output is missing or of another size: {marker.lacks(folder)}")
-    if marker.version != task.version:
-        return Planned(task, None, f"made by tauext {marker.version}, this is {task.version}")
+    if marker.build != task.build:
+        return Planned(task, None, f"made by tauext {marker.build}, this is {task.build}")
     changed = changes(marker.inputs, task.inputs)
     if before is not None and changed == [before]:
         return Planned(task, None, f"{before} is done anew")

@@ -52,11 +52,14 @@ def check_arm(work: Mapping[str, Any], part: Path) -> str | None:
 def train_arm(work: Mapping[str, Any], part: Path) -> None:
     """The bundle NAME.tauext with what stands beside it."""
     from tauext.data import load_dataset
+    from tauext.learn.fleet_prior_file import load_fleet_prior
     from tauext.train import train_bundle
 
     config = replace(settings_of(TrainConfig, work["settings"], "train"), threads=1)
     dataset, out = load_dataset(any_place(work["dataset"])), part / f"{work['name']}.tauext"
-    train_bundle(dataset, out, work["case"], place(work, "robot"), config, accept=work["accept"])
+    known = place(work, "like")
+    like = None if known is None else load_fleet_prior(known)
+    train_bundle(dataset, out, work["case"], place(work, "robot"), config, accept=work["accept"], like=like)
 
 
 def calibrate_arm(work: Mapping[str, Any], part: Path) -> None:

@@ -15,11 +15,12 @@ from typing import Any
 from uuid import uuid4
 
 from tauext.errors import ConfigError, FaultyDataError, TauextError
+from tauext.fleet.build import build
 from tauext.fleet.contents import digest_of, sha256_of
 from tauext.plain_file import json_of, read_text
-from tauext.provenance import VERSION, provenance, write_json
+from tauext.provenance import provenance, write_json
 
-FORMAT = 1
+FORMAT = 2
 MARKER, WALL_TIME = "task.json", "task.wall_time_s.json"
 TIMED = "wall_time_s.json"
 """End of the names of files that differ from run to run: task.wall_time_s.json, and those of the commands."""
@@ -42,12 +43,13 @@ class Task:
     """All that the output depends on, by names for people: digests of contents, settings, hashes of tasks before it."""
     work: dict[str, Any] = field(default_factory=dict)
     """What the stage is called with: places and settings. Where a place lies is no input, what is there is."""
-    version: str = VERSION
+    build: str = field(default_factory=build)
+    """Of the tauext that planned it."""
 
     @property
     def hash(self) -> str:
-        """SHA-256 over stage, version and inputs: tasks of one hash give the same bytes."""
-        return digest_of([FORMAT, self.version, self.stage, self.inputs])
+        """SHA-256 over stage, build and inputs: tasks of one hash give the same bytes."""
+        return digest_of([FORMAT, self.build, self.stage, self.inputs])
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
@@ -69,7 +71,7 @@ class Marker:
     """What stands in a finished task's folder."""
 
     hash: str
-    version: str
+    build: str
     inputs: dict[str, str]
     outputs: dict[str, dict[str, Any]]
     refused: str | None
@@ -94,7 +96,7 @@ def marker_of(folder: Path) -> Marker | None:
         if said["format"] != FORMAT:
             return None
         seconds = float(json_of(read_text(folder / WALL_TIME))["task_s"])
-        return Marker(said["hash"], said["version"], said["inputs"], said["outputs"], said["refused"], seconds)
+        return Marker(said["hash"], said["build"], said["inputs"], said["outputs"], said["refused"], seconds)
     except (OSError, ValueError, TypeError, KeyError):
         return None
 
@@ -120,8 +122,8 @@ def run_task(task: Task, stages: Mapping[str, Stage]) -> Outcome:
     The output is written to a folder of its own beside the final one and renamed: who is killed leaves no half of it.
     Where it fails, STAGE.failed.txt beside it holds all that is to be said.
     """
-    if task.version != VERSION:
-        return Outcome("failed", f"this worker has tauext {VERSION}, and the fleet is run by {task.version}")
+    if task.build != build():
+        return Outcome("failed", f"this worker has tauext {build()}, and the fleet is run by {task.build}")
     if (outcome := finished(task)) is not None:
         return outcome
     folder = Path(task.folder)
@@ -155,12 +157,13 @@ def mark(task: Task, part: Path, refused: str | None, seconds: float) -> Marker:
     outputs = {
         path.relative_to(part).as_posix(): {"bytes": path.stat().st_size, "sha256": sha256_of(path)} for path in files
     }
-    said = {"format": FORMAT, "arm": task.arm, "stage": task.stage, "hash": task.hash, "inputs": task.inputs}
+    said = {"format": FORMAT, "arm": task.arm, "stage": task.stage, "hash": task.hash}
+    said |= {"build": task.build, "inputs": task.inputs}
     said |= {"refused": refused, "outputs": outputs}
     made_by = {key: value for key, value in provenance("tauext fleet run", {}, None).items() if key != "settings"}
     write_json({"task_s": round(seconds, 3)}, part / WALL_TIME)
     write_json(said | made_by, part / MARKER)
-    return Marker(task.hash, task.version, task.inputs, outputs, refused, round(seconds, 3))
+    return Marker(task.hash, task.build, task.inputs, outputs, refused, round(seconds, 3))
 
 
 def publish(part: Path, task: Task) -> None:

@@ -11,6 +11,7 @@ from tauext import _core
 from tauext.config import TrainConfig
 from tauext.data import total_s
 from tauext.fleet_prior.arms import OwnTerms, first_minutes, job_of, settings_of
+from tauext.fleet_prior.days import recording_factors
 from tauext.learn.error_memory import error_memory_s
 from tauext.learn.fleet_prior import block_columns
 from tauext.learn.hierarchy import Evidence, Hierarchy, learn_hierarchy
@@ -43,6 +44,8 @@ class ArmEvidence:
     error_nm: np.ndarray  # (n,) of its own fit, left out
     memory_s: np.ndarray  # (n,)
     period_s: float
+    factors: np.ndarray
+    """Friction in each recording by that of the whole, (recordings, n)."""
 
     @property
     def rest(self) -> NormalEquations:
@@ -83,7 +86,9 @@ def evidence_of(
     setup, recordings = with_widths(observe(job), widths_rad), job.motion.uncut
     found = gather(setup, recordings, terms, [], setup.tree)
     equations = [one for one, _ in found]
-    fit = solved(setup, Regression(equations), found, terms, [], setup.tree)
+    regression = Regression(equations)
+    fit = solved(setup, regression, found, terms, [], setup.tree)
+    weights = regression.solve(regression.whole, fit.ridge)
     minute = gather(setup, first_minutes(recordings, MINUTES), terms, [], setup.tree)
     return ArmEvidence(
         name=own.arm.name,
@@ -93,6 +98,7 @@ def evidence_of(
         error_nm=fit.error_nm,
         memory_s=error_memory_s(setup, recordings, fit.settings),
         period_s=1e-9 * setup.observer.sample_period_ns * setup.observer.network_stride,
+        factors=recording_factors(equations, [recording for _, (recording, _) in found], weights, terms),
     )
 
 

@@ -12,6 +12,7 @@ from tauext import _core
 from tauext.config import TrainConfig
 from tauext.errors import ConfigError, TauextError
 from tauext.fleet_prior.arms import LEAST_ARMS, FleetArm, OwnTerms, job_of, own_terms_of, settings_of
+from tauext.fleet_prior.days import fleet_days
 from tauext.fleet_prior.errors import NewArm, errors_of, new_arm
 from tauext.fleet_prior.evidence import ArmEvidence, choose_trust, evidence_of, priors_without, weight_prior
 from tauext.fleet_prior.summary import ODD, arms_facts, spread_facts
@@ -82,7 +83,8 @@ def make_fleet_prior(
             f"{len(new)} arms have more motion than a minute; without {LEAST_JUDGED} nothing is known of a new arm's "
             "errors, and its limits will follow from its own minute"
         )
-    prior = replace(prior, errors=errors, coverage=common_coverage(own, config, gain))
+    days = fleet_days([one.factors for one in evidence])
+    prior = replace(prior, errors=errors, coverage=common_coverage(own, config, gain), days=days)
     write_fleet_prior(prior, out)
     return prior
 

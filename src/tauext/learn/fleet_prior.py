@@ -84,6 +84,17 @@ class FleetErrors:
 
 
 @dataclass(frozen=True)
+class FleetDays:
+    """How friction of one arm differs from one recording to the next."""
+
+    covariance: np.ndarray  # (n, n), of the logarithms of each joint's factor
+    arms: int
+    """With two recordings or more."""
+    recordings: int
+    """Of these arms."""
+
+
+@dataclass(frozen=True)
 class FleetPrior:
     """A fleet prior, as its file holds it."""
 
@@ -97,6 +108,8 @@ class FleetPrior:
     """None: no arm's motion is long enough to judge a minute by the rest."""
     coverage: _core.CoverageSettings | None = None
     """Motion that any of the arms showed."""
+    days: FleetDays | None = None
+    """None: too few arms had several recordings."""
     facts: Mapping[str, Any] = field(default_factory=dict)
     """Provenance, arms and spreads."""
     sha256: str = ""

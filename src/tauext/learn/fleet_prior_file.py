@@ -11,7 +11,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.errors import ConfigError
-from tauext.learn.fleet_prior import ArmType, FleetErrors, FleetPrior
+from tauext.learn.fleet_prior import ArmType, FleetDays, FleetErrors, FleetPrior
 from tauext.learn.map_regression import WeightPrior
 from tauext.plain_file import json_of, read_text
 from tauext.provenance import json_text, write_json
@@ -20,6 +20,7 @@ from tauext.store import Place
 
 FORMAT = 1
 SUFFIX = ".prior.json"
+OPTIONAL = ("trust", "errors", "coverage", "days")
 COVERAGE = ("fastest_rad_s", "turns", "centre_rad", "span_rad", "seen", "reach", "seen_together", "reach_together")
 
 
@@ -68,6 +69,7 @@ def content(prior: FleetPrior) -> dict:
         "memory_s": weights.memory_s.tolist(),
         "trust": weights.trust,
         "errors": None if prior.errors is None else plain(asdict(prior.errors)),
+        "days": None if prior.days is None else plain(asdict(prior.days)),
         "coverage": None if prior.coverage is None else {name: getattr(prior.coverage, name) for name in COVERAGE},
     }
 
@@ -122,11 +124,12 @@ def parsed(raw: Mapping[str, Any], sha256: str) -> FleetPrior:
     error_nm, memory_s = (np.array(raw[name], dtype=float) for name in ("error_nm", "memory_s"))
     weights = WeightPrior(mean, covariance, error_nm, memory_s, float(raw["trust"]))
     named = ("format", "type", "gain_per_s", "widths_rad", "terms", "parameters", "weights", "error_nm", "memory_s")
-    kept = {key: value for key, value in raw.items() if key not in (*named, "trust", "errors", "coverage")}
+    kept = {key: value for key, value in raw.items() if key not in (*named, *OPTIONAL)}
     errors = None if raw["errors"] is None else errors_of(raw["errors"], len(own))
     coverage = None if raw["coverage"] is None else coverage_of(raw["coverage"])
+    days = None if raw.get("days") is None else days_of(raw["days"], len(own))
     widths = tuple(float(width) for width in raw["widths_rad"])
-    return FleetPrior(kind, float(raw["gain_per_s"]), widths, own, weights, errors, coverage, kept, sha256)
+    return FleetPrior(kind, float(raw["gain_per_s"]), widths, own, weights, errors, coverage, days, kept, sha256)
 
 
 def hashable(value: Any) -> Any:
@@ -147,6 +150,16 @@ def errors_of(raw: Mapping[str, Any], joints: int) -> FleetErrors:
     for name in values["features"]:
         getattr(_core.MotionFeature, name)
     return FleetErrors(**values)
+
+
+def days_of(raw: Mapping[str, Any], joints: int) -> FleetDays:
+    """How days differ; ValueError where that is no covariance of so many joints."""
+    covariance = np.array(raw["covariance"], dtype=float)
+    if covariance.shape != (joints, joints) or not np.isfinite(covariance).all():
+        raise ValueError("days must have a finite covariance of the joints")
+    if not np.allclose(covariance, covariance.T, atol=1e-12) or np.linalg.eigvalsh(covariance)[0] <= 0:
+        raise ValueError("the covariance of days is not symmetric and positive")
+    return FleetDays(covariance, int(raw["arms"]), int(raw["recordings"]))
 
 
 def coverage_of(raw: Mapping[str, Any]) -> _core.CoverageSettings:

@@ -26,9 +26,13 @@ class JointReport:
     limit_factor: float
     sigma_factor: float
     promise: str
+    follows: bool = False
+    """It hardly moved, and its friction is what the other joints let a fleet expect."""
 
     @classmethod
-    def of(cls, bundle: _core.Bundle, joint: int, found: _core.RefitJoint, promise: str) -> JointReport:
+    def of(
+        cls, bundle: _core.Bundle, joint: int, found: _core.RefitJoint, promise: str, follows: bool = False
+    ) -> JointReport:
         """Of one joint of a refit."""
         return cls(
             joint=bundle.links[joint].joint_name,
@@ -42,6 +46,7 @@ class JointReport:
             limit_factor=found.limit_factor,
             sigma_factor=found.sigma_factor,
             promise=promise,
+            follows=follows,
         )
 
 
@@ -101,7 +106,7 @@ class Refitted:
                 f"x {one.viscous[0]:.3f} ± {one.viscous[1]:.3f}",
                 f"{one.constant[0]:+.3g} ± {one.constant[1]:.1g} {one.unit}",
                 f"x {one.limit_factor:.2f}",
-                one.promise,
+                one.promise + "; its friction follows the other joints'" * one.follows,
             ]
             for one in self.joints
         ]

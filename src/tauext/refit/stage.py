@@ -31,9 +31,11 @@ from tauext.data.loss_history import read_loss_history
 from tauext.data.recording import TorqueTiming
 from tauext.data.stretches import FOR_LIMITS
 from tauext.errors import ConfigError, TrainingError
+from tauext.learn.fleet_prior import FleetPrior
 from tauext.look import expect_codes, judge, look_at_calibration
 from tauext.progress import SILENT, Reporter
 from tauext.provenance import provenance
+from tauext.refit.fleet import expect_days, expectations, settings_with
 from tauext.refit.report import JointReport, Refitted, Touch
 from tauext.refit.standing import STANDS, sentence, standing
 from tauext.room import expect_new_file
@@ -74,6 +76,7 @@ def refit_bundle(
     threads: int = 0,
     report: Reporter = SILENT,
     accept: Sequence[str] = (),
+    like: FleetPrior | None = None,
 ) -> Refitted:
     """Write a bundle like this one whose friction is that of the arm in today's recordings.
 
@@ -82,6 +85,7 @@ def refit_bundle(
     Args:
         data: a recording, or a dataset folder, whose training recordings are used.
         accept: codes of the doctor that are no fault on your word, CODE or CODE:joint; they stand in the bundle.
+        like: what a fleet of arms of this type knows; None: joints that hardly moved stay as they were.
 
     Raises:
         FaultyDataError: a recording has a fault that is not accepted.
@@ -95,6 +99,8 @@ def refit_bundle(
     loaded = load_bundle(bundle)
     expect_prior(loaded, bundle)
     expect_codes(accept, [link.joint_name for link in loaded.links])
+    if like is not None:
+        expect_days(like, loaded)
     files = recording_files(data)
     recordings = [load_recording(file, FOR_LIMITS) for file in files]
     for recording in recordings:
@@ -105,7 +111,7 @@ def refit_bundle(
     spans = [part for recording in recordings if (part := span.of(recording)) is not None]
     if not spans:
         raise ConfigError(f"{data}: no recording has a sample from {span.from_s:g} s on")
-    refitted = refit_recordings(loaded, spans, threads, report)
+    refitted = refit_recordings(loaded, spans, threads, report, like)
     facts = json.loads(loaded.provenance or "{}")
     history = read_loss_history(loaded, bundle) or []
     settings = {
@@ -116,6 +122,8 @@ def refit_bundle(
     }
     facts["look"] = facts.get("look", {}) | {"refit": look.facts(accept)}
     facts["refitted"] = provenance("tauext refit", settings, seed=None) | refitted.facts()
+    if like is not None:
+        facts["refitted"]["like"] = {"sha256": like.sha256, "arms": [one["name"] for one in like.facts.get("arms", [])]}
     refitted.bundle.name = out.stem
     refitted.bundle.provenance = json.dumps(facts, sort_keys=True)
     run = facts | {"loss_history": history}
@@ -124,26 +132,39 @@ def refit_bundle(
 
 
 def refit_recordings(
-    bundle: _core.Bundle, recordings: Sequence[Recording], threads: int = 0, report: Reporter = SILENT
+    bundle: _core.Bundle,
+    recordings: Sequence[Recording],
+    threads: int = 0,
+    report: Reporter = SILENT,
+    like: FleetPrior | None = None,
 ) -> Refitted:
     """The same in memory, and nothing is looked at: what a monitor's buffer recorded, for example.
 
     Labelled contacts are cut out with the margins of training. The provenance stays the old one's.
 
     Raises:
+        ConfigError: a fleet prior of another arm, or one that knows no days.
         TrainingError: as refit_bundle.
     """
+    days = None if like is None else expect_days(like, bundle)
     left_out = LeftOut("refit")
     parts = possible_parts(recordings, bundle.observer, SignalBounds.of(bundle), left_out)
     if said := left_out.sentence():
         report.say(said)
     sources = [(r.t_ns, r.q, r.dq, r.tau, free_samples(r, MARGINS).astype(np.uint8)) for r in parts]
+    follows = np.zeros(bundle.joints, dtype=bool)
     try:
         found = _core.refit(bundle, sources, threads=threads or os.cpu_count() or 1)
+        if days is not None and (told := expected_of(found, days)) is not None:
+            follows = told[2]
+            found = _core.refit(bundle, sources, settings_with(*told), threads=threads or os.cpu_count() or 1)
     except _core.CoreError as error:
         raise TrainingError(str(error)) from error
     limits = json.loads(bundle.provenance or "{}").get("limits", {})
-    joints = [JointReport.of(bundle, j, one, standing(found, bundle, limits, j)) for j, one in enumerate(found.joints)]
+    joints = [
+        JointReport.of(bundle, j, one, standing(found, bundle, limits, j), bool(follows[j]))
+        for j, one in enumerate(found.joints)
+    ]
     touches = [touch_of(touch, parts) for touch in found.touches]
     for touch in touches:
         report.say(touch.sentence())
@@ -152,7 +173,18 @@ def refit_recordings(
     return Refitted(found.bundle, joints, touches, found.used_s, found.memory_s, words)
 
 
-def refit_motion(bundle: _core.Bundle, motion: Mapping[str, np.ndarray], report: Reporter = SILENT) -> Refitted:
+def expected_of(found: _core.Refit, days: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """What the joints that moved say of the others; see expectations."""
+    factor, error = np.array([one.coulomb for one in found.joints]).T
+    return expectations(factor, error, np.array([one.moved_s for one in found.joints]), days)
+
+
+def refit_motion(
+    bundle: _core.Bundle,
+    motion: Mapping[str, np.ndarray],
+    report: Reporter = SILENT,
+    like: FleetPrior | None = None,
+) -> Refitted:
     """The same of what `Monitor.finish_refit` gives.
 
     Raises:
@@ -171,7 +203,7 @@ def refit_motion(bundle: _core.Bundle, motion: Mapping[str, np.ndarray], report:
         source="a monitor's refit",
         robot_sha256="",
     )
-    return refit_recordings(bundle, [recording], report=report)
+    return refit_recordings(bundle, [recording], report=report, like=like)
 
 
 def touch_of(touch: _core.RefitTouch, recordings: Sequence[Recording]) -> Touch:

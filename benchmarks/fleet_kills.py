@@ -1,0 +1,220 @@
+"""What a fleet loses when something is killed midway: a worker, a node, the head of a Ray cluster, the driver.
+
+    python benchmarks/fleet_kills.py OUT [--arms 8] [--minutes 1]
+
+A line a case. The cluster is two nodes of one core each on this machine (ray_nodes). Midway: some tasks are finished,
+and the victim is at work. Untouched: what was finished then has the same bytes and times at the end. Equal: outputs,
+and the book without its seconds, are those of an undisturbed run with one local worker.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from fleet import simulate, written
+from ray_nodes import ENVIRONMENT, Nodes, kill, kill_all, kill_raylet, until
+
+MIDWAY = 3
+"""Finished tasks before anything is killed."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What one case came to."""
+
+    case: str
+    finished: int
+    """Tasks that were done when the victim was killed."""
+    exits: tuple[int, ...]
+    """Of the command that was disturbed, and of the same command again where it did not end well."""
+    untouched: bool
+    equal: bool
+    left: int
+    """Folders of unfinished tasks at the end."""
+
+    @property
+    def good(self) -> bool:
+        return self.exits[-1] == 0 and self.untouched and self.equal and self.left == 0
+
+    def line(self) -> str:
+        again = f"; the same command again: {self.exits[1]}" if len(self.exits) > 1 else ""
+        words = f"finished before {self.finished}, untouched {yes(self.untouched)}, exit {self.exits[0]}{again}"
+        return f"{self.case}: {words}; bytes equal {yes(self.equal)}{'' if self.good else ' BAD'}"
+
+
+def yes(is_so: bool) -> str:
+    return "yes" if is_so else "NO"
+
+
+@dataclass
+class Running:
+    """A fleet's command under way."""
+
+    out: Path
+    driver: subprocess.Popen[bytes]
+
+    def victim(self, of: Callable[[int], bool] = lambda pid: True) -> int:
+        """A process that is at work on a task, once MIDWAY are done."""
+        found: list[int] = []
+
+        def there() -> bool:
+            assert self.driver.poll() is None, (
+                f"the driver ended with {self.driver.returncode} before anything was killed"
+            )
+            parts = self.out.glob("arms/*/.*.part-*") if len(done(self.out)) >= MIDWAY else ()
+            found[:] = [pid for part in parts if of(pid := process_of(part))]
+            return bool(found)
+
+        until(there, "a task under way")
+        return found[0]
+
+
+def process_of(part: Path) -> int:
+    """The worker's that writes there."""
+    named = re.search(r"-(\d+)-\w+$", part.name)
+    assert named is not None
+    return int(named[1])
+
+
+def done(out: Path) -> list[Path]:
+    return list(out.glob("arms/*/*/task.json"))
+
+
+def touched(out: Path) -> dict[str, tuple[int, bytes]]:
+    """Time and bytes of each file of finished tasks."""
+    files = [file for marker in done(out) for file in marker.parent.rglob("*") if file.is_file()]
+    return {str(file): (file.stat().st_mtime_ns, file.read_bytes()) for file in files}
+
+
+def outputs(out: Path) -> dict[str, bytes]:
+    """All outputs, and the book without its seconds."""
+    book = json.loads((out / "fleet.json").read_text())
+    for arm in book["arms"]:
+        for stage in arm["stages"].values():
+            del stage["seconds"]
+    return written(out) | {"fleet.json": json.dumps(book).encode()}
+
+
+def started(fleet: Path, out: Path, *more: str) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "tauext", "fleet", "run", str(fleet), "--out", str(out), *more]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "stdin": subprocess.DEVNULL}
+    return subprocess.Popen(command, env=os.environ | ENVIRONMENT, **quiet)
+
+
+@contextmanager
+def under_way(fleet: Path, out: Path, *more: str) -> Iterator[Running]:
+    """The command, which does not live on."""
+    driver = started(fleet, out, *more)
+    try:
+        yield Running(out, driver)
+    finally:
+        driver.kill()
+        driver.wait()
+
+
+Disturb = Callable[[Running, Nodes], object]
+
+
+def worker(running: Running, nodes: Nodes) -> None:
+    kill(running.victim())
+
+
+def node(running: Running, nodes: Nodes) -> None:
+    lost = nodes.others[0]
+    running.victim(lambda pid: belongs(nodes, pid, lost))
+    kill_raylet(lost)
+
+
+def head(running: Running, nodes: Nodes) -> None:
+    running.victim()
+    kill_all(nodes.head)
+
+
+def driver(running: Running, nodes: Nodes) -> None:
+    running.victim()
+    running.driver.kill()
+
+
+def belongs(nodes: Nodes, pid: int, to: subprocess.Popen[bytes]) -> bool:
+    try:
+        return nodes.node_of(pid) is to
+    except ProcessLookupError:
+        return False
+
+
+CASES: dict[str, tuple[Disturb, bool]] = {
+    "a worker process": (worker, False),
+    "a worker node": (node, False),
+    "the head, then a new cluster": (head, False),
+    "the head, then local workers": (head, True),
+    "the driver, then the same cluster": (driver, False),
+    "the driver, then local workers": (driver, True),
+}
+"""What is killed, and whether local workers go on."""
+
+
+def judge(case: str, fleet: Path, out: Path, undisturbed: dict[str, bytes]) -> Verdict:
+    """One case, with a cluster of its own."""
+    disturb, local = CASES[case]
+    with Nodes() as nodes:
+        with under_way(fleet, out, "--ray", nodes.address) as running:
+            disturb(running, nodes)
+            kept, finished = touched(out), len(done(out))
+            exits = [running.driver.wait()]
+        if exits[0] != 0 and not local and disturb is not head:
+            exits.append(again(fleet, out, "--ray", nodes.address))
+    if exits[0] != 0 and local:
+        exits.append(again(fleet, out, "--workers", "2"))
+    elif exits[0] != 0 and disturb is head:
+        with Nodes() as nodes:
+            exits.append(again(fleet, out, "--ray", nodes.address))
+    untouched = bool(kept) and kept.items() <= touched(out).items()
+    left = len(list(out.glob("arms/*/.*.part-*")))
+    return Verdict(case, finished, tuple(exits), untouched, outputs(out) == undisturbed, left)
+
+
+def again(fleet: Path, out: Path, *more: str) -> int:
+    with under_way(fleet, out, *more) as running:
+        return running.driver.wait()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--arms", type=int, default=8)
+    parser.add_argument("--minutes", type=float, default=1.0)
+    asked = parser.parse_args()
+    asked.out.mkdir(parents=True, exist_ok=True)
+    fleet = simulate(asked.out, asked.arms, asked.minutes)
+    shutil.rmtree(asked.out / "runs", ignore_errors=True)
+    reference = asked.out / "runs" / "undisturbed"
+    if again(fleet, reference, "--workers", "1") != 0:
+        raise SystemExit("the undisturbed run failed")
+    undisturbed = outputs(reference)
+    print(f"undisturbed, one local worker: {len(done(reference))} tasks", flush=True)
+    with Nodes() as nodes:
+        status = again(fleet, asked.out / "runs" / "ray", "--ray", nodes.address)
+    print(
+        f"undisturbed, Ray: exit {status}, bytes equal {yes(outputs(asked.out / 'runs/ray') == undisturbed)}",
+        flush=True,
+    )
+    bad = 0
+    for number, case in enumerate(CASES):
+        verdict = judge(case, fleet, asked.out / "runs" / f"case-{number}", undisturbed)
+        bad += not verdict.good
+        print(verdict.line(), flush=True)
+    raise SystemExit(bad)
+
+
+if __name__ == "__main__":
+    main()

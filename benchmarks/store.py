@@ -133,6 +133,7 @@ def main() -> None:
     parser.add_argument("--hours", type=float, default=200.0)
     parser.add_argument("--distinct-hours", type=float, default=10.0)
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--only", choices=("disk", "store"), default=None)
     asked = parser.parse_args()
     count = round(asked.distinct_hours * 60 / MINUTES)
     copies = round(asked.hours / asked.distinct_hours)
@@ -150,7 +151,9 @@ def main() -> None:
             fill(files, copies, split, folder)
             print(f"sent in {time.monotonic() - started:.0f} s", flush=True)
             for threads in asked.threads:
-                for what, data in (("disk", str(folder)), ("store", "s3://arms/data")):
+                for what, data in (("store", "s3://arms/data"), ("disk", str(folder))):
+                    if asked.only not in (None, what):
+                        continue
                     before = sent(process)
                     out = asked.out / f"{what}-{threads}.tauext"
                     wall_s, busy_s, peak_mb = calibrate(asked.bundle, data, out, threads, environment)
@@ -160,8 +163,9 @@ def main() -> None:
                         f"{peak_mb:.0f} MB at most{came}",
                         flush=True,
                     )
-                limits = [limits_of(asked.out / f"{what}-{threads}.run.json") for what in ("disk", "store")]
-                print(f"limits are the same: {limits[0] == limits[1]}", flush=True)
+                if asked.only is None:
+                    limits = [limits_of(asked.out / f"{what}-{threads}.run.json") for what in ("disk", "store")]
+                    print(f"limits are the same: {limits[0] == limits[1]}", flush=True)
         finally:
             shutil.rmtree(objects, ignore_errors=True)
             shutil.rmtree(folder, ignore_errors=True)

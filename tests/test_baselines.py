@@ -233,7 +233,7 @@ def test_calibrate_refuses_what_it_cannot_serve_in_words(dataset, tmp_path, caps
 
 def test_calibrate_without_calibration_recordings_says_how_to_make_some(dataset, tmp_path, capsys, monkeypatch):
     trained(dataset, tmp_path / "bundle.tauext", recipe="observer")
-    monkeypatch.setattr(Dataset, "loaders", lambda self, part: [])
+    monkeypatch.setattr(Dataset, "stretches", lambda self, part: [])
     assert calibrated(tmp_path / "bundle.tauext", dataset, tmp_path / "b.tauext") == 2
     assert "`tauext simulate --calibration-hours 24` makes some" in capsys.readouterr().err
 

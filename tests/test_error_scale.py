@@ -202,7 +202,7 @@ def test_calibrate_keeps_the_scale_or_fits_it_to_recordings_apart_from_those_of_
     bundle, _ = trained(tmp_path, monkeypatch, [motion(seconds=60.0)], recipe="prior")
     recordings = [motion(seconds=60.0, seed=seed, name=f"day{seed}") for seed in range(10)]
     dataset = SimpleNamespace(
-        folder=tmp_path, loaders=lambda part: [lambda r=r: r for r in recordings], files=lambda part: []
+        folder=tmp_path, stretches=lambda part: [lambda r=r: r for r in recordings], files=lambda part: []
     )
     made = {}
     for refit in (False, True):

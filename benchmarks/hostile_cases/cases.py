@@ -12,6 +12,7 @@ import numpy as np
 from hostile_cases.damage import damage
 from hostile_cases.values import PLACES, hostile_words, options_of
 from tauext import cli
+from tauext.cli import fleet, fleet_prior
 
 COMMANDS = {
     "simulate": cli.simulate,
@@ -27,6 +28,9 @@ COMMANDS = {
     "show": cli.show,
     "convert": cli.convert,
     "import": cli.import_data,
+    "fleet run": fleet.run,
+    "fleet prior": fleet_prior.prior,
+    "fleet example": fleet.example,
     "reproduce": cli.reproduce,
     "demo": cli.demo,
 }
@@ -45,19 +49,42 @@ FLIGHT = "report --flight flights --out out/report --page-mb 1"
 RUN = "run observer.tauext data/free-006.parquet data/free-007.parquet --flights out/flights"
 MONITOR = "monitor observer.tauext --source replay:data/free-006.parquet --speed 20 --duration-s 0.3"
 LOAD = "load observer.tauext data/free-006.parquet"
+LOAD_KNOWN = LOAD + " --known-kg 1 --out out/a.tauext"
+CARRYING = "run prior.tauext data/free-006.parquet --loads loads.toml"
+LIKE = "train --data data --out out/a.tauext --recipe prior --like arm.prior.json"
+REFIT_LIKE = REFIT + " --like arm.prior.json"
+FLEET = "fleet run fleet.toml --out out/fleet --workers 1"
+FLEET_PRIOR = "fleet prior data data-2 data-3 --out out/a.prior.json"
 RECORD = MONITOR + " --record out/record --flights out/flights"
 CONVERT = "convert old.tauext --out out/a.tauext"
 IMPORT = "import --source arm.csv --arm table.toml --out out/imported"
 LEROBOT = IMPORT + " --format lerobot"
 NEW = "import --new out/arm.toml --source arm.csv --robot robot.xml"
 GOOD = (SIMULATE, TRAIN, PRIOR, NETWORK, EVALUATE, CALIBRATE, CHECK, REPORT, FLIGHT, RUN, MONITOR, RECORD, CONVERT)
-GOOD += (LOAD, REFIT)
+GOOD += (LOAD, REFIT, LOAD_KNOWN, LIKE, REFIT_LIKE, CARRYING)
+GOOD += (FLEET, FLEET + " --dry-run", FLEET_PRIOR, "fleet example --out out/fleet.toml", "fleet example")
 GOOD += (IMPORT, LEROBOT, NEW, "show observer.tauext", "reproduce --scale smoke --out out/all --cases exact")
 GOOD += ("demo --no-open --headless-seconds 0.1", "demo --no-open")
 RARE = {"reproduce": 0.1, "demo": 0.1, "report": 0.2, "evaluate": 0.4, "calibrate": 0.3, "check": 0.4}
+RARE |= {"fleet prior": 0.1, "fleet run": 0.4}
 RARE |= {"results": 0.2, "flight": 0.4, "run.json": 0.4}
 """Commands and readers whose good lines take seconds come so much less often."""
-WRITERS = (SIMULATE, TRAIN, NETWORK, EVALUATE, CHECK, REPORT, FLIGHT, RUN, RECORD, CONVERT, IMPORT, LEROBOT, NEW)
+WRITERS: tuple[str, ...] = (
+    SIMULATE,
+    TRAIN,
+    NETWORK,
+    EVALUATE,
+    CHECK,
+    REPORT,
+    FLIGHT,
+    RUN,
+    RECORD,
+    CONVERT,
+    IMPORT,
+    LEROBOT,
+    NEW,
+)
+WRITERS += (FLEET, FLEET_PRIOR, "fleet example --out out/fleet.toml")
 BUNDLE = ("show {}", "show {}", "run {} data/free-006.parquet", "evaluate --data data --out out/results --bundles {}")
 BUNDLE += ("calibrate --bundle {} --data hours --out out/a.tauext",)
 BUNDLE += ("refit {} --data data/free-000.parquet --out out/a.tauext",)
@@ -98,6 +125,9 @@ READERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("import --source lerobot --new out/arm.toml",),
     ),
     "arm.toml": (("table.toml",), (IMPORT, IMPORT, LEROBOT)),
+    "FLEET.toml": (("fleet.toml",), (FLEET + " --dry-run", FLEET + " --dry-run --json", FLEET)),
+    "fleet prior": (("arm.prior.json",), ("show {}", "show {} --json", "show {}", LIKE, REFIT_LIKE)),
+    "loads": (("loads.toml",), (CARRYING,)),
     "results": (("results/results.json", "results/results.json", "results/estimates/*/*.parquet"), (REPORT,)),
     "flight": (("flights/*.parquet",), (FLIGHT,)),
     "reactions": (("reactions.toml",), (MONITOR + " --reactions {}",)),
@@ -117,6 +147,11 @@ READERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
             "import --source arm.csv --arm {} --out out/i",
             "check --data data/free-000.parquet --robot {}",
             "convert {} --out out/a.tauext",
+            "run prior.tauext data/free-006.parquet --loads {}",
+            "train --data data --out out/a.tauext --recipe prior --like {}",
+            "refit prior.tauext --data data/free-000.parquet --out out/a.tauext --like {}",
+            "fleet run {} --out out/fleet",
+            "fleet prior {} data data-2 --out out/a.prior.json",
             MONITOR + " --reactions {}",
             "monitor observer.tauext --source replay:{}",
             "evaluate --data data --out out/r --bundles {}",
@@ -140,7 +175,7 @@ class Case:
 
     @property
     def command(self) -> str:
-        return self.arguments[0]
+        return verb_of(self.arguments)
 
 
 def lay_out(good: Path, folder: Path, full: Path | None) -> None:
@@ -176,7 +211,7 @@ def make_case(seed: int, number: int, folder: Path, only: str = "") -> Case:
 def of_options(rng: np.random.Generator) -> Case:
     """One to three options of a command with hostile values."""
     arguments = drawn(GOOD, rng).split()
-    command = arguments[0]
+    command = verb_of(arguments)
     told = []
     for option in rng.choice(np.array(OPTIONS[command], dtype=object), int(rng.choice([1, 1, 1, 2, 3]))):
         words = hostile_words(option, rng)
@@ -189,8 +224,13 @@ def drawn(choices: tuple[str, ...], rng: np.random.Generator) -> str:
     """One of the command lines or readers; what takes long less often."""
     while True:
         chosen = str(rng.choice(choices))
-        if rng.random() < RARE.get(chosen, RARE.get(chosen.split()[0], 1.0)):
+        if rng.random() < RARE.get(chosen, RARE.get(verb_of(chosen.split()), 1.0)):
             return chosen
+
+
+def verb_of(arguments: list[str]) -> str:
+    """The command, of two words where it has them."""
+    return " ".join(arguments[: 1 + (arguments[0] == "fleet")])
 
 
 def without(arguments: list[str], name: str) -> list[str]:

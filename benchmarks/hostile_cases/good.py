@@ -16,10 +16,14 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
+from tauext import _core
 from tauext.cli import main
 from tauext.data import load_recording, save_recording, save_split
 from tauext.data.first_seconds import first_seconds
 from tauext.data.split import Split
+from tauext.learn.fleet_prior import ArmType, FleetDays, FleetPrior
+from tauext.learn.fleet_prior_file import write_fleet_prior
+from tauext.learn.map_regression import WeightPrior
 
 EVERY = 10
 """Of 1000 samples a second: files in other formats stay small."""
@@ -59,6 +63,33 @@ unit = "rad/s"
 [signals.tau]
 columns = "effort"
 unit = "Nm"
+"""
+FLEET = """stages = ["train"]
+[train]
+recipe = "observer"
+max_steps = 5
+[types.rig]
+accept = ["payload-missing"]
+[[arms]]
+name = "one"
+type = "rig"
+dataset = "data"
+[[arms]]
+name = "two"
+type = "rig"
+dataset = "data-2"
+calibration = "hours"
+calibrate = { false_alarms = 1.0, in_hours = 8.0 }
+train.like = "arm.prior.json"
+train.recipe = "prior"
+"""
+LOADS = """[[load]]
+from_s = 0.5
+mass = 1.0
+com = [0.0, 0.0, 0.05]
+[[load]]
+from_s = 1.5
+mass = 0.0
 """
 URDF = """<robot name="two">
 <link name="base"/><link name="a"><inertial><mass value="2"/><origin xyz="0.1 0 0"/>
@@ -109,8 +140,49 @@ def make_good(folder: Path, quick: bool = False) -> Path:
     for file, kind in (("reactions.toml", "--new-reactions"), ("profiles.toml", "--new-profiles")):
         done(["monitor", kind, str(folder / file)])
     make_formats(folder, data)
+    make_fleet(folder, data, quick)
     (folder / "ready").touch()
     return folder
+
+
+def make_fleet(folder: Path, data: Path, quick: bool) -> None:
+    """Two more arms, a fleet, what it knows, and what an arm carries.
+
+    quick: the arms are the same, and the fleet prior is none of theirs.
+    """
+    for k in (2, 3):
+        more = folder / f"data-{k}"
+        if not quick:
+            done(["simulate", "--out", str(more), *LITTLE, "--seed", str(k)])
+            continue
+        more.mkdir()
+        for path in data.iterdir():
+            (more / path.name).symlink_to(path)
+    if quick:
+        write_fleet_prior(small_prior(), folder / "arm.prior.json")
+    else:
+        arms = [str(folder / name) for name in ("data", "data-2", "data-3")]
+        done(["fleet", "prior", *arms, "--out", str(folder / "arm.prior.json")])
+    (folder / "fleet.toml").write_text(FLEET)
+    (folder / "loads.toml").write_text(LOADS)
+
+
+def small_prior() -> FleetPrior:
+    """Of two joints with a term each."""
+    joints = ("joint1", "joint2")
+    kind = ArmType(joints, "exact", 1000.0, 10, "held", ("newton_metre",) * 2, "0" * 64)
+    own = tuple((_core.Term(_core.TermKind.viscous, j),) for j in range(2))
+    ones = np.ones(2)
+    weights = WeightPrior(np.zeros(24), np.eye(24), ones, ones)
+    arm = {"name": "a", "minutes": 1.0, "friction": {j: [1.0, 0.1] for j in joints}}
+    facts = {
+        "arms": [arm | {"trust": dict.fromkeys((*joints, "links"), 1.0)}],
+        "spread": {joint: {"friction_nm": 1.0, "spread": 0.1} for joint in joints},
+        "settings": {"data": {"a": "a"}},
+        "left_out": {},
+        "after_a_minute": {},
+    }
+    return FleetPrior(kind, 20.0, (), own, weights, days=FleetDays(0.01 * np.eye(2), 3, 6), facts=facts)
 
 
 def done(arguments: list[str]) -> None:

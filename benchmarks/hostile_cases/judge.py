@@ -36,7 +36,7 @@ NOBODY = 65534
 KEEP_CAPABILITIES, AMBIENT, AMBIENT_RAISE = 8, 47, 2  # of Linux: prctl
 CAPABILITY_VERSION, READ_ALL = 0x20080522, 1 << 2  # capset; DAC_READ_SEARCH
 STATUSES = (0, 1, 2, 130)
-KEEP = {"run", "monitor", "simulate", "evaluate", "reproduce"}
+KEEP = {"run", "monitor", "simulate", "evaluate", "reproduce", "fleet run"}
 """Commands that write many files: what was whole before the one that failed stays, and the same command goes on."""
 
 
@@ -269,8 +269,8 @@ def faults_of(case: Case, status: int, error: str, out: str, place: Path) -> lis
         faults.append(f"crashed with signal {-status} ({signal.Signals(-status).name})")
     elif status not in STATUSES:
         faults.append(f"exit status {status}")
-    if status == 1 and case.command != "check":
-        faults.append("exit status 1 belongs to check alone")
+    if status == 1 and case.command not in ("check", "fleet run"):
+        faults.append("exit status 1 belongs to check and fleet run alone")
     if "Traceback (most recent" in error + out:
         faults.append("traceback")
     if native := re.search(r"\w+Warning: |Exception ignored|HDF5-DIAG|terminate called|RuntimeError|WARNING", error):

@@ -53,6 +53,7 @@ DESCRIPTION = (
     "refit: its friction brought up to date by a minute of today's motion. "
     "fleet: all of this for many arms, on many cores, and what arms of one type tell the next one (train --like). "
     "demo: push a simulated arm in the browser. convert: a bundle of an older format. "
+    "Where a path may stand, a URL of an object store may: s3://, gs://, abfs://. "
     "--version: of package, core, its compiler and bundles. "
     f"{RULE} {KILLED}"
 )

@@ -20,6 +20,8 @@ EXPECTED_KEYS = ("seconds", "at_most")
 EXPECTED_USAGE = "seconds=S at_most=KG: for how long, and the most that may be carried then"
 NOTHING = Load()
 MOST_AGO_S = 1e6
+MOST_FROM_S = 1e9
+"""Stamps in nanoseconds hold nine times as much."""
 
 
 @dataclass(frozen=True)
@@ -141,6 +143,8 @@ def read_loads(path: Place) -> list[TimedLoad]:
         from_s = _number(f"{where}: from_s", table.get("from_s", 0.0))
         if from_s < (found[-1].from_s if found else 0.0):
             raise ConfigError(f"{where}: from_s = {from_s:g} must be >= 0 and not before the load above it")
+        if from_s > MOST_FROM_S:
+            raise ConfigError(f"{where}: from_s = {from_s:g} must be at most {MOST_FROM_S:g}")
         found.append(TimedLoad(from_s, load_of_table(where, {k: v for k, v in table.items() if k != "from_s"})))
     return found
 

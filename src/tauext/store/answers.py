@@ -12,21 +12,20 @@ from tauext.errors import StoreError
 TRANSPORT = ("AWS Error", "curlCode", "google::cloud", "Azure", "HTTP status")
 """In the words of an error of the store, and not of what a file holds."""
 REFUSED = (
-    "ACCESS_DENIED",
-    "INVALID_ACCESS_KEY_ID",
-    "SIGNATURE_DOES_NOT_MATCH",
-    "INVALID_CLIENT_TOKEN_ID",
-    "UNRECOGNIZED_CLIENT",
-    "EXPIRED_TOKEN",
-    "InvalidAccessKeyId",
-    "SignatureDoesNotMatch",
-    "HTTP status 401",
-    "HTTP status 403",
-    "PERMISSION_DENIED",
-    "UNAUTHENTICATED",
-    "AuthenticationFailed",
-    "AuthorizationFailure",
+    "accessdenied",
+    "invalidaccesskeyid",
+    "signaturedoesnotmatch",
+    "invalidclienttokenid",
+    "unrecognizedclient",
+    "expiredtoken",
+    "http status 401",
+    "http status 403",
+    "permissiondenied",
+    "unauthenticated",
+    "authenticationfailed",
+    "authorizationfailure",
 )
+"""In lower case and without underscores: servers spell them in several ways."""
 LOST = ("curlCode: 18", "curlCode: 52", "curlCode: 55", "curlCode: 56", "curlCode: 35")
 LONGEST = 200
 """Letters of words that are not known."""
@@ -58,7 +57,7 @@ def meaning(place: Any, said: str) -> StoreError:
     limits, told = StoreConfig.of_environment(), place.server.told
     if "NO_SUCH_BUCKET" in said or "NoSuchBucket" in said:
         return no_bucket(place)
-    if any(sign in said for sign in REFUSED):
+    if any(sign in said.lower().replace("_", "") for sign in REFUSED):
         return StoreError(
             f"{place}: access is denied by {told}; check the keys in the environment, and what they may do"
         )

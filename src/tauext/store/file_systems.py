@@ -21,6 +21,9 @@ OPTIONS["abfss"] = OPTIONS["abfs"]
 """What the query of a URL may say: where the store is, and nothing secret."""
 
 
+KEYS = ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN", "AWS_PROFILE")
+
+
 @dataclass(frozen=True, order=True)
 class Server:
     """Whom to ask for a bucket."""
@@ -59,24 +62,43 @@ class Server:
         return url.netloc.rpartition("@")[2] + url.path.rstrip("/"), url.scheme
 
     @property
+    def region(self) -> str | None:
+        """Of S3, from the query or the environment."""
+        return self.said.get("region") or os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION")
+
+    @property
     def told(self) -> str:
         """Where it is, for people."""
         return (self.endpoint[0] if self.scheme == "s3" else None) or f"the store of {self.scheme}://{self.root}"
 
 
-@cache
 def file_system(server: Server) -> Any:
-    """One a bucket and process; nothing is asked yet."""
+    """One a bucket, process and environment; nothing is asked yet."""
+    keys = hash(tuple(os.environ.get(name) for name in KEYS))
+    return made(server, server.endpoint, server.region, keys, StoreConfig.of_environment())
+
+
+@cache
+def made(
+    server: Server,
+    endpoint: tuple[str | None, str | None],
+    region: str | None,
+    keys: int,
+    limits: StoreConfig,
+) -> Any:
+    """The file system.
+
+    Args:
+        keys: tells others of the environment apart; which they are the store's own library reads there.
+    """
     from pyarrow import fs
 
-    limits = StoreConfig.of_environment()
     if server.scheme == "s3":
-        endpoint, scheme = server.endpoint
-        region = server.said.get("region") or os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION")
+        host, scheme = endpoint
         return fs.S3FileSystem(
-            endpoint_override=endpoint,
+            endpoint_override=host,
             scheme=scheme,
-            region=region or (None if endpoint is None else "us-east-1"),
+            region=region or (None if host is None else "us-east-1"),
             connect_timeout=limits.connect_s,
             request_timeout=limits.stall_s,
             retry_strategy=fs.AwsStandardS3RetryStrategy(max_attempts=limits.tries),
@@ -85,7 +107,6 @@ def file_system(server: Server) -> Any:
     if server.scheme == "gs":
         again = timedelta(seconds=max(1, round(limits.tries * limits.stall_s)))
         return fs.GcsFileSystem(retry_time_limit=again, **server.said)
-    found, _ = fs.FileSystem.from_uri(
-        f"{server.scheme}://{server.bucket}" + (f"?{server.query}" if server.query else "")
-    )
+    query = f"?{server.query}" if server.query else ""
+    found, _ = fs.FileSystem.from_uri(f"{server.scheme}://{server.bucket}{query}")
     return found

@@ -1,0 +1,39 @@
+"""Two Ray nodes on this machine: whatever is killed midway costs the tasks that ran, and nothing that was finished."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from made_fleets import QUICK, arms_of, small_dataset, write_fleet
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+
+from fleet_kills import CASES, again, judge, outputs
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux", reason="finds the processes of a node in /proc"),
+]
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory):
+    pytest.importorskip("ray")
+    folder = tmp_path_factory.mktemp("nodes")
+    small_dataset(folder / "data")
+    return write_fleet(folder, QUICK + arms_of("a", "b", "c", dataset="data"))
+
+
+@pytest.fixture(scope="module")
+def undisturbed(fleet) -> dict[str, bytes]:
+    out = fleet.parent / "undisturbed"
+    assert again(fleet, out, "--workers", "1") == 0
+    return outputs(out)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_kill_costs_no_finished_task_and_changes_no_byte(case, fleet, undisturbed, tmp_path):
+    verdict = judge(case, fleet, tmp_path / "out", undisturbed)
+    assert verdict.good, verdict.line()
+    assert verdict.finished >= 3
+    assert (len(verdict.exits) == 1) == case.startswith("a worker")

@@ -156,6 +156,15 @@ def test_a_fleets_file_knows_how_days_differ(made):
     assert days.covariance[0, 1] == pytest.approx(spread**2 / 2, rel=0.3)  # half: as many more arms that vary apart
 
 
+def test_show_says_how_days_differ(made, capsys):
+    assert main(["show", str(made[0]), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    days = load_fleet_prior(made[0]).days
+    said = told["friction of one arm differs from recording to recording by"]
+    assert float(said["elbow"].rstrip("%")) / 100 == pytest.approx(np.sqrt(days.covariance[1, 1]), abs=1e-3)
+    assert told["which is of"] == "8 of 4 arms"
+
+
 def test_a_prior_that_knows_no_days_is_refused(made):
     prior = replace(load_fleet_prior(made[0]), days=None)
     with pytest.raises(ConfigError, match="knows how arms differ and not how days do"):

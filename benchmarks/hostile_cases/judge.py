@@ -27,8 +27,10 @@ PATIENCE_S = 10.0
 """A command that was not asked for long work ends within this."""
 WORKING_S = 5.0
 """One that was is interrupted after this, and must end within PATIENCE_S from then."""
-WAITS = ("monitor", "demo", "run")
-"""Commands that may rightly wait: for samples, for people, for the time of the recording."""
+WAITS = ("monitor", "demo", "run", "fleet run")
+"""Commands that may rightly wait: for samples, for people, for the time of the recording, for workers."""
+WORKERS = 3
+"""Times as long for a fleet: its workers are other processes, and how long these waited for a core is not seen."""
 MEMORY = 4 << 30
 LARGEST_FILE = 1 << 28
 MOST_THREADS = 400
@@ -208,7 +210,7 @@ def judged(worker: Worker, status: int, cpu_s: float, now: float) -> Ending:
     error, out = ((folder / name).read_text(errors="replace") for name in ("stderr", "stdout"))
     faults = faults_of(case, status, error, out, folder / "work")
     if worker.interrupted is not None and status in (0, 130):
-        if case.kind != "options":
+        if case.kind != "options":  # not asked for long work
             faults.append(f"took longer than {PATIENCE_S:g} s ({cpu_s:.1f} s of them computing)")
         elif cpu_s < 0.2 and case.command not in WAITS:
             faults.append("waited for ever for what does not come")
@@ -225,7 +227,8 @@ def hurry(worker: Worker, now: float) -> Ending | None:
     case = read_case(folder)
     starved_s = worker.starved_s - worker.starved_before_s
     if worker.interrupted is None:
-        if now - worker.began - starved_s > (WORKING_S if case.kind == "options" else PATIENCE_S):
+        allowed_s = WORKING_S if case.kind == "options" else PATIENCE_S
+        if now - worker.began - starved_s > allowed_s * (WORKERS if case.command == "fleet run" else 1):
             os.kill(worker.pid, signal.SIGINT)
             worker.interrupted, worker.starved_before_s = now, worker.starved_s
         return None

@@ -9,12 +9,13 @@ import tyro
 
 from tauext.cli.fleet_prior import prior
 from tauext.cli.parsing import deferred
+from tauext.cli.place_argument import PlaceArg
 from tauext.config import FleetConfig
 
 
 def run(
-    fleet: tyro.conf.Positional[Path],
-    out: Path,
+    fleet: tyro.conf.Positional[PlaceArg],
+    out: PlaceArg,
     config: Annotated[FleetConfig, tyro.conf.arg(name="")] = FleetConfig(),  # noqa: B008
     dry_run: bool = False,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
@@ -31,7 +32,7 @@ def run(
     Args:
         fleet: FLEET.toml: arms, files, settings; `tauext fleet example` prints one.
         out: folder to write: arms/NAME/STAGE, and fleet.json with the state of all. Workers on other machines must find
-            it, and what FLEET.toml names, under the same paths.
+            it, and what FLEET.toml names, under the same paths, or URLs with the same keys in their environment.
         config: who works.
         dry_run: say what would be done, and why, and do nothing.
         as_json: print JSON lines, an object a task that begins or ends.

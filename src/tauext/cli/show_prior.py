@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,7 @@ from tauext.errors import ConfigError
 from tauext.store import Place
 
 if TYPE_CHECKING:
-    from tauext.learn.fleet_prior import FleetErrors, FleetPrior
+    from tauext.learn.fleet_prior import FleetDays, FleetErrors, FleetPrior
 
 Told = dict[str, Any]
 
@@ -59,6 +60,7 @@ def described(file: Place, prior: FleetPrior) -> Told:
         "a row of the next arm counts": prior.weights.trust,
         "error after a minute, by that with all": dict(facts["after_a_minute"]),
         **describe_errors(prior.errors, per_joint),
+        **describe_days(prior.days, per_joint),
     }
     content["made by"] = {key: facts.get(key) for key in ("command", "version", "seed", "machine")}
     content["made from"] = {name: str(data) for name, data in facts["settings"]["data"].items()}
@@ -75,6 +77,15 @@ def words(group: Any) -> str:
     """How many of a joint's terms are of which kind."""
     kinds = [term.kind.name for term in group]
     return ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+
+
+def describe_days(days: FleetDays | None, joints: list[str]) -> Told:
+    """What `refit --like` goes by."""
+    name = "friction of one arm differs from recording to recording by"
+    if days is None:
+        return {name: "nobody knows: fewer than three arms have two recordings in which all joints moved"}
+    shares = [f"{math.sqrt(days.covariance[j, j]):.1%}" for j in range(len(joints))]
+    return {name: dict(zip(joints, shares, strict=True)), "which is of": f"{days.recordings} of {days.arms} arms"}
 
 
 def describe_errors(errors: FleetErrors | None, joints: list[str]) -> Told:

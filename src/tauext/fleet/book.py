@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from tauext.fleet.fleet_file import STAGES, Fleet
 from tauext.fleet.plan import PlannedArm
 from tauext.fleet.task import Outcome, Task
 from tauext.provenance import VERSION, write_json
+from tauext.store import Place
 
 FILE, FORMAT = "fleet.json", 1
 EVERY_S = 5.0
@@ -21,7 +21,7 @@ EVERY_S = 5.0
 class Book:
     """How each task stands: done, refused, failed, skipped or waiting."""
 
-    def __init__(self, fleet: Fleet, plan: Sequence[PlannedArm], out: Path):
+    def __init__(self, fleet: Fleet, plan: Sequence[PlannedArm], out: Place):
         self._fleet, self._plan, self._out = fleet, plan, out
         self._outcomes: dict[tuple[str, str], Outcome] = {}
         self._written = time.monotonic()
@@ -43,7 +43,7 @@ class Book:
         return self._plan
 
     @property
-    def path(self) -> Path:
+    def path(self) -> Place:
         return self._out / FILE
 
     def counts(self) -> dict[str, int]:

@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 from tauext.errors import ConfigError
 from tauext.plain_file import expect_file, json_of, read_text
@@ -30,7 +29,7 @@ def sha256_of(path: Place) -> str:
 class Contents:
     """SHA-256 of files, remembered between runs by path, size and time of the last change."""
 
-    def __init__(self, memory: Path):
+    def __init__(self, memory: Place):
         """memory: file of what is remembered; a damaged one is none."""
         self._memory = memory
         self._known: dict[str, list] = {}

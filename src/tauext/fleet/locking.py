@@ -1,4 +1,7 @@
-"""One driver a folder: a second one would clear away what the first one's workers are writing."""
+"""One driver a folder: a second one would clear away what the first one's workers are writing.
+
+A store has no locks: there it is one driver of this machine.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,15 @@ import os
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from tauext.errors import ConfigError
+from tauext.store import Place, at_home
 
 LOCK = "fleet.lock"
 
 
 @contextmanager
-def locked(out: Path) -> Iterator[None]:
+def locked(out: Place) -> Iterator[None]:
     """The folder is ours; the lock ends with the process, whatever ends it.
 
     Raises:
@@ -25,7 +28,9 @@ def locked(out: Path) -> Iterator[None]:
     except ImportError:  # no such locks on this system
         yield
         return
-    with (out / LOCK).open("a+") as file:
+    home = at_home(out)
+    home.mkdir(parents=True, exist_ok=True)
+    with (home / LOCK).open("a+") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from tauext.fleet.contents import Contents
@@ -13,6 +12,7 @@ from tauext.fleet.inputs import dataset_files, digests, files_of, like_files, ro
 from tauext.fleet.places import text_of_place
 from tauext.fleet.settings import flat, plain
 from tauext.fleet.task import Outcome, Task, finished, marker_of
+from tauext.store import Place, place_of
 
 MOST_NAMED = 4
 """Changed inputs that are named; more are counted."""
@@ -38,7 +38,9 @@ class PlannedArm:
     steps: tuple[Planned, ...]
 
 
-def plan_fleet(fleet: Fleet, out: Path, show: Callable[[int, int], object] = lambda done, of: None) -> list[PlannedArm]:
+def plan_fleet(
+    fleet: Fleet, out: Place, show: Callable[[int, int], object] = lambda done, of: None
+) -> list[PlannedArm]:
     """All tasks of all arms; contents of files that nobody knows yet are read.
 
     Args:
@@ -57,7 +59,7 @@ def plan_fleet(fleet: Fleet, out: Path, show: Callable[[int, int], object] = lam
     return [plan_arm(arm, out.absolute(), contents) for arm in fleet.arms]
 
 
-def plan_arm(arm: Arm, out: Path, contents: Contents) -> PlannedArm:
+def plan_arm(arm: Arm, out: Place, contents: Contents) -> PlannedArm:
     """The tasks of one arm."""
     steps: list[Planned] = []
     for task in tasks_of(arm, out, contents):
@@ -66,18 +68,19 @@ def plan_arm(arm: Arm, out: Path, contents: Contents) -> PlannedArm:
     return PlannedArm(arm, tuple(steps))
 
 
-def tasks_of(arm: Arm, out: Path, contents: Contents) -> list[Task]:
+def tasks_of(arm: Arm, out: Place, contents: Contents) -> list[Task]:
     """In the order of the stages."""
     tasks: dict[str, Task] = {}
     data = data_inputs(arm, contents)
     robot = digests(robot_files(arm.robot), contents)
-    dataset, bundle = arm.dataset, Path()
+    dataset: Place | None = arm.dataset
+    bundle: Place | None = None
     given: dict[str, Any] = {"name": arm.name, "robot": None if arm.robot is None else text_of_place(arm.robot)}
     accepted = {"accept": ", ".join(arm.accept)}
 
     def add(stage: str, inputs: Mapping[str, str], **work: Any) -> Task:
         folder = out / ARMS / arm.name / stage
-        tasks[stage] = Task(arm.name, stage, str(folder), {"name": arm.name, **inputs}, given | work)
+        tasks[stage] = Task(arm.name, stage, text_of_place(folder), {"name": arm.name, **inputs}, given | work)
         return tasks[stage]
 
     for stage in arm.stages:
@@ -86,7 +89,7 @@ def tasks_of(arm: Arm, out: Path, contents: Contents) -> list[Task]:
             named = {"sources": ", ".join(source.name for source in arm.sources)}
             files = digests(source_files(arm), contents)
             made = add(stage, named | files, sources=sources, description=text_of_place(arm.description))
-            dataset, data = Path(made.folder) / arm.name, {"import": made.hash}
+            dataset, data = place_of(made.folder) / arm.name, {"import": made.hash}
         elif stage == "check":
             add(stage, data | robot | accepted, dataset=text_of_place(dataset), accept=list(arm.accept))
         elif stage == "train":
@@ -95,7 +98,7 @@ def tasks_of(arm: Arm, out: Path, contents: Contents) -> list[Task]:
             work = {"case": arm.case, "accept": list(arm.accept), "settings": without_threads(plain(arm.train))}
             work |= {"like": None if arm.like is None else text_of_place(arm.like)}
             made = add(stage, data | robot | said, dataset=text_of_place(dataset), **work)
-            bundle = Path(made.folder) / f"{arm.name}.tauext"
+            bundle = place_of(made.folder) / f"{arm.name}.tauext"
         elif stage == "calibrate":
             settings, used = plain(arm.calibrate), data
             if arm.calibration is not None:
@@ -107,12 +110,12 @@ def tasks_of(arm: Arm, out: Path, contents: Contents) -> list[Task]:
                 "settings": settings,
             }
             said = {"train": tasks["train"].hash} | accepted | flat(settings, "calibrate.")
-            made = add(stage, used | said, bundle=str(bundle), **work)
-            bundle = Path(made.folder) / f"{arm.name}.tauext"
+            made = add(stage, used | said, bundle=text_of_place(bundle), **work)
+            bundle = place_of(made.folder) / f"{arm.name}.tauext"
         else:
             settings, maker = plain(arm.evaluate), "calibrate" if "calibrate" in tasks else "train"
             said = {maker: tasks[maker].hash} | flat(settings, "evaluate.")
-            add(stage, data | said, dataset=text_of_place(dataset), bundle=str(bundle), settings=settings)
+            add(stage, data | said, dataset=text_of_place(dataset), bundle=text_of_place(bundle), settings=settings)
     return list(tasks.values())
 
 
@@ -132,7 +135,7 @@ def planned(task: Task, before: str | None) -> Planned:
     there = finished(task)
     if there is not None:
         return Planned(task, there, "")
-    folder = Path(task.folder)
+    folder = place_of(task.folder)
     marker = marker_of(folder)
     if marker is None:
         failed = folder.with_name(f"{task.stage}.failed.txt").exists()

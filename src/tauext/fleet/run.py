@@ -16,6 +16,7 @@ from tauext.fleet.plan import ARMS, Planned, PlannedArm, plan_fleet
 from tauext.fleet.task import Outcome, Task, clean
 from tauext.fleet.workers import Begun, Ended, Workers
 from tauext.room import expect_folder
+from tauext.store import Place, at_home
 
 
 class Watcher(Protocol):
@@ -79,7 +80,7 @@ class Progress:
         return False
 
 
-def run_fleet(fleet: Fleet, out: Path, config: FleetConfig, watcher: Watcher) -> FleetEnd:
+def run_fleet(fleet: Fleet, out: Place, config: FleetConfig, watcher: Watcher) -> FleetEnd:
     """Do what is not done yet; OUT/fleet.json says how all of it stands, after an interruption too.
 
     Tasks are given out in the order in which they become possible, so that all imports come before the first training:
@@ -93,7 +94,7 @@ def run_fleet(fleet: Fleet, out: Path, config: FleetConfig, watcher: Watcher) ->
     out.mkdir(parents=True, exist_ok=True)
     with locked(out):
         for arm in fleet.arms:
-            clean(out / ARMS / arm.name)
+            clean(home_of(out / ARMS / arm.name))
         plan = plan_fleet(fleet, out, watcher.reading)
         book = Book(fleet, plan, out)
         watcher.started(plan)
@@ -106,8 +107,13 @@ def run_fleet(fleet: Fleet, out: Path, config: FleetConfig, watcher: Watcher) ->
         finally:
             book.write()
             for arm in fleet.arms:
-                clean(out / ARMS / arm.name)
+                clean(home_of(out / ARMS / arm.name))
     return progress.end
+
+
+def home_of(arm_folder: Place) -> Path:
+    """Where workers of this machine write before they rename or send."""
+    return at_home(arm_folder / "stage").parent
 
 
 def work_off(first: Sequence[Task], workers: Workers, progress: Progress, watcher: Watcher) -> None:

@@ -8,17 +8,20 @@ import socket
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from tauext.errors import ConfigError, FaultyDataError, TauextError
+from tauext.errors import ConfigError, FaultyDataError, StoreError, TauextError
 from tauext.fleet.build import build
 from tauext.fleet.contents import digest_of, sha256_of
 from tauext.plain_file import json_of, read_text
 from tauext.provenance import provenance, write_json
+from tauext.store import Place, StoredPlace, at_home, place_of, send_folder
+from tauext.whole_file import whole_file
 
 FORMAT = 2
 MARKER, WALL_TIME = "task.json", "task.wall_time_s.json"
@@ -77,19 +80,13 @@ class Marker:
     refused: str | None
     seconds: float
 
-    def lacks(self, folder: Path) -> str | None:
+    def lacks(self, folder: Place) -> str | None:
         """The first output that is gone or has another size; None: all are there."""
-        for name, said in self.outputs.items():
-            try:
-                if (folder / name).stat().st_size == said["bytes"]:
-                    continue
-            except OSError:
-                pass
-            return name
-        return None
+        there = sizes(folder, self.outputs)
+        return next((name for name, said in self.outputs.items() if there.get(name) != said["bytes"]), None)
 
 
-def marker_of(folder: Path) -> Marker | None:
+def marker_of(folder: Place) -> Marker | None:
     """What stands there; None: nothing that is whole."""
     try:
         said = json_of(read_text(folder / MARKER))
@@ -103,7 +100,7 @@ def marker_of(folder: Path) -> Marker | None:
 
 def finished(task: Task) -> Outcome | None:
     """How it ended, where it was done already; None: it is to be done."""
-    folder = Path(task.folder)
+    folder = place_of(task.folder)
     marker = marker_of(folder)
     if marker is None or marker.hash != task.hash or marker.lacks(folder) is not None:
         return None
@@ -120,15 +117,16 @@ def run_task(task: Task, stages: Mapping[str, Stage]) -> Outcome:
     """Do it, unless it is done; whatever goes wrong is a failed outcome with its reason on one line.
 
     The output is written to a folder of its own beside the final one and renamed: who is killed leaves no half of it.
+    For a store it is written on this machine and sent, its marker last.
     Where it fails, STAGE.failed.txt beside it holds all that is to be said.
     """
     if task.build != build():
         return Outcome("failed", f"this worker has tauext {build()}, and the fleet is run by {task.build}")
     if (outcome := finished(task)) is not None:
         return outcome
-    folder = Path(task.folder)
+    folder = place_of(task.folder)
     told = folder.with_name(f"{task.stage}.failed.txt")
-    part = folder.with_name(f".{task.stage}.part-{socket.gethostname()}-{os.getpid()}-{uuid4().hex[:8]}")
+    part = at_home(folder).with_name(f".{task.stage}.part-{socket.gethostname()}-{os.getpid()}-{uuid4().hex[:8]}")
     started = time.monotonic()
     try:
         part.mkdir(parents=True)
@@ -138,14 +136,13 @@ def run_task(task: Task, stages: Mapping[str, Stage]) -> Outcome:
             refused = stages[task.stage](task.work, part)
         marker = mark(task, part, refused, time.monotonic() - started)
         publish(part, task)
-        told.unlink(missing_ok=True)
+        if told.is_file():
+            told.unlink(missing_ok=True)
         return ended(marker)
     except Exception as error:
         reason, block = (text.replace(str(part), str(folder)) for text in said_of(error))
-        try:
-            told.write_text(block + "\n")
-        except OSError:
-            pass  # the reason itself is reported
+        with suppress(OSError, StoreError), whole_file(told) as whole:  # the reason itself is reported
+            whole.write_text(block + "\n")
         return Outcome("failed", reason, time.monotonic() - started)
     finally:
         shutil.rmtree(part, ignore_errors=True)
@@ -172,7 +169,11 @@ def publish(part: Path, task: Task) -> None:
     Raises:
         OSError: it cannot be renamed.
     """
-    folder = Path(task.folder)
+    folder = place_of(task.folder)
+    if isinstance(folder, StoredPlace):
+        if finished(task) is None:
+            send_over(part, folder)
+        return
     old = part.with_name(part.name.replace(".part-", ".old-"))
     try:
         if folder.exists() and finished(task) is None:
@@ -183,6 +184,27 @@ def publish(part: Path, task: Task) -> None:
             raise
     finally:
         shutil.rmtree(old, ignore_errors=True)
+
+
+def send_over(part: Path, folder: StoredPlace) -> None:
+    """What stood there is no finished task from the first step on, and the new one is so with the last."""
+    there = [file for file in folder.rglob("*") if file.is_file()]
+    for file in sorted(there, key=lambda file: file.name != MARKER):
+        if file.name == MARKER or not (part / file.relative_to(folder)).is_file():
+            file.unlink(missing_ok=True)
+    send_folder(part, folder)
+
+
+def sizes(folder: Place, names: Iterable[str]) -> dict[str, int]:
+    """Of the files with these names that are there, [bytes]; of a store by one listing."""
+    if isinstance(folder, StoredPlace):
+        files = (file for file in folder.rglob("*") if file.is_file())
+        return {file.relative_to(folder).as_posix(): file.stat().st_size for file in files}
+    found = {}
+    for name in names:
+        with suppress(OSError):
+            found[name] = (folder / name).stat().st_size
+    return found
 
 
 def said_of(error: Exception) -> tuple[str, str]:

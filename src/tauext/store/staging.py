@@ -28,7 +28,7 @@ LAST = ("task.json", "results.json", "report.html", "split.json", "run.json", "c
 def written_as(place: Place) -> Path:
     """The name to write under: NAME.part beside a path, in the staging folder for a store. Folders of it are made."""
     if not isinstance(place, StoredPlace):
-        return place.with_name(place.name + ".part" if place.name else ".part")
+        return place.with_name(place.name + ".part") if place.name else place / ".part"
     part = at_home(place)
     return part.with_name(part.name + ".part")
 
@@ -51,7 +51,8 @@ def at_home(place: Place) -> Path:
     """Where on this machine work on this place is kept until it is done: the same for the same URL."""
     if not isinstance(place, StoredPlace):
         return place
-    url = hashlib.sha256(str(place.parent).encode()).hexdigest()[:16]
+    parent = f"{place.parent.url} {place.server.told}"  # one name at two servers is two places
+    url = hashlib.sha256(parent.encode()).hexdigest()[:16]
     folder = cache_folder() / "staged" / url
     folder.mkdir(parents=True, exist_ok=True)
     return folder / place.name

@@ -15,6 +15,7 @@ from arms import PLANAR_MJCF
 from made_fleet import moving
 from made_s3 import S3, Request, s3_server
 
+from tauext.calibrate.bundle_limits import half_done_file
 from tauext.cli import main
 from tauext.cli.command_line import command_line
 from tauext.data import describe, fingerprint, load_bundle, load_dataset, load_recording, recording_file, save_recording
@@ -25,7 +26,7 @@ from tauext.errors import ConfigError, StoreError
 from tauext.fleet.places import fits, places_of
 from tauext.store import added, local_file, local_folder, local_robot, place_of, staged
 from tauext.store.staging import put, send
-from tauext.whole_file import whole_file, whole_files
+from tauext.whole_file import whole_file, whole_files, whole_folder
 
 SIGNALS = ("t_ns", "q", "dq", "tau", "q_des", "tau_jts", "temperature", "contact")
 
@@ -472,6 +473,28 @@ def test_a_staged_folder_is_kept_where_work_fails_and_sent_with_what_says_that_i
         (folder / "flight").write_text("x")
         raise KeyboardInterrupt
     assert s3.objects["results/flight"].content == b"x" and s3.objects["results/z.parquet"].content == b"x"
+
+
+def test_a_folder_of_findings_is_known_to_be_whole_by_its_last_file(s3, tmp_path, monkeypatch):
+    for place in (place_of("s3://arms/check"), tmp_path / "check"):
+        with whole_folder(place) as part:
+            for name in ("check.json", "check.txt", "torque.png"):
+                (part / name).write_text("x")
+    assert [r.key for r in s3.requests if r.method == "PUT"][-1] == "check/check.json"
+    assert sorted(path.name for path in (tmp_path / "check").iterdir()) == ["check.json", "check.txt", "torque.png"]
+    monkeypatch.chdir(tmp_path)
+    with whole_folder(Path()) as part:
+        (part / "here.txt").write_text("x")
+    assert (tmp_path / "here.txt").exists() and not (tmp_path / ".part").exists()
+
+
+def test_half_done_work_on_a_url_is_kept_here_and_told_apart_by_server(s3, tmp_path, monkeypatch):
+    place = place_of("s3://arms/new/arm.tauext")
+    kept = half_done_file(place)
+    assert kept.is_relative_to(tmp_path / "cache") and kept == half_done_file(place_of(place.url))
+    assert kept != half_done_file(place_of("s3://arms/old/arm.tauext"))
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://10.0.0.1:9000")
+    assert kept != half_done_file(place)
 
 
 def test_limits_of_waiting_are_numbers(s3, monkeypatch, capsys):

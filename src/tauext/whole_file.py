@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from tauext.store import Place, put, written_as
+from tauext.store import Place, in_order, put, written_as
 
 
 @contextmanager
@@ -49,7 +49,7 @@ def whole_folder(folder: Place) -> Iterator[Path]:
     part.mkdir(parents=True)
     try:
         yield part
-        for file in sorted(path for path in part.rglob("*") if path.is_file()):
+        for file in sorted((path for path in part.rglob("*") if path.is_file()), key=in_order):
             place = folder / file.relative_to(part).as_posix()
             place.parent.mkdir(parents=True, exist_ok=True)
             put(file, place)

@@ -5,7 +5,7 @@ from tauext.store.fetching import local_beside, local_file, local_folder, local_
 from tauext.store.named_files import named_files
 from tauext.store.place import Place, is_stored, place_of, same_place
 from tauext.store.reading import reading, version_of
-from tauext.store.staging import added, at_home, put, send_folder, staged, written_as
+from tauext.store.staging import added, at_home, in_order, put, send_folder, staged, written_as
 from tauext.store.stored import StoredPlace
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "added",
     "answers",
     "at_home",
+    "in_order",
     "is_stored",
     "local_beside",
     "local_file",

@@ -112,8 +112,13 @@ def send_folder(folder: Path, place: StoredPlace, but: Collection[str] = ()) -> 
         but: names of files that are left out.
     """
     files = [path.relative_to(folder) for path in folder.rglob("*") if path.is_file() and path.name not in but]
-    for file in sorted(files, key=lambda one: (-LAST.index(one.name) if one.name in LAST else -len(LAST), str(one))):
+    for file in sorted(files, key=in_order):
         send(folder / file, place / file.as_posix())
+
+
+def in_order(file: Path) -> tuple[int, str]:
+    """By which files of a folder are to appear: those of LAST at last."""
+    return -LAST.index(file.name) if file.name in LAST else -len(LAST), str(file)
 
 
 def send(path: Path, place: StoredPlace) -> None:

@@ -50,6 +50,7 @@ TABLE = {
     "learn/torch_backend": ({"_core"}, {"numpy", "torch"}),
     "train": ({"_core", "learn", "calibrate", "look", "robot", "data"}, {"numpy"}),
     "fleet_prior": ({"_core", "train", "learn", "calibrate", "robot", "data"}, {"numpy"}),
+    "fleet_report": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
     "calibrate": ({"_core", "look", "robot", "data"}, {"numpy", "scipy"}),
     "refit": ({"_core", "learn", "calibrate", "look", "data"}, {"numpy"}),
     "doctor": ({"_core", "robot", "data"}, {"numpy", "scipy"}),

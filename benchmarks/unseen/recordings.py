@@ -53,10 +53,12 @@ TAKES = (
 )
 
 
-def write_take(maker: Maker, seed: int, number: int, folder: Path, takes: Sequence[Take] = ()) -> None:
-    """Simulate takes[number], of TAKES where none are given, of the arm that `seed` drew, and write NAME.csv and
-    NAME.truth.json."""
-    arm = arm_of(maker, seed)
+def write_take(
+    maker: Maker, seed: int, number: int, folder: Path, takes: Sequence[Take] = (), arm: TrueArm | None = None
+) -> None:
+    """Simulate takes[number], of TAKES where none are given, of the arm that `seed` drew (or of `arm`, what became of
+    it), and write NAME.csv and NAME.truth.json."""
+    arm = arm or arm_of(maker, seed)
     take, rng = (takes or TAKES)[number], maker.random(seed, 1 + number)
     samples = round(take.minutes * 60 * RATE_HZ)
     contacts = draw_contacts(take.contacts, take.minutes * 60, len(maker.joints), rng)

@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from tauext.cli.fleet_prior import prior
+from tauext.cli.fleet_report import report
 from tauext.cli.parsing import deferred
 from tauext.cli.place_argument import PlaceArg
 from tauext.config import FleetConfig
@@ -72,12 +73,12 @@ def example(out: Path | None = None) -> None:
     print(out)
 
 
-HELP = "Many arms: all stages of every arm, on many cores; and what arms of one type tell the next one."
+HELP = "Many arms: all stages of every arm, on many cores; what they tell of the next one, and of each other."
 
 
 def fleet_app() -> tyro.extras.SubcommandApp:
     """`tauext fleet VERB`."""
     app = tyro.extras.SubcommandApp()
-    for command in (run, example, prior):
+    for command in (run, example, prior, report):
         app.command(deferred(command))
     return app

@@ -6,6 +6,8 @@ EXAMPLE = """\
 
 stages = ["import", "check", "train", "calibrate", "evaluate"]   # or fewer; these are all, and what holds if left out
 
+# date = 2026-05-04         # day of the recordings, for `tauext fleet report`; an arm's own table may have another one
+
 # For all arms. [types.NAME] says it for the arms of a type, an arm's own table for it alone: the last one counts.
 [train]                     # the options of `tauext train`, without dashes: max-steps is max_steps
 recipe = "tauext"

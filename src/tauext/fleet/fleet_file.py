@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from datetime import date, datetime
 from typing import TYPE_CHECKING, Any, get_args
 
 from tauext.config import AlarmConfig, CalibrateStage, CaseName, EvaluateStage, TrainConfig
@@ -24,9 +25,9 @@ if TYPE_CHECKING:
 STAGES = ("import", "check", "train", "calibrate", "evaluate")
 """In their order; docs/files.md says what each needs."""
 TABLES = ("train", "calibrate", "evaluate")
-SHARED = ("arm", "robot", "case", "accept", "stages", *TABLES)
+SHARED = ("arm", "robot", "case", "accept", "stages", "date", *TABLES)
 """Keys that stand at the top for all arms, in [types.NAME] for those of a type, or at an arm; the last one counts."""
-OWN = ("name", "type", "sources", "dataset", "calibration")
+OWN = ("name", "serial", "type", "sources", "dataset", "calibration")
 """Keys of an arm alone."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
 NAME_RULE = "1 to 100 letters, digits, dots, dashes, underscores: it names a folder and a bundle"
@@ -56,6 +57,10 @@ class Arm:
     """Fleet prior that its training begins with; None: it is by itself."""
     calibrate: CalibrateStage = CalibrateStage()
     evaluate: EvaluateStage = EvaluateStage()
+    serial: str = ""
+    """Which arm it is: entries of one serial, here or in another file, are one arm at several dates. Default: name."""
+    date: str = ""
+    """Day of its recordings, YYYY-MM-DD; empty: not told."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +118,7 @@ def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, 
     said = {key: layer[key] for layer in layers for key in SHARED if key in layer and key not in TABLES}
     tables = {key: merged([layer.get(key, {}) for layer in layers], f"{where}: {key}") for key in TABLES}
     arm = Arm(name, kind, stages=(), accept=texts_of(said, "accept", where), case=case_of(said, where))
+    arm = replace(arm, serial=text_of(table, "serial", where) or name, date=date_of(said, where))
     try:
         expect_codes(arm.accept)
     except ConfigError as error:
@@ -251,6 +257,19 @@ def place(table: Mapping[str, Any], key: str, where: str, base: Place) -> Place 
     """The place that is named under the key; None: there is none."""
     text = text_of(table, key, where)
     return None if text is None else place_of(text, base)
+
+
+def date_of(said: Mapping[str, Any], where: str) -> str:
+    """The day as text; empty: none is told. TOML knows days, and text is taken, too."""
+    value = said.get("date", "")
+    try:
+        if isinstance(value, date) and not isinstance(value, datetime):
+            return value.isoformat()
+        if isinstance(value, str):
+            return date.fromisoformat(value).isoformat() if value else ""
+    except ValueError:
+        pass
+    raise ConfigError(f"{where}: date = {str(value)!r} must be a day, YYYY-MM-DD")
 
 
 def case_of(said: Mapping[str, Any], where: str) -> str | None:

@@ -21,7 +21,7 @@ from tauext.store.place import Place
 from tauext.store.stored import StoredPlace
 
 BLOCK = 8 << 20
-LAST = ("task.json", "results.json", "report.html", "split.json", "run.json", "check.json")
+LAST = ("fleet.html", "task.json", "results.json", "report.html", "split.json", "run.json", "check.json")
 """Names of files by which a folder is known to be whole; the first of these comes last."""
 
 

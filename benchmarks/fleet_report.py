@@ -1,0 +1,263 @@
+"""Which arm is wearing: the fleet report on a simulated fleet at two dates.
+
+    python benchmarks/fleet_report.py MODELS OUT [--type ur5] [--type-seed 2] [--arms 40] [--worn 4]
+
+Simulated arms of one type (unseen.of_type), each recorded for three and a half minutes at two dates
+(unseen.two_dates). Between them one joint of some arms wears (friction x 1.3), one arm gets another tool and one
+another drive. MODELS: folder of the arms' URDFs, as of unseen_arms.py. OUT gets recordings, fleets, pages and
+README.md; what is there is used again. That of docs/results/fleet-report is one of these.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import textwrap
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from unseen.arms import Maker, makers
+from unseen.cold import command
+from unseen.two_dates import (
+    CONSTANT,
+    DATES,
+    DAY_ARM,
+    DAY_JOINT,
+    WORN,
+    Truth,
+    day_factors,
+    draw_truth,
+    fleet_toml,
+    make_date,
+)
+
+from tauext.fleet_report.odds import NAMED, learn_odds
+from tauext.fleet_report.questions import FLEET_FRICTION, OWN_FRICTION
+
+DAYS = ((0.0, 0.0), (0.08, 0.02), (0.08, 0.04))
+"""Spread of the logarithm of friction at a date: of all joints of an arm, and of each by itself."""
+FACTORS = (1.6, 2.0, 2.5)
+DRAWS = 3
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("models", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--type", default="ur5", help="of the arms' maker, default: %(default)s")
+    parser.add_argument("--type-seed", type=int, default=2, help="draws the type, default: %(default)s")
+    parser.add_argument("--arms", type=int, default=40, help="of the fleet, default: %(default)s")
+    parser.add_argument("--worn", type=int, default=4, help="arms that wear, default: %(default)s")
+    parser.add_argument("--workers", type=int, default=2, help="processes, default: %(default)s")
+    options = parser.parse_args()
+    maker = replace(makers(options.models)[options.type], type_seed=options.type_seed)
+    truth = draw_truth(maker, options.arms, options.worn)
+    root = options.out / f"{options.type}-{options.type_seed}-{options.arms}"
+    fleets = make_fleets(maker, truth, root, options.arms, options.workers)
+    command("fleet", "report", *fleets, "--out", root / "page", "--no-arm-pages")
+    command("fleet", "report", fleets[-1], "--out", root / "page-alone", "--no-arm-pages")
+    both, alone = (json.loads((root / page / "fleet-report.json").read_text()) for page in ("page", "page-alone"))
+    text = "\n".join(markdown(maker, truth, both, alone, options)) + "\n"
+    (options.out / "README.md").write_text(text)
+    print(text)
+
+
+def make_fleets(maker: Maker, truth: Truth, root: Path, arms: int, workers: int) -> list[Path]:
+    """Simulated, imported, trained and evaluated; a fleet folder a date."""
+    jobs = [(k, date) for date in range(len(DATES)) for k in range(arms)]
+    with ProcessPoolExecutor(workers) as pool:
+        told = [pool.submit(make_date, maker, k, date, truth, root / DATES[date] / f"arm-{k:02d}") for k, date in jobs]
+        data = [one.result() for one in told]
+    fleets = []
+    for date, day in enumerate(DATES):
+        toml, fleet = root / f"{day}.toml", root / f"fleet-{day}"
+        toml.write_text(fleet_toml(maker, data[date * arms : (date + 1) * arms], date))
+        try:
+            command("fleet", "run", toml, "--out", fleet, "--workers", str(workers))
+        except RuntimeError as error:  # an arm that fails is no end of a fleet
+            print(str(error).splitlines()[-1], flush=True)
+        fleets.append(fleet)
+    return fleets
+
+
+def markdown(maker: Maker, truth: Truth, both: dict, alone: dict, options: argparse.Namespace) -> list[str]:
+    """The tables, and what they are of."""
+    joints = both["groups"][0]["joints"]
+    usual = {"type_seed": 2, "arms": 40, "worn": 4}
+    said = [f" --{n.replace('_', '-')} {getattr(options, n)}" for n in usual if getattr(options, n) != usual[n]]
+    lines = [
+        "# Which arm is wearing",
+        "",
+        f"Written by `python benchmarks/fleet_report.py MODELS OUT{''.join(said)}`.",
+        "",
+        *paragraph(
+            f"{options.arms} simulated arms of one type ({options.type}), three and a half minutes each at two dates, "
+            "recipe prior, `tauext fleet run` at each date and `tauext fleet report` of both. Friction of each joint "
+            "is 0.7 to 1.3 of the type's, tools weigh 0.5 to 1.5 kg, torque constants are within 8 % of the data "
+            "sheet's. At each date an arm has been at work for up to half an hour, so gears are cold or warm (10 to "
+            f"15 % of friction), and the day moves friction by {DAY_ARM:.0%} in all joints of an arm and by "
+            f"{DAY_JOINT:.0%} in each by itself besides. Between the dates one joint of {options.worn} arms gets "
+            f"x {WORN:g} of its friction, one arm a tool 0.5 to 1 kg heavier, and one joint of one arm a torque "
+            f"constant of x {CONSTANT:g}. A joint or arm is named if the probability is {NAMED:.0%} or more."
+        ),
+        "",
+        "## Beside its own first date",
+        "",
+        "| what was done | truth | found | probability |",
+        "|---|---|---|---|",
+    ]
+    lines += own_rows(maker, truth, both, joints)
+    own = [one for one in both["named"] if one["against"] == "own"]
+    right = [one for one in own if is_right(one, truth, joints)]
+    false = [one for one in own if one not in right]
+    table = both["groups"][0]["tables"]["own friction 1"]
+    listed = "; ".join(f"{one['arm']} {one['joint'] or ''} {one['kind']}" for one in false) or "none"
+    lines += [
+        "",
+        *paragraph(
+            f"Named falsely, of {options.arms * len(joints)} joints, {options.arms} tools and the constants: {listed}. "
+            f"Learned from the fleet: friction of a healthy arm moves by {table['arm_spread']:.1%} from date to date "
+            f"in all joints, and by {table['joint_spread']:.1%} in each by itself; a joint would be named from "
+            f"x {np.exp(table['named_from']):.2f} on."
+        ),
+        "",
+    ]
+    return [*lines, *days_table(maker, truth, both, joints), *alone_table(truth, alone)]
+
+
+def paragraph(text: str) -> list[str]:
+    """Its lines."""
+    return textwrap.wrap(text, 119, break_long_words=False, break_on_hyphens=False)
+
+
+def row_of(content: dict, arm: int) -> dict[str, Any]:
+    return next(one for one in content["arms"] if one["serial"] == f"arm-{arm:02d}")["visits"][-1]
+
+
+def own_rows(maker: Maker, truth: Truth, both: dict, joints: Sequence[str]) -> list[str]:
+    """What was done, and what is said of it."""
+    rows = []
+    for arm, j in sorted(truth.worn.items()):
+        told = row_of(both, arm)["own"]["friction"]
+        factor = np.exp(told["value"][j] - told["arm"])
+        words = f"x {factor:.2f} beside its other joints"
+        rows.append(f"| arm-{arm:02d} {joints[j]} worn | x {WORN:g} | {words} | {told['more'][j]:.0%} |")
+    tool = row_of(both, truth.tool)["own"]["tool"]
+    kg = float(maker.random(truth.tool, 500).uniform(0.5, 1.0))
+    found = f"{tool['value'][0]:+.2f} ± {tool['error'][0]:.2f} kg"
+    rows.append(f"| arm-{truth.tool:02d} tool | +{kg:.2f} kg | {found} | {tool['more'][0]:.0%} |")
+    arm, j = truth.constant
+    told = row_of(both, arm)["own"]["constant"]
+    value = told["value"][j]
+    found = "nothing tells" if value is None else f"x {np.exp(value):.2f} ± {told['error'][j]:.2f}"
+    sure = "-" if value is None else f"{told['more'][j]:.0%}"
+    return [*rows, f"| arm-{arm:02d} {joints[j]} constant | x {CONSTANT:g} | {found} | {sure} |"]
+
+
+def is_right(one: dict, truth: Truth, joints: Sequence[str]) -> bool:
+    """Whether this was done to that arm."""
+    arm = int(one["arm"].rpartition("-")[2])
+    if one["what"] == "tool":
+        return arm == truth.tool
+    if one["what"] == "constant":
+        return (arm, joints.index(one["joint"])) == truth.constant
+    return one["kind"] == "wearing" and truth.worn.get(arm) == joints.index(one["joint"])
+
+
+def days_table(maker: Maker, truth: Truth, both: dict, joints: Sequence[str]) -> list[str]:
+    """The measured changes with other days laid over them, and wear at other arms."""
+    changed = (truth.tool, truth.constant[0])
+    arms = [k for k in range(len(both["arms"])) if k not in changed and row_of(both, k)["own"] is not None]
+    rows = [row_of(both, k)["own"]["friction"] for k in arms]
+    x, s = (np.array([row[key] for row in rows], dtype=float) for key in ("value", "error"))
+    for a, k in enumerate(arms):
+        x[a] -= np.log(day_factors(maker, k, 1) / day_factors(maker, k, 0))
+        if k in truth.worn:
+            x[a, truth.worn[k]] -= np.log(WORN)
+    lines = [
+        "## Other days, other arms that wear",
+        "",
+        *paragraph(
+            "The changes that were measured between the dates (true to 1 %), without what was done to the arms and "
+            "what the days did, which the simulation knows; over them other days (normal, in the logarithm, at "
+            f"both dates) and x {WORN:g} at one joint of {len(truth.worn)} other arms; {DRAWS} draws each."
+        ),
+        "",
+        "| a day moves arms, joints by | learned, joint | named | falsely | draws with all, at most 1 false |",
+        "|---|---|---|---|---|",
+    ]
+    for of_arm, of_joint in DAYS:
+        named = false = good = 0
+        spread = []
+        for draw in range(DRAWS):
+            rng = np.random.default_rng([draw, 21])
+            worn = np.zeros(x.shape, dtype=bool)
+            for arm in rng.permutation(len(x))[: len(truth.worn)]:
+                worn[arm, rng.integers(len(joints))] = True
+            day = np.sqrt(2) * (rng.normal(0, 1, (len(x), 1)) * of_arm + rng.normal(0, 1, x.shape) * of_joint)
+            odds = learn_odds(x + day + worn * np.log(WORN), s, OWN_FRICTION)
+            hit, miss = int((odds.more[worn] >= NAMED).sum()), int(((odds.more >= NAMED) & ~worn).sum())
+            miss += int((odds.less >= NAMED).sum())
+            named, false, good = named + hit, false + miss, good + (hit == len(truth.worn) and miss <= 1)
+            spread.append(odds.joint_spread)
+        total = DRAWS * len(truth.worn)
+        days = "warming up alone" if of_joint == 0 else f"{of_arm:.0%}, {of_joint:.0%}, and warming up"
+        lines.append(f"| {days} | {np.mean(spread):.1%} | {named} of {total} | {false} | {good} of {DRAWS} |")
+    return lines
+
+
+def alone_table(truth: Truth, alone: dict) -> list[str]:
+    """The last date by itself."""
+    arms = [k for k in range(len(alone["arms"])) if row_of(alone, k)["fleet"] is not None]
+    rows = [row_of(alone, k)["fleet"]["friction"] for k in arms]
+    x, s = (np.array([row[key] for row in rows], dtype=float) for key in ("value", "error"))
+    table = alone["groups"][0]["tables"]["fleet friction"]
+    told = [row_of(alone, arm)["fleet"]["friction"]["more"][j] for arm, j in sorted(truth.worn.items())]
+    named = [one for one in alone["named"] if one["what"] == "friction"]
+    lines = [
+        "",
+        "## Beside the fleet alone",
+        "",
+        *paragraph(
+            f"The second date by itself: healthy arms differ by {table['joint_spread']:.0%} in a joint's friction. The "
+            f"{len(told)} worn joints have probabilities of {', '.join(f'{p:.1%}' for p in told)}; {len(named)} joints "
+            f"are named in all. Worn joints of other factors, one in each of {len(told)} other arms, {DRAWS} draws:"
+        ),
+        "",
+        "| worn by | named | median probability | named falsely |",
+        "|---|---|---|---|",
+    ]
+    for arm, j in truth.worn.items():
+        x[arms.index(arm), j] -= np.log(WORN)
+    for factor in FACTORS:
+        hits = false = 0
+        sure: list[float] = []
+        for draw in range(DRAWS):
+            rng = np.random.default_rng([draw, 22])
+            worn = np.zeros(x.shape, dtype=bool)
+            for arm in rng.permutation(len(x))[: len(told)]:
+                worn[arm, rng.integers(x.shape[1])] = True
+            odds = learn_odds(x + worn * np.log(factor), s, FLEET_FRICTION)
+            hits += int((odds.more[worn] >= NAMED).sum())
+            false += int(((odds.more >= NAMED) & ~worn).sum() + (odds.less >= NAMED).sum())
+            sure += odds.more[worn].tolist()
+        lines.append(f"| x {factor:g} | {hits} of {len(sure)} | {np.median(sure):.1%} | {false} |")
+    kinds = {"tool": "Tools", "constant": "Constants"}
+    for what, name in kinds.items():
+        told_of = alone["groups"][0]["tables"].get(f"fleet {what}")
+        if told_of is None:
+            continue
+        found = [one for one in alone["named"] if one["what"] == what]
+        spread, from_x = told_of["joint_spread"], told_of["named_from"]
+        unit = f"{spread:.2f} kg" if what == "tool" else f"{spread:.1%}"
+        least = "no" if from_x is None else f"{from_x:.1f} kg more" if what == "tool" else f"x {np.exp(from_x):.2f}"
+        lines += ["", f"{name}: healthy arms differ by {unit}, {least} would be named; {len(found)} are named."]
+    return lines
+
+
+if __name__ == "__main__":
+    main()

@@ -53,9 +53,15 @@ def main() -> None:
     parser.add_argument("--arms", type=int, default=40, help="of the fleet, default: %(default)s")
     parser.add_argument("--worn", type=int, default=4, help="arms that wear, default: %(default)s")
     parser.add_argument("--workers", type=int, default=2, help="processes, default: %(default)s")
+    parser.add_argument(
+        "--day-arm", type=float, default=DAY_ARM, help="spread of friction by the day, default: %(default)s"
+    )
+    parser.add_argument(
+        "--day-joint", type=float, default=DAY_JOINT, help="and of each joint by itself, default: %(default)s"
+    )
     options = parser.parse_args()
     maker = replace(makers(options.models)[options.type], type_seed=options.type_seed)
-    truth = draw_truth(maker, options.arms, options.worn)
+    truth = draw_truth(maker, options.arms, options.worn, options.day_arm, options.day_joint)
     root = options.out / f"{options.type}-{options.type_seed}-{options.arms}"
     fleets = make_fleets(maker, truth, root, options.arms, options.workers)
     command("fleet", "report", *fleets, "--out", root / "page", "--no-arm-pages")
@@ -87,7 +93,7 @@ def make_fleets(maker: Maker, truth: Truth, root: Path, arms: int, workers: int)
 def markdown(maker: Maker, truth: Truth, both: dict, alone: dict, options: argparse.Namespace) -> list[str]:
     """The tables, and what they are of."""
     joints = both["groups"][0]["joints"]
-    usual = {"type_seed": 2, "arms": 40, "worn": 4}
+    usual = {"type_seed": 2, "arms": 40, "worn": 4, "day_arm": DAY_ARM, "day_joint": DAY_JOINT}
     said = [f" --{n.replace('_', '-')} {getattr(options, n)}" for n in usual if getattr(options, n) != usual[n]]
     lines = [
         "# Which arm is wearing",
@@ -99,8 +105,8 @@ def markdown(maker: Maker, truth: Truth, both: dict, alone: dict, options: argpa
             "recipe prior, `tauext fleet run` at each date and `tauext fleet report` of both. Friction of each joint "
             "is 0.7 to 1.3 of the type's, tools weigh 0.5 to 1.5 kg, torque constants are within 8 % of the data "
             "sheet's. At each date an arm has been at work for up to half an hour, so gears are cold or warm (10 to "
-            f"15 % of friction), and the day moves friction by {DAY_ARM:.0%} in all joints of an arm and by "
-            f"{DAY_JOINT:.0%} in each by itself besides. Between the dates one joint of {options.worn} arms gets "
+            f"15 % of friction), and the day moves friction by {truth.day_arm:.0%} in all joints of an arm and by "
+            f"{truth.day_joint:.0%} in each by itself besides. Between the dates one joint of {options.worn} arms gets "
             f"x {WORN:g} of its friction, one arm a tool 0.5 to 1 kg heavier, and one joint of one arm a torque "
             f"constant of x {CONSTANT:g}. A joint or arm is named if the probability is {NAMED:.0%} or more."
         ),
@@ -175,7 +181,7 @@ def days_table(maker: Maker, truth: Truth, both: dict, joints: Sequence[str]) ->
     rows = [row_of(both, k)["own"]["friction"] for k in arms]
     x, s = (np.array([row[key] for row in rows], dtype=float) for key in ("value", "error"))
     for a, k in enumerate(arms):
-        x[a] -= np.log(day_factors(maker, k, 1) / day_factors(maker, k, 0))
+        x[a] -= np.log(day_factors(maker, k, 1, truth) / day_factors(maker, k, 0, truth))
         if k in truth.worn:
             x[a, truth.worn[k]] -= np.log(WORN)
     lines = [

@@ -35,10 +35,13 @@ class Truth:
     tool: int = -1
     constant: tuple[int, int] = (-1, -1)
     """Arm and joint."""
+    day_arm: float = DAY_ARM
+    day_joint: float = DAY_JOINT
+    """What the days do to friction beside warming up."""
 
 
-def draw_truth(maker: Maker, arms: int, worn: int) -> Truth:
-    """Which arms and joints."""
+def draw_truth(maker: Maker, arms: int, worn: int, day_arm: float = DAY_ARM, day_joint: float = DAY_JOINT) -> Truth:
+    """Which arms and joints, under such days."""
     rng = np.random.default_rng([maker.type_seed or 0, arms, 11])
     chosen = rng.permutation(arms)[: worn + 2]
     joints = rng.integers(0, len(maker.joints), worn + 1)
@@ -46,6 +49,8 @@ def draw_truth(maker: Maker, arms: int, worn: int) -> Truth:
         {int(a): int(j) for a, j in zip(chosen[:worn], joints, strict=False)},
         int(chosen[worn]),
         (int(chosen[worn + 1]), int(joints[worn])),
+        day_arm,
+        day_joint,
     )
 
 
@@ -64,16 +69,16 @@ def takes_of(maker: Maker, seed: int) -> list[tuple[Take, ...]]:
     return found
 
 
-def day_factors(maker: Maker, seed: int, date: int) -> np.ndarray:
+def day_factors(maker: Maker, seed: int, date: int, truth: Truth) -> np.ndarray:
     """By which the day moves friction of each joint, beside warming up."""
     rng = maker.random(seed, 400 + date)
-    return np.exp(rng.normal(0, DAY_ARM) + rng.normal(0, DAY_JOINT, len(maker.joints)))
+    return np.exp(rng.normal(0, truth.day_arm) + rng.normal(0, truth.day_joint, len(maker.joints)))
 
 
 def arm_at(maker: Maker, seed: int, date: int, truth: Truth) -> TrueArm:
     """The arm as it is at that date."""
     arm = arm_of(maker, seed)
-    factor = day_factors(maker, seed, date)
+    factor = day_factors(maker, seed, date, truth)
     if date > 0 and seed in truth.worn:
         factor[truth.worn[seed]] *= WORN
     arm = replace(

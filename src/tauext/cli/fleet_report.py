@@ -10,6 +10,7 @@ import tyro
 
 from tauext.cli.place_argument import PlaceArg
 from tauext.config import require
+from tauext.errors import ConfigError
 from tauext.store import local_folder, place_of, staged
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ def report(
         as_json: print the content of fleet-report.json.
     """
     require(0 <= arm_page_mb <= 1000, "arm_page_mb", arm_page_mb, "0 to 1000")
+    if not fleets:
+        raise ConfigError("there is no fleet to report: give one folder or more that `tauext fleet run` made")
     from tauext.cli.reporter import Terminal
     from tauext.fleet_report import make_fleet_report
     from tauext.report import write_fleet_page

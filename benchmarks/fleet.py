@@ -73,9 +73,11 @@ def run(fleet: Path, out: Path, *more: str) -> tuple[float, float]:
 
 
 def written(out: Path) -> dict[str, bytes]:
-    """All outputs but wall times."""
-    files = [path for path in (out / "arms").rglob("*") if path.is_file()]
-    return {str(p.relative_to(out)): p.read_bytes() for p in files if not p.name.endswith("wall_time_s.json")}
+    """All outputs but wall times; reasons name the folder, which is another one in each run."""
+    files = [
+        path for path in (out / "arms").rglob("*") if path.is_file() and not path.name.endswith("wall_time_s.json")
+    ]
+    return {str(p.relative_to(out)): p.read_bytes().replace(str(out).encode(), b"OUT") for p in files}
 
 
 def main() -> None:

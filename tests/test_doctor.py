@@ -147,6 +147,19 @@ def test_torque_in_a_thousand_times_its_unit_is_named_against_a_model(six):
     assert {f.code for f in findings if f.severity == "fault"} == {"effort-scale"}
 
 
+@pytest.mark.parametrize(("beat", "stuck"), [(0.9, False), (0.5, True)])
+def test_a_slow_cruise_whose_velocity_beats_with_the_samples_is_not_stuck(six, beat, stuck):
+    """Counts of the encoder in step with the samples: each says the same velocity, and it is some per cent off."""
+    arm = six.made.recordings[0]
+    cruise = slice(1000, 1000 + round(1.5 * arm.rate_hz))
+    q, dq = arm.q.copy(), arm.dq.copy()
+    since_s = arm.time_s[cruise] - arm.time_s[cruise.start]
+    q[cruise, 1] = q[cruise.start, 1] + 0.024 * since_s
+    dq[cruise, 1] = beat * 0.024
+    found = [f for f in examine([replace(arm, q=q, dq=dq)]).findings if f.code == "stuck" and "dq stays" in f.evidence]
+    assert bool(found) == stuck
+
+
 def test_coarse_current_that_rests_on_a_level_is_not_stuck():
     """A slow joint of a current in steps of a tenth of its spread keeps each level for a while."""
     t = np.arange(6000) / 100.0

@@ -20,6 +20,9 @@ STUCK_TIMES = 10.0
 """... and so many times longer than 99 of 100 equal runs: a current or speed of few levels keeps each for a while."""
 CRUISE = 0.05
 """Share of the way by which a position may leave the line of a velocity that is constant in truth."""
+STRAIGHT, BEAT = 0.005, 0.2
+"""Where it keeps to a line of its own so well, by what share such a velocity may be off: a drive reads it off counts
+of its encoder, and the ripple of that stands still in every sample where counts come in step with the samples."""
 CLEAN = 1e-3
 """Noise as a share of the torque's spread. Motor currents and torque sensors have 0.01 to 0.2, none a thousandth."""
 CLEAN_RATE_HZ = 60.0
@@ -116,10 +119,14 @@ def _stuck(recordings: Sequence[Recording], j: int, joint: str) -> Finding | Non
 
 
 def _cruises(r: Recording, j: int, first: int, last: int, within_rad: float) -> bool:
-    """Whether the position goes all the while by what the constant velocity of these rows says: no fault."""
+    """Whether the position goes all the while at one speed, about the one that these rows say: no fault."""
     since_s = (r.t_ns[first : last + 1] - r.t_ns[first]) * 1e-9
     gone = r.q[first : last + 1, j] - r.q[first, j]
-    return bool(np.abs(gone - r.dq[first, j] * since_s).max() < within_rad)
+    if np.abs(gone - r.dq[first, j] * since_s).max() < within_rad:
+        return True
+    speed, start = np.polyfit(since_s, gone, 1)
+    straight = np.abs(gone - start - speed * since_s).max() < STRAIGHT * abs(gone[-1])
+    return bool(straight and abs(r.dq[first, j] - speed) < BEAT * abs(speed))
 
 
 def _least_step(x: np.ndarray) -> float:

@@ -420,6 +420,30 @@ void bind_monitor(nb::module_& m) {
       .def_prop_ro("weighing", &Monitor::weighing, "Whether it runs.")
       .def("estimate_load", &Monitor::estimate_load, "What was found so far; `load` of it is for set_load().")
       .def("why_no_weighing", &Monitor::why_no_weighing, "Why start_weighing() would refuse; empty: it would not.")
+      .def(
+          "wrench",
+          [](const Monitor& self, const std::string& frame, WrenchAxes axes) {
+            return self.wrench(frame_of(self.wrench_model(), frame), axes);
+          },
+          nb::arg("frame"), nb::arg("axes") = WrenchAxes::base,
+          "Force and moment that the surroundings exert on the arm at a frame, at the last sample: a joint's link, the\n"
+          "load's frame or one of the robot file's, by name; see wrench_frames.")
+      .def(
+          "force",
+          [](const Monitor& self, const std::string& frame, const std::array<double, 3>& point, WrenchAxes axes) {
+            return self.force(frame_of(self.wrench_model(), frame), point, axes);
+          },
+          nb::arg("frame"), nb::arg("point") = std::array<double, 3>{}, nb::arg("axes") = WrenchAxes::base,
+          "The same of a force alone, that acts at this point of the frame, [m] along its own axes: better known.")
+      .def_prop_ro(
+          "wrench_frames",
+          [](const Monitor& self) {
+            std::vector<std::string> names;
+            for (int k = 0; k < self.wrench_model().frames(); ++k) names.push_back(self.wrench_model().frame(k).name);
+            return names;
+          },
+          "Names of frames that wrench() takes.")
+      .def("why_no_wrench", &Monitor::why_no_wrench, "Why wrench() would refuse; empty: it would not.")
       .def("reset", &Monitor::reset, "As newly made.")
       .def("reserve_refit", &Monitor::reserve_refit, nb::arg("seconds") = 60.0,
            "Memory for so much motion, before the loop begins; what was kept is lost.")

@@ -23,6 +23,7 @@ constexpr std::uint32_t kConstantsMajor = 5;  // from here on torque constants a
 constexpr std::uint32_t kPossibleMajor = 7;   // from here on what is possible are fields, before it is assumed
 constexpr std::uint32_t kTodayMajor = 8;      // from here on what may be carried is stated, before it is assumed; and how
                                               // friction may be another one than in training, before it may not
+constexpr std::uint32_t kWrenchMajor = 9;     // from here on frames and what errors have in common; before, as the defaults say
 constexpr const char* kOldConstants = "\"torque_constants\": {";
 
 class Writer {
@@ -92,6 +93,13 @@ void field(File& file, Link& link) {
   field(file, link.com);
   field(file, link.inertia);
   field(file, link.rotor_inertia);
+}
+template <class File>
+void field(File& file, WrenchFrame& frame) {
+  field(file, frame.name);
+  field(file, frame.link);
+  field(file, frame.rotation);
+  field(file, frame.translation);
 }
 template <class File>
 void field(File& file, Term& term) {
@@ -198,6 +206,14 @@ void fields(File& file, Bundle& b) {
     field(file, b.prior.temperature.reach_k);
     field(file, b.prior.temperature.coulomb_per_10k);
     field(file, b.prior.temperature.viscous_per_10k);
+  }
+  if (file.major >= kWrenchMajor) {
+    field(file, b.wrench.frames);
+    field(file, b.wrench.correlation);
+    field(file, b.wrench.torque_share);
+    field(file, b.wrench.common_share);
+    field(file, b.wrench.radius);
+    field(file, b.wrench.residual_radius);
   }
   field(file, b.reference.t_ns);
   field(file, b.reference.q);

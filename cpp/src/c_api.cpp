@@ -37,6 +37,8 @@ static_assert(TAUEXT_LOAD_SHOWS == static_cast<int>(tauext::LoadVerdict::load));
 static_assert(TAUEXT_CONTACT_FITS_BETTER == static_cast<int>(tauext::LoadVerdict::contact));
 static_assert(TAUEXT_PULLS_UP == static_cast<int>(tauext::LoadVerdict::lifts));
 static_assert(TAUEXT_LOAD_UNCLEAR == static_cast<int>(tauext::LoadVerdict::unclear));
+static_assert(TAUEXT_BASE_AXES == static_cast<int>(tauext::WrenchAxes::base));
+static_assert(TAUEXT_FRAME_AXES == static_cast<int>(tauext::WrenchAxes::frame));
 static_assert(TAUEXT_WARMING_UP == static_cast<int>(Health::warming_up));
 static_assert(TAUEXT_HEALTHY == static_cast<int>(Health::ok));
 static_assert(TAUEXT_STALE == static_cast<int>(Health::stale));
@@ -121,6 +123,30 @@ tauext_load in_c(const tauext::Load& from) noexcept {
 
 // As kLeastSize: what says whether the rest can be believed.
 constexpr std::size_t kLeastFound = offsetof(tauext_load_found, load);
+
+constexpr std::size_t kLeastWrench = offsetof(tauext_wrench, force);
+
+bool sound(const tauext_monitor* monitor, std::int32_t frame, tauext_axes axes, const tauext_wrench* wrench) noexcept {
+  return monitor && wrench && wrench->size >= kLeastWrench && frame >= 0 && frame < monitor->monitor.wrench_model().frames() &&
+         (axes == TAUEXT_BASE_AXES || axes == TAUEXT_FRAME_AXES);
+}
+
+tauext_status put(const tauext::Wrench& from, tauext_wrench* wrench) noexcept {
+  tauext_wrench to{};
+  to.size = wrench->size;
+  to.known = from.known;
+  to.unknowns = from.unknowns;
+  std::ranges::copy(from.force, to.force);
+  std::ranges::copy(from.moment, to.moment);
+  std::ranges::copy(from.covariance, to.covariance);
+  to.blind_count = from.blind;
+  to.freedom = from.freedom;
+  for (std::size_t k = 0; k < from.blind_directions.size(); ++k) std::ranges::copy(from.blind_directions[k], to.blind + 6 * k);
+  to.chi_square = from.chi_square;
+  to.consistent = from.consistent;
+  std::memcpy(wrench, &to, std::min(wrench->size, sizeof to));
+  return TAUEXT_OK;
+}
 
 void say(const char* text, char* message, std::size_t message_size) noexcept {
   if (!message || message_size == 0) return;
@@ -311,6 +337,25 @@ tauext_status tauext_monitor_estimate_load(const tauext_monitor* monitor, tauext
   for (std::size_t k = 0; k < from.unseen.size(); ++k) std::ranges::copy(from.unseen[k], to.unseen + 3 * k);
   std::memcpy(found, &to, std::min(found->size, sizeof to));
   return TAUEXT_OK;
+}
+
+int32_t tauext_monitor_find_frame(const tauext_monitor* monitor, const char* name) {
+  return monitor && name ? monitor->monitor.wrench_model().find(name) : -1;
+}
+
+const char* tauext_monitor_why_no_wrench(const tauext_monitor* monitor) {
+  return monitor ? monitor->monitor.wrench_model().refused().c_str() : "";
+}
+
+tauext_status tauext_monitor_wrench(const tauext_monitor* monitor, int32_t frame, tauext_axes axes, tauext_wrench* wrench) {
+  if (!sound(monitor, frame, axes, wrench)) return TAUEXT_BAD_ARGUMENT;
+  return put(monitor->monitor.wrench(frame, static_cast<tauext::WrenchAxes>(axes)), wrench);
+}
+
+tauext_status tauext_monitor_force(const tauext_monitor* monitor, int32_t frame, const double* point, tauext_axes axes,
+                                   tauext_wrench* wrench) {
+  if (!point || !sound(monitor, frame, axes, wrench)) return TAUEXT_BAD_ARGUMENT;
+  return put(monitor->monitor.force(frame, {point[0], point[1], point[2]}, static_cast<tauext::WrenchAxes>(axes)), wrench);
 }
 
 tauext_status tauext_monitor_expect_load(tauext_monitor* monitor, double seconds, double at_most_kg) {

@@ -28,28 +28,6 @@ std::uint32_t fingerprint(const Bundle& bundle, NetworkRate rate) {
   return crc32(std::span(&how, 1), crc32(bytes));
 }
 
-// Of a joint that slides at this speed: its presliding states are 1.
-double friction_nm(const PriorSettings& prior, std::size_t joint, double speed) {
-  double sum = 0;
-  for (std::size_t m = 0; m < prior.terms.size(); ++m) {
-    const Term& term = prior.terms[m];
-    if (static_cast<std::size_t>(term.a) != joint) continue;
-    const double weight = prior.weights[joint * prior.terms.size() + m];
-    if (term.kind == TermKind::coulomb) sum += weight * std::tanh(speed / term.speed);
-    if (term.kind == TermKind::presliding) sum += weight;
-    if (term.kind == TermKind::viscous) sum += weight * speed;
-  }
-  return std::fabs(sum);
-}
-
-// Through the friction at a slow and at a usual speed.
-FrictionLine friction_line(const PriorSettings& prior, std::size_t joint) {
-  constexpr double slow = 0.15, usual = 0.5;  // [rad/s]: where Coulomb terms have levelled off
-  const double at_slow = friction_nm(prior, joint, slow), at_usual = friction_nm(prior, joint, usual);
-  const double slope = std::max((at_usual - at_slow) / (usual - slow), 0.0);
-  return {std::max(at_usual - slope * usual, 0.0), slope};
-}
-
 }  // namespace
 
 Monitor::Monitor(const Bundle& bundle, NetworkRate rate)
@@ -57,7 +35,9 @@ Monitor::Monitor(const Bundle& bundle, NetworkRate rate)
       load_settings_(bundle.load),
       fingerprint_(fingerprint(bundle, rate)),
       observe_(bundle, rate == NetworkRate::every_sample ? 1 : bundle.observer.network_stride),
-      judge_(bundle) {
+      judge_(bundle),
+      wrench_(bundle) {
+  forget_q();
   for (int j = 0; j < bundle.joints(); ++j) {
     friction_.push_back(friction_line(bundle.prior, static_cast<std::size_t>(j)));
     joint_names_.push_back(bundle.links[static_cast<std::size_t>(j)].joint_name);
@@ -77,6 +57,7 @@ Monitor::Monitor(const Bundle& bundle, NetworkRate rate)
 }
 
 void Monitor::reset() noexcept {
+  forget_q();
   observe_.reset();
   if (network_) network_->restart();
   judge_.reset();
@@ -154,7 +135,10 @@ const Estimate& Monitor::estimate(const Sample& sample) noexcept {
   advance();
   const Observed& observed = observe_.step(sample);
   if (network_ && observed.passage == Passage::entered) predict(observed);
-  if (observed.passage == Passage::entered) refit_motion_.push(sample);
+  if (observed.passage == Passage::entered) {
+    refit_motion_.push(sample);
+    std::copy(sample.q.begin(), sample.q.end(), q_.begin());
+  }
   const Estimate& answer = judge_.step(observed, sample, network_out_, expected_ ? &*expected_ : nullptr);
   if (weighing()) weighing_->look(sample, observed, answer);
   return answer;
@@ -267,6 +251,7 @@ bool Monitor::restore_state(std::span<const std::byte> state) noexcept {
   if (network_) network_->restore(left);
   finish_refit();
   end_weighing();
+  forget_q();
   return true;
 }
 

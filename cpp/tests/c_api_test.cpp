@@ -307,6 +307,48 @@ void what_is_weighed_in_c_is_that_of_cpp() {
   tauext_monitor_close(m);
 }
 
+void a_wrench_in_c_is_that_of_cpp() {
+  tauext::Bundle bundle = made::bundle(3, 0, 30, 10, 1);
+  bundle.error_scale.features = {tauext::MotionFeature::constant};
+  bundle.error_scale.limit_weights = bundle.error_scale.sigma_weights = bundle.error_scale.sigma_near_weights =
+      bundle.error_scale.largest = bundle.error_scale.largest_sigma = std::vector<double>(3, 1.0);
+  const std::vector<char> bytes = tauext::to_bytes(bundle);
+  tauext_monitor* c = nullptr;
+  CHECK(tauext_monitor_open_bytes(bytes.data(), bytes.size(), TAUEXT_EVERY_SAMPLE, &c, nullptr, 0) == TAUEXT_OK);
+  tauext::Monitor cpp(bundle);
+  tauext_wrench told{};
+  told.size = sizeof told;
+  CHECK(tauext_monitor_wrench(c, 2, TAUEXT_BASE_AXES, &told) == TAUEXT_OK && !told.known && std::isnan(told.force[0]));
+  for (int k = 0; k < 1000; ++k) {
+    double q[3], dq[3], tau[3];
+    made::signal(k, 3, q, dq, tau);
+    cpp.step({k * made::kPeriodNs, q, dq, tau});
+    tauext_estimate e{};
+    e.size = sizeof e;
+    tauext_monitor_step(c, k * made::kPeriodNs, q, dq, tau, &e);
+  }
+  CHECK(tauext_monitor_find_frame(c, "joint3") == 2 && tauext_monitor_find_frame(c, "none") == -1);
+  CHECK(!*tauext_monitor_why_no_wrench(c));
+  const double point[] = {0.01, 0.02, 0.1};
+  for (int alone = 0; alone < 2; ++alone) {
+    const tauext::Wrench w = alone ? cpp.force(2, {0.01, 0.02, 0.1}, tauext::WrenchAxes::frame) : cpp.wrench(2);
+    CHECK((alone ? tauext_monitor_force(c, 2, point, TAUEXT_FRAME_AXES, &told)
+                 : tauext_monitor_wrench(c, 2, TAUEXT_BASE_AXES, &told)) == TAUEXT_OK);
+    CHECK(w.known && told.known && told.unknowns == w.unknowns && told.blind_count == w.blind && told.freedom == w.freedom);
+    CHECK(std::memcmp(told.force, w.force.data(), sizeof told.force) == 0);
+    CHECK(std::memcmp(told.moment, w.moment.data(), sizeof told.moment) == 0);
+    CHECK(std::memcmp(told.covariance, w.covariance.data(), sizeof told.covariance) == 0);
+    CHECK(std::memcmp(told.blind, w.blind_directions.data(), sizeof told.blind) == 0);
+    CHECK(told.consistent == w.consistent && told.chi_square == w.chi_square);
+  }
+  CHECK(tauext_monitor_wrench(c, 99, TAUEXT_BASE_AXES, &told) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_wrench(c, -1, TAUEXT_BASE_AXES, &told) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_wrench(c, 2, static_cast<tauext_axes>(2), &told) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_force(c, 2, nullptr, TAUEXT_BASE_AXES, &told) == TAUEXT_BAD_ARGUMENT);
+  CHECK(tauext_monitor_wrench(nullptr, 2, TAUEXT_BASE_AXES, &told) == TAUEXT_BAD_ARGUMENT);
+  tauext_monitor_close(c);
+}
+
 void a_refit_in_c_is_that_of_cpp() {
   const auto folder = std::filesystem::temp_directory_path();
   const std::string old_path = (folder / "tauext_c_refit_old.tauext").string(), new_path = (folder / "tauext_c_refit_new.tauext").string();
@@ -412,6 +454,7 @@ int main() {
   no_more_is_written_than_the_caller_has_room_for();
   null_pointers_are_bad_arguments();
   what_is_weighed_in_c_is_that_of_cpp();
+  a_wrench_in_c_is_that_of_cpp();
   a_refit_in_c_is_that_of_cpp();
   what_cannot_be_opened_says_why();
   every_code_has_a_name();

@@ -91,6 +91,7 @@ struct Everything {
   Monitor every, own, plain, velocity;
   FlightRecorder recorder;
   double weighed = 0;
+  int touched = 0;
   std::vector<std::byte> state;
 
   explicit Everything(int joints)
@@ -138,6 +139,8 @@ struct Everything {
       if (k % 1900 == 0) every.save_state(state), every.restore_state(state);
       if (k % 2100 == 0) CHECK(every.start_refit());
       if (k % 2200 == 0) CHECK(every.start_weighing() && own.start_weighing(0.4) && !velocity.start_weighing());
+      if (k % 3 == 0)
+        touched += every.wrench(joints - 1).covariance[0] + every.force(0, {0, 0, 0.1}, WrenchAxes::frame).consistent > 0;
       if (k % 450 == 0) weighed += every.estimate_load().misfit + own.estimate_load().misfit;
       if (k % 3700 == 3699) own.stop_weighing();
       if (k % 3600 == 0) every.finish_refit();
@@ -158,7 +161,7 @@ void nothing_is_allocated() {
     allocations = 0;
     everything.run(6'000);
     CHECK(allocations == 0);
-    CHECK(everything.weighed != 0);
+    CHECK(everything.weighed != 0 && everything.touched > 0);
   }
 }
 

@@ -329,6 +329,10 @@ class TrainConfig:
     torque_constants: tuple[float, ...] | None = None
     """Torque constants that are known, one a joint, N m a unit of the recordings' tau: taken as they are (`tauext load
     --known-kg` finds some). None: --fit-torque-constants decides."""
+    torque_share: float = 0.05
+    """Standard error of the recordings' torques as a share of them, where training finds no constants: no force
+    (Monitor.wrench) is known better. Measured torques and makers' constants are off by 5 to 10 %; less for sensors that
+    were checked with weights."""
     margins: FreeMotionConfig = field(default_factory=FreeMotionConfig)
     """What is left out of recordings that hold contacts."""
     alarm: AlarmConfig = field(default_factory=AlarmConfig)
@@ -366,6 +370,7 @@ class TrainConfig:
             self.learning_rate,
             "above 0, at most 1000",
         )
+        require(0 <= self.torque_share <= 1, "torque_share", self.torque_share, "0 to 1")
         require_threads(self.threads)
         require_seed(self.seed)
 

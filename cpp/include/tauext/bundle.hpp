@@ -16,11 +16,12 @@
 #include "tauext/residual.hpp"
 #include "tauext/signal_watch.hpp"
 #include "tauext/tree.hpp"
+#include "tauext/wrench.hpp"
 
 namespace tauext {
 
 // Formats of bundles.
-inline constexpr std::uint32_t kBundleMajor = 8;        // what is written
+inline constexpr std::uint32_t kBundleMajor = 9;        // what is written
 inline constexpr std::uint32_t kOldestBundleMajor = 3;  // what is still read; fields that it lacks keep their defaults
 
 // A short stretch of free motion and what the chain said at its last sample; replayed at load.
@@ -72,6 +73,7 @@ struct Bundle {
   SignalRanges signals;                 // beyond which a sample is a fault
   TorqueUnits units;                    // of tau and of the answers
   LoadSettings load;                    // where a load is fixed, and what is believed of one
+  WrenchSettings wrench;                // of forces and moments at frames
   Reference reference;                  // replayed at load
 
   int joints() const noexcept { return static_cast<int>(links.size()); }  // how many

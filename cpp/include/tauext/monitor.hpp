@@ -2,6 +2,7 @@
 #pragma once
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <optional>
 #include <span>
 #include <string>
@@ -15,6 +16,7 @@
 #include "tauext/sample.hpp"
 #include "tauext/sliding_lstm.hpp"
 #include "tauext/weighing.hpp"
+#include "tauext/wrench.hpp"
 
 namespace tauext {
 
@@ -119,6 +121,19 @@ class Monitor {
   LoadFound estimate_load() const noexcept { return weighing_ ? weighing_->found() : LoadFound{}; }
   // Empty: it can be weighed. Allocates.
   std::string why_no_weighing() const;
+  // Force and moment that the surroundings exert on the arm at a frame, at the last sample, and how sure that is: see
+  // Wrench. Not known while health is not ok or stale, or after restore_state() until the next sample. Microseconds, and
+  // nothing is changed.
+  Wrench wrench(int frame, WrenchAxes axes = WrenchAxes::base) const noexcept {
+    return wrench_.wrench(frame, q(), tau_ext(), sigma_nm(), axes, last().near_stiction);
+  }
+  // The same of a force alone, that acts at this point of the frame, [m] along its own axes.
+  Wrench force(int frame, const std::array<double, 3>& point, WrenchAxes axes = WrenchAxes::base) const noexcept {
+    return wrench_.force(frame, point, q(), tau_ext(), sigma_nm(), axes, last().near_stiction);
+  }
+  // Frames by name, and why there is no wrench: refused().
+  const WrenchModel& wrench_model() const noexcept { return wrench_; }
+  std::string why_no_wrench() const { return wrench_.refused(); }
   // As newly made.
   void reset() noexcept;
 
@@ -144,6 +159,13 @@ class Monitor {
   bool restore_state(std::span<const std::byte> state) noexcept;
 
  private:
+  std::span<const double> of_joints(const JointVector& values) const noexcept {
+    return std::span(values).first(static_cast<std::size_t>(joints()));
+  }
+  std::span<const double> q() const noexcept { return of_joints(q_); }
+  std::span<const double> tau_ext() const noexcept { return of_joints(last().tau_ext); }
+  std::span<const double> sigma_nm() const noexcept { return of_joints(last().sigma_nm); }
+  void forget_q() noexcept { q_.fill(std::numeric_limits<double>::quiet_NaN()); }
   void predict(const Observed& observed) noexcept;
   void follow_expected() noexcept;
   void put_load(const Load& load, std::int64_t since_ns) noexcept;
@@ -161,6 +183,8 @@ class Monitor {
   RefitMotion refit_motion_;
   std::optional<ExpectedLoad> expected_;  // where loads can be
   std::optional<Weighing> weighing_;  // where it is possible
+  WrenchModel wrench_;
+  JointVector q_;  // of the last sample that went on the chain; no part of the state
 };
 
 }  // namespace tauext

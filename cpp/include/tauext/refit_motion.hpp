@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "tauext/prior.hpp"
 #include "tauext/sample.hpp"
 
 namespace tauext {
@@ -53,5 +54,6 @@ class RefitMotion {
 struct FrictionLine {
   double at_rest_nm = 0, per_speed = 0;
 };
+FrictionLine friction_line(const PriorSettings& prior, std::size_t joint);
 
 }  // namespace tauext

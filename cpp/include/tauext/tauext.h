@@ -144,6 +144,24 @@ typedef struct tauext_load_found {
 
 #define TAUEXT_USUAL_REACH_M 0.3
 
+/* Along whose axes force and moment are told; the moment is about the frame's origin either way. */
+typedef enum tauext_axes { TAUEXT_BASE_AXES = 0, TAUEXT_FRAME_AXES = 1 } tauext_axes;
+
+/* Force and moment that the surroundings exert on the arm, and how sure that is; wrench.hpp says how they are found. */
+typedef struct tauext_wrench {
+  size_t size;            /* set by the caller: sizeof(tauext_wrench); no more is written */
+  int32_t known;          /* 0: the last sample had no torques with a standard error; all else is NaN then */
+  int32_t unknowns;       /* 6: force, then moment; 3: force alone */
+  double force[3];        /* [N] */
+  double moment[3];       /* about the frame's origin, [N m]; of a force alone: what it makes at its point */
+  double covariance[36];  /* its first (unknowns, unknowns), row-major */
+  int32_t blind_count;    /* directions that this pose cannot show: their variance counts as infinite */
+  int32_t freedom;        /* degrees of freedom of chi_square; 0: some wrench here explains whatever the joints show */
+  double blind[36];       /* (blind_count, 6), unit vectors of N and of N m / 0.1 m */
+  double chi_square;      /* of what such a wrench leaves unexplained */
+  double consistent;      /* probability of so much or more where it is a touch at this frame */
+} tauext_wrench;
+
 typedef struct tauext_monitor tauext_monitor; /* made by tauext_monitor_open, freed by tauext_monitor_close */
 
 /* The core is compiled with hidden symbols; these are what a shared library around it shows. */
@@ -229,6 +247,15 @@ tauext_status tauext_monitor_stop_weighing(tauext_monitor* monitor);
 int32_t tauext_monitor_weighing(const tauext_monitor* monitor); /* 1 while it runs */
 /* Takes as long as some fifty samples; allocates nothing. */
 tauext_status tauext_monitor_estimate_load(const tauext_monitor* monitor, tauext_load_found* found);
+/* Number of a frame: a joint's link, the load's frame or one of the robot file's; -1: there is none of that name. */
+int32_t tauext_monitor_find_frame(const tauext_monitor* monitor, const char* name);
+/* "" or why this bundle has no wrench; it stands as long as the monitor. */
+const char* tauext_monitor_why_no_wrench(const tauext_monitor* monitor);
+/* At the last sample, of a frame by its number; microseconds, and nothing is allocated or changed. TAUEXT_BAD_ARGUMENT: no
+ * such frame or axes. `force` is of a force alone that acts at point, 3 numbers along the frame's own axes, [m]. */
+tauext_status tauext_monitor_wrench(const tauext_monitor* monitor, int32_t frame, tauext_axes axes, tauext_wrench* wrench);
+tauext_status tauext_monitor_force(const tauext_monitor* monitor, int32_t frame, const double* point, tauext_axes axes,
+                                   tauext_wrench* wrench);
 /* As newly made. */
 tauext_status tauext_monitor_reset(tauext_monitor* monitor);
 

@@ -14,6 +14,7 @@ from tauext.calibrate.limits import (
 from tauext.calibrate.moments import Moment
 from tauext.calibrate.promise import FalseAlarmBudget, Promise, is_consistent, rate_interval
 from tauext.calibrate.promised_limits import PromisedLimits, apply_promised, promised_limits
+from tauext.calibrate.wrench import fit_wrench
 
 __all__ = [
     "NO_CALIBRATION",
@@ -30,6 +31,7 @@ __all__ = [
     "calibrate_bundle",
     "forget_half_done",
     "fit_error_scale",
+    "fit_wrench",
     "freeze_floor_nm",
     "is_consistent",
     "left_out_errors",

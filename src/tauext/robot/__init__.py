@@ -1,5 +1,6 @@
 """Robot files to kinematic trees: load a URDF or MJCF, perturb the model, leave it out."""
 
+from tauext.robot.frames import wrench_frames
 from tauext.robot.load import load_tree, movable_joints, robot_sha256
 from tauext.robot.load_frame import LoadFrame, load_frame
 from tauext.robot.model_case import chosen_case, estimated_model
@@ -20,6 +21,7 @@ __all__ = [
     "perturbed",
     "robot_sha256",
     "torque_limits",
+    "wrench_frames",
     "write_placeholder",
     "write_robot",
 ]

@@ -17,6 +17,7 @@ from tauext.calibrate import (
     apply_promised,
     calibrate_bundle,
     fit_error_scale,
+    fit_wrench,
     paper_limits,
     promised_limits,
     raise_limits,
@@ -70,6 +71,7 @@ def calibrate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> N
         for one in left_out:
             assert one.bundle is not None
             one.bundle.error_scale = bundle.error_scale
+        job.facts["wrench"] = job.facts.get("wrench", {}) | fit_wrench(bundle, judged, job.threads, config.margins)
     if kind == "promised":
         promised, job.facts["limits"] = calibrate_bundle(
             bundle, job.name, job.calibration, config.alarm, job.threads, config.margins, job.report, job.out

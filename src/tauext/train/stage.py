@@ -25,6 +25,7 @@ from tauext.train.look import look_first
 from tauext.train.network import assemble, fit_network
 from tauext.train.preparation import note_recordings, prepare
 from tauext.train.size import expect_size
+from tauext.train.wrench import put_wrench
 from tauext.train.writing import write
 
 
@@ -136,6 +137,7 @@ def train_on_recordings(
     put_prior(job, bundle, fit)
     put_coverage(job, bundle, setup)
     put_load(job, bundle, robot, with_fit(setup, fit), fit)
+    put_wrench(job, bundle, robot)
     note_recordings(job)
     calibrate(job, bundle, setup, fit)
     write(job, bundle, network)

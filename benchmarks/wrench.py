@@ -1,0 +1,204 @@
+"""How well forces at the flange are told: pushes of 20 N and more on simulated arms, with bundles as users have them.
+
+    python benchmarks/wrench.py MODELS UNSEEN OUT [--arms ur5 panda seven_axis] [--pushes 140] [--seed 0]
+
+MODELS: folder of ur5_robot.urdf and panda.urdf. UNSEEN: what `benchmarks/unseen_arms.py` wrote, whose datasets bundles
+are trained on here: `own`, whose torque constants training found, and `true`, which is told the true ones. OUT gets the
+bundles, wrench.json and README.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import chi2
+from unseen.arms import Maker, makers
+from unseen.contacts import Contact
+from unseen.motions import draw_motion
+from unseen.of_type import arm_of
+from unseen.recordings import DRIVE_VELOCITY_RAD_S, told_constants
+from unseen.simulation import LINK_RADIUS_M, RATE_HZ, Run, _reach, simulate
+
+from tauext import _core
+from tauext.rig.sensors import encoder, low_pass, velocity
+from tauext.robot import load_tree
+
+FORCES_N = (20.0, 45.0)
+"""More takes the drives of the smaller wrists to their limits."""
+SLOT_S, FIRST_S, PUSH_S, LOOK_S = 4.0, 8.0, 1.0, 0.6
+"""A push a slot; looked at so long after it began: five times 1/K0 after it has risen."""
+WARM_S = 660.0
+KDL_FILTER = 0.5
+"""Of a sample, kept from the one before: the default of KDL's ChainExternalWrenchEstimator."""
+STREAM = 700
+HELD, THREE_SIGMA = 0.95, 0.9973
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    for name in ("models", "unseen", "out"):
+        parser.add_argument(name, type=Path)
+    parser.add_argument("--arms", nargs="+", default=["ur5", "panda", "seven_axis"])
+    parser.add_argument("--pushes", type=int, default=140, help="an arm")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    rows: list[dict] = []
+    for name in options.arms:
+        maker = makers(options.models)[name]
+        bundles = {which: trained(maker, options, which) for which in ("own", "true")}
+        rows += judged(maker, bundles, options.pushes, options.seed)
+        (options.out / "wrench.json").write_text(json.dumps(rows, indent=1) + "\n")
+    text = markdown(rows, f"python benchmarks/wrench.py MODELS UNSEEN OUT --pushes {options.pushes}")
+    (options.out / "README.md").write_text(text)
+    print(text)
+
+
+def trained(maker: Maker, options: argparse.Namespace, which: str) -> _core.Bundle:
+    """Of recipe prior, with constants that training found or the true ones; not where it is there."""
+    path = options.out / maker.name / f"{which}.tauext"
+    if not path.exists():
+        words = [sys.executable, "-m", "tauext", "train", "--data", options.unseen / maker.name / "urdf"]
+        words += ["--recipe", "prior", "--out", path]
+        if which == "true":
+            factors = arm_of(maker, options.seed).nm_per_ampere / told(maker, options.seed)
+            words += ["--torque-constants", *(f"{one:.6g}" for one in factors), "--torque-share", "0.005"]
+        subprocess.run([str(word) for word in words], check=True, capture_output=True)
+    return _core.Bundle.load(str(path))
+
+
+def told(maker: Maker, seed: int) -> np.ndarray:
+    """What currents of a recording are multiplied by when it is imported."""
+    constants = told_constants(maker, seed, True)
+    return np.ones(len(maker.joints)) if constants == "unknown" else np.array(constants, dtype=float)
+
+
+def judged(maker: Maker, bundles: dict[str, _core.Bundle], pushes: int, seed: int) -> list[dict]:
+    """One row a push and bundle."""
+    arm, rng = arm_of(maker, seed), maker.random(seed, STREAM)
+    seconds = FIRST_S + pushes * SLOT_S
+    contacts = [pushed(len(maker.joints) - 1, FIRST_S + k * SLOT_S + rng.uniform(0, 2), rng) for k in range(pushes)]
+    setpoints = draw_motion(maker, round(seconds * RATE_HZ), RATE_HZ, rng)
+    known = load_tree(maker.model, maker.joints)
+    run = simulate(arm, known, setpoints, maker.torque_nm, contacts, WARM_S)
+    t_ns, q, dq, tau = logged(maker, arm, run, told(maker, seed), rng)
+    rows = []
+    for which, bundle in bundles.items():
+        said = _core.estimate(bundle, t_ns, q, dq, tau, 1)
+        plain = low_pass_kept(said["residual"])
+        for contact in contacts:
+            at = int(np.searchsorted(t_ns, round((contact.start_s + LOOK_S) * 1e9)))
+            if np.isfinite(said["tau_ext"][at]).all() and np.isfinite(said["sigma_nm"][at]).all():
+                rows.append({"arm": maker.name, "bundle": which} | told_of(bundle, arm, contact, q, said, plain, at))
+    return rows
+
+
+def pushed(link: int, start_s: float, rng: np.random.Generator) -> Contact:
+    """On the last link, anywhere on its length, in any direction."""
+    direction = rng.standard_normal(3)
+    end = start_s + PUSH_S
+    unit = tuple((direction / np.linalg.norm(direction)).tolist())
+    return Contact(
+        "push", start_s, end, link, rng.uniform(0.2, 1.0), unit, float(rng.uniform(*FORCES_N)), (start_s, end)
+    )
+
+
+def logged(maker: Maker, arm, run: Run, constants: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """t_ns, q, dq, tau at the controller's rate, as an import would have them; stamps do not jitter."""
+    q = encoder(run.q, 2**maker.encoder_bits)
+    ampere = low_pass(run.motor_nm / arm.nm_per_ampere, 1 / arm.current_filter_s, 1 / RATE_HZ)
+    ampere += arm.current_noise_a * rng.standard_normal(ampere.shape)
+    ampere = np.round(ampere / arm.current_step_a) * arm.current_step_a
+    keep = slice(0, None, RATE_HZ // maker.rate_hz)
+    t_ns = (np.arange(len(q), dtype=np.int64) * (1_000_000_000 // RATE_HZ))[keep]
+    dq = velocity(q, DRIVE_VELOCITY_RAD_S, 1 / RATE_HZ)
+    return t_ns, *(np.ascontiguousarray(signal[keep]) for signal in (q, dq, ampere * constants))
+
+
+def low_pass_kept(residual: np.ndarray) -> np.ndarray:
+    """KDL's filter of its estimate, every sample."""
+    out, now = np.empty_like(residual), np.zeros(residual.shape[1])
+    for k, row in enumerate(residual):
+        now = KDL_FILTER * now + (1 - KDL_FILTER) * np.nan_to_num(row)
+        out[k] = now
+    return out
+
+
+def told_of(bundle: _core.Bundle, arm, contact: Contact, q, said: dict, plain: np.ndarray, at: int) -> dict:
+    """What is said of one push against the truth."""
+    model, joint = _core.WrenchModel(bundle), bundle.links[contact.link].joint_name
+    point = (_reach(arm.tree, contact) + [LINK_RADIUS_M, 0, 0]).tolist()
+    truth = contact.peak_n * np.array(contact.direction)
+    sample = (q[at : at + 1], *(said[name][at : at + 1] for name in ("tau_ext", "sigma_nm")))
+    near = said["near_stiction"][at : at + 1].astype(np.uint8)
+    turned = model.columns(joint, q[at].tolist(), axes=_core.WrenchAxes.frame)[3:]
+    rotation = model.columns(joint, q[at].tolist())[3:] @ np.linalg.pinv(turned)  # base from frame
+    whole = np.r_[truth, np.cross(rotation @ point, truth)]
+    row: dict = {"force_n": contact.peak_n, "moving": bool(np.abs(np.diff(q[at - 20 : at + 1], axis=0)).max() > 1e-4)}
+    for kind, where, wanted in (("force", point, truth), ("wrench", None, whole)):
+        found = {name: column[0] for name, column in model.wrenches(joint, *sample, where, near_stiction=near).items()}
+        off = np.r_[found["force"], found["moment"]][: len(wanted)] - wanted
+        distance = float(off @ np.linalg.solve(found["covariance"], off))
+        spread = np.sqrt(np.linalg.eigvalsh(found["covariance"][:3, :3]))
+        row[kind] = error_of(found["force"], truth) | {
+            "distance": distance,
+            "held": distance <= chi2.ppf(HELD, len(wanted)),
+            "beyond_3": distance > chi2.ppf(THREE_SIGMA, len(wanted)),
+            "blind": int(found["blind"]),
+            "sigma_n": float(np.exp(np.log(spread).mean())),
+            "consistent": float(found["consistent"]),
+        }
+    jacobian = model.columns(joint, q[at].tolist())
+    row["kdl"] = error_of((np.linalg.pinv(jacobian.T, rcond=1e-5) @ plain[at])[:3], truth)
+    return row
+
+
+def error_of(found: np.ndarray, truth: np.ndarray) -> dict:
+    """Newtons and degrees."""
+    size = np.linalg.norm(found) * np.linalg.norm(truth)
+    angle = float(np.degrees(np.arccos(np.clip(found @ truth / max(size, 1e-9), -1, 1))))
+    return {"off_n": float(np.linalg.norm(found - truth)), "off_deg": angle}
+
+
+def markdown(rows: list[dict], command: str) -> str:
+    """The tables."""
+    text = f"""# Forces at the flange
+
+Written by `{command}`; each push is in [wrench.json](wrench.json).
+
+Simulated arms of the trial on [unseen arms](../unseen-arms/README.md), bundles of recipe prior from their twelve
+minutes. Pushes of {FORCES_N[0]:g} to {FORCES_N[1]:g} N on the last link, anywhere and in any direction, in moves and
+pauses, looked at {LOOK_S:g} s after they began. `own`: torque constants as training found them; `true`: as they are.
+KDL: the formula of its ChainExternalWrenchEstimator, the pseudo-inverse of the plain observer's torque, low-passed.
+Medians; sigma is the geometric mean of the force ellipsoid's half-axes.
+
+| arm | constants | told as | pushes | off, N | off, deg | in 95 % | sigma, N | blind | beyond 3 sigma, not blind |
+|---|---|---|---|---|---|---|---|---|---|
+"""
+    arms = list(dict.fromkeys(row["arm"] for row in rows))
+    for arm in [*arms, None]:
+        for which in ("own", "true"):
+            some = [row for row in rows if row["bundle"] == which and arm in (None, row["arm"])]
+            for kind in ("force", "wrench", "kdl"):
+                text += line(arm or "**all**", which, kind, [row[kind] for row in some])
+    return text
+
+
+def line(arm: str, which: str, kind: str, said: list[dict]) -> str:
+    """Of the table."""
+    off, angle = (np.median([one[name] for one in said]) for name in ("off_n", "off_deg"))
+    name = {"force": "force at the point", "wrench": "wrench", "kdl": "KDL"}[kind]
+    start = f"| {arm} | {which} | {name} | {len(said)} | {off:.1f} | {angle:.1f} "
+    if kind == "kdl":
+        return f"{start}| | | | |\n"
+    held, blind = (np.mean([bool(one[name]) for one in said]) for name in ("held", "blind"))
+    silent = sum(one["beyond_3"] and not one["blind"] for one in said)
+    return f"{start}| {held:.0%} | {np.median([one['sigma_n'] for one in said]):.1f} | {blind:.0%} | {silent} |\n"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,182 @@
+// Forces and moments at frames of the arm.
+#include "tauext/wrench.hpp"
+
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include "arrays.hpp"
+#include "tauext/bundle.hpp"
+
+namespace tauext::bindings {
+namespace {
+
+nb::ndarray<nb::numpy, double> covariance(const Wrench& w) {
+  const auto m = static_cast<std::size_t>(w.unknowns);
+  return to_numpy(std::vector(w.covariance.begin(), w.covariance.begin() + static_cast<std::ptrdiff_t>(m * m)), {m, m});
+}
+
+nb::ndarray<nb::numpy, double> blind(const Wrench& w) {
+  const auto m = static_cast<std::size_t>(w.unknowns), rows = static_cast<std::size_t>(w.blind);
+  std::vector<double> out;
+  for (std::size_t k = 0; k < rows; ++k)
+    out.insert(out.end(), w.blind_directions[k].begin(), w.blind_directions[k].begin() + static_cast<std::ptrdiff_t>(m));
+  return to_numpy(std::move(out), {rows, m});
+}
+
+struct Signals {
+  std::size_t samples, joints;
+  const double *q, *tau_ext, *sigma_nm;
+  std::span<const double> row(const double* of, std::size_t k) const { return {of + k * joints, joints}; }
+};
+
+Signals expect(const WrenchModel& model, const Array<double, 2>& q, const Array<double, 2>& tau_ext,
+               const Array<double, 2>& sigma_nm) {
+  const std::size_t N = q.shape(0), n = static_cast<std::size_t>(model.joints());
+  for (const Array<double, 2>* one : {&q, &tau_ext, &sigma_nm})
+    if (one->shape(0) != N || one->shape(1) != n)
+      throw Error("q, tau_ext and sigma_nm must have the shape (samples, " + std::to_string(n) + ")");
+  return {N, n, q.data(), tau_ext.data(), sigma_nm.data()};
+}
+
+int expect_frame(const WrenchModel& model, const std::string& name) {
+  const int frame = model.find(name);
+  if (frame >= 0) return frame;
+  std::string known;
+  for (int k = 0; k < model.frames(); ++k) known += (k ? ", " : "") + model.frame(k).name;
+  throw Error("frame = '" + name + "' must be one of " + known);
+}
+
+ArrayDict wrenches(const WrenchModel& model, const std::string& name, const Array<double, 2>& q,
+                   const Array<double, 2>& tau_ext, const Array<double, 2>& sigma_nm,
+                   const std::optional<std::array<double, 3>>& point, WrenchAxes axes,
+                   const std::optional<Array<std::uint8_t, 2>>& near_stiction) {
+  if (!model.refused().empty()) throw Error("no wrench: " + model.refused());
+  const int frame = expect_frame(model, name);
+  const Signals s = expect(model, q, tau_ext, sigma_nm);
+  const std::size_t m = point ? 3 : 6;
+  if (near_stiction && (near_stiction->shape(0) != s.samples || near_stiction->shape(1) != s.joints))
+    throw Error("near_stiction must have the shape of q");
+  std::vector<double> force, moment, covariances, chi_square, consistent, directions(s.samples * m * m, 0.0);
+  std::vector<std::int32_t> blind_count, freedom;
+  {
+    nb::gil_scoped_release released;
+    for (std::size_t k = 0; k < s.samples; ++k) {
+      const auto at = [&](const double* of) { return s.row(of, k); };
+      std::uint32_t near = 0;
+      for (std::size_t j = 0; near_stiction && j < s.joints; ++j)
+        if (near_stiction->data()[k * s.joints + j]) near |= 1u << j;
+      const Wrench w = point ? model.force(frame, *point, at(s.q), at(s.tau_ext), at(s.sigma_nm), axes, near)
+                             : model.wrench(frame, at(s.q), at(s.tau_ext), at(s.sigma_nm), axes, near);
+      force.insert(force.end(), w.force.begin(), w.force.end());
+      moment.insert(moment.end(), w.moment.begin(), w.moment.end());
+      covariances.insert(covariances.end(), w.covariance.begin(), w.covariance.begin() + static_cast<std::ptrdiff_t>(m * m));
+      blind_count.push_back(w.blind);
+      for (std::size_t b = 0; b < static_cast<std::size_t>(w.blind); ++b)
+        std::copy_n(w.blind_directions[b].begin(), m, directions.begin() + static_cast<std::ptrdiff_t>((k * m + b) * m));
+      chi_square.push_back(w.chi_square);
+      freedom.push_back(w.freedom);
+      consistent.push_back(w.consistent);
+    }
+  }
+  ArrayDict out;
+  out["force"] = to_numpy(std::move(force), {s.samples, 3});
+  out["moment"] = to_numpy(std::move(moment), {s.samples, 3});
+  out["covariance"] = to_numpy(std::move(covariances), {s.samples, m, m});
+  out["blind"] = to_numpy(std::move(blind_count), {s.samples});
+  out["blind_directions"] = to_numpy(std::move(directions), {s.samples, m, m});
+  out["chi_square"] = to_numpy(std::move(chi_square), {s.samples});
+  out["freedom"] = to_numpy(std::move(freedom), {s.samples});
+  out["consistent"] = to_numpy(std::move(consistent), {s.samples});
+  return out;
+}
+
+}  // namespace
+
+int frame_of(const WrenchModel& model, const std::string& name) {
+  if (!model.refused().empty()) throw Error("no wrench: " + model.refused());
+  return expect_frame(model, name);
+}
+
+void bind_wrench(nb::module_& m) {
+  nb::enum_<WrenchAxes>(m, "WrenchAxes", "Along whose axes force and moment are told.")
+      .value("base", WrenchAxes::base)
+      .value("frame", WrenchAxes::frame);
+  nb::class_<WrenchFrame>(m, "WrenchFrame", "A frame that is fixed to a link, as seen from the link's own; rotation link from frame.")
+      .def(
+          "__init__",
+          [](WrenchFrame* f, std::string name, int link, std::array<double, 9> rotation, std::array<double, 3> translation) {
+            new (f) WrenchFrame{std::move(name), link, rotation, translation};
+          },
+          nb::arg("name"), nb::arg("link"), nb::arg("rotation") = WrenchFrame().rotation,
+          nb::arg("translation") = WrenchFrame().translation)
+      .def_ro("name", &WrenchFrame::name)
+      .def_ro("link", &WrenchFrame::link)
+      .def_ro("rotation", &WrenchFrame::rotation)
+      .def_ro("translation", &WrenchFrame::translation);
+  nb::class_<WrenchSettings>(m, "WrenchSettings", "What is believed of the errors of tau_ext together; see wrench.hpp.")
+      .def(nb::init<>())
+      .def_rw("frames", &WrenchSettings::frames, "That the robot file names.")
+      .def_rw("correlation", &WrenchSettings::correlation, "Of the errors of free motion, (joints, joints); none: independent.")
+      .def_rw("torque_share", &WrenchSettings::torque_share, "Standard error of each torque constant, as a share; none: the usual one.")
+      .def_rw("common_share", &WrenchSettings::common_share, "Of a factor that all joints have in common.")
+      .def_rw("radius", &WrenchSettings::radius, "Factors on variances of free motion: of a wrench, of a force alone.")
+      .def_rw("residual_radius", &WrenchSettings::residual_radius, "Factors on what a wrench, or a force, leaves unexplained.");
+  nb::class_<Wrench>(m, "Wrench", "Force and moment that the surroundings exert on the arm at a frame, and how sure that is.")
+      .def_ro("known", &Wrench::known, "The sample had torques with a standard error; else all is NaN.")
+      .def_ro("unknowns", &Wrench::unknowns, "6: force, then moment; 3: force alone.")
+      .def_ro("force", &Wrench::force, "[N].")
+      .def_ro("moment", &Wrench::moment, "About the frame's origin, [N m]; of a force alone: what it makes at its point.")
+      .def_prop_ro("covariance", &covariance, "(6, 6) of force and moment, or (3, 3) of a force alone.")
+      .def_prop_ro("blind", &blind,
+                   "(count, 6 or 3): directions that this pose cannot show, unit vectors of N and of N m / 0.1 m.")
+      .def_ro("chi_square", &Wrench::chi_square, "Of what such a wrench leaves unexplained in tau_ext.")
+      .def_ro("freedom", &Wrench::freedom, "Its degrees of freedom; 0: some wrench here explains whatever the joints show.")
+      .def_ro("consistent", &Wrench::consistent, "Probability of so much or more where it is a touch at this frame.");
+  nb::class_<WrenchModel>(m, "WrenchModel", "Wrenches at the frames of a bundle's arm.")
+      .def(nb::init<const Bundle&>(), nb::arg("bundle"))
+      .def_prop_ro("refused", &WrenchModel::refused, "Why there is none; empty: there is one.")
+      .def_prop_ro(
+          "frames",
+          [](const WrenchModel& self) {
+            std::vector<WrenchFrame> out;
+            for (int k = 0; k < self.frames(); ++k) out.push_back(self.frame(k));
+            return out;
+          },
+          "The links, by the names of their joints, then the load's frame, then the robot file's.")
+      .def(
+          "columns",
+          [](const WrenchModel& self, const std::string& frame, const std::vector<double>& q,
+             const std::array<double, 3>& point, WrenchAxes axes) {
+            const auto n = static_cast<std::size_t>(self.joints());
+            if (q.size() != n) throw Error("q must hold " + std::to_string(n) + " values");
+            std::vector<double> out(6 * n);
+            self.columns(expect_frame(self, frame), q, point, axes, out);
+            return to_numpy(std::move(out), {6, n});
+          },
+          nb::arg("frame"), nb::arg("q"), nb::arg("point") = std::array<double, 3>{}, nb::arg("axes") = WrenchAxes::base,
+          "Joint torques of a unit of each unknown, (6, joints): the Jacobian of the frame's point, linear rows first.")
+      .def(
+          "covariance",
+          [](const WrenchModel& self, bool force_alone, const std::vector<double>& tau_ext, const std::vector<double>& sigma_nm,
+             std::uint32_t near_stiction) {
+            const auto n = static_cast<std::size_t>(self.joints());
+            if (tau_ext.size() != n || sigma_nm.size() != n)
+              throw Error("tau_ext and sigma_nm must hold " + std::to_string(n) + " values");
+            std::vector<double> out(n * n);
+            self.covariance(force_alone ? WrenchKind::force : WrenchKind::wrench, tau_ext, sigma_nm, near_stiction, out);
+            return to_numpy(std::move(out), {n, n});
+          },
+          nb::arg("force_alone"), nb::arg("tau_ext"), nb::arg("sigma_nm"),
+          nb::arg("near_stiction") = 0, "S of a sample, (joints, joints); near_stiction: a bit a joint.")
+      .def("wrenches", &wrenches, nb::arg("frame"), nb::arg("q"), nb::arg("tau_ext"), nb::arg("sigma_nm"),
+           nb::arg("point").none() = nb::none(), nb::arg("axes") = WrenchAxes::base,
+           nb::arg("near_stiction").none() = nb::none(),
+           "Of many samples: force, moment, covariance, blind (how many), blind_directions, chi_square, freedom, "
+           "consistent. point: where a force alone acts, [m] along the frame's own axes; None: the full wrench.");
+  m.def("chi_square_beyond", &chi_square_beyond, nb::arg("value"), nb::arg("freedom"),
+        "Probability that a chi-square with so many degrees of freedom, 1 or more, is at least this.");
+}
+
+}  // namespace tauext::bindings

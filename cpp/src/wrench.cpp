@@ -1,0 +1,216 @@
+#include "tauext/wrench.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "tauext/bundle.hpp"
+#include "tauext/load_regressor.hpp"
+#include "tauext/refit_motion.hpp"
+#include "vector3.hpp"
+#include "wrench_solve.hpp"
+
+namespace tauext {
+namespace {
+
+constexpr int kMostFrames = 1000;
+
+void expect_share(const char* what, double value) {
+  if (!(value >= 0 && value <= 1)) throw Error("wrench." + std::string(what) + " = " + to_text(value) + " must be 0 to 1");
+}
+
+std::string why_none(const Bundle& bundle) {
+  if (std::ranges::none_of(bundle.links, [](const Link& link) { return link.mass > 0; }))
+    return "the bundle has no model of the arm (case none): nothing tells where its links are";
+  if (!bundle.error_scale.on()) return "the bundle does not say how wrong tau_ext may be (it has no error scale)";
+  for (int j = 0; j < bundle.joints(); ++j)
+    if (const std::string unit = bundle.estimate_unit(j); unit != "N m" && unit != "N")
+      return "joint '" + bundle.links[static_cast<std::size_t>(j)].joint_name + "' answers in " + unit +
+             ", and a force is in newtons";
+  return "";
+}
+
+// The columns of WrenchModel::columns(), on the way from the frame to the base; the base's axes in the frame.
+Turn see(const std::vector<Link>& links, const WrenchFrame& frame, std::span<const double> q,
+         const std::array<double, 3>& point, WrenchAxes axes, std::span<double> into) noexcept {
+  const auto n = links.size();
+  std::fill_n(into.begin(), 6 * n, 0.0);
+  const auto put = [&](std::size_t part, std::size_t j, Vector3 v) noexcept {
+    into[3 * part * n + j] = v.x;
+    into[(3 * part + 1) * n + j] = v.y;
+    into[(3 * part + 2) * n + j] = v.z;
+  };
+  // The link that is being passed, seen from the frame: its axes, its origin.
+  const Turn fixed = turn(frame.rotation);
+  Turn seen{fixed.back({1, 0, 0}), fixed.back({0, 1, 0}), fixed.back({0, 0, 1})};
+  Vector3 origin = -1.0 * fixed.back(vector3(frame.translation));
+  for (int at = frame.link; at >= 0;) {
+    const auto j = static_cast<std::size_t>(at);
+    const Link& link = links[j];
+    const bool revolute = link.type == JointType::revolute;
+    put(0, j, revolute ? cross(seen.z, vector3(point) - origin) : seen.z);
+    if (revolute) put(1, j, seen.z);
+    Turn parent = turn(link.rotation);  // of the link at this q, in its parent
+    Vector3 shift = vector3(link.translation);
+    if (revolute) {
+      const double c = std::cos(q[j]), s = std::sin(q[j]);
+      const Vector3 x = parent.x, y = parent.y;
+      parent.x = c * x + s * y;
+      parent.y = c * y - s * x;
+    } else {
+      shift = shift + q[j] * parent.z;
+    }
+    const auto through = [&](Vector3 v) noexcept { return seen.out(parent.back(v)); };
+    seen = {through({1, 0, 0}), through({0, 1, 0}), through({0, 0, 1})};
+    origin = origin - seen.out(shift);
+    at = link.parent;
+  }
+  if (axes == WrenchAxes::base)
+    for (std::size_t j = 0; j < n; ++j)
+      for (std::size_t part : {0u, 1u})
+        put(part, j, seen.back({into[3 * part * n + j], into[(3 * part + 1) * n + j], into[(3 * part + 2) * n + j]}));
+  return seen;
+}
+
+}  // namespace
+
+void WrenchSettings::validate(int joints) const {
+  const auto n = static_cast<std::size_t>(joints);
+  if (frames.size() > kMostFrames) throw Error("wrench.frames are " + std::to_string(frames.size()) + ", at most 1000");
+  for (const WrenchFrame& one : frames) {
+    if (one.name.empty()) throw Error("a frame for wrenches has no name");
+    try {
+      LoadFrame{one.link, one.rotation, one.translation}.validate(joints);
+    } catch (const Error&) {
+      throw Error("frame '" + one.name + "' for wrenches must be fixed to one of the " + std::to_string(joints) +
+                  " links, by a rotation and within 1000 m");
+    }
+  }
+  if (!correlation.empty()) {
+    if (correlation.size() != n * n)
+      throw Error("wrench.correlation has " + std::to_string(correlation.size()) + " values where " +
+                  std::to_string(n * n) + " belong");
+    for (std::size_t i = 0; i < n; ++i)
+      for (std::size_t j = 0; j < n; ++j) {
+        const double here = correlation[i * n + j];
+        if (!(std::fabs(here) <= 1) || (i == j && here != 1) || here != correlation[j * n + i])
+          throw Error("wrench.correlation must be symmetric, 1 on its diagonal, within -1 to 1 beside it");
+      }
+    std::array<double, kMaxJoints * kMaxJoints> factor;
+    std::ranges::copy(correlation, factor.begin());
+    if (!cholesky(std::span(factor).first(n * n), n)) throw Error("wrench.correlation is not positive definite");
+  }
+  if (!torque_share.empty() && torque_share.size() != n)
+    throw Error("wrench.torque_share has " + std::to_string(torque_share.size()) + " values where " + std::to_string(n) +
+                " belong");
+  for (double share : torque_share) expect_share("torque_share", share);
+  expect_share("common_share", common_share);
+  for (const auto* list : {&radius, &residual_radius})
+    for (double value : *list)
+      if (!(value > 0 && value <= 1e6)) throw Error("wrench.radius = " + to_text(value) + " must be above 0, at most 1e6");
+}
+
+WrenchModel::WrenchModel(const Bundle& bundle)
+    : refused_(why_none(bundle)), links_(bundle.links), settings_(bundle.wrench) {
+  for (std::size_t j = 0; j < links_.size(); ++j) friction_nm_.push_back(friction_line(bundle.prior, j).at_rest_nm);
+  for (std::size_t j = 0; j < links_.size(); ++j)
+    frames_.push_back({links_[j].joint_name, static_cast<std::int32_t>(j), WrenchFrame{}.rotation, {}});
+  if (bundle.load.link >= 0) frames_.push_back({bundle.load.frame, bundle.load.link, bundle.load.rotation, bundle.load.translation});
+  for (const WrenchFrame& one : settings_.frames)
+    if (find(one.name) < 0) frames_.push_back(one);
+}
+
+int WrenchModel::find(std::string_view name) const noexcept {
+  for (std::size_t k = 0; k < frames_.size(); ++k)
+    if (frames_[k].name == name) return static_cast<int>(k);
+  return -1;
+}
+
+void WrenchModel::columns(int frame, std::span<const double> q, const std::array<double, 3>& point, WrenchAxes axes,
+                          std::span<double> into) const noexcept {
+  see(links_, frames_[static_cast<std::size_t>(frame)], q, point, axes, into);
+}
+
+void WrenchModel::covariance(WrenchKind kind, std::span<const double> tau_ext, std::span<const double> sigma_nm,
+                             std::uint32_t near_stiction, std::span<double> into) const noexcept {
+  const auto n = links_.size();
+  const double radius = settings_.radius[static_cast<std::size_t>(kind)];
+  const double common = settings_.common_share * settings_.common_share;
+  const bool together = !settings_.correlation.empty(), shares = !settings_.torque_share.empty();
+  for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t j = 0; j < n; ++j) {
+      const double alike = together ? settings_.correlation[i * n + j] : (i == j ? 1.0 : 0.0);
+      double of_constants = common;
+      if (i == j) {
+        const double own = shares ? settings_.torque_share[i] : WrenchSettings::kUsualTorqueShare;
+        of_constants += own * own;
+      }
+      into[i * n + j] = radius * sigma_nm[i] * sigma_nm[j] * alike + of_constants * tau_ext[i] * tau_ext[j];
+    }
+  for (std::size_t i = 0; i < n; ++i)
+    if (near_stiction >> i & 1) {
+      const double hidden = kStuckShare * std::min(std::fabs(tau_ext[i]), friction_nm_[i]);
+      into[i * n + i] += hidden * hidden;
+    }
+}
+
+Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3>& point, std::span<const double> q,
+                          std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
+                          std::uint32_t near_stiction) const noexcept {
+  constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+  const auto n = links_.size(), unknowns = static_cast<std::size_t>(kind == WrenchKind::wrench ? 6 : 3);
+  Wrench told;
+  told.unknowns = static_cast<int>(unknowns);
+  told.force = told.moment = {nan, nan, nan};
+  told.covariance.fill(nan);
+  told.chi_square = told.consistent = nan;
+  bool sound = refused_.empty() && frame >= 0 && frame < frames();
+  for (std::size_t j = 0; sound && j < n; ++j)
+    sound = std::isfinite(q[j]) && std::isfinite(tau_ext[j]) && sigma_nm[j] > 0 && std::isfinite(sigma_nm[j]);
+  for (double value : point) sound = sound && std::isfinite(value);
+  if (!sound) return told;
+
+  std::array<double, kMaxJoints * kMaxJoints> s;
+  std::array<double, 6 * kMaxJoints> all;
+  covariance(kind, tau_ext, sigma_nm, near_stiction, s);
+  const Turn base = see(links_, frames_[static_cast<std::size_t>(frame)], q, point, axes, all);
+  const WrenchScale scale{WrenchModel::kLargestForce_n, WrenchModel::kLength_m, WrenchModel::kBlindForce_n};
+  if (!solve_wrench(std::span(s).first(n * n), std::span(all).first(unknowns * n), tau_ext.first(n), scale, told)) return told;
+  told.chi_square /= settings_.residual_radius[static_cast<std::size_t>(kind)];
+  told.consistent = told.freedom > 0 ? chi_square_beyond(told.chi_square, told.freedom) : 1.0;
+  if (kind == WrenchKind::force) {
+    Vector3 lever = vector3(point);
+    if (axes == WrenchAxes::base) lever = base.back(lever);
+    const Vector3 moment = cross(lever, vector3(told.force));
+    told.moment = {moment.x, moment.y, moment.z};
+  }
+  told.known = true;
+  return told;
+}
+
+Wrench WrenchModel::wrench(int frame, std::span<const double> q, std::span<const double> tau_ext,
+                           std::span<const double> sigma_nm, WrenchAxes axes,
+                           std::uint32_t near_stiction) const noexcept {
+  return solve(WrenchKind::wrench, frame, {}, q, tau_ext, sigma_nm, axes, near_stiction);
+}
+
+Wrench WrenchModel::force(int frame, const std::array<double, 3>& point, std::span<const double> q,
+                          std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
+                          std::uint32_t near_stiction) const noexcept {
+  return solve(WrenchKind::force, frame, point, q, tau_ext, sigma_nm, axes, near_stiction);
+}
+
+double chi_square_beyond(double value, int freedom) noexcept {
+  // Q(k + 2) = Q(k) + half^(k/2) exp(-half) / gamma(k/2 + 1)
+  const double half = std::max(value, 0.0) / 2;
+  const bool odd = freedom % 2 != 0;
+  double beyond = odd ? std::erfc(std::sqrt(half)) : std::exp(-half);
+  double more = odd ? 2 * std::sqrt(half / 3.14159265358979323846) * std::exp(-half) : half * std::exp(-half);
+  for (int k = odd ? 1 : 2; k < freedom; k += 2) {
+    beyond += more;
+    more *= half / (0.5 * k + 1);
+  }
+  return std::min(beyond, 1.0);
+}
+
+}  // namespace tauext

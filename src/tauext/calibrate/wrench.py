@@ -1,0 +1,141 @@
+r"""How the joints' errors go together on free motion, and how large the ellipsoids of forces must be to hold them.
+
+With z = tau_ext / sigma of rows of free motion that nothing was trained on, clipped at CLIP, the correlation is
+
+.. math:: R = (1 - a)\,\hat R + a\,1, \qquad a = \max\left(A, \frac{n}{n + T}\right),
+
+T being the seconds of motion: errors a second apart are about independent, and so many of them tell n joints apart. The
+radius is what variances are multiplied by so that 95 % of the errors of force and moment, which are 0 in free motion,
+lie within the ellipsoid of 95 %; heavy tails are in it, where a mean would miss them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from scipy.stats import chi2
+
+from tauext import _core
+from tauext.calibrate.judged import Judged, judge
+from tauext.config import FreeMotionConfig
+from tauext.data import Recording
+
+CLIP = 3.0
+"""One large error must not decide what joints have in common."""
+LEAST_SHRINK = 0.05
+"""A: a correlation of 0.95 at most, since what an hour showed is not for good."""
+HELD = 0.95
+"""Share of errors within the ellipsoids."""
+LEAST_RADIUS = 1.0
+"""A touch brings errors that free motion does not show: ellipsoids are never smaller than sigma says."""
+MOST_ROWS = 100_000
+"""An hour and a half at 20 Hz: beyond, quantiles do not change."""
+ROW_S = 0.05
+"""Between rows: errors change within the observer's 1/K0."""
+LEAST_ROWS = 200
+"""Fewer tell no quantile of 95 %: the radius stays 1."""
+
+
+def fit_wrench(
+    bundle: _core.Bundle,
+    judged: Iterable[Recording | Judged],
+    threads: int,
+    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
+) -> dict:
+    """Put correlation and radius into a bundle whose error scale stands; the facts for its provenance.
+
+    Nothing happens where the bundle tells no wrench.
+    """
+    if refused := _core.WrenchModel(bundle).refused:
+        return {"refused": refused}
+    q, tau_ext, sigma = free_rows(bundle, judged, threads, margins)
+    if len(q) < LEAST_ROWS:
+        return {"rows": len(q)}
+    settings = bundle.wrench_settings
+    settings.correlation = correlation(tau_ext / sigma, len(q) * ROW_S).ravel().tolist()
+    settings.radius = settings.residual_radius = [1.0, 1.0]
+    bundle.wrench_settings = settings
+    frame = outermost(bundle)
+    settings.radius = [radius(bundle, frame, q, tau_ext, sigma, point) for point in (None, [0.0, 0.0, 0.0])]
+    bundle.wrench_settings = settings
+    settings.residual_radius = [residual(bundle, frame, q, tau_ext, sigma, point) for point in (None, [0.0, 0.0, 0.0])]
+    bundle.wrench_settings = settings
+    return {
+        "frame": frame,
+        "rows": len(q),
+        "radius": dict(zip(("wrench", "force"), settings.radius, strict=True)),
+        "residual_radius": dict(zip(("wrench", "force"), settings.residual_radius, strict=True)),
+    }
+
+
+def outermost(bundle: _core.Bundle) -> str:
+    """The frame that the radius is found at: the load's, or the last link's."""
+    load = bundle.load_settings
+    return load.frame if load.link >= 0 else bundle.links[-1].joint_name
+
+
+def correlation(z: np.ndarray, seconds: float) -> np.ndarray:
+    """R of the module's equation, (joints, joints); a joint without errors is independent of all."""
+    joints = z.shape[1]
+    z = np.clip(z, -CLIP, CLIP)
+    size = np.sqrt(np.mean(z**2, axis=0))
+    z = z / np.where(size > 0, size, 1.0)
+    shrink = max(LEAST_SHRINK, joints / (joints + seconds))
+    together = (1 - shrink) * (z.T @ z) / len(z)
+    together = np.clip((together + together.T) / 2, -1, 1)
+    np.fill_diagonal(together, 1.0)
+    return together
+
+
+def radius(
+    bundle: _core.Bundle, frame: str, q: np.ndarray, tau_ext: np.ndarray, sigma: np.ndarray, point: list | None
+) -> float:
+    """Factor on variances that makes the ellipsoids of 95 % hold 95 % of these rows, in which the truth is 0."""
+    said = _core.WrenchModel(bundle).wrenches(frame, q, tau_ext, sigma, point)
+    seen = (said["freedom"] >= 0) & (said["blind"] == 0)
+    if seen.sum() < LEAST_ROWS:  # it never sees all: those that it sees most of
+        seen = said["blind"] == said["blind"].min()
+    size = len(said["covariance"][0])
+    unknown = np.concatenate([said["force"], said["moment"]], axis=1)[:, :size]
+    squared = np.einsum("ri,rij,rj->r", unknown, np.linalg.inv(said["covariance"]), unknown)
+    shown = size - int(said["blind"][seen].min())
+    return factor(squared[seen], shown)
+
+
+def residual(
+    bundle: _core.Bundle, frame: str, q: np.ndarray, tau_ext: np.ndarray, sigma: np.ndarray, point: list | None
+) -> float:
+    """Likewise of what such a wrench leaves unexplained; 1 where it leaves nothing."""
+    said = _core.WrenchModel(bundle).wrenches(frame, q, tau_ext, sigma, point)
+    freedom = said["freedom"]
+    if freedom.max() < 1:
+        return 1.0
+    usual = int(np.bincount(freedom).argmax())
+    at = freedom == max(usual, 1)
+    return factor(said["chi_square"][at], max(usual, 1)) if at.sum() >= LEAST_ROWS else 1.0
+
+
+def factor(squared: np.ndarray, freedom: int) -> float:
+    """That a chi-square's quantile of 95 % is multiplied by to be that of these."""
+    return max(float(np.quantile(squared, HELD) / chi2.ppf(HELD, freedom)), LEAST_RADIUS)
+
+
+def free_rows(
+    bundle: _core.Bundle, judged: Iterable[Recording | Judged], threads: int, margins: FreeMotionConfig
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """q, tau_ext and sigma of free motion, 3 x (rows, joints)."""
+    stride = max(1, round(ROW_S / (1e-9 * bundle.observer.sample_period_ns)))
+    found = []
+    for one in judged:
+        one = one if isinstance(one, Judged) else Judged(one)
+        said, _, counted = judge(bundle, one, threads, margins)
+        counted &= np.isfinite(said["sigma_nm"]).all(axis=1) & (said["sigma_nm"] > 0).all(axis=1)
+        at = np.flatnonzero(counted)[::stride]
+        found.append((one.recording.q[at], said["tau_ext"][at], said["sigma_nm"][at]))
+    if not found:
+        return (np.empty((0, bundle.joints)),) * 3
+    rows = [np.concatenate(column) for column in zip(*found, strict=True)]
+    thin = max(1, -(-len(rows[0]) // MOST_ROWS))
+    q, tau_ext, sigma = (np.ascontiguousarray(column[::thin]) for column in rows)
+    return q, tau_ext, sigma

@@ -1,0 +1,300 @@
+"""Forces and moments at frames: against Pinocchio's Jacobian, least squares in NumPy, and errors drawn by chance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio_oracle as oracle
+import pytest
+from scipy.stats import chi2
+
+from tauext import _core
+from tauext.calibrate.wrench import correlation, factor
+from tauext.robot import load_tree, wrench_frames
+
+ARM = Path(__file__).parents[1] / "benchmarks" / "seven_axis.urdf"
+GOLDEN = Path(__file__).parent / "golden" / "format-8.tauext"
+BASE, FRAME = _core.WrenchAxes.base, _core.WrenchAxes.frame
+SIGMA = np.array([0.8, 0.9, 0.6, 0.5, 0.3, 0.2, 0.15])
+POSE = [0.3, -0.6, 0.5, -1.7, 0.4, 1.3, 0.2]
+
+
+def together(joints: int, seed: int = 3) -> np.ndarray:
+    """Some correlation."""
+    z = np.random.default_rng(seed).normal(size=(200, joints))
+    z[:, 1:] += 0.5 * z[:, :-1]
+    return correlation(z, 1000.0)
+
+
+@pytest.fixture(scope="module")
+def bundle() -> _core.Bundle:
+    """A seven-axis arm of which only model, error scale and frames are looked at."""
+    tree = load_tree(ARM)
+    made = _core.Bundle()
+    made.links, made.gravity = tree.links, tree.gravity
+    scale = _core.ErrorScaleSettings()
+    scale.features = [_core.MotionFeature.constant]
+    scale.limit_weights = scale.largest = [1.0] * tree.size
+    scale.sigma_weights = scale.sigma_near_weights = scale.largest_sigma = SIGMA.tolist()
+    made.error_scale = scale
+    settings = _core.WrenchSettings()
+    settings.frames = wrench_frames(ARM, tree)
+    settings.correlation = together(tree.size).ravel().tolist()
+    settings.torque_share = [0.03] * tree.size
+    settings.common_share = 0.02
+    settings.radius, settings.residual_radius = [1.5, 1.2], [1.1, 1.3]
+    made.wrench_settings = settings
+    return made
+
+
+@pytest.fixture(scope="module")
+def model(bundle) -> _core.WrenchModel:
+    return _core.WrenchModel(bundle)
+
+
+def torque(model, frame: str, q, wrench) -> np.ndarray:
+    return model.columns(frame, list(q)).T @ wrench
+
+
+def one(model, frame: str, q, tau, point=None, axes=BASE) -> dict:
+    rows = (np.atleast_2d(np.asarray(values, dtype=float)) for values in (q, tau, SIGMA))
+    return {name: column[0] for name, column in model.wrenches(frame, *rows, point, axes).items()}
+
+
+def test_the_jacobian_is_pinocchio_s_at_every_frame_of_the_robot_file(bundle, model):
+    pin = oracle.pin
+    arm = oracle.read_model(ARM.read_text())
+    data, joints = arm.createData(), [link.joint_name for link in bundle.links]
+    order = [arm.joints[arm.getJointId(name)].idx_v for name in joints]
+    rng = np.random.default_rng(0)
+    assert len(bundle.wrench_settings.frames) >= 7
+    for q in rng.uniform(-2, 2, (5, 7)):
+        configuration = oracle.configurations(arm, q[None], joints)[0]
+        pin.computeJointJacobians(arm, data, configuration)
+        pin.updateFramePlacements(arm, data)
+        for frame in bundle.wrench_settings.frames:
+            which = arm.getFrameId(frame.name, pin.FrameType.BODY)
+            for axes, theirs in ((BASE, pin.LOCAL_WORLD_ALIGNED), (FRAME, pin.LOCAL)):
+                wanted = pin.getFrameJacobian(arm, data, which, theirs)[:, order]
+                np.testing.assert_allclose(model.columns(frame.name, q.tolist(), axes=axes), wanted, atol=1e-9)
+
+
+def test_a_point_of_a_frame_moves_as_the_frame_s_twist_says(model):
+    point = np.array([0.02, -0.05, 0.11])
+    at_origin, at_point = (model.columns("joint7", POSE, p, FRAME) for p in ([0, 0, 0], point.tolist()))
+    np.testing.assert_allclose(at_point[:3], at_origin[:3] + np.cross(at_origin[3:].T, point).T, atol=1e-12)
+    np.testing.assert_array_equal(at_point[3:], at_origin[3:])
+
+
+def twin(J: np.ndarray, tau: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Generalised least squares with the prior of the core, by inverses."""
+    S = radius * np.outer(SIGMA, SIGMA) * together(7) + 0.02**2 * np.outer(tau, tau) + np.diag((0.03 * tau) ** 2)
+    P = np.diag([1000.0**2] * 3 + [100.0**2] * 3)[: len(J), : len(J)]
+    covariance = np.linalg.inv(J @ np.linalg.inv(S) @ J.T + np.linalg.inv(P))
+    return covariance @ J @ np.linalg.inv(S) @ tau, covariance, S
+
+
+@pytest.mark.parametrize("point", [None, [0.0, 0.03, 0.1]])
+def test_wrench_and_covariance_are_those_of_weighted_least_squares(model, point):
+    rng = np.random.default_rng(1)
+    for q in rng.uniform(-2, 2, (20, 7)):
+        tau = 10 * rng.normal(size=7)
+        J = model.columns("joint7", q.tolist(), point or [0, 0, 0])[: 3 if point else 6]
+        wanted, covariance, S = twin(J, tau, 1.2 if point else 1.5)
+        told = one(model, "joint7", q, tau, point)
+        found = np.r_[told["force"], told["moment"]][: len(J)]
+        np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(told["covariance"], covariance, rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(model.covariance(point is not None, tau.tolist(), SIGMA.tolist()), S, rtol=1e-12)
+        if told["blind"] == 0:
+            left = tau - J.T @ np.linalg.inv(J @ np.linalg.inv(S) @ J.T) @ J @ np.linalg.inv(S) @ tau
+            residual = left @ np.linalg.inv(S) @ left / (1.3 if point else 1.1)
+            assert told["freedom"] == 7 - len(J)
+            assert told["chi_square"] == pytest.approx(residual, rel=1e-5, abs=1e-7)
+            assert told["consistent"] == pytest.approx(chi2.sf(residual, 7 - len(J)), rel=1e-5, abs=1e-12)
+
+
+@pytest.mark.parametrize("freedom", range(1, 12))
+def test_chi_square_is_scipy_s(freedom):
+    for value in (0.0, 0.1, 1.0, 7.0, 40.0):
+        assert _core.chi_square_beyond(value, freedom) == pytest.approx(chi2.sf(value, freedom), rel=1e-9)
+
+
+def test_ellipsoids_hold_the_truth_as_often_as_they_say_where_errors_are_as_assumed(model):
+    rng = np.random.default_rng(2)
+    wrench = np.r_[30.0, -20.0, 25.0, 0.0, 0.0, 0.0]
+    clean = torque(model, "joint7", POSE, wrench)
+    S = model.covariance(True, clean.tolist(), SIGMA.tolist())
+    tau = clean + rng.multivariate_normal(np.zeros(7), S, 4000)
+    said = model.wrenches("joint7", np.tile(POSE, (4000, 1)), tau, np.tile(SIGMA, (4000, 1)), [0.0, 0.0, 0.0])
+    off = said["force"] - wrench[:3]
+    inside = np.einsum("ri,rij,rj->r", off, np.linalg.inv(said["covariance"]), off) <= chi2.ppf(0.95, 3)
+    assert 0.93 <= inside.mean() <= 0.97
+    assert np.abs(off.mean(axis=0)).max() < 1.0  # unbiased
+    refuted = said["consistent"] < 0.05  # calibrated for errors 1.3 times as large
+    assert 0.01 < refuted.mean() < 0.05
+
+
+def test_a_wrench_at_two_frames_of_one_link_is_the_same_wrench(model, bundle):
+    tau = torque(model, "joint7", POSE, np.r_[20.0, 5.0, -30.0, 1.0, -2.0, 0.5])
+    here = one(model, "joint7", POSE, tau)
+    frames = {frame.name: frame for frame in bundle.wrench_settings.frames if frame.link == 6}
+    assert frames
+    for name in frames:
+        there = one(model, name, POSE, tau)
+        first, second = (model.columns(one_name, POSE) for one_name in ("joint7", name))
+        # v at the other origin is v + omega x shift: found from the Jacobians themselves
+        shift = np.linalg.lstsq(skew_rows(first[3:]), (second[:3] - first[:3]).T.ravel(), rcond=None)[0]
+        np.testing.assert_allclose(there["force"], here["force"], rtol=0.01, atol=0.2)
+        moved = here["moment"] - np.cross(shift, here["force"])
+        np.testing.assert_allclose(there["moment"], moved, rtol=0.01, atol=0.1)
+
+
+def skew_rows(omega: np.ndarray) -> np.ndarray:
+    """Rows that turn a shift into omega x shift, of every joint."""
+    return np.concatenate([np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]]) for w in omega.T])
+
+
+def test_axes_of_the_frame_are_the_base_s_turned(model):
+    tau = torque(model, "joint5", POSE, np.r_[10.0, 20.0, 30.0, 0.0, 0.0, 0.0])
+    base, own = (one(model, "joint5", POSE, tau, [0.0, 0.0, 0.05], axes) for axes in (BASE, FRAME))
+    columns = [model.columns("joint5", POSE, [0.0, 0.0, 0.05], axes)[:3] for axes in (BASE, FRAME)]
+    turned = columns[1] @ np.linalg.pinv(columns[0])  # frame from base
+    for name in ("force", "moment"):
+        np.testing.assert_allclose(own[name], turned @ base[name], rtol=1e-6, atol=1e-6)
+        assert np.linalg.norm(own[name]) == pytest.approx(np.linalg.norm(base[name]))
+
+
+def test_through_a_singularity_the_answer_is_continuous_and_the_blind_direction_is_named(model):
+    """Stretched out, no joint feels a force along the arm; a pseudo-inverse jumps to zero there."""
+    elbow = np.linspace(-0.8, 0.6, 4001)
+    q = np.zeros((len(elbow), 7))
+    q[:, 1], q[:, 3] = 0.5, elbow
+    force = np.array([20.0, 0.0, 15.0])
+    tau = np.array([torque(model, "joint5", pose, np.r_[force, 0, 0, 0]) for pose in q])
+    rng = np.random.default_rng(0)
+    tau += rng.normal(size=7) * SIGMA  # the same error at all poses
+    said = model.wrenches("joint5", q, tau, np.tile(SIGMA, (len(q), 1)), [0.0, 0.0, 0.0])
+    steps = np.linalg.norm(np.diff(said["force"], axis=0), axis=1)
+    spread = np.sqrt(np.trace(said["covariance"], axis1=1, axis2=2))
+    assert (steps < 0.1 * spread[1:] + 0.1).all()
+    assert (np.abs(np.diff(np.log(spread))) < 0.05).all()
+    jacobians = np.array([model.columns("joint5", pose.tolist())[:3] / SIGMA for pose in q])
+    at_singular = np.argmin(np.linalg.svd(jacobians, compute_uv=False)[:, -1])
+    assert said["blind"][at_singular] >= 1 and said["blind"][0] == 0
+    direction = said["blind_directions"][at_singular, 0]
+    along = model.columns("joint5", q[at_singular].tolist())[:3].T @ direction
+    assert np.abs(along / SIGMA).max() < 0.01  # 1 N along it shows in no joint
+    assert spread[at_singular] > 100
+    off = said["force"] - force
+    distance = np.sqrt(np.einsum("ri,rij,rj->r", off, np.linalg.inv(said["covariance"]), off))
+    assert (distance < 4).all()
+
+
+def test_a_touch_further_up_the_arm_is_no_touch_at_the_flange_and_one_further_down_is_refuted_below(model):
+    at_tip = torque(model, "joint7", POSE, np.r_[40.0, 30.0, -20.0, 0, 0, 0])
+    at_elbow = torque(model, "joint4", POSE, np.r_[40.0, 30.0, -20.0, 0, 0, 0])
+    here = [0.0, 0.0, 0.0]
+    assert one(model, "joint7", POSE, at_tip, here)["consistent"] > 0.9
+    assert one(model, "joint4", POSE, at_elbow, here)["consistent"] > 0.9
+    assert one(model, "joint4", POSE, at_tip, here)["consistent"] < 1e-3
+    assert one(model, "joint7", POSE, at_elbow, here)["consistent"] < 0.05
+
+
+def test_friction_that_a_push_can_hide_behind_widens_joints_near_stiction_alone():
+    old = _core.Bundle.load(str(GOLDEN))
+    model, sigma = _core.WrenchModel(old), [1.0, 0.5]
+    sliding, stuck = (model.covariance(True, [1e3, 0.1], sigma, near) for near in (0, 0b11))
+    more = np.sqrt(np.diag(stuck - sliding))
+    assert more[1] == pytest.approx(0.3 * 0.1)  # no more than all of the torque
+    assert 0.3 * 2.0 < more[0] < 0.3 * 6.0  # of 3 N m of friction
+    assert stuck[0, 1] == sliding[0, 1]
+    q, tau = np.array([[0.3, 0.8]]), np.array([[1e3, 0.1]])
+    rows = (q, tau, np.array([sigma]), [0.0, 0.0, 0.0], BASE)
+    free, held = (model.wrenches("elbow", *rows, near) for near in (None, np.ones((1, 2), dtype=np.uint8)))
+    assert (np.linalg.eigvalsh(held["covariance"] - free["covariance"])[0] > -1e-6).all()
+    assert np.trace(held["covariance"][0]) > np.trace(free["covariance"][0])
+
+
+def test_nothing_is_known_without_torques(model):
+    tau = np.full(7, np.nan)
+    told = one(model, "joint7", POSE, tau)
+    assert np.isnan(told["force"]).all() and np.isnan(told["covariance"]).all() and np.isnan(told["consistent"])
+
+
+def test_a_frame_that_there_is_none_and_a_bundle_that_cannot_tell_are_one_line(model, bundle):
+    with pytest.raises(_core.CoreError, match=r"frame = 'elbow' must be one of joint1, .*joint7"):
+        one(model, "elbow", POSE, np.zeros(7))
+    empty = _core.Bundle()
+    links = bundle.links
+    for link in links:
+        link.mass = 0.0
+    empty.links = links
+    refused = _core.WrenchModel(empty)
+    assert "case none" in refused.refused
+    with pytest.raises(_core.CoreError, match="no wrench: the bundle has no model"):
+        refused.wrenches("joint7", np.zeros((1, 7)), np.zeros((1, 7)), np.ones((1, 7)))
+
+
+def test_a_bundle_of_the_format_before_tells_wrenches_at_its_links_with_usual_doubt():
+    old = _core.Bundle.load(str(GOLDEN))
+    model = _core.WrenchModel(old)
+    assert not model.refused and old.wrench_settings.correlation == []
+    names = [frame.name for frame in model.frames]
+    assert names[:2] == ["shoulder", "elbow"]
+    S = model.covariance(False, [10.0, -4.0], [1.0, 0.5])
+    np.testing.assert_allclose(S, np.diag([1.0 + 0.25, 0.25 + 0.04]))
+    monitor = _core.Monitor(old)
+    told = monitor.wrench("elbow")
+    assert not told.known and np.isnan(told.force).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"correlation": [1.0, 0.5, 0.4, 1.0]}, "must be symmetric"),
+        ({"correlation": [1.0, 1.0, 1.0, 1.0]}, "positive definite"),
+        ({"correlation": [1.0]}, "1 values where 4 belong"),
+        ({"torque_share": [0.1, -0.1]}, "must be 0 to 1"),
+        ({"radius": [0.0, 1.0]}, "must be above 0"),
+        ({"frames": [_core.WrenchFrame("tool", 2)]}, "frame 'tool'"),
+    ],
+)
+def test_settings_that_do_not_hold_together_are_refused(change, message):
+    bundle = _core.Bundle.load(str(GOLDEN))
+    for name, value in change.items():
+        setattr(bundle.wrench_settings, name, value)
+    with pytest.raises(_core.CoreError, match=message):
+        bundle.to_bytes()
+
+
+def test_settings_are_kept_by_the_file():
+    bundle = _core.Bundle.load(str(GOLDEN))
+    settings = bundle.wrench_settings
+    settings.frames = [_core.WrenchFrame("tool", 1, [0, -1, 0, 1, 0, 0, 0, 0, 1], [0.1, 0.2, 0.3])]
+    settings.correlation, settings.torque_share, settings.common_share = [1.0, 0.3, 0.3, 1.0], [0.1, 0.2], 0.05
+    settings.radius, settings.residual_radius = [2.0, 3.0], [4.0, 5.0]
+    bundle.wrench_settings = settings
+    again = _core.Bundle.from_bytes(bundle.to_bytes()).wrench_settings
+    for name in ("correlation", "torque_share", "common_share", "radius", "residual_radius"):
+        assert getattr(again, name) == getattr(settings, name)
+    assert [(f.name, f.link, f.rotation[1], f.translation[2]) for f in again.frames] == [("tool", 1, -1.0, 0.3)]
+
+
+def test_errors_that_joints_share_are_found_and_shrunk_by_how_little_motion_there_was():
+    rng = np.random.default_rng(0)
+    z = rng.normal(size=(5000, 3))
+    z[:, 1] = 0.8 * z[:, 0] + 0.6 * z[:, 1]
+    z[::100, 2] *= 50  # rare large errors
+    long, short = correlation(z, 3600.0), correlation(z, 3.0)
+    assert long[0, 1] == pytest.approx(0.8 * 0.95, abs=0.03) and abs(long[0, 2]) < 0.05
+    assert short[0, 1] == pytest.approx(0.5 * 0.8, abs=0.03)
+    assert np.linalg.eigvalsh(correlation(np.ones((10, 3)), 1e6)).min() > 0.04
+
+
+def test_the_radius_is_that_of_the_tail():
+    heavy = np.random.default_rng(0).standard_t(3, size=(20000, 1)) ** 2
+    found = factor(heavy.sum(axis=1), 1)
+    assert (heavy[:, 0] / found <= chi2.ppf(0.95, 1)).mean() == pytest.approx(0.95, abs=1e-3)
+    assert factor(np.zeros(100), 3) == 1.0

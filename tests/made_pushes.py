@@ -86,7 +86,7 @@ def cut_flight(bundle: _core.Bundle, samples, row: int, before: int = 1000, afte
     torques = ("residual", "prior", "network", "drift", "tau_ext", "sigma_nm", "limit_nm", "contact_limit_nm")
     flight |= {
         key: said[key][rows]
-        for key in (*torques, "near_stiction", "causes", "health", "alarm", "held_alarm", "detection")
+        for key in (*torques, "near_stiction", "causes", "health", "alarm", "held_alarm", "touch", "detection")
     }
     flight["load"] = np.zeros((len(flight["t_ns"]), 10))
     return flight | {"event_row": row - first, "event": monitor.last}

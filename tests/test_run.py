@@ -29,7 +29,19 @@ from tauext.cli.run_text import TextLines
 from tauext.data import load_recording, save_recording
 from tauext.data.estimates import OK, WARMING_UP, load_estimates
 from tauext.errors import RecordingError
-from tauext.monitor import ALARMS, HEALTHS, AlarmChange, FlightSource, FlightWriter, Pace, Tally, replay, write_flight
+from tauext.monitor import (
+    ALARMS,
+    HEALTHS,
+    TOUCHES,
+    AlarmChange,
+    FlightSource,
+    FlightWriter,
+    Pace,
+    Tally,
+    TouchChange,
+    replay,
+    write_flight,
+)
 from tauext.monitor.causes import MEANING
 from tauext.monitor.changes import ChangeFinder
 from tauext.monitor.explanation import explain
@@ -78,7 +90,7 @@ def faulty():
 def slow_changes(bundle, samples, acknowledge_after_s=None) -> list[tuple]:
     """The rule, sample by sample and in plain words: what differs from one sample before."""
     monitor = _core.Monitor(bundle)
-    health, causes, alarm, raised_ns, changes = "warming_up", [], "none", None, []
+    health, causes, alarm, touch, raised_ns, changes = "warming_up", [], "none", "none", None, []
     for row in range(len(samples.t_ns)):
         t_ns = int(samples.t_ns[row])
         due = raised_ns is not None and acknowledge_after_s is not None
@@ -94,7 +106,9 @@ def slow_changes(bundle, samples, acknowledge_after_s=None) -> list[tuple]:
             limits = said.contact_limit_nm if said.alarm.name == "contact" else said.limit_nm
             values = (said.tau_ext[said.alarm_joint], limits[said.alarm_joint]) if raised else ()
             changes.append((row, t_ns, said.alarm.name, alarm, said.alarm_joint if raised else -1, *values))
-        health, causes, alarm = said.health.name, said.causes, said.alarm.name
+        if said.touch.name not in (touch, "none", "unknown"):
+            changes.append((row, t_ns, "touch", said.touch.name, touch, said.alarm.name, said.alarm_joint))
+        health, causes, alarm, touch = said.health.name, said.causes, said.alarm.name, said.touch.name
         raised_ns = said.alarm_t_ns if alarm == "collision" else None
     return changes
 
@@ -103,7 +117,9 @@ def plain(changes) -> list[tuple]:
     """What replay found, as the slow loop writes it."""
     told = []
     for c in changes:
-        if not isinstance(c, AlarmChange):
+        if isinstance(c, TouchChange):
+            told.append((c.row, c.t_ns, "touch", TOUCHES[c.touch], TOUCHES[c.was], ALARMS[c.alarm], c.joint))
+        elif not isinstance(c, AlarmChange):
             names = [HEALTHS[h].replace(" ", "_") for h in (c.health, c.was)]
             told.append((c.row, c.t_ns, *names, _core.cause_names(c.causes), c.joint))
         elif c.acknowledged:
@@ -578,15 +594,17 @@ def test_json_lines_are_what_the_slow_loop_found(place, capsys, bundle):
     assert (code, err) == (0, "")
     events = [json.loads(line) for line in out.splitlines()]
     assert events[0] | {"joints": list(JOINTS), "samples": 6000, "bundle": "watching"} == events[0]
-    assert [e["event"] for e in events if e["event"] not in ("status", "health", "alarm", "flight")] == [
+    assert [e["event"] for e in events if e["event"] not in ("status", "health", "alarm", "touch", "flight")] == [
         "start",
         "end",
         "summary",
     ]
     expected = slow_changes(bundle, pushed(), 0.5)
-    changes = [e for e in events if e["event"] in ("health", "alarm")]
+    changes = [e for e in events if e["event"] in ("health", "alarm", "touch")]
     assert [(e["row"], e["t_ns"]) for e in changes] == [c[:2] for c in expected]
-    raised = [e for e in changes if e.get("alarm") == "collision"]
+    raised = [e for e in changes if e["event"] == "alarm" and e["alarm"] == "collision"]
+    known = [e for e in changes if e["event"] == "touch"]
+    assert [(e["touch"], e["was"], e["alarm"]) for e in known] == [c[3:6] for c in expected if c[2] == "touch"]
     assert [(e["joint"], e["tau_ext_nm"], e["limit_nm"]) for e in raised] == [
         (JOINTS[c[4]], c[5], c[6]) for c in expected if c[2] == "collision"
     ]

@@ -601,6 +601,7 @@ void bind_bundle(nb::module_& m) {
         out["alarm"] = to_numpy(std::move(e.alarm), {N});
         out["alarm_joint"] = to_numpy(std::move(e.alarm_joint), {N});
         out["held_alarm"] = to_numpy(std::move(e.held_alarm), {N});
+        out["touch"] = to_numpy(std::move(e.touch), {N});
         out["entered"] = to_numpy(std::move(e.entered), {N});
         out["restarted"] = to_numpy(std::move(e.restarted), {N});
         return out;

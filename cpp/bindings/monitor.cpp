@@ -73,6 +73,7 @@ class Columns {
     cause_joint_.push_back(static_cast<std::int8_t>(e.cause_joint));
     alarm_.push_back(static_cast<std::uint8_t>(e.alarm));
     held_alarm_.push_back(static_cast<std::uint8_t>(e.held_alarm));
+    touch_.push_back(static_cast<std::uint8_t>(e.touch));
     alarm_joint_.push_back(static_cast<std::int8_t>(e.alarm_joint));
     detection_.push_back(e.detection);
     load_kg_.push_back(e.load.mass);
@@ -96,6 +97,7 @@ class Columns {
     out["cause_joint"] = to_numpy(std::move(cause_joint_), {N});
     out["alarm"] = to_numpy(std::move(alarm_), {N});
     out["held_alarm"] = to_numpy(std::move(held_alarm_), {N});
+    out["touch"] = to_numpy(std::move(touch_), {N});
     out["alarm_joint"] = to_numpy(std::move(alarm_joint_), {N});
     out["detection"] = to_numpy(std::move(detection_), {N});
     out["load_kg"] = to_numpy(std::move(load_kg_), {N});
@@ -128,7 +130,7 @@ class Columns {
   std::vector<std::uint32_t> near_stiction_, drift_saturated_, causes_;
   std::vector<double> unfamiliar_, load_kg_, load_error_kg_;
   std::vector<std::int64_t> load_found_ns_;
-  std::vector<std::uint8_t> health_, alarm_, held_alarm_, detection_, unseen_, load_phase_;
+  std::vector<std::uint8_t> health_, alarm_, held_alarm_, touch_, detection_, unseen_, load_phase_;
   std::vector<std::int8_t> alarm_joint_, cause_joint_, unseen_joint_, unseen_other_;
 };
 
@@ -209,6 +211,7 @@ std::optional<FlightDict> take(FlightRecorder& recorder, std::size_t n) {
   out["health"] = to_numpy(std::move(f.health), {N});
   out["alarm"] = to_numpy(std::move(f.alarm), {N});
   out["held_alarm"] = to_numpy(std::move(f.held_alarm), {N});
+  out["touch"] = to_numpy(std::move(f.touch), {N});
   out["detection"] = to_numpy(std::move(f.detection), {N});
   return out;
 }
@@ -220,6 +223,13 @@ void bind_estimate(nb::module_& m) {
       .value("none", Alarm::none)
       .value("contact", Alarm::contact)
       .value("collision", Alarm::collision);
+  nb::enum_<Touch>(m, "Touch", "What kind of touch an alarm is.")
+      .value("none", Touch::none, "No alarm stands.")
+      .value("unknown", Touch::unknown, "Not decided yet, or none of the others.")
+      .value("impact", Touch::impact, "It came and went within a bounce.")
+      .value("push", Touch::push, "It yields.")
+      .value("clamp", Touch::clamp, "It does not: the torque grows as the arm goes on, or on and on while it stands.")
+      .value("load", Touch::load, "A weight at the load frame.");
   nb::enum_<LoadPhase>(m, "LoadPhase", "How far the monitor is with a load that is expected.")
       .value("none", LoadPhase::none, "Nothing is expected.")
       .value("expecting", LoadPhase::expecting, "Nothing has shown yet.")
@@ -248,6 +258,8 @@ void bind_estimate(nb::module_& m) {
       .def_ro("held_alarm", &Estimate::held_alarm, "The level that some joint is over at this sample, its hold time past; no latch.")
       .def_ro("alarm_joint", &Estimate::alarm_joint, "Index of the joint that raised the alarm to its level; -1: no alarm.")
       .def_ro("alarm_t_ns", &Estimate::alarm_t_ns, "Stamp of the sample at which it did, [ns].")
+      .def_ro("touch", &Estimate::touch,
+              "What kind of touch the alarm is, as known after the sample before this one; updated as it goes on.")
       .def_ro("detection", &Estimate::detection,
               "Some |tau_ext| is over its collision limit at this sample; no hold time.")
       .def_prop_ro("clear", &Estimate::clear, "Healthy and no alarm: the only thing that means no collision.")

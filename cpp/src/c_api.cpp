@@ -91,6 +91,7 @@ void write(const tauext::Estimate& from, tauext_estimate* to) noexcept {
   e.unfamiliar = from.unfamiliar;
   e.load_kg = from.load.mass;
   e.load_phase = static_cast<std::int32_t>(from.load_phase);
+  e.touch = static_cast<std::int32_t>(from.touch);
   e.load_found_ns = from.load_found_ns;
   e.load_error_kg = from.load_error_kg;
   std::ranges::copy(from.load_nm, e.load_nm);
@@ -205,6 +206,10 @@ const char* tauext_health_name(int32_t health) {
 
 const char* tauext_alarm_name(int32_t alarm) {
   return alarm < TAUEXT_NO_ALARM || alarm > TAUEXT_COLLISION ? "" : tauext::name(static_cast<Alarm>(alarm));
+}
+
+const char* tauext_touch_name(int32_t touch) {
+  return touch < TAUEXT_NO_TOUCH || touch > TAUEXT_LOAD_TOUCH ? "" : tauext::name(static_cast<tauext::Touch>(touch));
 }
 
 const char* tauext_cause_name(uint32_t cause) { return tauext::name(static_cast<tauext::Cause>(cause)); }

@@ -123,6 +123,8 @@ void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen&
     out.unseen_other[k] = static_cast<std::int8_t>(e.unseen_other);
     out.alarm[k] = static_cast<std::uint8_t>(e.alarm);
     out.held_alarm[k] = static_cast<std::uint8_t>(e.held_alarm);
+    out.touch[k] = static_cast<std::uint8_t>(e.touch);
+    stage.advance();
     out.entered[k] = entered;
     out.restarted[k] = row.restarted;
   }
@@ -144,7 +146,7 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
                        &out.limit_scale, &out.limit_nm})
     torque->resize(N * n);
   out.near_stiction.resize(N * n);
-  for (auto* flags : {&out.health, &out.detection, &out.alarm, &out.held_alarm, &out.unseen, &out.entered,
+  for (auto* flags : {&out.health, &out.detection, &out.alarm, &out.held_alarm, &out.unseen, &out.touch, &out.entered,
                       &out.restarted})
     flags->resize(N);
   for (auto* which : {&out.cause_joint, &out.alarm_joint, &out.unseen_joint, &out.unseen_other}) which->resize(N);

@@ -29,7 +29,7 @@ FlightRecorder::FlightRecorder(int joints, std::int64_t sample_period_ns, const 
     ring.t_ns.resize(rows);
     ring.signals.resize(rows * kSignals * static_cast<std::size_t>(joints));
     for (auto* bits : {&ring.near_stiction, &ring.causes}) bits->resize(rows);
-    for (auto* words : {&ring.health, &ring.alarm, &ring.held_alarm, &ring.detection}) words->resize(rows);
+    for (auto* words : {&ring.health, &ring.alarm, &ring.held_alarm, &ring.touch, &ring.detection}) words->resize(rows);
     ring.load.resize(rows);
   }
 }
@@ -53,6 +53,7 @@ void FlightRecorder::push(const Sample& sample, const Estimate& e) noexcept {
   ring.health[row] = static_cast<std::uint8_t>(e.health);
   ring.alarm[row] = static_cast<std::uint8_t>(e.alarm);
   ring.held_alarm[row] = static_cast<std::uint8_t>(e.held_alarm);
+  ring.touch[row] = static_cast<std::uint8_t>(e.touch);
   ring.detection[row] = e.detection;
   ring.load[row] = e.load;
   ring.next = ring.next + 1 == capacity_ ? 0 : ring.next + 1;
@@ -127,6 +128,7 @@ bool FlightRecorder::take(Flight& flight) {
     flight.health.push_back(ring.health[at]);
     flight.alarm.push_back(ring.alarm[at]);
     flight.held_alarm.push_back(ring.held_alarm[at]);
+    flight.touch.push_back(ring.touch[at]);
     flight.detection.push_back(ring.detection[at]);
     flight.load.push_back(ring.load[at]);
   }

@@ -22,7 +22,8 @@ JudgeStage::JudgeStage(const Bundle& bundle)
       drift_(bundle.drift, bundle.limits, bundle.joints(), bundle.observer.gain_per_s),
       factors_(bundle.drift.on() ? bundle.drift.friction_share : 0.0, bundle.joints(), bundle.observer.gain_per_s),
       scale_(bundle.error_scale, bundle.joints(), bundle.observer.gain_per_s),
-      coverage_(bundle.joints(), bundle.coverage, bundle.observer.slowest_per_s()) {
+      coverage_(bundle.joints(), bundle.coverage, bundle.observer.slowest_per_s()),
+      touch_(bundle) {
   estimate_.joints = bundle.joints();
   reset();
 }
@@ -37,6 +38,8 @@ void JudgeStage::reset() noexcept {
   history_.clear();
   scale_.reset();
   coverage_.reset();
+  touch_.reset();
+  pending_ = {};
   const int joints = estimate_.joints;
   estimate_ = {};
   estimate_.joints = joints;
@@ -51,6 +54,8 @@ void JudgeStage::restore(const State& state) noexcept {
   history_.clear();
   scale_.restore(state.scale);
   coverage_.restore(state.coverage);
+  touch_.restore(state.touch);
+  pending_ = state.pending;
   estimate_ = state.estimate;
 }
 
@@ -65,6 +70,21 @@ void JudgeStage::report_alarm() noexcept {
   estimate_.held_alarm = alarm.held_alarm;
   estimate_.alarm_joint = alarm.joint;
   estimate_.alarm_t_ns = alarm.raised_t_ns;
+  estimate_.touch = alarm.alarm == Alarm::none          ? Touch::none
+                    : touch_.kind() == Touch::none ? Touch::unknown
+                                                   : touch_.kind();
+}
+
+void JudgeStage::advance() noexcept {
+  if (!pending_.waits) return;
+  pending_.waits = false;
+  const auto n = static_cast<std::size_t>(estimate_.joints);
+  JointVector left{};
+  for (std::size_t j = 0; j < n; ++j) left[j] = estimate_.tau_ext[j] - estimate_.load_nm[j];
+  const bool raised = estimate_.alarm != Alarm::none && estimate_.alarm_t_ns == estimate_.t_ns;
+  touch_.step({estimate_.t_ns, std::span(pending_.q).first(n), std::span(pending_.dq).first(n), std::span(left).first(n),
+               std::span(estimate_.limit_nm).first(n), raised || estimate_.held_alarm != Alarm::none,
+               estimate_.alarm != Alarm::none});
 }
 
 void JudgeStage::blank(bool also_residual) noexcept {
@@ -97,6 +117,7 @@ const Estimate& JudgeStage::step(const Observed& o, const Sample& sample, std::s
       factors_.restart();
       scale_.restart();
       coverage_.reset();
+      touch_.restart();
     }
     drift_.step(o.t_ns, sample.dq, first_joints(e.drift));
     factors_.step(o.t_ns, o.coulomb, o.viscous, first_joints(e.drift));
@@ -167,6 +188,9 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   e.drift_saturated = drift_.saturated() | factors_.saturated();
   for (int j = 0; o.judged && j < e.joints; ++j) e.margin_nm[j] = e.limit_nm[j] - std::fabs(e.tau_ext[j] - e.load_nm[j]);
   report_alarm();
+  pending_.waits = true;
+  std::ranges::copy(sample.q, pending_.q.begin());
+  std::ranges::copy(sample.dq, pending_.dq.begin());
 }
 
 // The alarm of what no load explains; limits are higher by the share that a load's torques are usually wrong by.

@@ -8,7 +8,7 @@
 namespace tauext {
 namespace {
 
-constexpr std::uint32_t kStateVersion = 8;
+constexpr std::uint32_t kStateVersion = 9;
 
 // What a saved state begins with.
 struct StateHead {
@@ -153,6 +153,7 @@ void Monitor::predict(const Observed& observed) noexcept {
 
 void Monitor::advance() noexcept {
   observe_.keep();
+  judge_.advance();
   if (observe_.progress().started) judge_.keep(observe_.progress().t_ns);
   if (network_) network_->advance();
   if (weighing()) weighing_->advance(observe_.beta());

@@ -63,7 +63,7 @@ bool same(const tauext_estimate& c, const tauext::Estimate& e) {
          c.alarm_joint == e.alarm_joint && c.alarm_t_ns == e.alarm_t_ns && c.detection == e.detection &&
          c.near_stiction == e.near_stiction && equal(c.residual, e.residual) && equal(c.uncertainty, e.uncertainty) &&
          equal(c.tau_ext, e.tau_ext) && equal(c.drift, e.drift) &&
-         c.drift_saturated == e.drift_saturated && c.unfamiliar == e.unfamiliar && c.unused == 0 && c.load_kg == e.load.mass && c.load_phase == static_cast<int>(e.load_phase) && c.load_found_ns == e.load_found_ns && c.load_error_kg == e.load_error_kg && equal(c.load_nm, e.load_nm) && c.unused_too == 0 && equal(c.limit_nm, e.limit_nm) && equal(c.margin_nm, e.margin_nm);
+         c.drift_saturated == e.drift_saturated && c.unfamiliar == e.unfamiliar && c.unused == 0 && c.load_kg == e.load.mass && c.load_phase == static_cast<int>(e.load_phase) && c.load_found_ns == e.load_found_ns && c.load_error_kg == e.load_error_kg && equal(c.load_nm, e.load_nm) && c.touch == static_cast<int>(e.touch) && equal(c.limit_nm, e.limit_nm) && equal(c.margin_nm, e.margin_nm);
 }
 
 void estimates_are_those_of_the_cpp_monitor_through_faults_and_alarms() {

@@ -18,7 +18,8 @@ What a program needs, each name loaded when it is first asked for:
 **Train** train_bundle, recalibrate; refit_bundle, refit_motion, refit_recordings; TrainConfig and the settings in it:
 ObserverConfig, PriorConfig, DriftConfig, AlarmConfig, FilterConfig, FreeMotionConfig
 **Estimate** estimate_recording, Estimates · evaluate_bundles, EventsConfig
-**Monitor** expect_fit, Monitor, Estimate, Health, Alarm, cause_names, FlightRecorder; Load, LoadFound, LoadPhase
+**Monitor** expect_fit, Monitor, Estimate, Health, Alarm, cause_names, FlightRecorder; Touch; Load, LoadFound,
+LoadPhase
 **Progress** Reporter: what train_bundle and evaluate_bundles tell while they work
 **Errors** TauextError and under it RobotError, RecordingError, ConfigError, BundleError, TrainingError
 
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
         LoadFound,
         LoadPhase,
         Monitor,
+        Touch,
         __version__,
         cause_names,
     )
@@ -100,6 +102,7 @@ __all__ = [
     "Reporter",
     "RobotError",
     "TauextError",
+    "Touch",
     "TrainConfig",
     "TrainingError",
     "__version__",
@@ -129,6 +132,7 @@ _WHERE = {
         "LoadFound",
         "LoadPhase",
         "Monitor",
+        "Touch",
         "__version__",
         "cause_names",
     ),

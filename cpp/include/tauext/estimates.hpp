@@ -22,6 +22,7 @@ struct Estimates {
   std::vector<std::int8_t> cause_joint, alarm_joint;  // (samples): -1: none
   std::vector<std::uint8_t> detection;               // (samples)
   std::vector<std::uint8_t> alarm, held_alarm;       // (samples): of Alarm, latched and not
+  std::vector<std::uint8_t> touch;                   // (samples): of Touch
   std::vector<std::uint8_t> entered, restarted;      // (samples): the sample went on the chain; the chain began anew with it
 };
 

@@ -22,7 +22,7 @@ struct Flight {
   std::vector<double> q, dq, tau, residual, prior, network, drift, tau_ext, sigma_nm, limit_nm,
       contact_limit_nm;  // (samples, joints)
   std::vector<std::uint32_t> near_stiction, causes;                         // (samples): bits
-  std::vector<std::uint8_t> health, alarm, held_alarm, detection;                 // (samples)
+  std::vector<std::uint8_t> health, alarm, held_alarm, touch, detection;          // (samples)
   std::vector<Load> load;                                                   // (samples): that the arm was taken to carry
   Estimate event;  // what the monitor said at the event
 };
@@ -53,7 +53,7 @@ class FlightRecorder {
     std::vector<std::int64_t> t_ns;
     std::vector<double> signals;  // (capacity, 10 joints)
     std::vector<std::uint32_t> near_stiction, causes;
-    std::vector<std::uint8_t> health, alarm, held_alarm, detection;
+    std::vector<std::uint8_t> health, alarm, held_alarm, touch, detection;
     std::vector<Load> load;
     std::int64_t next = 0, count = 0;  // row to be written, rows written
     std::int64_t event = -1;           // row count at the event, -1 without one

@@ -14,6 +14,7 @@
 #include "tauext/load.hpp"
 #include "tauext/observe_stage.hpp"
 #include "tauext/sample.hpp"
+#include "tauext/touch_kind.hpp"
 #include "tauext/types.hpp"
 
 namespace tauext {
@@ -30,6 +31,7 @@ struct Estimate {
   Alarm held_alarm = Alarm::none;   // what some joint is over at this sample, its hold time past; no latch
   int alarm_joint = -1;             // that raised the alarm to its level
   std::int64_t alarm_t_ns = 0;      // when it did
+  Touch touch = Touch::none;        // what kind of touch the alarm is, as known after the sample before this one
   bool detection = false;           // some |tau_ext| over its collision limit, at this sample
   std::uint32_t near_stiction = 0;  // a bit a joint: which of its limits holds
   std::uint32_t drift_saturated = 0;  // a bit a joint: its drift is at the bound, and training anew is due
@@ -74,6 +76,9 @@ class JudgeStage {
   const Estimate& step(const Observed& observed, const Sample& sample, std::span<const float> network,
                        ExpectedLoad* expected = nullptr) noexcept;
 
+  // What need not be done before the answer is out: what kind of touch it is.
+  void advance() noexcept;
+
   // As AlarmStage's calls of these names.
   void acknowledge() noexcept;
   void raise(Alarm alarm, int joint) noexcept {
@@ -109,6 +114,11 @@ class JudgeStage {
   // As newly made.
   void reset() noexcept;
 
+  // Of a sample that advance() has not looked at yet.
+  struct Pending {
+    bool waits = false;
+    JointVector q{}, dq{};
+  };
   struct State {
     AlarmStage::State alarm;
     LimitFactors factors;
@@ -116,11 +126,14 @@ class JudgeStage {
     FrictionFactors::State factors_of_friction;
     ErrorScale::State scale;
     Coverage::State coverage;
+    TouchKind::State touch;
+    Pending pending;
     Estimate estimate;
   };
   // All that it remembers; restore() goes on from there, in a stage of the same bundle.
   State state() const noexcept {
-    return {alarm_.state(), alarm_.factors(), drift_.state(), factors_.state(), scale_.state(), coverage_.state(), estimate_};
+    return {alarm_.state(),    alarm_.factors(), drift_.state(), factors_.state(), scale_.state(),
+            coverage_.state(), touch_.state(),   pending_,       estimate_};
   }
   void restore(const State& state) noexcept;
 
@@ -142,6 +155,8 @@ class JudgeStage {
   DriftHistory history_;
   ErrorScale scale_;
   Coverage coverage_;
+  TouchKind touch_;
+  Pending pending_;
   Estimate estimate_;
   JointVector widened_at_rest_nm_{}, widened_per_speed_{};
   bool drift_held_ = false;

@@ -71,6 +71,15 @@ typedef enum tauext_load_phase {
   TAUEXT_WEIGHING_LOAD = 4   /* the window is over and nothing is held back; the load is weighed on */
 } tauext_load_phase;
 
+typedef enum tauext_touch {
+  TAUEXT_NO_TOUCH = 0,      /* no alarm stands */
+  TAUEXT_UNKNOWN_TOUCH = 1, /* not decided yet, or none of the others */
+  TAUEXT_IMPACT = 2,        /* it came and went within a bounce */
+  TAUEXT_PUSH = 3,          /* it yields */
+  TAUEXT_CLAMP = 4,         /* it does not: the torque grows as the arm goes on, or on and on while it stands */
+  TAUEXT_LOAD_TOUCH = 5     /* a weight at the load frame */
+} tauext_touch;
+
 /* What the monitor says of one sample. A torque that does not exist is NaN. Only (health == TAUEXT_HEALTHY &&
  * alarm == TAUEXT_NO_ALARM) may be read as "no collision". */
 typedef struct tauext_estimate {
@@ -97,7 +106,7 @@ typedef struct tauext_estimate {
   double unfamiliar;                     /* how far the motion is from all that training saw: 0 to 1, told from 0.5 on */
   double load_kg;                        /* that the arm is taken to carry; 0: nothing */
   int32_t load_phase;                    /* tauext_load_phase */
-  uint32_t unused_too;                   /* 0 */
+  int32_t touch;                         /* tauext_touch: what kind of touch the alarm is */
   int64_t load_found_ns;                 /* sample at which the last load that was expected was found; 0: none */
   double load_error_kg;                  /* standard error of its mass */
   double load_nm[TAUEXT_MAX_JOINTS];     /* [N m], what of tau_ext is taken for a load that is expected */
@@ -175,6 +184,7 @@ const char* tauext_version(void);
 const char* tauext_status_name(tauext_status status);
 const char* tauext_health_name(int32_t health);
 const char* tauext_alarm_name(int32_t alarm);
+const char* tauext_touch_name(int32_t touch);
 /* Of a single bit. */
 const char* tauext_cause_name(uint32_t cause);
 

@@ -11,6 +11,7 @@ from tauext.data import Recording
 from tauext.monitor import (
     ALARMS,
     HEALTHS,
+    TOUCHES,
     Change,
     Chunk,
     DriftChange,
@@ -20,6 +21,7 @@ from tauext.monitor import (
     LoadChange,
     StatusClock,
     Tally,
+    TouchChange,
     WeighChange,
     load_facts,
     status,
@@ -87,6 +89,9 @@ class JsonLines:
         joint = self._joints[change.joint] if change.joint >= 0 else None
         if isinstance(change, DriftChange):
             return "drift", {**where, "joint": joint, "advice": "recalibrate"}
+        if isinstance(change, TouchChange):
+            kinds = {"touch": TOUCHES[change.touch], "was": TOUCHES[change.was], "alarm": ALARMS[change.alarm]}
+            return "touch", {**where, **kinds, "joint": joint, "since_s": change.since_s}
         if isinstance(change, HealthChange):
             said = {"health": HEALTHS[change.health], "was": HEALTHS[change.was], "causes": cause_names(change.causes)}
             return "health", {**where, **said, "joint": joint}

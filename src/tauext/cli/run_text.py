@@ -14,6 +14,7 @@ from tauext.data import Recording
 from tauext.monitor import (
     ALARMS,
     HEALTHS,
+    TOUCHES,
     AlarmChange,
     Chunk,
     DriftChange,
@@ -24,9 +25,11 @@ from tauext.monitor import (
     HiddenFinder,
     LoadChange,
     Tally,
+    TouchChange,
     WeighChange,
     load_words,
     unseen_words,
+    with_article,
 )
 from tauext.store import Place
 
@@ -83,6 +86,8 @@ class TextLines:
             elif isinstance(change, WeighChange):
                 for words in weigh_words(change):
                     self._event(change.t_ns, words)
+            elif isinstance(change, TouchChange):
+                self._event(change.t_ns, touch_words(change))
             elif isinstance(change, DriftChange):
                 self._event(change.t_ns, f"recalibrate: joint {self._joints[change.joint]}'s drift is at its bound")
             else:
@@ -179,6 +184,13 @@ def alarm_words(change: AlarmChange, joints: tuple[str, ...], units: Sequence[st
         f"{level.upper()} {joints[change.joint]}: |tau_ext| {abs(change.tau_ext_nm):.2f} {unit}{error}, "
         f"{level} limit{region} {change.limit_nm:.2f} {unit}"
     )
+
+
+def touch_words(change: TouchChange) -> str:
+    """`the collision is a clamp, 164 ms after the alarm`."""
+    kind = TOUCHES[change.touch]
+    was = f" (was taken for {TOUCHES[change.was]})" if TOUCHES[change.was] not in ("none", "unknown") else ""
+    return f"the {ALARMS[change.alarm]} is {with_article(kind)}, {change.since_s * 1e3:.0f} ms after the alarm{was}"
 
 
 def summary_lines(tally: Tally, flights: FlightCount, folder: Place | None, timing: str = "") -> list[str]:

@@ -59,6 +59,8 @@ class Estimates:
     """(samples,) int8: the level held at that sample, 0 none, 1 contact, 2 collision."""
     alarm: np.ndarray | None = None
     """(samples,) int8: the same, latched until somebody acknowledges it; None but of a monitor."""
+    touch: np.ndarray | None = None
+    """(samples,) int8: kind of touch of the alarm, of `Touch`; None but of a monitor."""
     causes: np.ndarray | None = None
     """(samples,) uint32: a bit for each cause why health is not ok; `cause_names` has the words."""
 
@@ -87,7 +89,7 @@ class Estimates:
 TORQUES = ("r", "network", "tau_ext", "limit")
 OPTIONAL = ("prior", "drift", "sigma_nm", "contact_limit")
 """Torques that some bundles have; a file holds their columns or not."""
-STATES = {"held_alarm": np.int8, "alarm": np.int8, "causes": np.uint32}
+STATES = {"held_alarm": np.int8, "alarm": np.int8, "touch": np.int8, "causes": np.uint32}
 """Columns that a file holds or not."""
 FORMAT = "3"
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from tauext import _core
 from tauext.live.sink import Event, EventKind, Verdict
-from tauext.monitor import ALARMS, HEALTHS, AlarmChange, HealthChange
+from tauext.monitor import ALARMS, HEALTHS, TOUCHES, AlarmChange, HealthChange, TouchChange
 from tauext.monitor.changes import COLLISION, CONTACT, FAULT, NONE, OK
 from tauext.monitor.status import number
 
@@ -33,6 +33,9 @@ class EventFinder:
             elif isinstance(change, AlarmChange) and change.joint >= 0 and change.alarm in (CONTACT, COLLISION):
                 kind: EventKind = "collision" if change.alarm == COLLISION else "contact"
                 events.append(self._event(kind, change.joint, verdict))
+            elif isinstance(change, TouchChange) and change.alarm in (CONTACT, COLLISION):
+                kind = "collision" if change.alarm == COLLISION else "contact"
+                events.append(self._event(kind, change.joint, verdict, news=False))
         if events:
             self._unsettled = True
         elif self._unsettled and verdict.said["health"][0] == OK and verdict.said["alarm"][0] == NONE:
@@ -40,8 +43,9 @@ class EventFinder:
             events.append(self._event("cleared", -1, verdict))
         return events
 
-    def _event(self, kind: EventKind, joint: int, verdict: Verdict) -> Event:
+    def _event(self, kind: EventKind, joint: int, verdict: Verdict, news: bool = True) -> Event:
         said, sample = verdict.said, verdict.sample
+        touch = TOUCHES[said["touch"][0]]
         facts = {
             **self._facts,
             "joints": list(self._joints),
@@ -49,7 +53,10 @@ class EventFinder:
             "health": HEALTHS[said["health"][0]],
             "causes": _core.cause_names(int(said["causes"][0])),
             "alarm": ALARMS[said["alarm"][0]],
+            "touch": touch,
             **{name.removesuffix("_nm") + "_nm": [number(v) for v in said[name][0].tolist()] for name in TORQUES},
         }
         received_ns = sample.received_ns if sample is not None else time.monotonic_ns()
-        return Event(kind, self._joints[joint] if joint >= 0 else None, verdict.t_ns, received_ns, facts)
+        name = self._joints[joint] if joint >= 0 else None
+        kind_of_touch = touch if kind in ("collision", "contact") else None
+        return Event(kind, name, verdict.t_ns, received_ns, facts, kind_of_touch, news)

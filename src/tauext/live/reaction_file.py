@@ -10,6 +10,7 @@ from tauext.data.description_file import refuse_unknown
 from tauext.errors import ConfigError
 from tauext.live.sink import EVENT_KINDS, EventKind
 from tauext.live.toml_file import number, read_toml
+from tauext.monitor import TOUCHES
 from tauext.store import Place
 
 TEMPLATE = """\
@@ -19,11 +20,14 @@ TEMPLATE = """\
 #
 #   on               collision, contact, fault, cleared (healthy and no alarm, for the first time after any of them)
 #   joints           of collisions and contacts, and of faults of a joint; left out: all
+#   touch            kinds of touch, of collisions and contacts: impact, push, clamp, load, when they are known, most of
+#                    them 0.2 s after the alarm; unknown: at the alarm; left out: at the alarm, whatever it is
 #   min_interval_s   an event of the same kind sooner than this after one that was taken is counted and left alone; 0
 #   timeout_s        a command or function that takes longer is killed; 5
 #   and one of:
-#   command          program and arguments, no shell. It finds the facts in TAUEXT_EVENT, TAUEXT_JOINT, TAUEXT_T_NS,
-#                    TAUEXT_TAU_EXT_NM, TAUEXT_LIMIT_NM, TAUEXT_HEALTH, TAUEXT_CAUSES, and all of them as JSON on stdin
+#   command          program and arguments, no shell. It finds the facts in TAUEXT_EVENT, TAUEXT_JOINT, TAUEXT_TOUCH,
+#                    TAUEXT_T_NS, TAUEXT_TAU_EXT_NM, TAUEXT_LIMIT_NM, TAUEXT_HEALTH, TAUEXT_CAUSES, and all of
+#                    them as JSON on stdin
 #   python           "module:function", called with the facts as a dict, in a process of its own; modules are looked
 #                    for in the folder that the monitor was started in, too
 #   publish = true   publishes the event where the source can (ros2)
@@ -46,6 +50,12 @@ command = ["logger", "-t", "tauext", "the monitor found something"]
 # min_interval_s = 1.0
 # timeout_s = 2.0
 # python = "lamp:react"
+
+# [[reaction]]
+# name = "open the clamp"
+# on = ["collision", "contact"]
+# touch = ["clamp"]
+# python = "retreat:back_along_the_way"
 """
 
 
@@ -63,6 +73,8 @@ class Reaction:
     python: str = ""
     publish: bool = False
     stop: bool = False
+    touch: tuple[str, ...] | None = None
+    """None: at the alarm; else when its kind of touch is known to be one of these."""
 
 
 ACTIONS = ("command", "python", "publish", "stop")
@@ -95,6 +107,11 @@ def _reaction(path: Place, table: Any, joints: Sequence[str]) -> Reaction:
     here = f"{path}: [[reaction]] {name!r}:"
     on = _names(f"{here} on", table.get("on", []), EVENT_KINDS, "events")
     chosen = _names(f"{here} joints", table["joints"], joints, "joints") if "joints" in table else None
+    touch = _names(f"{here} touch", table["touch"], TOUCHES[1:], "kinds of touch") if "touch" in table else None
+    if touch is not None and not {"collision", "contact"} & set(on):
+        raise ConfigError(
+            f"{here} touch = {table['touch']!r} says nothing of {', '.join(on)}; on needs collision or contact"
+        )
     given = [key for key in ACTIONS if table.get(key) not in (None, False)]
     if len(given) != 1:
         what = f"{' and '.join(given)} are given" if given else "nothing to do is given"
@@ -120,6 +137,7 @@ def _reaction(path: Place, table: Any, joints: Sequence[str]) -> Reaction:
         function,
         given == ["publish"],
         given == ["stop"],
+        touch,
     )
 
 

@@ -140,6 +140,7 @@ def content_of(event: Event) -> dict[str, Any]:
     environment = {
         "TAUEXT_EVENT": event.kind,
         "TAUEXT_JOINT": event.joint or "",
+        "TAUEXT_TOUCH": event.touch or "",
         "TAUEXT_T_NS": str(event.t_ns),
         "TAUEXT_HEALTH": str(event.facts.get("health", "")),
         "TAUEXT_CAUSES": ", ".join(event.facts.get("causes", ())),

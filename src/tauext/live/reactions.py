@@ -71,6 +71,8 @@ class ReactionThread:
         rule = self.reaction
         if event.kind not in rule.on or (rule.joints and event.joint is not None and event.joint not in rule.joints):
             return
+        if not event.news if rule.touch is None else event.touch is not None and event.touch not in rule.touch:
+            return
         last_ns = self._last_ns.get(event.kind)
         if last_ns is not None and event.received_ns - last_ns < rule.min_interval_s * 1e9:
             self.count.held_back += 1

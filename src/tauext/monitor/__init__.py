@@ -3,13 +3,16 @@
 from tauext.monitor.changes import (
     ALARMS,
     HEALTHS,
+    TOUCHES,
     AlarmChange,
     Change,
     DriftChange,
     FoundLoad,
     HealthChange,
     LoadChange,
+    TouchChange,
     WeighChange,
+    with_article,
 )
 from tauext.monitor.flight_files import FlightSource, write_flight
 from tauext.monitor.flight_writer import FlightNews, FlightWriter
@@ -33,6 +36,7 @@ from tauext.monitor.unfamiliar import WORTH_TELLING, unseen_words
 __all__ = [
     "ALARMS",
     "HEALTHS",
+    "TOUCHES",
     "AlarmChange",
     "Change",
     "Chunk",
@@ -50,6 +54,7 @@ __all__ = [
     "StatusClock",
     "Tally",
     "TimedLoad",
+    "TouchChange",
     "WORTH_TELLING",
     "WeighChange",
     "expect_load",
@@ -62,5 +67,6 @@ __all__ = [
     "replay",
     "status",
     "unseen_words",
+    "with_article",
     "write_flight",
 ]

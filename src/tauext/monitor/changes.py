@@ -6,13 +6,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tauext._core import Load, LoadFound
+from tauext._core import Load, LoadFound, Touch
 from tauext.data.estimates import HEALTHS as HEALTHS
 
 ALARMS = ("none", "contact", "collision")
 """By the core's number."""
+TOUCHES: tuple[str, ...] = tuple(touch.name for touch in Touch)
+"""Kinds of touch, by the core's number."""
+FIRST_KIND = TOUCHES.index("impact")
+"""Those before it say that nothing is known."""
 WARMING_UP, OK, STALE, FAULT = range(4)
 NONE, CONTACT, COLLISION = range(3)
+
+
+def with_article(kind: str) -> str:
+    """`an impact`, `a clamp`."""
+    return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
 
 
 @dataclass(frozen=True)
@@ -49,6 +58,23 @@ class AlarmChange:
     """It did not fall by itself."""
     sigma_nm: float = np.nan
     """Standard error of tau_ext_nm; NaN where no error scale says it."""
+
+
+@dataclass(frozen=True)
+class TouchChange:
+    """From this sample on the monitor knows what kind of touch the alarm is, or takes it for another."""
+
+    row: int
+    t_ns: int
+    touch: int
+    """Index of TOUCHES."""
+    was: int
+    alarm: int
+    """Level that stands."""
+    joint: int
+    """That raised it."""
+    since_s: float
+    """Since the alarm rose to it."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +128,7 @@ class WeighChange:
     """What was found until now; None where it begins."""
 
 
-Change = HealthChange | AlarmChange | DriftChange | LoadChange | FoundLoad | WeighChange
+Change = HealthChange | AlarmChange | TouchChange | DriftChange | LoadChange | FoundLoad | WeighChange
 
 
 class ChangeFinder:
@@ -112,6 +138,7 @@ class ChangeFinder:
         self._last = {"health": WARMING_UP, "causes": 0, "alarm": NONE}
         self._saturated: set[int] = set()
         self._found_ns, self._told_kg, self._told_error_kg = 0, np.nan, np.nan
+        self._touch, self._alarm_ns = 0, 0
 
     def acknowledged(self, row: int, t_ns: int) -> AlarmChange:
         """The alarm was acknowledged just before this sample; one that stands at the sample was raised anew there."""
@@ -119,7 +146,7 @@ class ChangeFinder:
         return AlarmChange(row, int(t_ns), NONE, was, -1, acknowledged=True)
 
     def find(self, first_row: int, t_ns: np.ndarray, said: dict[str, np.ndarray]) -> list[Change]:
-        """Changes at these samples in order; of one sample, its health before its alarm, then drift.
+        """Changes at these samples in order; of one sample, its health before its alarm, then its touch, then drift.
 
         Args:
             first_row: of the chunk, counted from the recording's first sample.
@@ -139,6 +166,8 @@ class ChangeFinder:
                 changes.append(self._alarm_change(row, t, k, int(before["alarm"][k]), said))
         if "load_found_ns" in said:
             changes += self._found(first_row, t_ns, said)
+        if "touch" in said:
+            changes += self._touches(first_row, t_ns, said, before["alarm"])
         changes += self._drift(first_row, t_ns, said["drift_saturated"])
         return sorted(changes, key=lambda change: change.row)
 
@@ -154,6 +183,27 @@ class ChangeFinder:
                 told.append(FoundLoad(first_row + k, int(t_ns[k]), kg, error_kg))
                 self._told_kg, self._told_error_kg = kg, error_kg
         self._found_ns = int(found_ns[-1])
+        return told
+
+    def _touches(
+        self, first_row: int, t_ns: np.ndarray, said: dict[str, np.ndarray], alarm_before: np.ndarray
+    ) -> list[TouchChange]:
+        """Kinds that became known."""
+        touch, alarm = said["touch"], said["alarm"]
+        before = np.append(self._touch, touch[:-1])
+        told: list[TouchChange] = []
+        for k in np.flatnonzero((touch != before) | (alarm > alarm_before)).tolist():
+            if alarm[k] > alarm_before[k]:
+                self._alarm_ns = int(t_ns[k])
+            if touch[k] >= FIRST_KIND and touch[k] != before[k]:
+                since_s = (int(t_ns[k]) - self._alarm_ns) * 1e-9
+                joint = int(said["alarm_joint"][k])
+                told.append(
+                    TouchChange(
+                        first_row + k, int(t_ns[k]), int(touch[k]), int(before[k]), int(alarm[k]), joint, since_s
+                    )
+                )
+        self._touch = int(touch[-1])
         return told
 
     def _drift(self, first_row: int, t_ns: np.ndarray, saturated: np.ndarray) -> list[DriftChange]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tauext.monitor.causes import in_words
-from tauext.monitor.changes import HEALTHS, OK
+from tauext.monitor.changes import FIRST_KIND, HEALTHS, OK, TOUCHES, with_article
 from tauext.monitor.flight_content import Flight, FlightSource
 from tauext.monitor.unfamiliar import WORTH_TELLING, unseen_words
 
@@ -45,6 +45,18 @@ def certainty(flight: Flight, source: FlightSource) -> str:
         f" It was {abs(event.tau_ext[j]) / sigma:.2g} times its standard error of {sigma:.3f} {source.unit(j)}; the "
         f"motion multiplied the limit of usual motion by {event.limit_scale[j]:.2f}."
     )
+
+
+def kind_of_touch(flight: Flight) -> str:
+    """What kind of touch it was taken for, at the end of the flight; empty where nobody knew."""
+    row, touch = flight["event_row"], flight["touch"]
+    if not len(touch) or touch[-1] < FIRST_KIND:
+        return ""
+    since = len(touch) - 1
+    while since > row and touch[since - 1] == touch[-1]:
+        since -= 1
+    ms = (flight["t_ns"][since] - flight["t_ns"][row]) * 1e-6
+    return f"{ms:.0f} ms later it was taken for {with_article(TOUCHES[touch[-1]])}."
 
 
 def doubt(flight: Flight) -> str:

@@ -162,6 +162,7 @@ def as_estimates(flight: Flight, kept: np.ndarray, source: FlightSource) -> Esti
         detection=flight["detection"][kept].astype(bool),
         alarm=flight["alarm"][kept].astype(np.int8),
         held_alarm=flight["held_alarm"][kept].astype(np.int8),
+        touch=flight["touch"][kept].astype(np.int8),
         causes=flight["causes"][kept].astype(np.uint32),
     )
 

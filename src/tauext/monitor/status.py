@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tauext import _core
-from tauext.monitor.changes import ALARMS, HEALTHS
+from tauext.monitor.changes import ALARMS, HEALTHS, TOUCHES
 from tauext.monitor.replay import Chunk
 
 TORQUES = {
@@ -45,6 +45,7 @@ def status(chunk: Chunk, row: int) -> dict[str, Any]:
         "health": HEALTHS[said["health"][row]],
         "causes": _core.cause_names(int(said["causes"][row])),
         "alarm": ALARMS[said["alarm"][row]],
+        "touch": TOUCHES[said["touch"][row]],
         "detection": bool(said["detection"][row]),
         **{name: [number(value) for value in said[key][row].tolist()] for name, key in TORQUES.items()},
         "unfamiliar": float(said["unfamiliar"][row]),

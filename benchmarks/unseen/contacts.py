@@ -27,6 +27,10 @@ class Contact:
     """In the world; an impact on a moving link acts against its motion instead."""
     peak_n: float
     label_s: tuple[float, float]
+    at_m: tuple[float, float, float] | None = None
+    """Where on its link, in the link's axes; None: beside the line to the next joint, by `share`."""
+    in_link: bool = False
+    """The direction is along the link's axes as the touch begins, and then stays in the world."""
 
     def force_n(self, t_s: float) -> float:
         """A half sine of an impact; a push rises and falls over 0.15 s, a hold over 0.3 s."""

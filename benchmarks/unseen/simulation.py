@@ -113,10 +113,10 @@ def simulate(
         if touching is not None:
             body = touching.link + 1
             rotation = data.xmat[body].reshape(3, 3)
-            point = data.xpos[body] + rotation @ (_reach(arm.tree, touching) + [LINK_RADIUS_M, 0, 0])
+            point = data.xpos[body] + rotation @ touched_point(arm.tree, touching)
             jacobian = _jacobian(model, data, point, body)
             if direction is None:
-                direction = _against_motion(touching, jacobian, v)
+                direction = _against_motion(touching, jacobian, v, rotation)
             force = touching.force_n(k * dt) * direction
             data.xfrc_applied[body, :3] = force
             data.xfrc_applied[body, 3:] = np.cross(point - data.xipos[body], force)
@@ -147,11 +147,19 @@ def _reach(tree: _core.Tree, contact: Contact) -> np.ndarray:
     return contact.share * np.array(further[0] if further else (0.0, 0.0, 0.12))
 
 
-def _against_motion(contact: Contact, jacobian: np.ndarray, dq: np.ndarray) -> np.ndarray:
+def touched_point(tree: _core.Tree, contact: Contact) -> np.ndarray:
+    """In the link's axes, [m]."""
+    return _reach(tree, contact) + [LINK_RADIUS_M, 0, 0] if contact.at_m is None else np.array(contact.at_m)
+
+
+def _against_motion(contact: Contact, jacobian: np.ndarray, dq: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """The force's direction, kept for the whole contact: an obstacle that is run into pushes back."""
     velocity = jacobian @ dq
     speed = np.linalg.norm(velocity)
-    return -velocity / speed if contact.kind == "impact" and speed > 0.1 else np.array(contact.direction)
+    if contact.kind == "impact" and speed > 0.1:
+        return -velocity / speed
+    direction = np.array(contact.direction)
+    return rotation @ direction if contact.in_link else direction
 
 
 def _jacobian(model: mujoco.MjModel, data: mujoco.MjData, point: np.ndarray, body: int) -> np.ndarray:

@@ -1,0 +1,107 @@
+"""What the arms' links look like: cylinders, as people draw them in robot files; and pushes on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """Part of a link's surface: its side, and the far end of the arm's last one."""
+
+    link: int
+    start_m: tuple[float, float, float]
+    end_m: tuple[float, float, float]
+    """Of its axis, in the link's frame (origin on the joint's axis, z along it)."""
+    radius_m: float
+    closed: bool = False
+    """Whether the disc at its end can be touched."""
+
+    @property
+    def area_m2(self) -> float:
+        length = float(np.linalg.norm(np.subtract(self.end_m, self.start_m)))
+        return 2 * np.pi * self.radius_m * length + self.closed * np.pi * self.radius_m**2
+
+    def draw(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """A point, evenly over the surface, and the unit vector into the link there."""
+        start, way = np.array(self.start_m), np.subtract(self.end_m, self.start_m)
+        length = float(np.linalg.norm(way))
+        axis = way / length
+        across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        across /= np.linalg.norm(across)
+        angle = rng.uniform(0, 2 * np.pi)
+        out = np.cos(angle) * across + np.sin(angle) * np.cross(axis, across)
+        if self.closed and rng.uniform() < np.pi * self.radius_m**2 / self.area_m2:
+            return np.array(self.end_m) + np.sqrt(rng.uniform()) * self.radius_m * out, -axis
+        return start + rng.uniform() * way + self.radius_m * out, -out
+
+
+SURFACES: dict[str, tuple[Cylinder, ...]] = {
+    "ur5": (
+        Cylinder(0, (0, -0.06, 0), (0, 0.136, 0), 0.06),
+        Cylinder(1, (0, 0, -0.06), (0, 0, 0.06), 0.06),
+        Cylinder(1, (0.06, 0, 0), (0.365, 0, 0), 0.054),
+        Cylinder(1, (0.425, 0, 0.06), (0.425, 0, -0.07), 0.06),
+        Cylinder(2, (0, 0, -0.05), (0, 0, 0.05), 0.048),
+        Cylinder(2, (0.05, 0, 0), (0.35, 0, 0), 0.04),
+        Cylinder(2, (0.392, 0, -0.05), (0.392, 0, 0.045), 0.042),
+        Cylinder(3, (0, 0, 0.04), (0, 0, 0.093), 0.042),
+        Cylinder(3, (0, -0.05, 0.093), (0, 0.05, 0.093), 0.04),
+        Cylinder(4, (0, 0, 0.04), (0, 0, 0.095), 0.042),
+        Cylinder(4, (-0.05, 0, 0.095), (0.04, 0, 0.095), 0.04),
+        Cylinder(5, (0, 0, 0.04), (0, 0, 0.14), 0.04, True),
+    ),
+    "panda": (
+        Cylinder(0, (0, 0, -0.19), (0, 0, -0.06), 0.06),
+        Cylinder(1, (0, 0, -0.06), (0, 0, 0.06), 0.06),
+        Cylinder(1, (0, -0.06, 0), (0, -0.17, 0), 0.06),
+        Cylinder(2, (0, 0, -0.146), (0, 0, -0.02), 0.055),
+        Cylinder(2, (0, 0, 0), (0.05, 0, 0), 0.055),
+        Cylinder(3, (0, 0, -0.06), (0, 0, 0.06), 0.06),
+        Cylinder(3, (-0.082, 0.05, 0), (-0.082, 0.14, 0), 0.055),
+        Cylinder(4, (0, 0, -0.244), (0, 0, -0.06), 0.05),
+        Cylinder(5, (0, 0, -0.03), (0, 0, 0.06), 0.05),
+        Cylinder(5, (0.03, 0, 0), (0.088, 0, 0), 0.048),
+        Cylinder(6, (0, 0, 0.05), (0, 0, 0.12), 0.045),
+        Cylinder(6, (0, -0.08, 0.14), (0, 0.08, 0.14), 0.03),
+    ),
+    "seven_axis": (
+        Cylinder(0, (0, 0, -0.2), (0, 0, -0.06), 0.065),
+        Cylinder(1, (0, 0, -0.065), (0, 0, 0.065), 0.065),
+        Cylinder(1, (0, -0.06, 0), (0, -0.17, 0), 0.06),
+        Cylinder(2, (0, 0, -0.15), (0, 0, -0.02), 0.055),
+        Cylinder(2, (0, 0, 0), (0.05, 0, 0), 0.055),
+        Cylinder(3, (0, 0, -0.06), (0, 0, 0.06), 0.06),
+        Cylinder(3, (-0.08, 0.05, 0), (-0.08, 0.18, 0), 0.055),
+        Cylinder(4, (0, 0, -0.2), (0, 0, -0.05), 0.05),
+        Cylinder(5, (0, 0, -0.05), (0, 0, 0.05), 0.05),
+        Cylinder(5, (0.03, 0, 0), (0.09, 0, 0), 0.045),
+        Cylinder(6, (0, 0, 0.04), (0, 0, 0.16), 0.04, True),
+    ),
+    "kinova": (
+        Cylinder(0, (0, 0, 0.06), (0, 0, -0.119), 0.045),
+        Cylinder(1, (0, 0, -0.04), (0, 0, 0.05), 0.045),
+        Cylinder(1, (-0.03, 0, 0), (-0.41, 0, 0), 0.04),
+        Cylinder(2, (0, -0.03, 0), (0, -0.207, -0.011), 0.037),
+        Cylinder(3, (0, 0, 0.02), (0, 0, -0.104), 0.033),
+        Cylinder(4, (0, 0.02, 0), (0, -0.104, 0), 0.033),
+        Cylinder(5, (0, 0, -0.03), (0, 0, -0.13), 0.045, True),
+    ),
+}
+"""By the arm's name; sizes as such arms have them."""
+
+
+def draw_touch(
+    surface: tuple[Cylinder, ...], link: int, widest_rad: float, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """On this link, evenly over its surface: point [m], direction, both in the link's axes, and the direction's angle
+    from the normal, even over the cone, [rad]."""
+    parts = [part for part in surface if part.link == link]
+    areas = np.array([part.area_m2 for part in parts])
+    point, inwards = parts[rng.choice(len(parts), p=areas / areas.sum())].draw(rng)
+    cosine = rng.uniform(np.cos(widest_rad), 1)
+    sideways = np.cross(inwards, rng.standard_normal(3))
+    sideways /= np.linalg.norm(sideways)
+    return point, cosine * inwards + np.sqrt(1 - cosine**2) * sideways, float(np.arccos(cosine))

@@ -455,6 +455,7 @@ void bind_bundle(nb::module_& m) {
               "What tau and the answers are given in; torque_units and estimate_units say it in words.")
       .def_rw("load_settings", &Bundle::load, "Where a load is fixed, and what is believed of one.")
       .def_rw("wrench_settings", &Bundle::wrench, "What forces and moments at frames are worth.")
+      .def_rw("capsules", &Bundle::capsules, "What links look like, as the robot file has it; none: it has not.")
       .def("assume_load", &Bundle::assume_load, "What is said of a load where nobody says more: see bundle.hpp.")
       .def_prop_ro("torque_units", [](const Bundle& b) { return units(b, &Bundle::torque_unit); },
                    "Unit of the tau that is to be given, a joint.")
@@ -670,6 +671,7 @@ NB_MODULE(_core, m) {
   m.attr("MAX_JOINTS") = kMaxJoints;
   nb::exception<Error>(m, "CoreError", nb::module_::import_("tauext.errors").attr("TauextError"));
   bind_wrench(m);
+  bind_places(m);
   bind_tree(m);
   bind_observer(m);
   bind_lstm(m);

@@ -159,6 +159,7 @@ void Bundle::validate() const {
   units.validate(joints(), !observer.nm_per_unit.empty());
   load.validate(joints());
   wrench.validate(joints());
+  validate_capsules(capsules, joints());
   if (load.settable() && !tree.has_mass() && prior.corrected_links.empty())
     throw Error("it says that a load can be set, and no model carries one");
   const auto samples = reference.t_ns.size();

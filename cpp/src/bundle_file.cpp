@@ -102,6 +102,13 @@ void field(File& file, WrenchFrame& frame) {
   field(file, frame.translation);
 }
 template <class File>
+void field(File& file, Capsule& capsule) {
+  field(file, capsule.link);
+  field(file, capsule.start);
+  field(file, capsule.end);
+  field(file, capsule.radius_m);
+}
+template <class File>
 void field(File& file, Term& term) {
   field(file, term.kind);
   field(file, term.a);
@@ -214,6 +221,7 @@ void fields(File& file, Bundle& b) {
     field(file, b.wrench.common_share);
     field(file, b.wrench.radius);
     field(file, b.wrench.residual_radius);
+    field(file, b.capsules);
   }
   field(file, b.reference.t_ns);
   field(file, b.reference.q);

@@ -30,8 +30,14 @@ std::string why_none(const Bundle& bundle) {
   return "";
 }
 
-// The columns of WrenchModel::columns(), on the way from the frame to the base; the base's axes in the frame.
-Turn see(const std::vector<Link>& links, const WrenchFrame& frame, std::span<const double> q,
+// The base, as seen from a frame.
+struct SeenBase {
+  Turn axes;
+  Vector3 origin;
+};
+
+// The columns of WrenchModel::columns(), on the way from the frame to the base.
+SeenBase see(const std::vector<Link>& links, const WrenchFrame& frame, std::span<const double> q,
          const std::array<double, 3>& point, WrenchAxes axes, std::span<double> into) noexcept {
   const auto n = links.size();
   std::fill_n(into.begin(), 6 * n, 0.0);
@@ -69,7 +75,7 @@ Turn see(const std::vector<Link>& links, const WrenchFrame& frame, std::span<con
     for (std::size_t j = 0; j < n; ++j)
       for (std::size_t part : {0u, 1u})
         put(part, j, seen.back({into[3 * part * n + j], into[(3 * part + 1) * n + j], into[(3 * part + 2) * n + j]}));
-  return seen;
+  return {seen, origin};
 }
 
 }  // namespace
@@ -131,6 +137,16 @@ void WrenchModel::columns(int frame, std::span<const double> q, const std::array
   see(links_, frames_[static_cast<std::size_t>(frame)], q, point, axes, into);
 }
 
+void WrenchModel::pose(int frame, std::span<const double> q, std::array<double, 9>& rotation,
+                       std::array<double, 3>& origin) const noexcept {
+  std::array<double, 6 * kMaxJoints> columns;
+  const SeenBase base = see(links_, frames_[static_cast<std::size_t>(frame)], q, {}, WrenchAxes::frame, columns);
+  rotation = {base.axes.x.x, base.axes.x.y, base.axes.x.z, base.axes.y.x, base.axes.y.y,
+              base.axes.y.z, base.axes.z.x, base.axes.z.y, base.axes.z.z};
+  const Vector3 at = -1.0 * base.axes.back(base.origin);
+  origin = {at.x, at.y, at.z};
+}
+
 void WrenchModel::covariance(WrenchKind kind, std::span<const double> tau_ext, std::span<const double> sigma_nm,
                              std::uint32_t near_stiction, std::span<double> into) const noexcept {
   const auto n = links_.size();
@@ -173,7 +189,7 @@ Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3
   std::array<double, kMaxJoints * kMaxJoints> s;
   std::array<double, 6 * kMaxJoints> all;
   covariance(kind, tau_ext, sigma_nm, near_stiction, s);
-  const Turn base = see(links_, frames_[static_cast<std::size_t>(frame)], q, point, axes, all);
+  const Turn base = see(links_, frames_[static_cast<std::size_t>(frame)], q, point, axes, all).axes;
   const WrenchScale scale{WrenchModel::kLargestForce_n, WrenchModel::kLength_m, WrenchModel::kBlindForce_n};
   if (!solve_wrench(std::span(s).first(n * n), std::span(all).first(unknowns * n), tau_ext.first(n), scale, told)) return told;
   told.chi_square /= settings_.residual_radius[static_cast<std::size_t>(kind)];

@@ -13,6 +13,7 @@
 #include "made_signals.hpp"
 #include "tauext/flight_recorder.hpp"
 #include "tauext/monitor.hpp"
+#include "tauext/touch_place.hpp"
 
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
 #define TAUEXT_SANITIZED
@@ -91,8 +92,10 @@ struct Everything {
   Monitor every, own, plain, velocity;
   FlightRecorder recorder;
   double weighed = 0;
-  int touched = 0;
+  int touched = 0, placed = 0;
   std::vector<std::byte> state;
+  PlaceModel places;
+  TouchPlaces told;
 
   explicit Everything(int joints)
       : every(tracking(joints)),
@@ -100,7 +103,8 @@ struct Everything {
         plain(made::bundle(joints, 0, 30, 10, 1)),
         velocity(compared(joints)),
         recorder(joints, 1'000'000, {0.5, 0.1, true}),
-        state(every.state_bytes()) {
+        state(every.state_bytes()),
+        places(tracking(joints)) {
     every.reserve_refit(1.0);
   }
 
@@ -141,6 +145,12 @@ struct Everything {
       if (k % 2200 == 0) CHECK(every.start_weighing() && own.start_weighing(0.4) && !velocity.start_weighing());
       if (k % 3 == 0)
         touched += every.wrench(joints - 1).covariance[0] + every.force(0, {0, 0, 0.1}, WrenchAxes::frame).consistent > 0;
+      if (k % 100 == 0) {
+        const double sigma[kMaxJoints] = {1, 1, 1, 1, 1, 1, 1};
+        places.rank(sample.q, sample.dq, std::span(sigma).first(sample.q.size()), 1, told);
+        places.locate(told);
+        placed += told.places;
+      }
       if (k % 450 == 0) weighed += every.estimate_load().misfit + own.estimate_load().misfit;
       if (k % 3700 == 3699) own.stop_weighing();
       if (k % 3600 == 0) every.finish_refit();
@@ -161,7 +171,7 @@ void nothing_is_allocated() {
     allocations = 0;
     everything.run(6'000);
     CHECK(allocations == 0);
-    CHECK(everything.weighed != 0 && everything.touched > 0);
+    CHECK(everything.weighed != 0 && everything.touched > 0 && everything.placed > 0);
   }
 }
 

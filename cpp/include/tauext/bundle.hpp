@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "tauext/alarm.hpp"
+#include "tauext/capsule.hpp"
 #include "tauext/coverage.hpp"
 #include "tauext/drift.hpp"
 #include "tauext/error_scale.hpp"
@@ -74,6 +75,7 @@ struct Bundle {
   TorqueUnits units;                    // of tau and of the answers
   LoadSettings load;                    // where a load is fixed, and what is believed of one
   WrenchSettings wrench;                // of forces and moments at frames
+  std::vector<Capsule> capsules;        // what links look like
   Reference reference;                  // replayed at load
 
   int joints() const noexcept { return static_cast<int>(links.size()); }  // how many

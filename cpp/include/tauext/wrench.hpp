@@ -96,6 +96,8 @@ class WrenchModel {
   // of the frame, [m] along its own axes. J of w at that point; no allocation.
   void columns(int frame, std::span<const double> q, const std::array<double, 3>& point, WrenchAxes axes,
                std::span<double> into) const noexcept;
+  // Where a frame stands: `base from frame`, row-major, and its origin in the base's frame, [m]; no allocation.
+  void pose(int frame, std::span<const double> q, std::array<double, 9>& rotation, std::array<double, 3>& origin) const noexcept;
   // S of a sample, (joints, joints).
   void covariance(WrenchKind kind, std::span<const double> tau_ext, std::span<const double> sigma_nm,
                   std::uint32_t near_stiction, std::span<double> into) const noexcept;

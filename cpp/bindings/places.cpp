@@ -1,0 +1,109 @@
+// Which link is touched, and where.
+#include "tauext/touch_place.hpp"
+
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include "arrays.hpp"
+#include "tauext/bundle.hpp"
+
+namespace tauext::bindings {
+namespace {
+
+// What find() returns: owns what it says.
+struct Found {
+  int joints;
+  TouchPlaces told;
+};
+
+void check(const PlaceModel& model, const std::vector<double>& q, const std::vector<double>& tau_ext,
+           const std::vector<double>& sigma_nm) {
+  if (!model.refused().empty()) throw Error("no place of a touch: " + model.refused());
+  const auto n = static_cast<std::size_t>(model.joints());
+  for (const auto* one : {&q, &tau_ext, &sigma_nm})
+    if (one->size() != n) throw Error("q, tau_ext and sigma_nm must hold " + std::to_string(n) + " values");
+}
+
+}  // namespace
+
+void bind_places(nb::module_& m) {
+  nb::class_<Capsule>(m, "Capsule", "Part of a link's shape: all within radius_m of the line from start to end, [m] in the link's frame.")
+      .def(
+          "__init__",
+          [](Capsule* c, int link, std::array<double, 3> start, std::array<double, 3> end, double radius_m) {
+            new (c) Capsule{link, start, end, radius_m};
+          },
+          nb::arg("link"), nb::arg("start"), nb::arg("end"), nb::arg("radius_m"))
+      .def_ro("link", &Capsule::link)
+      .def_ro("start", &Capsule::start)
+      .def_ro("end", &Capsule::end)
+      .def_ro("radius_m", &Capsule::radius_m);
+  nb::class_<TouchPlace>(m, "TouchPlace", "A force at a point of a link's surface that would explain tau_ext.")
+      .def_ro("link", &TouchPlace::link)
+      .def_ro("probability", &TouchPlace::probability, "That the touch is on this part of the link.")
+      .def_ro("point", &TouchPlace::point, "In the base's frame, [m].")
+      .def_ro("on_link", &TouchPlace::on_link, "The same in the link's frame, [m].")
+      .def_ro("force", &TouchPlace::force, "What the surroundings exert on the arm, along the base's axes, [N].")
+      .def_ro("spread_m", &TouchPlace::spread_m, "Root mean square distance from the point, should the touch be here.");
+  nb::class_<Found>(m, "TouchPlaces", "Which links and places explain tau_ext, the most probable first.")
+      .def_prop_ro("known", [](const Found& f) { return f.told.known; }, "The sample had torques with a standard error.")
+      .def_prop_ro(
+          "probability",
+          [](const Found& f) {
+            return std::vector<double>(f.told.probability.begin(), f.told.probability.begin() + f.joints);
+          },
+          "A link; they sum to 1.")
+      .def_prop_ro(
+          "ranked",
+          [](const Found& f) {
+            return std::vector<int>(f.told.ranked.begin(), f.told.ranked.begin() + (f.told.known ? f.joints : 0));
+          },
+          "Links by number, the most probable first.")
+      .def_prop_ro(
+          "places",
+          [](const Found& f) {
+            return std::vector<TouchPlace>(f.told.place.begin(), f.told.place.begin() + f.told.places);
+          },
+          "The most probable first.")
+      .def_prop_ro("consistent", [](const Found& f) { return f.told.consistent; },
+                   "Probability that one force at the first place leaves so much unexplained or more; NaN without places.");
+  nb::class_<PlaceModel>(m, "PlaceModel", "Where touches are, by a bundle's arm; one thread at a time.")
+      .def(nb::init<const Bundle&>(), nb::arg("bundle"))
+      .def_prop_ro("refused", &PlaceModel::refused, "Why it cannot tell; empty: it can.")
+      .def_prop_ro("capsules", &PlaceModel::capsules, "What it takes the links for.")
+      .def(
+          "find",
+          [](PlaceModel& self, const std::vector<double>& q, const std::vector<double>& tau_ext,
+             const std::vector<double>& sigma_nm, std::uint32_t near_stiction, bool places) {
+            check(self, q, tau_ext, sigma_nm);
+            Found found{self.joints(), {}};
+            self.rank(q, tau_ext, sigma_nm, near_stiction, found.told);
+            if (places) self.locate(found.told);
+            return found;
+          },
+          nb::arg("q"), nb::arg("tau_ext"), nb::arg("sigma_nm"), nb::arg("near_stiction") = 0, nb::arg("places") = true,
+          "Of a sample: links with their probabilities and, if asked for, places. near_stiction: a bit a joint.");
+  m.def(
+      "surface_of",
+      [](const std::vector<Capsule>& capsules, int points) {
+        if (points < 1 || points > 100'000) throw Error("points = " + std::to_string(points) + " must be 1 to 100000");
+        LinkSurface surface = surface_of(capsules, points);
+        ArrayDict out;
+        const std::size_t size = surface.size();
+        std::vector<double> at, inwards;
+        for (std::size_t i = 0; i < size; ++i) {
+          at.insert(at.end(), {surface.x[i], surface.y[i], surface.z[i]});
+          inwards.insert(inwards.end(), {surface.nx[i], surface.ny[i], surface.nz[i]});
+        }
+        out["points"] = to_numpy(std::move(at), {size, 3});
+        out["inwards"] = to_numpy(std::move(inwards), {size, 3});
+        out["share"] = to_numpy(std::move(surface.share), {size});
+        return out;
+      },
+      nb::arg("capsules"), nb::arg("points"),
+      "Points spread evenly over the union of a link's capsules: points (n, 3), inwards (n, 3), share (n,) of the area.");
+  m.def("capsules_or_guess", &capsules_or_guess, nb::arg("bundle"), "A bundle's capsules, and guesses for links that have none.");
+}
+
+}  // namespace tauext::bindings

@@ -146,8 +146,8 @@ def told_of(bundle: _core.Bundle, arm, contact: Contact, q, said: dict, plain: n
         spread = np.sqrt(np.linalg.eigvalsh(found["covariance"][:3, :3]))
         row[kind] = error_of(found["force"], truth) | {
             "distance": distance,
-            "held": distance <= chi2.ppf(HELD, len(wanted)),
-            "beyond_3": distance > chi2.ppf(THREE_SIGMA, len(wanted)),
+            "held": bool(distance <= chi2.ppf(HELD, len(wanted))),
+            "beyond_3": bool(distance > chi2.ppf(THREE_SIGMA, len(wanted))),
             "blind": int(found["blind"]),
             "sigma_n": float(np.exp(np.log(spread).mean())),
             "consistent": float(found["consistent"]),

@@ -141,6 +141,42 @@ def test_a_place_explains_what_a_sharp_touch_shows(bundle, model):
     np.testing.assert_allclose(place.point, data.oMi[7].act(np.array(place.on_link)), atol=1e-9)
 
 
+def test_a_force_at_a_frame_is_told_from_touches_elsewhere(bundle, model):
+    """Right as often as it says, both kinds being as frequent; and by the normal distributions of its definition."""
+    wrenches, rng = _core.WrenchModel(bundle), np.random.default_rng(8)
+    said, right = [], []
+    for _, _, _, q, tau in drawn(bundle, 150, 21):
+        said.append(model.find(q.tolist(), tau.tolist(), SIGMA.tolist(), frame="joint7").at_frame)
+        right.append(False)
+        way = rng.normal(size=3)
+        true = columns(wrenches, bundle, 6, q, [0, 0, 0]).T @ (way * rng.uniform(20, 60) / np.linalg.norm(way))
+        tau = true + np.hypot(SIGMA, 0.05 * true) * rng.normal(size=7)
+        said.append(model.find(q.tolist(), tau.tolist(), SIGMA.tolist(), frame="joint7").at_frame)
+        right.append(True)
+    assert abs(np.mean(said) - 0.5) < 0.1
+    taken = np.array(said) > 0.5
+    assert np.mean(taken == np.array(right)) > 0.85
+    assert np.isnan(model.find(q.tolist(), tau.tolist(), SIGMA.tolist()).at_frame)
+
+    s = wrenches.covariance(True, tau.tolist(), SIGMA.tolist())
+    at, points = columns(wrenches, bundle, 6, q, [0, 0, 0]), []
+    for size in SIZES_N:
+        points.append(multivariate_normal.logpdf(tau, np.zeros(7), s + size**2 / 3 * at.T @ at) - np.log(len(SIZES_N)))
+    elsewhere = []
+    for link in range(7):
+        surface = _core.surface_of(of_link(bundle, link), RANKING_POINTS)
+        for point, inwards, share in zip(*(surface[k] for k in ("points", "inwards", "share")), strict=True):
+            j, along = columns(wrenches, bundle, link, q, point), np.outer(inwards, inwards)
+            for size in SIZES_N:
+                spread = size**2 * (ALONG**2 * along + ACROSS**2 * (np.eye(3) - along))
+                found = multivariate_normal.logpdf(tau, size * inwards @ j, s + j.T @ spread @ j)
+                elsewhere.append(found + np.log(share * (1 - HOLDS) / len(SIZES_N) / 7))
+            found = multivariate_normal.logpdf(tau, np.zeros(7), s + HOLDS_N**2 * j.T @ j)
+            elsewhere.append(found + np.log(share * HOLDS / 7))
+    log = logsumexp(elsewhere) - logsumexp(points)
+    assert said[-1] == pytest.approx(1 / (1 + np.exp(log)), rel=1e-6)
+
+
 def test_a_joint_that_a_nearer_link_cannot_move_rules_it_out(model):
     tau = np.array([0.0, 0, 0, 0, 8.0, 0, 0])
     told = model.find([0.3] * 7, tau.tolist(), SIGMA.tolist())

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tauext import _core
+
 
 @dataclass(frozen=True)
 class Cylinder:
@@ -36,6 +38,17 @@ class Cylinder:
         if self.closed and rng.uniform() < np.pi * self.radius_m**2 / self.area_m2:
             return np.array(self.end_m) + np.sqrt(rng.uniform()) * self.radius_m * out, -axis
         return start + rng.uniform() * way + self.radius_m * out, -out
+
+
+def capsules_of(surface: tuple[Cylinder, ...]) -> list[_core.Capsule]:
+    """Capsules that end where the cylinders end: what a bundle is told of such links."""
+    found = []
+    for one in surface:
+        start, way = np.array(one.start_m, dtype=float), np.subtract(one.end_m, one.start_m)
+        length = float(np.linalg.norm(way))
+        cut = way / length * min(one.radius_m, length / 2)
+        found.append(_core.Capsule(one.link, (start + cut).tolist(), (start + way - cut).tolist(), one.radius_m))
+    return found
 
 
 SURFACES: dict[str, tuple[Cylinder, ...]] = {

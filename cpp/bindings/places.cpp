@@ -2,6 +2,7 @@
 #include "tauext/touch_place.hpp"
 
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
@@ -15,6 +16,7 @@ namespace {
 struct Found {
   int joints;
   TouchPlaces told;
+  double at_frame;
 };
 
 void check(const PlaceModel& model, const std::vector<double>& q, const std::vector<double>& tau_ext,
@@ -67,7 +69,10 @@ void bind_places(nb::module_& m) {
           },
           "The most probable first.")
       .def_prop_ro("consistent", [](const Found& f) { return f.told.consistent; },
-                   "Probability that one force at the first place leaves so much unexplained or more; NaN without places.");
+                   "Probability that one force at the first place leaves so much unexplained or more; NaN without places.")
+      .def_prop_ro("at_frame", [](const Found& f) { return f.at_frame; },
+                   "Probability that it is a force at the frame's origin, any way, and not a touch anywhere else on the arm, "
+                   "both being as probable beforehand; NaN where no frame was given.");
   nb::class_<PlaceModel>(m, "PlaceModel", "Where touches are, by a bundle's arm; one thread at a time.")
       .def(nb::init<const Bundle&>(), nb::arg("bundle"))
       .def_prop_ro("refused", &PlaceModel::refused, "Why it cannot tell; empty: it can.")
@@ -75,15 +80,22 @@ void bind_places(nb::module_& m) {
       .def(
           "find",
           [](PlaceModel& self, const std::vector<double>& q, const std::vector<double>& tau_ext,
-             const std::vector<double>& sigma_nm, std::uint32_t near_stiction, bool places) {
+             const std::vector<double>& sigma_nm, std::uint32_t near_stiction, bool places, std::optional<int> link,
+             const std::optional<std::string>& frame) {
             check(self, q, tau_ext, sigma_nm);
-            Found found{self.joints(), {}};
+            if (link && (*link < 0 || *link >= self.joints()))
+              throw Error("link = " + std::to_string(*link) + " must be 0 to " + std::to_string(self.joints() - 1));
+            const int at = frame ? frame_of(self.wrench_model(), *frame) : -1;
+            Found found{self.joints(), {}, 0};
             self.rank(q, tau_ext, sigma_nm, near_stiction, found.told);
-            if (places) self.locate(found.told);
+            if (places) self.locate(found.told, link.value_or(-1));
+            found.at_frame = self.at_frame(at);
             return found;
           },
           nb::arg("q"), nb::arg("tau_ext"), nb::arg("sigma_nm"), nb::arg("near_stiction") = 0, nb::arg("places") = true,
-          "Of a sample: links with their probabilities and, if asked for, places. near_stiction: a bit a joint.");
+          nb::arg("link").none() = nb::none(), nb::arg("frame").none() = nb::none(),
+          "Of a sample: links with their probabilities and, if asked for, places. near_stiction: a bit a joint. link: one that "
+          "the touch is known to be on, whose places are then told alone. frame: one whose at_frame is asked for.");
   m.def(
       "surface_of",
       [](const std::vector<Capsule>& capsules, int points) {

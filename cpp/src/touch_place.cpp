@@ -96,6 +96,20 @@ inline SeenAt with(const SeenAt& seen, const Size& size, double nx, double ny, d
           seen.bz + push * nz};
 }
 
+double squared_distance(const LinkSurface& surface, std::size_t i, Vector3 to) noexcept {
+  const Vector3 off = Vector3{surface.x[i], surface.y[i], surface.z[i]} - to;
+  return dot(off, off);
+}
+
+std::vector<std::vector<std::uint32_t>> neighbours(const LinkSurface& surface, double within_m) {
+  std::vector<std::vector<std::uint32_t>> all(surface.size());
+  for (std::size_t i = 0; i < surface.size(); ++i)
+    for (std::size_t k = 0; k < surface.size(); ++k)
+      if (squared_distance(surface, k, {surface.x[i], surface.y[i], surface.z[i]}) < within_m * within_m)
+        all[i].push_back(static_cast<std::uint32_t>(k));
+  return all;
+}
+
 constexpr double kFarBelow = -40;  // exp of less adds nothing to a sum of such terms
 
 }  // namespace
@@ -108,6 +122,7 @@ PlaceModel::PlaceModel(const Bundle& bundle) : wrench_(bundle), capsules_(capsul
       if (one.link == link) own.push_back(one);
     coarse_.push_back(surface_of(own, kRankingPoints));
     fine_.push_back(surface_of(own, kPlacePoints));
+    near_.push_back(neighbours(fine_.back(), 0.5 * kApart_m));
     most = std::max({most, coarse_.back().size(), fine_.back().size()});
   }
   const auto n = static_cast<std::size_t>(bundle.joints());
@@ -200,7 +215,7 @@ void PlaceModel::rank(std::span<const double> q, std::span<const double> tau_ext
                       std::uint32_t near_stiction, TouchPlaces& into) noexcept {
   const auto n = static_cast<std::size_t>(joints());
   into = {};
-  into.consistent = std::numeric_limits<double>::quiet_NaN();
+  into.consistent = log_elsewhere_ = std::numeric_limits<double>::quiet_NaN();
   bool sound = refused().empty();
   for (std::size_t j = 0; sound && j < n; ++j)
     sound = std::isfinite(q[j]) && std::isfinite(tau_ext[j]) && sigma_nm[j] > 0 && std::isfinite(sigma_nm[j]);
@@ -242,18 +257,20 @@ void PlaceModel::rank(std::span<const double> q, std::span<const double> tau_ext
     const double pa = into.probability[static_cast<std::size_t>(a)], pb = into.probability[static_cast<std::size_t>(b)];
     return pa != pb ? pa > pb : a < b;
   });
+  log_elsewhere_ = best + std::log(sum / static_cast<double>(n));
   std::ranges::copy(q.first(n), q_.begin());
   whitened_tau_ = y;
   factor_ = s;
   into.known = true;
 }
 
-void PlaceModel::locate(TouchPlaces& into) noexcept {
+void PlaceModel::locate(TouchPlaces& into, int given) noexcept {
   const auto n = static_cast<std::size_t>(joints());
   into.places = 0;
   if (!into.known) return;
   for (std::size_t link = 0; link < n; ++link)
-    if (into.probability[link] >= kLeast) place_on(link, into);
+    if (given == static_cast<int>(link) || (given < 0 && into.probability[link] >= kLeast))
+      place_on(link, given < 0 ? into.probability[link] : 1.0, into);
   if (into.places == 0) return;
   // What the first place leaves unexplained.
   const TouchPlace& first = into.place[0];
@@ -272,57 +289,70 @@ void PlaceModel::locate(TouchPlaces& into) noexcept {
 }
 
 // Groups of points: the densest, with all within kApart_m of it, then likewise of what is left.
-void PlaceModel::place_on(std::size_t link, TouchPlaces& into) noexcept {
+void PlaceModel::place_on(std::size_t link, double probability, TouchPlaces& into) noexcept {
   const LinkSurface& surface = fine_[link];
   const std::size_t points = surface.size();
   const double sum = evidence(surface, seen_[link], logs_);
   for (std::size_t i = 0; i < points; ++i) weights_[i] = std::exp(logs_[i] - sum);
   const auto at = [&surface](std::size_t i) noexcept { return Vector3{surface.x[i], surface.y[i], surface.z[i]}; };
-  const auto squared = [](Vector3 a) noexcept { return dot(a, a); };
   std::array<double, 9> rotation;
   std::array<double, 3> origin;
   wrench_.pose(static_cast<int>(link), q_, rotation, origin);
   const Turn out = turn(rotation);
-  double left = 1;
-  while (left * into.probability[link] >= kLeast) {
+  for (double left = 1; left * probability >= kLeast;) {
     std::size_t densest = 0;
-    double most = 0, largest = 0;
-    for (std::size_t i = 0; i < points; ++i) largest = std::max(largest, weights_[i]);
+    double most = 0;
     for (std::size_t i = 0; i < points; ++i) {
-      if (weights_[i] < 0.1 * largest) continue;
       double near = 0;
-      for (std::size_t k = 0; k < points; ++k)
-        if (squared(at(k) - at(i)) < 0.25 * kApart_m * kApart_m) near += weights_[k];
+      for (const std::uint32_t k : near_[link][i]) near += weights_[k];
       if (near > most) {
         most = near;
         densest = i;
       }
     }
-    const Vector3 middle = at(densest);
+    const auto grouped = [&](std::size_t i) noexcept { return squared_distance(surface, i, at(densest)) < kApart_m * kApart_m; };
     Vector3 mean;
     double mass = 0;
     for (std::size_t i = 0; i < points; ++i)
-      if (squared(at(i) - middle) < kApart_m * kApart_m) {
+      if (grouped(i)) {
         mass += weights_[i];
         mean = mean + weights_[i] * at(i);
       }
     if (!(mass > 0)) return;
     mean = (1 / mass) * mean;
     std::size_t nearest = densest;
+    for (std::size_t i = 0; i < points; ++i)
+      if (grouped(i) && squared_distance(surface, i, mean) < squared_distance(surface, nearest, mean)) nearest = i;
     double spread = 0;
     for (std::size_t i = 0; i < points; ++i)
-      if (squared(at(i) - middle) < kApart_m * kApart_m && squared(at(i) - mean) < squared(at(nearest) - mean)) nearest = i;
-    for (std::size_t i = 0; i < points; ++i)
-      if (squared(at(i) - middle) < kApart_m * kApart_m) {
-        spread += weights_[i] * squared(at(i) - at(nearest));
+      if (grouped(i)) {
+        spread += weights_[i] * squared_distance(surface, i, at(nearest));
         weights_[i] = 0;
       }
     const Vector3 p = vector3(origin) + out.out(at(nearest)), f = out.out(vector3(force_at(surface, nearest, seen_[link])));
-    add({static_cast<int>(link), mass * into.probability[link], {p.x, p.y, p.z},
+    add({static_cast<int>(link), mass * probability, {p.x, p.y, p.z},
          {surface.x[nearest], surface.y[nearest], surface.z[nearest]}, {f.x, f.y, f.z}, std::sqrt(spread / mass)},
         into);
     left -= mass;
   }
+}
+
+double PlaceModel::at_frame(int frame) const noexcept {
+  if (std::isnan(log_elsewhere_) || frame < 0 || frame >= wrench_.frames()) return std::numeric_limits<double>::quiet_NaN();
+  const WrenchFrame& at = wrench_.frame(frame);
+  const SeenAt alone = seen_at(seen_[static_cast<std::size_t>(at.link)], at.translation[0], at.translation[1], at.translation[2]);
+  double most = -std::numeric_limits<double>::infinity(), sum = 0;
+  std::array<double, kSizes_n.size()> logs;
+  for (std::size_t k = 0; k < kSizes_n.size(); ++k) {
+    const double across = 3 / (kSizes_n[k] * kSizes_n[k]);  // as large in all directions together
+    const Size size{0, across, 0, 1 / static_cast<double>(kSizes_n.size())};
+    const SeenAt here = with(alone, size, 0, 0, 1);
+    const Solved solved = solve(here.m, here.bx, here.by, here.bz);
+    logs[k] = before(size) + 0.5 * solved.quadratic - 0.5 * std::log(solved.determinant);
+    most = std::max(most, logs[k]);
+  }
+  for (const double log : logs) sum += std::exp(log - most);
+  return 1 / (1 + std::exp(log_elsewhere_ - most - std::log(sum)));
 }
 
 void PlaceModel::add(const TouchPlace& place, TouchPlaces& into) const noexcept {

@@ -67,8 +67,13 @@ class PlaceModel {
   // allocates nor throws, but takes as long as many samples: not for the control loop. One thread at a time.
   void rank(std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm,
             std::uint32_t near_stiction, TouchPlaces& into) noexcept;
-  // Of the sample that was ranked last: the places too.
-  void locate(TouchPlaces& into) noexcept;
+  // Of the sample that was ranked last: the places too. given: a link that the touch is known to be on, whose places are then
+  // told alone; -1: nobody knows.
+  void locate(TouchPlaces& into, int given = -1) noexcept;
+  // Of the sample that was ranked last: probability that it is a force at the origin of this frame, which may pull any way, and
+  // not a touch anywhere else on the arm; both are as probable beforehand. NaN where nothing was ranked.
+  double at_frame(int frame) const noexcept;
+  const WrenchModel& wrench_model() const noexcept { return wrench_; }
 
  private:
   // What tau_ext tells of a wrench (f, m) in a link's frame: exp(eta^T w - w^T Lambda w / 2), in blocks.
@@ -78,16 +83,18 @@ class PlaceModel {
   };
   double evidence(const LinkSurface& surface, const Information& of, std::span<double> logs) noexcept;
   std::array<double, 3> force_at(const LinkSurface& surface, std::size_t point, const Information& of) const noexcept;
-  void place_on(std::size_t link, TouchPlaces& into) noexcept;
+  void place_on(std::size_t link, double probability, TouchPlaces& into) noexcept;
   void add(const TouchPlace& place, TouchPlaces& into) const noexcept;
 
   WrenchModel wrench_;
   std::vector<Capsule> capsules_;
   std::vector<LinkSurface> coarse_, fine_;  // a link
+  std::vector<std::vector<std::vector<std::uint32_t>>> near_;  // a link and a fine point: those within half of kApart_m
   std::vector<double> seen_at_, quadratic_, scale_, logs_, weights_;
   // Of the sample that was ranked last.
   std::vector<Information> seen_;  // a link
   std::vector<double> q_;
+  double log_elsewhere_ = 0;       // evidence of a touch on any link
   std::array<double, kMaxJoints> whitened_tau_{};
   std::array<double, kMaxJoints * kMaxJoints> factor_{};  // of S, lower
 };

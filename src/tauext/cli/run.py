@@ -207,7 +207,7 @@ def replay_one(
 ) -> None:
     """One recording through a new monitor, with a new flight recorder."""
     from tauext import _core
-    from tauext.monitor import FlightSource, FlightWriter, Pace, replay, write_flight
+    from tauext.monitor import FlightSource, FlightWriter, Pace, PlaceFinder, replay, write_flight
     from tauext.monitor.replay import CHUNK_S, PACED_CHUNK_S
 
     monitor = _core.Monitor(bundle, settings.own_rate)
@@ -231,6 +231,7 @@ def replay_one(
                 settings.acknowledge_after_s,
                 chunk_s,
                 settings.loads,
+                PlaceFinder(bundle),
             ):
                 tally.add(chunk, monitor)
                 if writer is not None:

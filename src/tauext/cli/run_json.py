@@ -19,11 +19,13 @@ from tauext.monitor import (
     FoundLoad,
     HealthChange,
     LoadChange,
+    PlaceChange,
     StatusClock,
     Tally,
     TouchChange,
     WeighChange,
     load_facts,
+    place_facts,
     status,
 )
 from tauext.monitor.status import number
@@ -92,6 +94,9 @@ class JsonLines:
         if isinstance(change, TouchChange):
             kinds = {"touch": TOUCHES[change.touch], "was": TOUCHES[change.was], "alarm": ALARMS[change.alarm]}
             return "touch", {**where, **kinds, "joint": joint, "since_s": change.since_s}
+        if isinstance(change, PlaceChange):
+            raised = {"alarm": ALARMS[change.alarm], "joint": joint, "since_s": change.since_s}
+            return "place", {**where, **raised, **place_facts(change, self._joints)}
         if isinstance(change, HealthChange):
             said = {"health": HEALTHS[change.health], "was": HEALTHS[change.was], "causes": cause_names(change.causes)}
             return "health", {**where, **said, "joint": joint}

@@ -24,10 +24,12 @@ from tauext.monitor import (
     HiddenCollision,
     HiddenFinder,
     LoadChange,
+    PlaceChange,
     Tally,
     TouchChange,
     WeighChange,
     load_words,
+    place_words,
     unseen_words,
     with_article,
 )
@@ -88,6 +90,8 @@ class TextLines:
                     self._event(change.t_ns, words)
             elif isinstance(change, TouchChange):
                 self._event(change.t_ns, touch_words(change))
+            elif isinstance(change, PlaceChange):
+                self._event(change.t_ns, place_words(change, self._joints))
             elif isinstance(change, DriftChange):
                 self._event(change.t_ns, f"recalibrate: joint {self._joints[change.joint]}'s drift is at its bound")
             else:

@@ -24,6 +24,7 @@ from tauext.live.source import Sample, Source, SourceSettings
 from tauext.monitor import Change, LoadChange, WeighChange
 from tauext.monitor.changes import COLLISION, ChangeFinder
 from tauext.monitor.loads import Expected
+from tauext.monitor.places import PlaceFinder
 
 IDLE_S = 0.1
 """Requests are looked at this often while no sample comes."""
@@ -102,7 +103,7 @@ class Loop:
                 raise ConfigError(f"profile {profile.name}: {reason}")
             if profile.expect is not None and (reason := self._why_not(profile.expect)):
                 raise ConfigError(f"profile {profile.name}: {reason}")
-        self._changes = ChangeFinder()
+        self._changes, self._places = ChangeFinder(), PlaceFinder(bundle)
         self._events = EventFinder(self.joints, {"bundle": bundle.name, "source": source.name})
         self._noted: list[Change] = []
         self._due_ns: int | None = None
@@ -256,7 +257,10 @@ class Loop:
         if not self.samples:  # what was told before the first sample holds from there on
             told = LoadChange | WeighChange
             self._noted = [replace(one, t_ns=t_ns) if isinstance(one, told) else one for one in self._noted]
-        changes = self._noted + self._changes.find(self.samples, np.array([t_ns]), said)
+        at = np.array([t_ns])
+        changes = self._noted + self._changes.find(self.samples, at, said)
+        if sample is not None:
+            changes += self._places.find(self.samples, at, sample.q[None], said)
         self._noted = []
         verdict = Verdict(self.samples, t_ns, sample, said, tuple(changes))
         for event in self._events.find(verdict):
@@ -360,3 +364,4 @@ class Loop:
         if stood:
             t_ns = self._last.t_ns if self._last else 0
             self._noted.append(self._changes.acknowledged(self.samples, t_ns))
+            self._places.acknowledged()

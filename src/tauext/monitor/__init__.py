@@ -28,6 +28,7 @@ from tauext.monitor.loads import (
     read_loads,
 )
 from tauext.monitor.pace import Pace
+from tauext.monitor.places import PlaceChange, PlaceFinder, place_facts, place_words
 from tauext.monitor.replay import Chunk, Samples, replay
 from tauext.monitor.status import StatusClock, status
 from tauext.monitor.tally import Tally
@@ -50,6 +51,8 @@ __all__ = [
     "HiddenFinder",
     "LoadChange",
     "Pace",
+    "PlaceChange",
+    "PlaceFinder",
     "Samples",
     "StatusClock",
     "Tally",
@@ -63,6 +66,8 @@ __all__ = [
     "load_of_table",
     "load_of_text",
     "load_words",
+    "place_facts",
+    "place_words",
     "read_loads",
     "replay",
     "status",

@@ -8,6 +8,7 @@ import numpy as np
 
 from tauext._core import Load, LoadFound, Touch
 from tauext.data.estimates import HEALTHS as HEALTHS
+from tauext.monitor.places import PlaceChange
 
 ALARMS = ("none", "contact", "collision")
 """By the core's number."""
@@ -128,7 +129,7 @@ class WeighChange:
     """What was found until now; None where it begins."""
 
 
-Change = HealthChange | AlarmChange | TouchChange | DriftChange | LoadChange | FoundLoad | WeighChange
+Change = HealthChange | AlarmChange | TouchChange | PlaceChange | DriftChange | LoadChange | FoundLoad | WeighChange
 
 
 class ChangeFinder:

@@ -13,6 +13,7 @@ from tauext import _core
 from tauext.monitor.changes import COLLISION, Change, ChangeFinder, LoadChange
 from tauext.monitor.loads import TimedLoad
 from tauext.monitor.pace import Pace
+from tauext.monitor.places import PlaceFinder
 
 CHUNK_S = 1.0
 PACED_CHUNK_S = 0.02
@@ -61,6 +62,7 @@ def replay(
     acknowledge_after_s: float | None = None,
     chunk_s: float = CHUNK_S,
     loads: Sequence[TimedLoad] = (),
+    places: PlaceFinder | None = None,
 ) -> Iterator[Chunk]:
     """Every sample in order, as a control loop would send it; chunks come when their last sample has its time.
 
@@ -76,6 +78,7 @@ def replay(
             one that raised it, > 0; None: never.
         chunk_s: length of a chunk in the time of the samples, [s]; a chunk has at least one sample.
         loads: what the arm carries and since when, in the order of their times.
+        places: finds which link is touched, and where; None: nobody asks.
 
     Raises:
         CoreError: the bundle takes no such load.
@@ -94,6 +97,8 @@ def replay(
         if due_ns is not None and t_ns[begin] >= due_ns:
             monitor.acknowledge()
             noted.append(changes.acknowledged(begin, t_ns[begin]))
+            if places is not None:
+                places.acknowledged()
             due_ns = None
         while waiting and t_ns[begin] >= waiting[0][0]:
             load = waiting.pop(0)[1]
@@ -107,6 +112,8 @@ def replay(
         said = monitor.run(t_ns[rows], samples.q[rows], samples.dq[rows], samples.tau[rows], recorder, warm)
         core_s = time.perf_counter() - started
         noted += changes.find(begin, t_ns[rows], said)
+        if places is not None:
+            noted += places.find(begin, t_ns[rows], samples.q[rows], said)
         yield Chunk(begin, t_ns[rows], samples.dq[rows], said, noted, core_s)
         if wait_ns is not None:
             due_ns = monitor.last.alarm_t_ns + wait_ns if said["alarm"][-1] == COLLISION else None

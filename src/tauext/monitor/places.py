@@ -1,0 +1,153 @@
+"""Which link an alarm's touch is on, and where: told while the alarm stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tauext._core import Bundle, PlaceModel, TouchPlace
+
+AFTER_S = 0.1
+"""After the alarm rose: early enough to react to, and most touches have come near their peak."""
+AGAIN_S = 0.2
+"""Between two tellings at least."""
+FOLLOWED_S = 1.0
+"""What comes later, behind an alarm that is latched, may be another touch."""
+STRONGER = 2.0
+"""Told again where sum of (tau_ext / sigma)^2 has become so many times what it was: errors of links, which go with
+its root, are then 0.7 of those before."""
+INCONSISTENT = 0.01
+"""Less probable than this, and no single force on one link explains what the joints show."""
+
+
+@dataclass(frozen=True)
+class PlaceChange:
+    """From this sample on the monitor knows which link is touched and where, or knows it better."""
+
+    row: int
+    t_ns: int
+    alarm: int
+    """Level that stands."""
+    joint: int
+    """That raised it."""
+    since_s: float
+    """Since the alarm rose to it."""
+    links: tuple[tuple[int, float], ...]
+    """Number of the joint that carries the link, and its probability; the most probable first."""
+    places: tuple[TouchPlace, ...]
+    """The most probable first, at least one."""
+    consistent: float
+    """Probability that a single force leaves so much unexplained."""
+
+
+class PlaceFinder:
+    """Finds places in what the monitor said, chunk after chunk; the rule knows samples, not chunks.
+
+    The sample that is judged is the one at which tau_ext has stood out most since the alarm rose.
+    """
+
+    def __init__(self, bundle: Bundle) -> None:
+        self._model = PlaceModel(bundle)
+        self.refused = self._model.refused
+        """Why no place is told; empty: they are."""
+        self._alarm, self._rose_ns, self._joint = 0, 0, -1
+        self._due_ns: int | None = None
+        self._strength, self._told = 0.0, 0.0
+        self._sample: tuple[list[float], list[float], list[float], int] | None = None
+
+    def acknowledged(self) -> None:
+        """The alarm was acknowledged just before the next sample; one that stands there was raised anew."""
+        self._alarm, self._due_ns = 0, None
+
+    def find(self, first_row: int, t_ns: np.ndarray, q: np.ndarray, said: dict[str, np.ndarray]) -> list[PlaceChange]:
+        """Places that these samples tell, in order.
+
+        Args:
+            first_row: of the chunk, counted from the recording's first sample.
+            t_ns: (rows,), [ns].
+            q: (rows, joints), [rad].
+            said: what Monitor.run said of them, not empty.
+        """
+        alarm = said["alarm"]
+        if self.refused or not (self._alarm or alarm.any()):
+            return []
+        with np.errstate(divide="ignore", invalid="ignore"):
+            strength = np.nan_to_num(np.square(said["tau_ext"] / said["sigma_nm"]).sum(axis=1), nan=0.0, posinf=0.0)
+        told = []
+        for k in range(len(t_ns)):
+            found = self._step(k, first_row + k, int(t_ns[k]), int(alarm[k]), float(strength[k]), q, said)
+            if found is not None:
+                told.append(found)
+        return told
+
+    def _step(
+        self, k: int, row: int, t_ns: int, alarm: int, strength: float, q: np.ndarray, said: dict[str, np.ndarray]
+    ) -> PlaceChange | None:
+        fell, level = self._alarm > 0 and alarm == 0, self._alarm
+        if alarm > self._alarm:
+            if self._alarm == 0:
+                self._strength, self._told, self._sample = 0.0, 0.0, None
+            self._rose_ns, self._joint = t_ns, int(said["alarm_joint"][k])
+            self._due_ns = t_ns + round(AFTER_S * 1e9)
+        self._alarm = alarm
+        if self._due_ns is None:
+            return None
+        if alarm and strength > self._strength:
+            near = sum(1 << j for j, at_rest in enumerate(said["near_stiction"][k]) if at_rest)
+            self._strength = strength
+            self._sample = (q[k].tolist(), said["tau_ext"][k].tolist(), said["sigma_nm"][k].tolist(), near)
+        due = fell or t_ns >= self._due_ns
+        if not due or self._sample is None or self._strength < STRONGER * self._told:
+            if fell or t_ns - self._rose_ns > FOLLOWED_S * 1e9:
+                self._due_ns = None
+            return None
+        self._told = self._strength
+        self._due_ns = None if fell else t_ns + round(AGAIN_S * 1e9)
+        return self._tell(row, t_ns, level if fell else alarm)
+
+    def _tell(self, row: int, t_ns: int, alarm: int) -> PlaceChange | None:
+        assert self._sample is not None
+        found = self._model.find(*self._sample)
+        if not found.places:
+            return None
+        links = tuple((link, found.probability[link]) for link in found.ranked)
+        since_s = (t_ns - self._rose_ns) * 1e-9
+        return PlaceChange(row, t_ns, alarm, self._joint, since_s, links, tuple(found.places), found.consistent)
+
+
+def newtons(place: TouchPlace) -> float:
+    """Size of the force."""
+    return float(np.linalg.norm(place.force))
+
+
+def place_words(change: PlaceChange, joints: tuple[str, ...]) -> str:
+    """`the touch is on the link of elbow (83%; wrist_1 12%): 34 N within 3 cm of (0.31, -0.20, 0.55) m`."""
+    if change.consistent < INCONSISTENT:
+        return "the touch is no single force on one link: two touches, or a moment without a force"
+    (first, probability), *others = change.links
+    rivals = "".join(f"; {joints[link]} {share:.0%}" for link, share in others[:2] if share >= 0.05)
+    place = next(place for place in change.places if place.link == first)
+    where = ", ".join(f"{value:.2f}" for value in place.point)
+    return (
+        f"the touch is on the link of {joints[first]} ({probability:.0%}{rivals}): {newtons(place):.0f} N within "
+        f"{max(place.spread_m * 100, 1):.0f} cm of ({where}) m"
+    )
+
+
+def place_facts(change: PlaceChange, joints: tuple[str, ...]) -> dict:
+    """As plain JSON: links by their joints' names, places in the base's frame."""
+    return {
+        "links": [{"joint": joints[link], "probability": share} for link, share in change.links],
+        "places": [
+            {
+                "joint": joints[place.link],
+                "probability": place.probability,
+                "point_m": list(place.point),
+                "force_n": list(place.force),
+                "spread_m": place.spread_m,
+            }
+            for place in change.places
+        ],
+        "consistent": change.consistent,
+    }

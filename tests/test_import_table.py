@@ -39,6 +39,7 @@ TABLE = {
     "room": (set(), set()),
     "store": (set(), {"pyarrow"}),
     "robot": ({"_core"}, {"numpy", "mujoco"}),
+    "robot/capsule_fit": (set(), {"numpy", "scipy"}),
     "data": ({"_core"}, {"numpy", "pyarrow"}),
     "data/importers/ros1": (set(), {"rosbags"}),
     "data/importers/ros2": (set(), {"rosbags", "ruamel"}),

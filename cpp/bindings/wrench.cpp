@@ -3,6 +3,7 @@
 
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
@@ -157,6 +158,18 @@ void bind_wrench(nb::module_& m) {
           },
           nb::arg("frame"), nb::arg("q"), nb::arg("point") = std::array<double, 3>{}, nb::arg("axes") = WrenchAxes::base,
           "Joint torques of a unit of each unknown, (6, joints): the Jacobian of the frame's point, linear rows first.")
+      .def(
+          "pose",
+          [](const WrenchModel& self, const std::string& frame, const std::vector<double>& q) {
+            if (q.size() != static_cast<std::size_t>(self.joints()))
+              throw Error("q must hold " + std::to_string(self.joints()) + " values");
+            std::array<double, 9> rotation;
+            std::array<double, 3> origin;
+            self.pose(expect_frame(self, frame), q, rotation, origin);
+            return std::pair(to_numpy(std::vector(rotation.begin(), rotation.end()), {3, 3}),
+                             to_numpy(std::vector(origin.begin(), origin.end()), {3}));
+          },
+          nb::arg("frame"), nb::arg("q"), "Where a frame stands: `base from frame` (3, 3), and its origin in the base's frame (3,), [m].")
       .def(
           "covariance",
           [](const WrenchModel& self, bool force_alone, const std::vector<double>& tau_ext, const std::vector<double>& sigma_nm,

@@ -16,7 +16,7 @@ from tauext.data.lerobot_export import export_lerobot
 from tauext.errors import ConfigError
 from tauext.plain_file import read_text
 from tauext.provenance import provenance, write_json
-from tauext.robot import Payload, load_tree, robot_sha256, write_placeholder, write_robot
+from tauext.robot import Payload, load_tree, robot_sha256, write_placeholder, write_robot, write_shapes
 from tauext.room import expect_folder
 from tauext.store import Place
 
@@ -80,6 +80,9 @@ def _robot_file(arm: Arm, out: Path, say: Say) -> Path:
     path = write_robot(arm.model, out, rotors, payload, arm.robot.gravity_m_s2 or None)
     tree = load_tree(path, joints=arm.robot.joints)
     say(f"robot: {arm.model.name} with {tree.size} joints: {', '.join(arm.robot.joints)}")
+    shapes = write_shapes(arm.model, out)
+    for line in shapes.notes:
+        say(f"  {line}; where touches are is told by guessed shapes there")
     if payload:
         say(f"  payload of {payload.mass_kg:g} kg at {payload.link}")
     if rotors:

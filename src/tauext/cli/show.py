@@ -99,6 +99,7 @@ def describe_bundle(file: Place) -> dict:
         },
         "a fault beyond": {name: beyond(bundle, joint) for joint, name in enumerate(names)},
         "load": describe_load(bundle.load_settings),
+        "shapes of links": describe_shapes(bundle, names),
         "reference": "replayed, equal",
         "made by": {key: facts.get(key) for key in ("command", "version", "seed", "recipe", "case", "steps", "batch")},
     }
@@ -159,6 +160,16 @@ def describe_load(settings: LoadSettings) -> dict | str:
         return f"none can be set: {settings.refused}"
     most = {"at most [kg]": settings.largest_mass_kg, "reaching [m]": settings.largest_reach_m}
     return {"in the frame": settings.frame, **most}
+
+
+def describe_shapes(bundle: Bundle, names: list[str]) -> str:
+    """What a touch's place rests on."""
+    if not bundle.capsules:
+        return "none: where a touch is is told by guessed ones"
+    shaped = {one.link for one in bundle.capsules}
+    guessed = [name for number, name in enumerate(names) if number not in shaped]
+    beside = f"; guessed for {', '.join(guessed)}" if guessed else ""
+    return f"{len(bundle.capsules)} capsules of {len(shaped)} links{beside}"
 
 
 def describe_look(facts: dict) -> dict:

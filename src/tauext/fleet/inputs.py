@@ -12,6 +12,7 @@ from tauext.fleet.contents import Contents
 from tauext.fleet.fleet_file import Arm
 from tauext.fleet.places import below, files_in
 from tauext.store import Place, named_files
+from tauext.store.named_files import SHAPES_FILE
 
 
 def files_of(arm: Arm) -> Iterator[Place]:
@@ -39,7 +40,7 @@ def source_files(arm: Arm) -> dict[str, Place]:
 def dataset_files(folder: Place, what: str) -> dict[str, Place]:
     """Split, robot file and recordings of a dataset, each once."""
     dataset = load_dataset(folder)
-    there = [folder / name for name in ("split.json", *ROBOT_FILES) if (folder / name).is_file()]
+    there = [folder / name for name in ("split.json", *ROBOT_FILES, SHAPES_FILE) if (folder / name).is_file()]
     recordings = [file for set_name in SETS for file in dataset.files(set_name)]
     return {f"{what} {file.name}": file for file in [*there, *recordings]}
 

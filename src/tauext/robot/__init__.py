@@ -1,5 +1,6 @@
 """Robot files to kinematic trees: load a URDF or MJCF, perturb the model, leave it out."""
 
+from tauext.robot.capsules import body_capsules, link_capsules, write_shapes
 from tauext.robot.frames import wrench_frames
 from tauext.robot.load import load_tree, movable_joints, robot_sha256
 from tauext.robot.load_frame import LoadFrame, load_frame
@@ -11,10 +12,12 @@ from tauext.robot.write import Payload, is_placeholder, write_placeholder, write
 __all__ = [
     "LoadFrame",
     "Payload",
+    "body_capsules",
     "chosen_case",
     "empty",
     "estimated_model",
     "is_placeholder",
+    "link_capsules",
     "load_frame",
     "load_tree",
     "movable_joints",
@@ -24,4 +27,5 @@ __all__ = [
     "wrench_frames",
     "write_placeholder",
     "write_robot",
+    "write_shapes",
 ]

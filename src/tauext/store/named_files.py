@@ -9,13 +9,16 @@ from tauext.store.place import Place
 
 NAMED_FILE = re.compile(r"""\b(?:file|filename)\s*=\s*["']([^"']+)["']""")
 NAMED_FOLDER = re.compile(r"""\b(?:meshdir|assetdir)\s*=\s*["']([^"']+)["']""")
+SHAPES_FILE = "robot.shapes.json"
+"""Beside the robot file of a dataset: what its links look like."""
 ROBOT_SUFFIXES = (".xml", ".urdf", ".mjcf")
 
 
 def named_files(robot: Place) -> Iterator[Place]:
-    """The robot file itself, and what it names and is there, and what that names, each once."""
-    waiting: list[Place] = [robot]
-    seen: set[Place] = {robot}
+    """The robot file itself, its shapes, and what it names and is there, and what that names, each once."""
+    shapes = robot.with_name(SHAPES_FILE)
+    waiting: list[Place] = [robot, *([shapes] if shapes.is_file() else [])]
+    seen: set[Place] = set(waiting)
     while waiting:
         file: Place = waiting.pop()
         yield file

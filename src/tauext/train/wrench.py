@@ -8,7 +8,7 @@ import numpy as np
 
 from tauext._core import Bundle
 from tauext.errors import RobotError
-from tauext.robot import wrench_frames
+from tauext.robot import link_capsules, wrench_frames
 from tauext.train.preparation import Job
 
 GEAR_SHARE = 0.04
@@ -40,7 +40,18 @@ def put_wrench(job: Job, bundle: Bundle, robot: Path) -> None:
     if any(link.mass > 0 for link in bundle.links):
         try:
             settings.frames = wrench_frames(robot, job.tree)
+            put_shapes(job, bundle, robot)
         except RobotError as error:
             job.notes.append(f"forces are told at links alone: {error}")
     bundle.wrench_settings = settings
     job.facts["wrench"] = {"torque_share": [round(one, 4) for one in share.tolist()]}
+
+
+def put_shapes(job: Job, bundle: Bundle, robot: Path) -> None:
+    """Capsules of the robot file's links; those that it has no shape of are guessed where they are asked for."""
+    bundle.capsules, notes = link_capsules(robot, job.tree)
+    shaped = {one.link for one in bundle.capsules}
+    guessed = [link.joint_name for number, link in enumerate(bundle.links) if number not in shaped]
+    job.facts["shapes"] = {"capsules": len(bundle.capsules), "guessed": guessed, "notes": notes}
+    if notes:
+        job.notes.append(f"the shape of {len(guessed)} of {len(bundle.links)} links is guessed: {notes[0]}")

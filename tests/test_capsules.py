@@ -1,0 +1,182 @@
+"""Shapes of links as capsules: against the shapes they are made of, MuJoCo's own places of them, and missing files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from tauext import _core
+from tauext.errors import RobotError
+from tauext.robot import body_capsules, link_capsules, load_tree, write_robot, write_shapes
+
+INERTIAL = '<inertial pos="0 0 0.1" mass="2" diaginertia="0.02 0.02 0.01"/>'
+ARM = f"""<mujoco><worldbody>
+  <geom type="box" size="1 1 0.1"/>
+  <body name="upper" pos="0 0 0.3">{INERTIAL}
+    <joint name="one" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 0 0.02 0.4" size="0.05"/>
+    <geom type="cylinder" fromto="0 0 0.4 0 0.2 0.4" size="0.04"/>
+    <geom type="sphere" pos="0.5 0 0" size="0.3" contype="0" conaffinity="0"/>
+    <body name="fore" pos="0 0 0.4" euler="0 90 20">{INERTIAL}
+      <joint name="two" axis="1 0.5 0"/>
+      <geom type="sphere" pos="0.1 0 0" size="0.06" contype="0" conaffinity="0"/>
+      <body name="hand" pos="0 0.1 0.3"><geom type="sphere" size="0.03"/></body>
+    </body>
+  </body>
+</worldbody></mujoco>"""
+URDF = """<robot name="r"><link name="base"/>
+<joint name="one" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
+  <origin xyz="0 0 0.2" rpy="0 0.3 0"/><limit lower="-2" upper="2" effort="9" velocity="2"/></joint>
+<link name="upper"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+  <visual><geometry><sphere radius="0.5"/></geometry></visual>
+  <collision><origin xyz="0.1 0 0.2" rpy="0 1.5707963267948966 0"/>
+    <geometry><cylinder radius="0.05" length="0.4"/></geometry></collision>
+  {more}</link></robot>"""
+
+
+def written(folder: Path, text: str, name: str) -> Path:
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def test_capsules_stand_where_mujoco_has_the_shapes(tmp_path):
+    path = written(tmp_path, ARM, "arm.xml")
+    tree = load_tree(path)
+    capsules, notes = link_capsules(path, tree)
+    assert notes == [] and [one.link for one in capsules] == [
+        0,
+        0,
+        1,
+        1,
+    ]  # what does not collide counts where nothing does
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    wrenches = model_of(tree)
+    for q in np.random.default_rng(3).uniform(-2, 2, (4, 2)):
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        middles = [(np.array(one.start) + one.end) / 2 for one in capsules]
+        told = [wrenches.pose(tree.links[one.link].joint_name, q.tolist()) for one in capsules]
+        at = np.array([rotation @ middle + origin for (rotation, origin), middle in zip(told, middles, strict=True)])
+        np.testing.assert_allclose(at, data.geom_xpos[[1, 2, 4, 5]], atol=1e-9)
+    sizes = [(np.linalg.norm(np.subtract(one.end, one.start)), one.radius_m) for one in capsules]
+    expected = [(np.hypot(0.4, 0.02), 0.05), (0.2 - 2 * 0.04, 0.04), (0, 0.06), (0, 0.03)]
+    np.testing.assert_allclose(sizes, expected, atol=1e-9)
+
+
+def model_of(tree) -> _core.WrenchModel:
+    bundle = _core.Bundle()
+    bundle.links, bundle.gravity = tree.links, tree.gravity
+    return _core.WrenchModel(bundle)
+
+
+TURN = np.array([[np.cos(0.3), 0, np.sin(0.3)], [0, 1, 0], [-np.sin(0.3), 0, np.cos(0.3)]])
+"""Base from link `upper` of the URDF at q = 0, which stands at (0, 0, 0.2)."""
+
+
+def in_urdf_axes(path: Path, capsule) -> np.ndarray:
+    """Its ends in the axes of the URDF's link; the core's link turns about the same z, by an angle of its own."""
+    rotation, origin = model_of(load_tree(path)).pose("one", [0.0])
+    ends = np.array([rotation @ one + origin for one in (capsule.start, capsule.end)]) - [0, 0, 0.2]
+    ends = ends @ TURN
+    return ends[np.argsort(ends[:, 0])]
+
+
+def test_a_urdf_has_its_collision_shapes_and_else_what_is_seen(tmp_path):
+    path = written(tmp_path, URDF.format(more=""), "arm.urdf")
+    (capsule,), notes = link_capsules(path, load_tree(path))
+    assert notes == [] and capsule.radius_m == pytest.approx(0.05)
+    ends = in_urdf_axes(path, capsule)
+    np.testing.assert_allclose(ends, [[-0.05, 0, 0.2], [0.25, 0, 0.2]], atol=1e-9)
+    seen = URDF.format(more="").replace("<collision>", "<ignored>").replace("</collision>", "</ignored>")
+    (only,), _ = link_capsules(written(tmp_path, seen, "seen.urdf"), load_tree(path))
+    assert only.radius_m == 0.5
+
+
+def stl(corners: np.ndarray) -> bytes:
+    """Binary, of triangles (n, 3, 3)."""
+    triangles = np.zeros(len(corners), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+    triangles["corners"] = corners
+    return b" " * 80 + np.uint32(len(corners)).tobytes() + triangles.tobytes()
+
+
+def tube(radius: float, length: float, around: int = 24) -> np.ndarray:
+    """A closed cylinder along x, off its origin, in triangles."""
+    turned = 2 * np.pi * np.arange(around + 1) / around
+    ring = np.column_stack([np.zeros(around + 1), radius * np.cos(turned), radius * np.sin(turned)])
+    near, far = ring + [0.1, 0, 0.05], ring + [0.1 + length, 0, 0.05]
+    found = []
+    for k in range(around):
+        a, b, c, d = near[k], near[k + 1], far[k], far[k + 1]
+        found += [[a, c, b], [b, c, d], [a, b, [0.1, 0, 0.05]], [c, [0.1 + length, 0, 0.05], d]]
+    return np.array(found)
+
+
+def test_meshes_are_read_where_they_are_and_noted_where_not(tmp_path):
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "tube.stl").write_bytes(stl(tube(0.05, 0.4) * 1000))
+    mesh = '<collision><geometry><mesh filename="{}" scale="0.001 0.001 0.001"/></geometry></collision>'
+    more = mesh.format("package://some_arm/meshes/tube.stl") + mesh.format("package://some_arm/meshes/none.stl")
+    path = written(tmp_path, URDF.format(more=more + mesh.format("hull.dae")), "arm.urdf")
+    (_, capsule), (note,) = link_capsules(path, load_tree(path))
+    # A capsule as long as the tube, whose ends are rounder: within a fifth of its radius.
+    assert capsule.radius_m == pytest.approx(0.05, rel=0.1)
+    ends = in_urdf_axes(path, capsule)
+    np.testing.assert_allclose(ends[:, 1:], [[0, 0.05], [0, 0.05]], atol=2e-3)
+    np.testing.assert_allclose([ends[0, 0] - capsule.radius_m, ends[1, 0] + capsule.radius_m], [0.1, 0.5], atol=0.015)
+    assert (
+        "shapes of upper could not be read: there is no mesh file package://some_arm/meshes/none.stl and 1 more" in note
+    )
+
+
+@pytest.mark.parametrize(
+    ("shape", "most", "off_m"),
+    [
+        ('box" size="0.05 0.05 0.2', 2, 0.012),
+        ('ellipsoid" size="0.05 0.06 0.2', 2, 0.01),
+        ('box" size="0.15 0.15 0.02', 4, 0.03),
+    ],
+)
+def test_other_shapes_are_near_their_capsules(tmp_path, shape, most, off_m):
+    """Points of the shape's surface, drawn here, are near that of one of its capsules."""
+    body = f'<body name="a">{INERTIAL}<joint name="j"/><geom type="{shape}"/></body>'
+    arm = f"<mujoco><worldbody>{body}</worldbody></mujoco>"
+    capsules = body_capsules(written(tmp_path, arm, "arm.xml")).bodies["a"]
+    assert 1 <= len(capsules) <= most
+    half = np.array([float(x) for x in shape.split('"')[-1].split()])
+    points = np.random.default_rng(0).normal(size=(500, 3))
+    if shape.startswith("box"):
+        points /= np.abs(points).max(axis=1)[:, None]
+    else:
+        points /= np.linalg.norm(points, axis=1)[:, None]
+    off = []
+    for point in points * half:
+        distance = []
+        for start, end, radius in capsules:
+            way = np.subtract(end, start)
+            share = np.clip((point - start) @ way / max(way @ way, 1e-12), 0, 1)
+            distance.append(abs(np.linalg.norm(point - start - share * way) - radius))
+        off.append(min(distance))
+    assert np.sqrt(np.mean(np.square(off))) < off_m
+
+
+def test_shapes_stay_with_a_robot_file_whose_meshes_do_not(tmp_path):
+    source, folder = written(tmp_path, ARM, "arm.xml"), tmp_path / "dataset"
+    folder.mkdir()
+    kept = write_robot(source, folder, {})
+    tree = load_tree(source)
+    assert link_capsules(kept, tree)[0] == [] or kept.suffix == ".urdf"
+    write_shapes(source, folder)
+    own, there = link_capsules(source, tree)[0], link_capsules(kept, load_tree(kept))[0]
+    for one, other in zip(own, there, strict=True):
+        np.testing.assert_allclose(one.start, other.start, atol=1e-6)
+        np.testing.assert_allclose(one.end, other.end, atol=1e-6)
+        assert (one.link, one.radius_m) == (other.link, other.radius_m)
+    (folder / "robot.shapes.json").write_text(json.dumps({"format": 1, "bodies": {"upper": [{"start_m": 1}]}}))
+    with pytest.raises(RobotError, match="robot.shapes.json: is no file of shapes"):
+        link_capsules(kept, tree)

@@ -111,13 +111,13 @@ def test_a_reaction_bound_to_kinds_waits_until_they_are_known(on, touch, expecte
     done = []
     thread = ReactionThread(Reaction("one", on, touch=touch), lambda event: done.append(event.touch))
     for k, event in enumerate(events_of(said(TOUCH, ALARM))):
-        thread.put(Event(event.kind, f"joint {k}", event.t_ns, 0, FACTS, event.touch, event.news))  # none merged
+        thread.put(Event(event.kind, f"joint {k}", event.t_ns, 0, FACTS, 1, event.touch, event.news))  # none merged
     thread.end(time.monotonic() + 20)
     assert done == expected
 
 
 def test_commands_find_the_kind_in_their_environment():
-    content = content_of(Event("collision", JOINTS[0], 7, 0, FACTS, "clamp", False))
+    content = content_of(Event("collision", JOINTS[0], 7, 0, FACTS, touch="clamp", news=False))
     assert content["environment"]["TAUEXT_TOUCH"] == "clamp"
 
 

@@ -57,6 +57,7 @@ TRAIN = (
     Purpose("What physics explains first (recipes tauext and prior)", ("--prior.",), rare=True),
     Purpose("How slow changes are followed (recipes tauext and prior)", ("--drift.",), rare=True),
     Purpose("What the monitor can be told that the arm carries", ("--load-frame",), rare=True),
+    Purpose("What forces are worth", ("--torque-share",), rare=True),
     Purpose("Filters of the observer (recipes highpass and bandpass)", ("--filters.",), rare=True),
 )
 BY_PURPOSE: Mapping[str, Sequence[Purpose]] = {"train": TRAIN}

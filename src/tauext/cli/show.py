@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from tauext.cli.place_argument import PlaceArg
+from tauext.cli.show_force import describe_force
 from tauext.cli.show_prior import describe_fleet_prior
 from tauext.errors import BundleError, ConfigError
 from tauext.store import Place
@@ -19,18 +20,31 @@ if TYPE_CHECKING:
 SHOWN = "a bundle (*.tauext), a recording (*.parquet) or a fleet prior (*.prior.json)"
 
 
-def show(file: tyro.conf.Positional[PlaceArg], as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> None:
+def show(
+    file: tyro.conf.Positional[PlaceArg],
+    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    force: bool = False,
+    frame: tuple[str, ...] = (),
+    poses: tuple[PlaceArg, ...] = (),
+) -> None:
     """Say what is in a bundle (*.tauext), a recording (*.parquet) or a fleet prior (*.prior.json).
 
     Args:
         file: bundle (*.tauext), recording (*.parquet) or fleet prior (*.prior.json) to show.
         as_json: print what is found as JSON for scripts.
+        force: say what force at each link's end and the flange a bundle notices, in newtons.
+        frame: frames of the robot file that --force says it for as well.
+        poses: recordings whose poses count for --force instead of the training's.
     """
+    if (frame or poses) and not force:
+        raise ConfigError("--frame and --poses belong to --force, which is not there")
+    if force and file.suffix != ".tauext":
+        raise ConfigError(f"{file}: --force is said of bundles (*.tauext)")
     if not file.is_file():
         raise ConfigError(f"{file}: there is no such file; give {SHOWN}")
     if file.suffix == ".tauext":
         try:
-            content = describe_bundle(file)
+            content = describe_force(file, poses, frame) if force else describe_bundle(file)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise BundleError(f"{file}: its provenance is damaged ({type(error).__name__}: {error})") from error
     elif file.suffix == ".parquet":
@@ -40,7 +54,12 @@ def show(file: tyro.conf.Positional[PlaceArg], as_json: Annotated[bool, tyro.con
     else:
         raise ConfigError(f"{file}: its name must end as that of {SHOWN}")
     if as_json:
+        if force:
+            content.pop("table")
         print(json.dumps(content, indent=1))
+        return
+    if force:
+        print("\n".join(content["table"]))
         return
     from tauext.bundles.situations import certainty
 

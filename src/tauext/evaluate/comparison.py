@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
+from tauext.calibrate.noticed import facts_of, noticed_forces, spread_poses
 from tauext.config import EventsConfig
 from tauext.data import Recording, free_samples
 from tauext.data.estimates import STALE, Estimates, save_estimates
@@ -98,6 +99,8 @@ class Comparison:
         self._bundles, self._ignorant, self._own = bundles, ignorant, own
         self._measures = {name: BundleMeasures(name, bundle, events) for name, bundle in bundles.items()}
         self._touches: list[Collision] = []
+        self._poses: list[np.ndarray] = []
+        """Of the recordings whose free motion counts."""
 
     def add(
         self,
@@ -117,6 +120,8 @@ class Comparison:
         """
         found = find_collisions(recording)
         self._touches += found
+        if free:
+            self._poses.append(spread_poses([recording.q]))
         if self._own is not None:
             self._own.add(recording)
         gains = set() if not found else {bundle.observer.gain_per_s for bundle in self._bundles.values()}
@@ -159,11 +164,20 @@ class Comparison:
             "ten_collisions": ten,
             "collisions": [collision.summary() for collision in touches],
             "bundles": [
-                measured.summary(touches, ten, histories.get(name)) for name, measured in self._measures.items()
+                measured.summary(touches, ten, histories.get(name))
+                | {"forces_noticed": forces_noticed(self._bundles[name], self._poses)}
+                for name, measured in self._measures.items()
             ],
             "own_torque": None if self._own is None else self._own.summary(),
             "sanity": [detector.summary() for detector in self._ignorant],
         }
+
+
+def forces_noticed(bundle: _core.Bundle, poses: Sequence[np.ndarray]) -> list[dict] | None:
+    """What force at its links' ends is noticed; None where the bundle tells none, or no free motion was looked at."""
+    if not poses or _core.WrenchModel(bundle).refused:
+        return None
+    return facts_of(noticed_forces(bundle, spread_poses(poses)))
 
 
 def expect_work(

@@ -59,4 +59,4 @@ class EventFinder:
         received_ns = sample.received_ns if sample is not None else time.monotonic_ns()
         name = self._joints[joint] if joint >= 0 else None
         kind_of_touch = touch if kind in ("collision", "contact") else None
-        return Event(kind, name, verdict.t_ns, received_ns, facts, kind_of_touch, news)
+        return Event(kind, name, verdict.t_ns, received_ns, facts, touch=kind_of_touch, news=news)

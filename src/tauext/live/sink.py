@@ -46,12 +46,12 @@ class Event:
     """When that sample came in, by time.monotonic_ns(); for one that did not come, when it was missed."""
     facts: Mapping[str, Any] = field(default_factory=dict)
     """Plain content for JSON: alarm, kind of touch, health, causes, torques and limits a joint."""
+    merged: int = 1
+    """Events of this kind and joint that this one, the newest, stands for: more than one where they had to wait."""
     touch: str | None = None
     """Of a collision or contact, its kind of touch as known at this sample; None: of another event."""
     news: bool = True
     """False: the alarm rose before, and only its kind of touch is new."""
-    merged: int = 1
-    """Events of this kind and joint that this one, the newest, stands for: more than one where they had to wait."""
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from tauext.report.error_against_sigma import sigma_table
 from tauext.report.events import events_table
 from tauext.report.first_screen import first_screen
 from tauext.report.methods_table import method_errors, methods
+from tauext.report.noticed_forces import noticed_table
 from tauext.report.results import EvaluatedBundle, Numbers, Results
 from tauext.report.style import bundle_colours
 from tauext.report.traces import NO_TRACES, PageTraces
@@ -89,6 +90,7 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         limits_move=results.some_limits_move,
         units_note=results.units_note,
         sigma=sigma_table(results),
+        noticed=noticed_table(results),
         extremes=tables.extremes(results),
         alarms=tables.alarms(results),
         ten_collisions=tables.collisions(results, ten, traces.recordings) if ten else None,

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tauext._core import Bundle, WrenchModel
 from tauext.errors import ConfigError
@@ -60,7 +61,7 @@ def spread_poses(q: Sequence[np.ndarray]) -> np.ndarray:
     return rows[np.unique(np.linspace(0, len(rows) - 1, min(POSES, len(rows))).round().astype(int))]
 
 
-def noticed_forces(bundle: Bundle, poses: np.ndarray, frames: Sequence[str] = ()) -> list[NoticedAt]:
+def noticed_forces(bundle: Bundle, poses: ArrayLike, frames: Sequence[str] = ()) -> list[NoticedAt]:
     """Of each link's far end, of the load's frame and of the frames asked for.
 
     Limits are those of usual motion and of rest; unusual motion has higher ones.

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from tauext.errors import ConfigError
 from tauext.store import Place
@@ -49,8 +48,8 @@ def describe_force(file: Place, recordings: Sequence[Place], frames: Sequence[st
     }
 
 
-def poses_of(bundle: Bundle, file: Place, recordings: Sequence[Place]) -> tuple[np.ndarray, str]:
-    """(poses, joints), and where they are from."""
+def poses_of(bundle: Bundle, file: Place, recordings: Sequence[Place]) -> tuple[Any, str]:
+    """(poses, joints), [rad], and where they are from."""
     from tauext.calibrate import spread_poses
     from tauext.data import load_recording
 
@@ -66,7 +65,7 @@ def poses_of(bundle: Bundle, file: Place, recordings: Sequence[Place]) -> tuple[
     kept = json.loads(bundle.provenance or "{}").get("poses")
     if not kept:
         raise ConfigError(f"{file}: it keeps no poses of its training; give recordings with --poses RECORDING...")
-    return np.array(kept, dtype=float), "the motion it was trained on"
+    return kept, "the motion it was trained on"
 
 
 def table(found: Sequence[NoticedAt], poses: int, told: str) -> list[str]:
@@ -93,4 +92,4 @@ def cell(noticed: Noticed, name: str) -> str:
 
 
 def number(newtons: float) -> str:
-    return "never" if np.isinf(newtons) else f"{newtons:.3g}"
+    return "never" if math.isinf(newtons) else f"{newtons:.3g}"

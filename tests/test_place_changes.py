@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from test_places import bundle as bundle
 
+from tauext.errors import ConfigError
+from tauext.live import Reaction, ReactionThread, load_reactions
+from tauext.live.events import EventFinder
+from tauext.live.reaction_process import content_of
+from tauext.live.sink import Event, Verdict
 from tauext.monitor import place_facts, place_words
+from tauext.monitor.changes import ChangeFinder
 from tauext.monitor.places import PlaceFinder
 
 SIGMA_NM, RATE_HZ, RISES, FALLS = 0.1, 1000, 200, 900
@@ -100,3 +107,106 @@ def test_nothing_is_told_without_an_alarm_or_a_model(bundle, signals):
     bare.links = bundle.links
     finder = PlaceFinder(bare)
     assert "error scale" in finder.refused and finder.find(0, t_ns, q, said) == []
+
+
+ALARM_NS = 5_000_000
+
+
+def of_alarm(what: str, touch: str = "unknown", links=(), newtons=None, alarm_t_ns: int = ALARM_NS) -> Event:
+    return Event(
+        "collision",
+        "joint5",
+        7,
+        0,
+        {},
+        touch=touch,
+        news=what == "alarm",
+        links=links,
+        newtons=newtons,
+        alarm_t_ns=alarm_t_ns,
+        of_place=what == "place",
+    )
+
+
+NEAR, SURE = (("joint5", 0.45), ("joint4", 0.4)), (("joint4", 0.8), ("joint5", 0.2))
+STORY = [
+    of_alarm("alarm"),
+    of_alarm("place", "unknown", NEAR, 30.0),
+    of_alarm("touch", "clamp", NEAR, 30.0),
+    of_alarm("place", "clamp", SURE, 60.0),
+    of_alarm("place", "clamp", SURE, 70.0),
+    of_alarm("alarm", alarm_t_ns=9_000_000),
+    of_alarm("place", "push", SURE, 70.0, 9_000_000),
+]
+
+
+@pytest.mark.parametrize(
+    ("bound", "at"),
+    [
+        ({}, [0, 5]),
+        ({"touch": ("clamp",)}, [2]),
+        ({"links": ("joint4",)}, [3, 6]),
+        ({"links": ("joint4", "joint5")}, [1, 6]),  # one of both, more likely than not
+        ({"links": ("joint1",)}, []),
+        ({"newtons_over": 50.0}, [3, 6]),
+        ({"newtons_over": 20.0, "touch": ("clamp",)}, [2]),
+        ({"links": ("joint4",), "touch": ("push",)}, [6]),
+    ],
+)
+def test_a_reaction_of_a_place_runs_once_an_alarm_when_all_it_names_is_true(bound, at):
+    done = []
+    thread = ReactionThread(Reaction("one", ("collision",), **bound), done.append)
+    for k, event in enumerate(STORY):
+        thread.put(replace(event, joint=f"joint {k}"))  # none merged
+    thread.end(time.monotonic() + 20)
+    assert [int(event.joint.split()[1]) for event in done] == at
+
+
+FILE = '[[reaction]]\nname = "one"\non = {on}\n{rule}\nstop = true\n'
+
+
+@pytest.mark.parametrize(
+    ("on", "rule", "words"),
+    [
+        ('["collision"]', 'links = ["joint9"]', "links names 'joint9'; links, by their joints, are joint1"),
+        ('["collision"]', "newtons_over = -1", "newtons_over = -1"),
+        ('["fault"]', "newtons_over = 5", "links and newtons_over say nothing of fault; on needs collision or contact"),
+    ],
+)
+def test_a_file_binds_reactions_to_places_and_refuses_what_cannot_be(tmp_path, on, rule, words):
+    path = tmp_path / "reactions.toml"
+    path.write_text(FILE.format(on='["contact"]', rule='links = ["joint4"]\nnewtons_over = 12.5'))
+    (found,) = load_reactions(path, JOINTS)
+    assert (found.links, found.newtons_over) == (("joint4",), 12.5)
+    path.write_text(FILE.format(on=on, rule=rule))
+    with pytest.raises(ConfigError, match=words):
+        load_reactions(path, JOINTS)
+
+
+def test_commands_find_link_and_newtons_in_their_environment():
+    environment = content_of(of_alarm("place", "push", SURE, 61.23456))["environment"]
+    assert (environment["TAUEXT_LINK"], environment["TAUEXT_NEWTONS"]) == ("joint4", "61.23")
+    environment = content_of(of_alarm("alarm"))["environment"]
+    assert (environment["TAUEXT_LINK"], environment["TAUEXT_NEWTONS"]) == ("", "")
+
+
+def test_an_alarms_place_is_in_its_events_until_the_next(bundle, signals):
+    t_ns, q, said = signals
+    rows = len(t_ns)
+    said["alarm"][FALLS + 50 : FALLS + 60] = 1
+    said["alarm_joint"][:] = 4
+    for name in ("limit_nm", "contact_limit_nm", "margin_nm", "residual"):
+        said[name] = np.ones((rows, 7))
+    for name, value in (("health", 1), ("causes", 0), ("cause_joint", -1), ("touch", 1)):
+        said[name] = np.full(rows, value)
+    said["drift_saturated"] = np.zeros((rows, 7), dtype=bool)
+    finder, changes, places, events = EventFinder(JOINTS, {}), ChangeFinder(), PlaceFinder(bundle), []
+    for k in range(rows):
+        row = {name: column[k : k + 1] for name, column in said.items()}
+        news = changes.find(k, t_ns[k : k + 1], row) + places.find(k, t_ns[k : k + 1], q[k : k + 1], row)
+        events += finder.find(Verdict(k, int(t_ns[k]), None, row, tuple(news)))
+    kinds = [(event.kind, event.of_place, event.newtons is not None) for event in events]
+    assert kinds[:3] == [("collision", False, False), ("collision", True, True), ("collision", True, True)]
+    assert kinds[3:5] == [("cleared", False, False), ("contact", False, False)]
+    assert {event.alarm_t_ns for event in events[:3]} == {t_ns[RISES]} and events[4].alarm_t_ns == t_ns[FALLS + 50]
+    assert events[1].facts["place"]["places"] and events[0].facts["place"] is None

@@ -104,6 +104,9 @@ class Loop:
             if profile.expect is not None and (reason := self._why_not(profile.expect)):
                 raise ConfigError(f"profile {profile.name}: {reason}")
         self._changes, self._places = ChangeFinder(), PlaceFinder(bundle)
+        for rule in [thread.reaction for thread in self._reactions.threads] if self._places.refused else []:
+            if rule.links is not None or rule.newtons_over is not None:
+                raise ConfigError(f"reaction {rule.name!r}: where a touch is cannot be told: {self._places.refused}")
         self._events = EventFinder(self.joints, {"bundle": bundle.name, "source": source.name})
         self._noted: list[Change] = []
         self._due_ns: int | None = None

@@ -22,12 +22,15 @@ TEMPLATE = """\
 #   joints           of collisions and contacts, and of faults of a joint; left out: all
 #   touch            kinds of touch, of collisions and contacts: impact, push, clamp, load, when they are known, most of
 #                    them 0.2 s after the alarm; unknown: at the alarm; left out: at the alarm, whatever it is
+#   links            joints that carry them: when one of these links is touched, more likely than not
+#   newtons_over     when the force where the arm is touched is more than this; both are known 0.1 s after the alarm,
+#                    and a reaction bound to them runs once an alarm
 #   min_interval_s   an event of the same kind sooner than this after one that was taken is counted and left alone; 0
 #   timeout_s        a command or function that takes longer is killed; 5
 #   and one of:
 #   command          program and arguments, no shell. It finds the facts in TAUEXT_EVENT, TAUEXT_JOINT, TAUEXT_TOUCH,
-#                    TAUEXT_T_NS, TAUEXT_TAU_EXT_NM, TAUEXT_LIMIT_NM, TAUEXT_HEALTH, TAUEXT_CAUSES, and all of
-#                    them as JSON on stdin
+#                    TAUEXT_LINK, TAUEXT_NEWTONS, TAUEXT_T_NS, TAUEXT_TAU_EXT_NM, TAUEXT_LIMIT_NM, TAUEXT_HEALTH,
+#                    TAUEXT_CAUSES, and all of them as JSON on stdin
 #   python           "module:function", called with the facts as a dict, in a process of its own; modules are looked
 #                    for in the folder that the monitor was started in, too
 #   publish = true   publishes the event where the source can (ros2)
@@ -56,6 +59,13 @@ command = ["logger", "-t", "tauext", "the monitor found something"]
 # on = ["collision", "contact"]
 # touch = ["clamp"]
 # python = "retreat:back_along_the_way"
+
+# [[reaction]]
+# name = "somebody leans on the forearm"
+# on = ["collision", "contact"]
+# links = ["elbow", "wrist_1"]
+# newtons_over = 40.0
+# command = ["./slow-down"]
 """
 
 
@@ -75,6 +85,10 @@ class Reaction:
     stop: bool = False
     touch: tuple[str, ...] | None = None
     """None: at the alarm; else when its kind of touch is known to be one of these."""
+    links: tuple[str, ...] | None = None
+    """Joints that carry them. None: any; else when one of them is touched, more likely than not."""
+    newtons_over: float | None = None
+    """None: any; else when the force at the most probable place is more than this."""
 
 
 ACTIONS = ("command", "python", "publish", "stop")
@@ -112,6 +126,12 @@ def _reaction(path: Place, table: Any, joints: Sequence[str]) -> Reaction:
         raise ConfigError(
             f"{here} touch = {table['touch']!r} says nothing of {', '.join(on)}; on needs collision or contact"
         )
+    links = _names(f"{here} links", table["links"], joints, "links, by their joints,") if "links" in table else None
+    over = number(f"{here} newtons_over", table["newtons_over"], 0.0, 1e4) if "newtons_over" in table else None
+    if (links is not None or over is not None) and not {"collision", "contact"} & set(on):
+        raise ConfigError(
+            f"{here} links and newtons_over say nothing of {', '.join(on)}; on needs collision or contact"
+        )
     given = [key for key in ACTIONS if table.get(key) not in (None, False)]
     if len(given) != 1:
         what = f"{' and '.join(given)} are given" if given else "nothing to do is given"
@@ -138,6 +158,8 @@ def _reaction(path: Place, table: Any, joints: Sequence[str]) -> Reaction:
         given == ["publish"],
         given == ["stop"],
         touch,
+        links,
+        over,
     )
 
 

@@ -141,6 +141,8 @@ def content_of(event: Event) -> dict[str, Any]:
         "TAUEXT_EVENT": event.kind,
         "TAUEXT_JOINT": event.joint or "",
         "TAUEXT_TOUCH": event.touch or "",
+        "TAUEXT_LINK": event.links[0][0] if event.links else "",
+        "TAUEXT_NEWTONS": "" if event.newtons is None else f"{event.newtons:.4g}",
         "TAUEXT_T_NS": str(event.t_ns),
         "TAUEXT_HEALTH": str(event.facts.get("health", "")),
         "TAUEXT_CAUSES": ", ".join(event.facts.get("causes", ())),

@@ -15,6 +15,8 @@ from tauext.live.reaction_process import ReactionFailed, ReactionProcess
 from tauext.live.sink import Event, Publisher, Sink
 from tauext.live.source import Source, Stoppable
 
+LEAST_PROBABILITY = 0.5
+"""That one of a rule's links is touched: more likely than not."""
 END_S = 2.0
 """At the end of the loop reactions have so long for what still waits."""
 
@@ -62,6 +64,8 @@ class ReactionThread:
         self._ended = False
         self._busy = self._left = False
         self._last_ns: dict[str, int] = {}
+        self._answered_ns: int | None = None
+        """The alarm, by when it rose, that a rule of a place has answered: once is enough."""
         self._news: list[ReactionNews] = []
         self._thread = threading.Thread(target=self._work, name=f"reaction {reaction.name}", daemon=True)
         self._thread.start()
@@ -71,7 +75,7 @@ class ReactionThread:
         rule = self.reaction
         if event.kind not in rule.on or (rule.joints and event.joint is not None and event.joint not in rule.joints):
             return
-        if not event.news if rule.touch is None else event.touch is not None and event.touch not in rule.touch:
+        if not self._is_for(event):
             return
         last_ns = self._last_ns.get(event.kind)
         if last_ns is not None and event.received_ns - last_ns < rule.min_interval_s * 1e9:
@@ -85,6 +89,22 @@ class ReactionThread:
                 event = replace(event, merged=older.merged + 1)
             self._waiting[event.kind, event.joint] = event  # last: a reaction ends with what came last
             self._changed.notify()
+
+    def _is_for(self, event: Event) -> bool:
+        """Whether what the rule waits for is known, and has not been answered."""
+        rule = self.reaction
+        if event.kind not in ("collision", "contact"):
+            return True
+        if rule.links is None and rule.newtons_over is None:
+            return event.news if rule.touch is None else event.touch in rule.touch and not event.of_place
+        if self._answered_ns == event.alarm_t_ns or (rule.touch is not None and event.touch not in rule.touch):
+            return False
+        if rule.links is not None and sum(p for link, p in event.links if link in rule.links) < LEAST_PROBABILITY:
+            return False
+        if rule.newtons_over is not None and not (event.newtons is not None and event.newtons > rule.newtons_over):
+            return False
+        self._answered_ns = event.alarm_t_ns
+        return True
 
     def news(self) -> list[ReactionNews]:
         """What was done since the last call."""

@@ -51,7 +51,16 @@ class Event:
     touch: str | None = None
     """Of a collision or contact, its kind of touch as known at this sample; None: of another event."""
     news: bool = True
-    """False: the alarm rose before, and only its kind of touch is new."""
+    """False: the alarm rose before, and only its kind of touch or its place is new."""
+    links: tuple[tuple[str, float], ...] = ()
+    """Of a collision or contact, joints that carry the touched link, with probabilities, the most probable first; empty
+    while nothing is known."""
+    newtons: float | None = None
+    """Of the force at the most probable place; None: not known."""
+    alarm_t_ns: int = 0
+    """When the alarm rose that this event is of: events of one alarm share it."""
+    of_place: bool = False
+    """Only the place is new."""
 
 
 @dataclass(frozen=True)

@@ -109,8 +109,8 @@ was tuned: a touch in line with an axis, or near one, leaves no trace that says 
         text += f"## {by[0].upper()}{by[1:]}\n\n"
         text += (
             f"{right} of {count} on the link that was touched, {one['two']} among the first two. A link was stated "
-            f"with 90% or more {one['stated']} times, {one['sure']} of them right. At {one['own']} of {count} touches the "
-            "touched link's own joint shows three standard errors.\n\n"
+            f"with 90% or more {one['stated']} times, {one['sure']} of them right. At {one['own']} of {count} touches "
+            "the touched link's own joint shows three standard errors.\n\n"
         )
         text += "| touched | " + " | ".join(str(k + 1) for k in range(7)) + " |\n" + "|---" * 8 + "|\n"
         for k in sorted(set(TOUCHED.values())):

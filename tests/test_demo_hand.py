@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from made_demo import SHORT
+from made_demo import SHORT, smooth_arm
 
 from tauext.config import ObserverConfig
 from tauext.data import load_bundle
@@ -30,11 +30,7 @@ LIMIT_NM = 3.0
 
 @pytest.fixture(scope="module")
 def arm():
-    """Without friction an observer knows all of it, and nothing needs to be trained."""
-    seven = ARMS["seven"]()
-    little = {"coulomb_nm": 1e-4, "static_nm": 1.2e-4, "viscous_nm_s_rad": 0.0, "ripple_nm": 0.0}
-    smooth = [replace(friction, **little) for friction in seven.friction]
-    return replace(seven, friction=tuple(smooth))
+    return smooth_arm()
 
 
 @pytest.fixture(scope="module")

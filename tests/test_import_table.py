@@ -72,6 +72,7 @@ TABLE = {
     "demo/sent_html": (set(), {"viser"}),
     "demo/drawing": (set(), {"numpy", "mujoco", "viser", "trimesh"}),
     "demo/arrow": (set(), {"numpy", "viser", "trimesh"}),
+    "demo/place_drawing": (set(), {"numpy", "viser"}),
     "fleet": (FLEET, set()),
     "fleet/ray_workers": (set(), {"ray"}),
     "cli": (EVERYTHING, {"tyro", "rich"}),

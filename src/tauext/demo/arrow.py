@@ -13,15 +13,28 @@ NOTHING = 1e-4
 """Scale of an arrow that is not shown, [m]. It stays in the scene all the same: a browser makes the program that draws
 a thing when it first draws it, and without a GPU that takes it half a second, in the middle of a push."""
 
+NEWTON_M = 0.004
+"""Length of an arrow for each newton, [m]."""
+
 
 class Rod:
     """A round bar from one point to another."""
 
-    def __init__(self, scene: viser.SceneApi, name: str, color: tuple[int, int, int], radius_m: float, park_m: tuple):
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        name: str,
+        color: tuple[int, int, int],
+        radius_m: float,
+        park_m: tuple,
+        opacity: float | None = None,
+    ):
         """
         Args:
             park_m: where it waits while it is not shown, inside of something opaque.
+            opacity: of a faint one, 0 to 1.
         """
+        self._opacity = opacity
         self._radius, self._park, self._shown = radius_m, park_m, False
         self._shaft = self._add(scene, f"{name}/shaft", trimesh.creation.cylinder(1.0, 1.0, SECTIONS), color)
 
@@ -43,7 +56,14 @@ class Rod:
         """The mesh, of length 1 along z from the origin on."""
         mesh.apply_translation([0.0, 0.0, -mesh.bounds[0, 2]])
         return scene.add_mesh_simple(
-            name, mesh.vertices, mesh.faces, color=color, cast_shadow=False, scale=NOTHING, position=self._park
+            name,
+            mesh.vertices,
+            mesh.faces,
+            color=color,
+            cast_shadow=False,
+            scale=NOTHING,
+            position=self._park,
+            opacity=self._opacity,
         )
 
     @staticmethod
@@ -56,8 +76,16 @@ class Rod:
 class Arrow(Rod):
     """A rod with a head at its end; one shorter than its head shrinks as a whole."""
 
-    def __init__(self, scene: viser.SceneApi, name: str, color: tuple[int, int, int], radius_m: float, park_m: tuple):
-        super().__init__(scene, name, color, radius_m, park_m)
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        name: str,
+        color: tuple[int, int, int],
+        radius_m: float,
+        park_m: tuple,
+        opacity: float | None = None,
+    ):
+        super().__init__(scene, name, color, radius_m, park_m, opacity)
         self._head = self._add(scene, f"{name}/head", trimesh.creation.cone(1.0, 1.0, SECTIONS), color)
 
     def show(self, start: np.ndarray, end: np.ndarray) -> None:

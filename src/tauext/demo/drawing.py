@@ -10,16 +10,15 @@ import trimesh
 import viser
 
 from tauext.demo.arms import DemoArm
-from tauext.demo.arrow import Arrow, Rod
+from tauext.demo.arrow import NEWTON_M, Arrow, Rod
 from tauext.demo.hand import ball_radius_m
+from tauext.demo.place_drawing import ESTIMATE, PlaceDrawing
 from tauext.demo.snapshot import Snapshot, Touch
 
 PART, DRUM = (196, 202, 211), (78, 88, 104)
 TOUCHED = {"contact": (245, 176, 30), "collision": (222, 44, 40)}
 STEEL = (112, 122, 138)
-TRUE, ESTIMATE, QUIET, SPRING = (10, 120, 50), (10, 60, 200), (165, 172, 182), (120, 120, 120)
-NEWTON_M = 0.004
-"""Length of an arrow for each newton, [m]."""
+TRUE, QUIET, SPRING = (10, 120, 50), (165, 172, 182), (120, 120, 120)
 ARC_RAD = 2.0
 """Angle of an arc at its joint's limit, to either side."""
 ARC_POINTS = 16
@@ -70,7 +69,8 @@ class Drawing:
         self._true = Arrow(self._scene, "/push/true", TRUE, 0.009, park)
         self._estimate = Arrow(self._scene, "/push/estimate", ESTIMATE, 0.007, park)
         self._spring = Rod(self._scene, "/push/spring", SPRING, 0.002, park)
-        letters = "".join(sorted(set("contact: collision, N estimated 0123456789-" + "".join(arm.joints))))
+        self._places = PlaceDrawing(self._scene, arm.joints, park)
+        letters = "".join(sorted(set("contact: collision, N estimated 0123456789-%" + "".join(arm.joints))))
         self._scene.add_label("/words/letters", letters, position=park, font_screen_scale=0.01)  # see arrow.NOTHING
         self._words = {
             what: self._scene.add_label(
@@ -99,7 +99,8 @@ class Drawing:
             self._arcs[j].colors = np.array(TOUCHED["collision"] if abs(share) > 1 else ESTIMATE, np.uint8)
         self._show_held(0.0 if snapshot.held is None else snapshot.held.mass_kg)
         self._say_verdict(snapshot, alarmed)
-        self._show_push(snapshot.touch)
+        self._show_push(snapshot.touch, bool(snapshot.places_refused))
+        self._places.show(snapshot.placed)
 
     def simplify(self, simple: bool) -> None:
         """Without floor and shadows, which cost a browser without a GPU nine tenths of its time."""
@@ -121,7 +122,8 @@ class Drawing:
         if text != self._verdict:
             label.text, label.visible, self._verdict = text or " ", bool(text), text
 
-    def _show_push(self, touch: Touch | None) -> None:
+    def _show_push(self, touch: Touch | None, estimated: bool) -> None:
+        """estimated: the method tells no places, and its force is drawn at the point that the demo knows."""
         label, text = self._words["force"], ""
         if touch is None:
             for arrow in (self._true, self._estimate, self._spring):
@@ -130,9 +132,13 @@ class Drawing:
             at = touch.point_m
             lifted = at + [0.0, 0.0, 0.022]
             self._true.show(at, at + NEWTON_M * touch.force_n)
-            self._estimate.show(lifted, lifted + NEWTON_M * touch.estimate_n)
             self._spring.show(at, touch.target_m)
-            text = f"{np.linalg.norm(touch.force_n):.0f} N, estimated {np.linalg.norm(touch.estimate_n):.0f} N"
+            text = f"{np.linalg.norm(touch.force_n):.0f} N"
+            if estimated:
+                self._estimate.show(lifted, lifted + NEWTON_M * touch.estimate_n)
+                text += f", estimated {np.linalg.norm(touch.estimate_n):.0f} N"
+            else:
+                self._estimate.hide()
             label.position = at + [0.0, 0.0, 0.07]
         if text != self._force:
             label.text, label.visible, self._force = text or " ", bool(text), text

@@ -11,8 +11,9 @@ import viser
 from tauext.demo.arms import ARMS, DemoArm
 from tauext.demo.bundles import ERRORS
 from tauext.demo.hand_panel import HandPanel
+from tauext.demo.places import place_words
 from tauext.demo.sent_html import Html
-from tauext.demo.snapshot import Event, Snapshot
+from tauext.demo.snapshot import Event, Snapshot, Verdict
 
 METHODS = {"tauext": "tauext", "paper": "the paper's network", "observer": "plain observer"}
 REACTIONS = {"stop": "stop", "retreat": "retreat", "comply": "go compliant", "ignore": "go on"}
@@ -135,7 +136,10 @@ class Panel:
             small = f"The arm {DOING[snapshot.doing]}. Resume ends the alarm."
             if snapshot.held is not None and not snapshot.held.knows:
                 small = f"{small} {weighed}"
-        if snapshot.touch is not None:
+        if snapshot.placed is not None:
+            faint = " Faint: places that explain it too." if len(snapshot.placed.places) > 1 else ""
+            small = f"{place_words(snapshot.placed, self._arm.joints)}{faint}"
+        elif snapshot.touch is not None and snapshot.places_refused:
             small = shown_force(snapshot.touch.directions)
         if verdict is not None and self._training:
             small = self._training
@@ -150,7 +154,7 @@ class Panel:
         for method, title in METHODS.items():
             verdict = snapshot.verdicts.get(method)
             level = "off" if verdict is None or verdict.health != "ok" else verdict.alarm
-            words = {"off": "–", "none": "nothing"}.get(level, level)
+            words = "–" if level == "off" or verdict is None else seen(verdict)
             last = last_alarm(self._last.get(method), self._arm)
             weight = 600 if method == snapshot.method else 400
             rows.append(
@@ -223,6 +227,14 @@ def shown_force(directions: int) -> str:
         f"Arrows: green true, blue estimated. Pushes here turn joints in {directions} of 3 directions; "
         "the rest of the force cannot be seen."
     )
+
+
+def seen(verdict: Verdict) -> str:
+    """`nothing`, `collision`, or once they are known the kind of touch and its newtons: `push, 34 N`."""
+    if verdict.alarm == "none":
+        return "nothing"
+    what = verdict.alarm if verdict.kind in ("none", "unknown") else verdict.kind
+    return what if np.isnan(verdict.force_n) else f"{what}, {verdict.force_n:.0f} N"
 
 
 def last_alarm(event: Event | None, arm: DemoArm) -> str:

@@ -12,6 +12,7 @@ from tauext import _core
 from tauext.demo.arms import DemoArm
 from tauext.demo.hand import Hand, ball
 from tauext.demo.mover import REACTIONS, Mover, Reaction
+from tauext.demo.places import Placed
 from tauext.demo.plant import Plant, Sample
 from tauext.demo.push import Drag, estimated_force
 from tauext.demo.snapshot import Event, Snapshot, Touch, Verdict
@@ -57,6 +58,7 @@ class Simulation:
         self._resumed_at = np.array(arm.home)
         self._said: dict[str, _core.Estimate] = {}
         self._alarms: dict[str, _core.Alarm] = {}
+        self._newtons: dict[str, float] = {}
         self._sample: Sample | None = None
         self._recent = Recent(arm)
         self._trace: deque[np.ndarray] = deque(maxlen=TRACE_ROWS)
@@ -211,6 +213,7 @@ class Simulation:
         estimate, _, limit = self._shown()
         trace, links = np.array(self._trace), 1 + len(self.arm.joints)
         self._trace.clear()
+        placed = self._placed()
         return Snapshot(
             time_s=self.plant.time_s,
             poses=np.hstack([data.xpos[1:links], data.xquat[1:links]]),
@@ -219,14 +222,30 @@ class Simulation:
             tau_ext=estimate,
             limit_nm=limit,
             verdicts={
-                name: Verdict(said.health.name, self._alarms[name].name, said.alarm_joint)
+                name: Verdict(
+                    said.health.name, self._alarms[name].name, said.alarm_joint, said.touch.name, self._newtons[name]
+                )
                 for name, said in self._said.items()
             },
             touch=self._touch(estimate),
             trace=trace.reshape(len(trace), 1 + 4 * len(self.arm.joints)),
             events=self.take_events(),
             held=self.hand.held(self.method),
+            placed=placed.get(self.method),
+            places_refused=self.watch.places_refused(self.method) if self.watch is not None else "",
         )
+
+    def _placed(self) -> dict[str, Placed | None]:
+        """Where each method takes the touch to be just now; notes the newtons until its alarm ends."""
+        placed: dict[str, Placed | None] = {}
+        for name, said in self._said.items():
+            if self._alarms[name] == _core.Alarm.none:
+                self._newtons[name] = np.nan
+                continue
+            assert self.watch is not None and self._sample is not None
+            placed[name] = found = self.watch.place(name, self._sample.q, said)
+            self._newtons[name] = self._newtons.get(name, np.nan) if found is None else found.newtons
+        return placed
 
     def _judge(self, method: str, alarm: _core.Alarm, joint: int) -> bool:
         """Note an alarm that rose, and react to a collision of the method shown."""

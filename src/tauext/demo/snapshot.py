@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tauext.demo.hand import Held
+from tauext.demo.places import Placed
 
 
 @dataclass(frozen=True)
@@ -17,6 +18,10 @@ class Verdict:
     alarm: str
     joint: int
     """That raised the alarm, -1 for none."""
+    kind: str = "none"
+    """Of the touch: impact, push, clamp or load; unknown, or none without an alarm."""
+    force_n: float = float("nan")
+    """Of the touch at its most probable place, when it was felt last; NaN where nothing says it."""
 
 
 @dataclass(frozen=True)
@@ -69,3 +74,7 @@ class Snapshot:
     real_time_factor: float = float("nan")
     held: Held | None = None
     """The weight in the hand."""
+    placed: Placed | None = None
+    """Where the method shown takes the touch to be; None while no joint of it is over a limit."""
+    places_refused: str = ""
+    """Why that method tells no place; empty: it does."""

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from tauext import _core
+from tauext.demo.places import Placed, Places
 from tauext.demo.plant import Sample
 from tauext.errors import ConfigError
 
@@ -21,6 +22,7 @@ class Watch:
             sensitivity: as set_sensitivity() takes it.
         """
         self.monitors = {name: _core.Monitor(bundle) for name, bundle in bundles.items()}
+        self._places = {name: Places(bundle) for name, bundle in bundles.items()}
         self.blind_to_stiction = [name for name, bundle in bundles.items() if not bundle.prior.terms]
         """Methods without a prior: what a push left in a joint's static friction raises no limit of theirs."""
         self.set_sensitivity(sensitivity)
@@ -54,3 +56,11 @@ class Watch:
         """What every method says of a sample."""
         signals = (sample.t_ns, sample.q, sample.dq, sample.tau)
         return {name: monitor.step(*signals) for name, monitor in self.monitors.items()}
+
+    def place(self, method: str, q: np.ndarray, said: _core.Estimate) -> Placed | None:
+        """Where a method takes the touch of its alarm to be, from what it said of a sample."""
+        return self._places[method].find(q, said)
+
+    def places_refused(self, method: str) -> str:
+        """Why a method tells no place; empty: it does."""
+        return self._places[method].refused

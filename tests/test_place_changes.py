@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from test_places import bundle as bundle
 
+from tauext.cli.run_json import JsonLines
 from tauext.errors import ConfigError
 from tauext.live import Reaction, ReactionThread, load_reactions
 from tauext.live.events import EventFinder
@@ -97,6 +99,11 @@ def test_words_and_facts(bundle, signals):
     facts = place_facts(change, JOINTS)
     assert facts["links"][0]["joint"] == best and len(facts["places"]) == len(change.places)
     assert len(facts["places"][0]["force_n"]) == 3
+    lines = JsonLines(0)
+    lines._joints, lines._start_ns = JOINTS, 0
+    event, content = lines._change(change)
+    assert event == "place" and content["joint"] == "joint5" and content["links"] == facts["links"]
+    json.dumps(content, allow_nan=False)
 
 
 def test_nothing_is_told_without_an_alarm_or_a_model(bundle, signals):

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from tauext._core import PlaceModel
 from tauext.monitor.causes import in_words
 from tauext.monitor.changes import FIRST_KIND, HEALTHS, OK, TOUCHES, with_article
 from tauext.monitor.flight_content import Flight, FlightSource
+from tauext.monitor.places import PlaceChange, place_words
 from tauext.monitor.unfamiliar import WORTH_TELLING, unseen_words
 
 MOST_OTHERS = 3
@@ -57,6 +59,31 @@ def kind_of_touch(flight: Flight) -> str:
         since -= 1
     ms = (flight["t_ns"][since] - flight["t_ns"][row]) * 1e-6
     return f"{ms:.0f} ms later it was taken for {with_article(TOUCHES[touch[-1]])}."
+
+
+def place_of_touch(flight: Flight, source: FlightSource) -> str:
+    """Which link, and where, by the sample since the event at which tau_ext stood out most; empty where unknown."""
+    event, row = flight["event"], flight["event_row"]
+    if source.chain is None or not source.has_error_scale:
+        return ""
+    model, tau, sigma = PlaceModel(source.chain), flight["tau_ext"][row:], flight["sigma_nm"][row:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        strength = np.where((sigma > 0).all(axis=1), np.square(tau / sigma).sum(axis=1), np.nan)
+    if model.refused or not np.isfinite(strength).any():
+        return ""
+    at = int(np.nanargmax(strength))
+    near = sum(1 << j for j, at_rest in enumerate(flight["near_stiction"][row + at]) if at_rest)
+    found = model.find(flight["q"][row + at].tolist(), tau[at].tolist(), sigma[at].tolist(), near)
+    if not found.places:
+        return ""
+    links = tuple((link, found.probability[link]) for link in found.ranked)
+    since_s = (int(flight["t_ns"][row + at]) - int(flight["t_ns"][row])) * 1e-9
+    level = event.alarm.value
+    change = PlaceChange(
+        row, int(event.t_ns), level, event.alarm_joint, since_s, links, tuple(found.places), found.consistent
+    )
+    words = place_words(change, source.joints)
+    return f"{words[0].upper()}{words[1:]}."
 
 
 def doubt(flight: Flight) -> str:

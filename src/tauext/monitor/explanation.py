@@ -9,7 +9,16 @@ import numpy as np
 from tauext import _core
 from tauext.monitor.causes import in_words
 from tauext.monitor.changes import CONTACT, FAULT, HEALTHS, NONE
-from tauext.monitor.explain_alarm import doubt, kind_of_touch, limits_of, others, over_limit, sum_of_terms, unfamiliar
+from tauext.monitor.explain_alarm import (
+    doubt,
+    kind_of_touch,
+    limits_of,
+    others,
+    over_limit,
+    place_of_touch,
+    sum_of_terms,
+    unfamiliar,
+)
 from tauext.monitor.explain_fault import fault_causes, fault_sample, last_estimate
 from tauext.monitor.fits_load import fits_load
 from tauext.monitor.flight_content import Flight, FlightSource, carried, event_kind
@@ -33,6 +42,7 @@ def explain(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
         lines += [
             over_limit(flight, source, kind),
             kind_of_touch(flight),
+            place_of_touch(flight, source),
             sum_of_terms(flight, source),
             unfamiliar(flight, source),
             doubt(flight),

@@ -70,8 +70,8 @@ class PlaceFinder:
             said: what Monitor.run said of them, not empty.
         """
         alarm = said["alarm"]
-        if self.refused or not (self._alarm or alarm.any()):
-            return []
+        if self.refused or (self._due_ns is None and (alarm == self._alarm).all()):
+            return []  # also behind an alarm that stands for hours
         with np.errstate(divide="ignore", invalid="ignore"):
             strength = np.nan_to_num(np.square(said["tau_ext"] / said["sigma_nm"]).sum(axis=1), nan=0.0, posinf=0.0)
         told = []

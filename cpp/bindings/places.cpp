@@ -42,7 +42,7 @@ void bind_places(nb::module_& m) {
       .def_ro("end", &Capsule::end)
       .def_ro("radius_m", &Capsule::radius_m);
   nb::class_<TouchPlace>(m, "TouchPlace", "A force at a point of a link's surface that would explain tau_ext.")
-      .def_ro("link", &TouchPlace::link)
+      .def_ro("link", &TouchPlace::link, "Number of the joint that carries it.")
       .def_ro("probability", &TouchPlace::probability, "That the touch is on this part of the link.")
       .def_ro("point", &TouchPlace::point, "In the base's frame, [m].")
       .def_ro("on_link", &TouchPlace::on_link, "The same in the link's frame, [m].")

@@ -20,6 +20,8 @@ ObserverConfig, PriorConfig, DriftConfig, AlarmConfig, FilterConfig, FreeMotionC
 **Estimate** estimate_recording, Estimates · evaluate_bundles, EventsConfig
 **Monitor** expect_fit, Monitor, Estimate, Health, Alarm, cause_names, FlightRecorder; Touch; Load, LoadFound,
 LoadPhase
+**Forces** WrenchModel, Wrench, WrenchAxes: force and moment at a frame · PlaceModel, TouchPlaces, TouchPlace: which
+link is touched, where and how hard
 **Progress** Reporter: what train_bundle and evaluate_bundles tell while they work
 **Errors** TauextError and under it RobotError, RecordingError, ConfigError, BundleError, TrainingError
 
@@ -45,7 +47,13 @@ if TYPE_CHECKING:
         LoadFound,
         LoadPhase,
         Monitor,
+        PlaceModel,
         Touch,
+        TouchPlace,
+        TouchPlaces,
+        Wrench,
+        WrenchAxes,
+        WrenchModel,
         __version__,
         cause_names,
     )
@@ -96,6 +104,7 @@ __all__ = [
     "LoadPhase",
     "Monitor",
     "ObserverConfig",
+    "PlaceModel",
     "PriorConfig",
     "Recording",
     "RecordingError",
@@ -103,8 +112,13 @@ __all__ = [
     "RobotError",
     "TauextError",
     "Touch",
+    "TouchPlace",
+    "TouchPlaces",
     "TrainConfig",
     "TrainingError",
+    "Wrench",
+    "WrenchAxes",
+    "WrenchModel",
     "__version__",
     "cause_names",
     "estimate_recording",
@@ -132,7 +146,13 @@ _WHERE = {
         "LoadFound",
         "LoadPhase",
         "Monitor",
+        "PlaceModel",
         "Touch",
+        "TouchPlace",
+        "TouchPlaces",
+        "Wrench",
+        "WrenchAxes",
+        "WrenchModel",
         "__version__",
         "cause_names",
     ),

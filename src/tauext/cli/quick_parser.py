@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import importlib
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args, get_origin
 
 import tyro
 
@@ -29,11 +29,14 @@ def quicken() -> None:
 
 
 def without_typeguard(is_instance: Callable[..., bool]) -> Callable[..., bool]:
-    """The check of a default against its type: of no default it says yes, and imports typeguard for that."""
+    """The check of a default against its type: of none, and of an empty tuple for any number of values, it says yes,
+    and imports typeguard for that."""
 
     @functools.wraps(is_instance)
     def checked(kind: Any, value: Any) -> bool:
-        return value is tyro.MISSING or value is tyro.MISSING_NONPROP or is_instance(kind, value)
+        if value is tyro.MISSING or value is tyro.MISSING_NONPROP:
+            return True
+        return (value == () and get_origin(kind) is tuple and get_args(kind)[-1:] == (...,)) or is_instance(kind, value)
 
     checked.shorter_by = without_typeguard  # type: ignore[attr-defined]
     return checked

@@ -16,6 +16,7 @@ from tauext.evaluate.bundle_measures import BundleMeasures
 from tauext.evaluate.collisions import choose_ten, find_collisions
 from tauext.evaluate.reference import sensor_reference
 from tauext.evaluate.sanity import sanity_detectors
+from tauext.evaluate.touches import TouchMeasures
 
 RATE_HZ = 1000
 WARM_S = 1.5
@@ -73,7 +74,8 @@ def make_results(
             near_stiction_limit_nm=(2 * limits[name]).tolist(),
             provenance=json.dumps(trained | {"limits": {"promise": promise}}),
         )
-        measures = BundleMeasures(name, bundle)
+        links = SimpleNamespace(links=[SimpleNamespace(joint_name=joint) for joint in free[0].joints])
+        measures = BundleMeasures(name, bundle, touches=MadeTouches(links) if error_scale else NoTouches(links))
         for recording in free + touched:
             estimates = make_estimates(recording, name, limits[name], rng, error_scale)
             save_estimates(estimates, results / "estimates" / name / f"{recording.name}.parquet")
@@ -111,6 +113,27 @@ def make_results(
     }
     (results / "results.json").write_text(json.dumps(content, indent=1, allow_nan=False))
     return results, data
+
+
+class NoTouches(TouchMeasures):
+    """Of a bundle of which nothing is told."""
+
+    def add(self, touches, recording, estimates) -> None:
+        """Nothing."""
+
+
+class MadeTouches(TouchMeasures):
+    """Three in four links right, and kinds in turn."""
+
+    def add(self, touches, recording, estimates) -> None:
+        for touch in touches:
+            number, joints = len(self._told), recording.joints
+            first = touch.link if number % 4 else (touch.link + 1) % len(joints)
+            ranked = [joints[first], *(joint for joint in joints if joint != joints[first])][:3]
+            links = [{"joint": joint, "probability": 0.95 / 20**k} for k, joint in enumerate(ranked)]
+            kind = ("push", "impact", "unknown", "clamp")[number % 4]
+            self._told.append({"id": touch.id, "kind": kind, "links": links, "force_n": 20.0 + number})
+            self._labels.append((touch.link, touch.kind))
 
 
 def make_loss_history(steps: int, rng: np.random.Generator) -> list[list[float]]:

@@ -60,7 +60,7 @@ class Estimates:
     alarm: np.ndarray | None = None
     """(samples,) int8: the same, latched until somebody acknowledges it; None but of a monitor."""
     touch: np.ndarray | None = None
-    """(samples,) int8: kind of touch of the alarm, of `Touch`; None but of a monitor."""
+    """(samples,) int8: kind of the touch, of `Touch`; of a monitor 0 once the alarm was acknowledged."""
     causes: np.ndarray | None = None
     """(samples,) uint32: a bit for each cause why health is not ok; `cause_names` has the words."""
 

@@ -23,6 +23,7 @@ from tauext.evaluate.latched import judge_latched, latched_summary
 from tauext.evaluate.missed_curve import MissedCurve
 from tauext.evaluate.promise_check import check_promise, promised_per_hour
 from tauext.evaluate.strength import by_strength
+from tauext.evaluate.touches import TouchMeasures
 
 COPIED = ("recipe", "case", "training_minutes", "steps", "epochs", "batch")
 """Of a bundle's provenance, into its entry."""
@@ -31,7 +32,13 @@ COPIED = ("recipe", "case", "training_minutes", "steps", "epochs", "batch")
 class BundleMeasures:
     """One bundle's numbers."""
 
-    def __init__(self, name: str, bundle: _core.Bundle, events: EventsConfig = EventsConfig()) -> None:  # noqa: B008
+    def __init__(
+        self,
+        name: str,
+        bundle: _core.Bundle,
+        events: EventsConfig = EventsConfig(),  # noqa: B008
+        touches: TouchMeasures | None = None,
+    ) -> None:
         self._name, self._bundle = name, bundle
         self._errors = FreeMotionErrors(bundle.joints, bundle.near_stiction_rad_s)
         self._curve = MissedCurve(bundle.hold_s)
@@ -39,6 +46,7 @@ class BundleMeasures:
         self._during = DuringContact(bundle.joints)
         self._sigma = ErrorAgainstSigma(bundle.joints)
         self._events = EventMeasures(events, bundle.near_stiction_rad_s)
+        self._touches = touches or TouchMeasures(bundle)
         self._verdicts: list[dict] = []
         self._latched: list[dict] = []
 
@@ -62,6 +70,7 @@ class BundleMeasures:
         self._curve.add_collisions(touches, recording, estimates)
         self._after.add_touched(recording, estimates)
         self._during.add(touches, recording, estimates, reference)
+        self._touches.add(touches, recording, estimates)
 
     def peaks_over_limit(self) -> dict[str, float | None]:
         """How often its own limits go into the sensor's peak, by the ids of the collisions taken in."""
@@ -101,6 +110,7 @@ class BundleMeasures:
             "rmse_during_contact_nm": self._during.rmse_nm(),
             "error_against_sigma": self._sigma.summary(),
             "events": self._events.summary(),
+            "touches": self._touches.summary(),
             "loss_history": loss_history,
             "changed_since_training": changed_since_training(trained),
         }

@@ -40,4 +40,5 @@ def estimate_recording(bundle: _core.Bundle, recording: Recording, threads: int 
         causes=said["causes"],
         detection=said["detection"].astype(bool),
         held_alarm=said["held_alarm"].astype(np.int8),
+        touch=said["touch"].astype(np.int8),
     )

@@ -16,6 +16,7 @@ from tauext.report.methods_table import method_errors, methods
 from tauext.report.noticed_forces import noticed_table
 from tauext.report.results import EvaluatedBundle, Numbers, Results
 from tauext.report.style import bundle_colours
+from tauext.report.touches import kinds_table, links_table, links_worth, told_table
 from tauext.report.traces import NO_TRACES, PageTraces
 
 TEMPLATE = Path(__file__).with_name("page.html.j2")
@@ -91,6 +92,10 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         units_note=results.units_note,
         sigma=sigma_table(results),
         noticed=noticed_table(results),
+        touched_links=links_table(results.touches),
+        links_worth=[words for one in results.touches if (words := links_worth(one))],
+        touch_kinds=kinds_table(results.touches),
+        touches_told=told_table(results, results.touches) if results.touches else None,
         extremes=tables.extremes(results),
         alarms=tables.alarms(results),
         ten_collisions=tables.collisions(results, ten, traces.recordings) if ten else None,

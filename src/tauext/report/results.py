@@ -110,6 +110,8 @@ class Results:
     sanity: tuple[SanityRow, ...] = ()
     events: tuple[Any, ...] = ()
     """Of type MethodEvents: what labelled events and free time made of each method; empty where nothing is labelled."""
+    touches: tuple[Any, ...] = ()
+    """Of type BundleTouches: links, newtons and kinds of the collisions; empty where no bundle tells them."""
 
     @property
     def shown(self) -> tuple[EvaluatedBundle, ...]:

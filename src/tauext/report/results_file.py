@@ -12,6 +12,7 @@ from tauext.report.events import read_events
 from tauext.report.methods_file import read_measured, read_sanity
 from tauext.report.naming import place
 from tauext.report.results import Collision, CurveBin, EvaluatedBundle, Results, Verdict
+from tauext.report.touches import read_touches
 
 FORMATS = (2, 3)
 """What differs: the list of bundles is called `cases` in format 2."""
@@ -59,6 +60,7 @@ def read_results(top: Entry) -> Results:
         collisions={collision.id: collision for collision in collisions},
         bundles=tuple(sorted(bundles, key=lambda bundle: place(bundle.name))),
         events=read_events(top),
+        touches=read_touches(top),
         sanity=tuple(read_sanity(entry) for entry in top.entries("sanity")),
     )
 

@@ -1,0 +1,170 @@
+"""Links, newtons and kinds of collisions in results.json and in the report: against pushes whose place is known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from made_results import make_results
+
+from tauext import _core
+from tauext.data import Recording
+from tauext.data.estimates import Estimates
+from tauext.errors import ConfigError
+from tauext.evaluate.collisions import find_collisions
+from tauext.evaluate.touches import TouchMeasures
+from tauext.report import write_report
+from tauext.report.entry import Entry
+from tauext.report.results_file import load_results
+from tauext.report.touches import Told, kinds_table, links_table, links_worth, read_links, told_table, told_words
+from tauext.robot import load_tree
+
+ARM = Path(__file__).parents[1] / "benchmarks" / "seven_axis.urdf"
+SIGMA_NM, RATE_HZ, APART_S, HELD_S = 0.15, 100, 3.0, 1.4
+PUSHES = (
+    (3, (0.009, 0.2, 0.0), (-0.979, -0.206, 0)),
+    (6, (0.0, 0.04, 0.1), (0, -1, 0)),
+    (1, (0.05, -0.16, 0.0), (-1, 0, 0)),
+    (3, (-0.04, 0.19, -0.05), (0, 0, 1)),
+)
+"""Link, point on the surface of its capsule and way into it, in the link's axes."""
+MOST_N = 40.0
+ALARM_S = 0.05
+"""After the touch begins."""
+
+
+@pytest.fixture(scope="module")
+def bundle() -> _core.Bundle:
+    """A seven-axis arm with a capsule from each joint to the next."""
+    tree = load_tree(ARM)
+    made = _core.Bundle()
+    made.links, made.gravity = tree.links, tree.gravity
+    scale = _core.ErrorScaleSettings()
+    scale.features = [_core.MotionFeature.constant]
+    scale.limit_weights = scale.largest = [1.0] * tree.size
+    scale.sigma_weights = scale.sigma_near_weights = scale.largest_sigma = [SIGMA_NM] * tree.size
+    made.error_scale = scale
+    made.capsules = [_core.Capsule(k, [0, 0, 0], link.translation, 0.05) for k, link in enumerate(tree.links[1:])]
+    made.capsules += [_core.Capsule(6, [0, 0, 0.02], [0, 0, 0.14], 0.04)]
+    return made
+
+
+def pushed(bundle) -> tuple[Recording, Estimates]:
+    """A standing arm that is pushed at PUSHES, each harder and harder, the last one too weakly for an alarm."""
+    joints = tuple(link.joint_name for link in bundle.links)
+    n, samples = len(joints), round((len(PUSHES) + 1) * APART_S * RATE_HZ)
+    q = np.tile(np.linspace(0.2, 0.9, n), (samples, 1))
+    tau, contact, link = np.zeros((samples, n)), np.zeros(samples, np.int8), np.full(samples, -1, np.int8)
+    held, touch, wrenches = np.zeros(samples, np.int8), np.zeros(samples, np.int8), _core.WrenchModel(bundle)
+    kinds = [_core.Touch.push, _core.Touch.impact, _core.Touch.clamp, _core.Touch.none]
+    for k, (at, point, way) in enumerate(PUSHES):
+        first = round((k + 1) * APART_S * RATE_HZ)
+        part = slice(first, first + round(HELD_S * RATE_HZ))
+        columns = wrenches.columns(joints[at], q[0].tolist(), list(point), _core.WrenchAxes.frame)[:3]
+        tau[part] = np.linspace(0.0, MOST_N, part.stop - first)[:, None] * (np.array(way) @ columns)
+        contact[part], link[part] = 1, at
+        if k < len(PUSHES) - 1:
+            held[first + round(ALARM_S * RATE_HZ) : part.stop] = 1 + k % 2
+            touch[first + 40 :] = kinds[k].value
+    recording = Recording(
+        name="pushed",
+        joints=joints,
+        t_ns=np.arange(samples) * round(1e9 / RATE_HZ),
+        q=q,
+        dq=np.zeros_like(q),
+        tau=np.zeros_like(q),
+        rate_hz=RATE_HZ,
+        torque_timing="held",
+        source="made up",
+        robot_sha256="0" * 64,
+        contact=contact,
+        contact_link=link,
+        provenance={"contacts": "hands"},
+    )
+    single = tau.astype(np.float32)
+    said = Estimates(
+        joints, recording.t_ns, single, 0 * single, single, 1 + 0 * single, np.zeros(q.shape, bool),
+        np.ones(samples, np.int8), held > 0, sigma_nm=np.full_like(single, SIGMA_NM), held_alarm=held, touch=touch,
+    )  # fmt: skip
+    return recording, said
+
+
+def measured(bundle) -> dict:
+    recording, said = pushed(bundle)
+    measures = TouchMeasures(bundle)
+    measures.add(find_collisions(recording), recording, said)
+    return json.loads(json.dumps(measures.summary(), allow_nan=False))
+
+
+def test_pushes_on_known_links_are_told_on_them_with_their_newtons(bundle):
+    summary = measured(bundle)
+    assert [one["id"] for one in summary["told"]] == ["pushed:0", "pushed:1", "pushed:2"]  # the fourth raised no alarm
+    links = summary["links"]
+    assert (links["collisions"], links["first_two"]) == (3, 3)
+    assert sum(map(sum, links["table"])) == 3 and sum(links["table"][3]) == 1 and sum(links["table"][5]) == 0
+    assert links["first"] == sum(links["table"][k][k] for k in range(7)) >= 2
+    assert summary["told"][0]["links"][0]["joint"] == links["joints"][3]
+    # What is told is of the second after the alarm; the push grows on for longer.
+    assert summary["told"][0]["force_n"] == pytest.approx(MOST_N * (ALARM_S + 1.0) / HELD_S, rel=0.1)
+
+
+def test_kinds_are_those_known_when_the_collision_is_over(bundle):
+    assert measured(bundle)["kinds"] == {"hands": {"push": 1, "impact": 1, "clamp": 1}}
+
+
+def test_a_bundle_that_tells_no_place_still_tells_kinds(bundle):
+    recording, said = pushed(bundle)
+    blind = _core.Bundle()
+    blind.links, blind.gravity = bundle.links, bundle.gravity
+    measures = TouchMeasures(blind)
+    measures.add(find_collisions(recording), recording, said)
+    summary = measures.summary()
+    assert summary["links"] is None and summary["kinds"]["hands"]["clamp"] == 1
+    assert all("links" not in one for one in summary["told"])
+
+
+def test_a_stated_link_counts_as_right_or_wrong():
+    def told(joint, probability):
+        return {"id": "x", "kind": None, "links": [{"joint": joint, "probability": probability}]}
+
+    measures = TouchMeasures(SimpleNamespace(links=[SimpleNamespace(joint_name=name) for name in "ab"]))
+    measures._told = [told("a", 0.95), told("b", 0.9), told("b", 0.6), told("a", 0.99)]
+    measures._labels = [(0, "w"), (0, "w"), (1, "w"), (-1, "w")]  # where the last one was, nobody knows
+    links = measures.summary()["links"]
+    assert links["table"] == [[1, 1], [0, 1]]
+    assert (links["collisions"], links["first"], links["stated"], links["stated_right"]) == (3, 2, 2, 1)
+
+
+def test_the_report_has_the_tables_and_older_results_none(tmp_path):
+    results, data = make_results(tmp_path / "new", seconds=25, bundles=["exact"], error_scale=True)
+    read = load_results(results)
+    (one,) = read.touches
+    table = links_table(read.touches)
+    assert [row.cells[1] for row in table.rows] == ["joint2"]  # where all of them are
+    assert [int(cell or 0) for cell in table.rows[0].cells[2:4]] == list(one.links.table[1])
+    assert f"the right link first in {one.links.first} of {one.links.collisions}" in links_worth(one)
+    assert [row.cells[1] for row in kinds_table(read.touches).rows] == ["pulses"]
+    rows = told_table(read, read.touches).rows
+    assert len(rows) == len(read.collisions) and rows[1].cells[-1] == "joint2 95 %, 21 N, impact"
+    write_report(results, data, tmp_path / "report")
+    assert "Where, how hard, and what kind" in (tmp_path / "report" / "report.html").read_text()
+    content = json.loads((results / "results.json").read_text())
+    for bundle in content["bundles"]:
+        del bundle["touches"]
+    (results / "results.json").write_text(json.dumps(content))
+    assert load_results(results).touches == ()
+
+
+def test_what_was_told_in_words():
+    assert told_words(None) == "–" and told_words(Told(None)) == "–"
+    assert told_words(Told("unknown")) == "unknown"
+    assert told_words(Told("clamp", "elbow", 0.831, 33.6)) == "elbow 83 %, 34 N, clamp"
+
+
+def test_a_table_that_is_not_square_is_refused():
+    content = {"joints": ["a", "b"], "table": [[1, 2]], "collisions": 3, "first": 1, "first_two": 1}
+    with pytest.raises(ConfigError, match="'table' must be 2 lists of 2 counts"):
+        read_links(Entry("results.json", content))

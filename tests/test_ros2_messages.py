@@ -13,13 +13,18 @@ from tauext.ros2.messages import (
     Bool,
     DiagnosticArray,
     DiagnosticStatus,
+    Float64MultiArray,
     Header,
     Inertia,
     JointState,
     KeyValue,
+    MultiArrayDimension,
+    MultiArrayLayout,
     String,
     Time,
     Vector3,
+    Wrench,
+    WrenchStamped,
 )
 
 STORES = {16: get_typestore(Stores.ROS2_JAZZY), 24: get_typestore(Stores.ROS2_HUMBLE)}
@@ -46,6 +51,10 @@ MADE = {
     "string": String("slow and careful"),
     "no string": String(),
     "inertia": Inertia(2.5, Vector3(0.1, -0.2, 0.3), 0.01, 0.001, -0.002, 0.02, 0.003, 0.03),
+    "wrench": WrenchStamped(Header(Time(1, 2), "tool0"), Wrench(Vector3(1.0, -2.0, 3.5), Vector3(0.1, 0.2, -0.3))),
+    "covariance": Float64MultiArray(
+        MultiArrayLayout([MultiArrayDimension("x y", 2, 4), MultiArrayDimension("x y", 2, 2)]), [4.0, 0.5, 0.5, 9.0]
+    ),
     "key and value": KeyValue("limit_nm a", "3.5"),
     "diagnostics": DiagnosticArray(
         Header(Time(7, 8)),

@@ -27,8 +27,7 @@ def together(joints: int, seed: int = 3) -> np.ndarray:
     return correlation(z, 1000.0)
 
 
-@pytest.fixture(scope="module")
-def bundle() -> _core.Bundle:
+def arm_bundle() -> _core.Bundle:
     """A seven-axis arm of which only model, error scale and frames are looked at."""
     tree = load_tree(ARM)
     made = _core.Bundle()
@@ -46,6 +45,11 @@ def bundle() -> _core.Bundle:
     settings.radius, settings.residual_radius = [1.5, 1.2], [1.1, 1.3]
     made.wrench_settings = settings
     return made
+
+
+@pytest.fixture(scope="module")
+def bundle() -> _core.Bundle:
+    return arm_bundle()
 
 
 @pytest.fixture(scope="module")
@@ -202,19 +206,52 @@ def test_a_touch_further_up_the_arm_is_no_touch_at_the_flange_and_one_further_do
     assert one(model, "joint7", POSE, at_elbow, here)["consistent"] < 0.05
 
 
-def test_friction_that_a_push_can_hide_behind_widens_joints_near_stiction_alone():
+def test_friction_that_a_push_turns_round_widens_joints_near_stiction_alone():
     old = _core.Bundle.load(str(GOLDEN))
     model, sigma = _core.WrenchModel(old), [1.0, 0.5]
-    sliding, stuck = (model.covariance(True, [1e3, 0.1], sigma, near) for near in (0, 0b11))
-    more = np.sqrt(np.diag(stuck - sliding))
-    assert more[1] == pytest.approx(0.3 * 0.1)  # no more than all of the torque
-    assert 0.3 * 2.0 < more[0] < 0.3 * 6.0  # of 3 N m of friction
-    assert stuck[0, 1] == sliding[0, 1]
+
+    def more(tau, near=0b11):
+        stuck, sliding = (model.covariance(True, tau, sigma, bits) for bits in (near, 0))
+        assert stuck[0, 1] == sliding[0, 1]
+        return np.sqrt(np.diag(stuck - sliding))
+
+    whole = more([1e3, 0.0])
+    assert 0.25 * 2.0 < whole[0] < 0.25 * 6.0  # of 3 N m of friction
+    np.testing.assert_allclose(more([0.0, 1e3]), whole)  # whichever joint is overcome
+    np.testing.assert_allclose(more([4 * whole[0] / 10, 0.0]), whole / 10)  # a tenth of its friction
+    assert (more([0.0, 0.0]) == 0).all() and more([1e3, 0.0], 0b10)[0] == 0
     q, tau = np.array([[0.3, 0.8]]), np.array([[1e3, 0.1]])
     rows = (q, tau, np.array([sigma]), [0.0, 0.0, 0.0], BASE)
     free, held = (model.wrenches("elbow", *rows, near) for near in (None, np.ones((1, 2), dtype=np.uint8)))
     assert (np.linalg.eigvalsh(held["covariance"] - free["covariance"])[0] > -1e-6).all()
     assert np.trace(held["covariance"][0]) > np.trace(free["covariance"][0])
+
+
+def test_what_a_touch_adds_to_the_friction_of_moving_joints_is_taken_off_where_a_load_showed_it():
+    """Friction s |load| against the motion: the arm's own part is the prior's, the touch's is in tau_ext."""
+    shares, moving = np.array([0.0, 0.05, 0.0, 0.08, 0.0, 0.0, 0.0]), np.array([0.3, -0.4, 0.2, 0.5, 0.0, -0.3, 0.6])
+    made, prior = arm_bundle(), _core.PriorSettings()
+    prior.terms = [_core.Term(_core.TermKind.load, joint) for joint in (1, 3)]
+    weights = np.zeros((7, 2))
+    weights[[1, 3], [0, 1]] = -shares[[1, 3]]
+    prior.weights = weights.ravel().tolist()
+    made.prior = prior
+    model = _core.WrenchModel(made)
+    true = torque(model, "joint7", POSE, np.r_[20.0, -25.0, 30.0, 1.0, 0.5, -1.0])
+    pin = oracle.pin
+    arm = oracle.read_model(ARM.read_text())
+    at = np.array(POSE)
+    order = [arm.joints[arm.getJointId(link.joint_name)].idx_v for link in made.links]
+    seen = np.empty(7)
+    seen[order] = at
+    weight = pin.computeGeneralizedGravity(arm, arm.createData(), seen)[order]
+    rubs = shares * np.sign(moving) * (np.abs(weight - true) - np.abs(weight))
+    rows = (np.array([POSE]), (true - rubs)[None], SIGMA[None], None, BASE, None)
+    before, after, standing = (
+        model.wrenches("joint7", *rows, dq)["force"][0] for dq in (None, moving[None], 0 * moving[None])
+    )
+    assert np.linalg.norm(after - [20.0, -25.0, 30.0]) < 0.2 * np.linalg.norm(before - [20.0, -25.0, 30.0])
+    np.testing.assert_array_equal(standing, before)
 
 
 def test_nothing_is_known_without_torques(model):

@@ -23,7 +23,7 @@ int main(int argc, char** argv) {
   std::mt19937 random(1);
   std::uniform_real_distribution<double> pose(-2, 2);
   std::normal_distribution<double> torque(0, 5);
-  std::vector<double> q(n), tau(n), sigma(n, 0.5);
+  std::vector<double> q(n), dq(n, 0.1), tau(n), sigma(n, 0.5);
   std::printf("{\"joints\": %d", joints);
   for (const bool alone : {false, true}) {
     std::vector<double> ns;
@@ -32,7 +32,9 @@ int main(int argc, char** argv) {
       for (double& x : q) x = pose(random);
       for (double& x : tau) x = torque(random);
       const auto start = std::chrono::steady_clock::now();
-      const tauext::Wrench w = alone ? model.force(joints - 1, {0, 0, 0.1}, q, tau, sigma) : model.wrench(joints - 1, q, tau, sigma);
+      const auto axes = tauext::WrenchAxes::base;
+      const tauext::Wrench w = alone ? model.force(joints - 1, {0, 0, 0.1}, q, tau, sigma, axes, 0, dq)
+                                     : model.wrench(joints - 1, q, tau, sigma, axes, 0, dq);
       ns.push_back(std::chrono::duration<double, std::nano>(std::chrono::steady_clock::now() - start).count());
       sum += w.force[0];
     }

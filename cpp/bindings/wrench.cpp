@@ -52,13 +52,14 @@ int expect_frame(const WrenchModel& model, const std::string& name) {
 ArrayDict wrenches(const WrenchModel& model, const std::string& name, const Array<double, 2>& q,
                    const Array<double, 2>& tau_ext, const Array<double, 2>& sigma_nm,
                    const std::optional<std::array<double, 3>>& point, WrenchAxes axes,
-                   const std::optional<Array<std::uint8_t, 2>>& near_stiction) {
+                   const std::optional<Array<std::uint8_t, 2>>& near_stiction, const std::optional<Array<double, 2>>& dq) {
   if (!model.refused().empty()) throw Error("no wrench: " + model.refused());
   const int frame = expect_frame(model, name);
   const Signals s = expect(model, q, tau_ext, sigma_nm);
   const std::size_t m = point ? 3 : 6;
   if (near_stiction && (near_stiction->shape(0) != s.samples || near_stiction->shape(1) != s.joints))
     throw Error("near_stiction must have the shape of q");
+  if (dq && (dq->shape(0) != s.samples || dq->shape(1) != s.joints)) throw Error("dq must have the shape of q");
   std::vector<double> force, moment, covariances, chi_square, consistent, directions(s.samples * m * m, 0.0);
   std::vector<std::int32_t> blind_count, freedom;
   {
@@ -68,8 +69,9 @@ ArrayDict wrenches(const WrenchModel& model, const std::string& name, const Arra
       std::uint32_t near = 0;
       for (std::size_t j = 0; near_stiction && j < s.joints; ++j)
         if (near_stiction->data()[k * s.joints + j]) near |= 1u << j;
-      const Wrench w = point ? model.force(frame, *point, at(s.q), at(s.tau_ext), at(s.sigma_nm), axes, near)
-                             : model.wrench(frame, at(s.q), at(s.tau_ext), at(s.sigma_nm), axes, near);
+      const std::span<const double> speed = dq ? at(dq->data()) : std::span<const double>();
+      const Wrench w = point ? model.force(frame, *point, at(s.q), at(s.tau_ext), at(s.sigma_nm), axes, near, speed)
+                             : model.wrench(frame, at(s.q), at(s.tau_ext), at(s.sigma_nm), axes, near, speed);
       force.insert(force.end(), w.force.begin(), w.force.end());
       moment.insert(moment.end(), w.moment.begin(), w.moment.end());
       covariances.insert(covariances.end(), w.covariance.begin(), w.covariance.begin() + static_cast<std::ptrdiff_t>(m * m));
@@ -185,7 +187,7 @@ void bind_wrench(nb::module_& m) {
           nb::arg("near_stiction") = 0, "S of a sample, (joints, joints); near_stiction: a bit a joint.")
       .def("wrenches", &wrenches, nb::arg("frame"), nb::arg("q"), nb::arg("tau_ext"), nb::arg("sigma_nm"),
            nb::arg("point").none() = nb::none(), nb::arg("axes") = WrenchAxes::base,
-           nb::arg("near_stiction").none() = nb::none(),
+           nb::arg("near_stiction").none() = nb::none(), nb::arg("dq").none() = nb::none(),
            "Of many samples: force, moment, covariance, blind (how many), blind_directions, chi_square, freedom, "
            "consistent. point: where a force alone acts, [m] along the frame's own axes; None: the full wrench.");
   m.def("chi_square_beyond", &chi_square_beyond, nb::arg("value"), nb::arg("freedom"),

@@ -138,6 +138,7 @@ const Estimate& Monitor::estimate(const Sample& sample) noexcept {
   if (observed.passage == Passage::entered) {
     refit_motion_.push(sample);
     std::copy(sample.q.begin(), sample.q.end(), q_.begin());
+    std::copy(sample.dq.begin(), sample.dq.end(), dq_.begin());
   }
   const Estimate& answer = judge_.step(observed, sample, network_out_, expected_ ? &*expected_ : nullptr);
   if (weighing()) weighing_->look(sample, observed, answer);

@@ -117,7 +117,14 @@ void WrenchSettings::validate(int joints) const {
 }
 
 WrenchModel::WrenchModel(const Bundle& bundle)
-    : refused_(why_none(bundle)), links_(bundle.links), settings_(bundle.wrench) {
+    : refused_(why_none(bundle)),
+      links_(bundle.links),
+      settings_(bundle.wrench),
+      tree_(bundle.prior.corrected_links.empty() ? bundle.links : bundle.prior.corrected_links, bundle.gravity),
+      rubbing_(links_.size()) {
+  const std::vector<double> shares = load_friction_shares(bundle.prior, bundle.joints());
+  for (const Term& term : bundle.prior.terms)
+    if (is_load(term)) rubbing_[static_cast<std::size_t>(term.a)] = shares[static_cast<std::size_t>(term.a)];
   for (std::size_t j = 0; j < links_.size(); ++j) friction_nm_.push_back(friction_line(bundle.prior, j).at_rest_nm);
   for (std::size_t j = 0; j < links_.size(); ++j)
     frames_.push_back({links_[j].joint_name, static_cast<std::int32_t>(j), WrenchFrame{}.rotation, {}});
@@ -163,16 +170,31 @@ void WrenchModel::covariance(WrenchKind kind, std::span<const double> tau_ext, s
       }
       into[i * n + j] = radius * sigma_nm[i] * sigma_nm[j] * alike + of_constants * tau_ext[i] * tau_ext[j];
     }
+  double overcome = 0;  // how much of a joint's friction the touch is, at most
+  for (std::size_t i = 0; i < n; ++i)
+    if (friction_nm_[i] > 0) overcome = std::max(overcome, std::fabs(tau_ext[i]) / friction_nm_[i]);
   for (std::size_t i = 0; i < n; ++i)
     if (near_stiction >> i & 1) {
-      const double hidden = kStuckShare * std::min(std::fabs(tau_ext[i]), friction_nm_[i]);
+      const double hidden = kStuckShare * friction_nm_[i] * std::min(1.0, overcome);
       into[i * n + i] += hidden * hidden;
     }
 }
 
+void WrenchModel::take_off_rubbing(std::span<const double> q, std::span<const double> dq,
+                                   std::span<double> tau_ext) const noexcept {
+  constexpr std::array<double, kMaxJoints> still{};
+  std::array<double, kMaxJoints> momentum, weight;
+  const auto n = links_.size();
+  tree_.momentum(q, std::span(still).first(n), std::span(momentum).first(n), std::span(weight).first(n));
+  for (std::size_t j = 0; j < n; ++j) {
+    const double more = std::fabs(weight[j] - tau_ext[j]) - std::fabs(weight[j]);
+    tau_ext[j] += rubbing_[j] * std::tanh(dq[j] / kSignSpeed) * more;
+  }
+}
+
 Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3>& point, std::span<const double> q,
                           std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
-                          std::uint32_t near_stiction) const noexcept {
+                          std::uint32_t near_stiction, std::span<const double> dq) const noexcept {
   constexpr double nan = std::numeric_limits<double>::quiet_NaN();
   const auto n = links_.size(), unknowns = static_cast<std::size_t>(kind == WrenchKind::wrench ? 6 : 3);
   Wrench told;
@@ -184,8 +206,15 @@ Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3
   for (std::size_t j = 0; sound && j < n; ++j)
     sound = std::isfinite(q[j]) && std::isfinite(tau_ext[j]) && sigma_nm[j] > 0 && std::isfinite(sigma_nm[j]);
   for (double value : point) sound = sound && std::isfinite(value);
+  for (double value : dq) sound = sound && std::isfinite(value);
   if (!sound) return told;
 
+  std::array<double, kMaxJoints> pushed;
+  if (!dq.empty()) {
+    std::ranges::copy(tau_ext, pushed.begin());
+    take_off_rubbing(q, dq, std::span(pushed).first(n));
+    tau_ext = std::span(pushed).first(n);
+  }
   std::array<double, kMaxJoints * kMaxJoints> s;
   std::array<double, 6 * kMaxJoints> all;
   covariance(kind, tau_ext, sigma_nm, near_stiction, s);
@@ -205,15 +234,15 @@ Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3
 }
 
 Wrench WrenchModel::wrench(int frame, std::span<const double> q, std::span<const double> tau_ext,
-                           std::span<const double> sigma_nm, WrenchAxes axes,
-                           std::uint32_t near_stiction) const noexcept {
-  return solve(WrenchKind::wrench, frame, {}, q, tau_ext, sigma_nm, axes, near_stiction);
+                           std::span<const double> sigma_nm, WrenchAxes axes, std::uint32_t near_stiction,
+                           std::span<const double> dq) const noexcept {
+  return solve(WrenchKind::wrench, frame, {}, q, tau_ext, sigma_nm, axes, near_stiction, dq);
 }
 
 Wrench WrenchModel::force(int frame, const std::array<double, 3>& point, std::span<const double> q,
                           std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
-                          std::uint32_t near_stiction) const noexcept {
-  return solve(WrenchKind::force, frame, point, q, tau_ext, sigma_nm, axes, near_stiction);
+                          std::uint32_t near_stiction, std::span<const double> dq) const noexcept {
+  return solve(WrenchKind::force, frame, point, q, tau_ext, sigma_nm, axes, near_stiction, dq);
 }
 
 double chi_square_beyond(double value, int freedom) noexcept {

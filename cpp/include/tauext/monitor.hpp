@@ -125,11 +125,11 @@ class Monitor {
   // Wrench. Not known while health is not ok or stale, or after restore_state() until the next sample. Microseconds, and
   // nothing is changed.
   Wrench wrench(int frame, WrenchAxes axes = WrenchAxes::base) const noexcept {
-    return wrench_.wrench(frame, q(), tau_ext(), sigma_nm(), axes, last().near_stiction);
+    return wrench_.wrench(frame, q(), tau_ext(), sigma_nm(), axes, last().near_stiction, dq());
   }
   // The same of a force alone, that acts at this point of the frame, [m] along its own axes.
   Wrench force(int frame, const std::array<double, 3>& point, WrenchAxes axes = WrenchAxes::base) const noexcept {
-    return wrench_.force(frame, point, q(), tau_ext(), sigma_nm(), axes, last().near_stiction);
+    return wrench_.force(frame, point, q(), tau_ext(), sigma_nm(), axes, last().near_stiction, dq());
   }
   // Frames by name, and why there is no wrench: refused().
   const WrenchModel& wrench_model() const noexcept { return wrench_; }
@@ -163,9 +163,13 @@ class Monitor {
     return std::span(values).first(static_cast<std::size_t>(joints()));
   }
   std::span<const double> q() const noexcept { return of_joints(q_); }
+  std::span<const double> dq() const noexcept { return of_joints(dq_); }
   std::span<const double> tau_ext() const noexcept { return of_joints(last().tau_ext); }
   std::span<const double> sigma_nm() const noexcept { return of_joints(last().sigma_nm); }
-  void forget_q() noexcept { q_.fill(std::numeric_limits<double>::quiet_NaN()); }
+  void forget_q() noexcept {
+    q_.fill(std::numeric_limits<double>::quiet_NaN());
+    dq_ = q_;
+  }
   void predict(const Observed& observed) noexcept;
   void follow_expected() noexcept;
   void put_load(const Load& load, std::int64_t since_ns) noexcept;
@@ -184,7 +188,7 @@ class Monitor {
   std::optional<ExpectedLoad> expected_;  // where loads can be
   std::optional<Weighing> weighing_;  // where it is possible
   WrenchModel wrench_;
-  JointVector q_;  // of the last sample that went on the chain; no part of the state
+  JointVector q_, dq_;  // of the last sample that went on the chain; no part of the state
 };
 
 }  // namespace tauext

@@ -63,20 +63,26 @@ struct Wrench {
 };
 
 // tau_ext = J^T w + e,  e ~ N(0, S),
-//   S_ij = radius sigma_i sigma_j R_ij + (c^2 + delta_ij c_i^2) tau_i tau_j + delta_ij (kStuckShare min(|tau_i|, F_i))^2,
+//   S_ij = radius sigma_i sigma_j R_ij + (c^2 + delta_ij c_i^2) tau_i tau_j
+//          + delta_ij (kStuckShare F_i min(1, max over k of |tau_k| / F_k))^2,
 // with c_i the share that the torque constant of a joint may be off and c what all have in common; the last term is of
-// joints near stiction alone, F_i being their friction: it holds against a push, and the prior follows that in part. What a wrench can be
+// joints near stiction alone, F_i being their friction: a push that overcomes one joint's moves all of them a little, and
+// turns friction round that held them, which the prior follows in part. What a wrench can be
 // at all, w ~ N(0, P) with P of kLargestForce_n and that times kLength_m, keeps the answer continuous through
 // singularities: w = (J S^-1 J^T + P^-1)^-1 J S^-1 tau_ext. Where a direction is known to kBlindForce_n or better, P shrinks it by
 // 1 % at most, by 0.01 % at 10 N; where it is not, it is named blind.
 // Eigenvectors of the whitened J S^-1 J^T tell directions.
+// Gears rub harder under load, and the prior's friction knows the arm's own weight alone. Where dq is given, what a touch
+// adds is taken off first, of joints whose share s was found from their own load: a joint that moves gets
+//   tau_ext + s tanh(dq / kSignSpeed) (|g - tau_ext| - |g|),  g the weight that it holds.
 class WrenchModel {
  public:
   static constexpr double kLargestForce_n = 1000;  // no touch that an arm survives is far beyond it
   static constexpr double kBlindForce_n = 100;     // standard error; what is not known to this says nothing of a touch
-  // Of the friction that a push can hide behind: anything between none and all of it would be 0.6.
-  static constexpr double kStuckShare = 0.3;
-  static constexpr double kLength_m = 0.1;         // a force so far from the frame is a usual moment: half a link's width
+  // Of a resting joint's friction: anything between all of it this way and that would be 0.6; the prior's presliding
+  // states, which follow how it turns round, leave a quarter.
+  static constexpr double kStuckShare = 0.25;
+  static constexpr double kLength_m = 0.1;  // a force so far from the frame is a usual moment: half a link's width
 
   // Of a bundle that holds together.
   explicit WrenchModel(const Bundle& bundle);
@@ -101,24 +107,30 @@ class WrenchModel {
   // S of a sample, (joints, joints).
   void covariance(WrenchKind kind, std::span<const double> tau_ext, std::span<const double> sigma_nm,
                   std::uint32_t near_stiction, std::span<double> into) const noexcept;
-  // All take a value a joint, and near_stiction a bit; nothing allocates or throws. A frame that there is none is not known.
+  // tau_ext less what a touch's load adds to the friction of joints that move.
+  void take_off_rubbing(std::span<const double> q, std::span<const double> dq, std::span<double> tau_ext) const noexcept;
+  // All take a value a joint, and near_stiction a bit; no dq: as where joints stand. Nothing allocates or throws. A frame
+  // that there is none is not known.
   Wrench wrench(int frame, std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm,
-                WrenchAxes axes = WrenchAxes::base, std::uint32_t near_stiction = 0) const noexcept;
+                WrenchAxes axes = WrenchAxes::base, std::uint32_t near_stiction = 0,
+                std::span<const double> dq = {}) const noexcept;
   // Force alone, which acts at `point` of the frame, [m] along its own axes.
   Wrench force(int frame, const std::array<double, 3>& point, std::span<const double> q, std::span<const double> tau_ext,
                std::span<const double> sigma_nm, WrenchAxes axes = WrenchAxes::base,
-               std::uint32_t near_stiction = 0) const noexcept;
+               std::uint32_t near_stiction = 0, std::span<const double> dq = {}) const noexcept;
 
  private:
   Wrench solve(WrenchKind kind, int frame, const std::array<double, 3>& point, std::span<const double> q,
                std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
-               std::uint32_t near_stiction) const noexcept;
+               std::uint32_t near_stiction, std::span<const double> dq) const noexcept;
 
   std::string refused_;
   std::vector<Link> links_;
   WrenchSettings settings_;
   std::vector<WrenchFrame> frames_;
-  std::vector<double> friction_nm_;  // a joint, at rest
+  std::vector<double> friction_nm_;   // a joint, at rest
+  Tree tree_;                         // as data corrected it
+  std::vector<double> rubbing_;       // a joint: share of a load by which its gear rubs harder; 0: not found
 };
 
 // Probability that a chi-square with so many degrees of freedom, 1 or more, is at least this.

@@ -180,7 +180,7 @@ def watch(
 
     bundle = load_bundle(path)
     joints = tuple(link.joint_name for link in bundle.links)
-    connection = connect(text, options)
+    connection = connect(text, options, bundle)
     source = connection.source
     profiles = None if extras.profiles is None else load_profiles(extras.profiles, joints)
     rules = [] if extras.reactions is None else load_reactions(extras.reactions, joints)

@@ -10,6 +10,7 @@ from tauext.errors import ConfigError
 from tauext.store import Place, place_of
 
 if TYPE_CHECKING:
+    from tauext._core import Bundle
     from tauext.live import Sink, Source
     from tauext.ros2 import Ros2Settings
 
@@ -31,7 +32,7 @@ class Connection:
     sinks: tuple[Sink, ...] = ()
 
 
-def replay(target: str, options: SourceOptions) -> Connection:
+def replay(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
     """replay:FILE, a recording at its own pace or --speed times as fast."""
     from tauext.live import ReplaySource
 
@@ -41,25 +42,25 @@ def replay(target: str, options: SourceOptions) -> Connection:
     return Connection(ReplaySource(place_of(target), speed))
 
 
-def ur(target: str, options: SourceOptions) -> Connection:
+def ur(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
     """ur:HOST."""
     from tauext.live.ur_source import UrSource
 
     return Connection(UrSource(target, options.torque_constants))
 
 
-def franka(target: str, options: SourceOptions) -> Connection:
+def franka(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
     """franka:HOST."""
     from tauext.live.franka_source import FrankaSource
 
     return Connection(FrankaSource(target))
 
 
-def ros2(target: str, options: SourceOptions) -> Connection:
+def ros2(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
     """ros2, joint states of a topic; torques, alarms and diagnostics go to others."""
     from tauext.ros2 import Ros2Settings, connect
 
-    source, publisher = connect(options.ros2 or Ros2Settings())
+    source, publisher = connect(options.ros2 or Ros2Settings(), bundle)
     return Connection(source, (publisher,))
 
 
@@ -69,7 +70,7 @@ class Kind:
 
     target: str
     """What stands behind its colon; empty: nothing does."""
-    connect: Callable[[str, SourceOptions], Connection]
+    connect: Callable[[str, SourceOptions, Bundle | None], Connection]
     takes: tuple[str, ...] = ()
     """Of SourceOptions."""
 
@@ -82,8 +83,8 @@ KINDS = {
 }
 
 
-def connect(text: str, options: SourceOptions) -> Connection:
-    """The source of this text, KIND:TARGET; it is not open yet.
+def connect(text: str, options: SourceOptions, bundle: Bundle | None = None) -> Connection:
+    """The source of this text, KIND:TARGET; it is not open yet. bundle: what publishers on its side tell forces with.
 
     Raises:
         ConfigError: an unknown kind, a target that is missing, an option that is for another kind; or the source's own.
@@ -97,4 +98,4 @@ def connect(text: str, options: SourceOptions) -> Connection:
         if getattr(options, name) is not None and name not in known.takes:
             those = ", ".join(other for other, one in KINDS.items() if name in one.takes)
             raise ConfigError(f"--{name.replace('_', '-')} is for source {those}, not for {kind}")
-    return known.connect(target, options)
+    return known.connect(target, options, bundle)

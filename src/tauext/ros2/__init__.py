@@ -10,23 +10,26 @@ from typing import TYPE_CHECKING
 from tauext.ros2.settings import Ros2Settings
 
 if TYPE_CHECKING:
+    from tauext import _core
     from tauext.ros2.publisher import Ros2Publisher
     from tauext.ros2.source import Ros2Source
 
 __all__ = ["Ros2Settings", "connect"]
 
 
-def connect(settings: Ros2Settings) -> tuple[Ros2Source, Ros2Publisher]:
-    """A source and a publisher that share one node.
+def connect(settings: Ros2Settings, bundle: _core.Bundle | None = None) -> tuple[Ros2Source, Ros2Publisher]:
+    """A source and a publisher that share one node; the bundle tells the forces at settings.wrench_frames.
 
     Raises:
-        ConfigError: CycloneDDS is not installed, or the domain cannot be joined.
+        ConfigError: CycloneDDS is not installed, the domain cannot be joined, or the bundle has no such frame.
     """
     from tauext.ros2.conditions import Conditions
     from tauext.ros2.node import Node
     from tauext.ros2.publisher import Ros2Publisher
     from tauext.ros2.source import Ros2Source
+    from tauext.ros2.wrenches import Wrenches
 
+    wrenches = Wrenches(settings.wrench_frames, bundle)
     node, conditions = Node(settings), Conditions()
     source = Ros2Source(node, conditions)
-    return source, Ros2Publisher(node, conditions, source)
+    return source, Ros2Publisher(node, conditions, source, wrenches)

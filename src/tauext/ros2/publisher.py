@@ -18,6 +18,7 @@ from tauext.ros2.diagnostics import arm_status, input_status
 from tauext.ros2.messages import Bool, DiagnosticArray, Header, Inertia, JointState, String, Time
 from tauext.ros2.node import Node
 from tauext.ros2.source import Ros2Source
+from tauext.ros2.wrenches import Wrenches
 
 FOREVER_NS = 2**63 - 1
 BETWEEN_NS = 50_000_000
@@ -30,6 +31,7 @@ class Ros2Publisher:
     `external_torque`: JointState with the stamp of the sample it speaks of, effort = tau_ext [N m], positive where the
     environment pushes the joint in its positive direction, NaN while there is no estimate. `contact`, `collision`:
     Bool, latched: who subscribes later gets the last one. `event`: String, JSON, for reactions with publish = true.
+    `wrench/NAME`: WrenchStamped of each frame that was asked for, with its covariance; nothing where it is not known.
     `diagnostics`: DiagnosticArray. Asked: `profile` (String: its name), `acknowledge` and `resume` (Bool: true),
     `load` (Inertia, in the bundle's load frame; m = 0: nothing).
 
@@ -37,8 +39,15 @@ class Ros2Publisher:
     library refuses to send is counted in `unsent`.
     """
 
-    def __init__(self, node: Node, conditions: Conditions, source: Ros2Source | None = None):
-        """source: whose stamps the torques bear; None: the time of reception."""
+    def __init__(
+        self,
+        node: Node,
+        conditions: Conditions,
+        source: Ros2Source | None = None,
+        wrenches: Wrenches | None = None,
+    ):
+        """source: whose stamps the torques bear; None: the time of reception. wrenches: None: none are told."""
+        self._wrenches = wrenches or Wrenches((), None)
         self._node, self._conditions, self._source = node, conditions, source
         self.unsent = 0
         self._verdict: Verdict | None = None
@@ -59,6 +68,7 @@ class Ros2Publisher:
             for name in ("contact", "collision")
         }
         self._events = node.writer(settings.full_name("event"), String, "reliable", "volatile", 16)
+        self._wrenches.open(node)
         self._diagnostics = node.writer(
             settings.full_name(settings.diagnostics), DiagnosticArray, "reliable", "volatile", 8
         )
@@ -83,9 +93,11 @@ class Ros2Publisher:
         self._verdict = verdict
         if verdict.sample is not None:
             # The writer serialises at once, so one message serves all.
-            self._message.header.stamp = Time.of_ns(self._stamp_ns(verdict.sample))
+            stamp_ns = self._stamp_ns(verdict.sample)
+            self._message.header.stamp = Time.of_ns(stamp_ns)
             self._message.effort = verdict.said["tau_ext"][0].tolist()
             self._send(self._torque, self._message)
+            self._wrenches.tell(verdict, stamp_ns, self._send)
         if verdict.changes:
             self._say_alarm(int(verdict.said["alarm"][0]))
             self._due = True
@@ -108,7 +120,7 @@ class Ros2Publisher:
             return
         self._closing.set(True)
         self._listening.join()
-        entities = [self._torque, *self._alarms.values(), self._events, self._diagnostics]
+        entities = [self._torque, *self._alarms.values(), self._events, self._diagnostics, *self._wrenches.writers]
         entities += [inbox.reader for inbox, _ in self._asked.values()]
         self._listening = self._closing = self._torque = self._events = self._diagnostics = None
         self._alarms, self._asked = {}, {}

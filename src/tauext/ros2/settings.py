@@ -40,6 +40,8 @@ class Ros2Settings:
     """Namespace of everything that is published: external_torque, contact, collision, event, diagnostics."""
     diagnostics: str = "diagnostics"
     """Topic of diagnostics; a name that begins with / stands for itself: /diagnostics, where aggregators listen."""
+    wrench_frames: tuple[str, ...] = ()
+    """Frames of the bundle whose force and moment are published, a topic wrench/NAME each; empty: none."""
     node: str = "tauext"
     """Name of the node, as `ros2 node list` shows it after the namespace."""
     domain: int | None = None

@@ -1,0 +1,118 @@
+"""Forces at frames on ROS 2 topics, read by a peer, against what the core says of the same sample."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_ros2 import DOMAIN, until
+
+pytest.importorskip("cyclonedds")
+
+from tauext import _core
+from tauext.errors import ConfigError
+from tauext.live import Sample, Verdict
+from tauext.ros2 import Ros2Settings, connect
+from tauext.ros2.messages import Float64MultiArray, WrenchStamped
+from tauext.ros2.node import Node
+
+JOINTS = ("shoulder", "elbow")
+Q, DQ, TAU, SIGMA = [0.3, 0.8], [0.2, -0.1], [5.0, -2.0], [0.4, 0.2]
+
+
+@pytest.fixture(scope="module")
+def bundle():
+    """Its arm has two joints, and a frame at the tip whose name no topic may have."""
+    made = _core.Bundle.load(str(Path(__file__).parent / "golden" / "format-8.tauext"))
+    settings = made.wrench_settings
+    settings.frames = [_core.WrenchFrame("tip/1", 1, [0, -1, 0, 1, 0, 0, 0, 0, 1], [0.3, 0.0, 0.1])]
+    made.wrench_settings = settings
+    return made
+
+
+def said_of(tau=TAU):
+    row = {"tau_ext": tau, "sigma_nm": SIGMA, "near_stiction": [True, False], "margin_nm": SIGMA}
+    arrays = {name: np.array([values]) for name, values in row.items()}
+    return arrays | {"health": np.array([1]), "alarm": np.array([0]), "causes": np.array([0])}
+
+
+def verdict(tau=TAU, sample=True):
+    made = Sample(0, np.array(Q), np.array(DQ), np.zeros(2), time.monotonic_ns()) if sample else None
+    return Verdict(0, 0, made, said_of(tau), ())
+
+
+@pytest.fixture
+def talking(request, bundle):
+    space = "/" + "".join(c if c.isalnum() else "_" for c in request.node.name)
+    settings = Ros2Settings(namespace=space, domain=DOMAIN, wrench_frames=("elbow", "tip/1"))
+    source, publisher = connect(settings, bundle)
+    publisher.open(JOINTS, None)
+    peer = Node(Ros2Settings(domain=DOMAIN, node="peer", namespace=space + "_peer"))
+
+    def reading(name, of):
+        reader = peer.inbox(f"{space}/{name}", of, "reliable", "volatile", 8).reader
+        until(reader.get_matched_publications, f"a writer of {name}")
+        return reader
+
+    yield source, publisher, reading
+    publisher.close()
+
+
+def next_of(reader):
+    (message,) = until(lambda: [m for m in reader.take(1) if m.sample_info.valid_data], "a message")
+    return message
+
+
+def numbers(vector):
+    return [vector.x, vector.y, vector.z]
+
+
+def test_a_wrench_is_that_of_the_core_along_the_frame_s_own_axes_with_its_covariance(talking, bundle):
+    source, publisher, reading = talking
+    wrenches, covariances = (
+        reading("wrench/tip_1", WrenchStamped),
+        reading("wrench/tip_1/covariance", Float64MultiArray),
+    )
+    source.last_stamp_ns = 5 * 10**18 // 3
+    publisher.verdict(verdict())
+    told, with_doubt = next_of(wrenches), next_of(covariances)
+    rows = [np.array([values]) for values in (Q, TAU, SIGMA)]
+    near = np.array([[1, 0]], dtype=np.uint8)
+    own = _core.WrenchAxes.frame
+    wanted = _core.WrenchModel(bundle).wrenches("tip/1", *rows, None, own, near, np.array([DQ]))
+    assert numbers(told.wrench.force) == wanted["force"][0].tolist()
+    assert numbers(told.wrench.torque) == wanted["moment"][0].tolist()
+    assert (told.header.frame_id, told.header.stamp.ns) == ("tip/1", 5 * 10**18 // 3)
+    assert with_doubt.data == wanted["covariance"][0].ravel().tolist()
+    sizes = [(dim.size, dim.stride) for dim in with_doubt.layout.dim]
+    assert sizes == [(6, 36), (6, 6)] and with_doubt.layout.dim[0].label.split()[3] == "torque.x"
+
+
+def test_nothing_is_told_of_a_sample_that_is_missing_or_not_known(talking):
+    _, publisher, reading = talking
+    reader = reading("wrench/elbow", WrenchStamped)
+    publisher.verdict(verdict([np.nan, np.nan]))
+    publisher.verdict(verdict(sample=False))
+    publisher.verdict(verdict([1.0, 2.0]))
+    only = next_of(reader)
+    assert np.isfinite(numbers(only.wrench.force)).all() and only.header.frame_id == "elbow"
+    assert not reader.take(8)
+
+
+def test_what_cannot_be_told_is_refused_at_the_start_in_one_line(bundle):
+    def start(*frames, of=bundle):
+        connect(Ros2Settings(domain=DOMAIN, wrench_frames=frames), of)
+
+    with pytest.raises(ConfigError, match=r"wrench_frames 'tool0' must be one of shoulder, elbow.*tip/1$"):
+        start("elbow", "tool0")
+    with pytest.raises(ConfigError, match="there is no bundle"):
+        start("elbow", of=None)
+    with pytest.raises(ConfigError, match="a topic's name of its own"):
+        start("tip/1", "tip_1")
+    empty = _core.Bundle.from_bytes(bundle.to_bytes())
+    links = empty.links
+    for link in links:
+        link.mass = 0.0
+    empty.links = links
+    with pytest.raises(ConfigError, match="no force can be told, the bundle has no model"):
+        start("elbow", of=empty)

@@ -52,7 +52,7 @@ def found(bundle, signals, step: int) -> list:
     finder, told = PlaceFinder(bundle), []
     for k in range(0, len(t_ns), step):
         rows = slice(k, k + step)
-        told += finder.find(k, t_ns[rows], q[rows], {name: column[rows] for name, column in said.items()})
+        told += finder.find(k, t_ns[rows], q[rows], 0 * q[rows], {name: column[rows] for name, column in said.items()})
     return told
 
 
@@ -76,17 +76,19 @@ def test_chunks_do_not_change_what_is_told(bundle, signals, step):
 def test_a_short_touch_is_told_when_its_alarm_falls(bundle, signals):
     t_ns, q, said = signals
     said["alarm"][RISES + 30 :] = 0
-    (only,) = PlaceFinder(bundle).find(0, t_ns, q, said)
+    (only,) = PlaceFinder(bundle).find(0, t_ns, q, 0 * q, said)
     assert only.row == RISES + 30 and only.alarm == 2
 
 
 def test_an_acknowledged_alarm_that_stands_again_is_another(bundle, signals):
     t_ns, q, said = signals
     finder, until = PlaceFinder(bundle), RISES + 300
-    told = finder.find(0, t_ns[:until], q[:until], {name: column[:until] for name, column in said.items()})
+    told = finder.find(
+        0, t_ns[:until], q[:until], 0 * q[:until], {name: column[:until] for name, column in said.items()}
+    )
     finder.acknowledged()
     rest = {name: column[until:] for name, column in said.items()}
-    anew = finder.find(until, t_ns[until:], q[until:], rest)
+    anew = finder.find(until, t_ns[until:], q[until:], 0 * q[until:], rest)
     assert len(told) == 1 and anew[0].row == until + 100
 
 
@@ -109,11 +111,11 @@ def test_words_and_facts(bundle, signals):
 def test_nothing_is_told_without_an_alarm_or_a_model(bundle, signals):
     t_ns, q, said = signals
     quiet = said | {"alarm": np.zeros_like(said["alarm"])}
-    assert PlaceFinder(bundle).find(0, t_ns, q, quiet) == []
+    assert PlaceFinder(bundle).find(0, t_ns, q, 0 * q, quiet) == []
     bare = type(bundle)()
     bare.links = bundle.links
     finder = PlaceFinder(bare)
-    assert "error scale" in finder.refused and finder.find(0, t_ns, q, said) == []
+    assert "error scale" in finder.refused and finder.find(0, t_ns, q, 0 * q, said) == []
 
 
 ALARM_NS = 5_000_000
@@ -210,7 +212,9 @@ def test_an_alarms_place_is_in_its_events_until_the_next(bundle, signals):
     finder, changes, places, events = EventFinder(JOINTS, {}), ChangeFinder(), PlaceFinder(bundle), []
     for k in range(rows):
         row = {name: column[k : k + 1] for name, column in said.items()}
-        news = changes.find(k, t_ns[k : k + 1], row) + places.find(k, t_ns[k : k + 1], q[k : k + 1], row)
+        news = changes.find(k, t_ns[k : k + 1], row) + places.find(
+            k, t_ns[k : k + 1], q[k : k + 1], 0 * q[k : k + 1], row
+        )
         events += finder.find(Verdict(k, int(t_ns[k]), None, row, tuple(news)))
     kinds = [(event.kind, event.of_place, event.newtons is not None) for event in events]
     assert kinds[:3] == [("collision", False, False), ("collision", True, True), ("collision", True, True)]

@@ -252,6 +252,9 @@ def test_what_is_not_known_and_what_does_not_fit(bundle, model):
         told = model.find([0.0] * 7, broken, SIGMA.tolist())
         assert not told.known and told.places == [] and told.ranked == [] and np.isnan(told.consistent)
     assert not model.find([0.0] * 7, tau, [0.0] * 7).known
+    assert not model.find([0.0] * 7, tau, SIGMA.tolist(), dq=[np.nan] * 7).known
+    with pytest.raises(_core.CoreError, match="must hold 7 values"):
+        model.find([0.0] * 7, tau, tau, dq=[0.0])
     with pytest.raises(_core.CoreError, match="must hold 7 values"):
         model.find([0.0] * 6, tau, tau)
     bare = _core.Bundle()

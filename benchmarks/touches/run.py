@@ -170,7 +170,9 @@ def told_of(arm: Arm, touch: Touch, samples: Samples, said: dict, changes: list[
     at = first + int(np.nanargmax(strength[first : last.row + 1]))
     sample = (samples.q[at].tolist(), said["tau_ext"][at].tolist(), said["sigma_nm"][at].tolist())
     near = sum(1 << j for j in range(len(arm.names)) if said["near_stiction"][at, j])
-    found = _core.PlaceModel(arm.bundle).find(*sample, near, link=touch.link, frame=arm.names[-1])
+    found = _core.PlaceModel(arm.bundle).find(
+        *sample, near, link=touch.link, frame=arm.names[-1], dq=samples.dq[at].tolist()
+    )
     given = found.places
     probability = [0.0] * len(arm.names)
     for link, share in last.links:
@@ -181,6 +183,7 @@ def told_of(arm: Arm, touch: Touch, samples: Samples, said: dict, changes: list[
         *(np.array([one]) for one in sample),
         [0.0, 0.0, 0.0],
         near_stiction=said["near_stiction"][at : at + 1].astype(np.uint8),
+        dq=samples.dq[at : at + 1],
     )
     return row | {
         "probability": probability,

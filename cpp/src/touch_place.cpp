@@ -212,19 +212,21 @@ std::array<double, 3> PlaceModel::force_at(const LinkSurface& surface, std::size
 }
 
 void PlaceModel::rank(std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm,
-                      std::uint32_t near_stiction, TouchPlaces& into) noexcept {
+                      std::uint32_t near_stiction, TouchPlaces& into, std::span<const double> dq) noexcept {
   const auto n = static_cast<std::size_t>(joints());
   into = {};
   into.consistent = log_elsewhere_ = std::numeric_limits<double>::quiet_NaN();
   bool sound = refused().empty();
   for (std::size_t j = 0; sound && j < n; ++j)
     sound = std::isfinite(q[j]) && std::isfinite(tau_ext[j]) && sigma_nm[j] > 0 && std::isfinite(sigma_nm[j]);
+  for (const double value : dq) sound = sound && std::isfinite(value);
   if (!sound) return;
-  std::array<double, kMaxJoints * kMaxJoints> s;
-  wrench_.covariance(WrenchKind::force, tau_ext, sigma_nm, near_stiction, s);
-  if (!cholesky(std::span(s).first(n * n), n)) return;
   std::array<double, kMaxJoints> y;
   std::ranges::copy(tau_ext.first(n), y.begin());
+  if (!dq.empty()) wrench_.take_off_rubbing(q, dq, std::span(y).first(n));
+  std::array<double, kMaxJoints * kMaxJoints> s;
+  wrench_.covariance(WrenchKind::force, std::span(y).first(n), sigma_nm, near_stiction, s);
+  if (!cholesky(std::span(s).first(n * n), n)) return;
   forward(s, n, std::span(y).first(n));
   std::array<double, kMaxJoints> logs{};
   for (std::size_t link = 0; link < n; ++link) {

@@ -65,8 +65,9 @@ class PlaceModel {
 
   // Of a sample: links and their probabilities alone. Each of the three has a value a joint; near_stiction a bit. Neither
   // allocates nor throws, but takes as long as many samples: not for the control loop. One thread at a time.
+  // dq: what a touch adds to the friction of joints that move is taken off (WrenchModel); none: as where they stand.
   void rank(std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm,
-            std::uint32_t near_stiction, TouchPlaces& into) noexcept;
+            std::uint32_t near_stiction, TouchPlaces& into, std::span<const double> dq = {}) noexcept;
   // Of the sample that was ranked last: the places too. given: a link that the touch is known to be on, whose places are then
   // told alone; -1: nobody knows.
   void locate(TouchPlaces& into, int given = -1) noexcept;

@@ -94,7 +94,7 @@ def place_of(model: _core.PlaceModel, rows: np.ndarray, recording: Recording, es
     row = int(rows[np.argmax(strength)])
     near = sum(1 << joint for joint, is_near in enumerate(estimates.near_stiction[row]) if is_near)
     tau_ext, sigma = (signal[row].astype(float).tolist() for signal in (estimates.tau_ext, estimates.sigma_nm))
-    found = model.find(recording.q[row].tolist(), tau_ext, sigma, near)
+    found = model.find(recording.q[row].tolist(), tau_ext, sigma, near, dq=recording.dq[row].tolist())
     places = found.places
     if not places:
         return {}

@@ -263,7 +263,7 @@ class Loop:
         at = np.array([t_ns])
         changes = self._noted + self._changes.find(self.samples, at, said)
         if sample is not None:
-            changes += self._places.find(self.samples, at, sample.q[None], said)
+            changes += self._places.find(self.samples, at, sample.q[None], sample.dq[None], said)
         self._noted = []
         verdict = Verdict(self.samples, t_ns, sample, said, tuple(changes))
         for event in self._events.find(verdict):

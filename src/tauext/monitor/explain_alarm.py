@@ -73,7 +73,8 @@ def place_of_touch(flight: Flight, source: FlightSource) -> str:
         return ""
     at = int(np.nanargmax(strength))
     near = sum(1 << j for j, at_rest in enumerate(flight["near_stiction"][row + at]) if at_rest)
-    found = model.find(flight["q"][row + at].tolist(), tau[at].tolist(), sigma[at].tolist(), near)
+    dq = flight["dq"][row + at].tolist()
+    found = model.find(flight["q"][row + at].tolist(), tau[at].tolist(), sigma[at].tolist(), near, dq=dq)
     if not found.places:
         return ""
     links = tuple((link, found.probability[link]) for link in found.ranked)

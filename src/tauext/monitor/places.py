@@ -54,19 +54,22 @@ class PlaceFinder:
         self._alarm, self._rose_ns, self._joint = 0, 0, -1
         self._due_ns: int | None = None
         self._strength, self._told = 0.0, 0.0
-        self._sample: tuple[list[float], list[float], list[float], int] | None = None
+        self._sample: tuple[list[float], list[float], list[float], int, list[float]] | None = None
 
     def acknowledged(self) -> None:
         """The alarm was acknowledged just before the next sample; one that stands there was raised anew."""
         self._alarm, self._due_ns = 0, None
 
-    def find(self, first_row: int, t_ns: np.ndarray, q: np.ndarray, said: dict[str, np.ndarray]) -> list[PlaceChange]:
+    def find(
+        self, first_row: int, t_ns: np.ndarray, q: np.ndarray, dq: np.ndarray, said: dict[str, np.ndarray]
+    ) -> list[PlaceChange]:
         """Places that these samples tell, in order.
 
         Args:
             first_row: of the chunk, counted from the recording's first sample.
             t_ns: (rows,), [ns].
             q: (rows, joints), [rad].
+            dq: [rad/s].
             said: what Monitor.run said of them, not empty.
         """
         alarm = said["alarm"]
@@ -76,13 +79,13 @@ class PlaceFinder:
             strength = np.nan_to_num(np.square(said["tau_ext"] / said["sigma_nm"]).sum(axis=1), nan=0.0, posinf=0.0)
         told = []
         for k in range(len(t_ns)):
-            found = self._step(k, first_row + k, int(t_ns[k]), int(alarm[k]), float(strength[k]), q, said)
+            found = self._step(k, first_row + k, int(t_ns[k]), int(alarm[k]), float(strength[k]), (q[k], dq[k]), said)
             if found is not None:
                 told.append(found)
         return told
 
     def _step(
-        self, k: int, row: int, t_ns: int, alarm: int, strength: float, q: np.ndarray, said: dict[str, np.ndarray]
+        self, k: int, row: int, t_ns: int, alarm: int, strength: float, motion: tuple, said: dict[str, np.ndarray]
     ) -> PlaceChange | None:
         fell, level = self._alarm > 0 and alarm == 0, self._alarm
         if alarm > self._alarm:
@@ -96,7 +99,8 @@ class PlaceFinder:
         if alarm and strength > self._strength:
             near = sum(1 << j for j, at_rest in enumerate(said["near_stiction"][k]) if at_rest)
             self._strength = strength
-            self._sample = (q[k].tolist(), said["tau_ext"][k].tolist(), said["sigma_nm"][k].tolist(), near)
+            q, dq = motion
+            self._sample = (q.tolist(), said["tau_ext"][k].tolist(), said["sigma_nm"][k].tolist(), near, dq.tolist())
         due = fell or t_ns >= self._due_ns
         if not due or self._sample is None or self._strength < STRONGER * self._told:
             if fell or t_ns - self._rose_ns > FOLLOWED_S * 1e9:
@@ -108,7 +112,8 @@ class PlaceFinder:
 
     def _tell(self, row: int, t_ns: int, alarm: int) -> PlaceChange | None:
         assert self._sample is not None
-        found = self._model.find(*self._sample)
+        q, tau_ext, sigma_nm, near, dq = self._sample
+        found = self._model.find(q, tau_ext, sigma_nm, near, dq=dq)
         if not found.places:
             return None
         links = tuple((link, found.probability[link]) for link in found.ranked)

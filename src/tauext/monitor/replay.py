@@ -113,7 +113,7 @@ def replay(
         core_s = time.perf_counter() - started
         noted += changes.find(begin, t_ns[rows], said)
         if places is not None:
-            noted += places.find(begin, t_ns[rows], samples.q[rows], said)
+            noted += places.find(begin, t_ns[rows], samples.q[rows], samples.dq[rows], said)
         yield Chunk(begin, t_ns[rows], samples.dq[rows], said, noted, core_s)
         if wait_ns is not None:
             due_ns = monitor.last.alarm_t_ns + wait_ns if said["alarm"][-1] == COLLISION else None

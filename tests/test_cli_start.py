@@ -40,8 +40,8 @@ def test_the_shorter_ways_answer_as_the_long_ones():
         raise AssertionError("the long way")
 
     short = without_typeguard(no_typeguard)
-    assert short(list[int], tyro.MISSING) and short(tuple[int, ...], ())
-    for kind, value in ((int, "word"), (int, ()), (tuple[int, str], ())):
+    assert short(list[int], tyro.MISSING) and short(str | None, None) and short(tuple[int, ...], ())
+    for kind, value in ((int, "word"), (int, ()), (tuple[int, str], ()), (int, None)):
         assert without_typeguard(lambda kind, value: False)(kind, value) is False
     docstring = without_own_source(lambda owner, *about: f"{owner.__name__} {about}")
     assert docstring(dict, "key", ()) == "dict ('key', ())"

@@ -25,6 +25,8 @@ from tauext.report.learning_curves import draw_learning_curves
 from tauext.report.methods_table import methods
 from tauext.report.missed_curve import draw_missed_curve
 from tauext.report.naming import bundle_label
+from tauext.report.noticed import joined
+from tauext.report.noticed_force import MOST_N, draw_noticed_force, noticed_table
 from tauext.report.page import PageFigure, render_page, tile
 from tauext.report.results_file import load_results
 from tauext.report.signals import NotAvailable, Signals
@@ -673,3 +675,65 @@ def test_regions_of_another_number_of_joints_are_refused(moving, tmp_path):
     change(results, lambda content: content["bundles"][0]["error_against_sigma"]["sliding"].pop())
     with pytest.raises(ConfigError, match="error_against_sigma: each region must hold 2 entries"):
         load_results(results)
+
+
+def way(median: float | None, worst: float | None, blind: float = 0.0) -> dict:
+    return {"median_n": median, "worst_n": worst, "blind_share": blind}
+
+
+def noticed_entry(times: float = 1.0) -> dict:
+    """Of one point, as an evaluation writes it."""
+    forces = {"x": way(12.0 * times, 40.0), "y": way(9.0, 17.0), "z": way(31.0, None, 0.25)}
+    every = {"median_n": 14.0, "nine_of_ten_n": 55.0}
+    return {"place": "link of joint1, at joint2", "every_way": every, **forces, "worst_way": way(None, None, 1.0)}
+
+
+def put_noticed(results, contact_times: float = 1.0) -> None:
+    """Into every bundle of results that are there."""
+    limits = {"collision": [noticed_entry()], "contact": [noticed_entry(contact_times)]}
+    noticed = {"poses": 256, "limits": limits, "gain_per_s": 20.0, "error_share": 0.2}
+    change(results, lambda content: [one.update(noticed_force=noticed) for one in content["bundles"]])
+
+
+def test_the_page_says_what_force_is_noticed_with_a_table_and_a_figure(copied, tmp_path):
+    assert "What force is noticed" not in words_of(page_of(copied[0]))
+    put_noticed(copied[0], contact_times=0.5)
+    page = write_report(*copied, tmp_path / "report")
+    words = words_of(page.read_text())
+    assert "1.3 times these on" in words and "K0 = 20 1/s" in words and "ISO/TS 15066" in words
+    assert (page.parent / "figures" / "noticed-force.png").exists()
+    noticed = load_results(copied[0]).bundles[0].measured.noticed
+    table = noticed_table(noticed, "exact")
+    row = ("collision", "link of joint1, at joint2", "14", "55", "12", "40", "9.0", "17", "31", "blind", "blind")
+    assert table.rows[0].cells == (*row, "blind", "100")
+    assert [one.cells[0] for one in table.rows] == ["collision", "contact"]
+    lines = draw_noticed_force(noticed).figure.axes[0].get_lines()
+    assert [line.get_xdata().tolist() for line in lines[:2]] == [[14, 55], [14]]
+    assert lines[2].get_xdata()[0] > MOST_N  # blind stands beyond every number
+
+
+def test_limits_that_notice_the_same_stand_once(copied):
+    put_noticed(copied[0])
+    table = noticed_table(load_results(copied[0]).bundles[0].measured.noticed, "exact")
+    assert [row.cells[0] for row in table.rows] == ["collision and contact"]
+    alike = {"collision while sliding": 1, "collision near stiction": 2, "contact while sliding": 1}
+    assert joined(alike) == {"collision and contact while sliding": 1, "collision near stiction": 2}
+
+
+def test_a_bundle_that_tells_no_force_says_why(copied):
+    why = "the bundle has no error scale"
+    change(copied[0], lambda content: [one.update(noticed_force={"refused": why}) for one in content["bundles"]])
+    assert why in words_of(page_of(copied[0]))
+    with pytest.raises(NotAvailable, match=why):
+        draw_noticed_force(load_results(copied[0]).bundles[0].measured.noticed)
+
+
+def test_forces_that_are_no_numbers_are_refused_with_their_place(copied):
+    put_noticed(copied[0])
+
+    def spoil(content: dict) -> None:
+        content["bundles"][0]["noticed_force"]["limits"]["contact"][0]["x"].pop("blind_share")
+
+    change(copied[0], spoil)
+    with pytest.raises(ConfigError, match=r"contact\[0\], x: 'blind_share'"):
+        load_results(copied[0])

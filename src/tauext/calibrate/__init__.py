@@ -12,7 +12,6 @@ from tauext.calibrate.limits import (
     usual_speed_rad_s,
 )
 from tauext.calibrate.moments import Moment
-from tauext.calibrate.noticed import NoticedAt, noticed_forces, spread_poses
 from tauext.calibrate.promise import FalseAlarmBudget, Promise, is_consistent, rate_interval
 from tauext.calibrate.promised_limits import PromisedLimits, apply_promised, promised_limits
 from tauext.calibrate.wrench import fit_wrench
@@ -24,7 +23,6 @@ __all__ = [
     "LeftOutErrors",
     "LevelLimits",
     "Moment",
-    "NoticedAt",
     "Promise",
     "PromisedLimits",
     "add_friction",
@@ -37,14 +35,12 @@ __all__ = [
     "freeze_floor_nm",
     "is_consistent",
     "left_out_errors",
-    "noticed_forces",
     "paper_limits",
     "promised_limits",
     "raise_limits",
     "rate_interval",
     "recalibrate",
     "set_limits",
-    "spread_poses",
     "usual_speed_rad_s",
     "whole_recordings",
 ]

@@ -29,14 +29,16 @@ def quicken() -> None:
 
 
 def without_typeguard(is_instance: Callable[..., bool]) -> Callable[..., bool]:
-    """The check of a default against its type: of none, and of an empty tuple for any number of values, it says yes,
-    and imports typeguard for that."""
+    """The check of a default against its type: of none, None and an empty tuple it says yes, and imports typeguard for
+    that."""
 
     @functools.wraps(is_instance)
     def checked(kind: Any, value: Any) -> bool:
         if value is tyro.MISSING or value is tyro.MISSING_NONPROP:
             return True
-        return (value == () and get_origin(kind) is tuple and get_args(kind)[-1:] == (...,)) or is_instance(kind, value)
+        optional = value is None and type(None) in get_args(kind)
+        several = value == () and get_origin(kind) is tuple and get_args(kind)[-1:] == (...,)
+        return optional or several or is_instance(kind, value)
 
     checked.shorter_by = without_typeguard  # type: ignore[attr-defined]
     return checked

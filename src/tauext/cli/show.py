@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from tauext.cli.place_argument import PlaceArg
-from tauext.cli.show_force import describe_force
 from tauext.cli.show_prior import describe_fleet_prior
 from tauext.errors import BundleError, ConfigError
 from tauext.store import Place
@@ -24,27 +23,32 @@ def show(
     file: tyro.conf.Positional[PlaceArg],
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
     force: bool = False,
+    data: tuple[PlaceArg, ...] = (),
     frame: tuple[str, ...] = (),
-    poses: tuple[PlaceArg, ...] = (),
+    picture: PlaceArg | None = None,
 ) -> None:
     """Say what is in a bundle (*.tauext), a recording (*.parquet) or a fleet prior (*.prior.json).
 
     Args:
         file: bundle (*.tauext), recording (*.parquet) or fleet prior (*.prior.json) to show.
         as_json: print what is found as JSON for scripts.
-        force: say what force at each link's end and the flange a bundle notices, in newtons.
-        frame: frames of the robot file that --force says it for as well.
-        poses: recordings whose poses count for --force instead of the training's.
+        force: say what force at each link's end goes over a bundle's limits, in newtons.
+        data: recordings (*.parquet) whose poses and limits --force takes; default: poses that the bundle keeps.
+        frame: frames that --force tells, too.
+        picture: PNG that --force draws.
     """
-    if (frame or poses) and not force:
-        raise ConfigError("--frame and --poses belong to --force, which is not there")
-    if force and file.suffix != ".tauext":
-        raise ConfigError(f"{file}: --force is said of bundles (*.tauext)")
     if not file.is_file():
         raise ConfigError(f"{file}: there is no such file; give {SHOWN}")
+    if force:
+        from tauext.cli.show_force import show_force
+
+        show_force(file, as_json, data, frame, picture)
+        return
+    if data or frame or picture is not None:
+        raise ConfigError("--data, --frame and --picture belong to --force; give that, too")
     if file.suffix == ".tauext":
         try:
-            content = describe_force(file, poses, frame) if force else describe_bundle(file)
+            content = describe_bundle(file)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise BundleError(f"{file}: its provenance is damaged ({type(error).__name__}: {error})") from error
     elif file.suffix == ".parquet":
@@ -54,12 +58,7 @@ def show(
     else:
         raise ConfigError(f"{file}: its name must end as that of {SHOWN}")
     if as_json:
-        if force:
-            content.pop("table")
         print(json.dumps(content, indent=1))
-        return
-    if force:
-        print("\n".join(content["table"]))
         return
     from tauext.bundles.situations import certainty
 

@@ -1,95 +1,139 @@
-"""`tauext show --force`: what force on the arm a bundle notices, at each link's end."""
+"""`tauext show --force`: what force on a link a bundle notices."""
 
 from __future__ import annotations
 
 import json
-import math
-import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tauext.errors import ConfigError
 from tauext.store import Place
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
-    from tauext.calibrate import NoticedAt
-    from tauext.calibrate.noticed import Noticed
 
-CLOSING = (
-    "A force that stays. The observer answers a step with 1 - exp(-{gain:g}/s t), and alarms are held for {hold:g} ms "
-    "(collision) and {contact:g} ms (contact): a blow may be harder than this before it is noticed. ISO/TS 15066 and "
-    "your own risk assessment say what force is allowed where; these are the forces that are noticed, not those that a "
-    "contact exerts until the arm stands."
-)
+USUAL_TORQUE_SHARE = 0.05
+"""Of bundles before format 9 (WrenchSettings::kUsualTorqueShare)."""
+BLIND = "blind"
 
 
-def describe_force(file: Place, recordings: Sequence[Place], frames: Sequence[str]) -> dict:
-    """Table and plain content.
+def show_force(file: Place, as_json: bool, data: Sequence[Place], frames: Sequence[str], picture: Place | None) -> None:
+    """Print, and draw where that is asked for, what force on a link a bundle notices."""
+    if file.suffix != ".tauext":
+        raise ConfigError(f"{file}: --force is of a bundle (*.tauext)")
+    expect_picture(picture)
+    found = describe_force(file, data, frames)
+    if picture is not None:
+        from tauext.report.noticed_picture import write_noticed_picture
+
+        write_noticed_picture(found, picture)
+    print(json.dumps(found, indent=1) if as_json else "\n".join(force_lines(found)))
+
+
+def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) -> dict:
+    """Forces that a bundle's limits notice, over the poses of recordings or over those that it keeps.
 
     Raises:
-        ConfigError: the bundle tells no forces or knows no poses, or a frame is not there.
+        BundleError: it tells no forces, or keeps no poses and no recording is given.
+        ConfigError: there is no such frame or recording.
     """
     from tauext.bundles.bundle_file import load_bundle
-    from tauext.calibrate.noticed import facts_of, noticed_forces
+    from tauext.evaluate.kept_poses import noticed_in_usual_motion
+    from tauext.evaluate.noticed_force import points
 
     bundle = load_bundle(file)
-    poses, told = poses_of(bundle, file, recordings)
-    found = noticed_forces(bundle, poses, frames)
-    closing = CLOSING.format(
-        gain=bundle.observer.gain_per_s, hold=bundle.hold_s * 1e3, contact=bundle.contact_hold_s * 1e3
-    )
-    return {
-        "table": [*table(found, len(poses), told), "", *textwrap.wrap(closing, 100)],
-        "bundle": bundle.name,
-        "poses": len(poses),
-        "of": told,
-        "forces": facts_of(found),
-    }
+    points(bundle, frames)  # refuses before hours of recordings are read
+    if data:
+        found = over_recordings(bundle, data, frames)
+        of = f"of {', '.join(place.name for place in data)}, with the limits as they held there"
+    else:
+        found = noticed_in_usual_motion(bundle, frames)
+        of = "that the bundle keeps of its training's motion"
+        if bundle.error_scale.on:
+            of += ", with its limits in usual motion (after a stop or at high speed they are higher; --data tells)"
+    share = max(bundle.wrench_settings.torque_share or [USUAL_TORQUE_SHARE])
+    return {"bundle": bundle.name, "poses_of": of, "torque_share": share, **found}
 
 
-def poses_of(bundle: Bundle, file: Place, recordings: Sequence[Place]) -> tuple[Any, str]:
-    """(poses, joints), [rad], and where they are from."""
-    from tauext.calibrate import spread_poses
+def over_recordings(bundle: Bundle, data: Sequence[Place], frames: Sequence[str]) -> dict:
+    """Recordings are loaded one at a time."""
     from tauext.data import load_recording
+    from tauext.evaluate import estimate_recording
+    from tauext.evaluate.comparison import free_part
+    from tauext.evaluate.limits_held import LimitsHeld
 
-    if recordings:
-        loaded = [load_recording(one) for one in recordings]
-        names = tuple(link.joint_name for link in bundle.links)
-        for path, one in zip(recordings, loaded, strict=True):
-            if one.joints != names:
-                raise ConfigError(
-                    f"{path}: its joints are {', '.join(one.joints)}; the bundle's are {', '.join(names)}"
-                )
-        return spread_poses([one.q for one in loaded]), ", ".join(one.name for one in loaded)
-    kept = json.loads(bundle.provenance or "{}").get("poses")
-    if not kept:
-        raise ConfigError(f"{file}: it keeps no poses of its training; give recordings with --poses RECORDING...")
-    return kept, "the motion it was trained on"
-
-
-def table(found: Sequence[NoticedAt], poses: int, told: str) -> list[str]:
-    """A line a point and direction; newtons, median of the poses and worst."""
-    heads = [f"{one.level}, {one.region}" for one in found[0].forces]
-    width = max(len(at.where) for at in found) + 2
-    lines = [f"Force that is noticed, N: median of {poses} poses of {told}, in brackets the worst", ""]
-    lines.append(" " * (width + 10) + "".join(f"{head:>22}" for head in heads))
-    for at in found:
-        for row, name in enumerate(("x", "y", "z", "any way", "worst way")):
-            cells = "".join(f"{cell(one, name):>22}" for one in at.forces)
-            lines.append(f"{at.where if row == 0 else '':<{width}}{name:<10}{cells}")
-        blind = max(one.blind_share for one in at.forces)
-        if blind:
-            lines.append(f"{'':<{width}}blind to some way in {blind:.0%} of the poses")
-    return lines
+    held = LimitsHeld()
+    for place in data:
+        if not place.is_file():
+            raise ConfigError(f"{place}: there is no such recording; --data takes recordings (*.parquet)")
+        recording = load_recording(place)
+        estimates = estimate_recording(bundle, recording)
+        held.add(recording, free_part(recording, estimates))
+    found = held.summary(bundle, frames)
+    if found is None:
+        raise ConfigError(f"{', '.join(map(str, data))}: no sample of free motion has limits; give longer recordings")
+    return found
 
 
-def cell(noticed: Noticed, name: str) -> str:
-    if name == "any way":
-        return number(noticed.median_n)
-    median, worst = noticed.worst_n if name == "worst way" else noticed.by_axis_n[name]
-    return f"{number(median)} ({number(worst)})"
+def expect_picture(picture: Place | None) -> None:
+    """Raise ConfigError where no picture could be written."""
+    from tauext.room import expect_new_file
+
+    if picture is not None:
+        if picture.suffix != ".png":
+            raise ConfigError(f"{picture}: a picture's name ends in .png")
+        expect_new_file(picture)
 
 
-def number(newtons: float) -> str:
-    return "never" if math.isinf(newtons) else f"{newtons:.3g}"
+def force_lines(found: dict) -> list[str]:
+    """The tables, and what they say and do not say."""
+    from tauext.report.noticed import joined, surely
+    from tauext.report.noticed_force import CLOSING
+
+    lines = [
+        f"{found['bundle']}: smallest force [N] that goes over a limit, "
+        f"over {found['poses']} poses {found['poses_of']}.",
+        "x, y, z (of the base) and the worst way: median pose / worst pose. "
+        "Every way: median over poses and ways / 9 of 10 are below it.",
+        f"{BLIND}: more than 1000 N, or no joint feels it at all.",
+    ]
+    for name, entries in joined(found["limits"]).items():
+        lines += ["", f"limit: {name}", *aligned([HEADING, *map(cells, entries)])]
+    after, hold = found["twice_after_s"], found["hold_s"]
+    told = [f"{level} after {1e3 * after[level]:.0f} ms (held for {1e3 * hold[level]:g} ms)" for level in after]
+    return [
+        *lines,
+        "",
+        f"Of a force that stays: the observer shows 1 - exp(-K0 t) of it, K0 = {found['gain_per_s']:g} 1/s. "
+        f"Twice such a force is told as a {' and as a '.join(told)}. A shorter impact may peak higher unnoticed.",
+        f"The estimate errs, by {found['error_share']:.0%} of a limit (one standard error): 19 of 20 forces go over it "
+        f"from {surely(found['error_share']):.2g} times these on. Torque constants and gears: up to "
+        f"{found['torque_share']:.0%} more. A joint at rest may hide a push behind its friction.",
+        CLOSING,
+    ]
+
+
+HEADING = ["", "every way", "x", "y", "z", "worst way", "blind in"]
+
+
+def cells(entry: dict) -> list[str]:
+    """A row of the table."""
+    every = entry["every_way"]
+    row = [entry["place"], f"{force(every['median_n'])} / {force(every['nine_of_ten_n'])}"]
+    for way in ("x", "y", "z", "worst_way"):
+        row.append(f"{force(entry[way]['median_n'])} / {force(entry[way]['worst_n'])}")
+    return [*row, f"{entry['worst_way']['blind_share']:.0%} of poses"]
+
+
+def force(value: float | None) -> str:
+    return BLIND if value is None else f"{value:.3g}" if value < 100 else f"{value:.0f}"
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return [
+        "  ".join(
+            cell.ljust(w) if k == 0 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in rows
+    ]

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.calibrate.noticed import facts_of, noticed_forces, spread_poses
 from tauext.config import EventsConfig
 from tauext.data import Recording, free_samples
 from tauext.data.estimates import STALE, Estimates, save_estimates
@@ -20,6 +19,7 @@ from tauext.errors import ConfigError
 from tauext.evaluate.bundle_measures import BundleMeasures
 from tauext.evaluate.collisions import STRONG_PEAK, Collision, choose_ten, find_collisions
 from tauext.evaluate.estimating import estimate_recording
+from tauext.evaluate.limits_held import LimitsHeld
 from tauext.evaluate.own_torque import OwnTorque, own_limits
 from tauext.evaluate.reference import sensor_reference
 from tauext.evaluate.sanity import Sanity, sanity_detectors
@@ -98,9 +98,8 @@ class Comparison:
     ):
         self._bundles, self._ignorant, self._own = bundles, ignorant, own
         self._measures = {name: BundleMeasures(name, bundle, events) for name, bundle in bundles.items()}
+        self._limits_held = {name: LimitsHeld() for name in bundles}
         self._touches: list[Collision] = []
-        self._poses: list[np.ndarray] = []
-        """Of the recordings whose free motion counts."""
 
     def add(
         self,
@@ -120,8 +119,6 @@ class Comparison:
         """
         found = find_collisions(recording)
         self._touches += found
-        if free:
-            self._poses.append(spread_poses([recording.q]))
         if self._own is not None:
             self._own.add(recording)
         gains = set() if not found else {bundle.observer.gain_per_s for bundle in self._bundles.values()}
@@ -132,10 +129,12 @@ class Comparison:
             bundle, measures = self._bundles[name], self._measures[name]
             estimates = estimate_recording(bundle, recording, own_threads)
             if keep_in is not None:
-                save_estimates(estimates, keep_in / name / f"{recording.name}.parquet")
+                save_estimates(replace(estimates, contact_limit=None), keep_in / name / f"{recording.name}.parquet")
             measures.add_events(recording, estimates)
             if free:
-                measures.add_free(recording, free_part(recording, estimates) if found else estimates)
+                without_touches = free_part(recording, estimates) if found else estimates
+                measures.add_free(recording, without_touches)
+                self._limits_held[name].add(recording, without_touches)
             if found or not free:
                 measures.add_touched(found, recording, estimates, references.get(bundle.observer.gain_per_s))
             return estimates if self._ignorant and name == last else None  # else the memory of all at once
@@ -165,19 +164,12 @@ class Comparison:
             "collisions": [collision.summary() for collision in touches],
             "bundles": [
                 measured.summary(touches, ten, histories.get(name))
-                | {"forces_noticed": forces_noticed(self._bundles[name], self._poses)}
+                | {"noticed_force": self._limits_held[name].summary(self._bundles[name])}
                 for name, measured in self._measures.items()
             ],
             "own_torque": None if self._own is None else self._own.summary(),
             "sanity": [detector.summary() for detector in self._ignorant],
         }
-
-
-def forces_noticed(bundle: _core.Bundle, poses: Sequence[np.ndarray]) -> list[dict] | None:
-    """What force at its links' ends is noticed; None where the bundle tells none, or no free motion was looked at."""
-    if not poses or _core.WrenchModel(bundle).refused:
-        return None
-    return facts_of(noticed_forces(bundle, spread_poses(poses)))
 
 
 def expect_work(

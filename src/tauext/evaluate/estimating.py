@@ -35,6 +35,7 @@ def estimate_recording(bundle: _core.Bundle, recording: Recording, threads: int 
         drift=said["drift"].astype(np.float32) if bundle.drift.time_constant_s else None,
         sigma_nm=said["sigma_nm"].astype(np.float32) if bundle.error_scale.on else None,
         limit=said["limit_nm"].astype(np.float32),
+        contact_limit=contact_limit_nm(bundle, said).astype(np.float32),
         near_stiction=said["near_stiction"].astype(bool),
         health=said["health"].astype(np.int8),
         causes=said["causes"],
@@ -42,3 +43,16 @@ def estimate_recording(bundle: _core.Bundle, recording: Recording, threads: int 
         held_alarm=said["held_alarm"].astype(np.int8),
         touch=said["touch"].astype(np.int8),
     )
+
+
+def contact_limit_nm(bundle: _core.Bundle, said: dict[str, np.ndarray]) -> np.ndarray:
+    """Contact limit in force at every sample, (samples, joints), from that of a collision.
+
+    Both are a limit of the joint's region times the same factor, and the prior's doubt (AlarmStage::step).
+    """
+    near = said["near_stiction"].astype(bool)
+    collision = np.where(near, bundle.near_stiction_limit_nm, bundle.sliding_limit_nm)
+    contact = np.where(near, bundle.contact_near_stiction_limit_nm, bundle.contact_sliding_limit_nm)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        limit: np.ndarray = said["doubt"] + (said["limit_nm"] - said["doubt"]) * (contact / collision)
+    return limit

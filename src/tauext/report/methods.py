@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from tauext.report.noticed import Noticed
+
 Number = float | None
 
 
@@ -101,26 +103,6 @@ class SanityRow:
 
 
 @dataclass(frozen=True)
-class NoticedForce:
-    """What force at one point of the arm puts a joint over its limit at this level, [N]; None: none does."""
-
-    level: str
-    region: str
-    """Whether the arm moves or rests."""
-    median_n: Number
-    """Of poses and directions."""
-    worst_way_n: tuple[Number, Number]
-    """In each pose's worst direction: median and worst pose."""
-    blind_share: float
-
-
-@dataclass(frozen=True)
-class NoticedPoint:
-    where: str
-    forces: tuple[NoticedForce, ...]
-
-
-@dataclass(frozen=True)
 class Measured:
     """Of one bundle; empty or None where an evaluation did not have it."""
 
@@ -136,5 +118,5 @@ class Measured:
     rmse_during_contact_nm: tuple[Number, ...]
     sigma: dict[str, tuple[SigmaRegion, ...]] = field(default_factory=dict)
     """By region, a joint each; empty where the bundle has no error scale."""
-    noticed: tuple[NoticedPoint, ...] = ()
-    """Empty where the bundle tells no forces."""
+    noticed: Noticed | None = None
+    """What force on a link it notices."""

@@ -10,13 +10,12 @@ from tauext.report.methods import (
     FalseCollisions,
     Latched,
     Measured,
-    NoticedForce,
-    NoticedPoint,
     SanityRow,
     SigmaBin,
     SigmaRegion,
     StrengthBin,
 )
+from tauext.report.noticed_file import read_noticed
 
 
 def read_measured(entry: Entry, joints: int) -> Measured:
@@ -34,18 +33,8 @@ def read_measured(entry: Entry, joints: int) -> Measured:
         after_nothing=read_aftermath(free, joints) if free.content else None,
         rmse_during_contact_nm=entry.numbers("rmse_during_contact_nm", joints),
         sigma=read_sigma(entry.object("error_against_sigma"), joints),
-        noticed=tuple(read_noticed(e) for e in entry.entries("forces_noticed")),
+        noticed=read_noticed(entry.object("noticed_force")),
     )
-
-
-def read_noticed(entry: Entry) -> NoticedPoint:
-    forces = []
-    for one in entry.entries("forces", needed=True):
-        median, worst = one.numbers("worst_direction_n", 2)
-        level, region = (one.text(key, needed=True) for key in ("level", "region"))
-        share = one.number("blind_share", needed=True)
-        forces.append(NoticedForce(level, region, one.number("median_n"), (median, worst), share))
-    return NoticedPoint(entry.text("where", needed=True), tuple(forces))
 
 
 def read_false_collisions(free: Entry) -> FalseCollisions:

@@ -11,9 +11,10 @@ from jinja2 import Environment, StrictUndefined
 from tauext.report import paper, tables
 from tauext.report.error_against_sigma import sigma_table
 from tauext.report.events import events_table
-from tauext.report.first_screen import first_screen
+from tauext.report.first_screen import first_screen, shown_bundle
 from tauext.report.methods_table import method_errors, methods
-from tauext.report.noticed_forces import noticed_table
+from tauext.report.noticed import surely
+from tauext.report.noticed_force import CLOSING, noticed_table
 from tauext.report.results import EvaluatedBundle, Numbers, Results
 from tauext.report.style import bundle_colours
 from tauext.report.touches import kinds_table, links_table, links_worth, told_table
@@ -69,6 +70,8 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         traces: their part of the page.
     """
     colours = bundle_colours([bundle.name for bundle in results.bundles])
+    shown = shown_bundle(results)
+    noticed = shown.measured.noticed
     ten = [results.collisions[one] for one in results.ten if one in results.collisions]
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
@@ -91,12 +94,17 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         limits_move=results.some_limits_move,
         units_note=results.units_note,
         sigma=sigma_table(results),
-        noticed=noticed_table(results),
         touched_links=links_table(results.touches),
         links_worth=[words for one in results.touches if (words := links_worth(one))],
         touch_kinds=kinds_table(results.touches),
         touches_told=told_table(results, results.touches) if results.touches else None,
         extremes=tables.extremes(results),
+        noticed=noticed_table(noticed, shown.name),
+        noticed_by=shown.label,
+        noticed_refused=noticed and noticed.refused,
+        noticed_gain=noticed and noticed.gain_per_s,
+        noticed_times=surely(noticed.error_share) if noticed and noticed.error_share else None,
+        noticed_closing=CLOSING,
         alarms=tables.alarms(results),
         ten_collisions=tables.collisions(results, ten, traces.recordings) if ten else None,
         all_collisions=tables.collisions(results, results.collisions.values(), traces.recordings)

@@ -14,11 +14,12 @@ from tauext.report.collisions_over_time import draw_collisions
 from tauext.report.drawing import Drawing
 from tauext.report.error_against_sigma import draw_error_against_sigma
 from tauext.report.error_over_speed import draw_error_over_speed
+from tauext.report.first_screen import shown_bundle
 from tauext.report.found_curve import draw_found_curve
 from tauext.report.free_motion import draw_free_motion
 from tauext.report.learning_curves import draw_learning_curves
 from tauext.report.missed_curve import draw_missed_curve
-from tauext.report.noticed_forces import draw_noticed
+from tauext.report.noticed_force import draw_noticed_force
 from tauext.report.page import PageFigure, render_page
 from tauext.report.results_file import load_results
 from tauext.report.same_dataset import expect_same_dataset
@@ -68,12 +69,12 @@ def write_report(
         "learning-curves": partial(draw_learning_curves, results),
         "training-loss": partial(draw_training_loss, results),
         "error-against-sigma": partial(draw_error_against_sigma, results),
-        "force-noticed": partial(draw_noticed, results),
         "figure-5-free-motion": partial(draw_free_motion, results, signals),
         "figure-6-error-over-speed": partial(draw_error_over_speed, results, signals),
         "figure-7-collisions": partial(draw_collisions, results, signals),
         "figure-8-three-collisions": partial(draw_three_collisions, results, signals),
         "found-curve": partial(draw_found_curve, results),
+        "noticed-force": lambda: draw_noticed_force(shown_bundle(results).measured.noticed),
     }
     page = out_dir / "report.html"
     try:

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from tauext._core import Bundle, TermKind
-from tauext.calibrate import spread_poses
 from tauext.errors import RobotError
 from tauext.robot import link_capsules, wrench_frames
 from tauext.train.preparation import Job
@@ -48,8 +47,6 @@ def put_wrench(job: Job, bundle: Bundle, robot: Path) -> None:
             put_shapes(job, bundle, robot)
         except RobotError as error:
             job.notes.append(f"forces are told at links alone: {error}")
-        poses = spread_poses([recording.q for recording in job.training])
-        job.facts["poses"] = [[round(float(value), 3) for value in pose] for pose in poses]
     bundle.wrench_settings = settings
     job.facts["wrench"] = {"torque_share": [round(one, 4) for one in share.tolist()]}
 

@@ -1,0 +1,205 @@
+r"""What force on a link the limits notice: the smallest one, at a point and in a direction, that some joint is over.
+
+A force F along the unit vector d at a point p, which stays, is a torque of J_p^T d F at the joints. It is noticed where
+it is over a joint's limit L,
+
+.. math:: F(d) = \min_j \frac{L_j}{|(J_p^T d)_j|},
+
+with d and -d alike. The worst of all directions is found exactly: {x : |w_j . x| <= 1, all j}, w_j = (J_p)_j / L_j, are
+the forces that nobody notices, a polytope; the largest of them is a corner, where three joints are at their limits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from tauext import _core
+from tauext.errors import BundleError, ConfigError
+
+MOST_N = 1000.0
+"""A direction in which it takes more is called blind: no touch that an arm survives is far beyond it
+(WrenchModel::kLargestForce_n), and a lever behind such a number is a rounding of none."""
+WAYS = 100
+"""Directions on half a sphere; the other half is the same by symmetry. Each stands for a cone of 8 degrees."""
+NINE_OF_TEN = 0.9
+AXES = ("x", "y", "z")
+LEAST_LIMIT_NM = 1e-9
+"""A limit of 0 is over at the first torque."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where a force acts: a point of a frame that the bundle knows, [m] along the frame's own axes."""
+
+    name: str
+    frame: str
+    point_m: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+
+def points(bundle: _core.Bundle, frames: Sequence[str] = ()) -> list[Point]:
+    """The end of each link, the load's frame, and the frames that are asked for.
+
+    The end of a link is the origin of the joint that it carries, of several the farthest; that of a last link is the
+    load's frame if it is fixed there, else the link's own origin.
+
+    Raises:
+        BundleError: the bundle tells no forces.
+        ConfigError: there is no such frame.
+    """
+    model = _core.WrenchModel(bundle)
+    if model.refused:
+        raise BundleError(f"{bundle.name}: what force is noticed is not known: {model.refused}")
+    known = [frame.name for frame in model.frames]
+    for name in frames:
+        if name not in known:
+            raise ConfigError(f"frame = '{name}' must be one of {', '.join(known)}")
+    load = bundle.load_settings
+    links, found = bundle.links, []
+    for k, link in enumerate(links):
+        ends = [other for other in links if other.parent == k]
+        if ends:
+            end = max(ends, key=lambda other: sum(x * x for x in other.translation))
+            name = f"link of {link.joint_name}, at {end.joint_name}"
+            found.append(Point(name, link.joint_name, tuple(end.translation)))
+        elif load.link != k:
+            found.append(Point(f"link of {link.joint_name}, at its origin", link.joint_name))
+    if load.link >= 0:
+        found.append(Point(f"load's frame {load.frame}", links[load.link].joint_name, tuple(load.translation)))
+    return found + [Point(f"frame {name}", name) for name in dict.fromkeys(frames)]
+
+
+def noticed_force(bundle: _core.Bundle, q: np.ndarray, limit_nm: np.ndarray, at: Sequence[Point]) -> list[dict]:
+    """An entry a point: forces [N] in the median pose and the worst, along the base's axes and in the worst direction.
+
+    None stands for blind: no joint notices MOST_N in that direction.
+
+    Args:
+        q: poses, (poses, joints).
+        limit_nm: of each joint at each pose, the same shape.
+    """
+    model, ways = _core.WrenchModel(bundle), even_ways()
+    rows = q.tolist()
+    entries = []
+    for point in at:
+        lever = np.array([model.columns(point.frame, row, list(point.point_m))[:3].T for row in rows])
+        per_limit = lever / np.maximum(limit_nm, LEAST_LIMIT_NM)[:, :, None]
+        every = least_force(per_limit, ways)
+        along = least_force(per_limit, np.eye(3))
+        entry: dict = {
+            "place": point.name,
+            "frame": point.frame,
+            "point_m": list(point.point_m),
+            "every_way": {
+                "median_n": known(float(np.median(every))),
+                "nine_of_ten_n": known(float(np.quantile(every, NINE_OF_TEN, method="higher"))),
+            },
+        }
+        entry |= {axis: over_poses(along[:, k]) for k, axis in enumerate(AXES)}
+        entry["worst_way"] = over_poses(worst_force(per_limit))
+        entries.append(entry)
+    return entries
+
+
+def over_poses(force_n: np.ndarray) -> dict:
+    """Median, largest and blind share of a force a pose."""
+    return {
+        "median_n": known(float(np.median(force_n))),
+        "worst_n": known(float(force_n.max())),
+        "blind_share": float(np.isinf(force_n).mean()),
+    }
+
+
+def known(force_n: float) -> float | None:
+    return force_n if np.isfinite(force_n) else None
+
+
+def least_force(per_limit: np.ndarray, ways: np.ndarray) -> np.ndarray:
+    """F of the module's equation, [N], (poses, directions); infinite where blind.
+
+    Args:
+        per_limit: w_j, torque a newton over the limit, (poses, joints, 3).
+        ways: unit vectors, (directions, 3).
+    """
+    most = np.abs(per_limit @ ways.T).max(axis=1)
+    with np.errstate(divide="ignore"):
+        return or_blind(1 / most)
+
+
+def worst_force(per_limit: np.ndarray) -> np.ndarray:
+    """The largest F over all directions, [N], (poses,); infinite where some direction is blind.
+
+    By the corners of the polytope: each has three joints at their limits, and no other over.
+    """
+    poses, joints, _ = per_limit.shape
+    worst = np.full(poses, np.inf)
+    if joints < 3:
+        return worst
+    smallest = np.linalg.svd(per_limit, compute_uv=False)[:, 2]
+    seen = smallest * MOST_N > 1  # F >= 1 / smallest, since the largest of |w_j . x| is at most their root of squares
+    if not seen.any():
+        return worst
+    rows = per_limit[seen]
+    three = rows[:, np.array(list(combinations(range(joints), 3)))]  # (poses, triples, 3, 3)
+    a, b, c = three[:, :, 0], three[:, :, 1], three[:, :, 2]
+    turned = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1)  # inverse times determinant
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = turned / np.einsum("ptx,ptx->pt", a, turned[..., 0])[..., None, None]
+        signs = np.array([[1, 1, 1], [1, 1, -1], [1, -1, 1], [-1, 1, 1]])  # the others mirror these
+        corners = np.einsum("ptxk,sk->ptsx", inverse, signs)
+        over = np.abs(np.einsum("ptsx,pjx->ptsj", corners, rows)).max(axis=-1)
+        size = np.where(over <= 1 + 1e-9, np.linalg.norm(corners, axis=-1), 0.0)
+    largest = size.reshape(len(rows), -1).max(axis=1)
+    worst[seen] = np.where(largest > 0, largest, np.inf)  # no corner stands against rounding: as good as none
+    return or_blind(worst)
+
+
+def or_blind(force_n: np.ndarray) -> np.ndarray:
+    blind: np.ndarray = np.where(force_n > MOST_N, np.inf, force_n)
+    return blind
+
+
+def even_ways() -> np.ndarray:
+    """WAYS unit vectors, even on half a sphere: a Fibonacci lattice, (WAYS, 3)."""
+    k = np.arange(WAYS) + 0.5
+    z, turn = k / WAYS, np.pi * (1 + np.sqrt(5)) * k
+    flat = np.sqrt(1 - z**2)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
+
+
+def shown_after(bundle: _core.Bundle) -> dict:
+    """How soon a force that stays is told: the observer's rate and the hold times; filters come on top."""
+    return {
+        "gain_per_s": bundle.observer.gain_per_s,
+        "hold_s": {"collision": bundle.hold_s, "contact": bundle.contact_hold_s},
+        "twice_after_s": {
+            "collision": math.log(2) / bundle.observer.gain_per_s + bundle.hold_s,
+            "contact": math.log(2) / bundle.observer.gain_per_s + bundle.contact_hold_s,
+        },
+    }
+
+
+def noticed(
+    bundle: _core.Bundle,
+    q: np.ndarray,
+    limits: Mapping[str, np.ndarray],
+    error_share: float,
+    frames: Sequence[str] = (),
+) -> dict:
+    """All of it as plain JSON; docs/files.md says what it is.
+
+    Args:
+        q: poses, (poses, joints), one at least.
+        limits: by name, of each joint at each pose.
+        error_share: standard error of the estimate over its limit, a usual one.
+
+    Raises:
+        BundleError, ConfigError: as points.
+    """
+    at = points(bundle, frames)
+    entries = {name: noticed_force(bundle, q, limit, at) for name, limit in limits.items()}
+    return {"poses": len(q), "limits": entries, "error_share": error_share} | shown_after(bundle)

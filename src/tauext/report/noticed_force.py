@@ -1,0 +1,107 @@
+"""What force on a link a bundle notices, as a figure and as a table."""
+
+from __future__ import annotations
+
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from tauext.report.drawing import Drawing
+from tauext.report.noticed import WAYS, Noticed, joined
+from tauext.report.signals import NotAvailable
+from tauext.report.style import CASE_COLOURS, GREY, SLIDING, VARIANT_COLOURS, WIDTH_IN, use_log_width
+from tauext.report.tables import Row, Table
+
+COLOURS = (CASE_COLOURS["none"], CASE_COLOURS["exact"], VARIANT_COLOURS["none"], VARIANT_COLOURS["exact"])
+"""Of limits in their order: collision, contact; or both while sliding, then near stiction."""
+MOST_N, EDGE_N = 1000.0, 1950.0
+"""Beyond the first a direction is blind; blind marks stand between the two."""
+BLIND_N = 1400.0
+BLIND = "blind"
+CLOSING = (
+    "ISO/TS 15066 and your risk assessment say what force is allowed where; these are what tauext would notice, not "
+    "what the contact would do."
+)
+
+
+def draw_noticed_force(noticed: Noticed | None) -> Drawing:
+    """A row a point of the arm: median of every way, nine of ten, and the worst way in the median pose.
+
+    Raises:
+        NotAvailable: there are no forces.
+    """
+    if noticed is None or not noticed.limits:
+        raise NotAvailable((noticed and noticed.refused) or "the results hold no forces")
+    limits = joined(noticed.limits)
+    names = list(limits)
+    places = [one.place for one in limits[names[0]]]
+    height = 1.3 + max(0.42, 0.17 * len(names)) * len(places)
+    figure = Figure(figsize=(WIDTH_IN, height), layout="constrained")
+    axes = figure.subplots()
+    axes.axvspan(MOST_N, EDGE_N, color=SLIDING, linewidth=0)
+    for k, name in enumerate(names):
+        colour = COLOURS[k % len(COLOURS)]
+        for row, at in enumerate(limits[name]):
+            height_at = row + 0.62 * ((k + 0.5) / len(names) - 0.5)
+            median, nine = at_or_blind(at.every_median_n), at_or_blind(at.nine_of_ten_n)
+            axes.plot([median, nine], [height_at] * 2, color=colour, linewidth=3.2, solid_capstyle="butt")
+            axes.plot(median, height_at, marker="o", color=colour, markersize=5.5)
+            worst = at_or_blind(at.ways["worst_way"].median_n)
+            axes.plot(worst, height_at, marker="D", markerfacecolor="white", color=colour, markersize=5)
+    axes.set_yticks(range(len(places)), places)
+    axes.set_ylim(len(places) - 0.5, -0.5)
+    use_log_width(axes)
+    axes.set_xlim(right=EDGE_N)
+    axes.grid(axis="x")
+    axes.grid(visible=False, axis="y")
+    axes.set_xlabel("smallest force that goes over the limit, N")
+    axes.text(BLIND_N, -0.55, BLIND, ha="center", va="bottom", color="#555555")
+    figure.legend(handles=handles(names), loc="outside upper left", ncols=3)
+    return Drawing(
+        figure,
+        f"What force at the end of each link goes over a limit, over {noticed.poses} poses. Dot: the median over poses "
+        "and directions; bar: to the force that nine of ten of them are below; diamond: the worst direction in the "
+        "median pose. Blind: it takes more than 1000 N, or no joint feels it at all.",
+    )
+
+
+def handles(names: list[str]) -> list[Line2D]:
+    colours = [COLOURS[k % len(COLOURS)] for k in range(len(names))]
+    found = [Line2D([], [], color=c, linewidth=3.2, label=f"{n} limit") for c, n in zip(colours, names, strict=True)]
+    dot = {"color": GREY, "linestyle": "none"}
+    return [
+        *found,
+        Line2D([], [], marker="o", label="every way, median", **dot),
+        Line2D([], [], color=GREY, linewidth=3.2, label="to 9 of 10"),
+        Line2D([], [], marker="D", markerfacecolor="white", label="worst way", **dot),
+    ]
+
+
+def at_or_blind(force_n: float | None) -> float:
+    return BLIND_N if force_n is None else force_n
+
+
+def noticed_table(noticed: Noticed | None, name: str, joint_limits: str = "limit") -> Table | None:
+    """A row a limit and point; None without forces.
+
+    Args:
+        name: of the bundle, for its colour.
+    """
+    if noticed is None or not noticed.limits:
+        return None
+    rows = []
+    for limit, entries in joined(noticed.limits).items():
+        for k, at in enumerate(entries):
+            cells = [limit if k == 0 else "", at.place, newtons(at.every_median_n), newtons(at.nine_of_ten_n)]
+            for way in WAYS:
+                cells += [newtons(at.ways[way].median_n), newtons(at.ways[way].worst_n)]
+            cells.append(f"{100 * at.ways['worst_way'].blind_share:.0f}")
+            rows.append(Row(tuple(cells), name if k == 0 else None, opens=k == 0))
+    groups = (("", 2), ("every way", 2), *((words, 2) for words in WAYS.values()), ("blind in", 1))
+    columns = (joint_limits, "at", "median", "9 of 10", *("median", "worst") * len(WAYS), "% of poses")
+    return Table(groups, columns, tuple(rows), words=2)
+
+
+def newtons(force_n: float | None) -> str:
+    if force_n is None:
+        return BLIND
+    return f"{force_n:.1f}" if force_n < 10 else f"{force_n:.0f}"

@@ -57,7 +57,7 @@ def main() -> None:
         maker = (makers(options.models) | fresh_makers())[name]
         bundles = {which: trained(maker, options, which) for which in ("own", "true")}
         rows += judged(maker, bundles, options)
-        (options.out / "wrench.json").write_text(json.dumps(rows, indent=1) + "\n")
+        (options.out / "wrench.json").write_text(as_text(rows))
     given = f"--arms {' '.join(options.arms)} --pushes {options.pushes} --draw {options.draw}"
     text = markdown(rows, f"python benchmarks/wrench.py MODELS UNSEEN OUT {given}")
     (options.out / "README.md").write_text(text)
@@ -167,6 +167,17 @@ def told_of(bundle: _core.Bundle, arm, contact: Contact, q, dq, said: dict, plai
     jacobian = model.columns(joint, q[at].tolist())
     row["kdl"] = error_of((np.linalg.pinv(jacobian.T, rcond=1e-5) @ plain[at])[:3], truth)
     return row
+
+
+def as_text(rows: list[dict]) -> str:
+    """JSON, a row a line, numbers to four digits."""
+
+    def short(value):
+        if isinstance(value, dict):
+            return {name: short(one) for name, one in value.items()}
+        return float(f"{value:.4g}") if isinstance(value, float) else value
+
+    return "[\n" + ",\n".join(json.dumps(short(row)) for row in rows) + "\n]\n"
 
 
 def error_of(found: np.ndarray, truth: np.ndarray) -> dict:

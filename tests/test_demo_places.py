@@ -9,7 +9,7 @@ from made_demo import smooth_arm
 from tauext import _core
 from tauext.config import ObserverConfig
 from tauext.demo.place_drawing import PlaceDrawing, span
-from tauext.demo.places import Place, Placed, outward, place_words
+from tauext.demo.places import Place, Placed, Places, outward, place_words
 from tauext.demo.practice import practice_recording
 from tauext.demo.simulation import Simulation
 from tauext.demo.snapshot import Verdict
@@ -107,6 +107,50 @@ def test_a_method_that_tells_no_place_says_why(simulation):
     assert shown.placed is None and "error scale" in shown.places_refused
     assert shown.verdicts["deaf"].alarm == "collision" and np.isnan(shown.verdicts["deaf"].force_n)
     assert not np.isnan(shown.verdicts["tauext"].force_n)
+
+
+class Model:
+    """Says what it is told to say."""
+
+    refused, capsules = "", []
+
+    def find(self, q, tau_ext, sigma_nm, near):
+        shares = dict(enumerate(self.shares))
+        ranked = sorted(shares, key=lambda link: -shares[link])
+        places = [
+            SimpleNamespace(
+                link=link, probability=shares[link], point=[link, 0, 0], on_link=[0, 0, 0], force=[0, 0, 10]
+            )
+            for link in ranked
+        ]
+        return SimpleNamespace(probability=self.shares, ranked=ranked, places=places)
+
+
+def test_the_first_link_stays_first_until_another_is_twice_as_probable(arm, bundles):
+    places, model = Places(_core.Bundle.load(bundles["tauext"])), Model()
+    places._model = model
+    felt = SimpleNamespace(
+        held_alarm=_core.Alarm.contact, near_stiction=[False] * 7, tau_ext=[1.0] * 7, sigma_nm=[1.0] * 7
+    )
+    gone = SimpleNamespace(held_alarm=_core.Alarm.none)
+
+    def first(shares, said=felt):
+        model.shares = [*shares, 0.0, 0.0, 0.0, 0.0]
+        placed = places.find(np.zeros(7), said)
+        if placed is None:
+            return None
+        assert placed.places[0].joint == placed.links[0][0]
+        assert [link for link, _ in placed.links[1:]] == sorted(
+            set(range(7)) - {placed.links[0][0]}, key=lambda link: -model.shares[link]
+        )
+        return placed.links[0]
+
+    assert first([0.6, 0.3, 0.1]) == (0, 0.6)
+    assert first([0.35, 0.6, 0.05]) == (0, 0.35)
+    assert first([0.25, 0.6, 0.15]) == (1, 0.6)
+    assert first([0.45, 0.4, 0.15]) == (1, 0.4)
+    assert first([0.45, 0.4, 0.15], gone) is None
+    assert first([0.45, 0.4, 0.15]) == (0, 0.45)  # another touch begins anew
 
 
 def test_outward_is_from_the_axis_of_the_capsule_that_the_point_lies_on():

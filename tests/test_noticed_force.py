@@ -18,7 +18,9 @@ from tauext.calibrate.wrench import POSES, poses
 from tauext.cli import main
 from tauext.config import ObserverConfig
 from tauext.data import load_bundle, save_recording
+from tauext.data.estimates import load_estimates
 from tauext.errors import BundleError, ConfigError
+from tauext.evaluate import evaluate
 from tauext.evaluate.estimating import contact_limit_nm
 from tauext.evaluate.kept_poses import usual_limits
 from tauext.evaluate.noticed_force import (
@@ -211,6 +213,21 @@ def test_a_force_that_stays_is_told_when_the_observer_shows_it(arm_bundle):
     said = _core.Monitor(arm_bundle).run(regular_times(1200), wobble, still, tau)
     over = np.flatnonzero(np.abs(said["tau_ext"][:, 1]) > said["limit_nm"][:, 1])[0]
     assert (over - 1000) * 1e-3 == pytest.approx(np.log(2) / 20, abs=2e-3)
+
+
+def test_an_evaluation_holds_it_over_its_test_recordings_or_says_why_not(arm_bundle, tmp_path):
+    bundles = {"planar": arm_bundle, "none": with_error_scale(watching_bundle())}
+    made = pushed(pushes=(), seconds=8.0)
+    found, refused = (one["noticed_force"] for one in evaluate(bundles, [lambda: made], [], tmp_path, 0, 1)["bundles"])
+    assert 6 <= found["poses"] <= 8 and set(found["limits"]) == {"collision", "contact"}
+    assert refused == {"refused": _core.WrenchModel(bundles["none"]).refused}
+    kept_ = load_estimates(tmp_path / "planar" / "pushed.parquet")
+    assert kept_.contact_limit is None  # that of a flight's estimates alone
+    every = [one["every_way"]["median_n"] for one in (*found["limits"]["collision"], *found["limits"]["contact"])]
+    usual = usual_limits(arm_bundle, 1)
+    regions = ("collision while sliding", "collision near stiction")
+    ends = [at_poses(arm_bundle, made.q[::1000], usual[name][0]) for name in regions]
+    assert ends[0]["every_way"]["median_n"] * 0.9 < every[1] < ends[1]["every_way"]["median_n"] * 1.1
 
 
 def test_a_bundle_keeps_poses_that_are_even_in_time():

@@ -703,8 +703,8 @@ def test_the_page_says_what_force_is_noticed_with_a_table_and_a_figure(copied, t
     assert "1.3 times these on" in words and "K0 = 20 1/s" in words and "ISO/TS 15066" in words
     assert (page.parent / "figures" / "noticed-force.png").exists()
     noticed = load_results(copied[0]).bundles[0].measured.noticed
-    table = noticed_table(noticed, "exact")
-    row = ("collision", "link of joint1, at joint2", "14", "55", "12", "40", "9.0", "17", "31", "blind", "blind")
+    table = noticed_table(noticed)
+    row = ("collision", "link of joint1", "14", "55", "12", "40", "9.0", "17", "31", "blind", "blind")
     assert table.rows[0].cells == (*row, "blind", "100")
     assert [one.cells[0] for one in table.rows] == ["collision", "contact"]
     lines = draw_noticed_force(noticed).figure.axes[0].get_lines()
@@ -714,7 +714,7 @@ def test_the_page_says_what_force_is_noticed_with_a_table_and_a_figure(copied, t
 
 def test_limits_that_notice_the_same_stand_once(copied):
     put_noticed(copied[0])
-    table = noticed_table(load_results(copied[0]).bundles[0].measured.noticed, "exact")
+    table = noticed_table(load_results(copied[0]).bundles[0].measured.noticed)
     assert [row.cells[0] for row in table.rows] == ["collision and contact"]
     alike = {"collision while sliding": 1, "collision near stiction": 2, "contact while sliding": 1}
     assert joined(alike) == {"collision and contact while sliding": 1, "collision near stiction": 2}

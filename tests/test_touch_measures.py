@@ -148,7 +148,7 @@ def test_the_report_has_the_tables_and_older_results_none(tmp_path):
     assert f"the right link first in {one.links.first} of {one.links.collisions}" in links_worth(one)
     assert [row.cells[1] for row in kinds_table(read.touches).rows] == ["pulses"]
     rows = told_table(read, read.touches).rows
-    assert len(rows) == len(read.collisions) and rows[1].cells[-1] == "joint2 95 %, 21 N, impact"
+    assert len(rows) == len(read.collisions) and rows[1].cells[-1] == "joint2 95%, 21 N, impact"
     write_report(results, data, tmp_path / "report")
     assert "Where, how hard, and what kind" in (tmp_path / "report" / "report.html").read_text()
     content = json.loads((results / "results.json").read_text())
@@ -161,7 +161,7 @@ def test_the_report_has_the_tables_and_older_results_none(tmp_path):
 def test_what_was_told_in_words():
     assert told_words(None) == "–" and told_words(Told(None)) == "–"
     assert told_words(Told("unknown")) == "unknown"
-    assert told_words(Told("clamp", "elbow", 0.831, 33.6)) == "elbow 83 %, 34 N, clamp"
+    assert told_words(Told("clamp", "elbow", 0.831, 33.6)) == "elbow 83%, 34 N, clamp"
 
 
 def test_a_table_that_is_not_square_is_refused():

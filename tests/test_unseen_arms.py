@@ -19,8 +19,9 @@ from unseen.motions import ACCELERATIONS_RAD_S2, STOP_S, draw_motion
 from unseen.of_type import arm_of
 from unseen.results import Outcome, markdown, nearest, truth_of
 from unseen.simulation import RATE_HZ, simulate
+from unseen.surfaces import SURFACES, capsules_of, with_surfaces
 
-from tauext.robot import load_tree
+from tauext.robot import link_capsules, load_tree
 
 SEVEN = makers(Path())["seven_axis"]
 FRESH = list(fresh_makers().values())
@@ -164,3 +165,18 @@ def test_arms_of_one_type_share_links_and_gears_and_differ_in_friction_tool_and_
     assert abs(one.tree.links[-1].mass - other.tree.links[-1].mass) > 0.02
     assert arm_of(maker, 0).tree.links[-1].mass == one.tree.links[-1].mass
     assert recordings.told_constants(maker, 0, True) == recordings.told_constants(maker, 1, True)
+
+
+def test_surfaces_come_back_out_of_a_robot_file(tmp_path):
+    surface = SURFACES["seven_axis"]
+    path = with_surfaces(SEVEN.model, SEVEN.joints, surface, tmp_path / "arm.urdf")
+    capsules, notes = link_capsules(path, load_tree(path, joints=list(SEVEN.joints)))
+    assert notes == [] and {one.link for one in capsules} == set(range(7))
+    long = [one for one in surface if np.linalg.norm(np.subtract(one.end_m, one.start_m)) > 2 * one.radius_m]
+    assert len(long) == 5  # the others are wider than long, and no capsule ends where they do
+    for expected in capsules_of(tuple(long)):
+        of_link = [one for one in capsules if one.link == expected.link]
+        ends = [np.array([one.start, one.end]) for one in of_link]
+        wanted = np.array([expected.start, expected.end])
+        off = [min(np.abs(pair - wanted).max(), np.abs(pair[::-1] - wanted).max()) for pair in ends]
+        assert min(off) < 1e-9 and of_link[int(np.argmin(off))].radius_m == pytest.approx(expected.radius_m)

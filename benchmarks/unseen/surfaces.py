@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 
 from tauext import _core
+from tauext.robot import load_tree, wrench_frames
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,36 @@ def capsules_of(surface: tuple[Cylinder, ...]) -> list[_core.Capsule]:
         cut = way / length * min(one.radius_m, length / 2)
         found.append(_core.Capsule(one.link, (start + cut).tolist(), (start + way - cut).tolist(), one.radius_m))
     return found
+
+
+def with_surfaces(model: Path, joints: Sequence[str], surface: tuple[Cylinder, ...], out: Path) -> Path:
+    """Write a copy of a URDF whose links collide as these cylinders, and as nothing else; returns its path.
+
+    The arms' own files name meshes that nobody has.
+    """
+    root = ElementTree.parse(model).getroot()
+    frames = {frame.name: frame for frame in wrench_frames(model, load_tree(model, joints=list(joints)))}
+    child = {joint.get("name"): joint.find("child").get("link") for joint in root.findall("joint")}
+    links = {link.get("name"): link for link in root.findall("link")}
+    for link in links.values():
+        for shape in [*link.findall("collision"), *link.findall("visual")]:
+            link.remove(shape)
+    for part in surface:
+        name = child[joints[part.link]]
+        turn = np.array(frames[name].rotation).reshape(3, 3).T  # into the file's axes of the link
+        start, end = (turn @ (np.array(at) - frames[name].translation) for at in (part.start_m, part.end_m))
+        x, y, z = end - start
+        along = np.array([0.0, np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)])
+        collision = ElementTree.SubElement(links[name], "collision")
+        where = {"xyz": (start + end) / 2, "rpy": along}
+        ElementTree.SubElement(
+            collision, "origin", {key: " ".join(map(repr, at.tolist())) for key, at in where.items()}
+        )
+        geometry = ElementTree.SubElement(collision, "geometry")
+        sizes = {"radius": repr(part.radius_m), "length": repr(float(np.linalg.norm(end - start)))}
+        ElementTree.SubElement(geometry, "cylinder", sizes)
+    ElementTree.ElementTree(root).write(out)
+    return out
 
 
 SURFACES: dict[str, tuple[Cylinder, ...]] = {

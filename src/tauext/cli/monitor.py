@@ -68,6 +68,7 @@ def monitor(
     segment_s: float = 25.0,
     core: int | None = None,
     priority: int | None = None,
+    wrench: str | None = None,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
     status_hz: float = 0.0,
 ) -> None:
@@ -100,6 +101,8 @@ def monitor(
         segment_s: length of each of the recordings, [s]: what a killed process loses at most.
         core: processor core that the loop and what receives samples are pinned to. None: any.
         priority: real-time priority of the loop and what receives samples, SCHED_FIFO, 1 to 99. None: an ordinary one.
+        wrench: frame of the bundle at which the force of every touch is told, too, with how far it may be wrong and
+            its direction: a link of the robot file or a joint's; a name that there is not prints those that there are.
         as_json: print JSON lines, an object an event.
         status_hz: with --json, how many times per second the estimates are printed, too; 0: events only.
     """
@@ -122,7 +125,7 @@ def monitor(
     from tauext.live import LoopSettings
 
     missing_s = None if missing_after_ms is None else missing_after_ms * 1e-3
-    settings = LoopSettings(own_rate, missing_s, acknowledge_after_s, duration_s, core, priority)
+    settings = LoopSettings(own_rate, missing_s, acknowledge_after_s, duration_s, core, priority, wrench)
     extras = Extras(reactions, profiles, flights, before_s, after_s, contacts, record, segment_s, control)
     shown = RunSettings(None, own_rate, acknowledge_after_s, flights, before_s, after_s, contacts)
     options = SourceOptions(speed, torque_constants, None if ros2 == Ros2Settings() else ros2)

@@ -37,6 +37,7 @@ def run(
     contacts: bool = False,
     load: str | None = None,
     loads: PlaceArg | None = None,
+    wrench: str | None = None,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
     status_hz: float = 0.0,
 ) -> None:
@@ -62,6 +63,8 @@ def run(
         load: what the arm carries all the time, in the bundle's load frame: "mass=2.8, com=0 0 0.05", with
             inertia=XX YY ZZ XY XZ YZ and error=SHARE where they are known; in kg, m, kg m^2.
         loads: file (TOML) of what it carries from when on; docs/monitor.md.
+        wrench: frame of the bundle at which the force of every touch is told, too, with how far it may be wrong and
+            its direction: a link of the robot file or a joint's; a name that there is not prints those that there are.
         as_json: print JSON lines, an object an event: start, health, alarm, flight, status, end, summary.
         status_hz: with --json, how many times per second of the recording the estimates are printed, too; 0: events
             only.
@@ -85,7 +88,9 @@ def run(
             contacts,
             told_loads(loaded, load, loads),
             folder,
+            wrench,
         )
+        check_frame(loaded, wrench)
         check_flights(loaded, settings)
         with open_output(as_json, status_hz, settings) as output:
             replay_all(loaded, recordings, settings, output)
@@ -136,6 +141,13 @@ def fitting_bundle(path: Place, recordings: tuple[Place, ...]) -> Bundle:
     for recording in recordings:
         expect_fit(bundle, describe(recording))
     return bundle
+
+
+def check_frame(bundle: Bundle, wrench: str | None) -> None:
+    """Refuse a frame that there is not before anything is replayed."""
+    from tauext.monitor import PlaceFinder
+
+    PlaceFinder(bundle, wrench)
 
 
 def check_flights(bundle: Bundle, settings: RunSettings) -> None:
@@ -231,7 +243,7 @@ def replay_one(
                 settings.acknowledge_after_s,
                 chunk_s,
                 settings.loads,
-                PlaceFinder(bundle),
+                PlaceFinder(bundle, settings.wrench),
             ):
                 tally.add(chunk, monitor)
                 if writer is not None:

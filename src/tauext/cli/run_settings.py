@@ -27,3 +27,5 @@ class RunSettings:
     loads: tuple[TimedLoad, ...] = ()
     folder: Path | None = None
     """Where flights are written on this machine."""
+    wrench: str | None = None
+    """Frame that the force of a touch is told at, too."""

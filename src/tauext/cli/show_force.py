@@ -48,9 +48,10 @@ def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) ->
         of = f"of {', '.join(place.name for place in data)}, with the limits as they held there"
     else:
         found = noticed_in_usual_motion(bundle, frames)
-        of = "that the bundle keeps of its training's motion"
-        if bundle.error_scale.on:
-            of += ", with its limits in usual motion (after a stop or at high speed they are higher; --data tells)"
+        of = (
+            "that the bundle keeps of its training's motion, with its limits in usual motion (after a stop or while it "
+            "speeds up they are higher; --data tells)"
+        )
     share = max(bundle.wrench_settings.torque_share or [USUAL_TORQUE_SHARE])
     return {"bundle": bundle.name, "poses_of": of, "torque_share": share, **found}
 

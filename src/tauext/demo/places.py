@@ -10,6 +10,9 @@ from tauext import _core
 
 SHOWN = 3
 """Places that are drawn: the first, and two ghosts."""
+STAYS = 0.5
+"""Of the most probable link's probability: a link that was first stays first down to this, and no noise makes the arrow
+jump to and fro."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +33,9 @@ class Placed:
     """What explains the torques of one sample."""
 
     links: tuple[tuple[int, float], ...]
-    """Joint that carries the link, and its probability; the most probable first."""
+    """Joint that carries the link, and its probability: that of the first place, then the most probable first."""
     places: tuple[Place, ...]
-    """The best one on the most probable link, then those that rival it, the most probable first."""
+    """The best one on the first link, then those that rival it, the most probable first."""
 
     @property
     def newtons(self) -> float:
@@ -49,19 +52,29 @@ class Places:
         self._names = [link.joint_name for link in bundle.links]
         self.refused = self._model.refused
         """Why it tells none; empty: it does."""
+        self._first = -1
 
     def find(self, q: np.ndarray, said: _core.Estimate) -> Placed | None:
         """Places of this sample; None where no joint is over a limit, so that nothing would be placed but errors."""
-        if self.refused or said.held_alarm == _core.Alarm.none:
+        if self.refused:
+            return None
+        if said.held_alarm == _core.Alarm.none:
+            self._first = -1
             return None
         near = sum(1 << joint for joint, is_near in enumerate(said.near_stiction) if is_near)
         found = self._model.find(list(q), list(said.tau_ext), list(said.sigma_nm), near)
         places = found.places
         if not places:
             return None
-        links = tuple((link, found.probability[link]) for link in found.ranked)
-        first = next(k for k, one in enumerate(places) if one.link == links[0][0])
-        ordered = [places[first], *places[:first], *places[first + 1 :]]
+        most = found.ranked[0]
+        stays = self._first >= 0 and found.probability[self._first] >= STAYS * found.probability[most]
+        if not stays or all(one.link != self._first for one in places):
+            self._first = most
+        links = tuple(
+            (link, found.probability[link]) for link in put_first(found.ranked, found.ranked.index(self._first))
+        )
+        best = next(k for k, one in enumerate(places) if one.link == self._first)
+        ordered = put_first(places, best)
         return Placed(links, tuple(self._place(q, one) for one in ordered[:SHOWN]))
 
     def _place(self, q: np.ndarray, found: _core.TouchPlace) -> Place:
@@ -69,6 +82,10 @@ class Places:
         outwards = turn @ outward(np.array(found.on_link), [c for c in self._model.capsules if c.link == found.link])
         force = np.array(found.force)
         return Place(found.link, found.probability, np.array(found.point), force, bool(force @ outwards <= 0))
+
+
+def put_first(all_of: list, index: int) -> list:
+    return [all_of[index], *all_of[:index], *all_of[index + 1 :]]
 
 
 def outward(point_m: np.ndarray, capsules: list[_core.Capsule]) -> np.ndarray:

@@ -49,6 +49,8 @@ class LoopSettings:
     """Pin the loop, and what the source starts, to this core."""
     priority: int | None = None
     """And give them this real-time priority."""
+    wrench: str | None = None
+    """A frame that the force of a touch is told at, too; None: none."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ class Loop:
                 raise ConfigError(f"profile {profile.name}: {reason}")
             if profile.expect is not None and (reason := self._why_not(profile.expect)):
                 raise ConfigError(f"profile {profile.name}: {reason}")
-        self._changes, self._places = ChangeFinder(), PlaceFinder(bundle)
+        self._changes, self._places = ChangeFinder(), PlaceFinder(bundle, settings.wrench)
         for rule in [thread.reaction for thread in self._reactions.threads] if self._places.refused else []:
             if rule.links is not None or rule.newtons_over is not None:
                 raise ConfigError(f"reaction {rule.name!r}: where a touch is cannot be told: {self._places.refused}")

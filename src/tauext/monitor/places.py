@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext._core import Bundle, PlaceModel, TouchPlace
+from tauext.monitor.frame_force import ForceAtFrame, FrameForce, frame_force_facts, frame_force_words
 
 AFTER_S = 0.1
 """After the alarm rose: early enough to react to, and most touches have come near their peak."""
@@ -39,6 +40,8 @@ class PlaceChange:
     """The most probable first, at least one."""
     consistent: float
     """Probability that a single force leaves so much unexplained."""
+    force: FrameForce | None = None
+    """What it would be at the frame that was named."""
 
 
 class PlaceFinder:
@@ -47,7 +50,10 @@ class PlaceFinder:
     The sample that is judged is the one at which tau_ext has stood out most since the alarm rose.
     """
 
-    def __init__(self, bundle: Bundle) -> None:
+    def __init__(self, bundle: Bundle, frame: str | None = None) -> None:
+        """frame: one that the force is told at, too; ConfigError where there is none."""
+        self._at_frame = None if frame is None else ForceAtFrame(bundle, frame)
+        self._force: FrameForce | None = None
         self._model = PlaceModel(bundle)
         self.refused = self._model.refused
         """Why no place is told; empty: they are."""
@@ -69,7 +75,7 @@ class PlaceFinder:
             first_row: of the chunk, counted from the recording's first sample.
             t_ns: (rows,), [ns].
             q: (rows, joints), [rad].
-            dq: [rad/s].
+            dq: (rows, joints), [rad/s].
             said: what Monitor.run said of them, not empty.
         """
         alarm = said["alarm"]
@@ -79,13 +85,21 @@ class PlaceFinder:
             strength = np.nan_to_num(np.square(said["tau_ext"] / said["sigma_nm"]).sum(axis=1), nan=0.0, posinf=0.0)
         told = []
         for k in range(len(t_ns)):
-            found = self._step(k, first_row + k, int(t_ns[k]), int(alarm[k]), float(strength[k]), (q[k], dq[k]), said)
+            found = self._step(k, first_row + k, int(t_ns[k]), int(alarm[k]), float(strength[k]), q, dq, said)
             if found is not None:
                 told.append(found)
         return told
 
     def _step(
-        self, k: int, row: int, t_ns: int, alarm: int, strength: float, motion: tuple, said: dict[str, np.ndarray]
+        self,
+        k: int,
+        row: int,
+        t_ns: int,
+        alarm: int,
+        strength: float,
+        q: np.ndarray,
+        dq: np.ndarray,
+        said: dict[str, np.ndarray],
     ) -> PlaceChange | None:
         fell, level = self._alarm > 0 and alarm == 0, self._alarm
         if alarm > self._alarm:
@@ -99,8 +113,10 @@ class PlaceFinder:
         if alarm and strength > self._strength:
             near = sum(1 << j for j, at_rest in enumerate(said["near_stiction"][k]) if at_rest)
             self._strength = strength
-            q, dq = motion
-            self._sample = (q.tolist(), said["tau_ext"][k].tolist(), said["sigma_nm"][k].tolist(), near, dq.tolist())
+            sample = (q[k], said["tau_ext"][k], said["sigma_nm"][k])
+            self._sample = (*(one.tolist() for one in sample), near, dq[k].tolist())
+            if self._at_frame is not None:
+                self._force = self._at_frame.find(q, dq, said, k)
         due = fell or t_ns >= self._due_ns
         if not due or self._sample is None or self._strength < STRONGER * self._told:
             if fell or t_ns - self._rose_ns > FOLLOWED_S * 1e9:
@@ -118,7 +134,9 @@ class PlaceFinder:
             return None
         links = tuple((link, found.probability[link]) for link in found.ranked)
         since_s = (t_ns - self._rose_ns) * 1e-9
-        return PlaceChange(row, t_ns, alarm, self._joint, since_s, links, tuple(found.places), found.consistent)
+        return PlaceChange(
+            row, t_ns, alarm, self._joint, since_s, links, tuple(found.places), found.consistent, self._force
+        )
 
 
 def newtons(place: TouchPlace) -> float:
@@ -128,21 +146,23 @@ def newtons(place: TouchPlace) -> float:
 
 def place_words(change: PlaceChange, joints: tuple[str, ...]) -> str:
     """`the touch is on the link of elbow (83%; wrist_1 12%): 34 N within 3 cm of (0.31, -0.20, 0.55) m`."""
+    at_frame = "" if change.force is None else f"; {frame_force_words(change.force)}"
     if change.consistent < INCONSISTENT:
-        return "the touch is no single force on one link: two touches, or a moment without a force"
+        return f"the touch is no single force on one link: two touches, or a moment without a force{at_frame}"
     (first, probability), *others = change.links
     rivals = "".join(f"; {joints[link]} {share:.0%}" for link, share in others[:2] if share >= 0.05)
     place = next(place for place in change.places if place.link == first)
     where = ", ".join(f"{value:.2f}" for value in place.point)
     return (
         f"the touch is on the link of {joints[first]} ({probability:.0%}{rivals}): {newtons(place):.0f} N within "
-        f"{max(place.spread_m * 100, 1):.0f} cm of ({where}) m"
+        f"{max(place.spread_m * 100, 1):.0f} cm of ({where}) m{at_frame}"
     )
 
 
 def place_facts(change: PlaceChange, joints: tuple[str, ...]) -> dict:
     """As plain JSON: links by their joints' names, places in the base's frame."""
-    return {
+    told = {} if change.force is None else {"at_frame": frame_force_facts(change.force)}
+    return told | {
         "links": [{"joint": joints[link], "probability": share} for link, share in change.links],
         "places": [
             {

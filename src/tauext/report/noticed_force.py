@@ -55,7 +55,7 @@ def draw_noticed_force(noticed: Noticed | None) -> Drawing:
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("smallest force that goes over the limit, N")
     axes.text(BLIND_N, -0.55, BLIND, ha="center", va="bottom", color="#555555")
-    figure.legend(handles=handles(names), loc="outside upper left", ncols=3)
+    figure.legend(handles=handles(names), loc="outside upper left", ncols=4 if len(names) == 1 else 3)
     return Drawing(
         figure,
         f"What force at the end of each link goes over a limit, over {noticed.poses} poses. Dot: the median over poses "
@@ -80,25 +80,27 @@ def at_or_blind(force_n: float | None) -> float:
     return BLIND_N if force_n is None else force_n
 
 
-def noticed_table(noticed: Noticed | None, name: str, joint_limits: str = "limit") -> Table | None:
-    """A row a limit and point; None without forces.
-
-    Args:
-        name: of the bundle, for its colour.
-    """
+def noticed_table(noticed: Noticed | None) -> Table | None:
+    """A row a limit and point; None without forces."""
     if noticed is None or not noticed.limits:
         return None
     rows = []
     for limit, entries in joined(noticed.limits).items():
         for k, at in enumerate(entries):
-            cells = [limit if k == 0 else "", at.place, newtons(at.every_median_n), newtons(at.nine_of_ten_n)]
+            cells = [limit if k == 0 else "", short(at.place), newtons(at.every_median_n), newtons(at.nine_of_ten_n)]
             for way in WAYS:
                 cells += [newtons(at.ways[way].median_n), newtons(at.ways[way].worst_n)]
             cells.append(f"{100 * at.ways['worst_way'].blind_share:.0f}")
-            rows.append(Row(tuple(cells), name if k == 0 else None, opens=k == 0))
-    groups = (("", 2), ("every way", 2), *((words, 2) for words in WAYS.values()), ("blind in", 1))
-    columns = (joint_limits, "at", "median", "9 of 10", *("median", "worst") * len(WAYS), "% of poses")
+            rows.append(Row(tuple(cells), opens=k == 0))
+    groups = (("", 2), ("every way", 2), *((words, 2) for words in WAYS.values()), ("", 1))
+    columns = ("limit", "at the end of", "median", "9 of 10", *("median", "worst") * len(WAYS), "blind, %")
     return Table(groups, columns, tuple(rows), words=2)
+
+
+def short(place: str) -> str:
+    """Without what the column's heading says: that a link's end is the next joint."""
+    link, _, end = place.partition(", at ")
+    return place if end == "its origin" else link
 
 
 def newtons(force_n: float | None) -> str:

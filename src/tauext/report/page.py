@@ -99,7 +99,7 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         touch_kinds=kinds_table(results.touches),
         touches_told=told_table(results, results.touches) if results.touches else None,
         extremes=tables.extremes(results),
-        noticed=noticed_table(noticed, shown.name),
+        noticed=noticed_table(noticed),
         noticed_by=shown.label,
         noticed_refused=noticed and noticed.refused,
         noticed_gain=noticed and noticed.gain_per_s,

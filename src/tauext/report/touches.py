@@ -162,9 +162,9 @@ def told_table(results: Results, touches: Sequence[BundleTouches]) -> Table:
 
 
 def told_words(told: Told | None) -> str:
-    """`joint4 83 %, 34 N, push`; a dash where no alarm was raised."""
+    """`joint4 83%, 34 N, push`; a dash where no alarm was raised."""
     if told is None:
         return NONE
-    parts = [] if told.joint is None else [f"{told.joint} {100 * (told.probability or 0):.0f} %"]
+    parts = [] if told.joint is None else [f"{told.joint} {told.probability or 0:.0%}"]
     parts += [] if told.force_n is None else [f"{told.force_n:.0f} N"]
     return ", ".join([*parts, *([told.kind] if told.kind not in (None, "none") else [])]) or NONE

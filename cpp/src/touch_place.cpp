@@ -225,7 +225,12 @@ void PlaceModel::rank(std::span<const double> q, std::span<const double> tau_ext
   std::ranges::copy(tau_ext.first(n), y.begin());
   if (!dq.empty()) wrench_.take_off_rubbing(q, dq, std::span(y).first(n));
   std::array<double, kMaxJoints * kMaxJoints> s;
-  wrench_.covariance(WrenchKind::force, std::span(y).first(n), sigma_nm, near_stiction, s);
+  wrench_.covariance(WrenchKind::force, std::span(y).first(n), sigma_nm, 0, s);
+  for (std::size_t j = 0; j < n; ++j)
+    if (near_stiction >> j & 1) {
+      const double hidden = kStuckShare * std::min(std::fabs(y[j]), wrench_.friction_at_rest_nm()[j]);
+      s[j * n + j] += hidden * hidden;
+    }
   if (!cholesky(std::span(s).first(n * n), n)) return;
   forward(s, n, std::span(y).first(n));
   std::array<double, kMaxJoints> logs{};

@@ -107,6 +107,8 @@ class WrenchModel {
   // S of a sample, (joints, joints).
   void covariance(WrenchKind kind, std::span<const double> tau_ext, std::span<const double> sigma_nm,
                   std::uint32_t near_stiction, std::span<double> into) const noexcept;
+  // Of joints at rest, one each, [N m].
+  std::span<const double> friction_at_rest_nm() const noexcept { return friction_nm_; }
   // tau_ext less what a touch's load adds to the friction of joints that move.
   void take_off_rubbing(std::span<const double> q, std::span<const double> dq, std::span<double> tau_ext) const noexcept;
   // All take a value a joint, and near_stiction a bit; no dq: as where joints stand. Nothing allocates or throws. A frame

@@ -5,7 +5,7 @@
 MODELS: folder of ur5_robot.urdf, panda.urdf and kinova.urdf. UNSEEN: what `benchmarks/unseen_arms.py` wrote, whose
 datasets bundles are trained on here: `own`, whose torque constants training found, and `true`, which is told the true
 ones. OUT gets the bundles, wrench.json and README.md; those of docs/results/wrench are of this command. The method was
-fixed on pushes of draw 0 on the Panda.
+fixed on pushes of draw 0 on the Panda, some of the UR5 were looked at.
 """
 
 from __future__ import annotations
@@ -196,8 +196,10 @@ Written by `{command}`; each push is in [wrench.json](wrench.json).
 Simulated arms of the trial on [unseen arms](../unseen-arms/README.md), bundles of recipe prior from their twelve
 minutes. Pushes of {FORCES_N[0]:g} to {FORCES_N[1]:g} N on the last link, anywhere and in any direction, in moves and
 pauses, looked at {LOOK_S:g} s after they began. `own`: torque constants as training found them; `true`: as they are.
-KDL: the formula of its ChainExternalWrenchEstimator, the pseudo-inverse of the plain observer's torque, low-passed.
-Medians; sigma is the geometric mean of the force ellipsoid's half-axes.
+KDL: the formula of its ChainExternalWrenchEstimator, the pseudo-inverse of the plain observer's torque, low-passed,
+with the gears' friction in it. The method was fixed on other pushes on the Panda; some on the UR5 were looked at.
+Pushes in poses of which some direction is named blind are counted all the same. Medians; sigma is the geometric mean of
+the force ellipsoid's half-axes.
 
 | arm | constants | told as | pushes | off, N | off, deg | in 95 % | sigma, N | blind | beyond 3 sigma, not blind |
 |---|---|---|---|---|---|---|---|---|---|

@@ -33,7 +33,7 @@ def show(
         file: bundle (*.tauext), recording (*.parquet) or fleet prior (*.prior.json) to show.
         as_json: print what is found as JSON for scripts.
         force: say what force at each link's end goes over a bundle's limits, in newtons.
-        data: recordings (*.parquet) whose poses and limits --force takes; default: poses that the bundle keeps.
+        data: recordings (*.parquet) whose poses and limits --force takes; none: poses that the bundle keeps.
         frame: frames that --force tells, too.
         picture: PNG that --force draws.
     """

@@ -67,7 +67,6 @@ class Hand:
     yields_s: float
     damping_n_s_m: float = 20.0
     anchor_m: float = 0.0
-    speed_m_s: float = 0.0
 
     def wanted_n(self, t_s: float) -> float:
         """A raised cosine up, and one down again."""
@@ -79,13 +78,15 @@ class Hand:
         return self.peak_n * 0.5 * (1 - np.cos(np.pi * share)) * tremor
 
     def force_n(self, t_s: float, x_m: float, v_m_s: float, dt_s: float) -> float:
-        force = self.stiffness_n_m * (self.anchor_m - x_m) + self.damping_n_s_m * (self.speed_m_s - v_m_s)
+        wanted, follows = self.wanted_n(t_s), self.stiffness_n_m * self.yields_s
+        # solved for F: with the anchor's speed of the step before, soft hands would swing from step to step
+        force = self.stiffness_n_m * (self.anchor_m - x_m) + self.damping_n_s_m * (wanted / follows - v_m_s)
+        force /= 1 + self.damping_n_s_m / follows
         most = STRONGER * self.peak_n
         if force > most:  # it is pushed back
             self.anchor_m -= (force - most) / self.stiffness_n_m
         force = min(max(force, 0.0), most)
-        self.speed_m_s = (self.wanted_n(t_s) - force) / (self.stiffness_n_m * self.yields_s)
-        self.anchor_m += self.speed_m_s * dt_s
+        self.anchor_m += (wanted - force) / follows * dt_s
         return force
 
 

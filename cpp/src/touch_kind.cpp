@@ -128,7 +128,7 @@ void TouchKind::begin(const Seen& seen) noexcept {
 bool TouchKind::strong(const Seen& seen, std::size_t joint) const noexcept {
   double most = 0;
   for (std::size_t j = 0; j < joints_; ++j) most = std::max(most, std::fabs(seen.tau_ext[j]) / state_.limit_nm[j]);
-  return std::fabs(seen.tau_ext[joint]) >= kStrong * most * state_.limit_nm[joint];
+  return std::fabs(seen.tau_ext[joint]) >= std::min(kStrong * most, kSurely) * state_.limit_nm[joint];
 }
 
 // S, x and their peaks at this sample.
@@ -270,7 +270,8 @@ void TouchKind::decide(const Stretch& recent, const Seen& seen) noexcept {
   }
   const bool open = s.kind == Touch::unknown || s.kind == Touch::impact || seconds(s.t_ns, s.alarm_ns) <= kDecided_s;
   const bool sure = looks != Touch::none && seconds(s.t_ns, s.says_ns) >= kSure_s - 1e-6;
-  if (open && sure && looks != s.kind) {
+  const bool lets_go = s.kind == Touch::clamp && looks == Touch::push;  // an arm that slips off looks like that
+  if (open && sure && looks != s.kind && !lets_go) {
     s.kind = looks;
     s.decided_size = s.size;
   }
@@ -294,7 +295,9 @@ Touch TouchKind::looks_like(const Stretch& recent, const Seen& seen) noexcept {
   const bool moved = moves(s.speed_at, seen), driven = moved && s.came > 0;
   const bool away = s.came < 0 && moves(s.speed_before, seen) && against(s.speed_before, seen) < 0;
   const bool doubtful = moved && !driven && against(s.speed_at, seen) > 0;  // work that is error says another way
-  const Touch it = driven ? driven_into(recent, since_s) : standing(recent, seen, away, since_s);
+  Touch it = Touch::push;  // what an arm moves away from by itself cannot clamp it
+  if (driven) it = driven_into(recent, since_s);
+  else if (!away) it = standing(recent, seen, since_s);
   if (since_s < kFirst_s) return Touch::none;
   if (fits_load()) return Touch::load;
   return doubtful ? Touch::none : it;
@@ -306,21 +309,22 @@ Touch TouchKind::driven_into(const Stretch& recent, double since_s) noexcept {
   if (recent.gone >= kOnward * s.came * recent.s) {
     const double steep = recent.grown / recent.gone;
     s.steepest = std::max(s.steepest, steep);
-    if (steep <= 0 || steep * steep * s.way < kSoft * (s.size - s.base) * s.steepest) return Touch::push;
+    const bool soft = steep <= 0 || steep * steep * s.way < kSoft * (s.size - s.base) * s.steepest;
+    if (soft && (since_s < kDriven_s || s.kind == Touch::push)) return Touch::push;  // later it may be one that slips off
   }
   const bool stopped = recent.gone < kStopped * s.came * recent.s && s.size >= kHeld * s.peak && since_s > kAlong_s;
   return stopped || since_s >= kDriven_s ? Touch::clamp : Touch::none;
 }
 
-// It moved the arm, or nothing moves: has it stopped growing? away: the arm moved away from it by itself.
-Touch TouchKind::standing(const Stretch& recent, const Seen& seen, bool away, double since_s) const noexcept {
+// It moved the arm, or nothing moves: has it stopped growing?
+Touch TouchKind::standing(const Stretch& recent, const Seen& seen, double since_s) const noexcept {
   const State& s = state_;
   const double growth = recent.grown / recent.s, mean = (s.size - s.base) / seconds(s.t_ns, s.begin_ns);
   const double steady = growth > 0 && mean > 0 ? growth / mean * growth / s.fastest : 0;
   bool stuck = true;
   for (std::size_t j = 0; j < joints_; ++j) stuck = stuck && (std::fabs(s.place[j]) < kStuck_rad || !strong(seen, j));
-  const bool comes_on = !stuck && !away && -recent.gone > kYields * s.yields * recent.s;
-  const bool settled = steady < kFlat || (steady < kSettled && (away || (s.fastest - growth) * recent.s > kShows));
+  const bool comes_on = !stuck && -recent.gone > kYields * s.yields * recent.s;
+  const bool settled = steady < kFlat || (steady < kSettled && (s.fastest - growth) * recent.s > kShows);
   if (settled && !comes_on) return Touch::push;
   return since_s >= kStanding_s && steady >= kGrowing ? Touch::clamp : Touch::none;
 }

@@ -32,10 +32,11 @@ const char* name(Touch touch) noexcept;  // "none", "unknown", ...
 //   and of what remains, where the arm was driven into it: it moved before, and against tau_ext until the alarm
 //     push   the arm goes on, and S grows by less than a spring would
 //     clamp  else
-//   where it stood, or moved away:
+//   where it moved away from it by itself: push; a clamp is what the arm runs into, or what presses on it while it stands
+//   where it stood:
 //     push   S has stopped growing, and not because the arm gives way more
 //     clamp  S grows on as it has since it began
-// A clamp is never called a push: what is neither is unknown. Nor is what nobody saw begin decided at all.
+// In doubt it is a clamp, and stays one; what is neither is unknown. Nor is what nobody saw begin decided at all.
 class TouchKind {
  public:
   static constexpr double kBegins = 0.5;       // of a limit: errors reach that rarely; from here on it is followed ...
@@ -44,6 +45,7 @@ class TouchKind {
   static constexpr double kFell = 0.6;         // a push lets go by a third in longer than that
   static constexpr double kBack = 0.72;        // of its peak: what bounced is there again, and goes on
   static constexpr double kStrong = 0.3;       // of the strongest joint: below it the error of tau_ext makes half the work
+  static constexpr double kSurely = 1;         // limit, which no error is: joints above it say it however strong others are
   static constexpr double kStands_rad_s = 0.03;  // slower joints do not move; or near_stiction_rad_s
   static constexpr double kBefore_s = 0.08;    // it began: a press has not moved the arm yet
   static constexpr double kStuck_rad = 1e-3;   // what stiction lets a joint give way
@@ -127,7 +129,7 @@ class TouchKind {
   void decide(const Stretch& recent, const Seen& seen) noexcept;
   Touch looks_like(const Stretch& recent, const Seen& seen) noexcept;
   Touch driven_into(const Stretch& recent, double since_s) noexcept;
-  Touch standing(const Stretch& recent, const Seen& seen, bool away, double since_s) const noexcept;
+  Touch standing(const Stretch& recent, const Seen& seen, double since_s) const noexcept;
   bool fits_load() const noexcept;
   double left_by_load(const Seen& seen) noexcept;
   bool moves(const JointVector& speed, const Seen& seen) const noexcept;

@@ -334,4 +334,5 @@ def test_the_radius_is_that_of_the_tail():
     heavy = np.random.default_rng(0).standard_t(3, size=(20000, 1)) ** 2
     found = factor(heavy.sum(axis=1), 1)
     assert (heavy[:, 0] / found <= chi2.ppf(0.95, 1)).mean() == pytest.approx(0.95, abs=1e-3)
-    assert factor(np.zeros(100), 3) == 1.0
+    assert factor(np.full(100, 0.7 * chi2.ppf(0.95, 3)), 3) == pytest.approx(0.7)
+    assert factor(np.zeros(100), 3) == 0.5  # an arm that stood still is not believed

@@ -27,8 +27,9 @@ LEAST_SHRINK = 0.05
 """A: a correlation of 0.95 at most, since what an hour showed is not for good."""
 HELD = 0.95
 """Share of errors within the ellipsoids."""
-LEAST_RADIUS = 1.0
-"""A touch brings errors that free motion does not show: ellipsoids are never smaller than sigma says."""
+LEAST_RADIUS = 0.5
+"""sigma is rather too large than too small, by some tenth to a quarter of the variance; less than half of it, and the
+motion was too tame to tell. What free motion does not show of a touch is in the covariance apart."""
 MOST_ROWS = 100_000
 """An hour and a half at 20 Hz: beyond, quantiles do not change."""
 ROW_S = 0.05

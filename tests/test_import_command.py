@@ -16,7 +16,7 @@ from tauext.data.description_file import parse_arm
 from tauext.data.free_motion import free_stretches
 from tauext.data.importers import open_raw
 from tauext.errors import ConfigError, RobotError
-from tauext.robot import Payload, load_tree, movable_joints, write_placeholder, write_robot
+from tauext.robot import Payload, link_capsules, load_tree, movable_joints, write_placeholder, write_robot
 
 ARM = """
 [robot]
@@ -202,6 +202,21 @@ def test_payload_rotor_inertia_and_gravity_reach_the_robot_file(workplace, capsy
     assert after.gravity == [9.81, 0, 0]
     assert [link.rotor_inertia for link in after.links] == pytest.approx([1.0, 0.5])
     assert after.links[1].mass == pytest.approx(before.links[1].mass + 1.5)
+
+
+def test_shapes_stay_with_the_dataset_and_missing_meshes_are_said(workplace, capsys):
+    arm = workplace / "arm.urdf"
+    shapes = '<collision><geometry><cylinder radius="0.05" length="0.4"/></geometry></collision></link>'
+    mesh = '<collision><geometry><mesh filename="meshes/none.stl"/></geometry></collision></link>'
+    first, second, rest = arm.read_text().split("</link>")
+    arm.write_text(first + shapes + second + mesh + rest)
+    code, out, _ = run(capsys, workplace)
+    assert code == 0 and "there is no mesh file meshes/none.stl; where touches are is told by guessed shapes" in out
+    kept = json.loads((workplace / "out/robot.shapes.json").read_text())
+    ((_, (capsule,)),) = kept["bodies"].items()
+    assert capsule["radius_m"] == 0.05 and len(kept["notes"]) == 1
+    capsules, notes = link_capsules(workplace / "out/robot.urdf", load_tree(workplace / "out/robot.urdf"))
+    assert len(capsules) == 1 and notes == kept["notes"]
 
 
 @pytest.mark.parametrize("kind", ["urdf", "mjcf"])

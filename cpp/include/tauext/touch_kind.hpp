@@ -47,7 +47,7 @@ class TouchKind {
   static constexpr double kStrong = 0.3;       // of the strongest joint: below it the error of tau_ext makes half the work
   static constexpr double kSurely = 1;         // limit, which no error is: joints above it say it however strong others are
   static constexpr double kStands_rad_s = 0.03;  // slower joints do not move; or near_stiction_rad_s
-  static constexpr double kBefore_s = 0.08;    // it began: a press has not moved the arm yet
+  static constexpr double kBefore_s = 0.3;     // it began: a press of 10 mm/s has not moved the arm yet
   static constexpr double kStuck_rad = 1e-3;   // what stiction lets a joint give way
   static constexpr double kRecent_s = 0.08;    // longer than r takes to answer, shorter than most hands take to rise
   static constexpr double kOnward = 0.85;      // of the speed that it came with

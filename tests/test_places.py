@@ -108,6 +108,8 @@ def test_links_are_as_probable_as_they_are_right_and_places_are_found(bundle, mo
         second.append(link in told.ranked[:2])
         if told.probability[best] >= 0.9:
             stated.append(best == link)
+        of_first = [place for place in told.places if place.link == best]
+        assert told.best.on_link == (of_first or told.places)[0].on_link
         here = [place for place in told.places if place.link == link]
         if link >= 4 and here:
             off.append((np.linalg.norm(here[0].on_link - point), here[0].spread_m))
@@ -250,7 +252,13 @@ def test_what_is_not_known_and_what_does_not_fit(bundle, model):
     tau = [1.0] * 7
     for broken in ([np.nan] + tau[1:], [np.inf] + tau[1:]):
         told = model.find([0.0] * 7, broken, SIGMA.tolist())
-        assert not told.known and told.places == [] and told.ranked == [] and np.isnan(told.consistent)
+        assert (
+            not told.known
+            and told.places == []
+            and told.best is None
+            and told.ranked == []
+            and np.isnan(told.consistent)
+        )
     assert not model.find([0.0] * 7, tau, [0.0] * 7).known
     assert not model.find([0.0] * 7, tau, SIGMA.tolist(), dq=[np.nan] * 7).known
     with pytest.raises(_core.CoreError, match="must hold 7 values"):

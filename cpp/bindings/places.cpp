@@ -68,6 +68,15 @@ void bind_places(nb::module_& m) {
             return std::vector<TouchPlace>(f.told.place.begin(), f.told.place.begin() + f.told.places);
           },
           "The most probable first.")
+      .def_prop_ro(
+          "best",
+          [](const Found& f) -> std::optional<TouchPlace> {
+            if (f.told.places == 0) return std::nullopt;
+            for (int k = 0; k < f.told.places; ++k)
+              if (const TouchPlace& one = f.told.place[static_cast<std::size_t>(k)]; one.link == f.told.ranked[0]) return one;
+            return f.told.place[0];
+          },
+          "The most probable place on the most probable link; where none there is told, of all. None: there is none.")
       .def_prop_ro("consistent", [](const Found& f) { return f.told.consistent; },
                    "Probability that one force at the first place leaves so much unexplained or more; NaN without places.")
       .def_prop_ro("at_frame", [](const Found& f) { return f.at_frame; },

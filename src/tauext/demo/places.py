@@ -73,7 +73,7 @@ class Places:
         links = tuple(
             (link, found.probability[link]) for link in put_first(found.ranked, found.ranked.index(self._first))
         )
-        best = next(k for k, one in enumerate(places) if one.link == self._first)
+        best = next((k for k, one in enumerate(places) if one.link == self._first), 0)
         ordered = put_first(places, best)
         return Placed(links, tuple(self._place(q, one) for one in ordered[:SHOWN]))
 

@@ -95,10 +95,9 @@ def place_of(model: _core.PlaceModel, rows: np.ndarray, recording: Recording, es
     near = sum(1 << joint for joint, is_near in enumerate(estimates.near_stiction[row]) if is_near)
     tau_ext, sigma = (signal[row].astype(float).tolist() for signal in (estimates.tau_ext, estimates.sigma_nm))
     found = model.find(recording.q[row].tolist(), tau_ext, sigma, near, dq=recording.dq[row].tolist())
-    places = found.places
-    if not places:
+    best = found.best
+    if best is None:
         return {}
-    best = next(place for place in places if place.link == found.ranked[0])
     return {
         "links": [
             {"joint": recording.joints[link], "probability": found.probability[link]} for link in found.ranked[:3]

@@ -78,7 +78,7 @@ class EventFinder:
             touch=touch if touched else None,
             news=news,
             links=() if place is None else tuple((self._joints[link], share) for link, share in place.links),
-            newtons=None if place is None else newtons(place.places[0]),
+            newtons=None if place is None else newtons(place.best),
             alarm_t_ns=self._alarm_t_ns,
             of_place=of_place,
         )

@@ -56,7 +56,7 @@ class Event:
     """Of a collision or contact, joints that carry the touched link, with probabilities, the most probable first; empty
     while nothing is known."""
     newtons: float | None = None
-    """Of the force at the most probable place; None: not known."""
+    """Of the force at the most probable place on the most probable link; None: not known."""
     alarm_t_ns: int = 0
     """When the alarm rose that this event is of: events of one alarm share it."""
     of_place: bool = False

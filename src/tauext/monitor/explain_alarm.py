@@ -75,14 +75,13 @@ def place_of_touch(flight: Flight, source: FlightSource) -> str:
     near = sum(1 << j for j, at_rest in enumerate(flight["near_stiction"][row + at]) if at_rest)
     dq = flight["dq"][row + at].tolist()
     found = model.find(flight["q"][row + at].tolist(), tau[at].tolist(), sigma[at].tolist(), near, dq=dq)
-    if not found.places:
+    if found.best is None:
         return ""
     links = tuple((link, found.probability[link]) for link in found.ranked)
     since_s = (int(flight["t_ns"][row + at]) - int(flight["t_ns"][row])) * 1e-9
     level = event.alarm.value
-    change = PlaceChange(
-        row, int(event.t_ns), level, event.alarm_joint, since_s, links, tuple(found.places), found.consistent
-    )
+    told = (links, tuple(found.places), found.best, found.consistent)
+    change = PlaceChange(row, int(event.t_ns), level, event.alarm_joint, since_s, *told)
     words = place_words(change, source.joints)
     return f"{words[0].upper()}{words[1:]}."
 

@@ -38,6 +38,8 @@ class PlaceChange:
     """Number of the joint that carries the link, and its probability; the most probable first."""
     places: tuple[TouchPlace, ...]
     """The most probable first, at least one."""
+    best: TouchPlace
+    """What is told in words: the most probable place on the most probable link."""
     consistent: float
     """Probability that a single force leaves so much unexplained."""
     force: FrameForce | None = None
@@ -130,13 +132,12 @@ class PlaceFinder:
         assert self._sample is not None
         q, tau_ext, sigma_nm, near, dq = self._sample
         found = self._model.find(q, tau_ext, sigma_nm, near, dq=dq)
-        if not found.places:
+        if found.best is None:
             return None
         links = tuple((link, found.probability[link]) for link in found.ranked)
         since_s = (t_ns - self._rose_ns) * 1e-9
-        return PlaceChange(
-            row, t_ns, alarm, self._joint, since_s, links, tuple(found.places), found.consistent, self._force
-        )
+        told = (links, tuple(found.places), found.best, found.consistent, self._force)
+        return PlaceChange(row, t_ns, alarm, self._joint, since_s, *told)
 
 
 def newtons(place: TouchPlace) -> float:
@@ -151,7 +152,7 @@ def place_words(change: PlaceChange, joints: tuple[str, ...]) -> str:
         return f"the touch is no single force on one link: two touches, or a moment without a force{at_frame}"
     (first, probability), *others = change.links
     rivals = "".join(f"; {joints[link]} {share:.0%}" for link, share in others[:2] if share >= 0.05)
-    place = next(place for place in change.places if place.link == first)
+    place = change.best
     where = ", ".join(f"{value:.2f}" for value in place.point)
     return (
         f"the touch is on the link of {joints[first]} ({probability:.0%}{rivals}): {newtons(place):.0f} N within "

@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "link_seen.hpp"
 #include "vector3.hpp"
 
 namespace tauext {
@@ -64,30 +65,15 @@ LoadRegressor::LoadRegressor(const Tree& tree, const LoadFrame& frame)
 
 void LoadRegressor::look(std::span<const double> q, std::span<const double> dq) noexcept {
   std::array<Screw, kMaxJoints> twist;  // of the chain, for a unit speed
-  // The link that is being passed, seen from the frame: its axes, its origin.
-  const Turn fixed = turn(frame_.rotation);
-  Turn axes{fixed.back({1, 0, 0}), fixed.back({0, 1, 0}), fixed.back({0, 0, 1})};
-  Vector3 origin = -1.0 * fixed.back(vector3(frame_.translation));
+  LinkSeen seen(frame_.rotation, frame_.translation);
+  const Turn& axes = seen.axes;
   Screw whole;
   for (std::size_t k = 0; k < chain_.size(); ++k) {
     const auto j = static_cast<std::size_t>(chain_[k]);
     const Link& link = links_[j];
-    const bool revolute = link.type == JointType::revolute;
-    twist[k] = revolute ? Screw{axes.z, cross(origin, axes.z)} : Screw{{}, axes.z};
+    twist[k] = link.type == JointType::revolute ? Screw{axes.z, cross(seen.origin, axes.z)} : Screw{{}, axes.z};
     whole = whole + dq[j] * twist[k];
-    Turn parent = turn(link.rotation);  // of the link at this q, in its parent
-    Vector3 at = vector3(link.translation);
-    if (revolute) {
-      const double c = std::cos(q[j]), s = std::sin(q[j]);
-      const Vector3 x = parent.x, y = parent.y;
-      parent.x = c * x + s * y;
-      parent.y = c * y - s * x;
-    } else {
-      at = at + q[j] * parent.z;
-    }
-    const auto through = [&](Vector3 v) { return axes.out(parent.back(v)); };
-    axes = {through({1, 0, 0}), through({0, 1, 0}), through({0, 0, 1})};
-    origin = origin - axes.out(at);
+    seen.pass(link, q[j]);
   }
 
   const Screws momentum = momenta(whole), weight = momenta({{}, axes.out(vector3(gravity_))});

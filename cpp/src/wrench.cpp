@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 
+#include "link_seen.hpp"
 #include "tauext/bundle.hpp"
 #include "tauext/load_regressor.hpp"
 #include "tauext/refit_motion.hpp"
@@ -30,14 +31,8 @@ std::string why_none(const Bundle& bundle) {
   return "";
 }
 
-// The base, as seen from a frame.
-struct SeenBase {
-  Turn axes;
-  Vector3 origin;
-};
-
-// The columns of WrenchModel::columns(), on the way from the frame to the base.
-SeenBase see(const std::vector<Link>& links, const WrenchFrame& frame, std::span<const double> q,
+// The columns of WrenchModel::columns(), on the way from the frame to the base, which is returned.
+LinkSeen see(const std::vector<Link>& links, const WrenchFrame& frame, std::span<const double> q,
          const std::array<double, 3>& point, WrenchAxes axes, std::span<double> into) noexcept {
   const auto n = links.size();
   std::fill_n(into.begin(), 6 * n, 0.0);
@@ -46,36 +41,21 @@ SeenBase see(const std::vector<Link>& links, const WrenchFrame& frame, std::span
     into[(3 * part + 1) * n + j] = v.y;
     into[(3 * part + 2) * n + j] = v.z;
   };
-  // The link that is being passed, seen from the frame: its axes, its origin.
-  const Turn fixed = turn(frame.rotation);
-  Turn seen{fixed.back({1, 0, 0}), fixed.back({0, 1, 0}), fixed.back({0, 0, 1})};
-  Vector3 origin = -1.0 * fixed.back(vector3(frame.translation));
+  LinkSeen seen(frame.rotation, frame.translation);
   for (int at = frame.link; at >= 0;) {
     const auto j = static_cast<std::size_t>(at);
     const Link& link = links[j];
     const bool revolute = link.type == JointType::revolute;
-    put(0, j, revolute ? cross(seen.z, vector3(point) - origin) : seen.z);
-    if (revolute) put(1, j, seen.z);
-    Turn parent = turn(link.rotation);  // of the link at this q, in its parent
-    Vector3 shift = vector3(link.translation);
-    if (revolute) {
-      const double c = std::cos(q[j]), s = std::sin(q[j]);
-      const Vector3 x = parent.x, y = parent.y;
-      parent.x = c * x + s * y;
-      parent.y = c * y - s * x;
-    } else {
-      shift = shift + q[j] * parent.z;
-    }
-    const auto through = [&](Vector3 v) noexcept { return seen.out(parent.back(v)); };
-    seen = {through({1, 0, 0}), through({0, 1, 0}), through({0, 0, 1})};
-    origin = origin - seen.out(shift);
+    put(0, j, revolute ? cross(seen.axes.z, vector3(point) - seen.origin) : seen.axes.z);
+    if (revolute) put(1, j, seen.axes.z);
+    seen.pass(link, q[j]);
     at = link.parent;
   }
   if (axes == WrenchAxes::base)
     for (std::size_t j = 0; j < n; ++j)
       for (std::size_t part : {0u, 1u})
-        put(part, j, seen.back({into[3 * part * n + j], into[(3 * part + 1) * n + j], into[(3 * part + 2) * n + j]}));
-  return {seen, origin};
+        put(part, j, seen.axes.back({into[3 * part * n + j], into[(3 * part + 1) * n + j], into[(3 * part + 2) * n + j]}));
+  return seen;
 }
 
 }  // namespace
@@ -147,7 +127,7 @@ void WrenchModel::columns(int frame, std::span<const double> q, const std::array
 void WrenchModel::pose(int frame, std::span<const double> q, std::array<double, 9>& rotation,
                        std::array<double, 3>& origin) const noexcept {
   std::array<double, 6 * kMaxJoints> columns;
-  const SeenBase base = see(links_, frames_[static_cast<std::size_t>(frame)], q, {}, WrenchAxes::frame, columns);
+  const LinkSeen base = see(links_, frames_[static_cast<std::size_t>(frame)], q, {}, WrenchAxes::frame, columns);
   rotation = {base.axes.x.x, base.axes.x.y, base.axes.x.z, base.axes.y.x, base.axes.y.y,
               base.axes.y.z, base.axes.z.x, base.axes.z.y, base.axes.z.z};
   const Vector3 at = -1.0 * base.axes.back(base.origin);

@@ -122,6 +122,7 @@ def formulas(q: np.ndarray, dq: np.ndarray, beta: np.ndarray, z: list[np.ndarray
         "gravity cos sin cos": (_core.Term(Kind.gravity, 0, 1, 2, form=11), c[0] * s[1] * c[2]),
         "quadratic sin": (_core.Term(Kind.quadratic, 0, 1, 2, form=0), v[0] * v[1] * s[2]),
         "quadratic cos": (_core.Term(Kind.quadratic, 1, 1, 0, form=1), v[1] ** 2 * c[0]),
+        "backlash": (_core.Term(Kind.backlash, 1, b=1), beta[:, 1] * (1 - np.abs(z[1][:, 1]))),
         "momentum": (_core.Term(Kind.momentum, 2, 0, form=0), v[2]),
         "momentum cos": (_core.Term(Kind.momentum, 2, 0, form=1), v[2] * c[0]),
         "momentum sin": (_core.Term(Kind.momentum, 2, 0, form=2), v[2] * s[0]),
@@ -141,6 +142,7 @@ def test_a_load_may_be_that_of_the_corrected_model():
     for kind, at, values in (
         (Kind.load, {"speed": 0.2}, np.abs(beta[:, 1]) * np.tanh(dq[:, 1] / 0.2)),
         (Kind.load_presliding, {"b": 1}, np.abs(beta[:, 1]) * z[1][:, 1]),
+        (Kind.backlash, {"b": 1}, beta[:, 1] * (1 - np.abs(z[1][:, 1]))),
     ):
         prior = prior_of([_core.Term(kind, 1, form=BY_CORRECTED, **at)], [[2.0], [0.0], [-3.0]], WIDTHS)
         prior.corrected_links = corrected.links

@@ -63,6 +63,7 @@ void bind_load_found(nb::module_& m);
 void bind_monitor(nb::module_& m);
 void bind_refit(nb::module_& m);
 void bind_places(nb::module_& m);
+void bind_servo(nb::module_& m);
 void bind_wrench(nb::module_& m);
 // Throws Error where the bundle has no wrench, or no such frame.
 int frame_of(const WrenchModel& model, const std::string& name);

@@ -152,7 +152,8 @@ void bind_observer(nb::module_& m) {
       .value("ripple", TermKind::ripple)
       .value("gravity", TermKind::gravity)
       .value("quadratic", TermKind::quadratic)
-      .value("momentum", TermKind::momentum);
+      .value("momentum", TermKind::momentum)
+      .value("backlash", TermKind::backlash);
   nb::class_<Term>(m, "Term", "A regressor of the prior; see prior.hpp for what a, b, c, form and speed mean to a kind.")
       .def(
           "__init__",
@@ -456,6 +457,7 @@ void bind_bundle(nb::module_& m) {
       .def_rw("load_settings", &Bundle::load, "Where a load is fixed, and what is believed of one.")
       .def_rw("wrench_settings", &Bundle::wrench, "What forces and moments at frames are worth.")
       .def_rw("capsules", &Bundle::capsules, "What links look like, as the robot file has it; none: it has not.")
+      .def_rw("servo", &Bundle::servo, "What makes dq and tau of a servo's signals, ahead of the chain; may be off.")
       .def("assume_load", &Bundle::assume_load, "What is said of a load where nobody says more: see bundle.hpp.")
       .def_prop_ro("torque_units", [](const Bundle& b) { return units(b, &Bundle::torque_unit); },
                    "Unit of the tau that is to be given, a joint.")
@@ -672,6 +674,7 @@ NB_MODULE(_core, m) {
   nb::exception<Error>(m, "CoreError", nb::module_::import_("tauext.errors").attr("TauextError"));
   bind_wrench(m);
   bind_places(m);
+  bind_servo(m);
   bind_tree(m);
   bind_observer(m);
   bind_lstm(m);

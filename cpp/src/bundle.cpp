@@ -160,6 +160,10 @@ void Bundle::validate() const {
   load.validate(joints());
   wrench.validate(joints());
   validate_capsules(capsules, joints());
+  if (servo.on()) {
+    servo.validate();
+    expect_length("servo.joints", servo.joints, links.size());
+  }
   if (load.settable() && !tree.has_mass() && prior.corrected_links.empty())
     throw Error("it says that a load can be set, and no model carries one");
   const auto samples = reference.t_ns.size();

@@ -24,6 +24,7 @@ constexpr std::uint32_t kPossibleMajor = 7;   // from here on what is possible a
 constexpr std::uint32_t kTodayMajor = 8;      // from here on what may be carried is stated, before it is assumed; and how
                                               // friction may be another one than in training, before it may not
 constexpr std::uint32_t kWrenchMajor = 9;     // from here on frames and what errors have in common; before, as the defaults say
+constexpr std::uint32_t kServoMajor = 10;     // from here on servos; before, signals came as they are
 constexpr const char* kOldConstants = "\"torque_constants\": {";
 
 class Writer {
@@ -107,6 +108,16 @@ void field(File& file, Capsule& capsule) {
   field(file, capsule.start);
   field(file, capsule.end);
   field(file, capsule.radius_m);
+}
+template <class File>
+void field(File& file, ServoConstants& joint) {
+  field(file, joint.volts);
+  field(file, joint.ohm);
+  field(file, joint.back_emf_v_s);
+  field(file, joint.nm_per_ampere);
+  field(file, joint.duty_per_rad);
+  field(file, joint.most_duty);
+  field(file, joint.count_rad);
 }
 template <class File>
 void field(File& file, Term& term) {
@@ -222,6 +233,12 @@ void fields(File& file, Bundle& b) {
     field(file, b.wrench.radius);
     field(file, b.wrench.residual_radius);
     field(file, b.capsules);
+  }
+  if (file.major >= kServoMajor) {
+    field(file, b.servo.torque_from);
+    field(file, b.servo.velocity_steps);
+    field(file, b.servo.sample_period_ns);
+    field(file, b.servo.joints);
   }
   field(file, b.reference.t_ns);
   field(file, b.reference.q);

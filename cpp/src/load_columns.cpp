@@ -15,7 +15,7 @@ constexpr std::size_t kLoads = LoadColumns::kParameters, kOffset = kLoads, kFram
                       kCoulomb = kBase + 3, kFilters = kCoulomb + 1;
 
 bool goes_by_corrected(const PriorSettings& prior) {
-  return std::ranges::any_of(prior.terms, [](const Term& term) { return is_load(term) && term.form == 1; });
+  return std::ranges::any_of(prior.terms, [](const Term& term) { return (is_load(term) || term.kind == TermKind::backlash) && term.form == 1; });
 }
 
 }  // namespace

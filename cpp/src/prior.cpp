@@ -34,11 +34,11 @@ void PriorSettings::validate(int joints) const {
   for (std::size_t m = 0; m < terms.size(); ++m) {
     const Term& t = terms[m];
     const auto joint = [joints](std::int32_t j) { return j >= 0 && j < joints; };
-    expect(t.kind <= TermKind::momentum, m, "its kind is unknown");
+    expect(t.kind <= TermKind::backlash, m, "its kind is unknown");
     expect(joint(t.a), m, "joint a does not exist");
     if (t.kind == TermKind::coulomb || t.kind == TermKind::load)
       expect(t.speed > 0 && std::isfinite(t.speed), m, "its speed must be > 0");
-    if (is_presliding(t))
+    if (has_width(t))
       expect(t.b >= 0 && t.b < probe.width_count(), m, "its presliding width does not exist");
     if (t.kind == TermKind::gravity || t.kind == TermKind::quadratic || t.kind == TermKind::momentum)
       expect(joint(t.b), m, "joint b does not exist");
@@ -47,10 +47,12 @@ void PriorSettings::validate(int joints) const {
     if (t.kind == TermKind::ripple) expect(t.b >= 1 && t.b <= kMaxCycles, m, "its cycles a turn are not 1 to 10000");
     const int forms = t.kind == TermKind::gravity    ? 14
                       : t.kind == TermKind::momentum ? 3
-                      : t.kind == TermKind::quadratic || t.kind == TermKind::ripple || is_load(t) ? 2
-                                                                                                  : 1;
+                      : t.kind == TermKind::quadratic || t.kind == TermKind::ripple ||
+                              is_load(t) || t.kind == TermKind::backlash
+                          ? 2
+                          : 1;
     expect(t.form >= 0 && t.form < forms, m, "its form does not exist");
-    if (is_load(t) && t.form == 1)
+    if ((is_load(t) || t.kind == TermKind::backlash) && t.form == 1)
       expect(!corrected_links.empty(), m, "it asks for the load by the corrected model, and there is none");
   }
   if (weights.size() != terms.size() * static_cast<std::size_t>(joints))
@@ -104,8 +106,10 @@ void PriorTerms::look(std::span<const double> q, std::span<const double> dq, con
                          std::span(corrected_beta_).first(q.size()));
 }
 
+double PriorTerms::weight_nm(const Term& t) const noexcept { return t.form == 0 ? beta_[t.a] : corrected_beta_[t.a]; }
+
 double PriorTerms::load_nm(const Term& t) const noexcept {
-  const double load = std::fabs(t.form == 0 ? beta_[t.a] : corrected_beta_[t.a]);
+  const double load = std::fabs(weight_nm(t));
   return most_load_nm_.empty() ? load : std::min(load, most_load_nm_[static_cast<std::size_t>(t.a)]);
 }
 
@@ -138,14 +142,16 @@ double PriorTerms::value(std::size_t term) const noexcept {
     case TermKind::quadratic: return dq_[t.a] * dq_[t.b] * (t.form == 0 ? std::sin(q_[t.c]) : std::cos(q_[t.c]));
     case TermKind::momentum:
       return dq_[t.a] * (t.form == 0 ? 1.0 : t.form == 1 ? std::cos(q_[t.b]) : std::sin(q_[t.b]));
+    case TermKind::backlash: return weight_nm(t) * (1.0 - std::fabs(presliding_->value(t.a, t.b)));
   }
   return 0.0;
 }
 
 double PriorTerms::doubt(std::size_t term) const noexcept {
   const Term& t = terms_[term];
-  if (!is_presliding(t)) return 0.0;
-  return (is_load(t) ? load_nm(t) : 1.0) * presliding_->doubt(t.a, t.b);
+  if (!has_width(t)) return 0.0;
+  const double size = is_load(t) ? load_nm(t) : t.kind == TermKind::backlash ? std::fabs(weight_nm(t)) : 1.0;
+  return size * presliding_->doubt(t.a, t.b);
 }
 
 Prior::Prior(const PriorSettings& settings, const std::array<double, 3>& gravity, int joints, double gain_per_s)
@@ -155,7 +161,7 @@ Prior::Prior(const PriorSettings& settings, const std::array<double, 3>& gravity
       values_(settings.terms.size()),
       shares_(settings.most_load_nm.empty() ? std::vector<double>() : load_friction_shares(settings, joints)),
       temperature_(settings.temperature),
-      has_presliding_(std::ranges::any_of(settings.terms, is_presliding)),
+      has_presliding_(std::ranges::any_of(settings.terms, has_width)),
       state_{MomentumObserver(joints, gain_per_s, TorqueTiming::held),
              MomentumObserver(joints, gain_per_s, TorqueTiming::held), false, false, {}} {
   for (std::size_t m = 0; m < terms_.size(); ++m) {

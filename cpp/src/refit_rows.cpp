@@ -91,6 +91,7 @@ bool may_change(const Term& term) noexcept {
     case TermKind::load:
     case TermKind::load_presliding:
     case TermKind::ripple:
+    case TermKind::backlash:
       return true;
     default:
       return false;

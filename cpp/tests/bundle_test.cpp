@@ -160,8 +160,8 @@ void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
     std::memcpy(bytes.data() + 8, &major, sizeof major);
     return [bytes] { from_bytes(bytes); };
   };
-  refused("version 10, this program reads versions 3 to 9; it was made by a newer tauext", with_version(kBundleMajor + 1));
-  refused("version 2, this program reads versions 3 to 9; train it again", with_version(kOldestBundleMajor - 1));
+  refused("version 11, this program reads versions 3 to 10; it was made by a newer tauext", with_version(kBundleMajor + 1));
+  refused("version 2, this program reads versions 3 to 10; train it again", with_version(kOldestBundleMajor - 1));
   std::vector<char> bytes = good;
   bytes.push_back(0);
   refused("something appended", [&] { from_bytes(bytes); });
@@ -307,7 +307,8 @@ void an_old_bundle_with_torque_constants_is_refused_with_the_command_that_conver
     const std::size_t load = 8 + bundle.load.frame.size() + 4 + 8 * 14 + 8 + bundle.load.refused.size() + 6 * 8;
     // Nor what came with format 9, wrenches and shapes: three empty lists, five numbers, an empty list.
     const auto forces = bytes.end() - static_cast<std::ptrdiff_t>(reference);
-    bytes.erase(forces - 9 * 8, forces);
+    // Nor what came with format 10, servos: a byte, a number of 4 bytes, one of 8, an empty list.
+    bytes.erase(forces - (9 * 8 + 21), forces);
     const auto carried = bytes.end() - static_cast<std::ptrdiff_t>(reference);
     bytes.erase(carried - static_cast<std::ptrdiff_t>(load), carried);
     // Nor what came with format 7: what is possible, two lists before the reference.

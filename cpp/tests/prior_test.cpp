@@ -108,6 +108,26 @@ void a_constant_torque_and_a_rising_momentum_give_the_closed_form() {
   }
 }
 
+// A joint that turns back by less than the play carries nothing of what weighs on it, as far as it is inside: beta = 3 Nm,
+// play of 2 w = 0.02 rad, from one flank (state 1) to the other. The filter has settled after a second of standing.
+void across_the_play_a_gear_carries_no_weight() {
+  PriorSettings settings = only({{TermKind::backlash, 0, 0, 0, 0, 0}}, {-1.0});
+  settings.widths_rad = {0.01};
+  for (double back : {0.0, 0.004, 0.01, 0.016, 0.02}) {
+    Prior prior(settings, kGravity, 1, kGain);
+    Presliding bank(1, settings.widths_rad);
+    const double zero[1] = {0}, beta[1] = {3};
+    double out[1], doubt[1];
+    for (int k = 0; k <= 2000; ++k) {
+      const double q[1] = {k < 300 ? 1e-4 * k : 0.0299 - back * std::min(k - 299, 200) / 200};
+      bank.step(q);
+      prior.step(k * kMs, q, zero, bank, zero, beta, out, doubt);
+    }
+    CHECK_CLOSE(out[0], -3.0 * (1 - std::fabs(1 - back / 0.01)), 1e-9);
+    CHECK(doubt[0] < 1e-9);
+  }
+}
+
 // The observer of the estimated model minus the prior of a corrected one is the observer of the corrected model.
 void a_corrected_model_turns_r_into_that_of_the_corrected_model() {
   const Bundle b = made::bundle(4, 0, kSteps, kStride, 1);
@@ -297,8 +317,8 @@ void invalid_settings_are_refused_by_name() {
   };
   refused_after("prior.most_load_nm has 1 values where 2 belong", [](PriorSettings& p) { p.most_load_nm = {1}; });
   refused_after("prior.most_load_nm = -1 must be >= 0 and finite", [](PriorSettings& p) { p.most_load_nm = {1, -1}; });
-  refused_term("prior term 3: its kind is unknown", {static_cast<TermKind>(10), 0, 0, 0, 0, 0});
-  for (int kind = 0; kind <= static_cast<int>(TermKind::momentum); ++kind) {
+  refused_term("prior term 3: its kind is unknown", {static_cast<TermKind>(11), 0, 0, 0, 0, 0});
+  for (int kind = 0; kind <= static_cast<int>(TermKind::backlash); ++kind) {
     const auto of = static_cast<TermKind>(kind);
     refused_term("prior term 3: joint a does not exist", {of, 2, 1, 0, 0, 0.1});
     refused_term("prior term 3: joint a does not exist", {of, -1, 1, 0, 0, 0.1});
@@ -306,13 +326,14 @@ void invalid_settings_are_refused_by_name() {
     const std::int32_t forms = of == TermKind::gravity ? 14 : of == TermKind::momentum ? 3
                                : of == TermKind::quadratic || of == TermKind::ripple  ? 2
                                : of == TermKind::load || of == TermKind::load_presliding ? 2
+                               : of == TermKind::backlash                                ? 2
                                                                                           : 1;
     refused_term("prior term 3: its form does not exist", {of, 0, 1, 0, forms, 0.1});
   }
   for (TermKind of : {TermKind::coulomb, TermKind::load})
     for (double speed : {0.0, -0.1, static_cast<double>(NAN), static_cast<double>(INFINITY)})
       refused_term("prior term 3: its speed must be > 0", {of, 0, 0, 0, 0, speed});
-  for (TermKind of : {TermKind::presliding, TermKind::load_presliding})
+  for (TermKind of : {TermKind::presliding, TermKind::load_presliding, TermKind::backlash})
     for (std::int32_t width : {-1, 3})
       refused_term("prior term 3: its presliding width does not exist", {of, 0, width, 0, 0, 0});
   for (TermKind of : {TermKind::gravity, TermKind::quadratic, TermKind::momentum})
@@ -621,6 +642,7 @@ void without_a_prior_nothing_is_expected() {
 
 int main() {
   a_constant_torque_and_a_rising_momentum_give_the_closed_form();
+  across_the_play_a_gear_carries_no_weight();
   a_corrected_model_turns_r_into_that_of_the_corrected_model();
   terms_and_corrected_model_add_up();
   load_terms_see_no_more_than_they_were_fitted_to();

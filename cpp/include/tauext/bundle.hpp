@@ -15,6 +15,7 @@
 #include "tauext/lstm.hpp"
 #include "tauext/prior.hpp"
 #include "tauext/residual.hpp"
+#include "tauext/servo_input.hpp"
 #include "tauext/signal_watch.hpp"
 #include "tauext/tree.hpp"
 #include "tauext/wrench.hpp"
@@ -22,7 +23,7 @@
 namespace tauext {
 
 // Formats of bundles.
-inline constexpr std::uint32_t kBundleMajor = 9;        // what is written
+inline constexpr std::uint32_t kBundleMajor = 10;       // what is written
 inline constexpr std::uint32_t kOldestBundleMajor = 3;  // what is still read; fields that it lacks keep their defaults
 
 // A short stretch of free motion and what the chain said at its last sample; replayed at load.
@@ -76,6 +77,7 @@ struct Bundle {
   LoadSettings load;                    // where a load is fixed, and what is believed of one
   WrenchSettings wrench;                // of forces and moments at frames
   std::vector<Capsule> capsules;        // what links look like
+  ServoSettings servo;                  // what makes dq and tau of a servo's signals, ahead of the chain; may be off
   Reference reference;                  // replayed at load
 
   int joints() const noexcept { return static_cast<int>(links.size()); }  // how many

@@ -29,6 +29,8 @@ enum class TermKind : std::uint8_t {
                         // 6 to 13: a product of three, form - 6 = 4 [cos a] + 2 [cos b] + [cos c], sin where that is 0
   quadratic = 8,        // dq_a dq_b times form 0 sin c, 1 cos c
   momentum = 9,         // dq_a times form 0 1, 1 cos b, 2 sin b
+  backlash = 10,        // beta_a (1 - |state of joint a for width b|): what the gear does not carry while it crosses its
+                        // play; forms as load
 };
 
 // One term: its kind, and what TermKind says of a, b, c, form and speed there; what a kind does not name is 0.
@@ -75,6 +77,8 @@ inline bool is_load(const Term& term) noexcept {
 inline bool is_presliding(const Term& term) noexcept {
   return term.kind == TermKind::presliding || term.kind == TermKind::load_presliding;
 }
+// It follows a presliding state, whatever that tells of.
+inline bool has_width(const Term& term) noexcept { return is_presliding(term) || term.kind == TermKind::backlash; }
 // Friction that grows with the force on a contact, whatever the speed.
 inline bool is_coulomb(const Term& term) noexcept {
   return term.kind == TermKind::coulomb || is_load(term) || is_presliding(term);
@@ -119,7 +123,8 @@ class PriorTerms {
   std::span<const double> corrected_beta() const noexcept { return {corrected_beta_.data(), q_.size()}; }
 
  private:
-  // beta of the model that a load term asks for.
+  // beta of the model that a term asks for; its size, within the bound of load terms.
+  double weight_nm(const Term& term) const noexcept;
   double load_nm(const Term& term) const noexcept;
 
   std::vector<Term> terms_;

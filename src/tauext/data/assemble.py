@@ -16,6 +16,7 @@ from tauext.data.description import TIME_UNITS, Arm
 from tauext.data.importers import RawRecording, RawSignals
 from tauext.data.merge import Table, base_stream, held, interpolated
 from tauext.data.recording import Recording
+from tauext.data.servo import servo_facts, servo_settings, velocity_and_torque
 from tauext.data.stamps import count_gaps, fresh, lost_share, ordered
 from tauext.data.velocity import derived_velocity
 from tauext.errors import RecordingError
@@ -29,6 +30,12 @@ WORTH_SAYING = 1e-3
 LATE_S = 1.0
 """A packet may come so much later than its stamp and still be sorted in, [s]."""
 MEASURED = ("q", "dq", "tau")
+TORQUE_WORDS = {
+    "phase-current": "current of the windings",
+    "supply-current": "current of the supply",
+    "duty": "duty",
+    "goal": "goal and the position",
+}
 
 
 def assemble(raw: RawRecording, arm: Arm, robot_sha256: str = "", rate_hz: float = 0.0) -> Iterator[Recording]:
@@ -153,18 +160,22 @@ def _piece(
     if not len(t_ns):
         raise RecordingError(f"no sample is left of {sum(len(t) for t, _ in tables.values())}; {_sentences(counts)}")
     signals = {key: in_si(key, arm.signals[key], values, arm) for key, values in taken.items() if key != "contact"}
-    own = fresh(t_ns, np.hstack([signals["q"], signals["tau"]]), True, Counter())
+    own = np.ones(len(t_ns), bool)
+    if arm.servo is None:  # servos count so coarsely that equal rows need not be repeats
+        own = fresh(t_ns, np.hstack([signals["q"], signals["tau"]]), True, Counter())
     if not own.all():
         facts["measured_hz"] = round(_nominal_rate(t_ns) * float(own.mean()), 3)  # what gaps lost is told apart
-    if "dq" not in signals:
+    start_ns = int(t_ns[0]) if start_ns is None else start_ns
+    rate_hz = rate_hz or _nominal_rate(t_ns)
+    if arm.servo is not None:
+        _make_torque(arm, t_ns, rate_hz, signals, facts)
+    elif "dq" not in signals:
         low_pass = arm.signals["dq"].low_pass_hz
         # A held position has the speed of its measurement: not 0, and then twice as much.
         signals["dq"] = derived_velocity(t_ns[own], signals["q"][own], low_pass)[np.cumsum(own) - 1]
         facts["velocity"] = (
             f"derived from the position, low-pass {low_pass:g} Hz" if low_pass else "derived, no low-pass"
         )
-    start_ns = int(t_ns[0]) if start_ns is None else start_ns
-    rate_hz = rate_hz or _nominal_rate(t_ns)
     facts["longest_step_s"] = round(count_gaps(t_ns, counts), 6)
     facts["lost_share"] = round(lost_share(t_ns), 6)
     facts["start_s"] = round((int(t_ns[0]) - start_ns) * 1e-9, 9)
@@ -178,6 +189,8 @@ def _piece(
         done.append(f"{facts['lost_share']:.1%} of the samples at {_nominal_rate(t_ns):.4g} Hz are missing: gaps")
     if "velocity" in facts:
         done.append(f"velocity {facts['velocity']}")
+    if "made" in facts:
+        done.append(facts["made"])
     if "merged" in facts:
         done.append(facts["merged"])
     provenance = {"command": "tauext import", "file": raw.path.name, "format": raw.format} | facts
@@ -193,6 +206,20 @@ def _piece(
         provenance=provenance | {"done": done, "counts": dict(counts)},
         **signals,
     )
+
+
+def _make_torque(
+    arm: Arm, t_ns: np.ndarray, rate_hz: float, signals: dict[str, np.ndarray], facts: dict[str, Any]
+) -> None:
+    """Velocity and torque of servos."""
+    settings = servo_settings(arm, rate_hz, signals["q"])
+    signals["dq"], signals["tau"] = velocity_and_torque(settings, t_ns, signals["q"], signals)
+    facts["servo"] = servo_facts(settings)
+    assert arm.servo is not None
+    if settings.velocity_steps:
+        facts["velocity"] = f"derived from the position, over {settings.velocity_steps} samples at most"
+    if arm.makes_torque:
+        facts["made"] = f"torque made of the {TORQUE_WORDS[arm.servo.torque_from]}"
 
 
 def _cleaned(stream: str, table: Table, arm: Arm, columns: Columns, counts: Counter[str]) -> Table:
@@ -220,7 +247,8 @@ def _merged(
     """Every signal at the stamps of one stream, (samples, joints) each."""
     signals = {key: at for key, at in columns.signals.items() if key != "time"}
     essential = list(dict.fromkeys(signals[key][0] for key in MEASURED if key in signals))
-    base = base_stream(tables, signals["tau"][0], essential)
+    leading = signals["tau" if "tau" in signals else "q"][0]
+    base = base_stream(tables, leading, essential)
     t_ns = tables[base][0]
     known = np.ones(len(t_ns), bool)
     values = {}
@@ -237,7 +265,7 @@ def _merged(
             known &= there
     others = [stream for stream in tables if stream != base]
     if others:
-        why = "the torque's" if base == signals["tau"][0] else "the slowest"
+        why = "the torque's" if base == leading else "the slowest"
         facts["merged"] = f"{', '.join(others)} brought to the stamps of {base} ({why}), linear in between"
     return t_ns[known], {key: value[known] for key, value in values.items()}
 

@@ -6,6 +6,7 @@ from tauext import _core
 from tauext.data.amperes import FROM_AMPERES
 from tauext.data.recording import Recording
 from tauext.data.recording_file import Description
+from tauext.data.servo import servo_facts
 from tauext.errors import BundleError
 
 
@@ -30,6 +31,13 @@ def expect_fit(bundle: _core.Bundle, recording: Recording | Description) -> None
         raise BundleError(
             f"bundle '{bundle.name}' takes torques that are {timing}; those of recording {recording.name} are "
             f"{recording.torque_timing}"
+        )
+    made, wanted = recording.provenance.get("servo"), servo_facts(bundle.servo) if bundle.servo.on else None
+    if wanted is not None and made != wanted:
+        how = "with other settings" if made else "not made by [servo] of an arm.toml"
+        raise BundleError(
+            f"bundle '{bundle.name}' makes velocity and torque of what servos report; those of recording "
+            f"{recording.name} are {how}: import it with the arm.toml that the bundle's recordings were imported with"
         )
     told = recording.provenance.get("torque")
     if "A" in bundle.torque_units and told in ("N m", FROM_AMPERES):

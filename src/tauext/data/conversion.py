@@ -25,8 +25,9 @@ def conversions(arm: Arm) -> list[str]:
     """What in_si did, in words, where it did anything."""
     lines = []
     for key, signal in arm.signals.items():
-        done = [] if UNITS[key][signal.unit] == 1 and not signal.is_current else [f"from {signal.unit}"]
-        if signal.is_current:
+        is_current = signal.is_current and key == "tau"
+        done = [] if UNITS[key][signal.unit] == 1 and not is_current else [f"from {signal.unit}"]
+        if is_current:
             known = signal.torque_constant != "unknown"
             done.append(f"times {', '.join(f'{k:g}' for k in signal.torque_constant)} Nm/A" if known else "left in A")
         if signal.side == "motor":

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from tauext.data.recording import TorqueTiming
+from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import ConfigError
 from tauext.store import Place, local_robot, place_of
 
@@ -20,8 +21,11 @@ UNITS: dict[str, dict[str, float]] = {
     "tau_ext": {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3},
     "q_des": {"rad": 1.0, "deg": math.pi / 180},
     "temperature": {"degC": 1.0},
+    "current": {"A": 1.0, "mA": 1e-3},
+    "duty": {"1": 1.0, "%": 0.01, "permille": 0.001},
+    "voltage": {"V": 1.0, "mV": 1e-3},
 }
-"""Units of each signal, and what one of them is in rad, rad/s, N m (A for currents) or degrees Celsius."""
+"""Units of each signal, and what one of them is in rad, rad/s, N m (A for currents), degrees Celsius, V, or 1."""
 CURRENTS = ("A", "mA")
 TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 
@@ -80,6 +84,36 @@ class SignalTable:
         return self.unit in CURRENTS
 
 
+TorqueSource = Literal["torque", "phase-current", "supply-current", "duty", "goal"]
+NEEDS = {"phase-current": "current", "supply-current": "current", "duty": "duty", "goal": "q_des"}
+"""The signal that a servo's torque is made of, by its source."""
+
+
+@dataclass(frozen=True)
+class ServoTable:
+    """[servo]: joints are driven by servos, and what these report is turned into velocity and torque."""
+
+    torque_from: TorqueSource
+    type: tuple[str, ...] = ()
+    """Of SERVO_TYPES, one that stands for all joints or one a joint; none: a servo nobody knows."""
+    gain: tuple[float, ...] = ()
+    """P gain of the position controller, in the servo's own unit; none: what its type usually has."""
+    duty_per_rad: tuple[float, ...] = ()
+    """Duty a rad of position error, in place of `gain`."""
+    voltage_v: tuple[float, ...] = ()
+    """Of the supply, where no signal says it; none: the type's."""
+    ohm: tuple[float, ...] = ()
+    back_emf_v_s: tuple[float, ...] = ()
+    torque_constant: tuple[float, ...] | str = ()
+    """[N m/A] a joint, or "unknown"; none: the type's."""
+    counts_a_turn: tuple[float, ...] = ()
+    """Of the encoder; none: the type's, or else as the recordings show."""
+    velocity_window_s: float = 0.2
+    """Longest stretch that a velocity is derived from, [s]; 0: the velocity is taken as measured."""
+    timing: TorqueTiming = "held"
+    """Of the torque."""
+
+
 COMMON = ("columns", "topic", "unit", "sign")
 KEYS = {
     "q": (*COMMON, "side", "offset"),
@@ -88,6 +122,9 @@ KEYS = {
     "tau_ext": COMMON,
     "q_des": (*COMMON, "side", "offset"),
     "temperature": ("columns", "topic", "unit"),
+    "current": COMMON,
+    "duty": COMMON,
+    "voltage": ("columns", "topic", "unit"),
 }
 """Keys of each table of [signals]."""
 
@@ -137,6 +174,7 @@ class Arm:
     time: TimeTable = TimeTable()
     contact: ContactTable = field(default_factory=ContactTable)
     split: SplitTable = SplitTable()
+    servo: ServoTable | None = None
     path: Place = Path("arm.toml")
     """Its file; the robot model's path is relative to it."""
 
@@ -159,6 +197,8 @@ class Arm:
         for name in ("q", "tau"):
             if name not in self.signals:
                 raise ConfigError(f"{self.path}: [signals.{name}] is missing; position and torque are needed")
+        if self.servo is not None:
+            self._check_servo(self.servo)
         for name, signal in self.signals.items():
             self._check_signal(name, signal)
         for name, spans in self.contact.intervals.items():
@@ -208,7 +248,8 @@ class Arm:
         table = f"signals.{name}"
         self._require(signal.unit in UNITS[name], table, "unit", repr(signal.unit), f"one of {', '.join(UNITS[name])}")
         none = not signal.columns
-        self._require(not none or name == "dq", table, "columns", "''", "given (only a velocity can be derived)")
+        derived = name == "dq" or (name == "tau" and self.makes_torque)
+        self._require(not none or derived, table, "columns", "''", "given (only a velocity can be derived)")
         if len(signal.columns) > 1:
             self._check_count(table, "columns", signal.columns)
         for key in ("sign", "offset"):
@@ -227,6 +268,46 @@ class Arm:
         if not isinstance(constant, str):  # "unknown"
             self._check_count(table, "torque_constant", constant)
             self._require(all(k != 0 for k in constant), table, "torque_constant", constant, "not 0; signs go in sign")
+
+    @property
+    def makes_torque(self) -> bool:
+        """Whether the torque is made of what servos report, and no column holds it."""
+        return self.servo is not None and self.servo.torque_from != "torque"
+
+    def _check_servo(self, servo: ServoTable) -> None:
+        known = ", ".join(SERVO_TYPES)
+        for name in servo.type:
+            self._require(name in SERVO_TYPES, "servo", "type", repr(name), f"one of {known}")
+        if len(servo.type) > 1:
+            self._check_count("servo", "type", servo.type)
+        for key in ("gain", "duty_per_rad", "voltage_v", "ohm", "back_emf_v_s", "counts_a_turn"):
+            values = getattr(servo, key)
+            self._check_count("servo", key, values)
+            least = key == "back_emf_v_s"
+            rule = ">= 0" if least else "> 0"
+            self._require(all(v > 0 or (least and v == 0) for v in values), "servo", key, list(values), rule)
+        if not isinstance(servo.torque_constant, str):
+            self._check_count("servo", "torque_constant", servo.torque_constant)
+        window_s = servo.velocity_window_s
+        self._require(0 <= window_s <= 2, "servo", "velocity_window_s", window_s, "0 to 2")
+        if servo.torque_from == "torque":
+            return
+        needed = NEEDS[servo.torque_from]
+        if needed not in self.signals:
+            raise ConfigError(
+                f"{self.path}: [servo] torque_from = '{servo.torque_from}' is made of [signals.{needed}], which is "
+                "missing"
+            )
+        if self.signals["tau"].columns:
+            raise ConfigError(
+                f"{self.path}: [signals.tau] must be left out, since [servo] torque_from = '{servo.torque_from}' "
+                "makes it"
+            )
+        if servo.torque_from == "supply-current" and not {"q_des", "duty"} & set(self.signals):
+            raise ConfigError(
+                f"{self.path}: [servo] torque_from = 'supply-current' has no sign: it takes that of [signals.duty], or "
+                "of goal minus position, [signals.q_des]; both are missing"
+            )
 
     def _check_count(self, table: str, key: str, values: tuple) -> None:
         joints = len(self.robot.joints)

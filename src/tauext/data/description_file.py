@@ -16,12 +16,15 @@ from tauext.data.description import (
     PayloadTable,
     Repeats,
     RobotTable,
+    ServoTable,
     Side,
     SignalTable,
     SplitTable,
     TimeTable,
+    TorqueSource,
 )
 from tauext.data.recording import TORQUE_TIMINGS
+from tauext.data.servo import made_torque
 from tauext.errors import ConfigError
 from tauext.plain_file import read_text, toml_of
 from tauext.store import Place, place_of
@@ -51,7 +54,7 @@ def parse_arm(text: str, path: Place | str = "arm.toml") -> Arm:
     except ValueError as error:
         raise ConfigError(f"{path}: not readable as TOML: {error}") from error
     tables = {"robot": RobotTable, "payload": PayloadTable, "time": TimeTable}
-    tables |= {"contact": ContactTable, "split": SplitTable}
+    tables |= {"contact": ContactTable, "split": SplitTable, "servo": ServoTable}
     refuse_unknown(path, "", content, (*tables, "signals"))
     if not isinstance(content.get("robot"), dict):
         raise ConfigError(f"{path}: the table [robot] is missing")
@@ -69,6 +72,9 @@ def parse_arm(text: str, path: Place | str = "arm.toml") -> Arm:
         if (table := _a_table(path, f"signals.{name}", signals.get(name))) is not None
     }
     read["signals"].setdefault("dq", SignalTable((), "rad/s"))
+    servo = read.get("servo")
+    if servo is not None and servo.torque_from != "torque" and "tau" not in signals:
+        read["signals"]["tau"] = made_torque(servo, count)
     return Arm(**read, path=path)
 
 
@@ -169,5 +175,6 @@ READERS: dict[str, tuple[Callable[[Any, int], Any], str]] = {
     "Side": _one_of(get_args(Side)),
     "Repeats": _one_of(get_args(Repeats)),
     "TorqueTiming": _one_of(TORQUE_TIMINGS),
+    "TorqueSource": _one_of(get_args(TorqueSource)),
 }
 """How a value of a field's type is read, and how a message names that type."""

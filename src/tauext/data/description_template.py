@@ -7,14 +7,18 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from tauext.data.servo_types import SERVO_TYPES
+
 GUESSES = {
     "q": r"(q|pos|position|positions|joint_pos(ition)?s?|act_pos\w*|actual_q|theta|angles?|observation\.state)",
     "dq": r"(dq|qd|vel|velocity|velocities|joint_vel(ocitie)?s?|act_vel\w*|actual_qd|observation\.velocity)",
     "tau": r"(tau(_?[jm])?|effort|efforts|torque|torques|joint_torques?|act_torque\w*|current|currents|i|actual_current"
     r"|observation\.effort)",
     "tau_ext": r"(tau_ext\w*|external_torques?)",
-    "q_des": r"(q_d(es)?|q_cmd|q_ref|target_q|ref_pos\w*|action)",
+    "q_des": r"(q_d(es)?|q_cmd|q_ref|target_q|ref_pos\w*|goal|goal_pos\w*|action)",
     "temperature": r"(temp|temps|temperature|temperatures|joint_temperatures?)",
+    "duty": r"(duty|pwm|load|present_(load|pwm))",
+    "voltage": r"(voltage|voltages|present_voltage)",
     "time": r"(t|time|times|timestamp|stamp|time_s|t_s|t_ns|time_ns|timestamp_ns|time_cont)",
     "label": r"(label|labels|contact|contacts|collision|collisions|touch)",
 }
@@ -88,6 +92,7 @@ def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics
         "DQ_UNIT": json.dumps("deg/s" if "deg" in dq else "rad/s"),
         "TAU": json.dumps(columns.get("tau", "effort")),
         "TAU_UNIT": json.dumps("A" if _is_current(columns.get("tau", "")) else "Nm"),
+        "SERVOS": f"Types: {', '.join(SERVO_TYPES)}.",
         "LABEL": json.dumps(columns.get("label", "")),
     }
     values["CONSTANT"] = ("" if values["TAU_UNIT"] == '"A"' else "# ") + 'torque_constant = "unknown"'
@@ -147,6 +152,25 @@ unit = "Nm"
 # Motor temperature, degC. Optional.
 [signals.temperature]
 columns = @COLUMNS@
+""",
+    "current": """
+# Current as a servo reports it, A or mA: of its windings or of its supply, see [servo]. Optional.
+[signals.current]
+columns = @COLUMNS@
+unit = "mA"
+""",
+    "duty": """
+# Share of the supply voltage at a servo's motor, 1 (from -1 to 1), % or permille; Feetech: load, Dynamixel: PWM.
+# Optional.
+[signals.duty]
+columns = @COLUMNS@
+unit = "1"
+""",
+    "voltage": """
+# Supply voltage of a servo, V or mV. Optional.
+[signals.voltage]
+columns = @COLUMNS@
+unit = "V"
 """,
 }
 
@@ -228,6 +252,28 @@ sign = 1
 # instant: measured at its stamp. held: commanded, acts from its stamp to the next. averaged: over the step before.
 timing = "instant"
 @OPTIONAL@
+# Joints driven by servos: velocity and torque are made of what these report, in recordings and live loops alike.
+# [servo]
+# torque: [signals.tau] says it. phase-current: [signals.current] is that of the windings, signed. supply-current: it is
+# what the servo draws, unsigned. duty: [signals.duty]. goal: [signals.q_des] minus q, by the position loop's gain.
+# For all but the first [signals.tau] is left out.
+# torque_from = "torque"
+# @SERVOS@
+# One name, or one a joint; left out: a servo nobody knows.
+# type = "sts3215-7.4v"
+# What the type does not say, or says otherwise; all at the joint, after the gear.
+# gain = 16                   # P gain of the position controller, as its register has it
+# duty_per_rad = 2.7          # or: duty a rad of position error
+# voltage_v = 7.4             # where no [signals.voltage] is
+# ohm = 2.75                  # of the windings
+# back_emf_v_s = 1.28         # V s/rad
+# torque_constant = "unknown" # Nm/A, or "unknown": it is to be fitted
+# counts_a_turn = 4096        # of the encoder
+# Longest stretch that a velocity is derived from, s; 0: [signals.dq] says it.
+# velocity_window_s = 0.2
+# Of the torque, as in [signals.tau].
+# timing = "held"
+
 [contact]
 # Column that says whether the arm is touched. "": there is none.
 column = @LABEL@

@@ -14,7 +14,7 @@ from tauext.errors import RecordingError
 TorqueTiming = Literal["held", "instant", "averaged"]
 TORQUE_TIMINGS = get_args(TorqueTiming)
 REQUIRED_SIGNALS = ("q", "dq", "tau")
-OPTIONAL_SIGNALS = ("tau_jts", "tau_ext", "tau_ext_sensor", "q_des", "temperature")
+OPTIONAL_SIGNALS = ("tau_jts", "tau_ext", "tau_ext_sensor", "q_des", "temperature", "current", "duty", "voltage")
 SIGNALS = REQUIRED_SIGNALS + OPTIONAL_SIGNALS
 """What a recording may hold of every joint, in the order of its file."""
 FLAGS = ("contact", "contact_link")
@@ -62,6 +62,12 @@ class Recording:
     """Commanded position, [rad]."""
     temperature: np.ndarray | None = None
     """Motor temperature, [°C]."""
+    current: np.ndarray | None = None
+    """Current that a servo reports, as it reports it: of its windings, or of its supply, [A]."""
+    duty: np.ndarray | None = None
+    """Share of the supply voltage at a servo's motor, -1 to 1."""
+    voltage: np.ndarray | None = None
+    """Supply voltage of a servo, [V]."""
     contact: np.ndarray | None = None
     """(samples,) int8: 1 in contact, 0 free, -1 unknown."""
     contact_link: np.ndarray | None = None

@@ -19,6 +19,7 @@ from tauext.live.latency import Latencies
 from tauext.live.profiles import Profile, Profiles
 from tauext.live.reactions import Reactions
 from tauext.live.real_time import ask_for_real_time
+from tauext.live.servo_stage import ServoStage
 from tauext.live.sink import USUAL_REACH_M, LoopReport, Sink, Verdict
 from tauext.live.source import Sample, Source, SourceSettings
 from tauext.monitor import Change, LoadChange, WeighChange
@@ -93,6 +94,7 @@ class Loop:
         """From a sample's reception until every sink was told."""
         self.missing = self.samples = 0
         self._bundle, self._source, self._reactions = bundle, source, reactions or Reactions()
+        self._servo = ServoStage(bundle.servo) if bundle.servo.on else None
         self._profiles, self._recorder = profiles, recorder
         self._profile: Profile | None = None
         self._settings = settings
@@ -234,6 +236,8 @@ class Loop:
                 return
 
     def _sample(self, sample: Sample) -> None:
+        if self._servo is not None:
+            sample = self._servo.made(sample)
         self._acknowledge_when_due(sample.t_ns)
         if sample.temperature is not None:
             self.monitor.set_temperature(sample.temperature)

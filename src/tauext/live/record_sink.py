@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from tauext import _core
 from tauext.data import Recording, save_recording
 from tauext.data.amperes import AMPERES
 from tauext.data.recording import TorqueTiming
+from tauext.data.servo import RAW_SIGNALS, servo_facts
 from tauext.errors import ConfigError
 from tauext.live.sink import Control, LoopReport, Verdict
 from tauext.monitor.changes import NONE, OK
@@ -64,6 +65,7 @@ class RecordSink:
         self._folder, self._bundle, self._source = folder, bundle, source
         self._stem = f"{file_name(source)}-{time.strftime('%Y%m%dT%H%M%S')}"
         self._period_ns = bundle.observer.sample_period_ns
+        self._names: tuple[str, ...] = ()
         self._row: int
         self._t_ns: np.ndarray
         self._contact: np.ndarray
@@ -88,7 +90,14 @@ class RecordSink:
         sample, said, k = verdict.sample, verdict.said, self._row
         if sample is None:
             return
-        signals = (sample.q, sample.dq, sample.tau)
+        if not self._names:  # what a servo arm measures beside the three, as its first sample tells
+            measured = [name for name in RAW_SIGNALS if getattr(sample, name) is not None]
+            self._names = ("q", "dq", "tau", *measured)
+            self._begin()
+        signals = [getattr(sample, name) for name in self._names]
+        if any(values is None for values in signals):
+            self._unfit += 1
+            return
         if not all(np.isfinite(values).all() for values in signals) or (k and sample.t_ns <= self._t_ns[k - 1]):
             self._unfit += 1
             return
@@ -118,7 +127,7 @@ class RecordSink:
     def _begin(self) -> None:
         self._row, shape = 0, (self._rows, len(self._joints))
         self._t_ns, self._contact = np.zeros(self._rows, dtype=np.int64), np.zeros(self._rows, dtype=np.int8)
-        self._signals = [np.zeros(shape) for _ in range(3)]
+        self._signals = [np.zeros(shape) for _ in self._names]
 
     def _hand_over(self, last: bool = False) -> None:
         k = self._row
@@ -128,8 +137,8 @@ class RecordSink:
             self._lost += k
             self._error = self._error or "the disk was too slow"
         else:
-            q, dq, tau = (kept[:k] for kept in self._signals)
-            self._waiting.append({"t_ns": self._t_ns[:k], "q": q, "dq": dq, "tau": tau, "contact": self._contact[:k]})
+            signals = {name: kept[:k] for name, kept in zip(self._names, self._signals, strict=True)}
+            self._waiting.append({"t_ns": self._t_ns[:k], "contact": self._contact[:k]} | signals)
             self._wake.set()
         if not last:
             self._begin()
@@ -151,7 +160,7 @@ class RecordSink:
             path = self._folder / f"{self._stem}-{self._number:04d}.parquet"
             if not path.exists():
                 break
-        provenance = {
+        provenance: dict[str, Any] = {
             "command": "tauext monitor",
             "version": VERSION,
             "bundle": self._bundle.name,
@@ -160,6 +169,8 @@ class RecordSink:
         }
         if "A" in self._bundle.torque_units:
             provenance["torque"] = AMPERES
+        if self._bundle.servo.on:
+            provenance["servo"] = servo_facts(self._bundle.servo)
         try:
             recording = Recording(
                 name=path.stem,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from tauext.data import Recording, load_recording
+from tauext.data.servo import RAW_SIGNALS
 from tauext.errors import ConfigError
 from tauext.live.source import Sample, SourceCounts, SourceSettings
 from tauext.monitor import Pace
@@ -46,8 +47,13 @@ class ReplaySource:
         self._pace.wait_until(t_ns)
         self._next += 1
         self.counts.received += 1
-        temperature = None if recording.temperature is None else recording.temperature[k]
-        return Sample(t_ns, recording.q[k], recording.dq[k], recording.tau[k], time.monotonic_ns(), temperature)
+        optional = {
+            name: values[k]
+            for name in ("temperature", *RAW_SIGNALS)
+            if (values := getattr(recording, name)) is not None
+        }
+        received_ns = time.monotonic_ns()
+        return Sample(t_ns, recording.q[k], recording.dq[k], recording.tau[k], received_ns, **optional)
 
     @property
     def ended(self) -> bool:

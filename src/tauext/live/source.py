@@ -25,6 +25,14 @@ class Sample:
     """When it came into this process, by time.monotonic_ns()."""
     temperature: np.ndarray | None = None
     """[degC], NaN where it was not measured; None: the source measures none."""
+    q_des: np.ndarray | None = None
+    """Goal of a servo, [rad], NaN where it was not measured; None: the source measures none. So of the next three."""
+    current: np.ndarray | None = None
+    """[A], as the servo reports it: of its windings, or of its supply."""
+    duty: np.ndarray | None = None
+    """Share of the supply voltage at its motor, -1 to 1."""
+    voltage: np.ndarray | None = None
+    """Of its supply, [V]."""
 
 
 @dataclass

@@ -8,6 +8,7 @@ from typing import Any
 from tauext._core import Bundle
 from tauext.calibrate import forget_half_done
 from tauext.data import total_s, write_bundle
+from tauext.data.servo import servo_of_recordings
 from tauext.store import at_home
 from tauext.train.network import CHECKPOINT, ScaledNetwork
 from tauext.train.preparation import Job
@@ -18,6 +19,7 @@ def write(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> None:
     for note in job.notes:
         job.say(note)
     facts = facts_of(job, bundle, network)
+    bundle.servo = servo_of_recordings(job.training)
     bundle.provenance = json.dumps(facts | job.run, sort_keys=True)
     history = [list(entry) for entry in network.trained.history] if network else []
     seconds = network.trained.seconds if network else 0.0

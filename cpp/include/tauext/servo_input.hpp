@@ -1,0 +1,88 @@
+// From what a servo reports to what the chain takes: velocity from coarse positions, torque from current, duty or goal.
+#pragma once
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "tauext/adaptive_velocity.hpp"
+#include "tauext/types.hpp"
+
+namespace tauext {
+
+// Where a joint's torque comes from. The numbers stand in bundles.
+enum class TorqueFrom : std::uint8_t {
+  torque = 0,         // the servo reports it; taken as it is
+  phase_current = 1,  // current of the windings, signed
+  supply_current = 2, // current that the bridge draws, unsigned: |D I|
+  duty = 3,           // share of the supply voltage at the motor, signed (Feetech: Present_Load; Dynamixel: Present PWM)
+  goal = 4,           // duty from goal and position, by the gain of the servo's position controller
+};
+
+// Constants of a servo, at the joint, after its gear: volts, ohm and k_t of a motor with gear N are V, R and N k_t.
+struct ServoConstants {
+  double volts = 1;          // of the supply, where a sample says none; > 0
+  double ohm = 1;            // of the windings, > 0
+  double back_emf_v_s = 0;   // k_e [V s/rad], >= 0
+  double nm_per_ampere = 1;  // k_t; 1 where nobody knows it: torques are in A
+  double duty_per_rad = 0;   // gain of the position controller, >= 0; needed where torque comes from the goal
+  double most_duty = 1;      // its limit, 0 to 1
+  double count_rad = 0;      // step of the encoder, >= 0
+};
+
+struct ServoSettings {
+  TorqueFrom torque_from = TorqueFrom::torque;
+  int velocity_steps = 0;              // most steps in the velocity's window; 0: dq as it is given
+  std::int64_t sample_period_ns = 0;   // > 0 where velocity_steps is; a pause of over 2.5 of them starts the window anew
+  std::vector<ServoConstants> joints;  // empty: these are no servos, and a ServoInput cannot be made
+
+  bool on() const noexcept { return !joints.empty(); }
+  // Throws Error, naming what breaks which rule.
+  void validate() const;
+};
+
+// One report of all servos; lists over the joints, empty where nobody measured it.
+struct ServoSample {
+  std::int64_t t_ns = 0;
+  std::span<const double> q;  // [rad]
+  std::span<const double> dq = {}, tau = {};  // [rad/s], [N m]
+  std::span<const double> q_des = {};         // goal, [rad]
+  std::span<const double> current = {};       // [A]
+  std::span<const double> duty = {};          // -1 to 1
+  std::span<const double> voltage = {};       // of the supply, [V]
+};
+
+// Memory: the velocity's window alone, so that a recording and the loop that made it have the same values.
+//   V D = R I + k_e w,   tau = k_t I
+// with the duty D, speed w and winding current I. Where torque comes from
+//   the phase current    I is given;
+//   the duty             I = (V D - k_e w) / R;
+//   the goal             D = clip(g (q_des - q), +-most), then as from the duty;
+//   the supply current   V D^2 - k_e w D = R I_s by the balance of power, I_s = D I:
+//                        D = (k_e w +- sqrt((k_e w)^2 + 4 V R |I_s|)) / 2V, with the sign of the duty, or that of q_des - q
+//                        where nobody measured a duty, which changes over two counts of the encoder.
+// At standstill the supply current goes with the square of the torque: its root is taken.
+class ServoInput {
+ public:
+  // Throws Error as validate().
+  explicit ServoInput(const ServoSettings& settings);
+
+  // Fills dq() and tau() from a sample. What is needed and is not there, or not finite, makes them NaN, which the chain
+  // takes for a fault.
+  void step(const ServoSample& sample) noexcept;
+  std::span<const double> dq() const noexcept { return {dq_.data(), joints_.size()}; }    // [rad/s]
+  std::span<const double> tau() const noexcept { return {tau_.data(), joints_.size()}; }  // [N m], or A
+  // The next sample is a first one.
+  void reset() noexcept { velocity_.reset(); }
+
+ private:
+  double torque(const ServoSample& sample, std::size_t joint) const noexcept;
+
+  TorqueFrom from_;
+  bool derives_;
+  std::int64_t gap_ns_;
+  std::vector<ServoConstants> joints_;
+  AdaptiveVelocity velocity_;
+  JointVector dq_{}, tau_{};
+};
+
+}  // namespace tauext

@@ -1,0 +1,97 @@
+#include "tauext/servo_input.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <string>
+
+namespace tauext {
+namespace {
+
+constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+constexpr double kSignCounts = 2;      // of the encoder, over which the sign of goal - position changes
+constexpr double kLeastOff = 1e-9;     // [rad], where nothing is known of the encoder: 0 has no sign
+constexpr double kLeastDuty = 1e-3;    // a count of the registers of duty
+constexpr double kGapPeriods = 2.5;    // a longer pause starts the velocity's window anew
+
+// The sign of a value, -1 to 1, that changes over +-width instead of at once.
+double gentle_sign(double value, double width) noexcept { return value / std::max(std::fabs(value), width); }
+
+double at(std::span<const double> values, std::size_t joint) noexcept { return joint < values.size() ? values[joint] : kUnknown; }
+
+AdaptiveVelocity velocity(const ServoSettings& settings) {
+  settings.validate();
+  std::vector<double> counts;
+  for (const ServoConstants& joint : settings.joints) counts.push_back(joint.count_rad);
+  return AdaptiveVelocity(std::max(settings.velocity_steps, 1), counts);
+}
+
+}  // namespace
+
+void ServoSettings::validate() const {
+  if (joints.empty() || joints.size() > static_cast<std::size_t>(kMaxJoints))
+    throw Error("servo.joints has " + std::to_string(joints.size()) + " entries, must be 1 to " + std::to_string(kMaxJoints));
+  if (torque_from > TorqueFrom::goal)
+    throw Error("servo.torque_from is none of torque, phase_current, supply_current, duty, goal");
+  if (velocity_steps < 0 || velocity_steps > AdaptiveVelocity::kMostSteps)
+    throw Error("servo.velocity_steps = " + std::to_string(velocity_steps) + " must be 0 to " +
+                std::to_string(AdaptiveVelocity::kMostSteps));
+  if (sample_period_ns < (velocity_steps > 0 ? 1 : 0))
+    throw Error("servo.sample_period_ns = " + std::to_string(sample_period_ns) + " must be > 0");
+  const auto expect = [](const char* what, double value, bool ok, const char* rule) {
+    if (!ok || !std::isfinite(value)) throw Error(std::string("servo.") + what + " = " + to_text(value) + " must be " + rule);
+  };
+  for (const ServoConstants& joint : joints) {
+    expect("volts", joint.volts, joint.volts > 0, "> 0");
+    expect("ohm", joint.ohm, joint.ohm > 0, "> 0");
+    expect("back_emf_v_s", joint.back_emf_v_s, joint.back_emf_v_s >= 0, ">= 0");
+    expect("nm_per_ampere", joint.nm_per_ampere, joint.nm_per_ampere != 0, "not 0");
+    const bool steers = torque_from == TorqueFrom::goal;
+    expect("duty_per_rad", joint.duty_per_rad, steers ? joint.duty_per_rad > 0 : joint.duty_per_rad >= 0,
+           steers ? "> 0, since torque comes from the goal" : ">= 0");
+    expect("most_duty", joint.most_duty, joint.most_duty > 0 && joint.most_duty <= 1, "> 0, at most 1");
+    expect("count_rad", joint.count_rad, joint.count_rad >= 0, ">= 0");
+  }
+}
+
+ServoInput::ServoInput(const ServoSettings& settings)
+    : from_(settings.torque_from),
+      derives_(settings.velocity_steps > 0),
+      gap_ns_(std::llround(kGapPeriods * static_cast<double>(settings.sample_period_ns))),
+      joints_(settings.joints),
+      velocity_(velocity(settings)) {}
+
+void ServoInput::step(const ServoSample& sample) noexcept {
+  const std::size_t n = joints_.size();
+  bool finite = sample.q.size() == n;
+  for (double q : sample.q) finite = finite && std::isfinite(q);
+  if (!finite) {  // nothing of it may stay in the window
+    velocity_.reset();
+    for (std::size_t j = 0; j < n; ++j) dq_[j] = tau_[j] = kUnknown;
+    return;
+  }
+  if (derives_)
+    velocity_.step(sample.t_ns, sample.q, gap_ns_, std::span(dq_).first(n));
+  else
+    for (std::size_t j = 0; j < n; ++j) dq_[j] = at(sample.dq, j);
+  for (std::size_t j = 0; j < n; ++j) tau_[j] = torque(sample, j);
+}
+
+double ServoInput::torque(const ServoSample& sample, std::size_t j) const noexcept {
+  const ServoConstants& motor = joints_[j];
+  if (from_ == TorqueFrom::torque) return at(sample.tau, j);
+  if (from_ == TorqueFrom::phase_current) return motor.nm_per_ampere * at(sample.current, j);
+  const double measured = at(sample.voltage, j), volts = measured > 0 ? measured : motor.volts;
+  const double emf = motor.back_emf_v_s * dq_[j], off = at(sample.q_des, j) - sample.q[j];
+  double duty = at(sample.duty, j);
+  if (from_ == TorqueFrom::goal) duty = std::clamp(motor.duty_per_rad * off, -motor.most_duty, motor.most_duty);
+  if (from_ == TorqueFrom::supply_current) {
+    const double drawn = std::sqrt(emf * emf + 4 * volts * motor.ohm * std::fabs(at(sample.current, j)));
+    const double sign = std::isfinite(duty) ? gentle_sign(duty, kLeastDuty)
+                                            : gentle_sign(off, std::max(kSignCounts * motor.count_rad, kLeastOff));
+    duty = (emf + sign * drawn) / (2 * volts);
+  }
+  return motor.nm_per_ampere * (volts * duty - emf) / motor.ohm;
+}
+
+}  // namespace tauext

@@ -1,0 +1,130 @@
+"""Recordings of servo arms: what their [servo] table says to the core, and velocity and torque by it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from tauext import _core
+from tauext.data.description import Arm, ServoTable, SignalTable
+from tauext.data.recording import Recording
+from tauext.data.servo_types import SERVO_TYPES, ServoType
+from tauext.errors import ConfigError
+
+RAW_SIGNALS = ("q_des", "current", "duty", "voltage")
+"""What of a servo's report makes its torque, beside position and velocity."""
+CONSTANTS = ("volts", "ohm", "back_emf_v_s", "nm_per_ampere", "duty_per_rad", "most_duty", "count_rad")
+UNKNOWN = ServoType(1.0, 1.0, 0.0, None, count_rad=0.0)
+"""A servo of which nobody knows anything: its torque is in units of the duty, or of the current, times a constant that
+training finds; its back-EMF is a viscous friction."""
+
+
+def made_torque(servo: ServoTable, joints: int) -> SignalTable:
+    """The torque that is made of what servos report, as if a column held it: in A where no constant is known."""
+    types = [SERVO_TYPES.get(name, UNKNOWN) for name in servo.type]  # Arm refuses a name that is not known
+    known = servo.torque_constant or tuple(kind.nm_per_ampere or 0.0 for kind in types)
+    known = known * joints if len(known) == 1 and not isinstance(known, str) else known
+    constant = "unknown" if not known or isinstance(known, str) or 0.0 in known else known
+    return SignalTable((), "A", torque_constant=constant, timing=servo.timing)
+
+
+def servo_settings(arm: Arm, rate_hz: float, q: np.ndarray) -> _core.ServoSettings:
+    """What the core must know of the servos of an arm whose recordings have this rate.
+
+    Args:
+        q: positions (samples, joints), [rad]: their smallest step is the encoder's, where nobody names that.
+
+    Raises:
+        ConfigError: the torque comes from the goal, and the gain of the position controller is not known.
+    """
+    servo = arm.servo
+    assert servo is not None
+    joints, moved = arm.robot.joints, np.abs(np.diff(q, axis=0))
+    least = np.where(moved > 0, moved, np.inf).min(axis=0, initial=np.inf)
+    types = [SERVO_TYPES[name] for name in servo.type] or [UNKNOWN]
+    types = types * len(joints) if len(types) == 1 else types
+    table = arm.signals["tau"].torque_constant
+    nm_per_ampere = (1.0,) * len(joints) if isinstance(table, str) or not table else table
+    constants = []
+    for j, kind in enumerate(types):
+        count_rad = 2 * math.pi / servo.counts_a_turn[j] if servo.counts_a_turn else kind.count_rad
+        count_rad = count_rad or (float(least[j]) if np.isfinite(least[j]) else 0.0)
+        gain = servo.gain[j] if servo.gain else kind.gain
+        duty_per_rad = servo.duty_per_rad[j] if servo.duty_per_rad else (gain or 0.0) * (kind.duty_per_rad or 0.0)
+        if not duty_per_rad and kind is UNKNOWN:
+            duty_per_rad = 1.0
+        if servo.torque_from == "goal" and not duty_per_rad:
+            raise ConfigError(
+                f"{arm.path}: [servo] torque_from = 'goal' needs the gain of the position controller of joint "
+                f"'{joints[j]}': duty_per_rad, since that of {servo.type[min(j, len(servo.type) - 1)]} is not known"
+            )
+        constants.append(
+            _core.ServoConstants(
+                volts=servo.voltage_v[j] if servo.voltage_v else kind.volts,
+                ohm=servo.ohm[j] if servo.ohm else (kind.ohm or 1.0),
+                back_emf_v_s=servo.back_emf_v_s[j] if servo.back_emf_v_s else (kind.back_emf_v_s or 0.0),
+                nm_per_ampere=nm_per_ampere[j],
+                duty_per_rad=duty_per_rad,
+                most_duty=kind.most_duty,
+                count_rad=count_rad,
+            )
+        )
+    steps = min(round(servo.velocity_window_s * rate_hz), 64)
+    source = getattr(_core.TorqueFrom, servo.torque_from.replace("-", "_"))
+    return _core.ServoSettings(source, constants, max(steps, 1) if servo.velocity_window_s else 0, round(1e9 / rate_hz))
+
+
+def velocity_and_torque(
+    settings: _core.ServoSettings, t_ns: np.ndarray, q: np.ndarray, signals: Mapping[str, np.ndarray | None]
+) -> tuple[np.ndarray, np.ndarray]:
+    """dq [rad/s] and tau [N m, or A] of a recording, (samples, joints): what a live loop has at the same samples.
+
+    Args:
+        signals: dq, tau, q_des, current, duty, voltage as far as they were measured.
+    """
+    measured = {
+        name: np.ascontiguousarray(values, dtype=np.float64)
+        for name in ("dq", "tau", *RAW_SIGNALS)
+        if (values := signals.get(name)) is not None
+    }
+    q = np.ascontiguousarray(q, dtype=np.float64)
+    return _core.ServoInput(settings).recording(np.ascontiguousarray(t_ns), q, **measured)
+
+
+def servo_facts(settings: _core.ServoSettings) -> dict[str, Any]:
+    """The settings as plain JSON, for provenance."""
+    return {
+        "torque_from": settings.torque_from.name,
+        "velocity_steps": settings.velocity_steps,
+        "sample_period_ns": settings.sample_period_ns,
+        "joints": [{name: getattr(joint, name) for name in CONSTANTS} for joint in settings.joints],
+    }
+
+
+def servo_of(facts: Mapping[str, Any]) -> _core.ServoSettings:
+    """The settings that servo_facts() wrote down."""
+    return _core.ServoSettings(
+        getattr(_core.TorqueFrom, facts["torque_from"]),
+        [_core.ServoConstants(**joint) for joint in facts["joints"]],
+        facts["velocity_steps"],
+        facts["sample_period_ns"],
+    )
+
+
+def servo_of_recordings(recordings: Sequence[Recording]) -> _core.ServoSettings:
+    """What made dq and tau of all of them; off where they are no servos'.
+
+    Raises:
+        ConfigError: it was not the same for all of them.
+    """
+    facts = [recording.provenance.get("servo") for recording in recordings]
+    for recording, other in zip(recordings, facts, strict=True):
+        if other != facts[0]:
+            raise ConfigError(
+                f"{recording.name} and {recordings[0].name}: their velocity and torque were made with other settings "
+                "of [servo]; import both with one arm.toml"
+            )
+    return servo_of(facts[0]) if facts and facts[0] else _core.ServoSettings()

@@ -1,0 +1,171 @@
+"""Servo arms: what a recording's velocity and torque are made of, and that a live loop makes the same."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from tauext import _core
+from tauext.data.assemble import assemble
+from tauext.data.bundle_fit import expect_fit
+from tauext.data.description_file import parse_arm
+from tauext.data.importers import open_raw
+from tauext.data.servo import servo_of, servo_of_recordings
+from tauext.data.servo_types import SERVO_TYPES
+from tauext.errors import BundleError, ConfigError
+from tauext.live.replay_source import ReplaySource
+from tauext.live.servo_stage import ServoStage
+from tauext.live.source import SourceSettings
+
+HEAD = """
+[robot]
+joints = ["a", "b"]
+[time]
+column = "t"
+[signals.q]
+columns = "q_{joint}"
+[signals.q_des]
+columns = "goal_{joint}"
+[signals.current]
+columns = "mA_{joint}"
+unit = "mA"
+[signals.duty]
+columns = "load_{joint}"
+unit = "permille"
+[servo]
+type = "sts3215-7.4v"
+"""
+COUNT = 2 * np.pi / 4096
+
+
+@pytest.fixture
+def raw(tmp_path):
+    """A minute of two servos at 50 Hz, counted as they count, and what their motors really draw."""
+    rng = np.random.default_rng(5)
+    t = np.arange(0, 60, 0.02)
+    motor = SERVO_TYPES["sts3215-7.4v"]
+    phase = rng.uniform(0, 6, 2)
+    q = 0.8 * np.sin(0.9 * t[:, None] + phase)
+    dq = 0.72 * np.cos(0.9 * t[:, None] + phase)
+    tau = 0.5 * np.sin(q) + 0.12 * np.sign(dq)
+    ampere = tau / motor.nm_per_ampere
+    duty = (motor.ohm * ampere + motor.back_emf_v_s * dq) / motor.volts
+    q_seen = COUNT * np.round(q / COUNT)
+    columns = {"t": t}
+    for j, joint in enumerate("ab"):
+        columns[f"q_{joint}"] = q_seen[:, j]
+        columns[f"goal_{joint}"] = q[:, j] + duty[:, j] / (16 * motor.duty_per_rad)
+        columns[f"load_{joint}"] = np.round(1000 * duty[:, j])
+        columns[f"mA_{joint}"] = 6.5 * np.round(np.abs(1000 * duty[:, j] * ampere[:, j]) / 6.5)
+    path = tmp_path / "motion.parquet"
+    pq.write_table(pa.table(columns), path)
+    return path, tau, dq
+
+
+def imported(path, text):
+    return one_of(path, parse_arm(HEAD + text))
+
+
+def one_of(path, arm):
+    (raw,) = open_raw(path, arm.topics)
+    (recording,) = assemble(raw, arm)
+    return recording
+
+
+@pytest.mark.parametrize("source, rms", [("duty", 0.02), ("goal", 0.02), ("supply-current", 0.1)])
+def test_the_torque_of_a_motor_comes_back_from_what_its_servo_reports(raw, source, rms):
+    """But for what counting leaves: of the position, of the speed by back-EMF, and near 0 the root of a current."""
+    path, tau, dq = raw
+    recording = imported(path, f'torque_from = "{source}"\n')
+    under_way = np.arange(len(dq)) > 20
+    # a T^2/8 is at most a count, so the speed is late by a T/2 = sqrt(2 a count), and a is at most 0.65 rad/s^2 here.
+    assert np.sqrt(np.mean((recording.dq - dq)[under_way] ** 2)) < np.sqrt(2 * 0.65 * COUNT)
+    driven = under_way[:, None] & (tau * dq > 0.02) & (np.abs(tau) > 0.1)  # it does not brake
+    assert np.sqrt(np.mean((recording.tau - tau)[driven] ** 2)) < rms
+
+
+def test_a_recording_keeps_what_was_reported_in_si(raw):
+    recording = imported(raw[0], 'torque_from = "duty"\n')
+    table = pq.read_table(raw[0])
+    assert np.allclose(recording.duty[:, 0], table["load_a"].to_numpy() / 1000, atol=1e-12)
+    assert np.allclose(recording.current[:, 1], table["mA_b"].to_numpy() / 1000, atol=1e-12)
+    assert recording.voltage is None and recording.torque_timing == "held"
+    facts = recording.provenance["servo"]
+    assert facts["torque_from"] == "duty" and facts["joints"][0]["ohm"] == SERVO_TYPES["sts3215-7.4v"].ohm
+    assert "torque made of the duty" in recording.provenance["done"]
+
+
+def test_a_live_loop_makes_the_same_to_the_last_bit(raw):
+    recording = imported(raw[0], 'torque_from = "supply-current"\n')
+    blank = replace(recording, dq=np.zeros_like(recording.dq), tau=np.zeros_like(recording.tau))
+    source, stage = ReplaySource(blank, None), ServoStage(servo_of(recording.provenance["servo"]))
+    source.open(SourceSettings(recording.joints, 20_000_000))
+    for k in range(recording.samples):
+        sample = stage.made(source.next_sample(1.0))
+        assert (sample.dq == recording.dq[k]).all() and (sample.tau == recording.tau[k]).all(), k
+
+
+def test_unknown_servos_leave_their_constant_to_training(raw):
+    text = HEAD.replace('type = "sts3215-7.4v"', "")
+    arm = parse_arm(text + 'torque_from = "duty"\n')
+    assert arm.signals["tau"].torque_constant == "unknown"
+    recording = one_of(raw[0], arm)
+    assert (recording.tau == recording.duty).all() and "amperes" in recording.provenance["torque"]
+    assert recording.provenance["servo"]["joints"][0]["count_rad"] == pytest.approx(COUNT, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ('torque_from = "load"\n', "one of torque, phase-current, supply-current, duty, goal"),
+        ("", r"\[servo\] torque_from is missing"),
+        ('torque_from = "goal"\nohm = 0\n', r"\[servo\] ohm = \[0.0, 0.0\] must be > 0"),
+        ('torque_from = "goal"\ngain = [1, 2, 3]\n', r"\[servo\] gain = .* as many as joints, 2"),
+        ('torque_from = "goal"\nvelocity_window_s = 9\n', "velocity_window_s = 9.0 must be 0 to 2"),
+        ('torque_from = "goal"\ngian = 16\n', "unknown key 'gian' in .servo.; the nearest known is 'gain'"),
+        ('torque_from = "duty"\n[signals.tau]\ncolumns = "mA_{joint}"\n', "must be left out"),
+    ],
+)
+def test_a_wrong_table_is_refused_with_the_rule(text, message):
+    with pytest.raises(ConfigError, match=message):
+        parse_arm(HEAD + text)
+
+
+def test_what_is_missing_is_named():
+    without = HEAD.replace("[signals.current]", "[signals.voltage]").replace('unit = "mA"', 'unit = "V"')
+    with pytest.raises(ConfigError, match=r"is made of \[signals.current\], which is missing"):
+        parse_arm(without + 'torque_from = "supply-current"\n')
+    with pytest.raises(ConfigError, match="type = 'sts9000' must be one of sts3215-7.4v"):
+        parse_arm(HEAD.replace("sts3215-7.4v", "sts9000") + 'torque_from = "duty"\n')
+
+
+def test_a_gain_that_nobody_knows_is_asked_for(raw):
+    text = HEAD.replace("sts3215-7.4v", "xl430-w250") + 'torque_from = "goal"\n'
+    with pytest.raises(ConfigError, match="needs the gain of the position controller of joint 'a': duty_per_rad"):
+        one_of(raw[0], parse_arm(text))
+
+
+def test_a_bundle_of_servos_takes_no_recording_that_was_made_otherwise(raw):
+    recording = imported(raw[0], 'torque_from = "duty"\n')
+    bundle = _core.Bundle()
+    bundle.links = [link("a"), link("b")]
+    bundle.observer = _core.ObserverSettings(
+        gain_per_s=20.0, timing=_core.TorqueTiming.held, sample_period_ns=20_000_000, network_stride=1
+    )
+    bundle.servo = servo_of_recordings([recording])
+    expect_fit(bundle, recording)
+    other = recording.provenance | {"servo": recording.provenance["servo"] | {"velocity_steps": 3}}
+    with pytest.raises(BundleError, match="are with other settings"):
+        expect_fit(bundle, replace(recording, provenance=other))
+    with pytest.raises(BundleError, match="not made by"):
+        expect_fit(bundle, replace(recording, provenance={}))
+    with pytest.raises(ConfigError, match="import both with one arm.toml"):
+        servo_of_recordings([recording, replace(recording, provenance=other)])
+
+
+def link(name):
+    one = _core.Link()
+    one.joint_name = name
+    return one

@@ -46,6 +46,13 @@ def test_the_weights_of_a_normal_error_are_found():
     assert (error < 2 * found).mean() == pytest.approx(0.9545, abs=0.01)
 
 
+def test_errors_that_are_mostly_0_have_the_root_of_their_mean_square_for_a_standard_error():
+    """A servo that stands at its goal to the count: two thirds of its errors and more are exactly 0."""
+    features, _ = made_rows()
+    error = np.where(np.arange(ROWS) % 10 == 0, 0.5, 0.0)
+    assert features @ sigma_weights(features, error) == pytest.approx(np.full(ROWS, np.sqrt(0.025)))
+
+
 def test_a_feature_that_announces_nothing_weighs_nothing():
     features, sigma = made_rows()
     idle = np.random.default_rng(2).exponential(size=(ROWS, 1))

@@ -14,6 +14,9 @@ from tauext.data.description_file import parse_arm
 from tauext.data.importers import open_raw
 from tauext.data.servo import servo_of, servo_of_recordings
 from tauext.data.servo_types import SERVO_TYPES
+from tauext.doctor.examine import of_servos
+from tauext.doctor.finding import Finding
+from tauext.doctor.spikes import normal_ranges, spikes_of
 from tauext.errors import BundleError, ConfigError
 from tauext.live.replay_source import ReplaySource
 from tauext.live.servo_stage import ServoStage
@@ -169,3 +172,21 @@ def link(name):
     one = _core.Link()
     one.joint_name = name
     return one
+
+
+def test_a_leap_of_a_velocity_that_comes_from_the_position_is_no_spike(raw):
+    recording = imported(raw[0], 'torque_from = "goal"\n')
+    dq = recording.dq.copy()
+    dq[2000, 0] = 5.0
+    leaps = replace(recording, dq=dq)
+    normal = normal_ranges([leaps])
+    assert not [s for s in spikes_of(leaps, normal) if s.signal == "dq"]
+    assert [s for s in spikes_of(replace(leaps, provenance={}), normal) if s.signal == "dq"]
+
+
+def test_an_odd_recording_of_servos_is_a_warning(raw):
+    """Its joints rest within their friction, at whatever torque."""
+    recording = imported(raw[0], 'torque_from = "goal"\n')
+    odd = [Finding("odd-recording", "fault", "a", "turned", "negate it", recording.name)]
+    assert [f.severity for f in of_servos(odd, [recording])] == ["warning"]
+    assert of_servos(odd, [replace(recording, provenance={})]) == odd

@@ -56,7 +56,8 @@ ObserveStage::ObserveStage(const Tree& tree, const ObserverSettings& observer, c
 
 ObserveStage::ObserveStage(const Bundle& bundle, int answer_every)
     : ObserveStage(Tree(bundle.links, bundle.gravity), bundle.observer, bundle.prior) {
-  watch_.emplace(joints_, bundle.observer.sample_period_ns, bundle.observer.network_stride, bundle.signals);
+  watch_.emplace(joints_, bundle.observer.sample_period_ns, bundle.observer.network_stride, bundle.signals,
+                 bundle.servo.on());
   limits_ = bundle.limits;
   tells_parts_ = bundle.drift.follows_factors();
   near_memory_ns_ = std::llround(1e9 * bundle.limits.near_memory_s);

@@ -33,11 +33,13 @@ void SignalRanges::validate(int joints) const {
                   " must be at least largest_torque_nm = " + to_text(largest_torque_nm[j]));
 }
 
-SignalWatch::SignalWatch(int joints, std::int64_t sample_period_ns, int network_stride, const SignalRanges& ranges)
+SignalWatch::SignalWatch(int joints, std::int64_t sample_period_ns, int network_stride, const SignalRanges& ranges,
+                         bool behind_gear)
     : joints_(joints),
       sample_period_ns_(static_cast<double>(sample_period_ns)),
       network_period_ns_(sample_period_ns_ * network_stride),
-      ranges_(ranges) {
+      ranges_(ranges),
+      still_share_(behind_gear ? std::numeric_limits<double>::infinity() : 1.0) {
   ranges.validate(joints);
   constexpr double most = std::numeric_limits<double>::max();
   for (std::size_t j = 0; j < static_cast<std::size_t>(joints); ++j) {
@@ -113,7 +115,7 @@ SignalWatch::Verdict SignalWatch::step(std::int64_t t_ns, std::span<const double
     const bool still = static_cast<double>(elapsed_ns(t_ns, state_.since_ns[j])) >= kStillForS * 1e9;
     if (still && verdict.still_joint < 0 &&
         (std::fabs(state_.travel[j]) > kStillTravelRad ||
-         state_.tau_high[j] - state_.tau_low[j] > ranges_.largest_torque_nm[j]))
+         state_.tau_high[j] - state_.tau_low[j] > still_share_ * ranges_.largest_torque_nm[j]))
       verdict.still_joint = j;
   }
   state_.started = true;

@@ -398,6 +398,12 @@ void an_encoder_that_stands_still_is_a_fault_and_a_resting_arm_is_not() {
   }
   Monitor driven(bundle);
   CHECK((feed(driven, s, 0, 3000).causes & kEncoderStill) != 0);
+  // A servo counts behind its gear: one that something blocks does not move, and its torque is what is to be told.
+  Bundle servo = bundle;
+  servo.servo = {TorqueFrom::duty, 8, servo.observer.sample_period_ns, {{}, {}}};
+  Monitor blocked(servo);
+  const Estimate& told = feed(blocked, s, 0, 3000);
+  CHECK(told.causes == 0 && told.health == Health::ok);
   // Everything rests; the torque wanders as stiction lets it.
   for (std::size_t k = 0; k < 3000; ++k)
     for (std::size_t j = 0; j < 2; ++j) {

@@ -56,8 +56,10 @@ class SignalWatch {
     JointVector travel{}, tau_low{}, tau_high{};      // and what dq and tau_m did meanwhile
   };
 
-  // Throws Error where the ranges do not fit the joints.
-  SignalWatch(int joints, std::int64_t sample_period_ns, int network_stride, const SignalRanges& ranges);
+  // behind_gear: encoders count whole steps of the joints themselves, as a servo's does: one that something blocks stands
+  // still whatever its drive does. Throws Error where the ranges do not fit the joints.
+  SignalWatch(int joints, std::int64_t sample_period_ns, int network_stride, const SignalRanges& ranges,
+              bool behind_gear = false);
 
   // Whether a sample cannot be true; looked at before it enters anything.
   // Position: it lies farther from the last one than possible_speed_rad_s goes in the time since that one changed, and a
@@ -71,7 +73,7 @@ class SignalWatch {
   // Rate: the mean step, over an exponential second, differs from the sample period by more than kRateTolerance; a
   // step counts as two periods at most, so that a bridged gap is no other rate.
   // Still: q has not changed by a bit for kStillForS, while the integral of dq passed kStillTravelRad, or tau_m moved
-  // by more than the largest torque of training: no gear is so stiff. A resting arm does neither. After a step of more
+  // by more than the largest torque of training: no gear is so stiff, but behind it. A resting arm does neither. After a step of more
   // than kLongestStep sample periods nobody knows what happened meanwhile, and positions begin anew.
   Verdict step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
                std::span<const double> tau) noexcept;
@@ -92,6 +94,7 @@ class SignalWatch {
   int joints_;
   double sample_period_ns_, network_period_ns_;
   SignalRanges ranges_;
+  double still_share_;  // of the largest torque, that tau_m may move by while a position stands still
   JointVector torque_{}, speed_{};  // what is possible, finite: so that one comparison finds NaN and infinity too
   State state_;
 };

@@ -224,11 +224,16 @@ def unit_scale(joints: int) -> _core.ErrorScaleSettings:
 
 
 def sigma_weights(features: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Weights of the standard error, scaled so that as many errors lie within it as of a normal one."""
+    """Weights of the standard error, scaled so that as many errors lie within it as of a normal one.
+
+    Where that is none, since most errors are 0 (a servo that stands at its goal to the count), it is their root mean
+    square.
+    """
     weights = fit_weights(features, error, 2.0)
     sigma = features @ weights
     scaled = weights * float(np.quantile(error / sigma, ONE_SIGMA))
-    return scaled if scaled.any() else np.r_[1e-6, np.zeros(len(weights) - 1)]
+    rms = float(np.sqrt(np.mean(error**2)))
+    return scaled if scaled.any() else np.r_[max(rms, 1e-6), np.zeros(len(weights) - 1)]
 
 
 def fit_weights(features: np.ndarray, error: np.ndarray, power: float) -> np.ndarray:

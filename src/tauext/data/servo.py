@@ -114,6 +114,16 @@ def servo_of(facts: Mapping[str, Any]) -> _core.ServoSettings:
     )
 
 
+def makes_torque(recording: Recording) -> bool:
+    """Whether its torque was made of what servos report."""
+    return recording.provenance.get("servo", {}).get("torque_from", "torque") != "torque"
+
+
+def derives_velocity(recording: Recording) -> bool:
+    """Whether its velocity was derived from the counted positions of servos."""
+    return bool(recording.provenance.get("servo", {}).get("velocity_steps"))
+
+
 def servo_of_recordings(recordings: Sequence[Recording]) -> _core.ServoSettings:
     """What made dq and tau of all of them; off where they are no servos'.
 

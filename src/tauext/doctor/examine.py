@@ -11,6 +11,7 @@ import numpy as np
 from tauext import _core
 from tauext.data import Recording
 from tauext.data.amperes import from_amperes, in_amperes
+from tauext.data.servo import makes_torque
 from tauext.doctor.arrangement import exchanged_efforts, rearranged
 from tauext.doctor.clock import clock_findings
 from tauext.doctor.contacts import contact_findings, spoils_contacts, unlabelled_findings
@@ -131,7 +132,8 @@ def _examine(
     begin("velocities")
     recordings, motion, velocities, units = _in_radians(recordings, motion, file)
     tree = file.tree if file else None
-    recordings, odd = _alike(recordings, odd_torques(motion, tree, joints, [r.name for r in recordings]))
+    odd = of_servos(odd_torques(motion, tree, joints, [r.name for r in recordings]), recordings)
+    recordings, odd = _alike(recordings, odd)
     motion = stretches(recordings) if odd else motion
     found += units + odd + excitation_findings(recordings, motion)
     found += limit_findings(recordings, file) if file else []
@@ -170,6 +172,13 @@ def _spikes(recordings: Sequence[Recording], file: RobotFile | None) -> tuple[li
         found += spike_findings(r, spikes, normal)
         mended.append(without_spikes(r, spikes))
     return found, mended
+
+
+def of_servos(odd: list[Finding], recordings: Sequence[Recording]) -> list[Finding]:
+    """Warnings where the torque was made of what servos report: a position controller without an integral rests within
+    its friction at whatever torque, so that recordings of few poses seem shifted, scaled or turned."""
+    made = {r.name for r in recordings if makes_torque(r)}
+    return [replace(finding, severity="warning") if finding.recording in made else finding for finding in odd]
 
 
 def _alike(recordings: Sequence[Recording], odd: list[Finding]) -> tuple[list[Recording], list[Finding]]:

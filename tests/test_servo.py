@@ -12,7 +12,7 @@ from tauext.data.assemble import assemble
 from tauext.data.bundle_fit import expect_fit
 from tauext.data.description_file import parse_arm
 from tauext.data.importers import open_raw
-from tauext.data.servo import servo_of, servo_of_recordings
+from tauext.data.servo import servo_of, servo_of_recordings, velocity_and_torque
 from tauext.data.servo_types import SERVO_TYPES
 from tauext.doctor.examine import of_servos
 from tauext.doctor.finding import Finding
@@ -81,7 +81,7 @@ def one_of(path, arm):
 def test_the_torque_of_a_motor_comes_back_from_what_its_servo_reports(raw, source, rms):
     """But for what counting leaves: of the position, of the speed by back-EMF, and near 0 the root of a current."""
     path, tau, dq = raw
-    recording = imported(path, f'torque_from = "{source}"\n')
+    recording = imported(path, f'torque_from = "{source}"\ngoal_delay_s = 0\n')
     under_way = np.arange(len(dq)) > 20
     # a T^2/8 is at most a count, so the speed is late by a T/2 = sqrt(2 a count), and a is at most 0.65 rad/s^2 here.
     assert np.sqrt(np.mean((recording.dq - dq)[under_way] ** 2)) < np.sqrt(2 * 0.65 * COUNT)
@@ -108,6 +108,16 @@ def test_a_live_loop_makes_the_same_to_the_last_bit(raw):
     for k in range(recording.samples):
         sample = stage.made(source.next_sample(1.0))
         assert (sample.dq == recording.dq[k]).all() and (sample.tau == recording.tau[k]).all(), k
+
+
+def test_a_goal_acts_one_period_after_its_stamp_unless_the_table_says_otherwise(raw):
+    late, at_once = (imported(raw[0], f'torque_from = "goal"\n{text}') for text in ("", "goal_delay_s = 0\n"))
+    assert late.provenance["servo"]["goal_delay_ns"] == 20_000_000
+    assert at_once.provenance["servo"]["goal_delay_ns"] == 0
+    before = replace(late, q_des=np.vstack([late.q_des[:1], late.q_des[:-1]]))
+    settings = servo_of(at_once.provenance["servo"])
+    _, tau = velocity_and_torque(settings, before.t_ns, before.q, {"q_des": before.q_des})
+    np.testing.assert_allclose(late.tau, tau, rtol=0, atol=1e-9)
 
 
 def test_unknown_servos_leave_their_constant_to_training(raw):

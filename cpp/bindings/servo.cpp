@@ -75,15 +75,17 @@ void bind_servo(nb::module_& m) {
       .def(
           "__init__",
           [](ServoSettings* s, TorqueFrom torque_from, std::vector<ServoConstants> joints, int velocity_steps,
-             std::int64_t sample_period_ns) {
-            ServoSettings settings{torque_from, velocity_steps, sample_period_ns, std::move(joints)};
+             std::int64_t sample_period_ns, std::int64_t goal_delay_ns) {
+            ServoSettings settings{torque_from, velocity_steps, sample_period_ns, goal_delay_ns, std::move(joints)};
             settings.validate();
             new (s) ServoSettings(std::move(settings));
           },
-          nb::arg("torque_from"), nb::arg("joints"), nb::arg("velocity_steps") = 0, nb::arg("sample_period_ns") = 0)
+          nb::arg("torque_from"), nb::arg("joints"), nb::arg("velocity_steps") = 0, nb::arg("sample_period_ns") = 0,
+          nb::arg("goal_delay_ns") = 0)
       .def_ro("torque_from", &ServoSettings::torque_from, "Where the torque comes from.")
       .def_ro("velocity_steps", &ServoSettings::velocity_steps, "Most steps in the velocity's window; 0: dq as it is given.")
       .def_ro("sample_period_ns", &ServoSettings::sample_period_ns, "[ns].")
+      .def_ro("goal_delay_ns", &ServoSettings::goal_delay_ns, "A goal acts so long after its stamp, [ns].")
       .def_prop_ro("joints", [](const ServoSettings& s) { return s.joints; }, "Constants, one a joint.")
       .def_prop_ro("on", &ServoSettings::on, "Whether these are servos.");
   nb::class_<Input>(m, "ServoInput", "From what servos report to dq and tau of the chain, sample by sample.")

@@ -238,6 +238,7 @@ void fields(File& file, Bundle& b) {
     field(file, b.servo.torque_from);
     field(file, b.servo.velocity_steps);
     field(file, b.servo.sample_period_ns);
+    field(file, b.servo.goal_delay_ns);
     field(file, b.servo.joints);
   }
   field(file, b.reference.t_ns);

@@ -38,6 +38,10 @@ void ServoSettings::validate() const {
                 std::to_string(AdaptiveVelocity::kMostSteps));
   if (sample_period_ns < (velocity_steps > 0 ? 1 : 0))
     throw Error("servo.sample_period_ns = " + std::to_string(sample_period_ns) + " must be > 0");
+  const std::int64_t most_ns = ServoSettings::kMostDelay * sample_period_ns;
+  if (goal_delay_ns < 0 || goal_delay_ns > most_ns)
+    throw Error("servo.goal_delay_ns = " + std::to_string(goal_delay_ns) + " must be 0 to " + std::to_string(most_ns) +
+                ", " + std::to_string(ServoSettings::kMostDelay) + " sample periods");
   const auto expect = [](const char* what, double value, bool ok, const char* rule) {
     if (!ok || !std::isfinite(value)) throw Error(std::string("servo.") + what + " = " + to_text(value) + " must be " + rule);
   };
@@ -59,14 +63,19 @@ ServoInput::ServoInput(const ServoSettings& settings)
       derives_(settings.velocity_steps > 0),
       gap_ns_(std::llround(kGapPeriods * static_cast<double>(settings.sample_period_ns))),
       joints_(settings.joints),
-      velocity_(velocity(settings)) {}
+      velocity_(velocity(settings)),
+      delay_ns_(settings.goal_delay_ns) {
+  if (delay_ns_ == 0) return;
+  goals_ns_.resize(static_cast<std::size_t>(delay_ns_ / settings.sample_period_ns) + 2);
+  goals_.resize(goals_ns_.size() * joints_.size());
+}
 
 void ServoInput::step(const ServoSample& sample) noexcept {
   const std::size_t n = joints_.size();
   bool finite = sample.q.size() == n;
   for (double q : sample.q) finite = finite && std::isfinite(q);
-  if (!finite) {  // nothing of it may stay in the window
-    velocity_.reset();
+  if (!finite) {  // nothing of it may stay in a window
+    reset();
     for (std::size_t j = 0; j < n; ++j) dq_[j] = tau_[j] = kUnknown;
     return;
   }
@@ -74,15 +83,50 @@ void ServoInput::step(const ServoSample& sample) noexcept {
     velocity_.step(sample.t_ns, sample.q, gap_ns_, std::span(dq_).first(n));
   else
     for (std::size_t j = 0; j < n; ++j) dq_[j] = at(sample.dq, j);
-  for (std::size_t j = 0; j < n; ++j) tau_[j] = torque(sample, j);
+  const std::span<const double> q_des = delay_ns_ > 0 ? delayed(sample) : sample.q_des;
+  for (std::size_t j = 0; j < n; ++j) tau_[j] = torque(sample, q_des, j);
 }
 
-double ServoInput::torque(const ServoSample& sample, std::size_t j) const noexcept {
+// The goals of delay_ns_ ago, on the line between two samples; the earliest that is known where none is so old.
+std::span<const double> ServoInput::delayed(const ServoSample& sample) noexcept {
+  const std::size_t n = joints_.size();
+  if (sample.q_des.size() != n) {
+    goals_filled_ = 0;
+    return {};
+  }
+  const int size = static_cast<int>(goals_ns_.size());
+  const auto place = [&](int back) {
+    const int at = goals_newest_ - back;
+    return static_cast<std::size_t>(at < 0 ? at + size : at);
+  };
+  if (goals_filled_ > 0) {
+    const std::int64_t last_ns = goals_ns_[place(0)];
+    if (sample.t_ns <= last_ns || elapsed_ns(sample.t_ns, last_ns) > static_cast<std::uint64_t>(gap_ns_)) goals_filled_ = 0;
+  }
+  goals_newest_ = goals_newest_ + 1 == size ? 0 : goals_newest_ + 1;
+  goals_filled_ = std::min(goals_filled_ + 1, size);
+  goals_ns_[place(0)] = sample.t_ns;
+  std::copy(sample.q_des.begin(), sample.q_des.end(), goals_.begin() + static_cast<std::ptrdiff_t>(place(0) * n));
+  const auto delay_ns = static_cast<std::uint64_t>(delay_ns_);
+  int older = 0;
+  while (older + 1 < goals_filled_ && elapsed_ns(sample.t_ns, goals_ns_[place(older)]) < delay_ns) ++older;
+  const std::size_t from = place(older), to = place(std::max(older - 1, 0));
+  const double age_ns = static_cast<double>(elapsed_ns(sample.t_ns, goals_ns_[from]));
+  const double step_ns = static_cast<double>(elapsed_ns(goals_ns_[to], goals_ns_[from]));
+  const double share = step_ns > 0 ? std::max(age_ns - static_cast<double>(delay_ns_), 0.0) / step_ns : 0.0;
+  for (std::size_t j = 0; j < n; ++j) {
+    const double before = goals_[from * n + j], after = goals_[to * n + j];
+    goal_[j] = share > 0 ? before + share * (after - before) : before;
+  }
+  return {goal_.data(), n};
+}
+
+double ServoInput::torque(const ServoSample& sample, std::span<const double> q_des, std::size_t j) const noexcept {
   const ServoConstants& motor = joints_[j];
   if (from_ == TorqueFrom::torque) return at(sample.tau, j);
   if (from_ == TorqueFrom::phase_current) return motor.nm_per_ampere * at(sample.current, j);
   const double measured = at(sample.voltage, j), volts = measured > 0 ? measured : motor.volts;
-  const double emf = motor.back_emf_v_s * dq_[j], off = at(sample.q_des, j) - sample.q[j];
+  const double emf = motor.back_emf_v_s * dq_[j], off = at(q_des, j) - sample.q[j];
   double duty = at(sample.duty, j);
   if (from_ == TorqueFrom::goal) duty = std::clamp(motor.duty_per_rad * off, -motor.most_duty, motor.most_duty);
   if (from_ == TorqueFrom::supply_current) {

@@ -307,8 +307,8 @@ void an_old_bundle_with_torque_constants_is_refused_with_the_command_that_conver
     const std::size_t load = 8 + bundle.load.frame.size() + 4 + 8 * 14 + 8 + bundle.load.refused.size() + 6 * 8;
     // Nor what came with format 9, wrenches and shapes: three empty lists, five numbers, an empty list.
     const auto forces = bytes.end() - static_cast<std::ptrdiff_t>(reference);
-    // Nor what came with format 10, servos: a byte, a number of 4 bytes, one of 8, an empty list.
-    bytes.erase(forces - (9 * 8 + 21), forces);
+    // Nor what came with format 10, servos: a byte, a number of 4 bytes, two of 8, an empty list.
+    bytes.erase(forces - (9 * 8 + 29), forces);
     const auto carried = bytes.end() - static_cast<std::ptrdiff_t>(reference);
     bytes.erase(carried - static_cast<std::ptrdiff_t>(load), carried);
     // Nor what came with format 7: what is possible, two lists before the reference.

@@ -400,7 +400,7 @@ void an_encoder_that_stands_still_is_a_fault_and_a_resting_arm_is_not() {
   CHECK((feed(driven, s, 0, 3000).causes & kEncoderStill) != 0);
   // A servo counts behind its gear: one that something blocks does not move, and its torque is what is to be told.
   Bundle servo = bundle;
-  servo.servo = {TorqueFrom::duty, 8, servo.observer.sample_period_ns, {{}, {}}};
+  servo.servo = {TorqueFrom::duty, 8, servo.observer.sample_period_ns, 0, {{}, {}}};
   Monitor blocked(servo);
   const Estimate& told = feed(blocked, s, 0, 3000);
   CHECK(told.causes == 0 && told.health == Health::ok);

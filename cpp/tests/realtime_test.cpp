@@ -96,6 +96,7 @@ struct Everything {
   std::vector<std::byte> state;
   PlaceModel places;
   TouchPlaces told;
+  ServoInput servo;
 
   explicit Everything(int joints)
       : every(tracking(joints)),
@@ -104,7 +105,9 @@ struct Everything {
         velocity(compared(joints)),
         recorder(joints, 1'000'000, {0.5, 0.1, true}),
         state(every.state_bytes()),
-        places(tracking(joints)) {
+        places(tracking(joints)),
+        servo({TorqueFrom::supply_current, 16, 1'000'000, 30'000'000,
+               std::vector<ServoConstants>(static_cast<std::size_t>(joints), {7.4, 2.7, 1.3, 1.3, 3, 0.97, 0.0015})}) {
     every.reserve_refit(1.0);
   }
 
@@ -123,6 +126,7 @@ struct Everything {
       if (k % 1500 > 1400) tau[0] += 80;
       Sample sample{t_ns, {q, static_cast<std::size_t>(joints)}, {dq, static_cast<std::size_t>(joints)},
                     {tau, static_cast<std::size_t>(k % 1777 ? joints : 1)}};
+      servo.step({sample.t_ns, sample.q, {}, {}, sample.dq, sample.tau});
       if (k % 13 == 0) sample.temperature = {tau, static_cast<std::size_t>(joints)};
       recorder.push(sample, every.step(sample));
       own.estimate(sample);

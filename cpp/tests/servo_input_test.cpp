@@ -1,5 +1,6 @@
 #include "tauext/servo_input.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <random>
 #include <vector>
@@ -18,7 +19,7 @@ const ServoConstants kMotor{7.4, 2.75, 1.28, 1.28, 3.0, 0.97, kCount};
 
 double counted(double q) { return kCount * std::round(q / kCount); }
 
-ServoSettings servo(TorqueFrom from, int steps = 0) { return {from, steps, kPeriod, {kMotor}}; }
+ServoSettings servo(TorqueFrom from, int steps = 0) { return {from, steps, kPeriod, 0, {kMotor}}; }
 
 // tau of one sample: q = 0, speed w, and what is measured.
 double torque(TorqueFrom from, double w, std::span<const double> q_des, std::span<const double> current,
@@ -158,6 +159,26 @@ void a_pause_starts_the_window_anew() {
   CHECK(input.dq()[0] == 0);
 }
 
+// A goal that rises by 0.2 rad/s, delayed by two and a half periods: the line between the samples, once they are so old.
+void a_goal_acts_after_its_delay() {
+  ServoSettings settings = servo(TorqueFrom::goal);
+  settings.goal_delay_ns = 5 * kPeriod / 2;
+  ServoInput input(settings);
+  const double still[] = {0};
+  const double nm_per_rad = kMotor.nm_per_ampere * kMotor.volts * kMotor.duty_per_rad / kMotor.ohm;
+  for (int k = 0; k < 30; ++k) {
+    if (k == 20) input.reset();
+    const double goal[] = {0.1 + 0.2e-9 * static_cast<double>(kPeriod) * (k % 20)};
+    input.step({k * kPeriod, still, still, {}, goal});
+    const double late = 0.1 + 0.004 * std::max(k % 20 - 2.5, 0.0);
+    CHECK_CLOSE(input.tau()[0], nm_per_rad * late, 1e-9);
+  }
+  input.step({30 * kPeriod, still, still});
+  CHECK(std::isnan(input.tau()[0]));
+  settings.goal_delay_ns = 65 * kPeriod;
+  CHECK_THROWS(ServoInput{settings}, Error);
+}
+
 void wrong_settings_are_refused() {
   ServoSettings none;
   CHECK(!none.on());
@@ -189,6 +210,7 @@ int main() {
   an_accelerating_joint_is_followed();
   one_step_is_the_difference_and_so_is_no_count();
   a_pause_starts_the_window_anew();
+  a_goal_acts_after_its_delay();
   wrong_settings_are_refused();
   return check::result();
 }

@@ -30,9 +30,12 @@ struct ServoConstants {
 };
 
 struct ServoSettings {
+  static constexpr int kMostDelay = 64;  // of goals, in sample periods
+
   TorqueFrom torque_from = TorqueFrom::torque;
   int velocity_steps = 0;              // most steps in the velocity's window; 0: dq as it is given
   std::int64_t sample_period_ns = 0;   // > 0 where velocity_steps is; a pause of over 2.5 of them starts the window anew
+  std::int64_t goal_delay_ns = 0;      // a goal acts so long after its stamp, at most kMostDelay sample periods
   std::vector<ServoConstants> joints;  // empty: these are no servos, and a ServoInput cannot be made
 
   bool on() const noexcept { return !joints.empty(); }
@@ -51,12 +54,13 @@ struct ServoSample {
   std::span<const double> voltage = {};       // of the supply, [V]
 };
 
-// Memory: the velocity's window alone, so that a recording and the loop that made it have the same values.
+// Memory: the velocity's window and the goals of the delay, so that a recording and the loop that made it have the same values.
 //   V D = R I + k_e w,   tau = k_t I
 // with the duty D, speed w and winding current I. Where torque comes from
 //   the phase current    I is given;
 //   the duty             I = (V D - k_e w) / R;
-//   the goal             D = clip(g (q_des - q), +-most), then as from the duty;
+//   the goal             D = clip(g (q_des - q), +-most), then as from the duty; the goal is that of goal_delay_ns ago, on
+//                        the line between two samples, since bus and servo take their time;
 //   the supply current   V D^2 - k_e w D = R I_s by the balance of power, I_s = D I:
 //                        D = (k_e w +- sqrt((k_e w)^2 + 4 V R |I_s|)) / 2V, with the sign of the duty, or that of q_des - q
 //                        where nobody measured a duty, which changes over two counts of the encoder.
@@ -72,17 +76,25 @@ class ServoInput {
   std::span<const double> dq() const noexcept { return {dq_.data(), joints_.size()}; }    // [rad/s]
   std::span<const double> tau() const noexcept { return {tau_.data(), joints_.size()}; }  // [N m], or A
   // The next sample is a first one.
-  void reset() noexcept { velocity_.reset(); }
+  void reset() noexcept {
+    velocity_.reset();
+    goals_filled_ = 0;
+  }
 
  private:
-  double torque(const ServoSample& sample, std::size_t joint) const noexcept;
+  double torque(const ServoSample& sample, std::span<const double> q_des, std::size_t joint) const noexcept;
+  std::span<const double> delayed(const ServoSample& sample) noexcept;
 
   TorqueFrom from_;
   bool derives_;
   std::int64_t gap_ns_;
   std::vector<ServoConstants> joints_;
   AdaptiveVelocity velocity_;
-  JointVector dq_{}, tau_{};
+  std::int64_t delay_ns_;
+  int goals_newest_ = 0, goals_filled_ = 0;  // a ring
+  std::vector<std::int64_t> goals_ns_;
+  std::vector<double> goals_;  // (ring, joints)
+  JointVector dq_{}, tau_{}, goal_{};
 };
 
 }  // namespace tauext

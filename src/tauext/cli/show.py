@@ -10,6 +10,7 @@ import tyro
 
 from tauext.cli.place_argument import PlaceArg
 from tauext.cli.show_prior import describe_fleet_prior
+from tauext.cli.show_servo import describe_servo
 from tauext.errors import BundleError, ConfigError
 from tauext.store import Place
 
@@ -129,6 +130,7 @@ def describe_bundle(file: Place) -> dict:
             "parameters": bundle.shape.parameter_count,
             "window": f"{bundle.window_steps} steps of {network_period_s * 1e3:g} ms",
         }
+    content |= describe_servo(bundle, names)
     if bundle.observer.nm_per_unit:
         content["torque constants"] = dict(zip(names, bundle.observer.nm_per_unit, strict=True))
     if bundle.prior.terms:
@@ -329,9 +331,10 @@ def describe_prior(bundle: Bundle, facts: dict) -> dict:
 def describe_recording(file: Place) -> dict:
     """Plain content of a recording."""
     from tauext.data import load_recording
+    from tauext.data.recording import FLAGS, OPTIONAL_SIGNALS
 
     recording = load_recording(file)
-    signals = [s for s in ("tau_jts", "tau_ext", "tau_ext_sensor", "q_des", "temperature", "contact", "contact_link")]
+    signals = (*OPTIONAL_SIGNALS, *FLAGS)
     touched = "unknown" if recording.contact is None else f"{(recording.contact == 1).mean():.1%} of the samples"
     return {
         "recording": recording.name,

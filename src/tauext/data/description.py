@@ -110,6 +110,9 @@ class ServoTable:
     """Of the encoder; none: the type's, or else as the recordings show."""
     velocity_window_s: float = 0.2
     """Longest stretch that a velocity is derived from, [s]; 0: the velocity is taken as measured."""
+    goal_delay_s: float | str = "period"
+    """A goal acts so long after its stamp, [s]; "period": one sample period, since most loops read the position first
+    and send the goal then, so that the next position is the first that it moves."""
     timing: TorqueTiming = "held"
     """Of the torque."""
 
@@ -290,6 +293,8 @@ class Arm:
             self._check_count("servo", "torque_constant", servo.torque_constant)
         window_s = servo.velocity_window_s
         self._require(0 <= window_s <= 2, "servo", "velocity_window_s", window_s, "0 to 2")
+        delay_s = 0.0 if isinstance(servo.goal_delay_s, str) else servo.goal_delay_s
+        self._require(0 <= delay_s <= 0.5, "servo", "goal_delay_s", delay_s, '0 to 0.5, or "period"')
         if servo.torque_from == "torque":
             return
         needed = NEEDS[servo.torque_from]

@@ -149,6 +149,10 @@ def _constants(value: Any, joints: int) -> tuple[float, ...] | str:
     return "unknown" if value == "unknown" else _numbers(value, joints)
 
 
+def _number_or_period(value: Any, _: int) -> float | str:
+    return "period" if value == "period" else _number(value)
+
+
 def _spans(value: Any, _: int) -> dict[str, tuple[tuple[float, ...], ...]]:
     if not isinstance(value, dict):
         raise TypeError
@@ -171,6 +175,7 @@ READERS: dict[str, tuple[Callable[[Any, int], Any], str]] = {
     "tuple[str, ...]": (_texts, "a text or a list of texts"),
     "tuple[float, ...]": (_numbers, "a number or a list of numbers"),
     "tuple[float, ...] | str": (_constants, 'a number, a list of numbers, or "unknown"'),
+    "float | str": (_number_or_period, 'a number, or "period"'),
     "dict[str, tuple[tuple[float, float], ...]]": (_spans, "a table of lists [[t0, t1], ...]"),
     "Side": _one_of(get_args(Side)),
     "Repeats": _one_of(get_args(Repeats)),

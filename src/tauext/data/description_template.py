@@ -271,6 +271,8 @@ timing = "instant"
 # counts_a_turn = 4096        # of the encoder
 # Longest stretch that a velocity is derived from, s; 0: [signals.dq] says it.
 # velocity_window_s = 0.2
+# A goal acts so long after its stamp, s; "period": one sample period, where a loop reads first and then sends it.
+# goal_delay_s = "period"
 # Of the torque, as in [signals.tau].
 # timing = "held"
 

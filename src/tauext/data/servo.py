@@ -74,7 +74,14 @@ def servo_settings(arm: Arm, rate_hz: float, q: np.ndarray) -> _core.ServoSettin
         )
     steps = min(round(servo.velocity_window_s * rate_hz), 64)
     source = getattr(_core.TorqueFrom, servo.torque_from.replace("-", "_"))
-    return _core.ServoSettings(source, constants, max(steps, 1) if servo.velocity_window_s else 0, round(1e9 / rate_hz))
+    delay_s = 1 / rate_hz if isinstance(servo.goal_delay_s, str) else servo.goal_delay_s
+    return _core.ServoSettings(
+        source,
+        constants,
+        velocity_steps=max(steps, 1) if servo.velocity_window_s else 0,
+        sample_period_ns=round(1e9 / rate_hz),
+        goal_delay_ns=round(delay_s * 1e9) if servo.torque_from in ("goal", "supply-current") else 0,
+    )
 
 
 def velocity_and_torque(
@@ -100,6 +107,7 @@ def servo_facts(settings: _core.ServoSettings) -> dict[str, Any]:
         "torque_from": settings.torque_from.name,
         "velocity_steps": settings.velocity_steps,
         "sample_period_ns": settings.sample_period_ns,
+        "goal_delay_ns": settings.goal_delay_ns,
         "joints": [{name: getattr(joint, name) for name in CONSTANTS} for joint in settings.joints],
     }
 
@@ -111,6 +119,7 @@ def servo_of(facts: Mapping[str, Any]) -> _core.ServoSettings:
         [_core.ServoConstants(**joint) for joint in facts["joints"]],
         facts["velocity_steps"],
         facts["sample_period_ns"],
+        facts["goal_delay_ns"],
     )
 
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tauext.data import Recording
+from tauext.data.servo import makes_torque
 from tauext.doctor.finding import Finding
 from tauext.doctor.motion import repeated_rows
 
@@ -84,7 +85,9 @@ def _faster_than_said(recordings: Sequence[Recording], j: int, side: int, limit:
 def _stuck(recordings: Sequence[Recording], j: int, joint: str) -> Finding | None:
     count, longest, told = 0, 0.0, ""
     ends = {name: _ends(recordings, name, j) for name in ("tau", "dq")}  # there a signal is saturated, not stuck
-    signals = ("q", "dq") if _is_coarse(recordings, j) else ("q", "dq", "tau")
+    # Nor tau made of a servo's counts, which stay 0 while hardly any current is drawn.
+    counted = any(makes_torque(r) for r in recordings)
+    signals = ("q", "dq") if counted or _is_coarse(recordings, j) else ("q", "dq", "tau")
     velocity_step = min((_least_step(r.dq[:, j]) for r in recordings), default=0.0)
     for r in recordings:
         whole = repeated_rows(r)

@@ -10,9 +10,11 @@ import numpy as np
 from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data import Recording
+from tauext.data.servo import derives_velocity
 from tauext.learn.find_kinematics import can_be_found, find_kinematics
 from tauext.learn.kinematic_sample import LEAST_ROWS, KinematicSample
 from tauext.learn.kinematics import Kinematics
+from tauext.learn.play import Play, find_play, told
 from tauext.learn.prior_fit import PriorFit
 from tauext.learn.prior_terms import CORRECTED, ESTIMATED, has_model, own_terms, shared_terms
 from tauext.learn.ridge import fit_ridge
@@ -44,6 +46,8 @@ class Inertia:
     """See own_terms."""
     loads: tuple[_core.Link, ...] = ()
     kinematics: Kinematics | None = None
+    play: Play = ()
+    """Of each joint, see own_terms; empty: of none."""
 
 
 def fit_prior(
@@ -89,7 +93,34 @@ def fit_prior(
         prior.widths_rad = [width for width in setup.widths_rad if width not in dropped]
         without = fit_terms(replace(setup, prior=prior), recordings, config, ripple, inertia)
         fit = replace(without, dropped_widths=dropped)
+    if any(derives_velocity(recording) for recording in recordings) and inertia.load is not None:
+        inertia, fit = with_play(setup, fit, recordings, config, ripple, inertia, tell)
     return chosen(setup, fit, recordings, config, ripple, inertia)
+
+
+def with_play(
+    setup: Setup,
+    fit: PriorFit,
+    recordings: Sequence[Recording],
+    config: PriorConfig,
+    ripple: Sequence[Sequence[int]],
+    inertia: Inertia,
+    tell: Callable[[str], None] | None,
+) -> tuple[Inertia, PriorFit]:
+    """The play of servos' gears, where it shows: see find_play."""
+    prior = _core.PriorSettings()
+    prior.widths_rad = fit.settings.widths_rad
+    bent = replace(setup, prior=prior)
+
+    def fitted(play: Play) -> PriorFit:
+        again = fit_terms(bent, recordings, config, ripple, replace(inertia, play=play))
+        return replace(again, dropped_widths=fit.dropped_widths)
+
+    play, better = find_play(fit, fitted)
+    words = told(play, prior.widths_rad, [link.joint_name for link in setup.tree.links])
+    if words and tell is not None:
+        tell(words)
+    return replace(inertia, play=play), better
 
 
 def chosen(
@@ -204,6 +235,7 @@ def fit_terms(
     tops = np.max([np.abs(recording.dq).max(axis=0) for recording in recordings], axis=0)
     weighs = weighs_on(setup, recordings, inertia)
     loads = [inertia.load if load else None for load in weighs]
-    own = [own_terms(setup, config, j, ripple[j], loads[j], top) for j, top in enumerate(tops.tolist())]
+    play = inertia.play or (None,) * len(loads)
+    own = [own_terms(setup, config, j, ripple[j], loads[j], top, play[j]) for j, top in enumerate(tops.tolist())]
     shared = [] if has_model(setup) or inertia.tree else shared_terms(setup)
     return fit_ridge(setup, recordings, own, shared, inertia.tree, inertia.loads)

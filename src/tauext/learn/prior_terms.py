@@ -24,6 +24,7 @@ def own_terms(
     ripple: Sequence[int] = (),
     load: int | None = None,
     top_speed_rad_s: float = math.inf,
+    play: int | None = None,
 ) -> list[_core.Term]:
     """Friction and ripple of one joint: what it does alone.
 
@@ -33,6 +34,7 @@ def own_terms(
     Args:
         top_speed_rad_s: of the joint in training.
         load: friction grows with the load by ESTIMATED or CORRECTED model; None: there is none that could tell.
+        play: index of the width that is half the joint's play, where it carries no load; None: none.
     """
     terms = [_core.Term(Kind.constant, joint), _core.Term(Kind.viscous, joint)]
     narrowest, *wider = config.coulomb_speeds_rad_s
@@ -43,6 +45,8 @@ def own_terms(
         terms.append(_core.Term(Kind.load, joint, form=load, speed=config.coulomb_speeds_rad_s[0]))
         if setup.widths_rad:
             terms.append(_core.Term(Kind.load_presliding, joint, b=len(setup.widths_rad) // 2, form=load))
+        if play is not None:
+            terms.append(_core.Term(Kind.backlash, joint, b=play, form=load))
     return terms + [_core.Term(Kind.ripple, joint, b=cycles, form=form) for cycles in ripple for form in (0, 1)]
 
 

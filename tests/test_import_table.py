@@ -56,7 +56,7 @@ TABLE = {
     "refit": ({"_core", "learn", "calibrate", "look", "data"}, {"numpy"}),
     "doctor": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
     "look": ({"doctor", "data"}, {"numpy"}),
-    "doctor/picture": ({"report"}, {"numpy", "matplotlib"}),
+    "doctor/picture": ({"data", "report"}, {"numpy", "matplotlib"}),
     "evaluate": ({"_core", "robot", "data", "calibrate"}, {"numpy"}),
     "report": ({"data"}, {"numpy", "matplotlib", "jinja2"}),
     "load": ({"_core", "data"}, {"numpy"}),

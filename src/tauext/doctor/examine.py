@@ -11,14 +11,17 @@ import numpy as np
 from tauext import _core
 from tauext.data import Recording
 from tauext.data.amperes import from_amperes, in_amperes
+from tauext.data.backlash import Play, play_of
 from tauext.data.servo import makes_torque
 from tauext.doctor.arrangement import exchanged_efforts, rearranged
 from tauext.doctor.clock import clock_findings
+from tauext.doctor.coarse import coarse_findings
 from tauext.doctor.contacts import contact_findings, spoils_contacts, unlabelled_findings
 from tauext.doctor.delay import delay_findings, torque_lags
 from tauext.doctor.drift import drift_findings
 from tauext.doctor.effort import far_findings, inverted, kind_findings, scale_findings, sign_findings, strong_joints
 from tauext.doctor.excitation import SEARCH_S, excitation_findings, moving_s
+from tauext.doctor.facts import Facts, facts_of
 from tauext.doctor.finding import SEVERITIES, Finding
 from tauext.doctor.fit import LEAST_ROWS, JointFit, fit_joint
 from tauext.doctor.gravity import gravity_finding
@@ -27,10 +30,12 @@ from tauext.doctor.motion import Stretch, stretches
 from tauext.doctor.odd_motion import odd_motions, odd_rates
 from tauext.doctor.odd_torque import odd_torques
 from tauext.doctor.payload import fit_load, loaded, payload_findings
+from tauext.doctor.play import play_findings
 from tauext.doctor.poses import pose_findings
 from tauext.doctor.regressors import Rows, rows_of
 from tauext.doctor.robot_file import RobotFile, changed_findings, open_robot
-from tauext.doctor.sensors import noise_nm, sensor_findings, torque_step_nm
+from tauext.doctor.sensors import sensor_findings
+from tauext.doctor.servo import Rest, efforts_of, is_drive, rests_of, servo_findings, with_sign, without_scale
 from tauext.doctor.sign import sign_vote
 from tauext.doctor.spikes import normal_ranges, spike_findings, spikes_of, without_spikes
 from tauext.doctor.time_unit import time_findings
@@ -61,7 +66,7 @@ class Diagnosis:
 
     joints: tuple[str, ...]
     findings: list[Finding]
-    facts: list[dict[str, float]]
+    facts: list[Facts]
     """One a joint: what could be measured, by names that bear their units."""
     rows: Rows | None = None
     """The mended data that the last fit was made of; None where nothing moves."""
@@ -70,6 +75,10 @@ class Diagnosis:
     """The model, with a load or a gravity that the file lacks; None where there is none."""
     lag_s: float = 0.0
     """By which the torque comes late."""
+    rests: list[Rest | None] = field(default_factory=list)
+    """Of a servo arm one a joint: its effort at rest."""
+    plays: list[Play] = field(default_factory=list)
+    """One a joint: what its turns tell of play."""
 
     @property
     def faulty(self) -> bool:
@@ -122,6 +131,9 @@ def _examine(
     timed, recordings = time_findings(recordings)
     recordings, odd = _alike(recordings, odd_rates(recordings))
     found += odd
+    recorded, efforts = recordings, efforts_of(recordings)
+    found += servo_findings(joints, efforts) + coarse_findings(recordings)
+    recordings, unsigned = with_sign(recordings, efforts)
     spikes, recordings = _spikes(recordings, file)
     found += timed + spikes
     motion = stretches(recordings)
@@ -132,7 +144,7 @@ def _examine(
     begin("velocities")
     recordings, motion, velocities, units = _in_radians(recordings, motion, file)
     tree = file.tree if file else None
-    odd = of_servos(odd_torques(motion, tree, joints, [r.name for r in recordings]), recordings)
+    odd = [] if unsigned else of_servos(odd_torques(motion, tree, joints, [r.name for r in recordings]), recordings)
     recordings, odd = _alike(recordings, odd)
     motion = stretches(recordings) if odd else motion
     found += units + odd + excitation_findings(recordings, motion)
@@ -143,13 +155,21 @@ def _examine(
     fits: list[JointFit] = []
     lags: list[tuple[float, float, float]] = []
     lag_s = 0.0
-    if not standing and motion and len(rows_of(motion, None).time_s) >= LEAST_ROWS:
-        torque_found, rows, fits, lags, tree, lag_s = _torque(motion, tree, joints, recordings, found, begin)
+    if unsigned:
+        pass  # of a torque without a sign there is nothing more to say
+    elif not standing and motion and len(rows_of(motion, None).time_s) >= LEAST_ROWS:
+        torque_found, rows, fits, lags, tree, lag_s = _torque(
+            motion, tree, joints, recordings, found, not any(map(is_drive, efforts)), begin
+        )
+        torque_found = without_scale(torque_found, joints, efforts)
         found += _of_currents(torque_found) if in_amperes(recordings) or from_amperes(recordings) else torque_found
     elif tree is not None:
         found += pose_findings(recordings, tree, joints)
+    plays = [play_of(recordings, j) for j in range(len(joints))]
+    found += play_findings(joints, plays)
     found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
-    return Diagnosis(joints, found, _facts(recordings, velocities, rows, fits, lags), rows, fits, tree, lag_s)
+    facts = facts_of(recorded, efforts, plays, velocities, rows, fits, lags)
+    return Diagnosis(joints, found, facts, rows, fits, tree, lag_s, rests_of(recorded, efforts), plays)
 
 
 def _same_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
@@ -210,6 +230,7 @@ def _torque(
     joints: Sequence[str],
     recordings: Sequence[Recording],
     signal_findings: Sequence[Finding],
+    delays_show: bool,
     begin: Callable[[str], None],
 ) -> tuple[list[Finding], Rows, list[JointFit], list[tuple[float, float, float]], _core.Tree | None, float]:
     """Order, axes, zeros, sign, gravity, delay, kind and payload, friction over time, contacts: each on what the one
@@ -237,7 +258,7 @@ def _torque(
 
     begin("delays")
     lags = torque_lags(motion, rows)
-    late, lag_s = delay_findings(lags, joints, 1 / motion[0].rate_hz) if long_enough else ([], 0.0)
+    late, lag_s = delay_findings(lags, joints, 1 / motion[0].rate_hz) if long_enough and delays_show else ([], 0.0)
     found += late
     begin("gravity, scale and payload")
     if tree is not None:
@@ -284,33 +305,3 @@ def _scale(
     then = rows_of(motion, tree_with, lag_s)
     rest = scale_findings(joints, [fit_joint(then, j) for j in range(len(joints))], off)
     return (factors, tree) if rest else (payload, tree_with)
-
-
-def _facts(
-    recordings: Sequence[Recording],
-    velocities: Sequence[VelocityFit | None],
-    rows: Rows | None,
-    fits: Sequence[JointFit],
-    lags: Sequence[tuple[float, float, float]],
-) -> list[dict[str, float]]:
-    facts, noise = [], noise_nm(recordings)
-    for j in range(len(recordings[0].joints)):
-        fact = {
-            "range_rad": max(float(np.ptp(r.q[:, j])) for r in recordings),
-            "speed_rad_s": max(float(np.abs(r.dq[:, j]).max()) for r in recordings),
-            "torque_nm": max(float(np.abs(r.tau[:, j]).max()) for r in recordings),
-            "torque_noise_nm": float(noise[j]),
-        }
-        step = torque_step_nm(recordings, j)
-        if step is not None:
-            fact["torque_step_nm"] = step
-        velocity = velocities[j]
-        if velocity is not None:
-            fact |= {"velocity_factor": velocity.factor, "velocity_delay_ms": velocity.lag_s * 1e3}
-        if fits and rows is not None:
-            fit = fits[j]
-            fact |= {"torque_spread_nm": fit.torque_nm, "error_nm": fit.error_nm, "torque_delay_ms": lags[j][0] * 1e3}
-            if fit.gravity_factor[0]:
-                fact |= {"gravity_factor": fit.gravity_factor[0], "gravity_factor_error": fit.gravity_factor[1]}
-        facts.append(fact)
-    return facts

@@ -10,8 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from tauext.data.drive_signal import RestLaw
 from tauext.doctor.examine import Diagnosis
 from tauext.doctor.regressors import Rows
+from tauext.doctor.servo import Rest
 from tauext.progress import SILENT, Reporter
 from tauext.report.style import DPI, LIMIT, RC, WIDTH_IN, label_joint
 
@@ -23,16 +25,23 @@ BREAK_S = 0.5
 
 
 def draw(diagnosis: Diagnosis, folder: Path, report: Reporter = SILENT) -> list[Path]:
-    """Write torque.png, all joints, and torque-1.png ..., one a joint over all of the motion; nothing without a fit."""
+    """Write torque.png, all joints, torque-1.png ..., one a joint over all of the motion, and for servos servos.png.
+
+    Without a fit there is no torque to draw.
+    """
+    servos = any(diagnosis.rests) or any(play.width_rad > 0 for play in diagnosis.plays)
     if diagnosis.rows is None:
-        return []
-    count = 1 + len(diagnosis.joints)
+        return [_save(_servos(diagnosis), folder / "servos.png")] if servos else []
+    count = 1 + len(diagnosis.joints) + servos
     with matplotlib.rc_context(RC), report.progress("draw") as show:
         show(0, count, "pictures")
         paths = [_save(_all(diagnosis), folder / "torque.png")]
         for j in range(len(diagnosis.joints)):
             show(len(paths), count, "pictures")
             paths.append(_save(_one(diagnosis, j), folder / f"torque-{j + 1}.png"))
+        if servos:
+            show(len(paths), count, "pictures")
+            paths.append(_save(_servos(diagnosis), folder / "servos.png"))
         show(count, count, "pictures")
     return paths
 
@@ -74,6 +83,37 @@ def _one(diagnosis: Diagnosis, j: int) -> Figure:
     )
     figure.legend(*above.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
+
+
+def _servos(diagnosis: Diagnosis) -> Figure:
+    """Each joint's effort at rest with its law, and what it bears after a turn with its play."""
+    n = len(diagnosis.joints)
+    figure = Figure(figsize=(WIDTH_IN, 0.9 + 1.5 * n), layout="constrained")
+    grid = figure.subplots(n, 2, squeeze=False)
+    rests = diagnosis.rests or [None] * n
+    for joint, (left, right), rest, play in zip(diagnosis.joints, grid, rests, diagnosis.plays, strict=True):
+        label_joint(left, joint)
+        if rest is not None and rest.effort_of.law is not None:
+            _rest(left, rest, rest.effort_of.law)
+        right.plot(np.degrees(play.travel_rad), play.curve, color=MEASURED, linewidth=1.0)
+        right.set_ylim(0, 1.5)
+        right.axvspan(0, np.degrees(play.lost_rad), color=PREDICTED, alpha=0.15, linewidth=0)
+        if play.width_rad > 0:
+            right.axvline(np.degrees(play.width_rad), color=LEFT, linewidth=1.0)
+    grid[0, 0].set_title("effort at rest, and its law", loc="left")
+    grid[0, 1].set_title("friction borne after a turn; shaded: half of it is not", loc="left")
+    grid[-1, 0].set_xlabel("goal - position, rad")
+    grid[-1, 1].set_xlabel("travel since the turn, degrees (line: play)")
+    return figure
+
+
+def _rest(axes: Axes, rest: Rest, law: RestLaw) -> None:
+    axes.plot(rest.error_rad, rest.effort, ".", color=MEASURED, markersize=1.5)
+    error = np.linspace(rest.error_rad.min(), rest.error_rad.max(), 200)
+    power = 2 if rest.effort_of.kind == "supply current" else 1
+    predicted = law.gain * np.abs(error) ** power * (np.sign(error) if law.odd else 1.0)
+    axes.plot(error, predicted, color=PREDICTED, linewidth=0.9)
+    axes.set_ylim(1.1 * min(0.0, float(rest.effort.min())), 1.1 * max(1e-9, float(rest.effort.max())))
 
 
 def _curves(axes: Axes, diagnosis: Diagnosis, j: int, shown: np.ndarray, left: bool = True) -> None:

@@ -13,6 +13,7 @@ from tauext.doctor.examine import Diagnosis
 from tauext.doctor.finding import SEVERITIES, Finding
 from tauext.doctor.motion import stretches
 from tauext.doctor.sensors import sensor_findings
+from tauext.doctor.servo import efforts_of, servo_findings, with_sign
 from tauext.doctor.spikes import normal_ranges, spike_findings, spikes_of, without_spikes
 from tauext.doctor.time_unit import time_findings
 from tauext.doctor.units import degree_findings
@@ -22,12 +23,16 @@ OF_ALL = ("quantised", "smoothed", "saturated")
 
 
 def quick_look(recording: Recording, torque_limits_nm: np.ndarray | None) -> list[Finding]:
-    """Clock, spikes, stuck and saturated signals, degrees and unit of time of one recording, the worst first.
+    """Unsigned efforts, clock, spikes, stuck and saturated signals, degrees and unit of time of one recording, the
+    worst first.
 
     Args:
         torque_limits_nm: (joints,) of the robot file, infinite where it has none; None: no robot file.
     """
     found, (mended,) = time_findings([recording])
+    efforts = efforts_of([mended])
+    found += [f for f in servo_findings(mended.joints, efforts) if f.severity == "fault"]
+    (mended,), _ = with_sign([mended], efforts)
     normal = normal_ranges([mended])
     spikes = spikes_of(mended, normal, torque_limits_nm)
     found += spike_findings(mended, spikes, normal)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tauext.data import Recording
+from tauext.data.quantum import LOOKED_AT, step_of
 from tauext.data.servo import makes_torque
 from tauext.doctor.finding import Finding
 from tauext.doctor.motion import repeated_rows
@@ -28,8 +29,6 @@ CLEAN = 1e-3
 """Noise as a share of the torque's spread. Motor currents and torque sensors have 0.01 to 0.2, none a thousandth."""
 CLEAN_RATE_HZ = 60.0
 """At lower rates motion itself fills the spectrum, and at much higher ones a drive's own filter empties its top."""
-STEP_SAMPLES = 200_000
-"""That are looked at for steps: all levels of a coarse signal are among them."""
 COARSE = 0.1
 """Step of the torque as a share of its spread."""
 MOVING_RAD_S = 0.02
@@ -140,17 +139,8 @@ def _least_step(x: np.ndarray) -> float:
 
 def torque_step_nm(recordings: Sequence[Recording], j: int) -> float | None:
     """Step of which every torque is a whole multiple, [N m]; None where there is none."""
-    stride = max(1, sum(r.samples for r in recordings) // STEP_SAMPLES)
-    tau = np.concatenate([r.tau[::stride, j] for r in recordings])
-    levels = np.unique(tau)
-    if not 3 <= len(levels) <= 0.5 * len(tau):
-        return None
-    gaps = np.diff(levels)
-    step = float(np.median(gaps[gaps < 1.5 * np.percentile(gaps, 10)]))
-    if step <= 0:
-        return None
-    counts = (levels - levels[0]) / step
-    return step if np.mean(np.abs(counts - np.round(counts)) < 0.02 + 1e-4 * counts) > 0.95 else None
+    stride = max(1, sum(r.samples for r in recordings) // LOOKED_AT)
+    return step_of(np.concatenate([r.tau[::stride, j] for r in recordings]))
 
 
 def _ends(recordings: Sequence[Recording], signal: str, j: int) -> tuple[float, float]:

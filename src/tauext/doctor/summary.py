@@ -9,10 +9,15 @@ from tauext.doctor.examine import Diagnosis
 from tauext.doctor.finding import SEVERITIES, Finding
 
 COLUMNS = (
+    ("torque_is", "tau is", "", ""),
     ("range_rad", "range", "rad", ".2f"),
     ("speed_rad_s", "speed", "rad/s", ".2f"),
     ("torque_nm", "torque", "Nm", ".3g"),
     ("torque_noise_nm", "noise", "Nm", ".2g"),
+    ("torque_step_nm", "tau step", "", ".3g"),
+    ("position_step_rad", "q step", "rad", ".3g"),
+    ("velocity_step_rad_s", "dq step", "rad/s", ".2g"),
+    ("backlash_rad", "play", "rad", ".2g"),
     ("velocity_factor", "dq by dq/dt", "", ".3f"),
     ("velocity_delay_ms", "dq late", "ms", ".1f"),
     ("torque_delay_ms", "tau late", "ms", ".1f"),

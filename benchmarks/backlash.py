@@ -1,0 +1,97 @@
+"""Play that the doctor finds in simulated servos, beside the play that they have.
+
+    python benchmarks/backlash.py --out docs/results/backlash        # the table there; two minutes on one core
+
+Servos of tests/made_servo.py, two bodies over a gap with friction, gravity, a position controller and 4096 counts a
+turn, at 50 Hz. tau is the drive's torque, or made of goal and position as an import makes it: a duty less its back-EMF.
+"""
+
+import argparse
+import shlex
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+
+import numpy as np
+from made_servo import COUNT_RAD, NO_LOAD_RAD_S, STALL_NM, Driven, Servo, drive, recorded
+
+from tauext import _core
+from tauext.data import Recording
+from tauext.data.backlash import Play, play_of
+
+DEGREE = np.pi / 180
+RATE_HZ = 50.0
+PLAYS = (0.0, 0.3, 0.5, 0.8, 1.0, 1.3, 1.5)
+CASES = {
+    "friction alone": Servo(),
+    "gravity as large as friction": Servo(gravity_nm=0.1),
+    "motor rubs as much as the link": Servo(motor_friction_nm=0.1),
+    "a third of the friction behind the play": Servo(link_friction_nm=0.03),
+    "gravity ten times friction": Servo(gravity_nm=1.0),
+    "encoder behind the play": Servo(encoder="link"),
+    "friction that bends over 1.1 degrees": Servo(bend_rad=0.01),
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, default=2.0, help="of each recording")
+    parser.add_argument("--recordings", type=int, default=3, help="that a width is found from")
+    parser.add_argument("--out", type=Path, help="folder for the table as README.md")
+    options = parser.parse_args()
+    servos = [replace(servo, play_rad=play * DEGREE) for servo in CASES.values() for play in PLAYS]
+    driven = [drive(servos, 60 * options.minutes, RATE_HZ, seed) for seed in range(options.recordings)]
+    lines = [
+        "# Play that the doctor finds",
+        "",
+        f"    python benchmarks/backlash.py {shlex.join(sys.argv[1:])}".rstrip(),
+        "",
+        f"Simulated servos, {options.recordings} recordings of {options.minutes:g} minutes at {RATE_HZ:g} Hz, "
+        "position in steps of 0.088 degrees. *Seen*: width ± standard",
+        "error in degrees, in brackets the travel after which half of the friction is borne where no play is certain.",
+    ]
+    for what, made in (("the drive's torque", False), ("goal and position, by the gain of the servo", True)):
+        lines += ["", f"## tau from {what}", "", "| joint | " + " | ".join(f"{play:g}°" for play in PLAYS) + " |"]
+        lines.append("|---" * (len(PLAYS) + 1) + "|")
+        for k, (name, servo) in enumerate(CASES.items()):
+            recordings = [recording(part(one, k), servo, made) for one in driven]
+            cells = [told(play_of(recordings, j)) for j in range(len(PLAYS))]
+            lines.append(f"| {name} | " + " | ".join(cells) + " |")
+            print(lines[-1], flush=True)
+    if options.out:
+        options.out.mkdir(parents=True, exist_ok=True)
+        (options.out / "README.md").write_text("\n".join(lines) + "\n")
+
+
+def part(driven: Driven, k: int) -> Driven:
+    """Of the case k alone."""
+    columns = slice(k * len(PLAYS), (k + 1) * len(PLAYS))
+    names = ("goal", "q", "dq", "duty", "torque")
+    return replace(driven, **{name: np.ascontiguousarray(getattr(driven, name)[:, columns]) for name in names})
+
+
+def recording(driven: Driven, servo: Servo, made: bool) -> Recording:
+    if not made:
+        return recorded(driven, driven.torque)
+    constants = _core.ServoConstants(
+        volts=1.0, ohm=1.0, back_emf_v_s=1 / NO_LOAD_RAD_S, nm_per_ampere=STALL_NM, most_duty=1.0, count_rad=COUNT_RAD,
+        duty_per_rad=servo.duty_per_rad,
+    )  # fmt: skip
+    settings = _core.ServoSettings(
+        _core.TorqueFrom.goal, [constants] * len(PLAYS), velocity_steps=10, sample_period_ns=round(1e9 / RATE_HZ)
+    )
+    t_ns = np.round(driven.t_s * 1e9).astype(np.int64)
+    _, tau = _core.ServoInput(settings).recording(t_ns, driven.q, q_des=driven.goal)
+    return recorded(driven, tau)
+
+
+def told(play: Play) -> str:
+    if play.width_rad > 0:
+        return f"{play.width_rad / DEGREE:.2f} ± {play.error_rad / DEGREE:.2f}"
+    return f"({play.lost_rad / DEGREE:.2f})" if play.lost_rad > 0 else "–"
+
+
+if __name__ == "__main__":
+    main()

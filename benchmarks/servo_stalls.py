@@ -35,6 +35,7 @@ EARLY_S = 0.05  # an onset is read off the signals to a few samples
 AFTER_S = 1.5  # what is raised so long after a stall is its end
 TEST_S = 0.34 * 3600
 ACKNOWLEDGED_S = 1.0
+TRAVELS_RAD = 0.1
 SOURCES = ("goal", "supply-current")
 MINUTES = (0, 10)
 METHODS = {
@@ -82,10 +83,16 @@ def drawn(data: Path, trial: Trial) -> tuple[list[str], list[str]]:
     while sum(length_s[name] for name in test) < TEST_S:
         test.append(free.pop())
     training: list[str] = []
-    for name in free:
+    for name in free if not trial.minutes else [name for name in free if all_move(data / f"{name}.parquet")]:
         if not trial.minutes or sum(length_s[one] for one in training) < 60 * trial.minutes:
             training.append(name)
     return training, test
+
+
+def all_move(path: Path) -> bool:
+    """Whether every joint travels, as it does where somebody records ten minutes on purpose."""
+    columns = pq.read_table(path, columns=[f"q_{joint}" for joint in JOINTS])
+    return all(np.ptp(columns[f"q_{joint}"].to_numpy()) > TRAVELS_RAD for joint in JOINTS)
 
 
 def span_s(path: Path) -> float:

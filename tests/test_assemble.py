@@ -346,6 +346,22 @@ def test_the_template_explains_every_key_and_is_itself_a_description():
     assert with_all.split.gap_s == 2.0 and set(with_all.signals) == set(description.KEYS)
 
 
+def test_the_template_makes_a_servos_torque_where_no_column_holds_it():
+    joints = ("shoulder_pan", "gripper")
+    named = [f"{signal}_{joint}" for joint in joints for signal in ("q", "dq", "goal")]
+    described = parse_arm(template(guess({"": ["t", *named]})))
+    assert described.robot.joints == joints and described.signals["q"].columns == ("q_{joint}",)
+    assert described.signals["q_des"].columns == ("goal_{joint}",) and described.makes_torque
+    assert described.servo is not None and described.servo.torque_from == "goal"
+    states = [f"{feature}[{joint}.pos]" for feature in ("observation.state", "action") for joint in joints]
+    described = parse_arm(template(guess({"": [*states, "timestamp"]})))
+    assert described.signals["q_des"].columns == ("action",) and described.makes_torque
+    duty = [f"{signal}_{joint}" for joint in joints for signal in ("q", "duty", "goal")]
+    assert parse_arm(template(guess({"": ["t", *duty]}))).servo.torque_from == "duty"
+    with_current = template(guess({"": ["t", *named, *(f"current_{joint}" for joint in joints)]}))
+    assert parse_arm(with_current).servo is None and 'unit = "A"' in with_current
+
+
 def test_the_template_guesses_names_of_columns():
     names = [f"{base}{k}" for base in ("tau_J", "q", "dq", "q_d", "tau_ext") for k in range(7)]
     found = guess({"": [*names, "time", "label"]})

@@ -8,8 +8,7 @@
 
 namespace tauext {
 
-// First-order adaptive windowing (Janabi-Sharifi, Hayward, Chen, IEEE Trans. Control Systems Technology 8 (2000) 1003,
-// best-fit form): the slope of the line through the longest stretch of the last samples from whose end-to-end line no
+// First-order adaptive windowing in its best-fit form [JanabiSharifi2000]: the slope of the line through the longest stretch of the last samples from whose end-to-end line no
 // position departs by more than a count. A slow joint is averaged over all of the window, one that accelerates over as
 // few samples as its acceleration asks for: a stretch of time T lags by T/2, and a T^2/8 <= count bounds T.
 // A joint that flickers between two counts has a velocity near 0, where a difference says count/period.

@@ -40,7 +40,12 @@ def guess(streams: Mapping[str, Sequence[str]]) -> Guess:
     """What the columns of a source may be, by their names alone."""
     found = Guess()
     for stream, names in streams.items():
-        groups = _groups(names)
+        groups, joints = _groups(names), _named_joints(names)
+        for prefix in sorted(
+            {name.removesuffix(f"_{joints[0]}") for name in names if joints and name.endswith(joints[0])}
+        ):
+            if all(f"{prefix}_{joint}" in names for joint in joints):
+                groups[f"{prefix}_{{joint}}"] = len(joints)
         for signal, pattern in GUESSES.items():
             fits = [g for g in groups if re.fullmatch(pattern, _bare(g), re.IGNORECASE)]
             single = signal in ("time", "label")
@@ -56,6 +61,8 @@ def guess(streams: Mapping[str, Sequence[str]]) -> Guess:
         elements = [n.removeprefix(f"{base}[")[:-1] for n in names if base and n.startswith(f"{base}[")]
         if elements and not all(e.isdigit() for e in elements):
             found.joint_names = tuple(elements)
+        elif joints and base.endswith("_{joint}"):
+            found.joint_names = joints
     return found
 
 
@@ -104,7 +111,25 @@ def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics
     text = TEMPLATE.replace("@OPTIONAL@", optional)
     for key, value in values.items():
         text = text.replace(f"@{key}@", value)
-    return text
+    made_of = next((source for signal, source in MADE_OF.items() if signal in columns), "")
+    return _as_servos(text, made_of) if made_of and "q" in columns and "tau" not in columns else text
+
+
+def _named_joints(names: Sequence[str]) -> tuple[str, ...]:
+    """What follows q_, pos_ or position_ in two names or more, in their order: names of joints."""
+    for prefix in ("q_", "pos_", "position_"):
+        joints = tuple(name.removeprefix(prefix) for name in names if name.startswith(prefix))
+        if len(joints) > 1 and not all(joint.isdigit() for joint in joints):
+            return joints
+    return ()
+
+
+def _as_servos(text: str, source: str) -> str:
+    """The text with [servo] in force, and without a torque of its own."""
+    text = text.replace("# [servo]", "[servo]", 1).replace('# torque_from = "torque"', f'torque_from = "{source}"', 1)
+    begin = text.index("[signals.tau]")
+    end = text.index("\n\n", begin)
+    return text[:begin] + re.sub(r"(?m)^(?=[\[a-z])", "# ", text[begin:end]) + text[end:]
 
 
 def _groups(names: Sequence[str]) -> dict[str, int]:
@@ -134,6 +159,8 @@ def _bare(pattern: str) -> str:
     return name if name.startswith(("observation.", "action")) else re.split(r"[./]", name)[-1]
 
 
+MADE_OF = {"duty": "duty", "q_des": "goal"}
+"""Sources of a servo's torque where no column holds it, by the signal that is there; best first."""
 OPTIONAL = {
     "q_des": """
 # Commanded position. Optional; keys as of q.

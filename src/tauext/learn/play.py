@@ -20,7 +20,7 @@ def find_play(fit: PriorFit, fitted: Callable[[Play], PriorFit]) -> tuple[Play, 
     where the others' does not do as well.
 
     A gear carries nothing while it crosses its play: beta (1 - |state|) of the weight shows in r. The state is a stop
-    operator's, of half the play (Nordin, Gutman, Automatica 38 (2002) 1633).
+    operator's, of half the play [Nordin2002].
 
     Args:
         fit: without play.

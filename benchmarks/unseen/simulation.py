@@ -34,10 +34,22 @@ class Run:
     tau_ext: np.ndarray
 
 
+def hinge(body: mujoco.MjsBody, link: _core.Link) -> None:
+    """A joint about z that carries its rotor."""
+    body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=link.rotor_inertia)
+
+
 def build(tree: _core.Tree) -> mujoco.MjModel:
     """The tree as a MuJoCo model: one body and one hinge about z a link."""
+    return specification(tree, RATE_HZ, hinge).compile()
+
+
+def specification(
+    tree: _core.Tree, rate_hz: float, join: Callable[[mujoco.MjsBody, _core.Link], None]
+) -> mujoco.MjSpec:
+    """The tree's links as bodies, each moved by what `join` gives it."""
     spec = mujoco.MjSpec()
-    spec.option.timestep, spec.option.gravity = 1 / RATE_HZ, list(tree.gravity)
+    spec.option.timestep, spec.option.gravity = 1 / rate_hz, list(tree.gravity)
     spec.compiler.balanceinertia = True  # masses off by 20 % may leave an inertia that no body has
     bodies: list = []
     for link in tree.links:
@@ -46,9 +58,9 @@ def build(tree: _core.Tree) -> mujoco.MjModel:
         mujoco.mju_mat2Quat(turn, np.array(link.rotation))
         body = parent.add_body(pos=link.translation, quat=turn, mass=link.mass, ipos=link.com)
         body.fullinertia, body.explicitinertial = link.inertia, True
-        body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=link.rotor_inertia)
+        join(body, link)
         bodies.append(body)
-    return spec.compile()
+    return spec
 
 
 def simulate(

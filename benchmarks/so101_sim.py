@@ -1,0 +1,251 @@
+"""A simulated SO-101 whose torques are known: errors, contacts found, what networks of the field find, velocities.
+
+    python benchmarks/so101_sim.py OUT [--seed 0] [--only simulate bundles tables] [--rates 50 30 100]
+    python benchmarks/deep_torque.py OUT --rate 50    between bundles and tables; needs PyTorch
+    python benchmarks/so101_sim.py OUT --only tables --keep     puts the tables into docs/results/so101-sim
+
+OUT/RATEhz has the recordings, as a servo bus reports them, with the truth beside them; OUT/RATEhz/SOURCE what tauext
+makes of them with the torque from one source, each step a tauext command. What is there is not made again.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from unseen.recordings import Take
+from unseen.servo_recordings import description, write_take
+from unseen.servo_tables import (
+    CONTACT_HEAD,
+    contact_cells,
+    deep_verdicts,
+    explained,
+    judged,
+    linear_law,
+    registers,
+    seen_by,
+    tests_of,
+    torque_row,
+    velocity_rows,
+)
+from unseen.so101 import servo_arm, so101
+from unseen_arms import command
+
+from tauext import _core
+
+KEPT = Path(__file__).parent.parent / "docs" / "results" / "so101-sim"
+RATES_HZ = (50, 30, 100)
+TEN_MINUTES = tuple(Take(f"train-{k}", "train", 5) for k in (1, 2))
+TESTS = tuple(Take(f"free-{k}", "test", 10) for k in range(1, 5))
+TOUCHED = tuple(Take(f"touched-{k}", "collisions", 10, 60) for k in range(1, 4))
+HOUR = tuple(Take(f"train-{k}", "train", 10) for k in range(3, 8))
+UNTOUCHED = Take("untouched-1", "", 10)
+"""The motion of touched-1 that nothing touches: what a contact changes is the difference."""
+TAKES = {take: 10 + number for number, take in enumerate(TEN_MINUTES + TESTS + TOUCHED + HOUR)}
+"""With the number of their draws."""
+TAKES[UNTOUCHED] = TAKES[TOUCHED[0]]
+
+
+def tested(rate_hz: int) -> tuple[Take, ...]:
+    """Takes to test on: 70 minutes at the first rate, 40 at the others."""
+    return TESTS + TOUCHED if rate_hz == RATES_HZ[0] else TESTS[:2] + TOUCHED[:2]
+
+
+def simulate(out: Path, seed: int) -> None:
+    """All recordings: at every rate those for ten minutes of training, at the first also what an hour needs."""
+    maker = so101()
+    arm = servo_arm(maker, seed)
+    first = [(RATES_HZ[0], take) for take in (*TEN_MINUTES, *tested(RATES_HZ[0]), UNTOUCHED)]
+    others = [(rate, take) for rate in RATES_HZ[1:] for take in (*TEN_MINUTES, *tested(rate))]
+    for rate, take in [*first, *others, *((RATES_HZ[0], take) for take in HOUR)]:
+        folder = out / f"{rate}hz"
+        folder.mkdir(parents=True, exist_ok=True)
+        if not (folder / f"{take.name}.parquet").exists():
+            write_take(maker, arm, rate, take, TAKES[take], seed, folder)
+            print(f"{folder.name}/{take.name}", flush=True)
+
+
+SOURCES = ("duty", "supply-current", "goal", "linear")
+DEEP = {"duty": "load", "supply-current": "current"}
+"""The signal that the networks of deep_torque.py predict, beside what tauext has from the same register."""
+STEPS = ("simulate", "bundles", "tables")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What one bundle is trained on."""
+
+    rate_hz: int
+    source: str
+    model: bool = True
+    hour: bool = False
+    recipe: str = "tauext"
+
+    @property
+    def data(self) -> str:
+        return f"{self.rate_hz}hz/{self.source}{'' if self.model else '-none'}{'-hour' if self.hour else ''}"
+
+    @property
+    def takes(self) -> tuple[Take, ...]:
+        return TEN_MINUTES + (HOUR if self.hour else ()) + tested(self.rate_hz)
+
+
+def trials(rates: Sequence[int]) -> list[Trial]:
+    """What is trained: all sources at every rate; at the first also other recipes, no model, an hour."""
+    first = rates[0]
+    more = [
+        *(Trial(first, "duty", recipe=recipe) for recipe in ("friction", "observer")),
+        *(Trial(first, source, model=False) for source in ("duty", "goal")),
+        *(Trial(first, source, hour=True) for source in ("duty",)),
+    ]
+    return (
+        [Trial(first, source) for source in SOURCES]
+        + more
+        + [Trial(rate, source) for rate in rates[1:] for source in SOURCES[:-1]]
+    )
+
+
+def make(out: Path, trial: Trial) -> Path:
+    """The bundle of a trial; its dataset beside it."""
+    data, raw = out / trial.data, out / f"{trial.rate_hz}hz"
+    if not (data / "split.json").exists():
+        linear = (
+            linear_law(raw, [take.name for take in TEN_MINUTES], so101().joints).round(4).tolist()
+            if trial.source == "linear"
+            else ()
+        )
+        arm = data.with_suffix(".toml")
+        arm.write_text(description(so101(), trial.takes, trial.source, trial.model, linear))
+        files = [raw / f"{take.name}.parquet" for take in trial.takes]
+        command(data.with_suffix(".import.txt"), "import", "--source", *files, "--arm", arm, "--out", data)
+    bundle = out / f"{trial.data}-{trial.recipe}.tauext"
+    if not bundle.exists():
+        case = () if trial.model else ("--case", "none")
+        said = bundle.with_suffix(".train.txt")
+        command(said, "train", "--data", data, "--recipe", trial.recipe, *case, "--out", bundle)
+        print(bundle, flush=True)
+    return bundle
+
+
+def write_tables(out: Path, rates: Sequence[int], seed: int, keep: bool) -> None:
+    """All tables that there are bundles for, to OUT/tables.md or into the repository."""
+    lines = [
+        "## Torque of the motor",
+        "",
+        *torque_tables(out, rates),
+        "",
+        "## Contacts",
+        "",
+        *contact_tables(out, rates),
+    ]
+    lines += ["", "## Networks that predict the motor's signal", "", *deep_tables(out, rates)]
+    lines += ["", "## Velocity", "", *velocity_tables(out, rates, seed)]
+    path = KEPT / "tables.md" if keep else out / "tables.md"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(lines) + "\n")
+    print(path)
+
+
+def torque_tables(out: Path, rates: Sequence[int]) -> list[str]:
+    lines = ["| torque from | Hz | free motion: RMS error, Nm | joint by joint | in contact | joint by joint |"]
+    lines += ["|---|---|---|---|---|---|"]
+    joints = so101().joints
+    for rate in rates:
+        names = [take.name for take in tested(rate)]
+        raw = out / f"{rate}hz"
+        law = linear_law(raw, [take.name for take in TEN_MINUTES], joints)
+        linear = {name: law * registers(raw, name, "signed", joints) for name in names}
+        lines.append(torque_row(f"linear law of the current | {rate}", raw, linear))
+        for source in SOURCES[:-1]:
+            data = out / Trial(rate, source).data
+            if (data / "split.json").exists():
+                torques = {recording.name: recording.tau for recording in tests_of(data)}
+                lines.append(torque_row(f"{source}, the type's constants | {rate}", raw, torques))
+            if (bundle := out / f"{Trial(rate, source).data}-tauext.tauext").exists():
+                factor = np.array(_core.Bundle.load(str(bundle)).observer.nm_per_unit or 1.0)
+                corrected = {name: factor * torque for name, torque in torques.items()}
+                lines.append(torque_row(f"{source}, corrected in training | {rate}", raw, corrected))
+    return lines
+
+
+def contact_tables(out: Path, rates: Sequence[int]) -> list[str]:
+    head = CONTACT_HEAD.format(first="Hz | model | training, min | recipe | error free, in contact, Nm")
+    lines = [head, "|".join(["", *["---"] * (head.count("|") - 1), ""])]
+    for trial in trials(rates):
+        bundle = out / f"{trial.data}-{trial.recipe}.tauext"
+        if bundle.exists():
+            verdicts, errors = judged(bundle, out / trial.data)
+            what = (
+                f"{trial.source} | {trial.rate_hz} | {'urdf' if trial.model else 'none'} | {60 if trial.hour else 10}"
+            )
+            wrong = ", ".join(f"{error:.3f}" for error in errors)
+            cells = contact_cells(verdicts, verdicts.strong)
+            lines.append(f"| {what} | {trial.recipe} | {wrong} | {cells} |")
+            print(lines[-1], flush=True)
+    return lines
+
+
+def deep_tables(out: Path, rates: Sequence[int]) -> list[str]:
+    head = CONTACT_HEAD.format(first="Hz | method | factor on its limits").replace("torque from", "signal")
+    lines, shares = [head, "|".join(["", *["---"] * (head.count("|") - 1), ""])], []
+    for rate in rates:
+        raw = out / f"{rate}hz"
+        for source, signal in DEEP.items():
+            trial = Trial(rate, source)
+            bundle, data = out / f"{trial.data}-tauext.tauext", out / trial.data
+            if not bundle.exists() or not (raw / f"deep-{signal}-goal").exists():
+                continue
+            ours, _ = judged(bundle, data)
+            lines.append(f"| {source} | {rate} | tauext | 1 | {contact_cells(ours, ours.strong)} |")
+            for inputs, words in (("goal", "LSTM on q, dq, goal − q"), ("motion", "LSTM on q, dq")):
+                kept = raw / f"deep-{signal}-{inputs}"
+                own, factor, equal = deep_verdicts(kept, data, ours.false_free + ours.false_after)
+                lines.append(f"| {source} | {rate} | {words} | 1 | {contact_cells(own, ours.strong)} |")
+                cells = contact_cells(equal, ours.strong)
+                lines.append(f"| {source} | {rate} | {words}, as many false | {factor:.2f} | {cells} |")
+                if rate == RATES_HZ[0]:
+                    within, overall = explained(raw, kept, TOUCHED[0].name, UNTOUCHED.name)
+                    shares.append(f"| {signal} | {words}: change of the signal that it predicts | {overall:.2f} |")
+                    shares.append(f"| {signal} | the same, signals no larger than in free motion | {within:.2f} |")
+            if rate == RATES_HZ[0]:
+                share = seen_by(bundle, data)
+                shares.append(f"| {source} | tauext: true torque that its tau_ext holds | {share:.2f} |")
+    learned = ["What a contact changes, where a joint feels more than 0.1 Nm of it:", ""]
+    return [*lines, "", *learned, "| signal | | share |", "|---|---|---|", *shares]
+
+
+def velocity_tables(out: Path, rates: Sequence[int], seed: int) -> list[str]:
+    rotor = servo_arm(so101(), seed).servos.rotor_kg_m2
+    lines = [
+        "| Hz | estimator | error moving, RMS rad/s | lag, ms | standing, RMS rad/s | torque invented, RMS Nm | most |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for rate in sorted(rates):
+        names = [take.name for take in TESTS[:2]]
+        lines += velocity_rows(out / f"{rate}hz", names, so101().joints, rate, np.asarray(rotor))
+    return lines
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--seed", type=int, default=0, help="of the arm, its motion and its contacts")
+    parser.add_argument("--rates", type=int, nargs="+", choices=RATES_HZ, default=list(RATES_HZ))
+    parser.add_argument("--only", nargs="+", choices=STEPS, default=list(STEPS))
+    parser.add_argument("--keep", action="store_true", help="put the tables into docs/results/so101-sim")
+    options = parser.parse_args()
+    out = options.out.resolve()
+    if "simulate" in options.only:
+        simulate(out, options.seed)
+    if "bundles" in options.only:
+        for trial in trials(options.rates):
+            make(out, trial)
+    if "tables" in options.only:
+        write_tables(out, options.rates, options.seed, options.keep)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,6 +1,7 @@
 """The monitor on a live arm: sources of samples, the loop, what follows from its verdicts."""
 
 from tauext.live.latency import Latencies
+from tauext.live.leader_feedback import FeedbackSettings, LeaderFeedback, free_motion_sigmas
 from tauext.live.loop import Loop, LoopSettings, ProfileSwitch
 from tauext.live.profiles import Profile, Profiles, load_profiles
 from tauext.live.reaction_file import Reaction, load_reactions
@@ -16,7 +17,9 @@ __all__ = [
     "Control",
     "Event",
     "EventKind",
+    "FeedbackSettings",
     "Latencies",
+    "LeaderFeedback",
     "Loop",
     "LoopReport",
     "LoopSettings",
@@ -39,6 +42,7 @@ __all__ = [
     "Stoppable",
     "Verdict",
     "ask_for_real_time",
+    "free_motion_sigmas",
     "load_profiles",
     "load_reactions",
     "start_reactions",

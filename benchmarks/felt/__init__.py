@@ -1,0 +1,1 @@
+"""Leader and follower of benchmarks/feeling.py."""

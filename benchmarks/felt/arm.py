@@ -1,0 +1,124 @@
+"""An arm of the size of an SO-101, three joints and a straight hand, before a wall, in MuJoCo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from felt.servo import Servo
+
+STEP_S = 0.002
+JOINTS = ("pan", "lift", "elbow")
+LED_RANGES, FREE_RANGES = ((-1.5, 1.5), (-1.2, 1.2), (-0.8, 1.4)), ((-2, 2), (-2, 2), (-2, 2))
+READY = np.array([0.0, -0.2, 0.55])
+"""The hand 28 cm before the pan's axis, 10 cm over the ground, [rad]."""
+MJCF = """
+<mujoco model="small_arm">
+  <compiler autolimits="true" angle="radian"/>
+  <option timestep="{step_s}" gravity="0 0 {gravity}" integrator="implicitfast"/>
+  <worldbody>
+    <body name="shoulder" pos="0 0 0.062">
+      <joint name="pan" axis="0 0 1" {range_pan}/>
+      <inertial pos="0.03 0 0.03" mass="0.1" diaginertia="8e-5 8e-5 3e-5"/>
+      <body name="upper_arm" pos="0.03 0 0.054">
+        <joint name="lift" axis="0 1 0" {range_lift}/>
+        <inertial pos="0.01 0 0.088" mass="0.103" diaginertia="1.5e-4 1.5e-4 4e-5"/>
+        <body name="forearm" pos="0.028 0 0.113">
+          <joint name="elbow" axis="0 1 0" {range_elbow}/>
+          <inertial pos="0.143 0 0" mass="0.282" diaginertia="1e-4 1.3e-3 1.3e-3"/>
+          <body name="hand" pos="0.294 0 0">
+            <inertial pos="0 0 0" mass="{hand_kg}" diaginertia="1e-5 1e-5 1e-5"/>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+"""Lengths, masses and places of masses after the SO-101's URDF, rounded; wrist and gripper are one with the forearm."""
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A plane that pushes the hand back like a stiff spring with a little damping."""
+
+    normal: tuple[float, float, float]
+    """Away from the wall."""
+    at_m: float
+    """Where it is along the normal."""
+    n_per_m: float = 10_000.0
+    n_s_per_m: float = 20.0
+
+    def depth(self, tip: np.ndarray) -> float:
+        """How deep the point is in it, [m]; negative before it."""
+        return self.at_m - float(np.dot(self.normal, tip))
+
+    def force(self, arm: Arm) -> np.ndarray | None:
+        """On the arm's hand, (3,), [N], never towards the wall; None before it."""
+        depth = self.depth(arm.tip)
+        if depth <= 0:
+            return None
+        velocity = arm.jacobian() @ arm.dq
+        push = self.n_per_m * depth - self.n_s_per_m * float(np.dot(self.normal, velocity))
+        return max(push, 0.0) * np.array(self.normal)
+
+
+def xml(gravity: float = -9.81, hand_kg: float = 1e-4, led: bool = False) -> str:
+    """The model's text; the follower's is also what training takes for the robot file.
+
+    Args:
+        led: a leader, whose stops are nearer: where its hand goes, the follower's can, and neither arm comes near to
+            being straight or folded, where a hand that leads its end could turn the elbow over.
+    """
+    ranges = LED_RANGES if led else FREE_RANGES
+    texts = {f"range_{name}": f'range="{low} {high}"' for name, (low, high) in zip(JOINTS, ranges, strict=True)}
+    return MJCF.format(step_s=STEP_S, gravity=gravity, hand_kg=hand_kg, **texts)
+
+
+class Arm:
+    """One arm under torques that are given step by step."""
+
+    def __init__(self, servo: Servo, gravity: float = -9.81, hand_kg: float = 1e-4, led: bool = False):
+        self.model = mujoco.MjModel.from_xml_string(xml(gravity, hand_kg, led))
+        self.model.dof_armature[:] = servo.armature_kg_m2
+        self.model.dof_damping[:] = servo.viscous_nm_s_rad
+        self.data = mujoco.MjData(self.model)
+        self.data.qpos[:] = READY
+        self.servo = servo
+        self.outside_nm = np.zeros(3)
+        """Torque of wall and hand in the last step, (3,), [N m]."""
+        self._jacobian = np.zeros((3, 3))
+        self._hand = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, "hand")
+        mujoco.mj_forward(self.model, self.data)
+
+    @property
+    def q(self) -> np.ndarray:
+        """[rad]."""
+        return self.data.qpos.copy()
+
+    @property
+    def dq(self) -> np.ndarray:
+        """[rad/s]."""
+        return self.data.qvel.copy()
+
+    @property
+    def tip(self) -> np.ndarray:
+        """Where the hand is, (3,), [m]."""
+        return self.data.xpos[self._hand].copy()
+
+    def jacobian(self) -> np.ndarray:
+        """Of the hand's point, (3, joints)."""
+        mujoco.mj_jac(self.model, self.data, self._jacobian, None, self.data.xpos[self._hand], self._hand)
+        return self._jacobian
+
+    def step(self, motor_nm: np.ndarray, force_n: np.ndarray | None) -> None:
+        """STEP_S under the motors' torque and a force on the hand; friction follows what loads the gears."""
+        self.outside_nm = np.zeros(3) if force_n is None else self.jacobian().T @ force_n
+        load = np.abs(self.outside_nm - self.data.qfrc_bias)
+        servo = self.servo
+        friction = servo.coulomb_nm + servo.motor_share * np.abs(motor_nm) + servo.load_share * load
+        self.model.dof_frictionloss[:] = friction
+        self.data.qfrc_applied[:] = motor_nm + self.outside_nm
+        mujoco.mj_step(self.model, self.data)

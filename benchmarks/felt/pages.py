@@ -1,0 +1,91 @@
+"""The page of benchmarks/feeling.py."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from felt.measures import Swing
+
+HEAD = """# Feeling what the follower touches
+
+Written by `python benchmarks/feeling.py OUT --seed {seed}`. All of this is simulated; nothing ran on hardware. What is
+tried here: [feeling](../../feeling.md).
+
+A hand leads one arm; a second one follows it by position control over a wire of 1 to 3 ticks each way, 50 ticks a
+second, and comes upon a table of 10 N/mm. Both arms have the size of an SO-101, with three joints and 12-bit encoders.
+The follower's servos are STS3215 at 7.4 V as Rhoban's BAM identified them: motor, position loop at P = 16, friction
+that grows with the load. tau_ext is tauext's own, from position and goal alone, by a bundle trained on 10 minutes of
+free motion; its observer adds 50 ms to the wire. The leader's motors give the torque that they are told, and the hand
+carries its weight. Its gears are the same, or light ones that hardly rub, which is the harder case. Hands are a
+spring, a damper and a mass: two fingers 50 N/m, 2 N s/m, 0.1 kg; loose 150, 6, 0.3; firm 400, 20, 0.5.
+
+Gain 1, at most {cap:g} N m, a tank of {tank:g} mJ. The dead band is {sigmas} standard errors (pan, lift, elbow): 1.5
+times the most that the validation recordings showed.
+
+## In free motion there is nothing to feel
+
+Motion that neither training nor the dead band saw, 2 ticks each way:
+
+| gears | hand | minutes | largest tau_ext, N m: pan, lift, elbow | largest torque of the leader, N m | ticks felt |
+|---|---|---|---|---|---|
+"""
+PRESS = """
+## Pressing on the table
+
+The hand wants to be {deep:.0f} cm below the table's surface within a second, and stays there for 10 s. Swing is peak
+to peak of the leader's hand along the vertical, in seconds 3 to 5 → 10 to 12. Given is the most energy that the
+leader's motors had given the hand at any time: a real wall gives none. Felt is the leader's torque over the table's at
+the end, which is below 100 % for the dead band, and where the cap is reached.
+
+| gears | hand | ticks each way | swing, mm: no tank | tank | given, mJ: no tank | tank | felt: no tank | tank |
+|---|---|---|---|---|---|---|---|---|
+"""
+TAIL = """
+{verdict}
+
+![Height of both hands, torque and energy of a press, without and with the tank](press.png)
+
+Two fingers on light gears, 3 ticks each way. Grey: the table.
+
+## Tapping
+
+The same leader and wire, {hz:g} taps a second: the motors gave up to {taps_free:.0f} mJ without the tank,
+{taps_kept:.0f} mJ with it.
+
+![The same of taps](taps.png)
+"""
+
+
+def page(numbers: dict[str, Any]) -> str:
+    """README.md."""
+    sigmas = ", ".join(f"{value:.1f}" for value in numbers["dead_band_sigmas"])
+    text = HEAD.format(seed=numbers["seed"], cap=numbers["cap_nm"], tank=1000 * numbers["tank_j"], sigmas=sigmas)
+    for row in numbers["free"]:
+        errors = ", ".join(f"{value:.2f}" for value in row["most_tau_ext_nm"])
+        torque = f"{row['most_torque_nm']:.3f}" if row["ticks_felt"] else "0"
+        text += f"| {row['gears']} | {row['hand']} | {row['minutes']:g} | {errors} | {torque} | {row['ticks_felt']} |\n"
+    text += PRESS.format(deep=100 * numbers["below_m"])
+    pairs = []
+    for gears, hand, delay, *pair in numbers["press"]:
+        free, kept = (Swing(**measured) for measured in pair)
+        pairs.append((free, kept))
+        swings = " | ".join(f"{one.first_mm:.1f} → {one.last_mm:.1f}" for one in (free, kept))
+        given = " | ".join(f"{1000 * one.most_given_j:.0f}" for one in (free, kept))
+        felt = " | ".join(f"{100 * one.felt:.0f} %" for one in (free, kept))
+        text += f"| {gears} | {hand} | {delay} | {swings} | {given} | {felt} |\n"
+    taps_free, taps_kept = (1000 * Swing(**measured).most_given_j for measured in numbers["taps"])
+    return text + TAIL.format(verdict=verdict(pairs), hz=numbers["tap_hz"], taps_free=taps_free, taps_kept=taps_kept)
+
+
+def verdict(pairs: list[tuple[Swing, Swing]]) -> str:
+    """What the table of presses comes to, in words."""
+    (free, kept), n = zip(*pairs, strict=True), len(pairs)
+    swinging, growing = sum(not one.settles for one in free), sum(one.grows for one in free)
+    with_tank = sum(not one.settles for one in kept)
+    grown = sum(one.grows for one in kept)
+    worst = max(one.last_mm for one in kept)
+    return (
+        f"With the tank {grown or 'none'} of {n} grow, and {with_tank or 'none'} still swing by 3 mm or more at the "
+        f"end (worst {worst:.1f} mm).\nWithout it {swinging} of {n} go on swinging, {growing} of them more than at "
+        "first; what bounds them is the cap of the torque."
+    )

@@ -1,0 +1,174 @@
+"""A LeRobot leader, and torque on its motors from the follower's <joint>.tau_ext."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import draccus
+import numpy as np
+from lerobot.teleoperators import Teleoperator, TeleoperatorConfig, make_teleoperator_from_config
+
+from lerobot_teleoperator_tauext.config_tauext_leader import TauextLeaderConfig
+from lerobot_teleoperator_tauext.feel_step import FEELING
+from lerobot_teleoperator_tauext.positions import radians_a_unit
+from lerobot_teleoperator_tauext.torque_ports import torque_port
+from tauext.errors import ConfigError
+from tauext.live import FeedbackSettings, LeaderFeedback
+
+FIRST_DT_S = 0.02
+"""What the first tick is taken to have lasted; its torque is a slew step at most."""
+
+
+class TauextLeader(Teleoperator):
+    """Passes the leader's actions on, and what the follower feels to the leader's motors.
+
+    send_feedback() takes the follower's observation: `<joint>.tau_ext` [N m] of every joint that is felt, and
+    `<joint>.tau_ext_sigma` where the follower tells its standard error. A value that is missing or NaN fades the torque
+    of its joint to 0; `contact` or `collision` of -1, which is not known, fades all, as a pause of silence_s does.
+    """
+
+    config_class = TauextLeaderConfig
+    name = "tauext_leader"
+
+    def __init__(self, config: TauextLeaderConfig):
+        """ConfigError where there is no such leader, its motors take no torque, or a setting cannot be."""
+        super().__init__(config)
+        self.config = config
+        self.leader = make_teleoperator_from_config(leader_config(config.leader))
+        self._port = torque_port(self.leader, config.joints, config.nm_per_ampere)
+        self._joints = self._port.joints
+        self._feedback = LeaderFeedback(len(self._joints), self._settings())
+        self._q = np.full(len(self._joints), np.nan)
+        self._stepped_s: float | None = None
+        self._observed_s: float | None = None
+        self._radians: dict[str, float] = {}
+
+    @property
+    def action_features(self) -> dict:
+        return self.leader.action_features
+
+    @property
+    def feedback_features(self) -> dict:
+        return {f"{joint}.tau_ext": float for joint in self._joints}
+
+    @property
+    def is_connected(self) -> bool:
+        return self.leader.is_connected
+
+    @property
+    def is_calibrated(self) -> bool:
+        return self.leader.is_calibrated
+
+    def calibrate(self) -> None:
+        self.leader.calibrate()
+
+    def configure(self) -> None:
+        self.leader.configure()
+
+    def connect(self, calibrate: bool = True) -> None:
+        self.leader.connect(calibrate)
+        try:
+            self._radians = radians_a_unit(self.leader, self._joints, self.config.position_unit)
+            self._feedback = LeaderFeedback(len(self._joints), self._settings())
+            self._stepped_s = self._observed_s = None
+            self._port.begin()
+        except BaseException:
+            self.disconnect()
+            raise
+        FEELING.add(self)
+
+    def get_action(self) -> dict[str, Any]:
+        """The leader's; where no observation has come for silence_s, the torque fades."""
+        action = self.leader.get_action()
+        positions = [action.get(f"{joint}.pos") for joint in self._joints]
+        scale = [self._radians[joint] for joint in self._joints]
+        self._q = np.array([np.nan if q is None else float(q) for q in positions]) * scale
+        if self._observed_s is not None and time.monotonic() - self._observed_s > self.config.silence_s:
+            nothing = np.full(len(self._joints), np.nan)
+            self._step(nothing, nothing)
+        return action
+
+    def send_feedback(self, feedback: dict[str, Any]) -> dict[str, float]:
+        """Torque for the leader's motors from one observation of the follower; what was sent, [N m].
+
+        Raises:
+            ConfigError: no joint's tau_ext has ever been in an observation, or its error is neither there nor given.
+        """
+        tau_ext, sigma = (self._of_joints(feedback, suffix) for suffix in ("tau_ext", "tau_ext_sigma"))
+        if self._observed_s is None:
+            self._expect_tau_ext(feedback)
+        if self.config.dead_band_nm is not None:
+            sigma = np.where(np.isnan(sigma), 0.0, sigma)  # then the dead band is the one that is given
+        self._observed_s = time.monotonic()
+        healthy = feedback.get("contact", 0.0) >= 0 and feedback.get("collision", 0.0) >= 0
+        return self._step(tau_ext, sigma, healthy)
+
+    def disconnect(self) -> None:
+        """Motors first: whatever fails, the leader is let go."""
+        FEELING.discard(self)
+        try:
+            if self.leader.is_connected:
+                self._port.end()
+        finally:
+            self.leader.disconnect()
+
+    def _step(self, tau_ext: np.ndarray, sigma: np.ndarray, healthy: bool = True) -> dict[str, float]:
+        now = time.monotonic()
+        dt_s = FIRST_DT_S if self._stepped_s is None else max(now - self._stepped_s, 1e-4)
+        self._stepped_s = now
+        torque = self._feedback.step(tau_ext, sigma, self._q, dt_s, healthy)
+        sent = dict(zip(self._joints, torque.tolist(), strict=True))
+        self._port.write(sent)
+        return sent
+
+    def _of_joints(self, feedback: Mapping[str, Any], suffix: str) -> np.ndarray:
+        return np.array([float(feedback.get(f"{joint}.{suffix}", np.nan)) for joint in self._joints])
+
+    def _expect_tau_ext(self, feedback: Mapping[str, Any]) -> None:
+        missing = [joint for joint in self._joints if f"{joint}.tau_ext" not in feedback]
+        if missing:
+            raise ConfigError(
+                f"the follower's observation has no {missing[0]}.tau_ext: the robot must be one that tells it "
+                f"(--robot.type=tauext of lerobot_robot_tauext), or joints must leave {', '.join(missing)} out"
+            )
+        if self.config.dead_band_nm is None and f"{self._joints[0]}.tau_ext_sigma" not in feedback:
+            raise ConfigError(
+                f"the follower's observation has no {self._joints[0]}.tau_ext_sigma: give dead_band_nm, what tau_ext "
+                "of free motion never exceeds, [N m]"
+            )
+
+    def _settings(self) -> FeedbackSettings:
+        config = self.config
+        return FeedbackSettings(
+            gain=self._of_setting("gain"),
+            cap_nm=self._of_setting("cap_nm"),
+            dead_band_sigmas=self._of_setting("dead_band_sigmas"),
+            least_dead_band=self._of_setting("dead_band_nm") if config.dead_band_nm is not None else 0.0,
+            slew_nm_s=config.slew_nm_s,
+            damping_nm_s_rad=self._of_setting("damping_nm_s_rad"),
+            tank_j=config.tank_j,
+        )
+
+    def _of_setting(self, name: str) -> float | tuple[float, ...]:
+        value = getattr(self.config, name)
+        if not isinstance(value, Mapping):
+            return value
+        if set(value) != set(self._joints):
+            raise ConfigError(
+                f"{name} names {', '.join(value)}; it must name all of {', '.join(self._joints)}, or be one number"
+            )
+        return tuple(float(value[joint]) for joint in self._joints)
+
+
+def leader_config(options: Mapping[str, Any]) -> TeleoperatorConfig:
+    """The leader's own configuration from its options; ConfigError where there is no such leader or option."""
+    if "type" not in options:
+        raise ConfigError("leader needs a type: --teleop.leader='{type: koch_leader, port: /dev/ttyACM0, id: mine}'")
+    if options["type"] == TauextLeader.name:
+        raise ConfigError("leader: a tauext_leader is put around a leader, not around itself")
+    try:
+        return draccus.decode(TeleoperatorConfig, dict(options))
+    except draccus.utils.DecodingError as error:
+        raise ConfigError(f"leader: {error}") from error

@@ -50,6 +50,8 @@ def monitor(
     source: str | None = None,
     speed: float | None = None,
     torque_constants: PlaceArg | None = None,
+    bus: PlaceArg | None = None,
+    new_bus: Path | None = None,
     ros2: Ros2Settings = Ros2Settings(),  # noqa: B008
     reactions: PlaceArg | None = None,
     new_reactions: Path | None = None,
@@ -78,9 +80,13 @@ def monitor(
 
     Args:
         bundle: bundle (*.tauext) to run.
-        source: where samples come from: replay:FILE, ur:HOST, franka:HOST, ros2.
+        source: where samples come from: replay:FILE, ur:HOST, franka:HOST, feetech:PORT, dynamixel:PORT, damiao:CAN,
+            ros2.
         speed: factor on the speed of a replay, at least 1. None: 1, as it was recorded.
         torque_constants: with --source ur, a file that says how many Nm a motor current makes at each joint.
+        bus: with --source feetech, dynamixel or damiao, a file (TOML) that says which servo is which joint, where its
+            zero is and which way it turns; of serial servos also LeRobot's calibration file (*.json).
+        new_bus: file to write a commented example of a bus of serial servos to; nothing is watched then.
         ros2: topics and quality of service of --source ros2; docs/ros2.md.
         reactions: file (TOML) of what shall happen at a collision, contact or fault, and when it is over.
         new_reactions: file to write a commented example of reactions to; nothing is watched then.
@@ -106,8 +112,8 @@ def monitor(
         as_json: print JSON lines, an object an event.
         status_hz: with --json, how many times per second the estimates are printed, too; 0: events only.
     """
-    if new_reactions is not None or new_profiles is not None:
-        write_templates(new_reactions, new_profiles, bundle is not None or source is not None)
+    if new_reactions is not None or new_profiles is not None or new_bus is not None:
+        write_templates(new_reactions, new_profiles, new_bus, bundle is not None or source is not None)
         return
     if bundle is None or source is None:
         missing = "--source" if bundle is not None else "the bundle"
@@ -128,7 +134,7 @@ def monitor(
     settings = LoopSettings(own_rate, missing_s, acknowledge_after_s, duration_s, core, priority, wrench)
     extras = Extras(reactions, profiles, flights, before_s, after_s, contacts, record, segment_s, control)
     shown = RunSettings(None, own_rate, acknowledge_after_s, flights, before_s, after_s, contacts)
-    options = SourceOptions(speed, torque_constants, None if ros2 == Ros2Settings() else ros2)
+    options = SourceOptions(speed, torque_constants, None if ros2 == Ros2Settings() else ros2, bus)
     with quiet_library(source):
         watch(bundle, source, options, settings, extras, open_output(as_json, status_hz, shown))
 
@@ -152,15 +158,18 @@ def require_positive(**values: float | None) -> None:
         require(value is None or 1e-6 <= value <= 1e9, name, value, "> 0: 1e-6 to 1e9")
 
 
-def write_templates(reactions: Path | None, profiles: Path | None, also_run: bool) -> None:
+def write_templates(reactions: Path | None, profiles: Path | None, bus: Path | None, also_run: bool) -> None:
     """Write the files that were asked for."""
     from tauext.live.profiles import TEMPLATE as PROFILES
     from tauext.live.reaction_file import TEMPLATE as REACTIONS
+    from tauext.live.servo_bus_file import TEMPLATE as BUS
     from tauext.live.toml_file import write_template
 
     if also_run:
-        raise ConfigError("--new-reactions and --new-profiles write a template and watch nothing: leave the rest out")
-    for path, text in ((reactions, REACTIONS), (profiles, PROFILES)):
+        raise ConfigError(
+            "--new-reactions, --new-profiles and --new-bus write a template and watch nothing: leave the rest out"
+        )
+    for path, text in ((reactions, REACTIONS), (profiles, PROFILES), (bus, BUS)):
         if path is not None:
             write_template(path, text)
             print(path)

@@ -22,6 +22,7 @@ class SourceOptions:
     speed: float | None = None
     torque_constants: Place | None = None
     ros2: Ros2Settings | None = None
+    bus: Place | None = None
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,37 @@ def ros2(target: str, options: SourceOptions, bundle: Bundle | None) -> Connecti
     return Connection(source, (publisher,))
 
 
+def feetech(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
+    """feetech:PORT."""
+    from tauext.live.feetech_source import FeetechSource
+    from tauext.live.servo_bus_file import load_servo_bus
+
+    return Connection(FeetechSource(target, load_servo_bus(bus_of("feetech:PORT", options))))
+
+
+def dynamixel(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
+    """dynamixel:PORT."""
+    from tauext.live.dynamixel_source import DynamixelSource
+    from tauext.live.servo_bus_file import load_servo_bus
+
+    return Connection(DynamixelSource(target, load_servo_bus(bus_of("dynamixel:PORT", options))))
+
+
+def damiao(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
+    """damiao:CAN."""
+    from tauext.live.can_bus_file import load_can_bus
+    from tauext.live.damiao_source import DamiaoSource
+
+    return Connection(DamiaoSource(target, load_can_bus(bus_of("damiao:CAN", options))))
+
+
+def bus_of(source: str, options: SourceOptions) -> Place:
+    """The bus file. Raises ConfigError: none was given."""
+    if options.bus is None:
+        raise ConfigError(f"--source {source} needs --bus FILE: which servo is which joint (docs/servo-buses.md)")
+    return options.bus
+
+
 @dataclass(frozen=True)
 class Kind:
     """A kind of source."""
@@ -79,6 +111,9 @@ KINDS = {
     "replay": Kind("FILE", replay, ("speed",)),
     "ur": Kind("HOST", ur, ("torque_constants",)),
     "franka": Kind("HOST", franka),
+    "feetech": Kind("PORT", feetech, ("bus",)),
+    "dynamixel": Kind("PORT", dynamixel, ("bus",)),
+    "damiao": Kind("CAN", damiao, ("bus",)),
     "ros2": Kind("", ros2, ("ros2",)),
 }
 

@@ -194,7 +194,8 @@ class Loop:
             for text in ask_for_real_time(self._settings.core, self._settings.priority):
                 self.note(text)
             timing, units = self._bundle.observer.timing.name, tuple(self._bundle.torque_units)
-            self._source.open(SourceSettings(self.joints, self.monitor.sample_period_ns, units, timing))
+            period_ns, servo = self.monitor.sample_period_ns, self._bundle.servo
+            self._source.open(SourceSettings(self.joints, period_ns, units, timing, servo))
             sys.setswitchinterval(SWITCH_S)
             gc.collect()
             gc.freeze()  # what is there stays; collections during the loop look at what came since

@@ -77,6 +77,10 @@ class ReaderSource(ABC):
         told, self._notes = self._notes, []
         return told
 
+    def _note(self, text: str) -> None:
+        """Keeps the text for the next notes()."""
+        self._notes.append(text)
+
     def close(self) -> None:
         self._closed.set()
         if self._thread is not None:
@@ -89,14 +93,14 @@ class ReaderSource(ABC):
                 try:
                     sample = self.read()
                 except Unreachable as error:
-                    self._notes.append(f"{self.name} is gone: {error}; trying again")
+                    self._note(f"{self.name} is gone: {error}; trying again")
                     self._reconnect()
                     continue
                 if sample is not None:
                     self._count_lost(sample.t_ns)
                     self._queue.put(sample)
         except Exception as error:  # a library's own: the loop ends, and says so
-            self._notes.append(f"{self.name} cannot be read any more: {type(error).__name__}: {error}")
+            self._note(f"{self.name} cannot be read any more: {type(error).__name__}: {error}")
         finally:
             self._queue.close()
 
@@ -108,7 +112,7 @@ class ReaderSource(ABC):
                 self.connect()
             except Unreachable:
                 continue
-            self._notes.append(f"{self.name} is there again")
+            self._note(f"{self.name} is there again")
             return
 
     def _count_lost(self, t_ns: int) -> None:

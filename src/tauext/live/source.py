@@ -7,6 +7,8 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from tauext._core import ServoSettings
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
@@ -60,6 +62,8 @@ class SourceSettings:
     """Of the tau that the bundle takes, a joint: "N m", "N", "A" or "recorded unit"; empty: N m, or N."""
     torque_timing: str = ""
     """What a torque sample of the bundle means: held, instant or averaged."""
+    servo: ServoSettings | None = None
+    """What the loop makes torque from, of a bundle of servos' recordings; None, or off: tau is taken as it is."""
 
 
 class Source(Protocol):

@@ -1,0 +1,140 @@
+"""A bus of serial servos behind a pty: what a maker's protocol asks of their registers, written from its manual."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import struct
+import threading
+import tty
+from collections.abc import Callable
+
+READ, WRITE, SYNC_READ, SYNC_WRITE, TO_ALL = 0x02, 0x03, 0x82, 0x83, 0xFE
+
+
+class Feetech:
+    """FF FF id length instruction parameters ~sum; an answer has its error bits in the place of the instruction."""
+
+    def packets(self, buffer: bytearray) -> list[tuple[int, int, bytes]]:
+        """id, instruction and parameters of every whole packet, which are taken off the buffer."""
+        found = []
+        while len(buffer) >= 4 and len(buffer) >= buffer[3] + 4:
+            packet = bytes(buffer[: buffer[3] + 4])
+            assert packet[:2] == b"\xff\xff" and packet[-1] == ~sum(packet[2:-1]) & 0xFF, packet.hex(" ")
+            del buffer[: len(packet)]
+            found.append((packet[2], packet[4], packet[5:-1]))
+        return found
+
+    def answer(self, id_: int, error: int, data: bytes) -> bytes:
+        body = bytes([id_, len(data) + 2, error]) + data
+        return b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
+
+    def block(self, parameters: bytes) -> tuple[int, int, bytes]:
+        """Address, length, and what follows them, of a sync read or write."""
+        return parameters[0], parameters[1], parameters[2:]
+
+
+class Dynamixel:
+    """FF FF FD 00 id length instruction parameters CRC; an answer's instruction is 55, then comes its error."""
+
+    def packets(self, buffer: bytearray) -> list[tuple[int, int, bytes]]:
+        found = []
+        while len(buffer) >= 7 and len(buffer) >= (size := struct.unpack_from("<H", buffer, 5)[0] + 7):
+            packet = bytes(buffer[:size])
+            assert packet[:4] == b"\xff\xff\xfd\x00", packet.hex(" ")
+            assert struct.unpack_from("<H", packet, size - 2)[0] == crc16(packet[:-2]), packet.hex(" ")
+            del buffer[:size]
+            found.append((packet[4], packet[7], packet[8:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")))
+        return found
+
+    def answer(self, id_: int, error: int, data: bytes) -> bytes:
+        body = bytes([0x55, error]) + data.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+        packet = b"\xff\xff\xfd\x00" + bytes([id_]) + struct.pack("<H", len(body) + 2) + body
+        return packet + struct.pack("<H", crc16(packet))
+
+    def block(self, parameters: bytes) -> tuple[int, int, bytes]:
+        return *struct.unpack_from("<HH", parameters), parameters[4:]
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16 of the polynomial 0x8005, bit by bit, from 0."""
+    crc = 0
+    for byte in data:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1) ^ 0x8005 if crc & 0x8000 else crc << 1
+            crc &= 0xFFFF
+    return crc
+
+
+class MadeServoBus:
+    """Servos by id, each 256 bytes of registers, answering in the order that they are asked in."""
+
+    def __init__(self, protocol: Feetech | Dynamixel, ids: list[int]):
+        self.protocol = protocol
+        self.registers = {id_: bytearray(256) for id_ in ids}
+        self.errors = dict.fromkeys(ids, 0)
+        self.sent: Callable[[int, bytes], bytes] = lambda id_, packet: packet
+        """What becomes of an answer on its way: b"" is lost."""
+        self.moves: Callable[[int], None] = lambda reading: None
+        """Called before the answers to the sync read of this number."""
+        self.readings = 0
+        self.requests: list[bytes] = []
+        """All bytes that came, a chunk an entry."""
+        self.writes: list[tuple[int, int, bytes]] = []
+        """Address, id, bytes."""
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        self.port = os.ttyname(self._slave)
+        self._quit, self._wake = os.pipe()
+        self._thread = threading.Thread(target=self._work, daemon=True)
+        self._thread.start()
+
+    def put(self, id_: int, layout: str, address: int, *values: int) -> None:
+        """Registers of a servo, little-endian, from the address on."""
+        struct.pack_into("<" + layout, self.registers[id_], address, *values)
+
+    def close(self) -> None:
+        if self._thread.is_alive():
+            os.write(self._wake, b"x")
+            self._thread.join(5)
+            for descriptor in (self._master, self._slave, self._quit, self._wake):
+                os.close(descriptor)
+
+    def __enter__(self) -> MadeServoBus:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _work(self) -> None:
+        buffer = bytearray()
+        while True:
+            ready, _, _ = select.select([self._master, self._quit], [], [])
+            if self._quit in ready:
+                return
+            came = os.read(self._master, 4096)
+            self.requests.append(came)
+            buffer += came
+            for id_, instruction, parameters in self.protocol.packets(buffer):
+                self._obey(id_, instruction, parameters)
+
+    def _obey(self, id_: int, instruction: int, parameters: bytes) -> None:
+        if instruction == SYNC_READ:
+            address, length, ids = self.protocol.block(parameters)
+            self.moves(self.readings)
+            self.readings += 1
+            for one in ids:
+                if one in self.registers:
+                    data = bytes(self.registers[one][address : address + length])
+                    packet = self.sent(one, self.protocol.answer(one, self.errors[one], data))
+                    if packet:
+                        os.write(self._master, packet)
+        elif instruction == SYNC_WRITE:
+            address, length, rest = self.protocol.block(parameters)
+            for k in range(0, len(rest), length + 1):
+                self.writes.append((address, rest[k], rest[k + 1 : k + 1 + length]))
+                self.registers[rest[k]][address : address + length] = rest[k + 1 : k + 1 + length]
+        else:
+            self.writes.append((-1, id_, bytes([instruction]) + parameters))

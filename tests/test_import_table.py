@@ -60,6 +60,7 @@ TABLE = {
     "evaluate": ({"_core", "robot", "data", "calibrate"}, {"numpy"}),
     "report": ({"data"}, {"numpy", "matplotlib", "jinja2"}),
     "load": ({"_core", "data"}, {"numpy"}),
+    "label": ({"_core", "data"}, {"numpy", "pyarrow"}),
     "monitor": ({"_core", "data", "load"}, {"numpy"}),
     "live": ({"_core", "data", "monitor"}, {"numpy"}),
     "live/ur_source": ({"_core", "data", "monitor"}, {"numpy", "rtde_receive", "dashboard_client"}),

@@ -25,6 +25,7 @@ from tauext.cli.evaluate import evaluate
 from tauext.cli.fleet import HELP as FLEET_HELP
 from tauext.cli.fleet import fleet_app
 from tauext.cli.import_data import import_data
+from tauext.cli.label import label
 from tauext.cli.load import load
 from tauext.cli.monitor import monitor
 from tauext.cli.parsing import deferred, understood
@@ -49,6 +50,7 @@ DESCRIPTION = (
     "simulate (or import: your own recordings) -> train -> evaluate -> report; reproduce does all four. "
     "check: what recordings and robot file have wrong, before anyone trains. "
     "train -> run: the monitor on recordings; monitor: on a live arm. calibrate: other limits for a trained bundle. "
+    "label: contact and collision in a LeRobot dataset. "
     "load: what the arm carries, or torque constants by a known weight. "
     "refit: its friction brought up to date by a minute of today's motion. "
     "fleet: all of this for many arms, on many cores, and what arms of one type tell the next one (train --like). "
@@ -101,6 +103,7 @@ def main(argv: list[str] | None = None) -> int:
         report,
         run,
         monitor,
+        label,
         load,
         show,
         demo,

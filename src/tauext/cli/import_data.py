@@ -28,7 +28,7 @@ def import_data(
 
     Args:
         source: files or folders to import: ROS 1 and ROS 2 bags (sqlite3, MCAP), CSV, Parquet, HDF5, MATLAB, LeRobot
-            v3.
+            v3.0 and v2.1.
         arm: description of robot and recordings, arm.toml.
         out: folder to write, which must be empty or not there.
         new: file to write a commented description to instead of importing, filled in from the names in the source and

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from tauext.data.description import UNITS, Arm, SignalTable
+from tauext.data.description import NORMALISED, UNITS, Arm, SignalTable
 
 
 def in_si(key: str, signal: SignalTable, values: np.ndarray, arm: Arm) -> np.ndarray:
-    """Joint side, SI: sign · unit · (torque constant) · gear, and a position's offset added."""
+    """Joint side, SI: sign · unit · (torque constant) · gear, and a position's offset added (rad where normalised)."""
+    if signal.unit == NORMALISED:
+        values = _of_normalised(key, values, arm)
     factor = np.full(len(arm.robot.joints), UNITS[key][signal.unit])
     if signal.torque_constant and signal.torque_constant != "unknown":
         factor *= signal.torque_constant
@@ -21,12 +23,26 @@ def in_si(key: str, signal: SignalTable, values: np.ndarray, arm: Arm) -> np.nda
     return converted + np.array(signal.offset) * UNITS[key][signal.unit] if signal.offset else converted
 
 
+def _of_normalised(key: str, values: np.ndarray, arm: Arm) -> np.ndarray:
+    """Angles [rad] of LeRobot's normalised positions and goals; Dynamixel's bus does not turn them by drive_mode."""
+    types = arm.servo.type if arm.servo is not None else ()
+    turned = not any(name.startswith("x") for name in types)
+    columns = [
+        motor.radians_of_normalised(
+            values[:, j], 0.0 if motor.name.endswith("gripper") else -100.0, turned, sent=key == "q_des"
+        )
+        for j, motor in enumerate(arm.motors)
+    ]
+    return np.stack(columns, axis=1)
+
+
 def conversions(arm: Arm) -> list[str]:
     """What in_si did, in words, where it did anything."""
     lines = []
     for key, signal in arm.signals.items():
         is_current = signal.is_current and key == "tau"
-        done = [] if UNITS[key][signal.unit] == 1 and not is_current else [f"from {signal.unit}"]
+        plain = UNITS[key][signal.unit] == 1 and signal.unit != NORMALISED and not is_current
+        done = [] if plain else [f"from {signal.unit}"]
         if is_current:
             known = signal.torque_constant != "unknown"
             done.append(f"times {', '.join(f'{k:g}' for k in signal.torque_constant)} Nm/A" if known else "left in A")

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+from tauext.data.lerobot_calibration import MotorCalibration, load_lerobot_calibration
 from tauext.data.recording import TorqueTiming
 from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import ConfigError
@@ -15,11 +17,11 @@ from tauext.store import Place, local_robot, place_of
 Side = Literal["joint", "motor"]
 Repeats = Literal["drop", "keep"]
 UNITS: dict[str, dict[str, float]] = {
-    "q": {"rad": 1.0, "deg": math.pi / 180},
+    "q": {"rad": 1.0, "deg": math.pi / 180, "normalised": 1.0},
     "dq": {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30},
     "tau": {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3, "A": 1.0, "mA": 1e-3},
     "tau_ext": {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3},
-    "q_des": {"rad": 1.0, "deg": math.pi / 180},
+    "q_des": {"rad": 1.0, "deg": math.pi / 180, "normalised": 1.0},
     "temperature": {"degC": 1.0},
     "current": {"A": 1.0, "mA": 1e-3},
     "duty": {"1": 1.0, "%": 0.01, "permille": 0.001},
@@ -27,6 +29,8 @@ UNITS: dict[str, dict[str, float]] = {
 }
 """Units of each signal, and what one of them is in rad, rad/s, N m (A for currents), degrees Celsius, V, or 1."""
 CURRENTS = ("A", "mA")
+NORMALISED = "normalised"
+"""LeRobot's -100 to 100 over the range of its calibration; 0 to 100 of a gripper."""
 TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 
 
@@ -40,6 +44,8 @@ class RobotTable:
     gear_ratio: tuple[float, ...] = ()
     rotor_inertia_kg_m2: tuple[float, ...] = ()
     gravity_m_s2: tuple[float, ...] = ()
+    calibration: str = ""
+    """LeRobot's calibration file of the arm, for positions that are normalised."""
 
 
 @dataclass(frozen=True)
@@ -247,8 +253,31 @@ class Arm:
             self._require(bool(self.robot.model), "robot", "model", "''", "a robot file, where there is a payload")
             self._require(bool(payload.link), "payload", "link", "''", "the link that carries the payload")
 
+    @cached_property
+    def motors(self) -> tuple[MotorCalibration, ...]:
+        """Calibrations of the joints' motors, which the recording names with or without `.pos`.
+
+        Raises:
+            ConfigError: no such file, not one of LeRobot's, or a joint that is not in it.
+        """
+        path = place_of(self.robot.calibration, self.path.parent)
+        listed = load_lerobot_calibration(path)
+        for name in self.names:
+            if name.removesuffix(".pos") not in listed:
+                raise ConfigError(
+                    f"{path}: it has no motor '{name.removesuffix('.pos')}', which {self.path} names; "
+                    f"it has {', '.join(listed)}"
+                )
+        return tuple(listed[name.removesuffix(".pos")] for name in self.names)
+
     def _check_signal(self, name: str, signal: SignalTable) -> None:
         table = f"signals.{name}"
+        if signal.unit == NORMALISED and not self.robot.calibration:
+            raise ConfigError(
+                f"{self.path}: [{table}] unit = '{NORMALISED}': values from -100 to 100 are angles only with the arm's "
+                "LeRobot calibration file: name it in [robot] calibration, or with --calibration of `tauext label`; "
+                "LeRobot keeps it below ~/.cache/huggingface/lerobot/calibration/robots"
+            )
         self._require(signal.unit in UNITS[name], table, "unit", repr(signal.unit), f"one of {', '.join(UNITS[name])}")
         none = not signal.columns
         derived = name == "dq" or (name == "tau" and self.makes_torque)

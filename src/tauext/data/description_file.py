@@ -5,7 +5,8 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
+from pathlib import Path
 from typing import Any, get_args
 
 from tauext.data.description import (
@@ -30,8 +31,11 @@ from tauext.plain_file import read_text, toml_of
 from tauext.store import Place, place_of
 
 
-def load_arm(path: Place | str) -> Arm:
+def load_arm(path: Place | str, calibration: Path | None = None) -> Arm:
     """Read an arm.toml.
+
+    Args:
+        calibration: LeRobot's calibration file, in place of the one that it names.
 
     Raises:
         ConfigError: no such file, not TOML, an unknown key (the nearest known one is named), a value of the wrong type
@@ -39,14 +43,14 @@ def load_arm(path: Place | str) -> Arm:
     """
     path = place_of(path)
     try:
-        return parse_arm(read_text(path), path)
+        return parse_arm(read_text(path), path, calibration)
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: there is no such file; `tauext import --new {path}` writes a template") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read ({error})") from error
 
 
-def parse_arm(text: str, path: Place | str = "arm.toml") -> Arm:
+def parse_arm(text: str, path: Place | str = "arm.toml", calibration: Path | None = None) -> Arm:
     """As load_arm, from the text of the file."""
     path = place_of(path)
     try:
@@ -72,6 +76,8 @@ def parse_arm(text: str, path: Place | str = "arm.toml") -> Arm:
         if (table := _a_table(path, f"signals.{name}", signals.get(name))) is not None
     }
     read["signals"].setdefault("dq", SignalTable((), "rad/s"))
+    if calibration is not None:
+        read["robot"] = replace(read["robot"], calibration=str(calibration.absolute()))
     servo = read.get("servo")
     if servo is not None and servo.torque_from != "torque" and "tau" not in signals:
         read["signals"]["tau"] = made_torque(servo, count)

@@ -220,6 +220,8 @@ joints = @JOINTS@
 # rotor_inertia_kg_m2 = 0.0001
 # Acceleration of free fall in the robot's base frame, for an arm that does not stand upright. Left out: the file's.
 # gravity_m_s2 = [0, 0, -9.81]
+# LeRobot's calibration file of the arm, for positions and goals of unit = "normalised".
+# calibration = "my_arm.json"
 
 # What the arm carries and the robot file does not know: a tool, a gripper, a sensor.
 # [payload]
@@ -247,7 +249,7 @@ repeats = "keep"
 #   side: "joint", or "motor" where it is measured before the gear (then gear_ratio applies).
 
 [signals.q]
-# Joint position, rad or deg.
+# Joint position, rad or deg; "normalised": LeRobot's -100 to 100, which needs [robot] calibration.
 columns = @Q@
 @TOPIC@
 unit = @Q_UNIT@

@@ -29,7 +29,7 @@ def servo_settings(joints: int, torque_from: str = "duty", period_ns: int = 5_00
     return SourceSettings(NAMES[:joints], period_ns, ("N m",) * joints, "instant", servo)
 
 
-def servo_bundle(joints: int) -> _core.Bundle:
+def servo_bundle(joints: int, limit_nm: float) -> _core.Bundle:
     """A bundle of an arm of sliding masses that servos drive."""
     links = []
     for k in range(joints):
@@ -49,7 +49,7 @@ def servo_bundle(joints: int) -> _core.Bundle:
         robot_sha256="",
     )
     bundle = make_bundle("masses", build_setup(_core.Tree(links, [0, 0, 0]), made, ObserverConfig()), 0.02, made)
-    bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [100.0] * joints
+    bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [limit_nm] * joints
     bundle.servo = settings.servo
     return bundle
 

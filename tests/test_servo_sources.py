@@ -233,21 +233,21 @@ def test_a_library_that_is_not_installed_names_its_extra(monkeypatch, module, so
         source("/dev/ttyACM0", bus_file(ServoJoint("pan", 1)))
 
 
-def test_a_loop_makes_torque_of_what_the_servos_report_and_a_reaction_holds_them(rig):
-    """Loads of 0.4, 0 and -0.4 at standstill and 7.4 V (5 V of an XL330): k_t V D / R of the settings, by hand."""
+def test_a_loop_makes_torque_of_what_servos_report_and_a_reaction_makes_them_hold(rig):
+    """Duties of 0.4, 0 and -0.4 at standstill and 7.4 V (an XL330's 5 V): k_t V D / R of the settings, by hand. The
+    model's masses would fly away, so something holds them: a collision."""
     for id_, share in ((1, 0.4), (2, 0.0), (3, -0.4)):
         if rig.kind == "feetech":
             rig.bus.put(id_, "H", 60, round(1000 * abs(share)) | (0x400 if share < 0 else 0))
         else:
             rig.bus.put(id_, "h", 124, round(885 * share))
     rig.bus.moves = lambda reading: None
-    keeper = Keeper(lambda verdict: verdict.row == 5 and keeper.control.stop("test"))
-    bundle = servo_bundle(3)
-    events = [Reaction("hold", ("contact", "collision"), stop=True)]
-    reactions = start_reactions(events, rig.source, [])
-    loop = Loop(bundle, rig.source, [keeper], reactions, settings=LoopSettings(missing_after_s=5.0))
-    loop.run()
+    keeper = Keeper(lambda verdict: (rig.bus.writes or verdict.row == 2000) and keeper.control.stop("test"))
+    reactions = start_reactions([Reaction("hold", ("contact", "collision"), stop=True)], rig.source, [])
+    settings = LoopSettings(missing_after_s=5.0)
+    Loop(servo_bundle(3, 0.3), rig.source, [keeper], reactions, settings=settings).run()
     volts = 7.4 if rig.kind == "feetech" else 5.0
     sample = next(verdict.sample for verdict in keeper.verdicts if verdict.sample is not None)
     np.testing.assert_allclose(sample.tau, 1.2 * volts * np.array([0.4, 0.0, -0.4]) / 2.75, rtol=1e-9)
-    assert rig.bus.writes == []
+    held = {id_ for _, id_, _ in rig.bus.writes}
+    assert held == {1, 2, 3} and {address for address, _, _ in rig.bus.writes} == {rig.source.goal[0]}

@@ -84,8 +84,8 @@ def monitor(
             ros2.
         speed: factor on the speed of a replay, at least 1. None: 1, as it was recorded.
         torque_constants: with --source ur, a file that says how many Nm a motor current makes at each joint.
-        bus: with --source feetech, dynamixel or damiao, a file (TOML) that says which servo is which joint, where its
-            zero is and which way it turns; of serial servos also LeRobot's calibration file (*.json).
+        bus: file (TOML) of --source feetech, dynamixel or damiao: which servo is which joint, where its zero is and
+            which way it turns; for serial servos LeRobot's calibration file (*.json) will do, too.
         new_bus: file to write a commented example of a bus of serial servos to; nothing is watched then.
         ros2: topics and quality of service of --source ros2; docs/ros2.md.
         reactions: file (TOML) of what shall happen at a collision, contact or fault, and when it is over.

@@ -25,6 +25,7 @@ with suppress(ImportError):  # Windows, where the vendors' ports are to be used
     import termios
 
     PORT_ERRORS = (OSError, termios.error)
+OPEN_ERRORS: tuple[type[BaseException], ...] = (*PORT_ERRORS, ValueError)
 
 
 class ServoPort:
@@ -49,7 +50,7 @@ class ServoPort:
         try:
             self._serial = serial.Serial(self.path, self.baud, timeout=0, write_timeout=1.0, exclusive=True)
             self._claim()
-        except (*PORT_ERRORS, ValueError) as error:
+        except OPEN_ERRORS as error:
             self.close()
             raise Unreachable(why_not_open(self.path, error)) from error
 
@@ -130,7 +131,7 @@ def users_of(path: str) -> str:
     return ""
 
 
-def why_not_open(path: str, error: Exception) -> str:
+def why_not_open(path: str, error: BaseException) -> str:
     """What to do about a port that cannot be opened."""
     number = getattr(error, "errno", None) or next(iter(getattr(error.__context__, "args", ())), None)
     if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):

@@ -144,6 +144,7 @@ def test_steps_are_told_through_single_precision_and_not_invented():
     places = rng.integers(0, 900, 20000)
     assert position_step((places * COUNT_RAD - 0.7).astype(np.float32).astype(float)) == COUNT_RAD
     assert step_of((places * 0.02).astype(np.float32).astype(float)) == pytest.approx(0.02, rel=1e-6)
+    assert step_of(np.repeat(rng.uniform(0, 1, 2000), 10) + 1e-9 * rng.integers(0, 2, 20000)) is None
     assert step_of(rng.standard_normal(20000)) is None and position_step(rng.standard_normal(20000)) is None
     assert position_step(np.round(1e-3 * rng.standard_normal(20000), 6)) is None  # decimals of a text file
 

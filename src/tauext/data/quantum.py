@@ -9,6 +9,8 @@ import numpy as np
 LOOKED_AT = 200_000
 """Values that are looked at: all levels of a coarse signal are among them."""
 LEAST_LEVELS = 3
+FINEST = 1e-5
+"""Share of the range that a step is at least: finer ones are those of the number's own precision."""
 ROUNDED_TO = 6
 """Decimals of a position, [rad], that count."""
 NEAR = 0.01
@@ -30,7 +32,7 @@ def step_of(values: np.ndarray) -> float | None:
         return None
     gaps = np.diff(levels)
     step = float(np.median(gaps[gaps < 1.5 * np.percentile(gaps, 10)]))
-    if step <= 0:
+    if step <= FINEST * (levels[-1] - levels[0]):
         return None
     above = levels - levels[0]
     for reach in 8 ** np.arange(1, 9):  # what is known of a few counts tells the number of more, and those the step

@@ -12,7 +12,7 @@ from tauext import _core
 from tauext.data import Recording
 from tauext.data.amperes import from_amperes, in_amperes
 from tauext.data.backlash import Play, play_of
-from tauext.data.servo import makes_torque
+from tauext.data.servo import derives_velocity, makes_torque
 from tauext.doctor.arrangement import exchanged_efforts, rearranged
 from tauext.doctor.clock import clock_findings
 from tauext.doctor.coarse import coarse_findings
@@ -147,6 +147,8 @@ def _examine(
     odd = [] if unsigned else of_servos(odd_torques(motion, tree, joints, [r.name for r in recordings]), recordings)
     recordings, odd = _alike(recordings, odd)
     motion = stretches(recordings) if odd else motion
+    if any(map(derives_velocity, recordings)):
+        units = [finding for finding in units if finding.code != "velocity-delay"]  # the window's, and meant
     found += units + odd + excitation_findings(recordings, motion)
     found += limit_findings(recordings, file) if file else []
 

@@ -12,7 +12,7 @@ from tauext.doctor.coarse import steps_of
 from tauext.doctor.fit import JointFit
 from tauext.doctor.regressors import Rows
 from tauext.doctor.sensors import noise_nm, torque_step_nm
-from tauext.doctor.servo import Effort
+from tauext.doctor.servo import Effort, is_drive
 from tauext.doctor.velocity import VelocityFit
 
 Facts = dict[str, float | str]
@@ -55,7 +55,9 @@ def facts_of(
             fact |= {"velocity_factor": velocity.factor, "velocity_delay_ms": velocity.lag_s * 1e3}
         if fits and rows is not None:
             fit = fits[j]
-            fact |= {"torque_spread_nm": fit.torque_nm, "error_nm": fit.error_nm, "torque_delay_ms": lags[j][0] * 1e3}
+            fact |= {"torque_spread_nm": fit.torque_nm, "error_nm": fit.error_nm}
+            if not any(map(is_drive, efforts)):
+                fact["torque_delay_ms"] = lags[j][0] * 1e3
             if fit.gravity_factor[0]:
                 fact |= {"gravity_factor": fit.gravity_factor[0], "gravity_factor_error": fit.gravity_factor[1]}
         facts.append(fact)

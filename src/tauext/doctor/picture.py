@@ -92,7 +92,7 @@ def _servos(diagnosis: Diagnosis) -> Figure:
     grid = figure.subplots(n, 2, squeeze=False)
     rests = diagnosis.rests or [None] * n
     for joint, (left, right), rest, play in zip(diagnosis.joints, grid, rests, diagnosis.plays, strict=True):
-        label_joint(left, joint)
+        left.set_ylabel(joint)
         if rest is not None and rest.effort_of.law is not None:
             _rest(left, rest, rest.effort_of.law)
         right.plot(np.degrees(play.travel_rad), play.curve, color=MEASURED, linewidth=1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 
 import numpy as np
 
@@ -28,6 +29,7 @@ def find_play(fit: PriorFit, fitted: Callable[[Play], PriorFit]) -> tuple[Play, 
     """
     joints, widths = len(fit.error_nm), range(len(fit.settings.widths_rad))
     none: Play = (None,) * joints
+    fitted = cache(fitted)  # each takes seconds
     if not widths:
         return none, fit
     errors = np.array([fitted((width,) * joints).error_nm for width in widths])

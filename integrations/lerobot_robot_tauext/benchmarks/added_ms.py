@@ -21,9 +21,8 @@ sys.path[:0] = [str(HERE.parents[1] / "tests"), str(HERE / "tests")]
 def main() -> None:
     """Print a line a call: median, 99 %, 99.9 %, worst."""
     from lerobot.robots import make_robot_from_config
-    from mock_arm import MockArmConfig, Player
-
     from lerobot_robot_tauext import TauextConfig
+    from mock_arm import MockArmConfig, Player
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bundle", type=Path, required=True)

@@ -1,3 +1,4 @@
+# ruff: noqa: E402
 """Position, load, current and voltage of LeRobot's own Feetech bus in one request, byte for byte."""
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ pytest.importorskip("scservo_sdk")
 
 from lerobot.motors import Motor, MotorCalibration, MotorNormMode
 from lerobot.motors.feetech import FeetechMotorsBus
-
 from lerobot_robot_tauext.block_read import BlockRead
 
 

@@ -1,3 +1,4 @@
+# ruff: noqa: E402
 """lerobot 0.3 and its v2.1: a dataset that it wrote is labelled, and it reads what was written."""
 
 from __future__ import annotations

@@ -13,11 +13,11 @@ Stats = dict[str, np.ndarray]
 def episode_stats(values: np.ndarray) -> Stats:
     """min, max, mean, std, count and quantiles of the columns of one episode, (frames, columns).
 
-    Quantiles are those of the values; LeRobot's own are read off a histogram of 5000 bins.
+    Quantiles are values that occur, since a flag has nothing in between; LeRobot reads its own off a histogram.
     """
     values = values.astype(np.float64)
     stats = {"min": values.min(0), "max": values.max(0), "mean": values.mean(0), "std": values.std(0)}
-    quantiles = np.quantile(values, list(QUANTILES.values()), axis=0)
+    quantiles = np.quantile(values, list(QUANTILES.values()), axis=0, method="inverted_cdf")
     return stats | {"count": np.array([len(values)])} | dict(zip(QUANTILES, quantiles, strict=True))
 
 

@@ -15,8 +15,8 @@ REGISTERS: dict[str, dict[str, Scales]] = {
     "duty": {"Present_Load": {"sts": (0.001, 10)}, "Present_PWM": {"x": (1 / 885, 0)}},
     "voltage": {"Present_Voltage": {"sts": (0.1, 15)}, "Present_Input_Voltage": {"x": (0.1, 0)}},
 }
-"""By signal: the register, and by how a model's name begins what a count is in A, shares of the supply and V, and the bit of
-its sign (0: two's complement). Feetech: STS memory table; Dynamixel: e-Manual (885 counts of PWM are 100 %)."""
+"""By signal: the register, and by how a model's name begins what a count is in A, shares of the supply and V, and the
+bit of its sign (0: two's complement). Feetech: STS memory table; Dynamixel: e-Manual (885 counts of PWM are 100 %)."""
 
 
 def _signed(count: int, sign_bit: int) -> int:

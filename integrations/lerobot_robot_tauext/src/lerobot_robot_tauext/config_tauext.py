@@ -20,13 +20,13 @@ class TauextConfig(RobotConfig):
     arm: Path
     """The arm.toml that the bundle's recordings were imported with."""
     on_collision: str = "none"
-    """none; hold: send the present position as goal until the commanded goal comes back to it; stop: the same, and end the
-    program."""
+    """none; hold: send the present position as goal until the commanded goal comes back to it; stop: the same, and end
+    the program."""
     resume_within: float = 5.0
     """A hold ends once every commanded goal is so near to the held position, in the robot's own units."""
     episodes_begin_anew: bool = True
-    """The monitor restarts with every recorded episode, so that the dataset gives the same answers again; it knows nothing
-    for the first half to whole second then. False: it goes on."""
+    """The monitor restarts with every recorded episode, so that the dataset gives the same answers again; it knows
+    nothing for the first half to whole second then. False: it goes on."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

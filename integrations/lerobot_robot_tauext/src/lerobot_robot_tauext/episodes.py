@@ -1,4 +1,4 @@
-"""Where one recorded episode ends and the next begins: LeRobot tells its robots nothing of it, but its dataset knows."""
+"""Where one recorded episode ends and the next begins: LeRobot tells its robots nothing, but its dataset knows."""
 
 from __future__ import annotations
 

@@ -26,8 +26,8 @@ class Tauext(Robot):
     """The wrapped robot's observation and actions, and beside them, as floats that LeRobot records:
 
     `<joint>.tau_ext` in the bundle's estimate units, `contact` and `collision` (1, 0; -1: not known, tau_ext is 0);
-    `<joint>.current`, `.duty`, `.voltage` as far as arm.toml names them; `<joint>.goal`, the goal sent last, where it may
-    be another than the recorded action (on_collision is not none, or the robot clips its goals).
+    `<joint>.current`, `.duty`, `.voltage` as far as arm.toml names them; `<joint>.goal`, the goal sent last, where it
+    may be another than the recorded action (on_collision is not none, or the robot clips its goals).
     """
 
     config_class = TauextConfig
@@ -60,14 +60,14 @@ class Tauext(Robot):
         self._hold = Hold(config.resume_within)
         self._touching = self._stopped = False
         self._sent: dict[str, float] = {}
-        """Goals of the last action: those that were sent where these are recorded, else those that the dataset holds."""
+        """Goals of the last action: those that were sent where they are recorded, else those of the dataset."""
 
     def _bus(self) -> Any:
         bus = getattr(self.robot, "bus", None)
         if bus is None or not hasattr(bus, "model_ctrl_table"):
             raise ValueError(
-                f"{self.config.arm} names {', '.join(self._read)}, which {self.robot.name} neither observes nor has a serial "
-                "bus to read from; a bundle whose torque comes from the goal needs none of them"
+                f"{self.config.arm} names {', '.join(self._read)}, which {self.robot.name} neither observes nor has "
+                "a serial bus to read from; a bundle whose torque comes from the goal needs none of them"
             )
         return bus
 
@@ -171,7 +171,8 @@ class Tauext(Robot):
             self._stopped = True
             worst = max(self._elements[:-2], key=lambda name: abs(observation[name]))
             raise CollisionStop(
-                f"the arm collided ({worst} = {observation[worst]:.3g}) and was told to stay where it is; see what it touches"
+                f"the arm collided ({worst} = {observation[worst]:.3g}) and was told to stay where it is; see what it "
+                "touches"
             )
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:

@@ -220,6 +220,8 @@ def deep_tables(out: Path, rates: Sequence[int]) -> list[str]:
             lines.append(f"| {source} | {rate} | tauext | 1 | {contact_cells(ours, ours.strong)} |")
             for inputs, words in (("goal", "LSTM on q, dq, goal − q"), ("motion", "LSTM on q, dq")):
                 kept = raw / f"deep-{signal}-{inputs}"
+                if not (kept / f"{tested(rate)[-1].name}.npz").exists():
+                    continue
                 own, factor, equal = deep_verdicts(kept, data, ours.false_free + ours.false_after)
                 lines.append(f"| {source} | {rate} | {words} | 1 | {contact_cells(own, ours.strong)} |")
                 cells = contact_cells(equal, ours.strong)

@@ -31,6 +31,7 @@ unit = "UNIT"
 [servo]
 type = "sts3215-7.4v"
 torque_from = "goal"
+goal_delay_s = 0
 """
 
 

@@ -36,11 +36,12 @@ class Tauext(Robot):
     def __init__(self, config: TauextConfig):
         super().__init__(config)
         self.config = config
-        self.robot = make_robot_from_config(config.robot)
+        wrapped = config.wrapped
+        self.robot = make_robot_from_config(wrapped)
         self._bundle = tauext.load_bundle(config.bundle)
         arm = load_arm(config.arm)
         goals = [key for key in self.robot.action_features if key.endswith(".pos")]
-        clips = getattr(config.robot, "max_relative_target", None) is not None
+        clips = getattr(wrapped, "max_relative_target", None) is not None
         self._goal_names = {key: f"{key.removesuffix('.pos')}.goal" for key in goals}
         self._records_goal = config.on_collision != "none" or clips
         held = {key for key, kind in self.robot.observation_features.items() if kind is float}

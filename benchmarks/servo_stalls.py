@@ -252,7 +252,9 @@ def keep(out: Path, rows: list[str], splits: int) -> None:
         ten = json.loads((out / Trial(split, SOURCES[0], 10).name / "data/split.json").read_text())["train"]
         motions.append(f"  ten minutes: {', '.join(Path(name).stem for name in ten)}")
     table = "\n".join([head, "|---|---|---|---|---|---|---|", *rows])
-    (KEPT / "table.md").write_text(f"{table}\n\n" + "\n".join(motions) + "\n")
+    about = "Written by `python benchmarks/servo_stalls.py OUT --keep`: [about](README.md)."
+    title = "# Four stalls of a real servo arm: tables"
+    (KEPT / "table.md").write_text("\n\n".join((title, about, table, "\n".join(motions))) + "\n")
     print(KEPT / "table.md")
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -29,9 +30,10 @@ def main() -> None:
     parser.add_argument("--arm", type=Path, required=True)
     parser.add_argument("--ticks", type=int, default=20_000)
     options = parser.parse_args()
-    inner = MockArmConfig(id="inner", calibration_dir=Path("/tmp"))
+    nowhere = Path(tempfile.mkdtemp())
+    inner = MockArmConfig(id="inner", calibration_dir=nowhere)
     robot = make_robot_from_config(
-        TauextConfig(id="bench", calibration_dir=Path("/tmp"), robot=inner, bundle=options.bundle, arm=options.arm,
+        TauextConfig(id="bench", calibration_dir=nowhere, robot=inner, bundle=options.bundle, arm=options.arm,
                      on_collision="hold", resume_within=1e9)
     )  # fmt: skip
     robot.connect()

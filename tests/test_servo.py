@@ -120,6 +120,18 @@ def test_a_goal_acts_one_period_after_its_stamp_unless_the_table_says_otherwise(
     np.testing.assert_allclose(late.tau, tau, rtol=0, atol=1e-9)
 
 
+def test_a_servo_whose_registers_limit_its_duty_pushes_no_harder(raw):
+    """As LeRobot does to the gripper of an SO-101: half the duty, whatever the goal asks for."""
+    motor, path = SERVO_TYPES["sts3215-7.4v"], raw[0]
+    table = pq.read_table(path)
+    far = pa.table({name: table[name] if not name.startswith("goal") else pa.array(table[name].to_numpy() + 1.0)
+                    for name in table.column_names})  # fmt: skip
+    pq.write_table(far, path)
+    recording = imported(path, 'torque_from = "goal"\nmost_duty = [0.97, 0.5]\n')
+    ampere = (motor.volts * np.array([0.97, 0.5]) - motor.back_emf_v_s * recording.dq) / motor.ohm
+    np.testing.assert_allclose(recording.tau, motor.nm_per_ampere * ampere, rtol=1e-12)
+
+
 def test_unknown_servos_leave_their_constant_to_training(raw):
     text = HEAD.replace('type = "sts3215-7.4v"', "")
     arm = parse_arm(text + 'torque_from = "duty"\n')
@@ -135,6 +147,8 @@ def test_unknown_servos_leave_their_constant_to_training(raw):
         ('torque_from = "load"\n', "one of torque, phase-current, supply-current, duty, goal"),
         ("", r"\[servo\] torque_from is missing"),
         ('torque_from = "goal"\nohm = 0\n', r"\[servo\] ohm = \[0.0, 0.0\] must be > 0"),
+        ('torque_from = "goal"\nmost_duty = [1, 50]\n', r"\[servo\] most_duty = \[1.0, 50.0\] must be at most 1"),
+        ('torque_from = "goal"\nmost_duty = 0\n', r"\[servo\] most_duty = .* must be > 0"),
         ('torque_from = "goal"\ngain = [1, 2, 3]\n', r"\[servo\] gain = .* as many as joints, 2"),
         ('torque_from = "goal"\nvelocity_window_s = 9\n', "velocity_window_s = 9.0 must be 0 to 2"),
         ('torque_from = "goal"\ngian = 16\n', "unknown key 'gian' in .servo.; the nearest known is 'gain'"),

@@ -106,6 +106,8 @@ class ServoTable:
     """P gain of the position controller, in the servo's own unit; none: what its type usually has."""
     duty_per_rad: tuple[float, ...] = ()
     """Duty a rad of position error, in place of `gain`."""
+    most_duty: tuple[float, ...] = ()
+    """Largest duty that the servo's registers allow, at most 1; none: the type's."""
     voltage_v: tuple[float, ...] = ()
     """Of the supply, where no signal says it; none: the type's."""
     ohm: tuple[float, ...] = ()
@@ -312,12 +314,14 @@ class Arm:
             self._require(name in SERVO_TYPES, "servo", "type", repr(name), f"one of {known}")
         if len(servo.type) > 1:
             self._check_count("servo", "type", servo.type)
-        for key in ("gain", "duty_per_rad", "voltage_v", "ohm", "back_emf_v_s", "counts_a_turn"):
+        for key in ("gain", "duty_per_rad", "most_duty", "voltage_v", "ohm", "back_emf_v_s", "counts_a_turn"):
             values = getattr(servo, key)
             self._check_count("servo", key, values)
             least = key == "back_emf_v_s"
             rule = ">= 0" if least else "> 0"
             self._require(all(v > 0 or (least and v == 0) for v in values), "servo", key, list(values), rule)
+        duties = list(servo.most_duty)
+        self._require(all(v <= 1 for v in duties), "servo", "most_duty", duties, "at most 1")
         if not isinstance(servo.torque_constant, str):
             self._check_count("servo", "torque_constant", servo.torque_constant)
         window_s = servo.velocity_window_s

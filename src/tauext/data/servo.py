@@ -68,7 +68,7 @@ def servo_settings(arm: Arm, rate_hz: float, q: np.ndarray) -> _core.ServoSettin
                 back_emf_v_s=servo.back_emf_v_s[j] if servo.back_emf_v_s else (kind.back_emf_v_s or 0.0),
                 nm_per_ampere=nm_per_ampere[j],
                 duty_per_rad=duty_per_rad,
-                most_duty=kind.most_duty,
+                most_duty=servo.most_duty[j] if servo.most_duty else kind.most_duty,
                 count_rad=count_rad,
             )
         )

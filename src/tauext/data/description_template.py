@@ -293,7 +293,7 @@ timing = "instant"
 # What the type does not say, or says otherwise; all at the joint, after the gear.
 # gain = 16                   # P gain of the position controller, as its register has it
 # duty_per_rad = 2.7          # or: duty a rad of position error
-# most_duty = [1, 1, 0.5]     # that its registers allow; LeRobot halves a Feetech gripper's (Max_Torque_Limit = 500)
+# most_duty = 0.97            # that its registers allow; LeRobot halves a Feetech gripper's (Max_Torque_Limit = 500)
 # voltage_v = 7.4             # where no [signals.voltage] is
 # ohm = 2.75                  # of the windings
 # back_emf_v_s = 1.28         # V s/rad

@@ -3,6 +3,9 @@ VENV := .venv
 PIP := $(VENV)/bin/pip --disable-pip-version-check -q
 # CMake, Ninja and CTest come with the environment.
 RUN := PATH="$(CURDIR)/$(VENV)/bin:$$PATH"
+# The module is built in the folder of the C++ tests, so that the library is compiled once.
+INSTALL := $(PIP) install -c constraints.txt --no-build-isolation -C build-dir=build/cpp \
+  -C cmake.define.TAUEXT_WERROR=ON -C 'build.targets=_core;_core_stub' -e
 # An editable install knows the files it was made with, so a new file asks for a new one.
 STAMP := $(VENV)/.installed-$(shell find src -name '*.py' | sort | cksum | cut -d' ' -f1)
 # Many small systems: threads of the linear algebra only wait for each other.
@@ -20,15 +23,14 @@ setup: $(STAMP) ## Environment and build, in .venv
 $(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(CORE)
 	test -d $(VENV) || $(PYTHON) -m venv $(VENV)
 	$(PIP) install -c constraints.txt scikit-build-core nanobind cmake ninja
-	$(RUN) $(PIP) install -c constraints.txt --no-build-isolation -C cmake.define.TAUEXT_WERROR=ON -e '.[dev]'
+	$(RUN) $(INSTALL) '.[dev]'
 	cp $(VENV)/lib/python*/site-packages/tauext/_core.pyi src/tauext  # where mypy looks for it
 	rm -f $(VENV)/.installed-*
 	touch $@
 reproduce: setup ## The whole experiment at quick scale; prints where the report is
 	$(VENV)/bin/tauext reproduce --scale quick --out runs/quick
-build/cpp/CMakeCache.txt: $(STAMP)
-	$(RUN) cmake -S . -B build/cpp -G Ninja -DTAUEXT_TESTS=ON
-build: build/cpp/CMakeCache.txt ## The C++ library, its tests and benchmarks
+build: setup ## The C++ library, its tests and benchmarks
+	$(RUN) cmake -S . -B build/cpp -DTAUEXT_TESTS=ON
 	$(RUN) cmake --build build/cpp
 test: build ## All tests, Python and C++, on every core (WORKERS=0: Python on one)
 	$(RUN) ctest --test-dir build/cpp --output-on-failure -j $(shell nproc)
@@ -54,7 +56,7 @@ lint: setup ## Style and types of the Python code
 	$(VENV)/bin/ruff format --check src tests benchmarks examples docs wheels
 	$(VENV)/bin/mypy
 $(VENV)/.docs: pyproject.toml constraints.txt | setup
-	$(RUN) $(PIP) install -c constraints.txt --no-build-isolation -e '.[docs]'
+	$(RUN) $(INSTALL) '.[docs]'
 	touch $@
 docs: setup $(VENV)/.docs ## The documentation site in build/docs, with its links checked; no warning is let through
 	rm -rf build/docs docs/reference/made

@@ -48,13 +48,25 @@ def build(source: Path, folder: Path, *options: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def programs(tmp_path_factory) -> Path:
-    """The folder of the C and C++ examples, built with find_package against an installed tauext."""
+def package(tmp_path_factory) -> Path:
+    """A build of the library: that of `make build` where that is up to date, since to compile takes a minute."""
     if shutil.which("g++") is None:
         pytest.skip("the C and C++ examples need g++")
+    library = ROOT / "build" / "cpp" / "libtauext_core.a"
+    sources = [ROOT / "CMakeLists.txt", ROOT / "pyproject.toml", *(ROOT / "cpp" / "src").iterdir()]
+    sources += (ROOT / "cpp" / "include" / "tauext").iterdir()
+    if library.exists() and library.stat().st_mtime > max(source.stat().st_mtime for source in sources):
+        return library.parent
+    folder = tmp_path_factory.mktemp("package")
+    build(ROOT, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory, package) -> Path:
+    """The folder of the C and C++ examples, built with find_package against an installed tauext."""
     folder = tmp_path_factory.mktemp("examples")
-    build(ROOT, folder / "package")
-    code, _, err = run("cmake", "--install", folder / "package", "--prefix", folder / "installed")
+    code, _, err = run("cmake", "--install", package, "--prefix", folder / "installed")
     assert code == 0, err
     warnings = "-Wall -Wextra -Wpedantic -Wshadow -Werror"
     build(
@@ -76,9 +88,9 @@ def place(tmp_path_factory) -> Path:
     return folder
 
 
-def same_compiler(programs: Path) -> bool:
+def same_compiler(package: Path) -> bool:
     """Whether the installed module was made by the compiler that the programs were made with: not so of a wheel."""
-    cache = (programs.parent / "package" / "CMakeCache.txt").read_text()
+    cache = (package / "CMakeCache.txt").read_text()
     (compiler,) = re.findall(r"^CMAKE_CXX_COMPILER:\w+=(.*)$", cache, re.M)
     code, out, err = run(compiler, "-x", "c++", "-E", "-P", "-", text="__VERSION__")
     assert code == 0, err
@@ -144,7 +156,7 @@ def test_the_c_program_makes_its_own_samples_where_there_are_none(programs, plac
     assert out[-1].startswith("1000 samples; ")
 
 
-def test_one_recording_in_amperes_gets_one_answer_to_the_last_bit_whoever_asks(programs, tmp_path):
+def test_one_recording_in_amperes_gets_one_answer_to_the_last_bit_whoever_asks(programs, package, tmp_path):
     """evaluate, run, the Python monitor, the C API and C++, of a bundle whose constants are no powers of two.
 
     C and C++ to the last bit where one compiler made them and the module.
@@ -175,7 +187,7 @@ def test_one_recording_in_amperes_gets_one_answer_to_the_last_bit_whoever_asks(p
     code, out, err = run(programs / "05_answers", tmp_path / "amperes.tauext", text=as_csv(made))
     assert code == 0 and err.splitlines()[0] == "shoulder takes tau in A, answers in N m"
     cpp = np.array([[float(cell) for cell in line.split(",")[3:]] for line in out])
-    within = 0.0 if same_compiler(programs) else COMPILERS_APART_NM
+    within = 0.0 if same_compiler(package) else COMPILERS_APART_NM
     np.testing.assert_allclose(cpp, said, rtol=0, atol=within)
 
     code, out, err = run(programs / "02_c_program", tmp_path / "amperes.tauext", text=as_csv(made))

@@ -1,10 +1,12 @@
 """LeRobot datasets with labels: what a dataset gets, that frames alone get the same, and what is refused."""
 
 import json
+import shutil
 from pathlib import Path
 
 import lerobot_arm as arms
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -229,3 +231,48 @@ def test_the_command_counts(place, tmp_path, capsys):
 
 def test_elements_are_called_as_a_wrapped_robot_calls_them():
     assert element_names(["elbow.pos", "wrist"]) == ["elbow.tau_ext", "wrist.tau_ext", "contact", "collision"]
+
+
+def rewritten(file: str, change):
+    def damage(folder: Path) -> None:
+        table = pq.read_table(folder / file)
+        pq.write_table(change(table), folder / file)
+
+    return file, damage
+
+
+def cut(file: str):
+    def damage(folder: Path) -> None:
+        (folder / file).write_bytes((folder / file).read_bytes()[:-20])
+
+    return file, damage
+
+
+FRAMES_OF_TWO = "data/chunk-000/file-000.parquet"
+DAMAGE = {
+    "statistics cut off": (*cut("meta/stats.json"), "cannot be read"),
+    "frames cut off": (*cut(FRAMES_OF_TWO), "cannot be read"),
+    "episodes cut off": (*cut("meta/episodes/chunk-000/file-000.parquet"), "cannot be read"),
+    "no numbers of episodes": (
+        *rewritten(FRAMES_OF_TWO, lambda t: t.set_column(4, "episode_index", pa.nulls(len(t)))),
+        "episode_index is not a whole number in every row",
+    ),
+    "columns described by no table": (
+        *rewritten(FRAMES_OF_TWO, lambda t: t.replace_schema_metadata({"huggingface": "[null]"})),
+        "what it says of its columns cannot be read",
+    ),
+    "no frames": (*rewritten(FRAMES_OF_TWO, lambda t: t[:0]), "no data file holds frames of episode 0, 1"),
+}
+
+
+@pytest.mark.parametrize("what", DAMAGE)
+def test_a_damaged_dataset_is_refused_by_the_name_of_its_file(place, tmp_path, what):
+    file, damage, told = DAMAGE[what]
+    shutil.copytree(place / "v3.0", tmp_path / "damaged")
+    damage(tmp_path / "damaged")
+    with pytest.raises(RecordingError, match=told) as refused:
+        label_dataset(
+            tmp_path / "damaged", load_bundle(place / "arm.tauext"), load_arm(place / "arm.toml"), tmp_path / "out"
+        )
+    assert what in ("no frames", "episodes cut off") or file in str(refused.value)
+    assert not (tmp_path / "out").exists() and not (tmp_path / "out.part").exists()

@@ -28,6 +28,7 @@ COMMANDS = {
     "show": cli.show,
     "convert": cli.convert,
     "import": cli.import_data,
+    "label": cli.label,
     "fleet run": fleet.run,
     "fleet prior": fleet_prior.prior,
     "fleet example": fleet.example,
@@ -59,11 +60,17 @@ RECORD = MONITOR + " --record out/record --flights out/flights"
 CONVERT = "convert old.tauext --out out/a.tauext"
 IMPORT = "import --source arm.csv --arm table.toml --out out/imported"
 LEROBOT = IMPORT + " --format lerobot"
+LABEL = "label --dataset servos-v3.0 --bundle servos.tauext --arm servos.toml --out out/labelled"
+FEETECH = "monitor servos.tauext --source feetech:/dev/null --bus {} --duration-s 0.2"
+DYNAMIXEL = "monitor servos.tauext --source dynamixel:/dev/null --bus {} --duration-s 0.2"
+DAMIAO = "monitor observer.tauext --source damiao:hostile --bus {} --duration-s 0.2"
+NEW_BUS = "monitor --new-bus out/bus.toml"
 NEW = "import --new out/arm.toml --source arm.csv --robot robot.xml"
 GOOD = (SIMULATE, TRAIN, PRIOR, NETWORK, EVALUATE, CALIBRATE, CHECK, REPORT, FLIGHT, RUN, MONITOR, RECORD, CONVERT)
 GOOD += (LOAD, REFIT, LOAD_KNOWN, LIKE, REFIT_LIKE, CARRYING)
 GOOD += (FLEET, FLEET + " --dry-run", FLEET_PRIOR, "fleet example --out out/fleet.toml", "fleet example")
 GOOD += (IMPORT, LEROBOT, NEW, "show observer.tauext", "reproduce --scale smoke --out out/all --cases exact")
+GOOD += (LABEL, LABEL + " --json", NEW_BUS, FEETECH.format("bus.toml"), DAMIAO.format("can.toml"))
 GOOD += ("demo --no-open --headless-seconds 0.1", "demo --no-open")
 RARE = {"reproduce": 0.1, "demo": 0.1, "report": 0.2, "evaluate": 0.4, "calibrate": 0.3, "check": 0.4}
 RARE |= {"fleet prior": 0.1, "fleet run": 0.4}
@@ -84,6 +91,7 @@ WRITERS: tuple[str, ...] = (
     LEROBOT,
     NEW,
 )
+WRITERS += (LABEL, NEW_BUS)
 WRITERS += (FLEET, FLEET_PRIOR, "fleet example --out out/fleet.toml")
 BUNDLE = ("show {}", "show {}", "run {} data/free-006.parquet", "evaluate --data data --out out/results --bundles {}")
 BUNDLE += ("calibrate --bundle {} --data hours --out out/a.tauext",)
@@ -124,6 +132,23 @@ READERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("lerobot/meta/info.json", "lerobot/data/*/*.parquet", "lerobot/meta/episodes/*/*.parquet"),
         ("import --source lerobot --new out/arm.toml",),
     ),
+    "labelled": (
+        ("servos-v3.0/meta/*", "servos-v3.0/data/*/*.parquet", "servos-v3.0/meta/episodes/*/*.parquet"),
+        (LABEL, LABEL + " --into features"),
+    ),
+    "labelled, of v2.1": (
+        ("servos-v2.1/meta/*", "servos-v2.1/data/*/*.parquet"),
+        (LABEL.replace("v3.0", "v2.1"), LABEL.replace("v3.0", "v2.1") + " --into features"),
+    ),
+    "servos": (("servos.toml",), (LABEL, "import --source servos-v3.0 --arm {} --out out/imported")),
+    "servo bundle": (("servos.tauext",), (LABEL, "show {}")),
+    "servo recording": (("servos/*.parquet", "servos/split.json"), (TRAIN.replace("--data data", "--data servos"),)),
+    "calibration": (
+        ("calibration.json",),
+        (LABEL, LABEL + " --calibration {}", FEETECH, DYNAMIXEL, FEETECH.format("bus.toml")),
+    ),
+    "bus": (("bus.toml",), (FEETECH, DYNAMIXEL)),
+    "CAN bus": (("can.toml",), (DAMIAO,)),
     "arm.toml": (("table.toml",), (IMPORT, IMPORT, LEROBOT)),
     "FLEET.toml": (("fleet.toml",), (FLEET + " --dry-run", FLEET + " --dry-run --json", FLEET)),
     "fleet prior": (("arm.prior.json",), ("show {}", "show {} --json", "show {}", LIKE, REFIT_LIKE)),
@@ -153,6 +178,12 @@ READERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
             "fleet run {} --out out/fleet",
             "fleet prior {} data data-2 --out out/a.prior.json",
             MONITOR + " --reactions {}",
+            LABEL.replace("servos-v3.0", "{}"),
+            LABEL.replace("servos.tauext", "{}"),
+            LABEL.replace("servos.toml", "{}"),
+            LABEL + " --calibration {}",
+            FEETECH,
+            DAMIAO,
             "monitor observer.tauext --source replay:{}",
             "evaluate --data data --out out/r --bundles {}",
         ),

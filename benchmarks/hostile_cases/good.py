@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+import sys
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -24,6 +26,9 @@ from tauext.data.split import Split
 from tauext.learn.fleet_prior import ArmType, FleetDays, FleetPrior
 from tauext.learn.fleet_prior_file import write_fleet_prior
 from tauext.learn.map_regression import WeightPrior
+
+sys.path.append(str(Path(__file__).parents[2] / "tests"))
+import lerobot_arm
 
 EVERY = 10
 """Of 1000 samples a second: files in other formats stay small."""
@@ -104,6 +109,31 @@ URDF = """<robot name="two">
 """
 
 
+BUS = """baud = 1000000
+calibration = "calibration.json"
+[joints.shoulder]
+id = 7
+zero = 2048
+sign = -1
+[joints.elbow]
+id = 8
+zero = 1000.5
+multi_turn = true
+type = "sts3215"
+"""
+CAN = """interface = "virtual"
+[joints.joint1]
+id = 1
+answer_id = 17
+[joints.joint2]
+id = 2
+answer_id = 18
+sign = -1
+zero_rad = 0.5
+ranges = [12.5, 30.0, 10.0]
+"""
+
+
 def make_good(folder: Path, quick: bool = False) -> Path:
     """Everything, in a folder that is made; what stands there is used again.
 
@@ -141,6 +171,7 @@ def make_good(folder: Path, quick: bool = False) -> Path:
         done(["monitor", kind, str(folder / file)])
     make_formats(folder, data)
     make_fleet(folder, data, quick)
+    make_servos(folder)
     (folder / "ready").touch()
     return folder
 
@@ -228,6 +259,21 @@ def make_formats(folder: Path, data: Path) -> None:
     ]
     done([*lerobot, "--out", str(folder / "lerobot")])
     (folder / "constants.toml").write_text("[nm_per_ampere]\njoint1 = 1.0\njoint2 = 2.0\n")
+
+
+def make_servos(folder: Path) -> None:
+    """LeRobot datasets of a servo arm with what its calibration says, a bundle of it, and files of buses."""
+    episodes = lerobot_arm.episodes(range(6), 300)
+    for version in ("v2.1", "v3.0"):
+        lerobot_arm.write_dataset(folder / f"servos-{version}", episodes, version)
+    (folder / "calibration.json").write_text(json.dumps(lerobot_arm.calibration()))
+    described = lerobot_arm.ARM.replace("UNIT", "deg").replace("[robot]", '[robot]\ncalibration = "calibration.json"')
+    (folder / "servos.toml").write_text(described)
+    dataset, arm, data = (str(folder / name) for name in ("servos-v3.0", "servos.toml", "servos"))
+    done(["import", "--source", dataset, "--arm", arm, "--out", data])
+    done(["train", "--data", data, "--out", str(folder / "servos.tauext"), "--recipe", "observer"])
+    (folder / "bus.toml").write_text(BUS)
+    (folder / "can.toml").write_text(CAN)
 
 
 def write_bag(path: Path, recording, kind: str) -> None:

@@ -116,8 +116,8 @@ def readable(path: Path, what: str) -> Iterator[None]:
     """RecordingError in place of whatever damaged files make of reading them."""
     try:
         yield
-    except (pa.ArrowException, OSError, KeyError, ValueError, TypeError) as error:
-        cause = " ".join(f"{error}".split())
+    except (pa.ArrowException, OSError, LookupError, ValueError, TypeError, AttributeError) as error:
+        cause = " ".join(f"{error}".split()) or type(error).__name__
         raise RecordingError(f"{path}: {what} cannot be read ({cause}); copy it again") from error
 
 

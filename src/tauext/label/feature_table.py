@@ -93,7 +93,8 @@ def _elements(table: pa.Table, feature: str, rows: int) -> np.ndarray:
     column = table.column(feature).combine_chunks()
     if not hasattr(column.type, "value_type"):
         return column.to_numpy(zero_copy_only=False).reshape(rows, 1)
-    return column.flatten().to_numpy(zero_copy_only=False).reshape(rows, -1)
+    values = column.flatten().to_numpy(zero_copy_only=False)
+    return values.reshape(rows, len(values) // max(rows, 1))
 
 
 def _set(table: pa.Table, feature: str, values: np.ndarray) -> pa.Table:

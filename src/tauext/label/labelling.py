@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from tauext import _core
 from tauext.data.description import Arm
 from tauext.data.importers import RawSignals
 from tauext.data.importers.lerobot import raw_episode
-from tauext.data.lerobot_folder import LerobotFolder, open_folder, readable
+from tauext.data.lerobot_folder import INFO, LerobotFolder, open_folder, readable
 from tauext.data.servo import velocity_and_torque
 from tauext.errors import ConfigError, RecordingError, TauextError
 from tauext.label.feature_table import FeaturePlan, Into, plan_features, recorded, with_labels
@@ -88,9 +88,9 @@ def label_dataset(
             if (name := file.relative_to(folder.path)) not in files:
                 _copy(file, part / name)
         for name in sorted(files):
+            frames = work.data_file(folder.path / name, part / name)
             if reporter is not None:
-                reporter.say(f"{name}: {pq.read_metadata(folder.path / name).num_rows} frames")
-            work.data_file(folder.path / name, part / name)
+                reporter.say(f"{name}: {frames} frames")
         work.meta(part)
     return work.report
 
@@ -103,12 +103,11 @@ class Labelling:
         self._folder, self._bundle, self._arm, self._plan = folder, bundle, arm, plan
         self._stats: dict[int, Stats] = {}
 
-    def data_file(self, source: Path, target: Path) -> None:
-        """A data file with labels."""
+    def data_file(self, source: Path, target: Path) -> int:
+        """A data file with labels; how many frames it has."""
         with readable(source, "it"):
             table = pq.read_table(source)
-            numbers = table.column("episode_index").to_numpy()
-            frames = table.column("frame_index").to_numpy()
+            numbers, frames = (_whole(table, name) for name in ("episode_index", "frame_index"))
         columns = np.zeros((len(table), len(self._arm.names) + 2), dtype=np.float32)
         for number in np.unique(numbers):
             rows = np.flatnonzero(numbers == number)
@@ -119,11 +118,15 @@ class Labelling:
                     f"{source}: the frames of episode {number} are not 0 to {self._folder.lengths[int(number)] - 1}"
                 )
             columns[rows] = self._labels(int(number)).columns[frames[rows]]
-        if (held := recorded(table, self._plan)) is not None:
+        with readable(source, "what it says of its columns"):
+            held = recorded(table, self._plan)
+            table = with_labels(table, columns, self._plan)
+        if held is not None:
             self.report.held += len(held)
             self.report.equal += int((held == columns).all(axis=1).sum())
         target.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(with_labels(table, columns, self._plan), target)
+        pq.write_table(table, target)
+        return len(table)
 
     def _labels(self, number: int) -> Labels:
         """Labels of one episode, counted."""
@@ -142,23 +145,32 @@ class Labelling:
 
     def meta(self, part: Path) -> None:
         """Features and statistics in the copies of the metadata."""
-        info = json_of(read_text(part / "meta/info.json"))
+        if missing := [str(number) for number in self._folder.lengths if number not in self._stats]:
+            raise RecordingError(f"{self._folder.path}: no data file holds frames of episode {', '.join(missing)}")
+        info = json_of(read_text(part / INFO))
         info["features"] = self._plan.features
-        _write_json(info, part / "meta/info.json")
+        _write_json(info, part / INFO)
         if self._folder.version == "v3.0":
             for file in sorted((part / "meta/episodes").glob("chunk-*/file-*.parquet")):
-                table = pq.read_table(file)
+                with self._read(part, file):
+                    table = self._episode_columns(pq.read_table(file))
                 file.unlink()
-                pq.write_table(self._episode_columns(table), file)
-        elif (part / EPISODES_STATS_V2).is_file():
-            lines = [json_of(line) for line in read_text(part / EPISODES_STATS_V2).splitlines() if line.strip()]
-            for line in lines:
-                self._put(line["stats"], self._stats[line["episode_index"]])
-            _replace(part / EPISODES_STATS_V2, "".join(json.dumps(line) + "\n" for line in lines))
-        if (part / STATS).is_file():
-            stats = json_of(read_text(part / STATS))
-            self._put(stats, dataset_stats([self._stats[number] for number in self._folder.lengths]))
-            _write_json(stats, part / STATS)
+                pq.write_table(table, file)
+        elif (file := part / EPISODES_STATS_V2).is_file():
+            with self._read(part, file):
+                lines = [json_of(line) for line in read_text(file).splitlines() if line.strip()]
+                for line in lines:
+                    self._put(line["stats"], self._stats[line["episode_index"]])
+            _replace(file, "".join(json.dumps(line) + "\n" for line in lines))
+        if (file := part / STATS).is_file():
+            with self._read(part, file):
+                stats = json_of(read_text(file))
+                self._put(stats, dataset_stats([self._stats[number] for number in self._folder.lengths]))
+            _write_json(stats, file)
+
+    def _read(self, part: Path, file: Path) -> AbstractContextManager[None]:
+        """Errors of reading a copy of a file are told of the file."""
+        return readable(self._folder.path / file.relative_to(part), "it")
 
     def _put(self, stats: dict[str, dict], own: Stats) -> None:
         for feature, (columns, places) in self._plan.places.items():
@@ -195,6 +207,14 @@ def episode_labels(name: str, block: RawSignals, bundle: _core.Bundle, arm: Arm)
     dq, tau = velocity_and_torque(bundle.servo, t_ns, q, signals)
     said = _core.estimate(bundle, t_ns, q, dq, tau, os.cpu_count() or 1, None)
     return labels_of(said["health"], said["held_alarm"], said["tau_ext"].astype(np.float32))
+
+
+def _whole(table: pa.Table, name: str) -> np.ndarray:
+    """A column of whole numbers; ValueError where it is none."""
+    numbers = table.column(name).to_numpy()
+    if numbers.dtype.kind not in "iu":
+        raise ValueError(f"{name} is not a whole number in every row")
+    return numbers
 
 
 @contextmanager

@@ -52,8 +52,8 @@ fuzz: setup ## A minute of hostile bundles, with clang; finds stay in build/fuzz
 soak: build ## A monitor after a day of samples beside a fresh one
 	build/cpp/soak_bench
 lint: setup ## Style and types of the Python code
-	$(VENV)/bin/ruff check src tests benchmarks examples docs wheels
-	$(VENV)/bin/ruff format --check src tests benchmarks examples docs wheels
+	$(VENV)/bin/ruff check src tests benchmarks examples docs wheels integrations
+	$(VENV)/bin/ruff format --check src tests benchmarks examples docs wheels integrations
 	$(VENV)/bin/mypy
 $(VENV)/.docs: pyproject.toml constraints.txt | setup
 	$(RUN) $(INSTALL) '.[docs]'

@@ -24,7 +24,7 @@ from lerobot.teleoperators.so_leader import SO101LeaderConfig  # noqa: E402, F40
 from lerobot_teleoperator_tauext import TauextLeader, TauextLeaderConfig  # noqa: E402
 from lerobot_teleoperator_tauext.feel_step import processors  # noqa: E402
 from lerobot_teleoperator_tauext.positions import radians_a_unit  # noqa: E402
-from lerobot_teleoperator_tauext.torque_ports import DynamixelPort  # noqa: E402
+from lerobot_teleoperator_tauext.torque_ports import DamiaoPort, DynamixelPort, torque_port  # noqa: E402
 
 from tauext.errors import ConfigError  # noqa: E402
 
@@ -307,3 +307,34 @@ def test_lerobots_own_loop_makes_the_leader_feel(tmp_path):
     assert leader.leader.sent[ticks] == {f"{joint}.torque": 0.0 for joint in JOINTS}
     teleop_loop(leader, robot, 50, step, robot_action, robot_observation, duration=0.05)
     assert len(leader.leader.sent) == ticks + 1  # one that is not connected is told nothing
+
+
+def heard(wire) -> list[tuple[int, str]]:
+    """Ids and bytes of the frames since the last call."""
+    return [(frame.arbitration_id, bytes(frame.data).hex(" ")) for frame in iter(lambda: wire.recv(0), None)]
+
+
+def test_torque_alone_goes_to_damiao_motors_byte_by_byte():
+    """LeRobot's own bus on python-can's virtual one: no stiffness, no damping, 12 bits of torque from -10 to 10 N m."""
+    can = pytest.importorskip("can")
+    from lerobot.motors import Motor, MotorNormMode
+    from lerobot.motors.damiao import DamiaoMotorsBus
+
+    motors = {
+        name: Motor(k + 1, "dm4310", MotorNormMode.DEGREES, motor_type_str="dm4310", recv_id=0x11 + k)
+        for k, name in enumerate((*JOINTS, "gripper"))
+    }
+    bus = DamiaoMotorsBus("tauext-leader", motors, can_interface="virtual", use_can_fd=False)
+    with can.interface.Bus("tauext-leader", interface="virtual") as wire:
+        bus.connect(handshake=False)
+        leader = SimpleNamespace(name="openarm_leader", feedback_features={}, bus=bus)
+        port = torque_port(leader, [], None)
+        assert isinstance(port, DamiaoPort) and port.joints == JOINTS  # no gripper
+        port.begin()
+        still = [(1, "7f ff 7f f0 00 00 07 ff"), (2, "7f ff 7f f0 00 00 07 ff")]
+        assert heard(wire) == [(1, "ff ff ff ff ff ff ff fc"), (2, "ff ff ff ff ff ff ff fc"), *still]
+        port.write({"shoulder": 1.0, "elbow": -10.0})
+        assert heard(wire) == [(1, "7f ff 7f f0 00 00 08 cc"), (2, "7f ff 7f f0 00 00 00 00")]
+        port.end()
+        assert heard(wire) == [*still, (1, "ff ff ff ff ff ff ff fd"), (2, "ff ff ff ff ff ff ff fd")]
+        bus.disconnect(disable_torque=False)

@@ -78,3 +78,68 @@ def test_a_servo_without_the_register_is_refused(bus):
     bus.motors["lift"] = Motor(2, "scs0009", MotorNormMode.DEGREES)
     with pytest.raises(ValueError, match="motor 'lift' is a scs0009: it has no current that tauext knows how to read"):
         BlockRead(bus, ("current",))
+
+
+def crc(content: bytes) -> bytes:
+    """CRC-16 of protocol 2.0: polynomial 0x8005, nothing reflected."""
+    value = 0
+    for byte in content:
+        value ^= byte << 8
+        for _ in range(8):
+            value = (value << 1 ^ 0x8005 if value & 0x8000 else value << 1) & 0xFFFF
+    return struct.pack("<H", value)
+
+
+def packet2(id_: int, *content: int) -> bytes:
+    body = b"\xff\xff\xfd\x00" + struct.pack("<BH", id_, len(content) + 2) + bytes(content)
+    return body + crc(body)
+
+
+def test_one_request_reads_all_of_dynamixels(serial):
+    pytest.importorskip("dynamixel_sdk")
+    from lerobot.motors.dynamixel import DynamixelMotorsBus
+
+    motors = {name: Motor(k + 1, "xl330-m288", MotorNormMode.DEGREES) for k, name in enumerate(("pan", "lift"))}
+    calibration = {name: MotorCalibration(k + 1, 0, 0, 0, 4095) for k, name in enumerate(motors)}
+    bus = DynamixelMotorsBus(serial.port, motors, calibration)
+    bus.connect(handshake=False)
+    asked = packet2(0xFE, 0x82, 124, 0, 22, 0, 1, 2)  # 124 to 145: PWM, current, velocity, position, ..., voltage
+    held = [struct.pack("<hhiiiiH", 443, -120, 0, 2048, 0, 0, 50), struct.pack("<hhiiiiH", -885, 7, 0, 1024, 0, 0, 49)]
+    stub = serial.stub(
+        receive_bytes=asked, send_bytes=b"".join(packet2(k + 1, 0x55, 0, *data) for k, data in enumerate(held))
+    )
+    block = BlockRead(bus, ("duty", "current", "voltage"))
+    assert block.in_one_transaction
+    with block.reading():
+        position = bus.sync_read("Present_Position")
+    assert stub.calls == 1
+    assert position == pytest.approx({"pan": 0.5 * 360 / 4095, "lift": -1023.5 * 360 / 4095})
+    assert block.values["duty"] == pytest.approx({"pan": 443 / 885, "lift": -1.0})
+    assert block.values["current"] == pytest.approx({"pan": -0.12, "lift": 0.007})
+    assert block.values["voltage"] == pytest.approx({"pan": 5.0, "lift": 4.9})
+    bus.disconnect(disable_torque=False)
+
+
+def test_servos_of_different_tables_get_a_request_a_register():
+    """And so does a bus that is none of LeRobot's serial ones: the position first, as it would be asked for alone."""
+
+    class Bus:
+        motors = {"pan": Motor(1, "sts3215", MotorNormMode.DEGREES), "lift": Motor(2, "sts3250", MotorNormMode.DEGREES)}
+        model_ctrl_table = {
+            "sts3215": {"Present_Position": (56, 2), "Present_Load": (60, 2)},
+            "sts3250": {"Present_Position": (56, 2), "Present_Load": (80, 2)},
+        }
+        asked: list[tuple[str, bool]] = []
+
+        def sync_read(self, data_name, motors=None, *, normalize=True, num_retry=0):
+            self.asked.append((data_name, normalize))
+            return {"pan": 300, "lift": 1 << 10 | 20} if data_name == "Present_Load" else {"pan": 1.0, "lift": 2.0}
+
+    bus = Bus()
+    block = BlockRead(bus, ("duty",))
+    assert not block.in_one_transaction
+    with block.reading():
+        assert bus.sync_read("Present_Position") == {"pan": 1.0, "lift": 2.0}
+        bus.sync_read("Present_Position")  # a second one in the same tick reads nothing else again
+    assert bus.asked == [("Present_Position", True), ("Present_Load", False), ("Present_Position", True)]
+    assert block.values == {"duty": pytest.approx({"pan": 0.3, "lift": -0.02})}

@@ -141,7 +141,9 @@ def made(tmp_path_factory):
         warm = [moving(10 * k + d, 60.0, (a * f, b * f), f"day-{d}") for d, f in enumerate((1.08, 0.95))]
         arms.append(dataset(folder / f"arm-{k}" / "data", *warm))
     prior = folder / "planar.prior.json"
-    make_fleet_prior(fleet_arms([str(one) for one in arms]), prior, CONFIG)
+    with pytest.MonkeyPatch.context() as patch:  # the doctor would take half of the time, and is tested by itself
+        patch.setattr("tauext.fleet_prior.arms.look_first", lambda *told: {})
+        make_fleet_prior(fleet_arms([str(one) for one in arms]), prior, CONFIG)
     new = load_dataset(dataset(folder / "new", moving(90, 120.0, (1.0, 1.0))))
     bundle = folder / "new.tauext"
     train_bundle(new, bundle, config=CONFIG, look=False)

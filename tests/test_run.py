@@ -144,7 +144,7 @@ def test_words_and_numbers_are_those_of_the_core():
     assert _core.cause_names(1 << CAUSES) == []
 
 
-@pytest.mark.parametrize("chunk_s", [0.0, 0.02, 0.37, 100.0])
+@pytest.mark.parametrize("chunk_s", [0.0, pytest.param(0.02, marks=pytest.mark.slow), 0.37, 100.0])
 @pytest.mark.parametrize("acknowledge_after_s", [None, 0.1])
 @pytest.mark.parametrize("make", [pushed, faulty])
 def test_changes_equal_those_of_a_slow_loop_whatever_the_chunks(bundle, make, acknowledge_after_s, chunk_s):

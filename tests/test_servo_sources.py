@@ -70,7 +70,7 @@ def spoil(rig: Rig, readings: set[int], id_: int, how) -> None:
     ],
     ids=["lost", "short", "corrupt", "checksum", "header", "zeros"],
 )
-@pytest.mark.parametrize("id_", [1, 2, 3])
+@pytest.mark.parametrize("id_", [pytest.param(1, marks=pytest.mark.slow), 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_reading_with_a_spoilt_packet_is_refused_and_counted_and_the_next_are_whole(rig, how, id_):
     rig.source.bus.port.answer_s = 0.2
     spoil(rig, {4, 7}, id_, how)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from tauext.data import Recording
 
@@ -54,11 +53,15 @@ def low_pass(x: np.ndarray, cutoff_hz: float, rate_hz: float) -> np.ndarray:
     """Second-order Butterworth there and back over axis 0, no delay. Too high a cut-off, few rows: unchanged."""
     if cutoff_hz >= 0.45 * rate_hz or len(x) <= PADDED_ROWS:
         return x
+    from scipy.signal import sosfiltfilt  # 0.6 s to load, which most commands never need
+
     return sosfiltfilt(_butterworth(cutoff_hz, rate_hz), x, axis=0)
 
 
 @cache
 def _butterworth(cutoff_hz: float, rate_hz: float) -> np.ndarray:
+    from scipy.signal import butter
+
     return butter(2, cutoff_hz, fs=rate_hz, output="sos")
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tauext.data.drive_signal import RestLaw
@@ -15,7 +14,8 @@ from tauext.doctor.examine import Diagnosis
 from tauext.doctor.regressors import Rows
 from tauext.doctor.servo import Rest
 from tauext.progress import SILENT, Reporter
-from tauext.report.style import DPI, LIMIT, RC, WIDTH_IN, label_joint
+from tauext.report.drawing import save_png
+from tauext.report.style import LIMIT, RC, WIDTH_IN, label_joint
 
 SHOWN_S = 60.0
 """Of the motion, from its start: more would be a smear."""
@@ -132,6 +132,5 @@ def _broken(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _save(figure: Figure, path: Path) -> Path:
-    FigureCanvasAgg(figure)
-    figure.savefig(path, dpi=DPI)
+    save_png(figure, path)
     return path

@@ -4,20 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tauext.data.estimates import Estimates
 from tauext.report.results import Results
-from tauext.report.style import BAND
+from tauext.report.style import BAND, DPI
 
 
 @dataclass(frozen=True)
 class Drawing:
     figure: Figure
     caption: str
+
+
+def save_png(figure: Figure, path: Path) -> None:
+    """As `figure.savefig` does, with one drawing instead of two: the layout is computed by the drawing itself."""
+    figure.set_dpi(DPI)
+    FigureCanvasAgg(figure).print_png(path, metadata={"Software": None})
 
 
 def draw_band(axes: Axes, time: np.ndarray, centre: np.ndarray, sigma: np.ndarray | None, colour: str) -> None:

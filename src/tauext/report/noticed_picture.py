@@ -7,10 +7,11 @@ from typing import Any
 import matplotlib
 
 from tauext.errors import ConfigError
+from tauext.report.drawing import save_png
 from tauext.report.entry import Entry
 from tauext.report.noticed_file import read_noticed
 from tauext.report.noticed_force import draw_noticed_force
-from tauext.report.style import DPI, RC
+from tauext.report.style import RC
 from tauext.store import Place
 from tauext.whole_file import whole_files
 
@@ -26,6 +27,6 @@ def write_noticed_picture(noticed: dict[str, Any], picture: Place) -> None:
         try:
             picture.parent.mkdir(parents=True, exist_ok=True)
             with whole_files(picture) as (part,):
-                drawing.figure.savefig(part, format="png", dpi=DPI, metadata={"Software": None})
+                save_png(drawing.figure, part)
         except OSError as error:
             raise ConfigError(f"{picture}: cannot be written ({error.strerror or error})") from error

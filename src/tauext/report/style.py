@@ -39,6 +39,7 @@ GREY = "#8a8a8a"
 RC = {
     "font.size": 9,
     "axes.titlesize": 9,
+    "axes.titley": 1.0,  # where titles stand anyway; to look above axes for what they must clear takes its time
     "axes.labelsize": 9,
     "xtick.labelsize": 8.5,
     "ytick.labelsize": 8.5,

@@ -11,7 +11,7 @@ import matplotlib
 from tauext.errors import ConfigError
 from tauext.report.after_contact import draw_after_contact
 from tauext.report.collisions_over_time import draw_collisions
-from tauext.report.drawing import Drawing
+from tauext.report.drawing import Drawing, save_png
 from tauext.report.error_against_sigma import draw_error_against_sigma
 from tauext.report.error_over_speed import draw_error_over_speed
 from tauext.report.first_screen import shown_bundle
@@ -25,7 +25,7 @@ from tauext.report.results_file import load_results
 from tauext.report.same_dataset import expect_same_dataset
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.strength import draw_strength
-from tauext.report.style import DPI, RC
+from tauext.report.style import RC
 from tauext.report.three_collisions import draw_three_collisions
 from tauext.report.traces import PAGE_MB, PageTraces, chosen_bundles, or_reason, results_traces
 from tauext.report.training_loss import draw_training_loss
@@ -62,17 +62,18 @@ def write_report(
     expect_same_dataset(results, results_dir, dataset_dir)
     chosen_bundles(results, trace_methods)
     signals = Signals(dataset_dir, results_dir, results.joints)
+    # Those of recordings first: what does not belong together is refused soon.
     draw: dict[str, Callable[[], Drawing]] = {
+        "figure-5-free-motion": partial(draw_free_motion, results, signals),
+        "figure-6-error-over-speed": partial(draw_error_over_speed, results, signals),
+        "figure-7-collisions": partial(draw_collisions, results, signals),
+        "figure-8-three-collisions": partial(draw_three_collisions, results, signals),
         "missed-curve": partial(draw_missed_curve, results),
         "strength": partial(draw_strength, results),
         "after-contact": partial(draw_after_contact, results),
         "learning-curves": partial(draw_learning_curves, results),
         "training-loss": partial(draw_training_loss, results),
         "error-against-sigma": partial(draw_error_against_sigma, results),
-        "figure-5-free-motion": partial(draw_free_motion, results, signals),
-        "figure-6-error-over-speed": partial(draw_error_over_speed, results, signals),
-        "figure-7-collisions": partial(draw_collisions, results, signals),
-        "figure-8-three-collisions": partial(draw_three_collisions, results, signals),
         "found-curve": partial(draw_found_curve, results),
         "noticed-force": lambda: draw_noticed_force(shown_bundle(results).measured.noticed),
     }
@@ -104,7 +105,7 @@ def make_figure(draw: Callable[[], Drawing], path: Path) -> PageFigure:
     with matplotlib.rc_context(RC):
         try:
             drawing = draw()
-            drawing.figure.savefig(path, format="png", dpi=DPI, metadata={"Software": None})
+            save_png(drawing.figure, path)
         except NotAvailable as reason:
             return PageFigure(png=None, caption=f"{title} is not available: {reason}.")
         except (ArithmeticError, ValueError) as error:  # numbers that no axis holds: 1e308 in a damaged file

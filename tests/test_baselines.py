@@ -139,6 +139,7 @@ def test_filters_that_pass_nothing_are_refused(changes, message):
 # --- minutes
 
 
+@pytest.mark.slow
 def test_two_minutes_are_enough_for_the_whole_recipe(tmp_path):
     made = [simulate_recording(RigConfig(), "free", 50.0, seed=3, number=k) for k in range(5)]
     robot, out = tmp_path / "robot.xml", tmp_path / "two.tauext"

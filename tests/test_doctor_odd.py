@@ -53,7 +53,11 @@ def odd(recordings: list[Recording], path=None) -> list[Finding]:
     return [f for f in examine(recordings, path).findings if f.code == "odd-recording"]
 
 
-@pytest.mark.parametrize("told", CHANGES)
+TELLING = ("the torque of", "exchanged", "in degrees")
+VARIANTS = [pytest.param(told, marks=[pytest.mark.slow] * (told not in TELLING)) for told in CHANGES]
+
+
+@pytest.mark.parametrize("told", VARIANTS)
 def test_odd_recording_is_named_with_its_mend(arm, told):
     path, _, good = arm
     recordings = [replace(r, **CHANGES[told](r)) if k == ODD else r for k, r in enumerate(good)]
@@ -90,7 +94,14 @@ def test_good_recordings_are_not_odd(arm, planar):
     assert not odd(good, path) and not odd(good) and not odd(planar)
 
 
-@pytest.mark.parametrize("by, told", [(0.3, "-0.3"), (-1.0, "+1.0"), (np.pi / 2, "-1.57")])
+@pytest.mark.parametrize(
+    "by, told",
+    [
+        (0.3, "-0.3"),
+        pytest.param(-1.0, "+1.0", marks=pytest.mark.slow),
+        pytest.param(np.pi / 2, "-1.57", marks=pytest.mark.slow),
+    ],
+)
 def test_shifted_zero_is_named_in_rad(arm, by, told):
     path, _, good = arm
     recordings = [replace(r, q=one(r, "q", lambda x: x + by)) if k == ODD else r for k, r in enumerate(good)]
@@ -99,7 +110,7 @@ def test_shifted_zero_is_named_in_rad(arm, by, told):
     assert found.severity == ("fault" if abs(by) > 0.5 else "warning")
 
 
-@pytest.mark.parametrize("late_s", [0.025, -0.06])
+@pytest.mark.parametrize("late_s", [0.025, pytest.param(-0.06, marks=pytest.mark.slow)])
 def test_a_recording_whose_torque_comes_late_is_named_in_ms(arm, late_s):
     path, _, good = arm
     shifted = np.round(late_s * good[ODD].rate_hz).astype(int)

@@ -145,7 +145,15 @@ def test_what_is_possible_follows_from_drives_and_from_training_but_not_from_its
     assert signal_bounds([short]).torque_nm[0] < 1e3
 
 
-@pytest.mark.parametrize(("signal", "value"), [("tau", 1e6), ("tau", 1000.0), ("dq", 1e4), ("q", 50.0)])
+@pytest.mark.parametrize(
+    ("signal", "value"),
+    [
+        ("tau", 1000.0),
+        ("q", 50.0),
+        pytest.param("tau", 1e6, marks=pytest.mark.slow),
+        pytest.param("dq", 1e4, marks=pytest.mark.slow),
+    ],
+)
 def test_one_impossible_sample_changes_neither_limits_nor_friction(signal, value, tmp_path, monkeypatch):
     recordings = [motion(seconds=30.0, seed=k, name=f"made-{k}") for k in range(3)]
     clean, before = trained(tmp_path, monkeypatch, recordings, recipe="prior")

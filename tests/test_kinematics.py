@@ -132,7 +132,13 @@ def test_thinned_torque_is_the_mean_of_what_was_left_out():
 # --- the search
 
 
-@pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (0.0, 9.81, 0.0)], ids=["standing", "on a wall"])
+@pytest.mark.parametrize(
+    "gravity",
+    [
+        pytest.param((0.0, 0.0, -9.81), id="standing", marks=pytest.mark.slow),
+        pytest.param((0.0, 9.81, 0.0), id="on a wall"),
+    ],
+)
 def test_an_arm_is_found_in_a_minute_of_its_motion(gravity):
     """Half of the sphere of poses is seen in training; what is unseen is where sines and cosines fail."""
     tree = arm(gravity)
@@ -171,6 +177,7 @@ def test_what_shows_of_a_load_does_not_depend_on_the_unit_of_the_torque():
     assert weighs_on(setup, in_amperes, Inertia(load=ESTIMATED))[3]  # what it would say of numbers in another unit
 
 
+@pytest.mark.slow
 def test_the_same_motion_finds_the_same_arm():
     made = made_motion(arm(), 0.5, pieces=1).recordings
     first, second = (fit_prior(setup_of(arm()), made, CONFIG) for _ in "ab")

@@ -461,7 +461,7 @@ def test_the_filtered_basis_without_a_model_holds_the_planar_arm_exactly():
 
 
 def test_threads_change_no_bit_of_a_fit_with_its_search_for_ripple():
-    made = recordings(rippling((24, 1.0)), seconds=60.0)
+    made = recordings(rippling((24, 1.0)), seconds=30.0)
     one, four = (fit_prior(replace(setup_of(planar_arm()), threads=n), made, SEARCHED) for n in (1, 4))
     assert ripples_of(one) == ripples_of(four) == [(1, 24)]
     np.testing.assert_array_equal(one.weights, four.weights)

@@ -214,8 +214,11 @@ class _Shapes:
 
     def missing(self, since: np.ndarray, k: int | slice) -> np.ndarray:
         """(rows, shapes)."""
+        slower = np.atleast_1d(self.slower[k])
         beyond = np.maximum(since[:, None] - np.atleast_1d(self.flat[k]), 0) / np.atleast_1d(self.bend[k])
-        return np.where(np.atleast_1d(self.slower[k]), np.exp(-beyond), np.clip(1 - beyond, 0, 1))
+        missing = np.maximum(1 - beyond, 0)
+        missing[:, slower] = np.exp(-beyond[:, slower])
+        return missing
 
 
 def _shapes(place_rad: float) -> _Shapes:
@@ -251,10 +254,16 @@ class _Turns:
         """Of torque, speed, acceleration and a shape with one another: (shapes, groups, 4, 4)."""
         count, parts = len(shapes.flat), []
         own = np.add.reduceat(self.columns[:, :, None] * self.columns[:, None, :], self._group_first, axis=0)
+        ends = np.r_[self._group_first[1:], len(self.since)]
+        turns = np.searchsorted(self._first, self._group_first)  # the first of each group
         for k in range(0, count, AT_A_TIME):
-            missing = self._levelled(shapes.missing(self.since, slice(k, k + AT_A_TIME)))
-            across = np.add.reduceat(self.columns[:, :, None] * missing[:, None, :], self._group_first, axis=0)
-            squares = np.add.reduceat(missing**2, self._group_first, axis=0)
+            missing = shapes.missing(self.since, slice(k, k + AT_A_TIME))
+            # Columns have no mean over a turn, so a shape's own drops out of the products with them.
+            across = np.stack(
+                [self.columns[a:b].T @ missing[a:b] for a, b in zip(self._group_first, ends, strict=True)]
+            )
+            means = np.add.reduceat(missing, self._first, axis=0) ** 2 / self._size[:, None]
+            squares = np.add.reduceat(missing**2, self._group_first, axis=0) - np.add.reduceat(means, turns, axis=0)
             part = np.empty((missing.shape[1], len(own), 4, 4))
             part[:, :, :3, :3] = own
             part[:, :, :3, 3] = part[:, :, 3, :3] = np.moveaxis(across, 2, 0)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -17,7 +17,7 @@ from tauext.doctor.gravity import gravity_finding
 from tauext.doctor.motion import PADDED_ROWS, Stretch
 from tauext.doctor.offset import Offset, best_offset
 from tauext.doctor.payload import fit_load, loaded
-from tauext.doctor.regressors import Rows, rows_of
+from tauext.doctor.regressors import Rows, model_of, rows_of
 
 SEARCH_S = 60.0
 """Of motion, spread over all of it: the search fits dozens of arrangements."""
@@ -37,9 +37,37 @@ OFFSET_GAIN = 2.0
 OFFSET_LEAD = 0.15
 """... and it gains so much more for each joint than an arrangement, a load or a tilted base."""
 
-Change = Callable[[Stretch], Stretch]
-Best = tuple[float, str, str, tuple[list[str], Change, np.ndarray] | None, np.ndarray]
-"""Gain, code and words of a change; its joints, itself and the ratio of errors, None: there is none; the errors."""
+
+@dataclass(frozen=True)
+class Change:
+    """Of what the joints are called and which way they turn."""
+
+    code: str
+    told: str
+    names: list[str]
+    """Of the joints that it changes."""
+    order: list[int]
+    """Of the joints as they are, by what they become."""
+    sign: np.ndarray
+
+    def of(self, stretch: Stretch) -> Stretch:
+        """The stretch as it would be."""
+        names = ("q", "dq", "tau", "q_raw", "dq_raw")
+        signals: dict[str, Any] = {
+            n: np.ascontiguousarray(self.sign * getattr(stretch, n)[:, self.order]) for n in names
+        }
+        return replace(stretch, **signals)
+
+    def of_rows(self, rows: Rows) -> Rows:
+        """Rows of such stretches, but for the model's torques: all else is odd in the motion, or constant."""
+        friction = rows.friction[:, self.order].copy()
+        friction[:, :, 1:] *= self.sign[:, None]
+        names = ("q", "dq", "tau", "acceleration")
+        return replace(rows, **{n: self.sign * getattr(rows, n)[:, self.order] for n in names}, friction=friction)
+
+
+Best = tuple[float, Change | None, np.ndarray, np.ndarray]
+"""Gain of a change, itself, None: there is none, the ratio of errors and the errors."""
 
 
 def search_stretches(stretches: Sequence[Stretch], seconds: float = SEARCH_S) -> list[Stretch]:
@@ -89,36 +117,41 @@ def rearranged(
     """Findings, and the stretches as the robot file would have them."""
     found, few = [], search_stretches(stretches)
     stretches = list(stretches)
-    now, lead = _errors(few, tree), OFFSET_LEAD * len(joints)
+    rows = rows_of(few, tree)
+    now, lead = _errors(rows), OFFSET_LEAD * len(joints)
     for _ in range(MOST_CHANGES):
-        best: Best = (GAIN, "", "", None, now)
-        for code, told, names, change, order in _changes(joints):
-            then = _errors([change(s) for s in few], tree)
-            ratio = then / now[order]  # each torque signal against itself
+        best: Best = (GAIN, None, now, now)
+        for change in _changes(joints):
+            then = _errors(_with_model(change.of_rows(rows), [change.of(s) for s in few], tree))
+            ratio = then / now[change.order]  # each torque signal against itself
             gain = -float(np.log(ratio).sum())
             if gain > best[0] and ratio.min() < HALVED and ratio.max() < WORSE:
-                best = (gain, code, told, (names, change, ratio), then)
-        shift = best_offset(rows_of(few, tree), tree)
+                best = (gain, change, ratio, then)
+        shift = best_offset(rows, tree)
         if shift is not None:
-            then = _errors([shifted(s, shift) for s in few], tree)
+            moved = [shifted(s, shift) for s in few]
+            then = _errors(_with_model(rows, moved, tree))
             ratio = then / now
             gain = -float(np.log(ratio).sum())
-            leads = best[3] is None or gain > best[0] + lead
+            leads = best[1] is None or gain > best[0] + lead
             if gain > OFFSET_GAIN and leads and ratio.min() < HALVED and ratio.max() < WORSE:
-                if gain - _gain_otherwise(few, tree, now) > lead:
+                if gain - _gain_otherwise(few, tree, rows, now) > lead:
                     found.append(_offset_finding(shift, joints, float(ratio.min()), gain))
-                    stretches, few, now = [shifted(s, shift) for s in stretches], [shifted(s, shift) for s in few], then
+                    stretches, few, now = [shifted(s, shift) for s in stretches], moved, then
+                    rows = rows_of(few, tree)
                     continue
-        gain, code, told, detail, then = best
-        if detail is None:
+        gain, chosen, ratio, then = best
+        if chosen is None:
             break
-        names, change, ratio = detail
         evidence = (
-            f"{told} the model's error falls to {ratio.min():.0%} at one joint and rises at none ({gain:.1f} nats)"
+            f"{chosen.told} the model's error falls to {ratio.min():.0%} at one joint and rises at none ({gain:.1f} "
+            "nats)"
         )
-        advice = "map joints by name at import" if code == "joint-order" else "negate q, dq and tau of it at import"
-        found += [Finding(code, "fault", name, evidence, advice) for name in names]
-        stretches, few, now = [change(s) for s in stretches], [change(s) for s in few], then
+        order = chosen.code == "joint-order"
+        advice = "map joints by name at import" if order else "negate q, dq and tau of it at import"
+        found += [Finding(chosen.code, "fault", name, evidence, advice) for name in chosen.names]
+        stretches, few, now = [chosen.of(s) for s in stretches], [chosen.of(s) for s in few], then
+        rows = rows_of(few, tree)
     return found, stretches
 
 
@@ -139,16 +172,20 @@ def _offset_finding(shift: Offset, joints: Sequence[str], ratio: float, gain: fl
     return Finding("position-offset", "fault", joints[shift.joint], evidence, advice)
 
 
-def _gain_otherwise(stretches: Sequence[Stretch], tree: _core.Tree, now: np.ndarray) -> float:
+def _gain_otherwise(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows, now: np.ndarray) -> float:
     """What a load that the model lacks, or another direction of gravity, gains."""
-    rows = rows_of(stretches, tree)
     trees = (loaded(tree, fit_load(stretches, tree, rows)), gravity_finding(stretches, tree, rows)[1])
-    return max(-float(np.log(_errors(stretches, other) / now).sum()) for other in trees)
+    return max(-float(np.log(_errors(_with_model(rows, stretches, other)) / now).sum()) for other in trees)
 
 
-def _errors(stretches: Sequence[Stretch], tree: _core.Tree) -> np.ndarray:
+def _with_model(rows: Rows, stretches: Sequence[Stretch], tree: _core.Tree) -> Rows:
+    """The rows with the model's torques of this motion."""
+    gravity, inertial = model_of(stretches, tree)
+    return replace(rows, gravity=gravity, inertial=inertial)
+
+
+def _errors(rows: Rows) -> np.ndarray:
     """Robust error of each joint [N m], with one factor for the whole model: an arrangement must fit as a whole."""
-    rows = rows_of(stretches, tree)
     errors = np.empty(rows.joints)
     for j in range(rows.joints):
         columns = np.column_stack([rows.model[:, j], 0 * rows.time_s, columns_of(rows, j)[:, 2:]])
@@ -156,26 +193,15 @@ def _errors(stretches: Sequence[Stretch], tree: _core.Tree) -> np.ndarray:
     return np.maximum(errors, 1e-9)
 
 
-def _changes(joints: Sequence[str]) -> list[tuple[str, str, list[str], Change, list[int]]]:
+def _changes(joints: Sequence[str]) -> list[Change]:
     n = len(joints)
-    found: list[tuple[str, str, list[str], Change, list[int]]] = []
+    none, found = np.ones(n), []
     for j in range(n):
         sign = np.where(np.arange(n) == j, -1.0, 1.0)
-
-        def flip(s: Stretch, sign: np.ndarray = sign) -> Stretch:
-            names = ("q", "dq", "tau", "q_raw", "dq_raw")
-            return replace(s, **{name: getattr(s, name) * sign for name in names})
-
-        found.append(("joint-axis", "with its axis reversed", [joints[j]], flip, list(range(n))))
+        found.append(Change("joint-axis", "with its axis reversed", [joints[j]], list(range(n)), sign))
     for a, b in combinations(range(n), 2):
         order = list(range(n))
         order[a], order[b] = b, a
-
-        def swap(s: Stretch, order: list[int] = order) -> Stretch:
-            names = ("q", "dq", "tau", "q_raw", "dq_raw")
-            swapped: dict[str, Any] = {name: np.ascontiguousarray(getattr(s, name)[:, order]) for name in names}
-            return replace(s, **swapped)
-
         told = f"with '{joints[a]}' and '{joints[b]}' exchanged"
-        found.append(("joint-order", told, [joints[a], joints[b]], swap, order))
+        found.append(Change("joint-order", told, [joints[a], joints[b]], order, none))
     return found

@@ -67,28 +67,49 @@ def rows_of(
         rows_hz: rows a second.
         end_s: left out at both ends of a stretch.
     """
-    parts = [_of_stretch(stretch, tree, lag_s, cutoff_hz, rows_hz, end_s) for stretch in stretches]
-    return Rows(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-
-
-def _of_stretch(
-    stretch: Stretch, tree: _core.Tree | None, lag_s: float, cutoff_hz: float, rows_hz: float, end_s: float
-) -> tuple[np.ndarray, ...]:
-    q, dq, rate = stretch.q, stretch.dq, stretch.rate_hz
+    parts = [_measured(stretch, lag_s, cutoff_hz, rows_hz, end_s) for stretch in stretches]
+    time_s, recording, q, dq, tau, acceleration, friction = (np.concatenate(x) for x in zip(*parts, strict=True))
     gravity = inertial = np.zeros_like(q)
     if tree is not None:
-        momentum, beta = tree.momentum(q, dq)
-        gravity = tree.momentum(q, np.zeros_like(q))[1]
-        inertial = np.gradient(momentum, 1 / rate, axis=0) + beta - gravity
+        gravity, inertial = model_of(stretches, tree, cutoff_hz, rows_hz, end_s)
+    return Rows(time_s, recording, q, dq, tau, gravity, inertial, acceleration, friction)
+
+
+def model_of(
+    stretches: Sequence[Stretch],
+    tree: _core.Tree,
+    cutoff_hz: float = FIT_CUTOFF_HZ,
+    rows_hz: float = FIT_ROWS_HZ,
+    end_s: float = END_S,
+) -> tuple[np.ndarray, np.ndarray]:
+    """gravity and inertial of `rows_of` alone."""
+    parts = []
+    for s in stretches:
+        momentum, beta = tree.momentum(s.q, s.dq)
+        gravity = tree.momentum(s.q, np.zeros_like(s.q))[1]
+        inertial = np.gradient(momentum, 1 / s.rate_hz, axis=0) + beta - gravity
+        parts.append(_filtered([gravity, inertial], s.rate_hz, cutoff_hz, rows_hz, end_s))
+    gravity, inertial = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return gravity, inertial
+
+
+def _measured(stretch: Stretch, lag_s: float, cutoff_hz: float, rows_hz: float, end_s: float) -> tuple[np.ndarray, ...]:
+    """Of a stretch all that no model is needed for: time, recording, q, dq, tau, acceleration, friction."""
+    q, dq, rate = stretch.q, stretch.dq, stretch.rate_hz
     friction = [np.ones_like(dq), dq] + [np.tanh(dq / speed) for speed in COULOMB_SPEEDS_RAD_S]
     friction += list(np.moveaxis(presliding(q, PRESLIDING_RAD, rate), 2, 0))
     time = picked(stretch.start_s + np.arange(len(q)) / rate, rate, rows_hz, end_s)
-    tau = delayed(stretch.tau, lag_s, rate)
+    signals = [q, dq, delayed(stretch.tau, lag_s, rate), np.gradient(dq, 1 / rate, axis=0), *friction]
+    parts = _filtered(signals, rate, cutoff_hz, rows_hz, end_s)
+    return (time, np.full(len(time), stretch.recording), *parts[:4], np.stack(parts[4:], axis=2))
 
-    signals = [q, dq, tau, gravity, inertial, np.gradient(dq, 1 / rate, axis=0), *friction]
-    together = picked(low_pass(np.concatenate(signals, axis=1), min(cutoff_hz, rate / 6), rate), rate, rows_hz, end_s)
-    parts = np.split(together, len(signals), axis=1)
-    return (time, np.full(len(time), stretch.recording), *parts[:6], np.stack(parts[6:], axis=2))
+
+def _filtered(
+    signals: Sequence[np.ndarray], rate_hz: float, cutoff_hz: float, rows_hz: float, end_s: float
+) -> list[np.ndarray]:
+    """Rows of signals (samples, joints), all through one filter."""
+    together = low_pass(np.concatenate(signals, axis=1), min(cutoff_hz, rate_hz / 6), rate_hz)
+    return np.split(picked(together, rate_hz, rows_hz, end_s), len(signals), axis=1)
 
 
 def presliding(q: np.ndarray, widths_rad: Sequence[float], rate_hz: float) -> np.ndarray:

@@ -158,6 +158,7 @@ def test_an_arm_is_found_in_a_minute_of_its_motion(gravity):
     assert (ours[:3] < 0.5 * theirs[:3]).all()
 
 
+@pytest.mark.slow
 def test_friction_that_grows_with_the_load_is_that_of_the_arm_found():
     fit = fit_prior(setup_of(arm()), made_motion(arm(), 1.0, pieces=2).recordings, CONFIG)
     loads = [term for term in fit.settings.terms if term.kind == _core.TermKind.load]

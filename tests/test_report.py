@@ -406,6 +406,7 @@ def test_the_papers_numbers_stand_beside_both_recipes_and_the_recipe_is_named(se
     assert "exact 20,000 steps; exact, paper recipe 189,000 steps; mass 20,000 steps" in page
 
 
+@pytest.mark.slow
 def test_seven_bundles_are_drawn_in_every_figure(seven, tmp_path):
     page = write_report(*seven, tmp_path / "report", page_mb=0).read_text()
     assert "is not available" not in page  # traces alone are not, for want of room

@@ -87,7 +87,7 @@ def process_of(part: Path) -> int:
 
 
 def done(out: Path) -> list[Path]:
-    return list(out.glob("arms/*/*/task.json"))
+    return list(out.glob("arms/*/[!.]*/task.json"))
 
 
 def touched(out: Path) -> dict[str, tuple[int, bytes]]:

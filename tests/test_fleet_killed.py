@@ -89,7 +89,7 @@ def test_a_killed_worker_costs_the_task_it_was_at(fleet, undisturbed, tmp_path):
 @pytest.mark.slow
 def test_ctrl_c_and_a_killed_driver_cost_the_tasks_that_ran(fleet, undisturbed, tmp_path):
     driver = started(fleet, tmp_path, "--workers", "1")
-    until(lambda: list(tmp_path.glob("arms/*/*/task.json")), driver)
+    until(lambda: list(tmp_path.glob("arms/*/[!.]*/task.json")), driver)
     (running, *_) = until(lambda: parts(tmp_path), driver)
     driver.send_signal(signal.SIGINT)
     _, said = driver.communicate(timeout=PATIENCE_S)

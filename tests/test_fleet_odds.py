@@ -59,7 +59,7 @@ def test_what_an_arm_does_is_integrated_over():
 
 
 def test_a_worn_joint_is_named_and_no_other():
-    x = healthy(12)
+    x = healthy(20)
     x[3, 2] += np.log(1.3)
     found = asked(x)
     assert found.more[3, 2] > 0.9
@@ -68,7 +68,7 @@ def test_a_worn_joint_is_named_and_no_other():
 
 
 def test_less_friction_is_told_from_more():
-    x = healthy(12)
+    x = healthy(20)
     x[3, 2] -= np.log(1.4)
     found = asked(x)
     assert found.less[3, 2] > 0.9 > 0.1 > found.more[3, 2]
@@ -84,9 +84,9 @@ def test_a_cold_day_of_an_arm_and_a_winter_of_all_are_no_wear():
 
 
 def test_days_that_differ_much_hide_what_calm_ones_show():
-    worn = np.zeros((12, 6))
+    worn = np.zeros((20, 6))
     worn[3, 2] = np.log(1.3)
-    calm, rough = asked(healthy(12, joint_spread=0.02) + worn), asked(healthy(12, joint_spread=0.10) + worn)
+    calm, rough = asked(healthy(20, joint_spread=0.02) + worn), asked(healthy(20, joint_spread=0.10) + worn)
     assert calm.more[3, 2] > 0.99
     assert rough.more[3, 2] < NAMED
     assert rough.joint_spread > 2 * calm.joint_spread

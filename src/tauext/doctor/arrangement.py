@@ -147,8 +147,8 @@ def rearranged(
             f"{chosen.told} the model's error falls to {ratio.min():.0%} at one joint and rises at none ({gain:.1f} "
             "nats)"
         )
-        order = chosen.code == "joint-order"
-        advice = "map joints by name at import" if order else "negate q, dq and tau of it at import"
+        reordered = chosen.code == "joint-order"
+        advice = "map joints by name at import" if reordered else "negate q, dq and tau of it at import"
         found += [Finding(chosen.code, "fault", name, evidence, advice) for name in chosen.names]
         stretches, few, now = [chosen.of(s) for s in stretches], [chosen.of(s) for s in few], then
         rows = rows_of(few, tree)

@@ -1,11 +1,19 @@
 PYTHON ?= python3.11
+# Both may lie elsewhere: make test VENV=/tmp/venv BUILD=/tmp/build
 VENV := .venv
-PIP := $(VENV)/bin/pip --disable-pip-version-check -q
+BUILD := build
+PIP := $(VENV)/bin/python -m pip --disable-pip-version-check -q
 # CMake, Ninja and CTest come with the environment.
-RUN := PATH="$(CURDIR)/$(VENV)/bin:$$PATH"
-# The module is built in the folder of the C++ tests, so that the library is compiled once.
-INSTALL := $(PIP) install -c constraints.txt --no-build-isolation -C build-dir=build/cpp \
-  -C cmake.define.TAUEXT_WERROR=ON -C 'build.targets=_core;_core_stub' -e
+RUN := PATH="$(abspath $(VENV))/bin:$$PATH"
+# Most modules are never imported, so Python compiles those that are.
+GET := $(PIP) install --no-compile -c constraints.txt
+# Only the project itself is built without isolation. The module is built in the folder of the C++ tests, so that the
+# library is compiled once.
+INSTALL := $(PIP) install --no-deps --no-build-isolation -C build-dir=$(BUILD)/cpp \
+  -C cmake.define.TAUEXT_WERROR=ON -C 'build.targets=_core;_core_stub' -e .
+# $(call requirements,extras): what the project needs, without the project.
+requirements = $(VENV)/bin/python -c 'import sys, tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
+  print(*p["dependencies"], *(r for e in sys.argv[1:] for r in p["optional-dependencies"][e]), sep="\n")' $(1)
 # An editable install knows the files it was made with, so a new file asks for a new one.
 STAMP := $(VENV)/.installed-$(shell find src -name '*.py' | sort | cksum | cut -d' ' -f1)
 # Many small systems: threads of the linear algebra only wait for each other.
@@ -15,73 +23,77 @@ WORKERS ?= auto
 PYTEST = $(VENV)/bin/python -m pytest
 CORE := $(shell find cpp/include cpp/src cpp/learn cpp/bindings -type f)
 
-.PHONY: help setup build reproduce test test-all test-arm fuzz soak lint docs bench bench-train bench-monitor dist \
+.PHONY: help setup build benches reproduce test test-all test-arm fuzz soak lint docs bench bench-train bench-monitor dist \
   test-dist clean
 help: ## Show this help
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
 setup: $(STAMP) ## Environment and build, in .venv
 $(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(CORE)
 	test -d $(VENV) || $(PYTHON) -m venv $(VENV)
-	$(PIP) install -c constraints.txt scikit-build-core nanobind cmake ninja
-	$(RUN) $(INSTALL) '.[dev]'
-	cp $(VENV)/lib/python*/site-packages/tauext/_core.pyi src/tauext  # where mypy looks for it
+	$(GET) pip scikit-build-core nanobind cmake ninja  # pip first: Debian 12's has no -C
+	$(call requirements,dev) > $(VENV)/requirements.txt
+	$(GET) -r $(VENV)/requirements.txt & $(RUN) $(INSTALL); built=$$?; wait $$! && exit $$built
+	! test -w src/tauext || cp $(VENV)/lib/python*/site-packages/tauext/_core.pyi src/tauext  # where mypy looks for it
 	rm -f $(VENV)/.installed-*
 	touch $@
 reproduce: setup ## The whole experiment at quick scale; prints where the report is
 	$(VENV)/bin/tauext reproduce --scale quick --out runs/quick
-build: setup ## The C++ library, its tests and benchmarks
-	$(RUN) cmake -S . -B build/cpp -DTAUEXT_TESTS=ON
-	$(RUN) cmake --build build/cpp
+build: setup ## The C++ library and its tests
+	$(RUN) cmake -S . -B $(BUILD)/cpp -DTAUEXT_TESTS=ON
+	$(RUN) cmake --build $(BUILD)/cpp
 test: build ## All tests, Python and C++, on every core (WORKERS=0: Python on one)
-	$(RUN) ctest --test-dir build/cpp --output-on-failure -j $(shell nproc)
+	$(RUN) ctest --test-dir $(BUILD)/cpp --output-on-failure -j $(shell nproc)
 	$(PYTEST) -n $(WORKERS) --maxprocesses 8 --dist loadfile -m 'not slow'
 test-all: lint test test-arm fuzz soak ## Slow tests, and the C++ tests under the sanitizers, on Arm, fuzzed and soaked
 	$(PYTEST) -m slow || test $$? -eq 5  # 5: every slow test needs a library that is not here
-	$(call ctest,address,-DTAUEXT_SANITIZE=address)
-	$(call ctest,thread,-DTAUEXT_SANITIZE=thread)
+	$(call ctest,address,-DTAUEXT_SANITIZE=address -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON)
+	$(call ctest,thread,-DTAUEXT_SANITIZE=thread -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON)
 test-arm: setup ## The C++ tests, cross-compiled for 64-bit Arm, under qemu
 	$(call need,aarch64-linux-gnu-g++ qemu-aarch64,g++-aarch64-linux-gnu qemu-user)
 	$(call ctest,arm,-DCMAKE_TOOLCHAIN_FILE=cmake/aarch64-linux-gnu.cmake)
-fuzz: setup ## A minute of hostile bundles, with clang; finds stay in build/fuzz
+fuzz: setup ## A minute of hostile bundles, with clang; finds stay in $(BUILD)/fuzz
 	$(call need,clang++,clang)
-	$(RUN) cmake -S . -B build/fuzz -G Ninja -DTAUEXT_FUZZ=ON -DCMAKE_CXX_COMPILER=clang++
-	$(RUN) cmake --build build/fuzz
-	mkdir -p build/fuzz/found
-	build/fuzz/bundle_fuzz -max_total_time=60 -max_len=65536 -rss_limit_mb=1024 -verbosity=0 -print_final_stats=1 \
-	  -artifact_prefix=build/fuzz/ build/fuzz/found cpp/fuzz/corpus
-soak: build ## A monitor after a day of samples beside a fresh one
-	build/cpp/soak_bench
+	$(RUN) cmake -S . -B $(BUILD)/fuzz -G Ninja -DTAUEXT_FUZZ=ON -DCMAKE_CXX_COMPILER=clang++
+	$(RUN) cmake --build $(BUILD)/fuzz
+	mkdir -p $(BUILD)/fuzz/found
+	$(BUILD)/fuzz/bundle_fuzz -max_total_time=60 -max_len=65536 -rss_limit_mb=1024 -verbosity=0 -print_final_stats=1 \
+	  -artifact_prefix=$(BUILD)/fuzz/ $(BUILD)/fuzz/found cpp/fuzz/corpus
+benches: build ## The C++ benchmarks
+	$(RUN) cmake --build $(BUILD)/cpp --target benches
+soak: benches ## A monitor after a day of samples beside a fresh one
+	$(BUILD)/cpp/soak_bench
 lint: setup ## Style and types of the Python code
 	$(VENV)/bin/ruff check src tests benchmarks examples docs wheels integrations
 	$(VENV)/bin/ruff format --check src tests benchmarks examples docs wheels integrations
 	$(VENV)/bin/mypy
 $(VENV)/.docs: pyproject.toml constraints.txt | setup
-	$(RUN) $(INSTALL) '.[docs]'
+	$(call requirements,docs) > $(VENV)/requirements-docs.txt
+	$(GET) -r $(VENV)/requirements-docs.txt
 	touch $@
-docs: setup $(VENV)/.docs ## The documentation site in build/docs, with its links checked; no warning is let through
-	rm -rf build/docs docs/reference/made
-	$(VENV)/bin/python -m sphinx -n -W --keep-going -q -b html docs build/docs
-	$(VENV)/bin/python docs/check_site.py build/docs
-bench: build ## Dynamics sweep and network, with ratios to what else one would use
+docs: setup $(VENV)/.docs ## The documentation site in $(BUILD)/docs, with its links checked; no warning is let through
+	rm -rf $(BUILD)/docs docs/reference/made
+	$(VENV)/bin/python -m sphinx -n -W --keep-going -q -b html docs $(BUILD)/docs
+	$(VENV)/bin/python docs/check_site.py $(BUILD)/docs
+bench: benches ## Dynamics sweep and network, with ratios to what else one would use
 	$(VENV)/bin/python benchmarks/dynamics.py
-	build/cpp/tree_bench
-	build/cpp/lstm_bench
+	$(BUILD)/cpp/tree_bench
+	$(BUILD)/cpp/lstm_bench
 bench-train: setup ## Training and evaluation against PyTorch, where it is installed
 	$(VENV)/bin/python benchmarks/train.py
-bench-monitor: build ## The monitor in a control loop, beside ONNX Runtime and PyTorch where they are installed
-	$(VENV)/bin/python benchmarks/monitor.py
+bench-monitor: benches ## The monitor in a control loop, beside ONNX Runtime and PyTorch where they are installed
+	$(VENV)/bin/python benchmarks/monitor.py --bench $(BUILD)/cpp/monitor_bench
 dist: ## The sdist and audited wheels for x86-64 and 64-bit Arm, in dist
 	$(PYTHON) wheels/make_dist.py
 test-dist: ## This machine's wheels, in an empty environment of each Python that is there, without a compiler
 	$(PYTHON) wheels/try_wheels.py
 clean: ## Remove builds; recordings and runs stay
-	rm -rf build $(VENV) .mypy_cache src/tauext/_core.pyi
+	rm -rf $(BUILD) $(VENV) .mypy_cache src/tauext/_core.pyi
 
 # $(call ctest,folder,options): the C++ tests in a build of their own.
 define ctest
-	$(RUN) cmake -S . -B build/$(1) -G Ninja -DTAUEXT_TESTS=ON $(2)
-	$(RUN) cmake --build build/$(1)
-	$(RUN) ctest --test-dir build/$(1) --output-on-failure -j $(shell nproc)
+	$(RUN) cmake -S . -B $(BUILD)/$(1) -G Ninja -DTAUEXT_TESTS=ON $(2)
+	$(RUN) cmake --build $(BUILD)/$(1)
+	$(RUN) ctest --test-dir $(BUILD)/$(1) --output-on-failure -j $(shell nproc)
 endef
 # $(call need,programs,packages)
 need = @for p in $(1); do command -v $$p >/dev/null || { echo "make $@ needs $$p: Debian packages $(2)" >&2; exit 1; }; done

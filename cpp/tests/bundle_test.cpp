@@ -12,12 +12,13 @@
 
 #include "check.hpp"
 #include "made_bundle.hpp"
+#include "temporary_folder.hpp"
 
 using namespace tauext;
 
 namespace {
 
-std::string folder;
+const TemporaryFolder folder;
 
 std::vector<char> read(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
@@ -33,7 +34,7 @@ Bundle make_bundle() { return made::bundle(2, 7, 5, 10, 1); }
 
 void a_saved_bundle_loads_the_same_and_says_the_same() {
   const Bundle b = make_bundle();
-  const std::string path = folder + "/same.tauext", again = folder + "/again.tauext";
+  const std::string path = folder.file("same.tauext"), again = folder.file("again.tauext");
   save_bundle(b, path);
   const Bundle loaded = load_bundle(path);
   save_bundle(loaded, again);
@@ -46,7 +47,7 @@ void a_saved_bundle_loads_the_same_and_says_the_same() {
 }
 
 void every_truncation_and_every_flipped_byte_is_refused() {
-  const std::string path = folder + "/good.tauext", bad = folder + "/bad.tauext";
+  const std::string path = folder.file("good.tauext"), bad = folder.file("bad.tauext");
   save_bundle(make_bundle(), path);
   const std::vector<char> good = read(path);
   for (std::size_t size = 0; size < good.size(); size += 7) {
@@ -80,7 +81,7 @@ template <class Change>
 void refused_after(const char* part_of_message, Change change) {
   Bundle b = make_bundle();
   change(b);
-  refused(part_of_message, [&] { save_bundle(b, folder + "/refused.tauext"); });
+  refused(part_of_message, [&] { save_bundle(b, folder.file("refused.tauext")); });
 }
 
 void contents_that_do_not_fit_are_refused_by_name() {
@@ -172,7 +173,7 @@ void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
   std::memcpy(bytes.data() + 24, &crc, sizeof crc);
   refused("does not know", [&] { from_bytes(bytes); });
   refused("not a tauext bundle", [] { from_bytes(std::vector<char>(64, 'x')); });
-  refused("cannot be opened", [] { load_bundle(folder + "/none.tauext"); });
+  refused("cannot be opened", [] { load_bundle(folder.file("none.tauext")); });
 }
 
 // Widths alone are no prior: they tell the region of a limit.
@@ -351,15 +352,13 @@ void the_plain_observer_needs_no_network() {
   b.shape = {};
   b.parameters.clear();
   answer_reference(b);
-  save_bundle(b, folder + "/observer.tauext");
-  CHECK(!load_bundle(folder + "/observer.tauext").has_network());
+  save_bundle(b, folder.file("observer.tauext"));
+  CHECK(!load_bundle(folder.file("observer.tauext")).has_network());
 }
 
 }  // namespace
 
 int main() {
-  folder = (std::filesystem::temp_directory_path() / ("tauext_bundle_test_" + std::to_string(std::random_device{}()))).string();
-  std::filesystem::create_directory(folder);
   a_saved_bundle_loads_the_same_and_says_the_same();
   every_truncation_and_every_flipped_byte_is_refused();
   contents_that_do_not_fit_are_refused_by_name();
@@ -372,6 +371,5 @@ int main() {
   an_old_bundle_with_torque_constants_is_refused_with_the_command_that_converts_it();
   numbers_that_would_overflow_the_network_are_refused();
   the_plain_observer_needs_no_network();
-  std::filesystem::remove_all(folder);
   return check::result();
 }

@@ -12,6 +12,7 @@
 #include "made_bundle.hpp"
 #include "tauext/monitor.hpp"
 #include "tauext/refit.hpp"
+#include "temporary_folder.hpp"
 
 extern "C" int estimates_of_c_program(const void* bundle, size_t bundle_size, size_t samples, const double* q,
                                       const double* dq, const double* tau, double* tau_ext, int32_t* alarms);
@@ -350,8 +351,8 @@ void a_wrench_in_c_is_that_of_cpp() {
 }
 
 void a_refit_in_c_is_that_of_cpp() {
-  const auto folder = std::filesystem::temp_directory_path();
-  const std::string old_path = (folder / "tauext_c_refit_old.tauext").string(), new_path = (folder / "tauext_c_refit_new.tauext").string();
+  const TemporaryFolder folder;
+  const std::string old_path = folder.file("old.tauext"), new_path = folder.file("new.tauext");
   tauext::Bundle friction = made::bundle(kJoints, 0, 8, 10, 1);
   friction.prior.terms = {{tauext::TermKind::viscous, 0}};
   friction.prior.weights = {-2, 0, 0};
@@ -375,7 +376,6 @@ void a_refit_in_c_is_that_of_cpp() {
   }
   CHECK(tauext_monitor_refit_full(m) == 1);
   CHECK(tauext_monitor_finish_refit(m) == TAUEXT_OK && tauext_monitor_refit_full(m) == 0);
-  std::filesystem::remove(new_path);
   const tauext_status status = tauext_refit(old_path.c_str(), m, new_path.c_str(), message, sizeof message);
   const tauext::RefitSource source{same.finish_refit(), {}};
   try {
@@ -403,12 +403,13 @@ void what_cannot_be_opened_says_why() {
     if (!std::strstr(message, part)) std::printf("message was: %s\n", message);
     return std::strstr(message, part) != nullptr;
   };
-  const auto none = std::filesystem::temp_directory_path() / "tauext_there_is_no_such.tauext";
-  CHECK(open_path(none.string().c_str(), TAUEXT_EVERY_SAMPLE, message, sizeof message) == TAUEXT_BAD_BUNDLE);
+  const TemporaryFolder folder;
+  const std::string none = folder.file("tauext_there_is_no_such.tauext");
+  CHECK(open_path(none.c_str(), TAUEXT_EVERY_SAMPLE, message, sizeof message) == TAUEXT_BAD_BUNDLE);
   CHECK(says("tauext_there_is_no_such.tauext: cannot be opened"));
   CHECK(open_path(nullptr, TAUEXT_EVERY_SAMPLE, message, sizeof message) == TAUEXT_BAD_ARGUMENT);
   CHECK(says("null pointer"));
-  CHECK(open_path(none.string().c_str(), static_cast<tauext_network_rate>(2), message, sizeof message) ==
+  CHECK(open_path(none.c_str(), static_cast<tauext_network_rate>(2), message, sizeof message) ==
         TAUEXT_BAD_ARGUMENT);
   CHECK(says("network rate"));
   CHECK(tauext_monitor_open_bytes(bytes().data(), bytes().size(), TAUEXT_EVERY_SAMPLE, nullptr, message,

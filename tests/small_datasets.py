@@ -307,7 +307,8 @@ class Small:
         (folder / "true.urdf").write_text(urdf(parts))
         tree = load_tree(folder / "true.urdf", [part.joint for part in parts])
         (folder / "true.urdf").unlink()
-        (folder / "robot.urdf").write_text(urdf(kind.model(parts, self.rng(1))))
+        limit = 'effort="100"' if self.number % 5 == 0 else 'effort="2000"'
+        (folder / "robot.urdf").write_text(urdf(kind.model(parts, self.rng(1))).replace('effort="100"', limit))
         drive = replace(signals.drive, friction=signals.drive.friction * (1 + 0.2 * arm))
         made = made_motion(
             tree, signals.seconds / 60, RATE_HZ, self.number + 1000 * arm, signals.pieces, signals.ranges, drive=drive
@@ -375,6 +376,8 @@ def ended(small: Small, stage: str, work: Callable[[], str]) -> Ending:
     except FaultyDataError as error:
         return Ending(small.number, small.words, stage, f"the doctor: {error.findings[0].code}")
     except TauextError as error:
+        if isinstance(error.__cause__, _core.CoreError) and "refit" not in stage:
+            return Ending(small.number, small.words, stage, fault=f"CoreError: {error}\n{traceback.format_exc()}")
         fault = "" if str(error) and "\n" not in str(error) else f"not one line: {error}"
         return Ending(small.number, small.words, stage, str(error), fault)
     except Exception as error:

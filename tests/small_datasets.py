@@ -32,6 +32,7 @@ from tauext.data import Recording, load_bundle, load_dataset
 from tauext.data.recording_file import save_recording
 from tauext.data.split import Split, save_split
 from tauext.errors import FaultyDataError, TauextError
+from tauext.recipes import RECIPES
 from tauext.robot import load_tree
 
 RATE_HZ = 50.0
@@ -128,7 +129,9 @@ def bent(recording: Recording, **changes: np.ndarray | dict) -> Recording:
     return replace(recording, **changes)
 
 
-def held(joints: Callable[[int, np.random.Generator], np.ndarray]) -> Callable[[Recording, np.random.Generator], Recording]:
+def held(
+    joints: Callable[[int, np.random.Generator], np.ndarray],
+) -> Callable[[Recording, np.random.Generator], Recording]:
     """These joints keep their first place; their torque stays as it was."""
 
     def bend(recording: Recording, rng: np.random.Generator) -> Recording:
@@ -140,7 +143,9 @@ def held(joints: Callable[[int, np.random.Generator], np.ndarray]) -> Callable[[
     return bend
 
 
-def torque(change: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> Callable[[Recording, np.random.Generator], Recording]:
+def torque(
+    change: Callable[[np.ndarray, np.random.Generator], np.ndarray],
+) -> Callable[[Recording, np.random.Generator], Recording]:
     return lambda recording, rng: bent(recording, tau=change(recording.tau, rng))
 
 
@@ -152,7 +157,7 @@ def one_way(recording: Recording, rng: np.random.Generator) -> Recording:
     return bent(recording, q=q, dq=np.tile(speed, (len(q), 1)), tau=tau)
 
 
-def touched(share: float) -> Callable[[Recording, np.random.Generator], Recording]:
+def touched(share: float) -> Bend:
     """Contacts over this share of the time, in runs of a second, with a push on every joint."""
 
     def bend(recording: Recording, rng: np.random.Generator) -> Recording:
@@ -212,7 +217,7 @@ def all_of(n: int, rng: np.random.Generator) -> np.ndarray:
 AMPERES = "amperes: the torque constant is unknown"
 
 SIGNALS = {
-    "plain": Signals(seconds=30.0),
+    "plain": Signals(seconds=45.0),
     "minute": Signals(seconds=64.0, pieces=3),
     "one recording": Signals(pieces=1),
     "few seconds": Signals(seconds=6.0),
@@ -223,6 +228,7 @@ SIGNALS = {
     "last joint still": Signals(bend=held(last)),
     "one joint moves": Signals(bend=held(all_but_one)),
     "nothing moves": Signals(bend=held(all_of)),
+    "frozen": Signals(bend=lambda r, rng: bent(held(all_of)(r, rng), tau=np.tile(r.tau[0], (r.samples, 1)))),
     "constant torque": Signals(bend=torque(lambda tau, rng: np.tile(tau[0], (len(tau), 1)))),
     "zero torque": Signals(bend=torque(lambda tau, rng: np.zeros_like(tau))),
     "last torque zero": Signals(bend=torque(last_of(0.0))),
@@ -250,7 +256,18 @@ SIGNALS = {
 
 COUNT = len(ARMS) * len(SIGNALS)
 MAIN = ("prior", "tauext")
-OTHERS = ("friction", "dense", "observer", "feedforward", "paper", "highpass", "bandpass", "direct", "velocity", "energy")
+OTHERS = (
+    "friction",
+    "dense",
+    "observer",
+    "feedforward",
+    "paper",
+    "highpass",
+    "bandpass",
+    "direct",
+    "velocity",
+    "energy",
+)
 """One of them a dataset, in turn."""
 SMALL_NETWORK = {"hidden": 2, "max_steps": 20, "batch": 8}
 SMALL_PRIOR = PriorConfig(widths_rad=(1e-3, 1e-2), coulomb_speeds_rad_s=(0.03, 0.2), most_ripples=1)
@@ -382,10 +399,14 @@ def ended(small: Small, stage: str, work: Callable[[], str]) -> Ending:
         return Ending(small.number, small.words, stage, str(error), fault)
     except Exception as error:
         words = " ".join(str(error).split())
-        return Ending(small.number, small.words, stage, fault=f"{type(error).__name__}: {words}\n{traceback.format_exc()}")
+        return Ending(
+            small.number, small.words, stage, fault=f"{type(error).__name__}: {words}\n{traceback.format_exc()}"
+        )
 
 
-def train(small: Small, data: Path, out: Path, recipe: str, accept: Sequence[str] = (), like: Path | None = None) -> str:
+def train(
+    small: Small, data: Path, out: Path, recipe: str, accept: Sequence[str] = (), like: Path | None = None
+) -> str:
     """Train as the command line does; what is wrong with the bundle, or nothing."""
     from tauext.learn.fleet_prior_file import load_fleet_prior
     from tauext.train import train_bundle
@@ -454,7 +475,9 @@ def uses(small: Small, data: Path, bundle: Path) -> Iterator[Ending]:
     def calibrated(new_scale: bool) -> Callable[[], str]:
         def work() -> str:
             out = bundle.with_name(f"{recipe}-calibrated.tauext")
-            own = replace(dataset, split=replace(dataset.split, train=(), validation=(), calibration=dataset.split.train))
+            own = replace(
+                dataset, split=replace(dataset.split, train=(), validation=(), calibration=dataset.split.train)
+            )
             recalibrate(bundle, own, out, AlarmConfig(), 1, refit_error_scale=new_scale, accept=tuple(CODES))
             return unhealthy(out, dataset.training())
 
@@ -500,7 +523,6 @@ def fleet_endings(number: int, folder: Path) -> Iterator[Ending]:
         yield ended(small, "train --like", lambda: train(small, arms[3], out, "prior", tuple(CODES), prior))
 
 
-
 def of_number(number: int, fleets: bool = False) -> list[Ending]:
     """All endings of one dataset, in a folder of its own."""
     with tempfile.TemporaryDirectory() as folder:
@@ -514,7 +536,8 @@ def summary(found: Sequence[Ending]) -> str:
     bad = [one for one in found if one.fault]
     trainings = [one for one in found if "," not in one.stage and not one.message.startswith("the doctor")]
     lines = [
-        f"{len({one.number for one in found})} datasets, {len(trainings)} trainings, {len(found) - len(trainings)} others",
+        f"{len({one.number for one in found})} datasets, {len(trainings)} trainings, "
+        f"{len(found) - len(trainings)} other endings",
         f"{sum(not one.fault and not one.message for one in trainings)} bundles of trainings, "
         f"{sum(bool(one.message) for one in found)} refusals, {len(bad)} faults, of which "
         f"{sum(one.fault.startswith('CoreError') for one in bad)} CoreErrors and "

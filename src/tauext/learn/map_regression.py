@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tauext.learn.bounded import solve_within
 from tauext.learn.regression import NormalEquations, Regression
 
 ROUNDS = 8
@@ -73,7 +74,9 @@ class MapRegression(Regression):
         # What is fixed is so in the fleet's mean too: a mean that is elsewhere pulls the others along.
         size = 1 / np.sqrt(np.diag(information)[used])
         scaled = information[np.ix_(used, used)] * np.outer(size, size)
-        solution[used] = size * np.linalg.solve(scaled, size * right)
+        low, high = self.low[used], self.high[used]
+        found = size * solve_within(scaled, size * right, low / size, high / size)
+        solution[used] = np.clip(found, low, high)  # scaling back may round beyond
         return solution
 
     def choose_ridge(self) -> tuple[float, np.ndarray]:

@@ -11,7 +11,7 @@ from tauext import _core
 from tauext.data import Recording
 from tauext.errors import TrainingError
 from tauext.learn.inertial_regressors import inertial_regressors
-from tauext.learn.possible_links import ROTOR, fix_impossible, solve_possible
+from tauext.learn.possible_links import bound_links, fix_impossible, solve_possible
 from tauext.learn.prior_fit import LeftOut, PriorFit
 from tauext.learn.regression import FOLDS, NormalEquations, Regression
 from tauext.learn.training_set import Setup
@@ -96,8 +96,10 @@ def solved(
     shared: Sequence[_core.Term],
     corrected: _core.Tree | None = None,
 ) -> PriorFit:
-    """The fit that a regression of these equations makes; links that cannot be have no place in it."""
+    """The fit that a regression of these equations makes, within the bounds of links that can be."""
     terms = [term for group in own for term in group] + list(shared)
+    if corrected:
+        bound_links(regression, corrected)
     while True:
         ridge, error = regression.choose_ridge()
         solution = regression.solve(regression.whole, ridge)
@@ -198,9 +200,6 @@ def _settings(
     if corrected:
         by_link = solution[-len(PARAMETERS) * corrected.size :].reshape(-1, len(PARAMETERS))
         parameters = [inertial_parameters(link) + by for link, by in zip(corrected.links, by_link, strict=True)]
-        for p in parameters:
-            if p[0] <= 0 and np.any(p[1:ROTOR] != 0):
-                p[0] = 1.0  # it shows nowhere, and a first moment needs some
         settings.corrected_links = [
             with_inertial_parameters(link, p) for link, p in zip(corrected.links, parameters, strict=True)
         ]

@@ -1,0 +1,47 @@
+"""Minimum of a positive definite quadratic form within bounds on some unknowns."""
+
+from __future__ import annotations
+
+import numpy as np
+
+RELEASED = 1e-9
+"""Share of the largest slope from which on a bound is left again: less is rounding."""
+
+
+def solve_within(matrix: np.ndarray, right: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    r"""Minimise w A w / 2 - b w with low <= w <= high: A's own metric decides what gives way.
+
+    A primal active-set method: every step goes towards the minimum on the free unknowns and stops at the first bound,
+    so that the result is within the bounds to the last bit. Without a bound in the way it is np.linalg.solve(A, b).
+
+    Args:
+        matrix: A, (m, m), symmetric, positive definite.
+        right: b, (m,).
+        low, high: (m,), infinite where there is no bound.
+    """
+    w = np.linalg.solve(matrix, right)
+    if np.all((low <= w) & (w <= high)):
+        return w
+    w = np.clip(w, low, high)
+    free = (low < w) & (w < high)
+    for _ in range(10 * len(w)):  # finite, but rounding could make it go round
+        aim = w.copy()
+        aim[free] = np.linalg.solve(matrix[np.ix_(free, free)], right[free] - matrix[np.ix_(free, ~free)] @ w[~free])
+        step = aim - w
+        with np.errstate(divide="ignore", invalid="ignore"):
+            to_bound = np.where(step > 0, (high - w) / step, np.where(step < 0, (low - w) / step, np.inf))
+        to_bound[~free] = np.inf
+        first = int(np.argmin(to_bound))
+        if to_bound[first] < 1:
+            w = np.clip(w + to_bound[first] * step, low, high)
+            w[first] = high[first] if step[first] > 0 else low[first]
+            free[first] = False
+            continue
+        w = np.clip(aim, low, high)
+        slope = matrix @ w - right
+        inward = np.where(free, 0.0, np.where(w <= low, -slope, slope))
+        best = int(np.argmax(inward))
+        if inward[best] <= RELEASED * float(np.abs(right).max()) or low[best] == high[best]:
+            return w
+        free[best] = True
+    return w

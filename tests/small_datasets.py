@@ -113,7 +113,7 @@ ARMS = {
 class Signals:
     """How an arm is moved and measured; `bend` changes a recording after it was made."""
 
-    seconds: float = 16.0
+    seconds: float = 26.0
     pieces: int = 2
     drive: Drive = Drive(friction=1.0)
     ranges: float = 1.2
@@ -129,9 +129,10 @@ def bent(recording: Recording, **changes: np.ndarray | dict) -> Recording:
     return replace(recording, **changes)
 
 
-def held(
-    joints: Callable[[int, np.random.Generator], np.ndarray],
-) -> Callable[[Recording, np.random.Generator], Recording]:
+Bend = Callable[[Recording, np.random.Generator], Recording]
+
+
+def held(joints: Callable[[int, np.random.Generator], np.ndarray]) -> Bend:
     """These joints keep their first place; their torque stays as it was."""
 
     def bend(recording: Recording, rng: np.random.Generator) -> Recording:
@@ -143,9 +144,7 @@ def held(
     return bend
 
 
-def torque(
-    change: Callable[[np.ndarray, np.random.Generator], np.ndarray],
-) -> Callable[[Recording, np.random.Generator], Recording]:
+def torque(change: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> Bend:
     return lambda recording, rng: bent(recording, tau=change(recording.tau, rng))
 
 
@@ -256,18 +255,7 @@ SIGNALS = {
 
 COUNT = len(ARMS) * len(SIGNALS)
 MAIN = ("prior", "tauext")
-OTHERS = (
-    "friction",
-    "dense",
-    "observer",
-    "feedforward",
-    "paper",
-    "highpass",
-    "bandpass",
-    "direct",
-    "velocity",
-    "energy",
-)
+OTHERS = tuple(name for name in RECIPES if name not in MAIN)
 """One of them a dataset, in turn."""
 SMALL_NETWORK = {"hidden": 2, "max_steps": 20, "batch": 8}
 SMALL_PRIOR = PriorConfig(widths_rad=(1e-3, 1e-2), coulomb_speeds_rad_s=(0.03, 0.2), most_ripples=1)

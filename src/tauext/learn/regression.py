@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tauext.learn.bounded import solve_within
+from tauext.learn.positive_definite import solve_within
 
 RIDGES = 10.0 ** np.arange(-7, 2.0)
 FOLDS = 5

@@ -98,6 +98,7 @@ def solved(
 ) -> PriorFit:
     """The fit that a regression of these equations makes, within the bounds of links that can be."""
     terms = [term for group in own for term in group] + list(shared)
+    excited = regression.used.copy()
     if corrected:
         bound_links(regression, corrected)
     while True:
@@ -113,12 +114,11 @@ def solved(
         left_out.append(LeftOut(_settings(setup, own, shared, terms, corrected, one), where))
     settings = _settings(setup, own, shared, terms, corrected, solution)
     weights, errors, shares = (_by_joint(setup, own, shared, values) for values in (solution, spread, determined))
-    corrections = [np.zeros((setup.tree.size, 0))] * 3
+    of_links = [np.zeros((setup.tree.size, 0))] * 4
     if corrected:
-        corrections = [one[-len(PARAMETERS) * setup.tree.size :] for one in (solution, spread, determined)]
-        corrections = [one.reshape(setup.tree.size, len(PARAMETERS)) for one in corrections]
-    moved, moved_errors, moved_shares = corrections
-    of_links = (moved, moved_errors, moved_shares)
+        held = excited & ~regression.used
+        of_links = [one[-len(PARAMETERS) * setup.tree.size :] for one in (solution, spread, determined, held)]
+        of_links = [one.reshape(setup.tree.size, len(PARAMETERS)) for one in of_links]
     return PriorFit(settings, ridge, error, weights, errors, shares, *of_links, regression, left_out)
 
 

@@ -1,4 +1,4 @@
-"""Minimum of a positive definite quadratic form within bounds on some unknowns."""
+"""Positive definite matrices: inverses that stay positive definite, and minima within bounds on some unknowns."""
 
 from __future__ import annotations
 
@@ -45,3 +45,18 @@ def solve_within(matrix: np.ndarray, right: np.ndarray, low: np.ndarray, high: n
             return w
         free[best] = True
     return w
+
+
+def inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a symmetric, positive definite matrix, (m, m); symmetric and positive definite itself.
+
+    Directions whose eigenvalue, with the diagonal scaled to 1, is lost in rounding count as if it were the least that
+    shows: np.linalg.inv may give a negative variance there.
+    """
+    if len(matrix) == 0:
+        return matrix.copy()
+    size = np.sqrt(np.diag(matrix))
+    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+    least = np.finfo(float).eps * len(matrix) * values[-1]
+    root = vectors / np.sqrt(np.maximum(values, least)) / size[:, None]
+    return np.asarray(root @ root.T)

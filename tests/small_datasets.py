@@ -511,12 +511,16 @@ def fleet_endings(number: int, folder: Path) -> Iterator[Ending]:
         yield ended(small, "train --like", lambda: train(small, arms[3], out, "prior", tuple(CODES), prior))
 
 
-def of_number(number: int, fleets: bool = False) -> list[Ending]:
-    """All endings of one dataset, in a folder of its own."""
+def of_number(number: int, fleets: bool = False, recipes: Sequence[str] | None = None) -> list[Ending]:
+    """All endings of one dataset, in a folder of its own.
+
+    Args:
+        recipes: of its trainings; None: its own three.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        os.environ["XDG_CACHE_HOME"] = folder
-        of = fleet_endings if fleets else endings
-        return list(of(number, Path(folder)))
+        if fleets:
+            return list(fleet_endings(number, Path(folder)))
+        return list(endings(number, Path(folder), recipes))
 
 
 def summary(found: Sequence[Ending]) -> str:
@@ -546,6 +550,7 @@ def main() -> int:
     options = parser.parse_args()
     numbers = range(options.first, options.first + options.count, options.step)
     found: list[Ending] = []
+    os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="small-datasets-")  # what the doctor found is remembered
     with ProcessPoolExecutor(options.workers) as pool:
         for some in pool.map(of_number, numbers, [options.fleets] * len(numbers)):
             found += some

@@ -14,6 +14,7 @@ import re
 import sys
 import tempfile
 import traceback
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -373,7 +374,22 @@ class Ending:
 
 
 def ended(small: Small, stage: str, work: Callable[[], str]) -> Ending:
-    """The ending of some work, which returns what is wrong with its result, or nothing."""
+    """The ending of some work, which returns what is wrong with its result, or nothing.
+
+    A warning of NumPy's is a fault, too: it stands on the user's screen, and NaN comes of it.
+    """
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", RuntimeWarning)
+        ending = ended_somehow(small, stage, work)
+    runtime = [one for one in told if issubclass(one.category, RuntimeWarning)]
+    if runtime and not ending.fault:
+        where = f"{Path(runtime[0].filename).name}:{runtime[0].lineno}"
+        return replace(ending, fault=f"RuntimeWarning: {runtime[0].message} ({where})")
+    return ending
+
+
+def ended_somehow(small: Small, stage: str, work: Callable[[], str]) -> Ending:
+    """The same without a look at warnings."""
     try:
         return Ending(small.number, small.words, stage, fault=work())
     except _core.CoreError as error:

@@ -12,6 +12,8 @@ from tauext.learn.positive_definite import solve_within
 
 RIDGES = 10.0 ** np.arange(-7, 2.0)
 FOLDS = 5
+LEAST_SQUARE = 1e-12
+"""Of a joint's r, mean square, [N m squared]: what is smaller weighs no more."""
 LEAST_RMS = 1e-9  # a regressor that never exceeds it was not excited
 
 
@@ -58,7 +60,7 @@ class Regression:
     def __init__(self, equations: Sequence[NormalEquations]) -> None:
         self.folds = [sum(equations[k::FOLDS][1:], start=equations[k]) for k in range(min(FOLDS, len(equations)))]
         self.whole = sum(self.folds[1:], start=self.folds[0])
-        self._weight = 1 / np.maximum(self.whole.energy / self.whole.rows, 1e-12)
+        self._weight = 1 / np.maximum(self.whole.energy / self.whole.rows, LEAST_SQUARE)
         width = 1 + max(int(at.max(initial=-1)) for at in self.whole.columns)
         mean = np.zeros(width)
         for at, gram, weight in zip(self.whole.columns, self.whole.gram, self._weight, strict=True):

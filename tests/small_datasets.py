@@ -247,6 +247,10 @@ SIGNALS = {
     "contacts half the time": Signals(bend=touched(0.4)),
     "currents": Signals(seconds=32.0, drive=Drive(nm_per_a=NM_PER_A), provenance=AMPERES),
     "currents, few seconds": Signals(seconds=6.0, drive=Drive(nm_per_a=NM_PER_A), provenance=AMPERES),
+    "currents of zero": Signals(seconds=32.0, bend=torque(lambda tau, rng: np.zeros_like(tau)), provenance=AMPERES),
+    "currents of noise": Signals(
+        seconds=32.0, bend=torque(lambda tau, rng: rng.standard_normal(tau.shape)), provenance=AMPERES
+    ),
     "gaps": Signals(bend=gaps),
     "NaN in the file": Signals(broken=True),
     "no velocity": Signals(bend=lambda recording, rng: bent(recording, dq=np.zeros_like(recording.dq))),

@@ -27,7 +27,7 @@ OF_ITS_OWN = 0.7
 MOST_FACTOR = 5.0
 """By which constants in N m may be off: a gear ratio or a unit is another mistake."""
 MOST_RATIO = 1e6
-"""The same factor where torques are in units of one joint's recorded tau."""
+"""The same factor in any unit: what shows so much less is no weight."""
 STEPS = 6
 LEAST_SCALE, LEAST_CORRELATION = 0.5, 30.0
 """As load_solve.hpp has them."""
@@ -87,13 +87,11 @@ def weigh_constants(
 
         said = load_sentences(first, frame.name, "N m")[0]
         raise ConfigError(f"--known-kg {mass_kg:g} cannot set torque constants: {said}")
-    relative = bundle.units.relative_to >= 0
     common = first.mass_kg / mass_kg
-    most = MOST_RATIO if relative else MOST_FACTOR**2
-    if not common * most > 1:
+    if not common * MOST_RATIO > 1:
         raise ConfigError(
             f"--known-kg {mass_kg:g} cannot set torque constants: what shows weighs {first.mass_kg:.2g} kg, "
-            f"a factor of more than {most:g} less; are these the recordings with the weight?"
+            f"a factor of more than {MOST_RATIO:g} less; are these the recordings with the weight?"
         )
     a, h = np.full(bundle.joints, common), first.phi[1:4] / common
     phi = _core.load_parameters([mass_kg, *h], reach_m)
@@ -103,7 +101,7 @@ def weigh_constants(
         a, h, covariance = solve_known(sums, target, sizes, mass_kg, com_m, reach_m, a, h)
         phi = _core.load_parameters([mass_kg, *h], reach_m)
     known = known_weight(a, h / mass_kg, covariance)
-    if not relative and not 1 / MOST_FACTOR < known.common < MOST_FACTOR:
+    if bundle.units.relative_to < 0 and not 1 / MOST_FACTOR < known.common < MOST_FACTOR:
         raise ConfigError(
             f"{mass_kg:g} kg would make every torque {known.common:.3g} times as large; torque constants are not off "
             "by so much: is the weight in kg, and the tau in the bundle's unit?"

@@ -114,12 +114,14 @@ def solved(
         left_out.append(LeftOut(_settings(setup, own, shared, terms, corrected, one), where))
     settings = _settings(setup, own, shared, terms, corrected, solution)
     weights, errors, shares = (_by_joint(setup, own, shared, values) for values in (solution, spread, determined))
-    of_links = [np.zeros((setup.tree.size, 0))] * 4
+    moved, moved_errors, moved_shares = [np.zeros((setup.tree.size, 0))] * 3
+    held = np.zeros((setup.tree.size, 0), dtype=bool)
     if corrected:
-        held = excited & ~regression.used
-        of_links = [one[-len(PARAMETERS) * setup.tree.size :] for one in (solution, spread, determined, held)]
-        of_links = [one.reshape(setup.tree.size, len(PARAMETERS)) for one in of_links]
-    return PriorFit(settings, ridge, error, weights, errors, shares, *of_links, regression, left_out)
+        shape, last = (setup.tree.size, len(PARAMETERS)), slice(-len(PARAMETERS) * setup.tree.size, None)
+        moved, moved_errors, moved_shares = (one[last].reshape(shape) for one in (solution, spread, determined))
+        held = (excited & ~regression.used)[last].reshape(shape)
+    of_corrections = (moved, moved_errors, moved_shares, held)
+    return PriorFit(settings, ridge, error, weights, errors, shares, *of_corrections, regression, left_out)
 
 
 def _problems(

@@ -36,13 +36,13 @@ double minutes_before_end(const RefitRows& rows, std::size_t row) {
   return std::min(rows.period_s * static_cast<double>(rows.size() - 1 - row) / 60, kLongestTrendMin);
 }
 
-// Lower triangle L of a positive definite matrix = L L^T, in place.
+// Lower triangle L of 1 + G = L L^T, in place, with G positive semidefinite: no pivot is below 1 but by rounding.
 void cholesky(std::vector<double>& a, std::size_t n) {
   for (std::size_t i = 0; i < n; ++i)
     for (std::size_t j = 0; j <= i; ++j) {
       double sum = a[i * n + j];
       for (std::size_t k = 0; k < j; ++k) sum -= a[i * n + k] * a[j * n + k];
-      a[i * n + j] = i == j ? std::sqrt(sum) : sum / a[j * n + j];
+      a[i * n + j] = i == j ? std::sqrt(std::max(sum, 1.0)) : sum / a[j * n + j];
     }
 }
 

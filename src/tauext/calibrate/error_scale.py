@@ -238,6 +238,8 @@ def sigma_weights(features: np.ndarray, error: np.ndarray) -> np.ndarray:
 
 def fit_weights(features: np.ndarray, error: np.ndarray, power: float) -> np.ndarray:
     """The weights w >= 0 of the module's equation, (features,), of any scale; the constant's is above 0."""
+    if not error.any():  # whatever the motion, no error: the constant alone
+        return np.r_[1.0, np.zeros(features.shape[1] - 1)]
     size = features.mean(axis=0)
     used = size > 0
     F = features[:, used] / size[used]

@@ -112,10 +112,24 @@ def radius(
     if seen.sum() < LEAST_ROWS:  # it never sees all: those that it sees most of
         seen = said["blind"] == said["blind"].min()
     size = len(said["covariance"][0])
-    unknown = np.concatenate([said["force"], said["moment"]], axis=1)[:, :size]
-    squared = np.einsum("ri,rij,rj->r", unknown, np.linalg.inv(said["covariance"]), unknown)
     shown = size - int(said["blind"][seen].min())
-    return factor(squared[seen], shown)
+    if shown == 0:  # no joint torque depends on a force there: one joint whose axis passes through the point
+        return 1.0
+    unknown = np.concatenate([said["force"], said["moment"]], axis=1)[:, :size]
+    return factor(squared_distances(unknown, said["covariance"])[seen], shown)
+
+
+def squared_distances(errors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Errors in standard deviations, squared: (rows, m) by (rows, m, m) give (rows,).
+
+    A direction may be known so much better than another that rounding hides its variance; it then counts with the
+    least variance that shows beside the other's.
+    """
+    size = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    variances, directions = np.linalg.eigh(covariance / (size[:, :, None] * size[:, None, :]))
+    least = np.finfo(float).eps * variances[:, -1:]
+    along = np.einsum("rim,ri->rm", directions, errors / size)
+    return np.sum(along**2 / np.maximum(variances, least), axis=1)
 
 
 def residual(

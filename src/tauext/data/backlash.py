@@ -125,7 +125,7 @@ def play_of(recordings: Sequence[Recording], j: int) -> Play:
         share,
         len(turns),
         travel_rad,
-        curve / abs(full),
+        curve / abs(full) if full else np.zeros_like(curve),
     )
 
 

@@ -68,11 +68,12 @@ def _repeats(recordings: Sequence[Recording]) -> list[Finding]:
     runs = np.concatenate([_run_lengths(x) for x in repeats])
     fresh = np.concatenate([np.diff(r.t_ns[~x]) * 1e-6 for r, x in zip(recordings, repeats, strict=True)])
     severity: Severity = "warning" if count / rows >= REPEATED_BADLY else "note"
-    evidence = (
-        f"{count / rows:.1%} of the rows equal the row before ({len(runs)} runs, up to {runs.max()} repeats); "
-        f"distinct rows are {np.median(fresh):.3g} ms apart, "
-        f"99 % within {np.percentile(fresh, 99):.3g} ms, {1e3 / fresh.mean():.0f} a second on average"
-    )
+    evidence = f"{count / rows:.1%} of the rows equal the row before ({len(runs)} runs, up to {runs.max()} repeats)"
+    if len(fresh):
+        evidence += (
+            f"; distinct rows are {np.median(fresh):.3g} ms apart, "
+            f"99 % within {np.percentile(fresh, 99):.3g} ms, {1e3 / fresh.mean():.0f} a second on average"
+        )
     advice = (
         "the state is refreshed more slowly than it is logged: log it at its own rate; where it is several times "
         'slower, drop repeats at import ([time] repeats = "drop")'

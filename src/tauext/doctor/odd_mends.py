@@ -103,11 +103,14 @@ def _of_torque(
         named = "its torque" if joint is not None else f"the torque of {', '.join(joints[j] for j in chosen)}"
         yield Mend(f"{named} negated", joint, after, "fault", 0)
     factors = np.array([_factor(rows.tau[:, j], predicted[:, j]) for j in range(rows.joints)])
-    scaled = spread_about_zero(rows.tau / np.where(factors == 0, 1, factors) - predicted)
+    divided_by = np.where(factors == 0, 1, factors)
+    scaled = spread_about_zero(rows.tau / divided_by - predicted)
     scalable = [j for j in off if factors[j] > 0 and not SCALES[0] < factors[j] < SCALES[1]]
     for chosen in [[j] for j in scalable] + ([scalable] if len(scalable) > 1 else []):
         after = now.copy()
-        after[chosen] = np.maximum(scaled, spread_about_zero(rows.tau - factors * predicted) / np.abs(factors))[chosen]
+        after[chosen] = np.maximum(scaled, spread_about_zero(rows.tau - factors * predicted) / np.abs(divided_by))[
+            chosen
+        ]
         joint = chosen[0] if len(chosen) == 1 else None
         named = "its torque" if joint is not None else f"the torque of {', '.join(joints[j] for j in chosen)}"
         told = f"{factors[chosen].min():.3g}" + (f" to {factors[chosen].max():.3g}" if joint is None else "")

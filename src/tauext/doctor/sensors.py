@@ -166,9 +166,13 @@ def _coarse(recordings: Sequence[Recording], j: int, joint: str) -> Finding | No
 
 
 def noise_nm(recordings: Sequence[Recording]) -> np.ndarray:
-    """White noise of the torque (joints,), [N m], from its fourth differences: of motion they hold nothing."""
+    """White noise of the torque (joints,), [N m], from its fourth differences: of motion they hold nothing.
+
+    0 where no recording has five rows that differ.
+    """
     parts = [np.diff(r.tau[~repeated_rows(r)], 4, axis=0) / np.sqrt(70) for r in recordings]
-    return np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0))
+    squares = np.concatenate(parts) ** 2
+    return np.sqrt(squares.sum(axis=0) / max(len(squares), 1))
 
 
 def _smoothed(recordings: Sequence[Recording]) -> list[Finding]:

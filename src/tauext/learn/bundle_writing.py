@@ -122,19 +122,30 @@ def set_signal_ranges(
     """What the monitor must know of the arm's signals to tell a broken one.
 
     Args:
-        recordings: free motion; the largest |tau| of each joint is kept, in the unit of the bundle's answers. An
-            encoder that stands still while the torque moves by more is a fault.
+        recordings: free motion; the largest |tau| of each joint is kept, in the unit of the bundle's answers, or what
+            the torque moved by while the encoder stood still, if that is larger: joints that were locked. An encoder
+            that stands still while the torque moves by more is a fault.
         torque_limit_nm: what each drive can give at most, infinite where unknown; None: unknown throughout. A drive at
             its limit is a fault, since it no longer gives what it is told.
         bounds: what is possible at all, None: anything; beyond them a sample is refused.
     """
     largest = np.max([np.abs(recording.tau).max(axis=0) for recording in recordings], axis=0)
+    largest = np.maximum(largest, np.max([torque_at_rest(recording) for recording in recordings], axis=0))
     largest *= np.abs(bundle.observer.nm_per_unit or 1.0)
     bundle.largest_torque_nm = np.maximum(largest, LEAST_TORQUE_NM).tolist()
     bundle.torque_limit_nm = list(torque_limit_nm) if torque_limit_nm is not None else [float("inf")] * bundle.joints
     bounds = bounds or SignalBounds(*np.full((2, bundle.joints), np.inf))
     bundle.possible_torque_nm = np.maximum(bounds.torque_nm, bundle.largest_torque_nm).tolist()
     bundle.possible_speed_rad_s = bounds.speed_rad_s.tolist()
+
+
+def torque_at_rest(recording: Recording) -> np.ndarray:
+    """By how much each joint's torque moved at most while its encoder did not change by a bit, (n,)."""
+    moved = np.zeros(len(recording.joints))
+    for j, (q, tau) in enumerate(zip(recording.q.T, recording.tau.T, strict=True)):
+        begins = np.flatnonzero(np.r_[True, q[1:] != q[:-1]])
+        moved[j] = np.max(np.maximum.reduceat(tau, begins) - np.minimum.reduceat(tau, begins))
+    return moved
 
 
 def set_drift(bundle: _core.Bundle, fit: PriorFit, config: DriftConfig) -> None:

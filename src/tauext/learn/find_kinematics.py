@@ -11,6 +11,7 @@ from tauext import _core
 from tauext.learn.inertial_regressors import observed
 from tauext.learn.kinematic_sample import RIDGE, KinematicSample
 from tauext.learn.kinematics import Kinematics
+from tauext.learn.possible_links import FIRST_MOMENT, LARGEST, LARGEST_SPREAD, MASS, ROTOR
 from tauext.learn.training_set import Setup
 from tauext.robot.inertial import PARAMETERS, with_inertial_parameters
 
@@ -26,7 +27,6 @@ GAINS_LITTLE = 1e-3
 OBLIQUE_HELPS = 0.3
 """Axes stay at right angles unless the error falls by this share: few arms are built otherwise."""
 
-MASS, ROTOR = 0, len(PARAMETERS) - 1
 ABOUT_ITS_ORIGIN = range(1, ROTOR)  # first moments and inertia: all that a link shows whose joints meet in one point
 
 
@@ -153,6 +153,8 @@ class Fitted:
         n = sample.joints
         columns = sample.regressors(kinematics.tree(joints, sample.gravity), range(n), range(len(PARAMETERS)))
         regression = sample.regression(columns, scales)
+        of_links = np.arange(-n * len(PARAMETERS), 0)
+        regression.bound(of_links, np.full(len(of_links), -LARGEST), np.full(len(of_links), LARGEST))
         solution = regression.solve(regression.whole, RIDGE)
         parameters = solution[-n * len(PARAMETERS) :].reshape(n, -1)
         return cls(kinematics, scales, columns, regression.score(RIDGE), parameters)
@@ -186,7 +188,8 @@ class Fitted:
         """What its inertia adds to r with these kinematics, (rows, n)."""
         links = kinematics.tree(joints, sample.gravity).links
         extra = np.zeros_like(self.parameters)  # without it, a fitted mass or rotor may be one that no link can have
-        extra[:, MASS] = np.maximum(0.0, 1.0 - self.parameters[:, MASS])
+        moments = np.linalg.norm(self.parameters[:, FIRST_MOMENT], axis=1)
+        extra[:, MASS] = np.maximum(0.0, np.maximum(1.0, moments**2 / LARGEST_SPREAD) - self.parameters[:, MASS])
         extra[:, ROTOR] = np.maximum(0.0, -self.parameters[:, ROTOR])
         light = [with_inertial_parameters(link, p) for link, p in zip(links, extra, strict=True)]
         whole = [with_inertial_parameters(link, p) for link, p in zip(links, extra + self.parameters, strict=True)]

@@ -34,7 +34,7 @@ def load_disagreement(
     what the load weighs on a joint.
 
     Returns:
-        The share; None where a half is too short to tell.
+        The share; None where a half is too short to tell, or nothing weighs on the arm.
     """
     own = [own_terms(setup, config, joint) for joint in range(setup.tree.size)]
     joints = tuple(link.joint_name for link in setup.tree.links)
@@ -52,7 +52,7 @@ def load_disagreement(
     first, second = (weight(arm, joints, setup.tree.gravity, np.ascontiguousarray(poses)) for arm in arms)
     apart = np.sqrt(np.mean((first - second) ** 2, axis=0)).max()
     whole = np.sqrt(np.mean((0.5 * (first + second)) ** 2, axis=0)).max()
-    return float(apart / whole)
+    return float(apart / whole) if whole > 0 else None
 
 
 def last_axis_shows(

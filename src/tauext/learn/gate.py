@@ -24,7 +24,8 @@ class Gate:
         """Why the joint has a network or none."""
         before, after = self.prior_rmse_nm[joint], self.network_rmse_nm[joint]
         verdict = "prior and network" if self.opened[joint] else "prior only"
-        change = f"{after / before - 1:+.1%}, asked {-margin:.0%}"
+        growth = after / before - 1 if before > 0 else np.inf
+        change = f"{growth:+.1%}, asked {-margin:.0%}"
         return f"{verdict}: RMSE {before:.3g} Nm without a network, {after:.3g} Nm with it ({change})"
 
 

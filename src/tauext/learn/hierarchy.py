@@ -15,6 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tauext.learn.positive_definite import inverse
+
 ROUNDS = 60
 SETTLED = 1e-3
 """Largest relative change of a block's total variance in the last round."""
@@ -132,15 +134,14 @@ def expected(
     """Each arm's weights (arms, columns) by its data and the fleet, and their covariance (arms, columns, columns)."""
     used = np.concatenate(blocks)
     w, V = np.tile(mean, (len(evidence), 1)), np.zeros((len(evidence), *covariance.shape))
-    inverse = [np.linalg.inv(covariance[np.ix_(at, at)]) for at in blocks]
+    precision = [inverse(covariance[np.ix_(at, at)]) for at in blocks]
     for a, one in enumerate(evidence):
         information, right = one.gram.copy(), one.moment.copy()
         for b, at in enumerate(blocks):
-            own = trust[a, b] * inverse[b]
+            own = trust[a, b] * precision[b]
             information[np.ix_(at, at)] += own
             right[at] += own @ mean[at]
-        found = np.linalg.inv(information[np.ix_(used, used)])
-        V[a][np.ix_(used, used)] = (found + found.T) / 2
+        V[a][np.ix_(used, used)] = inverse(information[np.ix_(used, used)])
         w[a, used] = V[a][np.ix_(used, used)] @ right[used]
     return w, V
 
@@ -186,9 +187,9 @@ def distances(w: np.ndarray, V: np.ndarray, others: Sequence[Moments], blocks: S
         return squares
     for a, (mean, covariance) in enumerate(others):
         for b, at in enumerate(blocks):
-            inverse = np.linalg.inv(covariance[np.ix_(at, at)])
+            precision = inverse(covariance[np.ix_(at, at)])
             apart = w[a, at] - mean[at]
-            squares[a, b] = apart @ inverse @ apart + float(np.sum(inverse * V[a][np.ix_(at, at)]))
+            squares[a, b] = apart @ precision @ apart + float(np.sum(precision * V[a][np.ix_(at, at)]))
     middle = np.maximum(np.median(squares, axis=0), 1e-300)
     root = np.cbrt(squares / middle)
     usual = USUAL * np.median(np.abs(root - 1), axis=0)

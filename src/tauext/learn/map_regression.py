@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tauext.learn.positive_definite import inverse, solve_within
 from tauext.learn.regression import NormalEquations, Regression
 
 ROUNDS = 8
@@ -43,7 +44,7 @@ class WeightPrior:
         out = np.zeros_like(self.covariance)
         size = np.sqrt(np.diag(self.covariance)[known])
         correlation = self.covariance[np.ix_(known, known)] / np.outer(size, size)
-        out[np.ix_(known, known)] = np.linalg.inv(correlation) / np.outer(size, size)
+        out[np.ix_(known, known)] = inverse(correlation) / np.outer(size, size)
         return (out + out.T) / 2
 
 
@@ -73,7 +74,9 @@ class MapRegression(Regression):
         # What is fixed is so in the fleet's mean too: a mean that is elsewhere pulls the others along.
         size = 1 / np.sqrt(np.diag(information)[used])
         scaled = information[np.ix_(used, used)] * np.outer(size, size)
-        solution[used] = size * np.linalg.solve(scaled, size * right)
+        low, high = self.low[used], self.high[used]
+        found = size * solve_within(scaled, size * right, low / size, high / size)
+        solution[used] = np.clip(found, low, high)  # scaling back may round beyond
         return solution
 
     def choose_ridge(self) -> tuple[float, np.ndarray]:
@@ -84,8 +87,8 @@ class MapRegression(Regression):
         """1 where the arm's own motion alone determines a coefficient, 0 where the fleet alone does, (columns,)."""
         information, _ = self._normal(self.whole)
         used, shares = self.used, np.zeros(len(self._fixed))
-        before = 1 / np.diag(np.linalg.inv(self._scaled_block(self._precision)))
-        after = 1 / np.diag(np.linalg.inv(self._scaled_block(information)))
+        before = 1 / np.diag(inverse(self._scaled_block(self._precision)))
+        after = 1 / np.diag(inverse(self._scaled_block(information)))
         shares[used] = 1 - before / after
         return shares
 
@@ -94,7 +97,7 @@ class MapRegression(Regression):
         information, _ = self._normal(self.whole)
         size = self._sizes()
         out = np.zeros_like(information)
-        out[np.ix_(self.used, self.used)] = np.linalg.inv(self._scaled_block(information)) * np.outer(size, size)
+        out[np.ix_(self.used, self.used)] = inverse(self._scaled_block(information)) * np.outer(size, size)
         return out
 
     def _find_errors(self) -> None:

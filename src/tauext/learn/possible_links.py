@@ -1,4 +1,4 @@
-"""Corrections of inertial parameters that no link can have, and what stands in their place."""
+"""Corrections of inertial parameters that make links which the core accepts, as bounds of the fit."""
 
 from __future__ import annotations
 
@@ -6,15 +6,23 @@ import numpy as np
 
 from tauext import _core
 from tauext.learn.regression import NormalEquations, Regression
-from tauext.robot.inertial import PARAMETERS
+from tauext.robot.inertial import PARAMETERS, inertial_parameters
 
-ROTOR = PARAMETERS.index("rotor")
+MASS, ROTOR = PARAMETERS.index("m"), PARAMETERS.index("rotor")
+FIRST_MOMENT = slice(1, 4)
+LEAST_MASS_KG = 1e-6
+"""A lighter link has no centre of mass that numbers can hold."""
+LARGEST = 1e8
+"""Of a mass, a first moment or an inertia, [kg], [kg m], [kg m2]: the core takes 1e9 (kLargestOfAnArm), and a link's
+own numbers are sums of a few of them."""
+LARGEST_SPREAD = 1e8
+"""Of |first moment|^2 / mass, [kg m2]: what turns an inertia about the origin into one about the centre of mass."""
 
 
 def solve_possible(
     regression: Regression, equations: NormalEquations, ridge: float, corrected: _core.Tree | None
 ) -> np.ndarray:
-    """Coefficients that make no impossible link; columns that would are fixed in the regression.
+    """Coefficients that make links which the core accepts; masses that would not are fixed in the regression.
 
     Args:
         corrected: whose parameters the last columns correct; None: there are none.
@@ -25,36 +33,51 @@ def solve_possible(
             return solution
 
 
+def bound_links(regression: Regression, tree: _core.Tree) -> None:
+    """Bound the last columns, corrections of this tree's inertial parameters: no rotor inertia is below 0, and nothing
+    is larger than an arm."""
+    before = np.array([inertial_parameters(link) for link in tree.links]).ravel()
+    columns = correction_columns(tree, len(regression.used))
+    low, high = np.minimum(-LARGEST - before, 0.0), np.maximum(LARGEST - before, 0.0)
+    low[ROTOR :: len(PARAMETERS)] = -before[ROTOR :: len(PARAMETERS)]
+    regression.bound(columns, low, high)
+
+
+def correction_columns(tree: _core.Tree, width: int) -> np.ndarray:
+    """The last of so many columns, (11 n,)."""
+    return np.arange(width - len(PARAMETERS) * tree.size, width)
+
+
 def fix_impossible(regression: Regression, corrected: _core.Tree | None, solution: np.ndarray) -> bool:
-    """Fix the columns of corrections that would make a link that no link can be; whether there were any."""
+    """Fix corrections that are at a bound, and masses of links that no link can be; whether there were any.
+
+    What is fixed counts as not determined by the motion. A mass that falls to zero or below keeps what the file says,
+    or is 1 kg where the file says nothing: what it adds shows in other parameters too, and they make up for it. One
+    that is too small for its link's first moment grows to 1 kg, or as many kg as the moment has kg m.
+    """
     if corrected is None:
         return False
-    impossible = impossible_columns(corrected, solution, regression.used)
-    for column in impossible:
-        regression.fix(column, nearest_possible(corrected, column, len(solution)))
-    return bool(impossible)
+    columns = correction_columns(corrected, len(solution))
+    values = solution[columns]
+    at_bound = (values <= regression.low[columns]) | (values >= regression.high[columns])
+    at_bound &= regression.used[columns]
+    fixed = dict(zip(columns[at_bound], values[at_bound], strict=True))
+    for k, link in enumerate(corrected.links):
+        own = slice(len(PARAMETERS) * k, len(PARAMETERS) * (k + 1))
+        p, mass = inertial_parameters(link) + values[own], columns[own][MASS]
+        if is_possible(p):
+            continue
+        kept = link.mass
+        if not regression.used[mass] or not is_possible(np.r_[kept, p[1:]]):
+            kept = max(1.0, float(np.linalg.norm(p[FIRST_MOMENT])))
+        fixed[mass] = kept - link.mass
+    for column, value in fixed.items():
+        regression.fix(column, value)
+    return bool(fixed)
 
 
-def impossible_columns(tree: _core.Tree, solution: np.ndarray, used: np.ndarray) -> list[int]:
-    """They have to go, and the rest to be solved anew.
-
-    A mass that falls to zero or below keeps what the file says, or is 1 kg where the file says nothing: what it adds
-    shows in other parameters too, and they make up for it. A rotor inertia below zero is none.
-    """
-    first, columns = len(solution) - len(PARAMETERS) * tree.size, []
-    for k, link in enumerate(tree.links):
-        at = first + len(PARAMETERS) * k
-        by = solution[at : at + len(PARAMETERS)]
-        if link.mass + by[0] <= 0 and used[at]:  # one that shows nowhere may be any
-            columns.append(at)
-        if link.rotor_inertia + by[ROTOR] < 0 and used[at + ROTOR]:
-            columns.append(at + ROTOR)
-    return columns
-
-
-def nearest_possible(tree: _core.Tree, column: int, columns: int) -> float:
-    """The correction that an impossible one is replaced by."""
-    link, parameter = divmod(column - (columns - len(PARAMETERS) * tree.size), len(PARAMETERS))
-    if parameter == ROTOR:
-        return -tree.links[link].rotor_inertia
-    return 0.0 if tree.links[link].mass > 0 else 1.0
+def is_possible(p: np.ndarray) -> bool:
+    """Whether a link of these parameters, (11,), within the bounds of bound_links, has a mass that goes with them."""
+    if not p[1:ROTOR].any():
+        return bool(p[MASS] >= 0)
+    return bool(p[MASS] >= LEAST_MASS_KG and p[FIRST_MOMENT] @ p[FIRST_MOMENT] <= LARGEST_SPREAD * p[MASS])

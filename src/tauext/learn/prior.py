@@ -17,6 +17,7 @@ from tauext.learn.kinematics import Kinematics
 from tauext.learn.play import Play, find_play, told
 from tauext.learn.prior_fit import PriorFit
 from tauext.learn.prior_terms import CORRECTED, ESTIMATED, has_model, own_terms, shared_terms
+from tauext.learn.regression import LEAST_SQUARE
 from tauext.learn.ridge import fit_ridge
 from tauext.learn.ripple import find_ripple
 from tauext.learn.temperature import with_temperature
@@ -218,7 +219,7 @@ def find_inertia(
     fit = fit_terms(setup, recordings, config, nothing, inertia)
     inertia = replace(inertia, load=CORRECTED, loads=tuple(fit.settings.corrected_links))
     fit = fit_terms(setup, recordings, config, nothing, inertia)
-    rms = np.sqrt(fit.regression.whole.energy / fit.regression.whole.rows)
+    rms = np.sqrt(np.maximum(fit.regression.whole.energy / fit.regression.whole.rows, LEAST_SQUARE))
     with_arm, without = (float(np.sqrt(np.mean((one.error_nm / rms) ** 2))) for one in (fit, basis))
     tell(f"error on left-out motion: {with_arm:.1%} of r with the arm found, {without:.1%} with sines and cosines")
     return (Inertia(), basis) if (1 - FOUND_ARM_COSTS) * with_arm > without else (inertia, fit)

@@ -56,7 +56,20 @@ def prior_facts(fit: PriorFit, joints: Sequence[str]) -> dict:
         facts["arm"] = {name: joint for name, joint in zip(joints, arm_found(fit.kinematics), strict=True)}
     elif fit.corrections.size:
         facts["model"] = {name: corrections(fit, j) for j, name in enumerate(joints)}
+        held = {name: [PARAMETERS[k] for k in np.flatnonzero(fit.corrections_held[j])] for j, name in enumerate(joints)}
+        facts["held"] = {name: parameters for name, parameters in held.items() if parameters}
     return facts
+
+
+def held_sentence(facts: dict[str, Any]) -> str:
+    """Which inertial parameters keep a value that a link can have, since the motion alone does not; empty: none."""
+    held = "; ".join(f"{name} {', '.join(parameters)}" for name, parameters in facts.get("held", {}).items())
+    if not held:
+        return ""
+    return (
+        f"the motion does not determine these inertial parameters: {held}; a mass keeps the robot file's value, a "
+        "rotor inertia is 0"
+    )
 
 
 def arm_found(kinematics: Kinematics) -> list[dict]:

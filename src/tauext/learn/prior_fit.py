@@ -42,6 +42,8 @@ class PriorFit:
     corrections: np.ndarray  # (n, 11) of PARAMETERS; empty without a model
     correction_errors: np.ndarray
     corrections_determined: np.ndarray
+    corrections_held: np.ndarray
+    """(n, 11) bool: at a bound of what a link can be, or as the robot file has it, whatever the motion says."""
     regression: Regression
     left_out: list[LeftOut]  # one for each fold that leaves a possible model
     kinematics: Kinematics | None = None  # found from the motion, where there is no model and this explains it

@@ -8,8 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tauext.learn.positive_definite import solve_within
+
 RIDGES = 10.0 ** np.arange(-7, 2.0)
 FOLDS = 5
+LEAST_SQUARE = 1e-12
+"""Of a joint's r, mean square, [N m squared]: what is smaller weighs no more."""
 LEAST_RMS = 1e-9  # a regressor that never exceeds it was not excited
 
 
@@ -47,7 +51,7 @@ class Regression:
     """minimise sum_i |y_i - X_i w|^2 / s_i^2 + ridge rows |w scaled|^2, over stretches of the recordings.
 
     Columns are scaled to unit RMS over all stretches, s_i is the RMS of y_i. Columns that were never excited are left
-    out, as are those that `fix` gives a value or `used` shuts off.
+    out, as are those that `fix` gives a value or `used` shuts off. Every solution is within the bounds of `bound`.
 
     Args:
         equations: of each stretch, at least one; every FOLDS-th makes a fold of the cross-validation.
@@ -56,7 +60,7 @@ class Regression:
     def __init__(self, equations: Sequence[NormalEquations]) -> None:
         self.folds = [sum(equations[k::FOLDS][1:], start=equations[k]) for k in range(min(FOLDS, len(equations)))]
         self.whole = sum(self.folds[1:], start=self.folds[0])
-        self._weight = 1 / np.maximum(self.whole.energy / self.whole.rows, 1e-12)
+        self._weight = 1 / np.maximum(self.whole.energy / self.whole.rows, LEAST_SQUARE)
         width = 1 + max(int(at.max(initial=-1)) for at in self.whole.columns)
         mean = np.zeros(width)
         for at, gram, weight in zip(self.whole.columns, self.whole.gram, self._weight, strict=True):
@@ -64,13 +68,20 @@ class Regression:
         self._scale = np.sqrt(np.maximum(mean, 0.0))
         self.used = self._scale > LEAST_RMS
         self._fixed = np.zeros(width)
+        self.low, self.high = np.full(width, -np.inf), np.full(width, np.inf)
         self._groups = coupled(self.whole.columns)
 
     def copy(self) -> Regression:
         """The same, to be fixed otherwise."""
         other = copy(self)
         other.used, other._fixed = self.used.copy(), self._fixed.copy()
+        other.low, other.high = self.low.copy(), self.high.copy()
         return other
+
+    def bound(self, columns: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+        """Keep the coefficients of these columns within these bounds, low <= high, those that are fixed, too."""
+        self.low[columns], self.high[columns] = low, high
+        self._fixed = np.clip(self._fixed, self.low, self.high)
 
     def fix(self, column: int, value: float) -> None:
         """Give a column's coefficient instead of finding it."""
@@ -81,8 +92,10 @@ class Regression:
         solution = self._fixed.copy()
         for joints in self._groups:
             columns, gram, moment = self._scaled(equations, joints)
-            floor = ridge * equations.rows * np.eye(len(gram))
-            solution[columns] = np.linalg.solve(gram + floor, moment) / self._scale[columns]
+            floor, scale = ridge * equations.rows * np.eye(len(gram)), self._scale[columns]
+            low, high = self.low[columns], self.high[columns]
+            found = solve_within(gram + floor, moment, low * scale, high * scale) / scale
+            solution[columns] = np.clip(found, low, high)  # scaling back may round beyond
         return solution
 
     def choose_ridge(self) -> tuple[float, np.ndarray]:

@@ -11,7 +11,7 @@ from tauext import _core
 from tauext.data import Recording
 from tauext.errors import TrainingError
 from tauext.learn.inertial_regressors import inertial_regressors
-from tauext.learn.possible_links import ROTOR, fix_impossible, solve_possible
+from tauext.learn.possible_links import bound_links, fix_impossible, solve_possible
 from tauext.learn.prior_fit import LeftOut, PriorFit
 from tauext.learn.regression import FOLDS, NormalEquations, Regression
 from tauext.learn.training_set import Setup
@@ -96,8 +96,11 @@ def solved(
     shared: Sequence[_core.Term],
     corrected: _core.Tree | None = None,
 ) -> PriorFit:
-    """The fit that a regression of these equations makes; links that cannot be have no place in it."""
+    """The fit that a regression of these equations makes, within the bounds of links that can be."""
     terms = [term for group in own for term in group] + list(shared)
+    excited = regression.used.copy()
+    if corrected:
+        bound_links(regression, corrected)
     while True:
         ridge, error = regression.choose_ridge()
         solution = regression.solve(regression.whole, ridge)
@@ -111,13 +114,14 @@ def solved(
         left_out.append(LeftOut(_settings(setup, own, shared, terms, corrected, one), where))
     settings = _settings(setup, own, shared, terms, corrected, solution)
     weights, errors, shares = (_by_joint(setup, own, shared, values) for values in (solution, spread, determined))
-    corrections = [np.zeros((setup.tree.size, 0))] * 3
+    moved, moved_errors, moved_shares = [np.zeros((setup.tree.size, 0))] * 3
+    held = np.zeros((setup.tree.size, 0), dtype=bool)
     if corrected:
-        corrections = [one[-len(PARAMETERS) * setup.tree.size :] for one in (solution, spread, determined)]
-        corrections = [one.reshape(setup.tree.size, len(PARAMETERS)) for one in corrections]
-    moved, moved_errors, moved_shares = corrections
-    of_links = (moved, moved_errors, moved_shares)
-    return PriorFit(settings, ridge, error, weights, errors, shares, *of_links, regression, left_out)
+        shape, last = (setup.tree.size, len(PARAMETERS)), slice(-len(PARAMETERS) * setup.tree.size, None)
+        moved, moved_errors, moved_shares = (one[last].reshape(shape) for one in (solution, spread, determined))
+        held = (excited & ~regression.used)[last].reshape(shape)
+    of_corrections = (moved, moved_errors, moved_shares, held)
+    return PriorFit(settings, ridge, error, weights, errors, shares, *of_corrections, regression, left_out)
 
 
 def _problems(
@@ -198,9 +202,6 @@ def _settings(
     if corrected:
         by_link = solution[-len(PARAMETERS) * corrected.size :].reshape(-1, len(PARAMETERS))
         parameters = [inertial_parameters(link) + by for link, by in zip(corrected.links, by_link, strict=True)]
-        for p in parameters:
-            if p[0] <= 0 and np.any(p[1:ROTOR] != 0):
-                p[0] = 1.0  # it shows nowhere, and a first moment needs some
         settings.corrected_links = [
             with_inertial_parameters(link, p) for link, p in zip(corrected.links, parameters, strict=True)
         ]

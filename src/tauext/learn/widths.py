@@ -38,7 +38,7 @@ def idle_widths(setup: Setup, recordings: Sequence[Recording], config: PriorConf
             dropped[width] = f"narrower than {LEAST_COUNTS:g} encoder counts of {count_rad:.2g} rad"
             continue
         _, without_nm = regression.choose_ridge()
-        growth = float((without_nm / all_nm - 1).max())
+        growth = float((without_nm / np.maximum(all_nm, 1e-300) - 1).max())
         if growth < IDLE_SHARE:
             dropped[width] = f"without it the error grows by {max(growth, 0.0):.2%}, less than {IDLE_SHARE:.1%}"
         else:

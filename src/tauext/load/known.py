@@ -26,6 +26,8 @@ OF_ITS_OWN = 0.7
 """A joint's constant shows where its error is at most this share of what is assumed of it before any motion."""
 MOST_FACTOR = 5.0
 """By which constants in N m may be off: a gear ratio or a unit is another mistake."""
+MOST_RATIO = 1e6
+"""The same factor in any unit: what shows so much less is no weight."""
 STEPS = 6
 LEAST_SCALE, LEAST_CORRELATION = 0.5, 30.0
 """As load_solve.hpp has them."""
@@ -86,6 +88,11 @@ def weigh_constants(
         said = load_sentences(first, frame.name, "N m")[0]
         raise ConfigError(f"--known-kg {mass_kg:g} cannot set torque constants: {said}")
     common = first.mass_kg / mass_kg
+    if not common * MOST_RATIO > 1:
+        raise ConfigError(
+            f"--known-kg {mass_kg:g} cannot set torque constants: what shows weighs {first.mass_kg:.2g} kg, "
+            f"a factor of more than {MOST_RATIO:g} less; are these the recordings with the weight?"
+        )
     a, h = np.full(bundle.joints, common), first.phi[1:4] / common
     phi = _core.load_parameters([mass_kg, *h], reach_m)
     covariance, sizes = np.zeros((3 + bundle.joints,) * 2), _core.weigh_sizes(bundle)

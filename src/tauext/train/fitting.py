@@ -14,7 +14,7 @@ from tauext.learn import PriorFit, Setup, build_setup, set_drift, with_preslidin
 from tauext.learn.coverage import coverage_facts, fit_coverage, seen_too
 from tauext.learn.kinematics import Kinematics
 from tauext.learn.like_fit import fit_like
-from tauext.learn.prior_facts import prior_facts
+from tauext.learn.prior_facts import held_sentence, prior_facts
 from tauext.learn.torque_constants import with_constants
 from tauext.learn.widths import region_width
 from tauext.train.preparation import Job
@@ -91,6 +91,8 @@ def put_prior(job: Job, bundle: Bundle, fit: PriorFit | None) -> None:
     if fit is None:
         return
     job.facts["prior"] = prior_facts(fit, job.joints)
+    if held := held_sentence(job.facts["prior"]):
+        job.notes.append(held)
     put_region(job, bundle, fit)
     if job.config.row.drift:
         set_drift(bundle, fit, job.config.drift)

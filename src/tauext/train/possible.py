@@ -15,6 +15,11 @@ from tauext.learn import TorqueConstants, build_setup, fit_torque_constants, sig
 from tauext.learn.torque_constants import with_constants
 from tauext.train.recordings import given_unit, wants_constants
 
+AT_LIMIT = 0.999
+"""Share of a drive's limit from which on a monitor calls it saturated (SignalWatch::kSaturated)."""
+MOST_AT_LIMIT = 2e-3
+"""Share of the training samples: of seven joints together, 1.4 % of the samples would be saturated at most."""
+
 
 @dataclass(frozen=True)
 class PossibleMotion:
@@ -28,6 +33,8 @@ class PossibleMotion:
     constants: TorqueConstants | None
     """That tau is to be multiplied by; None: it is in N m, or nothing tells."""
     left_out: LeftOut
+    passed: np.ndarray
+    """Joints whose drive limit of the robot file does not hold, (n,) bool; see passed_limits."""
 
 
 def possible_motion(
@@ -62,11 +69,25 @@ def possible_motion(
         constants = fit_torque_constants(tree, free, config.observer, from_amperes(training))
         observer = with_constants(observer, constants.used)
     drives = np.where(in_newton_metres(constants, training, config), torque_limit_nm, np.inf)
+    passed = passed_limits(training, drives, constants.used if constants else (1.0,))
+    drives = np.where(passed, np.inf, drives)
     bounds = signal_bounds(training, drives, constants.used if constants else (1.0,))
     left_out = LeftOut("training and validation" if validation else "training")
     learned_on = possible_parts(training, observer, bounds, left_out)
     validated_on = possible_parts(validation, observer, bounds, left_out)
-    return PossibleMotion(learned_on, validated_on, bounds, drives, constants, left_out)
+    return PossibleMotion(learned_on, validated_on, bounds, drives, constants, left_out, passed)
+
+
+def passed_limits(
+    training: Sequence[Recording], torque_limit_nm: np.ndarray, nm_per_unit: Sequence[float]
+) -> np.ndarray:
+    """Joints, (n,) bool, whose torque is at or beyond the robot file's limit in MOST_AT_LIMIT of the training or more.
+
+    With such a limit the monitor would call its own training motion saturated: the file is wrong, or the drive works
+    at its limit as a rule.
+    """
+    at_limit = [np.abs(one.tau * nm_per_unit) >= AT_LIMIT * torque_limit_nm for one in training]
+    return np.asarray(np.concatenate(at_limit).mean(axis=0) >= MOST_AT_LIMIT)
 
 
 def known_constants(nm_per_unit: Sequence[float], training: Sequence[Recording]) -> TorqueConstants:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from tauext._core import TorqueUnits, Tree
 from tauext.calibrate import at_rest_sentence
 from tauext.config import ModelCase, TrainConfig
@@ -19,7 +21,7 @@ from tauext.provenance import provenance
 from tauext.robot import torque_limits
 from tauext.store import Place
 from tauext.train.motion import TrainingMotion, expect_some, training_motion
-from tauext.train.possible import PossibleMotion, possible_motion
+from tauext.train.possible import MOST_AT_LIMIT, PossibleMotion, possible_motion
 from tauext.train.recordings import chosen_recordings, given_unit
 from tauext.train.settings import training_settings, why_impossible
 
@@ -125,10 +127,21 @@ def prepare(
     run = provenance("tauext train", training_settings(case, config), config.seed)
     run["recordings"] = {"train": [r.name for r in training], "validation": [r.name for r in validation]}
     job = Job(tree, case, config, out, possible, list(calibration), motion, report, run, like=like)
+    if possible.passed.any():
+        job.notes.append(passed_sentence(possible.passed, training[0].joints, limits_nm))
     if possible.left_out.found:
         job.notes.insert(0, possible.left_out.sentence())
         job.facts["impossible"] = possible.left_out.facts()
     return job
+
+
+def passed_sentence(passed: np.ndarray, joints: Sequence[str], limits_nm: np.ndarray) -> str:
+    """Which drive limits of the robot file are ignored, and why."""
+    named = [f"{name} {limit:g}" for name, limit, one in zip(joints, limits_nm, passed, strict=True) if one]
+    return (
+        f"the robot file's torque limits of {', '.join(named)} are ignored: the torque reaches them in "
+        f"{MOST_AT_LIMIT:.1%} of the training samples or more"
+    )
 
 
 def note_recordings(job: Job) -> None:

@@ -20,7 +20,7 @@ def write(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> None:
         job.say(note)
     facts = facts_of(job, bundle, network)
     bundle.servo = servo_of_recordings(job.training)
-    bundle.provenance = json.dumps(facts | job.run, sort_keys=True)
+    bundle.provenance = json.dumps(facts | job.run, sort_keys=True, allow_nan=False)
     history = [list(entry) for entry in network.trained.history] if network else []
     seconds = network.trained.seconds if network else 0.0
     run = facts | job.run | {"loss_history": history}

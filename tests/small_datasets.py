@@ -1,0 +1,585 @@
+"""Small synthetic datasets that lack something, and what becomes of each: a healthy bundle or one line of refusal.
+
+    python tests/small_datasets.py --count 364 --workers 2     # prints a summary; exit status 1 if one ended badly
+    python tests/small_datasets.py --first 17 --count 1        # one dataset, with its tracebacks
+
+A dataset is one of ARMS moved and measured as one of SIGNALS says; its number gives both and the seed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+import tempfile
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+from made_motion import Drive, made_motion
+from trees import Part, six_axis, urdf
+
+from tauext import _core
+from tauext.config import AlarmConfig, PriorConfig, TrainConfig
+from tauext.data import Recording, load_bundle, load_dataset
+from tauext.data.recording_file import save_recording
+from tauext.data.split import Split, save_split
+from tauext.errors import FaultyDataError, TauextError
+from tauext.recipes import RECIPES
+from tauext.robot import load_tree
+
+RATE_HZ = 50.0
+LEAST_HEALTHY = 0.98
+NM_PER_A = (9.0, 4.0, -2.5, 6.0, 1.5, 3.0, 0.7)
+BASE = (0.0, 0.0, 1.0)
+WARMING_UP, OK = 0, 1  # health, as `estimate` numbers it
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A true arm, and the model of it that the dataset holds."""
+
+    axes: Callable[[int], list[tuple[float, float, float]]]
+    """Of so many joints, in the frame of the base at q = 0."""
+    least: int = 1
+    most: int = 7
+    case: str | None = None
+    model: Callable[[list[Part], np.random.Generator], list[Part]] = lambda parts, rng: parts
+    slides: bool = False
+    """The first joint is prismatic."""
+
+
+def crossed(joints: int) -> list[tuple[float, float, float]]:
+    turns = [(0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)]
+    return [turns[k % 4] for k in range(joints)]
+
+
+def level(joints: int) -> list[tuple[float, float, float]]:
+    return [(0.0, 1.0, 0.0)] * joints
+
+
+def upright(joints: int) -> list[tuple[float, float, float]]:
+    return [BASE] * joints
+
+
+def heavier(parts: list[Part], rng: np.random.Generator) -> list[Part]:
+    """Masses off by a factor of up to 5, centres of mass anywhere, rotors forgotten or ten times too large."""
+    return [
+        replace(
+            part,
+            mass=part.mass * float(np.exp(rng.uniform(-1.6, 1.6))),
+            com=rng.uniform(-0.3, 0.3, 3),
+            rotor_inertia=part.rotor_inertia * float(rng.choice([0.0, 1.0, 10.0])),
+        )
+        for part in parts
+    ]
+
+
+def longer(parts: list[Part], rng: np.random.Generator) -> list[Part]:
+    """Links of other lengths."""
+    return [replace(part, xyz=part.xyz * rng.uniform(0.2, 3.0)) for part in parts]
+
+
+def weightless(parts: list[Part], rng: np.random.Generator) -> list[Part]:
+    """Links of a gram: a file that was drawn for its looks."""
+    return [replace(part, mass=1e-3, inertia=1e-6 * np.eye(3), rotor_inertia=0.0) for part in parts]
+
+
+ARMS = {
+    "one joint": Arm(level, most=1),
+    "one upright joint": Arm(upright, most=1),
+    "one joint, no model": Arm(level, most=1, case="none"),
+    "crossed": Arm(crossed, least=2),
+    "crossed, no model": Arm(crossed, least=2, most=3, case="none"),
+    "crossed, half the mass": Arm(crossed, least=2, most=6, case="mass+com"),
+    "wrong masses": Arm(crossed, least=2, most=5, model=heavier),
+    "wrong lengths": Arm(crossed, least=2, most=5, model=longer),
+    "weightless links": Arm(crossed, least=1, most=4, model=weightless),
+    "parallel": Arm(level, least=3, most=5),
+    "parallel, no model": Arm(level, least=3, most=3, case="none"),
+    "parallel upright": Arm(upright, least=2, most=4),
+    "on a rail": Arm(crossed, least=2, most=4, slides=True),
+}
+
+
+@dataclass(frozen=True)
+class Signals:
+    """How an arm is moved and measured; `bend` changes a recording after it was made."""
+
+    seconds: float = 26.0
+    pieces: int = 2
+    drive: Drive = Drive(friction=1.0)
+    ranges: float = 1.2
+    bend: Callable[[Recording, np.random.Generator], Recording] = lambda recording, rng: recording
+    provenance: str = "N m"
+    twice: bool = False
+    """Every recording stands there a second time under another name."""
+    broken: bool = False
+    """A NaN is written into the file."""
+
+
+def bent(recording: Recording, **changes: np.ndarray | dict) -> Recording:
+    return replace(recording, **changes)
+
+
+Bend = Callable[[Recording, np.random.Generator], Recording]
+
+
+def held(joints: Callable[[int, np.random.Generator], np.ndarray]) -> Bend:
+    """These joints keep their first place; their torque stays as it was."""
+
+    def bend(recording: Recording, rng: np.random.Generator) -> Recording:
+        still = joints(len(recording.joints), rng)
+        q, dq = recording.q.copy(), recording.dq.copy()
+        q[:, still], dq[:, still] = q[0, still], 0.0
+        return bent(recording, q=q, dq=dq)
+
+    return bend
+
+
+def torque(change: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> Bend:
+    return lambda recording, rng: bent(recording, tau=change(recording.tau, rng))
+
+
+def one_way(recording: Recording, rng: np.random.Generator) -> Recording:
+    """Every joint turns on and on; torques are friction and noise."""
+    speed = rng.uniform(0.1, 0.5, len(recording.joints))
+    q = recording.q[0] + recording.time_s[:, None] * speed
+    tau = recording.tau.mean(axis=0) + 0.05 * rng.standard_normal(q.shape)
+    return bent(recording, q=q, dq=np.tile(speed, (len(q), 1)), tau=tau)
+
+
+def touched(share: float) -> Bend:
+    """Contacts over this share of the time, in runs of a second, with a push on every joint."""
+
+    def bend(recording: Recording, rng: np.random.Generator) -> Recording:
+        runs = rng.random(1 + int(recording.duration_s)) < share
+        contact = runs[np.minimum(recording.time_s.astype(int), len(runs) - 1)].astype(np.int8)
+        return bent(recording, contact=contact, tau=recording.tau - 5.0 * contact[:, None])
+
+    return bend
+
+
+def gaps(recording: Recording, rng: np.random.Generator) -> Recording:
+    """A third of the rows are gone, in stretches of half a second, as an import drops what is NaN."""
+    keep = (recording.time_s % 1.5) >= 0.5
+    names = ("t_ns", "q", "dq", "tau", "contact")
+    return bent(recording, **{name: getattr(recording, name)[keep] for name in names})
+
+
+def every_other(recording: Recording, rng: np.random.Generator) -> Recording:
+    """Rows that repeat the one before."""
+    at = np.arange(recording.samples) // 2 * 2
+    return bent(recording, q=recording.q[at], dq=recording.dq[at], tau=recording.tau[at])
+
+
+def rounded(step: float) -> Callable[[np.ndarray, np.random.Generator], np.ndarray]:
+    return lambda tau, rng: np.round(tau / (step * np.abs(tau).max())) * step * np.abs(tau).max()
+
+
+def one_offset(tau: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    tau = tau.copy()
+    tau[:, rng.integers(tau.shape[1])] += 1e4
+    return tau
+
+
+def last_of(value: float) -> Callable[[np.ndarray, np.random.Generator], np.ndarray]:
+    def change(tau: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        return np.column_stack([tau[:, :-1], np.full(len(tau), value)])
+
+    return change
+
+
+def first(n: int, rng: np.random.Generator) -> np.ndarray:
+    return np.array([0])
+
+
+def last(n: int, rng: np.random.Generator) -> np.ndarray:
+    return np.array([n - 1])
+
+
+def all_but_one(n: int, rng: np.random.Generator) -> np.ndarray:
+    return np.delete(np.arange(n), rng.integers(n))
+
+
+def all_of(n: int, rng: np.random.Generator) -> np.ndarray:
+    return np.arange(n)
+
+
+AMPERES = "amperes: the torque constant is unknown"
+
+SIGNALS = {
+    "plain": Signals(seconds=45.0),
+    "minute": Signals(seconds=64.0, pieces=3),
+    "one recording": Signals(pieces=1),
+    "few seconds": Signals(seconds=6.0),
+    "three seconds": Signals(seconds=3.0, pieces=1),
+    "a tenth of a second": Signals(seconds=0.1, pieces=1),
+    "many short recordings": Signals(seconds=24.0, pieces=12),
+    "first joint still": Signals(bend=held(first)),
+    "last joint still": Signals(bend=held(last)),
+    "one joint moves": Signals(bend=held(all_but_one)),
+    "nothing moves": Signals(bend=held(all_of)),
+    "frozen": Signals(bend=lambda r, rng: bent(held(all_of)(r, rng), tau=np.tile(r.tau[0], (r.samples, 1)))),
+    "constant torque": Signals(bend=torque(lambda tau, rng: np.tile(tau[0], (len(tau), 1)))),
+    "zero torque": Signals(bend=torque(lambda tau, rng: np.zeros_like(tau))),
+    "last torque zero": Signals(bend=torque(last_of(0.0))),
+    "last torque constant": Signals(bend=torque(last_of(3.0))),
+    "pure noise": Signals(bend=torque(lambda tau, rng: rng.standard_normal(tau.shape))),
+    "noise of microunits": Signals(bend=torque(lambda tau, rng: 1e-6 * rng.standard_normal(tau.shape))),
+    "huge torques": Signals(bend=torque(lambda tau, rng: 1e7 * tau)),
+    "torques turned": Signals(bend=torque(lambda tau, rng: -tau)),
+    "one huge offset": Signals(bend=torque(one_offset)),
+    "coarse torque": Signals(bend=torque(rounded(0.3))),
+    "twice the same": Signals(twice=True),
+    "same file, no friction, no noise": Signals(drive=Drive(friction=0.0, noise=0.0, velocity_filter_s=0.0)),
+    "one way": Signals(bend=one_way),
+    "barely moves": Signals(ranges=2e-3),
+    "contacts everywhere": Signals(bend=touched(1.0)),
+    "contacts half the time": Signals(bend=touched(0.4)),
+    "currents": Signals(seconds=32.0, drive=Drive(nm_per_a=NM_PER_A), provenance=AMPERES),
+    "currents, few seconds": Signals(seconds=6.0, drive=Drive(nm_per_a=NM_PER_A), provenance=AMPERES),
+    "currents of zero": Signals(seconds=32.0, bend=torque(lambda tau, rng: np.zeros_like(tau)), provenance=AMPERES),
+    "currents of noise": Signals(
+        seconds=32.0, bend=torque(lambda tau, rng: rng.standard_normal(tau.shape)), provenance=AMPERES
+    ),
+    "gaps": Signals(bend=gaps),
+    "NaN in the file": Signals(broken=True),
+    "no velocity": Signals(bend=lambda recording, rng: bent(recording, dq=np.zeros_like(recording.dq))),
+    "repeated rows": Signals(bend=every_other),
+    "friction alone": Signals(bend=lambda r, rng: bent(r, tau=2 * np.tanh(r.dq / 0.02) + r.dq)),
+}
+
+COUNT = len(ARMS) * len(SIGNALS)
+MAIN = ("prior", "tauext")
+OTHERS = tuple(name for name in RECIPES if name not in MAIN)
+"""One of them a dataset, in turn."""
+SMALL_NETWORK = {"hidden": 2, "max_steps": 20, "batch": 8}
+SMALL_PRIOR = PriorConfig(widths_rad=(1e-3, 1e-2), coulomb_speeds_rad_s=(0.03, 0.2), most_ripples=1)
+
+
+@dataclass(frozen=True)
+class Small:
+    """One dataset, by its number."""
+
+    number: int
+
+    @property
+    def words(self) -> str:
+        return f"{self.arm_name}: {self.signals_name}"
+
+    @property
+    def arm_name(self) -> str:
+        return list(ARMS)[self.number % len(ARMS)]
+
+    @property
+    def signals_name(self) -> str:
+        return list(SIGNALS)[self.number // len(ARMS) % len(SIGNALS)]
+
+    @property
+    def recipes(self) -> tuple[str, ...]:
+        return (*MAIN, OTHERS[self.number % len(OTHERS)])
+
+    def rng(self, of: int = 0) -> np.random.Generator:
+        return np.random.default_rng((self.number, of))
+
+    def parts(self) -> list[Part]:
+        """The true arm."""
+        arm, rng = ARMS[self.arm_name], self.rng()
+        axes = arm.axes(int(rng.integers(arm.least, arm.most + 1)))
+        like = six_axis()
+        return [
+            replace(
+                like[k % 6],
+                joint=f"joint{k + 1}",
+                parent=f"joint{k}" if k else None,
+                kind="prismatic" if arm.slides and k == 0 else "revolute",
+                axis=np.array(axis),
+                rpy=np.zeros(3),
+                mass=8.0 * 0.7**k,
+                inertia=like[k % 6].inertia * 0.7**k / 4,
+            )
+            for k, axis in enumerate(axes)
+        ]
+
+    def write(self, folder: Path, arm: int = 0) -> Path:
+        """The dataset's folder; another `arm` of the type differs in friction and motion alone."""
+        folder.mkdir(parents=True)
+        kind, signals, parts = ARMS[self.arm_name], SIGNALS[self.signals_name], self.parts()
+        (folder / "true.urdf").write_text(urdf(parts))
+        tree = load_tree(folder / "true.urdf", [part.joint for part in parts])
+        (folder / "true.urdf").unlink()
+        limit = 'effort="100"' if self.number % 5 == 0 else 'effort="2000"'
+        (folder / "robot.urdf").write_text(urdf(kind.model(parts, self.rng(1))).replace('effort="100"', limit))
+        drive = replace(signals.drive, friction=signals.drive.friction * (1 + 0.2 * arm))
+        made = made_motion(
+            tree, signals.seconds / 60, RATE_HZ, self.number + 1000 * arm, signals.pieces, signals.ranges, drive=drive
+        )
+        rng, names = self.rng(2 + arm), []
+        for recording in made.recordings:
+            recording = signals.bend(recording, rng)
+            recording = bent(recording, provenance=recording.provenance | {"torque": signals.provenance})
+            for name in (recording.name, f"{recording.name}-again")[: 1 + signals.twice]:
+                save_recording(replace(recording, name=name), folder / f"{name}.parquet")
+                names.append(f"{name}.parquet")
+        if signals.broken:
+            break_file(folder / names[0])
+        # A third of the datasets have validation recordings, a third calibration recordings too.
+        apart = min(self.number % 3, len(names) - 1)
+        train, rest = names[: len(names) - apart], names[len(names) - apart :]
+        save_split(Split(tuple(train), tuple(rest[:1]), (), calibration=tuple(rest[1:])), folder)
+        return folder
+
+    def config(self, recipe: str) -> TrainConfig:
+        """As a user has it, but for a small network; every other dataset has a small prior, too."""
+        settings: dict = {"recipe": recipe, "threads": 1}
+        row = TrainConfig(recipe=recipe).row
+        if row.network is not None:
+            settings |= SMALL_NETWORK
+        if self.number % 2:
+            settings["prior"] = SMALL_PRIOR
+        return TrainConfig(**settings)
+
+
+def break_file(path: Path) -> None:
+    """Put a NaN into a column of a recording's file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(path)
+    values = table["tau_joint1"].to_numpy().copy()
+    values[len(values) // 2 :][:10] = np.nan
+    column = table.column_names.index("tau_joint1")
+    pq.write_table(table.set_column(column, "tau_joint1", pa.array(values)), path)
+
+
+@dataclass(frozen=True)
+class Ending:
+    """What became of one stage of one dataset: a bundle (no message), one line, or a fault."""
+
+    number: int
+    words: str
+    stage: str
+    message: str = ""
+    fault: str = ""
+
+    @property
+    def reason(self) -> str:
+        """The message without names and numbers, to count alike ones together."""
+        return re.sub(r"[-+]?\d[\d.e+-]*", "#", re.sub(r"'[^']*'|joint\d|/\S*|free-\S*", "~", self.message))[:110]
+
+
+def ended(small: Small, stage: str, work: Callable[[], str]) -> Ending:
+    """The ending of some work, which returns what is wrong with its result, or nothing.
+
+    A warning of NumPy's is a fault, too: it stands on the user's screen, and NaN comes of it.
+    """
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", RuntimeWarning)
+        ending = ended_somehow(small, stage, work)
+    runtime = [one for one in told if issubclass(one.category, RuntimeWarning)]
+    if runtime and not ending.fault:
+        where = f"{Path(runtime[0].filename).name}:{runtime[0].lineno}"
+        return replace(ending, fault=f"RuntimeWarning: {runtime[0].message} ({where})")
+    return ending
+
+
+def ended_somehow(small: Small, stage: str, work: Callable[[], str]) -> Ending:
+    """The same without a look at warnings."""
+    try:
+        return Ending(small.number, small.words, stage, fault=work())
+    except _core.CoreError as error:
+        return Ending(small.number, small.words, stage, fault=f"CoreError: {error}\n{traceback.format_exc()}")
+    except FaultyDataError as error:
+        return Ending(small.number, small.words, stage, f"the doctor: {error.findings[0].code}")
+    except TauextError as error:
+        if isinstance(error.__cause__, _core.CoreError) and "refit" not in stage:
+            return Ending(small.number, small.words, stage, fault=f"CoreError: {error}\n{traceback.format_exc()}")
+        fault = "" if str(error) and "\n" not in str(error) else f"not one line: {error}"
+        return Ending(small.number, small.words, stage, str(error), fault)
+    except Exception as error:
+        words = " ".join(str(error).split())
+        return Ending(
+            small.number, small.words, stage, fault=f"{type(error).__name__}: {words}\n{traceback.format_exc()}"
+        )
+
+
+def train(
+    small: Small, data: Path, out: Path, recipe: str, accept: Sequence[str] = (), like: Path | None = None
+) -> str:
+    """Train as the command line does; what is wrong with the bundle, or nothing."""
+    from tauext.learn.fleet_prior_file import load_fleet_prior
+    from tauext.train import train_bundle
+
+    dataset = load_dataset(data)
+    known = None if like is None else load_fleet_prior(like)
+    train_bundle(dataset, out, ARMS[small.arm_name].case, None, small.config(recipe), accept=accept, like=known)
+    return unhealthy(out, dataset.training())
+
+
+def unhealthy(path: Path, training: Sequence[Recording]) -> str:
+    """Nothing, where the bundle loads and is healthy on its own training motion."""
+    bundle = load_bundle(path)
+    healthy = counted = 0
+    for recording in training:
+        said = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, 1, None)
+        ok, warm = said["health"] == OK, said["health"] != WARMING_UP
+        if not np.isfinite(said["tau_ext"][ok]).all():
+            return f"{recording.name}: tau_ext of healthy samples is not finite"
+        healthy, counted = healthy + int(ok.sum()), counted + int(warm.sum())
+    if healthy < LEAST_HEALTHY * counted:
+        return f"healthy on {healthy} of {counted} samples of its own training motion"
+    return ""
+
+
+def endings(number: int, folder: Path, recipes: Sequence[str] | None = None) -> Iterator[Ending]:
+    """Train a dataset by its recipes, with what the doctor minds accepted, and use what comes of it."""
+    small = Small(number)
+    data = small.write(folder / "data")
+    for recipe in recipes or small.recipes:
+        out = folder / f"{recipe}.tauext"
+        first = ended(small, recipe, lambda out=out, recipe=recipe: train(small, data, out, recipe))
+        yield first
+        if first.message.startswith("the doctor"):
+            codes = tuple(faults(small, data, recipe, folder / "looked.tauext"))
+            work = lambda out=out, recipe=recipe, codes=codes: train(small, data, out, recipe, codes)  # noqa: E731
+            yield ended(small, f"{recipe} --accept", work)
+        if out.is_file():
+            yield from uses(small, data, out)
+
+
+def faults(small: Small, data: Path, recipe: str, out: Path) -> list[str]:
+    """Codes of all that the doctor minds."""
+    try:
+        train(small, data, out, recipe)
+    except FaultyDataError as error:
+        return sorted({finding.code for finding in error.findings})
+    return []
+
+
+def uses(small: Small, data: Path, bundle: Path) -> Iterator[Ending]:
+    """Refit, calibrate, weigh and correct the constants on the bundle's own dataset."""
+    from tauext.calibrate import recalibrate
+    from tauext.cli.load import load
+    from tauext.doctor import CODES
+    from tauext.refit import refit_bundle
+
+    dataset, recipe = load_dataset(data), bundle.stem
+    recording = data / dataset.split.train[0]
+
+    def refitted() -> str:
+        out = bundle.with_name(f"{recipe}-refit.tauext")
+        refit_bundle(bundle, data, out, threads=1, accept=tuple(CODES))
+        return unhealthy(out, dataset.training())
+
+    def calibrated(new_scale: bool) -> Callable[[], str]:
+        def work() -> str:
+            out = bundle.with_name(f"{recipe}-calibrated.tauext")
+            own = replace(
+                dataset, split=replace(dataset.split, train=(), validation=(), calibration=dataset.split.train)
+            )
+            recalibrate(bundle, own, out, AlarmConfig(), 1, refit_error_scale=new_scale, accept=tuple(CODES))
+            return unhealthy(out, dataset.training())
+
+        return work
+
+    def weighed(known_kg: float | None) -> Callable[[], str]:
+        def work() -> str:
+            out = None if known_kg is None else bundle.with_name(f"{recipe}-weighed.tauext")
+            with open(os.devnull, "w") as nowhere:
+                from contextlib import redirect_stdout
+
+                with redirect_stdout(nowhere):
+                    load(bundle, (recording,), known_kg=known_kg, out=out)
+            if out is not None:
+                load_bundle(out)
+            return ""
+
+        return work
+
+    if recipe in (*MAIN, "friction"):
+        yield ended(small, f"{recipe}, refit", refitted)
+    yield ended(small, f"{recipe}, calibrate", calibrated(len(dataset.split.train) > 1 and small.number % 4 == 0))
+    yield ended(small, f"{recipe}, load", weighed(None))
+    yield ended(small, f"{recipe}, load --known-kg", weighed(1.0))
+
+
+def fleet_endings(number: int, folder: Path) -> Iterator[Ending]:
+    """A fleet prior from three arms of a dataset's type, and a fourth arm that is trained with it."""
+    from tauext.doctor import CODES
+    from tauext.fleet_prior import fleet_arms, make_fleet_prior
+
+    small = Small(number)
+    arms = [small.write(folder / f"arm-{k}" / "data", k) for k in range(4)]
+    prior = folder / "type.prior.json"
+
+    def made() -> str:
+        make_fleet_prior(fleet_arms([str(arm) for arm in arms[:3]]), prior, small.config("prior"), tuple(CODES))
+        return ""
+
+    yield ended(small, "fleet prior", made)
+    if prior.is_file():
+        out = folder / "like.tauext"
+        yield ended(small, "train --like", lambda: train(small, arms[3], out, "prior", tuple(CODES), prior))
+
+
+def of_number(number: int, fleets: bool = False, recipes: Sequence[str] | None = None) -> list[Ending]:
+    """All endings of one dataset, in a folder of its own.
+
+    Args:
+        recipes: of its trainings; None: its own three.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        if fleets:
+            return list(fleet_endings(number, Path(folder)))
+        return list(endings(number, Path(folder), recipes))
+
+
+def summary(found: Sequence[Ending]) -> str:
+    """Bundles, refusals by reason, and faults."""
+    bad = [one for one in found if one.fault]
+    trainings = [one for one in found if "," not in one.stage and not one.message.startswith("the doctor")]
+    lines = [
+        f"{len({one.number for one in found})} datasets, {len(trainings)} trainings, "
+        f"{len(found) - len(trainings)} other endings",
+        f"{sum(not one.fault and not one.message for one in trainings)} bundles of trainings, "
+        f"{sum(bool(one.message) for one in found)} refusals, {len(bad)} faults, of which "
+        f"{sum(one.fault.startswith('CoreError') for one in bad)} CoreErrors and "
+        f"{sum('Traceback' in one.fault and not one.fault.startswith('CoreError') for one in bad)} other exceptions",
+        *(f"{count:5d}  {reason}" for reason, count in Counter(o.reason for o in found if o.message).most_common()),
+        *(f"FAULT {one.number} {one.words} [{one.stage}]: {one.fault.splitlines()[0][:200]}" for one in bad),
+    ]
+    return "\n".join(lines)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--count", type=int, default=COUNT)
+    parser.add_argument("--step", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--fleets", action="store_true", help="fleet priors of the datasets instead of trainings")
+    options = parser.parse_args()
+    numbers = range(options.first, options.first + options.count, options.step)
+    found: list[Ending] = []
+    os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="small-datasets-")  # what the doctor found is remembered
+    with ProcessPoolExecutor(options.workers) as pool:
+        for some in pool.map(of_number, numbers, [options.fleets] * len(numbers)):
+            found += some
+            for one in some:
+                if one.fault or options.count == 1:
+                    print(f"{one.number} {one.words} [{one.stage}]: {one.fault or one.message or 'bundle'}", flush=True)
+    print(summary(found))
+    return 1 if any(one.fault for one in found) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,240 @@
+"""Fits of small datasets that lack something: a healthy bundle or one line of refusal, and parameters that can be."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import planar_arm
+from made_fleet import CONFIG, dataset, moving
+from scipy.optimize import lsq_linear
+from small_datasets import ARMS, COUNT, SIGNALS, Ending, of_number, summary
+
+from tauext import _core
+from tauext.calibrate.wrench import squared_distances
+from tauext.data import Recording, load_bundle, load_dataset
+from tauext.doctor.clock import clock_findings
+from tauext.learn.bundle_writing import torque_at_rest
+from tauext.learn.hierarchy import Evidence, learn_hierarchy
+from tauext.learn.map_regression import MapRegression, WeightPrior
+from tauext.learn.positive_definite import inverse, solve_within
+from tauext.learn.possible_links import MASS, ROTOR, bound_links, is_possible, solve_possible
+from tauext.learn.regression import NormalEquations, Regression
+from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
+from tauext.train import train_bundle
+
+CHUNK = 13
+"""Datasets of a slow test: one of each arm."""
+
+
+def number(arm: str, signals: str) -> int:
+    """Of the dataset of this arm and these signals."""
+    return list(ARMS).index(arm) + len(ARMS) * list(SIGNALS).index(signals)
+
+
+FEW = [
+    number("one joint", "plain"),
+    number("one upright joint", "zero torque"),
+    number("parallel", "few seconds"),
+    number("wrong masses", "constant torque"),
+    number("crossed", "frozen"),
+    number("weightless links", "one joint moves"),
+    number("one joint, no model", "huge torques"),
+]
+
+
+def expect_sound(found: list[Ending]) -> None:
+    """Every ending is a healthy bundle or one line."""
+    assert not [one for one in found if one.fault], summary(found)
+
+
+@pytest.mark.parametrize("dataset", FEW)
+def test_a_small_dataset_ends_in_a_healthy_bundle_or_one_line(dataset):
+    found = of_number(dataset, recipes=["tauext" if dataset == FEW[0] else "prior"])
+    expect_sound(found)
+    assert len(found) > 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(0, COUNT, CHUNK))
+def test_every_small_dataset_ends_in_a_healthy_bundle_or_one_line(first):
+    expect_sound([one for k in range(first, min(first + CHUNK, COUNT)) for one in of_number(k)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "signals", ["minute", "last joint still", "pure noise", "zero torque", "one way", "twice the same"]
+)
+@pytest.mark.parametrize(
+    "arm", ["one joint", "one upright joint", "crossed", "wrong masses", "parallel", "weightless links"]
+)
+def test_a_fleet_prior_of_small_datasets_ends_in_one_or_in_one_line(arm, signals):
+    expect_sound(of_number(number(arm, signals), fleets=True))
+
+
+def test_there_are_three_hundred_small_datasets():
+    assert COUNT >= 300
+
+
+def problem(rng: np.random.Generator, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+    """Columns, some of them nearly the same, and a target."""
+    X = rng.normal(size=(rows, columns)) * 10 ** rng.uniform(-2, 2, columns)
+    X[:, 1] = X[:, 0] + 1e-4 * X[:, 1]
+    return X, rng.normal(size=rows)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_solution_within_bounds_is_that_of_a_bounded_least_squares_solver(seed):
+    rng = np.random.default_rng(seed)
+    X, y = problem(rng, 30, 8)
+    low = np.where(rng.random(8) < 0.5, rng.uniform(-0.1, 0.05, 8), -np.inf)
+    high = np.where(rng.random(8) < 0.3, np.maximum(low, 0) + rng.uniform(0, 0.1, 8), np.inf)
+    found = solve_within(X.T @ X + 1e-6 * np.eye(8), X.T @ y, low, high)
+    whole = np.vstack([X, 1e-3 * np.eye(8)])
+    oracle = lsq_linear(whole, np.r_[y, np.zeros(8)], (low, high + 1e-300), method="bvls", tol=1e-14).x
+    assert (low <= found).all() and (found <= high).all()
+    # The cost is what both minimise; nearly equal columns leave the coefficients themselves open.
+    cost, best = (float(np.sum((whole @ w - np.r_[y, np.zeros(8)]) ** 2)) for w in (found, oracle))
+    assert cost <= best * (1 + 1e-9)
+
+
+def test_without_a_bound_in_the_way_nothing_changes_by_a_bit():
+    X, y = problem(np.random.default_rng(0), 30, 8)
+    gram, moment = X.T @ X + np.eye(8), X.T @ y
+    free = np.linalg.solve(gram, moment)
+    np.testing.assert_array_equal(solve_within(gram, moment, free - 1e-12, free + 1e-12), free)
+
+
+def test_an_inverse_that_rounding_would_spoil_stays_positive_definite():
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(6, 6))
+    sound = root @ root.T
+    np.testing.assert_allclose(inverse(sound), np.linalg.inv(sound), rtol=1e-9)
+    for k in range(50):
+        root = rng.normal(size=(6, 2)) * 10.0 ** rng.uniform(-8, 8)
+        spoilt = inverse(root @ root.T + 1e-30 * np.eye(6))
+        assert (np.diag(spoilt) > 0).all() and np.isfinite(spoilt).all(), k
+
+
+def corrections_problem(column: int, value: float) -> Regression:
+    """Equations of the planar arm's 22 corrections, of which one is not 0, with noise of 1e-3 in 500 rows."""
+    rng, n = np.random.default_rng(0), 2
+    truth = np.zeros(n * len(PARAMETERS))
+    truth[column] = value
+    columns, equations = tuple(np.arange(len(truth)) for _ in range(n)), []
+    for _ in range(5):
+        X = [rng.normal(size=(50, len(truth))) for _ in range(n)]
+        y = np.stack([x @ truth + 1e-3 * rng.normal(size=50) for x in X], axis=1)
+        gram, moment = [x.T @ x for x in X], [x.T @ y[:, i] for i, x in enumerate(X)]
+        equations.append(NormalEquations(columns, gram, moment, (y**2).sum(axis=0), 50))
+    return Regression(equations)
+
+
+def possible_solution(regression: Regression) -> np.ndarray:
+    """Within the bounds of the planar arm's links, which the core takes."""
+    tree = planar_arm()
+    bound_links(regression, tree)
+    solution = solve_possible(regression, regression.whole, 1e-7, tree)
+    moved = [inertial_parameters(link) + by for link, by in zip(tree.links, solution.reshape(2, -1), strict=True)]
+    _core.Tree([with_inertial_parameters(a, b) for a, b in zip(tree.links, moved, strict=True)], tree.gravity)
+    return solution
+
+
+@pytest.mark.parametrize("by", [-5.0, -0.3 - 1e-9, -0.2, 0.5])
+def test_a_rotor_inertia_is_bounded_in_the_fit(by):
+    solution = possible_solution(corrections_problem(2 * len(PARAMETERS) - 1, by))
+    # 5 standard errors of 1e-3 / sqrt(500); where the bound holds, all of what is below 0 is left unexplained.
+    assert solution[-1] == (pytest.approx(by, abs=2e-4) if by > -0.3 else -planar_arm().links[1].rotor_inertia)
+
+
+def test_an_impossible_mass_keeps_the_files():
+    regression = corrections_problem(MASS, -20.0)  # the shoulder weighs 8 kg
+    assert possible_solution(regression)[MASS] == 0 and not regression.used[MASS]
+
+
+def test_a_fleet_whose_mean_no_link_can_have_gives_an_arm_that_can_be():
+    """Columns that no arm of the fleet excited keep its mean, which may be beyond the bounds by rounding."""
+    tree, plain = planar_arm(), corrections_problem(ROTOR, 0.1)
+    width = 2 * len(PARAMETERS)
+    mean, covariance = np.zeros(width), np.eye(width)
+    mean[ROTOR], covariance[ROTOR, :], covariance[:, ROTOR] = -0.85, 0.0, 0.0
+    prior = WeightPrior(mean, covariance, np.ones(2), np.ones(2))
+    regression = MapRegression(plain.folds, prior, 0.01)
+    bound_links(regression, tree)
+    solution = regression.solve(regression.whole)
+    assert tree.links[0].rotor_inertia + solution[ROTOR] == 0 and not regression.used[ROTOR]
+
+
+@pytest.mark.parametrize(
+    ("mass", "moment", "possible"),
+    [
+        (1.0, 0.1, True),
+        (0.0, 0.0, True),
+        (0.0, 0.1, False),
+        (-1.0, 0.1, False),
+        (1e-9, 1e-9, False),
+        (1e-3, 1e4, False),
+    ],
+)
+def test_a_mass_goes_with_its_first_moment(mass, moment, possible):
+    p = np.zeros(len(PARAMETERS))
+    p[0], p[1], p[4:7] = mass, moment, 1.0 if moment else 0.0
+    assert is_possible(p) == possible
+    if possible:  # what is possible, the core takes
+        _core.Tree([with_inertial_parameters(planar_arm().links[0], p)], [0, 0, -9.81])
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-13])
+def test_rounding_does_not_decide_what_a_fleet_learns(noise):
+    """A fleet's covariance has a positive diagonal where any arm excites a column, whatever the last bits say."""
+    rng, evidence = np.random.default_rng(1), []
+    for _ in range(4):
+        X = rng.normal(size=(200, 4))
+        X = np.column_stack([X, X[:, 0] * (1 + noise * rng.normal(size=200)), 1e-6 * X[:, 1]])  # two undetermined pairs
+        evidence.append(Evidence(X.T @ X, X.T @ (X[:, 0] + rng.normal(size=200)), 200.0))
+    found = learn_hierarchy(evidence, [np.arange(3), np.arange(3, 6)])
+    assert (np.diag(found.covariance) > 0).all() and np.linalg.eigvalsh(found.covariance)[0] > 0
+    np.testing.assert_allclose(
+        found.mean[0] + found.mean[4], 1.0, atol=0.3
+    )  # 800 rows of unit noise, drawn to the fleet
+
+
+def test_held_parameters_are_listed_by_the_training(tmp_path):
+    """A rotor that is heavier in the file than in the arm by more than all of it cannot be told: it is 0, and named."""
+    folder = dataset(tmp_path / "data", moving(1, 40.0, (1.0, 1.0)))
+    text = (folder / "robot.xml").read_text().replace('mass="9.920"', 'mass="9.920"').replace("0.07 0.07 0.07", "5 5 5")
+    (folder / "robot.xml").write_text(text)
+    train_bundle(load_dataset(folder), tmp_path / "x.tauext", config=CONFIG, look=False)
+    facts = json.loads(load_bundle(tmp_path / "x.tauext").provenance)
+    links = load_bundle(tmp_path / "x.tauext").prior.corrected_links
+    for name, link in zip(("shoulder", "elbow"), links, strict=True):
+        assert ("rotor" in facts["prior"]["held"].get(name, [])) == (link.rotor_inertia == 0)
+    held = [note for note in facts.get("notes", []) if note.startswith("the motion does not determine")]
+    assert len(held) == bool(facts["prior"]["held"])
+
+
+def test_the_distance_of_an_error_is_its_square_in_standard_deviations_however_unequal_they_are():
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    sound = (turn * [1.0, 4.0, 9.0]) @ turn.T
+    assert squared_distances(turn[:, :1].T, sound[None])[0] == pytest.approx(1.0)
+    flat = (turn * [1.0, 4.0, 1e-30]) @ turn.T  # np.linalg.inv finds it singular
+    assert np.isfinite(squared_distances(turn[:, :1].T, flat[None])).all()
+    assert squared_distances(np.zeros((1, 3)), flat[None])[0] == 0
+
+
+def resting(tau: np.ndarray, q: np.ndarray) -> Recording:
+    return replace(moving(0, len(tau) / 125.0, (1.0, 1.0)), q=q, dq=np.zeros_like(q), tau=tau)
+
+
+def test_the_torque_at_rest_is_what_it_moved_by_while_the_encoder_stood():
+    tau = np.zeros((6, 2))
+    tau[:, 0], tau[:, 1] = [1, -1, 5, 6, 7, 0], [1, -1, 5, 6, 7, 0]
+    q = np.zeros((6, 2))
+    q[:, 1] = [0, 0, 1, 1, 2, 2]
+    assert torque_at_rest(resting(tau, q)).tolist() == [8, 7]
+
+
+def test_rows_that_are_all_the_same_are_a_finding():
+    still = resting(np.ones((50, 2)), np.zeros((50, 2)))
+    (found,) = [one for one in clock_findings([still]) if one.code == "repeated-rows"]
+    assert "98.0% of the rows equal the row before" in found.evidence and "ms apart" not in found.evidence

@@ -252,7 +252,7 @@ def of_arm(case: Case, data: Path, judged: Path, out: Path) -> dict:
             said = estimate_recording(bundle, recording, 1)
             alarms = (said.held_alarm == COLLISION) & said.healthy
             collisions += count_episodes(alarms, round(EPISODE_S * recording.rate_hz))
-            at = said.healthy & ~recording.contact if recording.contact is not None else said.healthy
+            at = said.healthy & (recording.contact == 0) if recording.contact is not None else said.healthy
             free.append(np.abs(said.tau_ext[at]))
             limits.append(said.limit[at])
     whole = [np.concatenate(one).astype(float).mean(axis=0).tolist() for one in (limits, free)]

@@ -97,7 +97,8 @@ CASES = {
     "ur3": Case("ur3/tool"),
     "ur10": Case("ur10/data", short=True),
     "panda": Case("panda_unisa/data", short=True),
-    "kuka": Case("kuka/data", short=True),
+    "panda-none": Case("panda_unisa/data", "none"),
+    "kuka": Case("kuka/data"),
     "fleet": Case("fleet", config=TrainConfig(recipe="prior", threads=1, prior=PriorConfig(most_ripples=0))),
 }
 

@@ -34,14 +34,19 @@ from unseen.arms import makers
 from unseen.recordings import Take, description, write_take
 
 from tauext import _core
-from tauext.config import PriorConfig, TrainConfig
+from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
 from tauext.data import load_dataset, load_recording
 from tauext.data.recording_file import save_recording
 from tauext.evaluate import estimate_recording
 from tauext.evaluate.free_motion import count_episodes
 from tauext.fleet_prior import fleet_arms, make_fleet_prior
 from tauext.fleet_prior.summary import ODD
+from tauext.learn.bundle_writing import build_setup, with_presliding
+from tauext.learn.find_kinematics import REFINED, directions
+from tauext.learn.kinematic_sample import KinematicSample
+from tauext.learn.prior_terms import own_terms
 from tauext.provenance import machine
+from tauext.robot import estimated_model
 from tauext.train import train_bundle
 
 ROOT = Path(__file__).parent.parent
@@ -86,8 +91,11 @@ class Case:
     """Seconds of motion, which are trained on in seconds: --draws."""
     network: bool = False
     """Without one, no training calls the kernels that TAUEXT_SIMD chooses."""
+    axes: bool = False
+    """Only the search for the axes of an arm without a model, whose order decides where its lengths are looked for."""
 
 
+SEARCHED = {"rig": "rig", "panda": "panda_unisa/data", "kuka": "kuka/data"}
 NETWORK = TrainConfig(recipe="tauext", threads=1, max_steps=500, prior=PriorConfig(most_ripples=0))
 CASES = {
     **{f"rig-{case}": Case("rig", case) for case in ("exact", "mass", "com", "mass+com", "none")},
@@ -99,6 +107,7 @@ CASES = {
     "panda": Case("panda_unisa/data", short=True),
     "panda-none": Case("panda_unisa/data", "none"),
     "kuka": Case("kuka/data"),
+    **{f"{name}-axes": Case(data, "none", short=True, axes=True) for name, data in SEARCHED.items()},
     "fleet": Case("fleet", config=TrainConfig(recipe="prior", threads=1, prior=PriorConfig(most_ripples=0))),
 }
 
@@ -108,6 +117,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder of real recordings")
     parser.add_argument("--sets", nargs="+", choices=tuple(CASES), default=list(CASES))
+    parser.add_argument("--settings", nargs="+", choices=tuple(SETTINGS), default=list(SETTINGS))
     parser.add_argument("--draws", type=int, default=50)
     parser.add_argument("--few", type=int, default=3)
     parser.add_argument("--workers", type=int, default=1)
@@ -118,7 +128,7 @@ def main() -> None:
         return
     for name in options.sets:
         make_data(options.out, name, options.data)
-    kernels = {name: kernels_of(options.out, name) for name in SETTINGS}
+    kernels = {name: kernels_of(options.out, name) for name in options.settings}
     networks = [name for name in options.sets if CASES[name].network]
     jobs = []
     for name in distinct(kernels):
@@ -132,6 +142,7 @@ def main() -> None:
         for _ in pool.map(lambda job: start(options.out, *job), jobs):
             pass
     given = f" --draws {options.draws} --few {options.few}"
+    given += f" --settings {' '.join(options.settings)}" if options.settings != list(SETTINGS) else ""
     given += f" --sets {' '.join(options.sets)}" if options.sets != list(CASES) else ""
     text = page(options.out, options.sets, kernels, f"python benchmarks/machines.py OUT{given}")
     (options.out / "README.md").write_text(text)
@@ -223,7 +234,12 @@ def work(out: Path, sets: Sequence[str], how: str, draw: int) -> None:
             trained = out / "runs" / name / file.stem
             folders = [out / f"fleet-{seed}" for seed, _ in FLEET] if name == "fleet" else [out / CASES[name].data]
             given = [noisy(one, trained / one.name, draw) for one in folders] if draw >= 0 else folders
-            found = of_fleet(given, trained) if name == "fleet" else of_arm(CASES[name], given[0], folders[0], trained)
+            if name == "fleet":
+                found = of_fleet(given, trained)
+            elif CASES[name].axes:
+                found = of_axes(given[0])
+            else:
+                found = of_arm(CASES[name], given[0], folders[0], trained)
             file.write_text(json.dumps(found, indent=1) + "\n")
             shutil.rmtree(trained, ignore_errors=True)
 
@@ -258,6 +274,20 @@ def of_arm(case: Case, data: Path, judged: Path, out: Path) -> dict:
             limits.append(said.limit[at])
     whole = [np.concatenate(one).astype(float).mean(axis=0).tolist() for one in (limits, free)]
     return {"decisions": decisions(bundle, facts), "limits": whole[0], "l1": whole[1], "collisions": collisions}
+
+
+def of_axes(data: Path) -> dict:
+    """The arms from which the search for link lengths begins, and their errors."""
+    dataset = load_dataset(data)
+    training = dataset.training()
+    tree = estimated_model(dataset.robot_file(None), training[0].joints, PAPER_CASES["none"])
+    config = PriorConfig()
+    setup = with_presliding(build_setup(tree, training[0], TrainConfig().observer), config.widths_rad)
+    own = [own_terms(setup, config, joint) for joint in range(tree.size)]
+    sample = KinematicSample(setup.tree, setup.observer, training, own, setup.widths_rad)
+    found = directions(sample, training[0].joints)[:REFINED]
+    axes = {f"axes {k + 1}": json.dumps(one.kinematics.axes.astype(int).tolist()) for k, one in enumerate(found)}
+    return {"decisions": axes, "limits": [], "l1": [one.error for one in found], "collisions": None}
 
 
 def decisions(bundle: _core.Bundle, facts: dict) -> dict:
@@ -342,6 +372,9 @@ def row(name: str, runs: dict[str, dict]) -> str:
     spreads = []
     for figure in ("limits", "l1"):
         values = np.array([run[figure] for run in runs.values()])
+        if not values.size:
+            spreads.append("-")
+            continue
         spread = values.max(axis=0) / np.where(values.min(axis=0) > 0, values.min(axis=0), np.nan) - 1
         spreads.append(
             f"{np.nanmax(spread, initial=0.0):.2g}" if np.nanmax(spread) < 1e-4 else f"{np.nanmax(spread):.2%}"

@@ -365,6 +365,9 @@ void bind_lstm(nb::module_& m) {
         return std::pair(to_numpy(std::move(sigmoid), {N}), to_numpy(std::move(tangent), {N}));
       },
       nb::arg("x"), "sigmoid(x) and tanh(x) as the network computes them.");
+  m.def("simd_in_use", &simd_in_use,
+        "Instruction set of the network's kernels: the widest of this machine, or that of the environment variable "
+        "TAUEXT_SIMD. Raises CoreError where this machine has none of that name.");
 }
 
 void bind_bundle(nb::module_& m) {

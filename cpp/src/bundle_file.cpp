@@ -279,6 +279,7 @@ std::vector<char> to_bytes(const Bundle& bundle) {
 namespace {
 
 Bundle read(std::span<const char> bytes, bool convert) {
+  simd_in_use();  // a wrong TAUEXT_SIMD is refused here for every bundle, and never in a control loop
   if (bytes.size() < kHeaderBytes || std::memcmp(bytes.data(), kMagic, sizeof kMagic) != 0)
     throw Error("it is not a tauext bundle");
   std::uint32_t version[2], crc;

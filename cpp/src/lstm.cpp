@@ -3,6 +3,9 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <cstdlib>
+#include <cstring>
+#include <string>
 
 #include "lstm_lanes.hpp"
 #include "widest_simd.hpp"
@@ -99,18 +102,36 @@ Packed::Packed(const LstmShape& shape, std::span<const float> parameters)
 namespace {
 std::atomic<int> lane_limit{0};
 
-int machine_lanes() noexcept {
+struct Kernels {
+  const char* name;
+  int lanes;
+};
+// Of this architecture, the narrowest first.
 #if defined(__x86_64__)
-  const Simd widest = widest_simd();
-  if (widest == Simd::kAvx512) return 16;
-  if (widest == Simd::kAvx2) return 8;
+constexpr Kernels kKernels[] = {{"sse2", 4}, {"avx2", 8}, {"avx512", 16}};
+int usable_kernels() noexcept { return 1 + static_cast<int>(widest_simd()); }
+#else
+constexpr Kernels kKernels[] = {{"neon", 4}};
+int usable_kernels() noexcept { return 1; }
 #endif
-  return 4;
+
+// A narrower set than the widest is for comparing machines and for finding faults; a wider one would be an illegal
+// instruction in the middle of a computation, hence is refused here.
+int chosen_lanes() {
+  const int usable = usable_kernels();
+  const char* asked = std::getenv("TAUEXT_SIMD");
+  if (!asked || !*asked) return kKernels[usable - 1].lanes;
+  std::string choices;
+  for (int k = 0; k < usable; ++k) {
+    if (std::strcmp(asked, kKernels[k].name) == 0) return kKernels[k].lanes;
+    choices += (k ? ", " : "") + std::string(kKernels[k].name);
+  }
+  throw Error("TAUEXT_SIMD = " + std::string(asked) + " must be one of the instruction sets of this processor: " + choices);
 }
 }  // namespace
 
-int lane_count() noexcept {
-  static const int machine = machine_lanes();
+int lane_count() {
+  static const int machine = chosen_lanes();
   const int limit = lane_limit.load(std::memory_order_relaxed);
   return limit ? std::min(limit, machine) : machine;
 }
@@ -118,6 +139,13 @@ int lane_count() noexcept {
 void limit_lane_count(int lanes) noexcept { lane_limit.store(lanes, std::memory_order_relaxed); }
 
 }  // namespace lanes
+
+std::string simd_in_use() {
+  const int lanes = lanes::lane_count();
+  for (const lanes::Kernels& kernels : lanes::kKernels)
+    if (kernels.lanes == lanes) return kernels.name;
+  return {};
+}
 
 namespace {
 

@@ -229,8 +229,10 @@ TAUEXT_INLINE V<L> head(const Packed& w, const float* h, int o) noexcept {
   return sum;
 }
 
-// The widest instruction set of this machine: 16, 8 or 4 lanes.
-int lane_count() noexcept;
+// Lanes of the kernels in use: 16, 8 or 4, the widest of this machine unless the environment variable TAUEXT_SIMD asks for
+// fewer. The first call reads the variable, so loaders make it and no control loop does. Throws Error on a value that this
+// machine has no kernels for.
+int lane_count();
 // For tests: fewer lanes than this machine has; 0 takes it back.
 void limit_lane_count(int lanes) noexcept;
 

@@ -11,7 +11,7 @@ namespace tauext {
 
 enum class Simd { kSse2, kAvx2, kAvx512 };
 
-/// What lstm_lanes.hpp compiles for: x86-64-v3 counts as kAvx2, x86-64-v4 as kAvx512.
+/// What lstm_lanes.hpp compiles for, in the order of kKernels (lstm.cpp): x86-64-v3 counts as kAvx2, x86-64-v4 as kAvx512.
 inline Simd widest_simd() noexcept {
   unsigned a = 0, b = 0, c = 0, d = 0;
   if (!__get_cpuid(1, &a, &b, &c, &d)) return Simd::kSse2;

@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "tauext/types.hpp"
@@ -67,6 +68,11 @@ double network_torque_nm(double scale_nm, float output) noexcept;
 // The largest |input| with which no sum of the network can overflow, so that its answer is finite whatever it is given.
 // Throws Error where parameters are so large that there is none.
 float largest_lstm_input(const LstmShape& shape, std::span<const float> parameters);
+
+// Instruction set of the network's kernels in this process: sse2, avx2 or avx512; neon on other processors than x86-64. It
+// is the widest of the machine, or the one that the environment variable TAUEXT_SIMD asks for. Throws Error where this
+// machine has none of that name.
+std::string simd_in_use();
 
 // sigmoid and tanh as the network computes them, for the test of their stated error: at most 5e-7 absolute.
 void lstm_activations(std::span<const float> x, std::span<float> sigmoid, std::span<float> tanh);

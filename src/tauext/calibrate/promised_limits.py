@@ -17,9 +17,13 @@ from tauext.calibrate.promise import FalseAlarmBudget, Promise, split
 from tauext.calibrate.tail import Tail, TooFewPeaks, fit_tail
 from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data import Recording
+from tauext.ties import simplest
 
 HARD_PUSH = 3.0
 """Hold times are compared on a push of so many times the limit that no hold time at all would have."""
+
+HOLD_WORTH = 0.01
+"""A longer hold time must find that push sooner by this share: the tails' fits know their limits no better."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +114,7 @@ def promised_limits(
         share = np.minimum(choices[choice][0].sliding_nm / (HARD_PUSH * first), 0.999)
         return float(np.mean(-np.log1p(-share)) / bundle.observer.gain_per_s + alarm.holds_s[choice])
 
-    best = min(range(len(found)), key=delay_s)
+    best = simplest(range(len(found)), delay_s, HOLD_WORTH)
     limits, tails = choices[best]
     # A contact is held at least as long as a collision: else what that hold time was chosen to outlast would cross the
     # contact's limits at once, which are no higher.

@@ -71,7 +71,8 @@ def spelled_out(argv: list[str]) -> list[str]:
 
 
 def version_text() -> str:
-    """Versions of the package, of its core and of the compiler that made it; which bundles both read and write."""
+    """Versions of the package, of its core and of the compiler that made it, its kernels; which bundles both read and
+    write."""
     from importlib.metadata import version
 
     from tauext import _core
@@ -79,7 +80,14 @@ def version_text() -> str:
 
     formats = f"bundle format {_core.BUNDLE_FORMAT} (reads {_core.OLDEST_BUNDLE_FORMAT} to {_core.BUNDLE_FORMAT})"
     compiler = _core.COMPILER.partition(" (")[0]  # clang adds where its sources came from
-    return f"tauext {version('tauext')}, core {VERSION} by {compiler}, {formats}"
+    return f"tauext {version('tauext')}, core {VERSION} by {compiler} with {_core.simd_in_use()}, {formats}"
+
+
+def expect_kernels() -> None:
+    """Raise TauextError where TAUEXT_SIMD names no kernels of this machine."""
+    from tauext import _core
+
+    _core.simd_in_use()
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -88,9 +96,6 @@ def main(argv: list[str] | None = None) -> int:
     0 done, 1 a fault (check) or a failed arm (fleet), 2 bad input (one line on stderr), 130 interrupted, 141 no reader.
     """
     argv = sys.argv[1:] if argv is None else argv
-    if argv == ["--version"]:
-        print(version_text())
-        return 0
     app = tyro.extras.SubcommandApp()
     for command in (
         reproduce,
@@ -119,6 +124,11 @@ def main(argv: list[str] | None = None) -> int:
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, TextIOWrapper):
                 stream.reconfigure(errors="backslashreplace")  # names of files may be any bytes
+        if os.environ.get("TAUEXT_SIMD"):  # before hours of work; unset, nothing needs to be loaded for it
+            expect_kernels()
+        if argv == ["--version"]:
+            print(version_text())
+            return 0
         if (told := arranged_help(app, "tauext", argv)) is not None:
             print(told)
             flush()

@@ -19,6 +19,7 @@ from tauext.learn.like_fit import with_widths
 from tauext.learn.map_regression import MapRegression, WeightPrior
 from tauext.learn.regression import NormalEquations, Regression
 from tauext.learn.ridge import gather, solved
+from tauext.ties import simplest
 from tauext.train.fitting import observe
 
 MINUTES = 1.0
@@ -30,6 +31,9 @@ GROUPS = 10
 TRUSTS = (1.0, 0.3, 0.1, 0.03)
 """By how much a row of a new arm's minute may count for less than the correlation of its errors in time says: the arm
 warms up, and a minute is one motion in one state of the gears."""
+
+TRUST_TIE = 0.002
+"""Of the error on the rest, whose mean over ten arms is known no better: so close, a minute counts fully."""
 
 
 @dataclass(frozen=True)
@@ -140,9 +144,9 @@ def choose_trust(arms: Sequence[ArmEvidence], priors: Sequence[WeightPrior]) -> 
     tried = {trust: [rest_error_nm(one, prior, trust) for one, prior in pairs] for trust in TRUSTS}
 
     def size(trust: float) -> float:
-        return float(np.mean([np.log(error) for error in tried[trust] if len(error)] or [0.0]))
+        return float(np.exp(np.mean([np.log(error) for error in tried[trust] if len(error)] or [0.0])))
 
-    best = min(TRUSTS, key=size)
+    best = simplest(TRUSTS, size, TRUST_TIE)
     return best, tried[best]
 
 

@@ -14,6 +14,7 @@ from tauext.learn.kinematics import Kinematics
 from tauext.learn.possible_links import FIRST_MOMENT, LARGEST, LARGEST_SPREAD, MASS, ROTOR
 from tauext.learn.training_set import Setup
 from tauext.robot.inertial import PARAMETERS, with_inertial_parameters
+from tauext.ties import ranked, simplest
 
 DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
 """Axes of nearly all arms stand at right angles at q = 0; the others are found from the nearest of these."""
@@ -24,6 +25,9 @@ FIRST_SHIFT_M = 0.1
 MOST_TURN_RAD, MOST_SHIFT_M, MOST_RATIO = 0.3, 0.2, 0.5  # of one step
 DELTA = 1e-4  # [rad] or [m] of the numerical derivative
 GAINS_LITTLE = 1e-3
+"""Share of the squared error: a step that gains less is the last one; of arms so nearly alike the first is taken."""
+AXES_TIE = 1e-6
+"""Of the squared error: axes on which the torques do not depend differ by rounding alone, and the first is taken."""
 OBLIQUE_HELPS = 0.3
 """Axes stay at right angles unless the error falls by this share: few arms are built otherwise."""
 
@@ -73,7 +77,8 @@ def find_kinematics(
     else:
         best = directions(sample, joints)
         tell(f"axes at right angles: error {np.sqrt(best[0].error):.1%} of r")
-    found = min((refined(sample, joints, one, free) for one in best[:REFINED]), key=lambda one: one.error)
+    tried = [refined(sample, joints, one, free) for one in best[:REFINED]]
+    found = simplest(tried, lambda one: one.error, GAINS_LITTLE)
     tell(f"with link lengths: {np.sqrt(found.error):.1%}")
     oblique = refined(sample, joints, found, free | {"axes"})
     tell(f"with oblique axes: {np.sqrt(oblique.error):.1%}")
@@ -90,12 +95,12 @@ def directions(sample: KinematicSample, joints: Sequence[str]) -> list[Candidate
         for _, axes, columns in beam:
             for direction in DIRECTIONS:
                 tried = np.vstack([axes, direction])
-                if not faces_x(tried):
+                if not (faces_x(tried) and is_upright(tried)):
                     continue
                 of_link = sample.regressors(arm(tried, n).tree(joints, sample.gravity), [link], ABOUT_ITS_ORIGIN)
                 together = np.concatenate([columns, of_link], axis=2)
                 longer.append((sample.regression(together).score(RIDGE), tried, together))
-        beam = sorted(longer, key=lambda one: one[0])[:BEAM]
+        beam = ranked(longer, lambda one: one[0], AXES_TIE, BEAM)
     return [Candidate(arm(axes, n), error, np.ones(n)) for error, axes, _ in beam]
 
 
@@ -103,6 +108,16 @@ def faces_x(axes: np.ndarray) -> bool:
     """Whether the first axis that is not vertical is x: others are the same arm, turned about the vertical."""
     level = axes[np.abs(axes[:, 2]) < 0.5]
     return len(level) == 0 or bool(level[0, 0] > 0.5)
+
+
+def is_upright(axes: np.ndarray) -> bool:
+    """Whether the first axis that is not along x points up, or along y: others are the mirror image of the same arm.
+
+    Mirrored at the plane of x and the vertical, and turned about the vertical by half a turn, an arm whose y and z axes
+    are all reversed weighs and moves the same at the same joint angles.
+    """
+    across = axes[np.abs(axes[:, 0]) < 0.5]
+    return len(across) == 0 or bool(across[0].sum() > 0)
 
 
 def arm(axes: np.ndarray, joints: int) -> Kinematics:

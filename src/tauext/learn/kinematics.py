@@ -9,6 +9,9 @@ import numpy as np
 
 from tauext import _core
 
+ASIDE_TIE = 0.1
+"""Of the components of a unit vector: (0, 0, 1) is as far from x as from y, and rounding must not choose."""
+
 
 @dataclass(frozen=True)
 class Kinematics:
@@ -53,7 +56,8 @@ class Kinematics:
 
 def frame_of(axis: np.ndarray) -> np.ndarray:
     """A rotation whose third column is this unit vector, (3, 3)."""
-    aside = np.eye(3)[np.argmin(np.abs(axis))]
+    off = np.abs(axis)
+    aside = np.eye(3)[np.flatnonzero(off <= off.min() + ASIDE_TIE)[0]]
     x = np.cross(aside, axis)
     x /= np.linalg.norm(x)
     return np.column_stack([x, np.cross(axis, x), axis])

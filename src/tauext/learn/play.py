@@ -8,9 +8,13 @@ from functools import cache
 import numpy as np
 
 from tauext.learn.prior_fit import PriorFit
+from tauext.ties import simplest
 
 HELPS = 0.01
 """A joint has play where that lowers its error on left-out motion by this share: as of ripples."""
+
+WIDTH_TIE = 0.002
+"""Of the error: of widths that explain the motion so nearly alike the narrowest is taken, hence the least play."""
 
 Play = tuple[int | None, ...]
 """Of each joint, the index of the width; None: it has none that shows."""
@@ -33,7 +37,7 @@ def find_play(fit: PriorFit, fitted: Callable[[Play], PriorFit]) -> tuple[Play, 
     if not widths:
         return none, fit
     errors = np.array([fitted((width,) * joints).error_nm for width in widths])
-    best = errors.argmin(axis=0)
+    best = [simplest(widths, of_joint.__getitem__, WIDTH_TIE) for of_joint in errors.T.tolist()]
     helps = errors.min(axis=0) < (1 - HELPS) * fit.error_nm
     play: Play = tuple(int(width) if better else None for width, better in zip(best, helps, strict=True))
     for joint in [j for j, width in enumerate(play) if width is not None]:

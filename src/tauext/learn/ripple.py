@@ -20,6 +20,8 @@ RIPPLE_LEAST_S = 45.0  # in less, noise looks like one
 AT_A_TIME = 2
 """Joints: all numbers of cycles of one take hundreds of MB."""
 RIPPLE_SHARE, RIPPLE_OUTSTANDS = 0.03, 5.0
+ALIAS_TIE = 1e-6
+"""An encoder of N counts a turn shows k and N - k cycles as the same, but for rounding: the fewer are taken."""
 
 
 def find_ripple(
@@ -63,7 +65,7 @@ def find_ripple(
     explained[:, : least_cycles - 1] = 0
     found = []
     for joint in range(n):
-        best = int(np.argmax(explained[joint]))
+        best = int(np.flatnonzero(explained[joint] >= (1 - ALIAS_TIE) * explained[joint].max())[0])
         stands_out = explained[joint, best] > RIPPLE_OUTSTANDS * np.median(explained[joint])
         matters = explained[joint, best] > RIPPLE_SHARE * energy[joint]
         found.append([best + 1] if stands_out and matters and best + 1 not in known[joint] else [])

@@ -20,6 +20,9 @@ INDEPENDENT_S = 1.0
 """What friction leaves unexplained stays for about as long, so that many samples say no more than one."""
 KNOWN = 0.5
 """Standard error, as a share, from which on a constant of the model as it is says nothing, not even its sign."""
+SIGN_TIE = 1.0
+"""By so much in the logarithm of the evidence an inverted sign must be more likely: a factor of e says nothing, and few
+drives report their current with the sign inverted."""
 LEAST_NOISE = 1e-6
 ROUNDS = 8
 DELTA = 1e-4
@@ -74,7 +77,7 @@ def fit_scaled_arm(
     for k in np.flatnonzero(start < 0) if begun else ():
         turned = replace(evidence, start=np.where(np.arange(n) == k, -evidence.start, evidence.start))
         other = most_likely(turned, sample.rows, count)
-        if other[2] < cost:
+        if other[2] < cost + SIGN_TIE:
             evidence, (at, weights, cost) = turned, other
     steps = DELTA * np.eye(n + 1)
     slopes = [evidence.cost(at + h, weights)[1] - evidence.cost(at - h, weights)[1] for h in steps]

@@ -19,6 +19,7 @@ from tauext.learn.prior_terms import has_model, own_terms
 from tauext.learn.scaled_arm import fit_scaled_arm
 from tauext.learn.training_set import Setup
 from tauext.robot import empty
+from tauext.ties import simplest
 
 PIECES = 10
 WELL_DETERMINED = 0.15
@@ -34,6 +35,8 @@ GIVEN_TO = 0.1
 """The same of a given one: makers' numbers, and gear losses beside them, are right to about 10 %."""
 KEPT = 0.75
 """A given constant is kept where motion leaves this share of its doubt or more."""
+UNIT_TIE = 0.01
+"""Of a standard error from PIECES parts: of joints that are known so nearly alike, the first has the unit of all."""
 ARM_OFF = 0.05
 """Share by which the torques of an arm found in the motion are off, beside their scatter."""
 
@@ -196,7 +199,8 @@ def _relative_constants(
     constants, errors, determined = (np.array([one[k] for one in found]) for k in range(3))
     if given:
         return replace(drawn_to_given(constants, errors), kinematics=candidate.kinematics)
-    best = int(np.nanargmin(np.where(constants > 0, errors / np.abs(constants), np.inf)))
+    known_to = np.where(constants > 0, errors / np.abs(constants), np.inf)
+    best = simplest(range(len(joints)), known_to.__getitem__, UNIT_TIE)
     ratios = constants / constants[best], errors / constants[best], determined
     return TorqueConstants(*ratios, relative_to=best, kinematics=candidate.kinematics)
 

@@ -15,6 +15,8 @@ from tauext.learn.training_set import Setup
 BENT = (_core.TermKind.presliding, _core.TermKind.load_presliding)
 LEAST_COUNTS = 2.0  # an encoder's counts in a presliding width
 IDLE_SHARE = 0.002
+ROUNDING_RAD = 1e-9
+"""A smaller change of position is rounding, as of a conversion from degrees: a count of 32 bits is 1.5e-9 rad."""
 
 
 def idle_widths(setup: Setup, recordings: Sequence[Recording], config: PriorConfig, fit: PriorFit) -> dict[float, str]:
@@ -49,7 +51,7 @@ def idle_widths(setup: Setup, recordings: Sequence[Recording], config: PriorConf
 def encoder_count(recordings: Sequence[Recording]) -> float:
     """Smallest change of position that any joint's encoder shows, the coarsest of the joints, [rad]."""
     moved = [np.abs(np.diff(recording.q, axis=0)) for recording in recordings]
-    least = np.min([np.where(m > 0, m, np.inf).min(axis=0, initial=np.inf) for m in moved], axis=0)
+    least = np.min([np.where(m > ROUNDING_RAD, m, np.inf).min(axis=0, initial=np.inf) for m in moved], axis=0)
     return float(np.where(np.isfinite(least), least, 0.0).max())
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from tauext.calibrate import LeftOutErrors, left_out_errors
 from tauext.config import PAPER_GAIN_PER_S
 from tauext.learn import PriorFit, Setup
+from tauext.ties import simplest
 from tauext.train.fitting import observe, put_region, with_fit
 from tauext.train.limits import unseen_motion
 from tauext.train.network import assemble
@@ -48,8 +49,7 @@ def choose_gain(job: Job, setup: Setup, fit: PriorFit) -> tuple[Setup, PriorFit]
     errors = {gain: of_gain(job, *one) for gain, one in tried.items()}
     hit_nm = HIT * errors[PAPER_GAIN_PER_S].usual_limit_nm
     delay_s = {gain: mean_delay_s(gain, errors[gain].limit_nm, hit_nm) for gain in tried}
-    soonest = min(delay_s.values())
-    chosen = min(gain for gain, delay in delay_s.items() if delay <= (1 + WORTH) * soonest)
+    chosen = simplest(list(delay_s), delay_s.__getitem__, WORTH)
     told = ", ".join(f"{1e3 * delay:.0f} ms at {gain:g} 1/s" for gain, delay in delay_s.items())
     job.facts["gain"] = {
         "chosen_per_s": chosen,

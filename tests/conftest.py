@@ -43,11 +43,27 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log):
     return Shared(config, log)
 
 
+def of_this_run(tmp_path_factory) -> Path:
+    """A folder that all workers of this run share."""
+    base = tmp_path_factory.getbasetemp()
+    return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory):
-    """What tests remember and keep is none of the user's."""
+    """What tests remember and keep is none of the user's; what one worker has looked at, none looks at again."""
+    folder = of_this_run(tmp_path_factory) / "cache"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("XDG_CACHE_HOME", str(folder))
+        yield folder
+
+
+@pytest.fixture
+def undrawn():
+    """Pages of this test hold a pixel for each picture."""
+    import pictures
+
+    with pictures.undrawn():
         yield
 
 

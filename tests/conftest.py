@@ -67,6 +67,23 @@ def undrawn():
         yield
 
 
+@pytest.fixture
+def unexamined(monkeypatch, tmp_path_factory) -> list[list[str]]:
+    """The recordings of each examination before a training or after an import, in which all but the cheap checks find
+    nothing: an examination takes longer than many a training."""
+    from types import SimpleNamespace
+
+    calls: list[list[str]] = []
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("unexamined")))  # no other test is to remember it
+
+    def nothing_found(recordings, robot):
+        calls.append([r.name for r in recordings])
+        return SimpleNamespace(findings=[])
+
+    monkeypatch.setattr("tauext.look.viewing.examine", nothing_found)
+    return calls
+
+
 @pytest.fixture(scope="session")
 def rig_bundles(tmp_path_factory) -> dict[str, Path]:
     """Those of the demo's rig, in a cache of demos."""

@@ -32,8 +32,11 @@ SIGNALS = ("t_ns", "q", "dq", "tau", "q_des", "tau_jts", "temperature", "contact
 
 
 @pytest.fixture
-def s3(monkeypatch, tmp_path):
-    """A server without objects; requests are given up soon."""
+def s3(monkeypatch, tmp_path, own_cache):
+    """A server without objects; requests are given up soon. What is staged is of one test, looks are of all."""
+    for folder in (tmp_path / "cache/tauext", own_cache / "tauext/looks"):
+        folder.mkdir(parents=True, exist_ok=True)
+    (tmp_path / "cache/tauext/looks").symlink_to(own_cache / "tauext/looks")
     with s3_server() as server:
         for name, value in server.environment().items():
             monkeypatch.setenv(name, value)
@@ -128,7 +131,7 @@ def run(*words: object) -> int:
     return main([str(word) for word in words])
 
 
-def test_every_command_makes_the_same_of_a_store_as_of_a_disk(s3, folder, tmp_path, capsys):
+def test_every_command_makes_the_same_of_a_store_as_of_a_disk(s3, folder, tmp_path, capsys, undrawn):
     upload(s3, folder)
     there, here = place_of("s3://arms"), tmp_path
     for base, data in ((here, folder), (there, "s3://arms/data")):
@@ -151,7 +154,7 @@ def test_a_bundle_comes_after_what_stands_beside_it(s3, folder):
     assert sent == ["arm.run.json", "arm.wall_time_s.json", "arm.tauext"]
 
 
-def test_flights_and_results_and_pages_go_to_a_store(s3, folder, tmp_path, capsys):
+def test_flights_and_results_and_pages_go_to_a_store(s3, folder, tmp_path, capsys, undrawn):
     recording = load_recording(folder / "free-4.parquet")
     push = np.where((recording.time_s > 20) & (recording.time_s < 21), 30.0, 0.0)[:, None]
     touched = replace(recording, tau=recording.tau - push, contact=(push[:, 0] > 0).astype(np.int8))

@@ -134,7 +134,20 @@ def test_reproduce_a_second_time_gives_the_same_results_and_trains_nothing_anew(
 
 def test_the_same_seed_gives_the_same_bundle_bytes_in_another_folder(workplace, capsys, tmp_path):
     data = workplace / "runs/quick/data"
-    options = ("--data", data, "--case", "none", "--recipe", "paper", "--max-steps", STEPS, "--batch", 64, "--epochs", 1)
+    options = (
+        "--data",
+        data,
+        "--case",
+        "none",
+        "--recipe",
+        "paper",
+        "--max-steps",
+        STEPS,
+        "--batch",
+        64,
+        "--epochs",
+        1,
+    )
     assert run(capsys, "train", *options, "--out", tmp_path / "none.tauext")[0] == 0
     assert (tmp_path / "none.tauext").read_bytes() == (workplace / "runs/quick/bundles/none.tauext").read_bytes()
 

@@ -111,7 +111,7 @@ def told(held):
     return SimpleNamespace(held=held, doing="moving")
 
 
-@pytest.mark.parametrize("after_s", [0.0, 2.5])
+@pytest.mark.parametrize("after_s", [0.0, pytest.param(2.5, marks=pytest.mark.slow)])
 def test_ctrl_c_ends_the_page_at_once_whatever_it_is_doing(after_s, tmp_path):
     """While libraries are imported that swallow the exception of a Ctrl-C, and while a first training runs."""
     words = [sys.executable, "-m", "tauext", "demo", "--no-open", "--port", str(free_port("127.0.0.1", 9600))]

@@ -148,9 +148,7 @@ def test_another_load_is_a_warning(arm):
     assert (found.recording, found.severity) == ("loaded", "warning") and "kg more" in found.evidence
 
 
-@pytest.mark.parametrize(
-    "with_model", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["model", "no model"]
-)
+@pytest.mark.parametrize("with_model", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["model", "no model"])
 def test_other_poses_speeds_and_warmth_are_not_odd(arm, with_model):
     path, tree, good = arm
     narrow = made_motion(tree, 0.5, 100.0, seed=7, pieces=1, ranges=0.4).recordings[0]

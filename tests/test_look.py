@@ -44,7 +44,7 @@ def good(tmp_path_factory) -> Path:
     """A dataset of a six-axis arm without a fault: two recordings to train, one to validate, one to calibrate."""
     path = tmp_path_factory.mktemp("good")
     (path / "robot.urdf").write_text(urdf(six_axis()).replace('effort="100"', 'effort="3000"'))
-    made = made_motion(load_tree(path / "robot.urdf"), 1.2, 100.0, pieces=4).recordings
+    made = made_motion(load_tree(path / "robot.urdf"), 1.0, 100.0, pieces=4).recordings
     names = ("one", "two", "three", "four")
     for name, recording in zip(names, made, strict=True):
         save_recording(replace(recording, name=name), path / f"{name}.parquet")

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from arms import PLANAR_MJCF
 from made_fleet import moving
+from made_fleets import workers_here
 from made_s3 import S3, Request, s3_server
 
 from tauext.calibrate.bundle_limits import half_done_file
@@ -24,6 +25,7 @@ from tauext.data.split import Split, save_split
 from tauext.data.stretches import ahead, stretches
 from tauext.errors import ConfigError, StoreError
 from tauext.fleet.places import fits, places_of
+from tauext.fleet.stages import STAGES
 from tauext.store import added, local_file, local_folder, local_robot, place_of, staged
 from tauext.store.staging import put, send
 from tauext.whole_file import whole_file, whole_files, whole_folder
@@ -207,7 +209,9 @@ def test_a_fleet_reads_from_a_store_and_sees_what_changed(s3, folder, tmp_path, 
     assert "inputs changed: dataset free-0.parquet" in capsys.readouterr().out
 
 
-def test_a_fleet_writes_to_a_store_what_it_writes_to_a_disk(s3, folder, tmp_path, capsys):
+def test_a_fleet_writes_to_a_store_what_it_writes_to_a_disk(s3, folder, tmp_path, capsys, monkeypatch, undrawn):
+    """By workers in this process: test_a_fleet_reads_from_a_store has others."""
+    workers_here(monkeypatch, STAGES)
     (tmp_path / "fleet.toml").write_text(
         f'stages = ["check", "train"]\ntrain.recipe = "friction"\n[[arms]]\nname = "one"\ndataset = "{folder}"\n'
     )

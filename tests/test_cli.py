@@ -6,6 +6,7 @@ import re
 import shlex
 from contextlib import redirect_stdout
 from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import partial
 from io import StringIO
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +18,7 @@ from tauext import _core
 from tauext.cli import main
 from tauext.config import TrainConfig
 from tauext.reproduce import SCALES
+from tauext.rig import RigConfig
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -30,6 +32,7 @@ SMALLER = {
     "--scale quick": "--scale smoke",
 }
 STEPS = 10
+SHORTER = partial(RigConfig, collision_recording_s=36.0, collisions_per_recording=4)
 SMALLEST = replace(SCALES["smoke"], minutes=1.0, training=replace(SCALES["smoke"].training, max_steps=STEPS))
 
 
@@ -52,6 +55,8 @@ def done(tmp_path_factory) -> Done:
     with pytest.MonkeyPatch.context() as patch, undrawn():
         patch.chdir(folder)
         patch.setitem(SCALES, "smoke", SMALLEST)
+        patch.setattr("tauext.reproduce.RigConfig", SHORTER)
+        patch.setattr("tauext.rig.config.changed_rig", lambda *changes: SHORTER())
         for command in commands(STEP_BY_STEP):
             for quick, smoke in SMALLER.items():
                 command = command.replace(quick, smoke)
@@ -125,6 +130,7 @@ def test_reproduce_a_second_time_gives_the_same_results_and_trains_nothing_anew(
     before, written_ns = results.read_bytes(), bundle.stat().st_mtime_ns
     monkeypatch.chdir(workplace)
     monkeypatch.setitem(SCALES, "smoke", SMALLEST)
+    monkeypatch.setattr("tauext.reproduce.RigConfig", SHORTER)
     monkeypatch.setattr("tauext.reproduce.write_report", lambda results, data, folder: folder)  # is there already
     assert main(["reproduce", "--scale", "smoke", "--out", "runs/quick", "--cases", "exact"]) == 0
     assert bundle.stat().st_mtime_ns == written_ns
@@ -214,7 +220,7 @@ WRONG = [
     (("show", "{other}"), [".tauext", ".parquet"]),
     (
         ("simulate", "--out", "{data}", "--minutes", "3", "--collision-recordings", "1", "--calibration-hours", "0.05"),
-        ["minutes: 1.0, not 3.0"],
+        ["holds a dataset of other settings (collision_recording_s: 36.0, not 90.0)"],
     ),
     (("simulate", "--out", "x", "--minutes", "-1"), ["minutes", "> 0"]),
     (("simulate", "--out", "x", "--encoder-bits", "11"), ["encoder_bits = 11", "12 to 24"]),

@@ -62,5 +62,5 @@ FRICTION = ((1.0, 0.9), (0.8, 1.1), (1.2, 1.0), (0.9, 1.2), (1.1, 0.8), (1.0, 3.
 
 
 def fleet(folder: Path) -> list[Path]:
-    """Datasets of a minute and a half each."""
-    return [dataset(folder / f"arm-{k}" / "data", moving(k, 90.0, one)) for k, one in enumerate(FRICTION)]
+    """Datasets of two minutes and a half each."""
+    return [dataset(folder / f"arm-{k}" / "data", moving(k, 150.0, one)) for k, one in enumerate(FRICTION)]

@@ -43,12 +43,45 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log):
     return Shared(config, log)
 
 
+def of_this_run(tmp_path_factory) -> Path:
+    """A folder that all workers of this run share."""
+    base = tmp_path_factory.getbasetemp()
+    return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory):
-    """What tests remember and keep is none of the user's."""
+    """What tests remember and keep is none of the user's; what one worker has looked at, none looks at again."""
+    folder = of_this_run(tmp_path_factory) / "cache"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("XDG_CACHE_HOME", str(folder))
+        yield folder
+
+
+@pytest.fixture
+def undrawn():
+    """Pages of this test hold a pixel for each picture."""
+    import pictures
+
+    with pictures.undrawn():
         yield
+
+
+@pytest.fixture
+def unexamined(monkeypatch, tmp_path_factory) -> list[list[str]]:
+    """The recordings of each examination before a training or after an import, in which all but the cheap checks find
+    nothing: an examination takes longer than many a training."""
+    from types import SimpleNamespace
+
+    calls: list[list[str]] = []
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("unexamined")))  # no other test is to remember it
+
+    def nothing_found(recordings, robot):
+        calls.append([r.name for r in recordings])
+        return SimpleNamespace(findings=[])
+
+    monkeypatch.setattr("tauext.look.viewing.examine", nothing_found)
+    return calls
 
 
 @pytest.fixture(scope="session")

@@ -169,7 +169,7 @@ def watching(tmp_path_factory):
     """A bundle of recipe prior, and a motion that is twice as fast in its second half."""
     folder = tmp_path_factory.mktemp("coverage")
     with pytest.MonkeyPatch.context() as patch:
-        bundle, facts = trained(folder, patch, [smooth_motion(seconds=60.0, seed=k) for k in range(3)], recipe="prior")
+        bundle, facts = trained(folder, patch, [smooth_motion(seconds=45.0, seed=k) for k in range(3)], recipe="prior")
     made = smooth_motion(seconds=20.0, seed=1)
     fast = np.arange(made.samples)[:, None] >= made.samples // 2
     made = replace(made, name="fast", dq=np.where(fast, 3 * made.dq, made.dq))

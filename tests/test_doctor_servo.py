@@ -30,7 +30,7 @@ RATE_HZ = 50.0
 
 @pytest.fixture(scope="module")
 def driven():
-    return drive(SERVOS, 80.0, RATE_HZ)
+    return drive(SERVOS, 60.0, RATE_HZ)
 
 
 @pytest.fixture(scope="module")

@@ -104,9 +104,9 @@ def test_limits_follow_the_motion_and_sigma_covers_left_out_errors(tmp_path, mon
     rng = np.random.default_rng(6)
 
     def noisy(seed: int):
-        r = motion(seconds=90.0, seed=seed, name=f"made{seed}")
+        r = motion(seconds=75.0, seed=seed, name=f"made{seed}")
         noise = rng.standard_normal(r.q.shape) * (0.05 + 0.4 * np.abs(r.dq))
-        return motion(seconds=90.0, seed=seed, name=f"made{seed}", tau=r.tau + noise)
+        return motion(seconds=75.0, seed=seed, name=f"made{seed}", tau=r.tau + noise)
 
     settings = {"recipe": "prior", "observer": ObserverConfig(gain_per_s=50.0)}
     bundle, facts = trained(tmp_path, monkeypatch, [noisy(1), noisy(2), noisy(3)], **settings)
@@ -186,12 +186,12 @@ def test_the_gain_follows_from_the_errors(tmp_path, monkeypatch):
     """Noise of the torque speaks for a slow observer; errors that last, and no noise, for a fast one."""
     worth = {}
     for name, noise in (("noise", 2.0), ("none", 0.0)):
-        rng, r = np.random.default_rng(7), motion(seconds=120.0, seed=5)
+        rng, r = np.random.default_rng(7), motion(seconds=90.0, seed=5)
         ripple = 0.3 * np.sin(7 * r.q) * np.cos(1.3 * np.arange(r.samples) / 125.0)[:, None]
         tau = r.tau + noise * rng.standard_normal(r.tau.shape) + ripple
         folder = tmp_path / name
         folder.mkdir()
-        bundle, facts = trained(folder, monkeypatch, [motion(seconds=120.0, seed=5, tau=tau)], recipe="prior")
+        bundle, facts = trained(folder, monkeypatch, [motion(seconds=90.0, seed=5, tau=tau)], recipe="prior")
         delay_s = {float(gain): delay for gain, delay in facts["gain"]["mean_delay_s"].items()}
         worth[name] = delay_s[20.0] / delay_s[50.0]
         chosen = 50.0 if worth[name] > 1 + WORTH else 20.0  # 100 1/s follows samples of 8 ms

@@ -10,7 +10,7 @@ from arms import no_model, planar_arm
 
 from tauext import _core
 from tauext.cli import main
-from tauext.config import PAPER_CASES, ObserverConfig, TrainConfig
+from tauext.config import PAPER_CASES, ObserverConfig, PriorConfig, TrainConfig
 from tauext.data import Recording
 from tauext.errors import BundleError, ConfigError, TrainingError
 from tauext.evaluate import estimate_recording
@@ -56,7 +56,8 @@ def motion(seconds: float = 40.0, seed: int = 0, name: str = "made", still: bool
 
 
 def trained(tmp_path: Path, monkeypatch, training, validation=(), **settings):
-    """The bundle and its facts, with limits of torque left unknown."""
+    """The bundle and its facts, with limits of torque left unknown; no motion made here has ripple to look for."""
+    settings = {"prior": PriorConfig(most_ripples=0)} | settings
     monkeypatch.setattr("tauext.train.preparation.torque_limits", lambda robot, joints: np.full(len(joints), np.inf))
     out = tmp_path / "made.tauext"
     train_on_recordings(planar_arm(), Path(), EXACT, list(training), list(validation), TrainConfig(**settings), out)

@@ -67,6 +67,7 @@ def test_a_worn_joint_is_named_and_no_other():
     assert 1.05 < np.exp(found.named_from) < 1.3
 
 
+@pytest.mark.slow
 def test_less_friction_is_told_from_more():
     x = healthy(20)
     x[3, 2] -= np.log(1.4)

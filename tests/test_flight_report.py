@@ -131,7 +131,7 @@ def test_the_figure_shows_the_files_rows_and_marks_the_event(collision):
     assert close.figure.axes[0].get_xlim() == (-150, 350)
 
 
-def test_a_fault_without_any_estimate_is_drawn_and_its_numbers_are_dashes(fault, tmp_path):
+def test_a_fault_without_any_estimate_has_its_page_and_its_numbers_are_dashes(fault, tmp_path, undrawn):
     page = write_flight_report(fault, tmp_path).read_text()
     words = words_of(page)
     assert "Fault (not finite), first on joint shoulder" in words and "4 more could not be kept" in words
@@ -142,7 +142,7 @@ def test_a_fault_without_any_estimate_is_drawn_and_its_numbers_are_dashes(fault,
     assert [t.get_text() for t in draw_flight(load_flight(fault)).figure.axes[0].texts] == ["none"]
 
 
-def test_a_fault_of_no_joint_shows_the_one_nearest_to_its_limit(bundle, tmp_path):
+def test_a_fault_of_no_joint_shows_the_one_nearest_to_its_limit(bundle, tmp_path, undrawn):
     whole = pushed(pushes=((2.0, 1, 1.5),))
     t_ns = whole.t_ns.copy()
     t_ns[2900:] -= 2_000_000_000
@@ -154,7 +154,7 @@ def test_a_fault_of_no_joint_shows_the_one_nearest_to_its_limit(bundle, tmp_path
     assert "Fault (time backwards)" in words_of(write_flight_report(path, tmp_path / "out").read_text())
 
 
-def test_an_arm_of_seven_joints_is_drawn(tmp_path):
+def test_an_arm_of_seven_joints_has_its_page(tmp_path, undrawn):
     made = make_recording("seven", 7, 6.0, True, np.random.default_rng(5))
     links = []
     for k, name in enumerate(made.joints):
@@ -180,7 +180,7 @@ def test_no_line_is_drawn_over_missing_samples():
     assert len(broken(np.array([]), np.array([]), 1.0)[0]) == 0
 
 
-def test_names_are_text_and_never_markup(bundle, tmp_path):
+def test_names_are_text_and_never_markup(bundle, tmp_path, undrawn):
     samples = pushed("<b>bold<", joints=("<i>one", "two"))
     source = FlightSource.of(bundle, samples)
     path = write_flight(cut_flight(bundle, samples, first_row(bundle, samples, alarm=2)), tmp_path, source)
@@ -198,7 +198,9 @@ def run(capsys, *arguments: object) -> tuple[int, str, str]:
     return code, out, err
 
 
-def test_the_command_prints_the_page_and_takes_the_newest_flight_of_a_folder(bundle, collision, tmp_path, capsys):
+def test_the_command_prints_the_page_and_takes_the_newest_flight_of_a_folder(
+    bundle, collision, tmp_path, capsys, undrawn
+):
     code, out, _ = run(capsys, "--flight", collision, "--out", tmp_path / "a")
     assert code == 0 and out.strip() == str(tmp_path / "a" / f"{collision.stem}.html")
     samples = pushed()
@@ -277,7 +279,7 @@ def test_the_alarm_of_an_evaluation_s_older_file_is_the_held_one(collision, tmp_
     assert evaluated.alarm is None and flown.held_alarm is None
 
 
-def test_a_flight_of_currents_says_so(tmp_path):
+def test_a_flight_of_currents_says_so(tmp_path, undrawn):
     bundle, made = taking_amperes(watching_bundle(), np.array([2.0, -0.5])), pushed()
     current = replace(made, tau=made.tau / [2.0, -0.5])
     flight = cut_flight(bundle, current, first_row(bundle, current, alarm=2))

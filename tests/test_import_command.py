@@ -43,6 +43,19 @@ def bags(tmp_path_factory):
     return folder
 
 
+LOOKED_AT = (
+    "test_training_takes_what_an_import_wrote",
+    "test_a_dataset_without_a_model_is_trained_without_one_and_goes_through_every_command",
+)
+
+
+@pytest.fixture(autouse=True)
+def seldom_examined(request):
+    """What is imported is looked at in the end, which takes most of the time, and is the subject of few tests."""
+    if request.node.name not in LOOKED_AT:
+        request.getfixturevalue("unexamined")
+
+
 @pytest.fixture
 def workplace(tmp_path, bags):
     """A folder with a robot file and the bags."""
@@ -161,7 +174,7 @@ def test_training_takes_what_an_import_wrote(workplace, capsys):
     assert bundle.exists()
 
 
-def test_a_dataset_without_a_model_is_trained_without_one_and_goes_through_every_command(workplace, capsys):
+def test_a_dataset_without_a_model_is_trained_without_one_and_goes_through_every_command(workplace, capsys, undrawn):
     arm = ARM.replace('model = "arm.urdf"\n', "")
     (workplace / "arm.toml").write_text(arm.format(rest="", robot=""))
     out, files = workplace / "out", [str(workplace / f"{name}.bag") for name in ("two", "three")]

@@ -149,7 +149,7 @@ def test_what_is_possible_follows_from_drives_and_from_training_but_not_from_its
     ("signal", "value"),
     [
         ("tau", 1000.0),
-        ("q", 50.0),
+        pytest.param("q", 50.0, marks=pytest.mark.slow),
         pytest.param("tau", 1e6, marks=pytest.mark.slow),
         pytest.param("dq", 1e4, marks=pytest.mark.slow),
     ],

@@ -79,7 +79,7 @@ def random_course(rng: np.random.Generator, ticks: int, most_rad_s2: float) -> n
     return q
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
 @pytest.mark.parametrize("along", [False, True])
 def test_never_gives_more_than_tank_and_friction_hold(seed, along):
     """By work added up here, for torques at random and for those that always push along the motion."""

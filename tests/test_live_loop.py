@@ -62,7 +62,7 @@ def joined(verdicts) -> dict[str, np.ndarray]:
 # What it says.
 
 
-@pytest.mark.parametrize("acknowledge_after_s", [None, 0.1])
+@pytest.mark.parametrize("acknowledge_after_s", [pytest.param(None, marks=pytest.mark.slow), 0.1])
 def test_a_live_loop_says_what_a_replay_says(bundle, acknowledge_after_s):
     recording = pushed()
     loop, keeper = looped(bundle, ReplaySource(recording, None), acknowledge_after_s=acknowledge_after_s)
@@ -81,9 +81,9 @@ def test_a_live_loop_says_what_a_replay_says(bundle, acknowledge_after_s):
 
 
 def test_torques_are_multiplied_by_the_constants_of_the_bundle(bundle):
-    recording, constants = pushed(), np.array([0.5, -4.0])
+    recording, constants = pushed(seconds=2.5), np.array([0.5, -4.0])
     scaled = taking_amperes(watching_bundle(), constants)
-    currents = samples_of(pushed(tau=recording.tau / constants))
+    currents = samples_of(pushed(seconds=2.5, tau=recording.tau / constants))
     (_, one), (_, other) = looped(bundle, ReplaySource(recording, None)), looped(scaled, ScriptedSource(currents))
     np.testing.assert_array_equal(joined(one.verdicts)["tau_ext"], joined(other.verdicts)["tau_ext"])
     assert other.verdicts[2100].sample.tau.tolist() == (recording.tau / constants)[2100].tolist()  # as it came

@@ -12,7 +12,6 @@ import pytest
 from made_motion import made_motion
 from trees import six_axis, urdf
 
-import tauext.look.viewing
 from tauext import _core
 from tauext.calibrate import recalibrate
 from tauext.cli import main
@@ -45,7 +44,7 @@ def good(tmp_path_factory) -> Path:
     """A dataset of a six-axis arm without a fault: two recordings to train, one to validate, one to calibrate."""
     path = tmp_path_factory.mktemp("good")
     (path / "robot.urdf").write_text(urdf(six_axis()).replace('effort="100"', 'effort="3000"'))
-    made = made_motion(load_tree(path / "robot.urdf"), 1.2, 100.0, pieces=4).recordings
+    made = made_motion(load_tree(path / "robot.urdf"), 1.0, 100.0, pieces=4).recordings
     names = ("one", "two", "three", "four")
     for name, recording in zip(names, made, strict=True):
         save_recording(replace(recording, name=name), path / f"{name}.parquet")
@@ -67,19 +66,6 @@ def data(good, tmp_path) -> Path:
 def forgotten(monkeypatch, tmp_path):
     """Each test begins without a memory."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-
-
-@pytest.fixture
-def examined(monkeypatch) -> list[list[str]]:
-    """The recordings of each examination, as they come; all checks but the cheap ones find nothing."""
-    calls: list[list[str]] = []
-
-    def nothing_found(recordings, robot):
-        calls.append([r.name for r in recordings])
-        return SimpleNamespace(findings=[])
-
-    monkeypatch.setattr(tauext.look.viewing, "examine", nothing_found)
-    return calls
 
 
 def spoil(data: Path, name: str, **changes) -> None:
@@ -110,7 +96,7 @@ def test_good_data_is_trained_on_and_the_bundle_says_that_somebody_looked(data, 
     assert "fault" not in capsys.readouterr().err
 
 
-def test_one_sample_in_one_file_is_refused_in_one_block_and_nothing_is_written(data, tmp_path, capsys):
+def test_one_sample_in_one_file_is_refused_in_one_block_and_nothing_is_written(data, tmp_path, capsys, unexamined):
     spoil(data, "two", tau=spike)
     assert train(data, tmp_path / "a.tauext") == 2
     err = capsys.readouterr().err
@@ -121,7 +107,7 @@ def test_one_sample_in_one_file_is_refused_in_one_block_and_nothing_is_written(d
     assert not list(tmp_path.glob("a*"))
 
 
-def test_what_a_person_accepts_stands_in_bundle_and_run_file_and_is_shown(data, tmp_path, capsys):
+def test_what_a_person_accepts_stands_in_bundle_and_run_file_and_is_shown(data, tmp_path, capsys, unexamined):
     spoil(data, "two", tau=spike)
     out = tmp_path / "a.tauext"
     assert train(data, out, "--accept", "spike:joint1") == 2  # of another joint
@@ -146,13 +132,13 @@ def test_a_code_or_joint_that_does_not_exist_is_refused_with_the_choices(accept,
         recalibrate(tmp_path / "none.tauext", load_dataset(data), tmp_path / "b.tauext", AlarmConfig(), accept=["x"])
 
 
-def test_the_same_data_is_looked_at_once_and_other_data_again(data, tmp_path, examined):
+def test_the_same_data_is_looked_at_once_and_other_data_again(data, tmp_path, unexamined):
     def once_more(**settings):
         train_bundle(load_dataset(data), tmp_path / "a.tauext", config=OBSERVER, **settings)
-        return len(examined)
+        return len(unexamined)
 
     assert once_more() == 1 and once_more() == 1
-    assert examined == [["one", "two", "three"]]
+    assert unexamined == [["one", "two", "three"]]
     spoil(data, "three", tau=lambda tau: tau + np.where(np.arange(len(tau))[:, None] == 500, 1e-9, 0.0))
     assert once_more() == 2  # one sample of one recording
     robot = data / "robot.urdf"
@@ -166,7 +152,7 @@ def test_the_same_data_is_looked_at_once_and_other_data_again(data, tmp_path, ex
     assert once_more(look=False) == 4 and "look" not in json.loads((tmp_path / "a.run.json").read_text())
 
 
-def test_what_is_remembered_refuses_and_warns_as_what_is_seen(data, tmp_path, examined):
+def test_what_is_remembered_refuses_and_warns_as_what_is_seen(data, tmp_path, unexamined):
     spoil(data, "one", tau=spike)
     messages = []
     for _ in range(2):
@@ -174,15 +160,15 @@ def test_what_is_remembered_refuses_and_warns_as_what_is_seen(data, tmp_path, ex
             train_bundle(load_dataset(data), tmp_path / "a.tauext", config=OBSERVER)
         messages.append(str(caught.value))
         assert {finding.code for finding in caught.value.findings} == {"spike"}
-    assert messages[0] == messages[1] and len(examined) == 1
+    assert messages[0] == messages[1] and len(unexamined) == 1
 
 
-def test_a_cache_that_cannot_be_written_is_no_error(data, tmp_path, monkeypatch, examined):
+def test_a_cache_that_cannot_be_written_is_no_error(data, tmp_path, monkeypatch, unexamined):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     for _ in range(2):
         train_bundle(load_dataset(data), tmp_path / "a.tauext", config=OBSERVER)
-    assert len(examined) == 2
+    assert len(unexamined) == 2
 
 
 def test_labelled_contacts_are_left_out_and_no_fault(data, tmp_path, capsys):
@@ -212,7 +198,9 @@ def test_contacts_are_looked_for_beyond_the_share_that_all_checks_look_at(data, 
         assert len(contacts) == (1 if late_s else 0) and all("at 14." in told for told in contacts)
 
 
-def test_calibrate_looks_at_its_recordings_and_keeps_what_training_found(data, tmp_path, capsys, monkeypatch):
+def test_calibrate_looks_at_its_recordings_and_keeps_what_training_found(
+    data, tmp_path, capsys, monkeypatch, unexamined
+):
     """Its 20 s of motion support no limits: these are not looked for."""
     found = SimpleNamespace(sentence=lambda: "found")
     monkeypatch.setattr("tauext.calibrate.bundle_limits.calibrate_bundle", lambda *a, **more: (found, {}))
@@ -233,7 +221,7 @@ def test_calibrate_looks_at_its_recordings_and_keeps_what_training_found(data, t
     assert [e["recordings"] for e in looked["calibration"]["accepted"]] == [["four"]]
 
 
-def test_training_with_a_promise_looks_at_the_calibration_recordings_too(data, tmp_path):
+def test_training_with_a_promise_looks_at_the_calibration_recordings_too(data, tmp_path, unexamined):
     spoil(data, "four", tau=spike)
     train_bundle(load_dataset(data), tmp_path / "a.tauext", config=OBSERVER)  # the paper's limits do not use them
     with pytest.raises(FaultyDataError, match="recording four"):
@@ -303,7 +291,7 @@ def test_stamps_of_another_unit_leave_rows_enough_to_tell_it():
     assert min(r.samples for r in shares(slow)) >= 200
 
 
-def test_what_no_training_could_keep_is_refused_before_it_begins(data, tmp_path, capsys):
+def test_what_no_training_could_keep_is_refused_before_it_begins(data, tmp_path, capsys, unexamined):
     split = load_dataset(data).split
     save_split(replace(split, calibration=()), data)
     for options, told in (
@@ -314,7 +302,7 @@ def test_what_no_training_could_keep_is_refused_before_it_begins(data, tmp_path,
         assert told in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
-def test_show_refuses_a_provenance_that_lost_a_key(data, tmp_path, capsys):
+def test_show_refuses_a_provenance_that_lost_a_key(data, tmp_path, capsys, unexamined):
     assert train(data, tmp_path / "a.tauext", "--recipe", "observer") == 0
     bundle = load_bundle(tmp_path / "a.tauext")
     facts = json.loads(bundle.provenance)

@@ -553,6 +553,7 @@ def test_a_joint_that_never_moves_gets_no_friction_and_says_so():
     assert abs(fit.weights[0, where(fit, 0, "viscous")] - FRICTION["viscous"][0]) < 0.1
 
 
+@pytest.mark.slow  # that threads change no bit says as much of one fit, this of corrected links too
 def test_the_same_recordings_give_the_same_bytes():
     wrong = perturbed(planar_arm(), mass_factor=0.5)
     one, other = (

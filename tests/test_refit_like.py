@@ -138,7 +138,7 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("days")
     arms = []
     for k, (a, b) in enumerate(FRICTION[:4]):
-        warm = [moving(10 * k + d, 60.0, (a * f, b * f), f"day-{d}") for d, f in enumerate((1.08, 0.95))]
+        warm = [moving(10 * k + d, 45.0, (a * f, b * f), f"day-{d}") for d, f in enumerate((1.08, 0.95))]
         arms.append(dataset(folder / f"arm-{k}" / "data", *warm))
     prior = folder / "planar.prior.json"
     with pytest.MonkeyPatch.context() as patch:  # the doctor would take half of the time, and is tested by itself

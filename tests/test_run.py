@@ -6,11 +6,10 @@ import csv
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import time
-from functools import partial
+from functools import cache, partial
 from io import StringIO
 from pathlib import Path
 
@@ -144,11 +143,16 @@ def test_words_and_numbers_are_those_of_the_core():
     assert _core.cause_names(1 << CAUSES) == []
 
 
-@pytest.mark.parametrize("chunk_s", [0.0, pytest.param(0.02, marks=pytest.mark.slow), 0.37, 100.0])
+@cache
+def slow_changes_of(bundle, make, acknowledge_after_s) -> list:
+    return slow_changes(bundle, make(), acknowledge_after_s)
+
+
+@pytest.mark.parametrize("chunk_s", [0.0, 0.37, *(pytest.param(s, marks=pytest.mark.slow) for s in (0.02, 100.0))])
 @pytest.mark.parametrize("acknowledge_after_s", [None, 0.1])
 @pytest.mark.parametrize("make", [pushed, faulty])
 def test_changes_equal_those_of_a_slow_loop_whatever_the_chunks(bundle, make, acknowledge_after_s, chunk_s):
-    expected = slow_changes(bundle, make(), acknowledge_after_s)
+    expected = slow_changes_of(bundle, make, acknowledge_after_s)
     found = plain(replayed(bundle, make(), acknowledge_after_s=acknowledge_after_s, chunk_s=chunk_s))
     assert found == expected
     assert sum(change[2] == "collision" for change in found) >= (1 if acknowledge_after_s is None else 2)
@@ -810,10 +814,29 @@ def test_a_bar_grows_from_the_middle_and_stops_at_the_edge(share, cells, side):
     assert left.endswith("█" * left.count("█")) and right.startswith("█" * right.count("█"))
 
 
-@pytest.mark.skipif(shutil.which("script") is None or os.name != "posix", reason="needs a pseudo terminal")
+def on_a_terminal(words: list[str], folder: Path) -> tuple[int, str]:
+    """Exit code and output of a command on a pseudo terminal of its own: without a shell, whatever paths hold, and of
+    a kind and size of its own, whatever terminal runs the tests."""
+    pty, termios = pytest.importorskip("pty"), pytest.importorskip("termios")
+    ours, its = pty.openpty()
+    termios.tcsetwinsize(its, (40, 100))
+    environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES", "NO_COLOR")}
+    environment |= {"TERM": "xterm-256color"}
+    process = subprocess.Popen(words, cwd=folder, stdin=its, stdout=its, stderr=its, env=environment)
+    os.close(its)
+    out = bytearray()
+    try:
+        while part := os.read(ours, 65536):
+            out += part
+    except OSError:  # as Linux says that nobody writes any longer
+        pass
+    finally:
+        os.close(ours)
+    return process.wait(60), out.decode(errors="replace")
+
+
 def test_on_a_terminal_the_live_view_runs_and_ends_with_the_summary(place):
-    words = f"{sys.executable} -m tauext run watching.tauext pushed.parquet"
-    done = subprocess.run(["script", "-qec", words, "/dev/null"], cwd=place, capture_output=True, timeout=60)
-    out = done.stdout.decode()
-    assert done.returncode == 0 and "COLLISION shoulder" in out and "tau_ext from" in out
+    words = [sys.executable, "-m", "tauext", "run", "watching.tauext", "pushed.parquet"]
+    code, out = on_a_terminal(words, place)
+    assert code == 0 and "COLLISION shoulder" in out and "tau_ext from" in out
     assert "worst margin" in out and out.rindex("worst margin") > out.rindex("tau_ext from")

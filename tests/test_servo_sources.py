@@ -242,7 +242,7 @@ def test_a_loop_makes_torque_of_what_servos_report_and_a_reaction_makes_them_hol
         else:
             rig.bus.put(id_, "h", 124, round(885 * share))
     rig.bus.moves = lambda reading: None
-    keeper = Keeper(lambda verdict: (rig.bus.writes or verdict.row == 2000) and keeper.control.stop("test"))
+    keeper = Keeper(lambda verdict: (len(rig.bus.writes) >= 3 or verdict.row == 2000) and keeper.control.stop("test"))
     reactions = start_reactions([Reaction("hold", ("contact", "collision"), stop=True)], rig.source, [])
     settings = LoopSettings(missing_after_s=5.0)
     Loop(servo_bundle(3, 0.3), rig.source, [keeper], reactions, settings=settings).run()

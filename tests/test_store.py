@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from arms import PLANAR_MJCF
 from made_fleet import moving
+from made_fleets import workers_here
 from made_s3 import S3, Request, s3_server
 
 from tauext.calibrate.bundle_limits import half_done_file
@@ -24,6 +25,7 @@ from tauext.data.split import Split, save_split
 from tauext.data.stretches import ahead, stretches
 from tauext.errors import ConfigError, StoreError
 from tauext.fleet.places import fits, places_of
+from tauext.fleet.stages import STAGES
 from tauext.store import added, local_file, local_folder, local_robot, place_of, staged
 from tauext.store.staging import put, send
 from tauext.whole_file import whole_file, whole_files, whole_folder
@@ -32,12 +34,15 @@ SIGNALS = ("t_ns", "q", "dq", "tau", "q_des", "tau_jts", "temperature", "contact
 
 
 @pytest.fixture
-def s3(monkeypatch, tmp_path):
-    """A server without objects; requests are given up soon."""
+def s3(monkeypatch, tmp_path, own_cache):
+    """A server without objects. What is staged is of one test, looks are of all."""
+    for folder in (tmp_path / "cache/tauext", own_cache / "tauext/looks"):
+        folder.mkdir(parents=True, exist_ok=True)
+    (tmp_path / "cache/tauext/looks").symlink_to(own_cache / "tauext/looks")
     with s3_server() as server:
         for name, value in server.environment().items():
             monkeypatch.setenv(name, value)
-        monkeypatch.setenv("TAUEXT_STORE_STALL_S", "1")
+        monkeypatch.setenv("TAUEXT_STORE_STALL_S", "60")  # no machine is so slow
         monkeypatch.setenv("TAUEXT_STORE_TRIES", "2")
         monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
         yield server
@@ -128,7 +133,7 @@ def run(*words: object) -> int:
     return main([str(word) for word in words])
 
 
-def test_every_command_makes_the_same_of_a_store_as_of_a_disk(s3, folder, tmp_path, capsys):
+def test_every_command_makes_the_same_of_a_store_as_of_a_disk(s3, folder, tmp_path, capsys, undrawn):
     upload(s3, folder)
     there, here = place_of("s3://arms"), tmp_path
     for base, data in ((here, folder), (there, "s3://arms/data")):
@@ -151,7 +156,7 @@ def test_a_bundle_comes_after_what_stands_beside_it(s3, folder):
     assert sent == ["arm.run.json", "arm.wall_time_s.json", "arm.tauext"]
 
 
-def test_flights_and_results_and_pages_go_to_a_store(s3, folder, tmp_path, capsys):
+def test_flights_and_results_and_pages_go_to_a_store(s3, folder, tmp_path, capsys, undrawn):
     recording = load_recording(folder / "free-4.parquet")
     push = np.where((recording.time_s > 20) & (recording.time_s < 21), 30.0, 0.0)[:, None]
     touched = replace(recording, tau=recording.tau - push, contact=(push[:, 0] > 0).astype(np.int8))
@@ -204,7 +209,9 @@ def test_a_fleet_reads_from_a_store_and_sees_what_changed(s3, folder, tmp_path, 
     assert "inputs changed: dataset free-0.parquet" in capsys.readouterr().out
 
 
-def test_a_fleet_writes_to_a_store_what_it_writes_to_a_disk(s3, folder, tmp_path, capsys):
+def test_a_fleet_writes_to_a_store_what_it_writes_to_a_disk(s3, folder, tmp_path, capsys, monkeypatch, undrawn):
+    """By workers in this process: test_a_fleet_reads_from_a_store has others."""
+    workers_here(monkeypatch, STAGES)
     (tmp_path / "fleet.toml").write_text(
         f'stages = ["check", "train"]\ntrain.recipe = "friction"\n[[arms]]\nname = "one"\ndataset = "{folder}"\n'
     )
@@ -344,8 +351,15 @@ def failing(fault: str, method: str = "GET", times: int = 10**9):
     return put_in
 
 
+def given_up_soon(monkeypatch, fault: str) -> None:
+    """A stall is waited for in earnest."""
+    if fault == "stall":
+        monkeypatch.setenv("TAUEXT_STORE_STALL_S", "1")
+
+
 @pytest.mark.parametrize("fault", ["503", "cut", "short", "stall"])
-def test_what_fails_once_is_tried_again(s3, folder, fault):
+def test_what_fails_once_is_tried_again(s3, folder, monkeypatch, fault):
+    given_up_soon(monkeypatch, fault)
     upload(s3, folder)
     s3.fault = failing(fault, times=1)
     recording = load_recording("s3://arms/data/free-0.parquet")
@@ -362,7 +376,8 @@ def test_what_fails_once_is_tried_again(s3, folder, fault):
         ("403", "access is denied"),
     ],
 )
-def test_what_goes_on_failing_ends_in_one_line(s3, folder, tmp_path, capsys, fault, told):
+def test_what_goes_on_failing_ends_in_one_line(s3, folder, tmp_path, capsys, monkeypatch, fault, told):
+    given_up_soon(monkeypatch, fault)
     upload(s3, folder)
     s3.fault = failing(fault)
     with pytest.raises(StoreError, match=f"^s3://arms/data/free-0.parquet: .*{told}"):

@@ -138,7 +138,7 @@ def test_a_stated_link_counts_as_right_or_wrong():
     assert (links["collisions"], links["first"], links["stated"], links["stated_right"]) == (3, 2, 2, 1)
 
 
-def test_the_report_has_the_tables_and_older_results_none(tmp_path):
+def test_the_report_has_the_tables_and_older_results_none(tmp_path, undrawn):
     results, data = make_results(tmp_path / "new", seconds=25, bundles=["exact"], error_scale=True)
     read = load_results(results)
     (one,) = read.touches

@@ -199,7 +199,7 @@ def test_the_standard_error_is_a_trace_of_methods_that_say_one(recorded):
     assert told["quanta"]["sigma"] == told["quanta"]["tau_ext"]
 
 
-@pytest.mark.parametrize("room", [60_000, 300_000, 3_000_000])
+@pytest.mark.parametrize("room", [60_000, 300_000, pytest.param(3_000_000, marks=pytest.mark.slow)])
 def test_traces_take_no_more_than_their_room_and_keep_the_more_important_windows(recorded, room):
     recording, said = recorded
     plan = Plan(recording.samples, 3 * 10, room)

@@ -21,9 +21,14 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Workers of `make test`, auto: one a core; WORKERS=0 runs all tests in one process.
 WORKERS ?= auto
 PYTEST = $(VENV)/bin/python -m pytest
+FAST_TESTS = $(PYTEST) -n $(WORKERS) --maxprocesses 8 --dist loadfile -m 'not slow'
+CTEST = $(RUN) ctest --output-on-failure -j $(shell nproc) --test-dir
+# What processors select, OPENBLAS_CORETYPE/TAUEXT_SIMD: those that this one can run.
+has = $(shell grep -qsw $(1) /proc/cpuinfo && echo yes)
+MACHINES := Prescott/sse2 $(if $(call has,avx2),Haswell/avx2 Zen/avx2) $(if $(call has,avx512vl),SkylakeX/avx512)
 CORE := $(shell find cpp/include cpp/src cpp/learn cpp/bindings -type f)
 
-.PHONY: help setup build benches reproduce test test-all test-arm fuzz soak lint docs bench bench-train bench-monitor dist \
+.PHONY: help setup build benches reproduce test test-machines test-all test-arm fuzz soak lint docs bench bench-train bench-monitor dist \
   test-dist clean
 help: ## Show this help
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
@@ -42,16 +47,19 @@ build: setup ## The C++ library and its tests
 	$(RUN) cmake -S . -B $(BUILD)/cpp -DTAUEXT_TESTS=ON
 	$(RUN) cmake --build $(BUILD)/cpp
 test: build ## All tests, Python and C++, on every core (WORKERS=0: Python on one)
-	$(RUN) ctest --test-dir $(BUILD)/cpp --output-on-failure -j $(shell nproc)
-	$(PYTEST) -n $(WORKERS) --maxprocesses 8 --dist loadfile -m 'not slow'
-test-all: lint test test-arm fuzz soak ## Slow tests, and the C++ tests under the sanitizers, on Arm, fuzzed and soaked
-	$(PYTEST) -m slow || test $$? -eq 5  # 5: every slow test needs a library that is not here
+	$(CTEST) $(BUILD)/cpp
+	$(FAST_TESTS)
+test-machines: build ## The tests with the kernels that other x86-64 processors select
+	set -e; for one in $(MACHINES); do export OPENBLAS_CORETYPE=$${one%/*} TAUEXT_SIMD=$${one#*/}; echo "kernels: $$one"; \
+	  $(CTEST) $(BUILD)/cpp; $(FAST_TESTS); done
+test-all: lint test test-machines test-arm fuzz soak ## Slow tests, and the C++ tests under the sanitizers, on Arm, fuzzed and soaked
+	$(subst 'not slow',slow,$(FAST_TESTS)) || test $$? -eq 5  # 5: every slow test needs a library that is not here
 	$(call ctest,address,-DTAUEXT_SANITIZE=address -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON)
 	$(call ctest,thread,-DTAUEXT_SANITIZE=thread -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON)
 test-arm: setup ## The C++ tests, cross-compiled for 64-bit Arm, under qemu
 	$(call need,aarch64-linux-gnu-g++ qemu-aarch64,g++-aarch64-linux-gnu qemu-user)
 	$(call ctest,arm,-DCMAKE_TOOLCHAIN_FILE=cmake/aarch64-linux-gnu.cmake)
-fuzz: setup ## A minute of hostile bundles, with clang; finds stay in $(BUILD)/fuzz
+fuzz: setup ## A minute of hostile bundles, with clang; finds stay in the build folder
 	$(call need,clang++,clang)
 	$(RUN) cmake -S . -B $(BUILD)/fuzz -G Ninja -DTAUEXT_FUZZ=ON -DCMAKE_CXX_COMPILER=clang++
 	$(RUN) cmake --build $(BUILD)/fuzz
@@ -70,7 +78,7 @@ $(VENV)/.docs: pyproject.toml constraints.txt | setup
 	$(call requirements,docs) > $(VENV)/requirements-docs.txt
 	$(GET) -r $(VENV)/requirements-docs.txt
 	touch $@
-docs: setup $(VENV)/.docs ## The documentation site in $(BUILD)/docs, with its links checked; no warning is let through
+docs: setup $(VENV)/.docs ## The documentation site, with its links checked; no warning is let through
 	rm -rf $(BUILD)/docs docs/reference/made
 	$(VENV)/bin/python -m sphinx -n -W --keep-going -q -b html docs $(BUILD)/docs
 	$(VENV)/bin/python docs/check_site.py $(BUILD)/docs
@@ -93,7 +101,7 @@ clean: ## Remove builds; recordings and runs stay
 define ctest
 	$(RUN) cmake -S . -B $(BUILD)/$(1) -G Ninja -DTAUEXT_TESTS=ON $(2)
 	$(RUN) cmake --build $(BUILD)/$(1)
-	$(RUN) ctest --test-dir $(BUILD)/$(1) --output-on-failure -j $(shell nproc)
+	$(CTEST) $(BUILD)/$(1)
 endef
 # $(call need,programs,packages)
 need = @for p in $(1); do command -v $$p >/dev/null || { echo "make $@ needs $$p: Debian packages $(2)" >&2; exit 1; }; done

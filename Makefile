@@ -38,6 +38,7 @@ $(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(CORE)
 	$(GET) pip scikit-build-core nanobind cmake ninja  # pip first: Debian 12's has no -C
 	$(call requirements,dev) > $(VENV)/requirements.txt
 	$(GET) -r $(VENV)/requirements.txt & $(RUN) $(INSTALL); built=$$?; wait $$! && exit $$built
+	sed -i '/^import/!d' $(VENV)/lib/python*/site-packages/_editable_skbc_tauext.pth  # Python 3.11 fails on a path that is not ASCII
 	! test -w src/tauext || cp $(VENV)/lib/python*/site-packages/tauext/_core.pyi src/tauext  # where mypy looks for it
 	rm -f $(VENV)/.installed-*
 	touch $@

@@ -69,6 +69,8 @@ SETTINGS: dict[str, dict[str, str]] = {
     },
 }
 """Each is what some processor would use by itself; the last has none of the wide instructions."""
+AT_A_TIME = 10
+"""Draws of a process."""
 COLLISION, EPISODE_S = 2, 0.5
 TAKES = (
     Take("train-1", "train", 1.2),
@@ -95,11 +97,13 @@ class Case:
     """Only the search for the axes of an arm without a model, whose order decides where its lengths are looked for."""
 
 
+DENSE = TrainConfig(recipe="dense", threads=1, max_steps=1000)
 SEARCHED = {"rig": "rig", "panda": "panda_unisa/data", "kuka": "kuka/data"}
 NETWORK = TrainConfig(recipe="tauext", threads=1, max_steps=500, prior=PriorConfig(most_ripples=0))
 CASES = {
     **{f"rig-{case}": Case("rig", case) for case in ("exact", "mass", "com", "mass+com", "none")},
     "rig-network": Case("rig", "exact", NETWORK, network=True),
+    "rig-dense": Case("rig", "exact", DENSE, network=True),
     "unseen-ur5": Case("unseen/urdf"),
     "unseen-ur5-none": Case("unseen/none", "none"),
     "ur3": Case("ur3/tool"),
@@ -121,10 +125,12 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=50)
     parser.add_argument("--few", type=int, default=3)
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--work", nargs=2, metavar=("HOW", "DRAW"), help=argparse.SUPPRESS)
+    parser.add_argument("--work", nargs=3, metavar=("HOW", "FIRST", "LAST"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.work:
-        work(options.out, options.sets, options.work[0], int(options.work[1]))
+        how, first, last = options.work
+        for draw in range(int(first), int(last)):
+            work(options.out, options.sets, how, draw)
         return
     for name in options.sets:
         make_data(options.out, name, options.data)
@@ -133,11 +139,13 @@ def main() -> None:
     jobs = []
     for name in distinct(kernels):
         sets = networks if "TAUEXT_SIMD" in SETTINGS[name] and len(SETTINGS[name]) == 1 else options.sets
-        jobs += [(name, -1, sets)] if sets else []
+        jobs += [(name, -1, 0, sets)] if sets else []
     short = [name for name in options.sets if CASES[name].short]
-    for draw in range(options.draws):
-        sets = options.sets if draw < options.few else short
-        jobs += [("noise", draw, sets)] if sets else []
+    for first in range(0, options.draws, AT_A_TIME):
+        last = min(first + AT_A_TIME, options.draws)
+        jobs += [("noise", first, last, short)] if short else []
+    long = [name for name in options.sets if not CASES[name].short]
+    jobs += [("noise", 0, options.few, long)] if options.few and long else []
     with ThreadPoolExecutor(options.workers) as pool:
         for _ in pool.map(lambda job: start(options.out, *job), jobs):
             pass
@@ -149,16 +157,16 @@ def main() -> None:
     print(text)
 
 
-def start(out: Path, how: str, draw: int, sets: Sequence[str]) -> None:
-    """A process that trains these sets."""
-    words = [sys.executable, __file__, str(out), "--work", how, str(draw), "--sets", *sets]
-    print(f"{how} {draw if draw >= 0 else ''}", flush=True)
+def start(out: Path, how: str, first: int, last: int, sets: Sequence[str]) -> None:
+    """A process that trains these sets, with noise of these draws; without any for -1."""
+    words = [sys.executable, __file__, str(out), "--work", how, str(first), str(last), "--sets", *sets]
+    print(how, *([] if first < 0 else [first, "to", last - 1]), flush=True)
     subprocess.run(words, env=os.environ | SETTINGS.get(how, {}), check=True)
 
 
 def kernels_of(out: Path, setting: str) -> str | None:
     """Which kernels a setting gives; None: this processor cannot run them."""
-    words = [sys.executable, __file__, str(out), "--work", "kernels", "-1"]
+    words = [sys.executable, __file__, str(out), "--work", "kernels", "-1", "0"]
     ended = subprocess.run(words, env=os.environ | SETTINGS[setting], capture_output=True, text=True, check=False)
     return ended.stdout.strip() if ended.returncode == 0 else None
 

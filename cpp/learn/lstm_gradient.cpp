@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <memory>
+#include <numeric>
 #include <vector>
 
 #include "../src/lstm_lanes.hpp"
@@ -15,6 +17,11 @@ using namespace lanes;
 
 constexpr int kTimeBlock = 4;  // steps whose deltas and inputs stay in the first cache while the weight sums read them
 constexpr int kInputTile = 5;  // inputs of a weight-gradient tile, at up to 5 vectors of deltas: 25 accumulators
+
+// Sums over windows have one order for 8 and 16 lanes: windows whose place in the chunk is the same modulo kSumLanes add to
+// the same sum of the head, those of the same octet of them to the same weight sum, and these are added up at the end. So
+// AVX2 and AVX-512, which fuse products and sums alike, train the same network to the last bit. SSE2 fuses nothing.
+constexpr int kSumLanes = 16, kOctet = 8, kOctets = kSumLanes / kOctet;
 
 // Sequences in a chunk follow from the batch alone, never from the threads: a small batch is cut finer.
 std::size_t chunk_size(std::size_t batch) noexcept { return batch >= 512 ? 64 : batch >= 256 ? 32 : 16; }
@@ -30,21 +37,24 @@ struct Workspace {
   Buffer d_hidden, d_cell;
   Buffer deltas;       // [P][4] of one step
   Buffer delta_lines;  // [kTimeBlock][L][P * 4]: a line of deltas for each window, no longer a lane
-  Buffer weight_sums;  // [K][P * 4], numbers
-  Buffer head_sums;    // [O][P + 1]
+  Buffer weight_sums;  // [kOctets][K][P * 4], numbers
+  Buffer head_sums;    // [O][P + 1][kSumLanes], numbers
+  double losses[kSumLanes] = {};
 
   Workspace(const Packed& w, int steps)
       : F(w.inputs), P(w.padded), O(w.outputs), T(steps), K(F + P + 1), gates(vectors(T, P * 4)),
         cells(vectors(T + 1, P)), tanh_cells(vectors(T, P)), inputs(vectors(T + 1, K)), d_hidden(vectors(1, P)),
         d_cell(vectors(1, P)), deltas(vectors(1, P * 4)), delta_lines(vectors(kTimeBlock, P * 4)),
-        weight_sums(make_buffer(static_cast<std::size_t>(K) * P * 4)), head_sums(vectors(O, P + 1)) {
+        weight_sums(make_buffer(static_cast<std::size_t>(kOctets) * K * P * 4)),
+        head_sums(make_buffer(static_cast<std::size_t>(O) * (P + 1) * kSumLanes)) {
     for (int t = 0; t <= T; ++t) store<L>(inputs_of(t) + (K - 1) * L, splat<L>(1.0f));
   }
 
   // Sums at zero; the history is written before it is read.
   void begin_chunk() noexcept {
-    std::memset(weight_sums.get(), 0, sizeof(float) * K * P * 4);
-    std::memset(head_sums.get(), 0, sizeof(float) * O * (P + 1) * L);
+    std::memset(weight_sums.get(), 0, sizeof(float) * kOctets * K * P * 4);
+    std::memset(head_sums.get(), 0, sizeof(float) * O * (P + 1) * kSumLanes);
+    std::fill(std::begin(losses), std::end(losses), 0.0);
   }
   static Buffer vectors(int lines, int of) { return make_buffer(static_cast<std::size_t>(lines) * of * L); }
   float* gates_of(int t) const noexcept { return gates.get() + static_cast<std::ptrdiff_t>(t) * P * 4 * L; }
@@ -75,11 +85,11 @@ TAUEXT_INLINE void forward_with_history(const Job& job, const std::int64_t* ends
   }
 }
 
-// Loss of step t of the group's first `count` lanes; adds to dL/dh and to the head's sums.
+// Adds the loss of step t of the group's first `count` lanes to the losses, and to dL/dh and the head's sums; `at`: where
+// the group's first lane stands among the sums.
 template <int L>
-TAUEXT_INLINE double head_backward(const Job& job, const std::int64_t* ends, int t, int count, Workspace<L>& m) {
+TAUEXT_INLINE void head_backward(const Job& job, const std::int64_t* ends, int t, int count, int at, Workspace<L>& m) {
   const int P = m.P, O = m.O;
-  double loss = 0;
   const float scale = 2.0f / (static_cast<float>(job.ends.size()) * static_cast<float>(O) * static_cast<float>(job.targets));
   const std::int64_t back = static_cast<std::int64_t>(m.T - 1 - t) * job.windows.stride;
   const float* hidden = m.hidden_before(t + 1);
@@ -89,19 +99,18 @@ TAUEXT_INLINE double head_backward(const Job& job, const std::int64_t* ends, int
     for (int l = 0; l < count; ++l) {
       const float error = y[l] - job.target_rows[(ends[l] - back) * O + o];
       if (std::isnan(error) && !std::isnan(y[l])) continue;  // this row has no target
-      loss += static_cast<double>(error) * error;
+      m.losses[at + l] += static_cast<double>(error) * error;
       d_y[l] = scale * error;
     }
     const float* weights = job.packed.head.get() + static_cast<std::ptrdiff_t>(o) * (P + 1);
-    float* sums = m.head_sums.get() + static_cast<std::ptrdiff_t>(o) * (P + 1) * L;
+    float* sums = m.head_sums.get() + static_cast<std::ptrdiff_t>(o) * (P + 1) * kSumLanes + at;
     for (int k = 0; k < P; ++k) {
       float* d_h = m.d_hidden.get() + k * L;
       store<L>(d_h, load<L>(d_h) + d_y * weights[k]);
-      store<L>(sums + k * L, load<L>(sums + k * L) + d_y * load<L>(hidden + k * L));
+      store<L>(sums + k * kSumLanes, load<L>(sums + k * kSumLanes) + d_y * load<L>(hidden + k * L));
     }
-    store<L>(sums + P * L, load<L>(sums + P * L) + d_y);
+    store<L>(sums + P * kSumLanes, load<L>(sums + P * kSumLanes) + d_y);
   }
-  return loss;
 }
 
 // Deltas of step t, and dL/dc of step t into that of step t - 1. The deltas are written twice: as they are, a window a
@@ -157,17 +166,19 @@ TAUEXT_INLINE void hidden_backward(const Packed& w, const float* delta, float* d
   for (; k < w.padded; k += kUnits) hidden_backward_block<L, kUnits>(w, delta, k, d_hidden);
 }
 
-// Adds delta x input over all windows of `steps` steps to the weight sums of N inputs from `k` on and M vectors of deltas
-// from `row` on. A tile's sum begins at zero, so that few numbers are added one to the other: it rounds less.
+// Adds delta x input over the windows of an octet and `steps` steps to the octet's weight sums of N inputs from `k` on and M
+// vectors of deltas from `row` on; `lane`: the octet's first, `to` its sums. A tile's sum begins at zero, so that few numbers
+// are added one to the other: it rounds less.
 template <int L, int M, int N>
-TAUEXT_INLINE void add_weight_tile(int steps, const float* inputs, int k, int row, Workspace<L>& m) noexcept {
+TAUEXT_INLINE void add_weight_tile(int steps, const float* inputs, int k, int row, int lane, float* to,
+                                   const Workspace<L>& m) noexcept {
   V<L> sum[N][M];
 #pragma GCC unroll 25
   for (int a = 0; a < N * M; ++a) sum[a / M][a % M] = V<L>{};
-  const float* line = m.delta_lines.get() + row;
   for (int s = 0; s < steps; ++s) {
-    const float* x = inputs + (static_cast<std::ptrdiff_t>(s) * m.K + k) * L;
-    for (int l = 0; l < L; ++l, ++x, line += m.P * 4) {
+    const float* x = inputs + (static_cast<std::ptrdiff_t>(s) * m.K + k) * L + lane;
+    const float* line = m.delta_lines.get() + (static_cast<std::ptrdiff_t>(s) * L + lane) * m.P * 4 + row;
+    for (int l = 0; l < std::min(L, kOctet); ++l, ++x, line += m.P * 4) {
       V<L> d[M];
 #pragma GCC unroll 5
       for (int b = 0; b < M; ++b) d[b] = load<L>(line + b * L);
@@ -177,57 +188,59 @@ TAUEXT_INLINE void add_weight_tile(int steps, const float* inputs, int k, int ro
   }
 #pragma GCC unroll 25
   for (int a = 0; a < N * M; ++a) {
-    float* to = m.weight_sums.get() + static_cast<std::ptrdiff_t>(k + a / M) * m.P * 4 + row + a % M * L;
-    store<L>(to, load<L>(to) + sum[a / M][a % M]);
+    float* at = to + static_cast<std::ptrdiff_t>(k + a / M) * m.P * 4 + row + a % M * L;
+    store<L>(at, load<L>(at) + sum[a / M][a % M]);
   }
 }
 
 template <int L, int M>
-TAUEXT_INLINE void add_weight_rows(int steps, const float* inputs, int row, Workspace<L>& m) noexcept {
+TAUEXT_INLINE void add_weight_rows(int steps, const float* inputs, int row, int lane, float* to,
+                                   const Workspace<L>& m) noexcept {
   int k = 0;
-  for (; k + kInputTile <= m.K; k += kInputTile) add_weight_tile<L, M, kInputTile>(steps, inputs, k, row, m);
-  for (; k + 2 <= m.K; k += 2) add_weight_tile<L, M, 2>(steps, inputs, k, row, m);
-  for (; k < m.K; ++k) add_weight_tile<L, M, 1>(steps, inputs, k, row, m);
+  for (; k + kInputTile <= m.K; k += kInputTile) add_weight_tile<L, M, kInputTile>(steps, inputs, k, row, lane, to, m);
+  for (; k + 2 <= m.K; k += 2) add_weight_tile<L, M, 2>(steps, inputs, k, row, lane, to, m);
+  for (; k < m.K; ++k) add_weight_tile<L, M, 1>(steps, inputs, k, row, lane, to, m);
 }
 
 // Adds delta x input over `steps` consecutive steps; inputs (steps, K).
 template <int L>
-TAUEXT_INLINE void add_weight_sums(int steps, const float* inputs, Workspace<L>& m) noexcept {
+TAUEXT_INLINE void add_weight_sums(int steps, const float* inputs, int at, Workspace<L>& m) noexcept {
   constexpr int kVectors = L == 16 ? 5 : 2;  // narrower machines have half the registers
-  int row = 0;
-  for (; row + kVectors * L <= m.P * 4; row += kVectors * L) add_weight_rows<L, kVectors>(steps, inputs, row, m);
-  for (; row < m.P * 4; row += L) add_weight_rows<L, 1>(steps, inputs, row, m);
+  for (int lane = 0; lane < L; lane += kOctet) {
+    float* to = m.weight_sums.get() + static_cast<std::ptrdiff_t>((at + lane) / kOctet) * m.K * m.P * 4;
+    int row = 0;
+    for (; row + kVectors * L <= m.P * 4; row += kVectors * L)
+      add_weight_rows<L, kVectors>(steps, inputs, row, lane, to, m);
+    for (; row < m.P * 4; row += L) add_weight_rows<L, 1>(steps, inputs, row, lane, to, m);
+  }
 }
 
-// The way back through a group's history; returns the loss of its first `count` lanes.
+// The way back through a group's history, of which the first `count` lanes count.
 template <int L>
-TAUEXT_INLINE double backward(const Job& job, const std::int64_t* ends, int count, Workspace<L>& m) {
+TAUEXT_INLINE void backward(const Job& job, const std::int64_t* ends, int count, int at, Workspace<L>& m) {
   const int P = m.P;
-  double loss = 0;
   std::memset(m.d_cell.get(), 0, sizeof(float) * P * L);
   std::memset(m.d_hidden.get(), 0, sizeof(float) * P * L);
   for (int block_end = m.T; block_end > 0;) {
     const int block_begin = std::max(0, block_end - kTimeBlock);
     for (int t = block_end; t-- > block_begin;) {
-      if (t >= m.T - job.targets) loss += head_backward<L>(job, ends, t, count, m);
+      if (t >= m.T - job.targets) head_backward<L>(job, ends, t, count, at, m);
       deltas<L>(t, m, m.delta_lines.get() + static_cast<std::ptrdiff_t>(t - block_begin) * P * 4 * L);
       if (t > 0) hidden_backward<L>(job.packed, m.deltas.get(), m.d_hidden.get());
     }
-    add_weight_sums<L>(block_end - block_begin, m.inputs_of(block_begin), m);
+    add_weight_sums<L>(block_end - block_begin, m.inputs_of(block_begin), at, m);
     block_end = block_begin;
   }
-  return loss;
 }
 
-// Sum over the lanes of vector `index`, in lane order.
-template <int L>
-TAUEXT_INLINE double lane_sum(const Buffer& sums, std::ptrdiff_t index) noexcept {
+// Sum of `count` numbers from `first` on, `apart` from each other, in their order.
+double sum_of(const Buffer& sums, std::ptrdiff_t first, int count, std::ptrdiff_t apart) noexcept {
   double total = 0;
-  for (int l = 0; l < L; ++l) total += sums[index * L + l];
+  for (int k = 0; k < count; ++k) total += sums[first + k * apart];
   return total;
 }
 
-// Sums over the lanes into one chunk's gradient, in the order of the parameters.
+// Sums over lanes and octets into one chunk's gradient, in the order of the parameters.
 template <int L>
 TAUEXT_INLINE void reduce(const LstmShape& shape, const Workspace<L>& m, std::vector<double>& gradient) {
   const int F = shape.inputs, H = shape.hidden, O = shape.outputs;
@@ -244,11 +257,13 @@ TAUEXT_INLINE void reduce(const LstmShape& shape, const Workspace<L>& m, std::ve
                      : k < F + H    ? w_h + row * H + (k - F)
                      : k == m.K - 1 ? b + row
                                     : nullptr;  // padding
-        if (to) *to = m.weight_sums[(static_cast<std::ptrdiff_t>(k) * m.P + u) * 4 + gate];
+        const std::ptrdiff_t apart = static_cast<std::ptrdiff_t>(m.K) * m.P * 4;
+        if (to) *to = sum_of(m.weight_sums, (static_cast<std::ptrdiff_t>(k) * m.P + u) * 4 + gate, kOctets, apart);
       }
   for (int o = 0; o < O; ++o) {
-    for (int k = 0; k < H; ++k) w_head[o * H + k] = lane_sum<L>(m.head_sums, o * (m.P + 1) + k);
-    b_head[o] = lane_sum<L>(m.head_sums, o * (m.P + 1) + m.P);
+    const std::ptrdiff_t first = static_cast<std::ptrdiff_t>(o) * (m.P + 1) * kSumLanes;
+    for (int k = 0; k < H; ++k) w_head[o * H + k] = sum_of(m.head_sums, first + k * kSumLanes, kSumLanes, 1);
+    b_head[o] = sum_of(m.head_sums, first + m.P * kSumLanes, kSumLanes, 1);
   }
 }
 
@@ -260,15 +275,14 @@ TAUEXT_INLINE void gradient_chunk(Job& job, int chunk, int thread) {
   m.begin_chunk();
   const std::size_t size = chunk_size(job.ends.size()), first = static_cast<std::size_t>(chunk) * size;
   const std::size_t last = std::min(first + size, job.ends.size());
-  double loss = 0;
   for (std::size_t group = first; group < last; group += L) {
     const int count = static_cast<int>(std::min<std::size_t>(L, last - group));
     std::int64_t ends[L];
     for (int l = 0; l < L; ++l) ends[l] = job.ends[group + std::min(l, count - 1)];
     forward_with_history<L>(job, ends, m);
-    loss += backward<L>(job, ends, count, m);
+    backward<L>(job, ends, count, static_cast<int>((group - first) % kSumLanes), m);
   }
-  job.loss[chunk] = loss;
+  job.loss[chunk] = std::accumulate(std::begin(m.losses), std::end(m.losses), 0.0);
   reduce<L>(job.shape, m, job.gradient[chunk]);
 }
 

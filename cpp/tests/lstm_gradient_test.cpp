@@ -1,9 +1,11 @@
 #include "lstm_gradient.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <random>
 #include <vector>
 
+#include "../src/lstm_lanes.hpp"
 #include "check.hpp"
 
 using namespace tauext;
@@ -71,6 +73,27 @@ void a_row_without_a_target_counts_as_no_error() {
   CHECK(std::isnan(learn::lstm_gradient(c.shape, c.parameters, c.windows, c.ends, c.targets, 3, gradient, 1)));
 }
 
+// The order of summation is that of the windows for 8 and for 16 lanes: AVX2 and AVX-512 give the same bits.
+void eight_and_sixteen_lanes_give_the_same_bits() {
+  for (int count : {1, 17, 65, 300}) {
+    Case c(9, 5, 3, 11, count);
+    std::vector<std::vector<float>> found;
+    std::vector<double> losses;
+    for (const int lanes : {4, 8, 16}) {
+      lanes::limit_lane_count(lanes);
+      if (lanes::lane_count() != lanes) continue;  // this machine has fewer
+      found.emplace_back(c.parameters.size());
+      losses.push_back(learn::lstm_gradient(c.shape, c.parameters, c.windows, c.ends, c.targets, 2, found.back(), 1));
+    }
+    lanes::limit_lane_count(0);
+    double size = 0;
+    for (const float g : found[0]) size = std::max(size, std::fabs(static_cast<double>(g)));
+    for (std::size_t other = 1; other < found.size(); ++other)
+      for (std::size_t k = 0; k < found[0].size(); ++k) CHECK_CLOSE(found[other][k], found[0][k], 3e-6 * size);
+    if (found.size() == 3) CHECK(found[1] == found[2] && losses[1] == losses[2]);  // 4 lanes cannot fuse
+  }
+}
+
 void sizes_that_do_not_fit_are_refused() {
   Case c(4, 3, 2, 5, 8);
   std::vector<float> gradient(c.parameters.size());
@@ -89,6 +112,7 @@ int main() {
   gradient_equals_finite_differences_at_odd_sizes();
   an_exact_fit_has_no_loss_and_no_gradient();
   a_row_without_a_target_counts_as_no_error();
+  eight_and_sixteen_lanes_give_the_same_bits();
   sizes_that_do_not_fit_are_refused();
   return check::result();
 }

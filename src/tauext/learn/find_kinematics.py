@@ -27,7 +27,7 @@ DELTA = 1e-4  # [rad] or [m] of the numerical derivative
 GAINS_LITTLE = 1e-3
 """Share of the squared error: a step that gains less is the last one; of arms so nearly alike the first is taken."""
 AXES_TIE = 1e-6
-"""Of the squared error: axes on which the torques do not depend differ by rounding alone, and the first is taken."""
+"""Of the squared error: mirror images, and axes on which the torques do not depend, differ by rounding alone."""
 OBLIQUE_HELPS = 0.3
 """Axes stay at right angles unless the error falls by this share: few arms are built otherwise."""
 
@@ -95,7 +95,7 @@ def directions(sample: KinematicSample, joints: Sequence[str]) -> list[Candidate
         for _, axes, columns in beam:
             for direction in DIRECTIONS:
                 tried = np.vstack([axes, direction])
-                if not (faces_x(tried) and is_upright(tried)):
+                if not faces_x(tried):
                     continue
                 of_link = sample.regressors(arm(tried, n).tree(joints, sample.gravity), [link], ABOUT_ITS_ORIGIN)
                 together = np.concatenate([columns, of_link], axis=2)
@@ -108,16 +108,6 @@ def faces_x(axes: np.ndarray) -> bool:
     """Whether the first axis that is not vertical is x: others are the same arm, turned about the vertical."""
     level = axes[np.abs(axes[:, 2]) < 0.5]
     return len(level) == 0 or bool(level[0, 0] > 0.5)
-
-
-def is_upright(axes: np.ndarray) -> bool:
-    """Whether the first axis that is not along x points up, or along y: others are the mirror image of the same arm.
-
-    Mirrored at the plane of x and the vertical, and turned about the vertical by half a turn, an arm whose y and z axes
-    are all reversed weighs and moves the same at the same joint angles.
-    """
-    across = axes[np.abs(axes[:, 0]) < 0.5]
-    return len(across) == 0 or bool(across[0].sum() > 0)
 
 
 def arm(axes: np.ndarray, joints: int) -> Kinematics:

@@ -21,7 +21,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Workers of `make test`, auto: one a core; WORKERS=0 runs all tests in one process.
 WORKERS ?= auto
 PYTEST = $(VENV)/bin/python -m pytest
-FAST_TESTS = $(PYTEST) -n $(WORKERS) --maxprocesses 8 --dist loadfile -m 'not slow'
+FAST_TESTS = $(PYTEST) -n $(WORKERS) --maxprocesses 8 --dist loadfile -m 'not slow and not timing'
 CTEST = $(RUN) ctest --output-on-failure -j $(shell nproc) --test-dir
 # What processors select, OPENBLAS_CORETYPE/TAUEXT_SIMD: those that this one can run.
 has = $(shell grep -qsw $(1) /proc/cpuinfo && echo yes)
@@ -54,7 +54,7 @@ test-machines: build ## The tests with the kernels that other x86-64 processors 
 	set -e; for one in $(MACHINES); do export OPENBLAS_CORETYPE=$${one%/*} TAUEXT_SIMD=$${one#*/}; echo "kernels: $$one"; \
 	  $(CTEST) $(BUILD)/cpp; $(FAST_TESTS); done
 test-all: lint test test-machines test-arm fuzz soak ## Slow tests, and the C++ tests under the sanitizers, on Arm, fuzzed and soaked
-	$(subst 'not slow',slow,$(FAST_TESTS)) || test $$? -eq 5  # 5: every slow test needs a library that is not here
+	$(subst not slow and not timing,slow or timing,$(FAST_TESTS)) || test $$? -eq 5  # 5: every slow test needs a library that is not here
 	$(call ctest,address,-DTAUEXT_SANITIZE=address -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON)
 	$(call ctest,thread,-DTAUEXT_SANITIZE=thread -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON)
 test-arm: setup ## The C++ tests, cross-compiled for 64-bit Arm, under qemu

@@ -233,6 +233,7 @@ def test_a_library_that_is_not_installed_names_its_extra(monkeypatch, module, so
         source("/dev/ttyACM0", bus_file(ServoJoint("pan", 1)))
 
 
+@pytest.mark.timing
 def test_a_loop_makes_torque_of_what_servos_report_and_a_reaction_makes_them_hold(rig):
     """Duties of 0.4, 0 and -0.4 at standstill and 7.4 V (an XL330's 5 V): k_t V D / R of the settings, by hand. The
     model's masses would fly away, so something holds them: a collision."""

@@ -52,7 +52,7 @@ def expect_sound(found: list[Ending]) -> None:
 def test_a_small_dataset_ends_in_a_healthy_bundle_or_one_line(dataset):
     found = of_number(dataset, recipes=["tauext" if dataset == FEW[0] else "prior"])
     expect_sound(found)
-    assert len(found) > 1
+    assert found
 
 
 @pytest.mark.slow

@@ -68,8 +68,13 @@ def watch(bundle: Bundle, recording: Recording) -> Estimate:
 """
 
 
+def installed_stub() -> str:
+    path = next(path for path in metadata.files("tauext") or () if str(path) == "tauext/_core.pyi")
+    return Path(str(path.locate())).read_text()
+
+
 def stub() -> ast.Module:
-    return ast.parse((SOURCES / "_core.pyi").read_text())
+    return ast.parse(installed_stub())
 
 
 def names_in(body: list[ast.stmt]) -> dict[str, ast.stmt]:
@@ -113,9 +118,14 @@ def test_stub_and_marker_are_installed() -> None:
     assert "tauext/py.typed" in installed or (SOURCES / "py.typed").is_file()  # editable: it stays with the sources
 
 
+needs_stub_beside_sources = pytest.mark.skipif(
+    not (SOURCES / "_core.pyi").is_file(), reason="the sources are read-only, so set-up put no stub beside them"
+)
+
+
+@needs_stub_beside_sources
 def test_the_stub_beside_the_sources_is_the_installed_one() -> None:
-    path = next(path for path in metadata.files("tauext") or () if str(path) == "tauext/_core.pyi")
-    assert Path(str(path.locate())).read_text() == (SOURCES / "_core.pyi").read_text()
+    assert installed_stub() == (SOURCES / "_core.pyi").read_text()
 
 
 def test_pairs_are_tuples_as_the_stub_states() -> None:
@@ -126,6 +136,7 @@ def test_pairs_are_tuples_as_the_stub_states() -> None:
     assert type(momentum) is tuple and [values.shape for values in momentum] == [(3, 1), (3, 1)]
 
 
+@needs_stub_beside_sources
 def test_right_programs_pass_a_strict_check_and_wrong_ones_do_not(tmp_path: Path) -> None:
     pytest.importorskip("mypy")
     (tmp_path / "right.py").write_text(RIGHT)

@@ -49,6 +49,12 @@ def longer(tmp_path_factory) -> Case:
 
 
 @pytest.fixture(scope="session")
+def searched(tmp_path_factory) -> Case:
+    """Just long enough for order, zero and delay to be judged."""
+    return six_axes(tmp_path_factory.mktemp("searched"), 0.7)
+
+
+@pytest.fixture(scope="session")
 def rig(tmp_path_factory) -> Case:
     path = tmp_path_factory.mktemp("rig") / "robot.xml"
     path.write_text(arm_xml(RigConfig()))
@@ -64,7 +70,7 @@ def test_good_data_of_the_rig_has_no_finding_but_its_length(rig):
     assert {f.code for f in examine(rig.made.recordings, rig.urdf).findings} == {"too-short"}
 
 
-LONGER = {"joint-axis", "position-offset", "stuck", "torque-delay"}
+LONGER = {"joint-axis", "position-offset", "stuck"}
 """Codes that take more motion."""
 ELSEWHERE = {"effort-scale", "joint-names", "odd-recording", "robot-file-changed", "spike", "time-unit"}
 """Codes that other tests lead to as well, in this file or in those of their names."""
@@ -78,8 +84,9 @@ def telling(faults: list[Fault]) -> list:
 
 
 @pytest.mark.parametrize("fault", telling(FAULTS))
-def test_fault_is_named_with_its_joint_and_nothing_else(six: Case, longer: Case, fault: Fault, tmp_path):
-    recordings, text = fault.broken(longer if fault.code in LONGER else six)
+def test_fault_is_named_with_its_joint_and_nothing_else(six: Case, searched: Case, longer: Case, fault: Fault, tmp_path):
+    case = longer if fault.code in LONGER else searched if fault.code == "torque-delay" else six
+    recordings, text = fault.broken(case)
     (tmp_path / "robot.urdf").write_text(text)
     diagnosis = examine(recordings, tmp_path / "robot.urdf")
     assert is_named(fault, recordings, diagnosis), diagnosis.findings
@@ -111,9 +118,9 @@ def test_every_code_has_a_fault_that_leads_to_it_or_a_test_of_its_own():
     assert set(CODES) - {fault.code for fault in FAULTS} == {"model-unusable", "payload-absent"} | OF_SERVOS
 
 
-def test_offset_is_named_in_rad_and_degrees(longer):
-    recordings = [replace(r, q=r.q - 0.3 * np.eye(6)[2]) for r in longer.made.recordings]
-    (found,) = [f for f in examine(recordings, longer.urdf).findings if f.code == "position-offset"]
+def test_offset_is_named_in_rad_and_degrees(searched):
+    recordings = [replace(r, q=r.q - 0.3 * np.eye(6)[2]) for r in searched.made.recordings]
+    (found,) = [f for f in examine(recordings, searched.urdf).findings if f.code == "position-offset"]
     assert found.joint == "joint3" and "+0.30 rad (+17 degrees)" in found.evidence
 
 
@@ -154,13 +161,13 @@ def test_presliding_states_are_stop_operators_sample_by_sample():
     assert presliding(q, (2e-3, 5e-3), 100.0)[..., 0] == pytest.approx(slow, abs=1e-12)  # rounding
 
 
-def test_contact_that_nobody_labelled_is_told_with_time_joint_and_torque(longer):
+def test_contact_that_nobody_labelled_is_told_with_time_joint_and_torque(searched):
     def touched(r):
         shape = np.exp(-(((r.time_s - 20.0) / 0.05) ** 2))
         return replace(r, tau=r.tau + 0.8 * r.tau.std(axis=0)[2] * shape[:, None] * np.eye(6)[2], contact=None)
 
-    first, second = longer.made.recordings
-    (found,) = [f for f in examine([first, touched(second)], longer.urdf).findings if f.code != "too-short"]
+    first, second = searched.made.recordings
+    (found,) = [f for f in examine([first, touched(second)], searched.urdf).findings if f.code != "too-short"]
     assert found.severity == "warning" and "'joint3' at 20.0 s of 'free-1'" in found.evidence
 
 

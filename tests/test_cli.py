@@ -26,7 +26,7 @@ STEP_BY_STEP = (ROOT / "docs" / "start" / "research.md").read_text().partition("
 SMALLER = {
     "--minutes 20": "--minutes 1",
     "--collision-recordings 6": "--collision-recordings 1",
-    "--calibration-hours 1": "--calibration-hours 0.05",
+    "--calibration-hours 1": "--calibration-hours 0.03",
     "--out runs/exact.tauext": "--out runs/exact.tauext --max-steps 10 --batch 8 --prior.most-ripples 0",
     "--recipe dense --max-steps 10000": "--recipe dense --max-steps 10 --batch 8",
     "--scale quick": "--scale smoke",
@@ -219,7 +219,7 @@ WRONG = [
     (("show", "gone.tauext"), ["gone.tauext"]),
     (("show", "{other}"), [".tauext", ".parquet"]),
     (
-        ("simulate", "--out", "{data}", "--minutes", "3", "--collision-recordings", "1", "--calibration-hours", "0.05"),
+        ("simulate", "--out", "{data}", "--minutes", "3", "--collision-recordings", "1", "--calibration-hours", "0.03"),
         ["holds a dataset of other settings (collision_recording_s: 36.0, not 90.0)"],
     ),
     (("simulate", "--out", "x", "--minutes", "-1"), ["minutes", "> 0"]),

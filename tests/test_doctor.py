@@ -84,7 +84,7 @@ def telling(faults: list[Fault]) -> list:
 
 
 @pytest.mark.parametrize("fault", telling(FAULTS))
-def test_fault_is_named_with_its_joint_and_nothing_else(six: Case, searched: Case, longer: Case, fault: Fault, tmp_path):
+def test_fault_is_named_with_its_joint_and_nothing_else(six, searched, longer, fault: Fault, tmp_path):
     case = longer if fault.code in LONGER else searched if fault.code == "torque-delay" else six
     recordings, text = fault.broken(case)
     (tmp_path / "robot.urdf").write_text(text)

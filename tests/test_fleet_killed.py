@@ -64,7 +64,7 @@ def gone(pid: int) -> bool:
 def fleet(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fleet")
     small_dataset(folder / "data")
-    return write_fleet(folder, QUICK + arms_of("a", "b", dataset="data"))
+    return write_fleet(folder, 'stages = ["train", "evaluate"]\n' + QUICK + arms_of("a", "b", dataset="data"))
 
 
 @pytest.fixture(scope="module")

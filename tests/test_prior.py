@@ -461,7 +461,7 @@ def test_the_filtered_basis_without_a_model_holds_the_planar_arm_exactly():
 
 
 def test_threads_change_no_bit_of_a_fit_with_its_search_for_ripple():
-    made = recordings(rippling((24, 1.0)), seconds=30.0)
+    made = recordings(rippling((24, 1.0)), count=2)
     one, four = (fit_prior(replace(setup_of(planar_arm()), threads=n), made, SEARCHED) for n in (1, 4))
     assert ripples_of(one) == ripples_of(four) == [(1, 24)]
     np.testing.assert_array_equal(one.weights, four.weights)
@@ -553,12 +553,12 @@ def test_a_joint_that_never_moves_gets_no_friction_and_says_so():
     assert abs(fit.weights[0, where(fit, 0, "viscous")] - FRICTION["viscous"][0]) < 0.1
 
 
-@pytest.mark.slow  # that threads change no bit says as much of one fit, this of corrected links too
-def test_the_same_recordings_give_the_same_bytes():
-    wrong = perturbed(planar_arm(), mass_factor=0.5)
-    one, other = (
-        fit_prior(setup_of(wrong), recordings(rippling((37, 1.2)), count=2), PriorConfig(WIDTHS)) for _ in "ab"
-    )
+@pytest.mark.parametrize("ripples", [0, pytest.param(2, marks=pytest.mark.slow)])
+def test_the_same_recordings_give_the_same_bytes(ripples):
+    """With corrected links; test_threads_change_no_bit has a search for ripple."""
+    wrong, config = perturbed(planar_arm(), mass_factor=0.5), PriorConfig(WIDTHS, most_ripples=ripples)
+    one, other = (fit_prior(setup_of(wrong), recordings(rippling((37, 1.2)), count=2), config) for _ in "ab")
+    assert one.settings.corrected_links and one.corrections.size
     assert [(t.kind, t.a, t.b, t.c, t.form, t.speed) for t in one.settings.terms] == [
         (t.kind, t.a, t.b, t.c, t.form, t.speed) for t in other.settings.terms
     ]

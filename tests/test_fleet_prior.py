@@ -53,6 +53,19 @@ def new(made, tmp_path_factory) -> dict[str, _core.Bundle]:
     }
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("tie", [1e-5, 1e-4, 1e-3])
+def test_links_can_be_whichever_ridge_rounding_chooses(made, tmp_path, monkeypatch, tie):
+    """A ridge one step stronger ended in a rotor inertia of -1.3 once, and training in an error of the core."""
+    monkeypatch.setattr("tauext.learn.regression.RIDGE_TIE", tie)
+    monkeypatch.setattr("tauext.fleet_prior.arms.look_first", lambda *told: {})
+    prior = tmp_path / "planar.prior.json"
+    make_fleet_prior(fleet_arms([str(one) for one in made[1]]), prior, CONFIG)
+    data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (0.75, 1.15))))
+    bundle = train_bundle(data, tmp_path / "new.tauext", config=CONFIG, look=False, like=load_fleet_prior(prior))
+    assert bundle.prior.corrected_links and all(link.rotor_inertia >= 0 for link in bundle.prior.corrected_links)
+
+
 def rms(bundle: _core.Bundle) -> np.ndarray:
     """Of tau_ext on other motion of the new arm, whose friction is known."""
     other = moving(71, 60.0, (0.75, 1.15))

@@ -258,5 +258,5 @@ def fit_weights(features: np.ndarray, error: np.ndarray, power: float) -> np.nda
     bounds = [(LEAST_CONSTANT / 10, None)] + [(0, None)] * (F.shape[1] - 1)
     found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 200})
     weights = np.zeros(len(size))
-    weights[used] = found.x / size[used]
+    weights[used] = np.maximum(found.x, [low for low, _ in bounds]) / size[used]  # SciPy may end at -1e-19
     return weights

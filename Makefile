@@ -1,5 +1,5 @@
 PYTHON ?= python3.11
-# Both may lie elsewhere: make test VENV=/tmp/venv BUILD=/tmp/build
+# Both may be elsewhere: make test VENV=FOLDER/venv BUILD=FOLDER/build
 VENV := .venv
 BUILD := build
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check -q
@@ -25,11 +25,11 @@ FAST_TESTS = $(PYTEST) -n $(WORKERS) --maxprocesses 8 --dist loadfile -m 'not sl
 CTEST = $(RUN) ctest --output-on-failure -j $(shell nproc) --test-dir
 # What processors select, OPENBLAS_CORETYPE/TAUEXT_SIMD: those that this one can run.
 has = $(shell grep -qsw $(1) /proc/cpuinfo && echo yes)
-MACHINES := Prescott/sse2 $(if $(call has,avx2),Haswell/avx2 Zen/avx2) $(if $(call has,avx512vl),SkylakeX/avx512)
+MACHINES := $(if $(call has,sse2),Prescott/sse2) $(if $(call has,avx2),Haswell/avx2 Zen/avx2) $(if $(call has,avx512vl),SkylakeX/avx512)
 CORE := $(shell find cpp/include cpp/src cpp/learn cpp/bindings -type f)
 
-.PHONY: help setup build benches reproduce test test-machines test-all test-arm fuzz soak lint docs bench bench-train bench-monitor dist \
-  test-dist clean
+.PHONY: help setup build benches reproduce test test-machines test-all test-arm fuzz soak lint docs bench bench-train \
+  bench-monitor dist test-dist clean
 help: ## Show this help
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-13s %s\n", $$1, $$2}'
 setup: $(STAMP) ## Environment and build, in .venv
@@ -38,7 +38,8 @@ $(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(CORE)
 	$(GET) pip scikit-build-core nanobind cmake ninja  # pip first: Debian 12's has no -C
 	$(call requirements,dev) > $(VENV)/requirements.txt
 	$(GET) -r $(VENV)/requirements.txt & $(RUN) $(INSTALL); built=$$?; wait $$! && exit $$built
-	sed -i '/^import/!d' $(VENV)/lib/python*/site-packages/_editable_skbc_tauext.pth  # Python 3.11 fails on a path that is not ASCII
+	# Under LC_ALL=C, Python 3.11 does not start where a .pth file holds a path that is not ASCII.
+	sed -i '/^import/!d' $(VENV)/lib/python*/site-packages/_editable_skbc_tauext.pth
 	! test -w src/tauext || cp $(VENV)/lib/python*/site-packages/tauext/_core.pyi src/tauext  # where mypy looks for it
 	rm -f $(VENV)/.installed-*
 	touch $@

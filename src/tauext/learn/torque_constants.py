@@ -199,7 +199,7 @@ def _relative_constants(
     constants, errors, determined = (np.array([one[k] for one in found]) for k in range(3))
     if given:
         return replace(drawn_to_given(constants, errors), kinematics=candidate.kinematics)
-    known_to = np.where(constants > 0, errors / np.abs(constants), np.inf)
+    known_to = np.where((constants > 0) & np.isfinite(errors), errors / np.abs(constants), np.inf)
     best = simplest(range(len(joints)), known_to.__getitem__, UNIT_TIE)
     ratios = constants / constants[best], errors / constants[best], determined
     return TorqueConstants(*ratios, relative_to=best, kinematics=candidate.kinematics)

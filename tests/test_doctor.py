@@ -70,7 +70,7 @@ def test_good_data_of_the_rig_has_no_finding_but_its_length(rig):
     assert {f.code for f in examine(rig.made.recordings, rig.urdf).findings} == {"too-short"}
 
 
-LONGER = {"joint-axis", "position-offset", "stuck"}
+LONGER = {"joint-axis", "joint-order", "position-offset", "stuck"}
 """Codes that take more motion."""
 ELSEWHERE = {"effort-scale", "joint-names", "odd-recording", "robot-file-changed", "spike", "time-unit"}
 """Codes that other tests lead to as well, in this file or in those of their names."""

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from tauext.data import Recording, free_pieces
 from tauext.errors import RobotError
 from tauext.robot import torque_limits
+from tauext.train.possible import passed_limits
 
 URDF = """
 <robot name="arm">
@@ -48,3 +50,21 @@ def test_an_effort_that_is_no_torque_is_refused(tmp_path, effort):
 def test_a_file_that_cannot_be_read_is_refused(tmp_path):
     with pytest.raises(RobotError, match=r"none\.urdf: its torque limits cannot be read"):
         torque_limits(tmp_path / "none.urdf", ["j1"])
+
+
+def test_a_limit_is_passed_where_free_motion_reaches_it_however_often_contacts_do():
+    n = 4000
+    contact = np.r_[np.zeros(n // 2), np.ones(n // 2)].astype(np.int8)
+    tau = np.full((n, 3), 1.0)
+    tau[:8, 0] = 40.0  # 0.2 % of 4000, 0.44 % of the free motion before the contact's margin
+    tau[:2, 1] = -50.0
+    tau[n // 2 :, 2] = 60.0
+    still = np.zeros((n, 3))
+    recording = Recording(
+        "a", ("j1", "j2", "j3"), np.arange(n) * 10**7, still, still, tau, 100.0, "held", "rig", "",
+        contact=contact,
+    )  # fmt: skip
+    limits = np.array([40.0, 50.0, 60.0])
+    np.testing.assert_array_equal(passed_limits(free_pieces([recording]), limits, (1.0,)), [True, False, False])
+    np.testing.assert_array_equal(passed_limits(free_pieces([recording]), 2 * limits, (2.0,)), [True, False, False])
+    assert not passed_limits([], limits, (1.0,)).any()

@@ -83,13 +83,6 @@ def version_text() -> str:
     return f"tauext {version('tauext')}, core {VERSION} by {compiler} with {_core.simd_in_use()}, {formats}"
 
 
-def expect_kernels() -> None:
-    """Raise TauextError where TAUEXT_SIMD names no kernels of this machine."""
-    from tauext import _core
-
-    _core.simd_in_use()
-
-
 def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit status.
 
@@ -124,8 +117,10 @@ def main(argv: list[str] | None = None) -> int:
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, TextIOWrapper):
                 stream.reconfigure(errors="backslashreplace")  # names of files may be any bytes
-        if os.environ.get("TAUEXT_SIMD"):  # before hours of work; unset, nothing needs to be loaded for it
-            expect_kernels()
+        if os.environ.get("TAUEXT_SIMD"):  # refused before hours of work; unset, the core need not be loaded
+            from tauext import _core
+
+            _core.simd_in_use()
         if argv == ["--version"]:
             print(version_text())
             return 0

@@ -39,8 +39,8 @@ BENDS_RAD = (0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064)
 """Travel over which the load takes hold again."""
 LEAST_ROWS = 5
 """Of different places that a way in and a way out must have."""
-AT_A_TIME = 28
-"""Shapes, so that memory is small."""
+FINER = 4
+"""Parts of a place within which a shape has one value."""
 GROUPS = 10
 """Of turns, of which one at a time is left out for the error."""
 LEAST_TURNS, MOST_TURNS = 8, 300
@@ -97,10 +97,10 @@ def play_of(recordings: Sequence[Recording], j: int) -> Play:
     turns = turns[:: max(1, -(-len(turns) // MOST_TURNS))]
     if len(turns) < LEAST_TURNS:
         return Play(np.nan, np.nan, np.nan, np.nan, len(turns), np.zeros(0), np.zeros(0))
-    shapes, whole = _shapes(place_rad), _Turns(turns)
+    shapes, whole = _shapes(place_rad), _Turns(turns, place_rad)
     products = whole.products(shapes)
     best = int(np.argmin(_squares(products.sum(axis=1))))
-    whole = _Turns(whole.trimmed(_weights(products.sum(axis=1)[best]), shapes, best))
+    whole = _Turns(whole.trimmed(_weights(products.sum(axis=1)[best]), shapes, best), place_rad)
     products = whole.products(shapes)
     total, groups = products.sum(axis=1), products.shape[1]
     squares, halves = _squares(total), shapes.flat + shapes.half
@@ -234,7 +234,7 @@ def _shapes(place_rad: float) -> _Shapes:
 class _Turns:
     """All turns, ready for least squares of any shape."""
 
-    def __init__(self, turns: Sequence[_Turn]) -> None:
+    def __init__(self, turns: Sequence[_Turn], place_rad: float) -> None:
         groups = np.arange(len(turns)) % min(GROUPS, len(turns))
         turns = [turns[k] for k in np.argsort(groups, kind="stable")]
         self.since = np.concatenate([turn.since for turn in turns])
@@ -244,6 +244,7 @@ class _Turns:
         self._first = np.r_[0, np.cumsum(sizes)[:-1]]
         self._size = sizes
         self._group_first = self._first[np.flatnonzero(np.diff(np.sort(groups), prepend=-1))]
+        self._fine_rad = place_rad / FINER
         self.columns = self._levelled(self.recorded.T)
 
     def _levelled(self, x: np.ndarray) -> np.ndarray:
@@ -252,24 +253,26 @@ class _Turns:
 
     def products(self, shapes: _Shapes) -> np.ndarray:
         """Of torque, speed, acceleration and a shape with one another: (shapes, groups, 4, 4)."""
-        count, parts = len(shapes.flat), []
+        # Shapes are smooth over a quarter of a place, so that rows there have one value.
+        places, place = np.unique(np.round(self.since / self._fine_rad).astype(int), return_inverse=True)
+        missing = shapes.missing(places * self._fine_rad, slice(None))
+        rows = np.zeros((len(self._size), len(places)))  # of each turn at each place
+        np.add.at(rows, (self._turn, place), 1)
+        first = np.searchsorted(self._first, self._group_first)  # turn of each group
+        group = np.searchsorted(first, self._turn, side="right") - 1
+        sums = np.zeros((len(first), 3, len(places)))
+        for k in range(3):
+            np.add.at(sums[:, k], (group, place), self.columns[:, k])
+        # Columns have no mean over a turn, so a shape's own drops out of the products with them.
+        across = np.moveaxis(sums @ missing, 2, 0)
+        means = (rows @ missing) ** 2 / self._size[:, None]
+        squares = np.add.reduceat(rows, first) @ missing**2 - np.add.reduceat(means, first)
         own = np.add.reduceat(self.columns[:, :, None] * self.columns[:, None, :], self._group_first, axis=0)
-        ends = np.r_[self._group_first[1:], len(self.since)]
-        turns = np.searchsorted(self._first, self._group_first)  # the first of each group
-        for k in range(0, count, AT_A_TIME):
-            missing = shapes.missing(self.since, slice(k, k + AT_A_TIME))
-            # Columns have no mean over a turn, so a shape's own drops out of the products with them.
-            across = np.stack(
-                [self.columns[a:b].T @ missing[a:b] for a, b in zip(self._group_first, ends, strict=True)]
-            )
-            means = np.add.reduceat(missing, self._first, axis=0) ** 2 / self._size[:, None]
-            squares = np.add.reduceat(missing**2, self._group_first, axis=0) - np.add.reduceat(means, turns, axis=0)
-            part = np.empty((missing.shape[1], len(own), 4, 4))
-            part[:, :, :3, :3] = own
-            part[:, :, :3, 3] = part[:, :, 3, :3] = np.moveaxis(across, 2, 0)
-            part[:, :, 3, 3] = squares.T
-            parts.append(part)
-        return np.concatenate(parts)
+        products = np.empty((len(shapes.flat), len(own), 4, 4))
+        products[:, :, :3, :3] = own
+        products[:, :, :3, 3] = products[:, :, 3, :3] = across
+        products[:, :, 3, 3] = squares.T
+        return products
 
     def trimmed(self, weights: np.ndarray, shapes: _Shapes, k: int) -> list[_Turn]:
         """The turns without the rows that lie far from a fit."""

@@ -39,9 +39,9 @@ def solve_within(matrix: np.ndarray, right: np.ndarray, low: np.ndarray, high: n
             continue
         w = np.clip(aim, low, high)
         slope = matrix @ w - right
-        inward = np.where(free, 0.0, np.where(w <= low, -slope, slope))
+        inward = np.where(free | (low == high), 0.0, np.where(w <= low, -slope, slope))
         best = int(np.argmax(inward))
-        if inward[best] <= RELEASED * float(np.abs(right).max()) or low[best] == high[best]:
+        if inward[best] <= RELEASED * float(np.abs(right).max()):
             return w
         free[best] = True
     return w

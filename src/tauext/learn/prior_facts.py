@@ -67,8 +67,8 @@ def held_sentence(facts: dict[str, Any]) -> str:
     if not held:
         return ""
     return (
-        f"the motion does not determine these inertial parameters: {held}; a mass keeps the robot file's value, a "
-        "rotor inertia is 0"
+        f"the motion does not determine these inertial parameters: {held}; they keep the robot file's value, or the "
+        "nearest value that a link can have (a rotor inertia of 0)"
     )
 
 

@@ -69,7 +69,8 @@ def possible_motion(
         constants = fit_torque_constants(tree, free, config.observer, from_amperes(training))
         observer = with_constants(observer, constants.used)
     drives = np.where(in_newton_metres(constants, training, config), torque_limit_nm, np.inf)
-    passed = passed_limits(training, drives, constants.used if constants else (1.0,))
+    free = free_pieces(training, config.margins)
+    passed = passed_limits(free, drives, constants.used if constants else (1.0,))
     drives = np.where(passed, np.inf, drives)
     bounds = signal_bounds(training, drives, constants.used if constants else (1.0,))
     left_out = LeftOut("training and validation" if validation else "training")
@@ -78,15 +79,18 @@ def possible_motion(
     return PossibleMotion(learned_on, validated_on, bounds, drives, constants, left_out, passed)
 
 
-def passed_limits(
-    training: Sequence[Recording], torque_limit_nm: np.ndarray, nm_per_unit: Sequence[float]
-) -> np.ndarray:
-    """Joints, (n,) bool, whose torque is at or beyond the robot file's limit in MOST_AT_LIMIT of the training or more.
+def passed_limits(free: Sequence[Recording], torque_limit_nm: np.ndarray, nm_per_unit: Sequence[float]) -> np.ndarray:
+    """Joints, (n,) bool, whose torque is at or beyond the robot file's limit in MOST_AT_LIMIT of free motion or more.
 
-    With such a limit the monitor would call its own training motion saturated: the file is wrong, or the drive works
-    at its limit as a rule.
+    With such a limit the monitor would report its own training motion as saturated: the file is wrong, or the drive
+    usually works at its limit. During a contact a drive may well reach a limit that is right.
+
+    Args:
+        free: free motion; none of it passes no limit.
     """
-    at_limit = [np.abs(one.tau * nm_per_unit) >= AT_LIMIT * torque_limit_nm for one in training]
+    if not free:
+        return np.zeros(len(torque_limit_nm), dtype=bool)
+    at_limit = [np.abs(one.tau * nm_per_unit) >= AT_LIMIT * torque_limit_nm for one in free]
     return np.asarray(np.concatenate(at_limit).mean(axis=0) >= MOST_AT_LIMIT)
 
 

@@ -140,7 +140,7 @@ def passed_sentence(passed: np.ndarray, joints: Sequence[str], limits_nm: np.nda
     named = [f"{name} {limit:g}" for name, limit, one in zip(joints, limits_nm, passed, strict=True) if one]
     return (
         f"the robot file's torque limits of {', '.join(named)} are ignored: the torque reaches them in "
-        f"{MOST_AT_LIMIT:.1%} of the training samples or more"
+        f"{MOST_AT_LIMIT:.1%} of the free motion or more"
     )
 
 

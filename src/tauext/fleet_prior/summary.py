@@ -38,9 +38,9 @@ def arms_facts(
     mean = [float(line @ found.mean) for line in lines]
     facts = []
     for a, name in enumerate(names):
-        factor = [float(line @ found.weights[a]) / of for line, of in zip(lines, mean, strict=True)]
-        error = [float(np.sqrt(line @ found.errors[a] @ line)) / abs(of) for line, of in zip(lines, mean, strict=True)]
-        friction = [[round(f, 4), round(e, 4)] for f, e in zip(factor, error, strict=True)]
+        factor = [share(float(line @ found.weights[a]), of) for line, of in zip(lines, mean, strict=True)]
+        error = [share(float(np.sqrt(line @ found.errors[a] @ line)), of) for line, of in zip(lines, mean, strict=True)]
+        friction = [[f, None if e is None else abs(e)] for f, e in zip(factor, error, strict=True)]
         trust = [round(float(u), 3) for u in found.trust[a]]
         facts.append(
             {
@@ -59,9 +59,14 @@ def spread_facts(joints: Sequence[str], terms: Sequence, found: Hierarchy) -> di
     for j, name in enumerate(joints):
         line = friction_columns(terms, j)
         mean = float(line @ found.mean)
-        spread = float(np.sqrt(line @ found.covariance @ line)) / abs(mean)
-        out[name] = {"friction_nm": round(abs(mean), 4), "spread": round(spread, 4)}
+        spread = share(float(np.sqrt(line @ found.covariance @ line)), abs(mean))
+        out[name] = {"friction_nm": round(abs(mean), 4), "spread": spread}
     return out
+
+
+def share(value: float, whole: float) -> float | None:
+    """None: of a joint that no arm moved, the fleet has no friction to compare with."""
+    return round(value / whole, 4) if whole else None
 
 
 def table(facts: dict) -> str:
@@ -71,11 +76,12 @@ def table(facts: dict) -> str:
     rows = [head]
     for one in facts["arms"]:
         cells = [
-            f"{factor:.2f} ± {error:.2f}{' *' * (one['trust'][joint] < ODD)}"
+            "–" if factor is None else f"{factor:.2f} ± {error:.2f}{' *' * (one['trust'][joint] < ODD)}"
             for joint, (factor, error) in one["friction"].items()
         ]
         rows.append([one["name"], f"{one['minutes']:.1f}", *cells, "*" * (one["trust"]["links"] < ODD)])
     rows.append(["fleet, Nm", "", *(f"{of['friction_nm']:.3g}" for of in facts["spread"].values()), ""])
-    rows.append(["arms differ by", "", *(f"{of['spread']:.0%}" for of in facts["spread"].values()), ""])
+    spreads = [of["spread"] for of in facts["spread"].values()]
+    rows.append(["arms differ by", "", *("–" if spread is None else f"{spread:.0%}" for spread in spreads), ""])
     widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
     return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)

@@ -18,7 +18,7 @@ from tauext.data.description_file import parse_arm
 from tauext.data.description_template import Guess, guess, template
 from tauext.data.importers import RawRecording, RawSignals, open_raw
 from tauext.data.merge import interpolated
-from tauext.data.stamps import fresh, ordered
+from tauext.data.stamps import fitted_period_ns, fresh, lost_share, ordered
 from tauext.data.velocity import derived_velocity
 from tauext.errors import ConfigError, RecordingError
 
@@ -119,11 +119,11 @@ def test_late_packets_repeats_and_gaps_are_handled_and_counted():
         "samples out of order, sorted by their stamps": 1,
         "samples dropped: stamp and values repeat the sample before": 1,
         "repeated samples dropped: all values equal the sample before": 2,
-        "gaps: steps of more than 1.5 median steps": 3,
+        "gaps: steps of two sample periods or more": 3,
     }
     assert recording.provenance["longest_step_s"] == pytest.approx(0.11)
     kept_all = one(source, arm())
-    assert kept_all.samples == 590 and kept_all.provenance["counts"]["gaps: steps of more than 1.5 median steps"] == 1
+    assert kept_all.samples == 590 and kept_all.provenance["counts"]["gaps: steps of two sample periods or more"] == 1
     assert "2 repeated samples kept: all values equal the sample before" in kept_all.provenance["done"]
     assert kept_all.provenance["measured_hz"] == pytest.approx(100 * 588 / 590, abs=1e-3)  # two of 590 hold others
 
@@ -141,6 +141,36 @@ def test_a_log_that_lost_rows_keeps_its_rate_and_says_the_share():
     assert recording.rate_hz == 100 and recording.provenance["measured_hz"] == pytest.approx(100, abs=0.2)
     assert recording.provenance["lost_share"] == pytest.approx(lost, abs=1e-3)
     assert f"{lost:.1%} of the samples at 100 Hz are missing: gaps" in recording.provenance["done"]
+
+
+def uneven(longer: float, every: int, lost: float = 0.0, rate_hz: float = 100.0, n: int = 6000) -> np.ndarray:
+    """Stamps, [ns], of which every so many steps are so many times as long, and a share of the samples is lost."""
+    rng = np.random.default_rng(0)
+    steps = np.where(np.arange(n) % every == 0, longer, 1.0) * (1 + 0.02 * rng.uniform(-1, 1, n)) / rate_hz
+    t_ns = np.round(np.cumsum(steps) * 1e9).astype(np.int64)
+    return t_ns[rng.random(n) >= lost]
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 125.0, 500.0])
+@pytest.mark.parametrize("lost", [0.0, 0.06, 0.1])
+@pytest.mark.parametrize("longer, every", [(1.0, 2), (1.2, 3), (1.5, 10), (1.6, 10)])
+def test_the_period_is_the_mean_step_of_the_samples_that_were_to_come(longer, every, lost, rate_hz):
+    mean_s = (1 + (longer - 1) / every) / rate_hz
+    t_ns = uneven(longer, every, lost, rate_hz)
+    # 2 %: where two steps run together and one of them is long, their sum may be no whole number of periods.
+    assert fitted_period_ns(t_ns) * 1e-9 == pytest.approx(mean_s, rel=2e-2 if lost else 1e-3)
+    assert lost_share(t_ns) == pytest.approx(lost, abs=0.01)
+
+
+def test_pauses_and_bursts_of_lost_samples_leave_the_period_as_it_is():
+    t_ns = uneven(1.2, 3)
+    pauses = t_ns + 10**9 * (np.arange(len(t_ns)) // 500) * 3 + 37 * 10**6 * (np.arange(len(t_ns)) // 200)
+    assert fitted_period_ns(pauses) == pytest.approx(fitted_period_ns(t_ns), rel=2e-3)
+    assert fitted_period_ns(np.array([0, 10**7])) == 10**7
+    late = t_ns + 9 * 10**6 * (np.arange(len(t_ns)) % 7 == 3)  # comes with the next one, and none is lost
+    assert fitted_period_ns(late) == pytest.approx(fitted_period_ns(t_ns), rel=2e-3) and lost_share(late) == 0
+    bursts = np.delete(t_ns, [k + j for k in range(100, 5900, 100) for j in range(4)])
+    assert fitted_period_ns(bursts) == pytest.approx(fitted_period_ns(t_ns), rel=5e-3)
 
 
 def test_an_arm_at_rest_is_no_repeated_sample():

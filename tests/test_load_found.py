@@ -16,7 +16,19 @@ from tauext.config import ObserverConfig, TrainConfig
 from tauext.data import Recording, load_bundle, save_recording
 from tauext.errors import ConfigError
 from tauext.learn.bundle_writing import build_setup, make_bundle
-from tauext.load import between, each_window, identify, load_frame, load_sentences, scaled_bundle, see, weigh_constants
+from tauext.learn.torque_constants import with_constants
+from tauext.load import (
+    between,
+    each_window,
+    expect_weighable,
+    identify,
+    load_frame,
+    load_sentences,
+    scaled_bundle,
+    see,
+    weigh_constants,
+    weighing_joints,
+)
 from tauext.load.rows import stand_worth
 from tauext.robot import load_tree
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
@@ -124,6 +136,32 @@ def test_mass_and_centre_are_found(arm, loaded_motion, free_motion):
     assert len(windows) == 5
     assert max(abs(own.mass_kg - MASS) for _, _, own in windows) < 0.1
     assert load_sentences(found, frame.name, "N m")[0].startswith("load 1.6")
+
+
+@pytest.mark.parametrize("joint", [4, 5])
+def test_a_joint_in_amperes_weighs_nothing(arm, loaded_motion, free_motion, joint):
+    """Its numbers may be any; five joints tell mass and centre as they do where the sixth is not there."""
+    found = []
+    for nm_per_ampere in (0.1, 5.0):
+        amperes = np.where(np.arange(6) == joint, 1 / nm_per_ampere, 1.0)
+        bundle = bundle_of(arm, replace(free_motion, tau=free_motion.tau * amperes))
+        bundle.observer = with_constants(bundle.observer, np.ones(6))
+        bundle.units = _core.TorqueUnits(_core.TorqueUnit.ampere, -1, [int(j == joint) for j in range(6)])
+        assert [j for j, weighs in enumerate(weighing_joints(bundle)) if not weighs] == [joint]
+        seen = see(bundle, replace(loaded_motion, tau=loaded_motion.tau * amperes))
+        found.append(identify(bundle, load_frame(bundle), [seen]))
+    for one in found:
+        assert one.verdict == "load" and one.misfit < 1  # 734 and 1,453 with the amperes as N m
+        assert abs(one.mass_kg - MASS) < 4 * one.mass_error_kg and one.mass_error_kg < 0.02
+        assert np.linalg.norm(one.com_m - COM) < 0.01
+    np.testing.assert_allclose(found[0].mass_kg, found[1].mass_kg, rtol=1e-6)
+
+
+def test_amperes_of_all_joints_are_no_scales(arm, free_motion):
+    bundle = bundle_of(arm, free_motion)
+    bundle.units = _core.TorqueUnits(_core.TorqueUnit.ampere)
+    with pytest.raises(ConfigError, match="has no torque constant of any joint"):
+        expect_weighable(bundle)
 
 
 def test_a_heavy_load_far_out_is_found_from_little_motion(arm, free_motion):

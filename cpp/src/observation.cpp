@@ -87,7 +87,7 @@ std::vector<ImpossibleSample> impossible_samples(const ObserverSettings& setting
     const Impossible found = watch.look(s.t_ns, s.q, s.dq, torque, follows && near);
     follows = found.cause == 0;
     if (follows)
-      watch.step(s.t_ns, s.q, s.dq, torque);
+      watch.step(s.t_ns, 1, s.q, s.dq, torque);
     else
       out.push_back({k, found});
   }

@@ -217,7 +217,7 @@ void ObserveStage::write_features(const Sample& s) noexcept {
 void ObserveStage::watch(const Sample& s, Findings& findings) noexcept {
   if (!watch_) return;
   Progress& p = progress_;
-  const SignalWatch::Verdict signals = watch_->step(s.t_ns, s.q, s.dq, tau());
+  const SignalWatch::Verdict signals = watch_->step(s.t_ns, observed_.ticks, s.q, s.dq, tau());
   if (signals.still_joint >= 0) findings.add(kEncoderStill, signals.still_joint);
   if (signals.wrong_rate) findings.add(kWrongRate, -1);
   findings.trusted = findings.causes == 0;

@@ -80,23 +80,24 @@ Impossible SignalWatch::explain(std::int64_t t_ns, std::span<const double> q, st
 }
 
 // The step since the last sample, [ns]; enters the mean.
-double SignalWatch::take_step(std::int64_t t_ns) noexcept {
+double SignalWatch::take_step(std::int64_t t_ns, std::int64_t ticks) noexcept {
   if (!state_.started) return sample_period_ns_;
   const double step_ns = static_cast<double>(elapsed_ns(t_ns, state_.t_ns));
   state_.t_ns = t_ns;
-  const double step = std::min(step_ns / sample_period_ns_, 2.0);
+  double step = step_ns / sample_period_ns_;
+  step = ticks >= 2 && step >= kGap ? step / std::round(step) + kLost : std::min(step, 2.0);
   state_.steps += (step - state_.steps) * std::min(sample_period_ns_ * 1e-9, 0.1);
   return step_ns;
 }
 
 void SignalWatch::pass(std::int64_t t_ns) noexcept {
-  if (state_.started && t_ns > state_.t_ns) take_step(t_ns);
+  if (state_.started && t_ns > state_.t_ns) take_step(t_ns, 1);
 }
 
-SignalWatch::Verdict SignalWatch::step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
-                                       std::span<const double> tau) noexcept {
+SignalWatch::Verdict SignalWatch::step(std::int64_t t_ns, std::int64_t ticks, std::span<const double> q,
+                                       std::span<const double> dq, std::span<const double> tau) noexcept {
   Verdict verdict;
-  const double step_ns = take_step(t_ns);
+  const double step_ns = take_step(t_ns, ticks);
   const bool anew = !state_.started || step_ns > kLongestStep * sample_period_ns_;
   verdict.wrong_rate = std::fabs(state_.steps - 1.0) > kRateTolerance;
   for (int j = 0; j < joints_; ++j) {

@@ -130,7 +130,7 @@ Signals broken(int joints, std::mt19937_64& random) {
       std::int64_t& ns = step[static_cast<std::size_t>(k)];
       const bool once = k == hit.at;
       if (hit.which == kJitter) ns = 200'000 + below(1'600'000);
-      if (hit.which == kSlow) ns = 2 * kMs;
+      if (hit.which == kSlow) ns = 3 * kMs / 2;  // no whole number: slow, and not lost
       if (hit.which == kBridged && once) ns = (2 + below(kStride)) * kMs;
       if (hit.which == kLongGap && once) ns = (kStride + 2 + below(500)) * kMs;
       if (hit.which == kLate && k < hit.at + 3) ns = -below(kStride * kMs / 4);

@@ -348,6 +348,20 @@ void another_rate_is_refused_and_the_right_one_taken_up_again() {
     CHECK((e.causes & kWrongRate) == 0);
     if (k >= 2500) CHECK(e.health == Health::ok);  // half a second after the last bad one
   }
+  // Every third step a fifth longer or every tenth half as long again, at the mean rate, or one sample in ten lost.
+  const auto steps_of = [](double usual, double other, int every) {
+    std::vector<std::int64_t> at{0};
+    for (int k = 1; k < 6000; ++k) at.push_back(at.back() + static_cast<std::int64_t>((k % every ? usual : other) * kMs));
+    return at;
+  };
+  for (const auto& at : {steps_of(0.9375, 1.125, 3), steps_of(1 / 1.05, 1.5 / 1.05, 10), steps_of(1, 2, 10)}) {
+    Monitor uneven(bundle);
+    const Signals s = sampled(2, at);
+    for (std::int64_t k = 0; k < s.samples(); ++k) {
+      const Estimate& e = uneven.step(s.at(k));
+      CHECK(k < 1000 || e.health == Health::ok);
+    }
+  }
   // A gap now and then, or jitter of a third of a period, is no other rate.
   Monitor monitor(bundle);
   std::mt19937 random(1);

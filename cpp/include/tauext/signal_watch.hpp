@@ -33,6 +33,8 @@ struct Impossible {
 class SignalWatch {
  public:
   static constexpr double kRateTolerance = 0.05;        // of the sample period, over an exponential second
+  static constexpr double kGap = 1.75;                  // periods: a step so long may have lost samples
+  static constexpr double kLost = 0.2;                  // periods that such a step adds to the mean
   static constexpr double kSaturated = 0.999;           // of the torque limit
   static constexpr double kStillForS = 0.1;             // an encoder may stand still for so long whatever else it says
   static constexpr double kStillTravelRad = 0.05;       // travel that dq claims while q does not change
@@ -69,13 +71,14 @@ class SignalWatch {
   Impossible look(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
                   std::span<const double> tau, bool follows) const noexcept;
 
-  // One sample with finite values.
-  // Rate: the mean step, over an exponential second, differs from the sample period by more than kRateTolerance; a
-  // step counts as two periods at most, so that a bridged gap is no other rate.
+  // One sample with finite values; ticks of the SampleClock since the last one, 0 where the chain began anew.
+  // Rate: the mean step, over an exponential second, differs from the sample period by more than kRateTolerance. A step of
+  // kGap periods or more that the clock bridged, n of them, lost n - 1 samples; it counts as an nth of itself and kLost
+  // more, so that one lost sample in ten is no other rate and half of them are. Any other step counts as two at most.
   // Still: q has not changed by a bit for kStillForS, while the integral of dq passed kStillTravelRad, or tau_m moved
   // by more than the largest torque of training: no gear is so stiff, but behind it. A resting arm does neither. After a step of more
   // than kLongestStep sample periods nobody knows what happened meanwhile, and positions begin anew.
-  Verdict step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
+  Verdict step(std::int64_t t_ns, std::int64_t ticks, std::span<const double> q, std::span<const double> dq,
                std::span<const double> tau) noexcept;
   // A sample whose values cannot be used came in time all the same.
   void pass(std::int64_t t_ns) noexcept;
@@ -87,7 +90,7 @@ class SignalWatch {
   void restore(const State& state) noexcept { state_ = state; }
 
  private:
-  double take_step(std::int64_t t_ns) noexcept;
+  double take_step(std::int64_t t_ns, std::int64_t ticks) noexcept;
   Impossible explain(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
                      std::span<const double> tau, bool follows) const noexcept;
 

@@ -72,17 +72,22 @@ def load(
 
 def weigh(bundle: Bundle, where: NamedFrame, parts: list[Seen], reach_m: float, as_json: bool) -> None:
     """Print what all of it says, and what each window says alone."""
-    from tauext.load import each_window, identify, load_facts, load_sentences
+    from tauext.load import each_window, identify, load_facts, load_sentences, weighing_joints
 
     found = identify(bundle, where, parts, reach_m)
     alone = each_window(bundle, where, parts, found) if found.verdict == "load" else []
-    unit = bundle.estimate_units[where.frame.link]
+    weighing = weighing_joints(bundle)
+    unit = bundle.estimate_units[int(weighing.argmax())]
+    left_out = [link.joint_name for link, weighs in zip(bundle.links, weighing, strict=True) if not weighs]
     if as_json:
         windows = [{"recording": name, "from_s": start} | load_facts(own) for name, start, own in alone]
-        print(json.dumps({"frame": where.name, "unit": unit} | load_facts(found) | {"windows": windows}, indent=1))
+        facts = {"frame": where.name, "unit": unit, "left_out": left_out} | load_facts(found) | {"windows": windows}
+        print(json.dumps(facts, indent=1))
         return
     for line in load_sentences(found, where.name, unit):
         print(line)
+    if left_out:
+        print(f"without {', '.join(left_out)}: no torque constant, and amperes weigh nothing")
     if len(alone) > 1:
         print(scatter_sentence(alone))
         for name, start, own in alone:

@@ -17,7 +17,7 @@ from tauext.data.importers import RawRecording, RawSignals
 from tauext.data.merge import Table, base_stream, held, interpolated
 from tauext.data.recording import Recording
 from tauext.data.servo import servo_facts, servo_settings, velocity_and_torque
-from tauext.data.stamps import count_gaps, fresh, lost_share, ordered
+from tauext.data.stamps import count_gaps, fitted_period_ns, fresh, lost_share, ordered
 from tauext.data.velocity import derived_velocity
 from tauext.errors import RecordingError
 
@@ -45,7 +45,7 @@ def assemble(raw: RawRecording, arm: Arm, robot_sha256: str = "", rate_hz: float
     in its provenance what was done (`done`: sentences; `counts`: the same as numbers).
 
     Args:
-        rate_hz: nominal rate; 0: the description's, or else the median step's.
+        rate_hz: nominal rate; 0: the description's, or else that of the fitted sample period.
 
     Raises:
         ConfigError: a column that the description names is not there.
@@ -271,10 +271,10 @@ def _merged(
 
 
 def _nominal_rate(t_ns: np.ndarray) -> float:
-    """From the median step; a whole number of Hz where that is within 1 %."""
+    """From the fitted period; a whole number of Hz where that is within 1 %."""
     if len(t_ns) < 2:
         raise RecordingError("a single sample has no rate: give it in arm.toml ([time] rate_hz)")
-    rate_hz = 1e9 / float(np.median(np.diff(t_ns)))
+    rate_hz = 1e9 / fitted_period_ns(t_ns)
     return float(round(rate_hz)) if abs(round(rate_hz) / rate_hz - 1) < 0.01 else rate_hz
 
 

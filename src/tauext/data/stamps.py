@@ -8,8 +8,10 @@ import numpy as np
 
 REPEAT_S = 0.1
 """Rows that stay the same for no longer than this repeat one measurement; longer, the arm or its sensor stands."""
-GAP_STEPS = 1.5
-"""A step of more than so many median steps is a gap: at least a sample is missing."""
+GAP_STEPS = 1.75
+"""A step of so many periods or more lost samples; a shorter one is jitter (SignalWatch::kGap)."""
+LONGEST_FITTED = 10
+"""Periods: a longer step is a pause, and says little about the period."""
 BRIDGE_STEPS = 2.5
 """Over more than so many median steps nothing is interpolated or differentiated."""
 
@@ -59,22 +61,60 @@ def fresh(t_ns: np.ndarray, measured: np.ndarray, drop: bool, counts: Counter[st
     return ~repeats if drop else np.ones(len(t_ns), bool)
 
 
+def fitted_period_ns(t_ns: np.ndarray) -> float:
+    """Sample period, [ns], fitted together with the number of periods in each step.
+
+    The period is the time of the steps over the periods in them. Lost samples do not
+    lengthen it, as they do the mean; steps that are often a little longer do, unlike the median.
+
+    Args:
+        t_ns: increasing, (samples,), at least two, [ns].
+    """
+    steps = np.diff(t_ns)
+    period = float(np.median(steps))
+    for _ in range(20):  # most take two
+        ticks = periods_of(steps, period)
+        fitted = steps <= LONGEST_FITTED * period
+        if not fitted.any():
+            return period
+        before, period = period, float(steps[fitted].sum() / ticks[fitted].sum())
+        if abs(period - before) < 1e-9 * before:
+            break
+    return period
+
+
+def periods_of(steps_ns: np.ndarray, period_ns: float) -> np.ndarray:
+    """Sample periods in each step, a whole number >= 1: more than one where samples were lost.
+
+    A sample that only came late is none that is lost: short steps soon after make up for the long one.
+    """
+    ratio = steps_ns / period_ns
+    whole = np.round(ratio)
+    made_up = np.r_[0.0, np.cumsum(np.where(ratio < 0.5, 1 - ratio, 0.0))]
+    soon = np.minimum(np.arange(len(ratio)) + 1 + LONGEST_FITTED, len(ratio))
+    late = made_up[soon] - made_up[:-1] > 0.5 * (whole - 1)
+    return np.where((ratio >= GAP_STEPS) & ~late, whole, 1.0)
+
+
 def count_gaps(t_ns: np.ndarray, counts: Counter[str]) -> float:
-    """Longest step, [s], 0 for a single sample; steps that are gaps are counted."""
+    """Longest step, [s], 0 for a single sample; steps that lost a sample or more are counted."""
     if len(t_ns) < 2:
         return 0.0
-    steps = np.diff(t_ns)
-    counts[f"gaps: steps of more than {GAP_STEPS:g} median steps"] += int((steps > GAP_STEPS * np.median(steps)).sum())
-    return float(steps.max()) * 1e-9
+    counts["gaps: steps of two sample periods or more"] += int((_lost(t_ns) > 0).sum())
+    return float(np.diff(t_ns).max()) * 1e-9
 
 
 def lost_share(t_ns: np.ndarray) -> float:
-    """Share of the samples that gaps left out, were all steps the median one; stamps increasing, (samples,), [ns]."""
+    """Share of the samples that gaps left out; stamps increasing, (samples,), [ns]."""
     if len(t_ns) < 2:
         return 0.0
-    steps = np.diff(t_ns)
-    lost = float((np.round(steps[steps > GAP_STEPS * np.median(steps)] / np.median(steps)) - 1).sum())
+    lost = float(_lost(t_ns).sum())
     return lost / (lost + len(t_ns))
+
+
+def _lost(t_ns: np.ndarray) -> np.ndarray:
+    """Samples lost in each step."""
+    return periods_of(np.diff(t_ns), fitted_period_ns(t_ns)) - 1
 
 
 def _same_as_before(values: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from tauext.load.identify import LoadEstimate, identify
 from tauext.load.known import KnownWeight, weigh_constants
 from tauext.load.rows import SIGMA_SHARE, Seen, see, stand_worth
 from tauext.load.scaled_bundle import scaled_bundle, with_provenance
-from tauext.load.weighable import expect_weighable
+from tauext.load.weighable import expect_weighable, weighing_joints
 from tauext.load.windows import between, each_window
 from tauext.load.words import load_facts, load_sentences
 
@@ -26,5 +26,6 @@ __all__ = [
     "see",
     "stand_worth",
     "weigh_constants",
+    "weighing_joints",
     "with_provenance",
 ]

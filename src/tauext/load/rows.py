@@ -11,6 +11,7 @@ import numpy as np
 from tauext import _core
 from tauext.data import Recording, expect_fit
 from tauext.data.estimates import OK
+from tauext.load.weighable import weighing_joints
 
 ROW_S = 0.01
 """A row: the network period. r changes little in less."""
@@ -29,7 +30,7 @@ class Seen:
     time_s: np.ndarray  # (rows,) from the recording's first sample
     tau_ext: np.ndarray  # (rows, n): without what the drift tracker takes off, which takes the load for drift
     sigma: np.ndarray  # (rows, n)
-    worth: np.ndarray  # (rows, n): 1, and less the longer a joint stands
+    worth: np.ndarray  # (rows, n): 1, less the longer a joint stands, 0 where its torque is in another unit
     moved: np.ndarray  # (rows, n): |dq|
 
     @property
@@ -55,7 +56,7 @@ def see(bundle: _core.Bundle, recording: Recording, threads: int = 0) -> Seen:
     samples = np.arange(0, recording.samples, stride)
     samples = samples[(said["health"] == OK)[samples]]
     sigma = said["sigma_nm"] if bundle.error_scale.on else SIGMA_SHARE * said["limit_nm"]
-    worth = stand_worth(said["near_stiction"] > 0, np.diff(recording.time_s, prepend=0.0))
+    worth = stand_worth(said["near_stiction"] > 0, np.diff(recording.time_s, prepend=0.0)) * weighing_joints(bundle)
     return Seen(
         recording,
         samples,

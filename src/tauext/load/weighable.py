@@ -1,6 +1,8 @@
-"""Which bundles can weigh."""
+"""Which bundles can weigh, and with which joints."""
 
 from __future__ import annotations
+
+import numpy as np
 
 from tauext import _core
 from tauext.errors import ConfigError
@@ -17,3 +19,19 @@ def expect_weighable(bundle: _core.Bundle) -> None:
         raise ConfigError(
             f"bundle '{bundle.name}' knows no arm, neither from a model nor found in its motion: no levers"
         )
+    if not weighing_joints(bundle).any():
+        raise ConfigError(
+            f"bundle '{bundle.name}' has no torque constant of any joint; a load is weighed by joints whose torque is "
+            "in N m: give the constants (--torque-constants of train)"
+        )
+
+
+def weighing_joints(bundle: _core.Bundle) -> np.ndarray:
+    """Joints whose torques can be added up, (n,) bool: those in N m or N; without any, those in one common unit.
+
+    A torque in amperes stands for another number of N m on every joint.
+    """
+    units = np.array(["N m" if unit == "N" else unit for unit in bundle.estimate_units])
+    common = next((unit for unit in units if unit == "N m"), None)
+    common = common or next((unit for unit in units if unit != "A"), None)
+    return units == common

@@ -261,6 +261,7 @@ WRONG = [
     (ONE + 'accept = ["no-such"]', ["no-such", "no code"]),
     (ONE + 'stages = ["train", "report"]', ["'report'", "import, check, train"]),
     (ONE + 'stages = ["evaluate"]', ["lack train"]),
+    (ONE + "stages = []", ["stages = [] must be one or more of"]),
     (ONE + "[types.light]\n", ["type = ''", "light"]),
     (ONE + "train.max_stepz = 5", ["[train]", "unknown key 'max_stepz'", "'max_steps'"]),
     (ONE + "train.max_steps = 'five'", ["max_steps = 'five' must be a whole number"]),

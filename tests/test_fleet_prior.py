@@ -230,6 +230,13 @@ def test_arms_of_two_types_are_refused(made, tmp_path):
         make_fleet_prior(arms, tmp_path / "a.prior.json", CONFIG)
 
 
+def with_negative_variance(block: dict) -> dict:
+    covariance = np.array(block["covariance"])
+    covariance[0, :] = covariance[:, 0] = 0
+    covariance[0, 0] = -1.0
+    return block | {"covariance": covariance.tolist()}
+
+
 @pytest.mark.parametrize(
     "damage",
     [
@@ -237,6 +244,8 @@ def test_arms_of_two_types_are_refused(made, tmp_path):
         lambda raw: {key: value for key, value in raw.items() if key != "weights"},
         lambda raw: raw | {"error_nm": [1.0]},
         lambda raw: raw | {"trust": 0},
+        lambda raw: raw | {"memory_s": [1e-300] * len(raw["memory_s"])},
+        lambda raw: raw | {"weights": raw["weights"] | {"elbow": with_negative_variance(raw["weights"]["elbow"])}},
         lambda raw: raw | {"weights": raw["weights"] | {"links": {"mean": [0.0], "covariance": [[1.0]]}}},
         lambda raw: raw | {"terms": raw["terms"] | {"elbow": [["no_such_kind", 0, 0, 0, 0, 0.0]]}},
         lambda raw: [],

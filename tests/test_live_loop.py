@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -287,6 +288,9 @@ def test_lines_that_ask_for_nothing_known_are_answered():
     usage += "`expect seconds=S at_most=KG`, `weigh [tell|stop]` or `stop`"
     assert obey("sing", None, "x") == f"error: 'sing' must be {usage}"
     assert obey("profile", None, "x").startswith("error:") and obey("stop now", None, "x").startswith("error:")
+    for reach in ("1e9", "0", "nan", "-1"):
+        answer = obey(f"weigh reach={reach}", SimpleNamespace(weigh=None), "x")
+        assert answer == f"error: weigh: reach = {float(reach)} must be 0.001 to 100, in m"
 
 
 def test_a_socket_obeys_lines_and_is_gone_afterwards(bundle, tmp_path):
@@ -307,11 +311,13 @@ def test_a_socket_obeys_lines_and_is_gone_afterwards(bundle, tmp_path):
     with socket.socket(socket.AF_UNIX) as caller:
         caller.connect(str(path))
         with caller.makefile("rw") as lines:
-            lines.write("profile two words\nsing\n")
+            lines.write("profile two words\nsing\nprofile a\rstop\nprofile b\r\n")
             lines.flush()
             assert lines.readline() == "ok\n" and lines.readline().startswith("error: 'sing'")
+            assert lines.readline() == "ok\n" and lines.readline() == "ok\n"
     listening.close()
-    assert asked == [("two words", "control socket")] and not path.exists()
+    # Only a line feed ends a line: no second command hides behind a carriage return.
+    assert asked == [(name, "control socket") for name in ("two words", "a\rstop", "b")] and not path.exists()
 
 
 @pytest.mark.parametrize(

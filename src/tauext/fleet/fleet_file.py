@@ -171,6 +171,8 @@ def stages_of(said: Mapping[str, Any], arm: Arm, calibrates: bool, where: str) -
     """The stages that this arm has: those asked for, without import where it has a dataset, and with calibrate only
     where something says on what or for which promise; train finds limits itself."""
     asked = texts_of(said, "stages", where) if "stages" in said else STAGES
+    if not asked:
+        raise ConfigError(f"{where}: stages = [] must be one or more of {', '.join(STAGES)}")
     for stage in asked:
         if stage not in STAGES:
             raise ConfigError(f"{where}: stages = '{stage}' must be one or more of {', '.join(STAGES)}")

@@ -18,6 +18,8 @@ from tauext.provenance import json_text, write_json
 from tauext.robot.inertial import PARAMETERS
 from tauext.store import Place
 
+LEAST_MEMORY_S, MOST_MEMORY_S = 1e-3, 1e4
+"""Of errors that go on in one direction: a sample of the fastest loop, and hours."""
 FORMAT = 1
 SUFFIX = ".prior.json"
 OPTIONAL = ("trust", "errors", "coverage", "days")
@@ -145,6 +147,8 @@ def errors_of(raw: Mapping[str, Any], joints: int) -> FleetErrors:
             values[name] = np.array(value, dtype=float)
             if len(value) != joints or not np.isfinite(values[name]).all():
                 raise ValueError(f"{name} must be finite numbers, one a joint")
+            if name.endswith("_limit_nm") and not (values[name] > 0).all():
+                raise ValueError(f"{name} must be above 0")
     if not (isinstance(values["facts"]["sentence"], str) and values["facts"]["arms_factor"] >= 1):
         raise ValueError("facts must hold a sentence, and arms_factor >= 1")
     for name in values["features"]:
@@ -176,6 +180,10 @@ def expect_sound(prior: FleetPrior) -> None:
     for name, values in (("error_nm", weights.error_nm), ("memory_s", weights.memory_s)):
         if values.shape != (n,) or not (np.isfinite(values) & (values > 0)).all():
             raise ValueError(f"{name} must be numbers above 0, one a joint")
+    if not ((weights.memory_s >= LEAST_MEMORY_S) & (weights.memory_s <= MOST_MEMORY_S)).all():
+        raise ValueError(f"memory_s must be {LEAST_MEMORY_S:g} to {MOST_MEMORY_S:g}")
+    if (np.diag(weights.covariance) < 0).any():
+        raise ValueError("a variance is negative")
     if not (0 < weights.trust <= 1 and 0 < prior.gain_per_s < 1e6):
         raise ValueError("trust must be above 0, at most 1, and gain_per_s above 0")
     if not (np.isfinite(weights.mean).all() and np.isfinite(weights.covariance).all()):

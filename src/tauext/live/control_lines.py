@@ -12,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TextIO
 
+from tauext.config import require
 from tauext.errors import ConfigError, TauextError
 from tauext.live.sink import USUAL_REACH_M, Control
 from tauext.monitor import load_and_ago_of_text
@@ -66,6 +67,7 @@ def reach_of_text(text: str) -> float:
     name, _, number = text.partition("=")
     with suppress(ValueError):
         if name == "reach":
+            require(1e-3 <= float(number) <= 100, "weigh: reach", float(number), "0.001 to 100, in m")
             return float(number)
     raise ConfigError(f"weigh: {text[:60]!r} must be `reach=METRES`, `tell`, `stop` or nothing")
 
@@ -152,7 +154,7 @@ class ControlSocket:
         with (
             suppress(OSError, UnicodeDecodeError),
             connection,
-            connection.makefile("r", encoding="utf-8") as lines,
+            connection.makefile("r", encoding="utf-8", newline="\n") as lines,
             connection.makefile("w", encoding="utf-8") as answers,
         ):
             while line := lines.readline(LONGEST):

@@ -179,7 +179,7 @@ def test_a_live_monitor_weighs_when_a_line_asks(arm, recordings, capsys):
     keeper = Keeper(ask)
     loop = Loop(bundle, ScriptedSource(samples_of(loaded, slice(0, 800))), [keeper])
     loop.run()
-    assert said[0].startswith("error: reach = 0 must be the metres, above 0")
+    assert said[0] == "error: weigh: reach = 0.0 must be 0.001 to 100, in m"
     choices = "must be `reach=METRES`, `tell`, `stop` or nothing"
     assert said[1:3] == [f"error: weigh: {text!r} {choices}" for text in ("reach=far", "now")]
     assert said[3:] == ["ok"] * 4

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import get_args
@@ -124,3 +125,17 @@ def test_training_tells_its_reporter_how_far_it_is_and_prints_nothing(tmp_path, 
 def test_the_settings_need_neither_numpy_nor_the_stages():
     code = "import sys, tauext.config; assert not {'numpy', 'tauext.learn', 'tauext.train'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_bundle_that_rejects_its_own_training_motion_is_warned_of(tmp_path, unlimited):
+    """Stamps that run 8 % slower than the stated rate: all of it is a wrong rate once a second has passed."""
+    slow = motion(40.0)
+    slow = replace(slow, t_ns=slow.t_ns[0] + (slow.t_ns - slow.t_ns[0]) * 108 // 100)
+    heard, out, config = Heard(), tmp_path / "arm.tauext", TrainConfig(recipe="observer")
+    train_on_recordings(
+        planar_arm(), Path(), EXACT, [slow, motion(40.0, seed=1, name="even")], [], config, out, report=heard
+    )
+    warned = [said for said in heard.sentences if "rejects" in said]
+    assert len(warned) == 1 and f"of '{slow.name}'" in warned[0] and "[time] rate_hz" in warned[0]
+    facts = json.loads(_core.Bundle.load(str(out)).provenance)["rejected"]
+    assert list(facts["causes"]) == ["wrong rate"] and 0.4 < facts["share"] < 0.5 and facts["worst"]["share"] > 0.9

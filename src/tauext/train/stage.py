@@ -23,6 +23,7 @@ from tauext.train.limits import calibrate, limits_kind
 from tauext.train.load import put_load
 from tauext.train.look import look_first
 from tauext.train.network import assemble, fit_network
+from tauext.train.own_health import note_rejected
 from tauext.train.preparation import note_recordings, prepare
 from tauext.train.size import expect_size
 from tauext.train.wrench import put_wrench
@@ -140,4 +141,5 @@ def train_on_recordings(
     put_wrench(job, bundle, robot)
     note_recordings(job)
     calibrate(job, bundle, setup, fit)
+    note_rejected(job, bundle)
     write(job, bundle, network)

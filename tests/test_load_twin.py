@@ -165,8 +165,10 @@ def test_two_loads_are_one(arm):
 
 def test_a_live_monitor_weighs_when_a_line_asks(arm, recordings, capsys):
     bundle, loaded = settable(bundle_of(arm, recordings["free"])), recordings["loaded"]
+    unreachable = ["0", "1e9", "nan", "-1"]
     lines = {
-        20: ["weigh reach=0", "weigh reach=far", "weigh now", "weigh reach=0.25"],
+        19: [f"weigh reach={reach}" for reach in unreachable],
+        20: ["weigh reach=far", "weigh now", "weigh reach=0.25"],
         40: ["weigh tell"],
         700: ["weigh tell", "weigh stop"],
     }
@@ -179,10 +181,11 @@ def test_a_live_monitor_weighs_when_a_line_asks(arm, recordings, capsys):
     keeper = Keeper(ask)
     loop = Loop(bundle, ScriptedSource(samples_of(loaded, slice(0, 800))), [keeper])
     loop.run()
-    assert said[0] == "error: weigh: reach = 0.0 must be 0.001 to 100, in m"
+    rule = "must be 0.001 to 100 m, how far away a load's centre of mass may be"
+    assert said[:4] == [f"error: reach = {float(reach)} {rule}" for reach in unreachable]
     choices = "must be `reach=METRES`, `tell`, `stop` or nothing"
-    assert said[1:3] == [f"error: weigh: {text!r} {choices}" for text in ("reach=far", "now")]
-    assert said[3:] == ["ok"] * 4
+    assert said[4:6] == [f"error: weigh: {text!r} {choices}" for text in ("reach=far", "now")]
+    assert said[6:] == ["ok"] * 4
     told = [change for change in keeper.changes if isinstance(change, WeighChange)]
     assert [(one.row, one.what, one.by) for one in told] == [
         (21, "start", "a line"), (41, "tell", "a line"), (701, "tell", "a line"), (701, "stop", "a line"),

@@ -87,7 +87,7 @@ def weigh(bundle: Bundle, where: NamedFrame, parts: list[Seen], reach_m: float, 
     for line in load_sentences(found, where.name, unit):
         print(line)
     if left_out:
-        print(f"without {', '.join(left_out)}: no torque constant, and amperes weigh nothing")
+        print(f"not used: {', '.join(left_out)}, whose torque constants are not known")
     if len(alone) > 1:
         print(scatter_sentence(alone))
         for name, start, own in alone:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tauext import _core
+from tauext.config import require
 from tauext.errors import ConfigError
 from tauext.live.events import EventFinder
 from tauext.live.latency import Latencies
@@ -158,10 +159,7 @@ class Loop:
         """Weigh what the arm carries, tell what was found so far, or end it: see Control."""
         if reason := self.monitor.why_no_weighing():
             raise ConfigError(reason)
-        if not 0 < reach_m < math.inf:
-            raise ConfigError(
-                f"reach = {reach_m:g} must be the metres, above 0, that a load's centre of mass may be away"
-            )
+        require(1e-3 <= reach_m <= 100, "reach", reach_m, "0.001 to 100 m, how far away a load's centre of mass may be")
         self._reaches.put(reach_m)
         self._requests.put(("weigh", what, by))
 

@@ -32,6 +32,5 @@ def weighing_joints(bundle: _core.Bundle) -> np.ndarray:
     A torque in amperes stands for another number of N m on every joint.
     """
     units = np.array(["N m" if unit == "N" else unit for unit in bundle.estimate_units])
-    common = next((unit for unit in units if unit == "N m"), None)
-    common = common or next((unit for unit in units if unit != "A"), None)
+    common = "N m" if "N m" in units else next((unit for unit in units if unit != "A"), None)
     return units == common

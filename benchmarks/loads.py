@@ -127,14 +127,15 @@ def simulate_all(maker: Maker, folder: Path, seed: int) -> None:
 
 
 def dataset(maker: Maker, folder: Path, seed: int, kind: str, out: Path, names: list[str], part: str = "test") -> None:
-    """Import training and, into a part of the split, the recordings of these names, with constants that are true or
-    off by up to WRONG."""
+    """Import training and, into a part of the split, the recordings of these names, with constants that are true, off
+    by up to WRONG, or unknown."""
     if out.is_dir():
         return
     arm = true_arm(maker, maker.random(seed, 0))
     wrong = wrong_constants(maker, seed) if kind == "off" else 1.0
     text = description(maker, seed, model=True, takes=TRAIN)
-    text = re.sub(r"torque_constant = .*", f"torque_constant = {(arm.nm_per_ampere * wrong).tolist()}", text)
+    constants = json.dumps("unknown" if kind == "unknown" else (arm.nm_per_ampere * wrong).tolist())
+    text = re.sub(r"torque_constant = .*", f"torque_constant = {constants}", text)
     text = text.replace(f"{part} = []", f"{part} = {json.dumps([f'{name}.csv' for name in names])}")
     (folder / "csv" / f"arm-{out.name}.toml").write_text(text)
     files = [str(folder / "csv" / f"{name}.csv") for name in [*(take.name for take in TRAIN), *names]]

@@ -17,6 +17,7 @@ from tauext.config import ObserverConfig, TrainConfig
 from tauext.data import Recording, save_recording
 from tauext.errors import ConfigError, RobotError
 from tauext.learn import build_setup, make_bundle
+from tauext.learn.torque_constants import with_constants
 from tauext.live import Loop
 from tauext.live.control_lines import obey
 from tauext.live.profiles import load_profiles
@@ -448,3 +449,33 @@ def test_a_last_axis_that_nothing_weighs_on_may_point_anywhere():
     links = tree.links
     links[-1].com = [0.0, 0.0, 0.1]  # on the axis: balanced
     assert not last_axis_shows(links, tree.gravity, made, error_nm=0.05)
+
+
+def test_a_joint_in_amperes_does_not_forbid_loads_and_its_limit_rises_by_all_that_one_may_show(arm):
+    bundle, free, _ = arm
+    ampere = replace(free, tau=free.tau / [1, 1, 1, 1, 1, 5.0])
+    less = _core.Bundle.from_bytes(bundle.to_bytes())
+    less.observer = with_constants(less.observer, np.ones(6))
+    less.units = _core.TorqueUnits(_core.TorqueUnit.ampere, -1, [0, 0, 0, 0, 0, 1])
+    prior = less.prior
+    prior.most_load_nm = [1.2 * 50.0] * 6
+    less.prior = prior
+    less.largest_torque_nm = [100.0] * 6
+    less.answer_reference()
+    units = less.most_units_per_nm
+    assert units == pytest.approx([0, 0, 0, 0, 0, 1 + 100 / 50])
+    told, known, untold = _core.Monitor(less), _core.Monitor(bundle), _core.Monitor(bundle)
+    for monitor in (told, known):
+        set_tool(monitor)
+    rows = slice(0, 2500)
+    said, same, bare = told.run(*arrays(ampere, rows)), known.run(*arrays(free, rows)), untold.run(*arrays(free, rows))
+    late = slice(1500, None)
+    np.testing.assert_allclose(said["residual"][late, :5], same["residual"][late, :5], atol=1e-9)
+    shows = np.abs(bare["residual"] - same["residual"])[late, 5]  # the load's torque as r sees it
+    # A sample later: the load's own filter steps behind the answer.
+    np.testing.assert_allclose(said["doubt"][late, 5][1:], units[5] * shows[:-1], rtol=1e-6, atol=1e-9)
+    assert shows.max() > 0.1 and np.abs(said["doubt"][late, :5]).max() < 1e-9
+    less.units = _core.TorqueUnits(_core.TorqueUnit.ampere, -1, [0, 0, 1, 1, 1, 1])
+    less.assume_load()
+    assert less.load_settings.refused.startswith("only 2 of 6 joints in N m")
+    assert less.load_settings.refused.endswith("and a mass weighs newtons")

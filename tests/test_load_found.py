@@ -387,6 +387,27 @@ def test_the_command_writes_a_bundle_by_a_known_weight(tmp_path, arm, loaded_mot
     assert "it is the bundle to correct" in capsys.readouterr().err
 
 
+def test_a_known_weight_skips_a_joint_without_a_constant_and_names_it(
+    tmp_path, arm, loaded_motion, free_motion, capsys
+):
+    amperes = np.array([1, 1, 1, 1, 1, 0.2])
+    recordings = [replace(one, tau=one.tau * amperes) for one in (free_motion, loaded_motion)]
+    bundle = bundle_of(arm, recordings[0])
+    bundle.observer = with_constants(bundle.observer, np.ones(6))
+    bundle.units = _core.TorqueUnits(_core.TorqueUnit.ampere, -1, [0, 0, 0, 0, 0, 1])
+    out = tmp_path / "right.tauext"
+    command = [*saved(tmp_path, bundle, recordings[1]), "--known-kg", str(1.12 * MASS), "--out", str(out)]
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    assert "torques are to be multiplied by 1.12" in said and "skipped: joint6, whose" in said
+    right = load_bundle(out)
+    assert right.estimate_units[:5] == ["N m"] * 5 and right.estimate_units[5].startswith("A / 1.1")
+    assert right.in_newtons == [True] * 5 + [False]
+    assert main([*command[:3], "--known-kg", str(1.12 * MASS), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["left_out"] == ["joint6"] and facts["joints"]["joint6"]["nm_per_unit"] == 1.0
+
+
 def test_known_constants_are_taken_as_they_are(free_motion):
     told = known_constants((2.0,) * 6, [free_motion])
     assert told.used == [2.0] * 6 and told.given and not told.guessed.any()

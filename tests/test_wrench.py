@@ -11,6 +11,8 @@ from scipy.stats import chi2
 
 from tauext import _core
 from tauext.calibrate.wrench import correlation, factor
+from tauext.evaluate.noticed_force import noticed_force, points
+from tauext.learn.torque_constants import with_constants
 from tauext.robot import load_tree, wrench_frames
 
 ARM = Path(__file__).parents[1] / "benchmarks" / "seven_axis.urdf"
@@ -336,3 +338,63 @@ def test_the_radius_is_that_of_the_tail():
     assert (heavy[:, 0] / found <= chi2.ppf(0.95, 1)).mean() == pytest.approx(0.95, abs=1e-3)
     assert factor(np.full(100, 0.7 * chi2.ppf(0.95, 3)), 3) == pytest.approx(0.7)
     assert factor(np.zeros(100), 3) == 0.5  # an arm that stood still is not believed
+
+
+def without(own: list[int]) -> _core.Bundle:
+    """The arm, these joints in amperes."""
+    bundle = arm_bundle()
+    bundle.observer = with_constants(bundle.observer, np.ones(7))
+    bundle.units = _core.TorqueUnits(_core.TorqueUnit.ampere, -1, [int(j in own) for j in range(7)])
+    return bundle
+
+
+@pytest.mark.parametrize("point", [None, [0.0, 0.02, 0.1]])
+def test_a_joint_without_newton_metres_is_no_row_of_the_least_squares(point):
+    """Whatever it answers."""
+    less, q = _core.WrenchModel(without([6])), np.array(POSE)
+    assert less.refused == "" and less.left_out == [less.frames[6].name]
+    rng, keep = np.random.default_rng(5), slice(0, 6)
+    tau = rng.normal(size=7)
+    frame = less.left_out[0]
+    s = less.covariance(point is not None, tau, SIGMA)[keep, keep]
+    columns = less.columns(frame, list(q), point or [0.0, 0.0, 0.0])[: 6 if point is None else 3, keep]
+    prior = np.diag([1e-6] * 3 + [1e-4] * (len(columns) - 3))
+    information = columns @ np.linalg.solve(s, columns.T) + prior
+    wanted = np.linalg.solve(information, columns @ np.linalg.solve(s, tau[keep]))
+    for last in (tau[6], 1e3 * tau[6], np.nan):
+        told = one(less, frame, q, np.r_[tau[keep], last], point)
+        said = np.r_[told["force"], told["moment"]][: len(wanted)]
+        np.testing.assert_allclose(said, wanted, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(told["covariance"], np.linalg.inv(information), rtol=1e-6, atol=1e-6)
+
+
+def test_what_the_left_out_joints_alone_would_show_is_blind():
+    q = np.array(POSE)
+    whole, less = _core.WrenchModel(without([])), _core.WrenchModel(without([5, 6]))
+    frame = less.left_out[1]
+    assert one(whole, frame, q, np.ones(7))["blind"] == 0
+    told, columns = one(less, frame, q, np.ones(7)), less.columns(frame, list(q))[:, :5]
+    ways = told["blind_directions"][: told["blind"]] * [1, 1, 1, 0.1, 0.1, 0.1]
+    assert np.abs(ways @ columns).max(axis=1).min() < 1e-6  # [N m] of 1 N: five rows leave one direction of six
+
+
+def test_too_few_joints_in_newton_metres_tell_no_force():
+    assert _core.WrenchModel(without([3, 4, 5, 6])).refused == ""
+    refused = _core.WrenchModel(without([2, 3, 4, 5, 6])).refused
+    assert refused.startswith("only 2 of 7 joints in N m") and refused.endswith("and a force is in newtons")
+    assert _core.WrenchModel(without(list(range(7)))).refused.startswith("none of 7 joints in N m")
+
+
+def test_a_joint_without_newton_metres_notices_no_force():
+    """As if its limit were infinite."""
+    rng = np.random.default_rng(2)
+    less, whole, q, limit = without([3]), without([]), rng.uniform(-1, 1, (20, 7)), rng.uniform(1, 5, (20, 7))
+    found = noticed_force(less, q, limit, points(less))
+    assert found != noticed_force(whole, q, limit, points(whole))
+    limit[:, 3] = 1e12
+    same = noticed_force(whole, q, limit, points(whole))
+    assert len(found) == len(same) == 7
+    for one_point, other in zip(found, same, strict=True):
+        for way in ("every_way", "x", "y", "z", "worst_way"):
+            for name, value in one_point[way].items():
+                assert value == (other[way][name] and pytest.approx(other[way][name], rel=1e-6)), (way, name)

@@ -461,6 +461,18 @@ void bind_bundle(nb::module_& m) {
       .def_rw("wrench_settings", &Bundle::wrench, "What forces and moments at frames are worth.")
       .def_rw("capsules", &Bundle::capsules, "What links look like, as the robot file has it; none: it has not.")
       .def_rw("servo", &Bundle::servo, "What makes dq and tau of a servo's signals, ahead of the chain; may be off.")
+      .def_prop_ro(
+          "in_newtons",
+          [](const Bundle& b) {
+            std::vector<bool> out;
+            for (int j = 0; j < b.joints(); ++j) out.push_back(b.in_newtons(j));
+            return out;
+          },
+          "A joint: whether it answers in N m, N or W; loads and forces are told by those alone.")
+      .def("too_few_in_newtons", &Bundle::too_few_in_newtons, nb::arg("why"),
+           "Empty where enough joints answer in N m; else a sentence that ends in `why`.")
+      .def_prop_ro("most_units_per_nm", &Bundle::most_units_per_nm,
+                   "A joint: so many of its own units a load makes of a newton metre at most; 0 where it answers in N m.")
       .def("assume_load", &Bundle::assume_load, "What is said of a load where nobody says more: see bundle.hpp.")
       .def_prop_ro("torque_units", [](const Bundle& b) { return units(b, &Bundle::torque_unit); },
                    "Unit of the tau that is to be given, a joint.")

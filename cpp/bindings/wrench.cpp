@@ -7,6 +7,8 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
+
 #include "arrays.hpp"
 #include "tauext/bundle.hpp"
 
@@ -140,6 +142,15 @@ void bind_wrench(nb::module_& m) {
   nb::class_<WrenchModel>(m, "WrenchModel", "Wrenches at the frames of a bundle's arm.")
       .def(nb::init<const Bundle&>(), nb::arg("bundle"))
       .def_prop_ro("refused", &WrenchModel::refused, "Why there is none; empty: there is one.")
+      .def_prop_ro(
+          "left_out",
+          [](const WrenchModel& self) {
+            std::vector<std::string> out;
+            for (std::size_t j = 0; j < self.links().size(); ++j)
+              if (!std::ranges::binary_search(self.told(), j)) out.push_back(self.links()[j].joint_name);
+            return out;
+          },
+          "Joints that do not answer in N m: their torques are not looked at.")
       .def_prop_ro(
           "frames",
           [](const WrenchModel& self) {

@@ -124,11 +124,40 @@ std::string Bundle::estimate_unit(int joint) const {
   const bool slides = links.at(at).type == JointType::prismatic;
   if (observer.nm_per_unit.empty() || (!units.unknown.empty() && units.unknown.at(at))) {
     const bool watts = observer.method == ResidualMethod::energy && units.given == TorqueUnit::newton_metre;
-    return watts ? "W" : torque_unit(joint);
+    const double times = observer.nm_per_unit.empty() ? 1.0 : observer.nm_per_unit.at(at);
+    return (watts ? "W" : torque_unit(joint)) + (times == 1 ? "" : " / " + to_text(times));
   }
   if (units.relative_to >= 0) return "units of " + links[static_cast<std::size_t>(units.relative_to)].joint_name;
   if (observer.method == ResidualMethod::energy) return "W";
   return slides ? "N" : "N m";
+}
+
+bool Bundle::in_newtons(int joint) const {
+  const std::string unit = estimate_unit(joint);
+  return unit == "N m" || unit == "N" || unit == "W";
+}
+
+std::string Bundle::too_few_in_newtons(const std::string& why) const {
+  int known = 0, other = -1;
+  for (int j = 0; j < joints(); ++j) {
+    known += in_newtons(j);
+    if (other < 0 && !in_newtons(j)) other = j;
+  }
+  if (known >= std::min(kLeastInNewtons, joints())) return "";
+  return (known == 0 ? "none" : "only " + std::to_string(known)) + " of " + std::to_string(joints()) +
+         " joints in N m: joint '" + links[static_cast<std::size_t>(other)].joint_name + "' answers in " +
+         estimate_unit(other) + ", and " + why;
+}
+
+std::vector<double> Bundle::most_units_per_nm() const {
+  constexpr double kBeyond = 1.2;  // most_load_nm is so many times the most that the arm weighed in training
+  std::vector<double> most(links.size(), 0.0);
+  for (std::size_t j = 0; j < links.size(); ++j) {
+    if (in_newtons(static_cast<int>(j))) continue;
+    const double weighs = prior.most_load_nm.empty() ? 0.0 : prior.most_load_nm.at(j) / kBeyond;
+    most[j] = 1 + std::min(signals.largest_torque_nm.at(j) / std::max(weighs, 1e-9), kAnyUnit);
+  }
+  return most;
 }
 
 void Bundle::validate() const {
@@ -191,12 +220,9 @@ void Bundle::assume_load() {
     load = {};
     load.refused = "the friction of joint '" + links[j].joint_name + "' was fitted to too little load; train it again";
   }
-  for (int j = 0; load.settable() && j < joints(); ++j)
-    if (const std::string unit = estimate_unit(j); unit != "N m" && unit != "N" && unit != "W") {
-      load.link = -1;
-      load.refused = "joint '" + links[static_cast<std::size_t>(j)].joint_name + "' answers in " + unit +
-                     ", and a mass weighs newtons";
-    }
+  if (!load.settable()) return;
+  load.refused = too_few_in_newtons("a mass weighs newtons");
+  if (!load.settable()) load.link = -1;
 }
 
 void answer_reference(Bundle& bundle) {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <limits>
 
 #include "expected_load_parts.hpp"
 #include "tauext/bundle.hpp"
@@ -27,7 +28,10 @@ ExpectedLoad::ExpectedLoad(const Bundle& bundle)
       period_s_(1e-9 * static_cast<double>(bundle.observer.sample_period_ns)),
       bare_(bundle.links, bundle.gravity),
       columns_(bare_, bundle.prior, {bundle.load.link, bundle.load.rotation, bundle.load.translation}, gain_per_s_),
-      usual_(joints_, static_cast<int>(bundle.prior.widths_rad.size()), bundle.limits) {}
+      usual_(joints_, static_cast<int>(bundle.prior.widths_rad.size()), bundle.limits) {
+  std::ranges::copy(bundle.most_units_per_nm(), units_per_nm_.begin());
+  for (int j = 0; j < joints_; ++j) told_ += bundle.in_newtons(j);
+}
 
 std::string ExpectedLoad::why_not(double seconds, double at_most_kg) const {
   if (!(seconds > 0 && seconds <= kLongestWindow_s))
@@ -97,6 +101,11 @@ void ExpectedLoad::explain(const Sample& sample, const Observed& observed, std::
   fit(tau_ext, explained);
   const bool over = s.t_ns >= s.end_ns && s.held == Alarm::none;  // the window, and nothing is to be decided any more
   if (over || s.phase == LoadPhase::weighing) std::ranges::fill(explained, 0.0);
+  for (std::size_t j = 0; j < n; ++j)
+    if (units_per_nm_[j] > 0) {  // nobody knows what the load shows there, but how much at most
+      raised[j] += units_per_nm_[j] * std::fabs(explained[j]);
+      explained[j] = 0;
+    }
   if (s.phase == LoadPhase::weighing) raise(raised);
 }
 
@@ -107,7 +116,7 @@ void ExpectedLoad::raise(std::span<double> raised) const noexcept {
     double variance = 0;
     for (std::size_t i = 0; i < 4; ++i)
       for (std::size_t k = 0; k < 4; ++k) variance += columns[i][j] * state_.covariance[4 * i + k] * columns[k][j];
-    raised[j] += kRaise * std::sqrt(std::max(variance, 0.0));
+    raised[j] += kRaise * std::sqrt(std::max(variance, 0.0)) * (units_per_nm_[j] > 0 ? units_per_nm_[j] : 1.0);
   }
 }
 
@@ -123,7 +132,7 @@ void ExpectedLoad::fit(std::span<const double> tau_ext, std::span<double> explai
   JointVector shown, inertia, sigma;
   for (std::size_t j = 0; j < n; ++j) {
     if (!(s.limit_nm[j] > 0)) return;
-    sigma[j] = kSigmaOfLimit * s.limit_nm[j];
+    sigma[j] = units_per_nm_[j] > 0 ? std::numeric_limits<double>::infinity() : kSigmaOfLimit * s.limit_nm[j];
     shown[j] = tau_ext[j] + torque(columns, told, j);
     inertia[j] = torque(columns, before, j, 4);
   }

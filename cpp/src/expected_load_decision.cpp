@@ -74,7 +74,7 @@ ExpectedLoad::Stretch ExpectedLoad::agreeing() const noexcept {
   }
   if (state_.past.rows > 0 && (all || agree(state_.past, whole.sums, state_.bounds, state_.change, alike()))) {
     whole.sums.add(state_.past);
-    whole.samples += state_.past.rows / joints_;
+    whole.samples += state_.past.rows / told_;
     whole.begin_ns = state_.begin_ns;
   }
   if (all) whole.begin_ns = state_.begin_ns;
@@ -102,6 +102,7 @@ double ExpectedLoad::error_of(const Stretch& stretch, const LoadChange& change) 
 bool ExpectedLoad::shows(const LoadChange& one, const LoadChange& other, double share) const noexcept {
   const auto from = ten_of(one), to = ten_of(other);
   for (std::size_t j = 0; j < static_cast<std::size_t>(joints_); ++j) {
+    if (units_per_nm_[j] > 0) continue;
     const double apart = torque(columns_.state().load, from, j) - torque(columns_.state().load, to, j);
     if (std::fabs(apart) > share * state_.limit_nm[j]) return true;
   }

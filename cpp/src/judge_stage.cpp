@@ -25,6 +25,8 @@ JudgeStage::JudgeStage(const Bundle& bundle)
       coverage_(bundle.joints(), bundle.coverage, bundle.observer.slowest_per_s()),
       touch_(bundle) {
   estimate_.joints = bundle.joints();
+  for (int j = 0; j < bundle.joints(); ++j)
+    if (!bundle.in_newtons(j)) other_units_ |= std::uint32_t{1} << j;
   reset();
 }
 
@@ -182,9 +184,10 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
                               e.near_stiction, o.judged, first_joints(e.limit_nm), first_joints(e.contact_limit_nm));
   // Where training never was, the error is the prior's and no drift.
   const bool teaches = o.teaches && !expects && e.unfamiliar < Coverage::kWorthTelling && !drift_held_;
-  drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), e.near_stiction, teaches);
-  factors_.learn(sample.dq, first_joints(e.tau_ext), first_joints(e.sigma_nm), first_joints(e.doubt), e.near_stiction,
-                 teaches);
+  // Nor is it where the unit of a load is not known: such a joint learns as little as one that stands.
+  const std::uint32_t silent = e.near_stiction | (e.load.mass > 0 ? other_units_ : 0);
+  drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), silent, teaches);
+  factors_.learn(sample.dq, first_joints(e.tau_ext), first_joints(e.sigma_nm), first_joints(e.doubt), silent, teaches);
   e.drift_saturated = drift_.saturated() | factors_.saturated();
   for (int j = 0; o.judged && j < e.joints; ++j) e.margin_nm[j] = e.limit_nm[j] - std::fabs(e.tau_ext[j] - e.load_nm[j]);
   report_alarm();

@@ -102,8 +102,8 @@ void ChangeSums::add(const LoadRegressor::Columns& load, std::span<const double>
       moment[i] += x * y;
     }
     squares += weight * y * y;
+    rows += weight > 0;
   }
-  rows += static_cast<double>(torque.size());
 }
 
 void ChangeSums::add(const ChangeSums& other) noexcept {

@@ -46,7 +46,7 @@ Monitor::Monitor(const Bundle& bundle, NetworkRate rate)
   }
   if (Weighing::possible(bundle)) weighing_.emplace(bundle);
   if (load_settings_.settable()) {
-    observe_.allow_loads(load_settings_);
+    observe_.allow_loads(load_settings_, bundle.most_units_per_nm());
     judge_.allow_loads();
     if (ExpectedLoad::possible(bundle)) expected_.emplace(bundle);
   }

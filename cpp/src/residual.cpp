@@ -79,7 +79,7 @@ SampleClock::Tick ResidualStage::step(std::int64_t t_ns, std::span<const double>
   if (!loads_) return tick;
   if (carrying_.follows)
     for (std::size_t i = 0; i < doubt.size(); ++i)
-      doubt[i] += carrying_.error_share * std::fabs(carrying_.torques.residual()[i]);
+      doubt[i] += (carrying_.error_share + units_per_nm_[i]) * std::fabs(carrying_.torques.residual()[i]);
   carrying_.t_ns = t_ns;
   std::ranges::copy(q, carrying_.q.begin());
   std::ranges::copy(dq, carrying_.dq.begin());

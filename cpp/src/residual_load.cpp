@@ -6,9 +6,11 @@
 
 namespace tauext {
 
-void ResidualStage::allow_loads(const LoadSettings& settings) {
+void ResidualStage::allow_loads(const LoadSettings& settings, std::span<const double> units_per_nm) {
   if (!settings.settable()) return;
   loads_ = settings;
+  std::ranges::copy(units_per_nm, units_per_nm_.begin());
+  other_units_ = std::ranges::any_of(units_per_nm, [](double units) { return units > 0; });
   model_carries_ = motion_.tree().has_mass();
   bare_ = model_carries_ ? motion_.tree() : *prior_.terms().corrected();
   if (method_ != ResidualMethod::momentum || !unfiltered_) return;
@@ -40,7 +42,7 @@ void ResidualStage::set_load(const Load& load, std::int64_t since_ns) noexcept {
   carry(carrying_.load);
   if (load.mass > 0) {  // else what r still shows of the one before goes on to fade
     carrying_.error_share = load.error_share;
-    carrying_.follows = load.error_share > 0;
+    carrying_.follows = load.error_share > 0 || other_units_;
     if (!carrying_.follows) forget_load_torques();
   }
   if (!carrying_.seen) return;

@@ -216,9 +216,7 @@ void PlaceModel::rank(std::span<const double> q, std::span<const double> tau_ext
   const auto n = static_cast<std::size_t>(joints());
   into = {};
   into.consistent = log_elsewhere_ = std::numeric_limits<double>::quiet_NaN();
-  bool sound = refused().empty();
-  for (std::size_t j = 0; sound && j < n; ++j)
-    sound = std::isfinite(q[j]) && std::isfinite(tau_ext[j]) && sigma_nm[j] > 0 && std::isfinite(sigma_nm[j]);
+  bool sound = refused().empty() && wrench_.known(q, tau_ext, sigma_nm);
   for (const double value : dq) sound = sound && std::isfinite(value);
   if (!sound) return;
   std::array<double, kMaxJoints> y;
@@ -231,15 +229,19 @@ void PlaceModel::rank(std::span<const double> q, std::span<const double> tau_ext
       const double hidden = kStuckShare * std::min(std::fabs(y[j]), wrench_.friction_at_rest_nm()[j]);
       s[j * n + j] += hidden * hidden;
     }
-  if (!cholesky(std::span(s).first(n * n), n)) return;
-  forward(s, n, std::span(y).first(n));
+  const std::size_t rows = wrench_.told().size();
+  wrench_.keep_told(s, n, true);
+  wrench_.keep_told(y, 1, false);
+  if (!cholesky(std::span(s).first(rows * rows), rows)) return;
+  forward(s, rows, std::span(y).first(rows));
   std::array<double, kMaxJoints> logs{};
   for (std::size_t link = 0; link < n; ++link) {
     std::array<double, 6 * kMaxJoints> columns;
     wrench_.columns(static_cast<int>(link), q, {}, WrenchAxes::frame, columns);
-    for (std::size_t i = 0; i < 6; ++i) forward(s, n, std::span(columns).subspan(i * n, n));
+    wrench_.keep_told(columns, 6, false);
+    for (std::size_t i = 0; i < 6; ++i) forward(s, rows, std::span(columns).subspan(i * rows, rows));
     const auto times = [&](std::size_t a, std::size_t b) noexcept {
-      return std::inner_product(&columns[a * n], &columns[a * n] + n, &columns[b * n], 0.0);
+      return std::inner_product(&columns[a * rows], &columns[a * rows] + rows, &columns[b * rows], 0.0);
     };
     Information& of = seen_[link];
     for (std::size_t i = 0; i < 3; ++i) {
@@ -248,8 +250,8 @@ void PlaceModel::rank(std::span<const double> q, std::span<const double> tau_ext
         of.fm[3 * i + j] = times(i, 3 + j);
         of.mm[3 * i + j] = times(3 + i, 3 + j);
       }
-      of.f[i] = std::inner_product(&columns[i * n], &columns[i * n] + n, y.data(), 0.0);
-      of.m[i] = std::inner_product(&columns[(3 + i) * n], &columns[(3 + i) * n] + n, y.data(), 0.0);
+      of.f[i] = std::inner_product(&columns[i * rows], &columns[i * rows] + rows, y.data(), 0.0);
+      of.m[i] = std::inner_product(&columns[(3 + i) * rows], &columns[(3 + i) * rows] + rows, y.data(), 0.0);
     }
     logs[link] = evidence(coarse_[link], of, logs_);
   }
@@ -286,11 +288,14 @@ void PlaceModel::locate(TouchPlaces& into, int given) noexcept {
   std::array<double, kMaxJoints> left{};
   for (std::size_t j = 0; j < n; ++j)
     for (std::size_t i = 0; i < 3; ++i) left[j] += columns[i * n + j] * first.force[i];
-  forward(factor_, n, std::span(left).first(n));
+  const std::span<const std::size_t> told = wrench_.told();
+  wrench_.keep_told(left, 1, false);
+  forward(factor_, told.size(), std::span(left).first(told.size()));
   double chi_square = 0;
-  for (std::size_t j = 0; j < n; ++j) chi_square += std::pow(whitened_tau_[j] - left[j], 2);
+  for (std::size_t j = 0; j < told.size(); ++j) chi_square += std::pow(whitened_tau_[j] - left[j], 2);
   // Three unknowns of the force and two of the point, as far as the joints on the way to it can tell them.
-  const int freedom = static_cast<int>(n) - std::min(first.link + 1, 5);
+  const auto on_the_way = std::ranges::count_if(told, [&first](std::size_t j) noexcept { return static_cast<int>(j) <= first.link; });
+  const int freedom = static_cast<int>(told.size()) - std::min(static_cast<int>(on_the_way), 5);
   chi_square /= wrench_.settings().residual_radius[static_cast<std::size_t>(WrenchKind::force)];
   into.consistent = freedom > 0 ? chi_square_beyond(chi_square, freedom) : 1.0;
 }

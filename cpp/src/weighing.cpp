@@ -31,6 +31,7 @@ Weighing::Weighing(const Bundle& bundle)
       columns_(Tree(bundle.links, bundle.gravity), bundle.prior, frame_of(bundle.load), bundle.observer.gain_per_s),
       sums_(bundle.joints()),
       settings_(settings_of(bundle)) {
+  for (int j = 0; j < joints_; ++j) counts_[static_cast<std::size_t>(j)] = bundle.in_newtons(j);
   if (!possible(bundle)) throw Error("a load is weighed in the momentum observer's r alone, at a frame that the bundle names");
 }
 
@@ -125,7 +126,7 @@ void Weighing::add_row() noexcept {
     const auto j = static_cast<std::size_t>(joint);
     rows[j] = columns_.row(joint, tau_ext_[j]);
     const double stood = 1 + stood_s_[j] / kStand_s;
-    worth[j] = 1 / (stood * stood);
+    worth[j] = counts_[j] / (stood * stood);
   }
   const auto n = static_cast<std::size_t>(joints_);
   sums_.add(std::span(rows).first(n), std::span(sigma_nm_).first(n), std::span(worth).first(n));

@@ -24,11 +24,8 @@ std::string why_none(const Bundle& bundle) {
   if (std::ranges::none_of(bundle.links, [](const Link& link) { return link.mass > 0; }))
     return "the bundle has no model of the arm (case none): nothing tells where its links are";
   if (!bundle.error_scale.on()) return "the bundle does not say how wrong tau_ext may be (it has no error scale)";
-  for (int j = 0; j < bundle.joints(); ++j)
-    if (const std::string unit = bundle.estimate_unit(j); unit != "N m" && unit != "N")
-      return "joint '" + bundle.links[static_cast<std::size_t>(j)].joint_name + "' answers in " + unit +
-             ", and a force is in newtons";
-  return "";
+  if (bundle.observer.method == ResidualMethod::energy) return "the bundle answers in W, and a force is in newtons";
+  return bundle.too_few_in_newtons("a force is in newtons");
 }
 
 // The columns of WrenchModel::columns(), on the way from the frame to the base, which is returned.
@@ -105,6 +102,8 @@ WrenchModel::WrenchModel(const Bundle& bundle)
   const std::vector<double> shares = load_friction_shares(bundle.prior, bundle.joints());
   for (const Term& term : bundle.prior.terms)
     if (is_load(term)) rubbing_[static_cast<std::size_t>(term.a)] = shares[static_cast<std::size_t>(term.a)];
+  for (std::size_t j = 0; j < links_.size(); ++j)
+    if (bundle.in_newtons(static_cast<int>(j))) told_.push_back(j);
   for (std::size_t j = 0; j < links_.size(); ++j) friction_nm_.push_back(friction_line(bundle.prior, j).at_rest_nm);
   for (std::size_t j = 0; j < links_.size(); ++j)
     frames_.push_back({links_[j].joint_name, static_cast<std::int32_t>(j), WrenchFrame{}.rotation, {}});
@@ -172,6 +171,23 @@ void WrenchModel::take_off_rubbing(std::span<const double> q, std::span<const do
   }
 }
 
+bool WrenchModel::known(std::span<const double> q, std::span<const double> tau_ext,
+                        std::span<const double> sigma_nm) const noexcept {
+  for (std::size_t j = 0; j < links_.size(); ++j)
+    if (!std::isfinite(q[j])) return false;
+  return std::ranges::all_of(told_, [&](std::size_t j) noexcept {
+    return std::isfinite(tau_ext[j]) && sigma_nm[j] > 0 && std::isfinite(sigma_nm[j]);
+  });
+}
+
+// Every number moves towards the front, past those that were moved before it.
+void WrenchModel::keep_told(std::span<double> values, std::size_t count, bool square) const noexcept {
+  const std::size_t n = links_.size(), rows = told_.size();
+  if (rows == n) return;
+  for (std::size_t i = 0; i < (square ? rows : count); ++i)
+    for (std::size_t k = 0; k < rows; ++k) values[i * rows + k] = values[(square ? told_[i] : i) * n + told_[k]];
+}
+
 Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3>& point, std::span<const double> q,
                           std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
                           std::uint32_t near_stiction, std::span<const double> dq) const noexcept {
@@ -183,24 +199,25 @@ Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3
   told.covariance.fill(nan);
   told.chi_square = told.consistent = nan;
   bool sound = refused_.empty() && frame >= 0 && frame < frames();
-  for (std::size_t j = 0; sound && j < n; ++j)
-    sound = std::isfinite(q[j]) && std::isfinite(tau_ext[j]) && sigma_nm[j] > 0 && std::isfinite(sigma_nm[j]);
+  sound = sound && known(q, tau_ext, sigma_nm);
   for (double value : point) sound = sound && std::isfinite(value);
   for (double value : dq) sound = sound && std::isfinite(value);
   if (!sound) return told;
 
   std::array<double, kMaxJoints> pushed;
-  if (!dq.empty()) {
-    std::ranges::copy(tau_ext, pushed.begin());
-    take_off_rubbing(q, dq, std::span(pushed).first(n));
-    tau_ext = std::span(pushed).first(n);
-  }
+  std::ranges::copy(tau_ext.first(n), pushed.begin());
+  if (!dq.empty()) take_off_rubbing(q, dq, std::span(pushed).first(n));
   std::array<double, kMaxJoints * kMaxJoints> s;
   std::array<double, 6 * kMaxJoints> all;
-  covariance(kind, tau_ext, sigma_nm, near_stiction, s);
+  covariance(kind, std::span(pushed).first(n), sigma_nm, near_stiction, s);
   const Turn base = see(links_, frames_[static_cast<std::size_t>(frame)], q, point, axes, all).axes;
   const WrenchScale scale{WrenchModel::kLargestForce_n, WrenchModel::kLength_m, WrenchModel::kBlindForce_n};
-  if (!solve_wrench(std::span(s).first(n * n), std::span(all).first(unknowns * n), tau_ext.first(n), scale, told)) return told;
+  keep_told(s, n, true);
+  keep_told(all, unknowns, false);
+  keep_told(pushed, 1, false);
+  const std::size_t rows = told_.size();
+  if (!solve_wrench(std::span(s).first(rows * rows), std::span(all).first(unknowns * rows), std::span(pushed).first(rows), scale, told))
+    return told;
   told.chi_square /= settings_.residual_radius[static_cast<std::size_t>(kind)];
   told.consistent = told.freedom > 0 ? chi_square_beyond(told.chi_square, told.freedom) : 1.0;
   if (kind == WrenchKind::force) {

@@ -92,10 +92,21 @@ struct Bundle {
   // "units of JOINT", or "W" of the energy observer. Throws std::out_of_range where there is no such joint.
   std::string torque_unit(int joint) const;
   std::string estimate_unit(int joint) const;
+  // Whether the joint answers in N m, N or W: there a mass or a force shows as its lever says.
+  bool in_newtons(int joint) const;
+  // Fewer joints than these in N m, or than all of a shorter arm, tell neither a mass nor a force.
+  static constexpr int kLeastInNewtons = 3;
+  // Empty where enough joints answer in N m; else a sentence that ends in `why`.
+  std::string too_few_in_newtons(const std::string& why) const;
+  // A joint: so many of its own units a load makes of a newton metre at most; 0 where it answers in N m. What the arm itself
+  // weighs there took no more than the largest torque of training, of either sign; and the model takes off one unit for
+  // each newton metre. kAnyUnit where nobody knows what the arm weighs there.
+  static constexpr double kAnyUnit = 1e6;
+  std::vector<double> most_units_per_nm() const;
   // Throws Error, naming what does not fit.
   void validate() const;
-  // What is said of a load where nobody says more: see assumed_load_settings(). None can be set where the answers are in
-  // another unit than N m.
+  // What is said of a load where nobody says more: see assumed_load_settings(). None can be set where too few joints answer
+  // in N m.
   void assume_load();
 };
 

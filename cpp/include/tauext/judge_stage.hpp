@@ -149,6 +149,7 @@ class JudgeStage {
   }
 
   std::vector<double> output_scale_nm_;
+  std::uint32_t other_units_ = 0;  // a bit a joint: it does not answer in N m, and nobody knows what a load shows there
   AlarmStage alarm_;
   DriftTracker drift_;
   FrictionFactors factors_;

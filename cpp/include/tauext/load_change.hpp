@@ -23,10 +23,10 @@ struct ChangeSums {
   std::array<double, 16> gram{};    // sum of x x^T / sigma^2
   std::array<double, 4> moment{};   // sum of x y / sigma^2
   double squares = 0;               // sum of y^2 / sigma^2
-  double rows = 0;                  // samples times joints
+  double rows = 0;                  // samples times joints that count
 
   // One sample of every joint. load: columns of a unit (LoadColumns); inertia: torques of the load's own inertia, which
-  // are taken off; sigma_nm > 0.
+  // are taken off; sigma_nm > 0, infinite where the joint does not count.
   void add(const LoadRegressor::Columns& load, std::span<const double> torque, std::span<const double> inertia,
            std::span<const double> sigma_nm) noexcept;
   void add(const ChangeSums& other) noexcept;

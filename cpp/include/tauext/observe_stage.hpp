@@ -64,7 +64,9 @@ class ObserveStage {
   void forget_friction(std::uint32_t joints) noexcept;
   bool tells_friction() const noexcept { return residual_.tells_friction(); }
   // Loads as ResidualStage: allowed once, before the first sample; keep() once a sample, before the next one.
-  void allow_loads(const LoadSettings& settings) { residual_.allow_loads(settings); }
+  void allow_loads(const LoadSettings& settings, std::span<const double> units_per_nm = {}) {
+    residual_.allow_loads(settings, units_per_nm);
+  }
   bool can_go_back() const noexcept { return residual_.can_go_back(); }
   void set_load(const Load& load, std::int64_t since_ns) noexcept { residual_.set_load(load, since_ns); }
   const Load& load() const noexcept { return residual_.load(); }

@@ -76,7 +76,8 @@ class ResidualStage {
   void reset() noexcept;
 
   // Loads may be set from here on. Allocates; before the first sample.
-  void allow_loads(const LoadSettings& settings);
+  // units_per_nm: Bundle::most_units_per_nm(); the doubt of a joint rises by so much of a load's torque. None: all in N m.
+  void allow_loads(const LoadSettings& settings, std::span<const double> units_per_nm = {});
   // Whether a load can be set from an earlier time on: r of the momentum observer without filters can be found anew.
   bool can_go_back() const noexcept { return past_.capacity() > 0; }
   // A load that the settings take, in the place of the one before; a mass of 0 takes it off. From the next step on r and
@@ -141,7 +142,8 @@ class ResidualStage {
   bool unfiltered_;
   std::optional<LoadSettings> loads_;
   std::optional<Tree> bare_;  // without the load, of the model that carries it
-  bool model_carries_ = false;
+  JointVector units_per_nm_{};
+  bool model_carries_ = false, other_units_ = false;
   PastSamples past_;
   std::optional<Presliding> past_presliding_;
   Carrying carrying_;

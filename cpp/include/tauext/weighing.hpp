@@ -63,6 +63,7 @@ class Weighing {
   std::int64_t period_ns_, half_sample_ns_;
   LoadSettings loads_;
   bool has_sigma_;
+  JointVector counts_{};  // 1 where a joint answers in N m, else 0: it weighs nothing
   Limits limits_;
   LoadColumns columns_;
   LoadSums sums_;

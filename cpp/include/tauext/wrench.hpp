@@ -71,7 +71,7 @@ struct Wrench {
 // at all, w ~ N(0, P) with P of kLargestForce_n and that times kLength_m, keeps the answer continuous through
 // singularities: w = (J S^-1 J^T + P^-1)^-1 J S^-1 tau_ext. Where a direction is known to kBlindForce_n or better, P shrinks it by
 // 1 % at most, by 0.01 % at 10 N; where it is not, it is named blind.
-// Eigenvectors of the whitened J S^-1 J^T tell directions.
+// Eigenvectors of the whitened J S^-1 J^T tell directions. Joints that do not answer in N m have no row in any of it.
 // Gears rub harder under load, and the prior's friction knows the arm's own weight alone. Where dq is given, what a touch
 // adds is taken off first, of joints whose share s was found from their own load: a joint that moves gets
 //   tau_ext + s tanh(dq / kSignSpeed) (|g - tau_ext| - |g|),  g the weight that it holds.
@@ -96,6 +96,12 @@ class WrenchModel {
   int find(std::string_view name) const noexcept;
   int joints() const noexcept { return static_cast<int>(links_.size()); }
   const std::vector<Link>& links() const noexcept { return links_; }
+  // Joints that answer in N m, rising. Of the others nothing is looked at but q: what they alone would show is blind.
+  std::span<const std::size_t> told() const noexcept { return told_; }
+  // Whether all that is looked at is finite, and sigma of the joints that are told above 0.
+  bool known(std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm) const noexcept;
+  // (count, joints) to (count, told), in place; square: (joints, joints) to (told, told).
+  void keep_told(std::span<double> values, std::size_t count, bool square) const noexcept;
   const WrenchSettings& settings() const noexcept { return settings_; }
 
   // Joint torques of a unit of each unknown, (6, joints): force, then moment, along those axes, with the force at `point`
@@ -128,6 +134,7 @@ class WrenchModel {
 
   std::string refused_;
   std::vector<Link> links_;
+  std::vector<std::size_t> told_;
   WrenchSettings settings_;
   std::vector<WrenchFrame> frames_;
   std::vector<double> friction_nm_;   // a joint, at rest

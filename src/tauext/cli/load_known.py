@@ -6,7 +6,6 @@ import json
 from typing import TYPE_CHECKING
 
 from tauext.cli.another_bundle import expect_another, write_another
-from tauext.errors import ConfigError
 from tauext.store import Place
 
 if TYPE_CHECKING:
@@ -28,16 +27,10 @@ def set_constants(
     """Find the factors, say them, and write a bundle with the common one where that is asked for.
 
     Raises:
-        ConfigError: a joint is in a unit of its own, the weight does not tell, or the new bundle cannot be written.
+        ConfigError: the weight does not tell, or the new bundle cannot be written.
     """
     from tauext.load import weigh_constants
 
-    if any(bundle.units.unknown):
-        joints = [link.joint_name for link, unknown in zip(bundle.links, bundle.units.unknown, strict=True) if unknown]
-        raise ConfigError(
-            f"torques of {', '.join(joints)} are in the recordings' own unit; --known-kg corrects constants that are "
-            "about right, and finds none"
-        )
     check_out(path, out)
     known = weigh_constants(bundle, where, parts, mass_kg, com_m, reach_m)
     constants = known.constants(bundle)
@@ -76,10 +69,19 @@ def known_sentences(known: KnownWeight, joints: list[str], mass_kg: float, const
     ]
     own = [
         f"{joint} {factor:.3f} ± {error:.3f}" if shows else f"{joint} as all"
-        for joint, factor, error, shows in zip(joints, known.factors, known.errors, known.shows, strict=True)
+        for joint, factor, error, shows, skipped in zip(
+            joints, known.factors, known.errors, known.shows, known.skipped, strict=True
+        )
+        if not skipped
     ]
     lines.append(f"joint by joint: {', '.join(own)}")
-    if not known.one_factor:
+    left_out = [joint for joint, skipped in zip(joints, known.skipped, strict=True) if skipped]
+    if left_out:
+        lines.append(
+            f"skipped: {', '.join(left_out)}, whose torque constants are not known and stay so; a new bundle has their "
+            "numbers times the common factor, so that their limits hold"
+        )
+    if not known.one_factor and not left_out:
         told = " ".join(f"{constant:.5g}" for constant in constants)
         lines.append(
             "joints differ by more than their errors, which do not know how far the bundle's own arm was fitted with "
@@ -97,6 +99,7 @@ def known_facts(known: KnownWeight, joints: list[str], constants: list[float]) -
             joint: {"factor": float(f), "standard_error": float(e), "shows": bool(s), "nm_per_unit": c}
             for joint, f, e, s, c in zip(joints, known.factors, known.errors, known.shows, constants, strict=True)
         },
+        "left_out": [joint for joint, skipped in zip(joints, known.skipped, strict=True) if skipped],
         "one_factor": known.one_factor,
         "com_m": known.com_m.tolist(),
     }

@@ -83,7 +83,8 @@ class JsonLines:
     def _change(self, change: Change) -> tuple[str, dict[str, Any]]:
         where = {"row": change.row, **self._when(change.t_ns)}
         if isinstance(change, LoadChange):
-            return "load", {**where, **load_facts(change.load), "by": change.by, "since_ns": change.since_ns}
+            told = {"by": change.by, "since_ns": change.since_ns, "left_out": list(change.left_out)}
+            return "load", {**where, **load_facts(change.load), **told}
         if isinstance(change, FoundLoad):
             return "load", {**where, "mass_kg": change.mass_kg, "mass_error_kg": change.error_kg, "by": "expected"}
         if isinstance(change, WeighChange):

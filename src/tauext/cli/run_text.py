@@ -245,7 +245,10 @@ def unfamiliar_text(tally: Tally) -> str:
 
 def load_change_words(change: LoadChange) -> str:
     since = f" since {(change.t_ns - change.since_ns) * 1e-9:.3f} s" if change.since_ns is not None else ""
-    return f"carries {load_words(change.load)}{since}" + (f", by {change.by}" if change.by else "")
+    told = f"carries {load_words(change.load)}{since}" + (f", by {change.by}" if change.by else "")
+    if not change.left_out or change.load.mass == 0:
+        return told
+    return f"{told}; limits of {', '.join(change.left_out)}, not in Nm, are higher by all that it may show there"
 
 
 def found_load_words(change: FoundLoad) -> str:

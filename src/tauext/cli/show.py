@@ -118,6 +118,7 @@ def describe_bundle(file: Place) -> dict:
         },
         "a fault beyond": {name: beyond(bundle, joint) for joint, name in enumerate(names)},
         "load": describe_load(bundle.load_settings),
+        **describe_left_out(bundle),
         "shapes of links": describe_shapes(bundle, names),
         "reference": "replayed, equal",
         "made by": {key: facts.get(key) for key in ("command", "version", "seed", "recipe", "case", "steps", "batch")},
@@ -180,6 +181,18 @@ def describe_load(settings: LoadSettings) -> dict | str:
         return f"none can be set: {settings.refused}"
     most = {"at most [kg]": settings.largest_mass_kg, "reaching [m]": settings.largest_reach_m}
     return {"in the frame": settings.frame, **most}
+
+
+def describe_left_out(bundle: Bundle) -> dict[str, str]:
+    """Joints by which no load and no force is told; nothing where all answer in N m, or none."""
+    from tauext.bundles.units import left_out
+
+    if not (names := left_out(bundle).get("left_out", [])) or bundle.too_few_in_newtons(""):
+        return {}
+    return {
+        "not in N m": f"{', '.join(names)}: they tell nothing of loads and forces, and while a load is set their "
+        "limits are higher by all that it may show there"
+    }
 
 
 def describe_shapes(bundle: Bundle, names: list[str]) -> str:

@@ -88,7 +88,7 @@ def expect_picture(picture: Place | None) -> None:
 
 def force_lines(found: dict) -> list[str]:
     """The tables, and what they say and do not say."""
-    from tauext.report.noticed import joined, surely
+    from tauext.report.noticed import joined, left_out_words, surely
     from tauext.report.noticed_force import CLOSING
 
     lines = [
@@ -110,6 +110,7 @@ def force_lines(found: dict) -> list[str]:
         f"The estimate errs, by {found['error_share']:.0%} of a limit (one standard error): 19 of 20 forces go over it "
         f"from {surely(found['error_share']):.2g} times these on. Torque constants and gears: up to "
         f"{found['torque_share']:.0%} more. A joint at rest may hide a push behind its friction.",
+        *([without] if (without := left_out_words(found.get("left_out", []))) else []),
         CLOSING,
     ]
 

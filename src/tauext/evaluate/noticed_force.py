@@ -19,6 +19,7 @@ from itertools import combinations
 import numpy as np
 
 from tauext import _core
+from tauext.bundles.units import left_out
 from tauext.errors import BundleError, ConfigError
 
 MOST_N = 1000.0
@@ -76,18 +77,19 @@ def points(bundle: _core.Bundle, frames: Sequence[str] = ()) -> list[Point]:
 def noticed_force(bundle: _core.Bundle, q: np.ndarray, limit_nm: np.ndarray, at: Sequence[Point]) -> list[dict]:
     """An entry a point: forces [N] in the median pose and the worst, along the base's axes and in the worst direction.
 
-    None stands for blind: no joint notices MOST_N in that direction.
+    None stands for blind: no joint notices MOST_N in that direction. Joints that do not answer in N m notice nothing
+    here: nobody knows what their limits are in N m.
 
     Args:
         q: poses, (poses, joints).
         limit_nm: of each joint at each pose, the same shape.
     """
-    model, ways = _core.WrenchModel(bundle), even_ways()
+    model, ways, told = _core.WrenchModel(bundle), even_ways(), np.array(bundle.in_newtons)
     rows = q.tolist()
     entries = []
     for point in at:
         lever = np.array([model.columns(point.frame, row, list(point.point_m))[:3].T for row in rows])
-        per_limit = lever / np.maximum(limit_nm, LEAST_LIMIT_NM)[:, :, None]
+        per_limit = (lever / np.maximum(limit_nm, LEAST_LIMIT_NM)[:, :, None])[:, told]
         every = least_force(per_limit, ways)
         along = least_force(per_limit, np.eye(3))
         entry: dict = {
@@ -202,4 +204,5 @@ def noticed(
     """
     at = points(bundle, frames)
     entries = {name: noticed_force(bundle, q, limit, at) for name, limit in limits.items()}
-    return {"poses": len(q), "limits": entries, "error_share": error_share} | shown_after(bundle)
+    facts = {"poses": len(q), "limits": entries, "error_share": error_share}
+    return facts | left_out(bundle) | shown_after(bundle)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tauext import _core
+from tauext.bundles.units import not_in_newtons
 from tauext.config import require
 from tauext.errors import ConfigError
 from tauext.live.events import EventFinder
@@ -113,6 +114,7 @@ class Loop:
             if rule.links is not None or rule.newtons_over is not None:
                 raise ConfigError(f"reaction {rule.name!r}: where a touch is cannot be told: {self._places.refused}")
         self._events = EventFinder(self.joints, {"bundle": bundle.name, "source": source.name})
+        self._left_out = not_in_newtons(self.joints, bundle.estimate_units)
         self._noted: list[Change] = []
         self._due_ns: int | None = None
         self._last: Sample | None = None
@@ -349,7 +351,7 @@ class Loop:
         t_ns = self._last.t_ns if self._last else 0
         since_ns = None if ago_s is None else t_ns - round(ago_s * 1e9)
         self.monitor.set_load(load.mass, load.com, load.inertia, since_ns=since_ns, error_share=load.error_share)
-        self._noted.append(LoadChange(self.samples, t_ns, load, by, since_ns))
+        self._noted.append(LoadChange(self.samples, t_ns, load, by, since_ns, self._left_out))
 
     def _weigh(self, what: str, reach_m: float, by: str) -> None:
         if what == "start":

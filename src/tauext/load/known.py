@@ -12,6 +12,7 @@ from tauext.errors import ConfigError
 from tauext.load.frame import NamedFrame
 from tauext.load.identify import ROUNDS, identify
 from tauext.load.rows import Seen, sums_about
+from tauext.load.weighable import weighing_joints
 
 SPREAD = 0.06
 """Standard deviation, as a share, of one joint's constant about the factor common to all: what makers state is right to
@@ -50,13 +51,15 @@ class KnownWeight:
     factors: np.ndarray  # (n,)
     errors: np.ndarray  # (n,): standard errors
     shows: np.ndarray  # (n,) bool: told by the joint itself; the others take the common factor
+    skipped: np.ndarray  # (n,) bool: of them, those in a unit of their own, whose constant stays unknown
     common: float
     common_error: float
     com_m: np.ndarray  # (3,)
 
     def constants(self, bundle: _core.Bundle) -> list[float]:
         """Torque constants of this bundle corrected by them, one a joint."""
-        return (np.array(bundle.observer.nm_per_unit or [1.0] * bundle.joints) * self.factors).tolist()
+        constants = np.array(bundle.observer.nm_per_unit or [1.0] * bundle.joints)
+        return np.where(self.skipped, constants, constants * self.factors).tolist()
 
     @property
     def one_factor(self) -> bool:
@@ -100,7 +103,7 @@ def weigh_constants(
         sums, target = sums_about(bundle, frame.frame, parts, phi), targets(a, phi)
         a, h, covariance = solve_known(sums, target, sizes, mass_kg, com_m, reach_m, a, h)
         phi = _core.load_parameters([mass_kg, *h], reach_m)
-    known = known_weight(a, h / mass_kg, covariance)
+    known = known_weight(a, h / mass_kg, covariance, ~weighing_joints(bundle))
     if bundle.units.relative_to < 0 and not 1 / MOST_FACTOR < known.common < MOST_FACTOR:
         raise ConfigError(
             f"{mass_kg:g} kg would make every torque {known.common:.3g} times as large; torque constants are not off "
@@ -177,8 +180,11 @@ def known_noise(
     return Noise(scale, float(np.clip(correlation, LEAST_CORRELATION, sums.BLOCK_ROWS)))
 
 
-def known_weight(a: np.ndarray, com_m: np.ndarray, covariance: np.ndarray) -> KnownWeight:
+def known_weight(a: np.ndarray, com_m: np.ndarray, covariance: np.ndarray, skipped: np.ndarray) -> KnownWeight:
     """Factors 1 / a, each with its error; the common one is their mean, by what each tells.
+
+    Args:
+        skipped: (n,) bool: joints whose rows were worth nothing.
 
     Raises:
         ConfigError: the motion does not tell them.
@@ -197,5 +203,6 @@ def known_weight(a: np.ndarray, com_m: np.ndarray, covariance: np.ndarray) -> Kn
         )
     errors = np.sqrt(np.diag(of_a)) / a**2
     shows = np.sqrt(np.diag(of_a)) <= OF_ITS_OWN * np.hypot(SPREAD * mean, error)
+    shows &= ~skipped
     factors = np.where(shows, 1 / a, 1 / mean)
-    return KnownWeight(factors, errors, shows, 1 / mean, error / mean**2, com_m)
+    return KnownWeight(factors, errors, shows, skipped, 1 / mean, error / mean**2, com_m)

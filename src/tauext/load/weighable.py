@@ -31,6 +31,8 @@ def weighing_joints(bundle: _core.Bundle) -> np.ndarray:
 
     A torque in amperes stands for another number of N m on every joint.
     """
-    units = np.array(["N m" if unit == "N" else unit for unit in bundle.estimate_units])
-    common = "N m" if "N m" in units else next((unit for unit in units if unit != "A"), None)
-    return units == common
+    newtons = np.array(bundle.in_newtons)
+    if newtons.any():
+        return newtons
+    own = np.array(bundle.units.unknown or [0] * bundle.joints, dtype=bool)
+    return ~own & np.array([unit != "A" for unit in bundle.estimate_units])

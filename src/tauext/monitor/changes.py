@@ -98,6 +98,8 @@ class LoadChange:
     """Who told it; empty: whoever started the replay."""
     since_ns: int | None = None
     """As if it had been told then; None: from this sample on."""
+    left_out: tuple[str, ...] = ()
+    """Joints that do not answer in N m: their limits are higher meanwhile."""
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,10 @@ class FrameForce:
     """Directions that the pose cannot show."""
     consistent: float
     """Probability that a force there leaves so much unexplained."""
+    blind_directions: tuple[tuple[float, ...], ...] = ()
+    """Those that the pose cannot show, unit vectors along the base's axes."""
+    left_out: tuple[str, ...] = ()
+    """Joints that do not answer in N m: they tell nothing of it."""
 
     @property
     def size_n(self) -> float:
@@ -66,8 +70,16 @@ class ForceAtFrame:
         if not np.isfinite(told["force"]).all():
             return None
         x, y, z = told["force"][0].tolist()
-        covariance = tuple(told["covariance"][0].ravel().tolist())
-        return FrameForce(self._frame, (x, y, z), covariance, int(told["blind"][0]), float(told["consistent"][0]))
+        blind = int(told["blind"][0])
+        return FrameForce(
+            frame=self._frame,
+            force_n=(x, y, z),
+            covariance=tuple(told["covariance"][0].ravel().tolist()),
+            blind=blind,
+            blind_directions=tuple(tuple(way) for way in told["blind_directions"][0][:blind, :3].tolist()),
+            left_out=tuple(self._model.left_out),
+            consistent=float(told["consistent"][0]),
+        )
 
 
 def frame_force_words(force: FrameForce) -> str:
@@ -80,7 +92,9 @@ def frame_force_words(force: FrameForce) -> str:
     sign = "-" if force.force_n[axis] < 0 else "+"
     if force.blind:
         ways = f"{force.blind} direction{'s' * (force.blind != 1)}"
-        doubt = f"and {ways} that this pose cannot show"
+        without = f" without {', '.join(force.left_out)}" if force.left_out else ""
+        along_ways = " and ".join(f"({', '.join(f'{x:.1f}' for x in way)})" for way in force.blind_directions)
+        doubt = f"and {ways} that this pose cannot show{without}{': ' if along_ways else ''}{along_ways}"
     else:
         doubt = f"up to {max(force.off_n, 1):.0f} N wrong"
     return f"{force.size_n:.0f} N at {force.frame} ({doubt}), {degrees:.0f}° from {sign}{'xyz'[axis]}"
@@ -93,5 +107,7 @@ def frame_force_facts(force: FrameForce) -> dict:
         "force_n": list(force.force_n),
         "covariance": list(force.covariance),
         "blind": force.blind,
+        "blind_directions": [list(way) for way in force.blind_directions],
+        "left_out": list(force.left_out),
         "consistent": force.consistent,
     }

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from tauext import _core
+from tauext.bundles.units import not_in_newtons
 from tauext.monitor.changes import COLLISION, Change, ChangeFinder, LoadChange
 from tauext.monitor.loads import TimedLoad
 from tauext.monitor.pace import Pace
@@ -91,6 +92,7 @@ def replay(
     most = max(1, round(chunk_s * 1e9 / monitor.sample_period_ns))
     wait_ns = None if acknowledge_after_s is None else round(acknowledge_after_s * 1e9)
     due_ns, begin = None, 0
+    left_out = not_in_newtons(monitor.joint_names, monitor.estimate_units)
     waiting = [(int(t_ns[0]) + round(one.from_s * 1e9), one.load) for one in loads] if len(t_ns) else []
     while begin < len(t_ns):
         noted: list[Change] = []
@@ -103,7 +105,7 @@ def replay(
         while waiting and t_ns[begin] >= waiting[0][0]:
             load = waiting.pop(0)[1]
             monitor.set_load(load.mass, load.com, load.inertia, error_share=load.error_share)
-            noted.append(LoadChange(begin, int(t_ns[begin]), load))
+            noted.append(LoadChange(begin, int(t_ns[begin]), load, left_out=left_out))
         ends = [end for end in (due_ns, *(load[0] for load in waiting[:1])) if end is not None]
         rows = slice(begin, begin + chunk_rows(t_ns[begin : begin + most], wait_ns, min(ends, default=None)))
         pace.wait_until(int(t_ns[rows.stop - 1]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -44,6 +44,8 @@ class Noticed:
     gain_per_s: float | None = None
     error_share: float | None = None
     """Standard error of the estimate as a share of the limit, in the median."""
+    left_out: tuple[str, ...] = ()
+    """Joints that do not answer in N m: what they notice is not in the numbers."""
     refused: str | None = None
 
 
@@ -59,6 +61,13 @@ def joined(limits: Mapping[str, Limit]) -> dict[str, Limit]:
         both = f"{level if motion == after else same} and {name}"
         found = {both if other == same else other: those for other, those in found.items()}
     return found
+
+
+def left_out_words(joints: Sequence[str]) -> str:
+    """A sentence about joints that do not answer in N m; empty without any."""
+    if not joints:
+        return ""
+    return f"Without {', '.join(joints)}: their torque constants are not known, so what they notice is not counted."
 
 
 def surely(error_share: float) -> float:

@@ -16,6 +16,7 @@ def read_noticed(entry: Entry) -> Noticed | None:
     return Noticed(
         poses=entry.get("poses", int, needed=True),
         limits={name: tuple(read_place(one) for one in limits.entries(name)) for name in limits.content},
+        left_out=entry.texts("left_out"),
         **entry.each_number("gain_per_s", "error_share"),
     )
 

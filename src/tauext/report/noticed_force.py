@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from tauext.report.drawing import Drawing
-from tauext.report.noticed import WAYS, Noticed, joined
+from tauext.report.noticed import WAYS, Noticed, joined, left_out_words
 from tauext.report.signals import NotAvailable
 from tauext.report.style import CASE_COLOURS, GREY, SLIDING, VARIANT_COLOURS, WIDTH_IN, use_log_width
 from tauext.report.tables import Row, Table
@@ -60,7 +60,8 @@ def draw_noticed_force(noticed: Noticed | None) -> Drawing:
         figure,
         f"What force at the end of each link goes over a limit, over {noticed.poses} poses. Dot: the median over poses "
         "and directions; bar: to the force that nine of ten of them are below; diamond: the worst direction in the "
-        "median pose. Blind: it takes more than 1000 N, or no joint feels it at all.",
+        "median pose. Blind: it takes more than 1000 N, or no joint feels it at all."
+        f"{' ' if noticed.left_out else ''}{left_out_words(noticed.left_out)}",
     )
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext._core import Bundle, Load, LoadSettings, Tree
+from tauext.bundles.units import left_out
 from tauext.errors import ConfigError, RobotError
 from tauext.learn import PriorFit, Setup, last_axis_shows, load_disagreement
 from tauext.learn.kinematics import Kinematics
@@ -37,7 +38,7 @@ def put_load(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit 
     bundle.assume_load()
     settings, asked = bundle.load_settings, job.config.load_frame
     carries = any(link.mass > 0 for link in bundle.links)
-    newtons = all(unit in ("N m", "N", "W") for unit in bundle.estimate_units)
+    newtons = not bundle.too_few_in_newtons("")
     if carries and newtons:
         try:
             frame = load_frame(robot, job.tree, asked)
@@ -56,7 +57,7 @@ def put_load(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit 
     elif newtons and fit is not None and fit.kinematics is not None:
         put_found_arm(job, bundle, settings, setup, fit, fit.kinematics)
     bundle.load_settings = settings
-    job.facts["load"] = facts_of(settings)
+    job.facts["load"] = facts_of(settings) | left_out(bundle)
 
 
 def put_found_arm(
@@ -84,7 +85,7 @@ def put_found_arm(
     settings.frame, settings.link = f"axis of {last}", len(job.joints) - 1
     settings.largest_reach_m = max(0.5 * length_m, LEAST_REACH_M)
     settings.refused = ""
-    limits = np.array(bundle.possible_torque_nm)
+    limits = np.where(bundle.in_newtons, bundle.possible_torque_nm, np.inf)
     settings.largest_mass_kg = largest_mass_kg(job, settings, tree, limits) or 1.0
 
 

@@ -257,6 +257,7 @@ def noise_for_comparison(found: Fit) -> Noise:
 def reach_prior(mass_kg: float, reach_m: float) -> np.ndarray:
     """Information about (m, h) before any motion: nothing of m, each of h within m reach / 2 of 0."""
     information = np.zeros((4, 4))
+    information[0, 0] = 1000.0**-2  # of a mass before any motion
     information[1:, 1:] = np.eye(3) / (max(mass_kg, 0.1) * reach_m / 2) ** 2
     return information
 

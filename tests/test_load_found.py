@@ -157,6 +157,27 @@ def test_a_joint_in_amperes_weighs_nothing(arm, loaded_motion, free_motion, join
     np.testing.assert_allclose(found[0].mass_kg, found[1].mass_kg, rtol=1e-6)
 
 
+def test_a_frame_where_no_joint_feels_a_weight_tells_no_mass(tmp_path, arm, free_motion, loaded_motion, capsys):
+    """The first joint stands upright: a load on its link weighs on none."""
+    bundle = bundle_of(arm, free_motion)
+    found = identify(bundle, load_frame(bundle, "joint1"), [see(bundle, loaded_motion)])
+    assert not found.mass_seen and found.mass_error_kg > 100
+    command = [*saved(tmp_path, bundle, loaded_motion), "--frame", "joint1"]
+    assert main(command) == 0
+    assert capsys.readouterr().out.startswith("no weight shows there: gravity never pulls a load at the link of joint1")
+    assert main([*command, "--known-kg", "1.6"]) == 2
+    assert "cannot set torque constants: no weight shows there" in capsys.readouterr().err
+
+
+def test_a_recording_given_twice_is_refused(tmp_path, arm, free_motion, loaded_motion, capsys):
+    """Its errors would fall with the root of how often it is given."""
+    command = saved(tmp_path, bundle_of(arm, free_motion), loaded_motion)
+    save_recording(loaded_motion, tmp_path / "copy.parquet")
+    for again in (command[2], str(tmp_path / "copy.parquet")):
+        assert main([*command, again]) == 2
+        assert "are the same motion; give each one once" in capsys.readouterr().err
+
+
 def test_amperes_of_all_joints_are_no_scales(arm, free_motion):
     bundle = bundle_of(arm, free_motion)
     bundle.units = _core.TorqueUnits(_core.TorqueUnit.ampere)

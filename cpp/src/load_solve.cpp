@@ -8,6 +8,8 @@ namespace tauext {
 namespace {
 
 constexpr std::size_t kMost = 4;  // coefficients that all joints share
+// Of a mass before any motion, standard deviation: what no joint shows has it still, not none. No arm carries so much.
+constexpr double kUntoldKg = 1000;
 
 struct Shared {
   std::size_t first, size;
@@ -114,6 +116,7 @@ void tell_left(const LoadSums& sums, const Shared& shared, const LoadSums::Row& 
                 fit.coulomb_nm[j] * fit.coulomb_nm[j] * information_of(before.coulomb_nm[j]);
   }
   fit.cost += independent / fit.noise.correlation;
+  if (shared.size == 4) fit.cost += fit.values[0] * fit.values[0] * information_of(kUntoldKg);
   if (shared.size == 4 && before.moment_kg_m > 0)
     for (std::size_t k = 1; k < 4; ++k) fit.cost += fit.values[k] * fit.values[k] * information_of(before.moment_kg_m);
   fit.misfit = total / std::max(worth, 1e-9);
@@ -135,6 +138,7 @@ LoadFit solve_load(const LoadSums& sums, LoadCause cause, const LoadParameters& 
   std::array<double, kMost * kMost> information{};
   std::array<double, kMost> moment{};
   std::array<Own, kMaxJoints> own;
+  if (cause == LoadCause::load) information[0] = information_of(kUntoldKg);
   if (cause == LoadCause::load && before.moment_kg_m > 0)
     for (std::size_t k = 1; k < 4; ++k) information[k * 4 + k] = information_of(before.moment_kg_m);
   for (int joint = 0; joint < sums.joints(); ++joint) {

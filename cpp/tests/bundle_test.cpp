@@ -272,11 +272,14 @@ void units_are_told() {
   Bundle b = make_scaled_bundle();
   CHECK(told(b) == "A|A|N m|N");
   b.units.unknown = {1, 0};
-  CHECK(told(b) == "A|A|A / 2.5|N");  // its constant of 2.5 is no N m/A: 1 A is answered as 2.5
+  CHECK(told(b) == "A|A|A / 2.5|N" && !b.in_newtons(0) && b.in_newtons(1));
+  CHECK(b.too_few_in_newtons("so it is") == "only 1 of 2 joints in N m: joint 'joint1' answers in A / 2.5, and so it is");
+  b.observer.nm_per_unit[0] = 1;
+  CHECK(told(b) == "A|A|A|N");
   b.units.relative_to = 1;
-  CHECK(told(b) == "A|A|A / 2.5|units of joint2");
+  CHECK(told(b) == "A|A|A|units of joint2");
   b.units.given = TorqueUnit::recorded;
-  CHECK(told(b) == "recorded unit|recorded unit|recorded unit / 2.5|units of joint2");
+  CHECK(told(b) == "recorded unit|recorded unit|recorded unit|units of joint2");
   b.observer.nm_per_unit.clear();
   b.units = {};
   CHECK(told(b) == "N m|N|N m|N");

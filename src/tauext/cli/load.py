@@ -56,12 +56,14 @@ def load(
         raise ConfigError("--out and --known-com-m need --known-kg: without a known weight there is nothing to set")
     from tauext.cli.run import fitting_bundle
     from tauext.data import load_recording
-    from tauext.load import between, expect_weighable, load_frame, see
+    from tauext.load import between, expect_different, expect_weighable, load_frame, see
 
     loaded = fitting_bundle(bundle, recordings)
     expect_weighable(loaded)
     where = load_frame(loaded, frame)
-    parts = [between(see(loaded, load_recording(path)), from_s, to_s) for path in recordings]
+    read = [load_recording(path) for path in recordings]
+    expect_different(read)
+    parts = [between(see(loaded, recording), from_s, to_s) for recording in read]
     if known_kg is None:
         weigh(loaded, where, parts, reach_m, as_json)
     else:

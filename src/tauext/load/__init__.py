@@ -6,7 +6,7 @@ from tauext.load.known import KnownWeight, weigh_constants
 from tauext.load.rows import SIGMA_SHARE, Seen, see, stand_worth
 from tauext.load.scaled_bundle import scaled_bundle, with_provenance
 from tauext.load.weighable import expect_weighable, weighing_joints
-from tauext.load.windows import between, each_window
+from tauext.load.windows import between, each_window, expect_different
 from tauext.load.words import load_facts, load_sentences
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "Seen",
     "between",
     "each_window",
+    "expect_different",
     "expect_weighable",
     "identify",
     "load_facts",

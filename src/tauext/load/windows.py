@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tauext import _core
-from tauext.errors import RecordingError
+from tauext.data import Recording
+from tauext.errors import ConfigError, RecordingError
 from tauext.load.frame import NamedFrame
 from tauext.load.identify import LEAST_ROWS, LoadEstimate, identify
 from tauext.load.rows import Seen
@@ -29,6 +30,14 @@ def between(seen: Seen, from_s: float | None, to_s: float | None) -> Seen:
             f"{seen.recording.name}: {part.rows} healthy rows from {max(low, 0):g} s on are too few to weigh a load"
         )
     return part
+
+
+def expect_different(recordings: Sequence[Recording]) -> None:
+    """Raise ConfigError where two hold the same motion: given twice it would seem to be known better than it is."""
+    for k, one in enumerate(recordings):
+        for other in recordings[:k]:
+            if np.array_equal(one.q, other.q) and np.array_equal(one.tau, other.tau):
+                raise ConfigError(f"recordings {other.name} and {one.name} are the same motion; give each one once")
 
 
 def each_window(

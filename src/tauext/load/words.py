@@ -8,6 +8,8 @@ from tauext.load.identify import LoadEstimate
 
 SHOWS = 3.0
 """Standard errors between a mass and 0: as the verdict has it."""
+UNTOLD_KG = 100.0
+"""A mass with a larger standard error is not told at all: before any motion it is 1000 kg."""
 ALONG = 0.9
 """Cosine from which a direction is called by the axis of the frame that it is near."""
 
@@ -21,6 +23,11 @@ def load_sentences(found: LoadEstimate, where: str, unit: str) -> list[str]:
     """
     kg = "kg" if unit == "N m" else f"kg times {unit} a N m"
     mass = f"{found.mass_kg:.2f} ± {found.mass_error_kg:.2f} {kg}"
+    if found.mass_error_kg > UNTOLD_KG:
+        return [
+            f"no weight shows there: gravity never pulls a load at {where} against a joint that weighs it; is the load "
+            "fixed to a link farther out (--frame)?"
+        ]
     if found.verdict == "too little":
         return [f"{found.seconds:.2f} s of healthy motion are too little to weigh a load"]
     if found.verdict == "nothing":

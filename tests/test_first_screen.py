@@ -93,3 +93,19 @@ def test_times_and_numbers_are_as_people_say_them():
         "6 minutes", "1 minute", "10.2 hours", "an unknown time",
     ]  # fmt: skip
     assert [plain(value) for value in (30.3, 4.04, 0.125)] == ["30", "4", "0.12"]
+
+
+def test_collisions_in_unhealthy_time_are_no_misses_of_the_limits(results):
+    """`0 of 20` stands beside its reason."""
+    bundle = results.bundles[0]
+    latched = replace(bundle.measured.latched, collisions=20, latched=0, strong=3, strong_latched=0, unhealthy=18)
+    blind = replace(measured(bundle, latched=latched), rejected_share=0.86, rejected_causes=("wrong rate",))
+    screen = first_screen(replace(results, bundles=(blind,)))
+    assert (
+        screen.glances[0].value == "0 of 20" and "18 came while the monitor was not healthy" in screen.glances[0].means
+    )
+    assert "not healthy for 86% of the time (wrong rate)" in screen.tested
+    assert screen.steps[0].command == "tauext check"
+    calm = measured(bundle, latched=replace(latched, unhealthy=0))
+    assert "none pushed a joint over its limit" in first_screen(replace(results, bundles=(calm,))).glances[0].means
+    assert span(6 / 3600) == "6 seconds" and span(0.1) == "6 minutes"

@@ -102,7 +102,7 @@ def test_what_was_promised_is_compared_with_what_was_counted():
 
 def test_strength_bins_hold_every_collision_once():
     touches = [find_collisions(pushed(f"p{k}", force))[0] for k, force in enumerate((0.5, 1.5, 1.6, 9.0, 100.0))]
-    verdicts = [{"latched": k > 1, "delay_s": 0.01 * k if k > 1 else None} for k in range(5)]
+    verdicts = [{"latched": k > 1, "unhealthy": False, "delay_s": 0.01 * k if k > 1 else None} for k in range(5)]
     bins = by_strength(touches, verdicts)
     assert [b["collisions"] for b in bins] == [1, 2, 0, 0, 1, 0, 1] and bins[-1]["peak_nm_to"] is None
     assert [b["latched"] for b in bins] == [0, 1, 0, 0, 1, 0, 1]

@@ -16,8 +16,10 @@ from test_few_data import motion
 
 from tauext import _core
 from tauext.config import PAPER_CASES, CaseName, RecipeName, TrainConfig
+from tauext.data import Recording
+from tauext.data.cut import cut
 from tauext.data.estimates import OK
-from tauext.errors import ConfigError
+from tauext.errors import ConfigError, TrainingError
 from tauext.learn import PriorFit, Setup
 from tauext.learn.ridge import fit_ridge
 from tauext.recipes import RECIPES, Recipe, baselines
@@ -127,15 +129,52 @@ def test_the_settings_need_neither_numpy_nor_the_stages():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+def with_gaps(recording: Recording, every_s: float) -> Recording:
+    """A tenth of a second lost every so often; the chain warms up for half a second after each."""
+    keep = recording.time_s % every_s > 0.1
+    return cut(recording, keep)
+
+
 def test_a_bundle_that_rejects_its_own_training_motion_is_warned_of(tmp_path, unlimited):
-    """Stamps that run 8 % slower than the stated rate: all of it is a wrong rate once a second has passed."""
-    slow = motion(40.0)
-    slow = replace(slow, t_ns=slow.t_ns[0] + (slow.t_ns - slow.t_ns[0]) * 108 // 100)
+    gaps = with_gaps(motion(60.0), 10.0)
     heard, out, config = Heard(), tmp_path / "arm.tauext", TrainConfig(recipe="observer")
     train_on_recordings(
-        planar_arm(), Path(), EXACT, [slow, motion(40.0, seed=1, name="even")], [], config, out, report=heard
+        planar_arm(), Path(), EXACT, [gaps, motion(20.0, seed=1, name="even")], [], config, out, report=heard
     )
     warned = [said for said in heard.sentences if "rejects" in said]
-    assert len(warned) == 1 and f"of '{slow.name}'" in warned[0] and "[time] rate_hz" in warned[0]
+    assert len(warned) == 1 and f"of '{gaps.name}'" in warned[0] and "without losing samples" in warned[0]
     facts = json.loads(_core.Bundle.load(str(out)).provenance)["rejected"]
-    assert list(facts["causes"]) == ["wrong rate"] and 0.4 < facts["share"] < 0.5 and facts["worst"]["share"] > 0.9
+    # Five gaps behind the first healthy sample, 10/K0 = 0.5 s each, in 79 s.
+    assert list(facts["causes"]) == ["gap"] and facts["share"] == pytest.approx(2.5 / 79, abs=0.005)
+
+
+def test_a_bundle_that_rejects_a_fifth_of_its_training_motion_is_refused_unless_accepted(tmp_path, unlimited):
+    gaps, out, config = with_gaps(motion(40.0), 1.5), tmp_path / "arm.tauext", TrainConfig(recipe="observer")
+    work = (planar_arm(), Path(), EXACT, [gaps], [], config, out)
+    with pytest.raises(TrainingError, match=r"rejects 3\d\.\d% of its own training motion \(gap.*--accept rejected"):
+        train_on_recordings(*work)
+    assert not out.exists()
+    train_on_recordings(*work, accept=("rejected",))
+    assert json.loads(_core.Bundle.load(str(out)).provenance)["rejected"]["share"] > 0.3
+
+
+def stretched(recording: Recording, percent: int) -> Recording:
+    """Its clock runs slower by so much; the rate stays what it was stated to be."""
+    first = recording.t_ns[0]
+    return replace(recording, t_ns=first + (recording.t_ns - first) * (100 + percent) // 100)
+
+
+def test_a_monitor_takes_the_rates_of_its_training_and_no_others(tmp_path, unlimited):
+    """The mean of an exponential second ends at 1.08."""
+    out, config = tmp_path / "arm.tauext", TrainConfig(recipe="observer")
+    even, slow = motion(40.0, seed=1, name="even"), stretched(motion(40.0), 8)
+    train_on_recordings(planar_arm(), Path(), EXACT, [even, slow], [], config, out)
+    bundle = _core.Bundle.load(str(out))
+    assert bundle.rate_tolerance == pytest.approx(0.08, abs=1e-4)
+    for recording, cause in ((slow, False), (stretched(motion(40.0), 10), True)):
+        causes = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, 1)["causes"]
+        assert ("wrong rate" in _core.cause_names(int(np.bitwise_or.reduce(causes)))) is cause
+    train_on_recordings(planar_arm(), Path(), EXACT, [even], [], config, out)
+    assert _core.Bundle.load(str(out)).rate_tolerance == _core.RATE_TOLERANCE_RANGE[0] == 0.05
+    with pytest.raises(TrainingError, match="made.*differs by more than 15% from the sample period, 8 ms"):
+        train_on_recordings(planar_arm(), Path(), EXACT, [even, stretched(motion(40.0), 18)], [], config, out)

@@ -124,7 +124,7 @@ FAULTS = {
     "timing": (put(torque_timing="late"), "torque_timing = 'late' must be one of held, instant, averaged"),
     "rate zero": (put(rate_hz=0.0), "rate_hz = 0 must be > 0"),
     "rate nan": (put(rate_hz=np.nan), "rate_hz = nan must be > 0"),
-    "rate of another": (put(rate_hz=500.0), "rate_hz = 500 disagrees with the median step of t_ns, 1 ms (1000 Hz)"),
+    "rate of another": (put(rate_hz=500.0), "rate_hz = 500 disagrees with the sample period of t_ns, 1 ms (1000 Hz)"),
     "contact 2": (put(contact=np.full(SAMPLES, 2)), "contact at row 0 is 2, must be 0 (free), 1 (contact) or -1"),
     "contact rows": (put(contact=np.zeros(3, int)), "contact has shape (3,), must be (500,)"),
     "float contact": (put(contact=np.zeros(SAMPLES)), "contact is float64, must be int8"),
@@ -196,6 +196,27 @@ def test_floats_are_byte_stream_split_and_zstd(tmp_path):
     assert len(floats) == 16
     assert all("BYTE_STREAM_SPLIT" in c.encodings and c.compression == "ZSTD" for c in floats)
     assert not any("DICTIONARY" in encoding for c in floats for encoding in c.encodings)
+
+
+def test_the_rate_of_an_old_import_is_fitted_again_and_a_stated_one_stays(tmp_path, caplog):
+    """Every third step takes 12 ms instead of 10: median 10 ms, mean 10.67 ms."""
+    t_ns = np.cumsum(np.resize([10_000_000, 10_000_000, 12_000_000], SAMPLES))
+    imported = {"command": "tauext import"}
+    old = Recording(**content() | {"t_ns": t_ns, "rate_hz": 100.0, "provenance": imported})
+    fitted = 1e9 / ((t_ns[-1] - t_ns[0]) / (SAMPLES - 1))
+    for name in ("one", "two"):
+        save_recording(old, tmp_path / f"{name}.parquet")
+    for path in (tmp_path / "one.parquet", tmp_path / "two.parquet"):
+        assert load_recording(path).rate_hz == describe(path).rate_hz == pytest.approx(fitted, rel=1e-9)
+    assert len(caplog.messages) == 1 and "one.parquet" in caplog.messages[0] and "100 Hz" in caplog.messages[0]
+    for provenance, rate_hz in (
+        (imported | {"rate": "stated"}, 100.0),
+        (imported, 97.0),  # near neither: stated when it was imported
+        ({}, 100.0),  # none of an import
+    ):
+        kept = {"t_ns": t_ns, "rate_hz": rate_hz, "provenance": provenance}
+        save_recording(Recording(**content() | kept), tmp_path / "kept.parquet")
+        assert load_recording(tmp_path / "kept.parquet").rate_hz == rate_hz
 
 
 def test_describe_reads_the_head_only(tmp_path):
@@ -306,7 +327,7 @@ FILE_FAULTS = {
     "joint twice": (metadata(joints='["elbow", "elbow"]'), "joint 'elbow' is named 2 times"),
     "newer": (metadata(tauext_format="2"), "its format is '2', this version reads '1'; update tauext"),
     "rate text": (metadata(rate_hz="fast"), "rate_hz = 'fast' must be a number, in Hz"),
-    "wrong rate": (metadata(rate_hz="100"), "rate_hz = 100 disagrees with the median step of t_ns, 1 ms"),
+    "wrong rate": (metadata(rate_hz="100"), "rate_hz = 100 disagrees with the sample period of t_ns, 1 ms"),
     "timing": (metadata(torque_timing="later"), "torque_timing = 'later' must be one of held, instant, averaged"),
 }
 

@@ -296,6 +296,15 @@ void bind_observer(nb::module_& m) {
       nb::arg("dq"), nb::arg("tau"),
       "Samples that a monitor refuses whose bundle has these ranges: sample, cause (a bit) and the first joint that shows it.");
   m.def(
+      "mean_steps",
+      [](std::int64_t sample_period_ns, int network_stride, const Array<std::int64_t, 1>& t_ns) {
+        return to_numpy(mean_steps(sample_period_ns, network_stride, span_of(t_ns)), {t_ns.shape(0)});
+      },
+      nb::arg("sample_period_ns"), nb::arg("network_stride"), nb::arg("t_ns"),
+      "Mean step of an exponential second at each sample, in sample periods, as a monitor compares it with 1: (samples,).");
+  m.attr("RATE_TOLERANCE_RANGE") =
+      nb::make_tuple(SignalRanges::kLeastRateTolerance, SignalRanges::kMostRateTolerance);
+  m.def(
       "feature_rows",
       [](const Observation& observation, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q,
          const Array<double, 2>& dq, const Array<double, 2>& tau, const Array<float, 1>& factors) {
@@ -514,6 +523,10 @@ void bind_bundle(nb::module_& m) {
           [](Bundle& b, std::vector<double> v) { b.signals.possible_speed_rad_s = std::move(v); },
           "A sample with a larger |dq| is a fault, and so is a step of q that would need one, [rad/s], a joint; infinite: "
           "not known.")
+      .def_prop_rw(
+          "rate_tolerance", [](const Bundle& b) { return b.signals.rate_tolerance; },
+          [](Bundle& b, double v) { b.signals.rate_tolerance = v; },
+          "Share of the sample period by which the mean step of an exponential second may differ from it, 0.05 to 0.15.")
       .def_prop_rw(
           "region_width", [](const Bundle& b) { return b.limits.region_width; },
           [](Bundle& b, int v) { b.limits.region_width = v; },

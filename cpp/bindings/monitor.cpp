@@ -238,7 +238,8 @@ void bind_estimate(nb::module_& m) {
       .value("weighing", LoadPhase::weighing, "The window is over and nothing is held back; the load is weighed on.");
   nb::enum_<Health>(m, "Health",
                     "Whether the torques of an answer can be trusted. warming_up: there are none yet. stale: nothing new for\n"
-                    "at most one network period, and those of the sample before are held. fault: the signals cannot be used,\n"
+                    "as long as the clock bridges (a network period, or three samples\n"
+                    "below 300 Hz), and those of the sample before are held. fault: the signals cannot be used,\n"
                     "and `causes` says why.")
       .value("warming_up", Health::warming_up)
       .value("ok", Health::ok)
@@ -361,7 +362,7 @@ void bind_monitor(nb::module_& m) {
       .def("advance", &Monitor::advance,
            "What need not be done before the answer is out; estimate() does it first where it was left out.")
       .def("no_sample", [](Monitor& self, std::int64_t now_ns) { return self.no_sample(now_ns); }, nb::arg("now_ns"),
-           "The loop ran and no sample came: stale for one network period, then a fault.")
+           "The loop ran and no sample came: stale for as long as missing samples are bridged, then a fault.")
       .def("acknowledge", &Monitor::acknowledge, "End a latched alarm, and nothing else.")
       .def("resume", &Monitor::resume,
            "End a latched alarm where nothing touches the arm any more and it is to move on: the static friction of\n"

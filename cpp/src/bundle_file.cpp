@@ -25,6 +25,7 @@ constexpr std::uint32_t kTodayMajor = 8;      // from here on what may be carrie
                                               // friction may be another one than in training, before it may not
 constexpr std::uint32_t kWrenchMajor = 9;     // from here on frames and what errors have in common; before, as the defaults say
 constexpr std::uint32_t kServoMajor = 10;     // from here on servos; before, signals came as they are
+constexpr std::uint32_t kRateMajor = 11;      // from here on the rate's tolerance; before, the least
 constexpr const char* kOldConstants = "\"torque_constants\": {";
 
 class Writer {
@@ -210,6 +211,7 @@ void fields(File& file, Bundle& b) {
     field(file, b.signals.possible_torque_nm);
     field(file, b.signals.possible_speed_rad_s);
   }
+  if (file.major >= kRateMajor) field(file, b.signals.rate_tolerance);
   if (file.major >= kTodayMajor) {
     field(file, b.load.frame);
     field(file, b.load.link);

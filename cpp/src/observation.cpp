@@ -73,7 +73,8 @@ std::vector<ImpossibleSample> impossible_samples(const ObserverSettings& setting
   settings.validate_constants(recording.joints);
   SampleClock(settings.sample_period_ns, settings.network_stride);  // throws where they make no sense
   SignalWatch watch(recording.joints, settings.sample_period_ns, settings.network_stride, ranges);
-  const auto network_period_ns = static_cast<std::uint64_t>(settings.sample_period_ns * settings.network_stride);
+  const auto bridged_ns = static_cast<std::uint64_t>(
+      settings.sample_period_ns * longest_bridged(settings.sample_period_ns, settings.network_stride));
   const auto n = static_cast<std::size_t>(recording.joints);
   std::vector<ImpossibleSample> out;
   JointVector tau{};
@@ -83,13 +84,26 @@ std::vector<ImpossibleSample> impossible_samples(const ObserverSettings& setting
     for (std::size_t j = 0; j < n; ++j)
       tau[j] = settings.nm_per_unit.empty() ? s.tau[j] : s.tau[j] * settings.nm_per_unit[j];
     const std::span<const double> torque(tau.data(), n);
-    const bool near = k > 0 && elapsed_ns(s.t_ns, recording.t_ns[k - 1]) <= network_period_ns;
+    const bool near = k > 0 && elapsed_ns(s.t_ns, recording.t_ns[k - 1]) <= bridged_ns;
     const Impossible found = watch.look(s.t_ns, s.q, s.dq, torque, follows && near);
     follows = found.cause == 0;
     if (follows)
       watch.step(s.t_ns, 1, s.q, s.dq, torque);
     else
       out.push_back({k, found});
+  }
+  return out;
+}
+
+std::vector<double> mean_steps(std::int64_t sample_period_ns, int network_stride, std::span<const std::int64_t> t_ns) {
+  SampleClock clock(sample_period_ns, network_stride);
+  SignalWatch watch(0, sample_period_ns, network_stride, {});
+  std::vector<double> out;
+  out.reserve(t_ns.size());
+  for (const std::int64_t t : t_ns) {
+    const SampleClock::Tick tick = clock.step(t);
+    if (tick.kind != SampleClock::Kind::not_later) watch.step(t, tick.advance, {}, {}, {});
+    out.push_back(watch.state().steps);
   }
   return out;
 }

@@ -49,7 +49,7 @@ void write_features(std::span<const double> q, std::span<const double> dq, std::
 
 ObserveStage::ObserveStage(const Tree& tree, const ObserverSettings& observer, const PriorSettings& prior)
     : joints_(tree.size()),
-      network_period_ns_(observer.sample_period_ns * observer.network_stride),
+      bridged_ns_(observer.sample_period_ns * longest_bridged(observer.sample_period_ns, observer.network_stride)),
       slowest_per_s_(observer.slowest_per_s()),
       nm_per_unit_(observer.nm_per_unit),
       residual_(tree, observer, prior) {}
@@ -104,7 +104,7 @@ const Observed& ObserveStage::step(const Sample& s) noexcept {
 const Observed& ObserveStage::no_sample(std::int64_t now_ns) noexcept {
   const Progress& p = progress_;
   const bool recent =
-      now_ns <= p.t_ns || elapsed_ns(now_ns, p.t_ns) <= static_cast<std::uint64_t>(network_period_ns_);
+      now_ns <= p.t_ns || elapsed_ns(now_ns, p.t_ns) <= static_cast<std::uint64_t>(bridged_ns_);
   if (!p.started || (recent && !p.restart_next))
     hold(now_ns, kMissingSample);
   else
@@ -130,7 +130,7 @@ bool ObserveStage::usable(const Sample& s) noexcept {
   }
   const Progress& p = progress_;
   if (!p.started || p.restart_next || s.t_ns > p.t_ns) return true;
-  if (elapsed_ns(p.t_ns, s.t_ns) > static_cast<std::uint64_t>(network_period_ns_))
+  if (elapsed_ns(p.t_ns, s.t_ns) > static_cast<std::uint64_t>(bridged_ns_))
     refuse(s.t_ns, kTimeBackwards, -1);
   else
     hold(s.t_ns, kLateSample);
@@ -142,7 +142,7 @@ Impossible ObserveStage::impossible(const Sample& s) const noexcept {
   const Progress& p = progress_;
   if (watch_) {
     const bool follows = p.started && !p.restart_next && s.t_ns > p.t_ns &&
-                         elapsed_ns(s.t_ns, p.t_ns) <= static_cast<std::uint64_t>(network_period_ns_);
+                         elapsed_ns(s.t_ns, p.t_ns) <= static_cast<std::uint64_t>(bridged_ns_);
     return watch_->look(s.t_ns, s.q, s.dq, tau(), follows);
   }
   for (std::size_t j = 0; j < s.q.size(); ++j)

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "tauext/sample.hpp"
+#include "tauext/sample_clock.hpp"
 
 namespace tauext {
 
@@ -27,6 +28,9 @@ void SignalRanges::validate(int joints) const {
   expect("largest_torque_nm", largest_torque_nm, false);
   expect("possible_torque_nm", possible_torque_nm, true);
   expect("possible_speed_rad_s", possible_speed_rad_s, true);
+  if (!(rate_tolerance >= kLeastRateTolerance && rate_tolerance <= kMostRateTolerance))
+    throw Error("signals.rate_tolerance = " + to_text(rate_tolerance) + " must be " + to_text(kLeastRateTolerance) +
+                " to " + to_text(kMostRateTolerance));
   for (std::size_t j = 0; j < possible_torque_nm.size(); ++j)
     if (possible_torque_nm[j] < largest_torque_nm[j])
       throw Error("signals.possible_torque_nm = " + to_text(possible_torque_nm[j]) +
@@ -37,7 +41,7 @@ SignalWatch::SignalWatch(int joints, std::int64_t sample_period_ns, int network_
                          bool behind_gear)
     : joints_(joints),
       sample_period_ns_(static_cast<double>(sample_period_ns)),
-      network_period_ns_(sample_period_ns_ * network_stride),
+      bridged_ns_(sample_period_ns_ * longest_bridged(sample_period_ns, network_stride)),
       ranges_(ranges),
       still_share_(behind_gear ? std::numeric_limits<double>::infinity() : 1.0) {
   ranges.validate(joints);
@@ -73,7 +77,7 @@ Impossible SignalWatch::explain(std::int64_t t_ns, std::span<const double> q, st
     if (!follows) continue;
     const double held_ns = static_cast<double>(elapsed_ns(t_ns, state_.since_ns[static_cast<std::size_t>(j)]));
     const double step_ns = static_cast<double>(elapsed_ns(t_ns, state_.t_ns));
-    const double time_ns = std::max(step_ns, std::min(held_ns, network_period_ns_)) + sample_period_ns_;
+    const double time_ns = std::max(step_ns, std::min(held_ns, bridged_ns_)) + sample_period_ns_;
     if (std::fabs(q[j] - state_.q[j]) > speed_[j] * (1e-9 * time_ns) + kEncoderRad) return found(kImpossiblePosition);
   }
   return {};
@@ -99,7 +103,7 @@ SignalWatch::Verdict SignalWatch::step(std::int64_t t_ns, std::int64_t ticks, st
   Verdict verdict;
   const double step_ns = take_step(t_ns, ticks);
   const bool anew = !state_.started || step_ns > kLongestStep * sample_period_ns_;
-  verdict.wrong_rate = std::fabs(state_.steps - 1.0) > kRateTolerance;
+  verdict.wrong_rate = std::fabs(state_.steps - 1.0) > ranges_.rate_tolerance;
   for (int j = 0; j < joints_; ++j) {
     if (verdict.saturated_joint < 0 && std::fabs(tau[j]) >= kSaturated * ranges_.torque_limit_nm[j])
       verdict.saturated_joint = j;

@@ -5,6 +5,7 @@
 #include <type_traits>
 
 #include "lstm_lanes.hpp"
+#include "tauext/sample_clock.hpp"
 
 namespace tauext {
 
@@ -105,7 +106,8 @@ struct SlidingLstm::Windows {
     groups = static_cast<int>(round_up(static_cast<std::size_t>(length - 1), static_cast<std::size_t>(lane_width))) / lane_width;
     phase_floats = static_cast<std::size_t>(groups) * 2 * P * static_cast<std::size_t>(lane_width);
     const std::size_t states = phase_floats * static_cast<std::size_t>(every_sample ? stride : 1);
-    ring_rows = (static_cast<std::int64_t>(largest_lag) + 1) * stride + 2;
+    // Rows that were pushed at once, and those that the first of them looks back to.
+    ring_rows = static_cast<std::int64_t>(largest_lag) * stride + std::max(stride, kMostBridged) + 2;
     const std::size_t ring_floats = static_cast<std::size_t>(ring_rows) * static_cast<std::size_t>(columns);
     if ((states + ring_floats) * sizeof(float) > kMaxSlidingBytes)
       throw Error("a network with " + std::to_string(shape.hidden) + " units, windows of " + std::to_string(length) +
@@ -194,10 +196,10 @@ struct SlidingLstm::Windows {
       std::memcpy(h.get(), due_h, sizeof(float) * P);
       std::memcpy(c.get(), due_c, sizeof(float) * P);
     } else {
-      // After a gap a bridged row of the same phase may not have been taken in yet.
+      // After a gap bridged rows of the same phase may not have been taken in yet.
       read_window(end, h.get(), c.get());
-      const std::int64_t before = end - stride;
-      if (before > position.advanced && before >= first_row_of(end)) single_step<L>(before);
+      const std::int64_t from = std::max(position.advanced + 1, first_row_of(end));
+      for (std::int64_t row = end - (end - from) / stride * stride; row < end; row += stride) single_step<L>(row);
     }
     single_step<L>(end);
     const float* bias = single.head.get() + static_cast<std::ptrdiff_t>(P) * single.head_rows;

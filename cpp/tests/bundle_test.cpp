@@ -152,6 +152,8 @@ void limits_and_signals_that_make_no_sense_are_refused_by_name() {
   refused_after("must be at least largest_torque_nm", [](Bundle& b) { b.signals.possible_torque_nm[0] = 99; });
   refused_after("signals.possible_speed_rad_s", [](Bundle& b) { b.signals.possible_speed_rad_s[0] = 0; });
   refused_after("signals.possible_speed_rad_s", [](Bundle& b) { b.signals.possible_speed_rad_s.clear(); });
+  for (double share : {0.049, 0.151, static_cast<double>(NAN)})
+    refused_after("signals.rate_tolerance", [share](Bundle& b) { b.signals.rate_tolerance = share; });
 }
 
 void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
@@ -161,8 +163,8 @@ void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
     std::memcpy(bytes.data() + 8, &major, sizeof major);
     return [bytes] { from_bytes(bytes); };
   };
-  refused("version 11, this program reads versions 3 to 10; it was made by a newer tauext", with_version(kBundleMajor + 1));
-  refused("version 2, this program reads versions 3 to 10; train it again", with_version(kOldestBundleMajor - 1));
+  refused("version 12, this program reads versions 3 to 11; it was made by a newer tauext", with_version(kBundleMajor + 1));
+  refused("version 2, this program reads versions 3 to 11; train it again", with_version(kOldestBundleMajor - 1));
   std::vector<char> bytes = good;
   bytes.push_back(0);
   refused("something appended", [&] { from_bytes(bytes); });
@@ -315,9 +317,9 @@ void an_old_bundle_with_torque_constants_is_refused_with_the_command_that_conver
     bytes.erase(forces - (9 * 8 + 29), forces);
     const auto carried = bytes.end() - static_cast<std::ptrdiff_t>(reference);
     bytes.erase(carried - static_cast<std::ptrdiff_t>(load), carried);
-    // Nor what came with format 7: what is possible, two lists before the reference.
+    // Nor what came with formats 7 and 11: what is possible, two lists before the reference, and the rate's tolerance.
     const auto possible = bytes.end() - static_cast<std::ptrdiff_t>(reference);
-    bytes.erase(possible - static_cast<std::ptrdiff_t>(2 * (8 + 8 * n)), possible);
+    bytes.erase(possible - static_cast<std::ptrdiff_t>(2 * (8 + 8 * n) + 8), possible);
     const auto end = bytes.end() - static_cast<std::ptrdiff_t>(signals_and_reference);
     bytes.erase(end - 14 * 8 - 1, end);
     const auto numbers = bytes.end() - static_cast<std::ptrdiff_t>(signals_and_reference + drift + 16);

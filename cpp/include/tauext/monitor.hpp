@@ -39,7 +39,7 @@ class Monitor {
   const Estimate& estimate(const Sample& sample) noexcept;
   // What need not be done before the answer is out. estimate() does it first where it was left out.
   void advance() noexcept;
-  // The loop ran and no sample came: stale for one network period, then a fault.
+  // The loop ran and no sample came: stale for as long as samples are bridged (longest_bridged), then a fault.
   const Estimate& no_sample(std::int64_t now_ns) noexcept;
 
   // Ends a latched alarm, and nothing else; one whose cause lasts comes back.

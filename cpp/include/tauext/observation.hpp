@@ -35,6 +35,9 @@ Observation observe(const Tree& tree, const ObserverSettings& settings, const Pr
 std::vector<double> prior_regressors(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior,
                                      const RecordingView& recording, std::span<const std::int64_t> samples);
 
+// The mean step at each sample that a monitor compares with the sample period, as its share (SignalWatch).
+std::vector<double> mean_steps(std::int64_t sample_period_ns, int network_stride, std::span<const std::int64_t> t_ns);
+
 // A sample of a recording that no arm sends.
 struct ImpossibleSample {
   std::int64_t sample = 0;  // its index

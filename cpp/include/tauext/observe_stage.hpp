@@ -58,7 +58,7 @@ class ObserveStage {
 
   // Nothing is skipped: a fault is told, and the chain begins anew with the next good sample.
   const Observed& step(const Sample& sample) noexcept;
-  // The loop ran and no sample came: held for one network period, then a fault.
+  // The loop ran and no sample came: held for as long as samples are bridged, then a fault.
   const Observed& no_sample(std::int64_t now_ns) noexcept;
   // As ResidualStage's calls of these names; a bit a joint.
   void forget_friction(std::uint32_t joints) noexcept;
@@ -134,7 +134,7 @@ class ObserveStage {
   std::span<const double> tau() const noexcept { return {tau_.data(), static_cast<std::size_t>(joints_)}; }
 
   int joints_;
-  std::int64_t network_period_ns_;
+  std::int64_t bridged_ns_;  // longest time without a sample that is no gap
   double slowest_per_s_;
   std::vector<double> nm_per_unit_;
   ResidualStage residual_;

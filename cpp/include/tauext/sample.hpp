@@ -46,9 +46,9 @@ enum class Health : std::uint8_t {
 enum Cause : std::uint32_t {
   kNotFinite = 1,          // NaN or infinity in q, dq or tau, or so large that the chain overflows
   kWrongSize = 2,          // q, dq and tau hold not one value a joint
-  kLateSample = 4,         // older than the newest one, by at most one network period: left out
+  kLateSample = 4,         // older than the newest one, by at most what is bridged (longest_bridged): left out
   kTimeBackwards = 8,      // older by more: the clock was set back
-  kMissingSample = 16,     // no_sample(): none came for at most one network period
+  kMissingSample = 16,     // no_sample(): none came for at most what is bridged
   kGap = 32,               // none came for longer
   kWrongRate = 64,         // the samples' mean step is not the bundle's
   kTorqueSaturated = 128,  // a drive at its limit gives another torque than it is told

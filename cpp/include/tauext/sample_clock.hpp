@@ -4,9 +4,14 @@
 
 namespace tauext {
 
+// Missing samples that the clock bridges at most: those of a network period, and below 300 Hz up to three within 30 ms.
+// There a network period is a sample or two, and a log that loses one sample in ten would restart for every second pair.
+int longest_bridged(std::int64_t sample_period_ns, int network_stride) noexcept;
+inline constexpr int kMostBridged = 3;  // of samples that are longer than a third of a network period
+
 // Jittering stamps fall on consecutive ticks; the rounding error is carried on, so that ticks count time and not
-// samples. A gap of at most one network period (network_stride missing samples) is bridged: the ticks in between hold
-// the last sample. A longer gap restarts everything that looks back in time.
+// samples. A gap of at most longest_bridged() missing samples is bridged: the ticks in between hold the last sample. A
+// longer gap restarts everything that looks back in time.
 class SampleClock {
  public:
   // Throws Error where the period or the stride is not positive.
@@ -26,7 +31,7 @@ class SampleClock {
 
  private:
   std::int64_t sample_period_ns_;
-  int network_stride_;
+  int longest_bridged_;
   bool started_ = false;
   std::int64_t t_ns_ = 0;
   double carry_ = 0;  // ticks that the stamps are ahead of the count, within +-1

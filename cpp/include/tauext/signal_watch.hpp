@@ -16,6 +16,9 @@ struct SignalRanges {
   // Beyond these nothing is true, whatever touches the arm; infinite where nobody knows.
   std::vector<double> possible_torque_nm = {};    // of |tau_m|, [N m]; at least the largest of training
   std::vector<double> possible_speed_rad_s = {};  // of |dq|, [rad/s], and of how fast q changes
+  // By what share of the sample period the mean step may differ from it: the most in training, within these bounds.
+  static constexpr double kLeastRateTolerance = 0.05, kMostRateTolerance = 0.15;
+  double rate_tolerance = kLeastRateTolerance;
 
   // Of a bundle that was made before they stood there: a thousand times what the arm needed, and any speed.
   void assume_possible();
@@ -32,7 +35,6 @@ struct Impossible {
 // Watches the signals of an arm, sample after sample.
 class SignalWatch {
  public:
-  static constexpr double kRateTolerance = 0.05;        // of the sample period, over an exponential second
   static constexpr double kGap = 1.75;                  // periods: a step so long may have lost samples
   static constexpr double kLost = 0.2;                  // periods that such a step adds to the mean
   static constexpr double kSaturated = 0.999;           // of the torque limit
@@ -65,14 +67,14 @@ class SignalWatch {
 
   // Whether a sample cannot be true; looked at before it enters anything.
   // Position: it lies farther from the last one than possible_speed_rad_s goes in the time since that one changed, and a
-  // sample period and kEncoderRad more: stamps jitter. A position may have been held so for one network period at most, as
+  // sample period and kEncoderRad more: stamps jitter. A position may have been held so for as long as the clock bridges, as
   // samples that are missing are. Only where the sample follows the last one that step() saw: after a fault or a gap
   // positions begin anew, so that a zero that was moved costs one sample.
   Impossible look(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
                   std::span<const double> tau, bool follows) const noexcept;
 
   // One sample with finite values; ticks of the SampleClock since the last one, 0 where the chain began anew.
-  // Rate: the mean step, over an exponential second, differs from the sample period by more than kRateTolerance. A step of
+  // Rate: the mean step, over an exponential second, differs from the sample period by more than rate_tolerance. A step of
   // kGap periods or more that the clock bridged, n of them, lost n - 1 samples; it counts as an nth of itself and kLost
   // more, so that one lost sample in ten is no other rate and half of them are. Any other step counts as two at most.
   // Still: q has not changed by a bit for kStillForS, while the integral of dq passed kStillTravelRad, or tau_m moved
@@ -95,7 +97,7 @@ class SignalWatch {
                      std::span<const double> tau, bool follows) const noexcept;
 
   int joints_;
-  double sample_period_ns_, network_period_ns_;
+  double sample_period_ns_, bridged_ns_;
   SignalRanges ranges_;
   double still_share_;  // of the largest torque, that tau_m may move by while a position stands still
   JointVector torque_{}, speed_{};  // what is possible, finite: so that one comparison finds NaN and infinity too

@@ -51,9 +51,9 @@ typedef enum tauext_alarm { TAUEXT_NO_ALARM = 0, TAUEXT_CONTACT = 1, TAUEXT_COLL
 typedef enum tauext_cause {
   TAUEXT_NOT_FINITE = 1,             /* NaN or infinity in q, dq or tau, or too large a number */
   TAUEXT_WRONG_SIZE = 2,             /* not one value a joint; not possible from C */
-  TAUEXT_LATE_SAMPLE = 4,            /* older than the newest, by a network period at most: left out */
+  TAUEXT_LATE_SAMPLE = 4,            /* older than the newest, by no more than is bridged: left out */
   TAUEXT_TIME_BACKWARDS = 8,         /* older by more: the clock was set back */
-  TAUEXT_MISSING_SAMPLE = 16,        /* none came for a network period at most */
+  TAUEXT_MISSING_SAMPLE = 16,        /* none came for as long as is bridged at most */
   TAUEXT_GAP = 32,                   /* none came for longer */
   TAUEXT_WRONG_RATE = 64,            /* the samples' mean step is not the bundle's */
   TAUEXT_TORQUE_SATURATED = 128,     /* a drive at its limit gives another torque than it is told */
@@ -218,7 +218,8 @@ tauext_status tauext_monitor_step(tauext_monitor* monitor, int64_t t_ns, const d
 tauext_status tauext_monitor_estimate(tauext_monitor* monitor, int64_t t_ns, const double* q, const double* dq,
                                       const double* tau, tauext_estimate* estimate);
 tauext_status tauext_monitor_advance(tauext_monitor* monitor);
-/* The loop ran and no sample came: stale for one network period, then a fault. */
+/* The loop ran and no sample came: stale for as long as missing samples are bridged (a network period, or three samples below 300 Hz),
+ * then a fault. */
 tauext_status tauext_monitor_no_sample(tauext_monitor* monitor, int64_t now_ns, tauext_estimate* estimate);
 /* Ends a latched alarm, and nothing else; one whose cause lasts comes back. */
 tauext_status tauext_monitor_acknowledge(tauext_monitor* monitor);

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -20,6 +21,7 @@ from tauext.calibrate.promised_limits import PromisedLimits, apply_promised, pro
 from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data import Dataset, LeftOut, Recording, SignalBounds, expect_fit, load_bundle, write_bundle
 from tauext.data.loss_history import read_loss_history
+from tauext.data.rejected import Rejected
 from tauext.data.stretches import ahead
 from tauext.errors import ConfigError
 from tauext.half_done import HalfDone
@@ -78,6 +80,10 @@ def recalibrate(
     facts["look"] = facts.get("look", {}) | {"calibration": looked}
     if refit_error_scale:
         loaders, facts["error_scale"] = refit_scale(loaded, loaders, threads, report)
+    rejected = Rejected.of(loaded, fitting(loaded, loaders), threads or os.cpu_count() or 1)
+    if words := rejected.warning("the calibration recordings", accept):
+        report.say(words)
+        facts["rejected_in_calibration"] = rejected.facts()
     promised, facts["limits"] = calibrate_bundle(loaded, out.stem, loaders, alarm, threads, report=report, out=out)
     settings: dict = {"bundle": bundle.name, "dataset": dataset.folder.resolve().name, "alarm": asdict(alarm)}
     if refit_error_scale:
@@ -87,6 +93,13 @@ def recalibrate(
     write_bundle(loaded, out, facts | {"loss_history": history}, {"calibrate_s": time.monotonic() - started})
     forget_half_done(out)
     return promised
+
+
+def fitting(bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]]) -> Iterator[Recording]:
+    """One after the other, each one of the bundle's robot, rate and timing."""
+    for recording in ahead(loaders):
+        expect_fit(bundle, recording)
+        yield recording
 
 
 def look_first(bundle: _core.Bundle, dataset: Dataset, accept: Sequence[str], threads: int, report: Reporter) -> dict:

@@ -102,7 +102,7 @@ class LiveWords(TextLines):
         return f"{self._title}  {time_s:.1f} s"
 
     def finish(self, outcome: Outcome) -> None:
-        self._tell_hidden()
+        self._tell_healths()
         self._tell_latched()
         counts = outcome.counts
         self.say("ended")

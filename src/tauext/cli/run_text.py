@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Self
 
 from tauext._core import Bundle, cause_names
@@ -39,8 +40,6 @@ WARNS_FROM = 0.01
 """Share of the motion that is unfamiliar: of motion like that of training a few thousandths may be."""
 MOST_UNFAMILIAR = 3
 """Of what training never saw."""
-MOST_HEALTH_LINES = 10
-"""About health in one second of a recording; a bad cable can change it at every sample."""
 MOST_BEHIND_LINES = 10
 """About collisions behind one alarm that stands."""
 
@@ -73,7 +72,7 @@ class TextLines:
     def _begin_events(self) -> None:
         self._latched_s: float | None = None
         self._behind, self._finder = 0, HiddenFinder()
-        self._second, self._shown, self._hidden = 0, 0, 0
+        self._healths: dict[tuple[int, int, int], tuple[int, HealthChange]] = {}
 
     def chunk(self, chunk: Chunk, tally: Tally) -> None:
         for change in sorted([*chunk.changes, *self._finder.find(chunk)], key=lambda event: event.t_ns):
@@ -101,7 +100,7 @@ class TextLines:
         self._event(news.t_ns, f"flight: {news.path}" if news.path else f"flight of the {news.what} lost: {news.error}")
 
     def end(self, tally: Tally, flights: FlightCount, complete: bool) -> None:
-        self._tell_hidden()
+        self._tell_healths()
         self._tell_latched()
         if self._of > 1:
             for line in summary_lines(tally, flights, self._settings.flights):
@@ -118,20 +117,19 @@ class TextLines:
         self.say(f"{(t_ns - self._start_ns) * 1e-9:11.3f} s  {text}")
 
     def _health(self, change: HealthChange) -> None:
-        second = (change.t_ns - self._start_ns) // 1_000_000_000
-        if second != self._second:
-            self._tell_hidden()
-            self._second, self._shown = second, 0
-        if self._shown == MOST_HEALTH_LINES:
-            self._hidden += 1
-            return
-        self._shown += 1
-        self._event(change.t_ns, health_words(change, self._joints))
+        """The first of its kind, and a line at the end about the others: a bad cable can fail at every sample."""
+        kind = change.health, change.causes, change.joint
+        times = self._healths.get(kind, (0, change))[0]
+        if not times:
+            self._event(change.t_ns, health_words(change, self._joints))
+        self._healths[kind] = times + 1, change
 
-    def _tell_hidden(self) -> None:
-        if self._hidden:
-            self.say(f"{self._second:11d} s  ... and {self._hidden} more changes of health in that second")
-        self._hidden = 0
+    def _tell_healths(self) -> None:
+        for times, last in self._healths.values():
+            if times > 1 and HEALTHS[last.health] in ("stale", "fault"):
+                at_s = (last.t_ns - self._start_ns) * 1e-9
+                words = health_words(replace(last, was=last.health), self._joints)
+                self.say(f"  {words}: {times:,} times, the last at {at_s:.3f} s")
 
     def _tell_latched(self) -> None:
         """What an alarm hid that stands at the end, and how to see it."""

@@ -17,7 +17,7 @@ from tauext.data.importers import RawRecording, RawSignals
 from tauext.data.merge import Table, base_stream, held, interpolated
 from tauext.data.recording import Recording
 from tauext.data.servo import servo_facts, servo_settings, velocity_and_torque
-from tauext.data.stamps import count_gaps, fitted_period_ns, fresh, lost_share, ordered
+from tauext.data.stamps import fitted_period_ns, fresh, lost_samples, ordered
 from tauext.data.velocity import derived_velocity
 from tauext.errors import RecordingError
 
@@ -153,7 +153,7 @@ def _piece(
     start_ns: int | None,
     rate_hz: float,
 ) -> Recording:
-    """One recording; its rate is the median step's where 0 is given."""
+    """One recording; its rate is that of the fitted period where 0 is given."""
     facts: dict[str, Any] = {}
     tables = {stream: _cleaned(stream, table, arm, columns, counts) for stream, table in tables.items()}
     t_ns, taken = _merged(tables, columns, counts, facts)
@@ -166,6 +166,7 @@ def _piece(
     if not own.all():
         facts["measured_hz"] = round(_nominal_rate(t_ns) * float(own.mean()), 3)  # what gaps lost is told apart
     start_ns = int(t_ns[0]) if start_ns is None else start_ns
+    facts["rate"] = "stated" if rate_hz else "fitted"
     rate_hz = rate_hz or _nominal_rate(t_ns)
     if arm.servo is not None:
         _make_torque(arm, t_ns, rate_hz, signals, facts)
@@ -176,8 +177,10 @@ def _piece(
         facts["velocity"] = (
             f"derived from the position, low-pass {low_pass:g} Hz" if low_pass else "derived, no low-pass"
         )
-    facts["longest_step_s"] = round(count_gaps(t_ns, counts), 6)
-    facts["lost_share"] = round(lost_share(t_ns), 6)
+    lost = lost_samples(t_ns)
+    counts["gaps: steps of two sample periods or more"] += int((lost > 0).sum())
+    facts["longest_step_s"] = round(float(np.diff(t_ns).max(initial=0)) * 1e-9, 6)
+    facts["lost_share"] = round(float(lost.sum() / (lost.sum() + len(t_ns))), 6)
     facts["start_s"] = round((int(t_ns[0]) - start_ns) * 1e-9, 9)
     measured = FROM_AMPERES if arm.signals["tau"].is_current else "N m"
     facts["torque"] = AMPERES if constant_unknown(arm) else measured

@@ -9,9 +9,6 @@ from tauext.data.recording_file import Description
 from tauext.data.servo import servo_facts
 from tauext.errors import BundleError
 
-RATE_TOLERANCE = 0.05
-"""Of the sample period: a monitor reports a larger difference as a wrong rate (SignalWatch::kRateTolerance)."""
-
 
 def expect_fit(bundle: _core.Bundle, recording: Recording | Description) -> None:
     """Raise BundleError, naming what differs, where the recording is not of the bundle's robot, rate and timing.
@@ -25,7 +22,7 @@ def expect_fit(bundle: _core.Bundle, recording: Recording | Description) -> None
             f"{', '.join(recording.joints)}"
         )
     rate_hz = 1e9 / bundle.observer.sample_period_ns
-    if abs(recording.rate_hz / rate_hz - 1) > RATE_TOLERANCE:
+    if abs(recording.rate_hz / rate_hz - 1) > bundle.rate_tolerance:
         raise BundleError(
             f"bundle '{bundle.name}' runs at {rate_hz:g} Hz; recording {recording.name} has {recording.rate_hz:g} Hz"
         )

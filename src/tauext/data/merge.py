@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from tauext.data.stamps import BRIDGE_STEPS
+from tauext.data.stamps import BRIDGE_STEPS, fitted_period_ns
 
 Table = tuple[np.ndarray, np.ndarray]
 """Stamps (samples,), [ns], increasing, and values (samples, columns)."""
@@ -16,11 +16,9 @@ Table = tuple[np.ndarray, np.ndarray]
 def base_stream(tables: Mapping[str, Table], torque: str, essential: Sequence[str]) -> str:
     """The stream whose stamps all others are brought to: the torque's, or one of the essential ones that is slower.
 
-    Interpolating a slow signal onto fast stamps would invent samples; slower: a median step over 1.5 times as long.
+    Interpolating a slow signal onto fast stamps would invent samples; slower: a sample period over 1.5 times as long.
     """
-    steps = {
-        name: float(np.median(np.diff(tables[name][0]))) if len(tables[name][0]) > 1 else 0.0 for name in essential
-    }
+    steps = {name: fitted_period_ns(tables[name][0]) if len(tables[name][0]) > 1 else 0.0 for name in essential}
     slowest = max(essential, key=lambda name: steps[name])
     return slowest if steps[slowest] > 1.5 * steps[torque] else torque
 
@@ -29,7 +27,7 @@ def interpolated(t_ns: np.ndarray, table: Table, counts: Counter[str], name: str
     """Values (samples, columns) of another clock at these times, linear between neighbours, and where they are known.
 
     Unknown, (samples,) false: before its first or after its last sample, or between neighbours of more than 2.5 of its
-    median steps.
+    sample periods.
     """
     times, values = table
     if len(times) < 2:
@@ -39,7 +37,7 @@ def interpolated(t_ns: np.ndarray, table: Table, counts: Counter[str], name: str
     share = ((t_ns - left) / (right - left))[:, None]
     mixed = values[after - 1] * (1 - share) + values[after] * share
     inside = (t_ns >= times[0]) & (t_ns <= times[-1])
-    near = (right - left <= BRIDGE_STEPS * np.median(np.diff(times))) | (t_ns == left) | (t_ns == right)
+    near = (right - left <= BRIDGE_STEPS * fitted_period_ns(times)) | (t_ns == left) | (t_ns == right)
     counts[f"samples dropped: no {name} within its time range, or in a gap of it"] += int((~(inside & near)).sum())
     return mixed, inside & near
 

@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from tauext.data.stamps import fitted_period_ns
 from tauext.errors import RecordingError
 
 TorqueTiming = Literal["held", "instant", "averaged"]
@@ -168,10 +169,12 @@ class Recording:
         if not (math.isfinite(rate_hz) and rate_hz > 0):
             self._refuse(f"rate_hz = {rate_hz:g} must be > 0")
         if self.samples > 1:
-            step_ns = float(np.median(np.diff(self.t_ns)))
+            step_ns = float(np.median(np.diff(self.t_ns)))  # fast; of an uneven clock the fitted period counts, too
+            if abs(step_ns * 1e-9 * rate_hz - 1) > RATE_TOLERANCE:
+                step_ns = fitted_period_ns(self.t_ns)
             if abs(step_ns * 1e-9 * rate_hz - 1) > RATE_TOLERANCE:
                 self._refuse(
-                    f"rate_hz = {rate_hz:g} disagrees with the median step of t_ns, {step_ns * 1e-6:g} ms "
+                    f"rate_hz = {rate_hz:g} disagrees with the sample period of t_ns, {step_ns * 1e-6:g} ms "
                     f"({1e9 / step_ns:g} Hz); they must agree within {RATE_TOLERANCE:.0%}; are the times in ns?"
                 )
         return rate_hz

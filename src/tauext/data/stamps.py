@@ -13,7 +13,7 @@ GAP_STEPS = 1.75
 LONGEST_FITTED = 10
 """Periods: a longer step is a pause, and says little about the period."""
 BRIDGE_STEPS = 2.5
-"""Over more than so many median steps nothing is interpolated or differentiated."""
+"""Over more than so many sample periods nothing is interpolated or differentiated."""
 
 
 def ordered(t_ns: np.ndarray, values: np.ndarray, counts: Counter[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -96,24 +96,10 @@ def periods_of(steps_ns: np.ndarray, period_ns: float) -> np.ndarray:
     return np.where((ratio >= GAP_STEPS) & ~late, whole, 1.0)
 
 
-def count_gaps(t_ns: np.ndarray, counts: Counter[str]) -> float:
-    """Longest step, [s], 0 for a single sample; steps that lost a sample or more are counted."""
+def lost_samples(t_ns: np.ndarray) -> np.ndarray:
+    """Samples lost in each step, (samples - 1,); stamps increasing, (samples,), [ns]."""
     if len(t_ns) < 2:
-        return 0.0
-    counts["gaps: steps of two sample periods or more"] += int((_lost(t_ns) > 0).sum())
-    return float(np.diff(t_ns).max()) * 1e-9
-
-
-def lost_share(t_ns: np.ndarray) -> float:
-    """Share of the samples that gaps left out; stamps increasing, (samples,), [ns]."""
-    if len(t_ns) < 2:
-        return 0.0
-    lost = float(_lost(t_ns).sum())
-    return lost / (lost + len(t_ns))
-
-
-def _lost(t_ns: np.ndarray) -> np.ndarray:
-    """Samples lost in each step."""
+        return np.zeros(0)
     return periods_of(np.diff(t_ns), fitted_period_ns(t_ns)) - 1
 
 

@@ -7,13 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from tauext.data import Recording
+from tauext.data.stamps import GAP_STEPS, fitted_period_ns
 from tauext.doctor.finding import Finding, Severity
 from tauext.doctor.motion import repeated_rows
 
 GAP = 3.0
 """Steps of more than three periods: one lost sample, even two, a controller's cycle may lose."""
 IRREGULAR = 0.25
-"""Spread of the steps, 1 to 99 %, as a share of their median: a clock on a busy computer stays below a tenth."""
+"""Spread of the steps, 1 to 99 %, as a share of the period: a clock on a busy computer stays below a tenth."""
+IRREGULAR_BADLY = GAP_STEPS - 1
+"""Beyond it jitter cannot be told from lost samples; below it training and monitor take it as it is."""
 REPEATED = 0.005
 """Share of rows: in a measurement of several joints whole rows hardly ever agree in every bit."""
 REPEATED_BADLY = 0.05
@@ -24,21 +27,23 @@ def clock_findings(recordings: Sequence[Recording]) -> list[Finding]:
     steps = [np.diff(r.t_ns) * 1e-6 for r in recordings if r.samples > 2]
     if not steps:
         return []
-    median = float(np.median(np.concatenate(steps)))
-    found = _gaps(recordings, median) + _spread(recordings)
+    found = _gaps(recordings) + _spread(recordings)
     return found + _repeats(recordings)
 
 
-def _gaps(recordings: Sequence[Recording], median: float) -> list[Finding]:
-    longest, count = 0.0, 0
+def _gaps(recordings: Sequence[Recording]) -> list[Finding]:
+    longest, count, period_ms = 0.0, 0, 0.0
     for recording in recordings:
         steps = np.diff(recording.t_ns) * 1e-6
-        gaps = steps[steps > GAP * np.median(steps)] if len(steps) else steps
+        if not len(steps):
+            continue
+        period_ms = 1e-6 * fitted_period_ns(recording.t_ns)
+        gaps = steps[steps > GAP * period_ms]
         count += len(gaps)
         longest = max(longest, float(gaps.max(initial=0)))
     if not count:
         return []
-    evidence = f"{count} gaps of more than {GAP:g} sample periods ({median:.3g} ms), the longest {longest:.4g} ms"
+    evidence = f"{count} gaps of more than {GAP:g} sample periods ({period_ms:.3g} ms), the longest {longest:.4g} ms"
     advice = "the observer starts anew after each; look for lost packets, or record on the controller"
     return [Finding("clock-gaps", "warning", None, evidence, advice)]
 
@@ -48,16 +53,18 @@ def _spread(recordings: Sequence[Recording]) -> list[Finding]:
     for recording in recordings:
         if recording.samples < 100:
             continue
-        low, middle, high = np.percentile(np.diff(recording.t_ns) * 1e-6, [1, 50, 99])
-        spread = float(high - low) / middle
-        told = f"'{recording.name}': steps of {low:.2f} to {high:.2f} ms (1 to 99 %), median {middle:.2f} ms"
+        low, high = np.percentile(np.diff(recording.t_ns) * 1e-6, [1, 99])
+        period_ms = 1e-6 * fitted_period_ns(recording.t_ns)
+        spread = float(high - low) / period_ms
+        told = f"'{recording.name}': steps of {low:.2f} to {high:.2f} ms (1 to 99 %), period {period_ms:.2f} ms"
         worst = max(worst, (spread, told))
     if worst[0] <= IRREGULAR:
         return []
     advice = (
         "stamp samples where they are measured, not where they arrive; velocities and r are only as good as the clock"
     )
-    return [Finding("clock-irregular", "warning", None, worst[1], advice)]
+    severity: Severity = "warning" if worst[0] > IRREGULAR_BADLY else "note"
+    return [Finding("clock-irregular", severity, None, worst[1], advice)]
 
 
 def _repeats(recordings: Sequence[Recording]) -> list[Finding]:

@@ -13,6 +13,7 @@ from tauext.config import EventsConfig
 from tauext.data import Recording
 from tauext.data.estimates import Estimates
 from tauext.data.loss_history import LossHistory
+from tauext.data.rejected import Rejected
 from tauext.evaluate.after_contact import AfterContact
 from tauext.evaluate.collisions import Collision, found_curve, judge
 from tauext.evaluate.during_contact import DuringContact
@@ -45,13 +46,15 @@ class BundleMeasures:
         self._after = AfterContact(bundle.joints)
         self._during = DuringContact(bundle.joints)
         self._sigma = ErrorAgainstSigma(bundle.joints)
+        self._rejected = Rejected()
         self._events = EventMeasures(events, bundle.near_stiction_rad_s)
         self._touches = touches or TouchMeasures(bundle)
         self._verdicts: list[dict] = []
         self._latched: list[dict] = []
 
     def add_events(self, recording: Recording, estimates: Estimates) -> None:
-        """Take in any recording, for events and free time; once each."""
+        """Take in any recording, for events, free time and health; once each."""
+        self._rejected.add(recording.name, estimates.health, estimates.causes)
         self._events.add_estimates(recording, estimates)
 
     def add_free(self, recording: Recording, estimates: Estimates) -> None:
@@ -103,6 +106,7 @@ class BundleMeasures:
             "collisions": self._verdicts,
             "ten_found": sum(found[one] for one in ten),
             "found_curve": found_curve(self._verdicts),
+            "rejected": self._rejected.facts(),
             "latched": latched_summary(self._latched),
             "by_strength": by_strength(touches, self._latched),
             "missed_curve": self._curve.summary(),

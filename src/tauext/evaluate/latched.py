@@ -44,6 +44,7 @@ def judge_latched(
         "id": collision.id,
         "latched": latched is not None,
         "strong": strong,
+        "unhealthy": bool(np.mean(estimates.healthy[collision.begin : collision.end]) < 0.5),
         "delay_s": None if latched is None else float(seconds[latched]),
         "delay_against_sensor_s": float(seconds[latched] - seconds[sensor]) if both else None,
     }
@@ -68,6 +69,7 @@ def latched_summary(verdicts: Sequence[dict]) -> dict:
         "collisions": len(verdicts),
         "latched": sum(v["latched"] for v in verdicts),
         "strong": sum(v["strong"] for v in verdicts),
+        "unhealthy": sum(v["unhealthy"] for v in verdicts),
         "strong_latched": sum(v["strong"] and v["latched"] for v in verdicts),
         **delays,
     }

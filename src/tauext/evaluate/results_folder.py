@@ -15,6 +15,7 @@ from tauext._core import Bundle
 from tauext.config import EventsConfig
 from tauext.data import Dataset, fingerprint, load_bundle
 from tauext.data.loss_history import read_loss_history
+from tauext.data.rejected import WORTH_A_WARNING
 from tauext.evaluate.comparison import evaluate
 from tauext.half_done import HalfDone
 from tauext.progress import SILENT, Reporter
@@ -88,8 +89,23 @@ def evaluate_bundles(
     write_json({"evaluate_s": time.monotonic() - started}, out / "wall_time_s.json")
     results = {"format": 3, "provenance": source | keep} | results
     write_json(results, out / "results.json")
+    for entry in results["bundles"]:
+        if words := unhealthy_words(entry):
+            report.say(words)
     kept.end()
     return results
+
+
+def unhealthy_words(entry: dict[str, Any]) -> str:
+    """What a bundle's monitor rejected of the recordings; empty where it is next to nothing."""
+    rejected, latched = entry["rejected"], entry["latched"]
+    if rejected["share"] <= WORTH_A_WARNING and not latched["unhealthy"]:
+        return ""
+    causes = ", ".join(f"{name} {share:.1%}" for name, share in rejected["causes"].items()) or "warming up"
+    return (
+        f"{entry['name']}: healthy for {1 - rejected['share']:.1%} of the time ({causes}); {latched['unhealthy']} of "
+        f"{latched['collisions']} collisions fell into the rest, where nothing is detected"
+    )
 
 
 def work_key(dataset: Dataset, bundles: Mapping[str, Bundle], settings: dict) -> str:

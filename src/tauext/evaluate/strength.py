@@ -16,9 +16,11 @@ def by_strength(touches: Sequence[Collision], verdicts: Sequence[dict]) -> list[
 
     Args:
         touches: their strength is the sensor reference's peak on the joint where that is largest, [N m].
-        verdicts: what `judge_latched` said of them, in their order.
+        verdicts: what `judge_latched` said of them, in their order; those in unhealthy time are in no bin.
     """
-    peak_nm = np.array([touch.sensor_peak_nm.max() or np.nan for touch in touches])  # NaN: no sensor, in no bin
+    unseen = [v["unhealthy"] for v in verdicts]
+    # NaN: no sensor, in no bin
+    peak_nm = np.where(unseen, np.nan, [touch.sensor_peak_nm.max() or np.nan for touch in touches])
     entries = []
     for low, high in zip(EDGES_NM, (*EDGES_NM[1:], np.inf), strict=True):
         inside = [verdicts[k] for k in np.flatnonzero((peak_nm >= low) & (peak_nm < high)).tolist()]

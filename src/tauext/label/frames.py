@@ -13,8 +13,6 @@ from tauext.errors import BundleError
 from tauext.label.labels import Labels, labels_of
 from tauext.label.servo_frames import ServoFrames
 
-RATE_TOLERANCE = 0.01
-
 
 class FrameLabeller:
     """Labels frame after frame what `tauext label` says of the same frames in a dataset, to the last bit.
@@ -67,7 +65,7 @@ class FrameLabeller:
 def expect_rate(bundle: _core.Bundle, fps: float) -> None:
     """Refuse frames that come at another rate than the bundle's recordings."""
     rate_hz = 1e9 / bundle.observer.sample_period_ns
-    if abs(fps / rate_hz - 1) > RATE_TOLERANCE:
+    if abs(fps / rate_hz - 1) > bundle.rate_tolerance:
         raise BundleError(
             f"bundle '{bundle.name}' runs at {rate_hz:g} Hz, these frames at {fps:g}; train one on recordings of "
             "that rate"

@@ -18,6 +18,8 @@ from tauext.learn.signal_bounds import LEAST_TORQUE_NM
 from tauext.learn.training_set import Scaling, Setup
 from tauext.recipes import recipe_of
 
+REFUSED = 0.02
+"""Of a recording; more of it at another rate than a monitor bears is no jitter."""
 DRIFT_SPEED_RAD_S = 0.5
 """A joint's friction at this speed is what its drift is measured by."""
 
@@ -137,6 +139,29 @@ def set_signal_ranges(
     bounds = bounds or SignalBounds(*np.full((2, bundle.joints), np.inf))
     bundle.possible_torque_nm = np.maximum(bounds.torque_nm, bundle.largest_torque_nm).tolist()
     bundle.possible_speed_rad_s = bounds.speed_rad_s.tolist()
+    bundle.rate_tolerance = rate_tolerance(recordings, bundle.observer)
+
+
+def rate_tolerance(recordings: Sequence[Recording], observer: _core.ObserverSettings) -> float:
+    """Share of the sample period by which a monitor lets the mean step of a second differ from it, 0.05 to 0.15.
+
+    It is the largest difference in these recordings, so that a monitor takes motion like theirs.
+
+    Raises:
+        TrainingError: more than REFUSED of a recording differs by more than the largest tolerance.
+    """
+    largest, most = _core.RATE_TOLERANCE_RANGE
+    for recording in recordings:
+        means = _core.mean_steps(observer.sample_period_ns, observer.network_stride, recording.t_ns)
+        off = np.abs(means - 1)
+        if (beyond := float((off > most).mean())) > REFUSED:
+            raise TrainingError(
+                f"recording {recording.name}: over {beyond:.0%} of it the mean time between samples differs by more "
+                f"than {most:.0%} from the sample period, {observer.sample_period_ns * 1e-6:.4g} ms; a monitor would "
+                "reject that as a wrong rate: leave the recording out of split.json, or record it at one rate"
+            )
+        largest = max(largest, float(off.max()))
+    return min(largest, most)
 
 
 def torque_at_rest(recording: Recording) -> np.ndarray:

@@ -35,7 +35,7 @@ class FrankaSource(ReaderSource):
 
     def open(self, settings: SourceSettings) -> None:
         rate_hz = 1e9 / settings.period_ns
-        if abs(rate_hz / RATE_HZ - 1) > 0.01:
+        if abs(rate_hz / RATE_HZ - 1) > settings.rate_tolerance:
             raise ConfigError(f"{self.name} sends {RATE_HZ:g} samples a second, the bundle takes {rate_hz:g}")
         super().open(settings)
 

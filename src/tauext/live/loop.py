@@ -195,7 +195,8 @@ class Loop:
                 self.note(text)
             timing, units = self._bundle.observer.timing.name, tuple(self._bundle.torque_units)
             period_ns, servo = self.monitor.sample_period_ns, self._bundle.servo
-            self._source.open(SourceSettings(self.joints, period_ns, units, timing, servo))
+            tolerance = self._bundle.rate_tolerance
+            self._source.open(SourceSettings(self.joints, period_ns, units, timing, servo, tolerance))
             sys.setswitchinterval(SWITCH_S)
             gc.collect()
             gc.freeze()  # what is there stays; collections during the loop look at what came since

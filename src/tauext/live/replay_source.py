@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 
 from tauext.data import Recording, load_recording
-from tauext.data.bundle_fit import RATE_TOLERANCE
 from tauext.data.servo import RAW_SIGNALS
 from tauext.errors import ConfigError
 from tauext.live.source import Sample, SourceCounts, SourceSettings
@@ -34,7 +33,7 @@ class ReplaySource:
             raise ConfigError(
                 f"{self.name} has joints {', '.join(recording.joints)}, the bundle {', '.join(settings.joints)}"
             )
-        if abs(recording.rate_hz * settings.period_ns * 1e-9 - 1) > RATE_TOLERANCE:
+        if abs(recording.rate_hz * settings.period_ns * 1e-9 - 1) > settings.rate_tolerance:
             raise ConfigError(f"{self.name} has {recording.rate_hz:g} Hz, the bundle {1e9 / settings.period_ns:g} Hz")
 
     def next_sample(self, timeout_s: float) -> Sample | None:

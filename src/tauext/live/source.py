@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from tauext._core import ServoSettings
+from tauext._core import RATE_TOLERANCE_RANGE, ServoSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +64,8 @@ class SourceSettings:
     """What a torque sample of the bundle means: held, instant or averaged."""
     servo: ServoSettings | None = None
     """What the loop makes torque from, of a bundle of servos' recordings; None, or off: tau is taken as it is."""
+    rate_tolerance: float = RATE_TOLERANCE_RANGE[0]
+    """Of the period: a monitor reports a larger difference as a wrong rate."""
 
 
 class Source(Protocol):

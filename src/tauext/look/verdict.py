@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
+from tauext.data.rejected import REJECTED
 from tauext.doctor import CODES, Finding
 from tauext.errors import ConfigError, FaultyDataError
 from tauext.progress import Reporter
@@ -55,8 +56,9 @@ def expect_codes(accept: Sequence[str], joints: Collection[str] | None = None) -
     """
     for text in accept:
         code, colon, joint = text.partition(":")
-        if code not in CODES:
-            raise ConfigError(f"accept = {text}: '{code}' is no code of a finding; they are {', '.join(CODES)}")
+        if code not in CODES and text != REJECTED:
+            known = ", ".join([*CODES, REJECTED])
+            raise ConfigError(f"accept = {text}: '{code}' is no code of a finding; they are {known}")
         if colon and joints is not None and joint not in joints:
             raise ConfigError(f"accept = {text}: there is no joint '{joint}'; the joints are {', '.join(joints)}")
 

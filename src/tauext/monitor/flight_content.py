@@ -12,6 +12,7 @@ from tauext.bundles.units import short
 from tauext.data import Recording
 from tauext.data.estimates import Estimates
 from tauext.data.recording import RATE_TOLERANCE, TorqueTiming
+from tauext.data.stamps import fitted_period_ns
 from tauext.monitor.changes import ALARMS, COLLISION, FAULT, HEALTHS
 
 Flight = dict[str, Any]
@@ -118,10 +119,10 @@ def rows_kept(flight: Flight) -> np.ndarray:
 
 
 def flight_rate_hz(t_ns: np.ndarray, nominal_hz: float) -> float:
-    """The nominal rate or, where the stamps say something else, the one of their median step."""
+    """The nominal rate or, where the stamps say something else, the one of their fitted period."""
     if len(t_ns) < 2:
         return nominal_hz
-    measured_hz = 1e9 / float(np.median(np.diff(t_ns)))
+    measured_hz = 1e9 / fitted_period_ns(t_ns)
     return nominal_hz if abs(nominal_hz / measured_hz - 1) <= RATE_TOLERANCE else measured_hz
 
 

@@ -29,6 +29,7 @@ from tauext.data import (
 from tauext.data.cut import within
 from tauext.data.loss_history import read_loss_history
 from tauext.data.recording import TorqueTiming
+from tauext.data.rejected import Rejected
 from tauext.data.stretches import FOR_LIMITS
 from tauext.errors import ConfigError, TrainingError
 from tauext.learn.fleet_prior import FleetPrior
@@ -91,7 +92,8 @@ def refit_bundle(
         FaultyDataError: a recording has a fault that is not accepted.
         ConfigError: no recording, or no sample of it in the span.
         BundleError: there is no such bundle; joints, rate or timing of a recording are not the bundle's.
-        TrainingError: the bundle has no prior; too little motion, or motion that no friction explains.
+        TrainingError: the bundle has no prior; too little motion, or motion that no friction explains or the
+            bundle's monitor rejects.
     """
     started = time.monotonic()
     expect_codes(accept)
@@ -111,6 +113,9 @@ def refit_bundle(
     spans = [part for recording in recordings if (part := span.of(recording)) is not None]
     if not spans:
         raise ConfigError(f"{data}: no recording has a sample from {span.from_s:g} s on")
+    rejected = Rejected.of(loaded, spans, threads or os.cpu_count() or 1)
+    if words := rejected.warning("today's motion", accept):
+        report.say(words)
     refitted = refit_recordings(loaded, spans, threads, report, like)
     facts = json.loads(loaded.provenance or "{}")
     history = read_loss_history(loaded, bundle) or []
@@ -124,6 +129,8 @@ def refit_bundle(
     facts["refitted"] = provenance("tauext refit", settings, seed=None) | refitted.facts()
     if like is not None:
         facts["refitted"]["like"] = {"sha256": like.sha256, "arms": [one["name"] for one in like.facts.get("arms", [])]}
+    if words:
+        facts["refitted"]["rejected"] = rejected.facts()
     refitted.bundle.name = out.stem
     refitted.bundle.provenance = json.dumps(facts, sort_keys=True)
     run = facts | {"loss_history": history}

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 
+from tauext.data.rejected import WORTH_A_WARNING
 from tauext.report.results import EvaluatedBundle, Numbers, Results
 from tauext.report.tables import milliseconds, number
 
@@ -86,7 +87,17 @@ def tested(results: Results, bundle: EvaluatedBundle) -> str:
     told = [f"{count} {CONTACT_KINDS[kind]}" for kind, count in sorted(kinds.items()) if kind in CONTACT_KINDS]
     known = f" ({', '.join(told)})" if sum(kinds[kind] for kind in CONTACT_KINDS) == kinds.total() and told else ""
     touches = f"{plural(kinds.total(), 'collision')}{known}" if kinds else "no collision"
-    return f"Tested on {motion}, and on {touches}; training saw none of it."
+    return f"Tested on {motion}, and on {touches}; training saw none of it.{rejected_words(bundle)}"
+
+
+def rejected_words(bundle: EvaluatedBundle) -> str:
+    """A sentence about the time in which nothing could be detected; empty where it is next to nothing."""
+    if not bundle.rejected_share or bundle.rejected_share <= WORTH_A_WARNING:
+        return ""
+    causes = f" ({', '.join(bundle.rejected_causes)})" if bundle.rejected_causes else ""
+    return (
+        f" The monitor was not healthy for {bundle.rejected_share:.0%} of the time{causes}; nothing is detected then."
+    )
 
 
 def found(bundle: EvaluatedBundle) -> Glance:
@@ -94,9 +105,13 @@ def found(bundle: EvaluatedBundle) -> Glance:
     if latched is None or not latched.collisions:
         return Glance("–", "no collisions were tried, so nobody knows how many are found")
     strong = f"; of the {latched.strong} strong ones, which every method must find, {latched.strong_latched}"
+    if latched.unhealthy:
+        why = f"; {latched.unhealthy} came while the monitor was not healthy, and nothing is detected"
+    else:
+        why = "" if latched.latched else "; none pushed a joint over its limit for as long as an alarm takes"
     return Glance(
         f"{latched.latched} of {latched.collisions}",
-        "collisions of every strength raised an alarm" + (strong if latched.strong else ""),
+        "collisions of every strength raised an alarm" + (strong if latched.strong else "") + why,
     )
 
 
@@ -163,6 +178,9 @@ def weak_words(results: Results, bundle: EvaluatedBundle) -> str:
 def steps(results: Results, bundle: EvaluatedBundle) -> list[Step]:
     """What to do next."""
     false, lines = bundle.measured.false_collisions, list[Step]()
+    if rejected_words(bundle):
+        words = "Find out why the monitor rejects so much, record or import anew, and evaluate again:"
+        lines.append(Step(words, "tauext check"))
     if false.promised is None:
         words = (
             "The limits promise nothing about false alarms. Record an hour or more of the arm's own work with nothing "
@@ -202,9 +220,11 @@ def joint_list(results: Results, values: Numbers) -> str:
 
 
 def span(hours: float | None) -> str:
-    """A time in words: 6 minutes, 10.2 hours."""
+    """A time in words: 6 seconds, 6 minutes, 10.2 hours."""
     if hours is None:
         return "an unknown time"
+    if hours < 1 / 60:
+        return plural(round(3600 * hours), "second")
     if hours < 1:
         return plural(max(round(60 * hours), 1), "minute")
     return f"{hours:.1f} hours"

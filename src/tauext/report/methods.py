@@ -23,6 +23,8 @@ class Latched:
     onset_median_s: Number = None
     """From the true onset to the alarm, as the next; None in results of earlier versions."""
     onset_p95_s: Number = None
+    unhealthy: int = 0
+    """Of the collisions, while the monitor was not healthy."""
 
 
 @dataclass(frozen=True)

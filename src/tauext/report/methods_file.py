@@ -61,6 +61,7 @@ def read_latched(entry: Entry) -> Latched | None:
         delay_p95_s=entry.number("delay_against_sensor_p95_s"),
         onset_median_s=entry.number("delay_median_s"),
         onset_p95_s=entry.number("delay_p95_s"),
+        unhealthy=entry.get("unhealthy", int) or 0,
     )
 
 

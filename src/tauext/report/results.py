@@ -83,6 +83,9 @@ class EvaluatedBundle:
     """Its limits are multiplied by what the motion announces; those named are of usual motion."""
     estimate_units: tuple[str, ...] = ()
     """Of its torques, a joint: not Nm where an arm without a model was recorded in amperes, or by power."""
+    rejected_share: float | None = None
+    """Of the time, in which its monitor was not healthy; None in results of earlier versions."""
+    rejected_causes: tuple[str, ...] = ()
     changed: tuple[tuple[str, str], ...] = ()
     """What was done to it after its training, and in words what came of it."""
 

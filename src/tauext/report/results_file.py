@@ -102,6 +102,8 @@ def read_bundle(entry: Entry, joints: int) -> EvaluatedBundle:
         measured=read_measured(entry, joints),
         limits_move=bool(limits.get("moving", bool)),
         estimate_units=entry.texts("estimate_units") or ("N m",) * joints,
+        rejected_share=entry.object("rejected").number("share"),
+        rejected_causes=tuple(entry.object("rejected").object("causes").content),
         changed=read_changed(entry.object("changed_since_training")),
     )
 

@@ -78,5 +78,7 @@ def train_baselines(
         looked = look_first(dataset, robot_file, case, training, validation, config, accept, report)
         for name, config in missing.items():
             out = bundles[name]
-            train_on_recordings(tree, robot_file, case, training, validation, config, out, calibration, report, looked)
+            train_on_recordings(
+                tree, robot_file, case, training, validation, config, out, calibration, report, looked, accept=accept
+            )
     return bundles

@@ -11,6 +11,7 @@ from tauext._core import Bundle
 from tauext.config import PriorConfig
 from tauext.data import Recording
 from tauext.learn import PriorFit, Setup, build_setup, set_drift, with_presliding
+from tauext.learn.bundle_writing import rate_tolerance
 from tauext.learn.coverage import coverage_facts, fit_coverage, seen_too
 from tauext.learn.kinematics import Kinematics
 from tauext.learn.like_fit import fit_like
@@ -51,11 +52,12 @@ def observe(job: Job, gain_per_s: float | None = None) -> Setup:
         gain_per_s: of the observer; None: that of the settings, or the paper's where it is still to be chosen.
 
     Raises:
-        TrainingError: the recordings' joints are not the model's.
+        TrainingError: the recordings' joints are not the model's, or a rate is not that of the others.
     """
     config = job.config.observer if gain_per_s is None else replace(job.config.observer, gain_per_s=gain_per_s)
     setup = build_setup(job.tree, job.training[0], config, job.config.recipe, job.config.filters)
     setup = replace(setup, threads=job.threads)
+    rate_tolerance(job.training, setup.observer)  # refuses before anything is learned
     if job.constants is None:
         return setup
     return replace(setup, observer=with_constants(setup.observer, job.constants.used))

@@ -131,6 +131,7 @@ def left_out_of_fit(bundle: Bundle, fit: PriorFit, setup: Setup, reference: Reco
         other.near_memory_s = bundle.near_memory_s
         other.largest_torque_nm, other.torque_limit_nm = bundle.largest_torque_nm, bundle.torque_limit_nm
         other.possible_torque_nm, other.possible_speed_rad_s = bundle.possible_torque_nm, bundle.possible_speed_rad_s
+        other.rate_tolerance = bundle.rate_tolerance
         judged += [Judged(recording, span, other) for recording, span in fold.spans]
     return judged
 

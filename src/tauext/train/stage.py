@@ -8,6 +8,7 @@ from pathlib import Path
 from tauext._core import Bundle, Tree
 from tauext.config import PAPER_CASES, CaseName, ModelCase, TrainConfig
 from tauext.data import Dataset, Recording, load_bundle
+from tauext.data.rejected import Rejected
 from tauext.errors import ConfigError
 from tauext.learn.fleet_prior import FleetPrior
 from tauext.look import expect_codes
@@ -23,7 +24,6 @@ from tauext.train.limits import calibrate, limits_kind
 from tauext.train.load import put_load
 from tauext.train.look import look_first
 from tauext.train.network import assemble, fit_network
-from tauext.train.own_health import note_rejected
 from tauext.train.preparation import note_recordings, prepare
 from tauext.train.size import expect_size
 from tauext.train.wrench import put_wrench
@@ -81,7 +81,9 @@ def train_bundle(
     if look:
         looked = look_first(dataset, robot_file, model, training, validation, config, accept, report)
     calibration = dataset.stretches("calibration")
-    train_on_recordings(tree, robot_file, model, training, validation, config, out, calibration, report, looked, like)
+    train_on_recordings(
+        tree, robot_file, model, training, validation, config, out, calibration, report, looked, like, accept
+    )
     return load_bundle(out)
 
 
@@ -97,6 +99,7 @@ def train_on_recordings(
     report: Reporter = SILENT,
     looked: dict | None = None,
     like: FleetPrior | None = None,
+    accept: Sequence[str] = (),
 ) -> None:
     """Train on recordings that are at hand by the config's recipe, find limits, and write the bundle.
 
@@ -113,10 +116,11 @@ def train_on_recordings(
         report: is told how far it is, and what was found, in sentences.
         looked: what the doctor found (look_first), for provenance; None: nobody looked.
         like: what a fleet of arms of this type knows; None: the arm is by itself.
+        accept: `rejected`: go on where a monitor rejects more than a fifth of the training motion.
 
     Raises:
         ConfigError: settings that the case or the recordings cannot serve.
-        TrainingError: too little motion for the recipe, or a loss that diverges.
+        TrainingError: too little motion for the recipe, motion that a monitor rejects, or a loss that diverges.
     """
     limits_kind(config, calibration)  # refuses what could not be kept before anything is learned
     config = like_settings(config, like)
@@ -131,6 +135,11 @@ def train_on_recordings(
     fit = fit_prior(job, setup, job.motion.training if job.motion.network else job.motion.uncut)
     if config.resolved().observer.gain_per_s == "auto" and fit is not None:
         setup, fit = choose_gain(job, setup, fit)
+    # Before a network is trained for hours: what a monitor rejects does not depend on it.
+    rejected = Rejected.of(assemble(job, with_fit(setup, fit)), job.possible.training, job.threads)
+    if words := rejected.warning("its own training motion", accept):
+        job.facts["rejected"] = rejected.facts()
+        job.notes.append(words)
     network = fit_network(job, with_fit(setup, fit))
     bundle = assemble(job, with_fit(setup, fit), network)
     if config.row.gated:
@@ -141,5 +150,4 @@ def train_on_recordings(
     put_wrench(job, bundle, robot)
     note_recordings(job)
     calibrate(job, bundle, setup, fit)
-    note_rejected(job, bundle)
     write(job, bundle, network)

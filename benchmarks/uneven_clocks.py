@@ -1,0 +1,186 @@
+"""Healthy time, errors and detected collisions of logs with uneven clocks, beside an even one.
+
+    python benchmarks/uneven_clocks.py OUT [--rates 100 125 500] [--collision-recordings 40] [--tauext COMMAND]
+
+The virtual rig's free motion and pulses are sampled on uneven clocks, written as CSV, imported, trained on (recipe
+prior) and evaluated by COMMAND, a tauext program: another version can be compared so. OUT/README.md gets the table;
+docs/results/uneven-clocks is one of these. Rows that are there already are used again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tauext.data import Recording, load_dataset
+
+SEED = 1
+FREE_MINUTES = 6.0
+ARM = """[robot]
+model = "robot.xml"
+joints = ["joint1", "joint2"]
+[signals.q]
+columns = "q_{number}"
+unit = "rad"
+[signals.dq]
+columns = "dq_{number}"
+unit = "rad/s"
+[signals.tau]
+columns = "tau_{number}"
+unit = "Nm"
+timing = "instant"
+[time]
+column = "t"
+unit = "s"
+[contact]
+column = "contact"
+contact_values = [1]
+free_values = [0]
+cut = false
+"""
+HEALTH = """
+import json, sys
+from tauext import _core
+from tauext.data import load_dataset, load_recording
+bundle, data = _core.Bundle.load(sys.argv[1]), load_dataset(sys.argv[2])
+healthy = counted = 0
+for name in data.split.train + data.split.collisions + data.split.test:
+    r = load_recording(data.folder / name)
+    ok = _core.estimate(bundle, r.t_ns, r.q, r.dq, r.tau, 1)["health"] == 1
+    ok = ok[int(ok.argmax()):]
+    healthy, counted = healthy + int(ok.sum()), counted + len(ok)
+print(json.dumps(healthy / counted))
+"""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Steps of one period, but every so often one that is longer; frames that are lost or repeat the one before."""
+
+    name: str
+    longer: float = 1.0
+    every: int = 2
+    lost: float = 0.0
+    repeated: float = 0.0
+
+    def stamps_s(self, period_s: float, length_s: float, rng: np.random.Generator) -> np.ndarray:
+        """Times of the samples, from 0 on."""
+        steps = np.where(np.arange(int(length_s / period_s)) % self.every == self.every - 1, self.longer, 1.0)
+        t = np.concatenate([[0.0], np.cumsum(steps) * period_s])
+        t = t[t < length_s]
+        return t[rng.random(len(t)) >= self.lost]
+
+
+CLOCKS = (
+    Clock("even"),
+    Clock("every 10th step 1.47 periods: mean 4.7 % longer", 1.47, 10),
+    Clock("every 10th step 1.5 periods: 5 %", 1.5, 10),
+    Clock("every 3rd step 1.2 periods: 6.7 %", 1.2, 3),
+    Clock("every 10th step 1.7 periods: 7 %", 1.7, 10),
+    Clock("every 3rd step 1.3 periods: 10 %", 1.3, 3),
+    Clock("6 % of the frames lost", lost=0.06),
+    Clock("10 % of the frames lost", lost=0.1),
+    Clock("every 3rd step 1.2 periods, 6 % lost", 1.2, 3, lost=0.06),
+    Clock("6 % of the frames repeated", repeated=0.06),
+)
+
+
+def write_csv(recording: Recording, clock: Clock, rate_hz: float, path: Path, rng: np.random.Generator) -> None:
+    """The recording as a log with this clock, its signals linear between samples."""
+    t = clock.stamps_s(1 / rate_hz, recording.duration_s, rng)
+    seconds = recording.time_s
+    signals = (recording.q, recording.dq, recording.tau)
+    columns = [np.interp(t, seconds, signal[:, j]) for signal in signals for j in (0, 1)]
+    contact = np.zeros(len(seconds)) if recording.contact is None else recording.contact
+    again = np.r_[False, rng.random(len(t) - 1) < clock.repeated]
+    held = np.maximum.accumulate(np.where(again, 0, np.arange(len(t))))
+    at = np.minimum(np.searchsorted(seconds, t), len(seconds) - 1)
+    table = np.column_stack([t, *[column[held] for column in columns], contact[at]])
+    header = "t,q_1,q_2,dq_1,dq_2,tau_1,tau_2,contact"
+    np.savetxt(path, table, "%.9g", ",", header=header, comments="")
+
+
+def row(folder: Path, base: Path, clock: Clock, rate_hz: float, tauext: Path) -> dict:
+    """What became of one clock at one rate."""
+    done = folder / "row.json"
+    if done.exists():
+        return json.loads(done.read_text())
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    shutil.copy(base / "robot.xml", folder)
+    (folder / "arm.toml").write_text(ARM)
+    dataset, rng = load_dataset(base), np.random.default_rng(SEED)
+    sets = {"train": dataset.split.train, "test": dataset.split.test, "collisions": dataset.split.collisions}
+    for kind, names in sets.items():
+        for k, loader in enumerate(dataset.loaders(kind)[: len(names)]):
+            write_csv(loader(), clock, rate_hz, folder / f"{kind}{k:03d}.csv", rng)
+    files = sorted(str(path) for path in folder.glob("*.csv"))
+    run(tauext, "import", "--source", *files, "--arm", folder / "arm.toml", "--out", folder / "data")
+    split = {"format": 1}
+    for kind in sets:
+        split[kind] = sorted(path.name for path in (folder / "data").glob(f"{kind}*.parquet"))
+    (folder / "data" / "split.json").write_text(json.dumps(split))
+    bundle = folder / "arm.tauext"
+    run(tauext, "train", "--data", folder / "data", "--out", bundle, "--recipe", "prior")
+    run(tauext, "evaluate", "--data", folder / "data", "--bundles", bundle, "--out", folder / "results")
+    results = json.loads((folder / "results" / "results.json").read_text())["bundles"][0]
+    python = tauext.parent / "python"
+    said = subprocess.run([python, "-c", HEALTH, bundle, folder / "data"], capture_output=True, text=True, check=True)
+    free, latched = results["free_motion"], results["latched"]
+    content = {
+        "clock": clock.name,
+        "rate_hz": rate_hz,
+        "healthy": json.loads(said.stdout),
+        "l1_nm": free["l1_nm"],
+        "false_collisions": free["false_collisions"],
+        "latched": latched["latched"],
+        "collisions": latched["collisions"],
+        "delay_s": latched["delay_median_s"],
+    }
+    done.write_text(json.dumps(content))
+    return content
+
+
+def run(tauext: Path, *arguments: object) -> None:
+    done = subprocess.run([tauext, *map(str, arguments)], capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"tauext {arguments[0]} failed: {done.stderr[-600:]}")
+
+
+def line(found: dict) -> str:
+    l1 = " / ".join("-" if value is None else f"{value:.2f}" for value in found["l1_nm"])
+    delay = "-" if found["delay_s"] is None else f"{1e3 * found['delay_s']:.0f}"
+    return (
+        f"| {found['rate_hz']:g} | {found['clock']} | {found['healthy']:.1%} | {l1} | {found['latched']} of "
+        f"{found['collisions']} | {delay} | {found['false_collisions']} |"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--rates", type=float, nargs="+", default=[100.0, 125.0, 500.0])
+    parser.add_argument("--collision-recordings", type=int, default=40)
+    parser.add_argument("--tauext", type=Path, default=Path(sys.executable).parent / "tauext")
+    args = parser.parse_args()
+    base = args.out / "rig"
+    if not (base / "split.json").exists():
+        arguments = ("--minutes", FREE_MINUTES, "--collision-recordings", args.collision_recordings, "--seed", SEED)
+        run(args.tauext, "simulate", "--out", base, *arguments)
+    lines = ["| Hz | clock | healthy | L1 in N m | collisions | delay in ms | false |", "|---|---|---|---|---|---|---|"]
+    work = [(rate, number, clock) for rate in args.rates for number, clock in enumerate(CLOCKS)]
+    for rate, number, clock in work:
+        lines.append(line(row(args.out / f"{rate:g}-{number}", base, clock, rate, args.tauext)))
+        print(lines[-1], flush=True)
+    (args.out / "README.md").write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()

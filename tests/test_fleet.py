@@ -28,8 +28,9 @@ from tauext.fleet.local_workers import LocalWorkers
 from tauext.fleet.locking import locked
 from tauext.fleet.ray_workers import RayWorkers
 from tauext.fleet.stages import STAGES
-from tauext.fleet.task import MARKER, finished, run_task
+from tauext.fleet.task import MARKER, finished, run_task, said_of
 from tauext.train import train_bundle
+from tauext.whole_file import whole_file
 
 ARM_TOML = """
 [robot]
@@ -283,6 +284,22 @@ def test_a_wrong_fleet_file_gets_one_line_and_nothing_runs(place, capsys, text, 
     assert len(told.err.strip().splitlines()) == 1 and told.out == "" and not (place / "out").exists()
     for part in ("tauext: error: ", "fleet.toml", *says):
         assert part in told.err
+
+
+def test_a_pattern_that_fits_the_whole_disk_is_refused(place, capsys, monkeypatch):
+    monkeypatch.setattr("tauext.fleet.places.MOST_FOUND", 1000)
+    text = '[[arms]]\nname = "a"\nsources = ["/**"]\narm = "arm.toml"\n'
+    assert main(["fleet", "run", str(write_fleet(place, text)), "--out", str(place / "out")]) == 2
+    assert "'/**' fits more than 1,000 files and folders; name a folder below" in capsys.readouterr().err
+
+
+def test_a_full_disk_is_reported_with_the_file(tmp_path):
+    """Python's error of a write names no file; /dev/full fails as a full disk does."""
+    with pytest.raises(OSError, match="No space left on device: .*kept.json") as told:
+        with whole_file(tmp_path / "kept.json"), open("/dev/full", "wb", buffering=0) as disk:
+            disk.write(b"x")
+    assert said_of(told.value)[0] == f"{tmp_path / 'kept.json'}: cannot be read or written (No space left on device)"
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_example_is_a_fleet(tmp_path, data):

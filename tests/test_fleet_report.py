@@ -15,6 +15,7 @@ from tauext.errors import ConfigError
 from tauext.fleet_report import FILE, make_fleet_report
 from tauext.fleet_report.visits import visits_of
 from tauext.report import write_fleet_page
+from tauext.report.fleet_page import render_fleet_page
 from tauext.train import train_bundle
 
 FRICTION = ((1.0, 0.9), (0.8, 1.1), (1.2, 1.0), (0.9, 1.2))
@@ -139,6 +140,22 @@ def test_a_folder_that_is_no_fleet_is_refused_in_one_line(tmp_path):
     fleet = fleet_folder(tmp_path / "one", entry("cell-01"))
     with pytest.raises(ConfigError, match="the same fleet folder twice"):
         visits_of([fleet, fleet])
+
+
+def test_an_arm_with_other_joints_has_a_group_of_its_own(content, tmp_path):
+    """Two of the arms call their joints otherwise: as many joints, and nothing to compare them with."""
+    other = json.loads(json.dumps(content))
+    group = json.loads(json.dumps(content["groups"][0])) | {"joints": ["a", "b"], "tables": {}}
+    other["groups"].append(group)
+    for arm in [arm for arm in other["arms"] if arm["visits"][-1].get("group") == 0][:2]:
+        for visit in arm["visits"]:
+            visit["group"] = 1
+            for table in ("own", "fleet"):
+                for told in (visit.get(table) or {}).values():
+                    if isinstance(told, dict):
+                        told.pop("arm", None)
+    page = render_fleet_page(other, {})
+    assert page.count("arm-0") and page.count("arm-3")
 
 
 def test_no_arm_is_done(tmp_path):

@@ -189,6 +189,30 @@ def test_videos_stay_and_the_dataset_is_only_read(place, tmp_path):
     assert (tmp_path / "out" / video).read_bytes() == (place / "v3.0" / video).read_bytes()
 
 
+def test_a_video_that_is_a_link_is_copied(place, tmp_path):
+    """What is written into the output must not reach a file outside the dataset."""
+    source, outside = tmp_path / "linked", tmp_path / "outside.mp4"
+    shutil.copytree(place / "v3.0", source)
+    video = "videos/observation.images.top/chunk-000/file-000.mp4"
+    outside.write_bytes(b"mine")
+    (source / video).unlink()
+    (source / video).symlink_to(outside)
+    label_dataset(source, load_bundle(place / "arm.tauext"), load_arm(place / "arm.toml"), tmp_path / "out")
+    written = tmp_path / "out" / video
+    assert written.read_bytes() == b"mine" and not written.is_symlink()
+    assert outside.stat().st_nlink == 1 and outside.stat().st_ino != written.stat().st_ino
+
+
+def test_a_state_of_a_billion_elements_is_refused_at_once(place, tmp_path):
+    source = tmp_path / "wide"
+    shutil.copytree(place / "v3.0", source)
+    info = json.loads((source / "meta/info.json").read_text())
+    info["features"]["observation.state"]["shape"] = [10**9]
+    (source / "meta/info.json").write_text(json.dumps(info))
+    with pytest.raises(RecordingError, match="info.json: observation.state has 1,000,000,000 elements"):
+        label_dataset(source, load_bundle(place / "arm.tauext"), load_arm(place / "arm.toml"), tmp_path / "out")
+
+
 def test_an_interrupted_label_leaves_nothing(place, tmp_path, monkeypatch):
     def killed(*_):
         raise KeyboardInterrupt

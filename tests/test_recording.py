@@ -120,6 +120,10 @@ FAULTS = {
     "twin joints": (put(joints=("elbow", "elbow")), "joint 'elbow' is named 2 times; names must differ"),
     "no joints": (put(joints=()), "it has no joints"),
     "nameless joint": (put(joints=("elbow", "")), "joint name '' must be text, not empty"),
+    "commands to a terminal": (
+        put(joints=("elbow", "a\x1b[2J")),
+        r"joint name 'a\x1b[2J' holds characters that cannot",
+    ),
     "shared column": (put(joints=("a", "jts_a")), "joints 'a' and 'jts_a' would share the column tau_jts_a"),
     "timing": (put(torque_timing="late"), "torque_timing = 'late' must be one of held, instant, averaged"),
     "rate zero": (put(rate_hz=0.0), "rate_hz = 0 must be > 0"),

@@ -77,7 +77,15 @@ void expect_regular(const Bundle& b) {
 
 void expect_names(const std::vector<Link>& links) {
   for (std::size_t k = 0; k < links.size(); ++k) {
-    if (links[k].joint_name.empty()) throw Error("joint " + std::to_string(k) + " has no name");
+    const std::string& name = links[k].joint_name;
+    if (name.empty()) throw Error("joint " + std::to_string(k) + " has no name");
+    // A terminal takes these, and in UTF-8 those from U+0080 to U+009F, for commands.
+    for (std::size_t c = 0; c < name.size(); ++c) {
+      const auto byte = static_cast<unsigned char>(name[c]);
+      const auto next = c + 1 < name.size() ? static_cast<unsigned char>(name[c + 1]) : 0U;
+      if (byte < 0x20 || byte == 0x7f || (byte == 0xc2 && next >= 0x80 && next < 0xa0))
+        throw Error("the name of joint " + std::to_string(k) + " holds a character that cannot be printed");
+    }
     for (std::size_t other = 0; other < k; ++other)
       if (links[k].joint_name == links[other].joint_name)
         throw Error("two joints are named '" + links[k].joint_name + "'");

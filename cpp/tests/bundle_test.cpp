@@ -128,6 +128,8 @@ void contents_that_do_not_fit_are_refused_by_name() {
   refused_after("lag 2147483647", [](Bundle& b) { b.inputs[1].lag = 2147483647; });
   refused_after("sample period", [](Bundle& b) { b.observer.sample_period_ns = 4611686018427387903; });
   refused_after("network period", [](Bundle& b) { b.observer.network_stride = kMaxNetworkStride + 1; });
+  for (const char* name : {"a\x1b[31m", "a\n", "a\x7f", "a\xc2\x9b""31m"})
+    refused_after("cannot be printed", [name](Bundle& b) { b.links[1].joint_name = name; });
   refused_after("two joints are named", [](Bundle& b) { b.links[1].joint_name = b.links[0].joint_name; });
   refused_after("has no name", [](Bundle& b) { b.links[0].joint_name.clear(); });
   // Another robot than the one the reference was made with.

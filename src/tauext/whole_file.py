@@ -31,7 +31,9 @@ def whole_files(*paths: Place) -> Iterator[tuple[Path, ...]]:
         yield parts
         for part, path in zip(parts, paths, strict=True):
             put(part, path)
-    except BaseException:
+    except BaseException as error:
+        if isinstance(error, OSError) and not error.filename:  # a full disk: write() does not name the file
+            error.filename = str(paths[0])
         for part in parts:
             with suppress(OSError):
                 part.unlink(missing_ok=True)

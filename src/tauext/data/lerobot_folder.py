@@ -18,6 +18,8 @@ from tauext.errors import RecordingError
 from tauext.plain_file import json_of, read_text
 
 INFO = "meta/info.json"
+MOST_ELEMENTS = 10_000
+"""Of one feature: a state of more is none of a robot."""
 VERSIONS = ("v3.0", "v2.1")
 EPISODES_V2 = "meta/episodes.jsonl"
 STATE, ACTION = "observation.state", "action"
@@ -59,7 +61,15 @@ class LerobotFolder:
         return [n for n, f in self.features.items() if n in columns and str(f["dtype"]).startswith(("float", "int"))]
 
     def names(self, feature: str, count: int) -> list[str]:
-        """Of the elements of a feature; their indices where it gives none."""
+        """Of the elements of a feature; their indices where it gives none.
+
+        Raises:
+            RecordingError: more elements than MOST_ELEMENTS.
+        """
+        if count > MOST_ELEMENTS:
+            raise RecordingError(
+                f"{self.path / INFO}: {feature} has {count:,} elements; no more than {MOST_ELEMENTS:,} are read"
+            )
         names: Any = self.features[feature].get("names")
         if isinstance(names, dict):  # some datasets: {"motors": [...]}
             names = next(iter(names.values()), None)

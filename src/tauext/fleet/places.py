@@ -5,12 +5,16 @@ from __future__ import annotations
 import glob
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
+from itertools import islice
 from pathlib import Path, PurePosixPath
 
+from tauext.errors import ConfigError
 from tauext.store import Place, StoredPlace
 from tauext.store import place_of as any_place
 
 WILD = "*?["
+MOST_FOUND = 100_000
+"""Files and folders that one pattern may fit: more is a slip, as `/**` is, and takes hours to list."""
 
 
 def place_of(text: str, base: Place) -> Place:
@@ -22,6 +26,9 @@ def places_of(pattern: str, base: Place) -> list[Place]:
     """All places that a pattern with *, ? or ** fits, by name; without these it is one place, there or not.
 
     In a URL ? begins its query, and fits nothing.
+
+    Raises:
+        ConfigError: more than MOST_FOUND fit.
     """
     if not any(sign in (pattern.partition("?")[0] if "://" in pattern else pattern) for sign in WILD):
         return [place_of(pattern, base)]
@@ -29,7 +36,10 @@ def places_of(pattern: str, base: Place) -> list[Place]:
     if isinstance(place, StoredPlace):
         return stored_places(place)
     assert isinstance(base, Path)
-    return [place_of(found, base) for found in sorted(glob.glob(pattern, root_dir=base, recursive=True))]
+    found = list(islice(glob.iglob(pattern, root_dir=base, recursive=True), MOST_FOUND + 1))
+    if len(found) > MOST_FOUND:
+        raise ConfigError(f"'{pattern}' fits more than {MOST_FOUND:,} files and folders; name a folder below")
+    return [place_of(one, base) for one in sorted(found)]
 
 
 def stored_places(pattern: StoredPlace) -> list[Place]:

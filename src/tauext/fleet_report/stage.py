@@ -50,7 +50,7 @@ def make_fleet_report(fleets: Sequence[Place], out: Path, report: Reporter = SIL
         groups.append(group_facts(kind, members, facts[members[0]], numbers))
         for k, visit in enumerate(members):
             said[visit] = visit_facts(visit, facts[visit], numbers.friction_nm[k], "")
-            said[visit] |= compared_facts(numbers, k, members)
+            said[visit] |= compared_facts(numbers, k, members) | {"group": len(groups) - 1}
             if visit.serial not in serials[k + 1 :]:
                 centres = {name: table["centre"] for name, table in groups[-1]["tables"].items()}
                 named += named_of(visit.serial, facts[visit].joints, said[visit], centres)

@@ -235,11 +235,14 @@ def appearing(out: Path) -> Iterator[Path]:
 
 
 def _copy(source: Path, target: Path) -> None:
-    """A video is linked where the file system can, since nobody writes into one; all else is copied."""
+    """A video is linked where the file system can, since nobody writes into one; all else is copied.
+
+    So is a video that is a symbolic link: a hard link would tie the output to a file outside the dataset.
+    """
     target.parent.mkdir(parents=True, exist_ok=True)
-    if source.suffix == ".mp4":
+    if source.suffix == ".mp4" and not source.is_symlink():
         try:
-            os.link(source.resolve(), target)
+            os.link(source, target)
             return
         except OSError:
             pass  # another file system, or one without links

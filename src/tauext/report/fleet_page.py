@@ -73,8 +73,8 @@ def render_fleet_page(content: Content, links: Mapping[tuple[int, str], str]) ->
             k,
             group["type"],
             tuple(group["joints"]),
-            tuple(measures(group, members(group, arms), link)),
-            tuple(trends(group, members(group, arms), labels)),
+            tuple(measures(group, members(k, arms), link)),
+            tuple(trends(group, members(k, arms), labels)),
         )
         for k, group in enumerate(content["groups"])
     ]
@@ -116,13 +116,13 @@ def with_places(content: Content) -> tuple[list[dict[str, Any]], list[str]]:
     return arms, labels
 
 
-def members(group: Content, arms: Sequence[Content]) -> list[Content]:
-    """Arms whose last date has numbers of this group's joints."""
-    joints = group["joints"]
+def members(group: int, arms: Sequence[Content]) -> list[Content]:
+    """Arms whose last date is in this group, without the dates that are in another: their joints or units differ."""
     return [
-        arm for arm in arms
-        if arm["type"] == group["type"] and len(arm["visits"][-1].get("friction_nm") or ()) == len(joints)
-    ]  # fmt: skip
+        {**arm, "visits": [visit for visit in arm["visits"] if visit.get("group", group) == group]}
+        for arm in arms
+        if arm["visits"][-1].get("group") == group
+    ]
 
 
 def title(arms: Sequence[Content], labels: Sequence[str]) -> str:

@@ -16,6 +16,7 @@ from tauext.config import ObserverConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError
 from tauext.learn import build_setup, make_bundle
+from tauext.learn.torque_constants import with_constants
 from tauext.live import Loop
 from tauext.live.control_lines import obey
 from tauext.live.profiles import load_profiles
@@ -90,6 +91,25 @@ def test_a_load_that_is_expected_is_weighed_and_set_and_one_that_is_not_is_a_col
     left = np.abs(said["tau_ext"] - said["load_nm"])[deciding]
     assert (np.abs(said["tau_ext"])[deciding] > LIMITS).any() and (left < 0.3 * np.array(LIMITS)).all()
     assert np.abs(said["load_nm"][-1]).max() == 0
+
+
+def test_a_load_that_is_expected_is_found_where_the_last_joint_answers_in_amperes(arm):
+    """The other five leave its first moment about the last axis open for a while; still it is a load, and no collision."""
+    bundle, picks = arm
+    less = _core.Bundle.from_bytes(bundle.to_bytes())
+    less.observer = with_constants(less.observer, np.ones(6))
+    less.units = _core.TorqueUnits(_core.TorqueUnit.ampere, -1, [0, 0, 0, 0, 0, 1])
+    less.largest_torque_nm = [100.0] * 6
+    prior = less.prior
+    prior.most_load_nm = [60.0] * 6
+    less.prior = prior
+    less.answer_reference()
+    monitor = _core.Monitor(less)
+    monitor.run(*rows(picks, 0, PICKED - 200))
+    monitor.expect_load(2.0, 3.0)
+    said = monitor.run(*rows(picks, PICKED - 200, None))
+    assert (said["alarm"] == 0).all()
+    assert monitor.load.mass == pytest.approx(MASS, rel=0.05)
 
 
 def test_a_push_within_the_window_is_a_collision(arm, empty):

@@ -10,6 +10,8 @@ namespace {
 
 constexpr double kLeastKg = 0.1;     // the reach of a lighter load counts as this one's: else nothing could begin to show
 constexpr double kNothing = 1e-6;    // information about the mass before any row, [1/kg^2]: invertible, and no more
+constexpr int kTries = 16;             // of making a prior stronger
+constexpr double kStronger = 4;      // times, each
 constexpr double kSameSigmas = 9;    // squared: three standard errors
 
 using Matrix = std::array<double, 16>;
@@ -42,11 +44,16 @@ LoadChange solved(const Matrix& lower, LoadChange b, std::size_t first) noexcept
   return b;
 }
 
+// Information about h of a load of this mass before any row, [1/(kg m)^2].
+double prior_of(double mass_kg, double reach_m) noexcept {
+  const double size = std::max(std::fabs(mass_kg), kLeastKg) * reach_m / 2;
+  return 1 / (size * size);
+}
+
 Matrix with_prior(const Matrix& gram, double mass_kg, double reach_m) noexcept {
   Matrix a = gram;
-  const double size = std::max(std::fabs(mass_kg), kLeastKg) * reach_m / 2;
   a[0] += kNothing;
-  for (std::size_t i = 1; i < 4; ++i) a[5 * i] += 1 / (size * size);
+  for (std::size_t i = 1; i < 4; ++i) a[5 * i] += prior_of(mass_kg, reach_m);
   return a;
 }
 
@@ -68,9 +75,8 @@ double quadratic(const Matrix& a, const LoadChange& x) noexcept {
   return sum;
 }
 
-// The best one with the prior of this mass.
-LoadChange best(const Matrix& gram, const LoadChange& moment, const LoadBounds& bounds, double mass_kg) noexcept {
-  const Matrix a = with_prior(gram, mass_kg, bounds.reach_m);
+// The best one with this prior of h, and whether it is within reach.
+LoadChange best_under(const Matrix& a, const LoadChange& moment, const LoadBounds& bounds) noexcept {
   Matrix lower = a;
   factor(lower, 0);
   LoadChange x = solved(lower, moment, 0);
@@ -84,7 +90,23 @@ LoadChange best(const Matrix& gram, const LoadChange& moment, const LoadBounds& 
     x = solved(lower, rest, 1);
     x[0] = mass;
   }
-  const double far = std::sqrt(x[1] * x[1] + x[2] * x[2] + x[3] * x[3]), reach = std::fabs(mass) * bounds.reach_m;
+  return x;
+}
+
+// The best one with the prior of this mass. Where h would be out of reach, its prior is made stronger until it is not:
+// cutting h alone would leave the mass that belongs to the long one, which may be worse than no load at all.
+LoadChange best(const Matrix& gram, const LoadChange& moment, const LoadBounds& bounds, double mass_kg) noexcept {
+  Matrix a = with_prior(gram, mass_kg, bounds.reach_m);
+  LoadChange x = best_under(a, moment, bounds);
+  double far = 0, reach = 0, prior = prior_of(mass_kg, bounds.reach_m);
+  for (int tries = 0;; ++tries) {
+    far = std::hypot(x[1], x[2], x[3]);
+    reach = std::fabs(x[0]) * bounds.reach_m;
+    if (far <= reach || tries == kTries) break;
+    for (std::size_t i = 1; i < 4; ++i) a[5 * i] += (kStronger - 1) * prior;
+    prior *= kStronger;
+    x = best_under(a, moment, bounds);
+  }
   if (far > reach)
     for (std::size_t i = 1; i < 4; ++i) x[i] *= reach / far;
   return x;

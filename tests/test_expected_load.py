@@ -94,7 +94,7 @@ def test_a_load_that_is_expected_is_weighed_and_set_and_one_that_is_not_is_a_col
 
 
 def test_a_load_that_is_expected_is_found_where_the_last_joint_answers_in_amperes(arm):
-    """The other five leave its first moment about the last axis open for a while; still it is a load, and no collision."""
+    """The other five leave open for a while how far off the last axis it is; still it is a load, and no collision."""
     bundle, picks = arm
     less = _core.Bundle.from_bytes(bundle.to_bytes())
     less.observer = with_constants(less.observer, np.ones(6))

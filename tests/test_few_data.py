@@ -18,7 +18,7 @@ from tauext.learn import build_setup, fit_torque_constants
 from tauext.learn.regression import NormalEquations, Regression, coupled
 from tauext.learn.torque_constants import TorqueConstants, with_constants
 from tauext.train import train_on_recordings
-from tauext.train.limits import calibrate
+from tauext.train.limits import calibrate, factor_after
 from tauext.train.motion import training_motion
 from tauext.train.recordings import wants_constants
 
@@ -96,6 +96,14 @@ def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path,
     assert healthy.sum() > 4000 and not said["detection"][healthy].any()
     # What is left of friction and model on another motion is the torque's noise behind the observer, and little more.
     assert (np.sqrt((said["tau_ext"][healthy] ** 2).mean(axis=0)) < 0.3).all()
+
+
+def test_the_factor_of_minutes_grows_as_the_reserve_of_friction_fades():
+    """1 at no time at all, within 2 % of its most after a quarter of an hour; both sum up to a whole at any time."""
+    assert factor_after(0.0, 1.4) == 1.0 and factor_after(900.0, 1.4) == pytest.approx(1.4, rel=0.02)
+    for minutes in (1.0, 4.0, 10.0):
+        assert (factor_after(60 * minutes, 1.4) - 1) / 0.4 + np.exp(-minutes / 4) == pytest.approx(1.0)
+    assert factor_after(600.0, 1.0) == 1.0
 
 
 def test_validation_is_cut_off_by_time_with_a_gap_of_a_window_and_the_warm_up():

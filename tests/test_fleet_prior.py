@@ -25,6 +25,7 @@ from tauext.learn.fleet_prior_file import content, load_fleet_prior, write_fleet
 from tauext.progress import SILENT
 from tauext.train import train_bundle
 from tauext.train.fleet_limits import scale_settings
+from tauext.train.limits import UNPROMISED_FACTOR
 
 SECONDS = 20.0
 
@@ -305,7 +306,7 @@ def test_from_minutes_enough_on_an_arms_limits_follow_from_its_own_errors(made, 
     like = load_fleet_prior(made[0])
     bundle = train_bundle(data, tmp_path / "own.tauext", config=CONFIG, look=False, like=like)
     limits = json.loads(bundle.provenance)["limits"]
-    assert "like" not in limits and limits["minutes_factor"] == CONFIG.alarm.minutes_factor
+    assert "like" not in limits and limits["minutes_factor"] == UNPROMISED_FACTOR
 
 
 def test_limits_are_raised_until_no_arm_is_over_those_of_the_others():

@@ -10,6 +10,7 @@ from arms import prismatic_mass
 from tauext import _core
 from tauext.calibrate import apply_promised, promised_limits
 from tauext.calibrate.held_peaks import cluster_peaks
+from tauext.calibrate.promised_limits import most_seen
 from tauext.config import AlarmConfig, ObserverConfig
 from tauext.data import Recording
 from tauext.errors import TrainingError
@@ -88,6 +89,23 @@ def test_a_moment_that_sets_a_limit_is_named_with_the_limit_without_it(way):
     assert carried.facts()["one_moment"] == [moment.facts()]
     assert not limits(noisy(3)).moments and "one_moment" not in limits(noisy(3)).facts()
     assert not limits(pushed(3), pushed(6, at_s=20.0), pushed(7, at_s=33.0)).moments  # an event that comes again
+
+
+def test_one_event_alone_raises_a_limit_from_minutes_by_the_root_of_its_size():
+    """At most the geometric mean of the two largest peaks: a push 4 times as large counts twice."""
+    assert most_seen(np.array([8.0, 2.0, 1.0])) == pytest.approx(4.0)
+    assert most_seen(np.array([3.0, 3.0])) == pytest.approx(3.0)
+    bundle, settings = observer(), WAYS["supported by minutes"][1]
+
+    def sliding(*recordings: Recording) -> float:
+        return float(promised_limits(bundle, lambda: recordings, AlarmConfig(), 1, **settings).collision.sliding_nm[0])
+
+    # The push reaches 30 Nm on top of some 3 Nm of noise, whose largest peaks of four minutes are 8 Nm.
+    once, twice = pushed(3, at_s=9.0), pushed(3, at_s=9.0)
+    again = (twice.time_s >= 17.0) & (twice.time_s < 17.2)
+    twice = replace(twice, tau=twice.tau - 60.0 * again[:, None])
+    quiet, one, two = sliding(noisy(3)), sliding(once), sliding(twice)
+    assert quiet < one < 0.75 * two  # an event that comes again is none that can be left out
 
 
 def test_contacts_keep_their_rate_where_collisions_take_a_hold_time():

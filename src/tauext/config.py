@@ -129,8 +129,9 @@ class AlarmConfig:
     friction_reserve: float = 0.2
     """Share of each joint's friction by which constant limits are raised where there are no calibration recordings:
     minutes of one day do not show how friction changes with temperature and time."""
-    minutes_factor: float = 1.6
-    """Factor on limits that follow the error where there are no calibration recordings, for the same reason."""
+    minutes_factor: float = 1.4
+    """Factor on limits that follow the error where there are no calibration recordings, for the same reason; from T
+    minutes of motion 1 + (factor - 1)(1 - e^(-T/4)), since the reserve for friction covers the first ones."""
     after_contact_factor: float = 2.0
     """Factor on the limits of a joint that was pushed while it was stuck, from the end of the contact until it has
     slid: its friction is not what its motion tells (recipes tauext and prior); 1: none."""

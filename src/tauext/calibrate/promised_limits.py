@@ -95,7 +95,7 @@ def promised_limits(
         recordings: loads them one at a time; called once.
         level_confidence: with which each limit keeps its share of the budget; None: that of the promise.
         kept: what a killed process has done of this; `recordings` begins behind that.
-        at_most_seen: no limit is above the largest peak, however far the tail's fit reaches beyond it.
+        at_most_seen: no limit is above `most_seen` of the largest peaks, however far the tail's fit reaches beyond it.
 
     Raises:
         TrainingError: no free motion, or too few peaks to say anything.
@@ -163,8 +163,17 @@ def _of_joint(
     tails = [_tail(nm, region, peaks.hours) for region in range(len(REGIONS))]
     levels = np.array([tail.upper_level(float(share), confidence) for tail, share in zip(tails, shares, strict=True)])
     if at_most_seen:
-        levels = np.minimum(levels, [tail.peaks_nm[0] for tail in tails])
+        levels = np.minimum(levels, [most_seen(tail.peaks_nm) for tail in tails])
     return levels, tails
+
+
+def most_seen(peaks_nm: np.ndarray) -> float:
+    """The geometric mean of the two largest peaks, [N m]: one event twice as large as any other counts 1.4 times.
+
+    Args:
+        peaks_nm: falling, (peaks,), two or more.
+    """
+    return float(np.sqrt(peaks_nm[0] * peaks_nm[1]))
 
 
 def _tail(nm: Sequence[np.ndarray], region: int, hours: float) -> Tail:

@@ -36,6 +36,8 @@ from tauext.train.preparation import Job
 SHORT_S = 240.0
 """The reserve for friction that recordings did not show fades with their length T as exp(-T / this), [s]: a single
 minute shows one motion in one state of the gears, ten show a gear that warms up (5 to 7 minutes)."""
+UNPROMISED_FACTOR = 1.6
+"""On the largest errors, where the motion is too short for any budget: nothing bounds the false alarms there."""
 LEAST_RESERVE = 0.02
 """A smaller share of the friction is none: from nine minutes on."""
 FORGOTTEN = 2.0
@@ -146,10 +148,12 @@ def set_supported_limits(
     """Put limits for the smallest budget of false alarms that this motion supports into the bundle.
 
     Where it is too short even for that, the largest error. Either is raised, since friction changes with temperature
-    and time by more than minutes show: limits that follow the error by a factor, constant ones by a share of the
-    friction at the speed that a joint stays below for 95 % of its motion. Returned is what was done, in words, and the
-    facts.
+    and time by more than minutes show: limits that follow the error by `factor_after` and a share of the friction,
+    constant ones by a share of the friction at the speed that a joint stays below for 95 % of its motion. Returned is
+    what was done, in words, and the facts.
     """
+    seen_s = total_s(whole_recordings(judged))
+    factor = round(factor_after(seen_s, config.alarm.minutes_factor), 3)
     try:
         # A few dozen peaks say little of how far their tail reaches; the factor below stands for that.
         at_most_seen = bundle.error_scale.on
@@ -159,17 +163,18 @@ def set_supported_limits(
     except TrainingError as error:
         set_limits(bundle, paper_limits(bundle, judged, threads, config.margins), config.alarm)
         words = f"limits are the largest errors seen, and promise nothing ({error})"
+        factor = max(factor, UNPROMISED_FACTOR)
         facts: dict = {"sentence": words}
     else:
         apply_promised(bundle, promised, config.alarm)
         facts = promised.facts()
         words = f"no calibration recordings. {promised.sentence()}"
     if bundle.error_scale.on:
-        raise_limits(bundle, config.alarm.minutes_factor)
-        facts["minutes_factor"] = config.alarm.minutes_factor
-        raise_moments(facts, {}, config.alarm.minutes_factor)
-        words += f" They are {config.alarm.minutes_factor:g} times what these minutes show."
-        share = config.alarm.friction_reserve * math.exp(-total_s(whole_recordings(judged)) / SHORT_S)
+        raise_limits(bundle, factor)
+        facts["minutes_factor"] = factor
+        raise_moments(facts, {}, factor)
+        words += f" They are {factor:.3g} times what these minutes show."
+        share = config.alarm.friction_reserve * math.exp(-seen_s / SHORT_S)
         if fit is not None and share > LEAST_RESERVE:
             add_friction(bundle, share, *friction_line(fit, usual_speed_rad_s(judged)))
             facts["friction_reserve"] = share
@@ -183,6 +188,14 @@ def set_supported_limits(
     facts["friction_reserve_nm"] = dict(zip(names, reserve.tolist(), strict=True))
     raise_moments(facts, facts["friction_reserve_nm"])
     return f"{words} They are raised by {config.alarm.friction_reserve:.0%} of the friction.", facts
+
+
+def factor_after(seen_s: float, most: float) -> float:
+    """The factor on limits that follow the error, from so many seconds of motion: 1 + (most - 1)(1 - exp(-T/SHORT_S)).
+
+    It grows as the reserve for friction fades. That reserve alone covers what a single minute does not show.
+    """
+    return 1 - (most - 1) * math.expm1(-seen_s / SHORT_S)
 
 
 def raise_moments(facts: dict, by_nm: Mapping[str, float], factor: float = 1.0) -> None:

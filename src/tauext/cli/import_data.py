@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from tauext.cli.place_argument import PlaceArg
 from tauext.errors import ConfigError
 from tauext.room import expect_new_file
 from tauext.store import is_stored, local_folder, local_robot, staged
+
+if TYPE_CHECKING:
+    from tauext.data.importers import RawRecording
 
 
 def import_data(
@@ -76,12 +79,23 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
         (first, *_) = open_raw(sources[0])
         streams = first.streams()
         guessed = guess(streams)
+        guessed.time_unit = unit_of_times(first, guessed.columns.get("time", ""))
     joints, model = [], ""
     if robot is not None:
         joints = movable_joints(robot)
         model = Path(os.path.relpath(robot, path.parent)).as_posix()
     write_text(path, template(guessed, model, joints, list(streams)))
     print(path)
+
+
+def unit_of_times(raw: RawRecording, column: str) -> str:
+    """Unit of the column of times, as its first values show it."""
+    from tauext.data.description_template import time_unit
+
+    for block in raw.blocks():
+        if column in block.names:
+            return time_unit(block.columns[:, block.names.index(column)])
+    return ""
 
 
 def tell_findings(out: Path) -> None:

@@ -7,6 +7,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from tauext.data.description import TIME_UNITS
 from tauext.data.servo_types import SERVO_TYPES
 
 GUESSES = {
@@ -19,7 +22,7 @@ GUESSES = {
     "temperature": r"(temp|temps|temperature|temperatures|joint_temperatures?)",
     "duty": r"(duty|pwm|load|present_(load|pwm))",
     "voltage": r"(voltage|voltages|present_voltage)",
-    "time": r"(t|time|times|timestamp|stamp|time_s|t_s|t_ns|time_ns|timestamp_ns|time_cont)",
+    "time": r"(_*(t|time|times|timestamp|stamp)(_s|_ms|_us|_ns)?|time_cont)",
     "label": r"(label|labels|contact|contacts|collision|collisions|touch)",
 }
 
@@ -34,6 +37,8 @@ class Guess:
     """As the recording names them; empty where it counts them."""
     count: int = 0
     """Number of joints, as q has columns."""
+    time_unit: str = ""
+    """Of the column of times, where its values show it."""
 
 
 def guess(streams: Mapping[str, Sequence[str]]) -> Guess:
@@ -41,11 +46,11 @@ def guess(streams: Mapping[str, Sequence[str]]) -> Guess:
     found = Guess()
     for stream, names in streams.items():
         groups, joints = _groups(names), _named_joints(names)
-        for prefix in sorted(
-            {name.removesuffix(f"_{joints[0]}") for name in names if joints and name.endswith(joints[0])}
-        ):
-            if all(f"{prefix}_{joint}" in names for joint in joints):
-                groups[f"{prefix}_{{joint}}"] = len(joints)
+        for pattern in sorted({name.replace(joints[0], "{joint}") for name in names if joints and joints[0] in name}):
+            spelled = [pattern.replace("{joint}", joint) for joint in joints]
+            if all(name in names for name in spelled):
+                groups = {group: count for group, count in groups.items() if not _is_part(group, spelled)}
+                groups[pattern] = len(joints)
         for signal, pattern in GUESSES.items():
             fits = [g for g in groups if re.fullmatch(pattern, _bare(g), re.IGNORECASE)]
             single = signal in ("time", "label")
@@ -61,9 +66,23 @@ def guess(streams: Mapping[str, Sequence[str]]) -> Guess:
         elements = [n.removeprefix(f"{base}[")[:-1] for n in names if base and n.startswith(f"{base}[")]
         if elements and not all(e.isdigit() for e in elements):
             found.joint_names = tuple(elements)
-        elif joints and base.endswith("_{joint}"):
+        elif joints and "{joint}" in base:
             found.joint_names = joints
     return found
+
+
+def time_unit(times: np.ndarray) -> str:
+    """Unit of a column of times by its steps: 10 Hz to 10 kHz fit one unit only; empty: none.
+
+    Args:
+        times: (samples,), NaN where there is none.
+    """
+    steps = np.diff(times[np.isfinite(times)])
+    steps = steps[steps > 0]
+    if not len(steps):
+        return ""
+    step = float(np.median(steps))
+    return next((unit for unit, ns in TIME_UNITS.items() if 1e5 < step * ns <= 1e8), "")
 
 
 def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics: Sequence[str] = ()) -> str:
@@ -90,7 +109,7 @@ def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics
         "JOINTS": json.dumps(list(used)),
         "NAMES": f"names = {json.dumps(list(in_file))}" if differ else '# names = ["Base", "Shoulder"]',
         "TIME": json.dumps(columns.get("time", "")),
-        "TIME_UNIT": json.dumps("ns" if columns.get("time", "").endswith("_ns") else "s"),
+        "TIME_UNIT": json.dumps(guessed.time_unit or ("ns" if columns.get("time", "").endswith("_ns") else "s")),
         "TOPIC": topic_line,
         "TOPICS": f" The file holds {', '.join(topics)}." if topic else "",
         "Q": json.dumps(columns.get("q", "position")),
@@ -116,9 +135,9 @@ def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics
 
 
 def _named_joints(names: Sequence[str]) -> tuple[str, ...]:
-    """What follows q_, pos_ or position_ in two names or more, in their order: names of joints."""
-    for prefix in ("q_", "pos_", "position_"):
-        joints = tuple(name.removeprefix(prefix) for name in names if name.startswith(prefix))
+    """Joints of q_JOINT, pos_JOINT, position_JOINT or .../JOINT/position, in the order of two or more such names."""
+    for pattern in (r"q_(.+)", r"pos_(.+)", r"position_(.+)", r".*?([^/]+)/position"):
+        joints = tuple(match[1] for name in names if (match := re.fullmatch(pattern, name)))
         if len(joints) > 1 and not all(joint.isdigit() for joint in joints):
             return joints
     return ()
@@ -149,13 +168,19 @@ def _groups(names: Sequence[str]) -> dict[str, int]:
     return spelled
 
 
+def _is_part(group: str, names: Sequence[str]) -> bool:
+    """Whether the pattern counts some of these names: wrist_{number}/position beside elbow/position."""
+    counted = re.escape(group).replace(r"\{number\}", r"\d+").replace(r"\{index\}", r"\d+")
+    return any(re.fullmatch(counted, name) for name in names)
+
+
 def _is_current(pattern: str) -> bool:
     return re.fullmatch(r"\w*current\w*|i", _bare(pattern), re.IGNORECASE) is not None
 
 
 def _bare(pattern: str) -> str:
     """The pattern's last part without its counter: what a person calls the signal."""
-    name = re.sub(r"_?\{\w+\}_?", "", pattern)
+    name = re.sub(r"[_/]?\{\w+\}_?", "", pattern)
     return name if name.startswith(("observation.", "action")) else re.split(r"[./]", name)[-1]
 
 

@@ -1,0 +1,98 @@
+"""docs/start/logs.md: its commands as they stand there, from logs in each form to an alarm; and damaged logs."""
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_logs import NM_PER_A, UR_JOINTS, made_robot, made_runs, split, write_echo, write_franka, write_ur
+
+from tauext.cli import main
+from tauext.data import load_bundle, load_recording
+from tauext.data.description_template import time_unit
+from tauext.data.importers import open_raw
+from tauext.errors import RecordingError
+
+PAGE = (Path(__file__).parent.parent / "docs" / "start" / "logs.md").read_text()
+WRITERS = {
+    "UR": ("free.csv", lambda run, path: write_ur(run, path, ",")),
+    "libfranka": ("free.csv", write_franka),
+    "JointState": ("free.csv", write_echo),
+}
+UNITS = {"UR": '"s"', "libfranka": '"ms"', "JointState": '"s"'}
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    robot = tmp_path_factory.mktemp("robot") / "robot.urdf"
+    made_robot(robot)
+    return robot, made_runs(robot, 3, amperes=True), made_runs(robot, 3, amperes=False)
+
+
+def commands() -> list[str]:
+    return re.findall(r"^    tauext (.*)$", PAGE, flags=re.MULTILINE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", WRITERS)
+def test_the_page_leads_from_each_log_to_the_alarm(form, arm, tmp_path, monkeypatch, capsys):
+    robot, amperes, newtons = arm
+    monkeypatch.chdir(tmp_path)
+    Path("robot.urdf").write_text(robot.read_text())
+    runs = amperes if form == "UR" else newtons
+    for run, name in zip(runs, ("free.csv", "touched.csv"), strict=True):
+        WRITERS[form][1](run, Path(name))
+    for command in commands():
+        capsys.readouterr()
+        assert main(shlex.split(command)) == 0, capsys.readouterr().err
+        if "--new" in command:
+            text = Path("arm.toml").read_text()
+            assert f"unit = {UNITS[form]}" in text[text.index("[time]") : text.index("[signals.q]")]
+            assert ('unit = "A"' in text) == (form == "UR")
+            Path("arm.toml").write_text(text + split("free.csv", "touched.csv"))
+    out = capsys.readouterr().out
+    alarms = [float(line.split()[0]) for line in out.splitlines() if "collision" in line and line.split()[1] == "s"]
+    touched = load_recording("data/touched.parquet")
+    assert touched.joints == UR_JOINTS
+    np.testing.assert_allclose(touched.q, runs[1].q, atol=1e-6)
+    assert any(0 <= at - (runs[1].time_s[-1] - 0.8) < 0.5 for at in alarms), out
+    if form == "UR":
+        bundle = load_bundle("arm.tauext")
+        assert sum(bundle.in_newtons) >= 3 and len(NM_PER_A) == len(bundle.in_newtons)
+
+
+@pytest.mark.parametrize(("step", "unit"), [(0.008, "s"), (2.0, "ms"), (1.0, "ms"), (2000.0, "us"), (8e6, "ns")])
+def test_the_unit_of_time_is_found_by_its_steps(step, unit):
+    assert time_unit(1e3 + step * np.arange(20)) == unit
+
+
+def raw_names(path: Path) -> tuple[str, ...]:
+    (raw,) = open_raw(path)
+    return raw.streams()[""]
+
+
+def test_an_echoed_joint_state_has_names_of_joints_and_stamps(tmp_path):
+    path = tmp_path / "joint_states.csv"
+    path.write_text("17,5,base,b,a,1,2,3,4,5,6\n17,8000005,base,b,a,1,2,3,4,5,6\n")
+    (raw,) = open_raw(path)
+    (block,) = raw.blocks()
+    assert block.names[2:4] == ("position[b]", "position[a]") and block.names[-1] == "effort[a]"
+    assert block.t_ns.tolist() == [17 * 10**9 + 5, 17 * 10**9 + 8000005]
+    path.write_text("%time,field.name0,field.name1,field.position0,field.position1\n1,b,a,0.5,1\n2,b,a,0.5,1\n")
+    assert raw_names(path) == ("%time", "field.position[b]", "field.position[a]")
+
+
+def test_quotes_spaces_and_windows_line_ends_are_no_obstacle(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_bytes(b'"timestamp" "actual q 0" "actual_qd_0"\r\r\n0.0 1 2\r\r\n0.008 1 2\r\r\n')
+    assert raw_names(path) == ("timestamp", "actual q 0", "actual_qd_0")
+    path.write_text("time, success_rate, state.q[0]\n1,1,0.5\n2,1,0.5\n")
+    assert raw_names(path) == ("time", "success_rate", "state.q[0]")
+
+
+def test_rows_with_another_separator_than_the_header_are_refused_with_both_lines(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("timestamp,q_0,q_1\n0.0;1;2\n0.1;1;2\n")
+    with pytest.raises(RecordingError, match=r"first line has 3 cells between ',', its next has 1: '0.0;1;2'"):
+        open_raw(path)

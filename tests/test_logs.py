@@ -16,7 +16,7 @@ from tauext.errors import RecordingError
 
 PAGE = (Path(__file__).parent.parent / "docs" / "start" / "logs.md").read_text()
 WRITERS = {
-    "UR": ("free.csv", lambda run, path: write_ur(run, path, ",")),
+    "UR": ("free.csv", lambda run, path: write_ur(run, path, "," if path.stem == "free" else " ")),
     "libfranka": ("free.csv", write_franka),
     "JointState": ("free.csv", write_echo),
 }
@@ -96,3 +96,12 @@ def test_rows_with_another_separator_than_the_header_are_refused_with_both_lines
     path.write_text("timestamp,q_0,q_1\n0.0;1;2\n0.1;1;2\n")
     with pytest.raises(RecordingError, match=r"first line has 3 cells between ',', its next has 1: '0.0;1;2'"):
         open_raw(path)
+
+
+def test_a_missing_column_is_named_with_its_neighbours_once_each(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("run.csv").write_text("t,q_0,q_1,tau_0,tau_1\n0,1,2,3,4\n0.01,1,2,3,4\n")
+    assert main(["import", "--new", "arm.toml", "--source", "run.csv"]) == 0
+    Path("run.csv").write_text("t,q_0,q_1,tau_0\n0,1,2,3\n0.01,1,2,3\n")
+    assert main(["import", "--source", "run.csv", "--arm", "arm.toml", "--out", "data"]) == 2
+    assert "'tau_1' is not in run.csv; near to it: tau_0, q_1, t; " in capsys.readouterr().err

@@ -103,7 +103,7 @@ def _exact(arm: Arm, raw: RawRecording, table: str, names: tuple[str, ...], ther
 
 def _missing(arm: Arm, raw: RawRecording, table: str, name: str, there: Sequence[str]) -> ConfigError:
     bases = list(dict.fromkeys(column.split("[")[0] for column in there))
-    near = difflib.get_close_matches(name, [*there, *bases], 3, 0.3)
+    near = difflib.get_close_matches(name, dict.fromkeys([*there, *bases]), 3, 0.3)
     hint = f"near to it: {', '.join(near)}; " if near else ""
     left_out = "".join(f"; {note}" for note in raw.notes)  # an array of another length is not in it
     derive = '; columns = "" derives the velocity from the position' if table == "signals.dq" else ""

@@ -28,6 +28,7 @@ def evaluate(
     threads: int = 0,
     keep_free_estimates: int = 20,
     accept: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")] = (),
+    inject: bool = False,
     events: Annotated[EventsConfig, tyro.conf.arg(name="")] = EventsConfig(),  # noqa: B008
 ) -> None:
     """Errors and false alarms on test free motion, collisions found and delays, and the estimates behind them.
@@ -45,6 +46,8 @@ def evaluate(
         keep_free_estimates: how many test recordings of free motion, the first ones, have their estimates written, for
             figures.
         accept: codes of findings that are no fault of the baselines' training data on your word, as of train.
+        inject: add simulated hits, ramps and presses to the free test motion, at the end of each link and in random
+            directions, and count what is detected of them; where no contacts were recorded, this shows what would be.
         events: how alarms are held against labels.
     """
     from tauext.cli.command_line import command_line
@@ -89,5 +92,6 @@ def evaluate(
             sanity=baselines,
             events=events,
             report=Terminal(),
+            inject=inject,
         )
     print(out / "results.json")

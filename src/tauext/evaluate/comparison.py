@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -19,6 +20,7 @@ from tauext.errors import ConfigError
 from tauext.evaluate.bundle_measures import BundleMeasures
 from tauext.evaluate.collisions import STRONG_PEAK, Collision, choose_ten, find_collisions
 from tauext.evaluate.estimating import estimate_recording
+from tauext.evaluate.injected import EVENTS, Injection
 from tauext.evaluate.limits_held import LimitsHeld
 from tauext.evaluate.own_torque import OwnTorque, own_limits
 from tauext.evaluate.reference import sensor_reference
@@ -42,6 +44,7 @@ def evaluate(
     events: EventsConfig = EventsConfig(),  # noqa: B008
     quiet: Sequence[Loader] = (),
     kept: HalfDone | None = None,
+    inject: bool = False,
 ) -> dict:
     """Results of every bundle: the content of results.json but for its provenance.
 
@@ -61,6 +64,7 @@ def evaluate(
         events: how labels are read, see events.py.
         quiet: recordings whose free time gives the limits of the robot's own tau_ext, where it has one.
         kept: where the work of a killed process goes on; its estimates are on disk already.
+        inject: add forces to free test motion, see injected.py.
 
     Raises:
         BundleError: a recording does not fit a bundle.
@@ -73,7 +77,8 @@ def evaluate(
     if comparison is None:
         own_nm = own_limits(load() for load in quiet)
         own = None if own_nm is None else OwnTorque(own_nm, events, next(iter(bundles.values())).near_stiction_rad_s)
-        comparison = Comparison(bundles, events, sanity_detectors(seed) if sanity else [], own)
+        injection = Injection(bundles, seed, math.ceil(EVENTS / max(1, len(test)))) if inject else None
+        comparison = Comparison(bundles, events, sanity_detectors(seed) if sanity else [], own, injection)
     total = len(test) + len(collisions)
     with ThreadPoolExecutor(max(1, min(threads, len(bundles)))) as pool:
         for number, recording in enumerate(ahead([*test, *collisions][done:]), done):
@@ -95,8 +100,9 @@ class Comparison:
         events: EventsConfig,
         ignorant: Sequence[Sanity],
         own: OwnTorque | None,
+        injection: Injection | None = None,
     ):
-        self._bundles, self._ignorant, self._own = bundles, ignorant, own
+        self._bundles, self._ignorant, self._own, self._injection = bundles, ignorant, own, injection
         self._measures = {name: BundleMeasures(name, bundle, events) for name, bundle in bundles.items()}
         self._limits_held = {name: LimitsHeld() for name in bundles}
         self._touches: list[Collision] = []
@@ -123,6 +129,7 @@ class Comparison:
             self._own.add(recording)
         gains = set() if not found else {bundle.observer.gain_per_s for bundle in self._bundles.values()}
         references = {gain: sensor_reference(recording, gain) for gain in gains}
+        hits = self._injection.draw(number, recording) if self._injection is not None and free else []
         own_threads, last = max(1, threads // len(self._bundles)), list(self._bundles)[-1]
 
         def judge(name: str) -> Estimates | None:
@@ -137,6 +144,8 @@ class Comparison:
                 self._limits_held[name].add(recording, without_touches)
             if found or not free:
                 measures.add_touched(found, recording, estimates, references.get(bundle.observer.gain_per_s))
+            if self._injection is not None:
+                self._injection.add(name, recording, hits, own_threads)
             return estimates if self._ignorant and name == last else None  # else the memory of all at once
 
         *_, estimates = pool.map(judge, self._bundles)
@@ -165,6 +174,7 @@ class Comparison:
             "bundles": [
                 measured.summary(touches, ten, histories.get(name))
                 | {"noticed_force": self._limits_held[name].summary(self._bundles[name])}
+                | ({"injected": self._injection.summary(name)} if self._injection is not None else {})
                 for name, measured in self._measures.items()
             ],
             "own_torque": None if self._own is None else self._own.summary(),

@@ -35,6 +35,7 @@ def evaluate_bundles(
     sanity: bool = False,
     events: EventsConfig = EventsConfig(),  # noqa: B008
     report: Reporter = SILENT,
+    inject: bool = False,
 ) -> dict[str, Any]:
     """Write results.json, estimates, run.json and wall times for bundles, each by a name of its own.
 
@@ -54,6 +55,7 @@ def evaluate_bundles(
         keep_free_estimates: see evaluate.
         sanity: judge detectors that know nothing (always, never, random) beside them.
         events: how alarms are held against labels.
+        inject: add forces to free test motion and count what is detected of them.
 
     Raises:
         BundleError: a bundle cannot be read, or a recording does not fit it.
@@ -61,7 +63,13 @@ def evaluate_bundles(
     """
     started = time.monotonic()
     loaded = {name: load_bundle(path) for name, path in bundles.items()}
-    work = {"seed": seed, "keep_free_estimates": keep_free_estimates, "sanity": sanity, "events": asdict(events)}
+    work = {
+        "seed": seed,
+        "keep_free_estimates": keep_free_estimates,
+        "sanity": sanity,
+        "events": asdict(events),
+        "inject": inject,
+    }
     kept = HalfDone(out / "evaluate.half-done", work_key(dataset, loaded, work), loaded)
     histories = {name: read_loss_history(loaded[name], path) for name, path in bundles.items()}
     with report.progress("evaluate") as show:
@@ -79,6 +87,7 @@ def evaluate_bundles(
             events,
             dataset.loaders("calibration") or dataset.loaders("validation") or dataset.loaders("train"),
             kept,
+            inject,
         )
     run = provenance("tauext evaluate", {"bundles": list(bundles)}, seed)
     judged = [*dataset.split.test, *dataset.split.collisions]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from tauext.report.injected import Injected
 from tauext.report.noticed import Noticed
 
 Number = float | None
@@ -122,3 +123,5 @@ class Measured:
     """By region, a joint each; empty where the bundle has no error scale."""
     noticed: Noticed | None = None
     """What force on a link it notices."""
+    injected: Injected | None = None
+    """What it detects of forces that were added to free motion."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tauext.errors import ConfigError
 from tauext.report.entry import Entry
+from tauext.report.injected import read_injected
 from tauext.report.methods import (
     Aftermath,
     CurvePoint,
@@ -34,6 +35,7 @@ def read_measured(entry: Entry, joints: int) -> Measured:
         rmse_during_contact_nm=entry.numbers("rmse_during_contact_nm", joints),
         sigma=read_sigma(entry.object("error_against_sigma"), joints),
         noticed=read_noticed(entry.object("noticed_force")),
+        injected=read_injected(entry.object("injected")),
     )
 
 

@@ -12,6 +12,7 @@ from tauext.report import paper, tables
 from tauext.report.error_against_sigma import sigma_table
 from tauext.report.events import events_table
 from tauext.report.first_screen import first_screen, shown_bundle
+from tauext.report.injected import ASSUMED, injected_table
 from tauext.report.methods_table import method_errors, methods
 from tauext.report.noticed import surely
 from tauext.report.noticed_force import CLOSING, noticed_table
@@ -105,6 +106,9 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         noticed_gain=noticed and noticed.gain_per_s,
         noticed_times=surely(noticed.error_share) if noticed and noticed.error_share else None,
         noticed_closing=CLOSING,
+        injected=shown.measured.injected,
+        injected_closing=ASSUMED,
+        injected_table=injected_table(results.bundles, shown),
         alarms=tables.alarms(results),
         ten_collisions=tables.collisions(results, ten, traces.recordings) if ten else None,
         all_collisions=tables.collisions(results, results.collisions.values(), traces.recordings)

@@ -17,6 +17,7 @@ from tauext.report.error_over_speed import draw_error_over_speed
 from tauext.report.first_screen import shown_bundle
 from tauext.report.found_curve import draw_found_curve
 from tauext.report.free_motion import draw_free_motion
+from tauext.report.injected import draw_injected
 from tauext.report.learning_curves import draw_learning_curves
 from tauext.report.missed_curve import draw_missed_curve
 from tauext.report.noticed_force import draw_noticed_force
@@ -76,6 +77,7 @@ def write_report(
         "error-against-sigma": partial(draw_error_against_sigma, results),
         "found-curve": partial(draw_found_curve, results),
         "noticed-force": lambda: draw_noticed_force(shown_bundle(results).measured.noticed),
+        "injected": lambda: draw_injected(results.bundles, shown_bundle(results)),
     }
     page = out_dir / "report.html"
     try:

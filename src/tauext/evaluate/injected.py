@@ -1,0 +1,235 @@
+r"""Detectable hits without contact recordings: forces added to free motion, as a stiff arm's motors would answer them.
+
+A force F on a link is a torque J^T F at the joints. The position controller holds the path, so the motors take it up:
+the recorded motor torque becomes tau - J^T F, and q and dq stay as they are. Hands and compliance reduce a real force,
+and a controller that gives way bends the path; both make a real hit show less of its force, and later.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.optimize import isotonic_regression
+
+from tauext import _core
+from tauext.bundles.units import left_out, of_all
+from tauext.data import Recording, free_samples
+from tauext.evaluate.collisions import Collision
+from tauext.evaluate.estimating import estimate_recording
+from tauext.evaluate.latched import judge_latched
+from tauext.evaluate.noticed_force import Point, noticed_force, points
+
+SHAPES: Mapping[str, float] = {
+    "hit of 20 ms": 0.02,
+    "hit of 60 ms": 0.06,
+    "hit of 200 ms": 0.2,
+    "ramp of 1 s": 1.0,
+    "press": 1.0,
+}
+"""Lengths, [s]. A hit is a half sine; a ramp rises to its end; a press rises in a tenth of its length and stays."""
+EVENTS = 2400
+"""Drawn in all, over the test recordings; each copy of a recording holds one every SLOT_S."""
+MOST_COPIES = 12
+SLOT_S = 3.5
+"""From one event to the next: the longest, the release of a latched alarm, and what the observer forgets."""
+QUIET_S = 0.5
+"""Of free motion before an event."""
+SCALE = (0.25, 12.0)
+"""Peaks are log-uniform between these times the force that half of all poses and directions let go unnoticed."""
+BINS = 10
+NINE_OF_TEN = 0.9
+POSES = 24
+
+
+@dataclass(frozen=True)
+class Event:
+    """One force: where and when it acts, and its joint torques, (samples of the event, joints), [N m]."""
+
+    begin: int
+    shape: str
+    place: int
+    peak: float
+    tau_ext: np.ndarray
+
+
+@dataclass
+class Injection:
+    """Events in every test recording, the same for all bundles, and what each of them detected."""
+
+    bundles: Mapping[str, _core.Bundle]
+    seed: int
+    a_recording: int
+    """Events that a recording gets at most."""
+    reference: _core.Bundle = field(init=False)
+    """Whose model and limits the events are drawn by: the first that knows forces, else the first."""
+    refused: str = field(init=False)
+    """Why there are torques on single joints instead of forces; empty where there are forces."""
+    places: list[Point] = field(init=False)
+    _seen: dict[str, list[tuple[str, int, float, bool, bool, float | None]]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        bundles = list(self.bundles.values())
+        refused = [_core.WrenchModel(bundle).refused for bundle in bundles]
+        known = refused.index("") if "" in refused else 0
+        self.reference, self.refused = bundles[known], refused[known]
+        self.places = [] if self.refused else points(self.reference)
+        self._seen = {name: [] for name in self.bundles}
+
+    def draw(self, number: int, recording: Recording) -> list[list[Event]]:
+        """Events of each copy of a recording; number: in the order of all, so that the draw is its own."""
+        rng = np.random.default_rng([self.seed, number, 35])
+        free = free_samples(recording)
+        times, length = recording.time_s, max(SHAPES.values())
+        starts = []
+        for at in np.arange(1.5, recording.duration_s - SLOT_S, SLOT_S):
+            first, last = np.searchsorted(times, [at - QUIET_S, at + SLOT_S])
+            if free[first:last].all():
+                starts.append(at)
+        scale = self._scale(recording)
+        if not starts or not scale:
+            return []
+        copies = min(MOST_COPIES, math.ceil(self.a_recording / len(starts)))
+        spare = SLOT_S - length - 2 * QUIET_S
+        return [
+            [self._event(recording, at + rng.uniform(0, spare), scale, rng) for at in starts] for _ in range(copies)
+        ]
+
+    def add(self, name: str, recording: Recording, copies: Sequence[Sequence[Event]], threads: int) -> None:
+        """What one bundle detects of the events."""
+        bundle = self.bundles[name]
+        nm_per_unit = np.array(self.reference.observer.nm_per_unit or 1.0)
+        for events in copies:
+            tau = recording.tau.copy()
+            for event in events:
+                tau[event.begin : event.begin + len(event.tau_ext)] -= event.tau_ext / nm_per_unit
+            touched = replace(recording, tau=tau, contact=None, contact_link=None, tau_ext=None, tau_ext_sensor=None)
+            said = estimate_recording(bundle, touched, threads)
+            for event in events:
+                end = event.begin + len(event.tau_ext)
+                touch = Collision(
+                    id="",
+                    recording=recording.name,
+                    kind=event.shape,
+                    begin=event.begin,
+                    end=end,
+                    start_s=float(recording.time_s[event.begin]),
+                    end_s=float(recording.time_s[end - 1]),
+                    link=-1,
+                    true_peak_nm=np.abs(event.tau_ext).max(axis=0),
+                    sensor_peak_nm=np.zeros(bundle.joints),
+                )
+                found = judge_latched(touch, touched, said, bundle.hold_s, None)
+                # The first sample of an event stands for the middle of its own period.
+                delay_s = None if found["delay_s"] is None else found["delay_s"] + 0.5 / recording.rate_hz
+                row = (event.shape, event.place, event.peak, found["latched"], found["unhealthy"], delay_s)
+                self._seen[name].append(row)
+
+    def summary(self, name: str) -> dict:
+        """The entry `injected` of a bundle in results.json."""
+        rows = self._seen[name]
+        entry: dict = {"unit": of_all(self.reference.estimate_units) if self.refused else "N", "events": len(rows)}
+        entry["unhealthy"] = sum(unhealthy for *_, unhealthy, _ in rows)
+        if self.refused:
+            entry["without_forces"] = self.refused
+        entry |= {} if self.refused else left_out(self.reference)
+        by: dict[tuple[int, str], list] = defaultdict(list)
+        for shape, place, *row in rows:
+            by[place, shape].append(row)
+        names = self._names()
+        entry["blind"] = [place for k, place in enumerate(names) if rows and not any(row[1] == k for row in rows)]
+        entry["curves"] = [
+            {"place": names[place], "shape": shape} | curve(by[place, shape])
+            for place in range(len(names))
+            for shape in SHAPES
+            if by[place, shape]
+        ]
+        return entry
+
+    def _names(self) -> list[str]:
+        if not self.refused:
+            return [place.name for place in self.places]
+        return [f"joint {link.joint_name}" for link in self.reference.links]
+
+    def _scale(self, recording: Recording) -> dict[int, float]:
+        """A usual force that goes unnoticed, by place; without those where usually no joint notices any."""
+        bundle = self.reference
+        limit = np.array(bundle.sliding_limit_nm)
+        if self.refused:
+            return dict(enumerate(limit.tolist()))
+        q = recording.q[np.linspace(0, recording.samples - 1, POSES).round().astype(int)]
+        entries = noticed_force(bundle, q, np.tile(limit, (len(q), 1)), self.places)
+        median_n = {place: entry["every_way"]["median_n"] for place, entry in enumerate(entries)}
+        return {place: force_n for place, force_n in median_n.items() if force_n is not None}
+
+    def _event(self, recording: Recording, at_s: float, scale: Mapping[int, float], rng: np.random.Generator) -> Event:
+        bundle, places = self.reference, list(scale)
+        begin = int(np.searchsorted(recording.time_s, at_s))
+        shape = list(SHAPES)[rng.integers(len(SHAPES))]
+        # Half of them at the end of the arm, which most touches are near; of single joints, all alike.
+        place = places[-1] if not self.refused and rng.uniform() < 0.5 else int(rng.choice(places))
+        peak = scale[place] * math.exp(rng.uniform(*np.log(SCALE)))
+        force = peak * profile(shape, recording.rate_hz)
+        way = rng.standard_normal(3)
+        way /= np.linalg.norm(way)
+        if self.refused:
+            lever = np.zeros(bundle.joints)
+            lever[place] = np.sign(way[0])
+            return Event(begin, shape, place, peak, force[:, None] * lever)
+        model, point = _core.WrenchModel(bundle), self.places[place]
+        poses, there = recording.q[begin : begin + len(force)].tolist(), list(point.point_m)
+        levers = np.array([way @ model.columns(point.frame, pose, there)[:3] for pose in poses])
+        # Nobody knows how much of its own unit such a joint would show.
+        levers[:, ~np.array(bundle.in_newtons)] = 0
+        return Event(begin, shape, place, peak, force[:, None] * levers)
+
+
+def profile(shape: str, rate_hz: float) -> np.ndarray:
+    """Share of the peak at each sample of an event, (samples,); of a hit that is shorter than one, its mean there."""
+    length = SHAPES[shape]
+    samples = max(1, round(length * rate_hz))
+    s = (np.arange(samples) + 0.5) / samples
+    if shape.startswith("ramp"):
+        return s
+    if shape == "press":
+        return np.minimum(1.0, 10 * s)
+    return np.sin(np.pi * s) * min(1.0, length * rate_hz / samples)
+
+
+def curve(rows: Sequence[tuple[float, bool, bool, float | None]]) -> dict:
+    """Share and delay over the peak, of (peak, latched, unhealthy, delay); what came while unhealthy counts as missed.
+
+    nine_of_ten: the smallest peak from which on 9 of 10 are detected by the best rising curve (isotonic regression);
+    null where there is none.
+    """
+    rows = sorted(rows, key=lambda row: row[0])
+    peaks, latched = np.array([row[0] for row in rows]), np.array([row[1] for row in rows], dtype=float)
+    sure = isotonic_regression(latched).x >= NINE_OF_TEN - 1e-9
+    edges = np.geomspace(peaks[0], peaks[-1] * (1 + 1e-9), BINS + 1)
+    which = np.clip(np.searchsorted(edges, peaks, side="right") - 1, 0, BINS - 1)
+    delays = [row[3] for row, over in zip(rows, sure, strict=True) if over and row[3] is not None]
+    return {
+        "events": len(rows),
+        "latched": int(latched.sum()),
+        "nine_of_ten": float(peaks[sure.argmax()]) if sure.any() else None,
+        "delay_median_s": median(delays),
+        "delay_p95_s": float(np.quantile(delays, 0.95)) if delays else None,
+        "bins": [
+            {
+                "peak_from": float(edges[k]),
+                "peak_to": float(edges[k + 1]),
+                "events": int((which == k).sum()),
+                "latched": int(latched[which == k].sum()),
+                "delay_median_s": median([rows[i][3] for i in np.flatnonzero(which == k)]),
+            }
+            for k in range(BINS)
+        ],
+    }
+
+
+def median(delays: Sequence[float | None]) -> float | None:
+    known = [delay for delay in delays if delay is not None]
+    return float(np.median(known)) if known else None

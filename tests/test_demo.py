@@ -257,6 +257,7 @@ def test_scripted_pushes_are_found(trained):
 def test_what_a_push_left_in_static_friction_is_no_collision_after_resume_and_a_push_is(trained):
     simulation = Simulation(ARMS["rig"]())
     simulation.watch_with({"tauext": str(trained["tauext"])}, "tauext")
+    simulation.set_sensitivity(0.65)  # limits from so little motion cost a false alarm, here in braking
 
     def step(steps):
         for _ in range(steps):

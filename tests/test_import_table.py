@@ -60,7 +60,7 @@ TABLE = {
     "doctor": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
     "look": ({"doctor", "data"}, {"numpy"}),
     "doctor/picture": ({"data", "report"}, {"numpy", "matplotlib"}),
-    "evaluate": ({"_core", "robot", "data", "calibrate"}, {"numpy"}),
+    "evaluate": ({"_core", "robot", "data", "calibrate"}, {"numpy", "scipy"}),
     "report": ({"data"}, {"numpy", "matplotlib", "jinja2"}),
     "load": ({"_core", "data"}, {"numpy"}),
     "label": ({"_core", "data"}, {"numpy", "pyarrow"}),

@@ -138,7 +138,8 @@ def _named_joints(names: Sequence[str]) -> tuple[str, ...]:
     """Joints of q_JOINT, pos_JOINT, position_JOINT or .../JOINT/position, in the order of two or more such names."""
     for pattern in (r"q_(.+)", r"pos_(.+)", r"position_(.+)", r".*?([^/]+)/position"):
         joints = tuple(match[1] for name in names if (match := re.fullmatch(pattern, name)))
-        if len(joints) > 1 and not all(joint.isdigit() for joint in joints):
+        # q_d0 and q_des_0 are goals that are counted, and no joints.
+        if len(joints) > 1 and not all(re.fullmatch(r"(d|des|desired|cmd|goal|target)?_?\d+", j) for j in joints):
             return joints
     return ()
 

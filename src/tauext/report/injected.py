@@ -1,19 +1,8 @@
-"""What was detected of forces that an evaluation added to free motion: read, drawn, and in words."""
+"""What was detected of forces that an evaluation added to free motion, as results.json has it, and in words."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-from tauext.report.noticed import left_out_words
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from tauext.report.drawing import Drawing
-    from tauext.report.entry import Entry
-    from tauext.report.results import EvaluatedBundle
-    from tauext.report.tables import Table
 
 ASSUMED = (
     "The forces were added to the recorded motor torque of free motion: the position controller is assumed to hold its "
@@ -82,124 +71,6 @@ class Injected:
             else f"no peak that was tried ({one.shape})"
             for one in self.at(self.place)
         )
-
-
-def read_injected(entry: Entry) -> Injected | None:
-    """Entry `injected` of a bundle; None where the evaluation added no forces."""
-    if not entry.content:
-        return None
-    return Injected(
-        unit=entry.text("unit", needed=True),
-        events=entry.get("events", int, needed=True),
-        unhealthy=entry.get("unhealthy", int, needed=True),
-        curves=tuple(read_curve(one) for one in entry.entries("curves", needed=True)),
-        without_forces=entry.text("without_forces"),
-        left_out=entry.texts("left_out"),
-        blind=entry.texts("blind"),
-    )
-
-
-def read_curve(entry: Entry) -> InjectedCurve:
-    return InjectedCurve(
-        place=entry.text("place", needed=True),
-        shape=entry.text("shape", needed=True),
-        events=entry.get("events", int, needed=True),
-        latched=entry.get("latched", int, needed=True),
-        **entry.each_number("nine_of_ten", "delay_median_s", "delay_p95_s"),
-        bins=tuple(
-            PeakBin(
-                peak_from=one.number("peak_from", needed=True),
-                peak_to=one.number("peak_to", needed=True),
-                events=one.get("events", int, needed=True),
-                latched=one.get("latched", int, needed=True),
-                delay_median_s=one.number("delay_median_s"),
-            )
-            for one in entry.entries("bins", needed=True)
-        ),
-    )
-
-
-def draw_injected(bundles: Sequence[EvaluatedBundle], shown: EvaluatedBundle) -> Drawing:
-    """A column a shape: detected share and delay over the peak at the shown bundle's place, a curve a bundle.
-
-    Raises:
-        NotAvailable: no forces were added, or no event fitted into the free motion.
-    """
-    from matplotlib.figure import Figure
-
-    from tauext.report.drawing import Drawing
-    from tauext.report.signals import NotAvailable
-    from tauext.report.style import WIDTH_IN, bundle_strokes, use_log_height, use_log_width
-
-    injected = shown.measured.injected
-    if injected is None:
-        raise NotAvailable("no forces were added to free motion; `tauext evaluate --inject` does so")
-    if not injected.curves:
-        raise NotAvailable("no force could be added: the free test motion holds none of 4 s, or no joint notices any")
-    place, shapes = injected.place, [one.shape for one in injected.at(injected.place)]
-    figure = Figure(figsize=(WIDTH_IN, 4.6), layout="constrained")
-    panels = figure.subplots(2, len(shapes), sharex="col", sharey="row", squeeze=False)
-    strokes = bundle_strokes([bundle.name for bundle in bundles])
-    for bundle in bundles:
-        known = {} if bundle.measured.injected is None else {c.shape: c for c in bundle.measured.injected.at(place)}
-        style = strokes[bundle.name] | {"markersize": 3.5, "linewidth": 1.3}
-        for k, shape in enumerate(shapes):
-            bins = [one for one in known[shape].bins if one.events] if shape in known else []
-            at = [one.middle for one in bins]
-            line = panels[0, k].plot(at, [100 * one.latched / one.events for one in bins], **style)
-            if k == 0:
-                line[0].set_label(bundle.label)
-            late = [(one.middle, 1e3 * one.delay_median_s) for one in bins if one.delay_median_s is not None]
-            if late:
-                panels[1, k].plot(*zip(*late, strict=True), **style)
-    for k, shape in enumerate(shapes):
-        panels[0, k].set_title(shape)
-        panels[0, k].axhline(90, color="#888888", linewidth=0.6, linestyle=":")
-        use_log_width(panels[0, k])
-    panels[0, 0].set(ylim=(-3, 103), ylabel="detected, %")
-    panels[1, 0].set_ylabel("median delay, ms")
-    use_log_height(panels[1, 0])
-    figure.supxlabel(f"peak, {injected.unit}", fontsize=9)
-    figure.legend(loc="outside upper left", ncols=4, handlelength=3)
-    return Drawing(
-        figure,
-        f"What is detected of {what(injected)} that were added to free motion at {place}, over the peak; below, the "
-        f"median time from the onset to the alarm, of those detected. {ASSUMED}"
-        f"{' ' if injected.left_out else ''}{left_out_words(injected.left_out)}",
-    )
-
-
-def injected_table(bundles: Sequence[EvaluatedBundle], shown: EvaluatedBundle) -> Table | None:
-    """Peaks from which on 9 of 10 are detected and the delay from there on: every place of the shown bundle, and the
-    place of the figure for the others."""
-    from tauext.report.tables import Row, Table
-
-    injected = shown.measured.injected
-    if injected is None or not injected.curves:
-        return None
-    place, shapes = injected.place, list(dict.fromkeys(one.shape for one in injected.curves))
-    rows = []
-    for bundle in (shown, *(one for one in bundles if one is not shown)):
-        theirs = bundle.measured.injected
-        if theirs is None:
-            continue
-        places = list(dict.fromkeys(one.place for one in theirs.curves)) if bundle is shown else [place]
-        for k, at in enumerate(places):
-            known = {one.shape: one for one in theirs.at(at)}
-            cells = [bundle.label if k == 0 else "", at]
-            for shape in shapes:
-                one = known.get(shape)
-                cells += [
-                    "–" if one is None else number(one.nine_of_ten),
-                    "–" if one is None else milliseconds(one.delay_median_s),
-                ]
-            rows.append(Row(tuple(cells), bundle=bundle.name if k == 0 else None, opens=k == 0))
-    groups = (("", 2), *((shape, 2) for shape in shapes))
-    return Table(groups, ("", "at", *(injected.unit, "ms") * len(shapes)), tuple(rows), words=2)
-
-
-def what(injected: Injected) -> str:
-    return "torques on single joints" if injected.without_forces else "forces in random directions"
 
 
 def number(peak: float | None) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tauext.errors import ConfigError
 from tauext.report.entry import Entry
-from tauext.report.injected import read_injected
+from tauext.report.injected import Injected, InjectedCurve, PeakBin
 from tauext.report.methods import (
     Aftermath,
     CurvePoint,
@@ -122,4 +122,39 @@ def read_sanity(entry: Entry) -> SanityRow:
         **entry.each_number("false_per_hour", "time_in_alarm_share"),
         **{key: entry.get(key, int, needed=True) for key in ("collisions", "found", "latched")},
         worth=entry.text("worth") or "",
+    )
+
+
+def read_injected(entry: Entry) -> Injected | None:
+    """Entry `injected` of a bundle; None where the evaluation added no forces."""
+    if not entry.content:
+        return None
+    return Injected(
+        unit=entry.text("unit", needed=True),
+        events=entry.get("events", int, needed=True),
+        unhealthy=entry.get("unhealthy", int, needed=True),
+        curves=tuple(read_curve(one) for one in entry.entries("curves", needed=True)),
+        without_forces=entry.text("without_forces"),
+        left_out=entry.texts("left_out"),
+        blind=entry.texts("blind"),
+    )
+
+
+def read_curve(entry: Entry) -> InjectedCurve:
+    return InjectedCurve(
+        place=entry.text("place", needed=True),
+        shape=entry.text("shape", needed=True),
+        events=entry.get("events", int, needed=True),
+        latched=entry.get("latched", int, needed=True),
+        **entry.each_number("nine_of_ten", "delay_median_s", "delay_p95_s"),
+        bins=tuple(
+            PeakBin(
+                peak_from=one.number("peak_from", needed=True),
+                peak_to=one.number("peak_to", needed=True),
+                events=one.get("events", int, needed=True),
+                latched=one.get("latched", int, needed=True),
+                delay_median_s=one.number("delay_median_s"),
+            )
+            for one in entry.entries("bins", needed=True)
+        ),
     )

@@ -12,7 +12,8 @@ from tauext.report import paper, tables
 from tauext.report.error_against_sigma import sigma_table
 from tauext.report.events import events_table
 from tauext.report.first_screen import first_screen, shown_bundle
-from tauext.report.injected import ASSUMED, injected_table
+from tauext.report.injected import ASSUMED
+from tauext.report.injected_figure import injected_table
 from tauext.report.methods_table import method_errors, methods
 from tauext.report.noticed import surely
 from tauext.report.noticed_force import CLOSING, noticed_table

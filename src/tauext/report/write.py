@@ -17,7 +17,7 @@ from tauext.report.error_over_speed import draw_error_over_speed
 from tauext.report.first_screen import shown_bundle
 from tauext.report.found_curve import draw_found_curve
 from tauext.report.free_motion import draw_free_motion
-from tauext.report.injected import draw_injected
+from tauext.report.injected_figure import draw_injected
 from tauext.report.learning_curves import draw_learning_curves
 from tauext.report.missed_curve import draw_missed_curve
 from tauext.report.noticed_force import draw_noticed_force

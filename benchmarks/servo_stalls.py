@@ -16,13 +16,13 @@ import json
 import random
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 
-from tauext.data import load_recording
+from tauext.data import load_bundle, load_recording
 
 ROOT = Path(__file__).parent.parent
 KEPT = ROOT / "docs" / "results" / "servo-stalls"
@@ -72,6 +72,10 @@ class Outcome:
     false: int
     """Alarms in test motions, and beside the stalls."""
     hours: float
+    promised: float | None = None
+    """False alarms that the limits promise in these hours, at most; None: nothing."""
+    told: dict | None = None
+    """What training told of motion that it lacks: `limits.other_motion` of the run file."""
 
 
 def drawn(data: Path, trial: Trial) -> tuple[list[str], list[str]]:
@@ -173,7 +177,12 @@ def carry_out(folder: Path, method: str) -> Outcome:
             alarms.setdefault(event["recording"], []).append(event["time_s"])
         if event["event"] == "end":
             hours += event["hours"]
-    return judged(alarms, hours)
+    limits = json.loads(load_bundle(folder / bundle).provenance)["limits"] or {}
+    outcome = judged(alarms, hours)
+    if "promise" not in limits:
+        return outcome
+    rate = limits["promise"]["supported_budget"]["rate_per_hour"]
+    return replace(outcome, promised=rate * outcome.hours, told=limits["other_motion"])
 
 
 def by_current(folder: Path) -> Outcome:
@@ -210,7 +219,11 @@ def row(source: str, minutes: int, method: str, outcomes: list[Outcome]) -> str:
     delays = [d for one in outcomes for d in one.delays_s if d is not None]
     delay = f"{1000 * np.median(delays):.0f} ({1000 * max(delays):.0f})" if delays else "–"
     false, hours = " ".join(str(one.false) for one in outcomes), sum(one.hours for one in outcomes)
-    return f"| {source} | {minutes or 'all'} | {method} | {found} | {delay} | {false} | {hours:.2f} |"
+    promised = " ".join("–" if one.promised is None else f"{one.promised:.1f}" for one in outcomes)
+    told = [f"{one.told['factor']:.2g} ({one.told['at_most']:.2g})" if one.told else "–" for one in outcomes]
+    seen = [f"{one.false / one.promised:.2g}" if one.promised else "–" for one in outcomes]
+    cells = [source, minutes or "all", method, found, delay, false, f"{hours:.2f}", promised]
+    return f"| {' | '.join(map(str, cells))} | {', '.join(seen)} | {', '.join(told)} |"
 
 
 def main() -> None:
@@ -244,14 +257,15 @@ def keep(out: Path, rows: list[str], splits: int) -> None:
     KEPT.mkdir(parents=True, exist_ok=True)
     trial = Trial(0, SOURCES[0], MINUTES[1])
     (KEPT / "arm.toml").write_text((out / trial.name / "arm.toml").read_text())
-    head = "| torque from | training, min | method | stalls found of 4 | delay, ms: median (most) | false | in h |"
+    head = "| torque from | training, min | method | stalls found of 4 | delay, ms: median (most) | false | in h | "
+    head += "promised | false for each promised | as training tells (at most) |"
     motions = []
     for split in range(splits):
         names = json.loads((out / Trial(split, SOURCES[0], 0).name / "data/split.json").read_text())["test"]
         motions.append(f"- split {split}: test {', '.join(Path(name).stem for name in names)}")
         ten = json.loads((out / Trial(split, SOURCES[0], 10).name / "data/split.json").read_text())["train"]
         motions.append(f"  ten minutes: {', '.join(Path(name).stem for name in ten)}")
-    table = "\n".join([head, "|---|---|---|---|---|---|---|", *rows])
+    table = "\n".join([head, "|---|---|---|---|---|---|---|---|---|---|", *rows])
     about = "Written by `python benchmarks/servo_stalls.py OUT --keep`: [about](README.md)."
     title = "# Four stalls of a real servo arm: tables"
     (KEPT / "table.md").write_text("\n\n".join((title, about, table, "\n".join(motions))) + "\n")

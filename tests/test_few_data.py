@@ -18,7 +18,7 @@ from tauext.learn import build_setup, fit_torque_constants
 from tauext.learn.regression import NormalEquations, Regression, coupled
 from tauext.learn.torque_constants import TorqueConstants, with_constants
 from tauext.train import train_on_recordings
-from tauext.train.limits import calibrate, factor_after
+from tauext.train.limits import UNKNOWN, calibrate, factor_after
 from tauext.train.motion import training_motion
 from tauext.train.recordings import wants_constants
 
@@ -90,12 +90,22 @@ def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path,
     bundle, facts = trained(tmp_path, monkeypatch, [motion()], recipe="prior")
     assert any("every fifth of the motion" in note for note in facts["notes"])
     assert facts["limits"]["minutes_factor"] > 1 and facts["error_scale"]["hours"] > 0
+    assert facts["limits"]["other_motion"] == {"sentence": UNKNOWN} and UNKNOWN in facts["notes"]
     other = motion(seed=7)
     said = _core.estimate(bundle, other.t_ns, other.q, other.dq, other.tau, 1)
     healthy = said["health"] == 1
     assert healthy.sum() > 4000 and not said["detection"][healthy].any()
     # What is left of friction and model on another motion is the torque's noise behind the observer, and little more.
     assert (np.sqrt((said["tau_ext"][healthy] ** 2).mean(axis=0)) < 0.3).all()
+
+
+def test_the_run_file_and_show_tell_how_limits_hold_from_one_recording_to_the_next(tmp_path, monkeypatch, capsys):
+    _, facts = trained(tmp_path, monkeypatch, [motion(seed=k, name=f"made-{k}") for k in range(4)], recipe="prior")
+    other = facts["limits"]["other_motion"]
+    assert set(other["false"]) == {f"made-{k}" for k in range(4)} and other["promised"] == pytest.approx(3, rel=0.1)
+    assert other["factor"] == sum(other["false"].values()) / other["promised"] and other["sentence"] in facts["notes"]
+    assert main(["show", str(tmp_path / "made.tauext")]) == 0
+    assert "Each recording was judged by limits from the others" in " ".join(capsys.readouterr().out.split())
 
 
 def test_the_factor_of_minutes_grows_as_the_reserve_of_friction_fades():

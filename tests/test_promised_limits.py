@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import prismatic_mass
+from scipy.signal import lfilter
 
 from tauext import _core
-from tauext.calibrate import apply_promised, promised_limits
+from tauext.calibrate import FalseAlarmBudget, Rows, apply_promised, other_motion, promised_limits
+from tauext.calibrate.error_scale import FEATURES
 from tauext.calibrate.held_peaks import cluster_peaks
 from tauext.calibrate.promised_limits import most_seen
 from tauext.config import AlarmConfig, ObserverConfig
@@ -172,3 +174,49 @@ def test_a_network_ships_only_where_it_lowers_the_error(weight, opened):
     expected = (gate.network_rmse_nm if opened else gate.prior_rmse_nm)[0]
     assert np.sqrt((error**2).mean()) == pytest.approx(expected, rel=1e-9)
     bundle.from_bytes(bundle.to_bytes())
+
+
+def rows_of(recordings: int, seconds: float, peaks: dict[int, int], seed: int = 0) -> Rows:
+    """One joint's errors, 100 rows a second of a filtered noise, in recordings of one kind; but in some of them so many
+    peaks of eight times the largest error of the others, 2 s apart."""
+    rng = np.random.default_rng(seed)
+    count = round(100 * seconds)
+    error = np.abs(lfilter([0.1], [1, -0.9], rng.normal(0, 1, (recordings, count)), axis=1))
+    top = error.max()
+    for number, several in peaks.items():
+        error[number, 100 : 100 + 200 * several : 200] = 8 * top
+    features = np.zeros((recordings * count, 1, len(FEATURES)))
+    features[:, 0, 0] = 1
+    t_ns = np.tile(np.arange(count, dtype=np.int64) * 10_000_000, recordings)
+    near = np.zeros((recordings * count, 1), dtype=bool)
+    names = tuple(f"made-{k}" for k in range(recordings))
+    return Rows(error.reshape(-1, 1), near, features, 0.01, t_ns, np.repeat(np.arange(recordings), count), names)
+
+
+def judged_in_turn(rows: Rows, reserve=None):
+    budget = FalseAlarmBudget(1.0, rows.hours / 3)
+    promised = replace(promised_limits(observer(), lambda: [noisy(1)], BUDGET, 1), budget=budget, hold_s=0.0)
+    return other_motion(rows, ["slide"], promised, 0.5, 1.2, reserve)
+
+
+def test_recordings_left_out_in_turn_tell_what_another_kind_of_motion_does():
+    """Peaks that one recording alone has are false alarms to limits from the others, each of them; a reserve as high as
+    they are silences them."""
+    alike = judged_in_turn(rows_of(8, 60.0, {}))
+    assert alike.promised == pytest.approx(3.0) and sum(alike.false.values()) <= 3 and len(alike.false) == 8
+    odd = judged_in_turn(rows_of(8, 60.0, {5: 20}))
+    assert odd.false["made-5"] == 20 and sum(odd.false.values()) - 20 <= 3
+    assert odd.factor == pytest.approx(sum(odd.false.values()) / 3) and odd.at_most > 2 * odd.factor
+    assert odd.kept_by == pytest.approx(8 / 1.2, rel=0.3) and alike.kept_by == 1  # limits from the others' largest two
+    assert "20, came in made-5" in odd.sentence() and "expect" not in replace(alike, promised=100.0).sentence()
+    rows = rows_of(8, 60.0, {5: 20})
+    silent = judged_in_turn(rows, (np.full(1, float(rows.error_nm.max())), np.zeros(1)))
+    assert sum(silent.false.values()) == 0
+    shuffled = rows.only(np.random.default_rng(1).permutation(len(rows.t_ns)))
+    assert judged_in_turn(shuffled) == odd
+    json.dumps(odd.facts(), allow_nan=False)
+
+
+def test_nothing_is_told_of_other_motion_by_two_recordings_or_by_seconds():
+    assert judged_in_turn(rows_of(2, 60.0, {})) is None
+    assert judged_in_turn(rows_of(3, 1.0, {})) is None

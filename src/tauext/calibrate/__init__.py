@@ -1,7 +1,15 @@
 """Limits, and the claims they support."""
 
 from tauext.calibrate.bundle_limits import NO_CALIBRATION, calibrate_bundle, forget_half_done, recalibrate
-from tauext.calibrate.error_scale import LeftOutErrors, add_friction, fit_error_scale, freeze_floor_nm, left_out_errors
+from tauext.calibrate.error_scale import (
+    LeftOutErrors,
+    Rows,
+    add_friction,
+    collect_rows,
+    fit_error_scale,
+    freeze_floor_nm,
+    left_out_errors,
+)
 from tauext.calibrate.judged import Judged, whole_recordings
 from tauext.calibrate.limits import (
     LevelLimits,
@@ -12,6 +20,7 @@ from tauext.calibrate.limits import (
     usual_speed_rad_s,
 )
 from tauext.calibrate.moments import Moment
+from tauext.calibrate.other_motion import OtherMotion, other_motion
 from tauext.calibrate.promise import FalseAlarmBudget, Promise, is_consistent, rate_interval
 from tauext.calibrate.promised_limits import PromisedLimits, apply_promised, promised_limits
 from tauext.calibrate.wrench import fit_wrench
@@ -23,18 +32,22 @@ __all__ = [
     "LeftOutErrors",
     "LevelLimits",
     "Moment",
+    "OtherMotion",
     "Promise",
     "PromisedLimits",
+    "Rows",
     "add_friction",
     "apply_promised",
     "at_rest_sentence",
     "calibrate_bundle",
+    "collect_rows",
     "forget_half_done",
     "fit_error_scale",
     "fit_wrench",
     "freeze_floor_nm",
     "is_consistent",
     "left_out_errors",
+    "other_motion",
     "paper_limits",
     "promised_limits",
     "raise_limits",

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.calibrate.error_scale import fit_error_scale
+from tauext.calibrate.error_scale import collect_rows, fit_error_scale
 from tauext.calibrate.kept_peaks import KeptPeaks
 from tauext.calibrate.promised_limits import PromisedLimits, apply_promised, promised_limits
 from tauext.config import AlarmConfig, FreeMotionConfig
@@ -142,7 +142,7 @@ def refit_scale(
 
     bundle.error_scale = _core.ErrorScaleSettings()
     with no_freeze(bundle):
-        facts = fit_error_scale(bundle, load_some(), threads)
+        facts = fit_error_scale(bundle, collect_rows(bundle, load_some(), threads))
     return loaders[apart:], facts | {"recordings": names} | told(left_out, report)
 
 

@@ -12,7 +12,7 @@ the moments that set a limit: the scale whose limit, p-th moments taken for larg
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
@@ -54,6 +54,9 @@ class Rows:
     features: np.ndarray  # (rows, joints, features)
     period_s: float
     """Between two rows of a recording."""
+    t_ns: np.ndarray  # (rows,)
+    recording: np.ndarray  # (rows,): its number in `recordings`
+    recordings: tuple[str, ...]
 
     @property
     def hours(self) -> float:
@@ -65,21 +68,29 @@ class Rows:
         """p of the limits' scale."""
         return SHARP if self.hours >= SHARP_HOURS else BLUNT
 
+    def only(self, inside: np.ndarray) -> Rows:
+        """Those of them, (rows,) bool or indices."""
+        return replace(
+            self,
+            error_nm=self.error_nm[inside],
+            near_stiction=self.near_stiction[inside],
+            features=self.features[inside],
+            t_ns=self.t_ns[inside],
+            recording=self.recording[inside],
+        )
+
 
 def fit_error_scale(
     bundle: _core.Bundle,
-    judged: Iterable[Recording | Judged],
-    threads: int,
-    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
+    rows: Rows,
     drift: DriftConfig = DriftConfig(),  # noqa: B008
 ) -> dict:
     """Put an error scale into a bundle that has none, and the floor of its drift tracker's freeze; the facts for its
     provenance.
 
-    Raises:
-        TrainingError: no free motion.
+    Args:
+        rows: of the bundle's errors (collect_rows).
     """
-    rows = collect_rows(bundle, judged, threads, margins)
     bundle.error_scale = scale_of(rows)
     if bundle.drift.time_constant_s > 0:
         seen = freeze_floor_nm(rows.error_nm, drift, rows.period_s)
@@ -170,7 +181,10 @@ def freeze_floor_nm(error_nm: np.ndarray, config: DriftConfig, period_s: float) 
 
 
 def collect_rows(
-    bundle: _core.Bundle, judged: Iterable[Recording | Judged], threads: int, margins: FreeMotionConfig
+    bundle: _core.Bundle,
+    judged: Iterable[Recording | Judged],
+    threads: int,
+    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
 ) -> Rows:
     """Errors and features of free motion, a row a network period, or as many fewer as MOST_ROWS ask for.
 
@@ -181,6 +195,7 @@ def collect_rows(
     plain.error_scale = unit_scale(bundle.joints)
     found: list[tuple[np.ndarray, ...]] = []
     stride, count = bundle.observer.network_stride, 0
+    numbers: dict[str, int] = {}
     for one in judged:
         one = one if isinstance(one, Judged) else Judged(one)
         said, error, counted = judge(bundle, one, threads, margins)
@@ -189,15 +204,17 @@ def collect_rows(
             continue
         r, near = one.recording, said["near_stiction"]
         motion = _core.motion_errors(plain, r.t_ns, r.dq, near, said["entered"], said["restarted"], at)
-        found.append((error[at], near[at].astype(bool), motion["features"]))
+        number = np.full(len(at), numbers.setdefault(r.name, len(numbers)))
+        found.append((error[at], near[at].astype(bool), motion["features"], r.t_ns[at], number))
         count += len(at)
         if count > MOST_ROWS:  # every other one of all serves as well
             found = [tuple(column[::2] for column in rows) for rows in found]
             count, stride = sum(len(rows[0]) for rows in found), 2 * stride
     if not found:
         raise no_free_motion(bundle, margins)
-    error, near, features = (np.concatenate(column) for column in zip(*found, strict=True))
-    return Rows(error, near, features, 1e-9 * bundle.observer.sample_period_ns * stride)
+    error, near, features, t_ns, number = (np.concatenate(column) for column in zip(*found, strict=True))
+    period_s = 1e-9 * bundle.observer.sample_period_ns * stride
+    return Rows(error, near, features, period_s, t_ns, number, tuple(numbers))
 
 
 def limit_weights(rows: Rows, joint: int) -> np.ndarray:

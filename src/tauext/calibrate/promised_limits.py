@@ -107,7 +107,7 @@ def promised_limits(
     budget = asked if promise.is_supported else promise.supported
     contact_budget = FalseAlarmBudget(alarm.contacts_an_hour, 1.0)
     level_confidence = alarm.confidence if level_confidence is None else level_confidence
-    choices = [_limits(peaks, budget, level_confidence, at_most_seen) for peaks in found]
+    choices = [limits_of(peaks, budget, level_confidence, at_most_seen) for peaks in found]
     first = choices[0][0].sliding_nm
 
     def delay_s(choice: int) -> float:
@@ -120,7 +120,7 @@ def promised_limits(
     # contact's limits at once, which are no higher.
     held = next(k for k, hold in enumerate(alarm.holds_s) if hold >= alarm.contact_hold_s or k == len(found) - 1)
     held = max(held, best)
-    contact, _ = _limits(found[held], contact_budget, 0.5, at_most_seen)
+    contact, _ = limits_of(found[held], contact_budget, 0.5, at_most_seen)
     contact = LevelLimits(
         np.minimum(contact.sliding_nm, limits.sliding_nm), np.minimum(contact.near_stiction_nm, limits.near_stiction_nm)
     )
@@ -129,16 +129,23 @@ def promised_limits(
 
 
 def _moments(peaks: Peaks, budget: FalseAlarmBudget, confidence: float, at_most_seen: bool) -> list[Moment]:
-    def limits_of(joint: int, nm: Sequence[np.ndarray]) -> np.ndarray:
+    def of_joint(joint: int, nm: Sequence[np.ndarray]) -> np.ndarray:
         return np.maximum.accumulate(_of_joint(peaks, joint, nm, budget, confidence, at_most_seen)[0])
 
     try:
-        return carrying_moments(peaks, limits_of)
+        return carrying_moments(peaks, of_joint)
     except TooFewPeaks:  # none to spare
         return []
 
 
-def _limits(peaks: Peaks, budget: FalseAlarmBudget, confidence: float, at_most_seen: bool) -> tuple[LevelLimits, dict]:
+def limits_of(
+    peaks: Peaks, budget: FalseAlarmBudget, confidence: float, at_most_seen: bool
+) -> tuple[LevelLimits, dict]:
+    """The limits that these peaks ask for, each with this confidence, and facts of every fit by joint and region.
+
+    Raises:
+        TooFewPeaks: of some joint.
+    """
     facts: dict = {}
     levels = []
     for j, joint in enumerate(peaks.joints):

@@ -170,6 +170,8 @@ def describe_bundle(file: Place) -> dict:
         )
     if "sentence" in limits:
         content["limits promise"] = limits["sentence"]
+    if "other_motion" in limits:
+        content["in other motion"] = limits["other_motion"]["sentence"]
     if "set_for" in limits:
         content["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"
     return content

@@ -155,9 +155,13 @@ def with_limits(errors: FleetErrors, found: PromisedLimits, factor: float) -> Fl
 
 def pooled(rows: Sequence[Rows], size: np.ndarray) -> Rows:
     """Rows of all arms, each arm's errors by its size, (arms, n)."""
+    before = np.cumsum([0, *(len(one.recordings) for one in rows[:-1])])
     return Rows(
         np.concatenate([one.error_nm / own for one, own in zip(rows, size, strict=True)]),
         np.concatenate([one.near_stiction for one in rows]),
         np.concatenate([one.features for one in rows]),
         rows[0].period_s,
+        np.concatenate([one.t_ns for one in rows]),
+        np.concatenate([one.recording + first for one, first in zip(rows, before, strict=True)]),
+        tuple(name for one in rows for name in one.recordings),
     )

@@ -13,11 +13,14 @@ from tauext.calibrate import (
     NO_CALIBRATION,
     Judged,
     Moment,
+    Rows,
     add_friction,
     apply_promised,
     calibrate_bundle,
+    collect_rows,
     fit_error_scale,
     fit_wrench,
+    other_motion,
     paper_limits,
     promised_limits,
     raise_limits,
@@ -43,6 +46,10 @@ LEAST_RESERVE = 0.02
 FORGOTTEN = 2.0
 """Where limits follow from minutes, which saw a joint break away a few times, it is near stiction for so many 1/K0
 after it began to slide: r still shows how it broke away. Hours show how large that is."""
+UNKNOWN = (
+    "How the limits hold in other kinds of motion is unknown: that takes 3 recordings or more, each long enough to be "
+    "left out in turn."
+)
 EVEN_ODDS = 0.5
 """With which each limit keeps its share of the supported budget. That budget is the least that these minutes support
 at the promise's confidence; asked again of each of a dozen limits, that confidence doubled them beyond the largest
@@ -65,10 +72,12 @@ def calibrate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> N
     if config.row.presliding:
         bundle.after_contact_factor = config.alarm.after_contact_factor
     fleet = fleet_errors(job, bundle) if scaled else None
+    rows = None
     if fleet is not None:
         put_fleet_scale(job, bundle, judged, fleet, config.drift)
     elif scaled:
-        job.facts["error_scale"] = fit_error_scale(bundle, judged, job.threads, config.margins, config.drift)
+        rows = collect_rows(bundle, judged, job.threads, config.margins)
+        job.facts["error_scale"] = fit_error_scale(bundle, rows, config.drift)
     if scaled:
         for one in left_out:
             assert one.bundle is not None
@@ -83,8 +92,10 @@ def calibrate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> N
         words, job.facts["limits"] = put_fleet_limits(bundle, fleet, config.alarm)
         job.notes.append(words)
     elif kind == "supported":
-        words, job.facts["limits"] = set_supported_limits(bundle, judged, config, job.threads, fit)
+        words, job.facts["limits"] = set_supported_limits(bundle, judged, config, job.threads, fit, rows)
         job.notes.append(words)
+        if "other_motion" in job.facts["limits"]:
+            job.notes.append(job.facts["limits"]["other_motion"]["sentence"])
         units = dict(zip(job.joints, bundle.estimate_units, strict=True))
         for moment in (Moment(**facts) for facts in job.facts["limits"].get("one_moment", [])):
             job.notes.append(moment.sentence(units[moment.joint]))
@@ -144,6 +155,7 @@ def set_supported_limits(
     config: TrainConfig,
     threads: int,
     fit: PriorFit | None,
+    rows: Rows | None = None,
 ) -> tuple[str, dict]:
     """Put limits for the smallest budget of false alarms that this motion supports into the bundle.
 
@@ -151,9 +163,13 @@ def set_supported_limits(
     and time by more than minutes show: limits that follow the error by `factor_after` and a share of the friction,
     constant ones by a share of the friction at the speed that a joint stays below for 95 % of its motion. Returned is
     what was done, in words, and the facts.
+
+    Args:
+        rows: the errors that the error scale was fitted to; they tell how the promise holds in other motion.
     """
     seen_s = total_s(whole_recordings(judged))
     factor = round(factor_after(seen_s, config.alarm.minutes_factor), 3)
+    promised = None
     try:
         # A few dozen peaks say little of how far their tail reaches; the factor below stands for that.
         at_most_seen = bundle.error_scale.on
@@ -175,10 +191,17 @@ def set_supported_limits(
         raise_moments(facts, {}, factor)
         words += f" They are {factor:.3g} times what these minutes show."
         share = config.alarm.friction_reserve * math.exp(-seen_s / SHORT_S)
+        added = None
         if fit is not None and share > LEAST_RESERVE:
-            add_friction(bundle, share, *friction_line(fit, usual_speed_rad_s(judged)))
+            at_rest, per_speed = friction_line(fit, usual_speed_rad_s(judged))
+            add_friction(bundle, share, at_rest, per_speed)
+            added = share * at_rest, share * per_speed
             facts["friction_reserve"] = share
             words += f" {share:.1%} of the friction is added: so short a time shows little of its changes."
+        if rows is not None and promised is not None:
+            names = [link.joint_name for link in bundle.links]
+            other = other_motion(rows, names, promised, EVEN_ODDS, factor, added)
+            facts["other_motion"] = other.facts() if other else {"sentence": UNKNOWN}
         return words, facts
     if fit is None or not config.alarm.friction_reserve:
         return words, facts

@@ -83,7 +83,7 @@ def inject(
 def detected(bundle: _core.Bundle, recording: Recording, events: list[Event]) -> list[tuple[float, bool, float | None]]:
     injection = Injection({"": bundle}, 0, 0)
     injection.add("", recording, [events], 0)
-    return [(peak, latched, delay_s) for _, _, peak, latched, _, delay_s in injection._seen[""]]
+    return [(peak, latched, delay_s) for _, _, peak, latched, _, delay_s in injection.seen[""]]
 
 
 def peak_over(torque: np.ndarray, limit_nm: np.ndarray) -> float:

@@ -182,7 +182,8 @@ def carry_out(folder: Path, method: str) -> Outcome:
     if "promise" not in limits:
         return outcome
     rate = limits["promise"]["supported_budget"]["rate_per_hour"]
-    return replace(outcome, promised=rate * outcome.hours, told=limits["other_motion"])
+    told = limits.get("other_motion", {})
+    return replace(outcome, promised=rate * outcome.hours, told=told if "factor" in told else None)
 
 
 def by_current(folder: Path) -> Outcome:

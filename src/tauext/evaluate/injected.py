@@ -69,7 +69,7 @@ class Injection:
     refused: str = field(init=False)
     """Why there are torques on single joints instead of forces; empty where there are forces."""
     places: list[Point] = field(init=False)
-    _seen: dict[str, list[tuple[str, int, float, bool, bool, float | None]]] = field(init=False)
+    seen: dict[str, list[tuple[str, int, float, bool, bool, float | None]]] = field(init=False)
 
     def __post_init__(self) -> None:
         bundles = list(self.bundles.values())
@@ -77,7 +77,7 @@ class Injection:
         known = refused.index("") if "" in refused else 0
         self.reference, self.refused = bundles[known], refused[known]
         self.places = [] if self.refused else points(self.reference)
-        self._seen = {name: [] for name in self.bundles}
+        self.seen = {name: [] for name in self.bundles}
 
     def draw(self, number: int, recording: Recording) -> list[list[Event]]:
         """Events of each copy of a recording; number: in the order of all, so that the draw is its own."""
@@ -126,11 +126,11 @@ class Injection:
                 # The first sample of an event stands for the middle of its own period.
                 delay_s = None if found["delay_s"] is None else found["delay_s"] + 0.5 / recording.rate_hz
                 row = (event.shape, event.place, event.peak, found["latched"], found["unhealthy"], delay_s)
-                self._seen[name].append(row)
+                self.seen[name].append(row)
 
     def summary(self, name: str) -> dict:
         """The entry `injected` of a bundle in results.json."""
-        rows = self._seen[name]
+        rows = self.seen[name]
         entry: dict = {"unit": of_all(self.reference.estimate_units) if self.refused else "N", "events": len(rows)}
         entry["unhealthy"] = sum(unhealthy for *_, unhealthy, _ in rows)
         if self.refused:

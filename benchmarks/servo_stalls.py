@@ -177,7 +177,7 @@ def carry_out(folder: Path, method: str) -> Outcome:
             alarms.setdefault(event["recording"], []).append(event["time_s"])
         if event["event"] == "end":
             hours += event["hours"]
-    limits = json.loads(load_bundle(folder / bundle).provenance)["limits"] or {}
+    limits = json.loads(load_bundle(folder / bundle).provenance).get("limits") or {}
     outcome = judged(alarms, hours)
     if "promise" not in limits:
         return outcome

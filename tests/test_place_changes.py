@@ -30,6 +30,7 @@ def said_of(tau: np.ndarray, alarm: np.ndarray) -> dict[str, np.ndarray]:
         "alarm_joint": np.where(alarm > 0, 4, -1),
         "tau_ext": tau,
         "sigma_nm": np.full_like(tau, SIGMA_NM),
+        "contact_sigma_nm": np.full_like(tau, SIGMA_NM),
         "near_stiction": np.zeros(tau.shape, dtype=bool),
     }
 

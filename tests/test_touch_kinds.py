@@ -25,7 +25,9 @@ UNKNOWN, IMPACT, PUSH, CLAMP = (Touch[name].value for name in ("unknown", "impac
 def said(touch: list[int], alarm: list[int]) -> dict[str, np.ndarray]:
     """What a monitor says of samples 10 ms apart whose torques nobody asks for here."""
     rows = len(touch)
-    torques = {name: np.ones((rows, 2)) for name in ("tau_ext", "sigma_nm", "limit_nm", "contact_limit_nm")}
+    torques = {
+        name: np.ones((rows, 2)) for name in ("tau_ext", "sigma_nm", "contact_sigma_nm", "limit_nm", "contact_limit_nm")
+    }
     torques |= {name: np.ones((rows, 2)) for name in ("margin_nm", "residual")}
     flags = {name: np.zeros((rows, 2), bool) for name in ("near_stiction", "drift_saturated")}
     numbers = {name: np.zeros(rows, int) for name in ("causes", "cause_joint")}

@@ -618,6 +618,7 @@ void bind_bundle(nb::module_& m) {
         out["tau_ext"] = to_numpy(std::move(e.tau_ext), {N, n});
         out["doubt"] = to_numpy(std::move(e.doubt), {N, n});
         out["sigma_nm"] = to_numpy(std::move(e.sigma_nm), {N, n});
+        out["contact_sigma_nm"] = to_numpy(std::move(e.contact_sigma_nm), {N, n});
         out["limit_scale"] = to_numpy(std::move(e.limit_scale), {N, n});
         out["limit_nm"] = to_numpy(std::move(e.limit_nm), {N, n});
         out["unfamiliar"] = to_numpy(std::move(e.unfamiliar), {N});

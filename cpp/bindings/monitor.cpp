@@ -112,7 +112,7 @@ class Columns {
     const char* name;
     JointVector Estimate::*values;
   };
-  static constexpr std::array<Torque, 13> kTorques{{{"residual", &Estimate::residual},
+  static constexpr std::array<Torque, 14> kTorques{{{"residual", &Estimate::residual},
                                                    {"prior", &Estimate::prior},
                                                    {"network", &Estimate::network},
                                                    {"drift", &Estimate::drift},
@@ -120,6 +120,7 @@ class Columns {
                                                    {"tau_ext", &Estimate::tau_ext},
                                                    {"doubt", &Estimate::doubt},
                                                    {"sigma_nm", &Estimate::sigma_nm},
+                                                   {"contact_sigma_nm", &Estimate::contact_sigma_nm},
                                                    {"limit_scale", &Estimate::limit_scale},
                                                    {"limit_nm", &Estimate::limit_nm},
                                                    {"contact_limit_nm", &Estimate::contact_limit_nm},
@@ -304,6 +305,10 @@ void bind_estimate(nb::module_& m) {
   bind_torques("sigma_nm", &Estimate::sigma_nm,
                "Standard error of tau_ext in free motion as it is believed now, doubt included, [N m]; NaN without an\n"
                "error scale.");
+  bind_torques("contact_sigma_nm", &Estimate::contact_sigma_nm,
+               "Standard error of tau_ext, [N m], also while something touches the arm and after it: friction that a\n"
+               "resting joint hides, gear friction under load and the observer's lag included. Equal to sigma_nm in free\n"
+               "motion. For reports: limits use sigma_nm.");
   bind_torques("limit_scale", &Estimate::limit_scale, "What the motion multiplies the limits by; 1 in usual motion.");
   bind_torques("limit_nm", &Estimate::limit_nm,
                "What |tau_ext| must exceed for a collision at this sample, [N m]; scale and doubt included.");

@@ -95,6 +95,7 @@ void write(const tauext::Estimate& from, tauext_estimate* to) noexcept {
   e.load_found_ns = from.load_found_ns;
   e.load_error_kg = from.load_error_kg;
   std::ranges::copy(from.load_nm, e.load_nm);
+  std::ranges::copy(from.contact_sigma_nm, e.contact_sigma_nm);
   std::memcpy(to, &e, std::min(to->size, sizeof e));
 }
 

@@ -108,6 +108,7 @@ void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen&
       out.drift[cell] = e.drift[j];
       out.tau_ext[cell] = e.tau_ext[j];
       out.sigma_nm[cell] = e.sigma_nm[j];
+      out.contact_sigma_nm[cell] = e.contact_sigma_nm[j];
       out.limit_scale[cell] = e.limit_scale[j];
       out.limit_nm[cell] = e.limit_nm[j];
       out.near_stiction[cell] = e.near_stiction >> j & 1;
@@ -142,7 +143,7 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
   expect_joints(bundle, recording);
   const auto N = static_cast<std::size_t>(recording.samples), n = static_cast<std::size_t>(recording.joints);
   Estimates out;
-  for (auto* torque : {&out.residual, &out.prior, &out.network, &out.drift, &out.tau_ext, &out.doubt, &out.sigma_nm,
+  for (auto* torque : {&out.residual, &out.prior, &out.network, &out.drift, &out.tau_ext, &out.doubt, &out.sigma_nm, &out.contact_sigma_nm,
                        &out.limit_scale, &out.limit_nm})
     torque->resize(N * n);
   out.near_stiction.resize(N * n);

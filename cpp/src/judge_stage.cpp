@@ -22,6 +22,7 @@ JudgeStage::JudgeStage(const Bundle& bundle)
       drift_(bundle.drift, bundle.limits, bundle.joints(), bundle.observer.gain_per_s),
       factors_(bundle.drift.on() ? bundle.drift.friction_share : 0.0, bundle.joints(), bundle.observer.gain_per_s),
       scale_(bundle.error_scale, bundle.joints(), bundle.observer.gain_per_s),
+      contact_errors_(bundle),
       coverage_(bundle.joints(), bundle.coverage, bundle.observer.slowest_per_s()),
       touch_(bundle) {
   estimate_.joints = bundle.joints();
@@ -39,6 +40,7 @@ void JudgeStage::reset() noexcept {
   factors_.reset();
   history_.clear();
   scale_.reset();
+  contact_errors_.reset();
   coverage_.reset();
   touch_.reset();
   pending_ = {};
@@ -55,6 +57,7 @@ void JudgeStage::restore(const State& state) noexcept {
   factors_.restore(state.factors_of_friction);
   history_.clear();
   scale_.restore(state.scale);
+  contact_errors_.restore(state.contact_errors);
   coverage_.restore(state.coverage);
   touch_.restore(state.touch);
   pending_ = state.pending;
@@ -93,7 +96,7 @@ void JudgeStage::blank(bool also_residual) noexcept {
   constexpr double nan = std::numeric_limits<double>::quiet_NaN();
   Estimate& e = estimate_;
   for (int j = 0; j < e.joints; ++j) {
-    e.network[j] = e.uncertainty[j] = e.tau_ext[j] = e.sigma_nm[j] = e.margin_nm[j] = nan;
+    e.network[j] = e.uncertainty[j] = e.tau_ext[j] = e.sigma_nm[j] = e.contact_sigma_nm[j] = e.margin_nm[j] = nan;
     if (also_residual) e.residual[j] = e.prior[j] = e.drift[j] = e.limit_scale[j] = e.limit_nm[j] = e.contact_limit_nm[j] = nan;
   }
   e.load_nm.fill(0.0);
@@ -118,6 +121,7 @@ const Estimate& JudgeStage::step(const Observed& o, const Sample& sample, std::s
       drift_.restart();
       factors_.restart();
       scale_.restart();
+      contact_errors_.reset();
       coverage_.reset();
       touch_.restart();
     }
@@ -182,6 +186,11 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   else
     e.detection = alarm_.step(o.t_ns, first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(raised),
                               e.near_stiction, o.judged, first_joints(e.limit_nm), first_joints(e.contact_limit_nm));
+  if (o.judged)
+    contact_errors_.step(o.t_ns, e.near_stiction, alarm_.state().held_alarm != Alarm::none || e.detection, first_joints(e.tau_ext),
+                         first_joints(e.sigma_nm), first_joints(e.contact_sigma_nm));
+  else
+    contact_errors_.skip();
   // Where training never was, the error is the prior's and no drift.
   const bool teaches = o.teaches && !expects && e.unfamiliar < Coverage::kWorthTelling && !drift_held_;
   // Nor is it where the unit of a load is not known: such a joint learns as little as one that stands.

@@ -8,7 +8,7 @@
 namespace tauext {
 namespace {
 
-constexpr std::uint32_t kStateVersion = 9;
+constexpr std::uint32_t kStateVersion = 10;
 
 // What a saved state begins with.
 struct StateHead {

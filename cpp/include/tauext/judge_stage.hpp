@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "tauext/alarm.hpp"
+#include "tauext/contact_errors.hpp"
 #include "tauext/coverage.hpp"
 #include "tauext/drift.hpp"
 #include "tauext/drift_history.hpp"
@@ -47,6 +48,7 @@ struct Estimate {
   JointVector doubt{};              // how far the prior may be off while presliding states are unknown, and the torques of a
                                     // load because it is not known exactly, [N m]
   JointVector sigma_nm{};           // standard error of tau_ext in free motion, doubt included, [N m]; NaN without an error scale
+  JointVector contact_sigma_nm{};   // the same while something touches the arm and after it (contact_errors.hpp)
   JointVector limit_scale{};        // what the motion multiplies the limits by, unfamiliar motion too; usual is 1
   JointVector limit_nm{};           // that |tau_ext| must exceed for a collision; scale and doubt included
   JointVector contact_limit_nm{};   // the same for a contact
@@ -125,6 +127,7 @@ class JudgeStage {
     DriftTracker::State drift;
     FrictionFactors::State factors_of_friction;
     ErrorScale::State scale;
+    ContactErrors::State contact_errors;
     Coverage::State coverage;
     TouchKind::State touch;
     Pending pending;
@@ -133,7 +136,7 @@ class JudgeStage {
   // All that it remembers; restore() goes on from there, in a stage of the same bundle.
   State state() const noexcept {
     return {alarm_.state(),    alarm_.factors(), drift_.state(), factors_.state(), scale_.state(),
-            coverage_.state(), touch_.state(),   pending_,       estimate_};
+            contact_errors_.state(), coverage_.state(), touch_.state(),   pending_,       estimate_};
   }
   void restore(const State& state) noexcept;
 
@@ -155,6 +158,7 @@ class JudgeStage {
   FrictionFactors factors_;
   DriftHistory history_;
   ErrorScale scale_;
+  ContactErrors contact_errors_;
   Coverage coverage_;
   TouchKind touch_;
   Pending pending_;

@@ -110,6 +110,7 @@ typedef struct tauext_estimate {
   int64_t load_found_ns;                 /* sample at which the last load that was expected was found; 0: none */
   double load_error_kg;                  /* standard error of its mass */
   double load_nm[TAUEXT_MAX_JOINTS];     /* [N m], what of tau_ext is taken for a load that is expected */
+  double contact_sigma_nm[TAUEXT_MAX_JOINTS]; /* [N m], sigma_nm, but larger from a contact on until the joint slides */
 } tauext_estimate;
 
 /* What the arm carries beside its own links, in the axes of tauext_monitor_load_frame(). */

@@ -98,7 +98,7 @@ class LiveView(TextLines):
         for j, joint in enumerate(self._joints):
             tau_ext, limit = said["tau_ext"][:, j], said["limit_nm"][:, j]
             k = chunk.peak_row(j)
-            sigma = said["sigma_nm"][-1, j]
+            sigma = said["contact_sigma_nm"][-1, j]
             near = "near stiction" if said["near_stiction"][-1, j] else ""
             table.add_row(
                 f"{joint} [{short(self._units[j])}]" if unit == SEVERAL else joint,

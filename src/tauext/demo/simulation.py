@@ -269,7 +269,7 @@ class Simulation:
         if said is None:
             unknown = np.full(len(self.arm.joints), np.nan)
             return unknown, np.zeros(len(unknown)), unknown
-        return np.array(said.tau_ext), np.nan_to_num(np.array(said.sigma_nm)), np.array(said.limit_nm)
+        return np.array(said.tau_ext), np.nan_to_num(np.array(said.contact_sigma_nm)), np.array(said.limit_nm)
 
     def _touch(self, tau_ext: np.ndarray) -> Touch | None:
         if self.drag is None:

@@ -12,7 +12,7 @@ from tauext.monitor.changes import COLLISION, CONTACT, FAULT, NONE, OK
 from tauext.monitor.places import PlaceChange, newtons, place_facts
 from tauext.monitor.status import number
 
-TORQUES = ("tau_ext", "sigma_nm", "limit_nm", "contact_limit_nm", "margin_nm", "residual")
+TORQUES = ("tau_ext", "sigma_nm", "contact_sigma_nm", "limit_nm", "contact_limit_nm", "margin_nm", "residual")
 
 
 class EventFinder:

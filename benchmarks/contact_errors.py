@@ -1,0 +1,306 @@
+"""How far tau_ext is from the truth in free motion, during a contact and after it, beside its standard error.
+
+    python benchmarks/contact_errors.py OUT [--arms rig seven ...] [--draws 6] [--seed 0] [--unseen UNSEEN/ARM ...]
+
+The demo's arms move, are grabbed at a random point of a random link, stop at the collision alarm, are pulled back and
+forth for 1 to 10 s, released, stand, and move on. Bundles are trained as the demo trains them (recipe prior, exact
+model). UNSEEN/ARM: what benchmarks/unseen_arms.py made: arms with a wrong URDF and motor currents, hit and pushed while
+they move; its bundle urdf-prior.tauext is judged. OUT gets bundles, draws, contact_errors.json and README.md; what is
+there is used again, so that another version judges the same draws.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from tauext import _core
+from tauext.config import PAPER_CASES
+from tauext.data import Recording, load_recording
+from tauext.demo.arms import ARMS, DemoArm
+from tauext.demo.bundles import LESSONS
+from tauext.demo.mover import Mover
+from tauext.demo.plant import Plant
+from tauext.demo.practice import practice_recording
+from tauext.demo.push import Drag
+from tauext.robot import estimated_model
+from tauext.train import train_on_recordings
+
+PHASES = ("free motion", "first second of the push", "pressed while stopped", "released, still stopped", "moving again")
+BEFORE_S, STAND_S, AFTER_S = 4.0, 3.0, 4.0
+UNSEEN_PHASES = ("free motion", "contact while moving", "the second after it")
+PRESS_S = (1.0, 10.0)
+SETTLED_S = 1.5
+"""From the begin of a draw: the observer has forgotten its start."""
+REACH_M = 0.3
+"""A pointer is pulled so far from the point that it grabbed, at most."""
+PULL_HZ = (0.2, 1.0)
+ALONG = (1.0, 2.5)
+"""Where a link is grabbed, from its joint: in lengths of the way to its centre of mass."""
+COARSE_COUNTS = 4096
+
+
+def coarse(arm: DemoArm) -> DemoArm:
+    """With encoders of 12 bit."""
+    return replace(arm, name=f"{arm.name}-12bit", sensors=replace(arm.sensors, encoder_counts=COARSE_COUNTS))
+
+
+CASES: dict[str, tuple[Callable[[], DemoArm], int]] = {
+    "rig": (ARMS["rig"], 1),
+    "seven": (ARMS["seven"], 1),
+    "rig-12bit": (lambda: coarse(ARMS["rig"]()), 1),
+    "seven-12bit": (lambda: coarse(ARMS["seven"]()), 1),
+    "rig-100hz": (ARMS["rig"], 10),
+    "seven-100hz": (ARMS["seven"], 10),
+}
+"""Arm, and how many samples of the loop make one of the log."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--arms", nargs="+", choices=tuple(CASES), default=list(CASES))
+    parser.add_argument("--draws", type=int, default=6)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--unseen", type=Path, nargs="+", default=[])
+    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(options.workers) as pool:
+        list(pool.map(train, options.arms, [options.out] * len(options.arms)))
+        jobs = [(name, options.out, options.seed + k) for name in options.arms for k in range(options.draws)]
+        list(pool.map(draw_of, *zip(*jobs, strict=True)))
+    rows = [row for name in options.arms for row in judged(name, options.out, options.seed, options.draws)]
+    rows += [row for folder in options.unseen for row in judged_unseen(folder)]
+    write(options.out / "contact_errors.json", json.dumps(rows, indent=1) + "\n")
+    text = markdown(rows)
+    write(options.out / "README.md", text)
+    print(text)
+
+
+def write(path: Path, text: str) -> None:
+    part = path.with_suffix(".part")
+    part.write_text(text)
+    part.rename(path)
+
+
+def thinned(recording: Recording, by: int) -> Recording:
+    """One sample of so many, with the mean torque since the last one."""
+    if by == 1:
+        return recording
+    count = recording.samples // by
+    last = slice(by - 1, by * count, by)
+    tau = recording.tau[: by * count].reshape(count, by, -1).mean(axis=1)
+    signals = {name: getattr(recording, name)[last] for name in ("t_ns", "q", "dq")}
+    return replace(recording, **signals, tau=tau, rate_hz=recording.rate_hz / by, torque_timing="averaged")
+
+
+def train(name: str, out: Path) -> Path:
+    """A bundle from the arm's practice, as the demo makes it."""
+    path = out / f"{name}.tauext"
+    if not path.exists():
+        make, by = CASES[name]
+        arm = make()
+        lesson = LESSONS[arm.name.split("-")[0]]
+        recordings = [
+            thinned(practice_recording(arm, lesson.recording_s, 0, k), by) for k in range(lesson.prior_recordings)
+        ]
+        robot = out / f"{name}.xml"
+        robot.write_text(arm.xml)
+        tree = estimated_model(robot, arm.joints, PAPER_CASES["exact"])
+        train_on_recordings(tree, robot, PAPER_CASES["exact"], recordings, [], lesson.methods["tauext"], path)
+    return path
+
+
+def draw_of(name: str, out: Path, seed: int) -> Path:
+    """One grab, and what is true: a recording at the loop's rate, the true external torque and the phases."""
+    path = out / f"{name}-{seed}.npz"
+    if path.exists():
+        return path
+    make, by = CASES[name]
+    arm, bundle = make(), _core.Bundle.load(str(train(name, out)))
+    rng = np.random.default_rng([seed, 36])
+    plant, mover, monitor = Plant(arm, seed), Mover(arm, seed), _core.Monitor(bundle)
+    press_s = rng.uniform(*PRESS_S)
+    joint = int(rng.integers(len(arm.joints)))
+    away = rng.normal(size=3)
+    away *= REACH_M * rng.uniform(0.3, 1.0) / np.linalg.norm(away)
+    pull_hz, local = rng.uniform(*PULL_HZ), rng.uniform(*ALONG) * plant.model.body_ipos[joint + 1]
+    drag: Drag | None = None
+    signals: dict[str, list[np.ndarray]] = {key: [] for key in ("q", "dq", "tau", "true")}
+    stamps: list[int] = []
+    phases: list[int] = []
+    heap: list[np.ndarray] = []
+    q, dq = plant.data.qpos.copy(), plant.data.qvel.copy()
+    ends_s = BEFORE_S + 1.0 + press_s
+    stopped = False
+    total_s = ends_s + STAND_S + AFTER_S
+    while plant.time_s < total_s:
+        now = plant.time_s
+        if drag is None and BEFORE_S <= now < ends_s:
+            origin, rotation = plant.body_pose(joint)
+            drag, grabbed = Drag.grab(plant, joint, origin + rotation @ local), origin + rotation @ local
+        if drag is not None and now >= ends_s:
+            drag = None
+        if drag is not None:
+            drag.target_m = grabbed + away * np.cos(2 * np.pi * pull_hz * max(0.0, now - BEFORE_S - 1.0))
+        if now >= ends_s + STAND_S and stopped:
+            stopped = False
+            monitor.resume()
+            mover.resume()
+        force, point = drag.force_n(plant) if drag is not None else (None, None)
+        sample = plant.step(*mover.step(q, dq, plant.gravity_nm), force, point, joint)
+        q, dq = sample.q, sample.dq
+        heap.append(sample.tau)
+        if len(heap) == by:
+            said = monitor.step(sample.t_ns, q, dq, np.mean(heap, axis=0))
+            heap.clear()
+            if drag is not None and not stopped and said.alarm == _core.Alarm.collision:
+                stopped = True
+                mover.react("stop")
+        stamps.append(sample.t_ns)
+        for key, value in (("q", q), ("dq", dq), ("tau", sample.tau), ("true", sample.tau_ext)):
+            signals[key].append(value.copy())
+        phases.append(phase(now, ends_s, stopped))
+    columns = {key: np.array(values) for key, values in signals.items()}
+    part = path.with_suffix(".part.npz")
+    np.savez_compressed(part, t_ns=np.array(stamps), phase=np.array(phases), joint=joint, **columns)
+    part.rename(path)
+    return path
+
+
+def phase(now: float, ends_s: float, stopped: bool) -> int:
+    """Of PHASES; -1: none of them, also where the alarm did not come."""
+    if now < SETTLED_S:
+        return -1
+    if now < BEFORE_S:
+        return 0
+    if now < BEFORE_S + 1.0:
+        return 1
+    if now < ends_s:
+        return 2 if stopped else -1
+    if now < ends_s + STAND_S:
+        return 3 if stopped else -1
+    return 4
+
+
+def judged(name: str, out: Path, seed: int, draws: int) -> list[dict]:
+    """Error against standard error by phase and joint, over all draws."""
+    (make, by), bundle = CASES[name], _core.Bundle.load(str(train(name, out)))
+    arm = make()
+    found: list[tuple[np.ndarray, ...]] = []
+    for k in range(seed, seed + draws):
+        with np.load(out / f"{name}-{k}.npz") as kept:
+            made = recording_of(arm, kept)
+            thin = thinned(made, by)
+            true = kept["true"][by - 1 :: by][: thin.samples]
+            phases = kept["phase"][by - 1 :: by][: thin.samples]
+        said = _core.estimate(bundle, thin.t_ns, thin.q, thin.dq, thin.tau, 1)
+        found.append((phases, said["tau_ext"], true, said["contact_sigma_nm"], said["sigma_nm"]))
+    phases, tau_ext, true, sigma, free_sigma = (np.concatenate(column) for column in zip(*found, strict=True))
+    return tabulated(name, PHASES, arm.joints, phases, tau_ext, true, sigma, free_sigma)
+
+
+def judged_unseen(folder: Path) -> list[dict]:
+    """The same of an arm of benchmarks/unseen_arms.py, whose bundle is there."""
+    bundle = _core.Bundle.load(str(folder / "urdf-prior.tauext"))
+    found: list[tuple[np.ndarray, ...]] = []
+    joints: tuple[str, ...] = ()
+    for path in sorted((folder / "csv").glob("contacts-*.truth.npz")):
+        name = path.name.split(".")[0]
+        recording = load_recording(folder / "urdf" / f"{name}.parquet")
+        joints, now = recording.joints, recording.time_s
+        with np.load(path) as kept:
+            whole = kept["tau_ext"].astype(float)
+        at = np.arange(len(whole)) * recording.duration_s / (len(whole) - 1)
+        true = np.stack([np.interp(now, at, column) for column in whole.T], axis=1)
+        phases = np.where(now < 2 * SETTLED_S, -1, 0)
+        contacts = json.loads(path.with_suffix(".json").read_text())
+        for contact in contacts:
+            begins, ends = contact["start_s"], contact["end_s"]
+            phases[(now >= begins - 0.5) & (now < ends + 3.0)] = -1
+        for contact in contacts:
+            begins, ends = contact["start_s"], contact["end_s"]
+            phases[(now >= begins) & (now < ends)] = 1
+            phases[(now >= ends) & (now < ends + 1.0)] = 2
+        signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+        said = _core.estimate(bundle, *signals, 1)
+        found.append((phases, said["tau_ext"], true, said["contact_sigma_nm"], said["sigma_nm"]))
+    return tabulated(folder.name, UNSEEN_PHASES, joints, *(np.concatenate(c) for c in zip(*found, strict=True)))
+
+
+def tabulated(
+    name: str,
+    titles: Sequence[str],
+    joints: Sequence[str],
+    phases: np.ndarray,
+    tau_ext: np.ndarray,
+    true: np.ndarray,
+    sigma: np.ndarray,
+    free_sigma: np.ndarray,
+) -> list[dict]:
+    """A row a phase and joint."""
+    rows = []
+    for number, title in enumerate(titles):
+        at = (phases == number) & np.isfinite(tau_ext).all(axis=1)
+        if not at.any():
+            continue
+        error = tau_ext[at] - true[at]
+        for j, joint in enumerate(joints):
+            e, s = error[:, j], sigma[at, j]
+            rows.append(
+                {
+                    "arm": name,
+                    "phase": title,
+                    "joint": joint,
+                    "true_nm": rms(true[at, j]),
+                    "error_nm": rms(e),
+                    "sigma_nm": rms(s),
+                    "free_sigma_nm": rms(free_sigma[at, j]),
+                    "within_free": float(np.mean(np.abs(e) <= 2 * free_sigma[at, j])),
+                    "within": [float(np.mean(np.abs(e) <= times * s)) for times in (1, 2, 3)],
+                }
+            )
+    return rows
+
+
+def recording_of(arm: DemoArm, kept: np.lib.npyio.NpzFile) -> Recording:
+    signals = {key: kept[key] for key in ("t_ns", "q", "dq", "tau")}
+    meta = {"rate_hz": float(arm.rate_hz), "torque_timing": "held", "source": arm.title, "robot_sha256": ""}
+    return Recording(name="drawn", joints=arm.joints, **signals, **meta)
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def markdown(rows: list[dict]) -> str:
+    """A row an arm and phase: the least and the most of its joints."""
+    lines = [
+        "| arm | phase | true, N m | error | free-motion sigma | within 2, % | standard error | within 1, % | 2 | 3 |",
+        "|---" * 10 + "|",
+    ]
+    for arm, title in dict.fromkeys((row["arm"], row["phase"]) for row in rows):
+        of = [row for row in rows if (row["arm"], row["phase"]) == (arm, title)]
+
+        def both(values: list[float], form: str) -> str:
+            low, high = format(min(values), form), format(max(values), form)
+            return low if low == high else f"{low} to {high}"
+
+        cells = [both([row[key] for row in of], ".2f") for key in ("true_nm", "error_nm", "free_sigma_nm")]
+        cells += [both([100 * row["within_free"] for row in of], ".0f")]
+        cells += [both([row["sigma_nm"] for row in of], ".2f")]
+        cells += [both([100 * row["within"][k] for row in of], ".0f") for k in range(3)]
+        lines.append(f"| {arm} | {title} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main()

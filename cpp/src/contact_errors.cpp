@@ -1,0 +1,50 @@
+#include "tauext/contact_errors.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "tauext/bundle.hpp"
+#include "tauext/prior.hpp"
+#include "tauext/refit_motion.hpp"
+
+namespace tauext {
+
+ContactErrors::ContactErrors(const Bundle& bundle)
+    : joints_(bundle.joints()), gain_per_s_(bundle.observer.gain_per_s) {
+  const std::vector<double>& widths = bundle.prior.widths_rad;
+  const double coarse = widths.empty() ? 1.0 : widths.front() / (widths.front() + kBuildsUpRad);
+  const double share = kFineShare + (kCoarseShare - kFineShare) * coarse;
+  const std::vector<double> shares = load_friction_shares(bundle.prior, joints_);
+  for (int j = 0; j < joints_; ++j) {
+    const auto at = static_cast<std::size_t>(j);
+    hidden_nm_[j] = share * friction_line(bundle.prior, at).at_rest_nm;
+    rubbing_[j] = shares[at];
+  }
+}
+
+void ContactErrors::step(std::int64_t t_ns, std::uint32_t near_stiction, bool touched, std::span<const double> tau_ext,
+                         std::span<const double> sigma_nm, std::span<double> into) noexcept {
+  State& s = state_;
+  const double dt = s.started ? 1e-9 * static_cast<double>(elapsed_ns(t_ns, s.t_ns)) : 0.0;
+  if (dt != s.step_s) {  // an exponential is taken anew only where the step is another one
+    s.step_s = dt;
+    s.kept = std::exp(-gain_per_s_ * dt);
+  }
+  s.t_ns = t_ns;
+  s.since_s = touched ? 0.0 : std::min(s.since_s + dt, kStaysS);
+  s.touched = touched ? 1.0 : s.kept * s.touched;
+  s.pressed = near_stiction & (s.since_s < kStaysS ? ~std::uint32_t{0} : s.pressed);
+  for (int j = 0; j < joints_; ++j) {
+    const auto at = static_cast<std::size_t>(j);
+    const double now = dt > 0 ? (tau_ext[at] - s.tau_ext[j]) / dt : 0.0;
+    s.rate[j] += (1 - s.kept) * (now - s.rate[j]);
+    if (!s.started) s.rate[j] = 0;
+    s.tau_ext[j] = tau_ext[at];
+    const double hidden = s.pressed >> j & 1 ? hidden_nm_[j] : 0.0;
+    const double rubbing = s.touched * rubbing_[j] * tau_ext[at], lag = s.touched * s.rate[j] / gain_per_s_;
+    into[at] = std::sqrt(sigma_nm[at] * sigma_nm[at] + hidden * hidden + rubbing * rubbing + lag * lag);
+  }
+  s.started = true;
+}
+
+}  // namespace tauext

@@ -1,0 +1,115 @@
+#include "tauext/contact_errors.hpp"
+
+#include <cmath>
+#include <limits>
+
+#include "check.hpp"
+#include "made_bundle.hpp"
+
+using namespace tauext;
+
+namespace {
+
+constexpr std::int64_t kMs = 1'000'000;
+constexpr double kSigma[] = {0.3, 0.4};
+
+// Two joints with Coulomb friction of 6 and 2 N m. Presliding states would bring their own part of it: none here.
+Bundle rubbing_arm(double narrowest_rad) {
+  Bundle b = made::bundle(2, 0, 0, 1, 1);
+  b.prior.terms = {{TermKind::coulomb, 0, 0, 0, 0, 0.001}, {TermKind::coulomb, 1, 0, 0, 0, 0.001}};
+  b.prior.weights = {6, 0, 0, 2};
+  if (narrowest_rad > 0) b.prior.widths_rad = {narrowest_rad};
+  return b;
+}
+
+struct Arm {
+  Bundle bundle;
+  ContactErrors errors;
+  std::int64_t t_ns = 0;
+  double sigma[2] = {0, 0};
+
+  explicit Arm(double narrowest_rad) : bundle(rubbing_arm(narrowest_rad)), errors(bundle) {}
+  void step(std::uint32_t near, bool touched, double tau_1 = 0, double tau_2 = 0, int times = 1) {
+    const double tau[] = {tau_1, tau_2};
+    for (int k = 0; k < times; ++k) errors.step(t_ns += kMs, near, touched, tau, kSigma, sigma);
+  }
+  bool is(int joint, double hidden) const {
+    return std::fabs(sigma[joint] - std::hypot(kSigma[joint], hidden)) < 1e-9;
+  }
+};
+
+double share(double width) { return 0.35 + 0.85 * width / (width + 1e-3); }
+
+void free_motion_has_its_own_error_alone() {
+  Arm arm(1e-4);
+  arm.step(3, false, 0, 0, 10);
+  arm.step(0, false, 40, -40, 10);  // a torque that touches nothing changes nothing
+  CHECK(arm.sigma[0] == kSigma[0] && arm.sigma[1] == kSigma[1]);
+}
+
+void a_joint_that_rests_through_a_contact_hides_a_share_of_its_friction_until_it_slides() {
+  for (double width : {1e-4, 3e-3}) {
+    Arm arm(width);
+    arm.step(1, true, 0, 0, 5);
+    CHECK(arm.is(0, 6 * share(width)) && arm.is(1, 0));  // the other one slides
+    arm.step(1, false, 0, 0, 5000);                      // long after the contact
+    CHECK(arm.is(0, 6 * share(width)));
+    arm.step(0, false);
+    CHECK(arm.is(0, 0));
+    arm.step(1, false);  // it rests again, of itself
+    CHECK(arm.is(0, 0));
+  }
+  Arm coarse(0);  // no presliding states: all that a reversed push may leave
+  coarse.step(3, true);
+  CHECK(coarse.is(0, 6 * 1.2) && coarse.is(1, 2 * 1.2));
+}
+
+void what_stops_soon_after_a_contact_rests_under_it() {
+  Arm soon(1e-4), late(1e-4);
+  soon.step(0, true);
+  soon.step(0, false, 0, 0, 900);
+  soon.step(2, false);
+  CHECK(soon.is(1, 2 * share(1e-4)) && soon.is(0, 0));
+  late.step(0, true);
+  late.step(0, false, 0, 0, 1100);
+  late.step(2, false);
+  CHECK(late.is(1, 0));
+}
+
+// While the torque rises by a constant rate, the observer is 1/K0 of it behind; the rate itself is filtered with K0.
+void the_lag_counts_during_a_contact_and_fades_after_it() {
+  Arm arm(1e-4);
+  const double gain = arm.bundle.observer.gain_per_s, rate = 100;
+  for (int k = 0; k < 2000; ++k) arm.step(0, true, rate * 1e-3 * k);
+  CHECK(std::fabs(arm.sigma[0] - std::hypot(kSigma[0], rate / gain)) < 1e-6);
+  CHECK(arm.sigma[1] == kSigma[1]);
+  const double before = arm.sigma[0];
+  for (int k = 2000; k < 2000 + static_cast<int>(5000 / gain); ++k) arm.step(0, false, rate * 1e-3 * k);
+  CHECK(arm.sigma[0] < 0.1 * before + kSigma[0]);
+}
+
+void a_sample_without_a_torque_makes_no_rate() {
+  Arm arm(1e-4);
+  arm.step(0, true, 0, 0, 3);
+  arm.errors.skip();
+  arm.step(0, true, 50, 50);
+  CHECK(arm.is(0, 0) && arm.is(1, 0));
+  ContactErrors other(arm.bundle);
+  other.restore(arm.errors.state());
+  double here[2], there[2];
+  const double tau[] = {51, 49};
+  arm.errors.step(arm.t_ns + kMs, 3, false, tau, kSigma, here);
+  other.step(arm.t_ns + kMs, 3, false, tau, kSigma, there);
+  CHECK(here[0] == there[0] && here[1] == there[1] && here[0] > 1);
+}
+
+}  // namespace
+
+int main() {
+  free_motion_has_its_own_error_alone();
+  a_joint_that_rests_through_a_contact_hides_a_share_of_its_friction_until_it_slides();
+  what_stops_soon_after_a_contact_rests_under_it();
+  the_lag_counts_during_a_contact_and_fades_after_it();
+  a_sample_without_a_torque_makes_no_rate();
+  return check::result();
+}

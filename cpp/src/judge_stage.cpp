@@ -186,11 +186,13 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   else
     e.detection = alarm_.step(o.t_ns, first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(raised),
                               e.near_stiction, o.judged, first_joints(e.limit_nm), first_joints(e.contact_limit_nm));
-  if (o.judged)
+  if (o.judged && scale_.on()) {
     contact_errors_.step(o.t_ns, e.near_stiction, alarm_.state().held_alarm != Alarm::none || e.detection, first_joints(e.tau_ext),
                          first_joints(e.sigma_nm), first_joints(e.contact_sigma_nm));
-  else
+  } else {
+    e.contact_sigma_nm = e.sigma_nm;
     contact_errors_.skip();
+  }
   // Where training never was, the error is the prior's and no drift.
   const bool teaches = o.teaches && !expects && e.unfamiliar < Coverage::kWorthTelling && !drift_held_;
   // Nor is it where the unit of a load is not known: such a joint learns as little as one that stands.

@@ -186,6 +186,32 @@ def test_errors_against_sigma_are_counted_by_joint_region_and_bin():
             assert one["error_rms_nm"] == pytest.approx(np.sqrt((size[here] ** 2).mean()))
 
 
+def test_errors_of_contacts_and_of_the_second_after_them_are_held_against_their_own_sigma():
+    """Errors of 1 within the contact and 3 in the second after it, 0.1 beyond; a contact's standard error is 2."""
+    rng = np.random.default_rng(1)
+    contact = np.zeros(4000, dtype=np.int8)
+    contact[1000:1600] = 1
+    made = recording(samples=4000, contact=contact)
+    (touch,) = find_collisions(made)
+    true = rng.normal(0, 5, (4000, 1))
+    size = np.full(4000, 0.1)
+    size[1000:1600], size[1600:2599] = 1.0, 3.0
+    said = estimates_of(true[:, 0] + size, 1e9, warm_from=100)
+    sigma = np.full((4000, 1), 2.0, dtype=np.float32)
+    counted = ErrorAgainstSigma(1)
+    counted.add_touched([touch], made, replace(said, sigma_nm=sigma), true)
+    assert counted.summary() is None  # a bundle without an error scale has neither
+    counted.add(replace(said, sigma_nm=sigma, contact_sigma_nm=sigma))
+    assert set(counted.summary()) == {"sliding", "near_stiction"}
+    counted.add_touched([touch], made, replace(said, sigma_nm=sigma, contact_sigma_nm=sigma), None)
+    assert "contact" not in counted.summary()
+    counted.add_touched([touch], made, replace(said, sigma_nm=sigma, contact_sigma_nm=sigma), true)
+    (during,), (after,) = (counted.summary()[part] for part in ("contact", "second_after"))
+    assert (during["samples"], during["within_one_sigma"], during["within_two_sigma"]) == (600, 1.0, 1.0)
+    assert (after["samples"], after["within_one_sigma"], after["within_two_sigma"]) == (999, 0.0, 1.0)
+    assert after["bins"][0]["error_rms_nm"] == pytest.approx(3.0, rel=1e-6)
+
+
 @pytest.mark.parametrize(
     "changes, message",
     [

@@ -53,6 +53,8 @@ class Estimates:
     """What the tracker of slow changes takes off; None where the bundle has none."""
     sigma_nm: np.ndarray | None = None
     """Standard error of tau_ext; NaN where that is, None where the bundle has no error scale."""
+    contact_sigma_nm: np.ndarray | None = None
+    """The same during a contact and after it."""
     contact_limit: np.ndarray | None = None
     """What |tau_ext| must exceed for a contact; None but beside flights."""
     held_alarm: np.ndarray | None = None
@@ -87,7 +89,7 @@ class Estimates:
 
 
 TORQUES = ("r", "network", "tau_ext", "limit")
-OPTIONAL = ("prior", "drift", "sigma_nm", "contact_limit")
+OPTIONAL = ("prior", "drift", "sigma_nm", "contact_sigma_nm", "contact_limit")
 """Torques that some bundles have; a file holds their columns or not."""
 STATES = {"held_alarm": np.int8, "alarm": np.int8, "touch": np.int8, "causes": np.uint32}
 """Columns that a file holds or not."""

@@ -73,6 +73,7 @@ class BundleMeasures:
         self._curve.add_collisions(touches, recording, estimates)
         self._after.add_touched(recording, estimates)
         self._during.add(touches, recording, estimates, reference)
+        self._sigma.add_touched(touches, recording, estimates, reference)
         self._touches.add(touches, recording, estimates)
 
     def peaks_over_limit(self) -> dict[str, float | None]:

@@ -34,6 +34,7 @@ def estimate_recording(bundle: _core.Bundle, recording: Recording, threads: int 
         prior=said["prior"].astype(np.float32) if bundle.prior.terms or bundle.prior.corrected_links else None,
         drift=said["drift"].astype(np.float32) if bundle.drift.time_constant_s else None,
         sigma_nm=said["sigma_nm"].astype(np.float32) if bundle.error_scale.on else None,
+        contact_sigma_nm=said["contact_sigma_nm"].astype(np.float32) if bundle.error_scale.on else None,
         limit=said["limit_nm"].astype(np.float32),
         contact_limit=contact_limit_nm(bundle, said).astype(np.float32),
         near_stiction=said["near_stiction"].astype(bool),

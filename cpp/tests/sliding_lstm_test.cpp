@@ -6,6 +6,7 @@
 
 #include "../src/lstm_lanes.hpp"
 #include "check.hpp"
+#include "tauext/sample_clock.hpp"
 
 using namespace tauext;
 

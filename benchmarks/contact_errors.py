@@ -72,6 +72,10 @@ def main() -> None:
     parser.add_argument("--unseen", type=Path, nargs="+", default=[])
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     options = parser.parse_args()
+    for folder in options.unseen:
+        for needed in ("urdf-prior.tauext", "urdf/contacts-1.parquet", "csv/contacts-1.truth.npz"):
+            if not (folder / needed).exists():
+                parser.error(f"--unseen {folder}: holds no {needed} (arms whose logs have gaps are not supported)")
     options.out.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(options.workers) as pool:
         list(pool.map(train, options.arms, [options.out] * len(options.arms)))

@@ -74,8 +74,8 @@ class Outcome:
     hours: float
     promised: float | None = None
     """False alarms that the limits promise in these hours, at most; None: nothing."""
-    told: dict | None = None
-    """What training told of motion that it lacks: `limits.other_motion` of the run file."""
+    predicted: dict | None = None
+    """By training, for motion that it lacks: `limits.other_motion` of the run file."""
 
 
 def drawn(data: Path, trial: Trial) -> tuple[list[str], list[str]]:
@@ -182,8 +182,8 @@ def carry_out(folder: Path, method: str) -> Outcome:
     if "promise" not in limits:
         return outcome
     rate = limits["promise"]["supported_budget"]["rate_per_hour"]
-    told = limits.get("other_motion", {})
-    return replace(outcome, promised=rate * outcome.hours, told=told if "factor" in told else None)
+    other = limits.get("other_motion", {})
+    return replace(outcome, promised=rate * outcome.hours, predicted=other if "factor" in other else None)
 
 
 def by_current(folder: Path) -> Outcome:
@@ -221,10 +221,12 @@ def row(source: str, minutes: int, method: str, outcomes: list[Outcome]) -> str:
     delay = f"{1000 * np.median(delays):.0f} ({1000 * max(delays):.0f})" if delays else "–"
     false, hours = " ".join(str(one.false) for one in outcomes), sum(one.hours for one in outcomes)
     promised = " ".join("–" if one.promised is None else f"{one.promised:.1f}" for one in outcomes)
-    told = [f"{one.told['factor']:.2g} ({one.told['at_most']:.2g})" if one.told else "–" for one in outcomes]
+    predicted = [
+        f"{one.predicted['factor']:.2g} ({one.predicted['at_most']:.2g})" if one.predicted else "–" for one in outcomes
+    ]
     seen = [f"{one.false / one.promised:.2g}" if one.promised else "–" for one in outcomes]
     cells = [source, minutes or "all", method, found, delay, false, f"{hours:.2f}", promised]
-    return f"| {' | '.join(map(str, cells))} | {', '.join(seen)} | {', '.join(told)} |"
+    return f"| {' | '.join(map(str, cells))} | {', '.join(seen)} | {', '.join(predicted)} |"
 
 
 def main() -> None:
@@ -259,7 +261,7 @@ def keep(out: Path, rows: list[str], splits: int) -> None:
     trial = Trial(0, SOURCES[0], MINUTES[1])
     (KEPT / "arm.toml").write_text((out / trial.name / "arm.toml").read_text())
     head = "| torque from | training, min | method | stalls found of 4 | delay, ms: median (most) | false | in h | "
-    head += "promised | false for each promised | as training tells (at most) |"
+    head += "promised | false for each promised | predicted by train (upper bound) |"
     motions = []
     for split in range(splits):
         names = json.loads((out / Trial(split, SOURCES[0], 0).name / "data/split.json").read_text())["test"]

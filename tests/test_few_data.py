@@ -9,6 +9,7 @@ import pytest
 from arms import no_model, planar_arm
 
 from tauext import _core
+from tauext.calibrate import NOT_MEASURED
 from tauext.cli import main
 from tauext.config import PAPER_CASES, ObserverConfig, PriorConfig, TrainConfig
 from tauext.data import Recording
@@ -18,7 +19,7 @@ from tauext.learn import build_setup, fit_torque_constants
 from tauext.learn.regression import NormalEquations, Regression, coupled
 from tauext.learn.torque_constants import TorqueConstants, with_constants
 from tauext.train import train_on_recordings
-from tauext.train.limits import UNKNOWN, calibrate, factor_after
+from tauext.train.limits import calibrate, factor_after
 from tauext.train.motion import training_motion
 from tauext.train.recordings import wants_constants
 
@@ -90,7 +91,7 @@ def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path,
     bundle, facts = trained(tmp_path, monkeypatch, [motion()], recipe="prior")
     assert any("every fifth of the motion" in note for note in facts["notes"])
     assert facts["limits"]["minutes_factor"] > 1 and facts["error_scale"]["hours"] > 0
-    assert facts["limits"]["other_motion"] == {"sentence": UNKNOWN} and UNKNOWN in facts["notes"]
+    assert facts["limits"]["other_motion"] == {"sentence": NOT_MEASURED} and NOT_MEASURED in facts["notes"]
     other = motion(seed=7)
     said = _core.estimate(bundle, other.t_ns, other.q, other.dq, other.tau, 1)
     healthy = said["health"] == 1
@@ -99,7 +100,7 @@ def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path,
     assert (np.sqrt((said["tau_ext"][healthy] ** 2).mean(axis=0)) < 0.3).all()
 
 
-def test_the_run_file_and_show_tell_how_limits_hold_from_one_recording_to_the_next(tmp_path, monkeypatch, capsys):
+def test_the_run_file_and_show_report_how_limits_hold_from_one_recording_to_the_next(tmp_path, monkeypatch, capsys):
     _, facts = trained(tmp_path, monkeypatch, [motion(seed=k, name=f"made-{k}") for k in range(4)], recipe="prior")
     other = facts["limits"]["other_motion"]
     assert set(other["false"]) == {f"made-{k}" for k in range(4)} and other["promised"] == pytest.approx(3, rel=0.1)

@@ -199,7 +199,7 @@ def judged_in_turn(rows: Rows, reserve=None):
     return other_motion(rows, ["slide"], promised, 0.5, 1.2, reserve)
 
 
-def test_recordings_left_out_in_turn_tell_what_another_kind_of_motion_does():
+def test_recordings_left_out_in_turn_predict_false_alarms_in_another_kind_of_motion():
     """Peaks that one recording alone has are false alarms to limits from the others, each of them; a reserve as high as
     they are silences them."""
     alike = judged_in_turn(rows_of(8, 60.0, {}))
@@ -217,6 +217,6 @@ def test_recordings_left_out_in_turn_tell_what_another_kind_of_motion_does():
     json.dumps(odd.facts(), allow_nan=False)
 
 
-def test_nothing_is_told_of_other_motion_by_two_recordings_or_by_seconds():
+def test_two_recordings_or_a_few_seconds_predict_nothing():
     assert judged_in_turn(rows_of(2, 60.0, {})) is None
     assert judged_in_turn(rows_of(3, 1.0, {})) is None

@@ -1,4 +1,4 @@
-// How wrong tau_ext may be while something touches the arm and after it, where free motion says too little of it.
+// Standard error of tau_ext during a contact and after it, when it exceeds the standard error of free motion.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -13,18 +13,18 @@ struct Bundle;
 //
 //   contact_sigma_j^2 = sigma_j^2 + (hidden_j F_j)^2 + (rubbing_j tau_ext_j)^2 + (|d tau_ext_j / dt| / K0)^2
 //
-// F_j is the joint's friction at rest. From a contact on a joint that rests may hide any of it that its last yielding left
-// undetermined, until it slides again. rubbing_j is the share of a load by which gear friction grows. The last term is the
-// lag of the observer, whose residual is 1/K0 behind. The last two count during the contact and fade with 1/K0.
+// F_j is the joint's friction at rest. After a contact, the friction of a resting joint is known only within the share
+// hidden_j, until the joint slides again. Gear friction grows by the share rubbing_j of a load. The last term is the lag of
+// the observer, whose residual is 1/K0 late. The last two terms count during the contact and fade with 1/K0.
 //
-// It is for reports alone: limits, trackers of drift and weighing use sigma, which no torque can raise.
+// The result is for reports only. Limits, drift trackers and weighing use sigma, which no torque can raise.
 class ContactErrors {
  public:
-  // Share of F that a resting joint hides: where the prior's presliding states follow it, and where the encoder is too
-  // coarse for them. In between by the narrowest state beside the way on which friction builds up. Both are root mean
-  // squares on the demo's two-axis arm; a reversed push can leave up to 2.
+  // Share of F that a resting joint hides: with presliding states that follow its friction, and without any. In between,
+  // the share depends on the narrowest state relative to kBuildsUpRad, the travel over which friction builds up. Both
+  // shares were fitted to the demo's arms (docs/results/contact-errors). The largest possible share is 2: a reversed push.
   static constexpr double kFineShare = 0.35, kCoarseShare = 1.2, kBuildsUpRad = 1e-3;
-  static constexpr double kStaysS = 1.0;  // what comes to rest so long after a contact does so under what it left
+  static constexpr double kStaysS = 1.0;  // a joint that comes to rest within this time after a contact counts as pressed
 
   explicit ContactErrors(const Bundle& bundle);
 

@@ -135,8 +135,8 @@ class JudgeStage {
   };
   // All that it remembers; restore() goes on from there, in a stage of the same bundle.
   State state() const noexcept {
-    return {alarm_.state(),    alarm_.factors(), drift_.state(), factors_.state(), scale_.state(),
-            contact_errors_.state(), coverage_.state(), touch_.state(),   pending_,       estimate_};
+    return {alarm_.state(),          alarm_.factors(),  drift_.state(), factors_.state(), scale_.state(),
+            contact_errors_.state(), coverage_.state(), touch_.state(), pending_,         estimate_};
   }
   void restore(const State& state) noexcept;
 

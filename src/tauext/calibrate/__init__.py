@@ -20,12 +20,13 @@ from tauext.calibrate.limits import (
     usual_speed_rad_s,
 )
 from tauext.calibrate.moments import Moment
-from tauext.calibrate.other_motion import OtherMotion, other_motion
+from tauext.calibrate.other_motion import NOT_MEASURED, OtherMotion, other_motion
 from tauext.calibrate.promise import FalseAlarmBudget, Promise, is_consistent, rate_interval
 from tauext.calibrate.promised_limits import PromisedLimits, apply_promised, promised_limits
 from tauext.calibrate.wrench import fit_wrench
 
 __all__ = [
+    "NOT_MEASURED",
     "NO_CALIBRATION",
     "FalseAlarmBudget",
     "Judged",

@@ -18,7 +18,11 @@ from tauext.calibrate.promised_limits import PromisedLimits, limits_of
 from tauext.calibrate.tail import TooFewPeaks
 
 FEWEST = 3
-"""Recordings: of two, one has to show all that the other asks for."""
+"""Recordings. With two, one alone would have to show every error of the other."""
+NOT_MEASURED = (
+    f"How the limits hold in other kinds of motion is unknown: that takes {FEWEST} recordings or more, each long "
+    "enough to be left out in turn."
+)
 MOST_TURNS = 40
 """More recordings than this are left out several at a time."""
 UPPER = 1.645

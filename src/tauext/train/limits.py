@@ -11,6 +11,7 @@ import numpy as np
 from tauext._core import Bundle
 from tauext.calibrate import (
     NO_CALIBRATION,
+    NOT_MEASURED,
     Judged,
     Moment,
     Rows,
@@ -46,10 +47,6 @@ LEAST_RESERVE = 0.02
 FORGOTTEN = 2.0
 """Where limits follow from minutes, which saw a joint break away a few times, it is near stiction for so many 1/K0
 after it began to slide: r still shows how it broke away. Hours show how large that is."""
-UNKNOWN = (
-    "How the limits hold in other kinds of motion is unknown: that takes 3 recordings or more, each long enough to be "
-    "left out in turn."
-)
 EVEN_ODDS = 0.5
 """With which each limit keeps its share of the supported budget. That budget is the least that these minutes support
 at the promise's confidence; asked again of each of a dozen limits, that confidence doubled them beyond the largest
@@ -201,7 +198,7 @@ def set_supported_limits(
         if rows is not None and promised is not None:
             names = [link.joint_name for link in bundle.links]
             other = other_motion(rows, names, promised, EVEN_ODDS, factor, added)
-            facts["other_motion"] = other.facts() if other else {"sentence": UNKNOWN}
+            facts["other_motion"] = other.facts() if other else {"sentence": NOT_MEASURED}
         return words, facts
     if fit is None or not config.alarm.friction_reserve:
         return words, facts

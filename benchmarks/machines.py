@@ -41,10 +41,11 @@ from tauext.evaluate import estimate_recording
 from tauext.evaluate.free_motion import count_episodes
 from tauext.fleet_prior import fleet_arms, make_fleet_prior
 from tauext.fleet_prior.summary import ODD
-from tauext.learn.bundle_writing import build_setup, with_presliding
+from tauext.learn.bundle_writing import build_setup
 from tauext.learn.find_kinematics import REFINED, directions
 from tauext.learn.kinematic_sample import KinematicSample
 from tauext.learn.prior_terms import own_terms
+from tauext.learn.training_set import with_presliding
 from tauext.provenance import machine
 from tauext.robot import estimated_model
 from tauext.train import train_bundle

@@ -143,7 +143,7 @@ def told_of(bundle: _core.Bundle, arm, contact: Contact, q, dq, said: dict, plai
     point = (_reach(arm.tree, contact) + [LINK_RADIUS_M, 0, 0]).tolist()
     truth = contact.peak_n * np.array(contact.direction)
     sample = (q[at : at + 1], *(said[name][at : at + 1] for name in ("tau_ext", "sigma_nm")))
-    near, speed = said["near_stiction"][at : at + 1].astype(np.uint8), dq[at : at + 1]
+    sigma, speed = said["contact_sigma_nm"][at : at + 1], dq[at : at + 1]
     turned = model.columns(joint, q[at].tolist(), axes=_core.WrenchAxes.frame)[3:]
     rotation = model.columns(joint, q[at].tolist())[3:] @ np.linalg.pinv(turned)  # base from frame
     whole = np.r_[truth, np.cross(rotation @ point, truth)]
@@ -151,7 +151,7 @@ def told_of(bundle: _core.Bundle, arm, contact: Contact, q, dq, said: dict, plai
     for kind, where, wanted in (("force", point, truth), ("wrench", None, whole)):
         found = {
             name: column[0]
-            for name, column in model.wrenches(joint, *sample, where, near_stiction=near, dq=speed).items()
+            for name, column in model.wrenches(joint, *sample, where, contact_sigma_nm=sigma, dq=speed).items()
         }
         off = np.r_[found["force"], found["moment"]][: len(wanted)] - wanted
         distance = float(off @ np.linalg.solve(found["covariance"], off))

@@ -83,7 +83,8 @@ def cut_flight(bundle: _core.Bundle, samples, row: int, before: int = 1000, afte
     first = max(0, row - before)
     rows = slice(first, row + after + 1)
     flight = {name: getattr(samples, name)[rows] for name in ("t_ns", "q", "dq", "tau")}
-    torques = ("residual", "prior", "network", "drift", "tau_ext", "sigma_nm", "limit_nm", "contact_limit_nm")
+    torques = ("residual", "prior", "network", "drift", "tau_ext", "load_nm", "sigma_nm", "contact_sigma_nm")
+    torques += ("limit_nm", "contact_limit_nm")
     flight |= {
         key: said[key][rows]
         for key in (*torques, "near_stiction", "causes", "health", "alarm", "held_alarm", "touch", "detection")

@@ -130,7 +130,12 @@ def test_the_first_link_stays_first_until_another_is_twice_as_probable(arm, bund
     places, model = Places(_core.Bundle.load(bundles["tauext"])), Model()
     places._model = model
     felt = SimpleNamespace(
-        held_alarm=_core.Alarm.contact, near_stiction=[False] * 7, tau_ext=[1.0] * 7, sigma_nm=[1.0] * 7
+        held_alarm=_core.Alarm.contact,
+        near_stiction=[False] * 7,
+        tau_ext=[1.0] * 7,
+        sigma_nm=[1.0] * 7,
+        contact_sigma_nm=[1.0] * 7,
+        load_nm=[0.0] * 7,
     )
     gone = SimpleNamespace(held_alarm=_core.Alarm.none)
 

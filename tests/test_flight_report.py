@@ -96,12 +96,13 @@ def test_limits_that_move_and_the_standard_error_are_drawn_and_told(tmp_path):
     path = write_flight(flight, tmp_path, FlightSource.of(bundle, samples))
     loaded = load_flight(path)
     np.testing.assert_array_equal(loaded.estimates.sigma_nm, flight["sigma_nm"].astype(np.float32))
+    np.testing.assert_array_equal(loaded.estimates.contact_sigma_nm, flight["contact_sigma_nm"].astype(np.float32))
     assert loaded.event["sigma_nm"] == list(flight["event"].sigma_nm)
     top = draw_flight(loaded).figure.axes[0]
     assert np.ptp(loaded.estimates.limit[:, 0]) > 0.5
     np.testing.assert_array_equal(top.get_lines()[1].get_ydata(), loaded.estimates.limit[:, 0])
     (band,) = (one for one in top.collections if one.get_alpha())
-    sigma, row = flight["sigma_nm"][1000, 0], flight["event"].tau_ext[0]
+    sigma, row = flight["contact_sigma_nm"][1000, 0], flight["event"].tau_ext[0]
     heights = band.get_paths()[0].vertices[:, 1]
     assert np.abs(heights - (row + sigma)).min() < 1e-5 and np.abs(heights - (row - sigma)).min() < 1e-5
     rows = event_rows(loaded)

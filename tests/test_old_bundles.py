@@ -31,7 +31,7 @@ def test_a_bundle_of_every_released_format_is_read_and_written_as_today_s(name):
     assert format_of(content) == int(name[7])
     bundle = _core.Bundle.from_bytes(content)  # replays its reference
     new = bundle.to_bytes()
-    assert format_of(new) == _core.BUNDLE_FORMAT == 11 and _core.Bundle.from_bytes(new).to_bytes() == new
+    assert format_of(new) == _core.BUNDLE_FORMAT == 12 and _core.Bundle.from_bytes(new).to_bytes() == new
     assert bundle.torque_units == (["A", "A"] if name == "format-5-amperes" else ["N m", "N m"])
     assert bundle.estimate_units == ["N m", "N m"]
     load = bundle.load_settings  # what an older bundle assumes

@@ -29,6 +29,7 @@ def said_of(tau: np.ndarray, alarm: np.ndarray) -> dict[str, np.ndarray]:
         "alarm": alarm,
         "alarm_joint": np.where(alarm > 0, 4, -1),
         "tau_ext": tau,
+        "load_nm": np.zeros_like(tau),
         "sigma_nm": np.full_like(tau, SIGMA_NM),
         "contact_sigma_nm": np.full_like(tau, SIGMA_NM),
         "near_stiction": np.zeros(tau.shape, dtype=bool),
@@ -55,6 +56,17 @@ def found(bundle, signals, step: int) -> list:
         rows = slice(k, k + step)
         told += finder.find(k, t_ns[rows], q[rows], 0 * q[rows], {name: column[rows] for name, column in said.items()})
     return told
+
+
+def test_a_load_that_is_expected_is_no_part_of_the_touch(bundle, signals):
+    t_ns, q, said = signals
+    load = np.tile([0.0, 6.0, 0.0, -3.0, 0.0, 0.5, 0.0], (len(t_ns), 1))
+    loaded = said | {"tau_ext": said["tau_ext"] + load, "load_nm": load}
+    with_load, without = (found(bundle, (t_ns, q, what), 100) for what in (loaded, said))
+    assert [one.row for one in with_load] == [one.row for one in without]
+    for one, other in zip(with_load, without, strict=True):
+        assert [link for link, _ in one.links] == [link for link, _ in other.links]
+        np.testing.assert_allclose(one.best.force, other.best.force, rtol=1e-9)
 
 
 def test_told_after_a_tenth_of_a_second_and_again_when_it_grows(bundle, signals):

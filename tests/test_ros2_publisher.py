@@ -94,6 +94,7 @@ def verdict(
         "limit_nm": np.array([[5.0, 6.0]]),
         "contact_limit_nm": np.array([[2.5, 3.0]]),
         "sigma_nm": np.array([[0.25, np.nan]]),
+        "contact_sigma_nm": np.array([[0.5, np.nan]]),
         "margin_nm": np.array([[5.0, 6.0]]) - np.abs([tau_ext]),
         "health": np.array([health]),
         "alarm": np.array([alarm]),
@@ -223,6 +224,7 @@ def test_diagnostics_of_the_arm(talking, peer, space, said, level, message):
     )
     assert (values["contact_limit_nm shoulder"], values["contact_limit_nm elbow"]) == ("2.5", "3")
     assert (values["sigma_nm shoulder"], values["sigma_nm elbow"]) == ("0.25", "-")
+    assert (values["contact_sigma_nm shoulder"], values["contact_sigma_nm elbow"]) == ("0.5", "-")
     assert ("cause: gap" in values) == ("gap" in message)
 
 

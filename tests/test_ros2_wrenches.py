@@ -18,6 +18,7 @@ from tauext.ros2.node import Node
 
 JOINTS = ("shoulder", "elbow")
 Q, DQ, TAU, SIGMA = [0.3, 0.8], [0.2, -0.1], [5.0, -2.0], [0.4, 0.2]
+LOAD, CONTACT_SIGMA = [0.5, 0.0], [0.9, 0.2]
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +32,7 @@ def bundle():
 
 
 def said_of(tau=TAU):
-    row = {"tau_ext": tau, "sigma_nm": SIGMA, "near_stiction": [True, False], "margin_nm": SIGMA}
+    row = {"tau_ext": tau, "load_nm": LOAD, "sigma_nm": SIGMA, "contact_sigma_nm": CONTACT_SIGMA, "margin_nm": SIGMA}
     arrays = {name: np.array([values]) for name, values in row.items()}
     return arrays | {"health": np.array([1]), "alarm": np.array([0]), "causes": np.array([0])}
 
@@ -76,10 +77,11 @@ def test_a_wrench_is_that_of_the_core_along_the_frame_s_own_axes_with_its_covari
     source.last_stamp_ns = 5 * 10**18 // 3
     publisher.verdict(verdict())
     told, with_doubt = next_of(wrenches), next_of(covariances)
-    rows = [np.array([values]) for values in (Q, TAU, SIGMA)]
-    near = np.array([[1, 0]], dtype=np.uint8)
+    left = [torque - load for torque, load in zip(TAU, LOAD, strict=True)]
+    rows = [np.array([values]) for values in (Q, left, SIGMA)]
+    contact = np.array([CONTACT_SIGMA])
     own = _core.WrenchAxes.frame
-    wanted = _core.WrenchModel(bundle).wrenches("tip/1", *rows, None, own, near, np.array([DQ]))
+    wanted = _core.WrenchModel(bundle).wrenches("tip/1", *rows, None, own, contact, np.array([DQ]))
     assert numbers(told.wrench.force) == wanted["force"][0].tolist()
     assert numbers(told.wrench.torque) == wanted["moment"][0].tolist()
     assert (told.header.frame_id, told.header.stamp.ns) == ("tip/1", 5 * 10**18 // 3)

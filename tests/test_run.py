@@ -368,7 +368,7 @@ def test_a_limit_that_moves_is_told_with_the_standard_error(bundle, tmp_path, ca
     assert limit == pytest.approx(scale * LIMIT_NM) and scale > 1.2
     text = one.path.with_suffix(".txt").read_text()
     assert f"over its collision limit of {limit:.3f} Nm" in text
-    assert f"It was {size / sigma:.2g} times its standard error of {sigma:.3f} Nm" in text
+    assert f"It was {size / sigma:.2g} times its standard error in free motion of {sigma:.3f} Nm" in text
     assert f"multiplied the limit of usual motion by {scale:.2f}." in text
     estimates = load_estimates(one.path.with_name(f"{one.path.stem}.estimates.parquet"))
     np.testing.assert_array_equal(estimates.sigma_nm, said["sigma_nm"][k - 1000 : k + 501].astype(np.float32))

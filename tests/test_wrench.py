@@ -208,25 +208,22 @@ def test_a_touch_further_up_the_arm_is_no_touch_at_the_flange_and_one_further_do
     assert one(model, "joint7", POSE, at_elbow, here)["consistent"] < 0.05
 
 
-def test_friction_that_a_push_turns_round_widens_joints_near_stiction_alone():
-    old = _core.Bundle.load(str(GOLDEN))
-    model, sigma = _core.WrenchModel(old), [1.0, 0.5]
-
-    def more(tau, near=0b11):
-        stuck, sliding = (model.covariance(True, tau, sigma, bits) for bits in (near, 0))
-        assert stuck[0, 1] == sliding[0, 1]
-        return np.sqrt(np.diag(stuck - sliding))
-
-    whole = more([1e3, 0.0])
-    assert 0.25 * 2.0 < whole[0] < 0.25 * 6.0  # of 3 N m of friction
-    np.testing.assert_allclose(more([0.0, 1e3]), whole)  # whichever joint is overcome
-    np.testing.assert_allclose(more([4 * whole[0] / 10, 0.0]), whole / 10)  # a tenth of its friction
-    assert (more([0.0, 0.0]) == 0).all() and more([1e3, 0.0], 0b10)[0] == 0
-    q, tau = np.array([[0.3, 0.8]]), np.array([[1e3, 0.1]])
-    rows = (q, tau, np.array([sigma]), [0.0, 0.0, 0.0], BASE)
-    free, held = (model.wrenches("elbow", *rows, near) for near in (None, np.ones((1, 2), dtype=np.uint8)))
+def test_what_a_contact_adds_to_a_joints_error_is_independent_of_the_others():
+    model, sigma, contact = _core.WrenchModel(_core.Bundle.load(str(GOLDEN))), [1.0, 0.5], [1.5, 0.5]
+    tau = [7.0, -3.0]
+    free, held = (model.covariance(True, tau, sigma, more) for more in ([], contact))
+    np.testing.assert_allclose(held - free, [[1.5**2 - 1.0**2, 0], [0, 0]], atol=1e-12)
+    np.testing.assert_array_equal(model.covariance(True, tau, sigma, sigma), free)
+    rows = (np.array([[0.3, 0.8]]), np.array([tau]), np.array([sigma]), [0.0, 0.0, 0.0], BASE)
+    free, held = (model.wrenches("elbow", *rows, more) for more in (None, np.array([contact])))
     assert (np.linalg.eigvalsh(held["covariance"] - free["covariance"])[0] > -1e-6).all()
     assert np.trace(held["covariance"][0]) > np.trace(free["covariance"][0])
+    for wrong in ([0.9, 0.5], [np.nan, 0.5], [np.inf, 0.5]):  # less than in free motion, or no number
+        assert np.isnan(model.wrenches("elbow", *rows, np.array([wrong]))["force"]).all()
+    with pytest.raises(_core.CoreError, match="contact_sigma_nm must have the shape of q"):
+        model.wrenches("elbow", *rows, np.ones((2, 2)))
+    with pytest.raises(_core.CoreError, match="tau_ext, sigma_nm and contact_sigma_nm must hold 2 values"):
+        model.covariance(True, tau, sigma, [1.0])
 
 
 def test_what_a_touch_adds_to_the_friction_of_moving_joints_is_taken_off_where_a_load_showed_it():

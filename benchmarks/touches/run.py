@@ -169,9 +169,9 @@ def told_of(arm: Arm, touch: Touch, samples: Samples, said: dict, changes: list[
     first = int(np.searchsorted(samples.t_ns, last.t_ns - round(last.since_s * 1e9)))
     at = first + int(np.nanargmax(strength[first : last.row + 1]))
     sample = (samples.q[at].tolist(), said["tau_ext"][at].tolist(), said["sigma_nm"][at].tolist())
-    near = sum(1 << j for j in range(len(arm.names)) if said["near_stiction"][at, j])
+    contact_sigma = said["contact_sigma_nm"][at].tolist()
     found = _core.PlaceModel(arm.bundle).find(
-        *sample, near, link=touch.link, frame=arm.names[-1], dq=samples.dq[at].tolist()
+        *sample, contact_sigma, link=touch.link, frame=arm.names[-1], dq=samples.dq[at].tolist()
     )
     given = found.places
     probability = [0.0] * len(arm.names)
@@ -182,7 +182,7 @@ def told_of(arm: Arm, touch: Touch, samples: Samples, said: dict, changes: list[
         arm.names[-1],
         *(np.array([one]) for one in sample),
         [0.0, 0.0, 0.0],
-        near_stiction=said["near_stiction"][at : at + 1].astype(np.uint8),
+        contact_sigma_nm=said["contact_sigma_nm"][at : at + 1],
         dq=samples.dq[at : at + 1],
     )
     return row | {

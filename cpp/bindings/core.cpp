@@ -153,7 +153,8 @@ void bind_observer(nb::module_& m) {
       .value("gravity", TermKind::gravity)
       .value("quadratic", TermKind::quadratic)
       .value("momentum", TermKind::momentum)
-      .value("backlash", TermKind::backlash);
+      .value("backlash", TermKind::backlash)
+      .value("local_memory", TermKind::local_memory);
   nb::class_<Term>(m, "Term", "A regressor of the prior; see prior.hpp for what a, b, c, form and speed mean to a kind.")
       .def(
           "__init__",
@@ -177,6 +178,7 @@ void bind_observer(nb::module_& m) {
   nb::class_<PriorSettings>(m, "PriorSettings", "Presliding widths [rad], terms with weights (joints, terms), corrected links.")
       .def(nb::init<>())
       .def_rw("widths_rad", &PriorSettings::widths_rad)
+      .def_rw("branches", &PriorSettings::branches)
       .def_rw("terms", &PriorSettings::terms)
       .def_rw("weights", &PriorSettings::weights)
       .def_rw("corrected_links", &PriorSettings::corrected_links)

@@ -205,7 +205,9 @@ std::optional<FlightDict> take(FlightRecorder& recorder, std::size_t n) {
   out["network"] = to_numpy(std::move(f.network), {N, n});
   out["drift"] = to_numpy(std::move(f.drift), {N, n});
   out["tau_ext"] = to_numpy(std::move(f.tau_ext), {N, n});
+  out["load_nm"] = to_numpy(std::move(f.load_nm), {N, n});
   out["sigma_nm"] = to_numpy(std::move(f.sigma_nm), {N, n});
+  out["contact_sigma_nm"] = to_numpy(std::move(f.contact_sigma_nm), {N, n});
   out["limit_nm"] = to_numpy(std::move(f.limit_nm), {N, n});
   out["contact_limit_nm"] = to_numpy(std::move(f.contact_limit_nm), {N, n});
   out["causes"] = to_numpy(std::move(f.causes), {N});

@@ -89,23 +89,24 @@ void bind_places(nb::module_& m) {
       .def(
           "find",
           [](PlaceModel& self, const std::vector<double>& q, const std::vector<double>& tau_ext,
-             const std::vector<double>& sigma_nm, std::uint32_t near_stiction, bool places, std::optional<int> link,
+             const std::vector<double>& sigma_nm, const std::vector<double>& contact_sigma_nm, bool places, std::optional<int> link,
              const std::optional<std::string>& frame, const std::optional<std::vector<double>>& dq) {
             check(self, q, tau_ext, sigma_nm);
+            if (!contact_sigma_nm.empty()) check(self, q, tau_ext, contact_sigma_nm);
             if (dq) check(self, *dq, tau_ext, sigma_nm);
             if (link && (*link < 0 || *link >= self.joints()))
               throw Error("link = " + std::to_string(*link) + " must be 0 to " + std::to_string(self.joints() - 1));
             const int at = frame ? frame_of(self.wrench_model(), *frame) : -1;
             Found found{self.joints(), {}, 0};
-            self.rank(q, tau_ext, sigma_nm, near_stiction, found.told, dq ? std::span<const double>(*dq) : std::span<const double>());
+            self.rank(q, tau_ext, sigma_nm, contact_sigma_nm, found.told, dq ? std::span<const double>(*dq) : std::span<const double>());
             if (places) self.locate(found.told, link.value_or(-1));
             found.at_frame = self.at_frame(at);
             return found;
           },
-          nb::arg("q"), nb::arg("tau_ext"), nb::arg("sigma_nm"), nb::arg("near_stiction") = 0, nb::arg("places") = true,
+          nb::arg("q"), nb::arg("tau_ext"), nb::arg("sigma_nm"), nb::arg("contact_sigma_nm") = std::vector<double>(), nb::arg("places") = true,
           nb::arg("link").none() = nb::none(), nb::arg("frame").none() = nb::none(),
           nb::arg("dq").none() = nb::none(),
-          "Of a sample: links with their probabilities and, if asked for, places. near_stiction: a bit a joint. link: one that "
+          "Of a sample: links with their probabilities and, if asked for, places. contact_sigma_nm: of the estimate; none: as in free motion. link: one that "
           "the touch is known to be on, whose places are then told alone. frame: one whose at_frame is asked for. dq: "
           "what a touch adds to the friction of joints that move is taken off; None: as where they stand.");
   m.def(

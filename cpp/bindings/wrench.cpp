@@ -54,26 +54,28 @@ int expect_frame(const WrenchModel& model, const std::string& name) {
 ArrayDict wrenches(const WrenchModel& model, const std::string& name, const Array<double, 2>& q,
                    const Array<double, 2>& tau_ext, const Array<double, 2>& sigma_nm,
                    const std::optional<std::array<double, 3>>& point, WrenchAxes axes,
-                   const std::optional<Array<std::uint8_t, 2>>& near_stiction, const std::optional<Array<double, 2>>& dq) {
+                   const std::optional<Array<double, 2>>& contact_sigma_nm, const std::optional<Array<double, 2>>& dq) {
   if (!model.refused().empty()) throw Error("no wrench: " + model.refused());
   const int frame = expect_frame(model, name);
   const Signals s = expect(model, q, tau_ext, sigma_nm);
   const std::size_t m = point ? 3 : 6;
-  if (near_stiction && (near_stiction->shape(0) != s.samples || near_stiction->shape(1) != s.joints))
-    throw Error("near_stiction must have the shape of q");
-  if (dq && (dq->shape(0) != s.samples || dq->shape(1) != s.joints)) throw Error("dq must have the shape of q");
+  const auto expect_shape = [&s](const std::optional<Array<double, 2>>& of, const char* name) {
+    if (of && (of->shape(0) != s.samples || of->shape(1) != s.joints)) throw Error(std::string(name) + " must have the shape of q");
+  };
+  expect_shape(contact_sigma_nm, "contact_sigma_nm");
+  expect_shape(dq, "dq");
   std::vector<double> force, moment, covariances, chi_square, consistent, directions(s.samples * m * m, 0.0);
   std::vector<std::int32_t> blind_count, freedom;
   {
     nb::gil_scoped_release released;
     for (std::size_t k = 0; k < s.samples; ++k) {
       const auto at = [&](const double* of) { return s.row(of, k); };
-      std::uint32_t near = 0;
-      for (std::size_t j = 0; near_stiction && j < s.joints; ++j)
-        if (near_stiction->data()[k * s.joints + j]) near |= 1u << j;
-      const std::span<const double> speed = dq ? at(dq->data()) : std::span<const double>();
-      const Wrench w = point ? model.force(frame, *point, at(s.q), at(s.tau_ext), at(s.sigma_nm), axes, near, speed)
-                             : model.wrench(frame, at(s.q), at(s.tau_ext), at(s.sigma_nm), axes, near, speed);
+      const auto if_given = [&](const std::optional<Array<double, 2>>& of) {
+        return of ? at(of->data()) : std::span<const double>();
+      };
+      const std::span<const double> sigma = if_given(contact_sigma_nm), speed = if_given(dq);
+      const Wrench w = point ? model.force(frame, *point, at(s.q), at(s.tau_ext), at(s.sigma_nm), axes, sigma, speed)
+                             : model.wrench(frame, at(s.q), at(s.tau_ext), at(s.sigma_nm), axes, sigma, speed);
       force.insert(force.end(), w.force.begin(), w.force.end());
       moment.insert(moment.end(), w.moment.begin(), w.moment.end());
       covariances.insert(covariances.end(), w.covariance.begin(), w.covariance.begin() + static_cast<std::ptrdiff_t>(m * m));
@@ -186,19 +188,20 @@ void bind_wrench(nb::module_& m) {
       .def(
           "covariance",
           [](const WrenchModel& self, bool force_alone, const std::vector<double>& tau_ext, const std::vector<double>& sigma_nm,
-             std::uint32_t near_stiction) {
+             const std::vector<double>& contact_sigma_nm) {
             const auto n = static_cast<std::size_t>(self.joints());
-            if (tau_ext.size() != n || sigma_nm.size() != n)
-              throw Error("tau_ext and sigma_nm must hold " + std::to_string(n) + " values");
+            if (tau_ext.size() != n || sigma_nm.size() != n || (!contact_sigma_nm.empty() && contact_sigma_nm.size() != n))
+              throw Error("tau_ext, sigma_nm and contact_sigma_nm must hold " + std::to_string(n) + " values");
             std::vector<double> out(n * n);
-            self.covariance(force_alone ? WrenchKind::force : WrenchKind::wrench, tau_ext, sigma_nm, near_stiction, out);
+            self.covariance(force_alone ? WrenchKind::force : WrenchKind::wrench, tau_ext, sigma_nm, contact_sigma_nm, out);
             return to_numpy(std::move(out), {n, n});
           },
           nb::arg("force_alone"), nb::arg("tau_ext"), nb::arg("sigma_nm"),
-          nb::arg("near_stiction") = 0, "S of a sample, (joints, joints); near_stiction: a bit a joint.")
+          nb::arg("contact_sigma_nm") = std::vector<double>(),
+          "S of a sample, (joints, joints); contact_sigma_nm: of the estimate; none: as in free motion.")
       .def("wrenches", &wrenches, nb::arg("frame"), nb::arg("q"), nb::arg("tau_ext"), nb::arg("sigma_nm"),
            nb::arg("point").none() = nb::none(), nb::arg("axes") = WrenchAxes::base,
-           nb::arg("near_stiction").none() = nb::none(), nb::arg("dq").none() = nb::none(),
+           nb::arg("contact_sigma_nm").none() = nb::none(), nb::arg("dq").none() = nb::none(),
            "Of many samples: force, moment, covariance, blind (how many), blind_directions, chi_square, freedom, "
            "consistent. point: where a force alone acts, [m] along the frame's own axes; None: the full wrench.");
   m.def("chi_square_beyond", &chi_square_beyond, nb::arg("value"), nb::arg("freedom"),

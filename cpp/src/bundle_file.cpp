@@ -26,6 +26,7 @@ constexpr std::uint32_t kTodayMajor = 8;      // from here on what may be carrie
 constexpr std::uint32_t kWrenchMajor = 9;     // from here on frames and what errors have in common; before, as the defaults say
 constexpr std::uint32_t kServoMajor = 10;     // from here on servos; before, signals came as they are
 constexpr std::uint32_t kRateMajor = 11;      // from here on the rate's tolerance; before, the least
+constexpr std::uint32_t kBranchMajor = 12;    // from here on branches of presliding friction with local memory
 constexpr const char* kOldConstants = "\"torque_constants\": {";
 
 class Writer {
@@ -212,6 +213,7 @@ void fields(File& file, Bundle& b) {
     field(file, b.signals.possible_speed_rad_s);
   }
   if (file.major >= kRateMajor) field(file, b.signals.rate_tolerance);
+  if (file.major >= kBranchMajor) field(file, b.prior.branches);
   if (file.major >= kTodayMajor) {
     field(file, b.load.frame);
     field(file, b.load.link);

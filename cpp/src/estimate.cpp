@@ -19,6 +19,7 @@ struct Seen {
   std::vector<Row> rows;                      // (samples)
   std::vector<float> features;                // (clock rows, columns)
   std::vector<double> friction;               // (samples, Coulomb's and viscous, joints), where the bundle follows it
+  std::vector<double> memory_gap;             // (samples, joints), where the prior has branches
   std::vector<std::int64_t> judged_ends;      // clock rows of the samples that are judged
   std::int64_t clock_rows = 0;
 };
@@ -45,6 +46,10 @@ Seen observe_all(const Bundle& bundle, const RecordingView& recording, Estimates
       seen.friction.resize(2 * N * n);
       std::ranges::copy(o.coulomb, seen.friction.begin() + static_cast<std::ptrdiff_t>(2 * k * n));
       std::ranges::copy(o.viscous, seen.friction.begin() + static_cast<std::ptrdiff_t>((2 * k + 1) * n));
+    }
+    if (!o.memory_gap.empty()) {
+      seen.memory_gap.resize(N * n);
+      std::ranges::copy(o.memory_gap, seen.memory_gap.begin() + static_cast<std::ptrdiff_t>(k * n));
     }
     at.add(o.restarted, o.ticks);
     // Bridged ticks hold the sample before.
@@ -95,6 +100,7 @@ void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen&
       o.coulomb = std::span(seen.friction).subspan(2 * k * n, n);
       o.viscous = std::span(seen.friction).subspan((2 * k + 1) * n, n);
     }
+    if (!seen.memory_gap.empty()) o.memory_gap = std::span(seen.memory_gap).subspan(k * n, n);
     const bool entered = row.passage == Passage::entered;
     const std::span<const float> network =
         entered && row.judged && !outputs.empty() ? outputs.subspan(n * judged, n) : std::span<const float>();

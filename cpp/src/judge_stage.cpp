@@ -188,7 +188,7 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
                               e.near_stiction, o.judged, first_joints(e.limit_nm), first_joints(e.contact_limit_nm));
   if (o.judged && scale_.on()) {
     contact_errors_.step(o.t_ns, e.near_stiction, alarm_.state().held_alarm != Alarm::none || e.detection, first_joints(e.tau_ext),
-                         first_joints(e.sigma_nm), first_joints(e.contact_sigma_nm));
+                         first_joints(e.sigma_nm), o.memory_gap, first_joints(e.contact_sigma_nm));
   } else {
     e.contact_sigma_nm = e.sigma_nm;
     contact_errors_.skip();

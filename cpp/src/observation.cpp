@@ -113,7 +113,7 @@ std::vector<double> prior_regressors(const Tree& tree, const ObserverSettings& s
   expect_joints(tree, recording);
   prior.validate(recording.joints);
   const std::size_t M = prior.terms.size();
-  MotionStage motion(tree, settings.sample_period_ns, settings.network_stride, prior.widths_rad);
+  MotionStage motion(tree, settings.sample_period_ns, settings.network_stride, prior.widths_rad, prior.branches);
   PriorTerms terms(prior, tree.gravity());
   // A filter takes kMaxJoints values at a time; which of them are joints is nothing to it.
   std::vector<MomentumObserver> filters;

@@ -169,6 +169,10 @@ void ObserveStage::enter(const Sample& s) noexcept {
     o.coulomb = coulomb;
     o.viscous = viscous;
   }
+  if (presliding().has_branches()) {
+    for (std::size_t j = 0; j < n; ++j) memory_gap_[j] = presliding().memory_gap(static_cast<int>(j));
+    o.memory_gap = std::span(memory_gap_).first(n);
+  }
   o.restarted = tick.kind == SampleClock::Kind::restart;
   if (o.restarted) {
     if (p.started && !p.restart_next) {

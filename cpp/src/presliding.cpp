@@ -5,8 +5,8 @@
 
 namespace tauext {
 
-Presliding::Presliding(int joints, std::span<const double> widths)
-    : joints_(joints), widths_(widths.begin(), widths.end()) {
+Presliding::Presliding(int joints, std::span<const double> widths, std::span<const double> branches)
+    : joints_(joints), widths_(widths.begin(), widths.end()), branches_(branches.begin(), branches.end()) {
   if (joints < 1 || joints > kMaxJoints)
     throw Error("presliding states need 1 to " + std::to_string(kMaxJoints) + " joints, not " + std::to_string(joints));
   if (widths.size() > kMaxWidths)
@@ -18,6 +18,52 @@ Presliding::Presliding(int joints, std::span<const double> widths)
       throw Error("presliding width " + to_text(width) + " rad must be > " + to_text(before));
     before = width;
   }
+  if (branches.empty()) return;
+  if (branches.size() != static_cast<std::size_t>(columns()))
+    throw Error("presliding branches are " + std::to_string(branches.size()) + " where " + std::to_string(columns()) + " belong");
+  edges_.resize(branches.size());
+  slopes_.resize(branches.size());
+  for (int j = 0; j < joints_; ++j) {
+    double sum = 0;
+    for (int w = 0; w < width_count(); ++w) {
+      const double share = branches_[index(j, w)];
+      if (!(share >= 0 && share <= 1)) throw Error("presliding branch " + to_text(share) + " must be 0 to 1");
+      sum += share;
+    }
+    if (sum != 0 && !(std::fabs(sum - 1) <= 1e-6))
+      throw Error("presliding branches of joint " + std::to_string(j) + " sum to " + to_text(sum) + ", not to 1 or 0");
+    double edge = -1, from = 0;
+    for (int w = 0; w < width_count(); ++w) {
+      double slope = 0;
+      for (int k = w; k < width_count(); ++k) slope += branches_[index(j, k)] / widths_[k];
+      edge += slope * (2 * widths_[w] - from);
+      from = 2 * widths_[w];
+      const bool last = std::all_of(branches_.begin() + static_cast<std::ptrdiff_t>(index(j, w)) + 1,
+                                    branches_.begin() + static_cast<std::ptrdiff_t>(index(j, 0)) + width_count(),
+                                    [](double share) { return share == 0; });
+      edges_[index(j, w)] = sum == 0 ? -1 : last ? 1 : std::min(edge, 1.0);
+      slopes_[index(j, w)] = slope;
+    }
+  }
+}
+
+// Along the branch, segment by segment; a joint that slides stays where it is.
+void Presliding::bend_local(int joint, double moved) noexcept {
+  double& state = state_.local[static_cast<std::size_t>(joint)];
+  const double direction = moved > 0 ? 1.0 : -1.0;
+  double at = direction * state, left = std::fabs(moved);
+  for (int w = 0; w < width_count(); ++w) {
+    const double edge = edges_[index(joint, w)], slope = slopes_[index(joint, w)];
+    if (!(at < edge)) continue;
+    const double to_edge = (edge - at) / slope;
+    if (left < to_edge) {
+      at = std::min(at + slope * left, edge);
+      break;
+    }
+    left -= to_edge;
+    at = edge;
+  }
+  state = direction * at;
 }
 
 void Presliding::forget(int joint) noexcept {
@@ -25,6 +71,7 @@ void Presliding::forget(int joint) noexcept {
     state_.low[index(joint, w)] = -1.0;
     state_.high[index(joint, w)] = 1.0;
   }
+  state_.local[static_cast<std::size_t>(joint)] = 0.0;
 }
 
 void Presliding::step(std::span<const double> q) noexcept {
@@ -41,6 +88,8 @@ void Presliding::step(std::span<const double> q) noexcept {
       state_.low[at] = std::clamp(state_.low[at] + by, -1.0, 1.0);
       state_.high[at] = std::clamp(state_.high[at] + by, -1.0, 1.0);
     }
+    if (!state_.started) state_.local[static_cast<std::size_t>(j)] = 0.0;
+    if (has_branches() && moved != 0) bend_local(j, moved);
   }
   state_.started = true;
 }
@@ -48,11 +97,14 @@ void Presliding::step(std::span<const double> q) noexcept {
 void Presliding::write_ends(std::span<double> low, std::span<double> high) const noexcept {
   std::copy_n(state_.low.begin(), columns(), low.begin());
   std::copy_n(state_.high.begin(), columns(), high.begin());
+  for (std::span<double> to : {low, high})
+    std::copy_n(state_.local.begin(), kept_columns() - columns(), to.begin() + columns());
 }
 
 void Presliding::read_ends(std::span<const double> low, std::span<const double> high) noexcept {
   std::copy_n(low.begin(), columns(), state_.low.begin());
   std::copy_n(high.begin(), columns(), state_.high.begin());
+  std::copy_n(low.begin() + columns(), kept_columns() - columns(), state_.local.begin());
 }
 
 void Presliding::write(std::span<double> states) const noexcept {

@@ -27,17 +27,18 @@ void FrictionTemperature::validate(int joints) const {
 
 void PriorSettings::validate(int joints) const {
   temperature.validate(joints);
-  const Presliding probe(joints, widths_rad);
+  const Presliding probe(joints, widths_rad, branches);
   const auto expect = [](bool ok, std::size_t term, const char* rule) {
     if (!ok) throw Error("prior term " + std::to_string(term) + ": " + rule);
   };
   for (std::size_t m = 0; m < terms.size(); ++m) {
     const Term& t = terms[m];
     const auto joint = [joints](std::int32_t j) { return j >= 0 && j < joints; };
-    expect(t.kind <= TermKind::backlash, m, "its kind is unknown");
+    expect(t.kind <= TermKind::local_memory, m, "its kind is unknown");
     expect(joint(t.a), m, "joint a does not exist");
     if (t.kind == TermKind::coulomb || t.kind == TermKind::load)
       expect(t.speed > 0 && std::isfinite(t.speed), m, "its speed must be > 0");
+    if (t.kind == TermKind::local_memory) expect(probe.has_branches(), m, "there is no branch to follow");
     if (has_width(t))
       expect(t.b >= 0 && t.b < probe.width_count(), m, "its presliding width does not exist");
     if (t.kind == TermKind::gravity || t.kind == TermKind::quadratic || t.kind == TermKind::momentum)
@@ -143,6 +144,7 @@ double PriorTerms::value(std::size_t term) const noexcept {
     case TermKind::momentum:
       return dq_[t.a] * (t.form == 0 ? 1.0 : t.form == 1 ? std::cos(q_[t.b]) : std::sin(q_[t.b]));
     case TermKind::backlash: return weight_nm(t) * (1.0 - std::fabs(presliding_->value(t.a, t.b)));
+    case TermKind::local_memory: return presliding_->memory_gap(t.a);
   }
   return 0.0;
 }
@@ -161,7 +163,7 @@ Prior::Prior(const PriorSettings& settings, const std::array<double, 3>& gravity
       values_(settings.terms.size()),
       shares_(settings.most_load_nm.empty() ? std::vector<double>() : load_friction_shares(settings, joints)),
       temperature_(settings.temperature),
-      has_presliding_(std::ranges::any_of(settings.terms, has_width)),
+      has_presliding_(std::ranges::any_of(settings.terms, [](const Term& t) { return has_width(t) || t.kind == TermKind::local_memory; })),
       state_{MomentumObserver(joints, gain_per_s, TorqueTiming::held),
              MomentumObserver(joints, gain_per_s, TorqueTiming::held), false, false, {}} {
   for (std::size_t m = 0; m < terms_.size(); ++m) {

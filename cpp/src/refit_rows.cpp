@@ -41,6 +41,7 @@ Entered entered_samples(const RecordingView& r, const Estimates& said) {
 PriorSettings changeable(const Bundle& bundle, std::span<const Term> terms) {
   PriorSettings prior;
   prior.widths_rad = bundle.prior.widths_rad;
+  prior.branches = bundle.prior.branches;
   prior.terms.assign(terms.begin(), terms.end());
   prior.weights.assign(terms.size() * bundle.links.size(), 0.0);
   prior.corrected_links = bundle.prior.corrected_links;

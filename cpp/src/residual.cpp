@@ -16,7 +16,7 @@ void ObserverSettings::validate_constants(int joints) const {
 }
 
 ResidualStage::ResidualStage(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior)
-    : motion_(tree, settings.sample_period_ns, settings.network_stride, prior.widths_rad),
+    : motion_(tree, settings.sample_period_ns, settings.network_stride, prior.widths_rad, prior.branches),
       method_(settings.method),
       observer_(tree.size(), settings.gain_per_s, settings.timing),
       comparison_(tree, settings.method, settings.gain_per_s, settings.timing),

@@ -15,7 +15,7 @@ void ResidualStage::allow_loads(const LoadSettings& settings, std::span<const do
   bare_ = model_carries_ ? motion_.tree() : *prior_.terms().corrected();
   if (method_ != ResidualMethod::momentum || !unfiltered_) return;
   const double rows = std::ceil(10.0 / gain_per_s_ * 1e9 / static_cast<double>(sample_period_ns_)) + 1;
-  past_ = PastSamples(motion_.tree().size(), presliding().columns(),
+  past_ = PastSamples(motion_.tree().size(), presliding().kept_columns(),
                       static_cast<std::size_t>(std::clamp(rows, 2.0, static_cast<double>(kMostPast))));
   past_presliding_ = presliding();
 }

@@ -212,23 +212,18 @@ std::array<double, 3> PlaceModel::force_at(const LinkSurface& surface, std::size
 }
 
 void PlaceModel::rank(std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm,
-                      std::uint32_t near_stiction, TouchPlaces& into, std::span<const double> dq) noexcept {
+                      std::span<const double> contact_sigma_nm, TouchPlaces& into, std::span<const double> dq) noexcept {
   const auto n = static_cast<std::size_t>(joints());
   into = {};
   into.consistent = log_elsewhere_ = std::numeric_limits<double>::quiet_NaN();
-  bool sound = refused().empty() && wrench_.known(q, tau_ext, sigma_nm);
+  bool sound = refused().empty() && wrench_.known(q, tau_ext, sigma_nm, contact_sigma_nm);
   for (const double value : dq) sound = sound && std::isfinite(value);
   if (!sound) return;
   std::array<double, kMaxJoints> y;
   std::ranges::copy(tau_ext.first(n), y.begin());
   if (!dq.empty()) wrench_.take_off_rubbing(q, dq, std::span(y).first(n));
   std::array<double, kMaxJoints * kMaxJoints> s;
-  wrench_.covariance(WrenchKind::force, std::span(y).first(n), sigma_nm, 0, s);
-  for (std::size_t j = 0; j < n; ++j)
-    if (near_stiction >> j & 1) {
-      const double hidden = kStuckShare * std::min(std::fabs(y[j]), wrench_.friction_at_rest_nm()[j]);
-      s[j * n + j] += hidden * hidden;
-    }
+  wrench_.covariance(WrenchKind::force, std::span(y).first(n), sigma_nm, contact_sigma_nm, s);
   const std::size_t rows = wrench_.told().size();
   wrench_.keep_told(s, n, true);
   wrench_.keep_told(y, 1, false);

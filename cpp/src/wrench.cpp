@@ -7,7 +7,6 @@
 #include "link_seen.hpp"
 #include "tauext/bundle.hpp"
 #include "tauext/load_regressor.hpp"
-#include "tauext/refit_motion.hpp"
 #include "vector3.hpp"
 #include "wrench_solve.hpp"
 
@@ -104,7 +103,6 @@ WrenchModel::WrenchModel(const Bundle& bundle)
     if (is_load(term)) rubbing_[static_cast<std::size_t>(term.a)] = shares[static_cast<std::size_t>(term.a)];
   for (std::size_t j = 0; j < links_.size(); ++j)
     if (bundle.in_newtons(static_cast<int>(j))) told_.push_back(j);
-  for (std::size_t j = 0; j < links_.size(); ++j) friction_nm_.push_back(friction_line(bundle.prior, j).at_rest_nm);
   for (std::size_t j = 0; j < links_.size(); ++j)
     frames_.push_back({links_[j].joint_name, static_cast<std::int32_t>(j), WrenchFrame{}.rotation, {}});
   if (bundle.load.link >= 0) frames_.push_back({bundle.load.frame, bundle.load.link, bundle.load.rotation, bundle.load.translation});
@@ -134,7 +132,7 @@ void WrenchModel::pose(int frame, std::span<const double> q, std::array<double, 
 }
 
 void WrenchModel::covariance(WrenchKind kind, std::span<const double> tau_ext, std::span<const double> sigma_nm,
-                             std::uint32_t near_stiction, std::span<double> into) const noexcept {
+                             std::span<const double> contact_sigma_nm, std::span<double> into) const noexcept {
   const auto n = links_.size();
   const double radius = settings_.radius[static_cast<std::size_t>(kind)];
   const double common = settings_.common_share * settings_.common_share;
@@ -149,14 +147,8 @@ void WrenchModel::covariance(WrenchKind kind, std::span<const double> tau_ext, s
       }
       into[i * n + j] = radius * sigma_nm[i] * sigma_nm[j] * alike + of_constants * tau_ext[i] * tau_ext[j];
     }
-  double overcome = 0;  // how much of a joint's friction the touch is, at most
-  for (std::size_t i = 0; i < n; ++i)
-    if (friction_nm_[i] > 0) overcome = std::max(overcome, std::fabs(tau_ext[i]) / friction_nm_[i]);
-  for (std::size_t i = 0; i < n; ++i)
-    if (near_stiction >> i & 1) {
-      const double hidden = kStuckShare * friction_nm_[i] * std::min(1.0, overcome);
-      into[i * n + i] += hidden * hidden;
-    }
+  for (std::size_t i = 0; i < contact_sigma_nm.size(); ++i)
+    into[i * n + i] += contact_sigma_nm[i] * contact_sigma_nm[i] - sigma_nm[i] * sigma_nm[i];
 }
 
 void WrenchModel::take_off_rubbing(std::span<const double> q, std::span<const double> dq,
@@ -171,11 +163,12 @@ void WrenchModel::take_off_rubbing(std::span<const double> q, std::span<const do
   }
 }
 
-bool WrenchModel::known(std::span<const double> q, std::span<const double> tau_ext,
-                        std::span<const double> sigma_nm) const noexcept {
+bool WrenchModel::known(std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm,
+                        std::span<const double> contact_sigma_nm) const noexcept {
   for (std::size_t j = 0; j < links_.size(); ++j)
     if (!std::isfinite(q[j])) return false;
   return std::ranges::all_of(told_, [&](std::size_t j) noexcept {
+    if (!contact_sigma_nm.empty() && !(contact_sigma_nm[j] >= sigma_nm[j] && std::isfinite(contact_sigma_nm[j]))) return false;
     return std::isfinite(tau_ext[j]) && sigma_nm[j] > 0 && std::isfinite(sigma_nm[j]);
   });
 }
@@ -190,7 +183,7 @@ void WrenchModel::keep_told(std::span<double> values, std::size_t count, bool sq
 
 Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3>& point, std::span<const double> q,
                           std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
-                          std::uint32_t near_stiction, std::span<const double> dq) const noexcept {
+                          std::span<const double> contact_sigma_nm, std::span<const double> dq) const noexcept {
   constexpr double nan = std::numeric_limits<double>::quiet_NaN();
   const auto n = links_.size(), unknowns = static_cast<std::size_t>(kind == WrenchKind::wrench ? 6 : 3);
   Wrench told;
@@ -199,7 +192,7 @@ Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3
   told.covariance.fill(nan);
   told.chi_square = told.consistent = nan;
   bool sound = refused_.empty() && frame >= 0 && frame < frames();
-  sound = sound && known(q, tau_ext, sigma_nm);
+  sound = sound && known(q, tau_ext, sigma_nm, contact_sigma_nm);
   for (double value : point) sound = sound && std::isfinite(value);
   for (double value : dq) sound = sound && std::isfinite(value);
   if (!sound) return told;
@@ -209,7 +202,7 @@ Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3
   if (!dq.empty()) take_off_rubbing(q, dq, std::span(pushed).first(n));
   std::array<double, kMaxJoints * kMaxJoints> s;
   std::array<double, 6 * kMaxJoints> all;
-  covariance(kind, std::span(pushed).first(n), sigma_nm, near_stiction, s);
+  covariance(kind, std::span(pushed).first(n), sigma_nm, contact_sigma_nm, s);
   const Turn base = see(links_, frames_[static_cast<std::size_t>(frame)], q, point, axes, all).axes;
   const WrenchScale scale{WrenchModel::kLargestForce_n, WrenchModel::kLength_m, WrenchModel::kBlindForce_n};
   keep_told(s, n, true);
@@ -231,15 +224,15 @@ Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3
 }
 
 Wrench WrenchModel::wrench(int frame, std::span<const double> q, std::span<const double> tau_ext,
-                           std::span<const double> sigma_nm, WrenchAxes axes, std::uint32_t near_stiction,
+                           std::span<const double> sigma_nm, WrenchAxes axes, std::span<const double> contact_sigma_nm,
                            std::span<const double> dq) const noexcept {
-  return solve(WrenchKind::wrench, frame, {}, q, tau_ext, sigma_nm, axes, near_stiction, dq);
+  return solve(WrenchKind::wrench, frame, {}, q, tau_ext, sigma_nm, axes, contact_sigma_nm, dq);
 }
 
 Wrench WrenchModel::force(int frame, const std::array<double, 3>& point, std::span<const double> q,
                           std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
-                          std::uint32_t near_stiction, std::span<const double> dq) const noexcept {
-  return solve(WrenchKind::force, frame, point, q, tau_ext, sigma_nm, axes, near_stiction, dq);
+                          std::span<const double> contact_sigma_nm, std::span<const double> dq) const noexcept {
+  return solve(WrenchKind::force, frame, point, q, tau_ext, sigma_nm, axes, contact_sigma_nm, dq);
 }
 
 double chi_square_beyond(double value, int freedom) noexcept {

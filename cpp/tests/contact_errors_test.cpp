@@ -26,19 +26,19 @@ struct Arm {
   Bundle bundle;
   ContactErrors errors;
   std::int64_t t_ns = 0;
-  double sigma[2] = {0, 0};
+  double sigma[2] = {0, 0}, gap[2] = {0, 0};
 
   explicit Arm(double narrowest_rad) : bundle(rubbing_arm(narrowest_rad)), errors(bundle) {}
   void step(std::uint32_t near, bool touched, double tau_1 = 0, double tau_2 = 0, int times = 1) {
     const double tau[] = {tau_1, tau_2};
-    for (int k = 0; k < times; ++k) errors.step(t_ns += kMs, near, touched, tau, kSigma, sigma);
+    for (int k = 0; k < times; ++k) errors.step(t_ns += kMs, near, touched, tau, kSigma, gap, sigma);
   }
   bool is(int joint, double hidden) const {
     return std::fabs(sigma[joint] - std::hypot(kSigma[joint], hidden)) < 1e-9;
   }
 };
 
-double share(double width) { return 0.35 + 0.85 * width / (width + 1e-3); }
+double share(double width) { return 0.12 + 1.03 / (1 + 1e-6 / (width * width)); }
 
 void free_motion_has_its_own_error_alone() {
   Arm arm(1e-4);
@@ -61,7 +61,7 @@ void a_joint_that_rests_through_a_contact_hides_a_share_of_its_friction_until_it
   }
   Arm coarse(0);  // no presliding states: all that a reversed push may leave
   coarse.step(3, true);
-  CHECK(coarse.is(0, 6 * 1.2) && coarse.is(1, 2 * 1.2));
+  CHECK(coarse.is(0, 6 * 1.15) && coarse.is(1, 2 * 1.15));
 }
 
 void what_stops_soon_after_a_contact_rests_under_it() {
@@ -74,6 +74,30 @@ void what_stops_soon_after_a_contact_rests_under_it() {
   late.step(0, false, 0, 0, 1100);
   late.step(2, false);
   CHECK(late.is(1, 0));
+}
+
+// Local and nonlocal memory differ by so much of the presliding friction; where training found local memory, less is unsure.
+void the_kind_of_memory_is_in_doubt_while_a_pressed_joint_rests() {
+  for (bool found : {false, true}) {
+    Bundle b = rubbing_arm(1e-4);
+    b.prior.branches = {1, 1};
+    b.prior.terms.push_back({TermKind::presliding, 0, 0, 0, 0, 0});
+    b.prior.weights = {6, 0, -5, 0, 2, 0};
+    if (found) {
+      b.prior.terms.push_back({TermKind::local_memory, 0, 0, 0, 0, 0});
+      b.prior.weights = {6, 0, -5, -4, 0, 2, 0, 0};
+    }
+    b.validate();
+    ContactErrors errors(b), without(b);
+    const double tau[] = {0, 0}, gap[] = {-0.5, 0.5};
+    double sigma[2], plain[2];
+    errors.step(kMs, 3, true, tau, kSigma, gap, sigma);
+    without.step(kMs, 3, true, tau, kSigma, {}, plain);
+    const double unsure = 5 * 0.5 * (found ? 0.05 : 0.3);
+    CHECK(std::fabs(sigma[0] - std::hypot(plain[0], unsure)) < 1e-12 && sigma[1] == plain[1]);
+    errors.step(2 * kMs, 0, false, tau, kSigma, gap, sigma);
+    CHECK(sigma[0] == kSigma[0]);
+  }
 }
 
 // While the torque rises by a constant rate, the observer is 1/K0 of it behind; the rate itself is filtered with K0.
@@ -98,8 +122,8 @@ void a_sample_without_a_torque_makes_no_rate() {
   other.restore(arm.errors.state());
   double here[2], there[2];
   const double tau[] = {51, 49};
-  arm.errors.step(arm.t_ns + kMs, 3, false, tau, kSigma, here);
-  other.step(arm.t_ns + kMs, 3, false, tau, kSigma, there);
+  arm.errors.step(arm.t_ns + kMs, 3, false, tau, kSigma, {}, here);
+  other.step(arm.t_ns + kMs, 3, false, tau, kSigma, {}, there);
   CHECK(here[0] == there[0] && here[1] == there[1] && here[0] > 1);
 }
 
@@ -109,6 +133,7 @@ int main() {
   free_motion_has_its_own_error_alone();
   a_joint_that_rests_through_a_contact_hides_a_share_of_its_friction_until_it_slides();
   what_stops_soon_after_a_contact_rests_under_it();
+  the_kind_of_memory_is_in_doubt_while_a_pressed_joint_rests();
   the_lag_counts_during_a_contact_and_fades_after_it();
   a_sample_without_a_torque_makes_no_rate();
   return check::result();

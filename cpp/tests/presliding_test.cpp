@@ -258,9 +258,100 @@ void bad_widths_are_refused() {
   CHECK(largest.columns() == kMaxJoints * kMaxWidths);
 }
 
+// Of two widths 1 and 3 with half of the friction each: f rises from -1 by 2/3 a unit up to 1/3 at 2, then by 1/6 to 1 at 6.
+void local_memory_follows_the_branch_and_leaves_the_bank_at_the_second_reversal() {
+  const double unit = std::ldexp(1.0, -10), widths[] = {unit, 3 * unit}, branches[] = {0.5, 0.5};
+  Presliding bank(1, widths, branches);
+  double q = 0;
+  const auto move = [&](double units) {
+    for (int k = 0; k < 64; ++k) {
+      q += units * unit / 64;
+      bank.step(std::span(&q, 1));
+    }
+  };
+  const auto local = [&] { return bank.state().local[0]; };
+  bank.step(std::span(&q, 1));
+  CHECK(local() == 0 && bank.memory_gap(0) == 0);
+  move(8);
+  CHECK(local() == 1 && bank.memory_gap(0) == 0);
+  move(-3);  // after sliding both are the branch itself
+  CHECK_CLOSE(local(), -(1.0 / 3 + 1.0 / 6), 1e-12);
+  CHECK_CLOSE(bank.memory_gap(0), 0, 1e-12);
+  move(2);  // from -1/2 by 2/3 up to 1/3 after 1.25, the rest by 1/6; the bank bends both by 2: 1/2 * 1 + 1/2 * 2/3
+  CHECK_CLOSE(local(), 1.0 / 3 + 0.75 / 6, 1e-12);
+  CHECK_CLOSE(bank.memory_gap(0), 1.0 / 3 + 0.75 / 6 - 5.0 / 6, 1e-12);
+  move(8);
+  CHECK(local() == 1 && bank.memory_gap(0) == 0);
+}
+
+// One width has one slope, so that nothing tells the two kinds of memory apart.
+void a_branch_of_one_width_is_the_bank_once_that_is_determined() {
+  const double width = 3e-4;
+  const double one[] = {1};
+  Presliding bank(1, std::span(&width, 1), one);
+  const std::vector<double> q = random_walk(1, 3000, 7);
+  int determined = 0;
+  for (int k = 0; k < 3000; ++k) {
+    bank.step(row(q, 1, k));
+    if (!bank.determined(0, 0)) continue;
+    ++determined;
+    CHECK_CLOSE(bank.memory_gap(0), 0, 1e-9);
+  }
+  CHECK(determined > 1000);
+}
+
+void states_with_local_memory_are_bounded_symmetric_and_kept() {
+  const double widths[] = {1e-4, 1e-3, 1e-2};
+  const double branches[] = {0.2, 0.5, 0.3, 0, 0, 0, 0, 1, 0};  // the second joint has none
+  Presliding bank(3, widths, branches), turned(3, widths, branches), other(3, widths, branches);
+  CHECK(bank.has_branches() && bank.kept_columns() == bank.columns() + 3 && !Presliding(3, widths).has_branches());
+  const std::vector<double> q = random_walk(3, 4000, 8);
+  std::vector<double> low(12), high(12);
+  double apart = 0;
+  for (int k = 0; k < 4000; ++k) {
+    const auto now = row(q, 3, k);
+    const double back[] = {-now[0], -now[1], -now[2]};
+    bank.step(now);
+    turned.step(back);
+    for (std::size_t j = 0; j < 3; ++j) {
+      const double state = bank.state().local[j];
+      CHECK(std::fabs(state) <= 1 && turned.state().local[j] == -state);
+      apart = std::max(apart, std::fabs(bank.memory_gap(static_cast<int>(j))));
+    }
+    CHECK(bank.memory_gap(1) == 0);
+    if (k % 100 != 0) continue;
+    bank.write_ends(low, high);
+    other.read_ends(low, high);
+    for (int j = 0; j < 3; ++j) CHECK(other.memory_gap(j) == bank.memory_gap(j));
+  }
+  CHECK(apart > 0.2);
+  bank.forget(0);
+  CHECK(bank.state().local[0] == 0 && bank.state().local[2] != 0);
+}
+
+void bad_branches_are_refused() {
+  const double widths[] = {1e-3, 1e-2};
+  const auto refuses = [&](const char* part, std::vector<double> branches) {
+    try {
+      Presliding(1, widths, branches);
+      CHECK(false);
+    } catch (const Error& e) {
+      CHECK(std::strstr(e.what(), part) != nullptr);
+    }
+  };
+  refuses("presliding branches are 3 where 2 belong", {0.5, 0.5, 0});
+  refuses("presliding branch -0.5 must be 0 to 1", {-0.5, 1});
+  refuses("presliding branch nan must be 0 to 1", {NAN, 1});
+  refuses("sum to 0.7", {0.5, 0.2});
+}
+
 }  // namespace
 
 int main() {
+  local_memory_follows_the_branch_and_leaves_the_bank_at_the_second_reversal();
+  a_branch_of_one_width_is_the_bank_once_that_is_determined();
+  states_with_local_memory_are_bounded_symmetric_and_kept();
+  bad_branches_are_refused();
   a_triangle_motion_gives_the_closed_form();
   trembling_within_twice_the_width_leaves_the_state_undetermined();
   until_determined_the_state_brackets_every_start_and_from_then_on_equals_it();

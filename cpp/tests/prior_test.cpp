@@ -33,12 +33,14 @@ PriorSettings of_every_kind(const std::vector<Link>& links, unsigned seed) {
   const auto n = static_cast<std::int32_t>(links.size());
   PriorSettings prior;
   prior.widths_rad = {3e-4, 3e-3, 3e-2};
+  for (std::int32_t j = 0; j < n; ++j) prior.branches.insert(prior.branches.end(), {0.2, 0.5, 0.3});
   for (std::int32_t j = 0; j < n; ++j) {
     const std::int32_t other = (j + 1) % n;
     prior.terms.push_back({TermKind::constant, j, 0, 0, 0, 0});
     prior.terms.push_back({TermKind::viscous, j, 0, 0, 0, 0});
     prior.terms.push_back({TermKind::coulomb, j, 0, 0, 0, 0.05});
     prior.terms.push_back({TermKind::load, j, 0, 0, 0, 0.1});
+    prior.terms.push_back({TermKind::local_memory, j, 0, 0, 0, 0});
     for (std::int32_t width = 0; width < 3; ++width) {
       prior.terms.push_back({TermKind::presliding, j, width, 0, 0, 0});
       prior.terms.push_back({TermKind::load_presliding, j, width, 0, 0, 0});
@@ -282,7 +284,7 @@ void a_bridged_gap_is_one_long_step() {
   const Observation o = observe(tree, b.observer, prior, s.view());
   CHECK(o.restarts == 0 && o.held_rows == kStride);
 
-  Presliding presliding(2, prior.widths_rad);
+  Presliding presliding(2, prior.widths_rad, prior.branches);
   Prior twin(prior, b.gravity, 2, b.observer.gain_per_s);
   for (std::size_t k = 0; k < t_ns.size(); ++k) {
     const Sample sample = s.at(static_cast<std::int64_t>(k));
@@ -317,7 +319,9 @@ void invalid_settings_are_refused_by_name() {
   };
   refused_after("prior.most_load_nm has 1 values where 2 belong", [](PriorSettings& p) { p.most_load_nm = {1}; });
   refused_after("prior.most_load_nm = -1 must be >= 0 and finite", [](PriorSettings& p) { p.most_load_nm = {1, -1}; });
-  refused_term("prior term 3: its kind is unknown", {static_cast<TermKind>(11), 0, 0, 0, 0, 0});
+  refused_term("prior term 3: its kind is unknown", {static_cast<TermKind>(12), 0, 0, 0, 0, 0});
+  refused_after("prior term 4: there is no branch to follow", [](PriorSettings& p) { p.branches.clear(); });
+  refused_after("presliding branches are 1 where", [](PriorSettings& p) { p.branches = {1}; });
   for (int kind = 0; kind <= static_cast<int>(TermKind::backlash); ++kind) {
     const auto of = static_cast<TermKind>(kind);
     refused_term("prior term 3: joint a does not exist", {of, 2, 1, 0, 0, 0.1});
@@ -342,8 +346,8 @@ void invalid_settings_are_refused_by_name() {
     refused_term("prior term 3: joint c does not exist", {TermKind::quadratic, 0, 0, joint, 0, 0});
   for (std::int32_t cycles : {-1, 0, 10001})
     refused_term("prior term 3: its cycles a turn are not 1 to 10000", {TermKind::ripple, 0, cycles, 0, 0, 0});
-  refused_after("prior.weights has 123 values where 124 belong", [](PriorSettings& p) { p.weights.pop_back(); });
-  refused_after("prior.weights has 124 values where 0 belong", [](PriorSettings& p) { p.terms.clear(); });
+  refused_after("prior.weights has 127 values where 128 belong", [](PriorSettings& p) { p.weights.pop_back(); });
+  refused_after("prior.weights has 128 values where 0 belong", [](PriorSettings& p) { p.terms.clear(); });
   refused_after("prior.weights holds a value that is not finite", [](PriorSettings& p) { p.weights[7] = NAN; });
   refused_after("prior.weights holds a value that is not finite", [](PriorSettings& p) { p.weights[7] = -INFINITY; });
   refused_after("prior term 3: it asks for the load by the corrected model, and there is none", [](PriorSettings& p) {
@@ -355,7 +359,7 @@ void invalid_settings_are_refused_by_name() {
   refused_after("mass = ", [](PriorSettings& p) { p.corrected_links[1].mass = -1; });
   refused_after("every number of a link must be finite", [](PriorSettings& p) { p.corrected_links[0].com[1] = NAN; });
   refused_after("presliding width", [](PriorSettings& p) { p.widths_rad[1] = p.widths_rad[0]; });
-  refused_after("does not exist", [](PriorSettings& p) { p.widths_rad.pop_back(); });
+  refused_after("presliding branches are 6 where 4 belong", [](PriorSettings& p) { p.widths_rad.pop_back(); });
   // The bundle refuses the same, and by the same name.
   Bundle b = made::bundle(2, 0, kSteps, kStride, 1);
   b.prior.terms = {{TermKind::viscous, 2, 0, 0, 0, 0}};
@@ -541,7 +545,7 @@ void the_doubt_at_rest_has_its_closed_form() {
                     {TermKind::load_presliding, 1, 1, 0, 0, 0},
                     {TermKind::constant, 0, 0, 0, 0, 0}};
   settings.weights = {-4, 0.5, 7, 0, -0.25, 1};
-  Presliding presliding(2, settings.widths_rad);
+  Presliding presliding(2, settings.widths_rad, settings.branches);
   Prior prior(settings, kGravity, 2, kGain);
   const double zero[2] = {0, 0}, beta[2] = {3, -20};
   for (int k = 0; k < 600; ++k) {

@@ -151,7 +151,7 @@ struct Everything {
         touched += every.wrench(joints - 1).covariance[0] + every.force(0, {0, 0, 0.1}, WrenchAxes::frame).consistent > 0;
       if (k % 100 == 0) {
         const double sigma[kMaxJoints] = {1, 1, 1, 1, 1, 1, 1};
-        places.rank(sample.q, sample.dq, std::span(sigma).first(sample.q.size()), 1, told);
+        places.rank(sample.q, sample.dq, std::span(sigma).first(sample.q.size()), std::span(sigma).first(sample.q.size()), told);
         places.locate(told);
         placed += told.places;
       }

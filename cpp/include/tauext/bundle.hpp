@@ -23,7 +23,7 @@
 namespace tauext {
 
 // Formats of bundles.
-inline constexpr std::uint32_t kBundleMajor = 11;       // what is written
+inline constexpr std::uint32_t kBundleMajor = 12;       // what is written
 inline constexpr std::uint32_t kOldestBundleMajor = 3;  // what is still read; fields that it lacks keep their defaults
 
 // A short stretch of free motion and what the chain said at its last sample; replayed at load.

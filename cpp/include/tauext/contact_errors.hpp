@@ -11,27 +11,33 @@ struct Bundle;
 
 // The standard error of tau_ext in free motion, and three errors that a contact brings:
 //
-//   contact_sigma_j^2 = sigma_j^2 + (hidden_j F_j)^2 + (rubbing_j tau_ext_j)^2 + (|d tau_ext_j / dt| / K0)^2
+//   contact_sigma_j^2 = sigma_j^2 + (hidden_j F_j)^2 + (unsure_j P_j gap_j)^2 + (rubbing_j tau_ext_j)^2
+//                       + (|d tau_ext_j / dt| / K0)^2
 //
 // F_j is the joint's friction at rest. After a contact, the friction of a resting joint is known only within the share
-// hidden_j, until the joint slides again. Gear friction grows by the share rubbing_j of a load. The last term is the lag of
-// the observer, whose residual is 1/K0 late. The last two terms count during the contact and fade with 1/K0.
+// hidden_j, until the joint slides again. So is how its presliding friction P_j remembers reversals: local and nonlocal memory
+// differ by P_j gap_j (Presliding), of which the share unsure_j is in doubt. Gear friction grows by the share rubbing_j of a
+// load. The last term is the lag of the observer, whose residual is 1/K0 late. The last two terms count during the contact
+// and fade with 1/K0.
 //
 // The result is for reports only. Limits, drift trackers and weighing use sigma, which no torque can raise.
 class ContactErrors {
  public:
-  // Share of F that a resting joint hides: with presliding states that follow its friction, and without any. In between,
-  // the share depends on the narrowest state relative to kBuildsUpRad, the travel over which friction builds up. Both
-  // shares were fitted to the demo's arms (docs/results/contact-errors). The largest possible share is 2: a reversed push.
-  static constexpr double kFineShare = 0.35, kCoarseShare = 1.2, kBuildsUpRad = 1e-3;
+  // Share of F that a resting joint hides: with presliding states that follow its friction, and without any: then it is
+  // anything between all of it this way and that, where one end was expected. In between, the share depends on the narrowest
+  // state relative to kBuildsUpRad, the travel over which friction builds up. Fitted to the demo's arms
+  // (docs/results/contact-errors).
+  static constexpr double kFineShare = 0.12, kCoarseShare = 1.15, kBuildsUpRad = 1e-3;
+  // Share of the gap where training found local memory, and where it found none or could not tell.
+  static constexpr double kUnsureLocal = 0.05, kUnsureBank = 0.3;
   static constexpr double kStaysS = 1.0;  // a joint that comes to rest within this time after a contact counts as pressed
 
   explicit ContactErrors(const Bundle& bundle);
 
-  // touched: some joint is over its contact limit at this sample. near_stiction: a bit a joint. tau_ext, sigma_nm: of this
-  // sample. into: the standard error, NaN where sigma_nm is.
+  // touched: some joint is over its contact limit at this sample. near_stiction: a bit a joint. tau_ext, sigma_nm, memory_gap:
+  // of this sample, the last one empty where there is none. into: the standard error, NaN where sigma_nm is.
   void step(std::int64_t t_ns, std::uint32_t near_stiction, bool touched, std::span<const double> tau_ext,
-            std::span<const double> sigma_nm, std::span<double> into) noexcept;
+            std::span<const double> sigma_nm, std::span<const double> memory_gap, std::span<double> into) noexcept;
   // A sample without tau_ext: what changed until the next one is no rate.
   void skip() noexcept { state_.started = false; }
   void reset() noexcept { state_ = {}; }
@@ -52,7 +58,7 @@ class ContactErrors {
  private:
   int joints_;
   double gain_per_s_;
-  JointVector hidden_nm_{}, rubbing_{};
+  JointVector hidden_nm_{}, unsure_nm_{}, rubbing_{};
   State state_;
 };
 

@@ -19,8 +19,8 @@ struct FlightSettings {
 struct Flight {
   std::int64_t event_row = 0;  // at which the event is
   std::vector<std::int64_t> t_ns;                                               // (samples)
-  std::vector<double> q, dq, tau, residual, prior, network, drift, tau_ext, sigma_nm, limit_nm,
-      contact_limit_nm;  // (samples, joints)
+  std::vector<double> q, dq, tau, residual, prior, network, drift, tau_ext, load_nm, sigma_nm,
+      contact_sigma_nm, limit_nm, contact_limit_nm;  // (samples, joints)
   std::vector<std::uint32_t> near_stiction, causes;                         // (samples): bits
   std::vector<std::uint8_t> health, alarm, held_alarm, touch, detection;          // (samples)
   std::vector<Load> load;                                                   // (samples): that the arm was taken to carry

@@ -122,14 +122,14 @@ class Monitor {
   // Empty: it can be weighed. Allocates.
   std::string why_no_weighing() const;
   // Force and moment that the surroundings exert on the arm at a frame, at the last sample, and how sure that is: see
-  // Wrench. Not known while health is not ok or stale, or after restore_state() until the next sample. Microseconds, and
+  // Wrench. While a load is expected, what is taken for that load (load_nm) is no part of them. Not known while health is not ok or stale, or after restore_state() until the next sample. Microseconds, and
   // nothing is changed.
   Wrench wrench(int frame, WrenchAxes axes = WrenchAxes::base) const noexcept {
-    return wrench_.wrench(frame, q(), tau_ext(), sigma_nm(), axes, last().near_stiction, dq());
+    return wrench_.wrench(frame, q(), of_joints(left()), sigma_nm(), axes, contact_sigma_nm(), dq());
   }
   // The same of a force alone, that acts at this point of the frame, [m] along its own axes.
   Wrench force(int frame, const std::array<double, 3>& point, WrenchAxes axes = WrenchAxes::base) const noexcept {
-    return wrench_.force(frame, point, q(), tau_ext(), sigma_nm(), axes, last().near_stiction, dq());
+    return wrench_.force(frame, point, q(), of_joints(left()), sigma_nm(), axes, contact_sigma_nm(), dq());
   }
   // Frames by name, and why there is no wrench: refused().
   const WrenchModel& wrench_model() const noexcept { return wrench_; }
@@ -164,8 +164,14 @@ class Monitor {
   }
   std::span<const double> q() const noexcept { return of_joints(q_); }
   std::span<const double> dq() const noexcept { return of_joints(dq_); }
-  std::span<const double> tau_ext() const noexcept { return of_joints(last().tau_ext); }
+  // tau_ext that no expected load explains.
+  JointVector left() const noexcept {
+    JointVector left{};
+    for (int j = 0; j < joints(); ++j) left[j] = last().tau_ext[j] - last().load_nm[j];
+    return left;
+  }
   std::span<const double> sigma_nm() const noexcept { return of_joints(last().sigma_nm); }
+  std::span<const double> contact_sigma_nm() const noexcept { return of_joints(last().contact_sigma_nm); }
   void forget_q() noexcept {
     q_.fill(std::numeric_limits<double>::quiet_NaN());
     dq_ = q_;

@@ -14,8 +14,9 @@ namespace tauext {
 class MotionStage {
  public:
   // Throws Error where the clock's or the presliding settings do not fit.
-  MotionStage(const Tree& tree, std::int64_t sample_period_ns, int network_stride, std::span<const double> widths_rad)
-      : tree_(tree), clock_(sample_period_ns, network_stride), presliding_(tree.size(), widths_rad) {}
+  MotionStage(const Tree& tree, std::int64_t sample_period_ns, int network_stride, std::span<const double> widths_rad,
+              std::span<const double> branches = {})
+      : tree_(tree), clock_(sample_period_ns, network_stride), presliding_(tree.size(), widths_rad, branches) {}
 
   // One sample of finite values. Where the tick says restart, presliding states began anew with it; where it says
   // not_later, nothing changed.

@@ -40,6 +40,7 @@ struct Observed {
   std::uint32_t near_stiction = 0;  // a bit a joint: which of its limits holds
   std::span<const double> residual, prior, doubt;  // a joint, [N m]; of whoever made this, until its next sample
   std::span<const double> coulomb, viscous;  // what of the prior is friction, before its filter; empty where nobody asks
+  std::span<const double> memory_gap;  // Presliding::memory_gap of each joint; empty where the prior has no branches
 };
 
 // Everything of the chain that does not depend on what the network says, one sample at a time: checks, clock, dynamics,
@@ -149,7 +150,7 @@ class ObserveStage {
   Progress progress_;
   Observed observed_;
   JointVector residual_nm_{}, prior_nm_{}, doubt_nm_{};  // that observed_ shows
-  JointVector coulomb_nm_{}, viscous_nm_{};
+  JointVector coulomb_nm_{}, viscous_nm_{}, memory_gap_{};
   bool tells_parts_ = false;  // of the friction
   JointVector tau_{};  // of the sample, in the unit of the answers
 };

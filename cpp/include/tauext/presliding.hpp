@@ -16,16 +16,26 @@ inline constexpr int kMaxWidths = 8;  // of a bank
 // the two ends of what is possible, -w and w at first, move alike until they meet, which they do as soon as the joint has
 // travelled 2 w; until then the state is their mean, and undetermined.
 // Steps are those of the sample rate: a bank is trained and run at one rate.
+//
+// The bank remembers every reversal that was not yet passed (nonlocal memory, as of Maxwell slip [AlBender2005]). Friction
+// after Dahl or LuGre has local memory instead: its slope follows from its own value and the direction alone. Both agree
+// where a joint reverses after sliding, and differ where it reverses again before it slides. The branch of a joint is the
+// friction since a reversal from sliding, over the travel x, as a share of the sliding friction:
+//   f(x) = sum_w branch_w clip(-1 + x / w, -1, 1),  branch_w >= 0, sum 1.
+// The state with local memory follows that branch in either direction from wherever it is, s = 1 or -1 the direction:
+//   z <- s f(f^-1(s z) + |q_k - q_{k-1}|),  0 at first.
 class Presliding {
  public:
   struct State {
     bool started = false;
     JointVector q{};
     std::array<double, kMaxJoints * kMaxWidths> low{}, high{};  // (joint, width), in widths
+    JointVector local{};  // with local memory, -1 to 1
   };
 
-  // widths [rad], 0 to kMaxWidths of them, > 0 and rising. Throws Error otherwise.
-  Presliding(int joints, std::span<const double> widths);
+  // widths [rad], 0 to kMaxWidths of them, > 0 and rising. branches: (joints, widths), a row of zeros for a joint without
+  // one; empty: no joint has one. Throws Error otherwise.
+  Presliding(int joints, std::span<const double> widths, std::span<const double> branches = {});
 
   // Nothing is known any more: after a gap.
   void reset() noexcept { state_.started = false; }
@@ -51,11 +61,19 @@ class Presliding {
     const std::size_t at = index(joint, width);
     return state_.low[at] == state_.high[at];
   }
+  // The joint's state with local memory less what the bank has for the same branch, -2 to 2; 0 without a branch.
+  double memory_gap(int joint) const noexcept {
+    double bank = 0;
+    for (int w = 0; w < width_count() && has_branches(); ++w) bank += branches_[index(joint, w)] * value(joint, w);
+    return state_.local[static_cast<std::size_t>(joint)] - bank;
+  }
+  bool has_branches() const noexcept { return !branches_.empty(); }
   // All of them, in rows of one joint: columns() values.
   void write(std::span<double> states) const noexcept;
 
-  // Both ends of what is possible, columns() each, to be given back later for the same joints and widths; the positions
-  // stay those of the last sample.
+  // Both ends of what is possible and the states with local memory, kept_columns() each, to be given back later for the
+  // same joints and widths; the positions stay those of the last sample.
+  int kept_columns() const noexcept { return columns() + (has_branches() ? joints_ : 0); }
   void write_ends(std::span<double> low, std::span<double> high) const noexcept;
   void read_ends(std::span<const double> low, std::span<const double> high) noexcept;
 
@@ -67,8 +85,12 @@ class Presliding {
   std::size_t index(int joint, int width) const noexcept {
     return static_cast<std::size_t>(joint) * widths_.size() + static_cast<std::size_t>(width);
   }
+  void bend_local(int joint, double moved) noexcept;
+
   int joints_;
   std::vector<double> widths_;
+  std::vector<double> branches_;       // (joint, width)
+  std::vector<double> edges_, slopes_; // (joint, width): f at a travel of twice the width, and its slope up to there
   State state_;
 };
 

@@ -31,6 +31,7 @@ enum class TermKind : std::uint8_t {
   momentum = 9,         // dq_a times form 0 1, 1 cos b, 2 sin b
   backlash = 10,        // beta_a (1 - |state of joint a for width b|): what the gear does not carry while it crosses its
                         // play; forms as load
+  local_memory = 11,    // Presliding::memory_gap of joint a: its weight is the friction that has local memory, as LuGre's has
 };
 
 // One term: its kind, and what TermKind says of a, b, c, form and speed there; what a kind does not name is 0.
@@ -64,6 +65,7 @@ struct PriorSettings {
   // A joint: the most |beta| that its load terms were fitted to, [N m]. They see no more than that; what is beyond, as with
   // a load, adds to the joint's friction by load_friction_shares() of it. Empty: no bound, and no such friction.
   std::vector<double> most_load_nm = {};
+  std::vector<double> branches = {};  // (joints, widths): of presliding states with local memory, see Presliding; empty: none
 
   bool empty() const noexcept { return terms.empty() && corrected_links.empty(); }
   // Throws Error, naming what does not fit `joints`.
@@ -81,7 +83,7 @@ inline bool is_presliding(const Term& term) noexcept {
 inline bool has_width(const Term& term) noexcept { return is_presliding(term) || term.kind == TermKind::backlash; }
 // Friction that grows with the force on a contact, whatever the speed.
 inline bool is_coulomb(const Term& term) noexcept {
-  return term.kind == TermKind::coulomb || is_load(term) || is_presliding(term);
+  return term.kind == TermKind::coulomb || term.kind == TermKind::local_memory || is_load(term) || is_presliding(term);
 }
 inline bool is_momentum(const Term& term) noexcept { return term.kind == TermKind::momentum; }
 

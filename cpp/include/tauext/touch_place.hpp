@@ -35,10 +35,8 @@ struct TouchPlaces {
   double consistent = 1;
 };
 
-// Of a touch on link k, tau_ext = J_p^T f + e with p on the link's surface and e ~ N(0, S), S that of WrenchModel but for
-// joints near stiction: theirs may be off by kStuckShare of their own torque, or of their friction if that is less. Forces at a
-// frame count what any joint's yielding does to all; here a joint that shows nothing is what tells a nearer link from a
-// further one, and it is believed. Its probability is
+// Of a touch on link k, tau_ext = J_p^T f + e with p on the link's surface and e ~ N(0, S), S that of WrenchModel. Its
+// probability is
 //
 //   P(k | tau_ext) ~ sum over points p of share_p * sum over sizes s of  int N(tau_ext; J_p^T f, S) N(f; m_s, P_s) df,
 //   m_s = s n,  P_s = s^2 (a^2 n n^T + b^2 (1 - n n^T)),
@@ -54,7 +52,6 @@ class PlaceModel {
   // Standard deviations as shares of the size: along the normal from one size to the next; across it as of directions that are
   // even within 45 degrees.
   static constexpr double kAlong = 0.5, kAcross = 0.4;
-  static constexpr double kStuckShare = 0.3;            // anything between none and all of it would be 0.6
   static constexpr double kHolds = 0.1, kHolds_n = 50;  // share of touches that may pull, and their standard deviation an axis
   static constexpr double kLeast = 0.02;                // a less probable link or place is not told
   static constexpr double kApart_m = 0.08;              // places on a link are at least so far apart: a hand's width
@@ -67,11 +64,11 @@ class PlaceModel {
   int joints() const noexcept { return wrench_.joints(); }
   const std::vector<Capsule>& capsules() const noexcept { return capsules_; }
 
-  // Of a sample: links and their probabilities alone. Each of the three has a value a joint; near_stiction a bit. Neither
+  // Of a sample: links and their probabilities alone. Each has a value a joint; no contact_sigma_nm: as in free motion. Neither
   // allocates nor throws, but takes as long as many samples: not for the control loop. One thread at a time.
   // dq: what a touch adds to the friction of joints that move is taken off (WrenchModel); none: as where they stand.
   void rank(std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm,
-            std::uint32_t near_stiction, TouchPlaces& into, std::span<const double> dq = {}) noexcept;
+            std::span<const double> contact_sigma_nm, TouchPlaces& into, std::span<const double> dq = {}) noexcept;
   // Of the sample that was ranked last: the places too. given: a link that the touch is known to be on, whose places are then
   // told alone; -1: nobody knows.
   void locate(TouchPlaces& into, int given = -1) noexcept;

@@ -63,11 +63,9 @@ struct Wrench {
 };
 
 // tau_ext = J^T w + e,  e ~ N(0, S),
-//   S_ij = radius sigma_i sigma_j R_ij + (c^2 + delta_ij c_i^2) tau_i tau_j
-//          + delta_ij (kStuckShare F_i min(1, max over k of |tau_k| / F_k))^2,
-// with c_i the share that the torque constant of a joint may be off and c what all have in common; the last term is of
-// joints near stiction alone, F_i being their friction: a push that overcomes one joint's moves all of them a little, and
-// turns friction round that held them, which the prior follows in part. What a wrench can be
+//   S_ij = radius sigma_i sigma_j R_ij + (c^2 + delta_ij c_i^2) tau_i tau_j + delta_ij (contact_sigma_i^2 - sigma_i^2),
+// with c_i the share that the torque constant of a joint may be off and c what all have in common; the last term is what a
+// contact adds to the errors of free motion (ContactErrors). What a wrench can be
 // at all, w ~ N(0, P) with P of kLargestForce_n and that times kLength_m, keeps the answer continuous through
 // singularities: w = (J S^-1 J^T + P^-1)^-1 J S^-1 tau_ext. Where a direction is known to kBlindForce_n or better, P shrinks it by
 // 1 % at most, by 0.01 % at 10 N; where it is not, it is named blind.
@@ -79,9 +77,6 @@ class WrenchModel {
  public:
   static constexpr double kLargestForce_n = 1000;  // no touch that an arm survives is far beyond it
   static constexpr double kBlindForce_n = 100;     // standard error; what is not known to this says nothing of a touch
-  // Of a resting joint's friction: anything between all of it this way and that would be 0.6; the prior's presliding
-  // states, which follow how it turns round, leave a quarter.
-  static constexpr double kStuckShare = 0.25;
   static constexpr double kLength_m = 0.1;  // a force so far from the frame is a usual moment: half a link's width
 
   // Of a bundle that holds together.
@@ -98,8 +93,9 @@ class WrenchModel {
   const std::vector<Link>& links() const noexcept { return links_; }
   // Joints that answer in N m, rising. Of the others nothing is looked at but q: what they alone would show is blind.
   std::span<const std::size_t> told() const noexcept { return told_; }
-  // Whether all that is looked at is finite, and sigma of the joints that are told above 0.
-  bool known(std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm) const noexcept;
+  // Whether all that is looked at is finite, sigma of the joints that are told above 0, and contact_sigma no less.
+  bool known(std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm,
+             std::span<const double> contact_sigma_nm) const noexcept;
   // (count, joints) to (count, told), in place; square: (joints, joints) to (told, told).
   void keep_told(std::span<double> values, std::size_t count, bool square) const noexcept;
   const WrenchSettings& settings() const noexcept { return settings_; }
@@ -110,34 +106,31 @@ class WrenchModel {
                std::span<double> into) const noexcept;
   // Where a frame stands: `base from frame`, row-major, and its origin in the base's frame, [m]; no allocation.
   void pose(int frame, std::span<const double> q, std::array<double, 9>& rotation, std::array<double, 3>& origin) const noexcept;
-  // S of a sample, (joints, joints).
+  // S of a sample, (joints, joints). contact_sigma_nm: empty in free motion.
   void covariance(WrenchKind kind, std::span<const double> tau_ext, std::span<const double> sigma_nm,
-                  std::uint32_t near_stiction, std::span<double> into) const noexcept;
-  // Of joints at rest, one each, [N m].
-  std::span<const double> friction_at_rest_nm() const noexcept { return friction_nm_; }
+                  std::span<const double> contact_sigma_nm, std::span<double> into) const noexcept;
   // tau_ext less what a touch's load adds to the friction of joints that move.
   void take_off_rubbing(std::span<const double> q, std::span<const double> dq, std::span<double> tau_ext) const noexcept;
-  // All take a value a joint, and near_stiction a bit; no dq: as where joints stand. Nothing allocates or throws. A frame
-  // that there is none is not known.
+  // All take a value a joint; no contact_sigma_nm: as in free motion; no dq: as where joints stand. Nothing allocates or
+  // throws. The wrench at an unknown frame is not known.
   Wrench wrench(int frame, std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm,
-                WrenchAxes axes = WrenchAxes::base, std::uint32_t near_stiction = 0,
+                WrenchAxes axes = WrenchAxes::base, std::span<const double> contact_sigma_nm = {},
                 std::span<const double> dq = {}) const noexcept;
   // Force alone, which acts at `point` of the frame, [m] along its own axes.
   Wrench force(int frame, const std::array<double, 3>& point, std::span<const double> q, std::span<const double> tau_ext,
                std::span<const double> sigma_nm, WrenchAxes axes = WrenchAxes::base,
-               std::uint32_t near_stiction = 0, std::span<const double> dq = {}) const noexcept;
+               std::span<const double> contact_sigma_nm = {}, std::span<const double> dq = {}) const noexcept;
 
  private:
   Wrench solve(WrenchKind kind, int frame, const std::array<double, 3>& point, std::span<const double> q,
                std::span<const double> tau_ext, std::span<const double> sigma_nm, WrenchAxes axes,
-               std::uint32_t near_stiction, std::span<const double> dq) const noexcept;
+               std::span<const double> contact_sigma_nm, std::span<const double> dq) const noexcept;
 
   std::string refused_;
   std::vector<Link> links_;
   std::vector<std::size_t> told_;
   WrenchSettings settings_;
   std::vector<WrenchFrame> frames_;
-  std::vector<double> friction_nm_;   // a joint, at rest
   Tree tree_;                         // as data corrected it
   std::vector<double> rubbing_;       // a joint: share of a load by which its gear rubs harder; 0: not found
 };

@@ -67,6 +67,11 @@ class Estimates:
     """(samples,) uint32: a bit for each cause why health is not ok; `cause_names` has the words."""
 
     @property
+    def band_nm(self) -> np.ndarray | None:
+        """Standard error for figures: that of contacts where it is known, else that of free motion."""
+        return self.sigma_nm if self.contact_sigma_nm is None else self.contact_sigma_nm
+
+    @property
     def healthy(self) -> np.ndarray:
         """(samples,) bool: health is ok."""
         return self.health == OK

@@ -61,8 +61,8 @@ class Places:
         if said.held_alarm == _core.Alarm.none:
             self._first = -1
             return None
-        near = sum(1 << joint for joint, is_near in enumerate(said.near_stiction) if is_near)
-        found = self._model.find(list(q), list(said.tau_ext), list(said.sigma_nm), near)
+        left = np.subtract(said.tau_ext, said.load_nm)
+        found = self._model.find(list(q), left.tolist(), list(said.sigma_nm), list(said.contact_sigma_nm))
         places = found.places
         if not places:
             return None

@@ -88,13 +88,13 @@ def alarm_rows(touch: Collision, recording: Recording, estimates: Estimates) -> 
 
 def place_of(model: _core.PlaceModel, rows: np.ndarray, recording: Recording, estimates: Estimates) -> dict:
     """Links and newtons as told at that of these rows at which tau_ext stands out most; empty where nothing is."""
-    assert estimates.sigma_nm is not None
+    assert estimates.sigma_nm is not None and estimates.contact_sigma_nm is not None
     with np.errstate(divide="ignore", invalid="ignore"):
         strength = np.nan_to_num(np.square(estimates.tau_ext[rows] / estimates.sigma_nm[rows]).sum(axis=1), posinf=0.0)
     row = int(rows[np.argmax(strength)])
-    near = sum(1 << joint for joint, is_near in enumerate(estimates.near_stiction[row]) if is_near)
-    tau_ext, sigma = (signal[row].astype(float).tolist() for signal in (estimates.tau_ext, estimates.sigma_nm))
-    found = model.find(recording.q[row].tolist(), tau_ext, sigma, near, dq=recording.dq[row].tolist())
+    signals = (estimates.tau_ext, estimates.sigma_nm, estimates.contact_sigma_nm)
+    tau_ext, sigma, contact_sigma = (signal[row].astype(float).tolist() for signal in signals)
+    found = model.find(recording.q[row].tolist(), tau_ext, sigma, contact_sigma, dq=recording.dq[row].tolist())
     best = found.best
     if best is None:
         return {}

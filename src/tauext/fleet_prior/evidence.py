@@ -15,10 +15,10 @@ from tauext.fleet_prior.days import recording_factors
 from tauext.learn.error_memory import error_memory_s
 from tauext.learn.fleet_prior import block_columns
 from tauext.learn.hierarchy import Evidence, Hierarchy, learn_hierarchy
-from tauext.learn.like_fit import with_widths
 from tauext.learn.map_regression import MapRegression, WeightPrior
 from tauext.learn.regression import NormalEquations, Regression
 from tauext.learn.ridge import gather, solved
+from tauext.learn.training_set import with_presliding
 from tauext.ties import simplest
 from tauext.train.fitting import observe
 
@@ -87,7 +87,7 @@ def evidence_of(
 ) -> ArmEvidence:
     """The arm's motion read again, at the fleet's gain and on the fleet's terms."""
     job = job_of(own.arm, settings_of(own, config, gain_per_s))
-    setup, recordings = with_widths(observe(job), widths_rad), job.motion.uncut
+    setup, recordings = with_presliding(observe(job), widths_rad), job.motion.uncut
     found = gather(setup, recordings, terms, [], setup.tree)
     equations = [one for one, _ in found]
     regression = Regression(equations)

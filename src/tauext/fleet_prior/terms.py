@@ -11,8 +11,8 @@ from tauext import _core
 from tauext.config import PriorConfig
 from tauext.fleet_prior.arms import OwnTerms
 from tauext.learn import Setup
-from tauext.learn.like_fit import with_widths
 from tauext.learn.prior_terms import ESTIMATED, own_terms
+from tauext.learn.training_set import with_presliding
 
 ENOUGH = 0.5
 """A width, a ripple or a load term stays that this share of the arms keeps."""
@@ -36,7 +36,7 @@ def common_terms(setup: Setup, config: PriorConfig, arms: Sequence[OwnTerms]) ->
     Args:
         setup: of any of the arms.
     """
-    bent = with_widths(setup, common_widths(arms))
+    bent = with_presliding(setup, common_widths(arms))
     terms = []
     for j in range(setup.tree.size):
         cycles = sorted({number for one in arms for number in one.ripples[j]})

@@ -7,7 +7,6 @@ from tauext.learn.bundle_writing import (
     reference_recording,
     set_drift,
     set_signal_ranges,
-    with_presliding,
 )
 from tauext.learn.found_load import last_axis_shows, load_disagreement
 from tauext.learn.friction import fit_friction
@@ -17,7 +16,7 @@ from tauext.learn.prior import fit_prior
 from tauext.learn.prior_fit import PriorFit
 from tauext.learn.signal_bounds import signal_bounds
 from tauext.learn.torque_constants import TorqueConstants, fit_torque_constants
-from tauext.learn.training_set import Scaling, Setup, WindowSet, build_windows, find_scaling
+from tauext.learn.training_set import Scaling, Setup, WindowSet, build_windows, find_scaling, with_presliding
 
 __all__ = [
     "Setup",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -56,13 +55,6 @@ def build_setup(
         low_pass_per_s=filters.low_pass_per_s if row.low_pass else 0.0,
     )
     return Setup(tree, settings, 1 if row.network == "samples" else config.window_steps(recording.rate_hz))
-
-
-def with_presliding(setup: Setup, widths_rad: Sequence[float]) -> Setup:
-    """The setup with presliding states of these widths, and no prior yet."""
-    prior = _core.PriorSettings()
-    prior.widths_rad = list(widths_rad)
-    return replace(setup, prior=prior)
 
 
 def make_bundle(

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
-from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data import Recording
 from tauext.learn.fleet_prior import FleetPrior
 from tauext.learn.map_regression import MapRegression
-from tauext.learn.prior import bound_loads
+from tauext.learn.prior import bound_loads, branches_of
 from tauext.learn.prior_fit import PriorFit
 from tauext.learn.ridge import gather, solved
 from tauext.learn.temperature import with_temperature
-from tauext.learn.training_set import Setup
+from tauext.learn.training_set import Setup, with_presliding
 
 
 def fit_like(setup: Setup, recordings: Sequence[Recording], config: PriorConfig, like: FleetPrior) -> PriorFit:
@@ -28,17 +26,12 @@ def fit_like(setup: Setup, recordings: Sequence[Recording], config: PriorConfig,
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
     """
-    bent = with_widths(setup, like.widths_rad)
+    bent = with_presliding(setup, like.widths_rad)
     found = gather(bent, recordings, like.own, [], bent.tree)
     period_s = 1e-9 * setup.observer.sample_period_ns * setup.observer.network_stride
     regression = MapRegression([problem for problem, _ in found], like.weights, period_s)
     fit = solved(bent, regression, found, like.own, [], bent.tree)
+    for settings in (fit.settings, *(one.settings for one in fit.left_out)):
+        settings.branches = branches_of(settings)
     bound_loads(bent, recordings, fit)
     return with_temperature(bent, recordings, fit) if config.follow_temperature else fit
-
-
-def with_widths(setup: Setup, widths_rad: Sequence[float]) -> Setup:
-    """The setup with presliding states of these widths alone."""
-    prior = _core.PriorSettings()
-    prior.widths_rad = list(widths_rad)
-    return replace(setup, prior=prior)

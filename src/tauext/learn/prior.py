@@ -21,7 +21,7 @@ from tauext.learn.regression import LEAST_SQUARE
 from tauext.learn.ridge import fit_ridge
 from tauext.learn.ripple import find_ripple
 from tauext.learn.temperature import with_temperature
-from tauext.learn.training_set import Setup
+from tauext.learn.training_set import Setup, with_presliding
 from tauext.learn.widths import idle_widths
 
 RIPPLE_HELPS = 0.01
@@ -32,6 +32,10 @@ BEYOND = 1.2
 """Times the most that the arm itself weighed in training: so far load terms are believed."""
 USUAL_SHARE, WEIGHS = 0.05, 0.05
 """Of a load in the friction of a strain-wave gear; and of a joint's friction, below which that does not show."""
+LOCAL_MEMORY_HELPS = 0.005
+"""Friction has a part with local memory where that lowers the error on left-out motion by this share, in the mean over
+the joints. The gears of an arm are alike, so its joints are judged together; a joint whose error grows by as much has
+none."""
 MOVES_RAD_S = 0.05
 LOAD_TERMS = (_core.TermKind.load, _core.TermKind.load_presliding)
 LEAST_CYCLES = 5  # a turn: what comes back more seldom is gravity that is not quite right, and no gear
@@ -49,6 +53,8 @@ class Inertia:
     kinematics: Kinematics | None = None
     play: Play = ()
     """Of each joint, see own_terms; empty: of none."""
+    local_memory_nm: tuple[float, ...] = ()
+    """Most of each joint's presliding friction that may have local memory; 0: none has. Empty: of no joint."""
 
 
 def fit_prior(
@@ -90,12 +96,12 @@ def fit_prior(
         ripple = kept
     dropped = idle_widths(setup, recordings, config, fit) if config.drop_widths else {}
     if dropped:
-        prior = _core.PriorSettings()
-        prior.widths_rad = [width for width in setup.widths_rad if width not in dropped]
-        without = fit_terms(replace(setup, prior=prior), recordings, config, ripple, inertia)
+        kept_widths = [width for width in setup.widths_rad if width not in dropped]
+        without = fit_terms(with_presliding(setup, kept_widths), recordings, config, ripple, inertia)
         fit = replace(without, dropped_widths=dropped)
     if any(derives_velocity(recording) for recording in recordings) and inertia.load is not None:
         inertia, fit = with_play(setup, fit, recordings, config, ripple, inertia, tell)
+    inertia, fit = with_local_memory(setup, fit, recordings, config, ripple, inertia)
     return chosen(setup, fit, recordings, config, ripple, inertia)
 
 
@@ -109,19 +115,77 @@ def with_play(
     tell: Callable[[str], None] | None,
 ) -> tuple[Inertia, PriorFit]:
     """The play of servos' gears, where it shows: see find_play."""
-    prior = _core.PriorSettings()
-    prior.widths_rad = fit.settings.widths_rad
-    bent = replace(setup, prior=prior)
+    bent = with_presliding(setup, fit.settings.widths_rad)
 
     def fitted(play: Play) -> PriorFit:
         again = fit_terms(bent, recordings, config, ripple, replace(inertia, play=play))
         return replace(again, dropped_widths=fit.dropped_widths)
 
     play, better = find_play(fit, fitted)
-    words = told(play, prior.widths_rad, [link.joint_name for link in setup.tree.links])
+    words = told(play, bent.widths_rad, [link.joint_name for link in setup.tree.links])
     if words and tell is not None:
         tell(words)
     return replace(inertia, play=play), better
+
+
+def with_local_memory(
+    setup: Setup,
+    fit: PriorFit,
+    recordings: Sequence[Recording],
+    config: PriorConfig,
+    ripple: Sequence[Sequence[int]],
+    inertia: Inertia,
+) -> tuple[Inertia, PriorFit]:
+    """The fit with the share of each joint's presliding friction that has local memory, where left-out motion shows it.
+
+    Free motion tells the two kinds of memory apart where a joint reverses again before it slides. Friction of real
+    gears mostly has nonlocal memory [AlBender2005]; simulators and many controllers model it with local memory.
+    """
+    branches = branches_of(fit.settings)
+    if not any(branches):
+        return inertia, fit
+    bent = with_presliding(setup, fit.settings.widths_rad, branches)
+    tried = presliding_friction_nm(fit.settings).sum(axis=1)
+    more = fit_terms(bent, recordings, config, ripple, replace(inertia, local_memory_nm=tuple(tried.tolist())))
+    growth = more.error_nm / np.maximum(fit.error_nm, 1e-300) - 1
+    helps = (growth.mean() < -LOCAL_MEMORY_HELPS) & (growth < LOCAL_MEMORY_HELPS)
+    has_some = np.zeros(len(tried), dtype=bool)
+    for m, term in enumerate(more.settings.terms):
+        if term.kind == _core.TermKind.local_memory:
+            has_some[term.a] = more.weights[term.a, m] < 0
+    kept = np.where(helps & has_some, tried, 0.0)
+    if kept.any():
+        inertia = replace(inertia, local_memory_nm=tuple(kept.tolist()))
+    if (kept == tried).all():
+        found = more
+    elif kept.any():
+        found = fit_terms(bent, recordings, config, ripple, inertia)
+    else:
+        found = fit
+        for settings in (fit.settings, *(one.settings for one in fit.left_out)):
+            settings.branches = branches
+    return inertia, replace(found, dropped_widths=fit.dropped_widths)
+
+
+def branches_of(settings: _core.PriorSettings) -> list[float]:
+    """The branches of a prior's presliding friction, (joints, widths) in rows: its weights as shares of their sum.
+
+    A joint without presliding friction has a row of zeros; the list is empty where there are no widths.
+    """
+    found = presliding_friction_nm(settings)
+    sums = found.sum(axis=1, keepdims=True)
+    shares: list[float] = (found / np.where(sums > 0, sums, 1.0)).ravel().tolist()
+    return shares
+
+
+def presliding_friction_nm(settings: _core.PriorSettings) -> np.ndarray:
+    """Friction of each joint by width, (joints, widths), [N m]; weights that would drive the motion count as 0."""
+    weights = np.array(settings.weights).reshape(-1, max(len(settings.terms), 1))
+    found = np.zeros((len(weights), len(settings.widths_rad)))
+    for m, term in enumerate(settings.terms):
+        if term.kind == _core.TermKind.presliding:
+            found[term.a, term.b] = max(-weights[term.a, m], 0.0)
+    return found
 
 
 def chosen(
@@ -138,9 +202,8 @@ def chosen(
     """
 
     def refit(setup: Setup) -> PriorFit:
-        prior = _core.PriorSettings()
-        prior.widths_rad = fit.settings.widths_rad
-        again = fit_terms(replace(setup, prior=prior), recordings, config, ripple, inertia)
+        bent = with_presliding(setup, fit.settings.widths_rad, fit.settings.branches)
+        again = fit_terms(bent, recordings, config, ripple, inertia)
         return chosen(setup, replace(again, dropped_widths=fit.dropped_widths), recordings, config, ripple, inertia)
 
     bound_loads(fitted_to, recordings, fit)
@@ -237,6 +300,10 @@ def fit_terms(
     weighs = weighs_on(setup, recordings, inertia)
     loads = [inertia.load if load else None for load in weighs]
     play = inertia.play or (None,) * len(loads)
-    own = [own_terms(setup, config, j, ripple[j], loads[j], top, play[j]) for j, top in enumerate(tops.tolist())]
+    memory_nm = inertia.local_memory_nm or (0.0,) * len(loads)
+    own = [
+        own_terms(setup, config, j, ripple[j], loads[j], top, play[j], memory_nm[j] > 0)
+        for j, top in enumerate(tops.tolist())
+    ]
     shared = [] if has_model(setup) or inertia.tree else shared_terms(setup)
-    return fit_ridge(setup, recordings, own, shared, inertia.tree, inertia.loads)
+    return fit_ridge(setup, recordings, own, shared, inertia.tree, inertia.loads, memory_nm)

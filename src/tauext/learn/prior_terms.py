@@ -25,6 +25,7 @@ def own_terms(
     load: int | None = None,
     top_speed_rad_s: float = math.inf,
     play: int | None = None,
+    local_memory: bool = False,
 ) -> list[_core.Term]:
     """Friction and ripple of one joint: what it does alone.
 
@@ -34,6 +35,7 @@ def own_terms(
     Args:
         top_speed_rad_s: of the joint in training.
         load: friction grows with the load by ESTIMATED or CORRECTED model; None: there is none that could tell.
+        local_memory: part of its presliding friction may have local memory; the setup's prior has its branch.
         play: index of the width that is half the joint's play, where it carries no load; None: none.
     """
     terms = [_core.Term(Kind.constant, joint), _core.Term(Kind.viscous, joint)]
@@ -41,6 +43,8 @@ def own_terms(
     speeds = [narrowest, *(speed for speed in wider if LEVELS_OFF * speed <= top_speed_rad_s)]
     terms += [_core.Term(Kind.coulomb, joint, speed=speed) for speed in speeds]
     terms += [_core.Term(Kind.presliding, joint, b=width) for width in range(len(setup.widths_rad))]
+    if local_memory:
+        terms.append(_core.Term(Kind.local_memory, joint))
     if load is not None:
         terms.append(_core.Term(Kind.load, joint, form=load, speed=config.coulomb_speeds_rad_s[0]))
         if setup.widths_rad:

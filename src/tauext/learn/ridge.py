@@ -28,6 +28,7 @@ def fit_ridge(
     shared: Sequence[_core.Term],
     corrected: _core.Tree | None = None,
     loads: Sequence[_core.Link] = (),
+    local_memory_nm: Sequence[float] = (),
 ) -> PriorFit:
     """Ridge regression of r on regressors that went through the observer's filter.
 
@@ -43,12 +44,17 @@ def fit_ridge(
         shared: terms with a weight for every joint.
         corrected: the arm whose inertial parameters are corrected too; None: none is.
         loads: links whose beta the load terms of form CORRECTED see; they are fitted anew here, with little difference.
+        local_memory_nm: the presliding friction of each joint, (n,), which bounds the part of it that has local memory.
 
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
     """
     found = gather(setup, recordings, own, shared, corrected, loads)
-    return solved(setup, Regression([problem for problem, _ in found]), found, own, shared, corrected)
+    regression = Regression([problem for problem, _ in found])
+    for m, term in enumerate(term for group in own for term in group):
+        if term.kind == _core.TermKind.local_memory:  # r shows minus the friction
+            regression.bound(np.array([m]), np.array([-local_memory_nm[term.a]]), np.array([0.0]))
+    return solved(setup, regression, found, own, shared, corrected)
 
 
 Found = tuple[NormalEquations, tuple[Recording, slice]]
@@ -143,7 +149,7 @@ def _problems(
     if len(rows) < 10:
         return []
     settings = _core.PriorSettings()
-    settings.widths_rad = setup.widths_rad
+    settings.widths_rad, settings.branches = setup.widths_rad, setup.prior.branches
     settings.terms = terms
     settings.weights = [0.0] * (n * len(terms))
     settings.corrected_links = list(loads)
@@ -196,7 +202,7 @@ def _settings(
 ) -> _core.PriorSettings:
     """The prior that these coefficients make."""
     settings = _core.PriorSettings()
-    settings.widths_rad = setup.widths_rad
+    settings.widths_rad, settings.branches = setup.widths_rad, setup.prior.branches
     settings.terms = terms
     settings.weights = _by_joint(setup, own, shared, solution).ravel().tolist()
     if corrected:

@@ -22,7 +22,7 @@ from tauext.data import Recording
 from tauext.learn.prior_fit import PriorFit
 from tauext.learn.training_set import Setup
 
-COULOMB = frozenset({"coulomb", "presliding", "load", "load_presliding"})
+COULOMB = frozenset({"coulomb", "presliding", "local_memory", "load", "load_presliding"})
 FRICTION = COULOMB | {"viscous"}
 PER_K = 0.1
 """Shares are told for 10 K."""
@@ -138,7 +138,8 @@ def _rows(
 def of_kinds(settings: _core.PriorSettings, kinds: frozenset[str]) -> _core.PriorSettings:
     """The prior with weights of terms of these kinds alone."""
     part = _core.PriorSettings()
-    part.widths_rad, part.terms, part.corrected_links = settings.widths_rad, settings.terms, settings.corrected_links
+    part.widths_rad, part.branches = settings.widths_rad, settings.branches
+    part.terms, part.corrected_links = settings.terms, settings.corrected_links
     weights = np.array(settings.weights).reshape(-1, len(settings.terms))
     weights[:, [term.kind.name not in kinds for term in settings.terms]] = 0
     part.weights = weights.ravel().tolist()

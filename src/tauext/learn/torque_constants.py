@@ -11,13 +11,13 @@ from tauext import _core
 from tauext.config import ObserverConfig, PriorConfig
 from tauext.data import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn.bundle_writing import build_setup, with_presliding
+from tauext.learn.bundle_writing import build_setup
 from tauext.learn.find_kinematics import Fitted, can_be_found, find_kinematics
 from tauext.learn.kinematic_sample import LEAST_ROWS, ROW_S, KinematicSample
 from tauext.learn.kinematics import Kinematics
 from tauext.learn.prior_terms import has_model, own_terms
 from tauext.learn.scaled_arm import fit_scaled_arm
-from tauext.learn.training_set import Setup
+from tauext.learn.training_set import Setup, with_presliding
 from tauext.robot import empty
 from tauext.ties import simplest
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -53,6 +53,13 @@ class Setup:
     def reach(self) -> int:
         """Network steps before its last one that a window needs: its length, since one input lags by one step."""
         return self.window_steps
+
+
+def with_presliding(setup: Setup, widths_rad: Sequence[float], branches: Sequence[float] = ()) -> Setup:
+    """The setup with presliding states of these widths and branches, and no prior yet."""
+    prior = _core.PriorSettings()
+    prior.widths_rad, prior.branches = list(widths_rad), list(branches)
+    return replace(setup, prior=prior)
 
 
 @dataclass(frozen=True)

@@ -19,16 +19,18 @@ def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
     event, row = flight["event"], flight["event_row"]
     j = event.alarm_joint
     limits = limits_of(flight, kind)[:, j]
-    size, limit, speed = abs(event.tau_ext[j]), limits[row], flight["dq"][row, j]
+    left = np.abs(without_load(flight)[:, j])
+    size, limit, speed = left[row], limits[row], flight["dq"][row, j]
     region, edge = ("near stiction", "below") if event.near_stiction[j] else ("sliding", "not below")
     unit = source.unit(j)
+    torque = "tau_ext - load" if event.load_nm[j] else "tau_ext"
     text = (
-        f"|tau_ext| of {source.joints[j]} was {size:.3f} {unit}, {size - limit:.3f} {unit} over its {kind} limit of "
+        f"|{torque}| of {source.joints[j]} was {size:.3f} {unit}, {size - limit:.3f} {unit} over its {kind} limit of "
         f"{limit:.3f} {unit} ({region}: its speed was {speed:+.4f} rad/s, {edge} {source.near_stiction_rad_s:g})."
     )
     text += certainty(flight, source)
     since = row
-    while since > 0 and abs(flight["tau_ext"][since - 1, j]) > limits[since - 1]:
+    while since > 0 and left[since - 1] > limits[since - 1]:
         since -= 1
     if since < row:
         ms = (flight["t_ns"][row] - flight["t_ns"][since]) * 1e-6
@@ -44,7 +46,8 @@ def certainty(flight: Flight, source: FlightSource) -> str:
     if not source.has_error_scale or not sigma > 0:
         return ""
     return (
-        f" It was {abs(event.tau_ext[j]) / sigma:.2g} times its standard error of {sigma:.3f} {source.unit(j)}; the "
+        f" It was {abs(event.tau_ext[j] - event.load_nm[j]) / sigma:.2g} times its standard error in free motion of "
+        f"{sigma:.3f} {source.unit(j)} (during the contact: {event.contact_sigma_nm[j]:.3f} {source.unit(j)}); the "
         f"motion multiplied the limit of usual motion by {event.limit_scale[j]:.2f}."
     )
 
@@ -66,15 +69,15 @@ def place_of_touch(flight: Flight, source: FlightSource) -> str:
     event, row = flight["event"], flight["event_row"]
     if source.chain is None or not source.has_error_scale:
         return ""
-    model, tau, sigma = PlaceModel(source.chain), flight["tau_ext"][row:], flight["sigma_nm"][row:]
+    model, sigma = PlaceModel(source.chain), flight["sigma_nm"][row:]
+    tau = without_load(flight)[row:]
     with np.errstate(divide="ignore", invalid="ignore"):
         strength = np.where((sigma > 0).all(axis=1), np.square(tau / sigma).sum(axis=1), np.nan)
     if model.refused or not np.isfinite(strength).any():
         return ""
     at = int(np.nanargmax(strength))
-    near = sum(1 << j for j, at_rest in enumerate(flight["near_stiction"][row + at]) if at_rest)
-    dq = flight["dq"][row + at].tolist()
-    found = model.find(flight["q"][row + at].tolist(), tau[at].tolist(), sigma[at].tolist(), near, dq=dq)
+    q, dq, contact_sigma = (flight[name][row + at].tolist() for name in ("q", "dq", "contact_sigma_nm"))
+    found = model.find(q, tau[at].tolist(), sigma[at].tolist(), contact_sigma, dq=dq)
     if found.best is None:
         return ""
     links = tuple((link, found.probability[link]) for link in found.ranked)
@@ -130,9 +133,15 @@ def others(flight: Flight, source: FlightSource, kind: str) -> str:
     rest = [j for j in range(len(source.joints)) if j != flight["event"].alarm_joint]
     if kind == "fault" or not rest:
         return ""
-    share = np.abs(flight["tau_ext"][row]) / limits_of(flight, kind)[row]
+    share = np.abs(without_load(flight)[row]) / limits_of(flight, kind)[row]
     nearest = sorted(rest, key=lambda j: -share[j])[:MOST_OTHERS]
     return f"Other joints, nearest to their {kind} limits first: {loads(flight, row, source, nearest, kind)}."
+
+
+def without_load(flight: Flight) -> np.ndarray:
+    """tau_ext less what is taken for an expected load, (samples, joints): what the alarm compares with its limits."""
+    left: np.ndarray = flight["tau_ext"] - flight["load_nm"]
+    return left
 
 
 def limits_of(flight: Flight, kind: str) -> np.ndarray:
@@ -144,6 +153,6 @@ def loads(flight: Flight, row: int, source: FlightSource, joints: list[int] | ra
     """`joint2 1.100 of 2.600 Nm (42%)` for each joint."""
     parts, limits = [], limits_of(flight, kind)
     for j in joints:
-        size, limit = abs(flight["tau_ext"][row, j]), limits[row, j]
+        size, limit = abs(without_load(flight)[row, j]), limits[row, j]
         parts.append(f"{source.joints[j]} {size:.3f} of {limit:.3f} {source.unit(j)} ({size / limit:.0%})")
     return ", ".join(parts)

@@ -57,14 +57,13 @@ class ForceAtFrame:
     def find(self, q: np.ndarray, dq: np.ndarray | None, said: dict[str, np.ndarray], row: int) -> FrameForce | None:
         """Of a row of what the monitor said; None where it is not known."""
         at = slice(row, row + 1)
-        near = said["near_stiction"][at].astype(np.uint8)
         told = self._model.wrenches(
             self._frame,
             q[at],
-            said["tau_ext"][at],
+            said["tau_ext"][at] - said["load_nm"][at],
             said["sigma_nm"][at],
             [0.0, 0.0, 0.0],
-            near_stiction=near,
+            contact_sigma_nm=said["contact_sigma_nm"][at],
             dq=None if dq is None else dq[at],
         )
         if not np.isfinite(told["force"]).all():

@@ -42,7 +42,9 @@ class HiddenFinder:
         self._held_ns = int(t_ns[at[-1]])
         raised = {one.t_ns for one in chunk.changes if isinstance(one, AlarmChange) and one.alarm == COLLISION}
         return [
-            HiddenCollision(int(t_ns[k]), int(np.nanargmax(np.abs(said["tau_ext"][k]) / said["limit_nm"][k])))
+            HiddenCollision(
+                int(t_ns[k]), int(np.nanargmax(np.abs(said["tau_ext"][k] - said["load_nm"][k]) / said["limit_nm"][k]))
+            )
             for k in at[apart & stood[at]].tolist()
             if int(t_ns[k]) not in raised
         ]

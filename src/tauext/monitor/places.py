@@ -49,7 +49,8 @@ class PlaceChange:
 class PlaceFinder:
     """Finds places in what the monitor said, chunk after chunk; the rule knows samples, not chunks.
 
-    The sample that is judged is the one at which tau_ext has stood out most since the alarm rose.
+    The sample that is judged is the one at which tau_ext, less what is taken for an expected load, has stood out most
+    since the alarm rose.
     """
 
     def __init__(self, bundle: Bundle, frame: str | None = None) -> None:
@@ -62,7 +63,7 @@ class PlaceFinder:
         self._alarm, self._rose_ns, self._joint = 0, 0, -1
         self._due_ns: int | None = None
         self._strength, self._told = 0.0, 0.0
-        self._sample: tuple[list[float], list[float], list[float], int, list[float]] | None = None
+        self._sample: tuple[list[float], ...] | None = None
 
     def acknowledged(self) -> None:
         """The alarm was acknowledged just before the next sample; one that stands there was raised anew."""
@@ -84,7 +85,8 @@ class PlaceFinder:
         if self.refused or (self._due_ns is None and (alarm == self._alarm).all()):
             return []  # also behind an alarm that stands for hours
         with np.errstate(divide="ignore", invalid="ignore"):
-            strength = np.nan_to_num(np.square(said["tau_ext"] / said["sigma_nm"]).sum(axis=1), nan=0.0, posinf=0.0)
+            left = said["tau_ext"] - said["load_nm"]
+            strength = np.nan_to_num(np.square(left / said["sigma_nm"]).sum(axis=1), nan=0.0, posinf=0.0)
         told = []
         for k in range(len(t_ns)):
             found = self._step(k, first_row + k, int(t_ns[k]), int(alarm[k]), float(strength[k]), q, dq, said)
@@ -113,10 +115,15 @@ class PlaceFinder:
         if self._due_ns is None:
             return None
         if alarm and strength > self._strength:
-            near = sum(1 << j for j, at_rest in enumerate(said["near_stiction"][k]) if at_rest)
             self._strength = strength
-            sample = (q[k], said["tau_ext"][k], said["sigma_nm"][k])
-            self._sample = (*(one.tolist() for one in sample), near, dq[k].tolist())
+            sample = (
+                q[k],
+                said["tau_ext"][k] - said["load_nm"][k],
+                said["sigma_nm"][k],
+                said["contact_sigma_nm"][k],
+                dq[k],
+            )
+            self._sample = tuple(one.tolist() for one in sample)
             if self._at_frame is not None:
                 self._force = self._at_frame.find(q, dq, said, k)
         due = fell or t_ns >= self._due_ns
@@ -130,8 +137,8 @@ class PlaceFinder:
 
     def _tell(self, row: int, t_ns: int, alarm: int) -> PlaceChange | None:
         assert self._sample is not None
-        q, tau_ext, sigma_nm, near, dq = self._sample
-        found = self._model.find(q, tau_ext, sigma_nm, near, dq=dq)
+        q, tau_ext, sigma_nm, contact_sigma_nm, dq = self._sample
+        found = self._model.find(q, tau_ext, sigma_nm, contact_sigma_nm, dq=dq)
         if found.best is None:
             return None
         links = tuple((link, found.probability[link]) for link in found.ranked)

@@ -43,9 +43,9 @@ def missing_bundles(results: Results, names: Sequence[str]) -> str:
 
 def sigma_words(estimates: Iterable[Estimates]) -> str:
     """A sentence for the caption: what the band is; empty where no estimate has one."""
-    if all(said.sigma_nm is None for said in estimates):
+    if all(said.band_nm is None for said in estimates):
         return ""
-    return " Bands are one standard error to either side."
+    return " Bands are one standard error to either side; a contact widens them until the joint slides again."
 
 
 def uncertainty_words(estimates: Iterable[Estimates]) -> str:

@@ -94,7 +94,7 @@ COLUMNS = (
     "speed, rad/s",
     "region",
 )
-FIELDS = ("tau_ext_nm", "sigma_nm", "limit_nm", "margin_nm", "residual_nm", "uncertainty_nm", "tau", "dq_rad_s")
+FIELDS = ("tau_ext_nm", "contact_sigma_nm", "limit_nm", "margin_nm", "residual_nm", "uncertainty_nm", "tau", "dq_rad_s")
 
 
 def event_rows(flight: Flight) -> list[tuple[bool, list[str]]]:

@@ -112,9 +112,9 @@ def draw_signal(axes: Axes, flight: Flight, column: str, joint: int, part: slice
         for side in (-1, 1):
             axes.plot(*broken(since, side * limit, period), color=LIMIT, linestyle="--", linewidth=0.9, zorder=3)
         curves: list[tuple[np.ndarray, dict[str, Any]]] = [(said.tau_ext[part, joint], {"color": TAU_EXT})]
-        if said.sigma_nm is not None:
+        if said.band_nm is not None:
             whole_s, centre = broken(since, said.tau_ext[part, joint], period)
-            draw_band(axes, whole_s, centre, broken(since, said.sigma_nm[part, joint], period)[1], TAU_EXT)
+            draw_band(axes, whole_s, centre, broken(since, said.band_nm[part, joint], period)[1], TAU_EXT)
     elif column == "observer":
         curves = [
             (said.r[part, joint], {"color": OBSERVER, "linewidth": OBSERVER_WIDTH}),
@@ -151,7 +151,7 @@ def broken(since: np.ndarray, values: np.ndarray, period: float) -> tuple[np.nda
 
 def legend(flight: Flight, columns: Sequence[str]) -> list[Line2D | Patch]:
     """Curves, then marks and regions."""
-    sigma = flight.estimates.sigma_nm
+    sigma = flight.estimates.band_nm
     lines = [
         Line2D([], [], color=TAU_EXT, label="external torque" + ("" if sigma is None else " ± standard error")),
         Line2D([], [], color=LIMIT, linestyle="--", linewidth=0.9, label=f"{flight.limit_level} limit"),

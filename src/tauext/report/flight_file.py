@@ -16,7 +16,18 @@ from tauext.errors import ConfigError, RecordingError
 ESTIMATES = ".estimates.parquet"
 NEEDED = {"what", "t_ns", "joint"}
 """Of an event."""
-LISTS = {"tau_ext_nm", "sigma_nm", "limit_nm", "margin_nm", "residual_nm", "uncertainty_nm", "tau", "dq_rad_s"}
+LISTS = {
+    "tau_ext_nm",
+    "load_nm",
+    "sigma_nm",
+    "contact_sigma_nm",
+    "limit_nm",
+    "margin_nm",
+    "residual_nm",
+    "uncertainty_nm",
+    "tau",
+    "dq_rad_s",
+}
 LISTS |= {"near_stiction", "torque_units"}
 """A value a joint; none of them has to be there."""
 

@@ -150,7 +150,7 @@ def draw_curves(axes: Axes, scene: Scene, rows: np.ndarray, colours: dict[str, s
     for bundle, estimates in scene.said.items():
         tau_ext = estimates.tau_ext[rows, scene.joint]
         axes.plot(time, tau_ext, color=colours[bundle], zorder=4)
-        sigma = None if estimates.sigma_nm is None else estimates.sigma_nm[rows, scene.joint]
+        sigma = None if estimates.band_nm is None else estimates.band_nm[rows, scene.joint]
         draw_band(axes, time, tau_ext, sigma, colours[bundle])
     if scene.sensor is not None:
         axes.plot(time, scene.sensor[rows], color=SENSOR, linewidth=2, zorder=3)

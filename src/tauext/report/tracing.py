@@ -53,7 +53,7 @@ def trace(
     for method, estimates in said.items():
         healthy_only = np.where((estimates.health == OK)[:, None], estimates.tau_ext, np.nan)
         learned = estimates.r - estimates.tau_ext
-        values = (healthy_only, estimates.limit, estimates.sigma_nm, learned, estimates.r)
+        values = (healthy_only, estimates.limit, estimates.band_nm, learned, estimates.r)
         named |= {(name, method): one for name, one in zip(METHOD_SIGNALS, values, strict=True) if one is not None}
     contacts = [] if recording.contact is None else stretches(recording.contact == 1, time_s)
     found = {method: alarms(estimates, time_s) for method, estimates in said.items()}

@@ -16,6 +16,7 @@ from tauext.ros2.messages import ERROR, OK, STALE, WARN, DiagnosticStatus, KeyVa
 TORQUES = (
     ("tau_ext_nm", "tau_ext"),
     ("sigma_nm", "sigma_nm"),
+    ("contact_sigma_nm", "contact_sigma_nm"),
     ("limit_nm", "limit_nm"),
     ("contact_limit_nm", "contact_limit_nm"),
     ("margin_nm", "margin_nm"),

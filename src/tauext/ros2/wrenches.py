@@ -73,11 +73,10 @@ class Wrenches:
         if verdict.sample is None or not self._writers:
             return
         said, sample = verdict.said, verdict.sample
-        near = np.asarray(said["near_stiction"], dtype=np.uint8)
-        rows = (sample.q[None], said["tau_ext"], said["sigma_nm"])
+        rows = (sample.q[None], said["tau_ext"] - said["load_nm"], said["sigma_nm"])
         for frame, (wrenches, covariances) in self._writers.items():
             own = _core.WrenchAxes.frame
-            told = self._model.wrenches(frame, *rows, None, own, near, sample.dq[None])
+            told = self._model.wrenches(frame, *rows, None, own, said["contact_sigma_nm"], sample.dq[None])
             if np.isfinite(told["force"]).all():
                 send(wrenches, wrench_message(frame, stamp_ns, told["force"][0], told["moment"][0]))
                 send(covariances, covariance_message(told["covariance"][0]))

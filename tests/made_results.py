@@ -69,7 +69,7 @@ def make_results(
             hold_s=0.0,
             observer=SimpleNamespace(gain_per_s=20.0),
             estimate_units=["N m"] * joints,
-            error_scale=SimpleNamespace(on=error_scale),
+            error_scale=SimpleNamespace(on=error_scale, follows=error_scale),
             sliding_limit_nm=limits[name].tolist(),
             near_stiction_limit_nm=(2 * limits[name]).tolist(),
             provenance=json.dumps(trained | {"limits": {"promise": promise}}),

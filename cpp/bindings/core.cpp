@@ -423,7 +423,8 @@ void bind_bundle(nb::module_& m) {
       .def_rw("sigma_weights", &ErrorScaleSettings::sigma_weights)
       .def_rw("sigma_near_weights", &ErrorScaleSettings::sigma_near_weights)
       .def_rw("largest_sigma", &ErrorScaleSettings::largest_sigma)
-      .def_prop_ro("on", &ErrorScaleSettings::on);
+      .def_prop_ro("on", &ErrorScaleSettings::on, "There is a standard error.")
+      .def_prop_ro("follows", &ErrorScaleSettings::follows, "Limits and standard error follow the motion.");
   nb::class_<Load>(m, "Load", "What the arm carries, in the axes of a load frame; mass 0: nothing.")
       .def(
           "__init__",

@@ -42,7 +42,8 @@ const char* name(Touch touch) noexcept {
 
 TouchKind::TouchKind(const Bundle& bundle)
     : joints_(bundle.links.size()),
-      possible_(bundle.observer.method == ResidualMethod::momentum),
+      possible_(bundle.observer.method == ResidualMethod::momentum && !(bundle.observer.high_pass_per_s > 0) &&
+                !(bundle.observer.low_pass_per_s > 0)),
       gain_per_s_(bundle.observer.gain_per_s),
       stands_rad_s_(std::max(kStands_rad_s, bundle.limits.near_stiction_rad_s)),
       block_ns_(kBlock_ns - std::min(bundle.observer.sample_period_ns, kBlock_ns) / 2),

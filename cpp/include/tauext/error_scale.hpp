@@ -1,5 +1,6 @@
 // How wrong tau_ext may be just now, as the motion announces it: what limits and the standard error grow with.
 #pragma once
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <span>
@@ -25,14 +26,18 @@ inline constexpr int kMotionFeatures = 8;  // kinds that there are
 
 // Weights are >= 0 and stand in rows of one joint, (joints, features).
 struct ErrorScaleSettings {
-  std::vector<MotionFeature> features;    // none: limits are constants, and nobody knows sigma
+  std::vector<MotionFeature> features;    // none: no standard error; the constant alone: constant limits with one
   std::vector<double> limit_weights;      // of the limits' scale; 1 is usual motion
   std::vector<double> largest;            // a joint: the scale never exceeds what training motion asked for
   std::vector<double> sigma_weights;      // of the standard error while sliding, [N m] for a feature of 1
   std::vector<double> sigma_near_weights; // and near stiction
   std::vector<double> largest_sigma;      // a joint: likewise, [N m]
 
-  bool on() const noexcept { return !features.empty(); }  // limits follow the motion
+  bool on() const noexcept { return !features.empty(); }  // there is a standard error
+  // Limits and standard error follow the motion.
+  bool follows() const noexcept {
+    return std::ranges::any_of(features, [](MotionFeature one) { return one != MotionFeature::constant; });
+  }
   // Throws Error, naming what does not fit `joints`.
   void validate(int joints) const;
 };

@@ -24,11 +24,11 @@ Situation = dict[str, dict[str, float]]
 
 
 def situations(bundle: _core.Bundle) -> dict[str, Situation]:
-    """Collision limit and standard error after each motion, all joints moving alike; none without an error scale.
+    """Collision limit and standard error after each motion, all joints moving alike; none where limits are constants.
 
     Both are the core's own, of speeds as in each motion.
     """
-    if not bundle.error_scale.on:
+    if not bundle.error_scale.follows:
         return {}
     names = [link.joint_name for link in bundle.links]
     found = {}

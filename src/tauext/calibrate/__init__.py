@@ -9,6 +9,7 @@ from tauext.calibrate.error_scale import (
     fit_error_scale,
     freeze_floor_nm,
     left_out_errors,
+    put_constant_error,
 )
 from tauext.calibrate.judged import Judged, whole_recordings
 from tauext.calibrate.limits import (
@@ -44,6 +45,7 @@ __all__ = [
     "collect_rows",
     "forget_half_done",
     "fit_error_scale",
+    "put_constant_error",
     "fit_wrench",
     "freeze_floor_nm",
     "is_consistent",

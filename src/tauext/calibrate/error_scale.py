@@ -99,6 +99,21 @@ def fit_error_scale(
     return {"hours": rows.hours, "power": rows.power}
 
 
+def put_constant_error(bundle: _core.Bundle, rows: Rows) -> None:
+    """Give a bundle with constant limits the standard error of these rows, sliding and near stiction; limits stay."""
+    scale = _core.ErrorScaleSettings()
+    scale.features = [_core.MotionFeature.constant]
+    scale.limit_weights = scale.largest = [1.0] * bundle.joints
+    regions = []
+    for inside in (~rows.near_stiction, rows.near_stiction):
+        enough = inside.sum(axis=0) >= LEAST_ROWS
+        errors = [rows.error_nm[inside[:, j] if enough[j] else slice(None), j] for j in range(bundle.joints)]
+        regions.append([float(sigma_weights(np.ones((len(one), 1)), one)[0]) for one in errors])
+    scale.sigma_weights, scale.sigma_near_weights = regions
+    scale.largest_sigma = np.max(regions, axis=0).tolist()
+    bundle.error_scale = scale
+
+
 def scale_of(rows: Rows) -> _core.ErrorScaleSettings:
     """The error scale that fits these rows."""
     joints = rows.error_nm.shape[1]

@@ -88,7 +88,7 @@ def describe_bundle(file: Place) -> dict:
     facts = in_order(facts, names)  # provenance has its keys by the alphabet: joint10 before joint2
     period_s = bundle.observer.sample_period_ns * 1e-9
     network_period_s = period_s * bundle.observer.network_stride
-    usual = ", in usual motion" if bundle.error_scale.on else ""
+    usual = ", in usual motion" if bundle.error_scale.follows else ""
     unit = of_all(bundle.estimate_units)  # of answers and limits; what is given may be another
     content: dict[str, Any] = {
         "bundle": bundle.name,

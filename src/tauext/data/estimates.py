@@ -72,6 +72,11 @@ class Estimates:
         return self.sigma_nm if self.contact_sigma_nm is None else self.contact_sigma_nm
 
     @property
+    def limits_move(self) -> bool:
+        """Whether a limit takes more values than one sliding and one near stiction."""
+        return any(len(np.unique(one[np.isfinite(one)])) > 2 for one in self.limit.T)
+
+    @property
     def healthy(self) -> np.ndarray:
         """(samples,) bool: health is ok."""
         return self.health == OK

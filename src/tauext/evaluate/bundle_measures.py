@@ -102,7 +102,7 @@ class BundleMeasures:
             "limits": {
                 "sliding_nm": bundle.sliding_limit_nm,
                 "near_stiction_nm": bundle.near_stiction_limit_nm,
-                "moving": bundle.error_scale.on,
+                "moving": bundle.error_scale.follows,
             },
             "collisions": self._verdicts,
             "ten_found": sum(found[one] for one in ten),

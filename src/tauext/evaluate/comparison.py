@@ -164,7 +164,9 @@ class Comparison:
             histories: of the bundles' training, by their names.
         """
         first, touches = next(iter(self._bundles.values())), self._touches
-        moving = [self._measures[name].peaks_over_limit() for name, one in self._bundles.items() if one.error_scale.on]
+        moving = [
+            self._measures[name].peaks_over_limit() for name, one in self._bundles.items() if one.error_scale.follows
+        ]
         ten = ten_for_all(touches, self._bundles, moving, seed)
         return {
             "joints": [link.joint_name for link in first.links],

@@ -45,10 +45,12 @@ def certainty(flight: Flight, source: FlightSource) -> str:
     sigma = event.sigma_nm[j]
     if not source.has_error_scale or not sigma > 0:
         return ""
+    motion = (
+        f"; the motion multiplied the limit of usual motion by {event.limit_scale[j]:.2f}" if source.follows else ""
+    )
     return (
         f" It was {abs(event.tau_ext[j] - event.load_nm[j]) / sigma:.2g} times its standard error in free motion of "
-        f"{sigma:.3f} {source.unit(j)} (during the contact: {event.contact_sigma_nm[j]:.3f} {source.unit(j)}); the "
-        f"motion multiplied the limit of usual motion by {event.limit_scale[j]:.2f}."
+        f"{sigma:.3f} {source.unit(j)} (during the contact: {event.contact_sigma_nm[j]:.3f} {source.unit(j)}){motion}."
     )
 
 

@@ -55,6 +55,8 @@ class FlightSource:
     has_prior: bool = False
     has_drift: bool = False
     has_error_scale: bool = False
+    follows: bool = False
+    """Limits follow the motion."""
     command: str = "tauext run"
     """That watches, for the files' provenance."""
     torque_units: tuple[str, ...] = ()
@@ -82,6 +84,7 @@ class FlightSource:
             has_prior=bool(bundle.prior.terms or bundle.prior.corrected_links),
             has_drift=bundle.drift.time_constant_s > 0,
             has_error_scale=bundle.error_scale.on,
+            follows=bundle.error_scale.follows,
             torque_units=tuple(bundle.torque_units),
             estimate_units=tuple(bundle.estimate_units),
             load_frame=bundle.load_settings.frame,

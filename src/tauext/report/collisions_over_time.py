@@ -79,7 +79,7 @@ def draw_collisions(results: Results, signals: Signals) -> Drawing:
         Line2D([], [], color=colour, label=what),
         Patch(color=CONTACT, label="contact"),
     ]
-    moves = excerpts[0].said.band_nm is not None
+    moves = excerpts[0].said.limits_move
     if moves:
         handles.insert(2, Line2D([], [], label="± limit", **LIMIT_LINE))
     figure.legend(handles=handles, loc="outside upper left", ncols=4)
@@ -128,7 +128,7 @@ def draw_excerpt(axes: Axes, excerpt: Excerpt, joint: int, colour: str, results:
     axes.plot(shown_s, excerpt.said.r[rows, joint], color=OBSERVER, linewidth=OBSERVER_WIDTH)
     uncertainty = excerpt.said.uncertainty[rows, joint]
     axes.plot(shown_s, uncertainty, color=colour)
-    if excerpt.said.band_nm is not None:
+    if excerpt.said.limits_move:
         for side in (-1, 1):
             axes.plot(shown_s, uncertainty + side * excerpt.said.limit[rows, joint], **LIMIT_LINE)
     if excerpt.shown_at_s > 0:

@@ -24,6 +24,7 @@ from tauext.calibrate import (
     other_motion,
     paper_limits,
     promised_limits,
+    put_constant_error,
     raise_limits,
     set_limits,
     usual_speed_rad_s,
@@ -98,6 +99,11 @@ def calibrate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> N
             job.notes.append(moment.sentence(units[moment.joint]))
     else:
         set_limits(bundle, paper_limits(bundle, unseen or judged, job.threads, config.margins), config.alarm)
+    if not scaled:  # limits are constants
+        put_constant_error(bundle, collect_rows(bundle, unseen or judged, job.threads, config.margins))
+        job.facts["wrench"] = job.facts.get("wrench", {}) | fit_wrench(
+            bundle, unseen or judged, job.threads, config.margins
+        )
     if fit is not None:
         freeze_drift(bundle, config.drift)
 
@@ -169,7 +175,7 @@ def set_supported_limits(
     promised = None
     try:
         # A few dozen peaks say little of how far their tail reaches; the factor below stands for that.
-        at_most_seen = bundle.error_scale.on
+        at_most_seen = bundle.error_scale.follows
         promised = promised_limits(
             bundle, lambda: judged, config.alarm, threads, config.margins, EVEN_ODDS, at_most_seen
         )
@@ -182,7 +188,7 @@ def set_supported_limits(
         apply_promised(bundle, promised, config.alarm)
         facts = promised.facts()
         words = f"no calibration recordings. {promised.sentence()}"
-    if bundle.error_scale.on:
+    if bundle.error_scale.follows:
         raise_limits(bundle, factor)
         facts["minutes_factor"] = factor
         raise_moments(facts, {}, factor)

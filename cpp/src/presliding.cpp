@@ -72,6 +72,7 @@ void Presliding::forget(int joint) noexcept {
     state_.high[index(joint, w)] = 1.0;
   }
   state_.local[static_cast<std::size_t>(joint)] = 0.0;
+  find_gap(joint);
 }
 
 void Presliding::step(std::span<const double> q) noexcept {
@@ -89,7 +90,9 @@ void Presliding::step(std::span<const double> q) noexcept {
       state_.high[at] = std::clamp(state_.high[at] + by, -1.0, 1.0);
     }
     if (!state_.started) state_.local[static_cast<std::size_t>(j)] = 0.0;
-    if (has_branches() && moved != 0) bend_local(j, moved);
+    if (!has_branches() || (state_.started && moved == 0)) continue;
+    bend_local(j, moved);
+    find_gap(j);
   }
   state_.started = true;
 }
@@ -105,6 +108,7 @@ void Presliding::read_ends(std::span<const double> low, std::span<const double> 
   std::copy_n(low.begin(), columns(), state_.low.begin());
   std::copy_n(high.begin(), columns(), state_.high.begin());
   std::copy_n(low.begin() + columns(), kept_columns() - columns(), state_.local.begin());
+  for (int j = 0; j < joints_; ++j) find_gap(j);
 }
 
 void Presliding::write(std::span<double> states) const noexcept {

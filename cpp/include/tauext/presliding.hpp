@@ -62,11 +62,7 @@ class Presliding {
     return state_.low[at] == state_.high[at];
   }
   // The joint's state with local memory less what the bank has for the same branch, -2 to 2; 0 without a branch.
-  double memory_gap(int joint) const noexcept {
-    double bank = 0;
-    for (int w = 0; w < width_count() && has_branches(); ++w) bank += branches_[index(joint, w)] * value(joint, w);
-    return state_.local[static_cast<std::size_t>(joint)] - bank;
-  }
+  double memory_gap(int joint) const noexcept { return gap_[static_cast<std::size_t>(joint)]; }
   bool has_branches() const noexcept { return !branches_.empty(); }
   // All of them, in rows of one joint: columns() values.
   void write(std::span<double> states) const noexcept;
@@ -79,19 +75,29 @@ class Presliding {
 
   // All that it remembers; restore() goes on from there, in another one of the same settings.
   const State& state() const noexcept { return state_; }
-  void restore(const State& state) noexcept { state_ = state; }
+  void restore(const State& state) noexcept {
+    state_ = state;
+    for (int j = 0; j < joints_; ++j) find_gap(j);
+  }
 
  private:
   std::size_t index(int joint, int width) const noexcept {
     return static_cast<std::size_t>(joint) * widths_.size() + static_cast<std::size_t>(width);
   }
   void bend_local(int joint, double moved) noexcept;
+  void find_gap(int joint) noexcept {
+    if (!has_branches()) return;
+    double bank = 0;
+    for (int w = 0; w < width_count(); ++w) bank += branches_[index(joint, w)] * value(joint, w);
+    gap_[static_cast<std::size_t>(joint)] = state_.local[static_cast<std::size_t>(joint)] - bank;
+  }
 
   int joints_;
   std::vector<double> widths_;
   std::vector<double> branches_;       // (joint, width)
   std::vector<double> edges_, slopes_; // (joint, width): f at a travel of twice the width, and its slope up to there
   State state_;
+  JointVector gap_{};  // follows from the state
 };
 
 }  // namespace tauext

@@ -138,8 +138,8 @@ def with_local_memory(
 ) -> tuple[Inertia, PriorFit]:
     """The fit with the share of each joint's presliding friction that has local memory, where left-out motion shows it.
 
-    Free motion tells the two kinds of memory apart where a joint reverses again before it slides. Friction of real
-    gears mostly has nonlocal memory [AlBender2005]; simulators and many controllers model it with local memory.
+    The two kinds of memory differ in free motion where a joint reverses again before it slides. Friction of real gears
+    mostly has nonlocal memory [AlBender2005]; simulators and many controllers model it with local memory.
     """
     branches = branches_of(fit.settings)
     if not any(branches):

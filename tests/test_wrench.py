@@ -251,6 +251,13 @@ def test_what_a_touch_adds_to_the_friction_of_moving_joints_is_taken_off_where_a
     )
     assert np.linalg.norm(after - [20.0, -25.0, 30.0]) < 0.2 * np.linalg.norm(before - [20.0, -25.0, 30.0])
     np.testing.assert_array_equal(standing, before)
+    # In contact_sigma, that friction is an error. Once it is taken off, 0.3 squared of its variance remains.
+    taken = shares * np.sign(moving) * (np.abs(weight - (true - rubs)) - np.abs(weight))
+    rubbing, remains = np.hypot(SIGMA, taken)[None], np.hypot(SIGMA, 0.3 * taken)[None]
+    moved = model.wrenches("joint7", *rows[:-1], rubbing, moving[None])
+    expected = model.wrenches("joint7", np.array([POSE]), (true - rubs + taken)[None], SIGMA[None], None, BASE, remains)
+    np.testing.assert_allclose(moved["covariance"], expected["covariance"], rtol=1e-6)
+    np.testing.assert_allclose(moved["force"], expected["force"], atol=1e-3)
 
 
 def test_nothing_is_known_without_torques(model):

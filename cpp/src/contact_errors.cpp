@@ -14,11 +14,12 @@ ContactErrors::ContactErrors(const Bundle& bundle)
   const std::vector<double>& widths = bundle.prior.widths_rad;
   const double ratio = widths.empty() ? 0.0 : kBuildsUpRad / widths.front(), coarse = 1 / (1 + ratio * ratio);
   const double share = kFineShare + (kCoarseShare - kFineShare) * coarse;
+  const bool found = std::ranges::any_of(bundle.prior.terms, [](const Term& term) { return is_load(term); });
   const std::vector<double> shares = load_friction_shares(bundle.prior, joints_);
   for (int j = 0; j < joints_; ++j) {
     const auto at = static_cast<std::size_t>(j);
     hidden_nm_[j] = share * friction_line(bundle.prior, at).at_rest_nm;
-    rubbing_[j] = shares[at];
+    rubbing_[j] = found ? shares[at] : kUsualRubbing;
     unsure_nm_[j] = kUnsureBank;
   }
   JointVector bent{};  // presliding friction

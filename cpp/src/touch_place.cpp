@@ -221,9 +221,8 @@ void PlaceModel::rank(std::span<const double> q, std::span<const double> tau_ext
   if (!sound) return;
   std::array<double, kMaxJoints> y;
   std::ranges::copy(tau_ext.first(n), y.begin());
-  if (!dq.empty()) wrench_.take_off_rubbing(q, dq, std::span(y).first(n));
   std::array<double, kMaxJoints * kMaxJoints> s;
-  wrench_.covariance(WrenchKind::force, std::span(y).first(n), sigma_nm, contact_sigma_nm, s);
+  wrench_.take_off_rubbing(WrenchKind::force, q, dq, sigma_nm, contact_sigma_nm, std::span(y).first(n), s);
   const std::size_t rows = wrench_.told().size();
   wrench_.keep_told(s, n, true);
   wrench_.keep_told(y, 1, false);

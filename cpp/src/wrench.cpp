@@ -153,15 +153,25 @@ void WrenchModel::covariance(WrenchKind kind, std::span<const double> tau_ext, s
     into[i * n + i] += contact_sigma_nm[i] * contact_sigma_nm[i] - sigma_nm[i] * sigma_nm[i];
 }
 
-void WrenchModel::take_off_rubbing(std::span<const double> q, std::span<const double> dq,
-                                   std::span<double> tau_ext) const noexcept {
+void WrenchModel::take_off_rubbing(WrenchKind kind, std::span<const double> q, std::span<const double> dq,
+                                   std::span<const double> sigma_nm, std::span<const double> contact_sigma_nm,
+                                   std::span<double> tau_ext, std::span<double> into) const noexcept {
   constexpr std::array<double, kMaxJoints> still{};
-  std::array<double, kMaxJoints> momentum, weight;
+  std::array<double, kMaxJoints> taken{};
   const auto n = links_.size();
-  tree_.momentum(q, std::span(still).first(n), std::span(momentum).first(n), std::span(weight).first(n));
-  for (std::size_t j = 0; j < n; ++j) {
-    const double more = std::fabs(weight[j] - tau_ext[j]) - std::fabs(weight[j]);
-    tau_ext[j] += rubbing_[j] * std::tanh(dq[j] / kSignSpeed) * more;
+  if (!dq.empty()) {
+    std::array<double, kMaxJoints> momentum, weight;
+    tree_.momentum(q, std::span(still).first(n), std::span(momentum).first(n), std::span(weight).first(n));
+    for (std::size_t j = 0; j < n; ++j) {
+      const double more = std::fabs(weight[j] - tau_ext[j]) - std::fabs(weight[j]);
+      taken[j] = rubbing_[j] * std::tanh(dq[j] / kSignSpeed) * more;
+      tau_ext[j] += taken[j];
+    }
+  }
+  covariance(kind, tau_ext, sigma_nm, contact_sigma_nm, into);
+  for (std::size_t j = 0; j < contact_sigma_nm.size(); ++j) {
+    const double contact = contact_sigma_nm[j] * contact_sigma_nm[j] - sigma_nm[j] * sigma_nm[j];
+    into[j * n + j] -= std::min(contact, (1 - kRubbingDoubt * kRubbingDoubt) * taken[j] * taken[j]);
   }
 }
 
@@ -201,10 +211,9 @@ Wrench WrenchModel::solve(WrenchKind kind, int frame, const std::array<double, 3
 
   std::array<double, kMaxJoints> pushed;
   std::ranges::copy(tau_ext.first(n), pushed.begin());
-  if (!dq.empty()) take_off_rubbing(q, dq, std::span(pushed).first(n));
   std::array<double, kMaxJoints * kMaxJoints> s;
   std::array<double, 6 * kMaxJoints> all;
-  covariance(kind, std::span(pushed).first(n), sigma_nm, contact_sigma_nm, s);
+  take_off_rubbing(kind, q, dq, sigma_nm, contact_sigma_nm, std::span(pushed).first(n), s);
   const Turn base = see(links_, frames_[static_cast<std::size_t>(frame)], q, point, axes, all).axes;
   const WrenchScale scale{WrenchModel::kLargestForce_n, WrenchModel::kLength_m, WrenchModel::kBlindForce_n};
   keep_told(s, n, true);

@@ -30,6 +30,8 @@ class ContactErrors {
   static constexpr double kFineShare = 0.12, kCoarseShare = 1.15, kBuildsUpRad = 1e-3;
   // Share of the gap where training found local memory, and where it found none or could not tell.
   static constexpr double kUnsureLocal = 0.05, kUnsureBank = 0.3;
+  // Gear friction under a load, as a share of it, where training found none: 2 to 6 % (Bittencourt et al. 2010).
+  static constexpr double kUsualRubbing = 0.04;
   static constexpr double kStaysS = 1.0;  // a joint that comes to rest within this time after a contact counts as pressed
 
   explicit ContactErrors(const Bundle& bundle);

@@ -77,6 +77,7 @@ class WrenchModel {
  public:
   static constexpr double kLargestForce_n = 1000;  // no touch that an arm survives is far beyond it
   static constexpr double kBlindForce_n = 100;     // standard error; what is not known to this says nothing of a touch
+  static constexpr double kRubbingDoubt = 0.3;     // of the friction under a load that is taken off: 0.08 of it found, +- 0.02
   static constexpr double kLength_m = 0.1;  // a force so far from the frame is a usual moment: half a link's width
 
   // Of a bundle that holds together.
@@ -109,8 +110,11 @@ class WrenchModel {
   // S of a sample, (joints, joints). contact_sigma_nm: empty in free motion.
   void covariance(WrenchKind kind, std::span<const double> tau_ext, std::span<const double> sigma_nm,
                   std::span<const double> contact_sigma_nm, std::span<double> into) const noexcept;
-  // tau_ext less what a touch's load adds to the friction of joints that move.
-  void take_off_rubbing(std::span<const double> q, std::span<const double> dq, std::span<double> tau_ext) const noexcept;
+  // tau_ext less what a touch's load adds to the friction of joints that move, in place, and S of it: of the variance that
+  // this friction has in contact_sigma, kRubbingDoubt squared remains.
+  void take_off_rubbing(WrenchKind kind, std::span<const double> q, std::span<const double> dq,
+                        std::span<const double> sigma_nm, std::span<const double> contact_sigma_nm,
+                        std::span<double> tau_ext, std::span<double> into) const noexcept;
   // All take a value a joint; no contact_sigma_nm: as in free motion; no dq: as where joints stand. Nothing allocates or
   // throws. The wrench at an unknown frame is not known.
   Wrench wrench(int frame, std::span<const double> q, std::span<const double> tau_ext, std::span<const double> sigma_nm,

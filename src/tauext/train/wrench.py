@@ -6,16 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tauext._core import Bundle, TermKind
+from tauext._core import Bundle
 from tauext.errors import RobotError
 from tauext.robot import link_capsules, wrench_frames
 from tauext.train.preparation import Job
 
-GEAR_SHARE = 0.04
-"""Gears rub harder under torque, by 2 to 6 % of it (Bittencourt et al. 2010), with or against a push: free motion
-hardly shows it."""
-FOUND_GEAR_SHARE = 0.02
-"""Where a joint's own weight showed how hard its gear rubs, that is taken off, and this is how far it may be off."""
 MODEL_SHARE = 0.05
 """Constants that were found by comparing with a model's weights inherit what its masses are off by together; a data
 sheet's leave out cables, covers and tools."""
@@ -27,7 +22,8 @@ def put_wrench(job: Job, bundle: Bundle, robot: Path) -> None:
     """Let the bundle tell forces at the robot file's frames, and say how far its torque constants may be off.
 
     Constants that the training found have a standard error, and one that all have in common; known ones, and torques
-    that were recorded in N m, may be off by config.torque_share each. What gears take of a push comes on top.
+    that were recorded in N m, may be off by config.torque_share each.
+    The friction of gears under a push is part of `contact_sigma_nm`.
     """
     settings = bundle.wrench_settings
     constants = job.constants
@@ -37,9 +33,6 @@ def put_wrench(job: Job, bundle: Bundle, robot: Path) -> None:
             found = np.abs(constants.standard_errors / constants.nm_per_unit)
         share = np.where(np.isfinite(found) & (found > 0), np.clip(found, LEAST_SHARE, 1.0), share)
         settings.common_share = MODEL_SHARE if (found > 0).any() else 0.0
-    rubs = {term.a for term in bundle.prior.terms if term.kind in (TermKind.load, TermKind.load_presliding)}
-    gears = [FOUND_GEAR_SHARE if joint in rubs else GEAR_SHARE for joint in range(len(job.joints))]
-    share = np.minimum(np.hypot(share, gears), 1.0)
     settings.torque_share = share.tolist()
     if any(link.mass > 0 for link in bundle.links):
         try:

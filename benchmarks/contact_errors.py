@@ -23,15 +23,16 @@ import numpy as np
 
 from tauext import _core
 from tauext.config import PAPER_CASES
-from tauext.data import Recording, load_recording
-from tauext.demo.arms import ARMS, DemoArm
-from tauext.demo.bundles import LESSONS
-from tauext.demo.mover import Mover
-from tauext.demo.plant import Plant
-from tauext.demo.practice import practice_recording
-from tauext.demo.push import Drag
-from tauext.robot import estimated_model
-from tauext.train import train_on_recordings
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording
+from tauext.page.bundles import LESSONS
+from tauext.page.practice import practice_recording
+from tauext.robot.model_case import estimated_model
+from tauext.sim.arms import ARMS, DemoArm
+from tauext.sim.mover import Mover
+from tauext.sim.plant import Plant
+from tauext.sim.push import Drag
+from tauext.train.stage import train_on_recordings
 
 PHASES = ("free motion", "first second of the push", "pressed while stopped", "released, still stopped", "moving again")
 BEFORE_S, STAND_S, AFTER_S = 4.0, 3.0, 4.0

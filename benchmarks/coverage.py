@@ -20,11 +20,16 @@ import numpy as np
 from tauext import _core
 from tauext._core import Tree
 from tauext.config import ObserverConfig, PriorConfig
-from tauext.data import Recording, first_seconds, free_pieces, free_samples, load_dataset, total_s
 from tauext.data.cut import cut
-from tauext.learn import Setup, build_setup, fit_prior, with_presliding
-from tauext.learn.coverage import CoverageFit, fit_coverage
-from tauext.robot import load_tree
+from tauext.data.dataset import load_dataset
+from tauext.data.first_seconds import first_seconds, total_s
+from tauext.data.free_motion import free_pieces, free_samples
+from tauext.data.recording import Recording
+from tauext.fit.bundle_writing import build_setup
+from tauext.fit.coverage import CoverageFit, fit_coverage
+from tauext.fit.prior import fit_prior
+from tauext.fit.training_set import Setup, with_presliding
+from tauext.robot.load import load_tree
 
 SLOW, BEYOND = 0.6, 1.15
 LEAST_SAMPLES = 3

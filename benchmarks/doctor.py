@@ -23,12 +23,12 @@ from doctor_faults import FAULTS, Case, Made, NotApplicable, beside, is_named
 from made_motion import made_motion
 from trees import Part, six_axis, urdf
 
-from tauext.data import load_recording
-from tauext.doctor import Diagnosis, examine
-from tauext.rig import RigConfig
-from tauext.rig.arm import arm_xml
-from tauext.rig.recording import simulate_recording
-from tauext.robot import load_tree
+from tauext.check.examine import Diagnosis, examine
+from tauext.data.recording_file import load_recording
+from tauext.robot.load import load_tree
+from tauext.sim.arm import arm_xml
+from tauext.sim.config import RigConfig
+from tauext.sim.recording import simulate_recording
 
 RATE_HZ = 100.0
 PLANAR = ("rig", "parallel")

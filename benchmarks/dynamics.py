@@ -26,7 +26,7 @@ import numpy as np
 import pinocchio as pin
 
 import tauext
-from tauext.robot import load_tree
+from tauext.robot.load import load_tree
 
 HERE = Path(__file__).parent
 ARM = HERE / "seven_axis.urdf"

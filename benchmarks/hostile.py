@@ -83,14 +83,14 @@ def import_all() -> None:
     import rosbags.rosbag2  # noqa: F401
     import scipy.io  # noqa: F401
 
+    import tauext.check
     import tauext.cli.monitor_output
+    import tauext.cli.reproduce_stage
     import tauext.data.importers
-    import tauext.demo.bundles
-    import tauext.doctor
-    import tauext.doctor.picture
     import tauext.evaluate
+    import tauext.page.bundles
     import tauext.report
-    import tauext.reproduce
+    import tauext.report.picture
     import tauext.train  # noqa: F401
 
 

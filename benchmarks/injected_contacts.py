@@ -16,7 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.data import Recording, load_bundle, load_dataset, load_recording
+from tauext.bundle.bundle_file import load_bundle
+from tauext.data.dataset import load_dataset
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording
 from tauext.evaluate.collisions import find_collisions
 from tauext.evaluate.estimating import estimate_recording
 from tauext.evaluate.injected import Event, Injection

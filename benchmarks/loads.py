@@ -30,10 +30,15 @@ from weighing.rig import PLANE, make_rig, rig_carried, tip
 from weighing.takes import FIRST_S, KNOWN_KG, TRAIN, WINDOW_S, WINDOWS, Carried, carried, write_carrying
 
 from tauext import Bundle
-from tauext.data import load_bundle, load_recording
+from tauext.bundle.bundle_file import load_bundle
+from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
-from tauext.load import NamedFrame, identify, load_frame, scaled_bundle, see, weigh_constants
-from tauext.rig import RigConfig
+from tauext.monitor.frame import NamedFrame, load_frame
+from tauext.monitor.identify import identify
+from tauext.monitor.known import weigh_constants
+from tauext.monitor.rows import see
+from tauext.monitor.scaled_bundle import scaled_bundle
+from tauext.sim.config import RigConfig
 
 RIG = "rig"
 WRONG = 0.1

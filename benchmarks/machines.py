@@ -35,20 +35,21 @@ from unseen.recordings import Take, description, write_take
 
 from tauext import _core
 from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
-from tauext.data import load_dataset, load_recording
-from tauext.data.recording_file import save_recording
-from tauext.evaluate import estimate_recording
+from tauext.data.dataset import load_dataset
+from tauext.data.recording_file import load_recording, save_recording
+from tauext.evaluate.estimating import estimate_recording
 from tauext.evaluate.free_motion import count_episodes
-from tauext.fleet_prior import fleet_arms, make_fleet_prior
-from tauext.fleet_prior.summary import ODD
-from tauext.learn.bundle_writing import build_setup
-from tauext.learn.find_kinematics import REFINED, directions
-from tauext.learn.kinematic_sample import KinematicSample
-from tauext.learn.prior_terms import own_terms
-from tauext.learn.training_set import with_presliding
-from tauext.provenance import machine
-from tauext.robot import estimated_model
-from tauext.train import train_bundle
+from tauext.files.provenance import machine
+from tauext.fit.bundle_writing import build_setup
+from tauext.fit.find_kinematics import REFINED, directions
+from tauext.fit.kinematic_sample import KinematicSample
+from tauext.fit.prior_terms import own_terms
+from tauext.fit.training_set import with_presliding
+from tauext.fleet.arms import fleet_arms
+from tauext.fleet.fleet_prior_stage import make_fleet_prior
+from tauext.fleet.summary import ODD
+from tauext.robot.model_case import estimated_model
+from tauext.train.stage import train_bundle
 
 ROOT = Path(__file__).parent.parent
 NOISE = 1e-13

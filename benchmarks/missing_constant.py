@@ -37,11 +37,15 @@ from wrench import LOOK_S, SLOT_S, STREAM, logged, pushed, told_of
 
 from tauext import Bundle
 from tauext._core import Tree, estimate
+from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main as tauext
-from tauext.data import Recording, load_bundle, load_recording, save_recording
-from tauext.learn import TorqueConstants
-from tauext.load import identify, load_frame, see
-from tauext.robot import load_tree
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording, save_recording
+from tauext.fit.torque_constants import TorqueConstants
+from tauext.monitor.frame import load_frame
+from tauext.monitor.identify import identify
+from tauext.monitor.rows import see
+from tauext.robot.load import load_tree
 
 UR3_NM_PER_AMPERE = np.array([12.925, 13.088, 9.358, 4.572, 4.572, 4.548])
 UR3_CUT_S = 33.5

@@ -36,7 +36,7 @@ from mutation_trial.judging import Seen, Worth, looked_at, verdict_after, verdic
 from mutation_trial.named import fits
 from mutation_trial.tables import LET_IN, markdown
 
-from tauext.data import load_recording
+from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
 
 

@@ -18,7 +18,8 @@ import numpy as np
 from unseen.surfaces import SURFACES, capsules_of
 
 from tauext import _core
-from tauext.data import Recording, load_recording
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording
 
 TOUCHED = {"a4": 7, "a6": 7, "b8": 6, "b9": 6, "c3": 5, "d3": 4, "f2": 2, "f4": 2}
 """Link that people touched in each recording, from 1."""

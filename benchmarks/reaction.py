@@ -22,17 +22,12 @@ import numpy as np
 from seven_axis import bundle, motion
 
 from tauext import _core
-from tauext.live import (
-    Latencies,
-    Loop,
-    LoopSettings,
-    Reaction,
-    Sample,
-    SampleQueue,
-    SourceCounts,
-    SourceSettings,
-    start_reactions,
-)
+from tauext.monitor.latency import Latencies
+from tauext.monitor.loop import Loop, LoopSettings
+from tauext.monitor.reaction_file import Reaction
+from tauext.monitor.reactions import start_reactions
+from tauext.monitor.source import Sample, SourceCounts, SourceSettings
+from tauext.sources.sample_queue import SampleQueue
 
 PERIOD_NS = 1_000_000
 AIM_P99_US = 2000.0

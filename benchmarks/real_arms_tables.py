@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tauext.data import load_recording
-from tauext.data.estimates import load_estimates
+from tauext.bundle.estimates import load_estimates
+from tauext.data.recording_file import load_recording
 
 HEALTHY_FROM_S = 0.5
 """r is warm."""

@@ -22,11 +22,12 @@ from unseen.cold import command
 from unseen.recordings import Take, description, write_take
 
 from tauext import _core
-from tauext.data import Recording, load_recording
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording
 from tauext.errors import TrainingError
-from tauext.learn.fleet_prior import FleetPrior
-from tauext.learn.fleet_prior_file import load_fleet_prior
-from tauext.refit import refit_recordings
+from tauext.fit.fleet_prior import FleetPrior
+from tauext.fit.fleet_prior_file import load_fleet_prior
+from tauext.train.refit_stage import refit_recordings
 
 MINUTE = 1.1
 TAKES = (

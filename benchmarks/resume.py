@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from tauext import __version__
-from tauext.demo.arms import ARMS
-from tauext.demo.bundles import LESSONS, cache_folder, find_or_train_bundles
-from tauext.demo.simulation import Simulation
-from tauext.demo.snapshot import Event
+from tauext.page.bundles import LESSONS, cache_folder, find_or_train_bundles
+from tauext.page.simulation import Simulation
+from tauext.page.snapshot import Event
+from tauext.sim.arms import ARMS
 
 PULLS_M = 0.12, 0.25
 """About 30 and 60 N."""

@@ -16,11 +16,14 @@ import numpy as np
 
 from tauext import _core
 from tauext.config import PAPER_CASES, ObserverConfig
-from tauext.data import Recording, load_recording, load_split
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording
+from tauext.data.split import load_split
 from tauext.evaluate.collisions import Collision, find_collisions
-from tauext.learn import build_setup
-from tauext.rig import RigConfig, simulate_dataset
-from tauext.robot import estimated_model
+from tauext.fit.bundle_writing import build_setup
+from tauext.robot.model_case import estimated_model
+from tauext.sim.collect import simulate_dataset
+from tauext.sim.config import RigConfig
 
 REAL = {
     "motor torque": (91, 33),

@@ -29,11 +29,12 @@ from test_damiao_source import Motors, source_of, state_of
 from test_dynamixel_source import x_series
 from test_feetech_source import sts3215
 
-from tauext.live import SourceSettings, servo_port
-from tauext.live.can_bus_file import CanMotor
-from tauext.live.dynamixel_source import DynamixelSource
-from tauext.live.feetech_source import FeetechSource
-from tauext.live.servo_bus_file import ServoJoint
+from tauext.monitor.source import SourceSettings
+from tauext.sources import servo_port
+from tauext.sources.can_bus_file import CanMotor
+from tauext.sources.dynamixel_source import DynamixelSource
+from tauext.sources.feetech_source import FeetechSource
+from tauext.sources.servo_bus_file import ServoJoint
 
 KINDS = {"feetech": (Feetech, FeetechSource, sts3215), "dynamixel": (Dynamixel, DynamixelSource, x_series)}
 BYTE_S = 10 / 1e6

@@ -22,7 +22,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-from tauext.data import load_bundle, load_recording
+from tauext.bundle.bundle_file import load_bundle
+from tauext.data.recording_file import load_recording
 
 ROOT = Path(__file__).parent.parent
 KEPT = ROOT / "docs" / "results" / "servo-stalls"

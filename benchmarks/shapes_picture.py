@@ -15,10 +15,11 @@ import trimesh
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from tauext.demo.arms import seven_axis_arm
-from tauext.demo.drawing import shape_mesh
-from tauext.robot import link_capsules, load_tree
+from tauext.page.drawing import shape_mesh
+from tauext.robot.capsules import link_capsules
+from tauext.robot.load import load_tree
 from tauext.robot.tree_from_mujoco import frame_of_joint
+from tauext.sim.arms import seven_axis_arm
 
 GREY, COLOURS = "#b9c0ca", ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")
 LIGHT = np.array([0.4, -0.7, 0.6])

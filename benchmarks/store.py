@@ -32,9 +32,10 @@ KEYS = {"AWS_ACCESS_KEY_ID": "benchmark", "AWS_SECRET_ACCESS_KEY": "benchmark-se
 
 def make_recordings(dataset: Path, folder: Path, count: int) -> list[Path]:
     """So many recordings of MINUTES, NAME-000.parquet ..., from the test recordings; those that are there stay."""
-    from tauext.data import load_dataset, save_recording
     from tauext.data.cut import cut
+    from tauext.data.dataset import load_dataset
     from tauext.data.recording import Recording
+    from tauext.data.recording_file import save_recording
 
     sources = load_dataset(dataset).recordings("test")
     rate_hz = sources[0].rate_hz
@@ -86,8 +87,9 @@ def gateway(program: str, objects: Path) -> Iterator[tuple[subprocess.Popen, dic
 
 def fill(files: list[Path], copies: int, split: str, folder: Path) -> None:
     """The dataset on disk, as links, and in the store."""
-    from tauext.store import StoredPlace, place_of
-    from tauext.store.staging import send
+    from tauext.files.place import place_of
+    from tauext.files.staging import send
+    from tauext.files.stored import StoredPlace
 
     there = place_of("s3://arms/data")
     assert isinstance(there, StoredPlace)

@@ -19,8 +19,9 @@ from unseen.recordings import Take, description, write_take
 from unseen_arms import command
 
 from tauext import _core
-from tauext.data import Recording, load_recording
-from tauext.learn.temperature import COULOMB, of_kinds
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording
+from tauext.fit.temperature import COULOMB, of_kinds
 
 TAKES = (
     *(Take(f"train-{k}", "train", 3, 0, 180.0 * k) for k in range(4)),

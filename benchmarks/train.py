@@ -27,12 +27,12 @@ import numpy as np
 import tauext
 from tauext import _core
 from tauext.errors import ConfigError
-from tauext.learn import Setup, WindowSet
-from tauext.learn.adam import Adam
-from tauext.learn.core_backend import CoreBackend
+from tauext.fit.adam import Adam
+from tauext.fit.core_backend import CoreBackend
+from tauext.fit.training_set import Setup, WindowSet
 
 try:
-    from tauext.learn import torch_backend
+    from tauext.fit import torch_backend
 
     torch, why_not = torch_backend.torch, ""
 except ConfigError as error:

@@ -19,7 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tauext.data import Recording, load_dataset
+from tauext.data.dataset import load_dataset
+from tauext.data.recording import Recording
 
 SEED = 1
 FREE_MINUTES = 6.0
@@ -48,7 +49,8 @@ cut = false
 HEALTH = """
 import json, sys
 from tauext import _core
-from tauext.data import load_dataset, load_recording
+from tauext.data.dataset import load_dataset
+from tauext.data.recording_file import load_recording
 bundle, data = _core.Bundle.load(sys.argv[1]), load_dataset(sys.argv[2])
 healthy = counted = 0
 for name in data.split.train + data.split.collisions + data.split.test:

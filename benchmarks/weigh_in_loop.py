@@ -17,8 +17,12 @@ from unseen.arms import makers
 from weighing.takes import FIRST_S, WINDOW_S, carried
 
 from tauext import _core
-from tauext.data import Recording, load_bundle, load_recording
-from tauext.load import LoadEstimate, identify, load_frame, see
+from tauext.bundle.bundle_file import load_bundle
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording
+from tauext.monitor.frame import load_frame
+from tauext.monitor.identify import LoadEstimate, identify
+from tauext.monitor.rows import see
 
 
 def main() -> None:

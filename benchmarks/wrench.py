@@ -27,8 +27,8 @@ from unseen.recordings import DRIVE_VELOCITY_RAD_S, told_constants
 from unseen.simulation import LINK_RADIUS_M, RATE_HZ, Run, _reach, simulate
 
 from tauext import _core
-from tauext.rig.sensors import encoder, low_pass, velocity
-from tauext.robot import load_tree
+from tauext.robot.load import load_tree
+from tauext.sim.sensors import encoder, low_pass, velocity
 
 ARMS = ("panda", "ur5", "seven_axis", "kinova", "offset_wrist", "light_arm")
 """The last two are arms that no method was fixed on."""

@@ -13,7 +13,9 @@ import time
 import numpy as np
 
 import tauext
-from tauext.live import Loop, LoopReport, LoopSettings, Sample, SourceCounts, SourceSettings, Verdict
+from tauext.monitor.loop import Loop, LoopSettings
+from tauext.monitor.sink import LoopReport, Verdict
+from tauext.monitor.source import Sample, SourceCounts, SourceSettings
 
 
 class MyArm:

@@ -80,7 +80,7 @@ def unexamined(monkeypatch, tmp_path_factory) -> list[list[str]]:
         calls.append([r.name for r in recordings])
         return SimpleNamespace(findings=[])
 
-    monkeypatch.setattr("tauext.look.viewing.examine", nothing_found)
+    monkeypatch.setattr("tauext.check.viewing.examine", nothing_found)
     return calls
 
 
@@ -89,7 +89,7 @@ def rig_bundles(tmp_path_factory) -> dict[str, Path]:
     """Those of the demo's rig, in a cache of demos."""
     from made_demo import SHORT
 
-    from tauext.demo.arms import rig_arm
-    from tauext.demo.bundles import train_bundles
+    from tauext.page.bundles import train_bundles
+    from tauext.sim.arms import rig_arm
 
     return train_bundles(rig_arm(), "exact", SHORT, 0, tmp_path_factory.mktemp("demos"))

@@ -11,12 +11,12 @@ import numpy as np
 from made_motion import Made, made_motion
 
 from tauext import _core
-from tauext.data import Recording
-from tauext.data.recording import FLAGS, SIGNALS
-from tauext.doctor import Diagnosis, Finding
-from tauext.doctor.motion import low_pass
-from tauext.doctor.payload import with_load
-from tauext.robot import load_tree
+from tauext.check.examine import Diagnosis
+from tauext.check.finding import Finding
+from tauext.check.motion import low_pass
+from tauext.check.payload import with_load
+from tauext.data.recording import FLAGS, SIGNALS, Recording
+from tauext.robot.load import load_tree
 
 J = 1
 """The joint that is broken: the second, which carries the arm."""

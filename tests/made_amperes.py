@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tauext import _core
-from tauext.learn.torque_constants import with_constants
+from tauext.fit.torque_constants import with_constants
 
 
 def taking_amperes(bundle: _core.Bundle, nm_per_ampere: np.ndarray) -> _core.Bundle:

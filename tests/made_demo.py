@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from tauext.config import AlarmConfig, PriorConfig, TrainConfig
-from tauext.demo.arms import ARMS, DemoArm
-from tauext.demo.bundles import Lesson
+from tauext.page.bundles import Lesson
+from tauext.sim.arms import ARMS, DemoArm
 
 SHORT = Lesson(
     recordings=4,

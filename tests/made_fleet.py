@@ -9,7 +9,7 @@ from arms import PLANAR_MJCF, planar_arm
 
 from tauext import _core
 from tauext.config import ObserverConfig, PriorConfig, TrainConfig
-from tauext.data import Recording
+from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
 from tauext.data.split import Split, save_split
 

@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from tauext.config import FleetConfig
-from tauext.fleet import FleetEnd, load_fleet, run
+from tauext.fleet import run
+from tauext.fleet.fleet_file import load_fleet
+from tauext.fleet.run import FleetEnd
 from tauext.fleet.stages import STAGES
 from tauext.fleet.task import Stage, Task, run_task
 from tauext.fleet.workers import Ended
-from tauext.rig import simulate_dataset
-from tauext.rig.config import RigConfig
+from tauext.sim.collect import simulate_dataset
+from tauext.sim.config import RigConfig
 
 QUICK = '[train]\nrecipe = "observer"\n[evaluate]\nkeep_free_estimates = 1\n'
 

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 
-from tauext.live import Sample, SourceCounts, SourceSettings
+from tauext.monitor.source import Sample, SourceCounts, SourceSettings
 
 
 def samples_of(recording, rows: slice = slice(None)) -> list[Sample]:

@@ -10,8 +10,8 @@ import numpy as np
 from made_motion import Drive, made_motion
 from trees import six_axis, urdf
 
-from tauext.data import Recording
-from tauext.robot import load_tree
+from tauext.data.recording import Recording
+from tauext.robot.load import load_tree
 
 UR_JOINTS = (
     "shoulder_pan_joint",

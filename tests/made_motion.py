@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext import _core
-from tauext.data import Recording
+from tauext.data.recording import Recording
 
 ENCODER_RAD = 2 * np.pi / 2**20
 VELOCITY_RAD_S = 300.0  # cut-off of the drives' velocity filters

@@ -12,8 +12,8 @@ from arms import no_model, planar_arm
 
 from tauext import _core
 from tauext.config import ObserverConfig
-from tauext.data import Recording
-from tauext.learn import build_setup, make_bundle
+from tauext.data.recording import Recording
+from tauext.fit.bundle_writing import build_setup, make_bundle
 
 JOINTS = ("shoulder", "elbow")
 LIMIT_NM = 2.0

@@ -10,8 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 from scipy.signal import lfilter
 
-from tauext.data import Recording, Split, save_recording, save_split
-from tauext.data.estimates import COLLISION, OK, WARMING_UP, Estimates, save_estimates
+from tauext.bundle.estimates import COLLISION, OK, WARMING_UP, Estimates, save_estimates
+from tauext.data.recording import Recording
+from tauext.data.recording_file import save_recording
+from tauext.data.split import Split, save_split
 from tauext.evaluate.bundle_measures import BundleMeasures
 from tauext.evaluate.collisions import choose_ten, find_collisions
 from tauext.evaluate.reference import sensor_reference

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tauext.data import Recording
+from tauext.data.recording import Recording
 
 STEP_S = 1e-3
 COUNT_RAD = 2 * np.pi / 4096

@@ -10,11 +10,11 @@ from arms import prismatic_mass
 
 from tauext import _core
 from tauext.config import ObserverConfig
-from tauext.data import Recording
-from tauext.learn import build_setup, make_bundle
-from tauext.live import Sample, SourceSettings
-from tauext.live.servo_bus_file import ServoBusFile, ServoJoint
-from tauext.live.servo_source import ServoSource
+from tauext.data.recording import Recording
+from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.monitor.source import Sample, SourceSettings
+from tauext.sources.servo_bus_file import ServoBusFile, ServoJoint
+from tauext.sources.servo_source import ServoSource
 
 NAMES = ("pan", "lift", "elbow", "wrist", "roll", "grip")
 PATIENCE_S = 1.0

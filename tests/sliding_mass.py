@@ -6,10 +6,10 @@ import numpy as np
 from arms import prismatic_mass
 
 from tauext import _core
+from tauext.bundle.estimates import OK, WARMING_UP, Estimates
 from tauext.config import ObserverConfig
-from tauext.data import Recording
-from tauext.data.estimates import OK, WARMING_UP, Estimates
-from tauext.learn import build_setup, make_bundle
+from tauext.data.recording import Recording
+from tauext.fit.bundle_writing import build_setup, make_bundle
 
 MASS = 2.0
 

@@ -28,13 +28,15 @@ from made_motion import Drive, made_motion
 from trees import Part, six_axis, urdf
 
 from tauext import _core
+from tauext.bundle.bundle_file import load_bundle
 from tauext.config import AlarmConfig, PriorConfig, TrainConfig
-from tauext.data import Recording, load_bundle, load_dataset
+from tauext.data.dataset import load_dataset
+from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
 from tauext.data.split import Split, save_split
 from tauext.errors import FaultyDataError, TauextError
 from tauext.recipes import RECIPES
-from tauext.robot import load_tree
+from tauext.robot.load import load_tree
 
 RATE_HZ = 50.0
 LEAST_HEALTHY = 0.98
@@ -416,8 +418,8 @@ def train(
     small: Small, data: Path, out: Path, recipe: str, accept: Sequence[str] = (), like: Path | None = None
 ) -> str:
     """Train as the command line does; what is wrong with the bundle, or nothing."""
-    from tauext.learn.fleet_prior_file import load_fleet_prior
-    from tauext.train import train_bundle
+    from tauext.fit.fleet_prior_file import load_fleet_prior
+    from tauext.train.stage import train_bundle
 
     dataset = load_dataset(data)
     known = None if like is None else load_fleet_prior(like)
@@ -467,10 +469,10 @@ def faults(small: Small, data: Path, recipe: str, out: Path) -> list[str]:
 
 def uses(small: Small, data: Path, bundle: Path) -> Iterator[Ending]:
     """Refit, calibrate, weigh and correct the constants on the bundle's own dataset."""
-    from tauext.calibrate import recalibrate
+    from tauext.check.finding import CODES
     from tauext.cli.load import load
-    from tauext.doctor import CODES
-    from tauext.refit import refit_bundle
+    from tauext.train.bundle_limits import recalibrate
+    from tauext.train.refit_stage import refit_bundle
 
     dataset, recipe = load_dataset(data), bundle.stem
     recording = data / dataset.split.train[0]
@@ -514,8 +516,9 @@ def uses(small: Small, data: Path, bundle: Path) -> Iterator[Ending]:
 
 def fleet_endings(number: int, folder: Path) -> Iterator[Ending]:
     """A fleet prior from three arms of a dataset's type, and a fourth arm that is trained with it."""
-    from tauext.doctor import CODES
-    from tauext.fleet_prior import fleet_arms, make_fleet_prior
+    from tauext.check.finding import CODES
+    from tauext.fleet.arms import fleet_arms
+    from tauext.fleet.fleet_prior_stage import make_fleet_prior
 
     small = Small(number)
     arms = [small.write(folder / f"arm-{k}" / "data", k) for k in range(4)]

@@ -34,7 +34,7 @@ def test_show_describes_a_bundle_without_numpy_and_the_library_of_recordings(tmp
     bundle.after_contact_factor = 2.0
     bundle.save(str(tmp_path / "arm.tauext"))
     loaded = modules_after("show", str(tmp_path / "arm.tauext"))
-    assert "tauext.bundles.situations" in loaded
+    assert "tauext.bundle.situations" in loaded
     assert not loaded & {"numpy", "tauext.data", "pyarrow", "typeguard"}
 
 

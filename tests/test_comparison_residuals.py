@@ -10,11 +10,12 @@ from arms import ROTOR_INERTIA, no_model, planar_arm, prismatic_mass, regular_ti
 from sliding_mass import noisy
 
 from tauext import _core
-from tauext.calibrate import paper_limits, promised_limits
 from tauext.config import AlarmConfig, FilterConfig, TrainConfig
 from tauext.errors import TrainingError
-from tauext.learn import build_setup, make_bundle
-from tauext.learn.training_set import Setup
+from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.fit.training_set import Setup
+from tauext.train.calibrate_limits import paper_limits
+from tauext.train.promised_limits import promised_limits
 
 GAIN, DURATION_S = 20.0, 2.0
 FINE = 20  # steps of the twin in a sample

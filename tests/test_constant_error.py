@@ -8,9 +8,9 @@ from arms import planar_arm
 from test_few_data import motion
 
 from tauext import _core
-from tauext.calibrate import Rows, put_constant_error
 from tauext.config import ObserverConfig
-from tauext.learn import build_setup, make_bundle
+from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.train.error_scale import Rows, put_constant_error
 
 
 def rows_of(error_nm: np.ndarray, near: np.ndarray) -> Rows:

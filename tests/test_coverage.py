@@ -12,9 +12,10 @@ from test_few_data import trained
 
 from tauext import _core
 from tauext.cli import main
-from tauext.data import Recording, save_recording
-from tauext.learn.coverage import Motion, coverage_facts, fit_coverage
-from tauext.learn.training_set import Setup
+from tauext.data.recording import Recording
+from tauext.data.recording_file import save_recording
+from tauext.fit.coverage import Motion, coverage_facts, fit_coverage
+from tauext.fit.training_set import Setup
 from tauext.monitor.explain_alarm import unfamiliar
 
 RATE_HZ = 50.0

@@ -11,22 +11,22 @@ import pytest
 from made_demo import SHORT
 
 from tauext.cli import main
-from tauext.demo import bundles as demo_bundles
-from tauext.demo import workers
-from tauext.demo.arms import ARMS
-from tauext.demo.bundles import LESSONS, bundle_folder, cache_folder, find_bundles, train_bundles
-from tauext.demo.headless import describe, scripted_pushes
-from tauext.demo.mover import Mover
-from tauext.demo.page import free_port, open_server
-from tauext.demo.plant import Plant
-from tauext.demo.push import Drag, estimated_force
-from tauext.demo.simulation import RESUME_RAD, RESUME_S, Simulation
 from tauext.errors import ConfigError
-from tauext.rig.config import RigConfig
-from tauext.rig.planar import force_torque
-from tauext.rig.sensors import measure
-from tauext.rig.simulate import roll_out
-from tauext.robot import load_tree
+from tauext.page import bundles as demo_bundles
+from tauext.page import workers
+from tauext.page.bundles import LESSONS, bundle_folder, cache_folder, find_bundles, train_bundles
+from tauext.page.headless import describe, scripted_pushes
+from tauext.page.page import free_port, open_server
+from tauext.page.simulation import RESUME_RAD, RESUME_S, Simulation
+from tauext.robot.load import load_tree
+from tauext.sim.arms import ARMS
+from tauext.sim.config import RigConfig
+from tauext.sim.mover import Mover
+from tauext.sim.planar import force_torque
+from tauext.sim.plant import Plant
+from tauext.sim.push import Drag, estimated_force
+from tauext.sim.sensors import measure
+from tauext.sim.simulate import roll_out
 
 
 @pytest.fixture(scope="module", params=ARMS)
@@ -395,7 +395,7 @@ def test_a_busy_port_is_passed_over(monkeypatch):
         busy.listen()
         port = busy.getsockname()[1]
         assert free_port("127.0.0.1", port) > port
-        monkeypatch.setattr("tauext.demo.page.PORTS", 1)
+        monkeypatch.setattr("tauext.page.page.PORTS", 1)
         with pytest.raises(ConfigError, match=f"port = {port}: .* in use; choose another with --port"):
             free_port("127.0.0.1", port)
     with pytest.raises(ConfigError, match="port = 0 must be 1 to 65535"):

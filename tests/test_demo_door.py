@@ -5,9 +5,9 @@ import socket
 
 import pytest
 
-from tauext.demo.door import is_own_name, why_not
-from tauext.demo.page import free_port, open_server
 from tauext.errors import ConfigError
+from tauext.page.door import is_own_name, why_not
+from tauext.page.page import free_port, open_server
 
 viser = pytest.importorskip("viser", reason="the page needs the extra tauext[live]")
 sync = pytest.importorskip("websockets.sync.client")

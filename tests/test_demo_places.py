@@ -8,13 +8,14 @@ from made_demo import smooth_arm
 
 from tauext import _core
 from tauext.config import ObserverConfig
-from tauext.demo.place_drawing import PlaceDrawing, span
-from tauext.demo.places import Place, Placed, Places, outward, place_words
-from tauext.demo.practice import practice_recording
-from tauext.demo.simulation import Simulation
-from tauext.demo.snapshot import Verdict
-from tauext.learn import build_setup, make_bundle
-from tauext.robot import link_capsules, load_tree
+from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.page.place_drawing import PlaceDrawing, span
+from tauext.page.places import Place, Placed, Places, outward, place_words
+from tauext.page.practice import practice_recording
+from tauext.page.simulation import Simulation
+from tauext.page.snapshot import Verdict
+from tauext.robot.capsules import link_capsules
+from tauext.robot.load import load_tree
 
 LIMIT_NM, SIGMA_NM = 3.0, 0.3
 
@@ -207,7 +208,7 @@ def test_rivals_are_drawn_fainter_and_go_with_the_touch():
 
 
 def test_words_name_link_rivals_kind_and_newtons():
-    panel = pytest.importorskip("tauext.demo.panel", reason="the page needs the extra tauext[live]")
+    panel = pytest.importorskip("tauext.page.panel", reason="the page needs the extra tauext[live]")
     joints = tuple(f"joint{k}" for k in range(1, 8))
     placed = Placed(((3, 0.8), (4, 0.16), (5, 0.04)), (place(),))
     assert place_words(placed, joints) == "On the link of joint4 (80%; joint5 16%): 20 N."

@@ -12,15 +12,16 @@ from arms import planar_arm
 from made_motion import Drive, made_motion
 from trees import six_axis, urdf
 
-from tauext.data import Recording
+from tauext.check.examine import examine
+from tauext.check.finding import Finding
+from tauext.check.payload import with_load
 from tauext.data.backlash import Play
 from tauext.data.cut import cut
-from tauext.doctor import Finding, examine
-from tauext.doctor.payload import with_load
-from tauext.robot import load_tree
+from tauext.data.recording import Recording
+from tauext.robot.load import load_tree
 
 J, ODD = 1, 2
-EXAMINATION = import_module("tauext.doctor.examine")
+EXAMINATION = import_module("tauext.check.examine")
 NO_PLAY = Play(np.nan, np.nan, np.nan, np.nan, 0, np.zeros(0), np.zeros(0))
 
 
@@ -175,7 +176,7 @@ def test_what_all_recordings_have_wrong_makes_none_odd(arm):
 
 
 def test_robot_file_that_changed_is_a_warning_that_names_recordings(arm):
-    from tauext.robot import robot_sha256
+    from tauext.robot.load import robot_sha256
 
     path, _, good = arm
     known = [replace(cut(r, slice(0, 600)), robot_sha256=robot_sha256(path)) for r in good]
@@ -194,8 +195,8 @@ def test_a_recording_of_another_rate_is_named(planar):
 
 
 def test_stamps_far_too_long_leave_rows_to_search(arm):
-    from tauext.doctor.arrangement import search_stretches
-    from tauext.doctor.motion import stretches
+    from tauext.check.arrangement import search_stretches
+    from tauext.check.motion import stretches
 
     _, _, good = arm
     slow = stretches([replace(r, t_ns=r.t_ns * 1_000_000, rate_hz=r.rate_hz / 1e6) for r in good])

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from made_servo import COUNT_RAD, Servo, drive, recorded
 
+from tauext.check.coarse import coarse_findings
+from tauext.check.examine import examine
+from tauext.check.quick import quick_look
+from tauext.check.servo import efforts_of, servo_findings
+from tauext.check.summary import as_data, as_text
 from tauext.data.backlash import backlash_widths, play_of
 from tauext.data.quantum import position_step, step_of
-from tauext.doctor import examine, quick_look
-from tauext.doctor.coarse import coarse_findings
-from tauext.doctor.picture import draw
-from tauext.doctor.servo import efforts_of, servo_findings
-from tauext.doctor.summary import as_data, as_text
+from tauext.report.picture import draw
 
 DEGREE = np.pi / 180
 LOADED, PAN, PLAY, WIDE = 0, 1, 2, 3

@@ -9,9 +9,11 @@ import pytest
 from arms import planar_arm
 from made_motion import Drive, made_motion
 
-from tauext.data import Recording
-from tauext.doctor import Finding, examine, quick_look
-from tauext.doctor.spikes import normal_ranges, spikes_of, without_spikes
+from tauext.check.examine import examine
+from tauext.check.finding import Finding
+from tauext.check.quick import quick_look
+from tauext.check.spikes import normal_ranges, spikes_of, without_spikes
+from tauext.data.recording import Recording
 
 RATES_HZ = (100.0, 1000.0)
 AS_IT_IS = Drive()

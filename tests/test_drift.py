@@ -10,19 +10,22 @@ from made_pushes import cut_flight
 from test_train import recording
 
 from tauext import _core
-from tauext.calibrate.error_scale import unit_scale
+from tauext.bundle.estimates import load_estimates, save_estimates
 from tauext.cli.show import describe_bundle
 from tauext.config import PAPER_CASES, DriftConfig, ObserverConfig, PriorConfig, TrainConfig
-from tauext.data import Recording, save_recording
-from tauext.data.estimates import load_estimates, save_estimates
+from tauext.data.recording import Recording
+from tauext.data.recording_file import save_recording
 from tauext.errors import ConfigError, TauextError
 from tauext.evaluate.estimating import estimate_recording
-from tauext.learn import build_setup, fit_prior, freeze_drift, make_bundle, set_drift, with_presliding
-from tauext.learn.prior_facts import friction_nm
-from tauext.monitor import DriftChange, FlightSource
-from tauext.monitor.changes import ChangeFinder
+from tauext.fit.bundle_writing import build_setup, freeze_drift, make_bundle, set_drift
+from tauext.fit.prior import fit_prior
+from tauext.fit.prior_facts import friction_nm
+from tauext.fit.training_set import with_presliding
+from tauext.monitor.changes import ChangeFinder, DriftChange
 from tauext.monitor.flight_content import as_estimates, rows_kept
-from tauext.train import training_settings
+from tauext.monitor.flight_files import FlightSource
+from tauext.train.error_scale import unit_scale
+from tauext.train.settings import training_settings
 
 CONFIG = DriftConfig(time_constant_s=5.0, rate_share_per_s=0.2)
 

@@ -12,7 +12,8 @@ import pytest
 from trees import ARMS, branched, planar_rig, random_states, seven_axis, six_axis, urdf
 
 from tauext import _core
-from tauext.robot import empty, load_tree, perturbed
+from tauext.robot.load import load_tree
+from tauext.robot.perturb import empty, perturbed
 
 MODELS = Path(os.environ.get("TAUEXT_DATA", "")) / "models"
 FILE_ARMS = {

@@ -11,10 +11,10 @@ from made_servo_bus import Dynamixel, MadeServoBus, crc16
 from made_servos import NAMES, bus_file, patient, servo_settings, taken
 
 from tauext.errors import ConfigError
-from tauext.live.servo_bus_file import ServoJoint
+from tauext.sources.servo_bus_file import ServoJoint
 
 pytest.importorskip("dynamixel_sdk")
-from tauext.live.dynamixel_source import DynamixelSource
+from tauext.sources.dynamixel_source import DynamixelSource
 
 RAD = 2 * math.pi / 4096
 XL330, XL430, XM430 = 1200, 1060, 1020

@@ -11,8 +11,10 @@ from sliding_mass import prismatic_mass
 from test_few_data import motion, trained
 
 from tauext import _core
-from tauext.calibrate import recalibrate
-from tauext.calibrate.error_scale import (
+from tauext.config import AlarmConfig, DriftConfig, FreeMotionConfig, ObserverConfig
+from tauext.errors import ConfigError
+from tauext.train.bundle_limits import recalibrate
+from tauext.train.error_scale import (
     BLUNT,
     FEATURES,
     SHARP,
@@ -22,8 +24,6 @@ from tauext.calibrate.error_scale import (
     freeze_floor_nm,
     sigma_weights,
 )
-from tauext.config import AlarmConfig, DriftConfig, FreeMotionConfig, ObserverConfig
-from tauext.errors import ConfigError
 from tauext.train.gain import HIT_S, LATEST_S, WORTH, mean_delay_s
 
 ROWS = 20_000
@@ -234,7 +234,7 @@ def test_rows_that_were_thinned_out_tell_the_same_hours(tmp_path, monkeypatch):
     bundle, _ = trained(tmp_path, monkeypatch, [motion()], recipe="prior")
     recordings = [motion(seed=seed) for seed in range(4)]
     whole = collect_rows(bundle, recordings, 1, FreeMotionConfig())
-    monkeypatch.setattr("tauext.calibrate.error_scale.MOST_ROWS", 6000)
+    monkeypatch.setattr("tauext.train.error_scale.MOST_ROWS", 6000)
     thin = collect_rows(bundle, recordings, 1, FreeMotionConfig())
     assert len(thin.error_nm) <= 6000 < 2 * len(thin.error_nm) + 4 and thin.period_s == 4 * whole.period_s
     assert thin.hours == pytest.approx(whole.hours, rel=1e-3)

@@ -9,11 +9,11 @@ from made_error_scale import SIGMA_NEAR_NM, with_error_scale
 from numpy.testing import assert_allclose
 from sliding_mass import estimates_of, observer_bundle, pushed, recording
 
-from tauext.data.estimates import Estimates, load_estimates, save_estimates
-from tauext.data.loss_history import thin
+from tauext.bundle.estimates import Estimates, load_estimates, save_estimates
+from tauext.bundle.loss_history import read_loss_history, thin
 from tauext.errors import BundleError, ConfigError, RecordingError
-from tauext.evaluate import evaluate, read_loss_history
 from tauext.evaluate.collisions import choose_ten, find_collisions, found_curve, judge
+from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.error_against_sigma import ErrorAgainstSigma
 from tauext.evaluate.free_motion import FreeMotionErrors, count_episodes
 from tauext.evaluate.latched import held

@@ -5,9 +5,9 @@ import pytest
 from sliding_mass import observer_bundle, pushed, recording
 
 from tauext.config import EventsConfig
-from tauext.data import Recording
+from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.evaluate import evaluate
+from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.events import EventMeasures, event_time, is_moving, labelled_events
 from tauext.evaluate.onset import onset_s
 from tauext.evaluate.own_torque import own_limits

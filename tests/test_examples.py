@@ -17,8 +17,8 @@ from made_amperes import taking_amperes
 from made_pushes import PUSHES, pushed, watching_bundle
 
 from tauext import _core
-from tauext.data import save_recording
-from tauext.evaluate import estimate_recording
+from tauext.data.recording_file import save_recording
+from tauext.evaluate.estimating import estimate_recording
 
 ROOT = Path(__file__).parent.parent
 COMPILERS_APART_NM = 1e-5

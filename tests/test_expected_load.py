@@ -13,17 +13,16 @@ from tauext import _core
 from tauext._core import Load, LoadPhase
 from tauext.cli.run_text import found_load_words
 from tauext.config import ObserverConfig
-from tauext.data import Recording
+from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.learn import build_setup, make_bundle
-from tauext.learn.torque_constants import with_constants
-from tauext.live import Loop
-from tauext.live.control_lines import obey
-from tauext.live.profiles import load_profiles
-from tauext.monitor import FoundLoad
-from tauext.monitor.changes import ChangeFinder
+from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.fit.torque_constants import with_constants
+from tauext.monitor.changes import ChangeFinder, FoundLoad
+from tauext.monitor.control_lines import obey
 from tauext.monitor.loads import Expected, expected_of_text
-from tauext.robot import load_tree
+from tauext.monitor.loop import Loop
+from tauext.monitor.profiles import load_profiles
+from tauext.robot.load import load_tree
 
 PICKED, SAMPLES = 2500, 6500
 MASS = 1.6

@@ -9,10 +9,10 @@ import pytest
 from made_servo_bus import Feetech, MadeServoBus
 from made_servos import NAMES, bus_file, patient, servo_settings, taken
 
-from tauext.live.servo_bus_file import ServoJoint
+from tauext.sources.servo_bus_file import ServoJoint
 
 pytest.importorskip("scservo_sdk")
-from tauext.live.feetech_source import FeetechSource
+from tauext.sources.feetech_source import FeetechSource
 
 RAD = 2 * math.pi / 4096
 

@@ -9,19 +9,19 @@ import pytest
 from arms import no_model, planar_arm
 
 from tauext import _core
-from tauext.calibrate import NOT_MEASURED
 from tauext.cli import main
 from tauext.config import PAPER_CASES, ObserverConfig, PriorConfig, TrainConfig
-from tauext.data import Recording
+from tauext.data.recording import Recording
 from tauext.errors import BundleError, ConfigError, TrainingError
-from tauext.evaluate import estimate_recording
-from tauext.learn import build_setup, fit_torque_constants
-from tauext.learn.regression import NormalEquations, Regression, coupled
-from tauext.learn.torque_constants import TorqueConstants, with_constants
-from tauext.train import train_on_recordings
+from tauext.evaluate.estimating import estimate_recording
+from tauext.fit.bundle_writing import build_setup
+from tauext.fit.regression import NormalEquations, Regression, coupled
+from tauext.fit.torque_constants import TorqueConstants, fit_torque_constants, with_constants
 from tauext.train.limits import calibrate, factor_after
 from tauext.train.motion import training_motion
+from tauext.train.other_motion import NOT_MEASURED
 from tauext.train.recordings import wants_constants
+from tauext.train.stage import train_on_recordings
 
 RATE_HZ = 125.0
 EXACT = PAPER_CASES["exact"]

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tauext.data import Recording, first_seconds, total_s
+from tauext.data.first_seconds import first_seconds, total_s
+from tauext.data.recording import Recording
 
 
 def made(name: str, seconds: float, rate_hz: float = 100.0, **changes) -> Recording:

@@ -9,11 +9,12 @@ import pytest
 from test_load_found import QUIET, arm, bundle_of, carrying, free_motion, made_motion, phi_of, pushed  # noqa: F401
 
 from tauext import _core
-from tauext.data import Recording
-from tauext.load import load_frame
-from tauext.monitor import FlightSource, replay
+from tauext.data.recording import Recording
 from tauext.monitor.explanation import explain
 from tauext.monitor.flight_content import Flight, rows_kept
+from tauext.monitor.flight_files import FlightSource
+from tauext.monitor.frame import load_frame
+from tauext.monitor.replay import replay
 
 COM = np.array([0.03, -0.02, 0.06])
 ON = 600

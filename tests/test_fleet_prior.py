@@ -12,20 +12,21 @@ from made_fleets import QUICKER, run_here, write_fleet
 
 from tauext import _core
 from tauext.cli import main
-from tauext.data import load_dataset
+from tauext.data.dataset import load_dataset
 from tauext.errors import ConfigError
-from tauext.fleet import load_fleet, plan_fleet
+from tauext.fit.fleet_prior_file import content, load_fleet_prior, write_fleet_prior
+from tauext.fleet.arms import distinct, fleet_arms, own_terms_of
+from tauext.fleet.errors import factor_of
+from tauext.fleet.fleet_file import load_fleet
+from tauext.fleet.fleet_prior_stage import make_fleet_prior
+from tauext.fleet.plan import plan_fleet
 from tauext.fleet.settings import plain
 from tauext.fleet.stages import train_arm
-from tauext.fleet_prior import fleet_arms, make_fleet_prior
-from tauext.fleet_prior.arms import distinct, own_terms_of
-from tauext.fleet_prior.errors import factor_of
-from tauext.fleet_prior.summary import table
-from tauext.learn.fleet_prior_file import content, load_fleet_prior, write_fleet_prior
+from tauext.fleet.summary import table
 from tauext.progress import SILENT
-from tauext.train import train_bundle
 from tauext.train.fleet_limits import scale_settings
 from tauext.train.limits import UNPROMISED_FACTOR
+from tauext.train.stage import train_bundle
 
 SECONDS = 20.0
 
@@ -37,7 +38,7 @@ def made(tmp_path_factory) -> tuple[Path, list[Path]]:
     data = fleet(folder)
     out = folder / "planar.prior.json"
     with pytest.MonkeyPatch.context() as patch:  # the doctor would take half of the time, and is tested by itself
-        patch.setattr("tauext.fleet_prior.arms.look_first", lambda *told: {})
+        patch.setattr("tauext.fleet.arms.look_first", lambda *told: {})
         make_fleet_prior(fleet_arms([str(one) for one in data]), out, CONFIG)
     return out, data
 
@@ -58,8 +59,8 @@ def new(made, tmp_path_factory) -> dict[str, _core.Bundle]:
 @pytest.mark.parametrize("tie", [1e-5, 1e-4, 1e-3])
 def test_links_can_be_whichever_ridge_rounding_chooses(made, tmp_path, monkeypatch, tie):
     """A ridge one step stronger ended in a rotor inertia of -1.3 once, and training in an error of the core."""
-    monkeypatch.setattr("tauext.learn.regression.RIDGE_TIE", tie)
-    monkeypatch.setattr("tauext.fleet_prior.arms.look_first", lambda *told: {})
+    monkeypatch.setattr("tauext.fit.regression.RIDGE_TIE", tie)
+    monkeypatch.setattr("tauext.fleet.arms.look_first", lambda *told: {})
     prior = tmp_path / "planar.prior.json"
     make_fleet_prior(fleet_arms([str(one) for one in made[1]]), prior, CONFIG)
     data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (0.75, 1.15))))

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from made_fleet import CONFIG, dataset, moving
 
-from tauext.data import load_dataset
+from tauext.data.dataset import load_dataset
 from tauext.errors import ConfigError
-from tauext.fleet_report import FILE, make_fleet_report
-from tauext.fleet_report.visits import visits_of
-from tauext.report import write_fleet_page
-from tauext.report.fleet_page import render_fleet_page
-from tauext.train import train_bundle
+from tauext.fleet.fleet_page import render_fleet_page
+from tauext.fleet.fleet_report_stage import FILE, make_fleet_report
+from tauext.fleet.fleet_write import write_fleet_page
+from tauext.fleet.visits import visits_of
+from tauext.train.stage import train_bundle
 
 FRICTION = ((1.0, 0.9), (0.8, 1.1), (1.2, 1.0), (0.9, 1.2))
 WORN = 2

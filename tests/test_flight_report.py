@@ -16,15 +16,15 @@ from made_pushes import JOINTS, cut_flight, damaged, pushed, watching_bundle
 from made_results import make_recording
 
 from tauext import _core
+from tauext.bundle.estimates import load_estimates, save_estimates
 from tauext.cli import main
 from tauext.config import ObserverConfig
-from tauext.data import in_amperes, load_recording, save_recording
-from tauext.data.estimates import load_estimates, save_estimates
+from tauext.data.amperes import in_amperes
+from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import ConfigError, RecordingError
-from tauext.learn import build_setup, make_bundle
-from tauext.monitor import FlightSource, write_flight
-from tauext.report import write_flight_report
-from tauext.report.flight import event_rows
+from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.monitor.flight_files import FlightSource, write_flight
+from tauext.report.flight import event_rows, write_flight_report
 from tauext.report.flight_figures import broken, draw_close, draw_flight
 from tauext.report.flight_file import load_flight
 

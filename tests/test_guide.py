@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from tauext.check.finding import CODES
 from tauext.cli import main
 from tauext.cli.parsing import understood
-from tauext.doctor import CODES
 
 ROOT = Path(__file__).parent.parent
 GUIDE = (ROOT / "docs" / "your-robot.md").read_text()

@@ -7,8 +7,11 @@ import pytest
 from made_pushes import LIMIT_NM, pushed, watching_bundle
 
 from tauext import _core
-from tauext.calibrate import paper_limits
-from tauext.calibrate.held_peaks import (
+from tauext.bundle.estimates import FAULT
+from tauext.config import FreeMotionConfig
+from tauext.errors import ConfigError, TrainingError
+from tauext.train.calibrate_limits import paper_limits
+from tauext.train.held_peaks import (
     PeakCollector,
     cluster_peaks,
     collect_peaks,
@@ -16,10 +19,7 @@ from tauext.calibrate.held_peaks import (
     hold_lengths,
     separate_peaks,
 )
-from tauext.calibrate.judged import errors
-from tauext.config import FreeMotionConfig
-from tauext.data.estimates import FAULT
-from tauext.errors import ConfigError, TrainingError
+from tauext.train.judged import errors
 
 
 def slow_held_minimum(values, healthy, hold):

@@ -10,13 +10,16 @@ from made_bags import joint_rows, motion, write_bag
 from trees import planar_rig, random_states, six_axis, urdf
 
 from tauext.cli import main
-from tauext.data import load_recording, load_split
 from tauext.data.dataset_plan import RawFacts, plan
 from tauext.data.description_file import parse_arm
 from tauext.data.free_motion import free_stretches
-from tauext.data.importers import open_raw
+from tauext.data.importers.open_raw import open_raw
+from tauext.data.recording_file import load_recording
+from tauext.data.split import load_split
 from tauext.errors import ConfigError, RobotError
-from tauext.robot import Payload, link_capsules, load_tree, movable_joints, write_placeholder, write_robot
+from tauext.robot.capsules import link_capsules
+from tauext.robot.load import load_tree, movable_joints
+from tauext.robot.write import Payload, write_placeholder, write_robot
 
 ARM = """
 [robot]

@@ -1,4 +1,4 @@
-"""Who may import whom: the table that keeps the stages apart."""
+"""Who may import whom: the order of the packages, which keeps the stages apart."""
 
 import ast
 from functools import cache
@@ -7,87 +7,57 @@ from pathlib import Path
 import pytest
 
 SOURCE = Path(__file__).parent.parent / "src" / "tauext"
-EVERYTHING = {"*"}
-OPEN = {
-    "errors",
-    "config",
-    "recipes",
-    "progress",
-    "provenance",
-    "whole_file",
-    "plain_file",
-    "room",
-    "ties",
-    "half_done",
-    "caching",
-    "bundles",
-    "store",
+OPEN = {"errors", "config", "recipes", "progress", "files", "_core"}
+"""What every package may import."""
+ORDER = {
+    "files": {"pyarrow"},
+    "robot": {"numpy", "mujoco"},
+    "data": {"numpy", "pyarrow"},
+    "bundle": {"numpy", "pyarrow"},
+    "check": {"numpy", "scipy"},
+    "fit": {"numpy", "scipy"},
+    "train": {"numpy", "scipy"},
+    "monitor": {"numpy"},
+    "sources": {"numpy"},
+    "evaluate": {"numpy", "scipy"},
+    "report": {"numpy", "matplotlib", "jinja2"},
+    "fleet": {"numpy", "scipy", "jinja2", "matplotlib"},
+    "sim": {"numpy", "mujoco"},
+    "page": {"numpy", "mujoco"},
+    "cli": {"tyro", "rich"},
 }
-"""Standard library, and of the core what knows no NumPy: open to all."""
-STAGES = {"robot", "data", "rig", "learn", "calibrate", "train", "refit", "evaluate", "report"}
-FLEET = {"_core", "importing", "doctor", "look", "data", "learn", "train", "calibrate", "evaluate"}
-# folder or module, or one file of a folder: (ours beside OPEN, outside libraries); only `__main__` imports `cli`.
-TABLE = {
-    "errors": (set(), set()),
-    "config": (set(), set()),
-    "recipes": (set(), set()),
-    "progress": (set(), set()),
-    "provenance": ({"_core"}, set()),
-    "whole_file": (set(), set()),
-    "half_done": (set(), set()),
-    "caching": (set(), set()),
-    "plain_file": (set(), set()),
-    "bundles": ({"_core"}, set()),
-    "room": (set(), set()),
-    "ties": (set(), set()),
-    "store": (set(), {"pyarrow"}),
-    "robot": ({"_core"}, {"numpy", "mujoco"}),
-    "robot/capsule_fit": (set(), {"numpy", "scipy"}),
-    "data": ({"_core"}, {"numpy", "pyarrow"}),
-    "data/importers/ros1": (set(), {"rosbags"}),
-    "data/importers/ros2": (set(), {"rosbags", "ruamel"}),
-    "data/importers/hdf5": (set(), {"numpy", "h5py"}),
-    "data/importers/matlab": (set(), {"numpy", "scipy"}),
-    "importing": ({"robot", "data"}, set()),
-    "rig": ({"robot", "data"}, {"numpy", "mujoco"}),
-    "learn": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
-    "learn/torch_backend": ({"_core"}, {"numpy", "torch"}),
-    "train": ({"_core", "learn", "calibrate", "look", "robot", "data"}, {"numpy"}),
-    "fleet_prior": ({"_core", "train", "learn", "calibrate", "robot", "data"}, {"numpy"}),
-    "fleet_report": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
-    "calibrate": ({"_core", "look", "robot", "data"}, {"numpy", "scipy"}),
-    "refit": ({"_core", "learn", "calibrate", "look", "data"}, {"numpy"}),
-    "doctor": ({"_core", "robot", "data"}, {"numpy", "scipy"}),
-    "look": ({"doctor", "data"}, {"numpy"}),
-    "doctor/picture": ({"data", "report"}, {"numpy", "matplotlib"}),
-    "evaluate": ({"_core", "robot", "data", "calibrate"}, {"numpy", "scipy"}),
-    "report": ({"data"}, {"numpy", "matplotlib", "jinja2"}),
-    "load": ({"_core", "data"}, {"numpy"}),
-    "label": ({"_core", "data"}, {"numpy", "pyarrow"}),
-    "monitor": ({"_core", "data", "load"}, {"numpy"}),
-    "live": ({"_core", "data", "monitor"}, {"numpy"}),
-    "live/ur_source": ({"_core", "data", "monitor"}, {"numpy", "rtde_receive", "dashboard_client"}),
-    "live/franka_source": ({"_core", "data", "monitor"}, {"numpy", "pylibfranka"}),
-    "live/servo_port": (set(), {"serial"}),
-    "live/feetech_source": ({"_core", "data"}, {"numpy", "scservo_sdk"}),
-    "live/dynamixel_source": ({"_core", "data"}, {"numpy", "dynamixel_sdk"}),
-    "live/damiao_source": ({"_core", "data"}, {"numpy", "can"}),
-    "ros2": ({"_core", "monitor", "live"}, {"numpy", "cyclonedds"}),
-    "demo": ({"_core", "data", "load", "robot", "rig", "train"}, {"numpy", "mujoco"}),
-    "demo/page": (set(), {"viser"}),
-    "demo/panel": (set(), {"numpy", "viser"}),
-    "demo/hand_panel": (set(), {"viser"}),
-    "demo/sent_html": (set(), {"viser"}),
-    "demo/drawing": (set(), {"numpy", "mujoco", "viser", "trimesh"}),
-    "demo/arrow": (set(), {"numpy", "viser", "trimesh"}),
-    "demo/place_drawing": (set(), {"numpy", "viser"}),
-    "fleet": (FLEET, set()),
-    "fleet/ray_workers": (set(), {"ray"}),
-    "cli": (EVERYTHING, {"tyro", "rich"}),
-    "reproduce": (STAGES, set()),
-    "__init__": (STAGES | {"_core"}, set()),
-    "__main__": ({"cli"}, set()),
+"""Packages in order, with their outside libraries: each may import those before it."""
+ALSO = {
+    "robot/capsule_fit": {"scipy"},
+    "data/importers/ros1": {"rosbags"},
+    "data/importers/ros2": {"rosbags", "ruamel"},
+    "data/importers/hdf5": {"h5py"},
+    "data/importers/matlab": {"scipy"},
+    "fit/torch_backend": {"torch"},
+    "sources/ur_source": {"rtde_receive", "dashboard_client"},
+    "sources/franka_source": {"pylibfranka"},
+    "sources/servo_port": {"serial"},
+    "sources/feetech_source": {"scservo_sdk"},
+    "sources/dynamixel_source": {"dynamixel_sdk"},
+    "sources/damiao_source": {"can"},
+    "sources/messages": {"cyclonedds"},
+    "sources/node": {"cyclonedds"},
+    "sources/publisher": {"cyclonedds"},
+    "sources/source": {"cyclonedds"},
+    "sources/unreadable": {"cyclonedds"},
+    "sources/feature_table": {"pyarrow"},
+    "sources/labelling": {"pyarrow"},
+    "fleet/ray_workers": {"ray"},
+    "page/page": {"viser"},
+    "page/panel": {"viser"},
+    "page/hand_panel": {"viser"},
+    "page/sent_html": {"viser"},
+    "page/drawing": {"viser", "trimesh"},
+    "page/arrow": {"viser", "trimesh"},
+    "page/place_drawing": {"viser"},
 }
+"""Libraries that one file of a package imports, and no other."""
+ROOT = {"errors", "config", "recipes", "progress"}
 STANDARD = set(__import__("sys").stdlib_module_names)
 
 
@@ -120,29 +90,38 @@ def part_of(file: Path) -> str:
 FILES = sorted(SOURCE.rglob("*.py"))
 
 
+def allowed_to(file: Path) -> tuple[set[str], set[str]]:
+    """Packages and modules of ours, and outside libraries, that the file may import."""
+    part, within = part_of(file), file.relative_to(SOURCE).with_suffix("").as_posix()
+    if part in ROOT:
+        return ROOT, set()
+    if part == "__init__":
+        return {"*"}, set()
+    if part == "__main__":
+        return {"cli"}, set()
+    order = list(ORDER)
+    return OPEN | set(order[: order.index(part) + 1]), ORDER[part] | ALSO.get(within, set())
+
+
 @pytest.mark.parametrize("part", sorted({part_of(file) for file in FILES}))
-def test_files_import_only_what_the_table_allows(part):
-    assert part in TABLE, f"{part} is new: say in the table what it may import"
+def test_files_import_only_packages_before_their_own(part):
     for file in FILES:
         if part_of(file) == part:
-            expect_allowed(file, part)
+            ours, libraries = allowed_to(file)
+            for name in imports_of(file):
+                top, *rest = name.split(".")
+                if top == "tauext":
+                    allowed = "*" in ours or (rest[0] if rest else "__init__") in ours
+                else:
+                    allowed = top in STANDARD | libraries
+                assert allowed, f"{file.relative_to(SOURCE)} may not import {name}"
 
 
-def expect_allowed(file: Path, part: str) -> None:
-    within = file.relative_to(SOURCE).with_suffix("")
-    ours, libraries = TABLE.get(within.as_posix(), TABLE[part])
-    for name in imports_of(file):
-        top, *rest = name.split(".")
-        if top == "tauext":
-            target = rest[0] if rest else "__init__"
-            allowed = ours == EVERYTHING or target in ours | {part} | OPEN
-        else:
-            allowed = top in STANDARD | libraries
-        assert allowed, f"{within} may not import {name}"
-
-
-def test_nothing_but_the_program_itself_imports_the_command_line():
-    assert {name for name, (ours, _) in TABLE.items() if "cli" in ours or ours == EVERYTHING} == {"cli", "__main__"}
+def test_every_package_stands_in_the_order():
+    packages = {file.parent.name for file in SOURCE.glob("*/__init__.py")}
+    assert packages == set(ORDER)
+    assert {file.stem for file in SOURCE.glob("*.py")} == ROOT | {"__init__", "__main__"}
+    assert all((SOURCE / f"{name}.py").is_file() for name in ALSO)
 
 
 def test_no_file_imports_itself_in_a_circle():
@@ -178,7 +157,3 @@ def files_imported(file: Path, modules: set[str]) -> set[str]:
 def test_the_circles_test_finds_one(tmp_path):
     (tmp_path / "a.py").write_text("def late():\n    from tauext.cli import main\n")
     assert files_imported(tmp_path / "a.py", {"tauext.cli", "tauext"}) == {"tauext.cli"}
-
-
-def test_the_table_names_nothing_that_is_gone():
-    assert all((SOURCE / name).is_dir() or (SOURCE / f"{name}.py").is_file() for name in TABLE)

@@ -14,7 +14,8 @@ import pytest
 from made_bags import JOINTS, joint_rows, motion, write_bag
 from scipy.io import savemat
 
-from tauext.data.importers import open_raw, ros_messages
+from tauext.data.importers import ros_messages
+from tauext.data.importers.open_raw import open_raw
 from tauext.errors import RecordingError
 
 KINDS = ("ros1", "sqlite3", "mcap")

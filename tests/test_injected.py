@@ -13,7 +13,7 @@ from made_error_scale import with_error_scale
 from made_pushes import LIMIT_NM, pushed, watching_bundle
 
 from tauext import _core
-from tauext.evaluate import evaluate
+from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.injected import SHAPES, Injection, curve, profile
 from tauext.report.entry import Entry
 from tauext.report.injected_figure import draw_injected, injected_table

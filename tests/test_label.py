@@ -10,16 +10,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main
 from tauext.config import PriorConfig, TrainConfig
-from tauext.data import load_bundle, load_dataset
+from tauext.data.dataset import load_dataset
 from tauext.data.description_file import load_arm, parse_arm
-from tauext.data.importers import open_raw
+from tauext.data.importers.open_raw import open_raw
+from tauext.data.importing import import_dataset
 from tauext.errors import BundleError, ConfigError, RecordingError
-from tauext.importing import import_dataset
-from tauext.label import FrameLabeller, label_dataset
-from tauext.label.labels import element_names
-from tauext.train import train_bundle
+from tauext.sources.frames import FrameLabeller
+from tauext.sources.labelling import label_dataset
+from tauext.sources.labels import element_names
+from tauext.train.stage import train_bundle
 
 FRAMES, COUNT = 240, 4
 ADDED = ["shoulder.tau_ext", "elbow.tau_ext", "wrist.tau_ext", "contact", "collision"]
@@ -217,7 +219,7 @@ def test_an_interrupted_label_leaves_nothing(place, tmp_path, monkeypatch):
     def killed(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tauext.label.labelling.with_labels", killed)
+    monkeypatch.setattr("tauext.sources.labelling.with_labels", killed)
     with pytest.raises(KeyboardInterrupt):
         labelled(place, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tauext.errors import ConfigError
-from tauext.live.leader_feedback import FeedbackSettings, LeaderFeedback, free_motion_sigmas
+from tauext.monitor.leader_feedback import FeedbackSettings, LeaderFeedback, free_motion_sigmas
 
 DT = 0.02
 BIG = 1e6  # settings that are out of the way

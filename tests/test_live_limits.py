@@ -9,12 +9,12 @@ from types import SimpleNamespace
 import pytest
 from made_pushes import pushed, watching_bundle
 
-from tauext import room
 from tauext.cli import main
-from tauext.data import save_recording
+from tauext.data.recording_file import save_recording
 from tauext.errors import RecordingError
-from tauext.live import record_sink
-from tauext.live.control_lines import MOST_CONNECTIONS, ControlSocket
+from tauext.files import room
+from tauext.monitor import record_sink
+from tauext.monitor.control_lines import MOST_CONNECTIONS, ControlSocket
 
 
 class Asked:

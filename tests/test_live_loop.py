@@ -11,24 +11,20 @@ from made_live import Clock, Keeper, ScriptedSource, samples_of
 from made_pushes import JOINTS, pushed, watching_bundle
 
 from tauext import _core
-from tauext.data import in_amperes, load_recording
+from tauext.data.amperes import in_amperes
+from tauext.data.recording_file import load_recording
 from tauext.errors import ConfigError, TauextError
-from tauext.live import (
-    Latencies,
-    Loop,
-    LoopSettings,
-    ReplaySource,
-    SampleQueue,
-    SourceCounts,
-    Stoppable,
-    load_profiles,
-)
-from tauext.live.control_lines import ControlSocket, obey
-from tauext.live.flight_sink import FlightSink
-from tauext.live.profiles import TEMPLATE
-from tauext.live.record_sink import RecordSink, file_name
-from tauext.monitor import AlarmChange, HealthChange, replay
-from tauext.monitor.changes import COLLISION, FAULT, OK, STALE
+from tauext.monitor.changes import COLLISION, FAULT, OK, STALE, AlarmChange, HealthChange
+from tauext.monitor.control_lines import ControlSocket, obey
+from tauext.monitor.flight_sink import FlightSink
+from tauext.monitor.latency import Latencies
+from tauext.monitor.loop import Loop, LoopSettings
+from tauext.monitor.profiles import TEMPLATE, load_profiles
+from tauext.monitor.record_sink import RecordSink, file_name
+from tauext.monitor.replay import replay
+from tauext.monitor.source import SourceCounts, Stoppable
+from tauext.sources.replay_source import ReplaySource
+from tauext.sources.sample_queue import SampleQueue
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +36,7 @@ def bundle():
 def clock(monkeypatch) -> Clock:
     """What the loop goes by."""
     one = Clock()
-    monkeypatch.setattr("tauext.live.loop.time", one)
+    monkeypatch.setattr("tauext.monitor.loop.time", one)
     return one
 
 

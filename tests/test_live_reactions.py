@@ -17,19 +17,12 @@ from made_pushes import JOINTS, pushed, watching_bundle
 
 from tauext import _core
 from tauext.errors import ConfigError
-from tauext.live import (
-    Event,
-    Loop,
-    LoopSettings,
-    Reaction,
-    Reactions,
-    ReactionThread,
-    ReplaySource,
-    load_reactions,
-    start_reactions,
-)
-from tauext.live.reaction_file import TEMPLATE
-from tauext.live.reaction_process import HELPER, ReactionFailed, ReactionProcess, content_of
+from tauext.monitor.loop import Loop, LoopSettings
+from tauext.monitor.reaction_file import TEMPLATE, Reaction, load_reactions
+from tauext.monitor.reaction_process import HELPER, ReactionFailed, ReactionProcess, content_of
+from tauext.monitor.reactions import Reactions, ReactionThread, start_reactions
+from tauext.monitor.sink import Event
+from tauext.sources.replay_source import ReplaySource
 
 FACTS = {"joints": list(JOINTS), "tau_ext_nm": [1.5, None], "limit_nm": [2.0, 3.0], "health": "ok", "causes": []}
 FACTS["contact_limit_nm"] = [1.0, 1.5]
@@ -267,7 +260,7 @@ def test_what_is_not_there_is_refused_before_the_loop_begins(module):
 
 
 def test_no_reaction_delays_or_changes_what_the_monitor_says(module, tmp_path, monkeypatch):
-    monkeypatch.setattr("tauext.live.reactions.END_S", 0.5)
+    monkeypatch.setattr("tauext.monitor.reactions.END_S", 0.5)
     module(
         "import os\n"
         "def hang(facts):\n"

@@ -14,18 +14,21 @@ from tauext import _core
 from tauext._core import Load
 from tauext.cli import main
 from tauext.config import ObserverConfig, TrainConfig
-from tauext.data import Recording, save_recording
+from tauext.data.recording import Recording
+from tauext.data.recording_file import save_recording
 from tauext.errors import ConfigError, RobotError
-from tauext.learn import build_setup, make_bundle
-from tauext.learn.torque_constants import with_constants
-from tauext.live import Loop
-from tauext.live.control_lines import obey
-from tauext.live.profiles import load_profiles
-from tauext.monitor import LoadChange, load_and_ago_of_text, load_of_text, read_loads
+from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.fit.torque_constants import with_constants
+from tauext.monitor.changes import LoadChange
+from tauext.monitor.control_lines import obey
+from tauext.monitor.loads import load_and_ago_of_text, load_of_text, read_loads
+from tauext.monitor.loop import Loop
+from tauext.monitor.profiles import load_profiles
 from tauext.report.flight import facts
 from tauext.report.flight_file import load_flight
-from tauext.robot import load_frame, load_tree
-from tauext.train import train_on_recordings
+from tauext.robot.load import load_tree
+from tauext.robot.load_frame import load_frame
+from tauext.train.stage import train_on_recordings
 
 TOOL = Load(1.9, [0.03, -0.04, 0.08], [0.012, 0.014, 0.007, 0.001, -0.002, 0.0015], 0.0)
 PICKED = 2500
@@ -423,8 +426,8 @@ def test_halves_of_good_motion_agree_on_what_a_load_weighs_and_halves_of_little_
     from test_kinematics import CONFIG, LOWER_M, UPPER_M, X, Y, Z, setup_of
     from test_kinematics import arm as arm_of_four
 
-    from tauext.learn import load_disagreement
-    from tauext.learn.kinematics import Kinematics
+    from tauext.fit.kinematics import Kinematics
+    from tauext.train.found_load import load_disagreement
 
     tree = arm_of_four()
     origins = np.array([[0, 0, 0], [0, 0, 0.2], [0, 0, 0.2 + UPPER_M], [0.1, 0, 0.2 + UPPER_M + LOWER_M]])
@@ -441,7 +444,7 @@ def test_a_last_axis_that_nothing_weighs_on_may_point_anywhere():
     from made_motion import made_motion
     from test_kinematics import arm as arm_of_four
 
-    from tauext.learn import last_axis_shows
+    from tauext.train.found_load import last_axis_shows
 
     tree = arm_of_four()
     made = made_motion(tree, 0.2, pieces=1).recordings

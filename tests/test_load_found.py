@@ -11,27 +11,24 @@ from made_motion import Drive, made_motion
 from trees import planar_rig, random_states, six_axis, urdf
 
 from tauext import _core
+from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main
 from tauext.config import ObserverConfig, TrainConfig
-from tauext.data import Recording, load_bundle, save_recording
+from tauext.data.recording import Recording
+from tauext.data.recording_file import save_recording
 from tauext.errors import ConfigError
-from tauext.learn.bundle_writing import build_setup, make_bundle
-from tauext.learn.torque_constants import with_constants
-from tauext.load import (
-    between,
-    each_window,
-    expect_weighable,
-    identify,
-    load_frame,
-    load_sentences,
-    scaled_bundle,
-    see,
-    weigh_constants,
-    weighing_joints,
-)
-from tauext.load.rows import stand_worth
-from tauext.robot import load_tree
+from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.fit.torque_constants import with_constants
+from tauext.monitor.frame import load_frame
+from tauext.monitor.identify import identify
+from tauext.monitor.known import weigh_constants
+from tauext.monitor.rows import see, stand_worth
+from tauext.monitor.scaled_bundle import scaled_bundle
+from tauext.monitor.weighable import expect_weighable, weighing_joints
+from tauext.monitor.windows import between, each_window
+from tauext.monitor.words import load_sentences
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
+from tauext.robot.load import load_tree
 from tauext.train.possible import known_constants
 
 MASS, COM = 1.6, np.array([0.03, -0.05, 0.08])

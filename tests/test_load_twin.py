@@ -16,15 +16,17 @@ from tauext import _core
 from tauext.cli.run_json import found_facts
 from tauext.cli.run_text import weigh_words
 from tauext.config import ObserverConfig
-from tauext.data import Recording
+from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.learn.bundle_writing import build_setup, make_bundle
-from tauext.live import Loop
-from tauext.live.control_lines import obey
-from tauext.load import identify, load_frame, see
-from tauext.monitor import WeighChange
-from tauext.robot import load_tree
+from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.monitor.changes import WeighChange
+from tauext.monitor.control_lines import obey
+from tauext.monitor.frame import load_frame
+from tauext.monitor.identify import identify
+from tauext.monitor.loop import Loop
+from tauext.monitor.rows import see
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
+from tauext.robot.load import load_tree
 
 MASS, COM = 1.6, np.array([0.03, -0.05, 0.08])
 QUIET = Drive(friction=0.0, noise=0.003)

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from made_logs import NM_PER_A, UR_JOINTS, made_robot, made_runs, split, write_echo, write_franka, write_ur
 
+from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main
-from tauext.data import load_bundle, load_recording
 from tauext.data.description_template import time_unit
-from tauext.data.importers import open_raw
+from tauext.data.importers.open_raw import open_raw
+from tauext.data.recording_file import load_recording
 from tauext.errors import RecordingError
 
 PAGE = (Path(__file__).parent.parent / "docs" / "start" / "logs.md").read_text()

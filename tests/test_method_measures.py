@@ -9,11 +9,12 @@ import pytest
 from numpy.testing import assert_allclose
 from sliding_mass import estimates_of, noisy, observer_bundle, pushed, recording
 
-from tauext.data.estimates import COLLISION
+from tauext.bundle.estimates import COLLISION
 from tauext.errors import ConfigError
-from tauext.evaluate import estimate_recording, evaluate
 from tauext.evaluate.after_contact import AfterContact
 from tauext.evaluate.collisions import find_collisions
+from tauext.evaluate.comparison import evaluate
+from tauext.evaluate.estimating import estimate_recording
 from tauext.evaluate.free_motion import count_episodes
 from tauext.evaluate.missed_curve import MissedCurve, held_ratio
 from tauext.evaluate.promise_check import check_promise, promised_per_hour

@@ -5,12 +5,13 @@ import pytest
 from arms import ROTOR_INERTIA, planar_arm
 
 from tauext import _core
-from tauext.calibrate import LevelLimits, set_limits
 from tauext.config import AlarmConfig, ObserverConfig
-from tauext.data import Recording
+from tauext.data.recording import Recording
 from tauext.errors import TauextError
-from tauext.learn import Scaling, build_setup, find_scaling, make_bundle, set_signal_ranges
-from tauext.learn.network_training import TrainedNetwork
+from tauext.fit.bundle_writing import build_setup, make_bundle, set_signal_ranges
+from tauext.fit.network_training import TrainedNetwork
+from tauext.fit.training_set import Scaling, find_scaling
+from tauext.train.calibrate_limits import LevelLimits, set_limits
 
 HIDDEN, GAIN_PER_S = 20, 20.0
 

@@ -15,7 +15,7 @@ from made_pushes import pushed, watching_bundle
 
 from tauext.cli import main
 from tauext.cli.aside import Aside
-from tauext.data import load_recording, save_recording
+from tauext.data.recording_file import load_recording, save_recording
 
 ROOT = Path(__file__).parent.parent
 PROFILES = "[bounds]\nlowest = 0.5\nhighest = 3\n[profiles.usual]\n[profiles.pressing]\ncollision = 3\n"

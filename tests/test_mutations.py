@@ -22,10 +22,11 @@ from mutation_trial.named import FITTING, fits
 from mutation_trial.pushes import pushed
 from mutation_trial.tables import markdown
 
-from tauext.data import Recording, load_recording, save_recording
-from tauext.doctor import CODES
+from tauext.check.finding import CODES
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import RecordingError
-from tauext.robot import load_tree
+from tauext.robot.load import load_tree
 
 JOINTS = ("a", "b", "c")
 FACTS = Facts({"dq": np.array([1.0, 2.0, 3.0]), "tau": np.array([10.0, 20.0, 30.0])}, np.array([10.0, 8.0, 5.0]))

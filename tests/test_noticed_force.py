@@ -14,13 +14,13 @@ from made_pushes import pushed, watching_bundle
 from scipy.spatial import HalfspaceIntersection
 
 from tauext import _core
-from tauext.calibrate.wrench import POSES, poses
+from tauext.bundle.bundle_file import load_bundle
+from tauext.bundle.estimates import load_estimates
 from tauext.cli import main
 from tauext.config import ObserverConfig
-from tauext.data import load_bundle, save_recording
-from tauext.data.estimates import load_estimates
+from tauext.data.recording_file import save_recording
 from tauext.errors import BundleError, ConfigError
-from tauext.evaluate import evaluate
+from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.estimating import contact_limit_nm
 from tauext.evaluate.kept_poses import usual_limits
 from tauext.evaluate.noticed_force import (
@@ -32,8 +32,10 @@ from tauext.evaluate.noticed_force import (
     shown_after,
     worst_force,
 )
-from tauext.learn import build_setup, make_bundle
-from tauext.robot import load_tree, wrench_frames
+from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.robot.frames import wrench_frames
+from tauext.robot.load import load_tree
+from tauext.train.wrench import POSES, poses
 
 ARM = Path(__file__).parents[1] / "benchmarks" / "seven_axis.urdf"
 LIMITS, NEAR, LENGTH = [6.0, 3.0], [9.0, 4.0], 0.3

@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from tauext import _core
-from tauext.robot import load_tree
+from tauext.robot.load import load_tree
 
 ARM = Path(__file__).parents[1] / "benchmarks" / "seven_axis.urdf"
 GOLDEN = Path(__file__).parent / "golden" / "format-8.tauext"

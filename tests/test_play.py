@@ -7,8 +7,8 @@ import pytest
 from arms import planar_arm
 from test_prior import CORRECTED, RATE_HZ, WIDTHS, Kind, loaded, motion, record, setup_of, twin_presliding, where
 
-from tauext.learn import fit_prior
-from tauext.learn.play import told
+from tauext.fit.play import told
+from tauext.fit.prior import fit_prior
 
 SERVO = {"servo": {"torque_from": "duty", "velocity_steps": 20}}
 STEADY = replace(CORRECTED, correct_model=False)

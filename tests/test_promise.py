@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, poisson
 
-from tauext.calibrate.promise import (
+from tauext.errors import ConfigError
+from tauext.train.promise import (
     FalseAlarmBudget,
     Promise,
     duration,
@@ -18,7 +19,6 @@ from tauext.calibrate.promise import (
     split,
     upper_rate,
 )
-from tauext.errors import ConfigError
 
 ONE_IN_EIGHT = FalseAlarmBudget(1, 8)
 

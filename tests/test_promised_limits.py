@@ -9,15 +9,18 @@ from arms import prismatic_mass
 from scipy.signal import lfilter
 
 from tauext import _core
-from tauext.calibrate import FalseAlarmBudget, Rows, apply_promised, other_motion, promised_limits
-from tauext.calibrate.error_scale import FEATURES
-from tauext.calibrate.held_peaks import cluster_peaks
-from tauext.calibrate.promised_limits import most_seen
 from tauext.config import AlarmConfig, ObserverConfig
-from tauext.data import Recording
+from tauext.data.recording import Recording
 from tauext.errors import TrainingError
-from tauext.learn import apply_gate, build_setup, find_scaling, make_bundle
-from tauext.learn.network_training import TrainedNetwork
+from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.fit.gate import apply_gate
+from tauext.fit.network_training import TrainedNetwork
+from tauext.fit.training_set import find_scaling
+from tauext.train.error_scale import FEATURES, Rows
+from tauext.train.held_peaks import cluster_peaks
+from tauext.train.other_motion import other_motion
+from tauext.train.promise import FalseAlarmBudget
+from tauext.train.promised_limits import apply_promised, most_seen, promised_limits
 
 BUDGET = AlarmConfig(false_alarms=1, in_hours=0.02, contacts_an_hour=600)
 

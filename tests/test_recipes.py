@@ -15,15 +15,17 @@ from arms import planar_arm
 from test_few_data import motion
 
 from tauext import _core
+from tauext.bundle.estimates import OK
 from tauext.config import PAPER_CASES, CaseName, RecipeName, TrainConfig
-from tauext.data import Recording
 from tauext.data.cut import cut
-from tauext.data.estimates import OK
+from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn import PriorFit, Setup
-from tauext.learn.ridge import fit_ridge
+from tauext.fit.prior_fit import PriorFit
+from tauext.fit.ridge import fit_ridge
+from tauext.fit.training_set import Setup
 from tauext.recipes import RECIPES, Recipe, baselines
-from tauext.train import train_on_recordings, training_settings, why_impossible
+from tauext.train.settings import training_settings, why_impossible
+from tauext.train.stage import train_on_recordings
 
 EXACT, NONE = PAPER_CASES["exact"], PAPER_CASES["none"]
 
@@ -125,7 +127,7 @@ def test_training_tells_its_reporter_how_far_it_is_and_prints_nothing(tmp_path, 
 
 
 def test_the_settings_need_neither_numpy_nor_the_stages():
-    code = "import sys, tauext.config; assert not {'numpy', 'tauext.learn', 'tauext.train'} & set(sys.modules)"
+    code = "import sys, tauext.config; assert not {'numpy', 'tauext.fit', 'tauext.train'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

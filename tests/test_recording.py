@@ -11,7 +11,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tauext.data import Recording, describe, load_recording, save_recording
+from tauext.data.recording import Recording
+from tauext.data.recording_file import describe, load_recording, save_recording
 from tauext.errors import RecordingError
 
 JOINTS = ("shoulder", "elbow")

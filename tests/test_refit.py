@@ -9,15 +9,20 @@ from arms import planar_arm
 from test_prior import motion, record
 
 from tauext import _core
-from tauext.calibrate.error_scale import unit_scale
+from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main
 from tauext.config import ObserverConfig, PriorConfig
-from tauext.data import Recording, load_bundle, save_recording
+from tauext.data.recording import Recording
+from tauext.data.recording_file import save_recording
 from tauext.errors import BundleError, ConfigError, TrainingError
-from tauext.learn import build_setup, fit_prior, make_bundle, with_presliding
-from tauext.learn.prior_fit import PriorFit
-from tauext.refit import Refitted, Span, refit_bundle, refit_motion, refit_recordings
-from tauext.refit.standing import STANDS, sentence, standing
+from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.fit.prior import fit_prior
+from tauext.fit.prior_fit import PriorFit
+from tauext.fit.training_set import with_presliding
+from tauext.train.error_scale import unit_scale
+from tauext.train.refit_stage import Span, refit_bundle, refit_motion, refit_recordings
+from tauext.train.report import Refitted
+from tauext.train.standing import STANDS, sentence, standing
 
 NOISE_NM = 0.2
 RATE_HZ = 250.0

@@ -11,7 +11,7 @@ import pytest
 from ruamel.yaml import YAML
 
 import tauext
-from tauext.provenance import VERSION
+from tauext.files.provenance import VERSION
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

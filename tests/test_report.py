@@ -14,9 +14,9 @@ import pytest
 from made_results import SEVEN_BUNDLES, make_results
 from pictures import undrawn as no_pictures
 
-from tauext.data import fingerprint, load_recording, save_recording
+from tauext.data.recording_file import fingerprint, load_recording, save_recording
 from tauext.errors import ConfigError, RecordingError, TauextError
-from tauext.report import paper, write_report
+from tauext.report import paper
 from tauext.report.after_contact import draw_after_contact
 from tauext.report.collisions_over_time import draw_collisions
 from tauext.report.error_against_sigma import FEWEST, draw_error_against_sigma, sigma_table
@@ -37,6 +37,7 @@ from tauext.report.strength import draw_strength
 from tauext.report.style import CASE_COLOURS, OTHER_COLOURS, VARIANT_COLOURS, bundle_colours, bundle_strokes
 from tauext.report.three_collisions import choose, draw_three_collisions
 from tauext.report.training_loss import draw_training_loss
+from tauext.report.write import write_report
 
 FIGURES = ("figure-5-free-motion", "figure-6-error-over-speed", "figure-7-collisions", "figure-8-three-collisions")
 OF_METHODS = ("missed-curve", "strength", "after-contact")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from tauext.cli.reproduce_stage import SCALES, trainings
 from tauext.config import PAPER_CASES
 from tauext.report.naming import bundle_label, place
-from tauext.reproduce import SCALES, trainings
 
 CASES = tuple(PAPER_CASES)
 

@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 
 from tauext.errors import ConfigError
-from tauext.rig import RigConfig
-from tauext.rig.arm import arm_xml
-from tauext.rig.config import DriveConfig, FrictionConfig, MotionConfig
-from tauext.rig.motions import draw_motion
-from tauext.rig.pulses import SHAPES, Pulse
-from tauext.rig.recording import simulate_motion, simulate_recording
-from tauext.rig.scene import build_scene
-from tauext.rig.schedule import spread
-from tauext.rig.sensors import measure
-from tauext.rig.simulate import roll_out
+from tauext.sim.arm import arm_xml
+from tauext.sim.config import DriveConfig, FrictionConfig, MotionConfig, RigConfig
+from tauext.sim.motions import draw_motion
+from tauext.sim.pulses import SHAPES, Pulse
+from tauext.sim.recording import simulate_motion, simulate_recording
+from tauext.sim.scene import build_scene
+from tauext.sim.schedule import spread
+from tauext.sim.sensors import measure
+from tauext.sim.simulate import roll_out
 
 KINDS = ("free", "pulses", "pads")
 BRIEF = replace(RigConfig(), collision_recording_s=20.0, collisions_per_recording=3)

@@ -8,14 +8,16 @@ import pytest
 
 from tauext import _core
 from tauext.cli import main
-from tauext.data import load_recording, load_split
+from tauext.data.recording_file import load_recording
+from tauext.data.split import load_split
 from tauext.errors import ConfigError
-from tauext.rig import RigConfig, collect, simulate_dataset
-from tauext.rig.config import changed_rig
-from tauext.rig.motions import draw_motion
-from tauext.rig.recording import simulate_motion
-from tauext.rig.sensors import low_pass
-from tauext.robot import load_tree, robot_sha256
+from tauext.robot.load import load_tree, robot_sha256
+from tauext.sim import collect
+from tauext.sim.collect import simulate_dataset
+from tauext.sim.config import RigConfig, changed_rig
+from tauext.sim.motions import draw_motion
+from tauext.sim.recording import simulate_motion
+from tauext.sim.sensors import low_pass
 
 SMALL = replace(RigConfig(), collision_recording_s=12.0, collisions_per_recording=1)
 

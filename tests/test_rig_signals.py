@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from tauext.rig import RigConfig
-from tauext.rig.config import MotionConfig
-from tauext.rig.motions import draw_motion, quintic
-from tauext.rig.planar import force_torque, link_frames
-from tauext.rig.sensors import encoder, low_pass, velocity
+from tauext.sim.config import MotionConfig, RigConfig
+from tauext.sim.motions import draw_motion, quintic
+from tauext.sim.planar import force_torque, link_frames
+from tauext.sim.sensors import encoder, low_pass, velocity
 
 
 def test_quintic_starts_and_ends_at_rest():

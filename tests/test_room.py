@@ -9,14 +9,15 @@ from types import SimpleNamespace
 
 import pytest
 
-from tauext import _core, room
+from tauext import _core
 from tauext.cli import main
 from tauext.config import MOST_HIDDEN, TrainConfig
 from tauext.errors import ConfigError
-from tauext.plain_file import json_of, read_text, toml_of
-from tauext.rig import collect
+from tauext.files import room
+from tauext.files.plain_file import json_of, read_text, toml_of
+from tauext.files.whole_file import whole_files, whole_folder
+from tauext.sim import collect
 from tauext.train.size import expect_size
-from tauext.whole_file import whole_files, whole_folder
 
 
 def refused(capsys, *arguments: object) -> str:

@@ -15,9 +15,11 @@ from made_ros2 import DOMAIN
 pytest.importorskip("cyclonedds")
 
 from tauext import _core
-from tauext.live import Event, Loop, LoopSettings
-from tauext.live.profiles import load_profiles
-from tauext.ros2 import Ros2Settings, connect
+from tauext.monitor.loop import Loop, LoopSettings
+from tauext.monitor.profiles import load_profiles
+from tauext.monitor.sink import Event
+from tauext.sources.ros2 import connect
+from tauext.sources.settings import Ros2Settings
 
 SOURCE = Path(__file__).parent / "interop" / "fastdds_peer.cpp"
 SPACE, TOPIC, SAMPLES = "/fast", "/fast_states", 4000

@@ -6,8 +6,8 @@ from rosbags.typesys import Stores, get_typestore
 
 pytest.importorskip("cyclonedds")
 
-from tauext.ros2 import messages
-from tauext.ros2.messages import (
+from tauext.sources import messages
+from tauext.sources.messages import (
     GRAPH_TYPES,
     TYPE_HASHES,
     Bool,

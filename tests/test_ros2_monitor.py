@@ -12,11 +12,12 @@ pytest.importorskip("cyclonedds")
 from tauext import _core
 from tauext.cli import main
 from tauext.errors import ConfigError
-from tauext.live import Loop, LoopSettings
-from tauext.ros2 import Ros2Settings, connect
-from tauext.ros2.messages import Bool, DiagnosticArray, JointState
-from tauext.ros2.node import Node
-from tauext.ros2.sample_rate import LEARNT_FROM
+from tauext.monitor.loop import Loop, LoopSettings
+from tauext.sources.messages import Bool, DiagnosticArray, JointState
+from tauext.sources.node import Node
+from tauext.sources.ros2 import connect
+from tauext.sources.sample_rate import LEARNT_FROM
+from tauext.sources.settings import Ros2Settings
 
 SPACE, TOPIC, DEPTH = "/whole", "/whole/joint_states", 8000
 
@@ -82,6 +83,6 @@ def test_the_command_refuses_what_cannot_be(tmp_path, capsys):
 
 def test_a_missing_library_names_the_extra(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "cyclonedds.core", None)
-    monkeypatch.delitem(__import__("sys").modules, "tauext.ros2.node")
+    monkeypatch.delitem(__import__("sys").modules, "tauext.sources.node")
     with pytest.raises(ConfigError, match=r"ROS 2 needs CycloneDDS \(.*\): pip install 'tauext\[ros2\]'"):
         connect(Ros2Settings())

@@ -25,10 +25,10 @@ from cyclonedds.topic import Topic
 
 from tauext._core import Load
 from tauext.errors import ConfigError
-from tauext.live import Event, LoopReport, Publisher, Sample, SourceCounts, Verdict
-from tauext.monitor import HealthChange
-from tauext.ros2 import Ros2Settings, connect
-from tauext.ros2.messages import (
+from tauext.monitor.changes import HealthChange
+from tauext.monitor.sink import Event, LoopReport, Publisher, Verdict
+from tauext.monitor.source import Sample, SourceCounts
+from tauext.sources.messages import (
     ERROR,
     GRAPH_TYPES,
     OK,
@@ -42,7 +42,9 @@ from tauext.ros2.messages import (
     String,
     Vector3,
 )
-from tauext.ros2.node import GRAPH_TOPIC, Node, quality
+from tauext.sources.node import GRAPH_TOPIC, Node, quality
+from tauext.sources.ros2 import connect
+from tauext.sources.settings import Ros2Settings
 
 JOINTS = ("shoulder", "elbow")
 WARMING_UP, FINE, HEALTH_STALE, FAULT = range(4)
@@ -355,9 +357,9 @@ def test_the_graph_shows_one_node_with_its_readers_and_writers(settings, peer, d
 
 CHILD = """
     import made_ros2, sys, time
-    from tauext.ros2 import Ros2Settings
-    from tauext.ros2.messages import Bool, JointState
-    from tauext.ros2.node import Node
+    from tauext.sources.settings import Ros2Settings
+    from tauext.sources.messages import Bool, JointState
+    from tauext.sources.node import Node
     space = sys.argv[1]
     node = Node(Ros2Settings(domain=int(sys.argv[2]), node="child", namespace=space))
     torques = node.inbox(space + "/external_torque", JointState, "reliable", "volatile", 64).reader

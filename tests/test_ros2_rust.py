@@ -18,8 +18,9 @@ from made_ros2 import DOMAIN
 pytest.importorskip("cyclonedds")
 
 from tauext import _core
-from tauext.live import Loop, LoopSettings
-from tauext.ros2 import Ros2Settings, connect
+from tauext.monitor.loop import Loop, LoopSettings
+from tauext.sources.ros2 import connect
+from tauext.sources.settings import Ros2Settings
 
 ROOT = Path(__file__).parent.parent
 BUILD = ROOT / "build" / "ros2_client"

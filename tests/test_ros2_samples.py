@@ -5,12 +5,12 @@ import pytest
 
 pytest.importorskip("cyclonedds")
 
-from tauext.ros2.arm_joints import ArmJoints
-from tauext.ros2.conditions import HOLD_NS, Conditions
-from tauext.ros2.followed import TAKEOVER_NS, Followed
-from tauext.ros2.messages import JointState
-from tauext.ros2.sample_rate import LEARNT_FROM, SampleRate
-from tauext.ros2.sample_time import SampleTime
+from tauext.sources.arm_joints import ArmJoints
+from tauext.sources.conditions import HOLD_NS, Conditions
+from tauext.sources.followed import TAKEOVER_NS, Followed
+from tauext.sources.messages import JointState
+from tauext.sources.sample_rate import LEARNT_FROM, SampleRate
+from tauext.sources.sample_time import SampleTime
 
 MS = 1_000_000
 WALL = 1_700_000_000 * 10**9

@@ -11,10 +11,12 @@ pytest.importorskip("cyclonedds")
 from cyclonedds._clayer import ddspy_write
 
 from tauext.errors import ConfigError
-from tauext.live import SourceSettings
-from tauext.ros2 import Ros2Settings, connect, source
-from tauext.ros2.messages import JointState, Temperature
-from tauext.ros2.sample_rate import LEARNT_FROM
+from tauext.monitor.source import SourceSettings
+from tauext.sources import source
+from tauext.sources.messages import JointState, Temperature
+from tauext.sources.ros2 import connect
+from tauext.sources.sample_rate import LEARNT_FROM
+from tauext.sources.settings import Ros2Settings
 
 MS = 1_000_000
 

@@ -12,19 +12,19 @@ pytest.importorskip("cyclonedds", reason="ROS 2 needs the extra tauext[ros2]")
 
 from made_ros2 import DOMAIN, until
 
-from tauext.live.source import SourceSettings
-from tauext.ros2 import Ros2Settings
-from tauext.ros2.conditions import Conditions
-from tauext.ros2.messages import Header, JointState, Time
-from tauext.ros2.node import Node
-from tauext.ros2.source import Ros2Source
-from tauext.ros2.unreadable import LINE, without_lines
+from tauext.monitor.source import SourceSettings
+from tauext.sources.conditions import Conditions
+from tauext.sources.messages import Header, JointState, Time
+from tauext.sources.node import Node
+from tauext.sources.settings import Ros2Settings
+from tauext.sources.source import Ros2Source
+from tauext.sources.unreadable import LINE, without_lines
 
 PUBLISHER = """
 import sys
-from tauext.ros2 import Ros2Settings
-from tauext.ros2.messages import JointState
-from tauext.ros2.node import Node
+from tauext.sources.settings import Ros2Settings
+from tauext.sources.messages import JointState
+from tauext.sources.node import Node
 node = Node(Ros2Settings(topic=sys.argv[1], domain=int(sys.argv[2])))
 writer = node.writer(sys.argv[1], JointState, "best-effort", "volatile", 1)
 print(writer.guid.bytes.hex(), flush=True)

@@ -11,10 +11,12 @@ pytest.importorskip("cyclonedds")
 
 from tauext import _core
 from tauext.errors import ConfigError
-from tauext.live import Sample, Verdict
-from tauext.ros2 import Ros2Settings, connect
-from tauext.ros2.messages import Float64MultiArray, WrenchStamped
-from tauext.ros2.node import Node
+from tauext.monitor.sink import Verdict
+from tauext.monitor.source import Sample
+from tauext.sources.messages import Float64MultiArray, WrenchStamped
+from tauext.sources.node import Node
+from tauext.sources.ros2 import connect
+from tauext.sources.settings import Ros2Settings
 
 JOINTS = ("shoulder", "elbow")
 Q, DQ, TAU, SIGMA = [0.3, 0.8], [0.2, -0.1], [5.0, -2.0], [0.4, 0.2]

@@ -20,32 +20,23 @@ from made_pushes import JOINTS, LIMIT_NM, PUSHES, cut_flight, damaged, pushed, w
 from rich.console import Console
 
 from tauext import _core
+from tauext.bundle.estimates import HEALTHS, OK, WARMING_UP, load_estimates
 from tauext.cli import main
 from tauext.cli.live_view import LiveView, bar
 from tauext.cli.run import RunSettings
 from tauext.cli.run_output import FlightCount
 from tauext.cli.run_text import TextLines
-from tauext.data import load_recording, save_recording
-from tauext.data.estimates import OK, WARMING_UP, load_estimates
+from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import RecordingError
-from tauext.monitor import (
-    ALARMS,
-    HEALTHS,
-    TOUCHES,
-    AlarmChange,
-    FlightSource,
-    FlightWriter,
-    Pace,
-    Tally,
-    TouchChange,
-    replay,
-    write_flight,
-)
 from tauext.monitor.causes import MEANING
-from tauext.monitor.changes import ChangeFinder
+from tauext.monitor.changes import ALARMS, TOUCHES, AlarmChange, ChangeFinder, TouchChange
 from tauext.monitor.explanation import explain
 from tauext.monitor.flight_content import event_kind, flight_rate_hz, rows_kept
-from tauext.monitor.replay import chunk_rows
+from tauext.monitor.flight_files import FlightSource, write_flight
+from tauext.monitor.flight_writer import FlightWriter
+from tauext.monitor.pace import Pace
+from tauext.monitor.replay import chunk_rows, replay
+from tauext.monitor.tally import Tally
 
 CAUSES = 12
 

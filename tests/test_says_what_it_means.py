@@ -10,12 +10,13 @@ import numpy as np
 from made_pushes import cut_flight, pushed, watching_bundle
 
 from tauext import _core
+from tauext.bundle.estimates import load_estimates
 from tauext.cli import main
 from tauext.cli.show import in_order
-from tauext.data import Split, save_recording, save_split
-from tauext.data.estimates import load_estimates
-from tauext.evaluate import estimate_recording
-from tauext.monitor import FlightSource, write_flight
+from tauext.data.recording_file import save_recording
+from tauext.data.split import Split, save_split
+from tauext.evaluate.estimating import estimate_recording
+from tauext.monitor.flight_files import FlightSource, write_flight
 from tauext.report.drawing import uncertainty_words
 from tauext.report.flight_figures import draw_close
 from tauext.report.flight_file import load_flight

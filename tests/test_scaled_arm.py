@@ -15,9 +15,8 @@ from test_kinematics import arm
 from tauext import _core
 from tauext.config import ObserverConfig
 from tauext.errors import ConfigError
-from tauext.learn import fit_torque_constants
-from tauext.learn.scaled_arm import Evidence, as_it_is, unexplained
-from tauext.learn.torque_constants import drawn_to_given
+from tauext.fit.scaled_arm import Evidence, as_it_is, unexplained
+from tauext.fit.torque_constants import drawn_to_given, fit_torque_constants
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
 
 CONSTANTS = np.array([12.0, 11.0, 8.0, 5.0])

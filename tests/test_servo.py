@@ -8,19 +8,19 @@ import pyarrow.parquet as pq
 import pytest
 
 from tauext import _core
+from tauext.bundle.bundle_fit import expect_fit
+from tauext.check.examine import of_servos
+from tauext.check.finding import Finding
+from tauext.check.spikes import normal_ranges, spikes_of
 from tauext.data.assemble import assemble
-from tauext.data.bundle_fit import expect_fit
 from tauext.data.description_file import parse_arm
-from tauext.data.importers import open_raw
+from tauext.data.importers.open_raw import open_raw
 from tauext.data.servo import servo_of, servo_of_recordings, velocity_and_torque
 from tauext.data.servo_types import SERVO_TYPES
-from tauext.doctor.examine import of_servos
-from tauext.doctor.finding import Finding
-from tauext.doctor.spikes import normal_ranges, spikes_of
 from tauext.errors import BundleError, ConfigError
-from tauext.live.replay_source import ReplaySource
-from tauext.live.servo_stage import ServoStage
-from tauext.live.source import SourceSettings
+from tauext.monitor.servo_stage import ServoStage
+from tauext.monitor.source import SourceSettings
+from tauext.sources.replay_source import ReplaySource
 
 HEAD = """
 [robot]

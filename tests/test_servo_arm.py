@@ -22,9 +22,9 @@ from unseen.so101 import servo_arm, so101
 from unseen.velocities import estimators, judge
 
 from tauext import _core
-from tauext.data import Recording
 from tauext.data.description_file import parse_arm
-from tauext.robot import load_tree
+from tauext.data.recording import Recording
+from tauext.robot.load import load_tree
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="the steps are compiled by g++")
 MAKER = so101()

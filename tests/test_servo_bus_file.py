@@ -7,7 +7,7 @@ import json
 import pytest
 
 from tauext.errors import ConfigError
-from tauext.live.servo_bus_file import TEMPLATE, ServoJoint, load_servo_bus
+from tauext.sources.servo_bus_file import TEMPLATE, ServoJoint, load_servo_bus
 
 ELBOW = {"id": 3, "drive_mode": 0, "homing_offset": -1470, "range_min": 871, "range_max": 3084}
 

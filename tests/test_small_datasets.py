@@ -11,17 +11,19 @@ from scipy.optimize import lsq_linear
 from small_datasets import ARMS, COUNT, SIGNALS, Ending, of_number, summary
 
 from tauext import _core
-from tauext.calibrate.wrench import squared_distances
-from tauext.data import Recording, load_bundle, load_dataset
-from tauext.doctor.clock import clock_findings
-from tauext.learn.bundle_writing import torque_at_rest
-from tauext.learn.hierarchy import Evidence, learn_hierarchy
-from tauext.learn.map_regression import MapRegression, WeightPrior
-from tauext.learn.positive_definite import inverse, solve_within
-from tauext.learn.possible_links import MASS, ROTOR, bound_links, is_possible, solve_possible
-from tauext.learn.regression import NormalEquations, Regression
+from tauext.bundle.bundle_file import load_bundle
+from tauext.check.clock import clock_findings
+from tauext.data.dataset import load_dataset
+from tauext.data.recording import Recording
+from tauext.fit.bundle_writing import torque_at_rest
+from tauext.fit.hierarchy import Evidence, learn_hierarchy
+from tauext.fit.map_regression import MapRegression, WeightPrior
+from tauext.fit.positive_definite import inverse, solve_within
+from tauext.fit.possible_links import MASS, ROTOR, bound_links, is_possible, solve_possible
+from tauext.fit.regression import NormalEquations, Regression
 from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
-from tauext.train import train_bundle
+from tauext.train.stage import train_bundle
+from tauext.train.wrench import squared_distances
 
 CHUNK = 13
 """Datasets of a slow test: one of each arm."""

@@ -16,19 +16,23 @@ from made_fleet import moving
 from made_fleets import workers_here
 from made_s3 import S3, Request, s3_server
 
-from tauext.calibrate.bundle_limits import half_done_file
+from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main
 from tauext.cli.command_line import command_line
-from tauext.data import describe, fingerprint, load_bundle, load_dataset, load_recording, recording_file, save_recording
+from tauext.data import recording_file
 from tauext.data import stretches as stretches_module
+from tauext.data.dataset import load_dataset
+from tauext.data.recording_file import describe, fingerprint, load_recording, save_recording
 from tauext.data.split import Split, save_split
 from tauext.data.stretches import ahead, stretches
 from tauext.errors import ConfigError, StoreError
+from tauext.files.fetching import local_file, local_folder, local_robot
+from tauext.files.place import place_of
+from tauext.files.staging import added, put, send, staged
+from tauext.files.whole_file import whole_file, whole_files, whole_folder
 from tauext.fleet.places import fits, places_of
 from tauext.fleet.stages import STAGES
-from tauext.store import added, local_file, local_folder, local_robot, place_of, staged
-from tauext.store.staging import put, send
-from tauext.whole_file import whole_file, whole_files, whole_folder
+from tauext.train.bundle_limits import half_done_file
 
 SIGNALS = ("t_ns", "q", "dq", "tau", "q_des", "tau_jts", "temperature", "contact")
 
@@ -120,7 +124,7 @@ def test_a_query_says_where_the_store_is_and_stands_in_no_message(monkeypatch):
 
 def test_nothing_of_pyarrow_is_loaded_before_a_store_is_asked():
     code = (
-        "import sys; from tauext.store import place_of; place_of('s3://arms/x') / 'y'; print('pyarrow' in sys.modules)"
+        "import sys; from tauext.files.place import place_of; place_of('s3://arms/x') / 'y'; print('pyarrow' in sys.modules)"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout.strip() == "False"

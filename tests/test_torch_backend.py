@@ -14,12 +14,12 @@ from tauext import _core
 from tauext.cli import main
 from tauext.config import TrainConfig
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn import make_bundle, train_network
-from tauext.learn.core_backend import CoreBackend
-from tauext.learn.network_training import make_backend
-from tauext.learn.schedules import make_schedule
+from tauext.fit.bundle_writing import make_bundle
+from tauext.fit.core_backend import CoreBackend
+from tauext.fit.network_training import make_backend, train_network
+from tauext.fit.schedules import make_schedule
 
-BACKEND = "tauext.learn.torch_backend"
+BACKEND = "tauext.fit.torch_backend"
 RECIPES = {
     "paper": TrainConfig(recipe="paper", hidden=8, epochs=1000, batch=100, max_steps=200),
     "dense": TrainConfig(recipe="dense", hidden=8, targets=20, batch=50, max_steps=200),
@@ -105,7 +105,7 @@ def test_without_pytorch_one_line_says_how_to_install_it(monkeypatch):
 
 
 def test_pytorch_is_not_imported_before_it_is_asked_for():
-    code = "import sys, tauext.cli, tauext.learn, tauext.calibrate; assert 'torch' not in sys.modules"
+    code = "import sys, tauext.cli, tauext.fit, tauext.train; assert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from tauext.data import Recording, free_pieces
+from tauext.data.free_motion import free_pieces
+from tauext.data.recording import Recording
 from tauext.errors import RobotError
-from tauext.robot import torque_limits
+from tauext.robot.torque_limits import torque_limits
 from tauext.train.possible import passed_limits
 
 URDF = """

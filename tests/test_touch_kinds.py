@@ -12,11 +12,13 @@ from made_pushes import JOINTS, pushed, watching_bundle
 from tauext import Touch, _core
 from tauext.cli.run_text import touch_words
 from tauext.errors import ConfigError
-from tauext.live import Event, Reaction, ReactionThread, Verdict, load_reactions
-from tauext.live.events import EventFinder
-from tauext.live.reaction_process import content_of
-from tauext.monitor import TOUCHES, TouchChange, replay
-from tauext.monitor.changes import ChangeFinder
+from tauext.monitor.changes import TOUCHES, ChangeFinder, TouchChange
+from tauext.monitor.events import EventFinder
+from tauext.monitor.reaction_file import Reaction, load_reactions
+from tauext.monitor.reaction_process import content_of
+from tauext.monitor.reactions import ReactionThread
+from tauext.monitor.replay import replay
+from tauext.monitor.sink import Event, Verdict
 
 FACTS = {"joints": list(JOINTS), "tau_ext_nm": [1.5, None], "limit_nm": [2.0, 3.0], "contact_limit_nm": [1.0, 1.5]}
 UNKNOWN, IMPACT, PUSH, CLAMP = (Touch[name].value for name in ("unknown", "impact", "push", "clamp"))

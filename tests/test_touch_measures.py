@@ -11,16 +11,16 @@ import pytest
 from made_results import make_results
 
 from tauext import _core
-from tauext.data import Recording
-from tauext.data.estimates import Estimates
+from tauext.bundle.estimates import Estimates
+from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.evaluate.collisions import find_collisions
 from tauext.evaluate.touches import TouchMeasures
-from tauext.report import write_report
 from tauext.report.entry import Entry
 from tauext.report.results_file import load_results
 from tauext.report.touches import Told, kinds_table, links_table, links_worth, read_links, told_table, told_words
-from tauext.robot import load_tree
+from tauext.report.write import write_report
+from tauext.robot.load import load_tree
 
 ARM = Path(__file__).parents[1] / "benchmarks" / "seven_axis.urdf"
 SIGMA_NM, RATE_HZ, APART_S, HELD_S = 0.15, 100, 3.0, 1.4

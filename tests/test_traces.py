@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from made_results import SEVEN_BUNDLES, make_estimates, make_recording, make_results
 
+from tauext.bundle.estimates import COLLISION, CONTACT, FAULT, OK
 from tauext.cli import main
 from tauext.cli.report import report
-from tauext.data.estimates import COLLISION, CONTACT, FAULT, OK
 from tauext.errors import ConfigError
 from tauext.report.buckets import Buckets, in_buckets, run_begins
 from tauext.report.results_file import load_results

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_results import make_estimates, make_recording
 
-from tauext.data.estimates import FAULT
+from tauext.bundle.estimates import FAULT
 from tauext.report.buckets import Buckets
 from tauext.report.trace_packing import Plan, pack
 from tauext.report.traces import section

@@ -9,21 +9,16 @@ import pytest
 from arms import planar_arm
 
 from tauext import _core
-from tauext.calibrate import paper_limits
 from tauext.config import ObserverConfig, TrainConfig
-from tauext.data import Recording
+from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn import (
-    build_setup,
-    build_windows,
-    checkpoint,
-    find_scaling,
-    make_bundle,
-    network_training,
-    train_network,
-)
-from tauext.learn.core_backend import CoreBackend
-from tauext.learn.schedules import DenseSchedule
+from tauext.fit import checkpoint, network_training
+from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.fit.core_backend import CoreBackend
+from tauext.fit.network_training import train_network
+from tauext.fit.schedules import DenseSchedule
+from tauext.fit.training_set import build_windows, find_scaling
+from tauext.train.calibrate_limits import paper_limits
 
 SMALL = ObserverConfig(window_s=0.1)  # windows of ten network steps
 

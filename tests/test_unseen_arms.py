@@ -21,7 +21,8 @@ from unseen.results import Outcome, markdown, nearest, truth_of
 from unseen.simulation import RATE_HZ, simulate
 from unseen.surfaces import SURFACES, capsules_of, with_surfaces
 
-from tauext.robot import link_capsules, load_tree
+from tauext.robot.capsules import link_capsules
+from tauext.robot.load import load_tree
 
 SEVEN = makers(Path())["seven_axis"]
 FRESH = list(fresh_makers().values())

@@ -10,10 +10,11 @@ import pytest
 from scipy.stats import chi2
 
 from tauext import _core
-from tauext.calibrate.wrench import correlation, factor
 from tauext.evaluate.noticed_force import noticed_force, points
-from tauext.learn.torque_constants import with_constants
-from tauext.robot import load_tree, wrench_frames
+from tauext.fit.torque_constants import with_constants
+from tauext.robot.frames import wrench_frames
+from tauext.robot.load import load_tree
+from tauext.train.wrench import correlation, factor
 
 ARM = Path(__file__).parents[1] / "benchmarks" / "seven_axis.urdf"
 GOLDEN = Path(__file__).parent / "golden" / "format-8.tauext"

@@ -12,7 +12,7 @@ from felt.arm import Wall
 from felt.follower import TICK_S, Follower, Report
 from felt.leader import Gears, Hand, Leader
 from felt.servo import Servo
-from tauext.live.leader_feedback import LeaderFeedback
+from tauext.monitor.leader_feedback import LeaderFeedback
 
 Wish = Callable[[float], np.ndarray]
 """Where the person wants the leader's hand at a time, beside where it began, (3,), [m]."""

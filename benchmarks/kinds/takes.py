@@ -19,7 +19,7 @@ from unseen.simulation import RATE_HZ, build, simulate
 from kinds.causes import Hand, Mass, Obstacle
 from kinds.touches import WORLD, Place, Touch
 from tauext import _core
-from tauext.robot import load_tree
+from tauext.robot.load import load_tree
 
 BEFORE_S, AFTER_S = 3.0, 1.3
 """Ordinary motion before, and what is recorded from the touch on; the drive knows nothing of the touch."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext import Monitor, Touch, load_bundle
-from tauext.data import load_recording
+from tauext.data.recording_file import load_recording
 
 DEADLINE_S = 0.2
 """Since the alarm."""

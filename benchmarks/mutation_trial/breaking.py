@@ -14,9 +14,10 @@ from mutation_trial.changes import Facts, changed, facts_of
 from mutation_trial.donors import cut_to, with_load
 from mutation_trial.good_sets import GoodSet
 from mutation_trial.labels import Spans, broken_flags, broken_intervals, imported
-from tauext.data import Recording, load_recording, save_recording
 from tauext.data.dataset import load_dataset
-from tauext.robot import load_tree
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording, save_recording
+from tauext.robot.load import load_tree
 
 _facts: dict[str, Facts] = {}
 

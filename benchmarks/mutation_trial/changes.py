@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tauext.data import Recording
+from tauext.data.recording import Recording
 
 SIGNALS = ("q", "dq", "tau")
 STUCK_TRIES = 20

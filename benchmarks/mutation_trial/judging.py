@@ -10,13 +10,14 @@ import numpy as np
 
 from mutation_trial.named import fits
 from tauext.config import PAPER_CASES, EventsConfig, ObserverConfig, PriorConfig, TrainConfig
-from tauext.data import Recording, load_dataset
-from tauext.evaluate import estimate_recording
+from tauext.data.dataset import load_dataset
+from tauext.data.recording import Recording
+from tauext.evaluate.estimating import estimate_recording
 from tauext.evaluate.events import EventMeasures, event_time
 from tauext.progress import SILENT
-from tauext.robot import chosen_case
-from tauext.train import train_bundle
-from tauext.train.look import view
+from tauext.robot.model_case import chosen_case
+from tauext.train.look import view_dataset
+from tauext.train.stage import train_bundle
 
 CONFIG = TrainConfig(
     recipe="prior", threads=1, observer=ObserverConfig(gain_per_s=20.0), prior=PriorConfig(most_ripples=0)
@@ -63,7 +64,7 @@ def looked_at(folder: Path) -> list[Seen]:
     robot = dataset.robot_file(None)
     case, _ = chosen_case(None, robot)
     recordings = dataset.training(), dataset.recordings("validation")
-    looks = view(dataset, robot, PAPER_CASES[case], *recordings, CONFIG, SILENT)
+    looks = view_dataset(dataset, robot, PAPER_CASES[case], *recordings, CONFIG, SILENT)
     findings = [finding for look in looks.values() for finding in look.findings]
     return [Seen(f.code, f.joint, f.severity, f.evidence, f.recording) for f in findings]
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tauext.data import Recording
-from tauext.importing import import_dataset
+from tauext.data.importing import import_dataset
+from tauext.data.recording import Recording
 
 Spans = dict[str, list[list[float]]]
 BEYOND_S = 1000.0

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tauext.data import Recording
+from tauext.data.recording import Recording
 
 EVERY_S, LENGTH_S = 1.5, (0.1, 0.4)
 FIRST_S = 1.5

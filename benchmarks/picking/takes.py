@@ -15,7 +15,7 @@ from unseen.recordings import _write_csv
 from unseen.simulation import RATE_HZ, build, simulate
 from weighing.takes import direction
 
-from tauext.robot import load_tree
+from tauext.robot.load import load_tree
 
 WINDOW_S = 3.0
 """From the gripper's command: so long a load is expected."""

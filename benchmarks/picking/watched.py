@@ -12,7 +12,7 @@ from carrying import load_of
 
 from picking.takes import WINDOW_S
 from tauext import Monitor, Recording, load_bundle
-from tauext.data import load_recording
+from tauext.data.recording_file import load_recording
 
 FIRST_S = 1.3
 """Observer and alarms have warmed up."""

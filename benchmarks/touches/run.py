@@ -17,8 +17,9 @@ from unseen.surfaces import SURFACES, capsules_of, draw_touch
 from wrench import WARM_S, logged, told
 
 from tauext import _core
-from tauext.monitor import PlaceChange, PlaceFinder, replay
-from tauext.robot import load_tree
+from tauext.monitor.places import PlaceChange, PlaceFinder
+from tauext.monitor.replay import replay
+from tauext.robot.load import load_tree
 
 SLOT_S, FIRST_S, HELD_S = 3.0, 8.0, 1.2
 ACKNOWLEDGED_S = 1.4

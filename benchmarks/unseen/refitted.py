@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
-from tauext.data import Recording, load_recording, load_split
-from tauext.evaluate import estimate_recording
-from tauext.refit import refit_motion, refit_recordings
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording
+from tauext.data.split import load_split
+from tauext.evaluate.estimating import estimate_recording
+from tauext.train.refit_stage import refit_motion, refit_recordings
 from unseen.arms import Maker
 from unseen.of_type import arm_of
 from unseen.recordings import told_constants

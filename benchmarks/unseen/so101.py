@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tauext import _core
-from tauext.robot import load_tree
+from tauext.robot.load import load_tree
 from unseen.arms import Maker, true_arm
 from unseen.servos import Servos, drawn
 

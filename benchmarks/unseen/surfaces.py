@@ -10,7 +10,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from tauext import _core
-from tauext.robot import load_tree, wrench_frames
+from tauext.robot.frames import wrench_frames
+from tauext.robot.load import load_tree
 
 
 @dataclass(frozen=True)

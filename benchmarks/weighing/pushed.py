@@ -13,7 +13,7 @@ from unseen.motions import draw_motion
 from unseen.recordings import _peak, _write_csv, motor_temperature
 from unseen.simulation import RATE_HZ, simulate
 
-from tauext.robot import load_tree
+from tauext.robot.load import load_tree
 from weighing.takes import WARM_S, carried, with_load
 
 PAIRS = 8

@@ -12,16 +12,18 @@ import mujoco
 import numpy as np
 
 from tauext import _core
-from tauext.data import Recording, Split, save_recording, save_split
 from tauext.data.amperes import FROM_AMPERES
-from tauext.load import NamedFrame
-from tauext.rig import RigConfig
-from tauext.rig.arm import arm_xml, joint_names
-from tauext.rig.motions import draw_motion
-from tauext.rig.recording import SETTLE_S
-from tauext.rig.scene import build_scene
-from tauext.rig.sensors import measure
-from tauext.rig.simulate import roll_out
+from tauext.data.recording import Recording
+from tauext.data.recording_file import save_recording
+from tauext.data.split import Split, save_split
+from tauext.monitor.frame import NamedFrame
+from tauext.sim.arm import arm_xml, joint_names
+from tauext.sim.config import RigConfig
+from tauext.sim.motions import draw_motion
+from tauext.sim.recording import SETTLE_S
+from tauext.sim.scene import build_scene
+from tauext.sim.sensors import measure
+from tauext.sim.simulate import roll_out
 from weighing.takes import FARTHEST_M, FIRST_S, KNOWN_KG, KNOWN_S, LOADS, PUSHES, TRAIN, WINDOW_S, WINDOWS, Carried
 
 PLANE = (0, 2)

@@ -14,7 +14,7 @@ from unseen.recordings import Take, _write_csv, motor_temperature
 from unseen.simulation import RATE_HZ, simulate
 
 from tauext import _core
-from tauext.robot import load_tree
+from tauext.robot.load import load_tree
 
 FIRST_S = 1.2
 """Before the first window: observer and limits' memory have warmed up."""

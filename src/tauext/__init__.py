@@ -25,8 +25,8 @@ link is touched, where and how hard
 **Progress** Reporter: what train_bundle and evaluate_bundles tell while they work
 **Errors** TauextError and under it RobotError, RecordingError, ConfigError, BundleError, TrainingError
 
-Live sources and the loop around a monitor: `tauext.live`; what recordings have wrong: `tauext.doctor`; pages and
-figures: `tauext.report`; the virtual arm: `tauext.rig`; robot files: `tauext.robot`.
+The loop around a monitor: `tauext.monitor.loop`; sources of samples: `tauext.sources`; what recordings have wrong:
+`tauext.check`; pages and figures: `tauext.report`; simulated arms: `tauext.sim`; robot files: `tauext.robot`.
 """
 
 from __future__ import annotations
@@ -57,7 +57,9 @@ if TYPE_CHECKING:
         __version__,
         cause_names,
     )
-    from tauext.calibrate import recalibrate
+    from tauext.bundle.bundle_file import load_bundle
+    from tauext.bundle.bundle_fit import expect_fit
+    from tauext.bundle.estimates import Estimates
     from tauext.config import (
         AlarmConfig,
         DriftConfig,
@@ -68,21 +70,16 @@ if TYPE_CHECKING:
         PriorConfig,
         TrainConfig,
     )
-    from tauext.data import (
-        Dataset,
-        Recording,
-        expect_fit,
-        load_bundle,
-        load_dataset,
-        load_recording,
-        save_recording,
-    )
-    from tauext.data.estimates import Estimates
+    from tauext.data.dataset import Dataset, load_dataset
+    from tauext.data.recording import Recording
+    from tauext.data.recording_file import load_recording, save_recording
     from tauext.errors import BundleError, ConfigError, RecordingError, RobotError, TauextError, TrainingError
-    from tauext.evaluate import estimate_recording, evaluate_bundles
+    from tauext.evaluate.estimating import estimate_recording
+    from tauext.evaluate.results_folder import evaluate_bundles
     from tauext.progress import Reporter
-    from tauext.refit import refit_bundle, refit_motion, refit_recordings
-    from tauext.train import train_bundle
+    from tauext.train.bundle_limits import recalibrate
+    from tauext.train.refit_stage import refit_bundle, refit_motion, refit_recordings
+    from tauext.train.stage import train_bundle
 
 __all__ = [
     "Alarm",
@@ -156,7 +153,9 @@ _WHERE = {
         "__version__",
         "cause_names",
     ),
-    "calibrate": ("recalibrate",),
+    "bundle.bundle_file": ("load_bundle",),
+    "bundle.bundle_fit": ("expect_fit",),
+    "bundle.estimates": ("Estimates",),
     "config": (
         "AlarmConfig",
         "DriftConfig",
@@ -167,21 +166,33 @@ _WHERE = {
         "PriorConfig",
         "TrainConfig",
     ),
-    "data": (
+    "data.dataset": (
         "Dataset",
-        "Recording",
-        "expect_fit",
-        "load_bundle",
         "load_dataset",
+    ),
+    "data.recording": ("Recording",),
+    "data.recording_file": (
         "load_recording",
         "save_recording",
     ),
-    "data.estimates": ("Estimates",),
-    "errors": ("BundleError", "ConfigError", "RecordingError", "RobotError", "TauextError", "TrainingError"),
-    "evaluate": ("estimate_recording", "evaluate_bundles"),
+    "errors": (
+        "BundleError",
+        "ConfigError",
+        "RecordingError",
+        "RobotError",
+        "TauextError",
+        "TrainingError",
+    ),
+    "evaluate.estimating": ("estimate_recording",),
+    "evaluate.results_folder": ("evaluate_bundles",),
     "progress": ("Reporter",),
-    "refit": ("refit_bundle", "refit_motion", "refit_recordings"),
-    "train": ("train_bundle",),
+    "train.bundle_limits": ("recalibrate",),
+    "train.refit_stage": (
+        "refit_bundle",
+        "refit_motion",
+        "refit_recordings",
+    ),
+    "train.stage": ("train_bundle",),
 }
 """Module of each name. No name is that of a subpackage, which would take its place once it is imported."""
 

@@ -42,4 +42,4 @@ class FaultyDataError(TauextError):
     def __init__(self, message: str, findings: Sequence[object] = ()) -> None:
         super().__init__(message)
         self.findings = list(findings)
-        """Each a `tauext.doctor.Finding`."""
+        """Each a `tauext.check.finding.Finding`."""

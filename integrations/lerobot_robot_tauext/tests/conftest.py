@@ -14,7 +14,7 @@ def trained(tmp_path_factory) -> Path:
     import lerobot_arm as arms
 
     import tauext
-    from tauext.importing import import_dataset
+    from tauext.data.importing import import_dataset
 
     folder = tmp_path_factory.mktemp("trained")
     (folder / "arm.toml").write_text(arms.ARM.replace("UNIT", "deg"))

@@ -76,7 +76,7 @@ def version_text() -> str:
     from importlib.metadata import version
 
     from tauext import _core
-    from tauext.provenance import VERSION
+    from tauext.files.provenance import VERSION
 
     formats = f"bundle format {_core.BUNDLE_FORMAT} (reads {_core.OLDEST_BUNDLE_FORMAT} to {_core.BUNDLE_FORMAT})"
     compiler = _core.COMPILER.partition(" (")[0]  # clang adds where its sources came from

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 from tauext.cli.replaced import tell_replaced
 from tauext.errors import ConfigError
-from tauext.room import expect_new_file
-from tauext.store import Place, same_place
-from tauext.whole_file import whole_files
+from tauext.files.place import Place, same_place
+from tauext.files.room import expect_new_file
+from tauext.files.whole_file import whole_files
 
 if TYPE_CHECKING:
     from tauext._core import Bundle

@@ -31,12 +31,13 @@ def check(
     """
     import json
 
+    from tauext.check.examine import examine
+    from tauext.check.gather import gather
+    from tauext.check.summary import as_files
     from tauext.cli.replaced import tell_replaced
     from tauext.cli.reporter import Terminal
-    from tauext.doctor import examine, gather
-    from tauext.doctor.summary import as_files
-    from tauext.room import expect_folder
-    from tauext.whole_file import whole_folder
+    from tauext.files.room import expect_folder
+    from tauext.files.whole_file import whole_folder
 
     if out is not None:
         expect_folder(out)
@@ -45,7 +46,7 @@ def check(
     diagnosis = examine(recordings, robot, gravity, free, Terminal())
     text, content = as_files(diagnosis, (recording.name for recording in recordings), robot is None)
     if out is not None:
-        from tauext.doctor.picture import draw
+        from tauext.report.picture import draw
 
         with whole_folder(out) as part:
             (part / "check.txt").write_text(text + "\n")

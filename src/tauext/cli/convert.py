@@ -20,7 +20,7 @@ def convert(bundle: tyro.conf.Positional[PlaceArg], out: PlaceArg) -> None:
         out: bundle to write, NAME.tauext; one that is there is replaced, and said to be. Its run file is copied along,
             where there is one.
     """
-    from tauext.learn.old_constants import converted
+    from tauext.fit.old_constants import converted
 
     if not bundle.is_file():
         raise ConfigError(f"{bundle}: there is no such bundle; give one of format 3 or 4")

@@ -32,7 +32,7 @@ def demo(
         headless_seconds: show no page, simulate so many seconds with scripted pushes, then a weight in the hand of the
             seven-axis arm, and print what was found.
     """
-    from tauext.demo.bundles import cache_folder
+    from tauext.page.bundles import cache_folder
 
     require_seed(seed)
     require(1 <= port <= 65535, "port", port, "1 to 65535")
@@ -40,7 +40,7 @@ def demo(
         require(0 < headless_seconds <= 3600, "headless_seconds", headless_seconds, "above 0, at most 3600")
         print(headless(arm, headless_seconds, seed))
         return
-    from tauext.demo.page import run_page
+    from tauext.page.page import run_page
 
     with TrainingBar() as bar:
         run_page(arm, host, port, seed, cache_folder(), open, bar.report, lambda line: print(line, flush=True))
@@ -48,10 +48,10 @@ def demo(
 
 def headless(arm_name: str, seconds: float, seed: int) -> str:
     """What was found in so many seconds with scripted pushes, and of a weight in the hand where the arm has one."""
-    from tauext.demo.arms import ARMS
-    from tauext.demo.bundles import LESSONS, cache_folder, find_or_train_bundles
-    from tauext.demo.headless import describe, scripted_pushes
-    from tauext.demo.headless_weight import carried_weights, describe_weights
+    from tauext.page.bundles import LESSONS, cache_folder, find_or_train_bundles
+    from tauext.page.headless import describe, scripted_pushes
+    from tauext.page.headless_weight import carried_weights, describe_weights
+    from tauext.sim.arms import ARMS
 
     arm = ARMS[arm_name]()
     with TrainingBar() as bar:

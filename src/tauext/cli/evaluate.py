@@ -9,9 +9,9 @@ import tyro
 from tauext.cli.place_argument import PlaceArg
 from tauext.config import CaseName, EventsConfig, require, require_seed, require_threads
 from tauext.errors import ConfigError
+from tauext.files.room import expect_folder
+from tauext.files.staging import staged
 from tauext.recipes import baselines as known_baselines
-from tauext.room import expect_folder
-from tauext.store import staged
 
 METHODS = f"train and compare only these of the baselines: {', '.join(known_baselines())}."
 
@@ -53,8 +53,8 @@ def evaluate(
     from tauext.cli.command_line import command_line
     from tauext.cli.replaced import tell_replaced
     from tauext.cli.reporter import Terminal
-    from tauext.data import load_dataset
-    from tauext.evaluate import evaluate_bundles
+    from tauext.data.dataset import load_dataset
+    from tauext.evaluate.results_folder import evaluate_bundles
 
     require_seed(seed)
     require_threads(threads)
@@ -72,7 +72,7 @@ def evaluate(
     with staged(out) as folder:
         paths = list(bundles)
         if baselines:
-            from tauext.train import train_baselines
+            from tauext.train.baselines import train_baselines
 
             own, kinds = folder / "bundles", methods or None
             trained = train_baselines(dataset, robot, case, own, seed, threads, kinds, (), Terminal(), accept)

@@ -39,7 +39,9 @@ def run(
         as_json: print JSON lines, an object a task that begins or ends.
     """
     from tauext.cli.fleet_output import open_watcher, tell_plan
-    from tauext.fleet import load_fleet, plan_fleet, run_fleet
+    from tauext.fleet.fleet_file import load_fleet
+    from tauext.fleet.plan import plan_fleet
+    from tauext.fleet.run import run_fleet
 
     read = load_fleet(fleet)
     if dry_run:
@@ -67,7 +69,7 @@ def example(out: Path | None = None) -> None:
     if out is None:
         print(EXAMPLE, end="")
         return
-    from tauext.live.toml_file import write_template
+    from tauext.files.toml_file import write_template
 
     write_template(out, EXAMPLE)
     print(out)

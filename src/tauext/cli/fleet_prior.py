@@ -32,8 +32,9 @@ def prior(
     from tauext.cli.replaced import tell_replaced
     from tauext.cli.reporter import Terminal
     from tauext.config import TrainConfig
-    from tauext.fleet_prior import fleet_arms, make_fleet_prior
-    from tauext.fleet_prior.summary import table
+    from tauext.fleet.arms import fleet_arms
+    from tauext.fleet.fleet_prior_stage import make_fleet_prior
+    from tauext.fleet.summary import table
 
     config = TrainConfig(recipe="prior", threads=threads)
     fleet = fleet_arms(arms)

@@ -11,7 +11,9 @@ import tyro
 from tauext.cli.place_argument import PlaceArg
 from tauext.config import require
 from tauext.errors import ConfigError
-from tauext.store import local_folder, place_of, staged
+from tauext.files.fetching import local_folder
+from tauext.files.place import place_of
+from tauext.files.staging import staged
 
 if TYPE_CHECKING:
     from tauext.progress import Reporter
@@ -41,9 +43,9 @@ def report(
     if not fleets:
         raise ConfigError("there is no fleet to report: give one folder or more that `tauext fleet run` made")
     from tauext.cli.reporter import Terminal
-    from tauext.fleet_report import make_fleet_report
-    from tauext.report import write_fleet_page
-    from tauext.room import expect_folder
+    from tauext.files.room import expect_folder
+    from tauext.fleet.fleet_report_stage import make_fleet_report
+    from tauext.fleet.fleet_write import write_fleet_page
 
     terminal = Terminal()
     expect_folder(out)
@@ -63,8 +65,8 @@ def report(
 def write_arm_pages(content: dict[str, Any], out: Path, page_mb: float, reporter: Reporter) -> None:
     """Of every arm at its last date; one that cannot be drawn is told, and the others are."""
     from tauext.errors import TauextError
-    from tauext.report import write_report
-    from tauext.report.fleet_write import arm_folder, is_newer
+    from tauext.fleet.fleet_write import arm_folder, is_newer
+    from tauext.report.write import write_report
 
     drawn = [(arm["visits"][-1], places) for arm in content["arms"] if (places := arm["visits"][-1].get("places"))]
     with reporter.progress("pages of the arms") as show:

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Literal
 
 from tauext.cli.place_argument import PlaceArg
 from tauext.errors import ConfigError
-from tauext.room import expect_new_file
-from tauext.store import is_stored, local_folder, local_robot, staged
+from tauext.files.fetching import local_folder, local_robot
+from tauext.files.place import is_stored
+from tauext.files.room import expect_new_file
+from tauext.files.staging import staged
 
 if TYPE_CHECKING:
-    from tauext.data.importers import RawRecording
+    from tauext.data.importers.raw import RawRecording
 
 
 def import_data(
@@ -51,7 +53,7 @@ def import_data(
         if not value:
             raise ConfigError(f"{name} is missing; `tauext import --new arm.toml --source FILE` writes a description")
     assert arm is not None and out is not None
-    from tauext.importing import import_dataset
+    from tauext.data.importing import import_dataset
 
     if is_stored(out) and any(out.iterdir()):
         raise ConfigError(f"{out}: is not empty; choose another folder or remove it")
@@ -67,9 +69,9 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
     import os
 
     from tauext.data.description_template import Guess, guess, template
-    from tauext.data.importers import open_raw
-    from tauext.live.toml_file import write_template as write_text
-    from tauext.robot import movable_joints
+    from tauext.data.importers.open_raw import open_raw
+    from tauext.files.toml_file import write_template as write_text
+    from tauext.robot.load import movable_joints
 
     if path.exists():
         raise ConfigError(f"{path}: is there already; choose another name or remove it")
@@ -100,12 +102,12 @@ def unit_of_times(raw: RawRecording, column: str) -> str:
 
 def tell_findings(out: Path) -> None:
     """Say on stderr what `tauext train` would refuse of this dataset, and what it would warn of."""
+    from tauext.check.verdict import entries, sentence, told
     from tauext.cli.reporter import Terminal
     from tauext.config import PAPER_CASES, TrainConfig
-    from tauext.data import load_dataset
-    from tauext.look import entries, sentence, told
-    from tauext.robot import chosen_case
-    from tauext.train import view_dataset
+    from tauext.data.dataset import load_dataset
+    from tauext.robot.model_case import chosen_case
+    from tauext.train.look import view_dataset
 
     dataset, terminal = load_dataset(out), Terminal()
     if not dataset.split.train:

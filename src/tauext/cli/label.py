@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 import tyro
 
 from tauext.cli.place_argument import PlaceArg
-from tauext.store import local_file, local_folder, staged
+from tauext.files.fetching import local_file, local_folder
+from tauext.files.staging import staged
 
 
 def label(
@@ -41,10 +42,10 @@ def label(
             as policies trained on it know it.
         as_json: print the counts as one JSON object.
     """
+    from tauext.bundle.bundle_file import load_bundle
     from tauext.cli.reporter import Terminal
-    from tauext.data import load_bundle
     from tauext.data.description_file import load_arm
-    from tauext.label import label_dataset
+    from tauext.sources.labelling import label_dataset
 
     described = load_arm(arm, None if calibration is None else local_file(calibration))
     loaded = load_bundle(bundle)

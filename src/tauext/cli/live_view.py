@@ -12,13 +12,16 @@ from rich.table import Table
 from rich.text import Text
 
 from tauext._core import Bundle, cause_names
-from tauext.bundles.units import SEVERAL, of_all, short
+from tauext.bundle.estimates import HEALTHS
+from tauext.bundle.units import SEVERAL, of_all, short
 from tauext.cli.run_output import FlightCount
 from tauext.cli.run_settings import RunSettings
 from tauext.cli.run_text import TextLines
-from tauext.data import Recording
-from tauext.monitor import ALARMS, HEALTHS, Chunk, Tally
+from tauext.data.recording import Recording
+from tauext.monitor.changes import ALARMS
 from tauext.monitor.readable import readable
+from tauext.monitor.replay import Chunk
+from tauext.monitor.tally import Tally
 
 REFRESH_S = 0.1
 BAR_CELLS = 40

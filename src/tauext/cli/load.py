@@ -13,7 +13,9 @@ from tauext.errors import ConfigError
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
-    from tauext.load import LoadEstimate, NamedFrame, Seen
+    from tauext.monitor.frame import NamedFrame
+    from tauext.monitor.identify import LoadEstimate
+    from tauext.monitor.rows import Seen
 
 
 def load(
@@ -55,8 +57,11 @@ def load(
     if known_kg is None and (out is not None or known_com_m is not None):
         raise ConfigError("--out and --known-com-m need --known-kg: without a known weight there is nothing to set")
     from tauext.cli.run import fitting_bundle
-    from tauext.data import load_recording
-    from tauext.load import between, expect_different, expect_weighable, load_frame, see
+    from tauext.data.recording_file import load_recording
+    from tauext.monitor.frame import load_frame
+    from tauext.monitor.rows import see
+    from tauext.monitor.weighable import expect_weighable
+    from tauext.monitor.windows import between, expect_different
 
     loaded = fitting_bundle(bundle, recordings)
     expect_weighable(loaded)
@@ -74,7 +79,10 @@ def load(
 
 def weigh(bundle: Bundle, where: NamedFrame, parts: list[Seen], reach_m: float, as_json: bool) -> None:
     """Print what all of it says, and what each window says alone."""
-    from tauext.load import each_window, identify, load_facts, load_sentences, weighing_joints
+    from tauext.monitor.identify import identify
+    from tauext.monitor.weighable import weighing_joints
+    from tauext.monitor.windows import each_window
+    from tauext.monitor.words import load_facts, load_sentences
 
     found = identify(bundle, where, parts, reach_m)
     alone = each_window(bundle, where, parts, found) if found.verdict == "load" else []

@@ -6,11 +6,13 @@ import json
 from typing import TYPE_CHECKING
 
 from tauext.cli.another_bundle import expect_another, write_another
-from tauext.store import Place
+from tauext.files.place import Place
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
-    from tauext.load import KnownWeight, NamedFrame, Seen
+    from tauext.monitor.frame import NamedFrame
+    from tauext.monitor.known import KnownWeight
+    from tauext.monitor.rows import Seen
 
 
 def set_constants(
@@ -29,7 +31,7 @@ def set_constants(
     Raises:
         ConfigError: the weight does not tell, or the new bundle cannot be written.
     """
-    from tauext.load import weigh_constants
+    from tauext.monitor.known import weigh_constants
 
     check_out(path, out)
     known = weigh_constants(bundle, where, parts, mass_kg, com_m, reach_m)
@@ -54,7 +56,7 @@ def check_out(path: Place, out: Place | None) -> None:
 
 def write(bundle: Bundle, path: Place, known: KnownWeight, mass_kg: float, recordings: list[str], out: Place) -> None:
     """The bundle with its constants times the common factor; its run file is copied along, where there is one."""
-    from tauext.load import scaled_bundle, with_provenance
+    from tauext.monitor.scaled_bundle import scaled_bundle, with_provenance
 
     new = scaled_bundle(bundle, known.common)
     with_provenance(new, known, mass_kg, recordings)

@@ -14,16 +14,16 @@ from tauext.cli.monitor_sources import SourceOptions
 from tauext.cli.place_argument import LocalArg, PlaceArg
 from tauext.config import require
 from tauext.errors import ConfigError
-from tauext.ros2 import Ros2Settings
-from tauext.store import Place
+from tauext.files.place import Place
+from tauext.sources.settings import Ros2Settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from tauext._core import Bundle
     from tauext.cli.monitor_output import MonitorOutput, Outcome
-    from tauext.live import Loop, LoopSettings
-    from tauext.live.flight_sink import FlightSink
+    from tauext.monitor.flight_sink import FlightSink
+    from tauext.monitor.loop import Loop, LoopSettings
 
 STDIN = Path("-")
 MOST_CORES = 1024
@@ -128,7 +128,7 @@ def monitor(
 
     from tauext.cli.monitor_output import open_output
     from tauext.cli.run_settings import RunSettings
-    from tauext.live import LoopSettings
+    from tauext.monitor.loop import LoopSettings
 
     missing_s = None if missing_after_ms is None else missing_after_ms * 1e-3
     settings = LoopSettings(own_rate, missing_s, acknowledge_after_s, duration_s, core, priority, wrench)
@@ -146,7 +146,7 @@ def quiet_library(source: str) -> AbstractContextManager[None]:
     import sys
 
     try:
-        from tauext.ros2.unreadable import without_lines
+        from tauext.sources.unreadable import without_lines
     except ImportError:  # the source says what is missing
         return nullcontext()
     return without_lines() if sys.stderr is sys.__stderr__ else nullcontext()
@@ -160,10 +160,10 @@ def require_positive(**values: float | None) -> None:
 
 def write_templates(reactions: Path | None, profiles: Path | None, bus: Path | None, also_run: bool) -> None:
     """Write the files that were asked for."""
-    from tauext.live.profiles import TEMPLATE as PROFILES
-    from tauext.live.reaction_file import TEMPLATE as REACTIONS
-    from tauext.live.servo_bus_file import TEMPLATE as BUS
-    from tauext.live.toml_file import write_template
+    from tauext.files.toml_file import write_template
+    from tauext.monitor.profiles import TEMPLATE as PROFILES
+    from tauext.monitor.reaction_file import TEMPLATE as REACTIONS
+    from tauext.sources.servo_bus_file import TEMPLATE as BUS
 
     if also_run:
         raise ConfigError(
@@ -183,12 +183,15 @@ def watch(
     Raises:
         ConfigError: something does not fit, before the first sample.
     """
+    from tauext.bundle.bundle_file import load_bundle
     from tauext.cli.aside import Aside
     from tauext.cli.monitor_output import Outcome, OutputSink
     from tauext.cli.monitor_sources import connect
-    from tauext.data import load_bundle
-    from tauext.live import Loop, load_profiles, load_reactions, start_reactions
-    from tauext.live.record_sink import RecordSink
+    from tauext.monitor.loop import Loop
+    from tauext.monitor.profiles import load_profiles
+    from tauext.monitor.reaction_file import load_reactions
+    from tauext.monitor.reactions import start_reactions
+    from tauext.monitor.record_sink import RecordSink
 
     bundle = load_bundle(path)
     joints = tuple(link.joint_name for link in bundle.links)
@@ -239,7 +242,7 @@ def expect_all_kept(outcome: Outcome) -> None:
 def flight_sink(bundle: Bundle, extras: Extras, source: str) -> FlightSink:
     """Writes flights into the folder, which is made."""
     from tauext import _core
-    from tauext.live.flight_sink import FlightSink
+    from tauext.monitor.flight_sink import FlightSink
 
     assert extras.flights is not None
     try:
@@ -260,7 +263,7 @@ def controlled(path: Path | None, loop: Loop) -> Iterator[None]:
     import threading
     import weakref
 
-    from tauext.live.control_lines import ControlSocket, obey_lines
+    from tauext.monitor.control_lines import ControlSocket, obey_lines
 
     def stop(number: int, frame: object) -> None:
         signal.signal(number, before[signal.Signals(number)])

@@ -15,22 +15,18 @@ from tauext.cli.run_json import JsonLines
 from tauext.cli.run_output import FlightCount
 from tauext.cli.run_settings import RunSettings
 from tauext.cli.run_text import TextLines, summary_lines
-from tauext.live import (
-    Control,
-    Latencies,
-    LoopReport,
-    ProfileSwitch,
-    ReactionCount,
-    ReactionNews,
-    Reactions,
-    SourceCounts,
-    Verdict,
-)
-from tauext.live.chunk import chunk_of
-from tauext.live.flight_sink import FlightSink
-from tauext.live.record_sink import RecordCount
-from tauext.monitor import Chunk, FlightNews, StatusClock, Tally
-from tauext.monitor.replay import PACED_CHUNK_S
+from tauext.monitor.chunk import chunk_of
+from tauext.monitor.flight_sink import FlightSink
+from tauext.monitor.flight_writer import FlightNews
+from tauext.monitor.latency import Latencies
+from tauext.monitor.loop import ProfileSwitch
+from tauext.monitor.reactions import ReactionCount, ReactionNews, Reactions
+from tauext.monitor.record_sink import RecordCount
+from tauext.monitor.replay import PACED_CHUNK_S, Chunk
+from tauext.monitor.sink import Control, LoopReport, Verdict
+from tauext.monitor.source import SourceCounts
+from tauext.monitor.status import StatusClock
+from tauext.monitor.tally import Tally
 
 QUIET_S = 10
 """Between two notes that nothing has come yet."""

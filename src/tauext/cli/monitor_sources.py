@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from tauext.errors import ConfigError
-from tauext.store import Place, place_of
+from tauext.files.place import Place, place_of
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
-    from tauext.live import Sink, Source
-    from tauext.ros2 import Ros2Settings
+    from tauext.monitor.sink import Sink
+    from tauext.monitor.source import Source
+    from tauext.sources.settings import Ros2Settings
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Connection:
 
 def replay(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
     """replay:FILE, a recording at its own pace or --speed times as fast."""
-    from tauext.live import ReplaySource
+    from tauext.sources.replay_source import ReplaySource
 
     speed = options.speed or 1.0
     if speed < 1:  # by the clock, every sample would be missing
@@ -45,21 +46,22 @@ def replay(target: str, options: SourceOptions, bundle: Bundle | None) -> Connec
 
 def ur(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
     """ur:HOST."""
-    from tauext.live.ur_source import UrSource
+    from tauext.sources.ur_source import UrSource
 
     return Connection(UrSource(target, options.torque_constants))
 
 
 def franka(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
     """franka:HOST."""
-    from tauext.live.franka_source import FrankaSource
+    from tauext.sources.franka_source import FrankaSource
 
     return Connection(FrankaSource(target))
 
 
 def ros2(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
     """ros2, joint states of a topic; torques, alarms and diagnostics go to others."""
-    from tauext.ros2 import Ros2Settings, connect
+    from tauext.sources.ros2 import connect
+    from tauext.sources.settings import Ros2Settings
 
     source, publisher = connect(options.ros2 or Ros2Settings(), bundle)
     return Connection(source, (publisher,))
@@ -67,24 +69,24 @@ def ros2(target: str, options: SourceOptions, bundle: Bundle | None) -> Connecti
 
 def feetech(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
     """feetech:PORT."""
-    from tauext.live.feetech_source import FeetechSource
-    from tauext.live.servo_bus_file import load_servo_bus
+    from tauext.sources.feetech_source import FeetechSource
+    from tauext.sources.servo_bus_file import load_servo_bus
 
     return Connection(FeetechSource(target, load_servo_bus(bus_of("feetech:PORT", options))))
 
 
 def dynamixel(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
     """dynamixel:PORT."""
-    from tauext.live.dynamixel_source import DynamixelSource
-    from tauext.live.servo_bus_file import load_servo_bus
+    from tauext.sources.dynamixel_source import DynamixelSource
+    from tauext.sources.servo_bus_file import load_servo_bus
 
     return Connection(DynamixelSource(target, load_servo_bus(bus_of("dynamixel:PORT", options))))
 
 
 def damiao(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
     """damiao:CAN."""
-    from tauext.live.can_bus_file import load_can_bus
-    from tauext.live.damiao_source import DamiaoSource
+    from tauext.sources.can_bus_file import load_can_bus
+    from tauext.sources.damiao_source import DamiaoSource
 
     return Connection(DamiaoSource(target, load_can_bus(bus_of("damiao:CAN", options))))
 

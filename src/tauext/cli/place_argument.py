@@ -8,7 +8,8 @@ from typing import Annotated, Any
 from tyro.constructors import PrimitiveConstructorSpec
 
 from tauext.errors import ConfigError
-from tauext.store import Place, StoredPlace, place_of
+from tauext.files.place import Place, place_of
+from tauext.files.stored import StoredPlace
 
 
 def is_place(value: Any) -> bool:

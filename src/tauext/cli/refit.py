@@ -9,7 +9,7 @@ import tyro
 from tauext.cli.place_argument import PlaceArg
 from tauext.config import require, require_threads
 from tauext.errors import ConfigError
-from tauext.store import same_place
+from tauext.files.place import same_place
 
 
 def refit(
@@ -46,9 +46,9 @@ def refit(
     """
     from tauext.cli.replaced import tell_replaced
     from tauext.cli.reporter import Terminal
-    from tauext.learn.fleet_prior_file import load_fleet_prior
-    from tauext.provenance import json_text
-    from tauext.refit import Span, refit_bundle
+    from tauext.files.provenance import json_text
+    from tauext.fit.fleet_prior_file import load_fleet_prior
+    from tauext.train.refit_stage import Span, refit_bundle
 
     require_threads(threads)
     require(seconds is None or to_s is None, "seconds", seconds, "left out with --to")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from tauext.store import Place
+from tauext.files.place import Place
 
 RULE = (
     "What stands at --out already: bundles, results, reports and findings are replaced when the new ones are whole, "

@@ -7,7 +7,9 @@ from pathlib import Path
 
 from tauext.cli.place_argument import PlaceArg
 from tauext.errors import ConfigError
-from tauext.store import Place, local_beside, local_folder, staged
+from tauext.files.fetching import local_beside, local_folder
+from tauext.files.place import Place
+from tauext.files.staging import staged
 
 
 def report(
@@ -32,8 +34,9 @@ def report(
         trace_methods: bundles whose traces stand in the page, by their names; default: the best five.
     """
     from tauext.cli.replaced import tell_replaced
-    from tauext.data import load_dataset
-    from tauext.report import write_flight_report, write_report
+    from tauext.data.dataset import load_dataset
+    from tauext.report.flight import write_flight_report
+    from tauext.report.write import write_report
 
     if flight is not None:
         if results is not None or data is not None:

@@ -6,7 +6,7 @@ from typing import Literal
 
 from tauext.cli.place_argument import PlaceArg
 from tauext.config import CaseName, require_seed
-from tauext.store import staged
+from tauext.files.staging import staged
 
 
 def reproduce(
@@ -32,8 +32,8 @@ def reproduce(
     from tauext.cli.command_line import command_line
     from tauext.cli.replaced import tell_replaced
     from tauext.cli.reporter import Terminal
-    from tauext.reproduce import SCALES, reproduce_paper
-    from tauext.room import expect_folder
+    from tauext.cli.reproduce_stage import SCALES, reproduce_paper
+    from tauext.files.room import expect_folder
 
     require_seed(seed)
     expect_folder(out)

@@ -15,13 +15,16 @@ from tauext.cli.place_argument import PlaceArg
 from tauext.cli.run_settings import RunSettings
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
-from tauext.store import Place, added
+from tauext.files.place import Place
+from tauext.files.staging import added
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
     from tauext.cli.run_output import FlightCount, Output
-    from tauext.data import Recording
-    from tauext.monitor import FlightWriter, Tally, TimedLoad
+    from tauext.data.recording import Recording
+    from tauext.monitor.flight_writer import FlightWriter
+    from tauext.monitor.loads import TimedLoad
+    from tauext.monitor.tally import Tally
 
 
 def run(
@@ -102,7 +105,7 @@ def told_loads(bundle: Bundle, load: str | None, loads: Place | None) -> tuple[T
     Raises:
         ConfigError: it cannot be read, or the bundle takes no such load.
     """
-    from tauext.monitor import TimedLoad, expect_load, load_of_text, read_loads
+    from tauext.monitor.loads import TimedLoad, expect_load, load_of_text, read_loads
 
     require(load is None or loads is None, "load", load, "left out where --loads gives a file of them")
     told = [TimedLoad(0.0, load_of_text(load))] if load is not None else read_loads(loads) if loads is not None else []
@@ -133,7 +136,9 @@ def fitting_bundle(path: Place, recordings: tuple[Place, ...]) -> Bundle:
         ConfigError: no recording.
         BundleError: no such bundle; joints, rate or torque timing of a recording are not the bundle's.
     """
-    from tauext.data import describe, expect_fit, load_bundle
+    from tauext.bundle.bundle_file import load_bundle
+    from tauext.bundle.bundle_fit import expect_fit
+    from tauext.data.recording_file import describe
 
     if not recordings:
         raise ConfigError("there is nothing to replay: give one or more recordings (*.parquet) behind the bundle")
@@ -145,7 +150,7 @@ def fitting_bundle(path: Place, recordings: tuple[Place, ...]) -> Bundle:
 
 def check_frame(bundle: Bundle, wrench: str | None) -> None:
     """Refuse a frame that there is not before anything is replayed."""
-    from tauext.monitor import PlaceFinder
+    from tauext.monitor.places import PlaceFinder
 
     PlaceFinder(bundle, wrench)
 
@@ -172,8 +177,8 @@ def replay_all(bundle: Bundle, recordings: tuple[Place, ...], settings: RunSetti
         ConfigError: some flights could not be written.
     """
     from tauext.cli.run_output import FlightCount
-    from tauext.data import load_recording
-    from tauext.monitor import Tally
+    from tauext.data.recording_file import load_recording
+    from tauext.monitor.tally import Tally
 
     total = Tally(
         tuple(link.joint_name for link in bundle.links), bundle.observer.sample_period_ns, tuple(bundle.estimate_units)
@@ -203,7 +208,7 @@ def counted(
 ) -> Iterator[tuple[Tally, FlightCount]]:
     """A tally and a count of flights for one recording; told and added to the total even if it ends early."""
     from tauext.cli.run_output import FlightCount
-    from tauext.monitor import Tally
+    from tauext.monitor.tally import Tally
 
     tally, own_flights = Tally(total.joints, total.sample_period_ns, total.units), FlightCount()
     try:
@@ -219,8 +224,11 @@ def replay_one(
 ) -> None:
     """One recording through a new monitor, with a new flight recorder."""
     from tauext import _core
-    from tauext.monitor import FlightSource, FlightWriter, Pace, PlaceFinder, replay, write_flight
-    from tauext.monitor.replay import CHUNK_S, PACED_CHUNK_S
+    from tauext.monitor.flight_files import FlightSource, write_flight
+    from tauext.monitor.flight_writer import FlightWriter
+    from tauext.monitor.pace import Pace
+    from tauext.monitor.places import PlaceFinder
+    from tauext.monitor.replay import CHUNK_S, PACED_CHUNK_S, replay
 
     monitor = _core.Monitor(bundle, settings.own_rate)
     recorder = writer = None

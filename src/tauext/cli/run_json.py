@@ -6,29 +6,26 @@ import json
 from typing import Any, Self
 
 from tauext._core import Bundle, cause_names
+from tauext.bundle.estimates import HEALTHS
 from tauext.cli.run_output import FlightCount
-from tauext.data import Recording
-from tauext.monitor import (
+from tauext.data.recording import Recording
+from tauext.monitor.changes import (
     ALARMS,
-    HEALTHS,
     TOUCHES,
     Change,
-    Chunk,
     DriftChange,
-    FlightNews,
     FoundLoad,
     HealthChange,
     LoadChange,
-    PlaceChange,
-    StatusClock,
-    Tally,
     TouchChange,
     WeighChange,
-    load_facts,
-    place_facts,
-    status,
 )
-from tauext.monitor.status import number
+from tauext.monitor.flight_writer import FlightNews
+from tauext.monitor.loads import load_facts
+from tauext.monitor.places import PlaceChange, place_facts
+from tauext.monitor.replay import Chunk
+from tauext.monitor.status import StatusClock, number, status
+from tauext.monitor.tally import Tally
 
 
 class JsonLines:
@@ -119,7 +116,7 @@ class JsonLines:
 
 def found_facts(change: WeighChange) -> dict[str, Any]:
     """As plain JSON: what was found, and the load to set."""
-    from tauext.load import load_facts as facts_of_found
+    from tauext.monitor.words import load_facts as facts_of_found
 
     if change.found is None:
         return {"frame": change.frame, "found": None, "load": None}

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from tauext._core import Bundle
-from tauext.data import Recording
-from tauext.monitor import Chunk, FlightNews, Tally
+from tauext.data.recording import Recording
+from tauext.monitor.flight_writer import FlightNews
+from tauext.monitor.replay import Chunk
+from tauext.monitor.tally import Tally
 
 
 @dataclass

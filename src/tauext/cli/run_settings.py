@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tauext.store import Place
+from tauext.files.place import Place
 
 if TYPE_CHECKING:
-    from tauext.monitor import TimedLoad
+    from tauext.monitor.loads import TimedLoad
 
 
 @dataclass(frozen=True)

@@ -8,33 +8,31 @@ from dataclasses import replace
 from typing import Self
 
 from tauext._core import Bundle, cause_names
-from tauext.bundles.units import short
+from tauext.bundle.estimates import HEALTHS
+from tauext.bundle.units import short
 from tauext.cli.run_output import FlightCount
 from tauext.cli.run_settings import RunSettings
-from tauext.data import Recording
-from tauext.monitor import (
+from tauext.data.recording import Recording
+from tauext.files.place import Place
+from tauext.monitor.changes import (
     ALARMS,
-    HEALTHS,
     TOUCHES,
     AlarmChange,
-    Chunk,
     DriftChange,
-    FlightNews,
     FoundLoad,
     HealthChange,
-    HiddenCollision,
-    HiddenFinder,
     LoadChange,
-    PlaceChange,
-    Tally,
     TouchChange,
     WeighChange,
-    load_words,
-    place_words,
-    unseen_words,
     with_article,
 )
-from tauext.store import Place
+from tauext.monitor.flight_writer import FlightNews
+from tauext.monitor.hidden import HiddenCollision, HiddenFinder
+from tauext.monitor.loads import load_words
+from tauext.monitor.places import PlaceChange, place_words
+from tauext.monitor.replay import Chunk
+from tauext.monitor.tally import Tally
+from tauext.monitor.unfamiliar import unseen_words
 
 WARNS_FROM = 0.01
 """Share of the motion that is unfamiliar: of motion like that of training a few thousandths may be."""
@@ -257,7 +255,7 @@ def found_load_words(change: FoundLoad) -> str:
 
 def weigh_words(change: WeighChange) -> list[str]:
     """What was found, sentence by sentence."""
-    from tauext.load import load_sentences
+    from tauext.monitor.words import load_sentences
 
     if change.found is None:
         return [f"weighs what the arm carries beside {load_words(change.beside)}, by {change.by}"]

@@ -12,7 +12,7 @@ from tauext.cli.place_argument import PlaceArg
 from tauext.cli.show_prior import describe_fleet_prior
 from tauext.cli.show_servo import describe_servo
 from tauext.errors import BundleError, ConfigError
-from tauext.store import Place
+from tauext.files.place import Place
 
 if TYPE_CHECKING:
     from tauext._core import Bundle, LoadSettings, ObserverSettings
@@ -61,7 +61,7 @@ def show(
     if as_json:
         print(json.dumps(content, indent=1))
         return
-    from tauext.bundles.situations import certainty
+    from tauext.bundle.situations import certainty
 
     if "table" in content:
         print("\n".join(content.pop("table")))
@@ -78,9 +78,9 @@ def show(
 
 def describe_bundle(file: Place) -> dict:
     """Plain content of a bundle; loading it also replays its reference."""
-    from tauext.bundles.bundle_file import load_bundle
-    from tauext.bundles.changed import changed_since_training
-    from tauext.bundles.units import of_all
+    from tauext.bundle.bundle_file import load_bundle
+    from tauext.bundle.changed import changed_since_training
+    from tauext.bundle.units import of_all
 
     bundle = load_bundle(file)
     names = [link.joint_name for link in bundle.links]
@@ -187,7 +187,7 @@ def describe_load(settings: LoadSettings) -> dict | str:
 
 def describe_left_out(bundle: Bundle) -> dict[str, str]:
     """Joints by which no load and no force is told; nothing where all answer in N m, or none."""
-    from tauext.bundles.units import left_out
+    from tauext.bundle.units import left_out
 
     if not (names := left_out(bundle).get("left_out", [])) or bundle.too_few_in_newtons(""):
         return {}
@@ -233,7 +233,7 @@ def in_order(facts: Any, names: list[str]) -> Any:
 
 def beyond(bundle: Bundle, joint: int) -> str:
     """What of a joint the monitor takes for no sample at all, in words."""
-    from tauext.bundles.units import short
+    from tauext.bundle.units import short
 
     unit = short(bundle.estimate_units[joint])
     speed_unit = "m/s" if bundle.links[joint].type.name == "prismatic" else "rad/s"
@@ -245,7 +245,7 @@ def beyond(bundle: Bundle, joint: int) -> str:
 
 def describe_limits(bundle: Bundle, facts: dict) -> dict:
     """What raises limits beside the error scale, and how sure each joint is in motions that everybody knows."""
-    from tauext.bundles.situations import sentences, situations
+    from tauext.bundle.situations import sentences, situations
 
     content: dict[str, Any] = {}
     limits, scale = facts.get("limits", {}), facts.get("error_scale", {})
@@ -345,8 +345,8 @@ def describe_prior(bundle: Bundle, facts: dict) -> dict:
 
 def describe_recording(file: Place) -> dict:
     """Plain content of a recording."""
-    from tauext.data import load_recording
     from tauext.data.recording import FLAGS, OPTIONAL_SIGNALS
+    from tauext.data.recording_file import load_recording
 
     recording = load_recording(file)
     signals = (*OPTIONAL_SIGNALS, *FLAGS)

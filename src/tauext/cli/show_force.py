@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from tauext.errors import ConfigError
-from tauext.store import Place
+from tauext.files.place import Place
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
@@ -37,7 +37,7 @@ def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) ->
         BundleError: it tells no forces, or keeps no poses and no recording is given.
         ConfigError: there is no such frame or recording.
     """
-    from tauext.bundles.bundle_file import load_bundle
+    from tauext.bundle.bundle_file import load_bundle
     from tauext.evaluate.kept_poses import noticed_in_usual_motion
     from tauext.evaluate.noticed_force import points
 
@@ -58,9 +58,9 @@ def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) ->
 
 def over_recordings(bundle: Bundle, data: Sequence[Place], frames: Sequence[str]) -> dict:
     """Recordings are loaded one at a time."""
-    from tauext.data import load_recording
-    from tauext.evaluate import estimate_recording
+    from tauext.data.recording_file import load_recording
     from tauext.evaluate.comparison import free_part
+    from tauext.evaluate.estimating import estimate_recording
     from tauext.evaluate.limits_held import LimitsHeld
 
     held = LimitsHeld()
@@ -78,7 +78,7 @@ def over_recordings(bundle: Bundle, data: Sequence[Place], frames: Sequence[str]
 
 def expect_picture(picture: Place | None) -> None:
     """Raise ConfigError where no picture could be written."""
-    from tauext.room import expect_new_file
+    from tauext.files.room import expect_new_file
 
     if picture is not None:
         if picture.suffix != ".png":

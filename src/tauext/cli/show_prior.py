@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from tauext.errors import ConfigError
-from tauext.store import Place
+from tauext.files.place import Place
 
 if TYPE_CHECKING:
-    from tauext.learn.fleet_prior import FleetDays, FleetErrors, FleetPrior
+    from tauext.fit.fleet_prior import FleetDays, FleetErrors, FleetPrior
 
 Told = dict[str, Any]
 
@@ -21,7 +21,7 @@ def describe_fleet_prior(file: Place) -> Told:
     Raises:
         ConfigError: it is none, or what it says of its arms is damaged.
     """
-    from tauext.learn.fleet_prior_file import load_fleet_prior
+    from tauext.fit.fleet_prior_file import load_fleet_prior
 
     prior = load_fleet_prior(file)
     try:
@@ -35,7 +35,7 @@ def describe_fleet_prior(file: Place) -> Told:
 
 def described(file: Place, prior: FleetPrior) -> Told:
     """The same of what was read; KeyError, TypeError or ValueError of whatever is missing."""
-    from tauext.fleet_prior.summary import ODD, table
+    from tauext.fleet.summary import ODD, table
 
     facts, kind = prior.facts, prior.type
     odd = {one["name"]: parts for one in facts["arms"] if (parts := odd_parts(one["trust"], ODD))}

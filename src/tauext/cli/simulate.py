@@ -6,7 +6,7 @@ import math
 
 from tauext.cli.place_argument import PlaceArg
 from tauext.config import require, require_seed
-from tauext.store import staged
+from tauext.files.staging import staged
 
 
 def simulate(
@@ -33,8 +33,8 @@ def simulate(
         friction: factor on Coulomb, static and viscous friction of every joint.
     """
     from tauext.cli.progress import ProgressBar
-    from tauext.rig import simulate_dataset
-    from tauext.rig.config import changed_rig
+    from tauext.sim.collect import simulate_dataset
+    from tauext.sim.config import changed_rig
 
     require(0 < minutes < math.inf, "minutes", minutes, "> 0")
     require(0 <= calibration_hours < math.inf, "calibration_hours", calibration_hours, ">= 0")

@@ -40,9 +40,9 @@ def train(
     """
     from tauext.cli.replaced import tell_replaced
     from tauext.cli.reporter import Terminal
-    from tauext.data import load_dataset
-    from tauext.learn.fleet_prior_file import load_fleet_prior
-    from tauext.train import train_bundle
+    from tauext.data.dataset import load_dataset
+    from tauext.fit.fleet_prior_file import load_fleet_prior
+    from tauext.train.stage import train_bundle
 
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")

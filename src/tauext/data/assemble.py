@@ -13,7 +13,7 @@ from tauext.data.amperes import AMPERES, FROM_AMPERES
 from tauext.data.columns import Columns, find_columns
 from tauext.data.conversion import constant_unknown, conversions, in_si
 from tauext.data.description import TIME_UNITS, Arm
-from tauext.data.importers import RawRecording, RawSignals
+from tauext.data.importers.raw import RawRecording, RawSignals
 from tauext.data.merge import Table, base_stream, held, interpolated
 from tauext.data.recording import Recording
 from tauext.data.servo import servo_facts, servo_settings, velocity_and_torque

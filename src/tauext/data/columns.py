@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from tauext.data.description import Arm
-from tauext.data.importers import RawRecording
-from tauext.data.importers.raw import short_list
+from tauext.data.importers.raw import RawRecording, short_list
 from tauext.errors import ConfigError
 
 

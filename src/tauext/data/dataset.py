@@ -12,7 +12,8 @@ from tauext.data.recording_file import load_recording
 from tauext.data.split import Split, load_split
 from tauext.data.stretches import ahead, stretches
 from tauext.errors import ConfigError
-from tauext.store import Place, local_robot, place_of
+from tauext.files.fetching import local_robot
+from tauext.files.place import Place, place_of
 
 ROBOT_FILES = ("robot.xml", "robot.urdf")
 

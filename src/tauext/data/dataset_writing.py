@@ -12,7 +12,7 @@ from tauext.data.dataset_plan import Claim, RawFacts, plan
 from tauext.data.description import Arm
 from tauext.data.first_seconds import length_s
 from tauext.data.free_motion import free_stretches, has_contact
-from tauext.data.importers import RawRecording
+from tauext.data.importers.raw import RawRecording
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.data.split import SETS, Split, save_split

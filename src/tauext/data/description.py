@@ -12,7 +12,8 @@ from tauext.data.lerobot_calibration import MotorCalibration, load_lerobot_calib
 from tauext.data.recording import TorqueTiming
 from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import ConfigError
-from tauext.store import Place, local_robot, place_of
+from tauext.files.fetching import local_robot
+from tauext.files.place import Place, place_of
 
 Side = Literal["joint", "motor"]
 Repeats = Literal["drop", "keep"]

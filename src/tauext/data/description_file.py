@@ -27,8 +27,8 @@ from tauext.data.description import (
 from tauext.data.recording import TORQUE_TIMINGS
 from tauext.data.servo import made_torque
 from tauext.errors import ConfigError
-from tauext.plain_file import read_text, toml_of
-from tauext.store import Place, place_of
+from tauext.files.place import Place, place_of
+from tauext.files.plain_file import read_text, toml_of
 
 
 def load_arm(path: Place | str, calibration: Path | None = None) -> Arm:

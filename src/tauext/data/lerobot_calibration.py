@@ -9,8 +9,8 @@ import numpy as np
 
 from tauext.data.servo_types import COUNTS_A_TURN
 from tauext.errors import ConfigError
-from tauext.plain_file import json_of, read_text
-from tauext.store import Place
+from tauext.files.place import Place
+from tauext.files.plain_file import json_of, read_text
 
 KEYS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 LARGEST_COUNT = 1 << 20

@@ -15,7 +15,7 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from tauext.errors import RecordingError
-from tauext.plain_file import json_of, read_text
+from tauext.files.plain_file import json_of, read_text
 
 INFO = "meta/info.json"
 MOST_ELEMENTS = 10_000

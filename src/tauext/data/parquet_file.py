@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from tauext.errors import RecordingError
-from tauext.store import Place
-from tauext.whole_file import whole_file
+from tauext.files.place import Place
+from tauext.files.whole_file import whole_file
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -17,8 +17,9 @@ from tauext.data.parquet_file import write_parquet
 from tauext.data.recording import FLAGS, REQUIRED_SIGNALS, SIGNALS, Recording, check_joints
 from tauext.data.stamps import fitted_period_ns
 from tauext.errors import RecordingError
-from tauext.plain_file import expect_file, json_of
-from tauext.store import Place, is_stored, place_of, reading
+from tauext.files.place import Place, is_stored, place_of
+from tauext.files.plain_file import expect_file, json_of
+from tauext.files.reading import reading
 
 if TYPE_CHECKING:
     import pyarrow as pa

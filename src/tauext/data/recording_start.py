@@ -5,7 +5,8 @@ from __future__ import annotations
 from datetime import UTC, date, datetime
 
 from tauext.errors import StoreError
-from tauext.store import Place, reading
+from tauext.files.place import Place
+from tauext.files.reading import reading
 
 EARLIEST_NS = int(datetime(2000, 1, 1, tzinfo=UTC).timestamp()) * 10**9
 """A clock before it counts from a start of its own, and tells no day."""

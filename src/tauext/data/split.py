@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from tauext.errors import ConfigError
-from tauext.plain_file import json_of, read_text
-from tauext.store import Place, place_of
-from tauext.whole_file import whole_file
+from tauext.files.place import Place, place_of
+from tauext.files.plain_file import json_of, read_text
+from tauext.files.whole_file import whole_file
 
 FORMAT = 1
 FILE_NAME = "split.json"

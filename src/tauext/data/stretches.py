@@ -9,7 +9,7 @@ from functools import partial
 
 from tauext.data.recording import Recording
 from tauext.data.recording_file import ROW_GROUP, describe, load_recording
-from tauext.store import Place
+from tauext.files.place import Place
 
 HEADS_AT_A_TIME = 8
 """Heads of files that are read at a time: what a store takes is waiting."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tauext.data import Recording
-from tauext.data.estimates import COLLISION, CONTACT, Estimates
+from tauext.bundle.estimates import COLLISION, CONTACT, Estimates
+from tauext.data.recording import Recording
 from tauext.evaluate.free_motion import numbers
 
 EDGES_S = (0.2, 0.5, 1.0, 1.5, 2.5)

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from tauext import _core
-from tauext.bundles.changed import changed_since_training
+from tauext.bundle.changed import changed_since_training
+from tauext.bundle.estimates import Estimates
+from tauext.bundle.loss_history import LossHistory
+from tauext.check.rejected import Rejected
 from tauext.config import EventsConfig
-from tauext.data import Recording
-from tauext.data.estimates import Estimates
-from tauext.data.loss_history import LossHistory
-from tauext.data.rejected import Rejected
+from tauext.data.recording import Recording
 from tauext.evaluate.after_contact import AfterContact
 from tauext.evaluate.collisions import Collision, found_curve, judge
 from tauext.evaluate.during_contact import DuringContact

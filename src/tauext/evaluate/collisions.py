@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tauext.data import Recording
-from tauext.data.estimates import Estimates
+from tauext.bundle.estimates import Estimates
+from tauext.data.recording import Recording
 
 BOUNCE_S = 0.3
 """Touches closer together than this are one collision: a padded body may bounce."""

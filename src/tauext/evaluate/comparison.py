@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
+from tauext.bundle.estimates import STALE, Estimates, save_estimates
+from tauext.bundle.loss_history import LossHistory
 from tauext.config import EventsConfig
-from tauext.data import Recording, free_samples
-from tauext.data.estimates import STALE, Estimates, save_estimates
-from tauext.data.loss_history import LossHistory
+from tauext.data.free_motion import free_samples
+from tauext.data.recording import Recording
 from tauext.data.stretches import ahead
 from tauext.errors import ConfigError
 from tauext.evaluate.bundle_measures import BundleMeasures
@@ -25,7 +26,7 @@ from tauext.evaluate.limits_held import LimitsHeld
 from tauext.evaluate.own_torque import OwnTorque, own_limits
 from tauext.evaluate.reference import sensor_reference
 from tauext.evaluate.sanity import Sanity, sanity_detectors
-from tauext.half_done import HalfDone
+from tauext.files.half_done import HalfDone
 
 Loader = Callable[[], Recording]
 

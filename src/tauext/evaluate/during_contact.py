@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tauext.data import Recording
-from tauext.data.estimates import Estimates
+from tauext.bundle.estimates import Estimates
+from tauext.data.recording import Recording
 from tauext.evaluate.collisions import GRACE_S, Collision
 from tauext.evaluate.free_motion import numbers
 

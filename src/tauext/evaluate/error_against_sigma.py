@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tauext.data import Recording
-from tauext.data.estimates import Estimates
+from tauext.bundle.estimates import Estimates
+from tauext.data.recording import Recording
 from tauext.evaluate.collisions import Collision
 
 EDGES_NM = np.geomspace(1e-3, 1e4, 7 * 6 + 1)

@@ -7,8 +7,9 @@ import os
 import numpy as np
 
 from tauext import _core
-from tauext.data import Recording, expect_fit
-from tauext.data.estimates import Estimates
+from tauext.bundle.bundle_fit import expect_fit
+from tauext.bundle.estimates import Estimates
+from tauext.data.recording import Recording
 
 
 def estimate_recording(bundle: _core.Bundle, recording: Recording, threads: int = 0) -> Estimates:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tauext.bundle.estimates import COLLISION, Estimates
 from tauext.config import EventsConfig
-from tauext.data import Recording
-from tauext.data.estimates import COLLISION, Estimates
+from tauext.data.recording import Recording
 from tauext.evaluate.after_contact import beginnings, time_since_touch
 from tauext.evaluate.free_motion import FALSE_ALARM_QUIET_S
 from tauext.evaluate.onset import onset_s

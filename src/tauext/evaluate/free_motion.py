@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tauext.data import Recording
-from tauext.data.estimates import COLLISION, Estimates
+from tauext.bundle.estimates import COLLISION, Estimates
+from tauext.data.recording import Recording
 
 FALSE_ALARM_QUIET_S = 0.5
 """Detections closer together than this are one false alarm."""

@@ -16,8 +16,9 @@ import numpy as np
 from scipy.optimize import isotonic_regression
 
 from tauext import _core
-from tauext.bundles.units import left_out, of_all
-from tauext.data import Recording, free_samples
+from tauext.bundle.units import left_out, of_all
+from tauext.data.free_motion import free_samples
+from tauext.data.recording import Recording
 from tauext.evaluate.collisions import Collision
 from tauext.evaluate.estimating import estimate_recording
 from tauext.evaluate.latched import judge_latched

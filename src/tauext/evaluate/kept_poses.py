@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tauext import _core
-from tauext.bundles.situations import situations
+from tauext.bundle.situations import situations
 from tauext.errors import BundleError
 from tauext.evaluate.noticed_force import noticed
 

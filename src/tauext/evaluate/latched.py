@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tauext.data import Recording
-from tauext.data.estimates import COLLISION, Estimates
+from tauext.bundle.estimates import COLLISION, Estimates
+from tauext.data.recording import Recording
 from tauext.evaluate.collisions import GRACE_S, Collision, first_rise
 
 STRONG = 1.5

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tauext import _core
-from tauext.data import Recording
-from tauext.data.estimates import Estimates
+from tauext.bundle.estimates import Estimates
+from tauext.data.recording import Recording
 from tauext.evaluate.noticed_force import LEAST_LIMIT_NM, noticed
 
 ROW_S = 1.0

@@ -19,7 +19,7 @@ from itertools import combinations
 import numpy as np
 
 from tauext import _core
-from tauext.bundles.units import left_out
+from tauext.bundle.units import left_out
 from tauext.errors import BundleError, ConfigError
 
 MOST_N = 1000.0

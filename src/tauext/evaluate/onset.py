@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tauext.data import Recording
+from tauext.data.recording import Recording
 
 BASELINE_S = 0.1
 """A reference is measured from its mean over so long before the window."""

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from tauext.config import EventsConfig
-from tauext.data import Recording, free_samples
+from tauext.data.free_motion import free_samples
+from tauext.data.recording import Recording
 from tauext.evaluate.events import EventMeasures
 
 

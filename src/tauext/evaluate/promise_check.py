@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from tauext.calibrate import is_consistent, rate_interval
-from tauext.calibrate.promise import is_kept
+from tauext.train.promise import is_consistent, is_kept, rate_interval
 
 
 def promised_per_hour(provenance: Mapping) -> float | None:

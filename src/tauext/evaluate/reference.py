@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tauext.data import Recording
+from tauext.data.recording import Recording
 
 FORGOTTEN = 1e-18
 """Of an earlier torque is left so little that no sum of doubles holds it."""

@@ -12,15 +12,17 @@ from pathlib import Path
 from typing import Any
 
 from tauext._core import Bundle
+from tauext.bundle.bundle_file import load_bundle
+from tauext.bundle.loss_history import read_loss_history
+from tauext.check.rejected import WORTH_A_WARNING
 from tauext.config import EventsConfig
-from tauext.data import Dataset, fingerprint, load_bundle
-from tauext.data.loss_history import read_loss_history
-from tauext.data.rejected import WORTH_A_WARNING
+from tauext.data.dataset import Dataset
+from tauext.data.recording_file import fingerprint
 from tauext.evaluate.comparison import evaluate
-from tauext.half_done import HalfDone
+from tauext.files.half_done import HalfDone
+from tauext.files.place import Place
+from tauext.files.provenance import VERSION, provenance, write_json
 from tauext.progress import SILENT, Reporter
-from tauext.provenance import VERSION, provenance, write_json
-from tauext.store import Place
 
 
 def evaluate_bundles(

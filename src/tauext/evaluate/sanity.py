@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tauext.data import Recording
-from tauext.data.estimates import COLLISION, Estimates
+from tauext.bundle.estimates import COLLISION, Estimates
+from tauext.data.recording import Recording
 from tauext.evaluate.collisions import GRACE_S, Collision
 from tauext.evaluate.free_motion import FALSE_ALARM_QUIET_S
 from tauext.evaluate.latched import judge_latched

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tauext import _core
-from tauext.data import Recording
-from tauext.data.estimates import Estimates
+from tauext.bundle.estimates import Estimates
+from tauext.data.recording import Recording
 from tauext.evaluate.collisions import GRACE_S, Collision
 
 FOLLOWED_S = 1.0

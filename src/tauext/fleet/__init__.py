@@ -1,19 +1,5 @@
-"""Many arms: what stands in FLEET.toml as tasks with their inputs' hash, done once, by whichever worker."""
+"""Many arms: their stages as tasks, a prior for the next arm, a report over months.
 
-from tauext.fleet.fleet_file import Arm, Fleet, load_fleet
-from tauext.fleet.plan import Planned, plan_fleet
-from tauext.fleet.run import FleetEnd, Watcher, run_fleet
-from tauext.fleet.task import Outcome, Task
-
-__all__ = [
-    "Arm",
-    "Fleet",
-    "FleetEnd",
-    "Outcome",
-    "Planned",
-    "Task",
-    "Watcher",
-    "load_fleet",
-    "plan_fleet",
-    "run_fleet",
-]
+In go folders of recordings, one an arm. Out come bundles, results, a fleet prior and a fleet report. It imports the
+packages before it.
+"""

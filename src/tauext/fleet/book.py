@@ -7,11 +7,11 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
+from tauext.files.place import Place
+from tauext.files.provenance import VERSION, write_json
 from tauext.fleet.fleet_file import STAGES, Fleet
 from tauext.fleet.plan import PlannedArm
 from tauext.fleet.task import Outcome, Task
-from tauext.provenance import VERSION, write_json
-from tauext.store import Place
 
 FILE, FORMAT = "fleet.json", 1
 EVERY_S = 5.0

@@ -7,10 +7,11 @@ from functools import cache
 from pathlib import Path
 
 from tauext import _core
-from tauext.provenance import VERSION
+from tauext.files.provenance import VERSION
 
-APART = ("cli", "demo", "fleet_prior", "live", "load", "monitor", "refit", "report", "rig", "ros2", "reproduce.py")
-"""Folders and files that no stage imports: what prints, shows or runs live. All others count, new ones too."""
+COUNTED = ("files", "robot", "data", "bundle", "check", "fit", "train", "evaluate")
+"""Packages whose code decides a task's output, beside the root modules and the stages themselves."""
+STAGES = ("fleet/stages.py", "fleet/task.py")
 DIGITS = 12
 
 
@@ -24,7 +25,7 @@ def build() -> str:
     digest = hashlib.sha256(Path(_core.__file__).read_bytes())
     for file in sorted(root.rglob("*.py")):
         name = file.relative_to(root)
-        if name.parts[0] not in APART:
+        if name.parts[0] in COUNTED or len(name.parts) == 1 or name.as_posix() in STAGES:
             digest.update(f"{name.as_posix()}\0".encode())
             digest.update(file.read_bytes())
     return f"{VERSION}+{digest.hexdigest()[:DIGITS]}"

@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 
 from tauext.errors import ConfigError
-from tauext.plain_file import expect_file, json_of, read_text
-from tauext.provenance import write_json
-from tauext.store import Place, is_stored, version_of
+from tauext.files.place import Place, is_stored
+from tauext.files.plain_file import expect_file, json_of, read_text
+from tauext.files.provenance import write_json
+from tauext.files.reading import version_of
 
 AT_A_TIME = 4
 """Files that are read at a time: disks and networks have little more to give."""

@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 from datetime import date, datetime
 from typing import TYPE_CHECKING, Any, get_args
 
+from tauext.check.verdict import expect_codes
 from tauext.config import AlarmConfig, CalibrateStage, CaseName, EvaluateStage, TrainConfig
-from tauext.data import load_dataset
+from tauext.data.dataset import load_dataset
 from tauext.data.description_file import load_arm
 from tauext.errors import ConfigError
+from tauext.files.place import Place
+from tauext.files.place import place_of as any_place
+from tauext.files.plain_file import read_text, toml_of
 from tauext.fleet.places import place_of, places_of
 from tauext.fleet.settings import settings_of, unknown_key
-from tauext.look import expect_codes
-from tauext.plain_file import read_text, toml_of
-from tauext.store import Place
-from tauext.store import place_of as any_place
 
 if TYPE_CHECKING:
-    from tauext.learn.fleet_prior import FleetPrior
+    from tauext.fit.fleet_prior import FleetPrior
 
 STAGES = ("import", "check", "train", "calibrate", "evaluate")
 """In their order; docs/files.md says what each needs."""
@@ -197,7 +197,7 @@ def expect_different(arms: tuple[Arm, ...], path: Place) -> None:
 
 def expect_likes(arms: tuple[Arm, ...], path: Place) -> None:
     """Raise ConfigError of a fleet prior that is none, or that an arm's recipe cannot take."""
-    from tauext.learn.fleet_prior_file import load_fleet_prior
+    from tauext.fit.fleet_prior_file import load_fleet_prior
     from tauext.train.like import like_settings
 
     priors: dict[Place, FleetPrior] = {}

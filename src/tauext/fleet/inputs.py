@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from tauext.data import load_dataset
-from tauext.data.dataset import ROBOT_FILES
+from tauext.data.dataset import ROBOT_FILES, load_dataset
 from tauext.data.description_file import load_arm
 from tauext.data.split import SETS
+from tauext.files.named_files import SHAPES_FILE, named_files
+from tauext.files.place import Place
 from tauext.fleet.contents import Contents
 from tauext.fleet.fleet_file import Arm
 from tauext.fleet.places import below, files_in
-from tauext.store import Place, named_files
-from tauext.store.named_files import SHAPES_FILE
 
 
 def files_of(arm: Arm) -> Iterator[Place]:

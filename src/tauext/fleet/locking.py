@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from tauext.errors import ConfigError
-from tauext.store import Place, at_home
+from tauext.files.place import Place
+from tauext.files.staging import at_home
 
 LOCK = "fleet.lock"
 

@@ -9,8 +9,9 @@ from itertools import islice
 from pathlib import Path, PurePosixPath
 
 from tauext.errors import ConfigError
-from tauext.store import Place, StoredPlace
-from tauext.store import place_of as any_place
+from tauext.files.place import Place
+from tauext.files.place import place_of as any_place
+from tauext.files.stored import StoredPlace
 
 WILD = "*?["
 MOST_FOUND = 100_000

@@ -6,13 +6,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from tauext.files.place import Place, place_of
 from tauext.fleet.contents import Contents
 from tauext.fleet.fleet_file import Arm, Fleet
 from tauext.fleet.inputs import dataset_files, digests, files_of, like_files, robot_files, source_files
 from tauext.fleet.places import text_of_place
 from tauext.fleet.settings import flat, plain
 from tauext.fleet.task import Outcome, Task, finished, marker_of
-from tauext.store import Place, place_of
 
 MOST_NAMED = 4
 """Changed inputs that are named; more are counted."""

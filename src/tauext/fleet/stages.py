@@ -8,18 +8,19 @@ from pathlib import Path
 from typing import Any
 
 from tauext.config import CalibrateStage, EvaluateStage, EventsConfig, TrainConfig
+from tauext.files.fetching import local_folder
+from tauext.files.place import Place
+from tauext.files.place import place_of as any_place
 from tauext.fleet.fleet_file import alarm_of
 from tauext.fleet.settings import settings_of
 from tauext.fleet.task import Stage
-from tauext.store import Place, local_folder
-from tauext.store import place_of as any_place
 
 COMMAND = "tauext fleet run"
 
 
 def import_arm(work: Mapping[str, Any], part: Path) -> None:
     """The dataset folder NAME, and what was done to the numbers in NAME.txt."""
-    from tauext.importing import import_dataset
+    from tauext.data.importing import import_dataset
 
     said: list[str] = []
     sources = [local_folder(any_place(source)) for source in work["sources"]]
@@ -29,10 +30,11 @@ def import_arm(work: Mapping[str, Any], part: Path) -> None:
 
 def check_arm(work: Mapping[str, Any], part: Path) -> str | None:
     """check.txt and check.json, as `tauext check --out` writes them; pictures are left to that command."""
-    from tauext.doctor import examine, gather
-    from tauext.doctor.summary import as_files
-    from tauext.look.verdict import by_code, is_accepted
-    from tauext.provenance import write_json
+    from tauext.check.examine import examine
+    from tauext.check.gather import gather
+    from tauext.check.summary import as_files
+    from tauext.check.verdict import by_code, is_accepted
+    from tauext.files.provenance import write_json
 
     recordings, free, robot = gather((any_place(work["dataset"]),), place(work, "robot"))
     diagnosis = examine(recordings, robot, None, free)
@@ -51,9 +53,9 @@ def check_arm(work: Mapping[str, Any], part: Path) -> str | None:
 
 def train_arm(work: Mapping[str, Any], part: Path) -> None:
     """The bundle NAME.tauext with what stands beside it."""
-    from tauext.data import load_dataset
-    from tauext.learn.fleet_prior_file import load_fleet_prior
-    from tauext.train import train_bundle
+    from tauext.data.dataset import load_dataset
+    from tauext.fit.fleet_prior_file import load_fleet_prior
+    from tauext.train.stage import train_bundle
 
     config = replace(settings_of(TrainConfig, work["settings"], "train"), threads=1)
     dataset, out = load_dataset(any_place(work["dataset"])), part / f"{work['name']}.tauext"
@@ -64,8 +66,8 @@ def train_arm(work: Mapping[str, Any], part: Path) -> None:
 
 def calibrate_arm(work: Mapping[str, Any], part: Path) -> None:
     """The bundle NAME.tauext with other limits."""
-    from tauext.calibrate import recalibrate
-    from tauext.data import load_dataset
+    from tauext.data.dataset import load_dataset
+    from tauext.train.bundle_limits import recalibrate
 
     settings = settings_of(CalibrateStage, work["settings"], "calibrate")
     dataset, out = load_dataset(any_place(work["dataset"])), part / f"{work['name']}.tauext"
@@ -82,8 +84,8 @@ def calibrate_arm(work: Mapping[str, Any], part: Path) -> None:
 
 def evaluate_arm(work: Mapping[str, Any], part: Path) -> None:
     """The results folder."""
-    from tauext.data import load_dataset
-    from tauext.evaluate import evaluate_bundles
+    from tauext.data.dataset import load_dataset
+    from tauext.evaluate.results_folder import evaluate_bundles
 
     settings = settings_of(EvaluateStage, work["settings"], "evaluate")
     evaluate_bundles(

@@ -16,12 +16,14 @@ from typing import Any
 from uuid import uuid4
 
 from tauext.errors import ConfigError, FaultyDataError, StoreError, TauextError
+from tauext.files.place import Place, place_of
+from tauext.files.plain_file import json_of, read_text
+from tauext.files.provenance import provenance, write_json
+from tauext.files.staging import at_home, send_folder
+from tauext.files.stored import StoredPlace
+from tauext.files.whole_file import whole_file
 from tauext.fleet.build import build
 from tauext.fleet.contents import digest_of, sha256_of
-from tauext.plain_file import json_of, read_text
-from tauext.provenance import provenance, write_json
-from tauext.store import Place, StoredPlace, at_home, place_of, send_folder
-from tauext.whole_file import whole_file
 
 FORMAT = 2
 MARKER, WALL_TIME = "task.json", "task.wall_time_s.json"

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext._core import Load, LoadFound, Touch
-from tauext.data.estimates import HEALTHS as HEALTHS
 from tauext.monitor.places import PlaceChange
 
 ALARMS = ("none", "contact", "collision")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from tauext._core import PlaceModel
+from tauext.bundle.estimates import HEALTHS
 from tauext.monitor.causes import in_words
-from tauext.monitor.changes import FIRST_KIND, HEALTHS, OK, TOUCHES, with_article
+from tauext.monitor.changes import FIRST_KIND, OK, TOUCHES, with_article
 from tauext.monitor.flight_content import Flight, FlightSource
 from tauext.monitor.places import PlaceChange, place_words
 from tauext.monitor.unfamiliar import WORTH_TELLING, unseen_words

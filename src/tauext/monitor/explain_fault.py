@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tauext.bundles.units import short
+from tauext.bundle.units import short
 from tauext.monitor.causes import MEANING
 from tauext.monitor.explain_alarm import loads
 from tauext.monitor.flight_content import Flight, FlightSource

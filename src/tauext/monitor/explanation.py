@@ -7,8 +7,9 @@ from itertools import groupby
 import numpy as np
 
 from tauext import _core
+from tauext.bundle.estimates import HEALTHS
 from tauext.monitor.causes import in_words
-from tauext.monitor.changes import CONTACT, FAULT, HEALTHS, NONE
+from tauext.monitor.changes import CONTACT, FAULT, NONE
 from tauext.monitor.explain_alarm import (
     doubt,
     kind_of_touch,

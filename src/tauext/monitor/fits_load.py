@@ -11,7 +11,7 @@ from tauext.monitor.changes import OK
 from tauext.monitor.flight_content import Flight, FlightSource, as_recording, carried, event_kind
 
 if TYPE_CHECKING:
-    from tauext.load import Seen
+    from tauext.monitor.rows import Seen
 
 SETTLED = 5.0
 """Over K0: so long after the event r shows all of what came on at once, but for a hundredth."""
@@ -32,7 +32,8 @@ def fits_load(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
         return ""
     if set(source.estimate_units or ("N m",)) != {"N m"}:  # a weight says nothing in another unit
         return ""
-    from tauext.load import identify, load_frame
+    from tauext.monitor.frame import load_frame
+    from tauext.monitor.identify import identify
 
     frame = load_frame(source.chain)
     seen = behind_the_event(flight, kept, source)
@@ -55,7 +56,7 @@ def fits_load(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
 
 def behind_the_event(flight: Flight, kept: np.ndarray, source: FlightSource) -> Seen:
     """The healthy rows from the event on, once r has settled, without a change of what it was told to carry."""
-    from tauext.load import SIGMA_SHARE, Seen, stand_worth
+    from tauext.monitor.rows import SIGMA_SHARE, Seen, stand_worth
 
     assert source.chain is not None
     chain, row = source.chain, flight["event_row"]

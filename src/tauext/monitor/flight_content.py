@@ -8,12 +8,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from tauext import _core
-from tauext.bundles.units import short
-from tauext.data import Recording
-from tauext.data.estimates import Estimates
-from tauext.data.recording import RATE_TOLERANCE, TorqueTiming
+from tauext.bundle.estimates import HEALTHS, Estimates
+from tauext.bundle.units import short
+from tauext.data.recording import RATE_TOLERANCE, Recording, TorqueTiming
 from tauext.data.stamps import fitted_period_ns
-from tauext.monitor.changes import ALARMS, COLLISION, FAULT, HEALTHS
+from tauext.monitor.changes import ALARMS, COLLISION, FAULT
 
 Flight = dict[str, Any]
 """As FlightRecorder.take gives it."""

@@ -10,10 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tauext.data import save_recording
+from tauext.bundle.estimates import save_estimates
 from tauext.data.amperes import AMPERES
-from tauext.data.estimates import save_estimates
+from tauext.data.recording_file import save_recording
 from tauext.errors import RecordingError
+from tauext.files.provenance import VERSION
+from tauext.files.whole_file import whole_file
 from tauext.monitor.explanation import explain
 from tauext.monitor.flight_content import (
     Flight,
@@ -26,8 +28,6 @@ from tauext.monitor.flight_content import (
     rows_kept,
 )
 from tauext.monitor.loads import load_facts
-from tauext.provenance import VERSION
-from tauext.whole_file import whole_file
 
 ENDINGS = (".txt", ".dropped.csv", ".estimates.parquet", ".parquet")
 """In the order of writing: who sees FLIGHT.parquet finds the others beside it."""

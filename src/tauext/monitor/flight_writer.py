@@ -11,8 +11,8 @@ from types import TracebackType
 
 from tauext import _core
 from tauext.errors import TauextError
+from tauext.files.place import Place
 from tauext.monitor.flight_content import Flight, event_kind
-from tauext.store import Place
 
 POLL_S = 0.05
 MOST_WAITING = 4

@@ -11,8 +11,8 @@ from typing import Any
 from tauext._core import Load, LoadSettings
 from tauext.data.description_file import refuse_unknown
 from tauext.errors import ConfigError
-from tauext.plain_file import read_text, toml_of
-from tauext.store import Place
+from tauext.files.place import Place
+from tauext.files.plain_file import read_text, toml_of
 
 KEYS = ("mass", "com", "inertia", "error")
 USAGE = "none, or mass=KG com=X,Y,Z inertia=XX,YY,ZZ,XY,XZ,YZ error=SHARE; mass alone has to be there"

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from tauext import _core
-from tauext.bundles.units import not_in_newtons
+from tauext.bundle.units import not_in_newtons
 from tauext.monitor.changes import COLLISION, Change, ChangeFinder, LoadChange
 from tauext.monitor.loads import TimedLoad
 from tauext.monitor.pace import Pace

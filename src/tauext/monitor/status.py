@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from tauext import _core
-from tauext.monitor.changes import ALARMS, HEALTHS, TOUCHES
+from tauext.bundle.estimates import HEALTHS
+from tauext.monitor.changes import ALARMS, TOUCHES
 from tauext.monitor.replay import Chunk
 
 TORQUES = {

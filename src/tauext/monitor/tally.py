@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tauext import _core
-from tauext.monitor.changes import ALARMS, HEALTHS, NONE, AlarmChange, Change
+from tauext.bundle.estimates import HEALTHS
+from tauext.monitor.changes import ALARMS, NONE, AlarmChange, Change
 from tauext.monitor.hidden import HiddenFinder
 from tauext.monitor.replay import Chunk
 from tauext.monitor.unfamiliar import KINDS, Unseen, unseen_of

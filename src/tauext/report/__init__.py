@@ -1,7 +1,5 @@
-"""Figures and one self-contained page from results, estimates and recordings; it computes nothing but what it draws."""
+"""Results to figures and pages.
 
-from tauext.report.fleet_write import write_fleet_page
-from tauext.report.flight import write_flight_report
-from tauext.report.write import write_report
-
-__all__ = ["write_fleet_page", "write_flight_report", "write_report"]
+In go results.json, estimates and flights. Out come figures and HTML pages. It imports the packages before it and
+computes nothing that results.json could hold.
+"""

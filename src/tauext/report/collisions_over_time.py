@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from tauext.data import Recording
-from tauext.data.estimates import Estimates
+from tauext.bundle.estimates import Estimates
+from tauext.data.recording import Recording
 from tauext.report.drawing import Drawing, uncertainty_words
 from tauext.report.results import Collision, Results
 from tauext.report.signals import NotAvailable, Signals

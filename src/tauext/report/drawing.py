@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from tauext.data.estimates import Estimates
+from tauext.bundle.estimates import Estimates
 from tauext.report.results import Results
 from tauext.report.style import BAND, DPI
 

@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 
-from tauext.data.rejected import WORTH_A_WARNING
+from tauext.check.rejected import WORTH_A_WARNING
 from tauext.report.results import EvaluatedBundle, Numbers, Results
 from tauext.report.tables import milliseconds, number
 

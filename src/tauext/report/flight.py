@@ -7,15 +7,15 @@ from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 
-from tauext.bundles.units import SEVERAL
+from tauext.bundle.units import SEVERAL
 from tauext.errors import ConfigError
+from tauext.files.room import expect_folder
+from tauext.files.whole_file import whole_folder
 from tauext.report.flight_figures import draw_close, draw_flight, heading_words
 from tauext.report.flight_file import Flight, load_flight
 from tauext.report.page import PageFigure
 from tauext.report.traces import NO_TRACES, PAGE_MB, PageTraces, flight_traces, or_reason
 from tauext.report.write import check_page_mb, make_figure
-from tauext.room import expect_folder
-from tauext.whole_file import whole_folder
 
 TEMPLATE = Path(__file__).with_name("flight.html.j2")
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from tauext.data.estimates import OK
+from tauext.bundle.estimates import OK
 from tauext.report.buckets import GAP_PERIODS
 from tauext.report.drawing import Drawing, draw_band, uncertainty_words
 from tauext.report.flight_file import Flight

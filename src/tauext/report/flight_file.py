@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from tauext.bundles.units import of_all, short
-from tauext.data import Recording, load_recording
-from tauext.data.estimates import Estimates, load_estimates
+from tauext.bundle.estimates import Estimates, load_estimates
+from tauext.bundle.units import of_all, short
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording
 from tauext.errors import ConfigError, RecordingError
 
 ESTIMATES = ".estimates.parquet"

@@ -7,13 +7,13 @@ from typing import Any
 import matplotlib
 
 from tauext.errors import ConfigError
+from tauext.files.place import Place
+from tauext.files.whole_file import whole_files
 from tauext.report.drawing import save_png
 from tauext.report.entry import Entry
 from tauext.report.noticed_file import read_noticed
 from tauext.report.noticed_force import draw_noticed_force
 from tauext.report.style import RC
-from tauext.store import Place
-from tauext.whole_file import whole_files
 
 
 def write_noticed_picture(noticed: dict[str, Any], picture: Place) -> None:

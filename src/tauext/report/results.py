@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from tauext.bundles.units import of_all, short
+from tauext.bundle.units import of_all, short
 from tauext.report.methods import Measured, SanityRow
 from tauext.report.naming import bundle_label, model_of
 

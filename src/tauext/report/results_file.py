@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from tauext.errors import ConfigError
-from tauext.plain_file import json_of, read_text
+from tauext.files.plain_file import json_of, read_text
 from tauext.report.entry import Entry
 from tauext.report.events import read_events
 from tauext.report.methods_file import read_measured, read_sanity

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tauext.data import fingerprint
+from tauext.data.recording_file import fingerprint
 from tauext.data.split import FILE_NAME
 from tauext.errors import ConfigError
+from tauext.files.place import Place
 from tauext.report.entry import Entry
 from tauext.report.results import Results
-from tauext.store import Place
 
 NAMED = 3
 """So many of the recordings are named."""

@@ -6,10 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from tauext.data import Recording, load_recording
-from tauext.data.estimates import Estimates, load_estimates
+from tauext.bundle.estimates import Estimates, load_estimates
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording
 from tauext.errors import RecordingError
-from tauext.store import Place
+from tauext.files.place import Place
 
 
 class NotAvailable(Exception):

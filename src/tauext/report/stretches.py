@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tauext.data.estimates import COLLISION, CONTACT, Estimates
+from tauext.bundle.estimates import COLLISION, CONTACT, Estimates
 
 Stretch = tuple[float, float]
 APART_S = 0.1

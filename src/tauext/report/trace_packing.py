@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tauext.data import Recording
+from tauext.data.recording import Recording
 from tauext.report.buckets import Buckets
 from tauext.report.trace_coding import encode
 from tauext.report.tracing import AROUND_S, Traced

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 
-from tauext.data import describe
+from tauext.data.recording_file import describe
 from tauext.errors import ConfigError
 from tauext.report.drawing import uncertainty_words
 from tauext.report.flight_file import Flight

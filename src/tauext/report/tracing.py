@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from tauext.data import Recording
-from tauext.data.estimates import OK, Estimates
+from tauext.bundle.estimates import OK, Estimates
+from tauext.data.recording import Recording
 from tauext.report.buckets import GAP_PERIODS, Buckets, in_buckets, run_begins
 from tauext.report.stretches import Stretch, alarms, gaps, stretches
 

@@ -9,6 +9,9 @@ from pathlib import Path
 import matplotlib
 
 from tauext.errors import ConfigError
+from tauext.files.place import Place
+from tauext.files.room import expect_folder
+from tauext.files.whole_file import whole_folder
 from tauext.report.after_contact import draw_after_contact
 from tauext.report.collisions_over_time import draw_collisions
 from tauext.report.drawing import Drawing, save_png
@@ -30,9 +33,6 @@ from tauext.report.style import RC
 from tauext.report.three_collisions import draw_three_collisions
 from tauext.report.traces import PAGE_MB, PageTraces, chosen_bundles, or_reason, results_traces
 from tauext.report.training_loss import draw_training_loss
-from tauext.room import expect_folder
-from tauext.store import Place
-from tauext.whole_file import whole_folder
 
 LARGEST_PAGE_MB = 1000.0
 """No browser opens a larger one."""

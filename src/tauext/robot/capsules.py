@@ -13,7 +13,8 @@ import numpy as np
 
 from tauext._core import Capsule, Tree
 from tauext.errors import RobotError
-from tauext.provenance import write_json
+from tauext.files.named_files import SHAPES_FILE
+from tauext.files.provenance import write_json
 from tauext.robot.capsule_fit import as_capsules
 from tauext.robot.joint_choice import choose_joints
 from tauext.robot.load import compiled
@@ -21,7 +22,6 @@ from tauext.robot.shapes import Shape, box, cylinder, ellipsoid, mesh
 from tauext.robot.tree_from_mujoco import carriers, frame_of_joint
 from tauext.robot.urdf_shapes import is_urdf, urdf_shapes
 from tauext.robot.write import PAYLOAD
-from tauext.store.named_files import SHAPES_FILE
 
 MOST_A_LINK = 8
 """More would cost a ranking time and tell it nothing: the largest are kept."""

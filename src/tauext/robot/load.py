@@ -13,11 +13,11 @@ import mujoco
 
 from tauext._core import Tree
 from tauext.errors import RobotError
+from tauext.files.room import in_words
 from tauext.robot.constraints import check_constraints
 from tauext.robot.joint_choice import choose_joints
 from tauext.robot.tree_from_mujoco import LEAST, make_tree
 from tauext.robot.urdf import read_urdf
-from tauext.room import in_words
 
 MOST_JOINTS = 1000
 """Of a robot file: a humanoid with its hands has a hundred; a chain of ten thousand takes MuJoCo gigabytes."""

@@ -20,7 +20,7 @@ def torque_limits(path: str | os.PathLike[str], joints: Sequence[str]) -> np.nda
     of a motor on it times its gear, whichever is less.
 
     Args:
-        path: a file that `tauext.robot.load_tree` reads.
+        path: a file that `tauext.robot.load.load_tree` reads.
         joints: names of moving joints, in the order of the recordings' columns.
 
     Raises:

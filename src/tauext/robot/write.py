@@ -11,8 +11,8 @@ from xml.etree import ElementTree
 import mujoco
 
 from tauext.errors import RobotError
-from tauext.plain_file import expect_file
-from tauext.whole_file import whole_file
+from tauext.files.plain_file import expect_file
+from tauext.files.whole_file import whole_file
 
 NO_MODEL = "no_model"
 """Name of a placeholder robot."""

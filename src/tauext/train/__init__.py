@@ -1,18 +1,5 @@
-"""The training stage: from recordings of free motion to one bundle."""
+"""Stages that write bundles: training, calibration of limits, refit.
 
-from tauext.train.baselines import train_baselines
-from tauext.train.look import look_first
-from tauext.train.look import view as view_dataset
-from tauext.train.settings import finished, training_settings, why_impossible
-from tauext.train.stage import train_bundle, train_on_recordings
-
-__all__ = [
-    "finished",
-    "look_first",
-    "train_baselines",
-    "train_bundle",
-    "train_on_recordings",
-    "training_settings",
-    "view_dataset",
-    "why_impossible",
-]
+In goes a dataset and settings, or a bundle and new recordings. Out come a bundle and the facts of its provenance. It
+imports the packages before it; it prints nothing.
+"""

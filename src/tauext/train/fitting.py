@@ -9,15 +9,16 @@ from typing import Protocol
 
 from tauext._core import Bundle
 from tauext.config import PriorConfig
-from tauext.data import Recording
-from tauext.learn import PriorFit, Setup, build_setup, set_drift, with_presliding
-from tauext.learn.bundle_writing import rate_tolerance
-from tauext.learn.coverage import coverage_facts, fit_coverage, seen_too
-from tauext.learn.kinematics import Kinematics
-from tauext.learn.like_fit import fit_like
-from tauext.learn.prior_facts import held_sentence, prior_facts
-from tauext.learn.torque_constants import with_constants
-from tauext.learn.widths import region_width
+from tauext.data.recording import Recording
+from tauext.fit.bundle_writing import build_setup, rate_tolerance, set_drift
+from tauext.fit.coverage import coverage_facts, fit_coverage, seen_too
+from tauext.fit.kinematics import Kinematics
+from tauext.fit.like_fit import fit_like
+from tauext.fit.prior_facts import held_sentence, prior_facts
+from tauext.fit.prior_fit import PriorFit
+from tauext.fit.torque_constants import with_constants
+from tauext.fit.training_set import Setup, with_presliding
+from tauext.fit.widths import region_width
 from tauext.train.preparation import Job
 
 

@@ -12,12 +12,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from tauext import _core
-from tauext.calibrate import Judged, freeze_floor_nm, set_limits
-from tauext.calibrate.error_scale import FEATURES, Rows, collect_rows
-from tauext.calibrate.limits import LevelLimits
 from tauext.config import AlarmConfig, DriftConfig
-from tauext.data import Recording, total_s
-from tauext.learn.fleet_prior import FleetErrors
+from tauext.data.first_seconds import total_s
+from tauext.data.recording import Recording
+from tauext.fit.fleet_prior import FleetErrors
+from tauext.train.calibrate_limits import LevelLimits, set_limits
+from tauext.train.error_scale import FEATURES, Rows, collect_rows, freeze_floor_nm
+from tauext.train.judged import Judged
 from tauext.train.preparation import Job
 
 ENOUGH_S = 540.0

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from tauext.calibrate import LeftOutErrors, left_out_errors
 from tauext.config import PAPER_GAIN_PER_S
-from tauext.learn import PriorFit, Setup
-from tauext.ties import simplest
+from tauext.fit.prior_fit import PriorFit
+from tauext.fit.ties import simplest
+from tauext.fit.training_set import Setup
+from tauext.train.error_scale import LeftOutErrors, left_out_errors
 from tauext.train.fitting import observe, put_region, with_fit
 from tauext.train.limits import unseen_motion
 from tauext.train.network import assemble

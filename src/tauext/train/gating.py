@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from tauext._core import Bundle
-from tauext.learn import PriorFit, Setup, apply_gate
+from tauext.fit.gate import apply_gate
+from tauext.fit.prior_fit import PriorFit
+from tauext.fit.training_set import Setup
 from tauext.train.fitting import fit_prior, with_fit
 from tauext.train.network import assemble
 from tauext.train.preparation import Job

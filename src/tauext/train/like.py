@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from tauext.config import TrainConfig
 from tauext.errors import ConfigError
-from tauext.learn import Setup
-from tauext.learn.fleet_prior import ArmType, FleetPrior, links_digest
+from tauext.fit.fleet_prior import ArmType, FleetPrior, links_digest
+from tauext.fit.training_set import Setup
 from tauext.recipes import FULL_PRIOR
 from tauext.train.preparation import Job
 

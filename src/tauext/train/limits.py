@@ -9,34 +9,24 @@ from dataclasses import replace
 import numpy as np
 
 from tauext._core import Bundle
-from tauext.calibrate import (
-    NO_CALIBRATION,
-    NOT_MEASURED,
-    Judged,
-    Moment,
-    Rows,
-    add_friction,
-    apply_promised,
-    calibrate_bundle,
-    collect_rows,
-    fit_error_scale,
-    fit_wrench,
-    other_motion,
-    paper_limits,
-    promised_limits,
-    put_constant_error,
-    raise_limits,
-    set_limits,
-    usual_speed_rad_s,
-    whole_recordings,
-)
 from tauext.config import TrainConfig
-from tauext.data import Recording, total_s
+from tauext.data.first_seconds import total_s
+from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.learn import PriorFit, Setup, freeze_drift, make_bundle
-from tauext.learn.prior_facts import friction_nm
+from tauext.fit.bundle_writing import freeze_drift, make_bundle
+from tauext.fit.prior_facts import friction_nm
+from tauext.fit.prior_fit import PriorFit
+from tauext.fit.training_set import Setup
+from tauext.train.bundle_limits import NO_CALIBRATION, calibrate_bundle
+from tauext.train.calibrate_limits import paper_limits, raise_limits, set_limits, usual_speed_rad_s
+from tauext.train.error_scale import Rows, add_friction, collect_rows, fit_error_scale, put_constant_error
 from tauext.train.fleet_limits import fleet_errors, put_fleet_limits, put_fleet_scale
+from tauext.train.judged import Judged, whole_recordings
+from tauext.train.moments import Moment
+from tauext.train.other_motion import NOT_MEASURED, other_motion
 from tauext.train.preparation import Job
+from tauext.train.promised_limits import apply_promised, promised_limits
+from tauext.train.wrench import fit_wrench
 
 SHORT_S = 240.0
 """The reserve for friction that recordings did not show fades with their length T as exp(-T / this), [s]: a single

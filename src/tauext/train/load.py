@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from tauext._core import Bundle, Load, LoadSettings, Tree
-from tauext.bundles.units import left_out
+from tauext.bundle.units import left_out
 from tauext.errors import ConfigError, RobotError
-from tauext.learn import PriorFit, Setup, last_axis_shows, load_disagreement
-from tauext.learn.kinematics import Kinematics
-from tauext.robot import load_frame
+from tauext.fit.kinematics import Kinematics
+from tauext.fit.prior_fit import PriorFit
+from tauext.fit.training_set import Setup
+from tauext.robot.load_frame import load_frame
+from tauext.train.found_load import last_axis_shows, load_disagreement
 from tauext.train.preparation import Job
 
 MOST_POSES = 5000

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from tauext.check.verdict import Look, expect_codes, judge
+from tauext.check.viewing import look_at_calibration, look_at_training
 from tauext.config import ModelCase, TrainConfig
-from tauext.data import Dataset, Recording, in_amperes
-from tauext.look import Look, expect_codes, judge, look_at_calibration, look_at_training
+from tauext.data.amperes import in_amperes
+from tauext.data.dataset import Dataset
+from tauext.data.recording import Recording
 from tauext.progress import Reporter
-from tauext.robot import torque_limits
+from tauext.robot.torque_limits import torque_limits
 from tauext.train.recordings import chosen_recordings, wants_constants
 
 
@@ -34,12 +37,12 @@ def look_first(
         FaultyDataError: a fault that nobody accepted.
     """
     expect_codes(accept, training[0].joints)
-    looks = view(dataset, robot, case, training, validation, config, report)
+    looks = view_dataset(dataset, robot, case, training, validation, config, report)
     judge(list(looks.values()), str(dataset.folder), accept, report)
     return {name: look.facts(accept) for name, look in looks.items()}
 
 
-def view(
+def view_dataset(
     dataset: Dataset,
     robot: Path,
     case: ModelCase,

@@ -8,7 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext.config import TrainConfig
-from tauext.data import Recording, free_pieces, free_samples, split_by_time, standing_joints, total_s
+from tauext.data.first_seconds import total_s
+from tauext.data.free_motion import free_pieces, free_samples, split_by_time
+from tauext.data.recording import Recording
+from tauext.data.standing import standing_joints
 from tauext.errors import ConfigError, TrainingError
 
 VALIDATION_SHARE = 0.2

@@ -7,19 +7,10 @@ import json
 from dataclasses import dataclass
 
 from tauext._core import Bundle, Tree
-from tauext.learn import (
-    Progress,
-    Scaling,
-    Setup,
-    TrainedNetwork,
-    build_windows,
-    find_scaling,
-    make_bundle,
-    set_signal_ranges,
-    train_network,
-)
-from tauext.learn.training_set import TooShort
-from tauext.store import at_home
+from tauext.files.staging import at_home
+from tauext.fit.bundle_writing import make_bundle, set_signal_ranges
+from tauext.fit.network_training import Progress, TrainedNetwork, train_network
+from tauext.fit.training_set import Scaling, Setup, TooShort, build_windows, find_scaling
 from tauext.train.preparation import Job
 
 CHECKPOINT = ".checkpoint.npz"

@@ -9,10 +9,14 @@ import numpy as np
 
 from tauext._core import TorqueUnit, Tree
 from tauext.config import ModelCase, TrainConfig
-from tauext.data import LeftOut, Recording, SignalBounds, free_pieces, from_amperes, in_amperes, possible_parts
+from tauext.data.amperes import from_amperes, in_amperes
+from tauext.data.free_motion import free_pieces
+from tauext.data.impossible import LeftOut, SignalBounds, possible_parts
+from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.learn import TorqueConstants, build_setup, fit_torque_constants, signal_bounds
-from tauext.learn.torque_constants import with_constants
+from tauext.fit.bundle_writing import build_setup
+from tauext.fit.signal_bounds import signal_bounds
+from tauext.fit.torque_constants import TorqueConstants, fit_torque_constants, with_constants
 from tauext.train.recordings import given_unit, wants_constants
 
 AT_LIMIT = 0.999

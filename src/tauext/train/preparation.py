@@ -10,16 +10,19 @@ from pathlib import Path
 import numpy as np
 
 from tauext._core import TorqueUnits, Tree
-from tauext.calibrate import at_rest_sentence
 from tauext.config import ModelCase, TrainConfig
-from tauext.data import Recording, standing_joints
+from tauext.data.recording import Recording
+from tauext.data.standing import standing_joints
 from tauext.errors import ConfigError
-from tauext.learn import Setup, TorqueConstants, reference_recording
-from tauext.learn.fleet_prior import FleetPrior
+from tauext.files.place import Place
+from tauext.files.provenance import provenance
+from tauext.fit.bundle_writing import reference_recording
+from tauext.fit.fleet_prior import FleetPrior
+from tauext.fit.torque_constants import TorqueConstants
+from tauext.fit.training_set import Setup
 from tauext.progress import Reporter
-from tauext.provenance import provenance
-from tauext.robot import torque_limits
-from tauext.store import Place
+from tauext.robot.torque_limits import torque_limits
+from tauext.train.calibrate_limits import at_rest_sentence
 from tauext.train.motion import TrainingMotion, expect_some, training_motion
 from tauext.train.possible import MOST_AT_LIMIT, PossibleMotion, possible_motion
 from tauext.train.recordings import chosen_recordings, given_unit

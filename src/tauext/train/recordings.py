@@ -6,7 +6,9 @@ from collections.abc import Sequence
 
 from tauext._core import TorqueUnit
 from tauext.config import ModelCase, TrainConfig
-from tauext.data import Recording, first_seconds, from_amperes, in_amperes, total_s
+from tauext.data.amperes import from_amperes, in_amperes
+from tauext.data.first_seconds import first_seconds, total_s
+from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 
 LEAST_S = 30.0

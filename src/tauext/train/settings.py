@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tauext.config import FreeMotionConfig, ModelCase, TrainConfig
 from tauext.errors import ConfigError
-from tauext.plain_file import json_of, read_text
+from tauext.files.plain_file import json_of, read_text
 from tauext.recipes import Recipe
 
 

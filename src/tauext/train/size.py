@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from tauext.config import TrainConfig
-from tauext.room import expect_memory, expect_time
+from tauext.files.room import expect_memory, expect_time
 
 FLOPS_A_CORE = 2e11
 """Above what a core reaches in single precision (32 sums and products a cycle at 3 GHz), so that times are bounds."""

@@ -6,16 +6,18 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tauext._core import Bundle, Tree
+from tauext.bundle.bundle_file import load_bundle
+from tauext.check.rejected import Rejected
+from tauext.check.verdict import expect_codes
 from tauext.config import PAPER_CASES, CaseName, ModelCase, TrainConfig
-from tauext.data import Dataset, Recording, load_bundle
-from tauext.data.rejected import Rejected
+from tauext.data.dataset import Dataset
+from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.learn.fleet_prior import FleetPrior
-from tauext.look import expect_codes
+from tauext.files.place import Place, place_of
+from tauext.files.room import expect_new_file
+from tauext.fit.fleet_prior import FleetPrior
 from tauext.progress import SILENT, Reporter
-from tauext.robot import chosen_case, estimated_model
-from tauext.room import expect_new_file
-from tauext.store import Place, place_of
+from tauext.robot.model_case import chosen_case, estimated_model
 from tauext.train.fitting import fit_prior, observe, put_coverage, put_prior, with_fit
 from tauext.train.gain import choose_gain
 from tauext.train.gating import gate
@@ -26,7 +28,7 @@ from tauext.train.look import look_first
 from tauext.train.network import assemble, fit_network
 from tauext.train.preparation import note_recordings, prepare
 from tauext.train.size import expect_size
-from tauext.train.wrench import put_wrench
+from tauext.train.train_wrench import put_wrench
 from tauext.train.writing import write
 
 
@@ -43,7 +45,7 @@ def train_bundle(
 ) -> Bundle:
     """Train on a dataset's free motion, find limits on its validation or calibration recordings, and write one bundle.
 
-    First the doctor looks at all that is used (tauext.look): faults refuse, warnings are told and stand in the bundle.
+    First the doctor looks at all that is used (tauext.check): faults refuse, warnings are told and stand in the bundle.
 
     Args:
         out: NAME.tauext; its run file and wall time are written beside it. An interrupted training of a network goes on
@@ -54,7 +56,7 @@ def train_bundle(
         report: is told how far it is, and what was found, in sentences.
         accept: codes of the doctor that are no fault on your word, CODE or CODE:joint; they stand in the bundle.
         look: False: do not look; for recordings that are known to be good.
-        like: what a fleet of arms of this type knows (tauext.learn.fleet_prior_file.load_fleet_prior); None: nothing.
+        like: what a fleet of arms of this type knows (tauext.fit.fleet_prior_file.load_fleet_prior); None: nothing.
 
     Raises:
         FaultyDataError: recordings or robot file have a fault that is not accepted.

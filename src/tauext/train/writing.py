@@ -6,10 +6,11 @@ import json
 from typing import Any
 
 from tauext._core import Bundle
-from tauext.calibrate import forget_half_done
-from tauext.data import total_s, write_bundle
+from tauext.bundle.bundle_file import write_bundle
+from tauext.data.first_seconds import total_s
 from tauext.data.servo import servo_of_recordings
-from tauext.store import at_home
+from tauext.files.staging import at_home
+from tauext.train.bundle_limits import forget_half_done
 from tauext.train.network import CHECKPOINT, ScaledNetwork
 from tauext.train.preparation import Job
 

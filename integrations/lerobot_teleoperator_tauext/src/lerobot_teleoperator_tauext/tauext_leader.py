@@ -15,7 +15,7 @@ from lerobot_teleoperator_tauext.feel_step import FEELING
 from lerobot_teleoperator_tauext.positions import radians_a_unit
 from lerobot_teleoperator_tauext.torque_ports import torque_port
 from tauext.errors import ConfigError
-from tauext.live import FeedbackSettings, LeaderFeedback
+from tauext.monitor.leader_feedback import FeedbackSettings, LeaderFeedback
 
 FIRST_DT_S = 0.02
 """What the first tick is taken to have lasted; its torque is a slew step at most."""

@@ -1,6 +1,4 @@
-"""Files of every format as raw signals with times and names; nothing here knows a robot."""
+"""Readers of raw files, one module a format.
 
-from tauext.data.importers.open_raw import FORMATS, open_raw
-from tauext.data.importers.raw import RawRecording, RawSignals
-
-__all__ = ["FORMATS", "RawSignals", "RawRecording", "open_raw"]
+In goes a file. Out come its columns as a table of named arrays. They import `files`.
+"""

@@ -8,7 +8,7 @@ from pathlib import Path
 from tauext.data.importers import csv_table, hdf5, lerobot, matlab, parquet, ros1, ros2
 from tauext.data.importers.raw import RawRecording
 from tauext.errors import RecordingError
-from tauext.plain_file import expect_file
+from tauext.files.plain_file import expect_file
 
 FORMATS = (
     "ROS 1 bag, ROS 2 bag (sqlite3, MCAP, or their folder), CSV (also gzipped), Parquet, HDF5, MATLAB, "

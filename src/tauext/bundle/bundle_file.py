@@ -1,0 +1,75 @@
+"""Bundles from their files."""
+
+from __future__ import annotations
+
+from tauext import _core
+from tauext.errors import BundleError, ConfigError
+from tauext.files.fetching import local_file
+from tauext.files.place import Place, place_of
+from tauext.files.plain_file import json_of
+from tauext.files.provenance import json_text
+from tauext.files.staging import written_as
+from tauext.files.whole_file import whole_files
+
+
+def load_bundle(path: Place | str) -> _core.Bundle:
+    """The bundle in a file NAME.tauext, checked and its reference replayed; `Bundle.save` writes one.
+
+    Raises:
+        BundleError: there is no such file.
+        CoreError: damaged, of another format, or with torque constants that its loop had to apply (`tauext convert`).
+    """
+    path = place_of(path)
+    if not path.is_file():
+        raise BundleError(f"{path}: there is no such bundle; `tauext train` makes one")
+    try:
+        str(path).encode()  # the core takes no other names
+        bundle = load_from(path)
+    except (RuntimeError, UnicodeError) as error:  # a disk that fails while it is read; a name that is no text
+        raise BundleError(f"{path}: cannot be read ({error})") from error
+    try:
+        expect_text(bundle)
+    except BundleError as error:
+        raise BundleError(f"{path}: {error}") from error
+    return bundle
+
+
+def load_from(path: Place) -> _core.Bundle:
+    """By the core; its errors name the place."""
+    file = local_file(path)
+    try:
+        return _core.Bundle.load(str(file))
+    except _core.CoreError as error:
+        raise _core.CoreError(str(error).replace(str(file), str(path))) from error
+
+
+def expect_text(bundle: _core.Bundle) -> None:
+    """Raise BundleError where names are no text or the provenance is no JSON object: the core takes both as bytes."""
+    try:
+        facts = json_of(bundle.provenance or "{}")
+        names = [bundle.name, *(link.joint_name for link in bundle.links)]
+    except (UnicodeError, ValueError) as error:
+        raise BundleError(f"its names or provenance cannot be read ({error}); it is damaged") from error
+    if not isinstance(facts, dict) or not all(names):
+        raise BundleError("its provenance is no JSON object, or a joint has no name; it is damaged")
+
+
+def write_bundle(bundle: _core.Bundle, path: Place, run: dict, wall_time: dict) -> None:
+    """Write NAME.tauext with NAME.run.json and NAME.wall_time_s.json beside it: all three, or none.
+
+    The bundle comes last: where it stands, its run file stands.
+
+    Raises:
+        ConfigError: one of them cannot be written.
+    """
+    beside = (path.with_suffix(".run.json"), path.with_suffix(".wall_time_s.json"))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_files(*beside, path) as (run_part, wall_part, part):
+            run_part.write_text(json_text(run))
+            wall_part.write_text(json_text(wall_time))
+            bundle.save(str(part))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
+    except _core.CoreError as error:
+        raise ConfigError(f"{path}: {str(error).removeprefix(f'{written_as(path)}: ')}") from error

@@ -1,0 +1,172 @@
+"""Contacts where there should be none: by their labels, or by torque that no motion explains."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tauext import _core
+from tauext.check.finding import Finding
+from tauext.check.fit import CONSTANT, LEAST_ROWS, columns_of, robust_solve, robust_spread
+from tauext.check.motion import POSITION_CUTOFF_HZ, Stretch, low_pass, stretches
+from tauext.check.regressors import FRICTION, PRESLIDING_RAD, Rows, picked, rows_of
+from tauext.config import FreeMotionConfig
+from tauext.data.recording import Recording
+
+CUTOFF_HZ, ROWS_HZ = 10.0, 50.0
+"""An impact lasts 50 to 200 ms: the fits' own filter would take half of it."""
+END_S = 0.1
+"""Left out of a stretch, four times what the filter remembers: there it sees one side only. No more, since a program
+that ends in an impact, or is stopped by one, ends in it."""
+WINDOW_S = 0.5
+LEAST_WINDOWS = 60
+USUAL = 90
+"""Percentile of the windows' largest errors: friction at reversals makes these several times their spread."""
+ALONE, SPREADS_ALONE = 5.0, 8.0
+"""Times the usual, and spreads, at one joint; friction and slipping gears reached 4.1 times in good recordings."""
+TOGETHER, SPREADS_TOGETHER = 4.0, 6.0
+"""The same at two joints in one window: what touches a link acts on the joints before it."""
+LEAST_SHARE = 0.1
+"""Of the torque's spread, or of its swing in the window: steps of acceleration are explained but for some of that."""
+MOVING_RAD_S = 0.02
+CRAWL_RAD_S = 0.05
+CRAWLS = 0.5
+"""A joint that is as slow may stick and slip: there it takes so much of its friction more."""
+TOLD = 3
+SPOILING = ("stuck", "saturated", "smoothed", "clock-irregular", "repeated-rows", "quantised")
+"""Findings after which torque that no motion explains is no contact."""
+
+
+def contact_findings(recordings: Sequence[Recording], called_free: Collection[str] = ()) -> list[Finding]:
+    """Recordings that are called free, by `called_free` or by what made them, and hold samples labelled contact.
+
+    No fault: what is labelled is left out of training and limits; what the label misses at its ends is not.
+    """
+    found = []
+    for r in recordings:
+        free = r.name in called_free or r.provenance.get("contacts") == "none"
+        if not free or r.contact is None or not (r.contact == 1).any():
+            continue
+        touched = r.contact == 1
+        first = r.time_s[int(touched.argmax())]
+        evidence = f"'{r.name}': {touched.mean():.1%} of the samples are labelled contact, the first at {first:.2f} s"
+        advice = (
+            "they are left out of training and limits; list the recording with the collisions, or exclude the "
+            "interval, if the labels may begin late or end early"
+        )
+        found.append(Finding("contact-in-free-motion", "warning", None, evidence, advice, r.name))
+    return found
+
+
+def unlabelled_findings(recordings: Sequence[Recording], tree: _core.Tree | None, lag_s: float = 0.0) -> list[Finding]:
+    """Disturbances far beyond the usual error that training would take for free motion; one finding for all.
+
+    What it leaves out around a label is not looked at, all else is: a label that comes late shows here. Without a model
+    there is none: what its gravity is off by at a rare pose looks like a push. Impacts and pushes that stay below a few
+    times what friction does at reversals are not seen.
+
+    Args:
+        recordings: with nothing wrong about their signals.
+        tree: the model, or None.
+        lag_s: by which the torque comes late.
+    """
+    # the torque through the positions' own filter, or steps of acceleration would be seen in the torque alone
+    motion = [
+        replace(s, tau=low_pass(s.tau, min(POSITION_CUTOFF_HZ, 0.3 * s.rate_hz), s.rate_hz))
+        for s in stretches(recordings, contacts=True)
+    ]
+    if not motion or tree is None:
+        return []
+    rows = rows_of(motion, tree, lag_s, CUTOFF_HZ, ROWS_HZ, END_S)
+    free = ~near_label(rows, recordings)
+    known = np.concatenate([picked(has_moved(s), s.rate_hz, ROWS_HZ, END_S) for s in motion])
+    if free.sum() < LEAST_ROWS:
+        return []
+    errors, friction = (
+        np.stack(x, axis=1) for x in zip(*(_error(rows, j, free) for j in range(rows.joints)), strict=True)
+    )
+    spread = np.maximum([robust_spread(x) for x in errors[free].T], 1e-12)
+    errors[~(known & free[:, None])] = 0.0
+    number = np.unique((rows.time_s // WINDOW_S).astype(int), return_inverse=True)[1]
+    windows = np.split(np.arange(len(number)), np.flatnonzero(np.diff(number)) + 1)
+    largest = np.stack([np.abs(errors[at]).max(axis=0) for at in windows])
+    moving = np.array([(np.abs(rows.dq[at]) > MOVING_RAD_S).any() for at in windows])
+    if moving.sum() < LEAST_WINDOWS:
+        return []
+    usual = np.maximum(np.percentile(largest[moving], USUAL, axis=0), 1e-12)
+    swings = np.stack([np.ptp(rows.tau[at], axis=0) for at in windows])
+    crawls = np.stack([np.abs(rows.dq[at]).min(axis=0) < CRAWL_RAD_S for at in windows])
+    least = LEAST_SHARE * np.maximum(swings, rows.tau.std(axis=0))
+    seen = largest > least + CRAWLS * crawls * np.percentile(np.abs(friction), USUAL, axis=0)
+    times, spreads = largest / usual, largest / spread
+    alone = seen & (times > ALONE) & (spreads > SPREADS_ALONE)
+    together = seen & (times > TOGETHER) & (spreads > SPREADS_TOGETHER)
+    touched = alone.any(axis=1) | (together.sum(axis=1) >= 2)
+    if not touched.any():
+        return []
+    begins = np.flatnonzero(touched & ~np.r_[False, touched[:-1]])
+    strongest = begins[np.argsort(-times[begins].max(axis=1))][:TOLD]
+    told = [_told(rows, errors, windows[k], int(np.argmax(times[k])), times[k].max(), recordings)
+            for k in strongest]  # fmt: skip
+    what = "disturbance" if len(begins) == 1 else "disturbances"
+    evidence = f"{len(begins)} {what} of the torque that no motion explains: {'; '.join(told)}"
+    advice = "look there: leave contacts out of training and limits, by a label or by cutting the recording"
+    return [Finding("contact-in-free-motion", "warning", None, evidence, advice)]
+
+
+def has_moved(stretch: Stretch) -> np.ndarray:
+    """(samples, joints) bool: the joint has gone so far that it is known which way friction holds it."""
+    gone = np.maximum.accumulate(np.abs(stretch.q - stretch.q[0]), axis=0)
+    return gone > 2 * max(PRESLIDING_RAD)
+
+
+def is_unlabelled_contact(finding: Finding) -> bool:
+    """Whether it is of `unlabelled_findings`."""
+    return finding.code == "contact-in-free-motion" and finding.recording is None
+
+
+def spoils_contacts(findings: Collection[Finding]) -> bool:
+    """Whether signals are such that torque which no motion explains is no contact."""
+    return any(finding.code in SPOILING for finding in findings)
+
+
+def near_label(rows: Rows, recordings: Sequence[Recording]) -> np.ndarray:
+    """Which rows (rows,) bool are so near a labelled contact that training leaves them out."""
+    margins, start_s = FreeMotionConfig(), 0.0
+    near = np.zeros(len(rows.time_s), dtype=bool)
+    for r in recordings:
+        touched = np.zeros(r.samples, dtype=np.int8) if r.contact is None else (r.contact == 1).astype(np.int8)
+        edges = np.flatnonzero(np.diff(np.r_[0, touched, 0]))
+        for first, last in zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True):
+            begin, end = start_s + r.time_s[first] - margins.before_s, start_s + r.time_s[last] + margins.after_s
+            near |= (rows.time_s >= begin) & (rows.time_s <= end)
+        start_s += r.duration_s
+    return near
+
+
+def _error(rows: Rows, j: int, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What gravity, inertia and friction, as fitted to free rows, leave of a joint's torque, and the friction (rows,),
+    [N m]."""
+    columns, torque = columns_of(rows, j), rows.tau[:, j]
+    weights = robust_solve(columns[free], torque[free])[0]
+    error = torque - columns @ weights
+    resists = slice(CONSTANT + 1, CONSTANT + FRICTION)
+    return error - np.median(error[free]), columns[:, resists] @ weights[resists]
+
+
+def _told(
+    rows: Rows,
+    errors: np.ndarray,
+    at: np.ndarray,
+    joint: int,
+    times: float,
+    recordings: Sequence[Recording],
+) -> str:
+    peak = at[int(np.argmax(np.abs(errors[at, joint])))]
+    recording = int(rows.recording[peak])
+    since = rows.time_s[peak] - sum(r.duration_s for r in recordings[:recording])
+    r = recordings[recording]
+    where = f"'{r.joints[joint]}' at {since:.1f} s of '{r.name}'"
+    return f"{errors[peak, joint]:.3g} Nm at {where}, {times:.0f} times the usual error"

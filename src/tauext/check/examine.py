@@ -1,0 +1,309 @@
+"""The doctor's round: signals first, then motion, then torque against model; what is found is mended for the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from tauext import _core
+from tauext.check.arrangement import exchanged_efforts, rearranged
+from tauext.check.clock import clock_findings
+from tauext.check.coarse import coarse_findings
+from tauext.check.contacts import contact_findings, spoils_contacts, unlabelled_findings
+from tauext.check.delay import delay_findings, torque_lags
+from tauext.check.drift import drift_findings
+from tauext.check.effort import far_findings, inverted, kind_findings, scale_findings, sign_findings, strong_joints
+from tauext.check.excitation import SEARCH_S, excitation_findings, moving_s
+from tauext.check.facts import Facts, facts_of
+from tauext.check.finding import SEVERITIES, Finding
+from tauext.check.fit import LEAST_ROWS, JointFit, fit_joint
+from tauext.check.gravity import gravity_finding
+from tauext.check.limits import limit_findings
+from tauext.check.motion import Stretch, stretches
+from tauext.check.odd_motion import odd_motions, odd_rates
+from tauext.check.odd_torque import odd_torques
+from tauext.check.payload import fit_load, loaded, payload_findings
+from tauext.check.play import play_findings
+from tauext.check.poses import pose_findings
+from tauext.check.regressors import Rows, rows_of
+from tauext.check.robot_file import RobotFile, changed_findings, open_robot
+from tauext.check.sensors import sensor_findings
+from tauext.check.servo import Rest, efforts_of, is_drive, rests_of, servo_findings, with_sign, without_scale
+from tauext.check.sign import sign_vote
+from tauext.check.spikes import normal_ranges, spike_findings, spikes_of, without_spikes
+from tauext.check.time_unit import time_findings
+from tauext.check.units import degree_findings
+from tauext.check.velocity import DEGREES, VelocityFit, velocity_findings
+from tauext.data.amperes import from_amperes, in_amperes
+from tauext.data.backlash import Play, play_of
+from tauext.data.recording import Recording
+from tauext.data.servo import derives_velocity, makes_torque
+from tauext.errors import ConfigError
+from tauext.progress import SILENT, Reporter
+
+STEPS = (
+    "signals",
+    "velocities",
+    "order of the torques",
+    "order and zero of the joints",
+    "signs",
+    "delays",
+    "gravity, scale and payload",
+    "drift and contacts",
+)
+"""As they are told while they last."""
+
+OF_CURRENTS = ("effort-scale", "effort-motor-side", "position-offset")
+"""Faults of a torque, but to be expected of a current."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Findings, the worst first, and what was measured of every joint, findings or none."""
+
+    joints: tuple[str, ...]
+    findings: list[Finding]
+    facts: list[Facts]
+    """One a joint: what could be measured, by names that bear their units."""
+    rows: Rows | None = None
+    """The mended data that the last fit was made of; None where nothing moves."""
+    fits: list[JointFit] = field(default_factory=list)
+    tree: _core.Tree | None = None
+    """The model, with a load or a gravity that the file lacks; None where there is none."""
+    lag_s: float = 0.0
+    """By which the torque comes late."""
+    rests: list[Rest | None] = field(default_factory=list)
+    """Of a servo arm one a joint: its effort at rest."""
+    plays: list[Play] = field(default_factory=list)
+    """One a joint: what its turns tell of play."""
+
+    @property
+    def faulty(self) -> bool:
+        return any(finding.severity == "fault" for finding in self.findings)
+
+
+def examine(
+    recordings: Sequence[Recording],
+    robot: Path | None = None,
+    gravity: Sequence[float] | None = None,
+    called_free: Collection[str] = (),
+    report: Reporter = SILENT,
+) -> Diagnosis:
+    """Look for everything that recordings of one arm in free motion may have wrong.
+
+    A fault that is found is mended before the next step (time, spikes, degrees, order, sign, delay, gravity, payload),
+    and a recording that disagrees with the others is left out, so that one fault is one finding. Thresholds stand
+    beside each check, with their reasons.
+
+    Args:
+        recordings: of the same joints; stretches labelled contact are left out of fits.
+        robot: URDF or MJCF; None: what needs a model is not looked for.
+        gravity: acceleration of free fall in the base frame; None: the file's.
+        called_free: names of recordings that are said to hold no contact.
+        report: is told how far it is.
+
+    Raises:
+        ConfigError: no recording, or recordings of different joints.
+        RobotError: there is no such robot file.
+    """
+    with report.progress("check") as show:
+        told = _examine(recordings, robot, gravity, called_free, lambda step: show(STEPS.index(step), len(STEPS), step))
+        show(len(STEPS), len(STEPS), "steps")
+    return told
+
+
+def _examine(
+    recordings: Sequence[Recording],
+    robot: Path | None,
+    gravity: Sequence[float] | None,
+    called_free: Collection[str],
+    begin: Callable[[str], None],
+) -> Diagnosis:
+    """begin: is called with each of STEPS that there is something to do for."""
+    begin("signals")
+    joints = _same_joints(recordings)
+    file = open_robot(robot, joints, gravity) if robot is not None else None
+    found = [*(file.findings if file else []), *contact_findings(recordings, called_free)]
+    found += changed_findings(recordings, robot) if robot is not None else []
+    timed, recordings = time_findings(recordings)
+    recordings, odd = _alike(recordings, odd_rates(recordings))
+    found += odd
+    recorded, efforts = recordings, efforts_of(recordings)
+    found += servo_findings(joints, efforts) + coarse_findings(recordings)
+    recordings, unsigned = with_sign(recordings, efforts)
+    spikes, recordings = _spikes(recordings, file)
+    found += timed + spikes
+    motion = stretches(recordings)
+    recordings, odd = _alike(recordings, odd_motions(recordings, motion))
+    motion = stretches(recordings) if odd else motion
+    found += odd + clock_findings(recordings) + sensor_findings(recordings)
+
+    begin("velocities")
+    recordings, motion, velocities, units = _in_radians(recordings, motion, file)
+    tree = file.tree if file else None
+    odd = [] if unsigned else of_servos(odd_torques(motion, tree, joints, [r.name for r in recordings]), recordings)
+    recordings, odd = _alike(recordings, odd)
+    motion = stretches(recordings) if odd else motion
+    if any(map(derives_velocity, recordings)):
+        units = [finding for finding in units if finding.code != "velocity-delay"]  # the window's, and meant
+    found += units + odd + excitation_findings(recordings, motion)
+    found += limit_findings(recordings, file) if file else []
+
+    standing = any(finding.code == "never-moves" for finding in found)
+    rows: Rows | None = None
+    fits: list[JointFit] = []
+    lags: list[tuple[float, float, float]] = []
+    lag_s = 0.0
+    if unsigned:
+        pass  # of a torque without a sign there is nothing more to say
+    elif not standing and motion and len(rows_of(motion, None).time_s) >= LEAST_ROWS:
+        torque_found, rows, fits, lags, tree, lag_s = _torque(
+            motion, tree, joints, recordings, found, not any(map(is_drive, efforts)), begin
+        )
+        torque_found = without_scale(torque_found, joints, efforts)
+        found += _of_currents(torque_found) if in_amperes(recordings) or from_amperes(recordings) else torque_found
+    elif tree is not None:
+        found += pose_findings(recordings, tree, joints)
+    plays = [play_of(recordings, j) for j in range(len(joints))]
+    found += play_findings(joints, plays)
+    found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
+    facts = facts_of(recorded, efforts, plays, velocities, rows, fits, lags)
+    return Diagnosis(joints, found, facts, rows, fits, tree, lag_s, rests_of(recorded, efforts), plays)
+
+
+def _same_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    if not recordings:
+        raise ConfigError("there is no recording to check; give at least one")
+    for r in recordings:
+        if r.joints != recordings[0].joints:
+            raise ConfigError(
+                f"recording '{r.name}' has the joints {', '.join(r.joints)}, '{recordings[0].name}' "
+                f"{', '.join(recordings[0].joints)}; recordings that are checked together are of one arm"
+            )
+    return recordings[0].joints
+
+
+def _spikes(recordings: Sequence[Recording], file: RobotFile | None) -> tuple[list[Finding], list[Recording]]:
+    normal, limits = normal_ranges(recordings), file.torque_limits_nm if file else None
+    found, mended = [], []
+    for r in recordings:
+        spikes = spikes_of(r, normal, limits)
+        found += spike_findings(r, spikes, normal)
+        mended.append(without_spikes(r, spikes))
+    return found, mended
+
+
+def of_servos(odd: list[Finding], recordings: Sequence[Recording]) -> list[Finding]:
+    """Warnings where the torque was made of what servos report: a position controller without an integral rests within
+    its friction at whatever torque, so that recordings of few poses seem shifted, scaled or turned."""
+    made = {r.name for r in recordings if makes_torque(r)}
+    return [replace(finding, severity="warning") if finding.recording in made else finding for finding in odd]
+
+
+def _alike(recordings: Sequence[Recording], odd: list[Finding]) -> tuple[list[Recording], list[Finding]]:
+    """The recordings without those that the findings are about, and the findings."""
+    names = {finding.recording for finding in odd}
+    return [r for r in recordings if r.name not in names], odd
+
+
+def _in_radians(
+    recordings: Sequence[Recording], motion: list[Stretch], file: RobotFile | None
+) -> tuple[Sequence[Recording], list[Stretch], list[VelocityFit | None], list[Finding]]:
+    joints = recordings[0].joints
+    found, velocities, factors = velocity_findings(motion, joints) if motion else ([], [None] * len(joints), None)
+    if factors is not None and (factors != 1).any():
+        recordings = [replace(r, q=r.q / factors) for r in recordings]
+        motion = stretches(recordings)
+    degrees = degree_findings(recordings, motion, file.position_limits_rad if file else None)
+    if degrees:
+        names = [finding.joint for finding in degrees]
+        by = np.array([DEGREES if None in names or joint in names else 1.0 for joint in joints])
+        recordings = [replace(r, q=r.q / by, dq=r.dq / by) for r in recordings]
+        motion = stretches(recordings)
+    return recordings, motion, velocities, found + degrees
+
+
+def _torque(
+    motion: list[Stretch],
+    tree: _core.Tree | None,
+    joints: Sequence[str],
+    recordings: Sequence[Recording],
+    signal_findings: Sequence[Finding],
+    delays_show: bool,
+    begin: Callable[[str], None],
+) -> tuple[list[Finding], Rows, list[JointFit], list[tuple[float, float, float]], _core.Tree | None, float]:
+    """Order, axes, zeros, sign, gravity, delay, kind and payload, friction over time, contacts: each on what the one
+    before mended. Findings, the last rows and fits, the lags, the mended model and the lag of the torque."""
+    n = len(joints)
+    begin("order of the torques")
+    rows = rows_of(motion, tree)
+    found: list[Finding] = []
+    long_enough = moving_s(motion) >= SEARCH_S
+    if long_enough:
+        found, column = exchanged_efforts(rows, joints)
+        motion = [replace(s, tau=np.ascontiguousarray(s.tau[:, column])) for s in motion]
+    if long_enough and tree is not None:
+        begin("order and zero of the joints")
+        arranged, motion = rearranged(motion, tree, joints)
+        found += arranged
+    begin("signs")
+    rows = rows_of(motion, tree)
+    fits = [fit_joint(rows, j) for j in range(n)]
+    votes = [sign_vote(rows, j, fit) for j, fit in enumerate(fits)]
+    found += sign_findings(joints, votes, fits)
+    signs = np.array([-1.0 if inverted(vote) else 1.0 for vote in votes])
+    motion = [replace(s, tau=s.tau * signs) for s in motion]
+    rows = rows_of(motion, tree)
+
+    begin("delays")
+    lags = torque_lags(motion, rows)
+    late, lag_s = delay_findings(lags, joints, 1 / motion[0].rate_hz) if long_enough and delays_show else ([], 0.0)
+    found += late
+    begin("gravity, scale and payload")
+    if tree is not None:
+        tilted, tree = gravity_finding(motion, tree, rows)
+        found += tilted
+    rows = rows_of(motion, tree, lag_s)
+    fits = [fit_joint(rows, j) for j in range(n)]
+    if tree is not None:
+        scaled, tree = _scale(motion, tree, rows, fits, joints, lag_s)
+        found += scaled
+        rows = rows_of(motion, tree, lag_s)
+        fits = [fit_joint(rows, j) for j in range(n)]
+    begin("drift and contacts")
+    found += drift_findings(rows, joints, fits, recordings)
+    if not spoils_contacts(signal_findings) and not any(f.severity == "fault" for f in found):
+        found += unlabelled_findings(recordings, tree, lag_s)
+    return found, rows, fits, lags, tree, lag_s
+
+
+def _of_currents(found: Sequence[Finding]) -> list[Finding]:
+    """Training finds the constants of what was recorded as a current; without them gravity's size says little."""
+    return [
+        replace(f, severity="warning", advice=f"the effort is a current, whose constant `train` finds; else {f.advice}")
+        if f.code in OF_CURRENTS
+        else f
+        for f in found
+    ]
+
+
+def _scale(
+    motion: list[Stretch], tree: _core.Tree, rows: Rows, fits: Sequence[JointFit], joints: Sequence[str], lag_s: float
+) -> tuple[list[Finding], _core.Tree]:
+    """A payload where it explains every factor, else the factors; and the tree with the payload."""
+    found, judged = kind_findings(rows, joints, fits, strong_joints(rows, fits))
+    found += far_findings(rows, joints, fits)
+    factors = scale_findings(joints, fits, judged)
+    if found or not judged:
+        return found + factors, tree
+    load = fit_load(motion, tree, rows)
+    payload = payload_findings(load, joints, judged)
+    if not payload:
+        return factors, tree
+    tree_with, off = loaded(tree, load), [joints.index(finding.joint or "") for finding in factors]
+    then = rows_of(motion, tree_with, lag_s)
+    rest = scale_findings(joints, [fit_joint(then, j) for j in range(len(joints))], off)
+    return (factors, tree) if rest else (payload, tree_with)

@@ -1,0 +1,191 @@
+"""A recording whose positions or velocities are in other units, or of other joints, than those of its dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tauext.check.finding import Finding
+from tauext.check.motion import FIT_CUTOFF_HZ, Stretch, low_pass
+from tauext.check.velocity import DEGREES, FACTOR_OFF, LEAST_CORRELATION, LEAST_SPEED_RAD_S
+from tauext.data.recording import Recording
+
+FASTER, FURTHER = 5.0, 3.0
+"""A joint in degrees is 57 times as fast as in radians, and goes as far; recordings of one arm hardly differ so."""
+MARGIN_RAD = 0.5
+"""Around where the others have been."""
+TORQUES = 20.0
+"""Times the torque that the others take, of joints that move in all of them: more than any load or pose."""
+LATE_S = 0.015
+"""Of the velocity, all joints together, beside the others': as much as a drive's filter does not differ by."""
+UNIT_OFF, UNLIKE = 0.3, 0.5
+"""Of the factor and the correlation of a velocity: signals that stand still at times make less of a difference."""
+ALIKE, UNLIKE_BESIDE = 0.95, 0.75
+"""Where the correlation is that high in all others, one below this is of another joint."""
+RATE_OFF = 0.1
+"""The monitor's own tolerance is half of that; logs lose a few percent of their rows."""
+ADVICE = "give it the others' units at import, or leave it out"
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Of one recording; arrays (joints,)."""
+
+    low: np.ndarray  # [rad]
+    high: np.ndarray
+    speed: np.ndarray  # 99th percentile [rad/s]
+    factor: np.ndarray  # velocity by derivative of the position; NaN where the joint hardly moves
+    correlation: np.ndarray
+    lag_s: np.ndarray  # of the velocity, where it is small
+    torque_nm: np.ndarray  # 95th percentile of its size
+
+
+def motion_of(recording: Recording, stretches: Sequence[Stretch]) -> Motion:
+    """`stretches`: of this recording, at least one."""
+    n = len(recording.joints)
+    low, high = np.percentile(recording.q, [0.1, 99.9], axis=0)
+    dq = np.concatenate([s.dq for s in stretches])
+    products = np.zeros((5, n))
+    for s in stretches:
+        cutoff = min(FIT_CUTOFF_HZ, s.rate_hz / 6)
+        true, said = low_pass(s.dq, cutoff, s.rate_hz), low_pass(s.dq_raw, cutoff, s.rate_hz)
+        products += [(true * true).sum(axis=0), (true * said).sum(axis=0), (said * said).sum(axis=0),
+                     ((true - said) * (slope := np.gradient(true, 1 / s.rate_hz, axis=0))).sum(axis=0),
+                     (slope * slope).sum(axis=0)]  # fmt: skip
+    moves = products[0] > LEAST_SPEED_RAD_S**2 * len(dq)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = np.where(moves, products[1] / products[0], np.nan)
+        correlation = np.where(moves, np.abs(products[1]) / np.sqrt(products[0] * products[2]), np.nan)
+        lag_s = np.where(moves, products[3] / products[4], 0.0)
+    speed, torque_nm = np.percentile(np.abs(dq), 99, axis=0), np.percentile(np.abs(recording.tau), 95, axis=0)
+    return Motion(low, high, speed, factor, np.nan_to_num(correlation, nan=0.0), lag_s, torque_nm)
+
+
+def odd_rates(recordings: Sequence[Recording]) -> list[Finding]:
+    """Recordings of another rate than most of the time was recorded at: a bundle is of one rate."""
+    seconds = [(r.rate_hz, r.duration_s) for r in recordings]
+    usual = max(seconds, key=lambda one: sum(s for rate, s in seconds if abs(rate / one[0] - 1) < RATE_OFF))[0]
+    advice = "bring it to the others' rate at import, or leave it out"
+    return [
+        Finding(
+            "odd-recording",
+            "fault",
+            None,
+            f"'{r.name}' has {r.rate_hz:.4g} samples a second, the other recordings {usual:.4g}",
+            advice,
+            r.name,
+        )
+        for r in recordings
+        if abs(r.rate_hz / usual - 1) > RATE_OFF
+    ]
+
+
+def odd_motions(recordings: Sequence[Recording], motion: Sequence[Stretch]) -> list[Finding]:
+    """Recordings in degrees among others in radians, and velocities that do not fit where the others' do."""
+    by = [[s for s in motion if s.recording == k] for k in range(len(recordings))]
+    seen = {k: motion_of(r, by[k]) for k, r in enumerate(recordings) if by[k]}
+    found: list[Finding] = []
+    for k, one in seen.items():
+        others = [m for other, m in seen.items() if other != k]
+        if others:
+            found += (
+                _degrees(recordings[k], one, others)
+                or _velocity(recordings[k], one, others)
+                or _torque_unit(recordings[k], one, others)
+                or _turns(recordings[k], one, others)
+                or _late(recordings[k], one, others)
+            )
+    return found if len({f.recording for f in found}) <= len(seen) / 2 else []
+
+
+def _degrees(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:
+    low, high = np.min([m.low for m in others], axis=0), np.max([m.high for m in others], axis=0)
+    speed = np.max([m.speed for m in others], axis=0)
+    far = np.maximum(np.abs(one.low), np.abs(one.high))
+    usual = np.maximum(np.abs(low), np.abs(high))
+    within = (one.low / DEGREES > low - MARGIN_RAD) & (one.high / DEGREES < high + MARGIN_RAD)
+    wrong = (far > np.maximum(FURTHER * usual, 2 * np.pi)) & (one.speed > FASTER * speed) & within & (speed > 0)
+    if not wrong.any():
+        return []
+    j = int(np.argmax(np.where(wrong, one.speed / np.maximum(speed, 1e-9), 0)))
+    evidence = (
+        f"'{recording.name}' is in degrees, as it seems: '{recording.joints[j]}' goes from {one.low[j]:.4g} to "
+        f"{one.high[j]:.4g} at up to {one.speed[j]:.3g} a second, in the other recordings from {low[j]:.3g} to "
+        f"{high[j]:.3g} at up to {speed[j]:.3g}"
+    )
+    joint = recording.joints[j] if wrong.sum() == 1 and len(wrong) > 1 else None
+    return [Finding("odd-recording", "fault", joint, evidence, ADVICE, recording.name)]
+
+
+def _fault(recording: Recording, wrong: np.ndarray, evidence: str) -> Finding:
+    """Of these joints, by their numbers: one is named, more are all."""
+    joint = recording.joints[int(wrong[0])] if len(wrong) == 1 else None
+    return Finding("odd-recording", "fault", joint, evidence, ADVICE, recording.name)
+
+
+def _velocity(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:
+    moves = np.array([np.isfinite(m.factor) for m in others])
+    agree = np.array([(np.abs(m.factor - 1) < FACTOR_OFF) & (m.correlation > LEAST_CORRELATION) for m in others])
+    usual = agree.any(axis=0) & (agree | ~moves).all(axis=0)
+    unit = (one.correlation > LEAST_CORRELATION) & (np.abs(one.factor - 1) > UNIT_OFF)
+    sure = np.array([(m.correlation > ALIKE) | ~np.isfinite(m.factor) for m in others]).all(axis=0)
+    unlike = one.correlation < np.where(sure, UNLIKE_BESIDE, UNLIKE)
+    wrong = np.flatnonzero(usual & np.isfinite(one.factor) & (unit | unlike))
+    if not len(wrong):
+        return []
+    j = int(wrong[0])
+    evidence = (
+        f"'{recording.name}': the velocity is {one.factor[j]:.4g} times the derivative of the position, correlation "
+        f"{one.correlation[j]:.3f}, at {', '.join(recording.joints[k] for k in wrong)}; elsewhere it is the derivative"
+    )
+    return [_fault(recording, wrong, evidence)]
+
+
+def _torque_unit(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:
+    low, high = np.min([m.torque_nm for m in others], axis=0), np.max([m.torque_nm for m in others], axis=0)
+    moves = np.isfinite([m.factor for m in (one, *others)]).all(axis=0)
+    wrong = np.flatnonzero(moves & (low > 0) & ((one.torque_nm > TORQUES * high) | (one.torque_nm < low / TORQUES)))
+    if not len(wrong):
+        return []
+    j = int(wrong[0])
+    evidence = (
+        f"'{recording.name}': torques of {', '.join(recording.joints[k] for k in wrong)} are of another unit, as it "
+        f"seems: '{recording.joints[j]}' takes {one.torque_nm[j]:.3g}, elsewhere {low[j]:.3g} to {high[j]:.3g}"
+    )
+    return [_fault(recording, wrong, evidence)]
+
+
+def _turns(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:
+    """A joint whose positions are whole turns from where the others have them: a counter that began elsewhere."""
+    low, high = np.min([m.low for m in others], axis=0), np.max([m.high for m in others], axis=0)
+    turns = np.round(((one.low + one.high) - (low + high)) / (4 * np.pi))
+    by = 2 * np.pi * turns
+    within = (one.low - by > low - MARGIN_RAD) & (one.high - by < high + MARGIN_RAD)
+    wrong = np.flatnonzero((turns != 0) & within & ((one.low > high) | (one.high < low)) & (high - low < 2 * np.pi))
+    if not len(wrong):
+        return []
+    j = int(wrong[0])
+    evidence = (
+        f"'{recording.name}': '{recording.joints[j]}' is {turns[j]:+.0f} turns from where it is in the others: "
+        f"{one.low[j]:.4g} to {one.high[j]:.4g} rad, {low[j]:.4g} to {high[j]:.4g}"
+    )
+    advice = "a counter of turns that began elsewhere: take the turns away at import"
+    return [Finding("odd-recording", "warning", recording.joints[j], evidence, advice, recording.name)]
+
+
+def _late(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:
+    usual = np.median([m.lag_s for m in others], axis=0)
+    moves = np.isfinite(one.factor) & (one.correlation > UNLIKE)
+    if not moves.any() or np.abs(usual[moves]).max() > LATE_S:
+        return []
+    off = one.lag_s[moves] - usual[moves]
+    if abs(float(np.median(off))) < LATE_S or np.ptp(np.sign(off)) != 0:
+        return []
+    evidence = (
+        f"'{recording.name}': the velocity comes {1e3 * abs(np.median(off)):.0f} ms "
+        f"{'later' if np.median(off) > 0 else 'earlier'} after the position than in the others"
+    )
+    advice = "derive the velocity from the position at import, or leave it out"
+    return [Finding("odd-recording", "warning", None, evidence, advice, recording.name)]

@@ -1,0 +1,301 @@
+"""What the effort of a servo arm is: an unsigned supply current, a duty or load, a phase current, or a torque."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from tauext.check.finding import Finding
+from tauext.data.drive_signal import LEAST_VISITS, RestLaw, motion_of, rest_law, unsigned_visits
+from tauext.data.quantum import step_of
+from tauext.data.recording import Recording
+
+Kind = Literal["torque", "phase current", "duty", "unsigned", "supply current", "sign bit", "goal"]
+MADE_OF = {"phase_current": "current", "supply_current": "current", "duty": "duty"}
+"""The signal that a torque is made of, by [servo] torque_from."""
+SQUARE = 1.5
+"""Exponent at rest above which an unsigned signal goes with the square of the duty, below with the duty itself."""
+LEAST_LINEAR, MOST_LINEAR = 0.7, 1.4
+"""Exponents of a signal that is proportional: rounding of small values bends the line."""
+FOLLOWS = 0.9
+"""Share of a signal's variance in motion that error of position and speed explain, for it to be the drive's own."""
+BACK_EMF = 0.15
+"""What speed takes off as a share of what the error gives, from which on a motor's back-EMF is in the signal. At a
+third of its no-load speed a servo's current has lost a third; a duty has lost nothing."""
+ROUND = (1.0, 100.0, 1000.0)
+"""Full duty as a share, in per cent, or in the thousandths of a load register."""
+LEAST_STEP, MOST_STEP = 5e-4, 0.02
+"""Steps of a duty's register, as shares of the full duty: Feetech's load counts thousandths, Dynamixel's PWM 1/885. A
+stiff arm's torque goes with the error of position, too, but in steps of its own or none."""
+DRAWN = 5000
+"""Points of a picture."""
+PILED = 20
+"""Rows at exactly the full duty: a saturated drive, and no chance."""
+OF_TORQUES = ("effort-scale", "effort-motor-side", "effort-limit", "payload-missing", "payload-absent")
+"""What is said of a torque in N m, and of nothing else."""
+SIGN_BIT, FULL = 1024, 1000
+"""Feetech's Present_Load: bit 10 is the sign, the rest is 0 to 1000."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What one joint's effort is, and by what it was told."""
+
+    kind: Kind
+    visits: int = 0
+    """How often it comes down to zero in motion without ever crossing it."""
+    law: RestLaw | None = None
+    speed_share: float = 0.0
+    """What speed takes off in motion, as a share of what the error of position gives."""
+    signed: bool = False
+    full: float = 0.0
+    """Where it saturates, in its unit; 0: it does not."""
+    of: str | None = None
+    """The joint whose law it is, where its own cannot be told."""
+    made_from: str | None = None
+    """What [servo] of arm.toml says that tau is made from; then this is about that signal. None: tau as recorded."""
+
+
+def efforts_of(recordings: Sequence[Recording]) -> list[Effort]:
+    """What each joint's tau is, or what it was made from at import.
+
+    Without the goal's positions a law at rest cannot be told, and a duty looks like any torque unless it saturates. A
+    phase current is told from a torque by its back-EMF alone.
+    """
+    found = [_effort(recordings, j) for j in range(len(recordings[0].joints))]
+    told = [j for j, one in enumerate(found) if one.law is not None and one.kind in ("unsigned", "supply current")]
+    if not told:
+        return found
+    best = min(told, key=lambda j: found[j].law.exponent_error)  # type: ignore[union-attr]
+    return [
+        replace(one, kind=found[best].kind, law=found[best].law, of=recordings[0].joints[best])
+        if one.kind == "unsigned" and one.law is None
+        else one
+        for one in found
+    ]
+
+
+def servo_findings(joints: Sequence[str], efforts: Sequence[Effort]) -> list[Finding]:
+    """Findings of efforts that are no torque, or another signal than was said, with what to write in arm.toml."""
+    found = []
+    for joint, effort in zip(joints, efforts, strict=True):
+        if effort.kind in ("unsigned", "supply current") and effort.made_from != "supply_current":
+            found.append(_unsigned(joint, effort))
+        elif effort.kind == "sign bit":
+            evidence = (
+                f"whole numbers up to {FULL} and from {SIGN_BIT} to {SIGN_BIT + FULL}, none between: bit 10 is the sign"
+            )
+            advice = "a load register as it is read: where it is above 1024, take that off and negate; and " + _DUTY
+            found.append(Finding("load-sign-bit", "fault", joint, evidence, advice))
+        elif effort.kind == "duty" and effort.made_from is None:
+            found.append(Finding("effort-duty", "warning", joint, _duty_told(effort), _DUTY))
+        elif (
+            effort.made_from == "supply_current"
+            and effort.kind in ("torque", "phase current", "duty")
+            and effort.signed
+        ):
+            evidence = "it has both signs in motion, where the current of a supply is drawn and not given back"
+            advice = 'the current of the windings, then: say torque_from = "phase-current" in [servo] of arm.toml'
+            found.append(Finding("current-signed", "warning", joint, evidence, advice))
+    return found
+
+
+_DUTY = 'say torque_from = "duty" in [servo] of arm.toml: in motion its back-EMF is then taken off'
+
+
+def with_sign(recordings: Sequence[Recording], efforts: Sequence[Effort]) -> tuple[Sequence[Recording], set[int]]:
+    """The recordings with a sign to unsigned efforts, and linear in torque, so that the other checks see a torque.
+
+    Returns:
+        The recordings, and the joints whose effort could not be given a sign: what is said of their torque is nothing.
+    """
+    turned = [j for j, e in enumerate(efforts) if e.kind in ("unsigned", "supply current") and e.made_from is None]
+    if not turned:
+        return recordings, set()
+    if any(r.q_des is None for r in recordings):
+        return recordings, set(turned)
+    out = []
+    for r in recordings:
+        tau = np.array(r.tau)
+        for j in turned:
+            size = np.abs(tau[:, j])
+            tau[:, j] = np.sign(_goal(r)[:, j] - r.q[:, j]) * (np.sqrt(size) if _is_square(efforts[j]) else size)
+        out.append(replace(r, tau=tau))
+    return out, set()
+
+
+@dataclass(frozen=True)
+class Rest:
+    """One joint's effort at rest against goal minus position, for a picture."""
+
+    error_rad: np.ndarray
+    effort: np.ndarray
+    effort_of: Effort
+
+
+def rests_of(recordings: Sequence[Recording], efforts: Sequence[Effort]) -> list[Rest | None]:
+    """One a joint where its effort is no torque and follows a law, else None."""
+    found: list[Rest | None] = []
+    for j, effort in enumerate(efforts):
+        if effort.law is None or effort.kind == "torque":
+            found.append(None)
+            continue
+        name = MADE_OF.get(effort.made_from or "", "tau")
+        rests = [motion_of(r, j)[1] for r in recordings]
+        both = [
+            np.stack([(_goal(r) - r.q)[rest, j], getattr(r, name)[rest, j]])
+            for r, rest in zip(recordings, rests, strict=True)
+            if r.q_des is not None
+        ]
+        points = np.concatenate(both, axis=1)
+        points = points[:, :: max(1, points.shape[1] // DRAWN)]
+        found.append(Rest(points[0], points[1], effort))
+    return found
+
+
+def without_scale(found: Sequence[Finding], joints: Sequence[str], efforts: Sequence[Effort]) -> list[Finding]:
+    """The findings without those that hold an effort against N m where it is known to be none."""
+    other = {
+        joint
+        for joint, effort in zip(joints, efforts, strict=True)
+        if effort.made_from is None and effort.kind not in ("torque", "phase current")
+    }
+    return [f for f in found if not (f.code in OF_TORQUES and (f.joint in other or (f.joint is None and other)))]
+
+
+def is_drive(effort: Effort) -> bool:
+    """Whether it is the drive's own, which turns round before the joint leaves its stiction: no delay shows in it."""
+    return effort.kind != "torque" or effort.made_from is not None
+
+
+def _goal(recording: Recording) -> np.ndarray:
+    assert recording.q_des is not None  # the caller looked
+    return recording.q_des
+
+
+def _effort(recordings: Sequence[Recording], j: int) -> Effort:
+    sources = {r.provenance.get("servo", {}).get("torque_from", "torque") for r in recordings}
+    source = sources.pop() if len(sources) == 1 else "torque"
+    if source == "goal":
+        return Effort("goal", made_from="goal")
+    if source not in MADE_OF:
+        return _signal([r.tau[:, j] for r in recordings], recordings, j)
+    columns = [getattr(r, MADE_OF[source]) for r in recordings]
+    if any(column is None for column in columns):
+        return Effort("torque", made_from=source)
+    return replace(_signal([column[:, j] for column in columns], recordings, j), made_from=source)
+
+
+def _signal(tau: Sequence[np.ndarray], recordings: Sequence[Recording], j: int) -> Effort:
+    """What a signal of one joint is, (samples,) of each recording."""
+    whole = np.concatenate(tau)
+    if not whole.any():
+        return Effort("torque")
+    motion = [motion_of(r, j) for r in recordings]
+    goals = all(r.q_des is not None for r in recordings)
+    errors = [_goal(r)[:, j] - r.q[:, j] for r in recordings] if goals else []
+    law = rest_law(tau, errors, [rest for _, rest in motion]) if goals else None
+    if whole.min() >= 0 or whole.max() <= 0:
+        if _has_sign_bit(whole):
+            return Effort("sign bit")
+        visits = sum(unsigned_visits(x, moves) for x, (moves, _) in zip(tau, motion, strict=True))
+        if visits < LEAST_VISITS:
+            return Effort("torque", visits)
+        square = law is not None and law.exponent > SQUARE
+        return Effort("supply current" if square else "unsigned", visits, law)
+    full = next((f for f in ROUND if _piled(whole, f)), 0.0)
+    if law is None or not (law.odd and LEAST_LINEAR < law.exponent < MOST_LINEAR):
+        return Effort("duty" if full else "torque", signed=True, full=full)
+    share, explained = _speed_share(tau, recordings, j, errors, [moves for moves, _ in motion])
+    if full or (explained > FOLLOWS and share < BACK_EMF and _is_share(whole)):
+        return Effort("duty", law=law, speed_share=share, signed=True, full=full)
+    induces = explained > FOLLOWS and share >= BACK_EMF
+    return Effort("phase current" if induces else "torque", law=law, speed_share=share, signed=True)
+
+
+def _speed_share(
+    tau: Sequence[np.ndarray],
+    recordings: Sequence[Recording],
+    j: int,
+    errors: Sequence[np.ndarray],
+    moving: Sequence[np.ndarray],
+) -> tuple[float, float]:
+    """What speed takes off the effort, as a share of what the error gives, and the share of variance explained."""
+    y = np.concatenate([x[moves] for x, moves in zip(tau, moving, strict=True)])
+    e = np.concatenate([error[moves] for error, moves in zip(errors, moving, strict=True)])
+    if len(y) < 100 or e.std() == 0:
+        return 0.0, 0.0
+    speed = np.concatenate(
+        [np.gradient(r.q[:, j], r.time_s)[moves] for r, moves in zip(recordings, moving, strict=True)]
+    )
+    columns = np.column_stack([e, speed, np.ones(len(y))])
+    weights, *_ = np.linalg.lstsq(columns, y, rcond=None)
+    explained = 1 - float(np.var(y - columns @ weights) / max(np.var(y), 1e-30))
+    return float(-weights[1] * speed.std() / max(abs(weights[0]) * e.std(), 1e-30)), explained
+
+
+def _is_share(x: np.ndarray) -> bool:
+    """Whether it may be a share of a full duty: within 1, or counted in its hundredths or thousandths."""
+    top = float(np.abs(x).max())
+    full = next((f for f in ROUND if top <= f), None)
+    if full is None or full == 1.0:
+        return full is not None
+    step = step_of(x)
+    return step is not None and LEAST_STEP < step / full < MOST_STEP
+
+
+def _piled(x: np.ndarray, full: float) -> bool:
+    """Whether it reaches exactly the full duty, often, and never goes beyond."""
+    size = np.abs(x)
+    return bool(size.max() == full and np.count_nonzero(size == full) >= PILED)
+
+
+def _has_sign_bit(x: np.ndarray) -> bool:
+    if x.max() <= SIGN_BIT or x.max() > SIGN_BIT + FULL or (x != np.round(x)).any():
+        return False
+    below, above = x <= FULL, x >= SIGN_BIT
+    return bool((below | above).all() and min(below.mean(), above.mean()) > 0.01)
+
+
+def _is_square(effort: Effort) -> bool:
+    return effort.kind == "supply current"
+
+
+def _unsigned(joint: str, effort: Effort) -> Finding:
+    told = f"it comes down to zero {effort.visits} times in motion and never crosses it"
+    if effort.law is None:
+        advice = (
+            "the size of something without its sign. Record the goal's positions ([signals.q_des]), or the duty: the "
+            'sign is theirs; and where it is the supply\'s current, say torque_from = "supply-current" in [servo] of '
+            "arm.toml"
+        )
+        return Finding("unsigned-torque", "fault", joint, told, advice)
+    whose = f" (told at '{effort.of}')" if effort.of else ""
+    law = f"at rest it goes with |goal - position|^{effort.law.exponent:.2f} ± {effort.law.exponent_error:.2f}{whose}"
+    if _is_square(effort):
+        evidence = f"{told}; {law}: {effort.law.gain:.3g} a rad², the current of the supply, duty squared"
+        advice = (
+            'say torque_from = "supply-current" in [servo] of arm.toml: its root, with the sign of goal - position or '
+            "of the duty, is what goes with torque"
+        )
+        return Finding("supply-current", "fault", joint, evidence, advice)
+    advice = (
+        "the size of a duty or of a phase current: read its sign (on Feetech's servos bit 10 of the load, bit 15 of "
+        'the current), or say torque_from = "goal" in [servo] of arm.toml'
+    )
+    return Finding("unsigned-torque", "fault", joint, f"{told}; {law}", advice)
+
+
+def _duty_told(effort: Effort) -> str:
+    parts = []
+    if effort.law is not None:
+        parts.append(
+            f"at rest and in motion it is {effort.law.gain:.4g} a rad of goal - position; speed takes "
+            f"{max(0.0, effort.speed_share):.0%} off, where a motor's current would lose its back-EMF"
+        )
+    if effort.full:
+        parts.append(f"it saturates at exactly {effort.full:g}")
+    return "; ".join(parts) + ": a duty, or a load register, and no torque"

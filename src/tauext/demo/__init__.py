@@ -1,1 +1,0 @@
-"""`tauext demo`: push a simulated arm and see what the monitor makes of it."""

@@ -1,0 +1,103 @@
+"""Long work that a killed process does not lose: its state in a file of its own, written every so often.
+
+The state is pickled. Reading it makes nothing but plain containers, arrays of NumPy and the classes of a few folders of
+tauext, so that a file from elsewhere can do no harm; one that is damaged or of other work counts as none.
+"""
+
+from __future__ import annotations
+
+import io
+import pickle
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tauext.files.whole_file import whole_file
+
+EVERY_S = 20.0
+"""Between two writings: with one step of the work and the writing itself, less than 30 s are lost."""
+FOLDERS = tuple(f"tauext.{name}." for name in ("config", "data", "bundle", "check", "train", "evaluate"))
+"""Whose classes may stand in a state."""
+ARRAYS = {
+    ("numpy", "ndarray"),
+    ("numpy", "dtype"),
+    ("numpy._core.multiarray", "_reconstruct"),
+    ("numpy._core.multiarray", "scalar"),
+    ("numpy._core.numeric", "_frombuffer"),
+    ("numpy.random._pickle", "__generator_ctor"),
+    ("numpy.random._pickle", "__bit_generator_ctor"),
+    ("numpy.random._pcg64", "PCG64"),
+    ("numpy.random.bit_generator", "SeedSequence"),
+    ("numpy.random.bit_generator", "__pyx_unpickle_SeedSequence"),
+    ("collections", "Counter"),
+    ("collections", "defaultdict"),
+    ("collections", "deque"),
+    ("builtins", "set"),
+    ("builtins", "frozenset"),
+    ("builtins", "slice"),
+    ("builtins", "list"),
+    ("builtins", "dict"),
+    ("builtins", "int"),
+    ("builtins", "float"),
+}
+
+
+class HalfDone:
+    """The state of one piece of work: load() at its start, offer() after each step, end() when all is written."""
+
+    def __init__(self, path: Path, key: str, outside: Mapping[str, object] | None = None):
+        """path: of the file. key: what the work depends on, in full. outside: by names, what is not stored with it."""
+        self._path, self._key, self._outside = path, key, dict(outside or {})
+        self._written = time.monotonic()
+
+    def load(self) -> Any | None:
+        """What was offered last for this key; None: nothing that can be used."""
+        try:
+            with self._path.open("rb") as file:
+                key, state = _Reader(file, self._outside).load()
+        except (OSError, EOFError, AttributeError, ImportError, IndexError, KeyError, TypeError, ValueError):
+            return None
+        except (pickle.UnpicklingError, MemoryError):
+            return None
+        return state if key == self._key else None
+
+    def offer(self, state: Any) -> None:
+        """Write the state where the last writing is EVERY_S ago; the folder is there."""
+        if time.monotonic() - self._written < EVERY_S:
+            return
+        content = io.BytesIO()
+        _Writer(content, self._outside).dump((self._key, state))
+        with whole_file(self._path) as part:
+            part.write_bytes(content.getvalue())
+        self._written = time.monotonic()
+
+    def end(self) -> None:
+        """The work is done: nothing is left to go on with."""
+        self._path.unlink(missing_ok=True)
+
+
+class _Writer(pickle.Pickler):
+    def __init__(self, file: io.BytesIO, outside: Mapping[str, object]):
+        super().__init__(file, protocol=5)
+        self._names = {id(thing): name for name, thing in outside.items()}
+
+    def persistent_id(self, obj: Any) -> Any:
+        return self._names.get(id(obj))
+
+
+class _Reader(pickle.Unpickler):
+    def __init__(self, file: io.BufferedReader, outside: Mapping[str, object]):
+        super().__init__(file)
+        self._outside = outside
+
+    def persistent_load(self, pid: Any) -> Any:
+        return self._outside[pid]
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) in ARRAYS:
+            return super().find_class(module, name)
+        found = super().find_class(module, name) if f"{module}.".startswith(FOLDERS) and "." not in name else None
+        if not isinstance(found, type):
+            raise pickle.UnpicklingError(f"{module}.{name} belongs into no state")
+        return found

@@ -1,0 +1,57 @@
+"""Text, JSON and TOML from a path that may be anything: a pipe that nobody writes to, a device without an end."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import stat
+import tomllib
+from collections.abc import Callable
+from typing import Any
+
+from tauext.files.answers import answers
+from tauext.files.place import Place
+
+LARGEST_TEXT = 1 << 28
+"""Of a file that is read whole, [bytes]; results of a thousand hours are a hundredth of it."""
+
+
+def expect_file(path: Place) -> None:
+    """Raise OSError unless the path is a file: whoever opens a pipe waits, and a device may have no end."""
+    mode = path.stat().st_mode
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "Not a file but a device, pipe or socket", str(path))
+
+
+def read_text(path: Place) -> str:
+    """The text of a file.
+
+    Raises:
+        OSError: there is no such file, or it is none, or larger than any that is meant.
+        ValueError: it is no UTF-8.
+    """
+    expect_file(path)
+    with answers(path), path.open("rb") as file:
+        raw = file.read(LARGEST_TEXT + 1)
+    if len(raw) > LARGEST_TEXT:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
+    return raw.decode("utf-8")
+
+
+def json_of(text: str | bytes, parse_constant: Callable[[str], Any] | None = None) -> Any:
+    """The value of a JSON text; ValueError where it is none."""
+    try:
+        return json.loads(text, parse_constant=parse_constant)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
+def toml_of(text: str) -> dict[str, Any]:
+    """The content of a TOML text; ValueError where it is none."""
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None

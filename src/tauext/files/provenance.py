@@ -1,0 +1,54 @@
+"""What a stage writes beside its output: settings, versions and seed in run.json, wall times apart from it."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from tauext._core import __version__ as VERSION
+from tauext.files.place import Place
+from tauext.files.whole_file import whole_file
+
+LIBRARIES = ("numpy", "mujoco", "pyarrow")
+
+
+def write_json(content: Any, path: Place) -> None:
+    """Write under a temporary name, then rename; the same content gives the same bytes."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as part:
+        part.write_text(json_text(content))
+
+
+def json_text(content: Any) -> str:
+    """As all files of ours have it."""
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def provenance(command: str, settings: Any, seed: int | None) -> dict:
+    """Which command, version, settings and seed made an output."""
+    from importlib.metadata import version  # asked for by whoever writes, not by whoever reads
+
+    plain = asdict(settings) if is_dataclass(settings) and not isinstance(settings, type) else settings
+    return {
+        "command": command,
+        "version": VERSION,
+        "seed": seed,
+        "settings": json.loads(json.dumps(plain, default=str)),
+        "python": platform.python_version(),
+        "libraries": {name: version(name) for name in LIBRARIES},
+        "machine": machine(),
+    }
+
+
+def machine() -> str:
+    """Processor, cores and system, as a reader of a benchmark wants them."""
+    processor = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        names = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
+        processor = names[0] if names else processor
+    return f"{processor}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}"

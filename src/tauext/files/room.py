@@ -1,0 +1,104 @@
+"""Whether there is room for what is asked, before work begins: memory, disk, time, and a place for what is written."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+
+from tauext.errors import ConfigError
+from tauext.files.place import Place
+from tauext.files.staging import at_home
+from tauext.files.stored import StoredPlace
+
+LEAST_ROOM = 1 << 20
+"""What a disk must have left for a bundle, a page or a description, [bytes]."""
+LONGEST_S = 30 * 86400.0
+"""Nobody waits longer than a month, [s]; what is compared with it is a lower bound."""
+MEMORY_UNITS = ("bytes", "kB", "MB", "GB", "TB", "PB")
+
+
+def expect_new_file(path: Place, size: float = LEAST_ROOM) -> None:
+    """Raise ConfigError unless a file can be written under this name, of so many bytes."""
+    expect_text(path)
+    if path.is_dir():
+        raise ConfigError(f"{path}: is a folder, where a file is to be written; choose another name")
+    if path.exists() and not path.is_file():
+        raise ConfigError(f"{path}: is no file that could be replaced; choose another name")
+    expect_folder(path.parent, size)
+
+
+def expect_text(path: Place) -> None:
+    """Raise ConfigError where the name is no text: the core and libraries take no other."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        raise ConfigError(f"{path}: this name is no UTF-8; choose another") from error
+
+
+def expect_folder(folder: Place, size: float = LEAST_ROOM, what: str = "") -> None:
+    """Raise ConfigError unless the folder is there or can be made, can be written to, and has room.
+
+    Of a store its bucket must be there, and this machine must have room for what is staged.
+
+    Args:
+        size: of what is to be written, [bytes].
+        what: asks for so much: `minutes = 1e9`.
+    """
+    expect_text(folder)
+    if isinstance(folder, StoredPlace):
+        folder.expect_bucket()
+        folder = at_home(folder)
+    there = folder.absolute()
+    try:
+        while not there.exists() and there != there.parent:
+            there = there.parent
+        if not there.is_dir():
+            raise ConfigError(f"{folder}: {there.name or there} is no folder; choose another place to write to")
+        if not os.access(there, os.W_OK | os.X_OK):
+            raise ConfigError(f"{folder}: cannot be written to (Permission denied); choose another place")
+        free = shutil.disk_usage(there).free
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written to ({error.strerror or error})") from error
+    if free < size:
+        needs = f"{what} needs" if what else "what is written needs"
+        raise ConfigError(f"{folder}: {needs} {in_words(size)} of disk, and {in_words(free)} are free; ask for less")
+
+
+def expect_memory(size: float, what: str) -> None:
+    """Raise ConfigError where what is asked for needs more bytes than the machine has free."""
+    there = free_memory()
+    if there is not None and not size <= there:
+        raise ConfigError(f"{what} needs {in_words(size)} of memory, and {in_words(there)} are free; ask for less")
+
+
+def expect_time(seconds: float, what: str) -> None:
+    """Raise ConfigError where what is asked for takes more than a month even by a lower bound."""
+    if not seconds <= LONGEST_S:
+        raise ConfigError(f"{what} takes {span(seconds)} at least, and {span(LONGEST_S)} are the most; ask for less")
+
+
+def free_memory() -> int | None:
+    """What the system can still give, [bytes]; None where it does not say."""
+    try:
+        with open("/proc/meminfo") as file:
+            for line in file:
+                if line.startswith("MemAvailable:"):
+                    return 1024 * int(line.split()[1])
+    except (OSError, ValueError, IndexError):
+        pass
+    return None
+
+
+def in_words(size: float) -> str:
+    """A number of bytes for people: `3.2 GB`."""
+    power = 0 if size < 1000 else min(int(math.log10(min(size, 1e300)) / 3), len(MEMORY_UNITS) - 1)
+    return f"{size / 1000**power:.3g} {MEMORY_UNITS[power]}"
+
+
+def span(seconds: float) -> str:
+    """A time for people, in its largest unit: `3.5 years`."""
+    for name, length in (("years", 365.25 * 86400), ("days", 86400), ("hours", 3600), ("minutes", 60)):
+        if seconds >= length:
+            return f"{seconds / length:.3g} {name}"
+    return f"{seconds:.3g} seconds"

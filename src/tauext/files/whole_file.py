@@ -1,0 +1,60 @@
+"""A file appears whole or not at all: an interrupted run leaves the last whole one under its name.
+
+What is written to a store is a file of this machine until it is whole; then it is sent.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from tauext.files.place import Place
+from tauext.files.staging import in_order, put, written_as
+
+
+@contextmanager
+def whole_file(path: Place) -> Iterator[Path]:
+    """The name NAME.part beside it to write under; renamed at the end, removed where writing fails.
+
+    Folders are not made. Errors of the system come out as they are.
+    """
+    with whole_files(path) as (part,):
+        yield part
+
+
+@contextmanager
+def whole_files(*paths: Place) -> Iterator[tuple[Path, ...]]:
+    """The same for files that belong together: none is renamed before all are written; the last one is so at last."""
+    parts = tuple(written_as(path) for path in paths)
+    try:
+        yield parts
+        for part, path in zip(parts, paths, strict=True):
+            put(part, path)
+    except BaseException as error:
+        if isinstance(error, OSError) and not error.filename:  # a full disk: write() does not name the file
+            error.filename = str(paths[0])
+        for part in parts:
+            with suppress(OSError):
+                part.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def whole_folder(folder: Place) -> Iterator[Path]:
+    """A folder NAME.part beside it to write into; its files move into the folder at the end, which is made.
+
+    What else stands in the folder stays. Where writing fails nothing has changed.
+    """
+    part = written_as(folder)
+    shutil.rmtree(part, ignore_errors=True)  # of a run that was killed
+    part.mkdir(parents=True)
+    try:
+        yield part
+        for file in sorted((path for path in part.rglob("*") if path.is_file()), key=in_order):
+            place = folder / file.relative_to(part).as_posix()
+            place.parent.mkdir(parents=True, exist_ok=True)
+            put(file, place)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)

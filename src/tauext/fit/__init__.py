@@ -1,0 +1,5 @@
+"""Fits and their results: prior, network, kinematics, torque constants, priors of fleets.
+
+In go observed residuals of free motion. Out come fitted parameters and the bundle that holds them. It imports the
+packages before it and orchestrates nothing.
+"""

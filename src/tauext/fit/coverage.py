@@ -1,0 +1,160 @@
+"""What training saw of an arm's motion, kept so that the monitor can tell motion that it never saw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tauext import _core
+from tauext.data.first_seconds import total_s
+from tauext.data.recording import Recording
+from tauext.fit.regression import FOLDS
+from tauext.fit.training_set import Setup
+
+REACHES = (2, 3, 4, 5, 6, 8, 12)
+"""Within how many cells of a 64th of a turn a joint's position may be familiar: 11 to 68 degrees ..."""
+REACHES_TOGETHER = (1, 2, 3, 4, 6, 8)
+"""... and in a pair, in cells of a 32nd: as many."""
+MOST_FALSE = 0.002
+"""Share of left-out motion that may be called unfamiliar by the position of a joint ..."""
+MOST_FALSE_TOGETHER = 0.005
+"""... and by those of all pairs."""
+SHORT_MIN = 10.0
+"""Less motion holds so few poses, [minutes], that a fifth of it hardly misses one: half of it is left out in turn, and
+the reach is the next wider one. On simulated arms 0.3 to 1.0 % of other motion was called unfamiliar after 5 minutes of
+training, and 1.4 to 5.3 % without."""
+LEAST_SPEED_RAD_S = 0.05
+"""A joint that training hardly moved may move that fast: noise is nothing to be told."""
+LEAST_SPAN_M = 0.1
+
+
+@dataclass(frozen=True)
+class CoverageFit:
+    """What training saw, and the share of motion that would be called unfamiliar though it is of the same kind."""
+
+    settings: _core.CoverageSettings
+    left_out_share: float
+    """Of every fifth of the motion beside the other four, or half beside the other."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Samples at the network period, of all recordings one after the other, (samples, joints)."""
+
+    q: np.ndarray
+    dq: np.ndarray
+    lasting: np.ndarray
+    """|dq| that lasted until the next sample: a lone wrong value is no speed."""
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording], stride: int) -> Motion:
+        """Every stride-th sample of each recording."""
+        q = [recording.q[::stride] for recording in recordings]
+        dq = [recording.dq[::stride] for recording in recordings]
+        speeds = [np.abs(one) for one in dq]
+        lasting = [np.minimum(speed, np.concatenate([speed[1:], speed[-1:]])) for speed in speeds]
+        return cls(np.concatenate(q), np.concatenate(dq), np.concatenate(lasting))
+
+    def cut(self, at: np.ndarray) -> Motion:
+        """Some of the samples."""
+        return Motion(self.q[at], self.dq[at], self.lasting[at])
+
+
+def fit_coverage(setup: Setup, recordings: Sequence[Recording]) -> CoverageFit:
+    """Speeds and positions of this motion, positions as finely as so much motion can tell.
+
+    What is near a seen position is familiar too: within the least reach of each joint with which, of every fifth of the
+    motion beside the other four, no more than MOST_FALSE would be called unfamiliar, and of pairs of joints, all alike,
+    MOST_FALSE_TOGETHER. Minutes of many joints leave gaps between what was seen; see SHORT_MIN. Where not even the
+    widest will do, a position (pairs) tells nothing.
+
+    Args:
+        recordings: free motion, at least one sample.
+    """
+    motion = Motion.of(recordings, setup.observer.network_stride)
+    slides = np.array([link.type == _core.JointType.prismatic for link in setup.tree.links])
+    nothing = np.zeros(len(slides), dtype=int)
+    short = total_s(recordings) < 60 * SHORT_MIN
+    count = 2 if short else FOLDS
+    if len(motion.q) < count:
+        return CoverageFit(seen(motion, slides, nothing, 0), 0.0)
+    parts = np.array_split(np.arange(len(motion.q)), count)
+    folds = [(motion.cut(np.concatenate(parts[:k] + parts[k + 1 :])), motion.cut(parts[k])) for k in range(count)]
+
+    def told(reach: np.ndarray, together: int, speeds: bool = False) -> float:
+        """Share of the left-out samples that would be called unfamiliar by what stayed."""
+        number = 0
+        for stayed, left in folds:
+            looked = seen(stayed, slides, reach, together).look(left.q, left.dq if speeds else 0 * left.dq)
+            number += int((looked["share"] >= _core.CoverageSettings.WORTH_TELLING).sum())
+        return number / len(motion.q)
+
+    def least(reaches: Sequence[int], share: Callable[[int], float], most: float) -> int:
+        """The least reach by which no more than this share is told, or the next one; 0: none."""
+        found = next((k for k, cells in enumerate(reaches) if share(cells) <= most), None)
+        return 0 if found is None else reaches[min(found + short, len(reaches) - 1)]
+
+    def own(joint: int) -> int:
+        """The reach of a joint by itself."""
+        only = (np.arange(len(slides)) == joint).astype(int)
+        return least(REACHES, lambda cells: told(cells * only, 0), MOST_FALSE)
+
+    reach = np.array([own(joint) for joint in range(len(slides))])
+    together = 0
+    if len(slides) > 1:
+        together = least(REACHES_TOGETHER, lambda cells: told(nothing, cells), MOST_FALSE_TOGETHER)
+    return CoverageFit(seen(motion, slides, reach, together), told(reach, together, speeds=True))
+
+
+def seen_too(
+    fit: CoverageFit, others: _core.CoverageSettings, setup: Setup, recordings: Sequence[Recording]
+) -> CoverageFit:
+    """The fit with motion that other arms of the type showed, whose cells and reaches it takes over.
+
+    What a fleet's prior says of a pose holds for one more arm of the type, though this one never was there.
+    """
+    motion = Motion.of(recordings, setup.observer.network_stride)
+    both = _core.CoverageSettings()
+    for name in ("turns", "centre_rad", "span_rad", "seen", "reach", "seen_together", "reach_together"):
+        setattr(both, name, getattr(others, name))
+    own = np.maximum(motion.lasting.max(axis=0), LEAST_SPEED_RAD_S)
+    both.fastest_rad_s = np.maximum(own, others.fastest_rad_s).tolist()
+    both.see(motion.q)
+    return CoverageFit(both, fit.left_out_share)
+
+
+def seen(motion: Motion, slides: np.ndarray, reach: np.ndarray, together: int) -> _core.CoverageSettings:
+    """What this motion shows. A joint that turns has its cells once round, and one that slides over twice its way.
+
+    Args:
+        slides: whether a joint does, (joints,).
+        reach: of each joint by itself, (joints,), [cells]; 0: it tells nothing.
+        together: that of pairs.
+    """
+    n = len(slides)
+    low, high = motion.q.min(axis=0), motion.q.max(axis=0)
+    settings = _core.CoverageSettings()
+    settings.fastest_rad_s = np.maximum(motion.lasting.max(axis=0), LEAST_SPEED_RAD_S).tolist()
+    settings.turns = [0 if slide else 1 for slide in slides]
+    settings.centre_rad = np.where(slides, (low + high) / 2, 0.0).tolist()
+    settings.span_rad = np.where(slides, np.maximum(2 * (high - low), LEAST_SPAN_M), 2 * np.pi).tolist()
+    settings.seen, settings.reach = [0] * n, reach.tolist()
+    settings.seen_together = [0] * (n * (n - 1) // 2 * settings.PAIR_CELLS if together else 0)
+    settings.reach_together = together
+    settings.see(motion.q)
+    return settings
+
+
+def coverage_facts(fit: CoverageFit, joints: Sequence[str]) -> dict:
+    """What is called unfamiliar, as plain JSON: speeds [rad/s] from which on, distances from seen positions [rad]."""
+    told, settings = _core.CoverageSettings, fit.settings
+    cell_rad = np.array(settings.span_rad) / told.CELLS
+    pair_cell_rad = float(cell_rad[np.array(settings.turns) == 1].max(initial=0.0)) * told.CELLS / told.PAIR_CELLS
+    return {
+        "fastest_rad_s": dict(zip(joints, settings.fastest_rad_s, strict=True)),
+        "reach_rad": dict(zip(joints, (cell_rad * settings.reach).tolist(), strict=True)),
+        "reach_together_rad": pair_cell_rad * settings.reach_together,
+        "left_out_share": fit.left_out_share,
+    }

@@ -1,0 +1,309 @@
+"""The prior: what friction and model error show in r, fitted by ridge regression on filtered regressors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tauext import _core
+from tauext.config import PriorConfig
+from tauext.data.recording import Recording
+from tauext.data.servo import derives_velocity
+from tauext.fit.find_kinematics import can_be_found, find_kinematics
+from tauext.fit.kinematic_sample import LEAST_ROWS, KinematicSample
+from tauext.fit.kinematics import Kinematics
+from tauext.fit.play import Play, find_play, told
+from tauext.fit.prior_fit import PriorFit
+from tauext.fit.prior_terms import CORRECTED, ESTIMATED, has_model, own_terms, shared_terms
+from tauext.fit.regression import LEAST_SQUARE
+from tauext.fit.ridge import fit_ridge
+from tauext.fit.ripple import find_ripple
+from tauext.fit.temperature import with_temperature
+from tauext.fit.training_set import Setup, with_presliding
+from tauext.fit.widths import idle_widths
+
+RIPPLE_HELPS = 0.01
+"""A ripple stays that lowers the error on left-out motion by this share: in minutes, noise may look like one."""
+FOUND_ARM_COSTS = 0.1
+"""Sines and cosines must explain left-out motion better by this share to stand in for an arm found in the motion."""
+BEYOND = 1.2
+"""Times the most that the arm itself weighed in training: so far load terms are believed."""
+USUAL_SHARE, WEIGHS = 0.05, 0.05
+"""Of a load in the friction of a strain-wave gear; and of a joint's friction, below which that does not show."""
+LOCAL_MEMORY_HELPS = 0.005
+"""Friction has a part with local memory where that lowers the error on left-out motion by this share, in the mean over
+the joints. The gears of an arm are alike, so its joints are judged together; a joint whose error grows by as much has
+none."""
+MOVES_RAD_S = 0.05
+LOAD_TERMS = (_core.TermKind.load, _core.TermKind.load_presliding)
+LEAST_CYCLES = 5  # a turn: what comes back more seldom is gravity that is not quite right, and no gear
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """What the prior says of gravity and inertia, beside the estimated model: the default is sines and cosines."""
+
+    tree: _core.Tree | None = None
+    """Its inertial parameters are corrected; None: none are."""
+    load: int | None = None
+    """See own_terms."""
+    loads: tuple[_core.Link, ...] = ()
+    kinematics: Kinematics | None = None
+    play: Play = ()
+    """Of each joint, see own_terms; empty: of none."""
+    local_memory_nm: tuple[float, ...] = ()
+    """Most of each joint's presliding friction that may have local memory; 0: none has. Empty: of no joint."""
+
+
+def fit_prior(
+    setup: Setup,
+    recordings: Sequence[Recording],
+    config: PriorConfig,
+    tell: Callable[[str], None] | None = None,
+    known: Kinematics | None = None,
+) -> PriorFit:
+    """The prior of a setup whose prior holds nothing but presliding widths yet.
+
+    Without a model the arm itself is looked for first. Ripple is searched for in what a first fit leaves; then
+    presliding widths that do not help are left out.
+
+    Args:
+        tell: takes a line about what was found.
+        known: an arm that was found already, to be looked at first where there is no model.
+
+    Raises:
+        TrainingError: no recording is longer than the observer's warm-up.
+    """
+    inertia = Inertia(setup.tree if config.correct_model else None, ESTIMATED)
+    fit = None
+    if not has_model(setup):
+        inertia, fit = find_inertia(setup, recordings, config, tell or (lambda line: None), known)
+    ripple: list[list[int]] = [[] for _ in range(setup.tree.size)]
+    fit = fit or fit_terms(setup, recordings, config, ripple, inertia)
+    for _ in range(config.most_ripples):
+        found = find_ripple(setup, recordings, fit, ripple, LEAST_CYCLES if inertia.tree or has_model(setup) else 1)
+        if not any(found):
+            break
+        tried = [known + new for known, new in zip(ripple, found, strict=True)]
+        more = fit_terms(setup, recordings, config, tried, inertia)
+        helps = more.error_nm < (1 - RIPPLE_HELPS) * fit.error_nm  # on motion left out of the fit
+        kept = [a if better else b for a, b, better in zip(tried, ripple, helps, strict=True)]
+        if kept == ripple:
+            break
+        fit = more if kept == tried else fit_terms(setup, recordings, config, kept, inertia)
+        ripple = kept
+    dropped = idle_widths(setup, recordings, config, fit) if config.drop_widths else {}
+    if dropped:
+        kept_widths = [width for width in setup.widths_rad if width not in dropped]
+        without = fit_terms(with_presliding(setup, kept_widths), recordings, config, ripple, inertia)
+        fit = replace(without, dropped_widths=dropped)
+    if any(derives_velocity(recording) for recording in recordings) and inertia.load is not None:
+        inertia, fit = with_play(setup, fit, recordings, config, ripple, inertia, tell)
+    inertia, fit = with_local_memory(setup, fit, recordings, config, ripple, inertia)
+    return chosen(setup, fit, recordings, config, ripple, inertia)
+
+
+def with_play(
+    setup: Setup,
+    fit: PriorFit,
+    recordings: Sequence[Recording],
+    config: PriorConfig,
+    ripple: Sequence[Sequence[int]],
+    inertia: Inertia,
+    tell: Callable[[str], None] | None,
+) -> tuple[Inertia, PriorFit]:
+    """The play of servos' gears, where it shows: see find_play."""
+    bent = with_presliding(setup, fit.settings.widths_rad)
+
+    def fitted(play: Play) -> PriorFit:
+        again = fit_terms(bent, recordings, config, ripple, replace(inertia, play=play))
+        return replace(again, dropped_widths=fit.dropped_widths)
+
+    play, better = find_play(fit, fitted)
+    words = told(play, bent.widths_rad, [link.joint_name for link in setup.tree.links])
+    if words and tell is not None:
+        tell(words)
+    return replace(inertia, play=play), better
+
+
+def with_local_memory(
+    setup: Setup,
+    fit: PriorFit,
+    recordings: Sequence[Recording],
+    config: PriorConfig,
+    ripple: Sequence[Sequence[int]],
+    inertia: Inertia,
+) -> tuple[Inertia, PriorFit]:
+    """The fit with the share of each joint's presliding friction that has local memory, where left-out motion shows it.
+
+    The two kinds of memory differ in free motion where a joint reverses again before it slides. Friction of real gears
+    mostly has nonlocal memory [AlBender2005]; simulators and many controllers model it with local memory.
+    """
+    branches = branches_of(fit.settings)
+    if not any(branches):
+        return inertia, fit
+    bent = with_presliding(setup, fit.settings.widths_rad, branches)
+    tried = presliding_friction_nm(fit.settings).sum(axis=1)
+    more = fit_terms(bent, recordings, config, ripple, replace(inertia, local_memory_nm=tuple(tried.tolist())))
+    growth = more.error_nm / np.maximum(fit.error_nm, 1e-300) - 1
+    helps = (growth.mean() < -LOCAL_MEMORY_HELPS) & (growth < LOCAL_MEMORY_HELPS)
+    has_some = np.zeros(len(tried), dtype=bool)
+    for m, term in enumerate(more.settings.terms):
+        if term.kind == _core.TermKind.local_memory:
+            has_some[term.a] = more.weights[term.a, m] < 0
+    kept = np.where(helps & has_some, tried, 0.0)
+    if kept.any():
+        inertia = replace(inertia, local_memory_nm=tuple(kept.tolist()))
+    if (kept == tried).all():
+        found = more
+    elif kept.any():
+        found = fit_terms(bent, recordings, config, ripple, inertia)
+    else:
+        found = fit
+        for settings in (fit.settings, *(one.settings for one in fit.left_out)):
+            settings.branches = branches
+    return inertia, replace(found, dropped_widths=fit.dropped_widths)
+
+
+def branches_of(settings: _core.PriorSettings) -> list[float]:
+    """The branches of a prior's presliding friction, (joints, widths) in rows: its weights as shares of their sum.
+
+    A joint without presliding friction has a row of zeros; the list is empty where there are no widths.
+    """
+    found = presliding_friction_nm(settings)
+    sums = found.sum(axis=1, keepdims=True)
+    shares: list[float] = (found / np.where(sums > 0, sums, 1.0)).ravel().tolist()
+    return shares
+
+
+def presliding_friction_nm(settings: _core.PriorSettings) -> np.ndarray:
+    """Friction of each joint by width, (joints, widths), [N m]; weights that would drive the motion count as 0."""
+    weights = np.array(settings.weights).reshape(-1, max(len(settings.terms), 1))
+    found = np.zeros((len(weights), len(settings.widths_rad)))
+    for m, term in enumerate(settings.terms):
+        if term.kind == _core.TermKind.presliding:
+            found[term.a, term.b] = max(-weights[term.a, m], 0.0)
+    return found
+
+
+def chosen(
+    fitted_to: Setup,
+    fit: PriorFit,
+    recordings: Sequence[Recording],
+    config: PriorConfig,
+    ripple: Sequence[Sequence[int]],
+    inertia: Inertia,
+) -> PriorFit:
+    """The fit with what was chosen on the way to it, so that the same terms can be fitted to another observer's r.
+
+    Where temperatures were recorded, its friction follows them if that helps.
+    """
+
+    def refit(setup: Setup) -> PriorFit:
+        bent = with_presliding(setup, fit.settings.widths_rad, fit.settings.branches)
+        again = fit_terms(bent, recordings, config, ripple, inertia)
+        return chosen(setup, replace(again, dropped_widths=fit.dropped_widths), recordings, config, ripple, inertia)
+
+    bound_loads(fitted_to, recordings, fit)
+    if config.follow_temperature:
+        fit = with_temperature(fitted_to, recordings, fit)
+    return replace(fit, kinematics=inertia.kinematics, refit=refit)
+
+
+def weighs_on(setup: Setup, recordings: Sequence[Recording], inertia: Inertia) -> np.ndarray:
+    """Which joints (n,) bool the arm loads so much that its motion can tell the friction of load.
+
+    USUAL_SHARE of what it weighs there is WEIGHS of the friction or more, which is the mean of the torque along the
+    joint's speed.
+    """
+    n = setup.tree.size
+    if inertia.load is None:
+        return np.zeros(n, dtype=bool)
+    tree = setup.tree if inertia.load == ESTIMATED else _core.Tree(list(inertia.loads), setup.tree.gravity)
+    along, rows = np.zeros(n), np.zeros(n)
+    for recording in recordings:
+        moves = np.abs(recording.dq) > MOVES_RAD_S
+        along += np.sum(np.where(moves, recording.tau * np.sign(recording.dq), 0.0), axis=0)
+        rows += np.sum(moves, axis=0)
+    friction_nm = np.abs(setup.observer.nm_per_unit or 1.0) * np.abs(along) / np.maximum(rows, 1)
+    return USUAL_SHARE * largest_beta(tree, setup, recordings) >= WEIGHS * friction_nm
+
+
+def largest_beta(tree: _core.Tree, setup: Setup, recordings: Sequence[Recording]) -> np.ndarray:
+    """The most |beta| of each joint (n,) in this motion, [N m]."""
+    stride, most = setup.observer.network_stride, np.zeros(tree.size)
+    for recording in recordings:
+        beta = tree.momentum(recording.q[::stride].copy(), recording.dq[::stride].copy())[1]
+        most = np.maximum(most, np.abs(beta).max(axis=0))
+    return most
+
+
+def bound_loads(setup: Setup, recordings: Sequence[Recording], fit: PriorFit) -> None:
+    """Load terms of the fit see no more than what the arm itself weighs in this motion, and BEYOND.
+
+    With what a hand carries more would be asked of them than they were fitted to.
+    """
+    forms = {term.form for term in fit.settings.terms if term.kind in LOAD_TERMS}
+    if not forms:
+        return
+    trees = [setup.tree] if forms == {ESTIMATED} else [_core.Tree(fit.settings.corrected_links, setup.tree.gravity)]
+    if len(forms) > 1:
+        trees.append(setup.tree)
+    most = np.max([largest_beta(tree, setup, recordings) for tree in trees], axis=0)
+    for settings in (fit.settings, *(one.settings for one in fit.left_out)):
+        settings.most_load_nm = (BEYOND * most).tolist()
+
+
+def find_inertia(
+    setup: Setup,
+    recordings: Sequence[Recording],
+    config: PriorConfig,
+    tell: Callable[[str], None],
+    known: Kinematics | None,
+) -> tuple[Inertia, PriorFit]:
+    """What stands for gravity and inertia where there is no model, and a first fit with it.
+
+    An arm found from its motion says what happens at poses that training never saw, which sines and cosines of
+    the angles cannot; those stay where they explain left-out motion better by FOUND_ARM_COSTS.
+    """
+    nothing: list[list[int]] = [[] for _ in range(setup.tree.size)]
+    basis = fit_terms(setup, recordings, config, nothing, Inertia())
+    if not (config.find_kinematics and can_be_found(setup)):
+        return Inertia(), basis
+    own = [own_terms(setup, config, joint) for joint in range(setup.tree.size)]
+    sample = KinematicSample(setup.tree, setup.observer, recordings, own, setup.widths_rad)
+    if sample.rows < LEAST_ROWS:
+        return Inertia(), basis
+    joints = tuple(link.joint_name for link in setup.tree.links)
+    kinematics = find_kinematics(sample, joints, tell, start=known).kinematics
+    inertia = Inertia(kinematics.tree(joints, setup.tree.gravity), kinematics=kinematics)
+    fit = fit_terms(setup, recordings, config, nothing, inertia)
+    inertia = replace(inertia, load=CORRECTED, loads=tuple(fit.settings.corrected_links))
+    fit = fit_terms(setup, recordings, config, nothing, inertia)
+    rms = np.sqrt(np.maximum(fit.regression.whole.energy / fit.regression.whole.rows, LEAST_SQUARE))
+    with_arm, without = (float(np.sqrt(np.mean((one.error_nm / rms) ** 2))) for one in (fit, basis))
+    tell(f"error on left-out motion: {with_arm:.1%} of r with the arm found, {without:.1%} with sines and cosines")
+    return (Inertia(), basis) if (1 - FOUND_ARM_COSTS) * with_arm > without else (inertia, fit)
+
+
+def fit_terms(
+    setup: Setup,
+    recordings: Sequence[Recording],
+    config: PriorConfig,
+    ripple: Sequence[Sequence[int]],
+    inertia: Inertia,
+) -> PriorFit:
+    """All terms of the prior, with these ripples of each joint: see fit_ridge."""
+    tops = np.max([np.abs(recording.dq).max(axis=0) for recording in recordings], axis=0)
+    weighs = weighs_on(setup, recordings, inertia)
+    loads = [inertia.load if load else None for load in weighs]
+    play = inertia.play or (None,) * len(loads)
+    memory_nm = inertia.local_memory_nm or (0.0,) * len(loads)
+    own = [
+        own_terms(setup, config, j, ripple[j], loads[j], top, play[j], memory_nm[j] > 0)
+        for j, top in enumerate(tops.tolist())
+    ]
+    shared = [] if has_model(setup) or inertia.tree else shared_terms(setup)
+    return fit_ridge(setup, recordings, own, shared, inertia.tree, inertia.loads, memory_nm)

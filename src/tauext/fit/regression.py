@@ -1,0 +1,167 @@
+"""Ridge regression of all joints at once, from normal equations that are summed up once and solved many times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from tauext.fit.positive_definite import solve_within
+from tauext.fit.ties import simplest
+
+RIDGES = 10.0 ** np.arange(-7, 2.0)
+FOLDS = 5
+RIDGE_TIE = 1e-6
+"""Of the squared error by cross-validation: where the data determine everything, weak ridges differ by rounding alone,
+and the strongest of them is taken. No more, since a stronger one shows in what the data are said to determine."""
+LEAST_SQUARE = 1e-12
+"""Of a joint's r, mean square, [N m squared]: what is smaller weighs no more."""
+LEAST_RMS = 1e-9  # a regressor that never exceeds it was not excited
+
+
+@dataclass
+class NormalEquations:
+    """Of one part of the recordings: each joint's target on the columns that it can depend on.
+
+    Without a model a joint has hundreds of columns of its own and shares none: seven joints as one dense matrix would
+    be fifty times as large.
+    """
+
+    columns: tuple[np.ndarray, ...]
+    """Of each joint: which of all columns are its own or shared, rising."""
+    gram: list[np.ndarray]
+    """(columns of the joint, the same) each."""
+    moment: list[np.ndarray]
+    energy: np.ndarray  # (n,) sum of squares of each joint's target
+    rows: int
+
+    def __add__(self, other: NormalEquations) -> NormalEquations:
+        gram = [a + b for a, b in zip(self.gram, other.gram, strict=True)]
+        moment = [a + b for a, b in zip(self.moment, other.moment, strict=True)]
+        return NormalEquations(self.columns, gram, moment, self.energy + other.energy, self.rows + other.rows)
+
+    def squares(self, solution: np.ndarray) -> np.ndarray:
+        """Sum of squares that a solution leaves, (n,)."""
+        left = self.energy.copy()
+        for i, (at, gram, moment) in enumerate(zip(self.columns, self.gram, self.moment, strict=True)):
+            w = solution[at]
+            left[i] += w @ gram @ w - 2 * moment @ w
+        return left
+
+
+class Regression:
+    """minimise sum_i |y_i - X_i w|^2 / s_i^2 + ridge rows |w scaled|^2, over stretches of the recordings.
+
+    Columns are scaled to unit RMS over all stretches, s_i is the RMS of y_i. Columns that were never excited are left
+    out, as are those that `fix` gives a value or `used` shuts off. Every solution is within the bounds of `bound`.
+
+    Args:
+        equations: of each stretch, at least one; every FOLDS-th makes a fold of the cross-validation.
+    """
+
+    def __init__(self, equations: Sequence[NormalEquations]) -> None:
+        self.folds = [sum(equations[k::FOLDS][1:], start=equations[k]) for k in range(min(FOLDS, len(equations)))]
+        self.whole = sum(self.folds[1:], start=self.folds[0])
+        self._weight = 1 / np.maximum(self.whole.energy / self.whole.rows, LEAST_SQUARE)
+        width = 1 + max(int(at.max(initial=-1)) for at in self.whole.columns)
+        mean = np.zeros(width)
+        for at, gram, weight in zip(self.whole.columns, self.whole.gram, self._weight, strict=True):
+            mean[at] += weight * np.diag(gram) / self.whole.rows
+        self._scale = np.sqrt(np.maximum(mean, 0.0))
+        self.used = self._scale > LEAST_RMS
+        self._fixed = np.zeros(width)
+        self.low, self.high = np.full(width, -np.inf), np.full(width, np.inf)
+        self._groups = coupled(self.whole.columns)
+
+    def copy(self) -> Regression:
+        """The same, to be fixed otherwise."""
+        other = copy(self)
+        other.used, other._fixed = self.used.copy(), self._fixed.copy()
+        other.low, other.high = self.low.copy(), self.high.copy()
+        return other
+
+    def bound(self, columns: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+        """Keep the coefficients of these columns within these bounds, low <= high, those that are fixed, too."""
+        self.low[columns], self.high[columns] = low, high
+        self._fixed = np.clip(self._fixed, self.low, self.high)
+
+    def fix(self, column: int, value: float) -> None:
+        """Give a column's coefficient instead of finding it."""
+        self.used[column], self._fixed[column] = False, value
+
+    def solve(self, equations: NormalEquations, ridge: float) -> np.ndarray:
+        """Coefficients of all columns, (columns,)."""
+        solution = self._fixed.copy()
+        for joints in self._groups:
+            columns, gram, moment = self._scaled(equations, joints)
+            floor, scale = ridge * equations.rows * np.eye(len(gram)), self._scale[columns]
+            low, high = self.low[columns], self.high[columns]
+            found = solve_within(gram + floor, moment, low * scale, high * scale) / scale
+            solution[columns] = np.clip(found, low, high)  # scaling back may round beyond
+        return solution
+
+    def choose_ridge(self) -> tuple[float, np.ndarray]:
+        """The ridge of the least error by cross-validation over folds, and the RMSE on what was left out, (n,)."""
+        errors = {float(ridge): self._left_out(float(ridge)) for ridge in reversed(RIDGES)}
+        ridge = simplest(list(errors), lambda one: float((errors[one] * self._weight).sum()), RIDGE_TIE)
+        return ridge, np.sqrt(errors[ridge])
+
+    def score(self, ridge: float) -> float:
+        """Mean over joints of the squared error on what was left out, as a share of the target's."""
+        return float((self._left_out(ridge) * self._weight).mean())
+
+    def leave_one(self, ridge: float) -> np.ndarray:
+        """Coefficients without one fold after the other, (folds, columns)."""
+        return np.array([self.solve(self.without(k), ridge) for k in range(len(self.folds))])
+
+    def standard_errors(self, leave_one: np.ndarray) -> np.ndarray:
+        """Of every coefficient, from what `leave_one` found (jackknife), (columns,)."""
+        count = len(leave_one)
+        return np.sqrt((count - 1) / count * ((leave_one - leave_one.mean(axis=0)) ** 2).sum(axis=0))
+
+    def determined(self, ridge: float) -> np.ndarray:
+        """1 where the data alone determine a coefficient, 0 where the ridge alone does, (columns,)."""
+        shares, floor = np.zeros(len(self._scale)), ridge * self.whole.rows
+        for joints in self._groups:
+            columns, gram, _ = self._scaled(self.whole, joints)
+            shares[columns] = 1 - floor * np.diag(np.linalg.inv(gram + floor * np.eye(len(gram))))
+        return shares
+
+    def without(self, k: int) -> NormalEquations:
+        """All folds but one; with a single fold, that one."""
+        rest = [fold for j, fold in enumerate(self.folds) if j != k] or self.folds
+        return sum(rest[1:], start=rest[0])
+
+    def _scaled(self, equations: NormalEquations, joints: list[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Used columns of joints that are solved together, and their weighted equations in scaled columns."""
+        columns = np.unique(np.concatenate([equations.columns[i] for i in joints]))
+        gram, moment = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
+        for i in joints:
+            at = np.searchsorted(columns, equations.columns[i])
+            known = equations.gram[i] @ self._fixed[equations.columns[i]]
+            gram[np.ix_(at, at)] += self._weight[i] * equations.gram[i]
+            moment[at] += self._weight[i] * (equations.moment[i] - known)
+        used = self.used[columns]
+        columns = columns[used]
+        scale = self._scale[columns]
+        return columns, gram[np.ix_(used, used)] / np.outer(scale, scale), moment[used] / scale
+
+    def _left_out(self, ridge: float) -> np.ndarray:
+        total = np.zeros(len(self.whole.energy))
+        for k, fold in enumerate(self.folds):
+            total += fold.squares(self.solve(self.without(k), ridge))
+        return np.maximum(total / self.whole.rows, 0.0)
+
+
+def coupled(columns: Sequence[np.ndarray]) -> list[list[int]]:
+    """Joints in groups that share columns, directly or through others: each group is solved by itself."""
+    groups: list[tuple[list[int], set[int]]] = []
+    for joint, at in enumerate(columns):
+        joints, together = [joint], set(at.tolist())
+        for group in [g for g in groups if g[1] & together]:
+            groups.remove(group)
+            joints, together = sorted(joints + group[0]), together | group[1]
+        groups.append((joints, together))
+    return [joints for joints, _ in groups]

@@ -1,0 +1,155 @@
+r"""How a joint's friction follows its temperature: two shares a joint, found in what the prior leaves.
+
+With f_C and f_V what the prior says of a joint's friction (Coulomb's, viscous; filtered as r is) and
+k = (T - T_ref) / 10 K, least squares on the motion of training whose temperature is known:
+
+.. math:: r - \mathrm{prior} = (b_C + c_C k) f_C + (b_V + c_V k) f_V
+
+b corrects the prior's own weights, since the motion was not at T_ref on the average of every term; c are the shares.
+Both are kept where they lower the error on left-out parts of the motion, and are 0 elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from tauext import _core
+from tauext.data.recording import Recording
+from tauext.fit.prior_fit import PriorFit
+from tauext.fit.training_set import Setup
+
+COULOMB = frozenset({"coulomb", "presliding", "local_memory", "load", "load_presliding"})
+FRICTION = COULOMB | {"viscous"}
+PER_K = 0.1
+"""Shares are told for 10 K."""
+LEAST_SPREAD_K = 1.0
+"""Standard deviation of a joint's temperature over the motion: a smaller one is the sensor's."""
+BEYOND_K = 5.0
+"""So much beyond the temperatures of training the shares still hold; farther, friction is taken as it is there."""
+USUAL_SHARE = 0.3
+"""Friction changes by a third in 10 K at most: what the shares are shrunk by."""
+MEMORY_S = 0.3
+"""Errors so close together are one."""
+HELPS = 0.01
+"""A joint's shares stay where they lower the error on left-out motion by this share."""
+PARTS, LEAST_PARTS = 10, 4
+"""The motion is cut into so many parts, in order of time, of which one after the other is left out."""
+
+
+@dataclass(frozen=True)
+class Warmth:
+    """What motion of known temperature shows, at the network's rate."""
+
+    left_nm: np.ndarray  # (rows, n): r - prior
+    friction_nm: np.ndarray  # (rows, n, 2): Coulomb's, viscous
+    temperature_c: np.ndarray  # (rows, n); NaN: unknown
+    part: np.ndarray  # (rows,): which one
+    period_s: float
+
+
+def with_temperature(setup: Setup, recordings: Sequence[Recording], fit: PriorFit) -> PriorFit:
+    """The fit, whose friction follows the temperature on those joints where the motion shows that it does.
+
+    Every stand-in of `left_out` gets the same two shares and corrections: they are two numbers of all of the motion.
+    """
+    warmth = look(setup, [one for one in recordings if one.temperature is not None], fit.settings)
+    if warmth is None:
+        return fit
+    n = setup.tree.size
+    reference, reach, shares, factors = np.full(n, 20.0), np.zeros(n), np.zeros((n, 2)), np.ones((n, 2))
+    for joint in range(n):
+        temperature = warmth.temperature_c[:, joint]
+        known = np.isfinite(temperature)
+        if not known.any() or np.std(temperature[known]) < LEAST_SPREAD_K:
+            continue
+        reference[joint] = np.mean(temperature[known])
+        found = fit_joint(warmth, joint, known, reference[joint])
+        if found is None:
+            continue
+        factors[joint], shares[joint] = 1 + found[:2], found[2:] / (1 + found[:2])
+        reach[joint] = np.max(np.abs(temperature[known] - reference[joint])) + BEYOND_K
+    if not shares.any():
+        return fit
+    follows = _core.FrictionTemperature()
+    follows.reference_c, follows.reach_k = reference.tolist(), reach.tolist()
+    follows.coulomb_per_10k, follows.viscous_per_10k = shares[:, 0].tolist(), shares[:, 1].tolist()
+    for settings in (fit.settings, *(one.settings for one in fit.left_out)):
+        settings.weights = scaled_friction(settings, factors).ravel().tolist()
+        settings.temperature = follows
+    fit.weights[:] = np.array(fit.settings.weights).reshape(n, -1)
+    return fit
+
+
+def fit_joint(warmth: Warmth, joint: int, known: np.ndarray, reference_c: float) -> np.ndarray | None:
+    """(b_C, b_V, c_C, c_V) of a joint; None where they do not help on left-out motion."""
+    friction, left = warmth.friction_nm[known, joint], warmth.left_nm[known, joint]
+    warm = PER_K * (warmth.temperature_c[known, joint] - reference_c)
+    X, part = np.hstack([friction, friction * warm[:, None]]), warmth.part[known]
+    names = np.unique(part)
+    if len(names) < LEAST_PARTS:
+        return None
+    equations = [(X[part == k].T @ X[part == k], X[part == k].T @ left[part == k]) for k in names]
+    gram, moment = (sum(one[i] for one in equations) for i in (0, 1))
+    noise = np.mean((left - X @ np.linalg.lstsq(X, left, rcond=None)[0]) ** 2) * MEMORY_S / warmth.period_s
+    shrink = max(noise, 1e-12) / USUAL_SHARE**2 * np.eye(4)
+    squares = 0.0
+    for k, (own_gram, own_moment) in zip(names, equations, strict=True):
+        found = np.linalg.solve(gram - own_gram + shrink, moment - own_moment)
+        squares += float(np.sum((left[part == k] - X[part == k] @ found) ** 2))
+    if squares > (1 - HELPS) ** 2 * float(np.sum(left**2)):
+        return None
+    return np.linalg.solve(gram + shrink, moment)
+
+
+def look(setup: Setup, recordings: Sequence[Recording], settings: _core.PriorSettings) -> Warmth | None:
+    """What the recordings show; None where there is nothing."""
+    if not recordings:
+        return None
+    stride = setup.observer.network_stride
+    with ThreadPoolExecutor(min(setup.threads, 4)) as pool:
+        found = [rows for rows in pool.map(lambda one: _rows(setup, one, settings, stride), recordings) if len(rows[0])]
+    if not found:
+        return None
+    left, friction, temperature = (np.concatenate(column) for column in zip(*found, strict=True))
+    part = np.arange(len(left)) * PARTS // len(left)
+    return Warmth(left, friction, temperature, part, 1e-9 * setup.observer.sample_period_ns * stride)
+
+
+def _rows(
+    setup: Setup, recording: Recording, settings: _core.PriorSettings, stride: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+
+    def observe(prior: _core.PriorSettings) -> _core.Observation:
+        return _core.observe(setup.tree, setup.observer, *signals, prior)
+
+    whole = observe(settings)
+    rows = np.flatnonzero(whole.warm.astype(bool))[::stride]
+    model = observe(of_kinds(settings, frozenset())).prior[rows]  # of the corrected links, which are no terms
+    parts = [observe(of_kinds(settings, kinds)).prior[rows] - model for kinds in (COULOMB, frozenset({"viscous"}))]
+    assert recording.temperature is not None
+    return (whole.residual - whole.prior)[rows], np.stack(parts, axis=-1), recording.temperature[rows]
+
+
+def of_kinds(settings: _core.PriorSettings, kinds: frozenset[str]) -> _core.PriorSettings:
+    """The prior with weights of terms of these kinds alone."""
+    part = _core.PriorSettings()
+    part.widths_rad, part.branches = settings.widths_rad, settings.branches
+    part.terms, part.corrected_links = settings.terms, settings.corrected_links
+    weights = np.array(settings.weights).reshape(-1, len(settings.terms))
+    weights[:, [term.kind.name not in kinds for term in settings.terms]] = 0
+    part.weights = weights.ravel().tolist()
+    return part
+
+
+def scaled_friction(settings: _core.PriorSettings, factors: np.ndarray) -> np.ndarray:
+    """The prior's weights with those of each joint's own friction times these factors of its two parts, (n, terms)."""
+    weights = np.array(settings.weights).reshape(-1, len(settings.terms))
+    for m, term in enumerate(settings.terms):
+        if term.kind.name in FRICTION:
+            weights[term.a, m] *= factors[term.a, 0 if term.kind.name in COULOMB else 1]
+    return weights

@@ -1,0 +1,172 @@
+"""Windows and targets for training, read in place from the recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from tauext import _core
+from tauext.config import warm_up_s
+from tauext.data.recording import Recording
+from tauext.errors import TrainingError
+
+
+class TooShort(TrainingError):
+    """Recordings that are too short for the windows or sequences of a network."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a training sets up before its network: estimated model, observer, length of the window, and prior."""
+
+    tree: _core.Tree
+    observer: _core.ObserverSettings
+    window_steps: int
+    prior: _core.PriorSettings = field(default_factory=_core.PriorSettings)  # none: as in the paper
+    threads: int = 1
+    """That fits take; what they find does not depend on it."""
+
+    @property
+    def widths_rad(self) -> list[float]:
+        """Of the presliding states."""
+        return self.prior.widths_rad
+
+    @property
+    def columns(self) -> int:
+        """Of the feature rows: q, dq and the presliding states of every joint."""
+        return self.tree.size * (2 + len(self.widths_rad))
+
+    @property
+    def inputs(self) -> list[tuple[int, int]]:
+        """(column, lag) of each network input: q(k), dq(k) and the presliding states, then dq(k-1), as in the paper."""
+        n = self.tree.size
+        return [(c, 0) for c in range(self.columns)] + [(c, 1) for c in range(n, 2 * n)]
+
+    @property
+    def warm_up_s(self) -> float:
+        """Of the observer and its filters, [s]."""
+        return warm_up_s(self.observer.gain_per_s, self.observer.low_pass_per_s)
+
+    @property
+    def reach(self) -> int:
+        """Network steps before its last one that a window needs: its length, since one input lags by one step."""
+        return self.window_steps
+
+
+def with_presliding(setup: Setup, widths_rad: Sequence[float], branches: Sequence[float] = ()) -> Setup:
+    """The setup with presliding states of these widths and branches, and no prior yet."""
+    prior = _core.PriorSettings()
+    prior.widths_rad, prior.branches = list(widths_rad), list(branches)
+    return replace(setup, prior=prior)
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Factors that bring inputs and outputs to magnitude 1 over the training recordings."""
+
+    input_factors: np.ndarray  # (columns,) float32, 1/rad, s/rad; 1 for presliding states
+    output_scale_nm: np.ndarray  # (n,) float64
+
+
+@dataclass(frozen=True)
+class WindowSet:
+    """Rows at the network period of several recordings one after the other, and the windows that may end in them."""
+
+    rows: np.ndarray  # (rows, columns) float32, scaled
+    target_rows: np.ndarray  # (rows, n) float32, scaled: observer minus prior; NaN where a row has no target
+    ends: np.ndarray  # (windows,) int64: the row that ends each window
+    first_rows: np.ndarray  # (windows,) int64: the first row of the stretch that each window stands in
+
+    @property
+    def windows(self) -> int:
+        return len(self.ends)
+
+
+def find_scaling(setup: Setup, recordings: Sequence[Recording]) -> Scaling:
+    """Largest magnitude of every input column and, after the observer's warm-up, of every output.
+
+    Raises:
+        TrainingError: a residual that is constant (nothing to learn), or no recording longer than the warm-up.
+    """
+    n = setup.tree.size
+    largest = np.zeros(2 * n)
+    low, high = np.full(n, np.inf), np.full(n, -np.inf)
+    for recording in recordings:
+        observation = _observe(setup, recording)
+        residual = remainder(observation)[observation.warm.astype(bool)]
+        largest = np.maximum(largest, np.abs(np.hstack([recording.q, recording.dq])).max(axis=0))
+        if len(residual):
+            low, high = np.minimum(low, residual.min(axis=0)), np.maximum(high, residual.max(axis=0))
+    if not np.isfinite(low).all():
+        raise TrainingError(f"no training recording is longer than the observer's warm-up of {setup.warm_up_s:g} s")
+    for joint, (a, b) in enumerate(zip(low, high, strict=True)):
+        # e^-10 of the first residual is still fading out where the warm-up ends.
+        if b - a <= 1e-6 + 1e-4 * max(abs(a), abs(b)):
+            name = recordings[0].joints[joint]
+            raise TrainingError(
+                f"joint '{name}': the observer's residual is constant ({a:g} Nm) over all training recordings, so "
+                "there is nothing to learn; is its torque recorded, and does the arm move?"
+            )
+    factors = 1.0 / np.where(largest > 0, largest, 1.0)
+    factors = np.r_[factors, np.ones(setup.columns - 2 * n)]
+    return Scaling(factors.astype(np.float32), np.maximum(np.abs(low), np.abs(high)))
+
+
+def build_windows(setup: Setup, scaling: Scaling, recordings: Sequence[Recording]) -> WindowSet:
+    """All windows of one phase: their ends lie a network period apart, counted from the start of each stretch.
+
+    The observer's warm-up and windows that would reach across a restart are left out; ticks that only hold an older
+    sample are never targets.
+
+    Raises:
+        TrainingError: no recording holds a whole window.
+    """
+    stride, n = setup.observer.network_stride, setup.tree.size
+    rows, target_rows, ends, first_rows, offset = [], [], [], [], 0
+    for recording in recordings:
+        observation = _observe(setup, recording)
+        features = _core.feature_rows(
+            observation, recording.t_ns, recording.q, recording.dq, recording.tau, scaling.input_factors
+        )
+        row, begin = observation.row, observation.stretch_begin
+        stretches = np.unique(begin)
+        # Network rows: every stride-th tick of each stretch; first network row of each stretch.
+        bounds = np.append(stretches, observation.row_count)
+        network_rows = np.concatenate([np.arange(a, b, stride) for a, b in zip(bounds[:-1], bounds[1:], strict=True)])
+        first_network_row = np.searchsorted(network_rows, stretches)
+        steps, phase = np.divmod(row - begin, stride)
+        first = first_network_row[np.searchsorted(stretches, begin)]
+        has_target = (phase == 0) & observation.warm.astype(bool)
+        targets = np.full((len(network_rows), n), np.nan, dtype=np.float32)
+        targets[(first + steps)[has_target]] = remainder(observation)[has_target] / scaling.output_scale_nm
+        usable = has_target & (steps >= setup.reach)
+        rows.append(features[network_rows])
+        target_rows.append(targets)
+        ends.append((first + steps)[usable] + offset)
+        first_rows.append(first[usable] + offset)
+        offset += len(network_rows)
+    result = WindowSet(
+        np.ascontiguousarray(np.concatenate(rows)),
+        np.concatenate(target_rows),
+        np.concatenate(ends).astype(np.int64),
+        np.concatenate(first_rows).astype(np.int64),
+    )
+    if result.windows == 0:
+        needed = setup.reach * stride * setup.observer.sample_period_ns * 1e-9
+        raise TooShort(
+            f"no recording holds a whole window: {needed:g} s after the observer's warm-up of {setup.warm_up_s:g} s "
+            "are needed"
+        )
+    return result
+
+
+def remainder(observation: _core.Observation) -> np.ndarray:
+    """What is left of r for the network: (samples, n), [N m]."""
+    return observation.residual - observation.prior if observation.prior.size else observation.residual
+
+
+def _observe(setup: Setup, recording: Recording) -> _core.Observation:
+    signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+    return _core.observe(setup.tree, setup.observer, *signals, setup.prior, recording.temperature)

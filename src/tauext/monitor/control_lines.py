@@ -1,0 +1,172 @@
+"""Lines of text that steer the loop: from stdin, or from whoever connects to a socket in the file system."""
+
+from __future__ import annotations
+
+import os
+import socket
+import stat
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import TextIO
+
+from tauext.errors import ConfigError, TauextError
+from tauext.monitor.loads import expected_of_text, load_and_ago_of_text
+from tauext.monitor.sink import USUAL_REACH_M, Control
+
+LONGEST = 1000
+MOST_CONNECTIONS = 8
+"""More than programs and people that steer one arm; beyond it the one that was silent longest gives way."""
+UNHEARD_S = 5.0
+"""One that has said nothing yet counts as silent for so much longer: several may come before a speaker's next line."""
+RETRY_S = 0.1
+USAGE = (
+    "`profile NAME`, `acknowledge`, `resume`, `load mass=KG com=X,Y,Z`, `load none`, `expect seconds=S at_most=KG`, "
+    "`weigh [tell|stop]` or `stop`"
+)
+
+
+def obey(line: str, control: Control, by: str) -> str:
+    """Do what one line asks for; `ok`, or `error: ...`."""
+    what, _, name = line.strip().partition(" ")
+    try:
+        if what == "profile" and name.strip():
+            control.use_profile(name.strip(), by)
+        elif what == "acknowledge" and not name:
+            control.acknowledge(by)
+        elif what == "resume" and not name:
+            control.resume(by)
+        elif what == "load" and name.strip():
+            load, ago_s = load_and_ago_of_text(name)
+            control.set_load(load, by, ago_s)
+        elif what == "expect" and name.strip():
+            control.expect_load(expected_of_text(name), by)
+        elif what == "weigh" and name.strip() in ("tell", "stop"):
+            control.weigh(name.strip(), by)
+        elif what == "weigh":
+            control.weigh("start", by, reach_of_text(name.strip()))
+        elif what == "stop" and not name:
+            control.stop(by)
+        else:
+            return f"error: {line.strip()[:60]!r} must be {USAGE}"
+    except TauextError as error:
+        return f"error: {error}"
+    except ReferenceError:
+        return "error: the monitor has ended"
+    return "ok"
+
+
+def reach_of_text(text: str) -> float:
+    """Of `reach=0.4`, [m]; the usual one of an empty text."""
+    if not text:
+        return USUAL_REACH_M
+    name, _, number = text.partition("=")
+    with suppress(ValueError):
+        if name == "reach":
+            return float(number)
+    raise ConfigError(f"weigh: {text[:60]!r} must be `reach=METRES`, `tell`, `stop` or nothing")
+
+
+def obey_lines(lines: TextIO, control: Control, by: str = "stdin", answers: TextIO | None = None) -> threading.Thread:
+    """Obey line after line in a thread, until there are no more; what went wrong goes to answers, stderr by default."""
+
+    def work() -> None:
+        for line in lines:
+            said = obey(line, control, by) if line.strip() else "ok"
+            if said != "ok":
+                print(f"tauext: {said}", file=answers or sys.stderr, flush=True)
+
+    thread = threading.Thread(target=work, name="control lines", daemon=True)
+    thread.start()
+    return thread
+
+
+class ControlSocket:
+    """A socket at this path; every line that comes is obeyed and answered by a line. Only its owner may connect."""
+
+    def __init__(self, path: Path, control: Control):
+        """Raises ConfigError where there can be no socket, or another monitor listens there."""
+        self._path, self._control = path, control
+        self._spoke: dict[socket.socket, float] = {}
+        """When each connection said something last, by time.monotonic(); UNHEARD_S before it came if it never did."""
+        self._changing = threading.Lock()
+        self._closed = False
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            if path.exists() and stat.S_ISSOCK(path.stat().st_mode) and not listened_to(path):
+                path.unlink()  # of a monitor that was killed
+            before = os.umask(0o177)
+            try:
+                self._socket.bind(str(path))
+            finally:
+                os.umask(before)
+            self._socket.listen()
+        except OSError as error:
+            self._socket.close()
+            raise ConfigError(f"{path}: no control socket ({error.strerror or error})") from error
+        threading.Thread(target=self._work, name="control socket", daemon=True).start()
+
+    def close(self) -> None:
+        """Nobody can connect any more, and the path is free."""
+        self._closed = True
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+        self._path.unlink(missing_ok=True)
+
+    def _work(self) -> None:
+        while True:
+            try:
+                connection, _ = self._socket.accept()
+            except OSError:
+                if self._closed:
+                    return
+                time.sleep(RETRY_S)  # no descriptor is free: somebody else's connections end, too
+                continue
+            self._make_room()
+            with self._changing:
+                self._spoke[connection] = time.monotonic() - UNHEARD_S
+            threading.Thread(target=self._serve, args=(connection,), name="control", daemon=True).start()
+
+    def _make_room(self) -> None:
+        """Close whoever was silent longest, where there are too many: who comes is never locked out."""
+        with self._changing:
+            while len(self._spoke) >= MOST_CONNECTIONS:
+                silent = min(self._spoke, key=self._spoke.__getitem__)
+                del self._spoke[silent]
+                with suppress(OSError):
+                    silent.shutdown(socket.SHUT_RDWR)
+
+    def _serve(self, connection: socket.socket) -> None:
+        try:
+            self._converse(connection)
+        finally:
+            with self._changing:
+                self._spoke.pop(connection, None)
+
+    def _converse(self, connection: socket.socket) -> None:
+        # Two files: writing to one that is read, too, drops what was read ahead.
+        with (
+            suppress(OSError, UnicodeDecodeError),
+            connection,
+            connection.makefile("r", encoding="utf-8", newline="\n") as lines,
+            connection.makefile("w", encoding="utf-8") as answers,
+        ):
+            while line := lines.readline(LONGEST):
+                with self._changing:
+                    if connection in self._spoke:
+                        self._spoke[connection] = time.monotonic()
+                answers.write(obey(line, self._control, "control socket") + "\n")
+                answers.flush()
+
+
+def listened_to(path: Path) -> bool:
+    """Whether someone listens at this socket."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
+        try:
+            trial.connect(str(path))
+        except OSError:
+            return False
+        return True

@@ -1,0 +1,170 @@
+"""What a leader's motors give a hand to feel of what the follower touches: nothing in free motion, never energy."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from tauext.errors import ConfigError
+from tauext.monitor.energy_tank import EnergyTank, TankSettings
+
+PerJoint = float | tuple[float, ...]
+"""One number for all joints, or one a joint."""
+
+
+@dataclass(frozen=True)
+class FeedbackSettings:
+    """How tau_ext of the follower becomes torque of the leader; where one number stands, it holds for every joint."""
+
+    gain: PerJoint = 1.0
+    """Torque of the leader over what is felt of tau_ext: [N m] over its unit; negative where the leader's joint turns
+    the other way."""
+    cap_nm: PerJoint = 0.5
+    """Most torque of the leader's motors, [N m]: a hand that holds the arm by two fingers can give way to it."""
+    dead_band_sigmas: PerJoint = 8.0
+    """Of tau_ext so many standard errors are not felt: errors of friction have heavier tails than Gauss's, so
+    `free_motion_sigmas` says how many an arm needs."""
+    least_dead_band: PerJoint = 0.0
+    """And no less than this, in the unit of tau_ext; the whole dead band where sigma is 0."""
+    dead_band_fade_s: float = 0.1
+    """Time constant with which the dead band narrows, [s]; it widens at once. sigma falls as soon as the motion is
+    surer, but the observer still holds the error from before, for 1/K0."""
+    slew_nm_s: PerJoint = 10.0
+    """Fastest change of the torque, [N m/s]; also how it fades when a fault comes."""
+    damping_nm_s_rad: PerJoint = 0.0
+    """Resistance to the leader's motion where something is felt, in full from the cap on, [N m s/rad]."""
+    tank_j: float = 0.03
+    """Energy that the motors may give at first and keep at most, [J]: what a release may push back at once."""
+    friction_nm: PerJoint = 0.0
+    """Friction of the leader's gears that is always there, [N m]: what it takes, the motors may give."""
+    acceleration_rad_s2: float = 20.0
+    """Most acceleration of a leader's joint in a hand, [rad/s^2]; a rougher motion makes the feedback fade."""
+    rest_w: float = 0.002
+    """Power that flows into the tank while the leader rests, [W]: so that a steady press is felt in full; 0: none."""
+    rest_s: float = 0.25
+    """Time without motion after which it rests, [s]: longer than an oscillation stands still when it turns round."""
+    rest_rad: float = 0.005
+    """What is no motion, [rad]: three steps of a 12-bit encoder."""
+
+    def __post_init__(self) -> None:
+        positive = ("cap_nm", "dead_band_fade_s", "slew_nm_s", "tank_j", "acceleration_rad_s2", "rest_s", "rest_rad")
+        for field in fields(self):
+            value = getattr(self, field.name)
+            numbers = value if isinstance(value, tuple) else (value,)
+            if field.name == "gain":
+                ok, rule = all(math.isfinite(v) and v != 0 for v in numbers), "finite and not 0"
+            elif field.name in positive:
+                ok, rule = all(0 < v < math.inf for v in numbers), "> 0 and finite"
+            else:
+                ok, rule = all(0 <= v < math.inf for v in numbers), ">= 0 and finite"
+            if not ok or not numbers:
+                raise ConfigError(f"{field.name} = {value} must be {rule}")
+
+    def of_joints(self, name: str, joints: int) -> np.ndarray:
+        """The setting `name` as an array, (joints,); ConfigError where it has another count."""
+        value = np.array(getattr(self, name), dtype=float)
+        if value.ndim and len(value) != joints:
+            raise ConfigError(f"{name} has {len(value)} values and the arm {joints} joints: give one, or one a joint")
+        return np.broadcast_to(value, (joints,)).copy()
+
+
+class LeaderFeedback:
+    r"""Torque for a leader's motors, a tick at a time, from what the monitor says of the follower.
+
+    .. math::
+        w_k &= \max(k \sigma, b, w_{k-1} e^{-\Delta t / T}), \quad f = sign(\tau_{ext}) \max(0, |\tau_{ext}| - w_k) \\
+        u^* &= clip(g f, \pm c), \quad d = u^* - D \dot q |u^*| / c \\
+        u_k &= tank(u_{k-1} + clip(d - u_{k-1}, \pm s \Delta t))
+
+    f is continuous in tau_ext: at the edge w of the dead band it begins at 0. The tank (EnergyTank) makes what is left
+    passive at the hand, so that no delay and no wall can make it oscillate with growing amplitude. **Sign:** with a
+    positive gain the hand is pushed where the surroundings push the follower.
+
+    A fault never jumps: while the arm is not healthy, or tau_ext or sigma of a joint is NaN, the torque goes to 0 at
+    the slew rate. Only a leader whose position is not known gets 0 at once, since its energy cannot be observed.
+    """
+
+    def __init__(self, joints: int, settings: FeedbackSettings = FeedbackSettings()):
+        """ConfigError where a setting has another number of joints."""
+        self._joints = joints
+        self._gain, self._cap = settings.of_joints("gain", joints), settings.of_joints("cap_nm", joints)
+        self._sigmas = settings.of_joints("dead_band_sigmas", joints)
+        self._least = settings.of_joints("least_dead_band", joints)
+        self._slew = settings.of_joints("slew_nm_s", joints)
+        self._damping = settings.of_joints("damping_nm_s_rad", joints)
+        self.tank = EnergyTank(
+            TankSettings(
+                settings.tank_j,
+                settings.of_joints("friction_nm", joints),
+                settings.acceleration_rad_s2,
+                settings.rest_w,
+                settings.rest_s,
+                settings.rest_rad,
+            )
+        )
+        """What the motors may still give, and what they gave."""
+        self.torque_nm = np.zeros(joints)
+        """What the motors were last told to hold, (joints,), [N m]."""
+        self._q: np.ndarray | None = None
+        self._band, self._fade_s = self._least.copy(), settings.dead_band_fade_s
+
+    def step(
+        self, tau_ext: np.ndarray, sigma: np.ndarray, q_leader: np.ndarray, dt_s: float, healthy: bool = True
+    ) -> np.ndarray:
+        """The torque to hold until the next tick, (joints,), [N m].
+
+        Args:
+            tau_ext: of the follower as it is known now, however late: (joints,), in a unit that the gain makes N m of.
+            sigma: its standard error in free motion (Estimate.sigma_nm), the same unit.
+            q_leader: where the leader is now, (joints,), [rad]; the velocity is its difference: what a held torque gave
+                the hand follows from positions exactly, from a velocity of its own estimate it does not.
+            dt_s: since the last call, [s]; the next one is taken to come as soon.
+            healthy: the monitor's health is ok.
+
+        Raises:
+            ConfigError: dt_s is not a positive number, or an array has another number of joints.
+        """
+        tau_ext, sigma, q = (np.asarray(v, dtype=float) for v in (tau_ext, sigma, q_leader))
+        for name, value in (("tau_ext", tau_ext), ("sigma", sigma), ("q_leader", q)):
+            if value.shape != (self._joints,):
+                raise ConfigError(f"{name} has shape {value.shape} and must have ({self._joints},)")
+        if not 0 < dt_s < math.inf:
+            raise ConfigError(f"dt_s = {dt_s} must be > 0 and finite")
+        self.tank.settle(q, dt_s)
+        wished = np.clip(self._gain * self._felt(tau_ext, sigma, dt_s), -self._cap, self._cap)
+        velocity = (q - self._q) / dt_s if self._q is not None else np.zeros(self._joints)
+        self._q = q.copy()
+        wished = wished - self._damping * np.nan_to_num(velocity) * np.abs(wished) / self._cap
+        wished = np.where(np.isfinite(wished) & healthy, np.clip(wished, -self._cap, self._cap), 0.0)
+        most = self._slew * dt_s
+        slewed = self.torque_nm + np.clip(wished - self.torque_nm, -most, most)
+        self.torque_nm = self.tank.hold(slewed, dt_s)
+        return self.torque_nm.copy()
+
+    def _felt(self, tau_ext: np.ndarray, sigma: np.ndarray, dt_s: float) -> np.ndarray:
+        """tau_ext beyond its dead band, (joints,), in its unit; NaN where either is."""
+        narrowed = np.maximum(self._band * math.exp(-dt_s / self._fade_s), self._least)
+        self._band = np.fmax(self._sigmas * sigma, narrowed)  # a NaN leaves it
+        beyond = np.maximum(np.abs(tau_ext) - self._band, 0)
+        return np.where(np.isnan(sigma), np.nan, np.sign(tau_ext) * beyond)
+
+
+def free_motion_sigmas(tau_ext: np.ndarray, sigma: np.ndarray, margin: float = 1.5) -> tuple[float, ...]:
+    """How many standard errors each joint's dead band needs: the most that free motion showed, times a margin.
+
+    Args:
+        tau_ext: of free motion that training did not see, (samples, joints); rows with NaN are left out.
+        sigma: its standard error there, (samples, joints).
+
+    Raises:
+        ConfigError: no sample has both.
+    """
+    known = np.isfinite(tau_ext) & np.isfinite(sigma) & (sigma > 0)
+    if not known.any(axis=0).all():
+        raise ConfigError(
+            "the dead band needs samples of every joint with tau_ext and its standard error: there are none"
+        )
+    times = np.where(known, np.abs(tau_ext) / np.where(known, sigma, 1.0), 0.0)
+    return tuple(float(most) for most in margin * times.max(axis=0))

@@ -1,0 +1,377 @@
+"""The live loop: a sample in, the monitor's verdict out to sinks and reactions; nobody's delay is the monitor's."""
+
+from __future__ import annotations
+
+import gc
+import math
+import queue
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tauext import _core
+from tauext.bundle.units import not_in_newtons
+from tauext.config import require
+from tauext.errors import ConfigError
+from tauext.monitor.changes import COLLISION, Change, ChangeFinder, LoadChange, WeighChange
+from tauext.monitor.events import EventFinder
+from tauext.monitor.latency import Latencies
+from tauext.monitor.loads import Expected
+from tauext.monitor.places import PlaceFinder
+from tauext.monitor.profiles import Profile, Profiles
+from tauext.monitor.reactions import Reactions
+from tauext.monitor.real_time import ask_for_real_time
+from tauext.monitor.servo_stage import ServoStage
+from tauext.monitor.sink import USUAL_REACH_M, LoopReport, Sink, Verdict
+from tauext.monitor.source import Sample, Source, SourceSettings
+
+IDLE_S = 0.1
+"""Requests are looked at this often while no sample comes."""
+SWITCH_S = 0.0005
+"""Another thread of this process may hold the interpreter for so long, [s]; Python's own 5 ms are five samples."""
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """How the loop treats time and alarms."""
+
+    own_rate: bool = False
+    """The network at its own rate, for slow processors."""
+    missing_after_s: float | None = None
+    """A sample that has not come so long after the one before it is missing, [s]; None: two periods, or a period and
+    2 ms where that is more."""
+    acknowledge_after_s: float | None = None
+    """A collision is acknowledged so long after it was raised, by the source's clock, [s]; None: only when asked to."""
+    duration_s: float | None = None
+    """End after so long, [s]; None: not before the source, or when asked to."""
+    core: int | None = None
+    """Pin the loop, and what the source starts, to this core."""
+    priority: int | None = None
+    """And give them this real-time priority."""
+    wrench: str | None = None
+    """A frame that the force of a touch is told at, too; None: none."""
+
+
+@dataclass(frozen=True)
+class ProfileSwitch:
+    """Another profile from the next sample on."""
+
+    t_ns: int | None
+    """Of the sample before it, by the source's clock, [ns]; None: none has come yet."""
+    by: str
+    old: str
+    new: str
+
+
+class Loop:
+    """Runs a bundle's monitor on a source until that ends, someone stops it, or Ctrl-C does.
+
+    The control of the loop (use_profile, acknowledge, resume, set_load, weigh, stop) may be called by any thread.
+    """
+
+    def __init__(
+        self,
+        bundle: _core.Bundle,
+        source: Source,
+        sinks: Sequence[Sink] = (),
+        reactions: Reactions | None = None,
+        profiles: Profiles | None = None,
+        recorder: _core.FlightRecorder | None = None,
+        settings: LoopSettings = LoopSettings(),
+    ):
+        """recorder: gets every sample, and NaN for a missing one; someone else takes its flights."""
+        self.monitor = _core.Monitor(bundle, settings.own_rate)
+        self.joints = tuple(self.monitor.joint_names)
+        self.sinks = list(sinks)
+        """Told of every verdict in this order; to be added to before run()."""
+        self.note: Callable[[str], None] = lambda text: None
+        """Called in the loop's thread with what a person should know; to be set before run(), as is switched."""
+        self.switched: Callable[[ProfileSwitch], None] = lambda switch: None
+        """The same with every new profile."""
+        self.tick = Latencies()
+        """From a sample's reception until every sink was told."""
+        self.missing = self.samples = 0
+        self._bundle, self._source, self._reactions = bundle, source, reactions or Reactions()
+        self._servo = ServoStage(bundle.servo) if bundle.servo.on else None
+        self._profiles, self._recorder = profiles, recorder
+        self._profile: Profile | None = None
+        self._settings = settings
+        self._requests: queue.SimpleQueue[tuple[str, str, str]] = queue.SimpleQueue()
+        self._reaches: queue.SimpleQueue[float] = queue.SimpleQueue()
+        self._loads: queue.SimpleQueue[tuple[_core.Load, float | None]] = queue.SimpleQueue()
+        self._expected: queue.SimpleQueue[Expected] = queue.SimpleQueue()
+        for profile in profiles.by_name.values() if profiles else ():
+            if profile.load is not None and (reason := self.monitor.why_no_load(profile.load)):
+                raise ConfigError(f"profile {profile.name}: {reason}")
+            if profile.expect is not None and (reason := self._why_not(profile.expect)):
+                raise ConfigError(f"profile {profile.name}: {reason}")
+        self._changes, self._places = ChangeFinder(), PlaceFinder(bundle, settings.wrench)
+        for rule in [thread.reaction for thread in self._reactions.threads] if self._places.refused else []:
+            if rule.links is not None or rule.newtons_over is not None:
+                raise ConfigError(f"reaction {rule.name!r}: where a touch is cannot be told: {self._places.refused}")
+        self._events = EventFinder(self.joints, {"bundle": bundle.name, "source": source.name})
+        self._left_out = not_in_newtons(self.joints, bundle.estimate_units)
+        self._noted: list[Change] = []
+        self._due_ns: int | None = None
+        self._last: Sample | None = None
+        self._stopped = False
+        period_s = self.monitor.sample_period_ns * 1e-9
+        self._missing_after_s = settings.missing_after_s or period_s + max(period_s, 0.002)
+        self._second = Latencies()
+
+    # Control: any thread.
+
+    def use_profile(self, name: str, by: str) -> None:
+        """Change to this profile before the next sample."""
+        if self._profiles is None:
+            raise ConfigError(f"profile {name!r}: there are none; `tauext monitor --profiles FILE` reads some")
+        self._profiles.named(name)
+        self._requests.put(("profile", name, by))
+
+    def acknowledge(self, by: str) -> None:
+        """End a latched alarm before the next sample."""
+        self._requests.put(("acknowledge", "", by))
+
+    def resume(self, by: str) -> None:
+        """The same where nothing touches the arm any more and it is to move on: _core.Monitor.resume()."""
+        self._requests.put(("resume", "", by))
+
+    def set_load(self, load: _core.Load, by: str, ago_s: float | None = None) -> None:
+        """Take the arm to carry this from the next sample on, or as if it had been told so long before the last one."""
+        if reason := self.monitor.why_no_load(load, None if ago_s is None else 0):
+            raise ConfigError(reason)
+        self._loads.put((load, ago_s))
+        self._requests.put(("load", "", by))
+
+    def expect_load(self, expected: Expected, by: str) -> None:
+        """The gripper closes or opens: Monitor.expect_load() before the next sample."""
+        if reason := self._why_not(expected):
+            raise ConfigError(reason)
+        self._expected.put(expected)
+        self._requests.put(("expect", "", by))
+
+    def _why_not(self, expected: Expected) -> str:
+        return self.monitor.why_not_expected(expected.seconds, expected.at_most_kg)
+
+    def weigh(self, what: str, by: str, reach_m: float = USUAL_REACH_M) -> None:
+        """Weigh what the arm carries, tell what was found so far, or end it: see Control."""
+        if reason := self.monitor.why_no_weighing():
+            raise ConfigError(reason)
+        require(1e-3 <= reach_m <= 100, "reach", reach_m, "0.001 to 100 m, how far away a load's centre of mass may be")
+        self._reaches.put(reach_m)
+        self._requests.put(("weigh", what, by))
+
+    def stop(self, by: str) -> None:
+        """End the loop before the next sample."""
+        self._requests.put(("stop", "", by))
+
+    @property
+    def profile(self) -> Profile | None:
+        """The one that holds now."""
+        return self._profile
+
+    # The loop: one thread.
+
+    def run(self) -> None:
+        """Open the source and all sinks, run, and close them, whatever happens.
+
+        Raises:
+            KeyboardInterrupt: Ctrl-C, after everything was closed.
+            ConfigError: the source cannot be opened.
+        """
+        opened: list[Sink] = []
+        interval = sys.getswitchinterval()
+        try:
+            if self._profiles is not None:
+                self._switch(self._profiles.start, "start")
+            for sink in self.sinks:
+                sink.open(self.joints, self)
+                opened.append(sink)
+            for text in ask_for_real_time(self._settings.core, self._settings.priority):
+                self.note(text)
+            timing, units = self._bundle.observer.timing.name, tuple(self._bundle.torque_units)
+            period_ns, servo = self.monitor.sample_period_ns, self._bundle.servo
+            tolerance = self._bundle.rate_tolerance
+            self._source.open(SourceSettings(self.joints, period_ns, units, timing, servo, tolerance))
+            sys.setswitchinterval(SWITCH_S)
+            gc.collect()
+            gc.freeze()  # what is there stays; collections during the loop look at what came since
+            self._run()
+        finally:
+            gc.unfreeze()
+            sys.setswitchinterval(interval)
+            self._source.close()
+            self._tell_notes()
+            self._reactions.end()
+            for sink in opened:
+                try:
+                    sink.close()
+                except Exception as error:
+                    self.note(f"{type(sink).__name__} did not end well: {type(error).__name__}: {error}")
+
+    def _run(self) -> None:
+        started = second = time.monotonic()
+        due = math.inf
+        before = 0
+        while not self._source.ended:
+            self._requested()
+            if self._stopped:
+                return
+            now = time.monotonic()
+            sample = self._source.next_sample(max(0.0, min(due - now, second + 1 - now, IDLE_S)))
+            if sample is not None:
+                self._sample(sample)
+                due = sample.received_ns * 1e-9 + self._missing_after_s
+            else:
+                now = time.monotonic()
+                if now >= due and self._last is not None and not self._source.ended:
+                    due = now + self._missed(now)
+            now = time.monotonic()
+            if now >= second + 1:
+                self._report((self.samples - before) / (now - second))
+                second, before = now, self.samples
+            if self._settings.duration_s is not None and now >= started + self._settings.duration_s:
+                return
+
+    def _sample(self, sample: Sample) -> None:
+        if self._servo is not None:
+            sample = self._servo.made(sample)
+        self._acknowledge_when_due(sample.t_ns)
+        if sample.temperature is not None:
+            self.monitor.set_temperature(sample.temperature)
+        said = self.monitor.run(
+            np.array([sample.t_ns]), sample.q[None], sample.dq[None], sample.tau[None], self._recorder
+        )
+        self._last = sample
+        self._tell(sample.t_ns, sample, said)
+        self.samples += 1
+        ns = time.monotonic_ns() - sample.received_ns
+        self.tick.add(ns)
+        self._second.add(ns)
+
+    def _missed(self, now: float) -> float:
+        """Tell the monitor that no sample came; after how long to look again, [s]: ever longer while none comes."""
+        assert self._last is not None  # silence is counted from a sample
+        self.missing += 1
+        silent_s = now - self._last.received_ns * 1e-9
+        t_ns = self._last.t_ns + round(silent_s * 1e9)
+        self._acknowledge_when_due(t_ns)
+        self._tell(t_ns, None, self.monitor.run_missing(t_ns, self._recorder))
+        return max(self.monitor.sample_period_ns * 1e-9, min(IDLE_S, silent_s / 10))
+
+    def _tell(self, t_ns: int, sample: Sample | None, said: dict[str, np.ndarray]) -> None:
+        """Changes, then events to reactions, which must not wait, then the verdict to sinks."""
+        if not self.samples:  # what was told before the first sample holds from there on
+            told = LoadChange | WeighChange
+            self._noted = [replace(one, t_ns=t_ns) if isinstance(one, told) else one for one in self._noted]
+        at = np.array([t_ns])
+        changes = self._noted + self._changes.find(self.samples, at, said)
+        if sample is not None:
+            changes += self._places.find(self.samples, at, sample.q[None], sample.dq[None], said)
+        self._noted = []
+        verdict = Verdict(self.samples, t_ns, sample, said, tuple(changes))
+        for event in self._events.find(verdict):
+            self._reactions.put(event)
+        if said["alarm"][0] == COLLISION and self._settings.acknowledge_after_s is not None:
+            self._due_ns = self.monitor.last.alarm_t_ns + round(self._settings.acknowledge_after_s * 1e9)
+        for sink in tuple(self.sinks):
+            try:
+                sink.verdict(verdict)
+            except Exception as error:
+                self._lose(sink, error)
+
+    def _report(self, rate_hz: float) -> None:
+        """Once a second."""
+        quantiles = (self._second.quantile_us(0.5), self._second.quantile_us(0.99))
+        longest = self._second.max_ns * 1e-3 if self._second.count else math.nan
+        name = self._profile.name if self._profile else ""
+        counts = replace(self._source.counts)
+        now_ns = time.monotonic_ns()
+        report = LoopReport(now_ns, self.samples, self.missing, rate_hz, counts, *quantiles, longest, name)
+        self._second = Latencies()
+        self._tell_notes()
+        for sink in tuple(self.sinks):
+            try:
+                sink.every_second(report)
+            except Exception as error:
+                self._lose(sink, error)
+
+    def _lose(self, sink: Sink, error: Exception) -> None:
+        self.sinks.remove(sink)
+        self.note(f"{type(sink).__name__} is left out from here on: {type(error).__name__}: {error}")
+
+    def _tell_notes(self) -> None:
+        for text in self._source.notes():
+            self.note(text)
+
+    # What was asked for.
+
+    def _requested(self) -> None:
+        while not self._requests.empty():
+            what, name, by = self._requests.get()
+            if what == "profile":
+                self._switch(name, by)
+            elif what == "acknowledge":
+                self.note(f"acknowledged by {by}")
+                self._end_alarm(self.monitor.acknowledge)
+            elif what == "load":
+                self._carry(*self._loads.get(), by)
+            elif what == "expect":
+                self._expect(self._expected.get(), by)
+            elif what == "weigh":
+                self._weigh(name, self._reaches.get(), by)
+            elif what == "resume":
+                self.note(f"resumed by {by}")
+                self._end_alarm(self.monitor.resume)
+            else:
+                self.note(f"stopped by {by}")
+                self._stopped = True
+
+    def _switch(self, name: str, by: str) -> None:
+        assert self._profiles is not None  # or use_profile() had refused it
+        old, new = self._profile, self._profiles.named(name)
+        self._profile = new
+        self.monitor.set_limit_factors(new.collision, new.contact)
+        if new.load is not None:
+            self._carry(new.load, None, f"profile {name}")
+        if new.expect is not None:
+            self._expect(new.expect, f"profile {name}")
+        last_ns = self._last.t_ns if self._last else None
+        self.switched(ProfileSwitch(last_ns, by, old.name if old else "", name))
+
+    def _expect(self, expected: Expected, by: str) -> None:
+        self.monitor.expect_load(expected.seconds, expected.at_most_kg)
+        self.note(f"a load of at most {expected.at_most_kg:g} kg is expected for {expected.seconds:g} s, by {by}")
+
+    def _carry(self, load: _core.Load, ago_s: float | None, by: str) -> None:
+        """As in replay() the change belongs to the next sample."""
+        t_ns = self._last.t_ns if self._last else 0
+        since_ns = None if ago_s is None else t_ns - round(ago_s * 1e9)
+        self.monitor.set_load(load.mass, load.com, load.inertia, since_ns=since_ns, error_share=load.error_share)
+        self._noted.append(LoadChange(self.samples, t_ns, load, by, since_ns, self._left_out))
+
+    def _weigh(self, what: str, reach_m: float, by: str) -> None:
+        if what == "start":
+            self.monitor.start_weighing(reach_m)
+        elif what == "stop":
+            self.monitor.stop_weighing()
+        found = None if what == "start" else self.monitor.estimate_load()
+        t_ns, frame = self._last.t_ns if self._last else 0, self.monitor.load_settings.frame
+        self._noted.append(WeighChange(self.samples, t_ns, what, by, frame, self.monitor.load, found))
+
+    def _acknowledge_when_due(self, t_ns: int) -> None:
+        if self._due_ns is not None and t_ns >= self._due_ns:
+            self._end_alarm(self.monitor.acknowledge)
+
+    def _end_alarm(self, end: Callable[[], None]) -> None:
+        """By one of the monitor's two calls; as in replay() the change belongs to the next sample."""
+        self._due_ns = None
+        stood = self.monitor.last.alarm != _core.Alarm.none
+        end()
+        if stood:
+            t_ns = self._last.t_ns if self._last else 0
+            self._noted.append(self._changes.acknowledged(self.samples, t_ns))
+            self._places.acknowledged()

@@ -1,0 +1,196 @@
+"""Keeps what a live arm did as recordings: a day's free motion, to train with again."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from tauext import _core
+from tauext.data.amperes import AMPERES
+from tauext.data.recording import Recording, TorqueTiming
+from tauext.data.recording_file import save_recording
+from tauext.data.servo import RAW_SIGNALS, servo_facts
+from tauext.errors import ConfigError
+from tauext.files.provenance import VERSION
+from tauext.files.room import expect_folder
+from tauext.monitor.changes import NONE, OK
+from tauext.monitor.sink import Control, LoopReport, Verdict
+
+MOST_WAITING = 4
+"""Segments in memory before the disk; then new ones are lost, and counted."""
+GAP_S = 1.0
+"""A gap of stamps that begins a new segment."""
+
+
+@dataclass(frozen=True)
+class RecordCount:
+    """What became of samples."""
+
+    files: int
+    samples: int
+    """On disk."""
+    unfit: int
+    """Not finite, or not newer than the one before: a recording cannot hold them."""
+    lost: int
+    """Of segments that could not be written."""
+    error: str
+    """Of the first that could not."""
+
+
+class RecordSink:
+    """Writes NAME-0001.parquet, NAME-0002.parquet, ... of segment_s each; files that are there are never overwritten.
+
+    `contact` is the monitor's own word: 1 where an alarm stands, 0 where it is healthy and none does, else -1, unknown;
+    training takes what is 0, with margins around what is 1. Torques are in the unit that the bundle takes. A sample
+    costs the loop a copy; a thread writes.
+    """
+
+    def __init__(self, folder: Path, bundle: _core.Bundle, source: str, segment_s: float = 25.0):
+        """source: its name, for the files' names and their provenance."""
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{folder}: no folder for recordings ({error.strerror or error})") from error
+        expect_folder(folder)
+        self.note: Callable[[str], None] = lambda text: None
+        """Called in the loop's thread, at most once a second, while samples are lost; to be set before open()."""
+        self._told = 0
+        self._folder, self._bundle, self._source = folder, bundle, source
+        self._stem = f"{file_name(source)}-{time.strftime('%Y%m%dT%H%M%S')}"
+        self._period_ns = bundle.observer.sample_period_ns
+        self._names: tuple[str, ...] = ()
+        self._row: int
+        self._t_ns: np.ndarray
+        self._contact: np.ndarray
+        self._signals: list[np.ndarray]
+        self._rows = max(2, round(segment_s * 1e9 / self._period_ns))
+        self._number = self._files = self._written = self._unfit = self._lost = 0
+        self._error = ""
+        self._waiting: deque[dict[str, np.ndarray]] = deque()
+        self._wake, self._ended = threading.Event(), False
+        self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
+
+    @property
+    def count(self) -> RecordCount:
+        return RecordCount(self._files, self._written, self._unfit, self._lost, self._error)
+
+    def open(self, joints: tuple[str, ...], control: Control) -> None:
+        self._joints = joints
+        self._begin()
+        self._thread.start()
+
+    def verdict(self, verdict: Verdict) -> None:
+        sample, said, k = verdict.sample, verdict.said, self._row
+        if sample is None:
+            return
+        if not self._names:  # what a servo arm measures beside the three, as its first sample tells
+            measured = [name for name in RAW_SIGNALS if getattr(sample, name) is not None]
+            self._names = ("q", "dq", "tau", *measured)
+            self._begin()
+        signals = [getattr(sample, name) for name in self._names]
+        if any(values is None for values in signals):
+            self._unfit += 1
+            return
+        if not all(np.isfinite(values).all() for values in signals) or (k and sample.t_ns <= self._t_ns[k - 1]):
+            self._unfit += 1
+            return
+        if k == self._rows or (k and sample.t_ns - self._t_ns[k - 1] > GAP_S * 1e9):
+            self._hand_over()
+            k = 0
+        self._t_ns[k] = sample.t_ns
+        for values, kept in zip(signals, self._signals, strict=True):
+            kept[k] = values
+        alarm, healthy = said["alarm"][0] != NONE, said["health"][0] == OK
+        self._contact[k] = 1 if alarm else 0 if healthy else -1
+        self._row = k + 1
+
+    def every_second(self, report: LoopReport) -> None:
+        lost = self._lost
+        if lost > self._told:
+            self._told = lost
+            self.note(f"RECORDING LOSES SAMPLES: {lost:,} so far ({self._error})")
+
+    def close(self) -> None:
+        """Write what is left, and wait for the disk."""
+        self._hand_over(last=True)
+        self._ended = True
+        self._wake.set()
+        self._thread.join()
+
+    def _begin(self) -> None:
+        self._row, shape = 0, (self._rows, len(self._joints))
+        self._t_ns, self._contact = np.zeros(self._rows, dtype=np.int64), np.zeros(self._rows, dtype=np.int8)
+        self._signals = [np.zeros(shape) for _ in self._names]
+
+    def _hand_over(self, last: bool = False) -> None:
+        k = self._row
+        if k < 2:
+            self._unfit += k
+        elif len(self._waiting) >= MOST_WAITING and not last:
+            self._lost += k
+            self._error = self._error or "the disk was too slow"
+        else:
+            signals = {name: kept[:k] for name, kept in zip(self._names, self._signals, strict=True)}
+            self._waiting.append({"t_ns": self._t_ns[:k], "contact": self._contact[:k]} | signals)
+            self._wake.set()
+        if not last:
+            self._begin()
+
+    def _work(self) -> None:
+        while True:
+            ended = self._ended
+            self._wake.clear()
+            while self._waiting:
+                self._write(self._waiting[0])
+                self._waiting.popleft()
+            if ended:
+                return
+            self._wake.wait(1.0)
+
+    def _write(self, segment: dict[str, np.ndarray]) -> None:
+        while True:
+            self._number += 1
+            path = self._folder / f"{self._stem}-{self._number:04d}.parquet"
+            if not path.exists():
+                break
+        provenance: dict[str, Any] = {
+            "command": "tauext monitor",
+            "version": VERSION,
+            "bundle": self._bundle.name,
+            "source": self._source,
+            "contact": "the monitor's own word",
+        }
+        if "A" in self._bundle.torque_units:
+            provenance["torque"] = AMPERES
+        if self._bundle.servo.on:
+            provenance["servo"] = servo_facts(self._bundle.servo)
+        try:
+            recording = Recording(
+                name=path.stem,
+                joints=self._joints,
+                rate_hz=1e9 / self._period_ns,
+                torque_timing=cast(TorqueTiming, self._bundle.observer.timing.name),
+                source=self._source,
+                robot_sha256="",
+                provenance=provenance,
+                **segment,
+            )
+            save_recording(recording, path)
+        except Exception as error:  # whatever it is, the next segment is tried
+            self._lost += len(segment["t_ns"])
+            self._error = self._error or str(error)
+        else:
+            self._files += 1
+            self._written += recording.samples
+
+
+def file_name(text: str) -> str:
+    """The text as part of a file's name: letters, digits, dots and dashes."""
+    return "".join(c if c.isalnum() or c in ".-" else "-" for c in text).strip("-.") or "live"

@@ -1,0 +1,179 @@
+"""Who is told of every sample, and of what happens: publishers, outputs, recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+
+from tauext._core import Load
+from tauext.monitor.changes import Change
+from tauext.monitor.loads import Expected
+from tauext.monitor.source import Sample, SourceCounts
+
+EventKind = Literal["collision", "contact", "fault", "cleared"]
+EVENT_KINDS: tuple[EventKind, ...] = ("collision", "contact", "fault", "cleared")
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What the monitor says of one sample or, with sample None, of one that did not come."""
+
+    row: int
+    """Samples before it."""
+    t_ns: int
+    """By the source's clock, [ns]; of a missing sample the time that has come since the last one."""
+    sample: Sample | None
+    said: Mapping[str, np.ndarray]
+    """As Monitor.run gives it, one row: tau_ext (1, joints) [N m], health (1,), ..."""
+    changes: tuple[Change, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What a reaction reacts to."""
+
+    kind: EventKind
+    """collision, contact: the alarm rose to it; fault: health became one; cleared: healthy and no alarm, for the first
+    time after any of the three."""
+    joint: str | None
+    """That raised the alarm, or that the fault concerns."""
+    t_ns: int
+    """Of the sample, by the source's clock, [ns]."""
+    received_ns: int
+    """When that sample came in, by time.monotonic_ns(); for one that did not come, when it was missed."""
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    """Plain content for JSON: alarm, kind of touch, health, causes, torques and limits a joint."""
+    merged: int = 1
+    """Events of this kind and joint that this one, the newest, stands for: more than one where they had to wait."""
+    touch: str | None = None
+    """Of a collision or contact, its kind of touch as known at this sample; None: of another event."""
+    news: bool = True
+    """False: the alarm rose before, and only its kind of touch or its place is new."""
+    links: tuple[tuple[str, float], ...] = ()
+    """Of a collision or contact, joints that carry the touched link, with probabilities, the most probable first; empty
+    while nothing is known."""
+    newtons: float | None = None
+    """Of the force at the most probable place on the most probable link; None: not known."""
+    alarm_t_ns: int = 0
+    """When the alarm rose that this event is of: events of one alarm share it."""
+    of_place: bool = False
+    """Only the place is new."""
+
+
+@dataclass(frozen=True)
+class LoopReport:
+    """The loop in the last second, and since its start."""
+
+    t_ns: int
+    """time.monotonic_ns() of the report."""
+    samples: int
+    """Since the start."""
+    missing: int
+    """Times that no sample came in time, since the start."""
+    rate_hz: float
+    """Of the samples in the last second."""
+    counts: SourceCounts
+    """The source's, since the start."""
+    tick_p50_us: float
+    """From a sample's reception until every sink was told, in the last second; NaN without a sample."""
+    tick_p99_us: float
+    tick_max_us: float
+    profile: str
+    """That holds now; empty without profiles."""
+
+
+class Sink(Protocol):
+    """Is told of every verdict, in the loop's thread and in order: it returns at once; what takes long goes elsewhere.
+
+    One that raises is told of once, and not called again; the loop goes on.
+    """
+
+    def open(self, joints: tuple[str, ...], control: Control) -> None:
+        """Before the first sample."""
+        ...
+
+    def verdict(self, verdict: Verdict) -> None:
+        """After every sample, and whenever one was missed."""
+        ...
+
+    def every_second(self, report: LoopReport) -> None:
+        """About once a second, also while no sample comes."""
+        ...
+
+    def close(self) -> None:
+        """After the last sample."""
+        ...
+
+
+@runtime_checkable
+class Publisher(Protocol):
+    """A sink that reactions with `publish = true` use, too."""
+
+    def publish_event(self, event: Event) -> None:
+        """Called by the thread of the reaction, beside verdict() of the loop."""
+        ...
+
+
+USUAL_REACH_M = 0.3
+"""How far the centre of mass of a load is from the load frame at most, where nobody knows better."""
+
+
+class Control(Protocol):
+    """What others may ask of the loop, from any thread: it is done before the next sample, and logged."""
+
+    def use_profile(self, name: str, by: str) -> None:
+        """Change to this profile. by: who asks, for the log: `ros2 /tauext/profile`.
+
+        Raises:
+            ConfigError: there is no such profile.
+        """
+        ...
+
+    def acknowledge(self, by: str) -> None:
+        """End a latched alarm; one whose cause lasts comes back."""
+        ...
+
+    def resume(self, by: str) -> None:
+        """End a latched alarm where nothing touches the arm any more and it is to move on.
+
+        A push leaves static friction at another level: limits of joints at rest are higher until they have slid.
+        """
+        ...
+
+    def set_load(self, load: Load, by: str, ago_s: float | None = None) -> None:
+        """What the arm carries from the next sample on; mass 0: nothing.
+
+        Args:
+            ago_s: as if it had been told so many seconds before the last sample; None: from now on.
+
+        Raises:
+            ConfigError: the bundle takes no such load; says why.
+        """
+        ...
+
+    def expect_load(self, expected: Expected, by: str) -> None:
+        """The gripper closes or opens: Monitor.expect_load() before the next sample.
+
+        Raises:
+            ConfigError: the bundle expects no such load; says why.
+        """
+        ...
+
+    def weigh(self, what: str, by: str, reach_m: float = USUAL_REACH_M) -> None:
+        """What is the arm carrying? It is weighed from `start` to `stop`; `stop` and `tell` are answered by a change.
+
+        Args:
+            what: `start`, `tell` or `stop`.
+            reach_m: of the centre of mass, from the load frame.
+
+        Raises:
+            ConfigError: this bundle weighs no loads, or there is no such reach; says why.
+        """
+        ...
+
+    def stop(self, by: str) -> None:
+        """End the loop cleanly."""
+        ...

@@ -1,0 +1,105 @@
+"""The demo without a browser: scripted pushes, as fast as the machine can, and what every method found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tauext.page.simulation import Simulation
+from tauext.page.snapshot import Event
+from tauext.sim.arms import DemoArm
+
+FIRST_PUSH_S = 3.0
+PUSH_EVERY_S = 4.0
+PUSH_S = 1.0
+PULL_M = 0.25
+"""How far from the link the scripted pointer pulls: a push of about 60 N."""
+LEAST_LEVER_M = 0.02
+
+
+@dataclass(frozen=True)
+class Pushed:
+    """One scripted push and the alarms that it raised, first of each method and level."""
+
+    begin_s: float
+    joint: int
+    torque_nm: np.ndarray
+    """Largest |tau_ext| of every joint while it lasted."""
+    events: list[Event]
+
+
+def scripted_pushes(
+    arm: DemoArm, bundles: dict[str, Path], seconds: float, seed: int, method: str = "tauext"
+) -> tuple[list[Pushed], list[Event]]:
+    """Push the links from the last to the first, one every few seconds; resume after each.
+
+    Returns: the pushes, and the alarms that came without one.
+    """
+    simulation = Simulation(arm, seed)
+    simulation.watch_with({name: str(path) for name, path in bundles.items()}, method)
+    pushes: list[Pushed] = []
+    false: list[Event] = []
+    rng = np.random.default_rng(seed)
+    begin_s, resumed_s, next_joint = FIRST_PUSH_S, 0.0, len(arm.joints) - 1
+    for _ in range(round(seconds * arm.rate_hz)):
+        now_s = simulation.plant.time_s
+        if now_s >= begin_s and simulation.drag is None and now_s < begin_s + PUSH_S:
+            joint = _pull(simulation, next_joint, rng)
+            next_joint = (joint - 1) % len(arm.joints)
+            pushes.append(Pushed(now_s, joint, np.zeros(len(arm.joints)), []))
+        if simulation.drag is not None and now_s >= begin_s + PUSH_S:
+            simulation.release("script")
+            begin_s, resumed_s = begin_s + PUSH_EVERY_S, now_s + 1.0
+        if resumed_s and now_s >= resumed_s:
+            simulation.resume()
+            resumed_s = 0.0
+        raised = simulation.step()
+        if simulation.drag is not None:
+            np.maximum(pushes[-1].torque_nm, np.abs(simulation.tau_ext_nm), out=pushes[-1].torque_nm)
+        if raised:
+            for event in simulation.take_events():
+                (false if event.after_push_s is None else pushes[-1].events).append(event)
+    return pushes, false
+
+
+def _pull(simulation: Simulation, joint: int, rng: np.random.Generator) -> int:
+    """Grab the middle of a link's shape and pull across it.
+
+    Returns: the joint whose link it is: this one or, where a push there turns nothing, the next one down that moves.
+    """
+    plant = simulation.plant
+    model, data = plant.model, plant.data
+    while True:
+        point = data.geom_xpos[model.body_geomadr[joint + 1]].copy()
+        directions, levers_m, _ = np.linalg.svd(plant.jacobian(point, joint))
+        if levers_m[0] > LEAST_LEVER_M:
+            break
+        joint = (joint - 1) % len(simulation.arm.joints)
+    direction = directions[:, 0] * rng.choice([-1.0, 1.0])
+    simulation.grab("script", joint, point)
+    simulation.pull("script", point + PULL_M * direction)
+    return joint
+
+
+def describe(pushes: list[Pushed], false: list[Event], arm: DemoArm) -> str:
+    """A line a push, and one of false alarms."""
+    lines = []
+    for push in pushes:
+        felt = int(np.argmax(push.torque_nm))
+        lines.append(
+            f"{push.begin_s:6.2f} s  push on the link of {arm.joints[push.joint]}: "
+            f"{push.torque_nm[felt]:.1f} Nm at {arm.joints[felt]}"
+        )
+        for event in push.events:
+            if event.alarm == "collision":
+                late_ms = 1e3 * (event.after_push_s or 0.0)
+                lines.append(
+                    f"          {event.method:9s} collision at {arm.joints[event.joint]} after {late_ms:.0f} ms"
+                )
+        silent = {"tauext", "paper", "observer"} - {e.method for e in push.events if e.alarm == "collision"}
+        lines += [f"          {method:9s} nothing" for method in sorted(silent)]
+    lines.append(f"alarms without a push: {len(false)}")
+    lines += [f"{e.time_s:6.2f} s  {e.method}: {e.alarm} at {arm.joints[e.joint]}" for e in false]
+    return "\n".join(lines)

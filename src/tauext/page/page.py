@@ -1,0 +1,298 @@
+"""The page: a server, one arm at a time on it, and what passes between browser, simulation and training."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import signal
+import socket
+import threading
+import time
+import webbrowser
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tauext.errors import ConfigError, TauextError
+from tauext.page.bundles import LESSONS, Lesson, bundle_folder, find_bundles
+from tauext.page.door import guarded
+from tauext.page.snapshot import Event, Snapshot
+from tauext.page.weighing import Stretch, Weigher
+from tauext.page.workers import RECENT, SNAPSHOT, run_simulation, run_training, start_worker
+from tauext.sim.arms import ARMS
+
+if TYPE_CHECKING:
+    import viser
+
+FRAME_S = 1 / 30
+"""The browsers are sent nothing more often than this; viser drops what a slow one has not taken when newer comes."""
+PORTS = 20
+"""That are tried from the wanted one on."""
+
+Report = Callable[[float, str], None]
+
+
+def free_port(host: str, wanted: int) -> int:
+    """The first port from the wanted one on that nobody listens on.
+
+    Raises:
+        ConfigError: none of them is free, or the host is not one of this machine.
+    """
+    if not 1 <= wanted <= 65535:
+        raise ConfigError(f"port = {wanted} must be 1 to 65535")
+    for port in range(wanted, min(wanted + PORTS, 65536)):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, port))
+                return port
+            except PermissionError as error:
+                raise ConfigError(f"port = {wanted} needs rights that this user has not; take one from 1024") from error
+            except (socket.gaierror, TypeError, UnicodeError) as error:
+                raise ConfigError(f"host = {host} must be an address of this machine, e.g. 127.0.0.1") from error
+            except OSError as error:
+                if error.errno != 98 and "in use" not in str(error):
+                    raise ConfigError(f"host = {host} must be an address of this machine ({error.strerror})") from error
+    raise ConfigError(f"port = {wanted}: it and the {PORTS - 1} after it are in use; choose another with --port")
+
+
+def open_server(host: str, port: int) -> viser.ViserServer:
+    """viser on this port, quiet, and without its way to share the page over other hosts.
+
+    Raises:
+        ConfigError: viser is not installed.
+    """
+    try:
+        import viser
+    except ImportError as error:
+        raise ConfigError(
+            "the demo's page needs viser: pip install 'tauext[live]' (--headless-seconds does not)"
+        ) from error
+    with contextlib.redirect_stdout(io.StringIO()), guarded(host, f"viser-v{viser.__version__}"):
+        server = viser.ViserServer(host=host, port=port, verbose=False)
+    server.request_share_url = lambda verbose=True: None
+    return server
+
+
+class Session:
+    """One arm on the page, from its first sample until another one is chosen or stop() is called."""
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        arm_name: str,
+        seed: int,
+        cache: Path,
+        lesson: Lesson | None = None,
+        report: Report = lambda share, what: None,
+        ended: threading.Event | None = None,
+    ):
+        """ended: ends run() when it is set, as stop() does."""
+        from tauext.page.drawing import Drawing
+        from tauext.page.panel import Panel
+
+        self.arm = ARMS[arm_name]()
+        self.error = "exact"
+        self.events: list[Event] = []
+        self.snapshot: Snapshot | None = None
+        self._server, self._seed, self._cache = server, seed, cache
+        self._lesson, self._report = lesson or LESSONS[arm_name], report
+        self._next_arm: str | None = None
+        self._ended, self._watch_next = ended or threading.Event(), False
+        self._trainer: Any = None
+        self._method = "tauext"
+        self._bundles: dict[str, Path] = {}
+        self._weigher = Weigher(self.arm)
+        self._sending = threading.Lock()
+        self._process, self._pipe = start_worker(run_simulation, arm_name, seed)
+        server.scene.reset()
+        server.gui.reset()
+        self._drawing = Drawing(server, self.arm, self._drag)
+        self._panel = Panel(
+            server, self.arm, self.error, self.send, self._choose_arm, self._choose_error, self._drawing.simplify
+        )
+
+    def send(self, name: str, *arguments: object) -> None:
+        """A command for the simulation, from any thread."""
+        if name == "set_method":
+            self._method = str(arguments[0])
+        with self._sending, contextlib.suppress(OSError):
+            self._pipe.send((name, *arguments))
+
+    def stop(self) -> None:
+        """End run()."""
+        self._ended.set()
+
+    def run(self) -> str | None:
+        """Show the arm until another one is chosen, which is returned, or None after stop().
+
+        Raises:
+            TauextError: the simulation or a training ended by itself.
+        """
+        try:
+            self._watch()
+            due = time.monotonic()
+            while not self._ended.is_set() and self._next_arm is None:
+                self.send(SNAPSHOT)
+                due = max(due + FRAME_S, time.monotonic())
+                while (left := due - time.monotonic()) > 0:
+                    if self._pipe.poll(left):
+                        self._receive(self._pipe.recv())
+                self._listen_to_trainer()
+            return self._next_arm
+        except (EOFError, OSError) as error:
+            raise TauextError("the simulation ended by itself; what it said stands above") from error
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """End both processes at once; a training that is cut off leaves nothing behind."""
+        self._end_training()
+        self._pipe.close()
+        self._process.terminate()
+        self._process.join(1.0)
+
+    def _receive(self, message: Snapshot | Stretch) -> None:
+        if isinstance(message, Snapshot):
+            self._show(message)
+        elif self._method in self._bundles:
+            self._weigher.start(self._bundles[self._method], message)
+
+    def _show(self, snapshot: Snapshot) -> None:
+        self.snapshot = snapshot
+        self.events += snapshot.events
+        with self._server.atomic():
+            self._drawing.show(snapshot)
+            self._panel.show(snapshot, len(self._server.get_clients()), self._weigher.words)
+        if snapshot.events:
+            self._server.flush()
+        if self._bundles and self._weigher.wants(snapshot):
+            self.send(RECENT)
+
+    def _drag(self, phase: str, who: object, joint: int, where: tuple[float, float, float]) -> None:
+        if phase == "start":
+            self.send("grab", who, joint, where)
+        elif phase == "update":
+            self.send("pull", who, where)
+        else:
+            self.send("release", who)
+
+    def _choose_arm(self, name: str) -> None:
+        if name != self.arm.name:
+            self._next_arm = name
+
+    def _choose_error(self, error: str) -> None:
+        self.error = error
+        self._bundles = {}
+        self.send("watch_nothing")
+        self._watch_next = True
+
+    def _watch(self) -> None:
+        """Watch with the bundles of the chosen model error; train them where they are not there yet."""
+        self._watch_next = False
+        self._end_training()
+        folder = bundle_folder(self.arm, self.error, self._lesson, self._seed, self._cache)
+        bundles = find_bundles(folder, self._lesson)
+        if bundles is None:
+            arguments = (self.arm.name, self.error, self._lesson, self._seed, self._cache)
+            self._trainer = start_worker(run_training, *arguments)
+            self._tell(0.0, "practising free motion")
+        else:
+            self._use(bundles)
+
+    def _use(self, bundles: dict[str, Path]) -> None:
+        self._tell(1.0, "")
+        self._bundles = bundles
+        self.send("watch_with", {method: str(path) for method, path in bundles.items()}, self._method)
+
+    def _listen_to_trainer(self) -> None:
+        if self._watch_next:
+            self._watch()
+        while self._trainer is not None and self._trainer[1].poll():
+            try:
+                message = self._trainer[1].recv()
+            except EOFError:
+                raise TauextError("the training ended by itself; what it said stands above") from None
+            if isinstance(message, str):
+                raise TauextError(f"the bundles of the demo cannot be trained: {message}")
+            if isinstance(message, dict):
+                self._end_training()
+                self._use(message)
+            else:
+                self._tell(*message)
+
+    def _tell(self, share: float, what: str) -> None:
+        self._panel.show_training(share, f"First use: {what} ({share:.0%})" if what else "")
+        self._report(share, what)
+
+    def _end_training(self) -> None:
+        if self._trainer is not None:
+            process, pipe = self._trainer
+            self._trainer = None
+            process.terminate()
+            process.join(2.0)
+            pipe.close()
+
+
+@contextlib.contextmanager
+def until_ctrl_c() -> Iterator[threading.Event]:
+    """An event that the first Ctrl-C sets; a second one interrupts.
+
+    An exception in the middle of whatever runs would not do: some libraries swallow it while they are imported.
+    """
+    ended = threading.Event()
+
+    def end(*_: object) -> None:
+        if ended.is_set():
+            raise KeyboardInterrupt
+        ended.set()
+
+    before = signal.signal(signal.SIGINT, end)
+    try:
+        yield ended
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def run_page(
+    arm_name: str,
+    host: str,
+    port: int,
+    seed: int,
+    cache: Path,
+    open_browser: bool,
+    report: Report,
+    say: Callable[[str], None],
+) -> None:
+    """Serve the demo until Ctrl-C ends it.
+
+    Args:
+        report: called with the share of a training that is done and what is being done; "" at its end.
+        say: prints a line.
+
+    Raises:
+        ConfigError: no free port, no such host, or viser is missing.
+    """
+    with until_ctrl_c() as ended:  # from before the line that tells of Ctrl-C is printed
+        found = free_port(host, port)
+        server = open_server(host, found)
+        try:
+            url = f"http://{'localhost' if host in ('0.0.0.0', '127.0.0.1') else host}:{found}"
+            if found != port:
+                say(f"port {port} is in use; this one is {found}")
+            reach = (
+                "this machine alone can open it"
+                if host in ("127.0.0.1", "localhost", "::1")
+                else "ANYONE who reaches it can push"
+            )
+            say(f"{url}  ({host}: {reach}; Ctrl-C ends it)")
+            following: str | None = arm_name
+            while following is not None:
+                session = Session(server, following, seed, cache, report=report, ended=ended)
+                if open_browser and not ended.is_set():
+                    webbrowser.open(url)
+                    open_browser = False
+                following = session.run()
+        finally:
+            with contextlib.redirect_stdout(io.StringIO()):
+                server.stop()

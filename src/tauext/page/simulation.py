@@ -1,0 +1,281 @@
+"""Arm, mover, push and monitors together: one sample after the other, and what a viewer wants to know of it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+
+from tauext import _core
+from tauext.errors import ConfigError
+from tauext.page.hand import Hand, ball
+from tauext.page.places import Placed
+from tauext.page.snapshot import Event, Snapshot, Touch, Verdict
+from tauext.page.watch import Watch
+from tauext.page.weighing import LEAST_S, WEIGHED_S, Recent, Stretch
+from tauext.sim.arms import DemoArm
+from tauext.sim.mover import REACTIONS, Mover, Reaction
+from tauext.sim.plant import Plant, Sample
+from tauext.sim.push import Drag, estimated_force
+
+TRACE_EVERY_S = 0.02
+TRACE_ROWS = 100
+"""Rows that are kept for a viewer that does not ask: older ones are dropped."""
+EVENTS = 20
+RESUME_RAD, RESUME_S = 0.02, 1.2
+"""After resume() a method that is blind to static friction is acknowledged anew at every sample until each joint has
+moved so far, or for so long: what a push leaves in the friction of a joint at rest looks like a push to it until the
+joint has slid, and would stop the arm again before it does."""
+MOVE_ON_S = WEIGHED_S + LEAST_S
+"""So long the arm moves to be weighed, whatever the monitors say of its load."""
+LET_GO_S = 0.5
+"""So long after a push, or after a weight was taken out, an alarm is still its doing."""
+
+
+class Simulation:
+    """One demo; step() is one sample of the control loop, everything else may be called between two samples."""
+
+    def __init__(self, arm: DemoArm, seed: int = 0):
+        self.arm = arm
+        self.plant = Plant(arm, seed)
+        self.mover = Mover(arm, seed)
+        self.watch: Watch | None = None
+        self.method = ""
+        self.reaction: Reaction = "stop"
+        self.sensitivity = 1.0
+        self.hand = Hand()
+        self.drag: Drag | None = None
+        self._holder: object = None
+        self._push_began_s = self._push_ended_s = -np.inf
+        self._resumed_s = -np.inf
+        self._emptied_s = self._moves_on_until_s = -np.inf
+        self._unknown_weight: set[str] = set()
+        self._told_at, self._telling = -1, False
+        self._velocity_lag = round(arm.rate_hz / arm.sensors.velocity_cutoff_rad_s)
+        self._stuck = np.zeros(len(arm.joints), bool)
+        self._resumed_at = np.array(arm.home)
+        self._said: dict[str, _core.Estimate] = {}
+        self._alarms: dict[str, _core.Alarm] = {}
+        self._newtons: dict[str, float] = {}
+        self._sample: Sample | None = None
+        self._recent = Recent(arm)
+        self._trace: deque[np.ndarray] = deque(maxlen=TRACE_ROWS)
+        self._events: deque[Event] = deque(maxlen=EVENTS)
+        self._ticks = 0
+
+    # What a viewer may ask for, see serve().
+
+    def watch_with(self, bundles: Mapping[str, str], method: str) -> None:
+        """Watch with these bundle files, by method, from now on; `method` is shown and reacted to."""
+        self.watch = Watch({name: _core.Bundle.load(path) for name, path in bundles.items()}, self.sensitivity)
+        self._said, self._alarms = {}, {}
+        self.hand.tell(self.hand.told, self.watch)
+        self.set_method(method)
+
+    def watch_nothing(self) -> None:
+        """Until other bundles are there."""
+        self.watch, self._said, self._alarms = None, {}, {}
+
+    def set_method(self, method: str) -> None:
+        if self.watch is not None and method not in self.watch.methods:
+            raise ConfigError(f"method = {method} must be one of {', '.join(self.watch.methods)}")
+        self.method = method
+
+    def set_reaction(self, reaction: Reaction) -> None:
+        if reaction not in REACTIONS:
+            raise ConfigError(f"reaction = {reaction} must be one of {', '.join(REACTIONS)}")
+        self.reaction = reaction
+
+    def set_sensitivity(self, sensitivity: float) -> None:
+        self.sensitivity = sensitivity
+        if self.watch is not None:
+            self.watch.set_sensitivity(sensitivity)
+
+    def set_friction(self, factor: float) -> None:
+        self.plant.set_friction(factor)
+
+    def grab(self, holder: object, joint: int, point_m: np.ndarray) -> None:
+        """Take hold of the link of a joint at a point in the base frame; whoever held it before lets go."""
+        self.drag, self._holder = Drag.grab(self.plant, joint, point_m), holder
+        if self.plant.time_s - self._push_ended_s > 0.0:
+            self._push_began_s = self.plant.time_s
+
+    def pull(self, holder: object, target_m: np.ndarray) -> None:
+        """The pointer is here now, in the base frame."""
+        if self.drag is not None and holder == self._holder:
+            self.drag.target_m = np.asarray(target_m, float)
+
+    def release(self, holder: object) -> None:
+        if self.drag is not None and holder == self._holder:
+            self.drag, self._push_ended_s = None, self.plant.time_s
+
+    def resume(self) -> None:
+        """End the collision and go on moving: nothing pushes any more."""
+        self._resumed_s = self.plant.time_s
+        self._resumed_at, self._stuck[:] = self.plant.data.qpos.copy(), True
+        if self.watch is not None:
+            self.watch.resume()
+        self._alarms = dict.fromkeys(self._alarms, _core.Alarm.none)
+        self.mover.resume()
+
+    def rest(self) -> None:
+        self.mover.rest()
+
+    def hold(self, mass_kg: float, told: bool) -> None:
+        """Put a weight into the hand, with or without telling the monitors; at most one is in it."""
+        self._take(ball(self.arm, mass_kg), told)
+
+    def let_go(self) -> None:
+        """Take the weight out of the hand; monitors that knew of it are told."""
+        methods = [] if self.watch is None else self.watch.methods
+        self._unknown_weight = {name for name in methods if not self.hand.knows(name)}
+        self._emptied_s = self.plant.time_s
+        self._take(None, False)
+
+    def tell(self, told: bool) -> None:
+        """Tell the monitors of the weight after all, as if they had been told when it came; or that there is none."""
+        self._told_at = -1
+        self.hand.tell(told, self.watch, afterwards=True)
+
+    def move_on(self) -> None:
+        """Move for some seconds in spite of every alarm, so that the weight shows at other poses too."""
+        self._moves_on_until_s = self.plant.time_s + MOVE_ON_S
+        self.resume()
+
+    def recent(self) -> Stretch:
+        """The last samples, for weighing."""
+        return self._recent.stretch(self.hand.since_ns)
+
+    def _take(self, load: _core.Load | None, told: bool) -> None:
+        """Monitors are told when the measured velocity shows it, behind its low-pass: of a weight that is there from
+        one sample to the next they would else expect what does not show yet, some 3 N m after 3 ms."""
+        self.plant.hold(load)
+        self.hand.take(load, -1 if self._sample is None else self._sample.t_ns)
+        self._told_at, self._telling = self._ticks + self._velocity_lag, told
+
+    # The loop.
+
+    def step(self) -> bool:
+        """One sample; True where an alarm was raised at it."""
+        if self._ticks == self._told_at:
+            self.hand.tell(self._telling, self.watch)
+        plant = self.plant
+        force, point = self.drag.force_n(plant) if self.drag else (None, None)
+        measured = self._sample
+        q, dq = (plant.data.qpos, plant.data.qvel) if measured is None else (measured.q, measured.dq)
+        setpoints = self.mover.step(q, dq, plant.gravity_nm)
+        sample = plant.step(*setpoints, force, point, self.drag.joint if self.drag else 0)
+        self._sample = sample
+        self._recent.add(sample)
+        raised = False
+        if self.watch is not None:
+            excused = self.watch.blind_to_stiction if self._resuming() else ()
+            for method in excused:
+                self.watch.acknowledge(method)
+            self._said = self.watch.step(sample)
+            for method, said in self._said.items():
+                alarm = _core.Alarm.none if method in excused else said.alarm
+                raised |= self._judge(method, alarm, said.alarm_joint)
+        if self._ticks % round(TRACE_EVERY_S * self.arm.rate_hz) == 0:
+            estimate, sigma, limit = self._shown()
+            self._trace.append(np.concatenate([[plant.time_s], estimate, sigma, limit, self.tau_ext_nm]))
+        self._ticks += 1
+        return raised
+
+    def _resuming(self) -> bool:
+        """Whether some joint stands where resume() found it, with what the push left in its friction."""
+        if self._stuck.any() and self._sample is not None:
+            self._stuck &= np.abs(self._sample.q - self._resumed_at) < RESUME_RAD
+            self._stuck &= self.plant.time_s < self._resumed_s + RESUME_S
+        return bool(self._stuck.any())
+
+    @property
+    def tau_ext_nm(self) -> np.ndarray:
+        """True external torque of the last sample, (joints,): a push's, and a weight's that the method shown does not
+        know."""
+        if self._sample is None:
+            return np.zeros(len(self.arm.joints))
+        return self._sample.tau_ext + (0.0 if self.hand.knows(self.method) else self._sample.tau_held)
+
+    def take_events(self) -> list[Event]:
+        """Alarms since they were last taken."""
+        events = list(self._events)
+        self._events.clear()
+        return events
+
+    def snapshot(self) -> Snapshot:
+        """What happened since the last one, and how things stand."""
+        data = self.plant.data
+        mujoco.mj_kinematics(self.plant.model, data)
+        mujoco.mj_comPos(self.plant.model, data)
+        estimate, _, limit = self._shown()
+        trace, links = np.array(self._trace), 1 + len(self.arm.joints)
+        self._trace.clear()
+        placed = self._placed()
+        return Snapshot(
+            time_s=self.plant.time_s,
+            poses=np.hstack([data.xpos[1:links], data.xquat[1:links]]),
+            doing=self.mover.doing,
+            method=self.method,
+            tau_ext=estimate,
+            limit_nm=limit,
+            verdicts={
+                name: Verdict(
+                    said.health.name, self._alarms[name].name, said.alarm_joint, said.touch.name, self._newtons[name]
+                )
+                for name, said in self._said.items()
+            },
+            touch=self._touch(estimate),
+            trace=trace.reshape(len(trace), 1 + 4 * len(self.arm.joints)),
+            events=self.take_events(),
+            held=self.hand.held(self.method),
+            placed=placed.get(self.method),
+            places_refused=self.watch.places_refused(self.method) if self.watch is not None else "",
+        )
+
+    def _placed(self) -> dict[str, Placed | None]:
+        """Where each method takes the touch to be just now; notes the newtons until its alarm ends."""
+        placed: dict[str, Placed | None] = {}
+        for name, said in self._said.items():
+            if self._alarms[name] == _core.Alarm.none:
+                self._newtons[name] = np.nan
+                continue
+            assert self.watch is not None and self._sample is not None
+            placed[name] = found = self.watch.place(name, self._sample.q, said)
+            self._newtons[name] = self._newtons.get(name, np.nan) if found is None else found.newtons
+        return placed
+
+    def _judge(self, method: str, alarm: _core.Alarm, joint: int) -> bool:
+        """Note an alarm that rose, and react to a collision of the method shown."""
+        was = self._alarms.get(method, _core.Alarm.none)
+        self._alarms[method] = alarm
+        if alarm.value <= was.value or alarm == _core.Alarm.none:
+            return False
+        now_s = self.plant.time_s
+        pushed = self.drag is not None or now_s - self._push_ended_s < LET_GO_S
+        after_s = now_s - self._push_began_s if pushed else None
+        just_gone = now_s - self._emptied_s < LET_GO_S and method in self._unknown_weight
+        self._events.append(Event(now_s, method, alarm.name, joint, after_s, just_gone or not self.hand.knows(method)))
+        disturbs = now_s >= self._moves_on_until_s and self.mover.doing == "moving"
+        if alarm == _core.Alarm.collision and method == self.method and disturbs:
+            self.mover.react(self.reaction)
+        return True
+
+    def _shown(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Estimate, its standard error, 0 where nobody knows it, and limit of the method shown."""
+        said = self._said.get(self.method)
+        if said is None:
+            unknown = np.full(len(self.arm.joints), np.nan)
+            return unknown, np.zeros(len(unknown)), unknown
+        return np.array(said.tau_ext), np.nan_to_num(np.array(said.contact_sigma_nm)), np.array(said.limit_nm)
+
+    def _touch(self, tau_ext: np.ndarray) -> Touch | None:
+        if self.drag is None:
+            return None
+        force, point = self.drag.force_n(self.plant)
+        estimate, directions = np.zeros(3), 0
+        if np.isfinite(tau_ext).all():
+            estimate, directions = estimated_force(tau_ext, self.plant.jacobian(point, self.drag.joint))
+        return Touch(self.drag.joint, point, self.drag.target_m, force, estimate, directions)

@@ -1,0 +1,143 @@
+"""The arms of the demo: what moves, how it is driven, and from where one looks at it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib.resources import files
+
+import mujoco
+import numpy as np
+
+from tauext import _core
+from tauext.sim.arm import LINK_SPACING_M, arm_xml, joint_names
+from tauext.sim.config import DriveConfig, FrictionConfig, MotionConfig, RigConfig, SensorConfig, changed_friction
+from tauext.sim.scene import add_drivetrain
+
+
+@dataclass(frozen=True)
+class Push:
+    """A drag by the pointer: a spring from the grabbed point to the pointer, as a person's arm would be."""
+
+    stiffness_n_m: float
+    damping_n_s_m: float
+    largest_n: float
+
+
+@dataclass(frozen=True)
+class DemoArm:
+    """One arm with drives, friction and instruments (a tauext.sim Drivetrain), its motion, and its looks."""
+
+    name: str
+    title: str
+    xml: str
+    """MJCF of the bare arm: what is simulated, and what the monitor's model is read from."""
+    joints: tuple[str, ...]
+    drives: tuple[DriveConfig, ...]
+    friction: tuple[FrictionConfig, ...]
+    sensors: SensorConfig
+    motion: MotionConfig
+    rotor_inertia_kg_m2: tuple[float, ...]
+    home: tuple[float, ...]
+    """Middle of the motion, [rad]."""
+    push: Push
+    floor_m: float
+    """Height of the floor in the arm's base frame, [m]."""
+    camera_m: tuple[float, float, float]
+    look_at_m: tuple[float, float, float]
+    rate_hz: int = 1000
+    hand_m: float | None = None
+    """Along the last joint's axis from the last link's origin, where a weight in the hand has its centre, [m]; None:
+    the arm has no hand."""
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        """The arm with drives, friction and sensors, compiled; bodies stand in the order of the joints."""
+        return self.changed_model(1.0)
+
+    def changed_model(self, friction: float, held: _core.Load | None = None) -> mujoco.MjModel:
+        """The same with so many times its friction, and with a weight in its hand: one body more, behind the links."""
+        spec = mujoco.MjSpec.from_string(self.xml)
+        if held is not None:
+            spec.joint(self.joints[-1]).parent.add_body(
+                name="held", mass=held.mass, ipos=held.com, fullinertia=held.inertia, explicitinertial=True
+            )
+        add_drivetrain(spec, self.joints, replace(self, friction=changed_friction(self.friction, friction)))
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        return spec.compile()
+
+
+def rig_arm() -> DemoArm:
+    """The paper's two-axis rig, with drums at its joints to look at."""
+    config = RigConfig()
+    spec = mujoco.MjSpec.from_string(arm_xml(config))
+    for i, link in enumerate(joint_names(config)):
+        body = spec.joint(link).parent
+        body.geoms[0].contype = 0
+        body.add_geom(
+            name=f"drum{i + 1}",
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[0.075, 0.5 * LINK_SPACING_M - 0.002, 0.0],
+            pos=[0.0, (i - 0.5) * LINK_SPACING_M, 0.0],
+            quat=[np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0],
+            contype=0,
+            conaffinity=0,
+            mass=0.0,
+        )
+    spec.compile()
+    return DemoArm(
+        name="rig",
+        title="the paper's two-axis rig",
+        xml=spec.to_xml(),
+        joints=tuple(joint_names(config)),
+        drives=config.drives,
+        friction=config.friction,
+        sensors=config.sensors,
+        motion=config.motion,
+        rotor_inertia_kg_m2=config.rotor_inertia_kg_m2,
+        home=(0.0, 0.0),
+        push=Push(stiffness_n_m=250.0, damping_n_s_m=15.0, largest_n=80.0),
+        floor_m=-0.68,
+        camera_m=(0.55, 1.75, 0.5),
+        look_at_m=(0.0, 0.0, -0.03),
+    )
+
+
+def seven_axis_arm() -> DemoArm:
+    """A seven-axis arm of 18.5 kg with geared drives, of no manufacturer."""
+    sizes = np.array([1.0, 1.0, 0.8, 0.8, 0.4, 0.4, 0.3])
+    return DemoArm(
+        name="seven",
+        title="a seven-axis arm",
+        xml=files("tauext.sim").joinpath("seven.xml").read_text(),
+        joints=tuple(f"joint{i + 1}" for i in range(7)),
+        drives=tuple(DriveConfig(stiffness_nm_rad=4000.0 * s, damping_nm_s_rad=100.0 * s) for s in sizes),
+        friction=tuple(_geared(6.0 * s) for s in sizes),
+        sensors=SensorConfig(torque_noise_nm=tuple(0.5 * sizes), jts_noise_nm=tuple(0.1 * sizes)),
+        motion=MotionConfig(range_deg=50.0, mean_speed_deg_s=(15.0, 35.0), least_travel_deg=25.0),
+        rotor_inertia_kg_m2=(0.58, 0.58, 0.47, 0.47, 0.2, 0.2, 0.18),
+        home=(0.0, 0.3, 0.0, -1.4, 0.0, 0.9, 0.0),
+        push=Push(stiffness_n_m=250.0, damping_n_s_m=10.0, largest_n=80.0),
+        floor_m=0.0,
+        camera_m=(1.35, 1.25, 0.95),
+        look_at_m=(0.25, 0.0, 0.48),
+        hand_m=0.2,
+    )
+
+
+def _geared(coulomb_nm: float) -> FrictionConfig:
+    """Friction of a geared joint in proportion to its Coulomb part, as that of the paper's rig is."""
+    return FrictionConfig(
+        coulomb_nm=coulomb_nm,
+        static_nm=1.25 * coulomb_nm,
+        stribeck_rad_s=0.05,
+        viscous_nm_s_rad=0.95 * coulomb_nm,
+        bristle_nm_rad=1250.0 * coulomb_nm,
+        bristle_damping_nm_s_rad=5.0 * coulomb_nm,
+        ripple_nm=0.06 * coulomb_nm,
+        ripple_cycles=200,
+    )
+
+
+ARMS: dict[str, Callable[[], DemoArm]] = {"rig": rig_arm, "seven": seven_axis_arm}

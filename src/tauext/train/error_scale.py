@@ -1,0 +1,294 @@
+r"""How errors grow with the motion: the weights of the core's error scale (cpp/include/tauext/error_scale.hpp).
+
+With F_m >= 0 the features of a joint's motion, filtered as r is, and e = max(\|tau_ext\| - doubt, 0) on free motion
+that nothing was trained on, the scale sigma = sum_m w_m F_m minimises
+
+.. math:: \overline{\ln\sigma} + \frac1p \ln\overline{(e/\sigma)^p}, \qquad w \ge 0,
+
+which no factor on sigma changes. p = 2 is the likelihood of a normal error of that standard error. A larger p asks for
+the moments that set a limit: the scale whose limit, p-th moments taken for largest values, is lowest on average.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+from scipy.optimize import minimize
+
+from tauext import _core
+from tauext.config import DriftConfig, FreeMotionConfig
+from tauext.data.recording import Recording
+from tauext.train.judged import Judged, judge, no_free_motion
+
+FEATURES = tuple(_core.MotionFeature)
+SHARP_HOURS = 1.0
+"""With so much left-out motion the limits' scale is fitted to its largest errors, with less more to all of them ..."""
+SHARP, BLUNT = 8.0, 4.0
+"""... by these powers p."""
+STOOD_S = 60.0
+"""A joint that stood for less than this in all of the motion showed too little of what its friction hides at rest:
+there its limit is that of usual motion at least."""
+LEAST_CONSTANT = 0.05
+"""Of usual motion's scale: no motion makes limits vanish."""
+STANDS_RAD_S = 0.002
+"""A joint slower than this stands."""
+MOST_ROWS = 1_000_000
+"""Over an hour and a half at the network's rate."""
+LEAST_ROWS = 300
+"""A region with fewer rows takes the standard error of both."""
+RESERVE_SPEED_RAD_S = 3.0
+"""Up to this speed the reserve for friction grows."""
+ONE_SIGMA = 0.6827
+"""Share of errors within one standard error, as of a normal one: sigma is scaled to it."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Free motion at the network's rate, or thinned out."""
+
+    error_nm: np.ndarray  # (rows, joints)
+    near_stiction: np.ndarray  # (rows, joints), bool
+    features: np.ndarray  # (rows, joints, features)
+    period_s: float
+    """Between two rows of a recording."""
+    t_ns: np.ndarray  # (rows,)
+    recording: np.ndarray  # (rows,): its number in `recordings`
+    recordings: tuple[str, ...]
+
+    @property
+    def hours(self) -> float:
+        """Of motion."""
+        return len(self.error_nm) * self.period_s / 3600
+
+    @property
+    def power(self) -> float:
+        """p of the limits' scale."""
+        return SHARP if self.hours >= SHARP_HOURS else BLUNT
+
+    def only(self, inside: np.ndarray) -> Rows:
+        """Those of them, (rows,) bool or indices."""
+        return replace(
+            self,
+            error_nm=self.error_nm[inside],
+            near_stiction=self.near_stiction[inside],
+            features=self.features[inside],
+            t_ns=self.t_ns[inside],
+            recording=self.recording[inside],
+        )
+
+
+def fit_error_scale(
+    bundle: _core.Bundle,
+    rows: Rows,
+    drift: DriftConfig = DriftConfig(),  # noqa: B008
+) -> dict:
+    """Put an error scale into a bundle that has none, and the floor of its drift tracker's freeze; the facts for its
+    provenance.
+
+    Args:
+        rows: of the bundle's errors (collect_rows).
+    """
+    bundle.error_scale = scale_of(rows)
+    if bundle.drift.time_constant_s > 0:
+        seen = freeze_floor_nm(rows.error_nm, drift, rows.period_s)
+        drifted = drift.freeze_floor_share * np.array(bundle.drift.size_nm)
+        bundle.drift.freeze_floor_nm = np.maximum(drifted, seen).tolist()
+    return {"hours": rows.hours, "power": rows.power}
+
+
+def put_constant_error(bundle: _core.Bundle, rows: Rows) -> None:
+    """Give a bundle with constant limits the standard error of these rows, sliding and near stiction; limits stay."""
+    scale = _core.ErrorScaleSettings()
+    scale.features = [_core.MotionFeature.constant]
+    scale.limit_weights = scale.largest = [1.0] * bundle.joints
+    regions = []
+    for inside in (~rows.near_stiction, rows.near_stiction):
+        enough = inside.sum(axis=0) >= LEAST_ROWS
+        errors = [rows.error_nm[inside[:, j] if enough[j] else slice(None), j] for j in range(bundle.joints)]
+        regions.append([float(sigma_weights(np.ones((len(one), 1)), one)[0]) for one in errors])
+    scale.sigma_weights, scale.sigma_near_weights = regions
+    scale.largest_sigma = np.max(regions, axis=0).tolist()
+    bundle.error_scale = scale
+
+
+def scale_of(rows: Rows) -> _core.ErrorScaleSettings:
+    """The error scale that fits these rows."""
+    joints = rows.error_nm.shape[1]
+    weights = np.array([limit_weights(rows, j) for j in range(joints)])
+    scale = _core.ErrorScaleSettings()
+    scale.features = list(FEATURES)
+    scale.limit_weights = weights.ravel().tolist()
+    scale.largest = np.einsum("rjf,jf->rj", rows.features, weights).max(axis=0).tolist()
+    sliding: list[np.ndarray] = []
+    near: list[np.ndarray] = []
+    for j in range(joints):
+        error, features, stuck = rows.error_nm[:, j], rows.features[:, j], rows.near_stiction[:, j]
+        both = sigma_weights(features, error)
+        for inside, into in ((~stuck, sliding), (stuck, near)):
+            into.append(sigma_weights(features[inside], error[inside]) if inside.sum() >= LEAST_ROWS else both)
+    scale.sigma_weights = np.concatenate(sliding).tolist()
+    scale.sigma_near_weights = np.concatenate(near).tolist()
+    of_sliding, of_near = (np.einsum("rjf,jf->rj", rows.features, np.array(weights)) for weights in (sliding, near))
+    scale.largest_sigma = np.where(rows.near_stiction, of_near, of_sliding).max(axis=0).tolist()
+    return scale
+
+
+def add_friction(bundle: _core.Bundle, share: float, at_rest_nm: np.ndarray, per_speed: np.ndarray) -> None:
+    """Add a share of the friction, at_rest_nm + per_speed |dq|, to limits that follow the error.
+
+    It stands in the weights of the constant and of the speed, in units of the sliding collision limit; other limits get
+    it in proportion to theirs.
+    """
+    scale, level = bundle.error_scale, np.array(bundle.sliding_limit_nm)
+    weights = np.array(scale.limit_weights).reshape(bundle.joints, -1)
+    weights[:, FEATURES.index(_core.MotionFeature.constant)] += share * at_rest_nm / level
+    weights[:, FEATURES.index(_core.MotionFeature.speed)] += share * per_speed / level
+    # What bounds the scale was the largest of training motion: at most the friction of a very high speed more.
+    scale.largest = (np.array(scale.largest) + share * (at_rest_nm + per_speed * RESERVE_SPEED_RAD_S) / level).tolist()
+    scale.limit_weights = weights.ravel().tolist()
+    bundle.error_scale = scale
+
+
+@dataclass(frozen=True)
+class LeftOutErrors:
+    """What limits that follow the error would be on motion that nothing was trained on."""
+
+    usual_limit_nm: np.ndarray  # (joints,): sliding, in usual motion
+    limit_nm: np.ndarray  # (rows, joints)
+
+
+def left_out_errors(
+    bundle: _core.Bundle, judged: Iterable[Recording | Judged], threads: int, margins: FreeMotionConfig
+) -> LeftOutErrors:
+    """The limits that nothing of this motion passes, as they follow its largest standardised errors.
+
+    Raises:
+        TrainingError: no free motion.
+    """
+    rows = collect_rows(bundle, judged, threads, margins)
+    weights = np.array([limit_weights(rows, j) for j in range(bundle.joints)])
+    scale = np.einsum("rjf,jf->rj", rows.features, weights)
+    sliding, near = (
+        np.where(inside, rows.error_nm / scale, 0).max(axis=0) for inside in (~rows.near_stiction, rows.near_stiction)
+    )
+    near = np.maximum(sliding, near)
+    sliding = np.where(sliding > 0, sliding, near)  # a joint that never slid
+    return LeftOutErrors(sliding, np.where(rows.near_stiction, near, sliding) * scale)
+
+
+def freeze_floor_nm(error_nm: np.ndarray, config: DriftConfig, period_s: float) -> np.ndarray:
+    """What a joint's |tau_ext| must be over to freeze the drift tracker, (joints,), [N m].
+
+    One multiple of every joint's RMS error: the one that lets the tracker stand still in config.most_frozen of these
+    rows, freeze_s after each row over it included.
+
+    Args:
+        error_nm: (rows, joints), period_s apart.
+    """
+    rms = np.sqrt(np.mean(error_nm**2, axis=0))
+    over = (error_nm / np.maximum(rms, 1e-300)).max(axis=1)
+    back = max(1, round(config.freeze_s / period_s) + 1)
+    recent = maximum_filter1d(over, back, origin=(back - 1) // 2)  # of this row and those before it
+    return float(np.quantile(recent, 1 - config.most_frozen)) * rms
+
+
+def collect_rows(
+    bundle: _core.Bundle,
+    judged: Iterable[Recording | Judged],
+    threads: int,
+    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
+) -> Rows:
+    """Errors and features of free motion, a row a network period, or as many fewer as MOST_ROWS ask for.
+
+    Raises:
+        TrainingError: no free motion.
+    """
+    plain = _core.Bundle.from_bytes(bundle.to_bytes())
+    plain.error_scale = unit_scale(bundle.joints)
+    found: list[tuple[np.ndarray, ...]] = []
+    stride, count = bundle.observer.network_stride, 0
+    numbers: dict[str, int] = {}
+    for one in judged:
+        one = one if isinstance(one, Judged) else Judged(one)
+        said, error, counted = judge(bundle, one, threads, margins)
+        at = np.flatnonzero(counted)[::stride].astype(np.int64)
+        if len(at) == 0:
+            continue
+        r, near = one.recording, said["near_stiction"]
+        motion = _core.motion_errors(plain, r.t_ns, r.dq, near, said["entered"], said["restarted"], at)
+        number = np.full(len(at), numbers.setdefault(r.name, len(numbers)))
+        found.append((error[at], near[at].astype(bool), motion["features"], r.t_ns[at], number))
+        count += len(at)
+        if count > MOST_ROWS:  # every other one of all serves as well
+            found = [tuple(column[::2] for column in rows) for rows in found]
+            count, stride = sum(len(rows[0]) for rows in found), 2 * stride
+    if not found:
+        raise no_free_motion(bundle, margins)
+    error, near, features, t_ns, number = (np.concatenate(column) for column in zip(*found, strict=True))
+    period_s = 1e-9 * bundle.observer.sample_period_ns * stride
+    return Rows(error, near, features, period_s, t_ns, number, tuple(numbers))
+
+
+def limit_weights(rows: Rows, joint: int) -> np.ndarray:
+    """Weights of a joint's limits, (features,): their scale is 1 in the median, and never below LEAST_CONSTANT."""
+    features = rows.features[:, joint]
+    weights = fit_weights(features, rows.error_nm[:, joint], rows.power)
+    weights = weights / float(np.median(features @ weights))
+    weights[0] = max(weights[0], LEAST_CONSTANT)
+    speed, standstill = (FEATURES.index(kind) for kind in (_core.MotionFeature.speed, _core.MotionFeature.standstill))
+    stood_s = 3600 * rows.hours * float(np.mean(features[:, speed] < STANDS_RAD_S))
+    if stood_s < STOOD_S:
+        weights[standstill] = max(weights[standstill], 1.0 - weights[0])
+    return weights
+
+
+def unit_scale(joints: int) -> _core.ErrorScaleSettings:
+    """All features, and a scale of 1 whatever the motion."""
+    scale = _core.ErrorScaleSettings()
+    scale.features = list(FEATURES)
+    constant = [1.0] + [0.0] * (len(FEATURES) - 1)
+    scale.limit_weights = scale.sigma_weights = scale.sigma_near_weights = constant * joints
+    scale.largest = scale.largest_sigma = [1.0] * joints
+    return scale
+
+
+def sigma_weights(features: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Weights of the standard error, scaled so that as many errors lie within it as of a normal one.
+
+    Where that is none, since most errors are 0 (a servo that stands at its goal to the count), it is their root mean
+    square.
+    """
+    weights = fit_weights(features, error, 2.0)
+    sigma = features @ weights
+    scaled = weights * float(np.quantile(error / sigma, ONE_SIGMA))
+    rms = float(np.sqrt(np.mean(error**2)))
+    return scaled if scaled.any() else np.r_[max(rms, 1e-6), np.zeros(len(weights) - 1)]
+
+
+def fit_weights(features: np.ndarray, error: np.ndarray, power: float) -> np.ndarray:
+    """The weights w >= 0 of the module's equation, (features,), of any scale; the constant's is above 0."""
+    if not error.any():  # whatever the motion, no error: the constant alone
+        return np.r_[1.0, np.zeros(features.shape[1] - 1)]
+    size = features.mean(axis=0)
+    used = size > 0
+    F = features[:, used] / size[used]
+    e = error / max(float(np.sqrt(np.mean(error**2))), 1e-300)
+
+    def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
+        sigma = F @ w
+        ratio = e / sigma
+        top = max(float(ratio.max()), 1e-300)
+        high = (ratio / top) ** power
+        total = float(high.sum())
+        value = float(np.log(sigma).mean()) + np.log(top) + np.log(total / len(e)) / power
+        return value, (F / sigma[:, None]).mean(axis=0) - (F / sigma[:, None]).T @ high / total
+
+    start = np.full(F.shape[1], 1.0 / F.shape[1])
+    bounds = [(LEAST_CONSTANT / 10, None)] + [(0, None)] * (F.shape[1] - 1)
+    found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 200})
+    weights = np.zeros(len(size))
+    weights[used] = np.maximum(found.x, [low for low, _ in bounds]) / size[used]  # SciPy may end at -1e-19
+    return weights

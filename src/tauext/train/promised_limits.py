@@ -1,0 +1,202 @@
+"""Limits with a meaning: those that a budget of false alarms asks for, as far as the recordings can support it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tauext import _core
+from tauext.config import AlarmConfig, FreeMotionConfig
+from tauext.data.recording import Recording
+from tauext.fit.ties import simplest
+from tauext.train.calibrate_limits import LevelLimits
+from tauext.train.held_peaks import REGIONS, Peaks, collect_peaks
+from tauext.train.judged import Judged
+from tauext.train.kept_peaks import KeptPeaks
+from tauext.train.moments import Moment, carrying_moments
+from tauext.train.promise import FalseAlarmBudget, Promise, split
+from tauext.train.tail import Tail, TooFewPeaks, fit_tail
+
+HARD_PUSH = 3.0
+"""Hold times are compared on a push of so many times the limit that no hold time at all would have."""
+
+HOLD_WORTH = 0.01
+"""A longer hold time must find that push sooner by this share: the tails' fits know their limits no better."""
+
+
+@dataclass(frozen=True)
+class PromisedLimits:
+    """Limits of both levels, the hold time that belongs to them, and what they promise."""
+
+    collision: LevelLimits
+    contact: LevelLimits
+    hold_s: float
+    contact_hold_s: float
+    promise: Promise
+    budget: FalseAlarmBudget
+    """What the limits were set for: what was asked, or the smallest that the recordings support."""
+    tails: dict
+    """Facts of every fit, by joint and region."""
+    moments: list[Moment] = field(default_factory=list)
+    """Those that carry a collision limit."""
+
+    @property
+    def misfits(self) -> list[str]:
+        """Joints and regions whose tail is no generalised Pareto distribution: their limits are weakly founded."""
+        return [name for name, tail in self.tails.items() if not tail["fits"]]
+
+    def sentence(self) -> str:
+        """In words: what is promised, what the limits were set for, and what the data do not bear out."""
+        words = self.promise.sentence()
+        if not self.promise.is_supported:
+            words += f" The limits are set for {self.budget}."
+        if self.misfits:
+            words += (
+                f" The tail of {', '.join(self.misfits)} fits no known shape; its limit is a guess on the safe side."
+            )
+        return words
+
+    def facts(self) -> dict:
+        """All of it for JSON."""
+        return {
+            "sentence": self.sentence(),
+            "promise": self.promise.summary(),
+            "set_for": str(self.budget),
+            "hold_s": self.hold_s,
+            "tails": self.tails,
+            **({"one_moment": [moment.facts() for moment in self.moments]} if self.moments else {}),
+        }
+
+
+def promised_limits(
+    bundle: _core.Bundle,
+    recordings: Callable[[], Iterable[Recording | Judged]],
+    alarm: AlarmConfig,
+    threads: int,
+    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
+    level_confidence: float | None = None,
+    at_most_seen: bool = False,
+    kept: KeptPeaks | None = None,
+) -> PromisedLimits:
+    """Limits from the tail of the error on calibration recordings, which nothing was trained or validated on.
+
+    The budget is split equally over joints and regions. Each limit is the level that peaks of the held error exceed at
+    most at its share of the rate, with the confidence of the promise. A longer hold time lowers the limits and delays
+    every alarm; the one is taken that finds a hard push first: behind an observer that reaches S (1 - exp(-K0 t)),
+
+        t = -ln(1 - limit(hold) / S) / K0 + hold,     S = HARD_PUSH limit(0)
+
+    on the mean over joints in the sliding region. Where the recordings are too short for the budget, the limits are set
+    for the smallest budget that they support, and the promise says how much is missing.
+
+    Args:
+        recordings: loads them one at a time; called once.
+        level_confidence: with which each limit keeps its share of the budget; None: that of the promise.
+        kept: what a killed process has done of this; `recordings` begins behind that.
+        at_most_seen: no limit is above `most_seen` of the largest peaks, however far the tail's fit reaches beyond it.
+
+    Raises:
+        TrainingError: no free motion, or too few peaks to say anything.
+    """
+    n = bundle.joints
+    found = collect_peaks(bundle, recordings(), alarm.holds_s, threads, margins=margins, kept=kept)
+    asked = FalseAlarmBudget(alarm.false_alarms, alarm.in_hours)
+    promise = Promise(asked, found[0].hours, streams=n * len(REGIONS), confidence=alarm.confidence)
+    budget = asked if promise.is_supported else promise.supported
+    contact_budget = FalseAlarmBudget(alarm.contacts_an_hour, 1.0)
+    level_confidence = alarm.confidence if level_confidence is None else level_confidence
+    choices = [limits_of(peaks, budget, level_confidence, at_most_seen) for peaks in found]
+    first = choices[0][0].sliding_nm
+
+    def delay_s(choice: int) -> float:
+        share = np.minimum(choices[choice][0].sliding_nm / (HARD_PUSH * first), 0.999)
+        return float(np.mean(-np.log1p(-share)) / bundle.observer.gain_per_s + alarm.holds_s[choice])
+
+    best = simplest(range(len(found)), delay_s, HOLD_WORTH)
+    limits, tails = choices[best]
+    # A contact is held at least as long as a collision: else what that hold time was chosen to outlast would cross the
+    # contact's limits at once, which are no higher.
+    held = next(k for k, hold in enumerate(alarm.holds_s) if hold >= alarm.contact_hold_s or k == len(found) - 1)
+    held = max(held, best)
+    contact, _ = limits_of(found[held], contact_budget, 0.5, at_most_seen)
+    contact = LevelLimits(
+        np.minimum(contact.sliding_nm, limits.sliding_nm), np.minimum(contact.near_stiction_nm, limits.near_stiction_nm)
+    )
+    moments = _moments(found[best], budget, level_confidence, at_most_seen)
+    return PromisedLimits(limits, contact, alarm.holds_s[best], alarm.holds_s[held], promise, budget, tails, moments)
+
+
+def _moments(peaks: Peaks, budget: FalseAlarmBudget, confidence: float, at_most_seen: bool) -> list[Moment]:
+    def of_joint(joint: int, nm: Sequence[np.ndarray]) -> np.ndarray:
+        return np.maximum.accumulate(_of_joint(peaks, joint, nm, budget, confidence, at_most_seen)[0])
+
+    try:
+        return carrying_moments(peaks, of_joint)
+    except TooFewPeaks:  # none to spare
+        return []
+
+
+def limits_of(
+    peaks: Peaks, budget: FalseAlarmBudget, confidence: float, at_most_seen: bool
+) -> tuple[LevelLimits, dict]:
+    """The limits that these peaks ask for, each with this confidence, and facts of every fit by joint and region.
+
+    Raises:
+        TooFewPeaks: of some joint.
+    """
+    facts: dict = {}
+    levels = []
+    for j, joint in enumerate(peaks.joints):
+        of_joint, tails = _of_joint(peaks, j, peaks.nm[j], budget, confidence, at_most_seen)
+        levels.append(of_joint)
+        for region, tail, level in zip(REGIONS, tails, of_joint.tolist(), strict=True):
+            facts[f"{joint} {region}"] = tail.summary() | {"limit_nm": level}
+    found = np.array(levels)
+    return LevelLimits(found[:, 0], np.maximum(found[:, 1], found[:, 0])), facts
+
+
+def _of_joint(
+    peaks: Peaks,
+    joint: int,
+    nm: Sequence[np.ndarray],
+    budget: FalseAlarmBudget,
+    confidence: float,
+    at_most_seen: bool,
+) -> tuple[np.ndarray, list[Tail]]:
+    """The levels of a joint's regions, (regions,), from these of its peaks, and their tails."""
+    shares = split(budget, len(peaks.joints), len(REGIONS))[joint]
+    tails = [_tail(nm, region, peaks.hours) for region in range(len(REGIONS))]
+    levels = np.array([tail.upper_level(float(share), confidence) for tail, share in zip(tails, shares, strict=True)])
+    if at_most_seen:
+        levels = np.minimum(levels, [most_seen(tail.peaks_nm) for tail in tails])
+    return levels, tails
+
+
+def most_seen(peaks_nm: np.ndarray) -> float:
+    """The geometric mean of the two largest peaks, [N m]: one event twice as large as any other counts 1.4 times.
+
+    Args:
+        peaks_nm: falling, (peaks,), two or more.
+    """
+    return float(np.sqrt(peaks_nm[0] * peaks_nm[1]))
+
+
+def _tail(nm: Sequence[np.ndarray], region: int, hours: float) -> Tail:
+    """Of a region that a joint hardly enters too little is known: it takes the tail of both regions together."""
+    try:
+        return fit_tail(nm[region], hours)
+    except TooFewPeaks:
+        return fit_tail(np.sort(np.concatenate(nm))[::-1], hours)
+
+
+def apply_promised(bundle: _core.Bundle, found: PromisedLimits, alarm: AlarmConfig) -> None:
+    """Put limits and hold times into a bundle."""
+    bundle.sliding_limit_nm = found.collision.sliding_nm.tolist()
+    bundle.near_stiction_limit_nm = found.collision.near_stiction_nm.tolist()
+    bundle.hold_s = found.hold_s
+    bundle.contact_sliding_limit_nm = found.contact.sliding_nm.tolist()
+    bundle.contact_near_stiction_limit_nm = found.contact.near_stiction_nm.tolist()
+    bundle.contact_hold_s = found.contact_hold_s
+    bundle.contact_release_s = alarm.contact_release_s

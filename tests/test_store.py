@@ -124,7 +124,8 @@ def test_a_query_says_where_the_store_is_and_stands_in_no_message(monkeypatch):
 
 def test_nothing_of_pyarrow_is_loaded_before_a_store_is_asked():
     code = (
-        "import sys; from tauext.files.place import place_of; place_of('s3://arms/x') / 'y'; print('pyarrow' in sys.modules)"
+        "import sys; from tauext.files.place import place_of; place_of('s3://arms/x') / 'y'; "
+        "print('pyarrow' in sys.modules)"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout.strip() == "False"

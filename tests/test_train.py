@@ -12,7 +12,8 @@ from tauext import _core
 from tauext.config import ObserverConfig, TrainConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.fit import checkpoint, network_training
+from tauext.fit import network_training
+from tauext.fit.checkpoint import load_checkpoint
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.core_backend import CoreBackend
 from tauext.fit.network_training import train_network
@@ -155,7 +156,7 @@ def test_a_killed_training_loses_what_came_after_its_last_checkpoint_alone(tmp_p
         train_network(setup, windows, windows, config, path, {})
         os._exit(0)  # not reached
     assert os.WTERMSIG(os.waitpid(pid, 0)[1]) == signal.SIGKILL
-    assert checkpoint.load({}, path).at[1].steps == killed_at - 1
+    assert load_checkpoint({}, path).at[1].steps == killed_at - 1
     resumed = train_network(setup, windows, windows, config, path, {})
     whole = train_network(setup, windows, windows, config)
     assert resumed.parameters.tobytes() == whole.parameters.tobytes() and resumed.history == whole.history

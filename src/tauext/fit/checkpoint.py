@@ -26,7 +26,7 @@ class TrainState:
     """The training loss as the next entry of the history goes on from it; None before the first step."""
 
 
-def save(state: TrainState, settings: dict, path: Path) -> None:
+def save_checkpoint(state: TrainState, settings: dict, path: Path) -> None:
     """Write under a temporary name, then rename: an interruption leaves the last whole checkpoint."""
     parameters, adam = state.at
     with whole_file(path) as part, part.open("wb") as file:
@@ -44,7 +44,7 @@ def save(state: TrainState, settings: dict, path: Path) -> None:
         )
 
 
-def load(settings: dict, path: Path) -> TrainState | None:
+def load_checkpoint(settings: dict, path: Path) -> TrainState | None:
     """The state of an interrupted run with these settings, or None where there is no checkpoint.
 
     Raises:

@@ -13,9 +13,8 @@ import numpy as np
 from tauext import _core
 from tauext.config import TrainConfig
 from tauext.errors import TrainingError
-from tauext.fit import checkpoint
 from tauext.fit.adam import Adam
-from tauext.fit.checkpoint import TrainState
+from tauext.fit.checkpoint import TrainState, load_checkpoint, save_checkpoint
 from tauext.fit.core_backend import CoreBackend
 from tauext.fit.schedules import Schedule, make_schedule
 from tauext.fit.training_set import Setup, WindowSet
@@ -89,7 +88,7 @@ def train_network(
     schedule = make_schedule(setup, training, config)
     backend = backend or make_backend(setup, training, config, schedule.length, schedule.targets)
     shown = validation.ends[:: max(1, validation.windows // schedule.validation_windows)].copy()
-    state = checkpoint.load(settings or {}, checkpoint_path) if checkpoint_path else None
+    state = load_checkpoint(settings or {}, checkpoint_path) if checkpoint_path else None
     if state is None:
         start = backend.initial_parameters(config.seed)
         state = TrainState((start, Adam.start(len(start))), [], start.astype(np.float32))
@@ -111,14 +110,14 @@ def train_network(
                 report(Progress(done, schedule.steps, *state.history[-1][1:], pace * (schedule.steps - done)))
             whole = replace(state, seconds=resumed_seconds + time.monotonic() - started)
             if checkpoint_path and time.monotonic() - saved > CHECKPOINT_EVERY_S:
-                checkpoint.save(whole, settings or {}, checkpoint_path)
+                save_checkpoint(whole, settings or {}, checkpoint_path)
                 saved = time.monotonic()
     except KeyboardInterrupt:
         if checkpoint_path:
-            checkpoint.save(whole, settings or {}, checkpoint_path)
+            save_checkpoint(whole, settings or {}, checkpoint_path)
         raise
     if checkpoint_path:
-        checkpoint.save(state, settings or {}, checkpoint_path)
+        save_checkpoint(state, settings or {}, checkpoint_path)
     shape = _core.LstmShape(len(setup.inputs), config.hidden, setup.tree.size)
     return TrainedNetwork(shape, state.best, state.history, state.at[1].steps, state.seconds)
 

@@ -18,7 +18,7 @@ import numpy as np
 from made_servo import COUNT_RAD, NO_LOAD_RAD_S, STALL_NM, Driven, Servo, drive, recorded
 
 from tauext import _core
-from tauext.data.backlash import Play, play_of
+from tauext.data.drive_signal import Play, play_of
 from tauext.data.recording import Recording
 
 DEGREE = np.pi / 180

@@ -27,9 +27,7 @@ from unseen.results import STRONG
 from weighing.pushed import CONTACTS, PAIRS, pair_names, write_pair
 
 from tauext import Bundle, Monitor, Recording, load_bundle, load_dataset, load_recording
-from tauext.monitor.frame import load_frame
-from tauext.monitor.identify import identify
-from tauext.monitor.rows import see
+from tauext.monitor.weighing import identify, load_frame, see
 
 FIRST_S = 1.3
 """Observer and alarms have warmed up."""

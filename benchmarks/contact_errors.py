@@ -25,13 +25,10 @@ from tauext import _core
 from tauext.config import PAPER_CASES
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.page.bundles import LESSONS
-from tauext.page.practice import practice_recording
+from tauext.page.bundles import LESSONS, practice_recording
 from tauext.robot.model_case import estimated_model
 from tauext.sim.arms import ARMS, DemoArm
-from tauext.sim.mover import Mover
-from tauext.sim.plant import Plant
-from tauext.sim.push import Drag
+from tauext.sim.plant import Drag, Mover, Plant
 from tauext.train.stage import train_on_recordings
 
 PHASES = ("free motion", "first second of the push", "pressed while stopped", "released, still stopped", "moving again")

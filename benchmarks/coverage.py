@@ -20,10 +20,8 @@ import numpy as np
 from tauext import _core
 from tauext._core import Tree
 from tauext.config import ObserverConfig, PriorConfig
-from tauext.data.cut import cut
 from tauext.data.dataset import load_dataset
-from tauext.data.first_seconds import first_seconds, total_s
-from tauext.data.free_motion import free_pieces, free_samples
+from tauext.data.free_motion import cut, first_seconds, free_pieces, free_samples, total_s
 from tauext.data.recording import Recording
 from tauext.fit.bundle_writing import build_setup
 from tauext.fit.coverage import CoverageFit, fit_coverage

@@ -26,9 +26,9 @@ from trees import Part, six_axis, urdf
 from tauext.check.examine import Diagnosis, examine
 from tauext.data.recording_file import load_recording
 from tauext.robot.load import load_tree
-from tauext.sim.arm import arm_xml
+from tauext.sim.collect import simulate_recording
 from tauext.sim.config import RigConfig
-from tauext.sim.recording import simulate_recording
+from tauext.sim.rig import arm_xml
 
 RATE_HZ = 100.0
 PLANAR = ("rig", "parallel")

@@ -17,11 +17,11 @@ import numpy as np
 
 from tauext import _core
 from tauext.config import DriftConfig
+from tauext.data.dataset import load_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.data.split import load_split
+from tauext.sim.collect import simulate_recording
 from tauext.sim.config import RigConfig
-from tauext.sim.recording import simulate_recording
 
 Signals = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 BREAK_NS = 1_000_000_000

@@ -27,8 +27,13 @@ from felt.session import Course, Wish, run
 from felt.wishes import moves, press, taps
 
 from tauext._core import Bundle
-from tauext.monitor.energy_tank import EnergyTank, TankSettings
-from tauext.monitor.leader_feedback import FeedbackSettings, LeaderFeedback, free_motion_sigmas
+from tauext.monitor.leader_feedback import (
+    EnergyTank,
+    FeedbackSettings,
+    LeaderFeedback,
+    TankSettings,
+    free_motion_sigmas,
+)
 from tauext.progress import SILENT
 
 TABLE = Wall((0.0, 0.0, 1.0), 0.08)

@@ -26,10 +26,10 @@ from unseen.refitted import AFTER_S, COLLISION, EPISODE_S
 from unseen.results import STRONG, nearest, truth_of
 
 from tauext import _core
+from tauext.data.dataset import load_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.data.split import load_split
-from tauext.evaluate.estimating import estimate_recording
+from tauext.evaluate.injected import estimate_recording
 
 NEW_SEED = 100
 WAYS = {

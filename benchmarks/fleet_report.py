@@ -35,8 +35,8 @@ from unseen.two_dates import (
     make_date,
 )
 
+from tauext.fleet.compare import FLEET_FRICTION, OWN_FRICTION
 from tauext.fleet.odds import NAMED, learn_odds
-from tauext.fleet.questions import FLEET_FRICTION, OWN_FRICTION
 
 DAYS = ((0.0, 0.0), (0.08, 0.02), (0.08, 0.04))
 """Spread of the logarithm of friction at a date: of all joints of an arm, and of each by itself."""

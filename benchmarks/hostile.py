@@ -83,15 +83,15 @@ def import_all() -> None:
     import rosbags.rosbag2  # noqa: F401
     import scipy.io  # noqa: F401
 
-    import tauext.check
+    import tauext.check.examine
     import tauext.cli.monitor_output
-    import tauext.cli.reproduce_stage
-    import tauext.data.importers
-    import tauext.evaluate
+    import tauext.cli.experiment
+    import tauext.data.importers.open_raw
+    import tauext.evaluate.results_folder
     import tauext.page.bundles
-    import tauext.report
-    import tauext.report.picture
-    import tauext.train  # noqa: F401
+    import tauext.report.page
+    import tauext.report.check_picture
+    import tauext.train.stage  # noqa: F401
 
 
 class full_disk:

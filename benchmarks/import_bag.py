@@ -35,7 +35,7 @@ def write_bag(path: Path, samples: int, rate_hz: float, joints: list[str], stora
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
-    from tauext.data.importers.ros_messages import ARRAYS, layout_of
+    from tauext.data.importers.ros import ARRAYS, layout_of
 
     ros1 = storage == "ros1"
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
@@ -70,9 +70,9 @@ def import_once(bag: Path, arm: Path, out: Path, slow: bool) -> None:
     """Import in this process and print time and peak memory."""
     started = time.monotonic()
     if slow:
-        from tauext.data.importers import ros_messages
+        from tauext.data.importers import ros
 
-        ros_messages.layout_of = lambda *_: None
+        ros.layout_of = lambda *_: None
     from tauext.cli import main
 
     code = main(["import", "--source", str(bag), "--arm", str(arm), "--out", str(out)])

@@ -20,10 +20,8 @@ from tauext.bundle.bundle_file import load_bundle
 from tauext.data.dataset import load_dataset
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.evaluate.collisions import find_collisions
-from tauext.evaluate.estimating import estimate_recording
-from tauext.evaluate.injected import Event, Injection
-from tauext.evaluate.latched import judge_latched
+from tauext.evaluate.collisions import find_collisions, judge_latched
+from tauext.evaluate.injected import Event, Injection, estimate_recording
 
 EDGES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 1e9)
 """Peaks over the sliding limit."""

@@ -33,11 +33,8 @@ from tauext import Bundle
 from tauext.bundle.bundle_file import load_bundle
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
-from tauext.monitor.frame import NamedFrame, load_frame
-from tauext.monitor.identify import identify
-from tauext.monitor.known import weigh_constants
-from tauext.monitor.rows import see
-from tauext.monitor.scaled_bundle import scaled_bundle
+from tauext.monitor.known_load import scaled_bundle, weigh_constants
+from tauext.monitor.weighing import NamedFrame, identify, load_frame, see
 from tauext.sim.config import RigConfig
 
 RIG = "rig"

@@ -37,17 +37,15 @@ from tauext import _core
 from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
 from tauext.data.dataset import load_dataset
 from tauext.data.recording_file import load_recording, save_recording
-from tauext.evaluate.estimating import estimate_recording
 from tauext.evaluate.free_motion import count_episodes
+from tauext.evaluate.injected import estimate_recording
 from tauext.files.provenance import machine
 from tauext.fit.bundle_writing import build_setup
-from tauext.fit.find_kinematics import REFINED, directions
-from tauext.fit.kinematic_sample import KinematicSample
+from tauext.fit.find_kinematics import REFINED, KinematicSample, directions
 from tauext.fit.prior_terms import own_terms
 from tauext.fit.training_set import with_presliding
-from tauext.fleet.arms import fleet_arms
-from tauext.fleet.fleet_prior_stage import make_fleet_prior
-from tauext.fleet.summary import ODD
+from tauext.fleet.prior import ODD, make_fleet_prior
+from tauext.fleet.prior_arms import fleet_arms
 from tauext.robot.model_case import estimated_model
 from tauext.train.stage import train_bundle
 

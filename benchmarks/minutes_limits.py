@@ -24,13 +24,13 @@ import numpy as np
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.config import PAPER_CASES, EventsConfig, TrainConfig
-from tauext.data.cut import between
 from tauext.data.dataset import load_dataset
+from tauext.data.free_motion import between
 from tauext.data.recording import Recording
 from tauext.errors import TrainingError
 from tauext.evaluate.collisions import find_collisions
-from tauext.evaluate.estimating import estimate_recording
 from tauext.evaluate.events import EventMeasures
+from tauext.evaluate.injected import estimate_recording
 from tauext.robot.model_case import chosen_case, estimated_model
 from tauext.train.stage import train_on_recordings
 

@@ -42,9 +42,7 @@ from tauext.cli import main as tauext
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.fit.torque_constants import TorqueConstants
-from tauext.monitor.frame import load_frame
-from tauext.monitor.identify import identify
-from tauext.monitor.rows import see
+from tauext.monitor.weighing import identify, load_frame, see
 from tauext.robot.load import load_tree
 
 UR3_NM_PER_AMPERE = np.array([12.925, 13.088, 9.358, 4.572, 4.572, 4.548])
@@ -105,7 +103,7 @@ def trained(data: Path, path: Path, nm_per_ampere: np.ndarray, missing: int) -> 
         constants = TorqueConstants(
             np.where(known, nm_per_ampere, np.nan), np.where(known, 0.02 * nm_per_ampere, np.inf), known
         )
-        with patch("tauext.train.possible.fit_torque_constants", lambda *_: constants):
+        with patch("tauext.train.preparation.fit_torque_constants", lambda *_: constants):
             if tauext(["train", "--data", str(data), "--recipe", "prior", "--out", str(path)]):
                 raise RuntimeError(f"no training on {data}")
     return load_bundle(path)

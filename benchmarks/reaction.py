@@ -27,7 +27,7 @@ from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.reaction_file import Reaction
 from tauext.monitor.reactions import start_reactions
 from tauext.monitor.source import Sample, SourceCounts, SourceSettings
-from tauext.sources.sample_queue import SampleQueue
+from tauext.sources.reader import SampleQueue
 
 PERIOD_NS = 1_000_000
 AIM_P99_US = 2000.0

@@ -25,14 +25,13 @@ from unseen.cold import make_cold
 from unseen.refitted import during_refit, judge_cold
 
 from tauext import _core
-from tauext.evaluate.collisions import find_collisions
-from tauext.evaluate.estimating import estimate_recording
-from tauext.evaluate.latched import judge_latched
-from tauext.evaluate.reference import sensor_reference
+from tauext.evaluate.collisions import find_collisions, judge_latched
+from tauext.evaluate.errors import sensor_reference
+from tauext.evaluate.injected import estimate_recording
+from tauext.sim.collect import simulate_recording
 from tauext.sim.config import RigConfig
-from tauext.sim.recording import simulate_recording
-from tauext.train.promise import rate_interval
-from tauext.train.refit_stage import refit_motion, refit_recordings
+from tauext.train.refit import refit_motion, refit_recordings
+from tauext.train.tail import rate_interval
 
 ARMS = ["ur5", "panda", "kinova", "seven_axis"]
 ALL = ("coulomb_nm", "static_nm", "viscous_nm_s_rad")

@@ -25,9 +25,8 @@ from tauext import _core
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.errors import TrainingError
-from tauext.fit.fleet_prior import FleetPrior
-from tauext.fit.fleet_prior_file import load_fleet_prior
-from tauext.train.refit_stage import refit_recordings
+from tauext.fit.fleet_prior import FleetPrior, load_fleet_prior
+from tauext.train.refit import refit_recordings
 
 MINUTE = 1.1
 TAKES = (

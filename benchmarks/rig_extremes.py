@@ -16,9 +16,9 @@ import numpy as np
 
 from tauext import _core
 from tauext.config import PAPER_CASES, ObserverConfig
+from tauext.data.dataset import load_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.data.split import load_split
 from tauext.evaluate.collisions import Collision, find_collisions
 from tauext.fit.bundle_writing import build_setup
 from tauext.robot.model_case import estimated_model

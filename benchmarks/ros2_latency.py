@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 import seven_axis
 
-from tauext.monitor.real_time import ask_for_real_time
+from tauext.monitor.latency import ask_for_real_time
 
 SPACE, TOPIC, DOMAIN = "/latency", "/latency/joint_states", 91
 PERIOD_NS = 1_000_000
@@ -73,15 +73,15 @@ def main() -> None:
 
 
 def settings(**other):
-    from tauext.sources.settings import Ros2Settings
+    from tauext.sources.ros2_settings import Ros2Settings
 
     return Ros2Settings(topic=TOPIC, namespace=SPACE, domain=DOMAIN, **other)
 
 
 def run_robot(options: argparse.Namespace) -> None:
     """Publishes, at absolute times; the stamp of a message is when it was due."""
-    from tauext.sources.messages import Header, JointState, Time
-    from tauext.sources.node import Node
+    from tauext.sources.ros2_messages import Header, JointState, Time
+    from tauext.sources.ros2_node import Node
 
     node = Node(settings(node="robot"))
     writer = node.writer(TOPIC, JointState, "reliable", "volatile", 100)
@@ -158,8 +158,8 @@ def run_peer(options: argparse.Namespace) -> None:
     """Takes the torques, until none has come for a while."""
     from cyclonedds.core import WaitSet
 
-    from tauext.sources.messages import JointState
-    from tauext.sources.node import Node
+    from tauext.sources.ros2_messages import JointState
+    from tauext.sources.ros2_node import Node
 
     node = Node(settings(node="peer"))
     inbox = node.inbox(f"{SPACE}/external_torque", JointState, "reliable", "volatile", 1000)

@@ -31,9 +31,9 @@ from test_feetech_source import sts3215
 
 from tauext.monitor.source import SourceSettings
 from tauext.sources import servo_port
-from tauext.sources.can_bus_file import CanMotor
-from tauext.sources.dynamixel_source import DynamixelSource
-from tauext.sources.feetech_source import FeetechSource
+from tauext.sources.damiao import CanMotor
+from tauext.sources.dynamixel import DynamixelSource
+from tauext.sources.feetech import FeetechSource
 from tauext.sources.servo_bus_file import ServoJoint
 
 KINDS = {"feetech": (Feetech, FeetechSource, sts3215), "dynamixel": (Dynamixel, DynamixelSource, x_series)}

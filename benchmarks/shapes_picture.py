@@ -17,8 +17,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from tauext.page.drawing import shape_mesh
 from tauext.robot.capsules import link_capsules
-from tauext.robot.load import load_tree
-from tauext.robot.tree_from_mujoco import frame_of_joint
+from tauext.robot.load import frame_of_joint, load_tree
 from tauext.sim.arms import seven_axis_arm
 
 GREY, COLOURS = "#b9c0ca", ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")

@@ -32,8 +32,8 @@ KEYS = {"AWS_ACCESS_KEY_ID": "benchmark", "AWS_SECRET_ACCESS_KEY": "benchmark-se
 
 def make_recordings(dataset: Path, folder: Path, count: int) -> list[Path]:
     """So many recordings of MINUTES, NAME-000.parquet ..., from the test recordings; those that are there stay."""
-    from tauext.data.cut import cut
     from tauext.data.dataset import load_dataset
+    from tauext.data.free_motion import cut
     from tauext.data.recording import Recording
     from tauext.data.recording_file import save_recording
 
@@ -87,9 +87,8 @@ def gateway(program: str, objects: Path) -> Iterator[tuple[subprocess.Popen, dic
 
 def fill(files: list[Path], copies: int, split: str, folder: Path) -> None:
     """The dataset on disk, as links, and in the store."""
-    from tauext.files.place import place_of
-    from tauext.files.staging import send
-    from tauext.files.stored import StoredPlace
+    from tauext.files.copies import send
+    from tauext.files.places import StoredPlace, place_of
 
     there = place_of("s3://arms/data")
     assert isinstance(there, StoredPlace)

@@ -27,8 +27,7 @@ import numpy as np
 import tauext
 from tauext import _core
 from tauext.errors import ConfigError
-from tauext.fit.adam import Adam
-from tauext.fit.core_backend import CoreBackend
+from tauext.fit.core_backend import Adam, CoreBackend
 from tauext.fit.training_set import Setup, WindowSet
 
 try:

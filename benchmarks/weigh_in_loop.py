@@ -20,9 +20,7 @@ from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.monitor.frame import load_frame
-from tauext.monitor.identify import LoadEstimate, identify
-from tauext.monitor.rows import see
+from tauext.monitor.weighing import LoadEstimate, identify, load_frame, see
 
 
 def main() -> None:

@@ -28,7 +28,7 @@ from unseen.simulation import LINK_RADIUS_M, RATE_HZ, Run, _reach, simulate
 
 from tauext import _core
 from tauext.robot.load import load_tree
-from tauext.sim.sensors import encoder, low_pass, velocity
+from tauext.sim.rig import encoder, low_pass, velocity
 
 ARMS = ("panda", "ur5", "seven_axis", "kinova", "offset_wrist", "light_arm")
 """The last two are arms that no method was fixed on."""

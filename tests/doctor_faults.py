@@ -11,10 +11,10 @@ import numpy as np
 from made_motion import Made, made_motion
 
 from tauext import _core
+from tauext.check.arrangement import with_load
 from tauext.check.examine import Diagnosis
 from tauext.check.finding import Finding
 from tauext.check.motion import low_pass
-from tauext.check.payload import with_load
 from tauext.data.recording import FLAGS, SIGNALS, Recording
 from tauext.robot.load import load_tree
 

@@ -9,9 +9,9 @@ from arms import PLANAR_MJCF, planar_arm
 
 from tauext import _core
 from tauext.config import ObserverConfig, PriorConfig, TrainConfig
+from tauext.data.dataset import Split, save_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
-from tauext.data.split import Split, save_split
 
 RATE_HZ = 125.0
 COULOMB_NM, VISCOUS, NOISE_NM = 3.0, 2.0, 0.2

@@ -11,14 +11,13 @@ import numpy as np
 from scipy.signal import lfilter
 
 from tauext.bundle.estimates import COLLISION, OK, WARMING_UP, Estimates, save_estimates
+from tauext.data.dataset import Split, save_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
-from tauext.data.split import Split, save_split
-from tauext.evaluate.bundle_measures import BundleMeasures
-from tauext.evaluate.collisions import choose_ten, find_collisions
-from tauext.evaluate.reference import sensor_reference
-from tauext.evaluate.sanity import sanity_detectors
-from tauext.evaluate.touches import TouchMeasures
+from tauext.evaluate.collisions import TouchMeasures, choose_ten, find_collisions
+from tauext.evaluate.comparison import BundleMeasures
+from tauext.evaluate.errors import sensor_reference
+from tauext.evaluate.free_motion import sanity_detectors
 
 RATE_HZ = 1000
 WARM_S = 1.5

@@ -13,8 +13,8 @@ from tauext.config import ObserverConfig
 from tauext.data.recording import Recording
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.monitor.source import Sample, SourceSettings
+from tauext.sources.servo import ServoSource
 from tauext.sources.servo_bus_file import ServoBusFile, ServoJoint
-from tauext.sources.servo_source import ServoSource
 
 NAMES = ("pan", "lift", "elbow", "wrist", "roll", "grip")
 PATIENCE_S = 1.0

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tauext import _core
-from tauext.monitor.frame import NamedFrame
-from tauext.monitor.rows import Seen
+from tauext.monitor.weighing import NamedFrame, Seen
 
 ROW_S = 0.01
 OFFSET_SHARE, COULOMB_SHARE = 0.07, 0.2
@@ -229,7 +228,7 @@ class LoadEstimate:
 def identify(
     bundle: _core.Bundle, frame: NamedFrame, parts: Sequence[Seen], reach_m: float = 0.3, phi: np.ndarray | None = None
 ) -> LoadEstimate:
-    """As tauext.monitor.identify, with every round over the rows again."""
+    """As tauext.monitor.weighing, with every round over the rows again."""
     if sum(part.rows for part in parts) < LEAST_ROWS:
         raise ValueError(
             f"{parts[0].recording.name if parts else 'nothing'}: too few healthy samples to weigh a load; it takes "

@@ -30,10 +30,9 @@ from trees import Part, six_axis, urdf
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.config import AlarmConfig, PriorConfig, TrainConfig
-from tauext.data.dataset import load_dataset
+from tauext.data.dataset import Split, load_dataset, save_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
-from tauext.data.split import Split, save_split
 from tauext.errors import FaultyDataError, TauextError
 from tauext.recipes import RECIPES
 from tauext.robot.load import load_tree
@@ -418,7 +417,7 @@ def train(
     small: Small, data: Path, out: Path, recipe: str, accept: Sequence[str] = (), like: Path | None = None
 ) -> str:
     """Train as the command line does; what is wrong with the bundle, or nothing."""
-    from tauext.fit.fleet_prior_file import load_fleet_prior
+    from tauext.fit.fleet_prior import load_fleet_prior
     from tauext.train.stage import train_bundle
 
     dataset = load_dataset(data)
@@ -471,8 +470,8 @@ def uses(small: Small, data: Path, bundle: Path) -> Iterator[Ending]:
     """Refit, calibrate, weigh and correct the constants on the bundle's own dataset."""
     from tauext.check.finding import CODES
     from tauext.cli.load import load
-    from tauext.train.bundle_limits import recalibrate
-    from tauext.train.refit_stage import refit_bundle
+    from tauext.train.calibrate import recalibrate
+    from tauext.train.refit import refit_bundle
 
     dataset, recipe = load_dataset(data), bundle.stem
     recording = data / dataset.split.train[0]
@@ -517,8 +516,8 @@ def uses(small: Small, data: Path, bundle: Path) -> Iterator[Ending]:
 def fleet_endings(number: int, folder: Path) -> Iterator[Ending]:
     """A fleet prior from three arms of a dataset's type, and a fourth arm that is trained with it."""
     from tauext.check.finding import CODES
-    from tauext.fleet.arms import fleet_arms
-    from tauext.fleet.fleet_prior_stage import make_fleet_prior
+    from tauext.fleet.prior import make_fleet_prior
+    from tauext.fleet.prior_arms import fleet_arms
 
     small = Small(number)
     arms = [small.write(folder / f"arm-{k}" / "data", k) for k in range(4)]

@@ -13,15 +13,13 @@ from made_bags import JOINTS, joint_rows, motion, write_bag
 
 from tauext.data import assemble as assembling
 from tauext.data import description
-from tauext.data.amperes import from_amperes, in_amperes
-from tauext.data.assemble import assemble
+from tauext.data.assemble import assemble, derived_velocity, interpolated
 from tauext.data.description_file import parse_arm
 from tauext.data.description_template import Guess, guess, template
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.importers.raw import RawRecording, RawSignals
-from tauext.data.merge import interpolated
-from tauext.data.stamps import fitted_period_ns, fresh, lost_samples, ordered
-from tauext.data.velocity import derived_velocity
+from tauext.data.recording import fitted_period_ns, fresh, lost_samples, ordered
+from tauext.data.servo import from_amperes, in_amperes
 from tauext.errors import ConfigError, RecordingError
 
 ARM = """

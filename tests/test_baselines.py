@@ -15,11 +15,10 @@ from tauext.errors import BundleError, ConfigError
 from tauext.progress import Silent
 from tauext.recipes import baselines
 from tauext.robot.model_case import estimated_model
-from tauext.sim.collect import simulate_dataset
+from tauext.sim.collect import simulate_dataset, simulate_recording
 from tauext.sim.config import RigConfig
-from tauext.sim.recording import simulate_recording
 from tauext.train.baselines import train_baselines
-from tauext.train.settings import finished, training_settings
+from tauext.train.preparation import finished, training_settings
 from tauext.train.stage import train_on_recordings
 
 EXACT = PAPER_CASES["exact"]
@@ -146,7 +145,7 @@ def test_filters_that_pass_nothing_are_refused(changes, message):
 def test_two_minutes_are_enough_for_the_whole_recipe(tmp_path):
     made = [simulate_recording(RigConfig(), "free", 50.0, seed=3, number=k) for k in range(5)]
     robot, out = tmp_path / "robot.xml", tmp_path / "two.tauext"
-    from tauext.sim.arm import arm_xml
+    from tauext.sim.rig import arm_xml
 
     robot.write_text(arm_xml(RigConfig()))
     config = TrainConfig(recipe="tauext", minutes=2.0, max_steps=50, batch=8)

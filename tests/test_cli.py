@@ -16,7 +16,7 @@ from pictures import undrawn
 
 from tauext import _core
 from tauext.cli import main
-from tauext.cli.reproduce_stage import SCALES
+from tauext.cli.experiment import SCALES
 from tauext.config import TrainConfig
 from tauext.sim.config import RigConfig
 
@@ -55,7 +55,7 @@ def done(tmp_path_factory) -> Done:
     with pytest.MonkeyPatch.context() as patch, undrawn():
         patch.chdir(folder)
         patch.setitem(SCALES, "smoke", SMALLEST)
-        patch.setattr("tauext.cli.reproduce_stage.RigConfig", SHORTER)
+        patch.setattr("tauext.cli.experiment.RigConfig", SHORTER)
         patch.setattr("tauext.sim.config.changed_rig", lambda *changes: SHORTER())
         for command in commands(STEP_BY_STEP):
             for quick, smoke in SMALLER.items():
@@ -130,10 +130,8 @@ def test_reproduce_a_second_time_gives_the_same_results_and_trains_nothing_anew(
     before, written_ns = results.read_bytes(), bundle.stat().st_mtime_ns
     monkeypatch.chdir(workplace)
     monkeypatch.setitem(SCALES, "smoke", SMALLEST)
-    monkeypatch.setattr("tauext.cli.reproduce_stage.RigConfig", SHORTER)
-    monkeypatch.setattr(
-        "tauext.cli.reproduce_stage.write_report", lambda results, data, folder: folder
-    )  # is there already
+    monkeypatch.setattr("tauext.cli.experiment.RigConfig", SHORTER)
+    monkeypatch.setattr("tauext.cli.experiment.write_report", lambda results, data, folder: folder)  # is there already
     assert main(["reproduce", "--scale", "smoke", "--out", "runs/quick", "--cases", "exact"]) == 0
     assert bundle.stat().st_mtime_ns == written_ns
     after = results.read_bytes()
@@ -288,7 +286,7 @@ def test_ctrl_c_while_training_keeps_a_checkpoint_that_the_same_command_goes_on_
 def help_texts():
     """Every text that a verb's --help shows for one option, with the place that it stands at."""
     source = Path(__file__).parent.parent / "src" / "tauext"
-    for file in (source / "config.py", source / "sim" / "config.py", source / "sources" / "settings.py"):
+    for file in (source / "config.py", source / "sim" / "config.py", source / "sources" / "ros2_settings.py"):
         for node in ast.walk(ast.parse(file.read_text())):
             body = node.body if isinstance(node, ast.ClassDef) else []
             for field, text in pairwise(body):

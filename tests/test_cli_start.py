@@ -8,7 +8,7 @@ import tyro
 from made_error_scale import with_error_scale
 from made_pushes import watching_bundle
 
-from tauext.cli.quick_parser import quicken, without_own_source, without_typeguard
+from tauext.cli.parsing import quicken, without_own_source, without_typeguard
 
 LOADED = (
     "import atexit, sys; atexit.register(lambda: print(*sys.modules, file=sys.stderr)); from tauext.cli import main; "
@@ -34,7 +34,7 @@ def test_show_describes_a_bundle_without_numpy_and_the_library_of_recordings(tmp
     bundle.after_contact_factor = 2.0
     bundle.save(str(tmp_path / "arm.tauext"))
     loaded = modules_after("show", str(tmp_path / "arm.tauext"))
-    assert "tauext.bundle.situations" in loaded
+    assert "tauext.bundle.units" in loaded
     assert not loaded & {"numpy", "tauext.data", "pyarrow", "typeguard"}
 
 

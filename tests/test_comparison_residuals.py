@@ -14,7 +14,7 @@ from tauext.config import AlarmConfig, FilterConfig, TrainConfig
 from tauext.errors import TrainingError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.training_set import Setup
-from tauext.train.calibrate_limits import paper_limits
+from tauext.train.error_scale import paper_limits
 from tauext.train.promised_limits import promised_limits
 
 GAIN, DURATION_S = 20.0, 2.0

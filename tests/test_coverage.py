@@ -16,7 +16,7 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
 from tauext.fit.coverage import Motion, coverage_facts, fit_coverage
 from tauext.fit.training_set import Setup
-from tauext.monitor.explain_alarm import unfamiliar
+from tauext.monitor.explanation import unfamiliar
 
 RATE_HZ = 50.0
 SEVEN, RANGE_RAD = 7, 2.4

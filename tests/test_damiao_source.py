@@ -15,8 +15,7 @@ from made_servos import PATIENCE_S, servo_settings, taken
 
 from tauext.errors import ConfigError
 from tauext.monitor.source import SourceSettings, Stoppable
-from tauext.sources.can_bus_file import CanBusFile, CanMotor, load_can_bus
-from tauext.sources.damiao_source import DamiaoSource
+from tauext.sources.damiao import CanBusFile, CanMotor, DamiaoSource, load_can_bus
 
 can = pytest.importorskip("can")
 RANGES = (12.5, 30.0, 10.0)

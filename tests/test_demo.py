@@ -21,12 +21,9 @@ from tauext.page.simulation import RESUME_RAD, RESUME_S, Simulation
 from tauext.robot.load import load_tree
 from tauext.sim.arms import ARMS
 from tauext.sim.config import RigConfig
-from tauext.sim.mover import Mover
-from tauext.sim.planar import force_torque
-from tauext.sim.plant import Plant
-from tauext.sim.push import Drag, estimated_force
-from tauext.sim.sensors import measure
-from tauext.sim.simulate import roll_out
+from tauext.sim.contacts import force_torque
+from tauext.sim.plant import Drag, Mover, Plant, estimated_force
+from tauext.sim.rig import measure, roll_out
 
 
 @pytest.fixture(scope="module", params=ARMS)

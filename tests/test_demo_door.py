@@ -6,8 +6,7 @@ import socket
 import pytest
 
 from tauext.errors import ConfigError
-from tauext.page.door import is_own_name, why_not
-from tauext.page.page import free_port, open_server
+from tauext.page.page import free_port, is_own_name, open_server, why_not
 
 viser = pytest.importorskip("viser", reason="the page needs the extra tauext[live]")
 sync = pytest.importorskip("websockets.sync.client")

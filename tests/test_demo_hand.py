@@ -12,17 +12,14 @@ from tauext.bundle.bundle_file import load_bundle
 from tauext.config import ObserverConfig
 from tauext.errors import ConfigError
 from tauext.fit.bundle_writing import build_setup, make_bundle
-from tauext.page.bundles import bundle_folder
-from tauext.page.hand import Held, ball
-from tauext.page.hand_panel import hand_text
-from tauext.page.headless_weight import carried_weights, describe_weights
-from tauext.page.practice import practice_recording
-from tauext.page.simulation import Simulation
-from tauext.page.weighing import EVERY_S, LEAST_S, WEIGHED_S, Weigher, weigh, weighed_words
+from tauext.page.bundles import bundle_folder, practice_recording
+from tauext.page.headless import carried_weights, describe_weights
+from tauext.page.panel import hand_text
+from tauext.page.simulation import EVERY_S, LEAST_S, WEIGHED_S, Simulation, Weigher, weigh, weighed_words
+from tauext.page.snapshot import Held, ball
 from tauext.robot.load import load_tree
 from tauext.sim.arms import ARMS
-from tauext.sim.mover import Mover
-from tauext.sim.plant import Plant
+from tauext.sim.plant import Mover, Plant
 
 LIMIT_NM = 3.0
 """What the observer leaves of an arm without friction is torque noise, a tenth of it; 2 kg weigh 10 N m and more."""

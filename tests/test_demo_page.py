@@ -15,9 +15,9 @@ import pytest
 from made_demo import SHORT
 from page_mouse import CHROMIUM, PATIENCE_S, drag, on_screen, open_pages, until
 
-from tauext.page.hand import Held
-from tauext.page.hand_panel import GIVE, TAKE, HandPanel
 from tauext.page.page import Session, free_port, open_server
+from tauext.page.panel import GIVE, TAKE, HandPanel
+from tauext.page.snapshot import Held
 
 viser = pytest.importorskip("viser", reason="the page needs the extra tauext[live]")
 

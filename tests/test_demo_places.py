@@ -9,11 +9,10 @@ from made_demo import smooth_arm
 from tauext import _core
 from tauext.config import ObserverConfig
 from tauext.fit.bundle_writing import build_setup, make_bundle
-from tauext.page.place_drawing import PlaceDrawing, span
-from tauext.page.places import Place, Placed, Places, outward, place_words
-from tauext.page.practice import practice_recording
+from tauext.page.bundles import practice_recording
+from tauext.page.drawing import PlaceDrawing, span
 from tauext.page.simulation import Simulation
-from tauext.page.snapshot import Verdict
+from tauext.page.snapshot import Place, Placed, Places, Verdict, outward, place_words
 from tauext.robot.capsules import link_capsules
 from tauext.robot.load import load_tree
 

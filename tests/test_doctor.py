@@ -13,21 +13,18 @@ from doctor_faults import FAULTS, Case, Fault, beside, is_named, standing
 from made_motion import made_motion
 from trees import six_axis, urdf
 
+from tauext.check.arrangement import fit_load, with_load
 from tauext.check.examine import examine
 from tauext.check.finding import CODES
-from tauext.check.fit import fit_joint
-from tauext.check.motion import stretches
-from tauext.check.payload import fit_load, with_load
-from tauext.check.poses import pose_findings
-from tauext.check.regressors import presliding, rows_of
-from tauext.check.velocity import compare
+from tauext.check.fit import fit_joint, presliding, rows_of
+from tauext.check.motion import compare, pose_findings, stretches
 from tauext.cli import main
 from tauext.data.recording_file import save_recording
 from tauext.errors import ConfigError, RobotError
 from tauext.robot.load import load_tree
-from tauext.sim.arm import arm_xml
+from tauext.sim.collect import simulate_recording
 from tauext.sim.config import RigConfig
-from tauext.sim.recording import simulate_recording
+from tauext.sim.rig import arm_xml
 
 MINUTES, RATE_HZ = 0.5, 100.0
 

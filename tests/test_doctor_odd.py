@@ -12,11 +12,11 @@ from arms import planar_arm
 from made_motion import Drive, made_motion
 from trees import six_axis, urdf
 
+from tauext.check.arrangement import with_load
 from tauext.check.examine import examine
 from tauext.check.finding import Finding
-from tauext.check.payload import with_load
-from tauext.data.backlash import Play
-from tauext.data.cut import cut
+from tauext.data.drive_signal import Play
+from tauext.data.free_motion import cut
 from tauext.data.recording import Recording
 from tauext.robot.load import load_tree
 

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from made_servo import COUNT_RAD, Servo, drive, recorded
 
-from tauext.check.coarse import coarse_findings
-from tauext.check.examine import examine
+from tauext.check.examine import as_data, as_text, examine
 from tauext.check.quick import quick_look
+from tauext.check.sensors import coarse_findings
 from tauext.check.servo import efforts_of, servo_findings
-from tauext.check.summary import as_data, as_text
-from tauext.data.backlash import backlash_widths, play_of
-from tauext.data.quantum import position_step, step_of
-from tauext.report.picture import draw
+from tauext.data.drive_signal import backlash_widths, play_of, position_step, step_of
+from tauext.report.check_picture import draw
 
 DEGREE = np.pi / 180
 LOADED, PAN, PLAY, WIDE = 0, 1, 2, 3

@@ -9,11 +9,11 @@ import pytest
 from arms import planar_arm
 from made_motion import made_motion
 
+from tauext.check.clock import time_findings, time_unit
 from tauext.check.examine import examine
 from tauext.check.quick import quick_look
-from tauext.check.time_unit import time_findings, time_unit
+from tauext.data.assemble import derived_velocity
 from tauext.data.recording import Recording
-from tauext.data.velocity import derived_velocity
 
 DEGREES = 180 / np.pi
 

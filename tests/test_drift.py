@@ -16,7 +16,7 @@ from tauext.config import PAPER_CASES, DriftConfig, ObserverConfig, PriorConfig,
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
 from tauext.errors import ConfigError, TauextError
-from tauext.evaluate.estimating import estimate_recording
+from tauext.evaluate.injected import estimate_recording
 from tauext.fit.bundle_writing import build_setup, freeze_drift, make_bundle, set_drift
 from tauext.fit.prior import fit_prior
 from tauext.fit.prior_facts import friction_nm
@@ -25,7 +25,7 @@ from tauext.monitor.changes import ChangeFinder, DriftChange
 from tauext.monitor.flight_content import as_estimates, rows_kept
 from tauext.monitor.flight_files import FlightSource
 from tauext.train.error_scale import unit_scale
-from tauext.train.settings import training_settings
+from tauext.train.preparation import training_settings
 
 CONFIG = DriftConfig(time_constant_s=5.0, rate_share_per_s=0.2)
 

@@ -13,7 +13,7 @@ from trees import ARMS, branched, planar_rig, random_states, seven_axis, six_axi
 
 from tauext import _core
 from tauext.robot.load import load_tree
-from tauext.robot.perturb import empty, perturbed
+from tauext.robot.model_case import empty, perturbed
 
 MODELS = Path(os.environ.get("TAUEXT_DATA", "")) / "models"
 FILE_ARMS = {

@@ -14,7 +14,7 @@ from tauext.errors import ConfigError
 from tauext.sources.servo_bus_file import ServoJoint
 
 pytest.importorskip("dynamixel_sdk")
-from tauext.sources.dynamixel_source import DynamixelSource
+from tauext.sources.dynamixel import DynamixelSource
 
 RAD = 2 * math.pi / 4096
 XL330, XL430, XM430 = 1200, 1060, 1020

@@ -13,7 +13,7 @@ from test_few_data import motion, trained
 from tauext import _core
 from tauext.config import AlarmConfig, DriftConfig, FreeMotionConfig, ObserverConfig
 from tauext.errors import ConfigError
-from tauext.train.bundle_limits import recalibrate
+from tauext.train.calibrate import recalibrate
 from tauext.train.error_scale import (
     BLUNT,
     FEATURES,
@@ -24,7 +24,7 @@ from tauext.train.error_scale import (
     freeze_floor_nm,
     sigma_weights,
 )
-from tauext.train.gain import HIT_S, LATEST_S, WORTH, mean_delay_s
+from tauext.train.network import HIT_S, LATEST_S, WORTH, mean_delay_s
 
 ROWS = 20_000
 

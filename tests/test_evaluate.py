@@ -12,11 +12,10 @@ from sliding_mass import estimates_of, observer_bundle, pushed, recording
 from tauext.bundle.estimates import Estimates, load_estimates, save_estimates
 from tauext.bundle.loss_history import read_loss_history, thin
 from tauext.errors import BundleError, ConfigError, RecordingError
-from tauext.evaluate.collisions import choose_ten, find_collisions, found_curve, judge
+from tauext.evaluate.collisions import choose_ten, find_collisions, found_curve, held, judge
 from tauext.evaluate.comparison import evaluate
-from tauext.evaluate.error_against_sigma import ErrorAgainstSigma
+from tauext.evaluate.errors import ErrorAgainstSigma
 from tauext.evaluate.free_motion import FreeMotionErrors, count_episodes
-from tauext.evaluate.latched import held
 
 
 def test_a_push_is_found_after_the_time_that_the_observer_needs_to_reach_the_limit(tmp_path):

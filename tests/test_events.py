@@ -7,10 +7,9 @@ from sliding_mass import observer_bundle, pushed, recording
 from tauext.config import EventsConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
+from tauext.evaluate.collisions import onset_s
 from tauext.evaluate.comparison import evaluate
-from tauext.evaluate.events import EventMeasures, event_time, is_moving, labelled_events
-from tauext.evaluate.onset import onset_s
-from tauext.evaluate.own_torque import own_limits
+from tauext.evaluate.events import EventMeasures, event_time, is_moving, labelled_events, own_limits
 
 
 def labelled(*spans: tuple[int, int], samples: int = 6000, **changes) -> Recording:

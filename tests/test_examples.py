@@ -18,7 +18,7 @@ from made_pushes import PUSHES, pushed, watching_bundle
 
 from tauext import _core
 from tauext.data.recording_file import save_recording
-from tauext.evaluate.estimating import estimate_recording
+from tauext.evaluate.injected import estimate_recording
 
 ROOT = Path(__file__).parent.parent
 COMPILERS_APART_NM = 1e-5

@@ -12,7 +12,7 @@ from made_servos import NAMES, bus_file, patient, servo_settings, taken
 from tauext.sources.servo_bus_file import ServoJoint
 
 pytest.importorskip("scservo_sdk")
-from tauext.sources.feetech_source import FeetechSource
+from tauext.sources.feetech import FeetechSource
 
 RAD = 2 * math.pi / 4096
 

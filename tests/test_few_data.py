@@ -13,14 +13,13 @@ from tauext.cli import main
 from tauext.config import PAPER_CASES, ObserverConfig, PriorConfig, TrainConfig
 from tauext.data.recording import Recording
 from tauext.errors import BundleError, ConfigError, TrainingError
-from tauext.evaluate.estimating import estimate_recording
+from tauext.evaluate.injected import estimate_recording
 from tauext.fit.bundle_writing import build_setup
 from tauext.fit.regression import NormalEquations, Regression, coupled
 from tauext.fit.torque_constants import TorqueConstants, fit_torque_constants, with_constants
 from tauext.train.limits import calibrate, factor_after
-from tauext.train.motion import training_motion
-from tauext.train.other_motion import NOT_MEASURED
-from tauext.train.recordings import wants_constants
+from tauext.train.preparation import training_motion, wants_constants
+from tauext.train.promised_limits import NOT_MEASURED
 from tauext.train.stage import train_on_recordings
 
 RATE_HZ = 125.0

@@ -7,9 +7,8 @@ from dataclasses import replace
 import pytest
 from made_results import make_results
 
-from tauext.report.first_screen import false_alarms, first_screen, joint_list, plain, shown_bundle, span, weak_words
-from tauext.report.methods import CurvePoint, StrengthBin
-from tauext.report.results import EvaluatedBundle, Results
+from tauext.report.page import false_alarms, first_screen, joint_list, plain, shown_bundle, span, weak_words
+from tauext.report.results import CurvePoint, EvaluatedBundle, Results, StrengthBin
 from tauext.report.results_file import load_results
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tauext.data.first_seconds import first_seconds, total_s
+from tauext.data.free_motion import first_seconds, total_s
 from tauext.data.recording import Recording
 
 

@@ -13,8 +13,8 @@ from tauext.data.recording import Recording
 from tauext.monitor.explanation import explain
 from tauext.monitor.flight_content import Flight, rows_kept
 from tauext.monitor.flight_files import FlightSource
-from tauext.monitor.frame import load_frame
 from tauext.monitor.replay import replay
+from tauext.monitor.weighing import load_frame
 
 COM = np.array([0.03, -0.02, 0.06])
 ON = 600

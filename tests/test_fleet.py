@@ -25,15 +25,13 @@ from tauext.data.dataset import load_dataset
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import ConfigError
 from tauext.files.whole_file import whole_file
-from tauext.fleet import build as build_file
-from tauext.fleet.example import EXAMPLE
-from tauext.fleet.fleet_file import load_fleet
-from tauext.fleet.local_workers import LocalWorkers
-from tauext.fleet.locking import locked
-from tauext.fleet.plan import plan_fleet
+from tauext.fleet import task as build_file
+from tauext.fleet.book import plan_fleet
+from tauext.fleet.fleet_file import EXAMPLE, load_fleet
 from tauext.fleet.ray_workers import RayWorkers
 from tauext.fleet.stages import STAGES
-from tauext.fleet.task import MARKER, Outcome, Task, finished, run_task, said_of
+from tauext.fleet.task import MARKER, Outcome, Task, finished, locked, run_task, said_of
+from tauext.fleet.workers import LocalWorkers
 from tauext.train.stage import train_bundle
 
 ARM_TOML = """
@@ -363,18 +361,18 @@ def test_another_version_is_refused_by_the_worker(tmp_path):
 
 def test_code_that_decides_the_bytes_is_another_build(tmp_path, monkeypatch):
     root = tmp_path / "tauext"
-    for name, text in {"fleet/build.py": "", "train/gain.py": "K = 1", "cli/show.py": "print()"}.items():
+    for name, text in {"fleet/task.py": "", "train/network.py": "K = 1", "cli/show.py": "print()"}.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text)
-    monkeypatch.setattr(build_file, "__file__", str(root / "fleet/build.py"))
+    monkeypatch.setattr(build_file, "__file__", str(root / "fleet/task.py"))
     asked = build_file.build.__wrapped__
     first = asked()
     assert re.fullmatch(r"\d[^+]*\+[0-9a-f]{12}", first)
     (root / "cli/show.py").write_text("print(2)")
     assert asked() == first
-    (root / "train/gain.py").write_text("K = 2")
+    (root / "train/network.py").write_text("K = 2")
     second = asked()
-    (root / "train/gain.py").rename(root / "train/other.py")
+    (root / "train/network.py").rename(root / "train/other.py")
     assert len({first, second, asked()}) == 3
 
 
@@ -382,7 +380,7 @@ def test_no_stage_can_import_what_does_not_count_to_the_build():
     root, reached, waiting = (
         Path(tauext.__file__).parent,
         set(),
-        {f"tauext.{name[:-3].replace('/', '.')}" for name in build_file.STAGES},
+        {f"tauext.{name[:-3].replace('/', '.')}" for name in build_file.STAGE_FILES},
     )
     modules = {name_of(file): file for file in root.rglob("*.py")}
     while waiting:

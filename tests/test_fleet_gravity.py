@@ -7,7 +7,7 @@ import pytest
 from arms import planar_arm
 
 from tauext import _core
-from tauext.fleet.gravity import POSES, gravity_nm, tool_columns, weigh_all
+from tauext.fleet.compare import POSES, gravity_nm, tool_columns, weigh_all
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import halfnorm, norm
 
+from tauext.fleet.compare import FLEET_FRICTION, OWN_FRICTION, OWN_TOOL
 from tauext.fleet.odds import NAMED, ODD_ARM, Question, Spreads, Table, learn_odds
-from tauext.fleet.questions import FLEET_FRICTION, OWN_FRICTION, OWN_TOOL
 
 ERROR = 0.01
 

@@ -14,18 +14,15 @@ from tauext import _core
 from tauext.cli import main
 from tauext.data.dataset import load_dataset
 from tauext.errors import ConfigError
-from tauext.fit.fleet_prior_file import content, load_fleet_prior, write_fleet_prior
-from tauext.fleet.arms import distinct, fleet_arms, own_terms_of
-from tauext.fleet.errors import factor_of
-from tauext.fleet.fleet_file import load_fleet
-from tauext.fleet.fleet_prior_stage import make_fleet_prior
-from tauext.fleet.plan import plan_fleet
-from tauext.fleet.settings import plain
+from tauext.fit.fleet_prior import content, load_fleet_prior, write_fleet_prior
+from tauext.fleet.book import plan_fleet
+from tauext.fleet.fleet_file import load_fleet, plain
+from tauext.fleet.prior import make_fleet_prior, table
+from tauext.fleet.prior_arms import distinct, fleet_arms, own_terms_of
+from tauext.fleet.prior_evidence import factor_of
 from tauext.fleet.stages import train_arm
-from tauext.fleet.summary import table
 from tauext.progress import SILENT
-from tauext.train.fleet_limits import scale_settings
-from tauext.train.limits import UNPROMISED_FACTOR
+from tauext.train.limits import UNPROMISED_FACTOR, scale_settings
 from tauext.train.stage import train_bundle
 
 SECONDS = 20.0
@@ -38,7 +35,7 @@ def made(tmp_path_factory) -> tuple[Path, list[Path]]:
     data = fleet(folder)
     out = folder / "planar.prior.json"
     with pytest.MonkeyPatch.context() as patch:  # the doctor would take half of the time, and is tested by itself
-        patch.setattr("tauext.fleet.arms.look_first", lambda *told: {})
+        patch.setattr("tauext.fleet.prior_arms.look_first", lambda *told: {})
         make_fleet_prior(fleet_arms([str(one) for one in data]), out, CONFIG)
     return out, data
 
@@ -60,7 +57,7 @@ def new(made, tmp_path_factory) -> dict[str, _core.Bundle]:
 def test_links_can_be_whichever_ridge_rounding_chooses(made, tmp_path, monkeypatch, tie):
     """A ridge one step stronger ended in a rotor inertia of -1.3 once, and training in an error of the core."""
     monkeypatch.setattr("tauext.fit.regression.RIDGE_TIE", tie)
-    monkeypatch.setattr("tauext.fleet.arms.look_first", lambda *told: {})
+    monkeypatch.setattr("tauext.fleet.prior_arms.look_first", lambda *told: {})
     prior = tmp_path / "planar.prior.json"
     make_fleet_prior(fleet_arms([str(one) for one in made[1]]), prior, CONFIG)
     data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (0.75, 1.15))))
@@ -302,7 +299,7 @@ def test_arms_are_named_by_what_tells_their_folders_apart():
 
 
 def test_from_minutes_enough_on_an_arms_limits_follow_from_its_own_errors(made, tmp_path, monkeypatch):
-    monkeypatch.setattr("tauext.train.fleet_limits.ENOUGH_S", SECONDS / 2)
+    monkeypatch.setattr("tauext.train.limits.ENOUGH_S", SECONDS / 2)
     data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (0.75, 1.15))))
     like = load_fleet_prior(made[0])
     bundle = train_bundle(data, tmp_path / "own.tauext", config=CONFIG, look=False, like=like)

@@ -12,9 +12,8 @@ from made_fleet import CONFIG, dataset, moving
 
 from tauext.data.dataset import load_dataset
 from tauext.errors import ConfigError
-from tauext.fleet.fleet_page import render_fleet_page
-from tauext.fleet.fleet_report_stage import FILE, make_fleet_report
-from tauext.fleet.fleet_write import write_fleet_page
+from tauext.fleet.page import render_fleet_page, write_fleet_page
+from tauext.fleet.report import FILE, make_fleet_report
 from tauext.fleet.visits import visits_of
 from tauext.train.stage import train_bundle
 

@@ -19,13 +19,12 @@ from tauext import _core
 from tauext.bundle.estimates import load_estimates, save_estimates
 from tauext.cli import main
 from tauext.config import ObserverConfig
-from tauext.data.amperes import in_amperes
 from tauext.data.recording_file import load_recording, save_recording
+from tauext.data.servo import in_amperes
 from tauext.errors import ConfigError, RecordingError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.monitor.flight_files import FlightSource, write_flight
-from tauext.report.flight import event_rows, write_flight_report
-from tauext.report.flight_figures import broken, draw_close, draw_flight
+from tauext.report.flight import broken, draw_close, draw_flight, event_rows, write_flight_report
 from tauext.report.flight_file import load_flight
 
 

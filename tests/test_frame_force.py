@@ -11,8 +11,7 @@ from test_places import bundle as bundle
 
 from tauext import _core
 from tauext.errors import ConfigError
-from tauext.monitor.frame_force import FrameForce, frame_force_words
-from tauext.monitor.places import PlaceFinder, place_facts, place_words
+from tauext.monitor.places import FrameForce, PlaceFinder, frame_force_words, place_facts, place_words
 
 POSE = [0.3, -0.6, 0.5, -1.7, 0.4, 1.3, 0.2]
 FORCE = np.array([4.0, -3.0, -22.0])

@@ -5,8 +5,7 @@ import pytest
 from sliding_mass import recording
 
 from tauext.config import FreeMotionConfig
-from tauext.data.free_motion import free_pieces, free_samples, split_by_time
-from tauext.data.standing import standing_joints
+from tauext.data.free_motion import free_pieces, free_samples, split_by_time, standing_joints
 
 
 def touched(*spans: tuple[int, int], samples: int = 6000):

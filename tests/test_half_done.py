@@ -13,15 +13,14 @@ import pytest
 from made_pushes import pushed, watching_bundle
 
 from tauext.config import AlarmConfig
-from tauext.data.dataset import load_dataset
+from tauext.data.dataset import Split, load_dataset, save_split
 from tauext.data.recording_file import save_recording
-from tauext.data.split import Split, save_split
 from tauext.evaluate import comparison
 from tauext.evaluate.results_folder import evaluate_bundles
 from tauext.files import half_done
 from tauext.files.half_done import HalfDone
 from tauext.train import held_peaks
-from tauext.train.bundle_limits import recalibrate
+from tauext.train.calibrate import recalibrate
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from tauext import _core
 from tauext.bundle.estimates import FAULT
 from tauext.config import FreeMotionConfig
 from tauext.errors import ConfigError, TrainingError
-from tauext.train.calibrate_limits import paper_limits
+from tauext.train.error_scale import errors, paper_limits
 from tauext.train.held_peaks import (
     PeakCollector,
     cluster_peaks,
@@ -19,7 +19,6 @@ from tauext.train.held_peaks import (
     hold_lengths,
     separate_peaks,
 )
-from tauext.train.judged import errors
 
 
 def slow_held_minimum(values, healthy, hold):

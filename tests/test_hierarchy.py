@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tauext.fit.hierarchy import LEAST_ARMS, Evidence, learn_hierarchy
+from tauext.fit.fleet_prior import LEAST_ARMS, Evidence, learn_hierarchy
 
 BLOCKS = [np.arange(0, 3), np.arange(3, 5)]
 MEAN = np.array([5.0, 1.0, -2.0, 0.5, 3.0])

@@ -10,12 +10,12 @@ from made_bags import joint_rows, motion, write_bag
 from trees import planar_rig, random_states, six_axis, urdf
 
 from tauext.cli import main
-from tauext.data.dataset_plan import RawFacts, plan
+from tauext.data.dataset import load_split
+from tauext.data.dataset_writing import RawFacts, plan
 from tauext.data.description_file import parse_arm
 from tauext.data.free_motion import free_stretches
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.recording_file import load_recording
-from tauext.data.split import load_split
 from tauext.errors import ConfigError, RobotError
 from tauext.robot.capsules import link_capsules
 from tauext.robot.load import load_tree, movable_joints

@@ -14,7 +14,7 @@ import pytest
 from made_bags import JOINTS, joint_rows, motion, write_bag
 from scipy.io import savemat
 
-from tauext.data.importers import ros_messages
+from tauext.data.importers import ros
 from tauext.data.importers.open_raw import open_raw
 from tauext.errors import RecordingError
 
@@ -55,7 +55,7 @@ def test_the_bulk_view_gives_what_rosbags_gives_message_by_message(tmp_path, kin
     rows = [(t, s, ("a", "bc", "def", "ghij"), q, [], tau) for t, s, _, q, _, tau in joint_rows(("a",) * 4, 50)]
     path = write_bag(tmp_path / "run", kind, {"/arm": rows})
     _, bulk = read(path)
-    monkeypatch.setattr(ros_messages, "layout_of", lambda *_: None)
+    monkeypatch.setattr(ros, "layout_of", lambda *_: None)
     _, slow = read(path)
     np.testing.assert_array_equal(bulk["/arm"][0], slow["/arm"][0])
     assert list(bulk["/arm"][1]) == list(slow["/arm"][1]) and len(bulk["/arm"][1]) == 8

@@ -11,12 +11,12 @@ from tauext import _core
 from tauext.cli import main
 from tauext.cli.live_view import text_number
 from tauext.config import AlarmConfig
-from tauext.data.impossible import LeftOut, SignalBounds, possible_parts
+from tauext.data.free_motion import LeftOut, SignalBounds, possible_parts
 from tauext.data.recording import Recording
 from tauext.errors import TrainingError
-from tauext.fit.signal_bounds import signal_bounds
-from tauext.monitor.explain_fault import signals
-from tauext.train.bundle_limits import calibrate_bundle
+from tauext.fit.training_set import signal_bounds
+from tauext.monitor.explanation import signals
+from tauext.train.calibrate import calibrate_bundle
 
 PERIOD_NS = 8_000_000
 BOUNDS = SignalBounds(np.array([300.0, 200.0]), np.array([10.0, 10.0]))

@@ -16,8 +16,8 @@ from tauext import _core
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.injected import SHAPES, Injection, curve, profile
 from tauext.report.entry import Entry
-from tauext.report.injected_figure import draw_injected, injected_table
-from tauext.report.methods_file import read_injected
+from tauext.report.force_figures import draw_injected, injected_table
+from tauext.report.results_file import read_injected
 
 SECONDS = 40.0
 UPPER_M, TOOL_M = 0.3, 0.2

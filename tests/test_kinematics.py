@@ -13,14 +13,12 @@ from trees import random_states
 from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data.recording import Recording
-from tauext.fit.kinematic_sample import pieces, thinned
-from tauext.fit.kinematics import Kinematics, frame_of
+from tauext.fit.find_kinematics import Kinematics, frame_of, pieces, thinned
 from tauext.fit.prior import Inertia, fit_prior, weighs_on
 from tauext.fit.prior_facts import arm_found
-from tauext.fit.prior_fit import PriorFit
-from tauext.fit.prior_terms import ESTIMATED
+from tauext.fit.prior_terms import ESTIMATED, PriorFit
 from tauext.fit.training_set import Setup
-from tauext.monitor.scaled_bundle import observer_with
+from tauext.monitor.known_load import observer_with
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
 
 X, Y, Z = np.eye(3)

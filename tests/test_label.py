@@ -18,9 +18,8 @@ from tauext.data.description_file import load_arm, parse_arm
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.importing import import_dataset
 from tauext.errors import BundleError, ConfigError, RecordingError
-from tauext.sources.frames import FrameLabeller
-from tauext.sources.labelling import label_dataset
-from tauext.sources.labels import element_names
+from tauext.sources.lerobot_frames import FrameLabeller, element_names
+from tauext.sources.lerobot_labels import label_dataset
 from tauext.train.stage import train_bundle
 
 FRAMES, COUNT = 240, 4
@@ -219,7 +218,7 @@ def test_an_interrupted_label_leaves_nothing(place, tmp_path, monkeypatch):
     def killed(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tauext.sources.labelling.with_labels", killed)
+    monkeypatch.setattr("tauext.sources.lerobot_labels.with_labels", killed)
     with pytest.raises(KeyboardInterrupt):
         labelled(place, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from tauext.data.lerobot_calibration import MotorCalibration, load_lerobot_calibration
+from tauext.data.servo_types import MotorCalibration, load_lerobot_calibration
 from tauext.errors import ConfigError
 
 ELBOW = {"id": 3, "drive_mode": 0, "homing_offset": -1470, "range_min": 871, "range_max": 3084}

@@ -11,20 +11,19 @@ from made_live import Clock, Keeper, ScriptedSource, samples_of
 from made_pushes import JOINTS, pushed, watching_bundle
 
 from tauext import _core
-from tauext.data.amperes import in_amperes
 from tauext.data.recording_file import load_recording
+from tauext.data.servo import in_amperes
 from tauext.errors import ConfigError, TauextError
 from tauext.monitor.changes import COLLISION, FAULT, OK, STALE, AlarmChange, HealthChange
 from tauext.monitor.control_lines import ControlSocket, obey
-from tauext.monitor.flight_sink import FlightSink
 from tauext.monitor.latency import Latencies
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.profiles import TEMPLATE, load_profiles
-from tauext.monitor.record_sink import RecordSink, file_name
+from tauext.monitor.record_sink import FlightSink, RecordSink, file_name
 from tauext.monitor.replay import replay
 from tauext.monitor.source import SourceCounts, Stoppable
-from tauext.sources.replay_source import ReplaySource
-from tauext.sources.sample_queue import SampleQueue
+from tauext.sources.reader import SampleQueue
+from tauext.sources.replay import ReplaySource
 
 
 @pytest.fixture(scope="module")

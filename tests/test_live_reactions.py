@@ -19,10 +19,17 @@ from tauext import _core
 from tauext.errors import ConfigError
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.reaction_file import TEMPLATE, Reaction, load_reactions
-from tauext.monitor.reaction_process import HELPER, ReactionFailed, ReactionProcess, content_of
-from tauext.monitor.reactions import Reactions, ReactionThread, start_reactions
+from tauext.monitor.reactions import (
+    HELPER,
+    ReactionFailed,
+    ReactionProcess,
+    Reactions,
+    ReactionThread,
+    content_of,
+    start_reactions,
+)
 from tauext.monitor.sink import Event
-from tauext.sources.replay_source import ReplaySource
+from tauext.sources.replay import ReplaySource
 
 FACTS = {"joints": list(JOINTS), "tau_ext_nm": [1.5, None], "limit_nm": [2.0, 3.0], "health": "ok", "causes": []}
 FACTS["contact_limit_nm"] = [1.0, 1.5]

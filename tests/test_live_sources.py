@@ -20,10 +20,9 @@ from tauext.errors import ConfigError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.monitor.loop import Loop
 from tauext.monitor.source import SourceSettings, Stoppable
-from tauext.sources.franka_source import FrankaSource
-from tauext.sources.replay_source import ReplaySource
-from tauext.sources.torque_constants_file import load_torque_constants
-from tauext.sources.ur_source import UrSource
+from tauext.sources.franka import FrankaSource
+from tauext.sources.replay import ReplaySource
+from tauext.sources.ur import UrSource, load_torque_constants
 
 UR_JOINTS = ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3")
 FRANKA_JOINTS = tuple(f"joint{k}" for k in range(1, 8))
@@ -246,7 +245,7 @@ def test_ur_stops_by_the_dashboard(ur, constants):
 
 @pytest.mark.parametrize("kind", ["ur", "franka"])
 def test_a_robot_that_goes_is_waited_for_and_connected_anew(kind, request, constants, monkeypatch):
-    monkeypatch.setattr("tauext.sources.reader_source.RETRY_S", 0.01)
+    monkeypatch.setattr("tauext.sources.reader.RETRY_S", 0.01)
     arm = request.getfixturevalue(kind)
     source = UrSource("h", constants) if kind == "ur" else FrankaSource("h")
     joints, period_ns = (UR_JOINTS, 2_000_000) if kind == "ur" else (FRANKA_JOINTS, 1_000_000)
@@ -340,7 +339,7 @@ def test_a_replay_waits_for_its_time_and_loses_nothing(monkeypatch):
         slept.append(seconds)
         now[0] += seconds
 
-    monkeypatch.setattr("tauext.sources.replay_source.time.sleep", sleep)
+    monkeypatch.setattr("tauext.sources.replay.time.sleep", sleep)
     source = ReplaySource(pushed(seconds=1.0), 2.0)
     source._pace._clock, source._pace._sleep = (lambda: now[0]), sleep
     source.open(SourceSettings(JOINTS, 1_000_000))

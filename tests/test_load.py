@@ -26,8 +26,8 @@ from tauext.monitor.loop import Loop
 from tauext.monitor.profiles import load_profiles
 from tauext.report.flight import facts
 from tauext.report.flight_file import load_flight
+from tauext.robot.frames import load_frame
 from tauext.robot.load import load_tree
-from tauext.robot.load_frame import load_frame
 from tauext.train.stage import train_on_recordings
 
 TOOL = Load(1.9, [0.03, -0.04, 0.08], [0.012, 0.014, 0.007, 0.001, -0.002, 0.0015], 0.0)
@@ -426,8 +426,8 @@ def test_halves_of_good_motion_agree_on_what_a_load_weighs_and_halves_of_little_
     from test_kinematics import CONFIG, LOWER_M, UPPER_M, X, Y, Z, setup_of
     from test_kinematics import arm as arm_of_four
 
-    from tauext.fit.kinematics import Kinematics
-    from tauext.train.found_load import load_disagreement
+    from tauext.fit.find_kinematics import Kinematics
+    from tauext.train.load import load_disagreement
 
     tree = arm_of_four()
     origins = np.array([[0, 0, 0], [0, 0, 0.2], [0, 0, 0.2 + UPPER_M], [0.1, 0, 0.2 + UPPER_M + LOWER_M]])
@@ -444,7 +444,7 @@ def test_a_last_axis_that_nothing_weighs_on_may_point_anywhere():
     from made_motion import made_motion
     from test_kinematics import arm as arm_of_four
 
-    from tauext.train.found_load import last_axis_shows
+    from tauext.train.load import last_axis_shows
 
     tree = arm_of_four()
     made = made_motion(tree, 0.2, pieces=1).recordings

@@ -19,17 +19,21 @@ from tauext.data.recording_file import save_recording
 from tauext.errors import ConfigError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.torque_constants import with_constants
-from tauext.monitor.frame import load_frame
-from tauext.monitor.identify import identify
-from tauext.monitor.known import weigh_constants
-from tauext.monitor.rows import see, stand_worth
-from tauext.monitor.scaled_bundle import scaled_bundle
-from tauext.monitor.weighable import expect_weighable, weighing_joints
-from tauext.monitor.windows import between, each_window
-from tauext.monitor.words import load_sentences
+from tauext.monitor.known_load import scaled_bundle, weigh_constants
+from tauext.monitor.weighing import (
+    between,
+    each_window,
+    expect_weighable,
+    identify,
+    load_frame,
+    load_sentences,
+    see,
+    stand_worth,
+    weighing_joints,
+)
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
 from tauext.robot.load import load_tree
-from tauext.train.possible import known_constants
+from tauext.train.preparation import known_constants
 
 MASS, COM = 1.6, np.array([0.03, -0.05, 0.08])
 QUIET = Drive(friction=0.0, noise=0.003)

@@ -21,10 +21,8 @@ from tauext.errors import ConfigError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.monitor.changes import WeighChange
 from tauext.monitor.control_lines import obey
-from tauext.monitor.frame import load_frame
-from tauext.monitor.identify import identify
 from tauext.monitor.loop import Loop
-from tauext.monitor.rows import see
+from tauext.monitor.weighing import identify, load_frame, see
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
 from tauext.robot.load import load_tree
 

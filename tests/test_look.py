@@ -15,20 +15,17 @@ from trees import six_axis, urdf
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.check.finding import CODES, Finding
-from tauext.check.memory import folder
-from tauext.check.verdict import Look, judge
-from tauext.check.viewing import MOST_MOVING_S, shares
+from tauext.check.look import MOST_MOVING_S, Look, folder, judge, shares
 from tauext.cli import main
 from tauext.config import AlarmConfig, TrainConfig
-from tauext.data.amperes import FROM_AMPERES
-from tauext.data.dataset import load_dataset
+from tauext.data.dataset import Split, load_dataset, save_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
-from tauext.data.split import Split, save_split
+from tauext.data.servo import FROM_AMPERES
 from tauext.errors import ConfigError, FaultyDataError
 from tauext.progress import Silent
 from tauext.robot.load import load_tree
-from tauext.train.bundle_limits import recalibrate
+from tauext.train.calibrate import recalibrate
 from tauext.train.stage import train_bundle
 
 OBSERVER = TrainConfig(recipe="observer", limits="paper")
@@ -187,8 +184,8 @@ def test_labelled_contacts_are_left_out_and_no_fault(data, tmp_path, capsys):
 
 def test_contacts_are_looked_for_beyond_the_share_that_all_checks_look_at(data, tmp_path, monkeypatch):
     """A push of 0.3 s at the end of one recording, once with a label that comes 0.5 s late, once with the right one."""
-    monkeypatch.setattr("tauext.check.viewing.MOST_MOVING_S", 20.0)
-    monkeypatch.setattr("tauext.check.viewing.LEAST_MOVING_S", 8.0)
+    monkeypatch.setattr("tauext.check.look.MOST_MOVING_S", 20.0)
+    monkeypatch.setattr("tauext.check.look.LEAST_MOVING_S", 8.0)
     whole = load_recording(data / "one.parquet")
     push = (whole.time_s > 14.0) & (whole.time_s < 14.3)
     tau = whole.tau + 4 * whole.tau.std(axis=0) * push[:, None]
@@ -206,7 +203,7 @@ def test_calibrate_looks_at_its_recordings_and_keeps_what_training_found(
 ):
     """Its 20 s of motion support no limits: these are not looked for."""
     found = SimpleNamespace(sentence=lambda: "found")
-    monkeypatch.setattr("tauext.train.bundle_limits.calibrate_bundle", lambda *a, **more: (found, {}))
+    monkeypatch.setattr("tauext.train.calibrate.calibrate_bundle", lambda *a, **more: (found, {}))
     spoil(data, "one", tau=spike)
     bundle, out = tmp_path / "a.tauext", tmp_path / "b.tauext"
     assert train(data, bundle, "--accept", "spike") == 0

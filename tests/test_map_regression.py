@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from tauext.fit.map_regression import MapRegression, WeightPrior
 from tauext.fit.regression import NormalEquations
+from tauext.fit.ridge import MapRegression, WeightPrior
 
 NOISE = np.array([0.5, 2.0])
 COLUMNS = (np.array([0, 1, 4]), np.array([2, 3, 4]))  # two of its own a joint, one that both share

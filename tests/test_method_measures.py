@@ -11,15 +11,12 @@ from sliding_mass import estimates_of, noisy, observer_bundle, pushed, recording
 
 from tauext.bundle.estimates import COLLISION
 from tauext.errors import ConfigError
-from tauext.evaluate.after_contact import AfterContact
-from tauext.evaluate.collisions import find_collisions
+from tauext.evaluate.collisions import by_strength, find_collisions
 from tauext.evaluate.comparison import evaluate
-from tauext.evaluate.estimating import estimate_recording
-from tauext.evaluate.free_motion import count_episodes
+from tauext.evaluate.errors import low_pass
+from tauext.evaluate.free_motion import AfterContact, check_promise, count_episodes, promised_per_hour
+from tauext.evaluate.injected import estimate_recording
 from tauext.evaluate.missed_curve import MissedCurve, held_ratio
-from tauext.evaluate.promise_check import check_promise, promised_per_hour
-from tauext.evaluate.reference import low_pass
-from tauext.evaluate.strength import by_strength
 
 
 @pytest.mark.parametrize("hold_s", [0.0, 0.02])

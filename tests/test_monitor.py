@@ -11,7 +11,7 @@ from tauext.errors import TauextError
 from tauext.fit.bundle_writing import build_setup, make_bundle, set_signal_ranges
 from tauext.fit.network_training import TrainedNetwork
 from tauext.fit.training_set import Scaling, find_scaling
-from tauext.train.calibrate_limits import LevelLimits, set_limits
+from tauext.train.error_scale import LevelLimits, set_limits
 
 HIDDEN, GAIN_PER_S = 20, 20.0
 

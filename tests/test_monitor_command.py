@@ -14,7 +14,7 @@ import pytest
 from made_pushes import pushed, watching_bundle
 
 from tauext.cli import main
-from tauext.cli.aside import Aside
+from tauext.cli.monitor_output import Aside
 from tauext.data.recording_file import load_recording, save_recording
 
 ROOT = Path(__file__).parent.parent
@@ -206,7 +206,7 @@ def test_an_output_that_waits_holds_up_nobody_and_its_fault_is_raised_at_the_end
 
 
 def test_every_kind_of_source_is_documented():
-    from tauext.cli.monitor_sources import KINDS
+    from tauext.cli.monitor import KINDS
 
     text = (ROOT / "docs" / "live.md").read_text()
     for name, kind in KINDS.items():

@@ -21,8 +21,7 @@ from tauext.config import ObserverConfig
 from tauext.data.recording_file import save_recording
 from tauext.errors import BundleError, ConfigError
 from tauext.evaluate.comparison import evaluate
-from tauext.evaluate.estimating import contact_limit_nm
-from tauext.evaluate.kept_poses import usual_limits
+from tauext.evaluate.injected import contact_limit_nm
 from tauext.evaluate.noticed_force import (
     MOST_N,
     even_ways,
@@ -30,6 +29,7 @@ from tauext.evaluate.noticed_force import (
     noticed_force,
     points,
     shown_after,
+    usual_limits,
     worst_force,
 )
 from tauext.fit.bundle_writing import build_setup, make_bundle

@@ -12,7 +12,7 @@ from test_few_data import motion
 
 from tauext import _core
 from tauext.cli import main
-from tauext.fit.old_constants import converted
+from tauext.fit.torque_constants import converted
 
 GOLDEN = Path(__file__).parent / "golden"
 CONSTANTS = np.array([9.0, -0.7])

@@ -13,12 +13,10 @@ from test_places import bundle as bundle
 from tauext.cli.run_json import JsonLines
 from tauext.errors import ConfigError
 from tauext.monitor.changes import ChangeFinder
-from tauext.monitor.events import EventFinder
 from tauext.monitor.places import PlaceFinder, place_facts, place_words
 from tauext.monitor.reaction_file import Reaction, load_reactions
-from tauext.monitor.reaction_process import content_of
-from tauext.monitor.reactions import ReactionThread
-from tauext.monitor.sink import Event, Verdict
+from tauext.monitor.reactions import ReactionThread, content_of
+from tauext.monitor.sink import Event, EventFinder, Verdict
 
 SIGMA_NM, RATE_HZ, RISES, FALLS = 0.1, 1000, 200, 900
 JOINTS = tuple(f"joint{k + 1}" for k in range(7))

@@ -7,8 +7,7 @@ import pytest
 from arms import planar_arm
 from test_prior import CORRECTED, RATE_HZ, WIDTHS, Kind, loaded, motion, record, setup_of, twin_presliding, where
 
-from tauext.fit.play import told
-from tauext.fit.prior import fit_prior
+from tauext.fit.prior import fit_prior, told
 
 SERVO = {"servo": {"torque_from": "duty", "velocity_steps": 20}}
 STEADY = replace(CORRECTED, correct_model=False)

@@ -17,17 +17,13 @@ from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.fit.friction import fit_friction
-from tauext.fit.prior import Inertia, fit_prior, fit_terms
-from tauext.fit.prior_fit import PriorFit
+from tauext.fit.prior import Inertia, find_ripple, fit_friction, fit_prior, fit_terms
 from tauext.fit.prior_terms import CORRECTED as BY_CORRECTED
 from tauext.fit.prior_terms import ESTIMATED as BY_ESTIMATED
-from tauext.fit.prior_terms import has_model, own_terms, shared_terms
-from tauext.fit.ripple import find_ripple
+from tauext.fit.prior_terms import PriorFit, encoder_count, has_model, own_terms, shared_terms
 from tauext.fit.training_set import Setup
-from tauext.fit.widths import encoder_count
 from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
-from tauext.robot.perturb import perturbed
+from tauext.robot.model_case import perturbed
 
 Kind = _core.TermKind
 RATE_HZ, GAIN = 100.0, 20.0

@@ -17,14 +17,14 @@ from test_few_data import motion
 from tauext import _core
 from tauext.bundle.estimates import OK
 from tauext.config import PAPER_CASES, CaseName, RecipeName, TrainConfig
-from tauext.data.cut import cut
+from tauext.data.free_motion import cut
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.fit.prior_fit import PriorFit
+from tauext.fit.prior_terms import PriorFit
 from tauext.fit.ridge import fit_ridge
 from tauext.fit.training_set import Setup
 from tauext.recipes import RECIPES, Recipe, baselines
-from tauext.train.settings import training_settings, why_impossible
+from tauext.train.preparation import training_settings, why_impossible
 from tauext.train.stage import train_on_recordings
 
 EXACT, NONE = PAPER_CASES["exact"], PAPER_CASES["none"]

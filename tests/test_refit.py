@@ -17,12 +17,10 @@ from tauext.data.recording_file import save_recording
 from tauext.errors import BundleError, ConfigError, TrainingError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.prior import fit_prior
-from tauext.fit.prior_fit import PriorFit
+from tauext.fit.prior_terms import PriorFit
 from tauext.fit.training_set import with_presliding
 from tauext.train.error_scale import unit_scale
-from tauext.train.refit_stage import Span, refit_bundle, refit_motion, refit_recordings
-from tauext.train.report import Refitted
-from tauext.train.standing import STANDS, sentence, standing
+from tauext.train.refit import STANDS, Refitted, Span, refit_bundle, refit_motion, refit_recordings, sentence, standing
 
 NOISE_NM = 0.2
 RATE_HZ = 250.0

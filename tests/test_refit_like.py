@@ -16,13 +16,12 @@ from tauext.cli import main
 from tauext.data.dataset import load_dataset
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.fit.fleet_prior_file import load_fleet_prior
-from tauext.fleet.arms import fleet_arms
-from tauext.fleet.days import FRICTION as FRICTION_KINDS
-from tauext.fleet.days import fleet_days
-from tauext.fleet.fleet_prior_stage import make_fleet_prior
-from tauext.train.fleet import agreeing, expectations, predicted, settings_with
-from tauext.train.refit_stage import refit_recordings
+from tauext.fit.fleet_prior import load_fleet_prior
+from tauext.fleet.prior import make_fleet_prior
+from tauext.fleet.prior_arms import fleet_arms
+from tauext.fleet.prior_evidence import FRICTION as FRICTION_KINDS
+from tauext.fleet.prior_evidence import fleet_days
+from tauext.train.refit import agreeing, expectations, predicted, refit_recordings, settings_with
 from tauext.train.stage import train_bundle
 
 ALIKE = 0.05**2 * (0.7 + 0.3 * np.eye(4))
@@ -145,7 +144,7 @@ def made(tmp_path_factory):
         arms.append(dataset(folder / f"arm-{k}" / "data", *warm))
     prior = folder / "planar.prior.json"
     with pytest.MonkeyPatch.context() as patch:  # the doctor would take half of the time, and is tested by itself
-        patch.setattr("tauext.fleet.arms.look_first", lambda *told: {})
+        patch.setattr("tauext.fleet.prior_arms.look_first", lambda *told: {})
         make_fleet_prior(fleet_arms([str(one) for one in arms]), prior, CONFIG)
     new = load_dataset(dataset(folder / "new", moving(90, 120.0, (1.0, 1.0))))
     bundle = folder / "new.tauext"

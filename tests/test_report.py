@@ -16,28 +16,31 @@ from pictures import undrawn as no_pictures
 
 from tauext.data.recording_file import fingerprint, load_recording, save_recording
 from tauext.errors import ConfigError, RecordingError, TauextError
-from tauext.report import paper
-from tauext.report.after_contact import draw_after_contact
-from tauext.report.collisions_over_time import draw_collisions
-from tauext.report.error_against_sigma import FEWEST, draw_error_against_sigma, sigma_table
-from tauext.report.error_over_speed import draw_error_over_speed
-from tauext.report.found_curve import draw_found_curve
-from tauext.report.free_motion import draw_free_motion
-from tauext.report.learning_curves import draw_learning_curves
-from tauext.report.methods_table import methods
-from tauext.report.missed_curve import draw_missed_curve
-from tauext.report.naming import bundle_label
-from tauext.report.noticed import joined
-from tauext.report.noticed_force import MOST_N, draw_noticed_force, noticed_table
-from tauext.report.page import PageFigure, render_page, tile
-from tauext.report.results_file import load_results
-from tauext.report.same_dataset import expect_same_dataset
+from tauext.report import results as paper
+from tauext.report.collision_figures import (
+    draw_after_contact,
+    draw_collisions,
+    draw_found_curve,
+    draw_missed_curve,
+    draw_strength,
+)
+from tauext.report.error_figures import (
+    FEWEST,
+    draw_error_against_sigma,
+    draw_error_over_speed,
+    draw_free_motion,
+    draw_learning_curves,
+    draw_training_loss,
+    sigma_table,
+)
+from tauext.report.force_figures import MOST_N, draw_noticed_force, noticed_table
+from tauext.report.page import PageFigure, render_page, tile, write_report
+from tauext.report.results import bundle_label, joined
+from tauext.report.results_file import expect_same_dataset, load_results
 from tauext.report.signals import NotAvailable, Signals
-from tauext.report.strength import draw_strength
 from tauext.report.style import CASE_COLOURS, OTHER_COLOURS, VARIANT_COLOURS, bundle_colours, bundle_strokes
+from tauext.report.tables import methods
 from tauext.report.three_collisions import choose, draw_three_collisions
-from tauext.report.training_loss import draw_training_loss
-from tauext.report.write import write_report
 
 FIGURES = ("figure-5-free-motion", "figure-6-error-over-speed", "figure-7-collisions", "figure-8-three-collisions")
 OF_METHODS = ("missed-curve", "strength", "after-contact")

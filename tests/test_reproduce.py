@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from tauext.cli.reproduce_stage import SCALES, trainings
+from tauext.cli.experiment import SCALES, trainings
 from tauext.config import PAPER_CASES
-from tauext.report.naming import bundle_label, place
+from tauext.report.results import bundle_label, place
 
 CASES = tuple(PAPER_CASES)
 

@@ -7,15 +7,10 @@ import numpy as np
 import pytest
 
 from tauext.errors import ConfigError
-from tauext.sim.arm import arm_xml
+from tauext.sim.collect import simulate_motion, simulate_recording
 from tauext.sim.config import DriveConfig, FrictionConfig, MotionConfig, RigConfig
-from tauext.sim.motions import draw_motion
-from tauext.sim.pulses import SHAPES, Pulse
-from tauext.sim.recording import simulate_motion, simulate_recording
-from tauext.sim.scene import build_scene
-from tauext.sim.schedule import spread
-from tauext.sim.sensors import measure
-from tauext.sim.simulate import roll_out
+from tauext.sim.contacts import SHAPES, Pulse, spread
+from tauext.sim.rig import arm_xml, build_scene, draw_motion, measure, roll_out
 
 KINDS = ("free", "pulses", "pads")
 BRIEF = replace(RigConfig(), collision_recording_s=20.0, collisions_per_recording=3)

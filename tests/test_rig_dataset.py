@@ -8,16 +8,14 @@ import pytest
 
 from tauext import _core
 from tauext.cli import main
+from tauext.data.dataset import load_split
 from tauext.data.recording_file import load_recording
-from tauext.data.split import load_split
 from tauext.errors import ConfigError
 from tauext.robot.load import load_tree, robot_sha256
 from tauext.sim import collect
-from tauext.sim.collect import simulate_dataset
+from tauext.sim.collect import simulate_dataset, simulate_motion
 from tauext.sim.config import RigConfig, changed_rig
-from tauext.sim.motions import draw_motion
-from tauext.sim.recording import simulate_motion
-from tauext.sim.sensors import low_pass
+from tauext.sim.rig import draw_motion, low_pass
 
 SMALL = replace(RigConfig(), collision_recording_s=12.0, collisions_per_recording=1)
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from tauext.sim.config import MotionConfig, RigConfig
-from tauext.sim.motions import draw_motion, quintic
-from tauext.sim.planar import force_torque, link_frames
-from tauext.sim.sensors import encoder, low_pass, velocity
+from tauext.sim.contacts import force_torque, link_frames
+from tauext.sim.rig import draw_motion, encoder, low_pass, quintic, velocity
 
 
 def test_quintic_starts_and_ends_at_rest():

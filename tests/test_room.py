@@ -17,7 +17,7 @@ from tauext.files import room
 from tauext.files.plain_file import json_of, read_text, toml_of
 from tauext.files.whole_file import whole_files, whole_folder
 from tauext.sim import collect
-from tauext.train.size import expect_size
+from tauext.train.stage import expect_size
 
 
 def refused(capsys, *arguments: object) -> str:

@@ -6,8 +6,8 @@ from rosbags.typesys import Stores, get_typestore
 
 pytest.importorskip("cyclonedds")
 
-from tauext.sources import messages
-from tauext.sources.messages import (
+from tauext.sources import ros2_messages
+from tauext.sources.ros2_messages import (
     GRAPH_TYPES,
     TYPE_HASHES,
     Bool,
@@ -60,9 +60,9 @@ MADE = {
         Header(Time(7, 8)),
         [
             DiagnosticStatus(
-                messages.STALE, "tauext: arm", "fault: gap", "/x", [KeyValue("a", "b"), KeyValue("", "c")]
+                ros2_messages.STALE, "tauext: arm", "fault: gap", "/x", [KeyValue("a", "b"), KeyValue("", "c")]
             ),
-            DiagnosticStatus(messages.OK, "n"),
+            DiagnosticStatus(ros2_messages.OK, "n"),
         ],
     ),
     "nodes": graph_message(16),

@@ -13,11 +13,11 @@ from tauext import _core
 from tauext.cli import main
 from tauext.errors import ConfigError
 from tauext.monitor.loop import Loop, LoopSettings
-from tauext.sources.messages import Bool, DiagnosticArray, JointState
-from tauext.sources.node import Node
 from tauext.sources.ros2 import connect
-from tauext.sources.sample_rate import LEARNT_FROM
-from tauext.sources.settings import Ros2Settings
+from tauext.sources.ros2_messages import Bool, DiagnosticArray, JointState
+from tauext.sources.ros2_node import Node
+from tauext.sources.ros2_settings import Ros2Settings
+from tauext.sources.ros2_source import LEARNT_FROM
 
 SPACE, TOPIC, DEPTH = "/whole", "/whole/joint_states", 8000
 
@@ -83,6 +83,6 @@ def test_the_command_refuses_what_cannot_be(tmp_path, capsys):
 
 def test_a_missing_library_names_the_extra(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "cyclonedds.core", None)
-    monkeypatch.delitem(__import__("sys").modules, "tauext.sources.node")
+    monkeypatch.delitem(__import__("sys").modules, "tauext.sources.ros2_node")
     with pytest.raises(ConfigError, match=r"ROS 2 needs CycloneDDS \(.*\): pip install 'tauext\[ros2\]'"):
         connect(Ros2Settings())

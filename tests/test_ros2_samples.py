@@ -5,12 +5,9 @@ import pytest
 
 pytest.importorskip("cyclonedds")
 
-from tauext.sources.arm_joints import ArmJoints
-from tauext.sources.conditions import HOLD_NS, Conditions
-from tauext.sources.followed import TAKEOVER_NS, Followed
-from tauext.sources.messages import JointState
-from tauext.sources.sample_rate import LEARNT_FROM, SampleRate
-from tauext.sources.sample_time import SampleTime
+from tauext.sources.ros2_messages import JointState
+from tauext.sources.ros2_node import HOLD_NS, Conditions
+from tauext.sources.ros2_source import LEARNT_FROM, TAKEOVER_NS, ArmJoints, Followed, SampleRate, SampleTime
 
 MS = 1_000_000
 WALL = 1_700_000_000 * 10**9

@@ -12,11 +12,11 @@ from cyclonedds._clayer import ddspy_write
 
 from tauext.errors import ConfigError
 from tauext.monitor.source import SourceSettings
-from tauext.sources import source
-from tauext.sources.messages import JointState, Temperature
+from tauext.sources import ros2_source
 from tauext.sources.ros2 import connect
-from tauext.sources.sample_rate import LEARNT_FROM
-from tauext.sources.settings import Ros2Settings
+from tauext.sources.ros2_messages import JointState, Temperature
+from tauext.sources.ros2_settings import Ros2Settings
+from tauext.sources.ros2_source import LEARNT_FROM
 
 MS = 1_000_000
 
@@ -220,7 +220,7 @@ def test_the_first_of_two_publishers_is_followed_and_the_second_takes_over(liste
 
 
 def test_a_publisher_that_returns_is_followed_again(listen, robot, topic, monkeypatch):
-    monkeypatch.setattr(source, "LOOK_NS", 10 * MS)
+    monkeypatch.setattr(ros2_source, "LOOK_NS", 10 * MS)
     live = listen()
     assert live.next_sample(0.03) is None
     assert live.notes() == [f"{topic}: no publisher of sensor_msgs/JointState in domain {DOMAIN}"]
@@ -260,7 +260,7 @@ def test_a_message_that_cannot_be_read_is_refused_and_the_next_is_read(listen, r
 
 
 def test_a_publisher_that_offers_too_little_is_named(listen, robot, topic, monkeypatch):
-    monkeypatch.setattr(source, "LOOK_NS", 10 * MS)
+    monkeypatch.setattr(ros2_source, "LOOK_NS", 10 * MS)
     live = listen(reliability="reliable")
     robot(reliability="best-effort")
     told = until(lambda: live.next_sample(0.02) or [n for n in live.notes() if "offers" in n], "the note")

@@ -13,10 +13,10 @@ from tauext import _core
 from tauext.errors import ConfigError
 from tauext.monitor.sink import Verdict
 from tauext.monitor.source import Sample
-from tauext.sources.messages import Float64MultiArray, WrenchStamped
-from tauext.sources.node import Node
 from tauext.sources.ros2 import connect
-from tauext.sources.settings import Ros2Settings
+from tauext.sources.ros2_messages import Float64MultiArray, WrenchStamped
+from tauext.sources.ros2_node import Node
+from tauext.sources.ros2_settings import Ros2Settings
 
 JOINTS = ("shoulder", "elbow")
 Q, DQ, TAU, SIGMA = [0.3, 0.8], [0.2, -0.1], [5.0, -2.0], [0.4, 0.2]

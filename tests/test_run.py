@@ -24,19 +24,14 @@ from tauext.bundle.estimates import HEALTHS, OK, WARMING_UP, load_estimates
 from tauext.cli import main
 from tauext.cli.live_view import LiveView, bar
 from tauext.cli.run import RunSettings
-from tauext.cli.run_output import FlightCount
-from tauext.cli.run_text import TextLines
+from tauext.cli.run_text import FlightCount, TextLines
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import RecordingError
-from tauext.monitor.causes import MEANING
 from tauext.monitor.changes import ALARMS, TOUCHES, AlarmChange, ChangeFinder, TouchChange
-from tauext.monitor.explanation import explain
+from tauext.monitor.explanation import MEANING, explain
 from tauext.monitor.flight_content import event_kind, flight_rate_hz, rows_kept
-from tauext.monitor.flight_files import FlightSource, write_flight
-from tauext.monitor.flight_writer import FlightWriter
-from tauext.monitor.pace import Pace
-from tauext.monitor.replay import chunk_rows, replay
-from tauext.monitor.tally import Tally
+from tauext.monitor.flight_files import FlightSource, FlightWriter, write_flight
+from tauext.monitor.replay import Pace, Tally, chunk_rows, replay
 
 CAUSES = 12
 
@@ -520,7 +515,7 @@ def test_a_disk_that_is_full_for_a_while_loses_its_flights_and_no_others(bundle,
 
 
 def test_a_replay_waits_for_a_slow_disk_before_memory_fills(bundle, tmp_path, monkeypatch):
-    monkeypatch.setattr("tauext.monitor.flight_writer.MOST_WAITING", 1)
+    monkeypatch.setattr("tauext.monitor.flight_files.MOST_WAITING", 1)
     starts = np.arange(1.0, 6.0, 0.8)
     many = pushed(seconds=7.0, pushes=tuple((float(s), 0, 9.0) for s in starts), length_s=0.1)
     recorder = _core.FlightRecorder(2, 1_000_000, 0.2, 0.1, False)

@@ -13,13 +13,13 @@ from tauext import _core
 from tauext.bundle.estimates import load_estimates
 from tauext.cli import main
 from tauext.cli.show import in_order
+from tauext.data.dataset import Split, save_split
 from tauext.data.recording_file import save_recording
-from tauext.data.split import Split, save_split
-from tauext.evaluate.estimating import estimate_recording
+from tauext.evaluate.injected import estimate_recording
 from tauext.monitor.flight_files import FlightSource, write_flight
-from tauext.report.drawing import uncertainty_words
-from tauext.report.flight_figures import draw_close
+from tauext.report.flight import draw_close
 from tauext.report.flight_file import load_flight
+from tauext.report.style import uncertainty_words
 
 
 def test_the_version_names_package_core_and_bundle_formats(capsys):

@@ -15,8 +15,7 @@ from test_kinematics import arm
 from tauext import _core
 from tauext.config import ObserverConfig
 from tauext.errors import ConfigError
-from tauext.fit.scaled_arm import Evidence, as_it_is, unexplained
-from tauext.fit.torque_constants import drawn_to_given, fit_torque_constants
+from tauext.fit.torque_constants import Evidence, as_it_is, drawn_to_given, fit_torque_constants, unexplained
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
 
 CONSTANTS = np.array([12.0, 11.0, 8.0, 5.0])

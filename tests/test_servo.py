@@ -8,19 +8,18 @@ import pyarrow.parquet as pq
 import pytest
 
 from tauext import _core
-from tauext.bundle.bundle_fit import expect_fit
+from tauext.bundle.fit import expect_fit
 from tauext.check.examine import of_servos
 from tauext.check.finding import Finding
-from tauext.check.spikes import normal_ranges, spikes_of
+from tauext.check.sensors import normal_ranges, spikes_of
 from tauext.data.assemble import assemble
 from tauext.data.description_file import parse_arm
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.servo import servo_of, servo_of_recordings, velocity_and_torque
 from tauext.data.servo_types import SERVO_TYPES
 from tauext.errors import BundleError, ConfigError
-from tauext.monitor.servo_stage import ServoStage
-from tauext.monitor.source import SourceSettings
-from tauext.sources.replay_source import ReplaySource
+from tauext.monitor.source import ServoStage, SourceSettings
+from tauext.sources.replay import ReplaySource
 
 HEAD = """
 [robot]

@@ -16,13 +16,12 @@ from test_dynamixel_source import x_series
 from test_feetech_source import sts3215
 
 from tauext.errors import ConfigError
-from tauext.monitor.drop_outs import TOLD_AFTER
-from tauext.monitor.loop import Loop, LoopSettings
+from tauext.monitor.loop import TOLD_AFTER, Loop, LoopSettings
 from tauext.monitor.reaction_file import Reaction
 from tauext.monitor.reactions import start_reactions
 from tauext.monitor.source import Stoppable
-from tauext.sources.dynamixel_source import DynamixelSource
-from tauext.sources.feetech_source import FeetechSource
+from tauext.sources.dynamixel import DynamixelSource
+from tauext.sources.feetech import FeetechSource
 from tauext.sources.servo_bus_file import ServoJoint
 
 KINDS = {"feetech": (Feetech, FeetechSource, sts3215), "dynamixel": (Dynamixel, DynamixelSource, x_series)}
@@ -145,7 +144,7 @@ def test_a_servo_that_drops_out_is_named_and_waited_for(rig):
 
 
 def test_a_port_that_goes_is_told_and_waited_for(rig, monkeypatch):
-    monkeypatch.setattr("tauext.sources.reader_source.RETRY_S", 0.05)
+    monkeypatch.setattr("tauext.sources.reader.RETRY_S", 0.05)
     rig.open()
     taken(rig.source, 2)
     rig.bus.close()

@@ -9,7 +9,7 @@ from made_error_scale import LARGEST, SIGMA_NEAR_NM, SIGMA_NM, SIGMA_PER_SPEED, 
 from made_pushes import JOINTS, LIMIT_NM, watching_bundle
 
 from tauext import _core
-from tauext.bundle.situations import sentences, situations
+from tauext.bundle.units import sentences, situations
 from tauext.cli import main
 
 SLIDING = "sliding steadily at 0.5 rad/s"

@@ -16,11 +16,10 @@ from tauext.check.clock import clock_findings
 from tauext.data.dataset import load_dataset
 from tauext.data.recording import Recording
 from tauext.fit.bundle_writing import torque_at_rest
-from tauext.fit.hierarchy import Evidence, learn_hierarchy
-from tauext.fit.map_regression import MapRegression, WeightPrior
-from tauext.fit.positive_definite import inverse, solve_within
-from tauext.fit.possible_links import MASS, ROTOR, bound_links, is_possible, solve_possible
-from tauext.fit.regression import NormalEquations, Regression
+from tauext.fit.fleet_prior import Evidence, learn_hierarchy
+from tauext.fit.links import MASS, ROTOR, bound_links, is_possible, solve_possible
+from tauext.fit.regression import NormalEquations, Regression, inverse, solve_within
+from tauext.fit.ridge import MapRegression, WeightPrior
 from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
 from tauext.train.stage import train_bundle
 from tauext.train.wrench import squared_distances

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from tauext.data.split import Split, load_split, save_split, split_recordings
+from tauext.data.dataset import Split, load_split, save_split, split_recordings
 from tauext.errors import ConfigError
 
 NAMES = [f"free-{k:03d}.parquet" for k in range(40)]

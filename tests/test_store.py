@@ -18,21 +18,18 @@ from made_s3 import S3, Request, s3_server
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main
-from tauext.cli.command_line import command_line
+from tauext.cli.evaluate import command_line
+from tauext.data import dataset as stretches_module
 from tauext.data import recording_file
-from tauext.data import stretches as stretches_module
-from tauext.data.dataset import load_dataset
+from tauext.data.dataset import Split, ahead, load_dataset, save_split, stretches
 from tauext.data.recording_file import describe, fingerprint, load_recording, save_recording
-from tauext.data.split import Split, save_split
-from tauext.data.stretches import ahead, stretches
 from tauext.errors import ConfigError, StoreError
-from tauext.files.fetching import local_file, local_folder, local_robot
-from tauext.files.place import place_of
-from tauext.files.staging import added, put, send, staged
+from tauext.files.copies import added, local_file, local_folder, local_robot, put, send, staged
+from tauext.files.places import place_of
 from tauext.files.whole_file import whole_file, whole_files, whole_folder
 from tauext.fleet.places import fits, places_of
 from tauext.fleet.stages import STAGES
-from tauext.train.bundle_limits import half_done_file
+from tauext.train.calibrate import half_done_file
 
 SIGNALS = ("t_ns", "q", "dq", "tau", "q_des", "tau_jts", "temperature", "contact")
 
@@ -124,7 +121,7 @@ def test_a_query_says_where_the_store_is_and_stands_in_no_message(monkeypatch):
 
 def test_nothing_of_pyarrow_is_loaded_before_a_store_is_asked():
     code = (
-        "import sys; from tauext.files.place import place_of; place_of('s3://arms/x') / 'y'; "
+        "import sys; from tauext.files.places import place_of; place_of('s3://arms/x') / 'y'; "
         "print('pyarrow' in sys.modules)"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -22,12 +22,11 @@ from arms import PLANAR_MJCF
 from made_fleet import moving
 
 from tauext.cli import main
-from tauext.data.dataset import load_dataset
+from tauext.data.dataset import Split, load_dataset, save_split
 from tauext.data.recording_file import load_recording, save_recording
-from tauext.data.split import Split, save_split
 from tauext.errors import StoreError
-from tauext.files.place import place_of
-from tauext.files.staging import send_folder
+from tauext.files.copies import send_folder
+from tauext.files.places import place_of
 from tauext.files.whole_file import whole_file
 
 PROGRAM = os.environ.get("TAUEXT_VERSITYGW") or shutil.which("versitygw") or ""
@@ -145,8 +144,8 @@ def test_a_wrong_key_and_a_bucket_that_is_not_there_are_said(gateway, capsys, mo
 
 def test_a_killed_sender_leaves_nothing_under_the_name(gateway, tmp_path):
     code = (
-        "import os, threading, sys; from pathlib import Path; from tauext.files.place import place_of; "
-        "from tauext.files.staging import send; Path(sys.argv[1]).write_bytes(os.urandom(200_000_000)); "
+        "import os, threading, sys; from pathlib import Path; from tauext.files.places import place_of; "
+        "from tauext.files.copies import send; Path(sys.argv[1]).write_bytes(os.urandom(200_000_000)); "
         "print('now', flush=True); send(Path(sys.argv[1]), place_of('s3://arms/killed.bin'))"
     )
     process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "large")], stdout=subprocess.PIPE)

@@ -11,8 +11,20 @@ from scipy.stats import binom, genpareto
 
 from tauext.errors import ConfigError, TrainingError
 from tauext.train.held_peaks import PeakCollector, cluster_peaks, held_minimum
-from tauext.train.promise import FalseAlarmBudget, is_kept, split, upper_rate
-from tauext.train.tail import GOODNESS_P, GOODNESS_SHAPES, SHAPES, Tail, TooFewPeaks, fit_excess, fit_tail, goodness
+from tauext.train.tail import (
+    GOODNESS_P,
+    GOODNESS_SHAPES,
+    SHAPES,
+    FalseAlarmBudget,
+    Tail,
+    TooFewPeaks,
+    fit_excess,
+    fit_tail,
+    goodness,
+    is_kept,
+    split,
+    upper_rate,
+)
 
 
 def made_tail(shape=0.1, scale=2.0, exceedances=100, hours=10.0, threshold=5.0) -> Tail:

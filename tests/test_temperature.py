@@ -11,7 +11,7 @@ from test_train import recording
 from tauext import _core
 from tauext.config import ObserverConfig, PriorConfig
 from tauext.data.recording import Recording
-from tauext.evaluate.estimating import estimate_recording
+from tauext.evaluate.injected import estimate_recording
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.prior import fit_prior
 from tauext.fit.training_set import with_presliding

@@ -1,6 +1,6 @@
 """When a bus is asked, by a clock of the test's."""
 
-from tauext.sources.ticks import Ticks
+from tauext.sources.reader import Ticks
 
 
 def test_ticks_keep_their_times_and_skip_those_that_passed():

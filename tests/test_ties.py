@@ -12,14 +12,11 @@ from test_kinematics import CONFIG, arm, setup_of
 from trees import random_states
 
 from tauext import _core
-from tauext.fit.find_kinematics import BEAM, directions
-from tauext.fit.kinematic_sample import KinematicSample
-from tauext.fit.kinematics import Kinematics, frame_of
+from tauext.fit.find_kinematics import BEAM, Kinematics, KinematicSample, directions, frame_of
 from tauext.fit.prior import fit_prior
-from tauext.fit.prior_terms import own_terms
+from tauext.fit.prior_terms import encoder_count, own_terms
 from tauext.fit.regression import RIDGES, NormalEquations, Regression
 from tauext.fit.ties import ranked, simplest
-from tauext.fit.widths import encoder_count
 
 MIRROR = np.diag([1.0, -1.0, 1.0])
 NOISE = 1e-13

@@ -16,8 +16,7 @@ from tauext.config import TrainConfig
 from tauext.errors import ConfigError, TrainingError
 from tauext.fit.bundle_writing import make_bundle
 from tauext.fit.core_backend import CoreBackend
-from tauext.fit.network_training import make_backend, train_network
-from tauext.fit.schedules import make_schedule
+from tauext.fit.network_training import make_backend, make_schedule, train_network
 
 BACKEND = "tauext.fit.torch_backend"
 RECIPES = {

@@ -7,7 +7,7 @@ from tauext.data.free_motion import free_pieces
 from tauext.data.recording import Recording
 from tauext.errors import RobotError
 from tauext.robot.torque_limits import torque_limits
-from tauext.train.possible import passed_limits
+from tauext.train.preparation import passed_limits
 
 URDF = """
 <robot name="arm">

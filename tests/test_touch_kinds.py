@@ -13,12 +13,10 @@ from tauext import Touch, _core
 from tauext.cli.run_text import touch_words
 from tauext.errors import ConfigError
 from tauext.monitor.changes import TOUCHES, ChangeFinder, TouchChange
-from tauext.monitor.events import EventFinder
 from tauext.monitor.reaction_file import Reaction, load_reactions
-from tauext.monitor.reaction_process import content_of
-from tauext.monitor.reactions import ReactionThread
+from tauext.monitor.reactions import ReactionThread, content_of
 from tauext.monitor.replay import replay
-from tauext.monitor.sink import Event, Verdict
+from tauext.monitor.sink import Event, EventFinder, Verdict
 
 FACTS = {"joints": list(JOINTS), "tau_ext_nm": [1.5, None], "limit_nm": [2.0, 3.0], "contact_limit_nm": [1.0, 1.5]}
 UNKNOWN, IMPACT, PUSH, CLAMP = (Touch[name].value for name in ("unknown", "impact", "push", "clamp"))

@@ -14,12 +14,10 @@ from tauext import _core
 from tauext.bundle.estimates import Estimates
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.evaluate.collisions import find_collisions
-from tauext.evaluate.touches import TouchMeasures
-from tauext.report.entry import Entry
+from tauext.evaluate.collisions import TouchMeasures, find_collisions
+from tauext.report.entry import Entry, Told, kinds_table, links_table, links_worth, read_links, told_table, told_words
+from tauext.report.page import write_report
 from tauext.report.results_file import load_results
-from tauext.report.touches import Told, kinds_table, links_table, links_worth, read_links, told_table, told_words
-from tauext.report.write import write_report
 from tauext.robot.load import load_tree
 
 ARM = Path(__file__).parents[1] / "benchmarks" / "seven_axis.urdf"

@@ -18,14 +18,25 @@ from tauext.bundle.estimates import COLLISION, CONTACT, FAULT, OK
 from tauext.cli import main
 from tauext.cli.report import report
 from tauext.errors import ConfigError
-from tauext.report.buckets import Buckets, in_buckets, run_begins
 from tauext.report.results_file import load_results
 from tauext.report.signals import NotAvailable, Signals
-from tauext.report.stretches import alarms, gaps, stretches
-from tauext.report.trace_coding import encode
-from tauext.report.trace_packing import CLOSE_SHARE, QUANTA_A_LIMIT, Plan, pack, quanta
+from tauext.report.trace_packing import (
+    CLOSE_SHARE,
+    QUANTA_A_LIMIT,
+    Buckets,
+    Plan,
+    alarms,
+    around,
+    encode,
+    gaps,
+    in_buckets,
+    pack,
+    quanta,
+    run_begins,
+    stretches,
+    trace,
+)
 from tauext.report.traces import chosen_bundles, or_reason, recordings_of, results_traces
-from tauext.report.tracing import around, trace
 
 MS = 1_000_000
 GAP_NS = 2.5 * MS

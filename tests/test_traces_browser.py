@@ -10,10 +10,8 @@ import pytest
 from made_results import make_estimates, make_recording
 
 from tauext.bundle.estimates import FAULT
-from tauext.report.buckets import Buckets
-from tauext.report.trace_packing import Plan, pack
+from tauext.report.trace_packing import Buckets, Plan, Traced, pack, trace
 from tauext.report.traces import section
-from tauext.report.tracing import Traced, trace
 
 pytestmark = pytest.mark.slow
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not here; pip install 'tauext[browser]'")

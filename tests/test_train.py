@@ -13,13 +13,11 @@ from tauext.config import ObserverConfig, TrainConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
 from tauext.fit import network_training
-from tauext.fit.checkpoint import load_checkpoint
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.core_backend import CoreBackend
-from tauext.fit.network_training import train_network
-from tauext.fit.schedules import DenseSchedule
+from tauext.fit.network_training import DenseSchedule, load_checkpoint, train_network
 from tauext.fit.training_set import build_windows, find_scaling
-from tauext.train.calibrate_limits import paper_limits
+from tauext.train.error_scale import paper_limits
 
 SMALL = ObserverConfig(window_s=0.1)  # windows of ten network steps
 

@@ -16,12 +16,12 @@ from felt.session import run
 from felt.wishes import moves
 from tauext import TrainConfig, estimate_recording, load_dataset, train_bundle
 from tauext._core import Bundle, Health, Monitor, ServoConstants, ServoInput, ServoSettings, TorqueFrom
+from tauext.data.dataset import Split, save_split
 from tauext.data.description import ServoTable
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
 from tauext.data.servo import servo_facts, velocity_and_torque
 from tauext.data.servo_types import SERVO_TYPES
-from tauext.data.split import Split, save_split
 from tauext.progress import Reporter
 
 PERIOD_NS = round(TICK_S * 1e9)

@@ -12,7 +12,8 @@ import numpy as np
 from hostile_cases.damage import damage
 from hostile_cases.values import PLACES, hostile_words, options_of
 from tauext import cli
-from tauext.cli import fleet, fleet_prior
+from tauext.cli import fleet
+from tauext.cli import fleet as fleet_prior
 
 COMMANDS = {
     "simulate": cli.simulate,

@@ -20,12 +20,11 @@ from scipy.io import savemat
 
 from tauext import _core
 from tauext.cli import main
-from tauext.data.first_seconds import first_seconds
+from tauext.data.dataset import Split, save_split
+from tauext.data.free_motion import first_seconds
 from tauext.data.recording_file import load_recording, save_recording
-from tauext.data.split import Split, save_split
-from tauext.fit.fleet_prior import ArmType, FleetDays, FleetPrior
-from tauext.fit.fleet_prior_file import write_fleet_prior
-from tauext.fit.map_regression import WeightPrior
+from tauext.fit.fleet_prior import ArmType, FleetDays, FleetPrior, write_fleet_prior
+from tauext.fit.ridge import WeightPrior
 
 sys.path.append(str(Path(__file__).parents[2] / "tests"))
 import lerobot_arm

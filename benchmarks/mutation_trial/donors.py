@@ -9,8 +9,8 @@ from scipy.signal import butter, sosfiltfilt
 
 from tauext import _core
 from tauext.data.recording import Recording
+from tauext.sim.collect import simulate_recording
 from tauext.sim.config import LinkConfig, RigConfig, changed_rig
-from tauext.sim.recording import simulate_recording
 
 SMOOTH_HZ = 10.0
 LOAD_RADIUS_M = 0.05

@@ -20,8 +20,8 @@ from unseen.recordings import Take, description, write_take
 
 from mutation_trial.donors import as_if_of, other_rig
 from mutation_trial.pushes import pushed
-from tauext.data.cut import within
 from tauext.data.dataset import load_dataset
+from tauext.data.free_motion import within
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.sim.collect import simulate_dataset

@@ -12,8 +12,8 @@ from mutation_trial.named import fits
 from tauext.config import PAPER_CASES, EventsConfig, ObserverConfig, PriorConfig, TrainConfig
 from tauext.data.dataset import load_dataset
 from tauext.data.recording import Recording
-from tauext.evaluate.estimating import estimate_recording
 from tauext.evaluate.events import EventMeasures, event_time
+from tauext.evaluate.injected import estimate_recording
 from tauext.progress import SILENT
 from tauext.robot.model_case import chosen_case
 from tauext.train.look import view_dataset

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext.robot.load import load_tree
-from tauext.sim.sensors import encoder, low_pass, velocity
+from tauext.sim.rig import encoder, low_pass, velocity
 from unseen.arms import Maker, TrueArm
 from unseen.contacts import Contact, draw_contacts, label
 from unseen.motions import draw_motion

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
+from tauext.data.dataset import load_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.data.split import load_split
-from tauext.evaluate.estimating import estimate_recording
-from tauext.train.refit_stage import refit_motion, refit_recordings
+from tauext.evaluate.injected import estimate_recording
+from tauext.train.refit import refit_motion, refit_recordings
 from unseen.arms import Maker
 from unseen.of_type import arm_of
 from unseen.recordings import told_constants
@@ -96,7 +96,7 @@ def strong_found(
 
 def first(recording: Recording, seconds: float) -> Recording:
     """Its first seconds."""
-    from tauext.data.cut import cut
+    from tauext.data.free_motion import cut
 
     return cut(recording, slice(0, int(np.searchsorted(recording.time_s, seconds))))
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from tauext import _core
+from tauext.data.dataset import load_split
 from tauext.data.recording_file import load_recording
-from tauext.data.split import load_split
 from unseen.arms import Maker
 from unseen.of_type import arm_of
 from unseen.recordings import TAKES, told_constants

@@ -10,12 +10,10 @@ import numpy as np
 from tauext.bundle.estimates import COLLISION, Estimates
 from tauext.config import EventsConfig
 from tauext.data.recording import Recording
-from tauext.evaluate.after_contact import beginnings, time_since_touch
-from tauext.evaluate.collisions import GRACE_S, Collision, find_collisions, first_rise
+from tauext.evaluate.collisions import GRACE_S, Collision, find_collisions, first_rise, judge_latched
+from tauext.evaluate.errors import sensor_reference
 from tauext.evaluate.events import event_time
-from tauext.evaluate.free_motion import FALSE_ALARM_QUIET_S
-from tauext.evaluate.latched import judge_latched
-from tauext.evaluate.reference import sensor_reference
+from tauext.evaluate.free_motion import FALSE_ALARM_QUIET_S, beginnings, time_since_touch
 
 AFTER_CONTACT_S = 3.0
 """An alarm so soon after a contact is counted apart: the arm snaps back, and its gears settle."""

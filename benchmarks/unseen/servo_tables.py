@@ -9,9 +9,9 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from tauext import _core, estimate_recording
+from tauext.data.dataset import load_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.data.split import load_split
 from unseen.servo_judging import Verdicts, at_as_many_false
 from unseen.velocities import estimators, judge
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tauext.monitor.identify import LoadEstimate
+from tauext.monitor.weighing import LoadEstimate
 from weighing.takes import Carried
 
 MASS_SHARE, MASS_KG = 0.05, 0.1

@@ -12,18 +12,14 @@ import mujoco
 import numpy as np
 
 from tauext import _core
-from tauext.data.amperes import FROM_AMPERES
+from tauext.data.dataset import Split, save_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
-from tauext.data.split import Split, save_split
-from tauext.monitor.frame import NamedFrame
-from tauext.sim.arm import arm_xml, joint_names
+from tauext.data.servo import FROM_AMPERES
+from tauext.monitor.weighing import NamedFrame
+from tauext.sim.collect import SETTLE_S
 from tauext.sim.config import RigConfig
-from tauext.sim.motions import draw_motion
-from tauext.sim.recording import SETTLE_S
-from tauext.sim.scene import build_scene
-from tauext.sim.sensors import measure
-from tauext.sim.simulate import roll_out
+from tauext.sim.rig import arm_xml, build_scene, draw_motion, joint_names, measure, roll_out
 from weighing.takes import FARTHEST_M, FIRST_S, KNOWN_KG, KNOWN_S, LOADS, PUSHES, TRAIN, WINDOW_S, WINDOWS, Carried
 
 PLANE = (0, 2)

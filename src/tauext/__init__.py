@@ -58,8 +58,8 @@ if TYPE_CHECKING:
         cause_names,
     )
     from tauext.bundle.bundle_file import load_bundle
-    from tauext.bundle.bundle_fit import expect_fit
     from tauext.bundle.estimates import Estimates
+    from tauext.bundle.fit import expect_fit
     from tauext.config import (
         AlarmConfig,
         DriftConfig,
@@ -74,11 +74,11 @@ if TYPE_CHECKING:
     from tauext.data.recording import Recording
     from tauext.data.recording_file import load_recording, save_recording
     from tauext.errors import BundleError, ConfigError, RecordingError, RobotError, TauextError, TrainingError
-    from tauext.evaluate.estimating import estimate_recording
+    from tauext.evaluate.injected import estimate_recording
     from tauext.evaluate.results_folder import evaluate_bundles
     from tauext.progress import Reporter
-    from tauext.train.bundle_limits import recalibrate
-    from tauext.train.refit_stage import refit_bundle, refit_motion, refit_recordings
+    from tauext.train.calibrate import recalibrate
+    from tauext.train.refit import refit_bundle, refit_motion, refit_recordings
     from tauext.train.stage import train_bundle
 
 __all__ = [
@@ -154,8 +154,8 @@ _WHERE = {
         "cause_names",
     ),
     "bundle.bundle_file": ("load_bundle",),
-    "bundle.bundle_fit": ("expect_fit",),
     "bundle.estimates": ("Estimates",),
+    "bundle.fit": ("expect_fit",),
     "config": (
         "AlarmConfig",
         "DriftConfig",
@@ -183,11 +183,11 @@ _WHERE = {
         "TauextError",
         "TrainingError",
     ),
-    "evaluate.estimating": ("estimate_recording",),
+    "evaluate.injected": ("estimate_recording",),
     "evaluate.results_folder": ("evaluate_bundles",),
     "progress": ("Reporter",),
-    "train.bundle_limits": ("recalibrate",),
-    "train.refit_stage": (
+    "train.calibrate": ("recalibrate",),
+    "train.refit": (
         "refit_bundle",
         "refit_motion",
         "refit_recordings",

@@ -138,7 +138,7 @@ RECIPES = {
             rank=7,
         ),
         Recipe("observer", baseline="observer", rank=0),
-        Recipe("friction", fit="tauext.fit.friction:fit_friction", baseline="friction", rank=1),
+        Recipe("friction", fit="tauext.fit.prior:fit_friction", baseline="friction", rank=1),
         Recipe("highpass", high_pass=True, baseline="highpass", rank=2),
         Recipe("bandpass", high_pass=True, low_pass=True, baseline="bandpass", rank=3),
         Recipe("direct", method="direct", baseline="direct", rank=6),

@@ -15,7 +15,7 @@ if module.CODEBASE_VERSION != "v2.1":
 
 import tauext
 from tauext.data.description_file import load_arm
-from tauext.sources.labelling import label_dataset
+from tauext.sources.lerobot_labels import label_dataset
 
 ADDED = ["shoulder.tau_ext", "elbow.tau_ext", "wrist.tau_ext", "contact", "collision"]
 NAMES = [f"{name}.pos" for name in arms.MOTORS]

@@ -21,7 +21,7 @@ from mock_arm import NAMES, Player
 
 import tauext
 from tauext.data.description_file import load_arm
-from tauext.sources.labelling import label_dataset
+from tauext.sources.lerobot_labels import label_dataset
 
 EPISODES, SECONDS = 2, 3
 

@@ -23,7 +23,7 @@ from mock_arm import NAMES, MockArm, MockArmConfig, Player
 
 import tauext
 from tauext.data.description_file import load_arm
-from tauext.sources.labelling import label_dataset
+from tauext.sources.lerobot_labels import label_dataset
 
 ADDED = ["shoulder.tau_ext", "elbow.tau_ext", "wrist.tau_ext", "contact", "collision"]
 SEED, WALL = 101, 120

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tauext._core import cause_names
-from tauext.data.parquet_file import write_parquet
+from tauext.data.recording_file import write_parquet
 from tauext.errors import RecordingError
 from tauext.files.plain_file import expect_file, json_of
 

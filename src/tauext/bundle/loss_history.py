@@ -10,7 +10,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.errors import ConfigError
-from tauext.files.place import Place
+from tauext.files.places import Place
 from tauext.files.plain_file import json_of, read_text
 
 MOST_ENTRIES = 200

@@ -1,9 +1,15 @@
-"""Units of torques in words: what a bundle answers in need not be newton metres."""
+"""Units of torques and estimates in words, and how sensitive a bundle is in typical motions."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
+
+from tauext import _core
+
+# --- Units of torques in words: what a bundle answers in need not be newton metres.
+
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
@@ -32,3 +38,73 @@ def left_out(bundle: Bundle) -> dict[str, list[str]]:
 def not_in_newtons(joints: Sequence[str], units: Sequence[str]) -> tuple[str, ...]:
     """Of these joints, those whose answers are in none of N m, N and W."""
     return tuple(joint for joint, unit in zip(joints, units, strict=True) if unit not in ("N m", "N", "W"))
+
+
+# --- How sure a bundle with an error scale is, in motions that everybody knows: `tauext show` says it.
+
+
+SPEED_RAD_S = 0.5
+"""Of a joint that slides ..."""
+SPEEDING_UP_RAD_S2 = 2.0
+"""... and of one that speeds up, or stops."""
+SOON_S = 0.05
+"""After a stop, or since it began to speed up."""
+CREEPING_RAD_S = 0.01
+"""Where the bundle's near-stiction speed is not above it, half of that."""
+BEFORE_S = 3.0
+"""The motion before goes on for so long, so that all filters have settled."""
+
+Situation = dict[str, dict[str, float]]
+"""`limit` and `standard error` of each joint, in its estimate unit."""
+
+
+def situations(bundle: _core.Bundle) -> dict[str, Situation]:
+    """Collision limit and standard error after each motion, all joints moving alike; none where limits are constants.
+
+    Both are the core's own, of speeds as in each motion.
+    """
+    if not bundle.error_scale.follows:
+        return {}
+    names = [link.joint_name for link in bundle.links]
+    found = {}
+    for name, (dq, near) in motions(bundle).items():
+        level = bundle.near_stiction_limit_nm if near else bundle.sliding_limit_nm
+        scale, sigma_nm = _core.errors_after(bundle, dq, near)
+        found[name] = {
+            "limit": {joint: s * limit for joint, s, limit in zip(names, scale, level, strict=True)},
+            "standard error": dict(zip(names, sigma_nm, strict=True)),
+        }
+    return found
+
+
+def motions(bundle: _core.Bundle) -> dict[str, tuple[list[float], bool]]:
+    """Speeds of each motion, a sample period apart, [rad/s], and whether it ends near stiction."""
+    period_s = 1e-9 * bundle.observer.sample_period_ns
+    before, soon = (max(1, round(length_s / period_s)) for length_s in (BEFORE_S, SOON_S))
+    edge = bundle.near_stiction_rad_s
+    creeping = CREEPING_RAD_S if CREEPING_RAD_S < edge or edge == 0 else edge / 2
+    sliding, change = [SPEED_RAD_S] * before, SPEEDING_UP_RAD_S2 * period_s
+    faster = [SPEED_RAD_S + change * k for k in range(1, soon + 1)]
+    braking = [SPEED_RAD_S - change * k for k in range(math.ceil(SPEED_RAD_S / change))]
+    return {
+        "standing": ([0.0] * before, True),
+        "just after it stopped": (sliding + braking + [0.0] * soon, True),
+        f"creeping at {creeping:g} rad/s": ([creeping] * before, True),
+        f"sliding steadily at {SPEED_RAD_S:g} rad/s": (sliding, False),
+        f"speeding up by {SPEEDING_UP_RAD_S2:g} rad/s2": (sliding + faster, False),
+    }
+
+
+def sentences(found: Mapping[str, Situation], units: Mapping[str, str]) -> dict[str, str]:
+    """Where each joint is least sure, and where it is surest."""
+    told = {}
+    for joint, unit in units.items():
+        by_limit = sorted(found, key=lambda name: found[name]["limit"][joint])
+        words = [f"{name}: {certainty(found[name], joint, unit)}" for name in (by_limit[-1], by_limit[0])]
+        told[joint] = f"least sure {words[0]}; surest {words[1]}"
+    return told
+
+
+def certainty(situation: Situation, joint: str, unit: str) -> str:
+    """`limit 4.1 Nm, standard error 0.9 Nm`."""
+    return ", ".join(f"{what} {of_joints[joint]:.2g} {short(unit)}" for what, of_joints in situation.items())

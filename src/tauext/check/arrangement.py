@@ -1,32 +1,278 @@
-"""Joints in another order, axes that turn the other way, zeros that are elsewhere: what fits far better than given."""
+"""Order, sign and zero of joints, direction of gravity, and a load that the file lacks."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+from scipy.optimize import linear_sum_assignment, minimize_scalar
 
 from tauext import _core
 from tauext.check.finding import Finding
-from tauext.check.fit import columns_of, robust_solve, robust_spread
-from tauext.check.gravity import gravity_finding
+from tauext.check.fit import (
+    BLOCKS,
+    CONSTANT,
+    FRICTION,
+    Rows,
+    columns_of,
+    model_of,
+    robust_solve,
+    robust_spread,
+    rows_of,
+    spread_of,
+)
 from tauext.check.motion import PADDED_ROWS, Stretch
-from tauext.check.offset import Offset, best_offset
-from tauext.check.payload import fit_load, loaded
-from tauext.check.regressors import Rows, model_of, rows_of
+from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
+
+# --- The direction in which the arm's own torques say that things fall.
+
+
+LEAST_DEG = 10.0
+"""A mounting plate is level within a degree or two; the rest is for what the model has wrong."""
+GAIN = 1.0
+"""Sum over joints of the logarithm of how much the error falls."""
+HALVED = 0.6
+
+
+def gravity_finding(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) -> tuple[list[Finding], _core.Tree]:
+    """A finding where another direction fits far better; and the tree with the better one.
+
+    Gravity torque is linear in the vector of free fall: three columns common to all joints, beside each joint's own
+    inertia and friction.
+    """
+    up = [_core.Tree(list(tree.links), axis) for axis in np.eye(3).tolist()]
+    shared = np.stack([rows_of(stretches, t).gravity for t in up], axis=2)
+    left, rest, weights, known = [], [], [], []
+    given = np.array(tree.gravity)
+    for j in range(rows.joints):
+        basis = np.linalg.qr(columns_of(rows, j)[:, 2:] + 0.0)[0]
+        y = rows.tau[:, j] - rows.inertial[:, j]
+        y, x = y - basis @ (basis.T @ y), shared[:, j] - basis @ (basis.T @ shared[:, j])
+        left.append(x)
+        rest.append(y)
+        known.append(robust_spread(y - x @ given))
+        weights.append(1 / max(known[-1], 1e-9))
+    for _ in range(3):
+        gram = sum(w**2 * x.T @ x for x, w in zip(left, weights, strict=True))
+        moment = sum(w**2 * x.T @ y for x, y, w in zip(left, rest, weights, strict=True))
+        found = np.linalg.lstsq(gram, moment, rcond=1e-6)[0]
+        errors = [robust_spread(y - x @ found) for x, y in zip(left, rest, strict=True)]
+        weights = [1 / max(e, 1e-9) for e in errors]
+    size, usual = float(np.linalg.norm(found)), float(np.linalg.norm(given))
+    if size == 0 or usual == 0:
+        return [], tree
+    angle = float(np.degrees(np.arccos(np.clip(found @ given / size / usual, -1, 1))))
+    ratio = np.maximum(errors, 1e-9) / np.maximum(known, 1e-9)
+    far_better = -np.log(ratio).sum() > GAIN and ratio.min() < HALVED
+    if angle < LEAST_DEG or not far_better or not 0.5 < size / usual < 2:
+        return [], tree
+    told = ", ".join(f"{x:.2f}" for x in found)
+    evidence = (
+        f"the torques say ({told}) m/s^2 in the base frame, {angle:.0f} degrees from the model's "
+        f"({', '.join(f'{x:.2f}' for x in given)}); a joint's error falls to {ratio.min():.0%}"
+    )
+    advice = "the arm hangs or is tilted: give its gravity direction in the robot's description"
+    unit = (found / size * usual).tolist()
+    return [Finding("gravity-direction", "fault", None, evidence, advice)], _core.Tree(list(tree.links), unit)
+
+
+# --- A rigid load at the last link that the model does not have, or has and the arm has not.
+
+
+LEAST_KG = 0.3
+"""Less is a cable, or an error of the links."""
+SURE = 5.0
+"""Standard errors that the mass must exceed."""
+LOAD_GAIN = 0.5
+"""Sum over the joints that gravity acts on of the logarithm of how much the error falls."""
+FURTHEST_M = 0.6
+"""Of the load's centre of mass from the last joint: further out is no tool."""
+
+
+@dataclass(frozen=True)
+class Load:
+    """What must be added to the last link."""
+
+    mass_kg: float
+    mass_error_kg: float
+    com_m: np.ndarray  # (3,), in the tree's frame of the last joint: z is its axis, x and y are any
+    error_nm: np.ndarray  # (joints,), robust: with it
+    error_without_nm: np.ndarray
+
+    def gain(self, joints: Sequence[int]) -> float:
+        return float(np.log(self.error_without_nm[joints] / self.error_nm[joints]).sum())
+
+
+def with_load(tree: _core.Tree, by: np.ndarray) -> _core.Tree:
+    """The tree with m and m com (4,) added to the last link."""
+    links = list(tree.links)
+    parameters = inertial_parameters(links[-1])
+    parameters[:4] += by
+    com = by[1:] / by[0] if by[0] else np.zeros(3)
+    about = by[0] * (com @ com * np.eye(3) - np.outer(com, com))
+    parameters[4:10] += about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    links[-1] = with_inertial_parameters(links[-1], parameters)
+    return _core.Tree(links, tree.gravity)
+
+
+def fit_load(stretches: Sequence, tree: _core.Tree, rows: Rows) -> Load:
+    r"""Least squares of the joints together.
+
+    .. math:: \tau_i - \hat\tau_i = Z_i(m, m c) + J_i \ddot q_i + friction_i
+
+    with m and m c common to all joints, and J_i and friction their own. The load's own inertia about its centre of
+    mass is left out: of a hand's size it is a hundredth of m c^2 + rotor inertia.
+    """
+    columns = []
+    for k in range(4):
+        unit = np.zeros(4)
+        unit[k] = 1.0
+        links = list(tree.links)
+        parameters = inertial_parameters(links[-1])
+        parameters[:4] += unit
+        links[-1] = with_inertial_parameters(links[-1], parameters)
+        columns.append(rows_of(stretches, _core.Tree(links, tree.gravity)).model - rows.model)
+    shared = np.stack(columns, axis=2)  # (rows, joints, 4)
+    target = rows.tau - rows.model
+    left, rest, without = [], [], np.empty(rows.joints)
+    for j in range(rows.joints):
+        own = columns_of(rows, j)[:, 2:]
+        own = own / np.maximum(own.std(axis=0), 1e-9)
+        basis = np.linalg.qr(np.column_stack([own, np.ones(len(own))]))[0]
+        left.append(shared[:, j] - basis @ (basis.T @ shared[:, j]))
+        rest.append(target[:, j] - basis @ (basis.T @ target[:, j]))
+        without[j] = robust_spread(rest[-1])
+    weights = [1 / np.clip(without[j], 0.02 * max(rows.tau[:, j].std(), 1e-9), None) for j in range(rows.joints)]
+    for _ in range(2):
+        solution = _solve(left, rest, weights)
+        errors = np.array([robust_spread(r - x @ solution) for x, r in zip(left, rest, strict=True)])
+        weights = [1 / max(e, 1e-3 * max(w, 1e-9)) for e, w in zip(errors, without, strict=True)]
+    keep = np.array_split(np.arange(len(rest[0])), BLOCKS)
+    parts = [_solve([np.delete(x, b, 0) for x in left], [np.delete(r, b) for r in rest], weights) for b in keep]
+    spread = spread_of(np.array([part[0] for part in parts]))
+    return Load(float(solution[0]), spread, solution[1:] / (solution[0] or 1.0), np.maximum(errors, 1e-9), without)
+
+
+def _solve(left: list[np.ndarray], rest: list[np.ndarray], weights: list[float]) -> np.ndarray:
+    gram = sum(w**2 * x.T @ x for x, w in zip(left, weights, strict=True))
+    moment = sum(w**2 * x.T @ r for x, r, w in zip(left, rest, weights, strict=True))
+    return np.linalg.lstsq(gram, moment, rcond=1e-9)[0]
+
+
+def payload_findings(load: Load, joints: Sequence[str], strong: Sequence[int]) -> list[Finding]:
+    """A load of this mass, where it explains the torques of the joints that gravity acts on."""
+    gain = load.gain(list(strong))
+    sure = abs(load.mass_kg) > max(LEAST_KG, SURE * load.mass_error_kg)
+    if not strong or not sure or gain < LOAD_GAIN or np.linalg.norm(load.com_m) > FURTHEST_M:
+        return []
+    told = ", ".join(f"'{joints[j]}' {load.error_without_nm[j]:.3g} to {load.error_nm[j]:.3g}" for j in strong)
+    com = ", ".join(f"{x:.2f}" for x in load.com_m)
+    evidence = (
+        f"{abs(load.mass_kg):.2f} ± {load.mass_error_kg:.1g} kg at ({com}) m from '{joints[-1]}', z along its axis, "
+        f"bring the error in Nm from {told}"
+    )
+    if load.mass_kg > 0:
+        advice = "add the tool or payload to the model, as a link fixed to the last one"
+        return [Finding("payload-missing", "warning", joints[-1], "a load that the model lacks: " + evidence, advice)]
+    advice = "take the tool or hand that is not mounted out of the model"
+    return [Finding("payload-absent", "warning", joints[-1], "less load than the model has: " + evidence, advice)]
+
+
+def loaded(tree: _core.Tree, load: Load) -> _core.Tree:
+    """The tree with the load found, where that leaves the last link a mass."""
+    mass = max(load.mass_kg, 0.1 * tree.links[-1].mass - tree.links[-1].mass)
+    return with_load(tree, np.r_[mass, mass * load.com_m])
+
+
+# --- A joint whose zero is elsewhere than the robot file's: gravity fits far better with its position shifted.
+
+
+GRID_RAD = math.radians(15.0)
+LEAST_RAD = 0.05
+"""A calibrated arm's zero is right within a hundredth; less than this is what a rough model's masses look like."""
+RESISTS = 0.1
+"""Friction of that share of the torque tells the torque's sign, and gravity must have the same."""
+
+
+@dataclass(frozen=True)
+class Offset:
+    """What must be added to a joint's position."""
+
+    joint: int
+    by_rad: float
+    gain: float  # sum over joints of the logarithm of how much the error falls, by gravity alone
+
+    def told(self) -> str:
+        return f"{self.by_rad:+.2f} rad ({math.degrees(self.by_rad):+.0f} degrees)"
+
+
+def best_offset(rows: Rows, tree: _core.Tree) -> Offset | None:
+    """The shift of one joint that makes gravity fit best, each joint's torque with a factor of its own.
+
+    Gravity is evaluated at the rows' own positions; inertia, which a shift changes little beside friction, stays.
+    None where no shift of LEAST_RAD is better than none.
+    """
+    others, signs = _rest(rows)
+    zero = _log_errors(rows.gravity, others, signs)
+    best: Offset | None = None
+    for j in range(rows.joints):
+
+        def total(by: float, j: int = j) -> float:
+            q = rows.q.copy()
+            q[:, j] += by
+            return float((_log_errors(tree.momentum(q, np.zeros_like(q))[1], others, signs)).sum())
+
+        grid = np.arange(-math.pi, math.pi - 1e-9, GRID_RAD)
+        middle = float(grid[np.argmin([total(by) for by in grid])])
+        found = minimize_scalar(total, bounds=(middle - GRID_RAD, middle + GRID_RAD), method="bounded",
+                                options={"xatol": 1e-3})  # fmt: skip
+        by, gain = math.remainder(float(found.x), 2 * math.pi), float(zero.sum() - found.fun)
+        if abs(by) > LEAST_RAD and gain > (best.gain if best else 0.0):
+            best = Offset(j, by, gain)
+    return best
+
+
+def _rest(rows: Rows) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[float]]:
+    """Of each joint a basis of all that is not gravity, and the torque without it; and the torque's sign, 0 unknown."""
+    parts, signs, resists = [], [], slice(CONSTANT, CONSTANT + FRICTION - 1)  # after the constant; gravity left out
+    for j in range(rows.joints):
+        columns, y = columns_of(rows, j), rows.tau[:, j]
+        own = columns[:, 1:] / np.maximum(np.sqrt((columns[:, 1:] ** 2).mean(axis=0)), 1e-9)
+        u, size, v = np.linalg.svd(own, full_matrices=False)
+        kept = size > 1e-3 * size[0]
+        basis = u[:, kept]
+        weights = v[kept].T @ ((basis.T @ y) / size[kept])
+        friction = own[:, resists] @ weights[resists]
+        tells = friction.std() > RESISTS * max(float(y.std()), 1e-12)
+        signs.append(float(np.sign((friction * rows.dq[:, j]).mean())) if tells else 0.0)
+        parts.append((basis, y - basis @ (basis.T @ y)))
+    return parts, signs
+
+
+def _log_errors(gravity: np.ndarray, others: Sequence[tuple[np.ndarray, np.ndarray]], signs: list[float]) -> np.ndarray:
+    """Logarithm of each joint's robust error with this gravity, (joints,)."""
+    errors = np.empty(len(others))
+    for j, (basis, y) in enumerate(others):
+        x = gravity[:, j] - basis @ (basis.T @ gravity[:, j])
+        power = float(x @ x)
+        factor = float(x @ y) / power if power > 1e-9 * len(x) else 0.0
+        if signs[j] * factor < 0:
+            factor = 0.0
+        errors[j] = math.log(robust_spread(y - factor * x) + 1e-9 + 1e-3 * float(np.abs(y).mean()))
+    return errors
+
+
+# --- Joints in another order, axes that turn the other way, zeros that are elsewhere: what fits far better than given.
+
 
 SEARCH_S = 60.0
 """Of motion, spread over all of it: the search fits dozens of arrangements."""
 SEARCH_ROWS = 5000
 """Of all pairs of joints, spread over all of the data."""
-GAIN = 1.0
-"""Sum over joints of the logarithm of how much the error falls: two joints by 40 % each, say. Chance: hundredths."""
-HALVED = 0.6
-"""At least one joint's error falls to this share ..."""
 WORSE = 1.15
 """... and none rises by more than this."""
 LEAST_EXPLAINED = 0.5

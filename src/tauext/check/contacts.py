@@ -9,9 +9,19 @@ import numpy as np
 
 from tauext import _core
 from tauext.check.finding import Finding
-from tauext.check.fit import CONSTANT, LEAST_ROWS, columns_of, robust_solve, robust_spread
+from tauext.check.fit import (
+    CONSTANT,
+    FRICTION,
+    LEAST_ROWS,
+    PRESLIDING_RAD,
+    Rows,
+    columns_of,
+    picked,
+    robust_solve,
+    robust_spread,
+    rows_of,
+)
 from tauext.check.motion import POSITION_CUTOFF_HZ, Stretch, low_pass, stretches
-from tauext.check.regressors import FRICTION, PRESLIDING_RAD, Rows, picked, rows_of
 from tauext.config import FreeMotionConfig
 from tauext.data.recording import Recording
 

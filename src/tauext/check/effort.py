@@ -1,13 +1,73 @@
-"""What the effort is: of the right sign, the joint's torque, a multiple of it, without gravity, or external torque."""
+"""The torque signal: sign, unit, delay, drift, and whether the motion excites it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
 
 from tauext.check.finding import Finding
-from tauext.check.fit import JointFit
-from tauext.check.regressors import Rows
-from tauext.check.sign import SignVote
+from tauext.check.fit import CONSTANT, FRICTION, JointFit, Rows, columns_of, robust_solve, spread_of, torque_rows
+from tauext.check.motion import Stretch
+from tauext.data.recording import Recording
+
+# --- Which way a joint's torque counts: friction resists, inertia resists, gravity pulls down.
+
+
+MOST = 6.0
+"""No witness counts for more than so many standard errors: a wrong model can be very sure."""
+
+
+@dataclass(frozen=True)
+class SignVote:
+    """Friction work a unit of speed, inertia and gravity factor, each in standard errors times its share of torque."""
+
+    friction: float
+    inertia: float
+    gravity: float
+    power_w: float  # mean of torque times speed
+    friction_nm_s: float  # friction power by squared speed
+    inertia_kg_m2: float
+
+    @property
+    def motion(self) -> float:
+        """Of friction and inertia, which hold whatever the model says."""
+        return self.friction + self.inertia
+
+    @property
+    def total(self) -> float:
+        return self.motion + self.gravity
+
+
+def sign_vote(rows: Rows, joint: int, fit: JointFit) -> SignVote:
+    dq, acceleration = rows.dq[:, joint], rows.acceleration[:, joint]
+    columns = np.column_stack([rows.inertial[:, joint], acceleration])
+    by_speed = (rows.friction[:, joint] * dq[:, None]).mean(axis=0) / max(float((dq**2).mean()), 1e-12)
+    by_speed[0] = 0.0
+    by_acceleration = (columns * acceleration[:, None]).mean(axis=0) / max(float((acceleration**2).mean()), 1e-12)
+    friction = fit.left_out[:, CONSTANT : CONSTANT + FRICTION] @ by_speed
+    inertia = fit.left_out[:, 1:3] @ by_acceleration
+
+    def witness(value: float, spread: float, part_nm: float) -> float:
+        if part_nm == 0 or fit.torque_nm == 0:
+            return 0.0
+        return float(np.clip(value / max(spread, 1e-9 * abs(value) + 1e-12), -MOST, MOST)) * part_nm / fit.torque_nm
+
+    friction_now = float(fit.weights[CONSTANT : CONSTANT + FRICTION] @ by_speed)
+    inertia_now = float(fit.weights[1:3] @ by_acceleration)
+    return SignVote(
+        witness(friction_now, spread_of(friction), fit.friction_nm),
+        witness(inertia_now, spread_of(inertia), fit.inertial_nm),
+        witness(*fit.gravity_factor, fit.gravity_nm) if rows.has_model else 0.0,
+        float((rows.tau[:, joint] * dq).mean()),
+        friction_now,
+        inertia_now,
+    )
+
+
+# --- What the effort is: of the right sign, the joint's torque, a multiple of it, without gravity, or external torque.
+
 
 CERTAIN = 1.5
 """Votes (standard errors times share of the torque) from which on a sign is certain; good data reach 3 to 6."""
@@ -127,3 +187,190 @@ def scale_findings(joints: Sequence[str], fits: Sequence[JointFit], judged: Sequ
         )
         found.append(Finding("effort-scale", "fault", joints[j], evidence, advice))
     return found
+
+
+# --- Torque that comes late or early against the motion it makes.
+
+
+LONGEST_S = 0.1
+STEPS = 10  # to either side
+LATE_S = 0.012
+"""A drive's current filter and a bus cycle make 1 to 5 ms; presliding friction and elasticity look like some more."""
+FALL = 0.95
+"""The error at the best lag as a share of that without: less is what friction at reversals makes of a good clock."""
+EXPLAINED = 0.7
+
+
+def torque_lags(stretches: Sequence[Stretch], rows: Rows) -> list[tuple[float, float, float]]:
+    """Per joint: lag of least error [s], that error as a share of the one at lag 0, and the share explained there."""
+    lags = np.linspace(-LONGEST_S, LONGEST_S, 2 * STEPS + 1)
+    weights, torques = [], [torque_rows(stretches, lag) for lag in lags]
+    errors = np.empty((len(lags), rows.joints))
+    for j in range(rows.joints):
+        columns = columns_of(rows, j)
+        trust = robust_solve(columns, rows.tau[:, j])[1]
+        root = np.sqrt(trust)
+        size = np.maximum(np.sqrt((columns**2).mean(axis=0)), 1e-9)
+        basis, values, _ = np.linalg.svd(root[:, None] * columns / size, full_matrices=False)
+        basis = basis[:, values > 1e-6 * values[0]]
+        for k, torque in enumerate(torques):
+            y = root * torque[:, j]
+            errors[k, j] = np.sqrt(((y - basis @ (basis.T @ y)) ** 2).mean())
+        weights.append(float(np.average((rows.tau[:, j] - rows.tau[:, j].mean()) ** 2, weights=trust)) ** 0.5)
+    found = []
+    for j in range(rows.joints):
+        best, squared = int(np.argmin(errors[:, j])), errors[:, j] ** 2
+        lag, least = lags[best], squared[best]
+        if 0 < best < len(lags) - 1:
+            a, b, c = squared[best - 1 : best + 2]
+            if a - 2 * b + c > 0:
+                shift = 0.5 * (a - c) / (a - 2 * b + c)
+                lag, least = lag + shift * (lags[1] - lags[0]), b - 0.25 * (a - c) * shift
+        zero = errors[STEPS, j]
+        ratio = float(np.sqrt(max(least, 0)) / zero) if zero > 0 else 1.0
+        found.append((float(lag), ratio, 1 - max(least, 0) / max(weights[j] ** 2, 1e-18)))
+    return found
+
+
+def delay_findings(
+    lags: Sequence[tuple[float, float, float]], joints: Sequence[str], period_s: float
+) -> tuple[list[Finding], float]:
+    """Findings, and one lag for all joints [s], 0 where there is none."""
+    late = [
+        (lag, j)
+        for j, (lag, ratio, explained) in enumerate(lags)
+        if abs(lag) > max(LATE_S, 1.25 * period_s) and ratio < FALL and explained > EXPLAINED
+    ]
+    found = []
+    for lag, j in late:
+        what = "late" if lag > 0 else "early"
+        evidence = f"the torque comes {abs(lag) * 1e3:.0f} ms {what}: there the error falls to {lags[j][1]:.0%}"
+        advice = (
+            "torque and position come from different clocks or filters: shift one at import, or record them together"
+        )
+        found.append(Finding("torque-delay", "warning", joints[j], evidence, advice))
+    common = float(np.median([lag for lag, _ in late])) if len(late) > len(joints) / 2 else 0.0
+    return found, common
+
+
+# --- Friction that changes with time, as a gear does that warms up.
+
+
+WINDOW_S = 60.0
+LEAST_WINDOWS = 7
+"""Of five or six the standard error is itself too uncertain to count by."""
+CHANGE = 0.1
+"""Of the friction, over all of the data."""
+SURE = 5.0
+"""Standard errors of the slope."""
+SHARE = 0.15
+"""Friction below this share of the torque's spread is not followed."""
+
+
+def friction_by_time(rows: Rows, joint: int, fit: JointFit) -> tuple[np.ndarray, np.ndarray]:
+    """Middle of each window [s], and the friction in it as a share of the whole data's."""
+    columns = slice(CONSTANT + 1, CONSTANT + FRICTION)
+    friction = columns_of(rows, joint)[:, columns] @ fit.weights[columns]
+    error = rows.tau[:, joint] - fit.predicted
+    window = ((rows.time_s - rows.time_s[0]) // WINDOW_S).astype(int)
+    times, shares = [], []
+    for k in np.unique(window):
+        at = window == k
+        power = float((friction[at] ** 2).sum())
+        if at.sum() > 200 and power > 0.1 * at.sum() * float((friction**2).mean()):
+            times.append(float(rows.time_s[at].mean()))
+            shares.append(1 + float(friction[at] @ error[at]) / power)
+    return np.array(times), np.array(shares)
+
+
+def drift_findings(
+    rows: Rows, joints: Sequence[str], fits: Sequence[JointFit], recordings: Sequence[Recording]
+) -> list[Finding]:
+    found = []
+    for j, fit in enumerate(fits):
+        times, shares = friction_by_time(rows, j, fit)
+        if len(times) < LEAST_WINDOWS or fit.friction_nm < SHARE * fit.torque_nm:
+            continue
+        centred = times - times.mean()
+        slope = float(centred @ shares / (centred @ centred))
+        left = shares - shares.mean() - slope * centred
+        error = np.sqrt(float(left @ left) / max(1, len(times) - 2) / float(centred @ centred))
+        change = slope * float(np.ptp(times))
+        if abs(change) < CHANGE or abs(slope) < SURE * error:
+            continue
+        evidence = f"friction changes by {change:+.0%} in {np.ptp(times) / 60:.3g} minutes"
+        warm = [r.temperature[:, j] for r in recordings if r.temperature is not None]
+        if warm:
+            evidence += f", while the motor goes from {warm[0][0]:.1f} to {warm[-1][-1]:.1f} degrees Celsius"
+        advice = (
+            "train on warm and on cold motion, or warm the arm up first; the monitor's drift tracker follows the rest"
+        )
+        found.append(Finding("temperature-drift", "warning", joints[j], evidence, advice))
+    return found
+
+
+# --- Whether the arm moves enough, and long enough, for what is to be learned from it.
+
+
+STANDING_RAD = 0.05
+LEAST_RANGE_RAD = 0.2
+LEAST_SPEED_RAD_S = 0.1
+MOVING_RAD_S = 0.02
+LEAST_SHARE = 0.05
+SEARCH_S = 30.0
+"""Of motion, below which order, axes and delay of torque are not judged: of dozens of arrangements one will fit."""
+FRICTION_MIN, NETWORK_MIN = 1.0, 10.0
+"""Minutes of motion: for a friction fit, five to ten reversals a joint at several speeds; for a network, see
+docs/method/training.md."""
+
+
+def excitation_findings(recordings: Sequence[Recording], stretches: Sequence[Stretch]) -> list[Finding]:
+    joints = recordings[0].joints
+    ranges = np.max([np.ptp(r.q, axis=0) for r in recordings], axis=0)
+    minutes = sum(r.duration_s for r in recordings) / 60
+    if ranges.max() < STANDING_RAD:
+        evidence = f"the widest range of a joint is {ranges.max():.3g} rad in {minutes:.2g} minutes"
+        advice = "an arm at rest gives the plain observer and its limits at this pose, no friction fit and no network"
+        return [Finding("never-moves", "warning", None, evidence, advice)]
+    found = []
+    if stretches:
+        dq = np.concatenate([s.dq for s in stretches])
+        seconds = np.concatenate([np.full(len(s.dq), 1 / s.rate_hz) for s in stretches])
+        for j, joint in enumerate(joints):
+            found += _joint(joint, float(ranges[j]), dq[:, j], seconds)
+    return found + _length(moving_s(stretches) / 60, minutes)
+
+
+def moving_s(stretches: Sequence[Stretch]) -> float:
+    """Time in which some joint moves, [s]."""
+    return sum(float((np.abs(s.dq) > MOVING_RAD_S).any(axis=1).sum()) / s.rate_hz for s in stretches)
+
+
+def _joint(joint: str, travelled_rad: float, dq: np.ndarray, seconds: np.ndarray) -> list[Finding]:
+    forward, backward = float(seconds[dq > MOVING_RAD_S].sum()), float(seconds[dq < -MOVING_RAD_S].sum())
+    speed, share = float(np.percentile(np.abs(dq), 99)), (forward + backward) / float(seconds.sum())
+    one_way = min(forward, backward) < 0.05 * max(forward, backward)
+    if travelled_rad >= LEAST_RANGE_RAD and speed >= LEAST_SPEED_RAD_S and share >= LEAST_SHARE and not one_way:
+        return []
+    evidence = (
+        f"range {travelled_rad:.3g} rad, speed up to {speed:.3g} rad/s, "
+        f"{forward:.3g} s forward and {backward:.3g} s back"
+    )
+    advice = (
+        f"move it by at least {LEAST_RANGE_RAD:g} rad, both ways, at speeds from {LEAST_SPEED_RAD_S:g} rad/s to what "
+        "the work needs: its friction, and what it weighs, cannot be learned from this"
+    )
+    return [Finding("excitation-low", "warning", joint, evidence, advice)]
+
+
+def _length(moving_min: float, minutes: float) -> list[Finding]:
+    if moving_min >= NETWORK_MIN:
+        return []
+    evidence = f"{moving_min:.2g} minutes of motion in {minutes:.2g} minutes"
+    advice = (
+        f"a friction fit needs {FRICTION_MIN:g} minute of varied motion, a network {NETWORK_MIN:g}; limits promise at "
+        f"most one false alarm in a third of the time they were found on, here {minutes / 3:.2g} minutes"
+    )
+    if moving_min * 60 < SEARCH_S:
+        advice += f"; order, axes and delay of the torque were not judged: that needs {SEARCH_S:g} s of motion"
+    return [Finding("too-short", "warning" if moving_min < FRICTION_MIN else "note", None, evidence, advice)]

@@ -1,48 +1,142 @@
-"""The doctor's round: signals first, then motion, then torque against model; what is found is mended for the rest."""
+"""All checks of a set of recordings, and their findings as text and data."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from tauext import _core
-from tauext.check.arrangement import exchanged_efforts, rearranged
-from tauext.check.clock import clock_findings
-from tauext.check.coarse import coarse_findings
+from tauext.check.arrangement import exchanged_efforts, fit_load, gravity_finding, loaded, payload_findings, rearranged
+from tauext.check.clock import clock_findings, degree_findings, time_findings
 from tauext.check.contacts import contact_findings, spoils_contacts, unlabelled_findings
-from tauext.check.delay import delay_findings, torque_lags
-from tauext.check.drift import drift_findings
-from tauext.check.effort import far_findings, inverted, kind_findings, scale_findings, sign_findings, strong_joints
-from tauext.check.excitation import SEARCH_S, excitation_findings, moving_s
-from tauext.check.facts import Facts, facts_of
+from tauext.check.effort import (
+    SEARCH_S,
+    delay_findings,
+    drift_findings,
+    excitation_findings,
+    far_findings,
+    inverted,
+    kind_findings,
+    moving_s,
+    scale_findings,
+    sign_findings,
+    sign_vote,
+    strong_joints,
+    torque_lags,
+)
 from tauext.check.finding import SEVERITIES, Finding
-from tauext.check.fit import LEAST_ROWS, JointFit, fit_joint
-from tauext.check.gravity import gravity_finding
-from tauext.check.limits import limit_findings
-from tauext.check.motion import Stretch, stretches
+from tauext.check.fit import LEAST_ROWS, JointFit, Rows, fit_joint, rows_of
+from tauext.check.motion import DEGREES, Stretch, VelocityFit, pose_findings, stretches, velocity_findings
 from tauext.check.odd_motion import odd_motions, odd_rates
 from tauext.check.odd_torque import odd_torques
-from tauext.check.payload import fit_load, loaded, payload_findings
-from tauext.check.play import play_findings
-from tauext.check.poses import pose_findings
-from tauext.check.regressors import Rows, rows_of
-from tauext.check.robot_file import RobotFile, changed_findings, open_robot
-from tauext.check.sensors import sensor_findings
-from tauext.check.servo import Rest, efforts_of, is_drive, rests_of, servo_findings, with_sign, without_scale
-from tauext.check.sign import sign_vote
-from tauext.check.spikes import normal_ranges, spike_findings, spikes_of, without_spikes
-from tauext.check.time_unit import time_findings
-from tauext.check.units import degree_findings
-from tauext.check.velocity import DEGREES, VelocityFit, velocity_findings
-from tauext.data.amperes import from_amperes, in_amperes
-from tauext.data.backlash import Play, play_of
+from tauext.check.robot_file import RobotFile, changed_findings, limit_findings, open_robot
+from tauext.check.sensors import (
+    coarse_findings,
+    noise_nm,
+    normal_ranges,
+    sensor_findings,
+    spike_findings,
+    spikes_of,
+    steps_of,
+    torque_step_nm,
+    without_spikes,
+)
+from tauext.check.servo import (
+    Effort,
+    Rest,
+    efforts_of,
+    is_drive,
+    play_findings,
+    rests_of,
+    servo_findings,
+    with_sign,
+    without_scale,
+)
+from tauext.data.drive_signal import Play, play_of
 from tauext.data.recording import Recording
-from tauext.data.servo import derives_velocity, makes_torque
+from tauext.data.servo import derives_velocity, from_amperes, in_amperes, makes_torque
 from tauext.errors import ConfigError
 from tauext.progress import SILENT, Reporter
+
+# --- What was measured of every joint, findings or none.
+
+
+Facts = dict[str, float | str]
+"""Of one joint, by names that bear their units."""
+
+
+def facts_of(
+    recordings: Sequence[Recording],
+    efforts: Sequence[Effort],
+    plays: Sequence[Play],
+    velocities: Sequence[VelocityFit | None],
+    rows: Rows | None,
+    fits: Sequence[JointFit],
+    lags: Sequence[tuple[float, float, float]],
+) -> list[Facts]:
+    """One a joint: what could be measured.
+
+    Args:
+        recordings: as recorded.
+        efforts: what each joint's tau is.
+        rows: that the fits were made of; None: there are none.
+    """
+    facts: list[Facts] = []
+    noise = noise_nm(recordings)
+    for j, effort in enumerate(efforts):
+        fact: Facts = {
+            "range_rad": max(float(np.ptp(r.q[:, j])) for r in recordings),
+            "speed_rad_s": max(float(np.abs(r.dq[:, j]).max()) for r in recordings),
+            "torque_nm": max(float(np.abs(r.tau[:, j]).max()) for r in recordings),
+            "torque_noise_nm": float(noise[j]),
+            "torque_is": effort.kind,
+        }
+        fact |= _servo_facts(effort) | _play_facts(plays[j])
+        position_rad, velocity_rad_s = steps_of(recordings, j)
+        steps = {"torque_step_nm": torque_step_nm(recordings, j)}
+        steps |= {"position_step_rad": position_rad, "velocity_step_rad_s": velocity_rad_s}
+        fact |= {name: step for name, step in steps.items() if step is not None}
+        velocity = velocities[j]
+        if velocity is not None:
+            fact |= {"velocity_factor": velocity.factor, "velocity_delay_ms": velocity.lag_s * 1e3}
+        if fits and rows is not None:
+            fit = fits[j]
+            fact |= {"torque_spread_nm": fit.torque_nm, "error_nm": fit.error_nm}
+            if not any(map(is_drive, efforts)):
+                fact["torque_delay_ms"] = lags[j][0] * 1e3
+            if fit.gravity_factor[0]:
+                fact |= {"gravity_factor": fit.gravity_factor[0], "gravity_factor_error": fit.gravity_factor[1]}
+        facts.append(fact)
+    return facts
+
+
+def _servo_facts(effort: Effort) -> Facts:
+    fact: Facts = {}
+    if effort.made_from is not None:
+        fact["torque_made_from"] = effort.made_from
+    if effort.law is not None and effort.kind != "torque":
+        square = effort.kind == "supply current"
+        fact["effort_per_rad2" if square else "effort_per_rad"] = effort.law.gain
+        fact["effort_exponent"] = effort.law.exponent
+    if effort.full:
+        fact["effort_full"] = effort.full
+    return fact
+
+
+def _play_facts(play: Play) -> Facts:
+    fact: Facts = {"turns": play.turns}
+    if play.width_rad > 0:
+        fact |= {"backlash_rad": play.width_rad, "backlash_error_rad": play.error_rad}
+    if play.lost_rad > 0:
+        fact["lost_motion_rad"] = play.lost_rad
+    return fact
+
+
+# --- The doctor's round: signals first, then motion, then torque against model; what is found is mended for the rest.
+
 
 STEPS = (
     "signals",
@@ -307,3 +401,90 @@ def _scale(
     then = rows_of(motion, tree_with, lag_s)
     rest = scale_findings(joints, [fit_joint(then, j) for j in range(len(joints))], off)
     return (factors, tree) if rest else (payload, tree_with)
+
+
+# --- The diagnosis as text for a terminal and as plain data for a script.
+
+
+COLUMNS = (
+    ("torque_is", "tau is", "", ""),
+    ("range_rad", "range", "rad", ".2f"),
+    ("speed_rad_s", "speed", "rad/s", ".2f"),
+    ("torque_nm", "torque", "Nm", ".3g"),
+    ("torque_noise_nm", "noise", "Nm", ".2g"),
+    ("torque_step_nm", "tau step", "", ".3g"),
+    ("position_step_rad", "q step", "rad", ".3g"),
+    ("velocity_step_rad_s", "dq step", "rad/s", ".2g"),
+    ("backlash_rad", "play", "rad", ".2g"),
+    ("velocity_factor", "dq by dq/dt", "", ".3f"),
+    ("velocity_delay_ms", "dq late", "ms", ".1f"),
+    ("torque_delay_ms", "tau late", "ms", ".1f"),
+    ("gravity_factor", "tau by g", "", ".3f"),
+    ("error_nm", "unexplained", "Nm", ".2g"),
+)
+"""What was measured of a joint: name of the fact, its heading, unit and format."""
+
+
+def as_text(diagnosis: Diagnosis) -> str:
+    """Findings, those of one code, evidence and advice together; then a table of what was measured."""
+    lines = []
+    for finding, joints in grouped(diagnosis.findings):
+        where = f" ({', '.join(joints)})" if joints else ""
+        lines += [f"{finding.severity}: {finding.code}{where}"]
+        for one in diagnosis.findings:
+            if (one.code, one.severity) == (finding.code, finding.severity):
+                lines.append(f"    {one.joint + ': ' if one.joint else ''}{one.evidence}")
+        lines.append(f"    -> {finding.advice}")
+    counts = [sum(f.severity == severity for f in diagnosis.findings) for severity in SEVERITIES]
+    told = ", ".join(f"{n} {what}{'' if n == 1 else 's'}" for n, what in zip(counts, SEVERITIES, strict=True))
+    return "\n".join([*lines, "" if lines else "nothing found", *_table(diagnosis), "", told])
+
+
+def as_files(diagnosis: Diagnosis, recordings: Iterable[str], without_model: bool) -> tuple[str, dict]:
+    """Contents of check.txt and check.json.
+
+    Args:
+        recordings: names of those that were examined.
+        without_model: no robot file was there to hold them against.
+    """
+    text = as_text(diagnosis)
+    if without_model:
+        text = f"no robot model: order, scale, gravity and payload cannot be checked\n{text}"
+    return text, as_data(diagnosis) | {"recordings": list(recordings)}
+
+
+def grouped(findings: list[Finding]) -> list[tuple[Finding, list[str]]]:
+    """The first finding of each code and severity, and the joints of all of them."""
+    groups: dict[tuple[str, str], tuple[Finding, list[str]]] = {}
+    for finding in findings:
+        _, joints = groups.setdefault((finding.code, finding.severity), (finding, []))
+        if finding.joint and finding.joint not in joints:
+            joints.append(finding.joint)
+    return list(groups.values())
+
+
+def as_data(diagnosis: Diagnosis) -> dict:
+    """JSON-ready: joints, findings, facts by joint, faulty."""
+    return {
+        "format": 1,
+        "joints": list(diagnosis.joints),
+        "faulty": diagnosis.faulty,
+        "findings": [asdict(finding) for finding in diagnosis.findings],
+        "facts": dict(zip(diagnosis.joints, diagnosis.facts, strict=True)),
+    }
+
+
+def _table(diagnosis: Diagnosis) -> list[str]:
+    shown = [c for c in COLUMNS if any(c[0] in fact for fact in diagnosis.facts)]
+    head = ["joint", *(f"{title} {unit}".strip() for _, title, unit, _ in shown)]
+    rows = [
+        [joint, *(format(fact[key], form) if key in fact else "-" for key, _, _, form in shown)]
+        for joint, fact in zip(diagnosis.joints, diagnosis.facts, strict=True)
+    ]
+    widths = [max(len(row[k]) for row in [head, *rows]) for k in range(len(head))]
+
+    def line(row: list[str]) -> str:
+        first, *others = zip(row, widths, strict=True)
+        return "  ".join([first[0].ljust(first[1]), *(cell.rjust(width) for cell, width in others)])
+
+    return [line(row) for row in [head, *rows]]

@@ -8,8 +8,8 @@ from tauext.data.dataset import ROBOT_FILES, load_dataset
 from tauext.data.recording import Recording
 from tauext.data.recording_file import describe, load_recording
 from tauext.errors import ConfigError
-from tauext.files.fetching import local_robot
-from tauext.files.place import Place
+from tauext.files.copies import local_robot
+from tauext.files.places import Place
 from tauext.progress import SILENT, Reporter
 from tauext.robot.write import is_placeholder
 

@@ -1,14 +1,20 @@
-"""Recordings as evenly sampled stretches of smooth free motion: what every fit of the doctor starts from."""
+"""Evenly sampled stretches of motion, velocity against position, and poses at rest."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
+from tauext import _core
+from tauext.check.finding import Finding
 from tauext.data.recording import Recording
+
+# --- Recordings as evenly sampled stretches of smooth free motion: what every fit of the doctor starts from.
+
 
 LEAST_STRETCH_S = 2.0
 """A shorter stretch holds hardly more than the ends of its filters."""
@@ -131,3 +137,196 @@ def _even(recording: Recording, rows: np.ndarray, number: int, start_s: float) -
     smooth = low_pass(raw, min(POSITION_CUTOFF_HZ, 0.3 * rate_hz), rate_hz)
     dq = np.gradient(smooth, 1 / rate_hz, axis=0)
     return Stretch(number, start_s + even[0], rate_hz, smooth, dq, tau, raw, said)
+
+
+# --- Velocity against the derivative of position: unit, sign, delay, order.
+
+
+LONGEST_LAG_S = 0.2
+LATE_S = 0.010
+"""A drive's velocity filter lags by 1 to 5 ms; from 10 ms, or a period and a quarter, prior and network suffer."""
+FACTOR_OFF = 0.1
+LEAST_CORRELATION = 0.9
+LEAST_SPEED_RAD_S = 0.02
+"""RMS, [rad/s]: below, noise is compared with noise."""
+DEGREES = 180 / math.pi
+
+
+@dataclass(frozen=True)
+class VelocityFit:
+    """One joint's recorded velocity as factor times the derivative of its position, so much later."""
+
+    factor: float
+    lag_s: float
+    correlation: float
+
+
+def compare(stretches: Sequence[Stretch], joint: int, of: int | None = None) -> VelocityFit | None:
+    """Recorded velocity of `joint` against the derivative of position of joint `of`, itself if None.
+
+    None: the joint does not move.
+    """
+    of = joint if of is None else of
+    rate = float(np.median([s.rate_hz for s in stretches]))
+    reach = max(2, math.ceil(LONGEST_LAG_S * rate))
+    pairs = []
+    for s in stretches:
+        cutoff = min(FIT_CUTOFF_HZ, s.rate_hz / 6)
+        true, said = low_pass(s.dq[:, of], cutoff, s.rate_hz), low_pass(s.dq_raw[:, joint], cutoff, s.rate_hz)
+        if len(true) > 4 * reach:
+            pairs.append((true, said))
+    inner = np.concatenate([true[reach:-reach] for true, _ in pairs]) if pairs else np.zeros(1)
+    power = float(inner @ inner)
+    if power / len(inner) < LEAST_SPEED_RAD_S**2:
+        return None
+
+    def later(k: int) -> np.ndarray:
+        return np.concatenate([said[reach + k : len(said) - reach + k] for _, said in pairs])
+
+    stride = max(1, reach // 20)
+    coarse = range(-reach, reach + 1, stride)
+    products = [abs(inner @ later(k)) / max(float(np.linalg.norm(later(k))), 1e-12) for k in coarse]
+    shift = coarse[int(np.argmax(products))]
+    said = later(shift)
+    factor = float(inner @ said / power)
+    correlation = float(abs(inner @ said) / max(math.sqrt(power) * float(np.linalg.norm(said)), 1e-12))
+    # what is left of the lag, to first order: said = factor (true - lag d(true)/dt)
+    slope = np.concatenate([np.gradient(true)[reach:-reach] for true, _ in pairs])
+    left = float((inner - said / factor) @ slope / (slope @ slope)) if factor else 0.0
+    return VelocityFit(factor, float(shift + np.clip(left, -stride, stride)) / rate, correlation)
+
+
+def velocity_findings(
+    stretches: Sequence[Stretch], joints: Sequence[str]
+) -> tuple[list[Finding], list[VelocityFit | None], np.ndarray]:
+    """Findings, what was measured of each joint, and by what factor (joints,) positions are too large."""
+    found, positions = [], np.ones(len(joints))
+    fits = [compare(stretches, j) for j in range(len(joints))]
+    for j, (joint, fit) in enumerate(zip(joints, fits, strict=True)):
+        if fit is None:
+            continue
+        told = f"velocity = {fit.factor:.4g} times the derivative of position, correlation {fit.correlation:.3f}"
+        size = abs(fit.factor)
+        if fit.correlation < LEAST_CORRELATION:
+            found.append(_unlike(stretches, joints, j, told))
+        elif abs(size * DEGREES - 1) < FACTOR_OFF:
+            positions[j] = DEGREES
+            evidence = f"{told}: 1 / 57.3, so that positions are in degrees and velocities in rad/s"
+            found.append(Finding("degrees", "fault", joint, evidence, "convert positions to radians at import"))
+        elif fit.factor < 0:
+            found.append(Finding("velocity-sign", "fault", joint, told, "negate the velocity at import"))
+        elif abs(size - 1) > FACTOR_OFF:
+            found.append(
+                Finding("velocity-unit", "fault", joint, f"{told}{_guess(size)}", "convert it to rad/s at import")
+            )
+        rate = stretches[0].rate_hz
+        late = fit.correlation >= LEAST_CORRELATION and abs(fit.lag_s) > max(LATE_S, 1.25 / rate)
+        if late:
+            way = "after" if fit.lag_s > 0 else "before"
+            evidence = f"velocity comes {abs(fit.lag_s) * 1e3:.0f} ms {way} the derivative of position"
+            advice = (
+                "use a velocity of less filtering, or derive it from position (causally) at import and in the monitor"
+            )
+            found.append(Finding("velocity-delay", "warning", joint, evidence, advice))
+    return found, fits, positions
+
+
+def _unlike(stretches: Sequence[Stretch], joints: Sequence[str], j: int, told: str) -> Finding:
+    others = [(compare(stretches, j, k), name) for k, name in enumerate(joints) if k != j]
+    likely = [(fit.correlation, name) for fit, name in others if fit is not None]
+    if likely and max(likely)[0] > LEAST_CORRELATION:
+        correlation, name = max(likely)
+        evidence = f"{told}, but {correlation:.3f} with that of '{name}'"
+        return Finding("joint-order", "fault", joints[j], evidence, "map positions and velocities by name at import")
+    advice = "it may be a commanded, a Cartesian or a stale velocity: derive it from position at import"
+    return Finding("velocity-mismatch", "fault", joints[j], told, advice)
+
+
+def _guess(size: float) -> str:
+    known = (
+        (DEGREES, "it is in deg/s"),
+        (60 / (2 * math.pi), "it is in turns a minute"),
+        (1 / (2 * math.pi), "in turns a second"),
+    )
+    for factor, what in known:
+        if abs(size / factor - 1) < 0.05:
+            return f": {what}"
+    return ": motor side, perhaps" if size > 20 else ""
+
+
+# --- An arm at rest: the torque that holds it against the gravity of the model, pose by pose.
+
+
+REST_RAD = 0.01
+"""No joint turns by more in WINDOW_S."""
+WINDOW_S = 1.0
+APART_RAD = 0.05
+"""Poses closer together are one."""
+SEVERAL = 3
+"""Poses from which on what gravity leaves unexplained says how much friction holds."""
+LOADED, LOADED_OF_SEVERAL = 0.2, 0.05
+"""Gravity on a joint as a share of the arm's largest: a gear's friction holds a tenth of that."""
+ALIKE = 2.5
+"""Torque over gravity may differ so much between joints: friction, a tool, torque constants."""
+ABOVE_FRICTION = 3.0
+
+
+def poses_of(recordings: Sequence[Recording]) -> tuple[np.ndarray, np.ndarray]:
+    """Medians of position [rad] and torque [N m] of each pose, (poses, joints); labelled contacts are left out."""
+    poses: list[tuple[list[np.ndarray], list[np.ndarray]]] = []
+    for r in recordings:
+        free = np.ones(r.samples, dtype=bool) if r.contact is None else r.contact != 1
+        window = (r.time_s // WINDOW_S).astype(int)
+        for k in np.unique(window):
+            rows = (window == k) & free
+            if rows.sum() < 5 or np.ptp(r.q[rows], axis=0).max() > REST_RAD:
+                continue
+            q, tau = np.median(r.q[rows], axis=0), np.median(r.tau[rows], axis=0)
+            for at, held in poses:
+                if np.abs(at[0] - q).max() < APART_RAD:
+                    at.append(q)
+                    held.append(tau)
+                    break
+            else:
+                poses.append(([q], [tau]))
+    size = len(recordings[0].joints)
+    medians = [[np.median(x, axis=0) for x in signals] for signals in zip(*poses, strict=True)] or [[], []]
+    return np.reshape(medians[0], (-1, size)), np.reshape(medians[1], (-1, size))
+
+
+def pose_findings(recordings: Sequence[Recording], tree: _core.Tree, joints: Sequence[str]) -> list[Finding]:
+    """Joints whose torque pushes with gravity instead of against it; none where friction could be the reason.
+
+    One pose or two: joints with much load, whose torque is of the size of gravity. More: also joints with less load, if
+    gravity with one factor explains their torques but for a third, which is then friction.
+    """
+    q, tau = poses_of(recordings)
+    if not len(q):
+        return []
+    anywhere = np.random.default_rng(0).uniform(-np.pi, np.pi, (300, tree.size))
+    most = np.abs(tree.momentum(anywhere, 0 * anywhere)[1]).max()
+    gravity = tree.momentum(q, np.zeros_like(q))[1]
+    power = np.maximum((gravity**2).sum(axis=0), 1e-18)
+    factor = (gravity * tau).sum(axis=0) / power
+    left = np.sqrt(((tau - factor * gravity) ** 2).mean(axis=0))
+    loaded = np.abs(gravity) > LOADED * most
+    wrong = loaded.any(axis=0) & ((tau * gravity < 0) | ~loaded).all(axis=0) & _of_one_size(factor, loaded.any(axis=0))
+    if len(q) >= SEVERAL:
+        load = np.sqrt(power / len(q))
+        wrong |= (load > LOADED_OF_SEVERAL * most) & (factor < 0) & (-factor * load > ABOVE_FRICTION * left)
+    found = []
+    for j in np.flatnonzero(wrong).tolist():
+        k = int(np.argmax(np.abs(gravity[:, j])))
+        several = f" ({len(q)} poses: {factor[j]:.3g} times gravity, {left[j]:.2g} Nm apart)" if len(q) > 1 else ""
+        evidence = f"at rest the effort is {tau[k, j]:.4g} Nm where gravity takes {gravity[k, j]:.4g} Nm{several}"
+        advice = "negate the effort at import"
+        if (wrong | ~loaded.any(axis=0)).all():
+            advice += "; or the arm hangs: then give its gravity direction"
+        found.append(Finding("effort-sign", "fault", joints[j], evidence, advice))
+    return found
+
+
+def _of_one_size(factor: np.ndarray, loaded: np.ndarray) -> np.ndarray:
+    """Joints whose torque is to gravity as that of the other loaded joints; a single one: as 1."""
+    usual = float(np.median(np.abs(factor[loaded]))) if loaded.sum() > 1 else 1.0
+    return (np.abs(factor) > usual / ALIKE) & (np.abs(factor) < usual * ALIKE)

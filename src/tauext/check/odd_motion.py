@@ -8,8 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext.check.finding import Finding
-from tauext.check.motion import FIT_CUTOFF_HZ, Stretch, low_pass
-from tauext.check.velocity import DEGREES, FACTOR_OFF, LEAST_CORRELATION, LEAST_SPEED_RAD_S
+from tauext.check.motion import (
+    DEGREES,
+    FACTOR_OFF,
+    FIT_CUTOFF_HZ,
+    LEAST_CORRELATION,
+    LEAST_SPEED_RAD_S,
+    Stretch,
+    low_pass,
+)
 from tauext.data.recording import Recording
 
 FASTER, FURTHER = 5.0, 3.0

@@ -6,16 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tauext.check.clock import clock_findings
+from tauext.check.clock import clock_findings, degree_findings, time_findings
 from tauext.check.contacts import unlabelled_findings
 from tauext.check.examine import Diagnosis
 from tauext.check.finding import SEVERITIES, Finding
 from tauext.check.motion import stretches
-from tauext.check.sensors import sensor_findings
+from tauext.check.sensors import normal_ranges, sensor_findings, spike_findings, spikes_of, without_spikes
 from tauext.check.servo import efforts_of, servo_findings, with_sign
-from tauext.check.spikes import normal_ranges, spike_findings, spikes_of, without_spikes
-from tauext.check.time_unit import time_findings
-from tauext.check.units import degree_findings
 from tauext.data.recording import Recording
 
 OF_ALL = ("quantised", "smoothed", "saturated")

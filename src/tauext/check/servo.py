@@ -1,7 +1,8 @@
-"""What the effort of a servo arm is: an unsigned supply current, a duty or load, a phase current, or a torque."""
+"""Servos: what their effort signal is, and play of joints."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -9,9 +10,11 @@ from typing import Literal
 import numpy as np
 
 from tauext.check.finding import Finding
-from tauext.data.drive_signal import LEAST_VISITS, RestLaw, motion_of, rest_law, unsigned_visits
-from tauext.data.quantum import step_of
+from tauext.data.drive_signal import LEAST_VISITS, Play, RestLaw, motion_of, rest_law, step_of, unsigned_visits
 from tauext.data.recording import Recording
+
+# --- What the effort of a servo arm is: an unsigned supply current, a duty or load, a phase current, or a torque.
+
 
 Kind = Literal["torque", "phase current", "duty", "unsigned", "supply current", "sign bit", "goal"]
 MADE_OF = {"phase_current": "current", "supply_current": "current", "duty": "duty"}
@@ -299,3 +302,27 @@ def _duty_told(effort: Effort) -> str:
     if effort.full:
         parts.append(f"it saturates at exactly {effort.full:g}")
     return "; ".join(parts) + ": a duty, or a load register, and no torque"
+
+
+# --- Play of joints, as a finding.
+
+
+DEGREES = 180 / math.pi
+
+
+def play_findings(joints: Sequence[str], plays: Sequence[Play]) -> list[Finding]:
+    """Findings of joints whose play is seen."""
+    return [
+        Finding(
+            "backlash",
+            "note",
+            joint,
+            f"{play.width_rad:.2g} ± {play.error_rad:.1g} rad ({play.width_rad * DEGREES:.2g} ± "
+            f"{play.error_rad * DEGREES:.1g} degrees): after {play.turns} turns the position travels so far, in the "
+            f"mean, before the drive bears the {play.share:.0%} of its friction that lie behind the play",
+            "the gear carries nothing while it crosses its play, nor is a touch felt there; where the encoder sits "
+            "behind it there is more than is seen",
+        )
+        for joint, play in zip(joints, plays, strict=True)
+        if play.width_rad > 0
+    ]

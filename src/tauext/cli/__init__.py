@@ -29,9 +29,9 @@ from tauext.cli.label import label
 from tauext.cli.load import load
 from tauext.cli.monitor import monitor
 from tauext.cli.parsing import deferred, understood
+from tauext.cli.place_argument import RULE
 from tauext.cli.purposes import arranged_help
 from tauext.cli.refit import refit
-from tauext.cli.replaced import RULE
 from tauext.cli.report import report
 from tauext.cli.reproduce import reproduce
 from tauext.cli.run import run

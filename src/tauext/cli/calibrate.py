@@ -9,7 +9,7 @@ import tyro
 from tauext.cli.place_argument import PlaceArg
 from tauext.config import AlarmConfig, require_threads
 from tauext.errors import ConfigError
-from tauext.files.place import same_place
+from tauext.files.places import same_place
 
 
 def calibrate(
@@ -35,10 +35,10 @@ def calibrate(
             limits follow from the others.
         accept: codes of findings that are no fault on your word, at all joints or at one; they stand in the bundle.
     """
-    from tauext.cli.replaced import tell_replaced
-    from tauext.cli.reporter import Terminal
+    from tauext.cli.place_argument import tell_replaced
+    from tauext.cli.progress import Terminal
     from tauext.data.dataset import load_dataset
-    from tauext.train.bundle_limits import recalibrate
+    from tauext.train.calibrate import recalibrate
 
     require_threads(threads)
     if out.suffix != ".tauext":

@@ -31,11 +31,10 @@ def check(
     """
     import json
 
-    from tauext.check.examine import examine
+    from tauext.check.examine import as_files, examine
     from tauext.check.gather import gather
-    from tauext.check.summary import as_files
-    from tauext.cli.replaced import tell_replaced
-    from tauext.cli.reporter import Terminal
+    from tauext.cli.place_argument import tell_replaced
+    from tauext.cli.progress import Terminal
     from tauext.files.room import expect_folder
     from tauext.files.whole_file import whole_folder
 
@@ -46,7 +45,7 @@ def check(
     diagnosis = examine(recordings, robot, gravity, free, Terminal())
     text, content = as_files(diagnosis, (recording.name for recording in recordings), robot is None)
     if out is not None:
-        from tauext.report.picture import draw
+        from tauext.report.check_picture import draw
 
         with whole_folder(out) as part:
             (part / "check.txt").write_text(text + "\n")

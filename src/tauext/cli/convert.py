@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import tyro
 
-from tauext.cli.another_bundle import expect_another, write_another
-from tauext.cli.place_argument import PlaceArg
+from tauext.cli.place_argument import PlaceArg, expect_another, write_another
 from tauext.errors import ConfigError, TauextError
 
 
@@ -20,7 +19,7 @@ def convert(bundle: tyro.conf.Positional[PlaceArg], out: PlaceArg) -> None:
         out: bundle to write, NAME.tauext; one that is there is replaced, and said to be. Its run file is copied along,
             where there is one.
     """
-    from tauext.fit.old_constants import converted
+    from tauext.fit.torque_constants import converted
 
     if not bundle.is_file():
         raise ConfigError(f"{bundle}: there is no such bundle; give one of format 3 or 4")

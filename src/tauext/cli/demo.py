@@ -49,8 +49,7 @@ def demo(
 def headless(arm_name: str, seconds: float, seed: int) -> str:
     """What was found in so many seconds with scripted pushes, and of a weight in the hand where the arm has one."""
     from tauext.page.bundles import LESSONS, cache_folder, find_or_train_bundles
-    from tauext.page.headless import describe, scripted_pushes
-    from tauext.page.headless_weight import carried_weights, describe_weights
+    from tauext.page.headless import carried_weights, describe, describe_weights, scripted_pushes
     from tauext.sim.arms import ARMS
 
     arm = ARMS[arm_name]()

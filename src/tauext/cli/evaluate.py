@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import sys
 from typing import Annotated
 
 import tyro
@@ -9,9 +11,23 @@ import tyro
 from tauext.cli.place_argument import PlaceArg
 from tauext.config import CaseName, EventsConfig, require, require_seed, require_threads
 from tauext.errors import ConfigError
+from tauext.files.copies import staged
 from tauext.files.room import expect_folder
-from tauext.files.staging import staged
 from tauext.recipes import baselines as known_baselines
+
+# --- The command as typed, for what it writes.
+
+
+QUERY = re.compile(r"((?:^|[=:])(?:s3|gs|abfss?)://[^?]*)\?.*", re.I)
+
+
+def command_line() -> str:
+    """The command as typed, without the path of the program and the queries of URLs."""
+    return " ".join(["tauext", *(QUERY.sub(r"\1", word) for word in sys.argv[1:])])
+
+
+# --- The command.
+
 
 METHODS = f"train and compare only these of the baselines: {', '.join(known_baselines())}."
 
@@ -50,9 +66,8 @@ def evaluate(
             directions, and count what is detected of them; where no contacts were recorded, this shows what would be.
         events: how alarms are held against labels.
     """
-    from tauext.cli.command_line import command_line
-    from tauext.cli.replaced import tell_replaced
-    from tauext.cli.reporter import Terminal
+    from tauext.cli.place_argument import tell_replaced
+    from tauext.cli.progress import Terminal
     from tauext.data.dataset import load_dataset
     from tauext.evaluate.results_folder import evaluate_bundles
 

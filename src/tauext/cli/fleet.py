@@ -2,16 +2,138 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from tauext.cli.fleet_prior import prior
-from tauext.cli.fleet_report import report
 from tauext.cli.parsing import deferred
 from tauext.cli.place_argument import PlaceArg
-from tauext.config import FleetConfig
+from tauext.config import FleetConfig, require, require_threads
+from tauext.errors import ConfigError
+from tauext.files.copies import local_folder, staged
+from tauext.files.places import place_of
+
+# --- `tauext fleet prior`: what arms of one type know that the next one does not.
+
+
+def prior(
+    arms: tyro.conf.Positional[tuple[str, ...]],
+    out: PlaceArg,
+    threads: int = 0,
+    accept: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")] = (),
+) -> None:
+    """Learn from arms of one type what the next one can start with: `tauext train --like` takes it, and a minute.
+
+    Printed is each arm's friction by the fleet's, a row an arm; * marks what is not like the others and counts for
+    less. An arm that `tauext train` would refuse is left out, with the reason.
+
+    Args:
+        arms: three arms or more, each a dataset folder, or BUNDLE.tauext:DATA with the bundle that was trained on it,
+            whose terms are taken over instead of being searched for anew.
+        out: file to write, NAME.prior.json.
+        threads: how many to work in; 0: one a core. The result does not depend on it.
+        accept: codes of findings that are no fault on your word, at all joints or at one.
+    """
+    require_threads(threads)
+    from tauext.cli.place_argument import tell_replaced
+    from tauext.cli.progress import Terminal
+    from tauext.config import TrainConfig
+    from tauext.fleet.prior import make_fleet_prior, table
+    from tauext.fleet.prior_arms import fleet_arms
+
+    config = TrainConfig(recipe="prior", threads=threads)
+    fleet = fleet_arms(arms)
+    tell_replaced(out)
+    found = make_fleet_prior(fleet, out, config, accept, Terminal())
+    print(table(dict(found.facts)))
+    print(out)
+
+
+# --- `tauext fleet report`: one page of all arms, and beside it each arm's own.
+
+
+if TYPE_CHECKING:
+    from tauext.progress import Reporter
+
+
+def report(
+    fleets: tyro.conf.Positional[tuple[PlaceArg, ...]],
+    out: PlaceArg,
+    arm_pages: bool = True,
+    arm_page_mb: float = 2.0,
+    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+) -> None:
+    """Draw one page of all arms: friction, ripple, limits, errors and promises, and which arm or joint stands out.
+
+    Each arm is held against its own first date and against the other arms of its type: which joint is wearing, which
+    arm has another tool or torque constant, with the probability that it is so. Dates are those of FLEET.toml (date,
+    serial), or of the recordings' clocks, or the order of the folders.
+
+    Args:
+        fleets: folders that `tauext fleet run` made, one or several: monday tuesday.
+        out: folder to write: fleet.html, fleet-report.json with all numbers, arms/RUN/NAME/report.html of each arm.
+        arm_pages: write each arm's own page, at its last date, where its results and recordings are there.
+        arm_page_mb: largest size of an arm's own page, [MB]; traces fill it.
+        as_json: print the content of fleet-report.json.
+    """
+    require(0 <= arm_page_mb <= 1000, "arm_page_mb", arm_page_mb, "0 to 1000")
+    if not fleets:
+        raise ConfigError("there is no fleet to report: give one folder or more that `tauext fleet run` made")
+    from tauext.cli.progress import Terminal
+    from tauext.files.room import expect_folder
+    from tauext.fleet.page import write_fleet_page
+    from tauext.fleet.report import make_fleet_report
+
+    terminal = Terminal()
+    expect_folder(out)
+    with staged(out) as folder:
+        content = make_fleet_report(fleets, folder, terminal)
+        if arm_pages:
+            write_arm_pages(content, folder, arm_page_mb, terminal)
+        page = out / write_fleet_page(content, folder).name
+    if as_json:
+        print(json.dumps(content, indent=1, allow_nan=False))
+        return
+    for line in lines(content):
+        print(line)
+    print(page)
+
+
+def write_arm_pages(content: dict[str, Any], out: Path, page_mb: float, reporter: Reporter) -> None:
+    """Of every arm at its last date; one that cannot be drawn is told, and the others are."""
+    from tauext.errors import TauextError
+    from tauext.fleet.page import arm_folder, is_newer
+    from tauext.report.page import write_report
+
+    drawn = [(arm["visits"][-1], places) for arm in content["arms"] if (places := arm["visits"][-1].get("places"))]
+    with reporter.progress("pages of the arms") as show:
+        for done, (visit, places) in enumerate(drawn):
+            folder = out / arm_folder(visit["run"], visit["name"])
+            results, dataset = (place_of(places[key]) for key in ("results", "dataset"))
+            if not is_newer(folder / "report.html", results):
+                try:
+                    write_report(local_folder(results), dataset, folder, page_mb)
+                except TauextError as error:
+                    reporter.say(f"{visit['name']}: its own page cannot be drawn: {error}")
+            show(done + 1, len(drawn), visit["name"])
+
+
+def lines(content: dict[str, Any]) -> list[str]:
+    """What is named, then what failed."""
+    found = []
+    for one in content["named"]:
+        where = f"{one['arm']} {one['joint']}" if one["joint"] else one["arm"]
+        found.append(f"{where}: {one['kind']}, {100 * one['probability']:.0f} %: {one['words']}")
+    for arm in content["arms"]:
+        for visit in arm["visits"]:
+            if visit["state"] != "done":
+                found.append(f"{arm['serial']}: {visit['stage'] or visit['state']}: {visit['reason']}")
+    return found or ["no arm stands out, and none failed"]
+
+
+# --- The command.
 
 
 def run(
@@ -39,8 +161,8 @@ def run(
         as_json: print JSON lines, an object a task that begins or ends.
     """
     from tauext.cli.fleet_output import open_watcher, tell_plan
+    from tauext.fleet.book import plan_fleet
     from tauext.fleet.fleet_file import load_fleet
-    from tauext.fleet.plan import plan_fleet
     from tauext.fleet.run import run_fleet
 
     read = load_fleet(fleet)
@@ -64,7 +186,7 @@ def example(out: Path | None = None) -> None:
     Args:
         out: file to write it to instead; one that is there is left as it is, and that is an error.
     """
-    from tauext.fleet.example import EXAMPLE
+    from tauext.fleet.fleet_file import EXAMPLE
 
     if out is None:
         print(EXAMPLE, end="")

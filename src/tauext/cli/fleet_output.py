@@ -9,9 +9,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Protocol, Self
 
-from tauext.fleet.book import Book, stage_counts
+from tauext.fleet.book import Book, PlannedArm, stage_counts
 from tauext.fleet.fleet_file import STAGES
-from tauext.fleet.plan import PlannedArm
 from tauext.fleet.run import FleetEnd
 from tauext.fleet.task import Outcome, Task
 from tauext.fleet.workers import Ended

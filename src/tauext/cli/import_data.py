@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Literal
 
 from tauext.cli.place_argument import PlaceArg
 from tauext.errors import ConfigError
-from tauext.files.fetching import local_folder, local_robot
-from tauext.files.place import is_stored
+from tauext.files.copies import local_folder, local_robot, staged
+from tauext.files.places import is_stored
 from tauext.files.room import expect_new_file
-from tauext.files.staging import staged
 
 if TYPE_CHECKING:
     from tauext.data.importers.raw import RawRecording
@@ -102,8 +101,8 @@ def unit_of_times(raw: RawRecording, column: str) -> str:
 
 def tell_findings(out: Path) -> None:
     """Say on stderr what `tauext train` would refuse of this dataset, and what it would warn of."""
-    from tauext.check.verdict import entries, sentence, told
-    from tauext.cli.reporter import Terminal
+    from tauext.check.look import entries, sentence, told
+    from tauext.cli.progress import Terminal
     from tauext.config import PAPER_CASES, TrainConfig
     from tauext.data.dataset import load_dataset
     from tauext.robot.model_case import chosen_case

@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from tauext.cli.place_argument import PlaceArg
-from tauext.files.fetching import local_file, local_folder
-from tauext.files.staging import staged
+from tauext.files.copies import local_file, local_folder, staged
 
 
 def label(
@@ -43,9 +42,9 @@ def label(
         as_json: print the counts as one JSON object.
     """
     from tauext.bundle.bundle_file import load_bundle
-    from tauext.cli.reporter import Terminal
+    from tauext.cli.progress import Terminal
     from tauext.data.description_file import load_arm
-    from tauext.sources.labelling import label_dataset
+    from tauext.sources.lerobot_labels import label_dataset
 
     described = load_arm(arm, None if calibration is None else local_file(calibration))
     loaded = load_bundle(bundle)

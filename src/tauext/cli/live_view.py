@@ -14,14 +14,12 @@ from rich.text import Text
 from tauext._core import Bundle, cause_names
 from tauext.bundle.estimates import HEALTHS
 from tauext.bundle.units import SEVERAL, of_all, short
-from tauext.cli.run_output import FlightCount
 from tauext.cli.run_settings import RunSettings
-from tauext.cli.run_text import TextLines
+from tauext.cli.run_text import FlightCount, TextLines
 from tauext.data.recording import Recording
 from tauext.monitor.changes import ALARMS
-from tauext.monitor.readable import readable
-from tauext.monitor.replay import Chunk
-from tauext.monitor.tally import Tally
+from tauext.monitor.explanation import readable
+from tauext.monitor.replay import Chunk, Tally
 
 REFRESH_S = 0.1
 BAR_CELLS = 40

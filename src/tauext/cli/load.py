@@ -7,15 +7,118 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from tauext.cli.place_argument import PlaceArg
+from tauext.cli.place_argument import PlaceArg, expect_another, write_another
 from tauext.config import require
 from tauext.errors import ConfigError
+from tauext.files.places import Place
+
+# --- `tauext load --known-kg`: torque constants from a weight that is known.
+
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
-    from tauext.monitor.frame import NamedFrame
-    from tauext.monitor.identify import LoadEstimate
-    from tauext.monitor.rows import Seen
+    from tauext.monitor.known_load import KnownWeight
+    from tauext.monitor.weighing import NamedFrame, Seen
+
+
+def set_constants(
+    bundle: Bundle,
+    path: Place,
+    where: NamedFrame,
+    parts: list[Seen],
+    mass_kg: float,
+    com_m: tuple[float, float, float] | None,
+    reach_m: float,
+    out: Place | None,
+    as_json: bool,
+) -> None:
+    """Find the factors, say them, and write a bundle with the common one where that is asked for.
+
+    Raises:
+        ConfigError: the weight does not tell, or the new bundle cannot be written.
+    """
+    from tauext.monitor.known_load import weigh_constants
+
+    check_out(path, out)
+    known = weigh_constants(bundle, where, parts, mass_kg, com_m, reach_m)
+    constants = known.constants(bundle)
+    joints = [link.joint_name for link in bundle.links]
+    if as_json:
+        print(json.dumps(known_facts(known, joints, constants), indent=1))
+    else:
+        for line in known_sentences(known, joints, mass_kg, constants):
+            print(line)
+    if out is not None:
+        write(bundle, path, known, mass_kg, [part.recording.name for part in parts], out)
+        if not as_json:
+            print(out)
+
+
+def check_out(path: Place, out: Place | None) -> None:
+    """Raise ConfigError where the new bundle cannot be written, before anything is computed."""
+    if out is not None:
+        expect_another(out, path, "correct")
+
+
+def write(bundle: Bundle, path: Place, known: KnownWeight, mass_kg: float, recordings: list[str], out: Place) -> None:
+    """The bundle with its constants times the common factor; its run file is copied along, where there is one."""
+    from tauext.monitor.known_load import scaled_bundle, with_provenance
+
+    new = scaled_bundle(bundle, known.common)
+    with_provenance(new, known, mass_kg, recordings)
+    write_another(new, path, out)
+
+
+def known_sentences(known: KnownWeight, joints: list[str], mass_kg: float, constants: list[float]) -> list[str]:
+    """The factors in words, and what to do where one for all joints is not enough."""
+    lines = [
+        f"with {mass_kg:g} kg known, torques are to be multiplied by {known.common:.3f} ± {known.common_error:.3f}, "
+        "all joints together"
+    ]
+    own = [
+        f"{joint} {factor:.3f} ± {error:.3f}" if shows else f"{joint} as all"
+        for joint, factor, error, shows, skipped in zip(
+            joints, known.factors, known.errors, known.shows, known.skipped, strict=True
+        )
+        if not skipped
+    ]
+    lines.append(f"joint by joint: {', '.join(own)}")
+    left_out = [joint for joint, skipped in zip(joints, known.skipped, strict=True) if skipped]
+    if left_out:
+        lines.append(
+            f"skipped: {', '.join(left_out)}, whose torque constants are not known and stay so; a new bundle has their "
+            "numbers times the common factor, so that their limits hold"
+        )
+    if not known.one_factor and not left_out:
+        told = " ".join(f"{constant:.5g}" for constant in constants)
+        lines.append(
+            "joints differ by more than their errors, which do not know how far the bundle's own arm was fitted with "
+            f"wrong constants; a bundle takes one factor. A training of its own takes all: --torque-constants {told}"
+        )
+    return lines
+
+
+def known_facts(known: KnownWeight, joints: list[str], constants: list[float]) -> dict:
+    """The same for scripts."""
+    return {
+        "factor": known.common,
+        "standard_error": known.common_error,
+        "joints": {
+            joint: {"factor": float(f), "standard_error": float(e), "shows": bool(s), "nm_per_unit": c}
+            for joint, f, e, s, c in zip(joints, known.factors, known.errors, known.shows, constants, strict=True)
+        },
+        "left_out": [joint for joint, skipped in zip(joints, known.skipped, strict=True) if skipped],
+        "one_factor": known.one_factor,
+        "com_m": known.com_m.tolist(),
+    }
+
+
+# --- The command.
+
+
+if TYPE_CHECKING:
+    from tauext._core import Bundle
+    from tauext.monitor.weighing import LoadEstimate, NamedFrame, Seen
 
 
 def load(
@@ -58,10 +161,7 @@ def load(
         raise ConfigError("--out and --known-com-m need --known-kg: without a known weight there is nothing to set")
     from tauext.cli.run import fitting_bundle
     from tauext.data.recording_file import load_recording
-    from tauext.monitor.frame import load_frame
-    from tauext.monitor.rows import see
-    from tauext.monitor.weighable import expect_weighable
-    from tauext.monitor.windows import between, expect_different
+    from tauext.monitor.weighing import between, expect_different, expect_weighable, load_frame, see
 
     loaded = fitting_bundle(bundle, recordings)
     expect_weighable(loaded)
@@ -72,17 +172,12 @@ def load(
     if known_kg is None:
         weigh(loaded, where, parts, reach_m, as_json)
     else:
-        from tauext.cli.load_known import set_constants
-
         set_constants(loaded, bundle, where, parts, known_kg, known_com_m, reach_m, out, as_json)
 
 
 def weigh(bundle: Bundle, where: NamedFrame, parts: list[Seen], reach_m: float, as_json: bool) -> None:
     """Print what all of it says, and what each window says alone."""
-    from tauext.monitor.identify import identify
-    from tauext.monitor.weighable import weighing_joints
-    from tauext.monitor.windows import each_window
-    from tauext.monitor.words import load_facts, load_sentences
+    from tauext.monitor.weighing import each_window, identify, load_facts, load_sentences, weighing_joints
 
     found = identify(bundle, where, parts, reach_m)
     alone = each_window(bundle, where, parts, found) if found.verdict == "load" else []

@@ -1,32 +1,82 @@
-"""What `tauext monitor` tells: the lines, JSON and panel of `tauext run`, with what only a live arm has beside them."""
+"""Output of `tauext monitor`: lines, JSON or panel, written beside the loop."""
 
 from __future__ import annotations
 
 import math
+import queue
 import sys
+import threading
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any, Protocol, Self
 
 from tauext import _core
-from tauext.cli.aside import Aside
 from tauext.cli.live_view import LiveView
 from tauext.cli.run_json import JsonLines
-from tauext.cli.run_output import FlightCount
 from tauext.cli.run_settings import RunSettings
-from tauext.cli.run_text import TextLines, summary_lines
-from tauext.monitor.chunk import chunk_of
-from tauext.monitor.flight_sink import FlightSink
-from tauext.monitor.flight_writer import FlightNews
+from tauext.cli.run_text import FlightCount, TextLines, summary_lines
+from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.latency import Latencies
-from tauext.monitor.loop import ProfileSwitch
+from tauext.monitor.loop import ProfileSwitch, chunk_of
 from tauext.monitor.reactions import ReactionCount, ReactionNews, Reactions
-from tauext.monitor.record_sink import RecordCount
-from tauext.monitor.replay import PACED_CHUNK_S, Chunk
+from tauext.monitor.record_sink import FlightSink, RecordCount
+from tauext.monitor.replay import PACED_CHUNK_S, Chunk, StatusClock, Tally
 from tauext.monitor.sink import Control, LoopReport, Verdict
 from tauext.monitor.source import SourceCounts
-from tauext.monitor.status import StatusClock
-from tauext.monitor.tally import Tally
+
+# --- Output beside the loop: a terminal that draws, or a pipe that nobody reads, delays no sample.
+
+
+MOST_WAITING = 1000
+"""Things to tell before those that may be left out are: twenty seconds of chunks."""
+END_S = 5.0
+"""A reader has so long for what is left at the end."""
+
+
+class Aside:
+    """Does one thing after the other in a thread: a context, whose end waits for what is left.
+
+    The first thing that raises ends it: the rest is left out, `failed` is called, and the end of the context raises it.
+    """
+
+    def __init__(self, failed: Callable[[], None]):
+        self.left_out = 0
+        """Things that were not told, as too many waited."""
+        self._failed = failed
+        self._error: BaseException | None = None
+        self._waiting: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._work, name="output", daemon=True)
+
+    def __enter__(self) -> Aside:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
+        self._waiting.put(None)
+        self._thread.join(END_S)
+        if self._error is not None and error is None:
+            raise self._error
+
+    def do(self, what: Callable[[], None], may_be_left_out: bool = False) -> None:
+        """Returns at once."""
+        if may_be_left_out and self._waiting.qsize() > MOST_WAITING:
+            self.left_out += 1
+        else:
+            self._waiting.put(what)
+
+    def _work(self) -> None:
+        while (what := self._waiting.get()) is not None:
+            try:
+                what()
+            except BaseException as error:
+                self._error = error
+                self._failed()
+                return
+
+
+# --- What `tauext monitor` tells: the lines, JSON and panel of `tauext run`, with what only a live arm has beside them.
+
 
 QUIET_S = 10
 """Between two notes that nothing has come yet."""

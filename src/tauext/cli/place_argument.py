@@ -1,15 +1,19 @@
-"""Options that take a path or a URL of a store."""
+"""Arguments that name files: paths or URLs, outputs, and bundles made of another."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.constructors import PrimitiveConstructorSpec
 
 from tauext.errors import ConfigError
-from tauext.files.place import Place, place_of
-from tauext.files.stored import StoredPlace
+from tauext.files.places import Place, StoredPlace, place_of, same_place
+from tauext.files.room import expect_new_file
+from tauext.files.whole_file import whole_files
+
+# --- Options that take a path or a URL of a store.
 
 
 def is_place(value: Any) -> bool:
@@ -39,3 +43,49 @@ LOCAL: PrimitiveConstructorSpec[Path] = PrimitiveConstructorSpec(
 )
 LocalArg = Annotated[Path, LOCAL]
 """Of this machine alone."""
+
+
+# --- The one rule for outputs that stand already: results are replaced, and a line says so before the work begins.
+
+
+RULE = (
+    "What stands at --out already: bundles, results, reports and findings are replaced when the new ones are whole, "
+    "and a line on stderr says so at the start; datasets and descriptions are refused; flights and recordings get "
+    "another name."
+)
+"""As the help says it."""
+
+
+def tell_replaced(*outputs: Place) -> None:
+    """Name those of these files that are there, on stderr."""
+    for path in outputs:
+        if path.is_file():
+            print(f"tauext: {path} is there already and will be replaced", file=sys.stderr)
+
+
+# --- A bundle that is made of another one: what its name may be, and its run file, which is copied along.
+
+
+if TYPE_CHECKING:
+    from tauext._core import Bundle
+
+
+def expect_another(out: Place, source: Place, purpose: str) -> None:
+    """Raises ConfigError where a bundle cannot be written there, or it is the source, which is there to `purpose`."""
+    if out.suffix != ".tauext":
+        raise ConfigError(f"{out}: a bundle's name ends in .tauext")
+    if same_place(out, source):
+        raise ConfigError(f"{out}: it is the bundle to {purpose}, which stays as it is; choose another --out")
+    expect_new_file(out)
+
+
+def write_another(new: Bundle, source: Place, out: Place) -> None:
+    """Both files or none; those that are replaced are named on stderr."""
+    tell_replaced(out)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    run = source.with_suffix(".run.json")
+    beside = [run] if run.is_file() else []
+    with whole_files(*(out.with_suffix(".run.json") for _ in beside), out) as (*copies, part):
+        for copy, old in zip(copies, beside, strict=True):
+            copy.write_bytes(old.read_bytes())
+        new.save(str(part))

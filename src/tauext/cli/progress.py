@@ -1,11 +1,18 @@
-"""A progress bar on a terminal, plain lines elsewhere; always on stderr, so that stdout stays clean."""
+"""Sentences and progress bars of a stage on a terminal: on stderr, so that stdout stays clean."""
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
+
+from tauext.progress import Show
+
+# --- A progress bar on a terminal, plain lines elsewhere; always on stderr, so that stdout stays clean.
+
 
 PLAIN_LINE_EVERY_S = 10.0
 
@@ -53,3 +60,18 @@ class ProgressBar:
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if self._bar is not None:
             self._bar.stop()
+
+
+# --- What a stage tells, on a terminal: sentences and a progress bar, all on stderr, so that stdout stays clean.
+
+
+class Terminal:
+    """Prints a line a sentence, and draws a bar for whatever takes long (see tauext.progress.Reporter)."""
+
+    def say(self, sentence: str) -> None:
+        print(sentence, file=sys.stderr)
+
+    @contextmanager
+    def progress(self, title: str) -> Iterator[Show]:
+        with ProgressBar(title) as bar:
+            yield bar.update

@@ -9,7 +9,7 @@ import tyro
 from tauext.cli.place_argument import PlaceArg
 from tauext.config import require, require_threads
 from tauext.errors import ConfigError
-from tauext.files.place import same_place
+from tauext.files.places import same_place
 
 
 def refit(
@@ -44,11 +44,11 @@ def refit(
         accept: codes of findings that are no fault on your word, at all joints or at one; they stand in the bundle.
         as_json: print one JSON object instead of the table.
     """
-    from tauext.cli.replaced import tell_replaced
-    from tauext.cli.reporter import Terminal
+    from tauext.cli.place_argument import tell_replaced
+    from tauext.cli.progress import Terminal
     from tauext.files.provenance import json_text
-    from tauext.fit.fleet_prior_file import load_fleet_prior
-    from tauext.train.refit_stage import Span, refit_bundle
+    from tauext.fit.fleet_prior import load_fleet_prior
+    from tauext.train.refit import Span, refit_bundle
 
     require_threads(threads)
     require(seconds is None or to_s is None, "seconds", seconds, "left out with --to")

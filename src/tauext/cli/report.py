@@ -7,9 +7,8 @@ from pathlib import Path
 
 from tauext.cli.place_argument import PlaceArg
 from tauext.errors import ConfigError
-from tauext.files.fetching import local_beside, local_folder
-from tauext.files.place import Place
-from tauext.files.staging import staged
+from tauext.files.copies import local_beside, local_folder, staged
+from tauext.files.places import Place
 
 
 def report(
@@ -33,10 +32,10 @@ def report(
         page_mb: largest size of the page; traces fill it, in as much detail as there is room for. 0: no traces.
         trace_methods: bundles whose traces stand in the page, by their names; default: the best five.
     """
-    from tauext.cli.replaced import tell_replaced
+    from tauext.cli.place_argument import tell_replaced
     from tauext.data.dataset import load_dataset
     from tauext.report.flight import write_flight_report
-    from tauext.report.write import write_report
+    from tauext.report.page import write_report
 
     if flight is not None:
         if results is not None or data is not None:

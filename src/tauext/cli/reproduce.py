@@ -6,7 +6,7 @@ from typing import Literal
 
 from tauext.cli.place_argument import PlaceArg
 from tauext.config import CaseName, require_seed
-from tauext.files.staging import staged
+from tauext.files.copies import staged
 
 
 def reproduce(
@@ -29,10 +29,10 @@ def reproduce(
         cases: model cases to train.
         seed: seed of everything that is drawn.
     """
-    from tauext.cli.command_line import command_line
-    from tauext.cli.replaced import tell_replaced
-    from tauext.cli.reporter import Terminal
-    from tauext.cli.reproduce_stage import SCALES, reproduce_paper
+    from tauext.cli.evaluate import command_line
+    from tauext.cli.experiment import SCALES, reproduce_paper
+    from tauext.cli.place_argument import tell_replaced
+    from tauext.cli.progress import Terminal
     from tauext.files.room import expect_folder
 
     require_seed(seed)

@@ -15,16 +15,16 @@ from tauext.cli.place_argument import PlaceArg
 from tauext.cli.run_settings import RunSettings
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
-from tauext.files.place import Place
-from tauext.files.staging import added
+from tauext.files.copies import added
+from tauext.files.places import Place
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
-    from tauext.cli.run_output import FlightCount, Output
+    from tauext.cli.run_text import FlightCount, Output
     from tauext.data.recording import Recording
-    from tauext.monitor.flight_writer import FlightWriter
+    from tauext.monitor.flight_files import FlightWriter
     from tauext.monitor.loads import TimedLoad
-    from tauext.monitor.tally import Tally
+    from tauext.monitor.replay import Tally
 
 
 def run(
@@ -137,7 +137,7 @@ def fitting_bundle(path: Place, recordings: tuple[Place, ...]) -> Bundle:
         BundleError: no such bundle; joints, rate or torque timing of a recording are not the bundle's.
     """
     from tauext.bundle.bundle_file import load_bundle
-    from tauext.bundle.bundle_fit import expect_fit
+    from tauext.bundle.fit import expect_fit
     from tauext.data.recording_file import describe
 
     if not recordings:
@@ -176,9 +176,9 @@ def replay_all(bundle: Bundle, recordings: tuple[Place, ...], settings: RunSetti
     Raises:
         ConfigError: some flights could not be written.
     """
-    from tauext.cli.run_output import FlightCount
+    from tauext.cli.run_text import FlightCount
     from tauext.data.recording_file import load_recording
-    from tauext.monitor.tally import Tally
+    from tauext.monitor.replay import Tally
 
     total = Tally(
         tuple(link.joint_name for link in bundle.links), bundle.observer.sample_period_ns, tuple(bundle.estimate_units)
@@ -207,8 +207,8 @@ def counted(
     recording: Recording, total: Tally, flights: FlightCount, output: Output
 ) -> Iterator[tuple[Tally, FlightCount]]:
     """A tally and a count of flights for one recording; told and added to the total even if it ends early."""
-    from tauext.cli.run_output import FlightCount
-    from tauext.monitor.tally import Tally
+    from tauext.cli.run_text import FlightCount
+    from tauext.monitor.replay import Tally
 
     tally, own_flights = Tally(total.joints, total.sample_period_ns, total.units), FlightCount()
     try:
@@ -224,11 +224,9 @@ def replay_one(
 ) -> None:
     """One recording through a new monitor, with a new flight recorder."""
     from tauext import _core
-    from tauext.monitor.flight_files import FlightSource, write_flight
-    from tauext.monitor.flight_writer import FlightWriter
-    from tauext.monitor.pace import Pace
+    from tauext.monitor.flight_files import FlightSource, FlightWriter, write_flight
     from tauext.monitor.places import PlaceFinder
-    from tauext.monitor.replay import CHUNK_S, PACED_CHUNK_S, replay
+    from tauext.monitor.replay import CHUNK_S, PACED_CHUNK_S, Pace, replay
 
     monitor = _core.Monitor(bundle, settings.own_rate)
     recorder = writer = None

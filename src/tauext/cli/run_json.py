@@ -7,7 +7,7 @@ from typing import Any, Self
 
 from tauext._core import Bundle, cause_names
 from tauext.bundle.estimates import HEALTHS
-from tauext.cli.run_output import FlightCount
+from tauext.cli.run_text import FlightCount
 from tauext.data.recording import Recording
 from tauext.monitor.changes import (
     ALARMS,
@@ -20,12 +20,10 @@ from tauext.monitor.changes import (
     TouchChange,
     WeighChange,
 )
-from tauext.monitor.flight_writer import FlightNews
+from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.loads import load_facts
 from tauext.monitor.places import PlaceChange, place_facts
-from tauext.monitor.replay import Chunk
-from tauext.monitor.status import StatusClock, number, status
-from tauext.monitor.tally import Tally
+from tauext.monitor.replay import Chunk, StatusClock, Tally, number, status
 
 
 class JsonLines:
@@ -116,7 +114,7 @@ class JsonLines:
 
 def found_facts(change: WeighChange) -> dict[str, Any]:
     """As plain JSON: what was found, and the load to set."""
-    from tauext.monitor.words import load_facts as facts_of_found
+    from tauext.monitor.weighing import load_facts as facts_of_found
 
     if change.found is None:
         return {"frame": change.frame, "found": None, "load": None}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tauext.files.place import Place
+from tauext.files.places import Place
 
 if TYPE_CHECKING:
     from tauext.monitor.loads import TimedLoad

@@ -1,19 +1,18 @@
-"""`tauext run` in lines of text, for people: a line an event and a summary."""
+"""`tauext run` as text: one line an event, and a summary."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Self
+from dataclasses import dataclass, replace
+from typing import Protocol, Self
 
 from tauext._core import Bundle, cause_names
 from tauext.bundle.estimates import HEALTHS
 from tauext.bundle.units import short
-from tauext.cli.run_output import FlightCount
 from tauext.cli.run_settings import RunSettings
 from tauext.data.recording import Recording
-from tauext.files.place import Place
+from tauext.files.places import Place
 from tauext.monitor.changes import (
     ALARMS,
     TOUCHES,
@@ -26,13 +25,55 @@ from tauext.monitor.changes import (
     WeighChange,
     with_article,
 )
-from tauext.monitor.flight_writer import FlightNews
-from tauext.monitor.hidden import HiddenCollision, HiddenFinder
+from tauext.monitor.explanation import unseen_words
+from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.loads import load_words
 from tauext.monitor.places import PlaceChange, place_words
-from tauext.monitor.replay import Chunk
-from tauext.monitor.tally import Tally
-from tauext.monitor.unfamiliar import unseen_words
+from tauext.monitor.replay import Chunk, HiddenCollision, HiddenFinder, Tally
+
+# --- What `tauext run` tells while it goes on: JSON lines, text lines and the live view do.
+
+
+@dataclass
+class FlightCount:
+    """What became of flights."""
+
+    written: int = 0
+    failed: int = 0
+    missed: int = 0
+    error: str = ""
+    """Of the first that failed."""
+
+    def add(self, news: FlightNews) -> None:
+        """Count one more."""
+        self.written += news.error is None
+        self.failed += news.error is not None
+        self.error = self.error or news.error or ""
+
+    def merge(self, other: FlightCount) -> None:
+        """Add another recording's."""
+        self.written, self.failed = self.written + other.written, self.failed + other.failed
+        self.missed += other.missed
+        self.error = self.error or other.error
+
+    def summary(self) -> dict[str, int]:
+        return {"written": self.written, "failed": self.failed, "missed": self.missed}
+
+
+class Output(Protocol):
+    """What a replay tells while it goes on; a context, which the live view needs."""
+
+    def __enter__(self) -> Output: ...
+    def __exit__(self, *error: object) -> None: ...
+    def start(self, bundle: Bundle, recording: Recording, number: int, of: int) -> None: ...
+    def chunk(self, chunk: Chunk, tally: Tally) -> None: ...
+    def flight(self, news: FlightNews) -> None: ...
+    def end(self, tally: Tally, flights: FlightCount, complete: bool) -> None: ...
+    def total(self, tally: Tally, flights: FlightCount, recordings: int, interrupted: bool) -> None: ...
+
+
+# --- `tauext run` in lines of text, for people: a line an event and a summary.
+
 
 WARNS_FROM = 0.01
 """Share of the motion that is unfamiliar: of motion like that of training a few thousandths may be."""
@@ -255,7 +296,7 @@ def found_load_words(change: FoundLoad) -> str:
 
 def weigh_words(change: WeighChange) -> list[str]:
     """What was found, sentence by sentence."""
-    from tauext.monitor.words import load_sentences
+    from tauext.monitor.weighing import load_sentences
 
     if change.found is None:
         return [f"weighs what the arm carries beside {load_words(change.beside)}, by {change.by}"]

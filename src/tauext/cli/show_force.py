@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from tauext.errors import ConfigError
-from tauext.files.place import Place
+from tauext.files.places import Place
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
@@ -24,7 +24,7 @@ def show_force(file: Place, as_json: bool, data: Sequence[Place], frames: Sequen
     expect_picture(picture)
     found = describe_force(file, data, frames)
     if picture is not None:
-        from tauext.report.noticed_picture import write_noticed_picture
+        from tauext.report.force_figures import write_noticed_picture
 
         write_noticed_picture(found, picture)
     print(json.dumps(found, indent=1) if as_json else "\n".join(force_lines(found)))
@@ -38,8 +38,7 @@ def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) ->
         ConfigError: there is no such frame or recording.
     """
     from tauext.bundle.bundle_file import load_bundle
-    from tauext.evaluate.kept_poses import noticed_in_usual_motion
-    from tauext.evaluate.noticed_force import points
+    from tauext.evaluate.noticed_force import noticed_in_usual_motion, points
 
     bundle = load_bundle(file)
     points(bundle, frames)  # refuses before hours of recordings are read
@@ -60,8 +59,8 @@ def over_recordings(bundle: Bundle, data: Sequence[Place], frames: Sequence[str]
     """Recordings are loaded one at a time."""
     from tauext.data.recording_file import load_recording
     from tauext.evaluate.comparison import free_part
-    from tauext.evaluate.estimating import estimate_recording
-    from tauext.evaluate.limits_held import LimitsHeld
+    from tauext.evaluate.free_motion import LimitsHeld
+    from tauext.evaluate.injected import estimate_recording
 
     held = LimitsHeld()
     for place in data:
@@ -88,8 +87,8 @@ def expect_picture(picture: Place | None) -> None:
 
 def force_lines(found: dict) -> list[str]:
     """The tables, and what they say and do not say."""
-    from tauext.report.noticed import joined, left_out_words, surely
-    from tauext.report.noticed_force import CLOSING
+    from tauext.report.force_figures import CLOSING
+    from tauext.report.results import joined, left_out_words, surely
 
     lines = [
         f"{found['bundle']}: smallest force [N] that goes over a limit, "

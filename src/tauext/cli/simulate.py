@@ -6,7 +6,7 @@ import math
 
 from tauext.cli.place_argument import PlaceArg
 from tauext.config import require, require_seed
-from tauext.files.staging import staged
+from tauext.files.copies import staged
 
 
 def simulate(

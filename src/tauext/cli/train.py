@@ -38,10 +38,10 @@ def train(
         accept: codes of findings that are no fault on your word, at all joints or at one; they stand in the bundle.
         config: recipe, seed and sizes.
     """
-    from tauext.cli.replaced import tell_replaced
-    from tauext.cli.reporter import Terminal
+    from tauext.cli.place_argument import tell_replaced
+    from tauext.cli.progress import Terminal
     from tauext.data.dataset import load_dataset
-    from tauext.fit.fleet_prior_file import load_fleet_prior
+    from tauext.fit.fleet_prior import load_fleet_prior
     from tauext.train.stage import train_bundle
 
     if out.suffix != ".tauext":

@@ -1,25 +1,263 @@
-"""Raw signals and a robot description to recordings; whatever is done to the numbers is written into each."""
+"""Raw signals and a description of the arm to recordings; each records what was done to it."""
 
 from __future__ import annotations
 
+import difflib
+import math
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from tauext.data.amperes import AMPERES, FROM_AMPERES
-from tauext.data.columns import Columns, find_columns
-from tauext.data.conversion import constant_unknown, conversions, in_si
-from tauext.data.description import TIME_UNITS, Arm
-from tauext.data.importers.raw import RawRecording, RawSignals
-from tauext.data.merge import Table, base_stream, held, interpolated
-from tauext.data.recording import Recording
-from tauext.data.servo import servo_facts, servo_settings, velocity_and_torque
-from tauext.data.stamps import fitted_period_ns, fresh, lost_samples, ordered
-from tauext.data.velocity import derived_velocity
-from tauext.errors import RecordingError
+from tauext.data.description import NORMALISED, TIME_UNITS, UNITS, Arm, SignalTable
+from tauext.data.importers.raw import RawRecording, RawSignals, short_list
+from tauext.data.recording import BRIDGE_STEPS, Recording, fitted_period_ns, fresh, lost_samples, ordered
+from tauext.data.servo import AMPERES, FROM_AMPERES, servo_facts, servo_settings, velocity_and_torque
+from tauext.errors import ConfigError, RecordingError
+
+# --- Which columns of a raw recording each signal takes, joint by joint.
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Names of the columns to read of every stream, and the place of each signal among them."""
+
+    streams: dict[str, tuple[str, ...]]
+    signals: dict[str, tuple[str, list[int]]]
+    """Signal, `contact` or `time`: its stream, and its columns' places in that stream's list."""
+
+
+def find_columns(arm: Arm, raw: RawRecording) -> Columns:
+    """Resolve every column that the description names; joints come in its order, by name where the file names them.
+
+    A signal's one name may be a column pattern with {joint} (name in the recording), {index} (from 0) or {number} (from
+    1), or an array, whose elements are taken by joint name, or by index where it has as many as there are joints.
+
+    Raises:
+        ConfigError: a column or topic that is not there; the message names what is near.
+    """
+    there = raw.streams()
+    wanted: dict[str, dict[str, None]] = {}
+    found: dict[str, tuple[str, tuple[str, ...]]] = {}
+    for name, signal in arm.signals.items():
+        if signal.columns:
+            stream = _stream(arm, raw, there, signal.topic, f"signals.{name}")
+            found[name] = (stream, _resolved(arm, raw, f"signals.{name}", signal.columns, there[stream]))
+    if arm.contact.column:
+        stream = _stream(arm, raw, there, arm.contact.topic, "contact")
+        found["contact"] = (stream, _exact(arm, raw, "contact", (arm.contact.column,), there[stream]))
+    if arm.time.column:
+        for stream in dict.fromkeys(stream for stream, _ in found.values()):
+            found["time"] = (stream, _exact(arm, raw, "time", (arm.time.column,), there[stream]))
+    for stream, names in found.values():
+        wanted.setdefault(stream, {}).update(dict.fromkeys(names))
+    streams = {stream: tuple(names) for stream, names in wanted.items()}
+    places = {name: (stream, [streams[stream].index(n) for n in names]) for name, (stream, names) in found.items()}
+    return Columns(streams, places)
+
+
+def _stream(arm: Arm, raw: RawRecording, there: Mapping[str, Sequence[str]], topic: str, table: str) -> str:
+    if topic in there:
+        return topic
+    if topic:
+        raise ConfigError(f"{arm.path}: [{table}] topic = '{topic}' has no messages in {raw.path.name}")
+    if not there:
+        raise ConfigError(f"{raw.path.name}: it holds no messages to read [{table}] from")
+    if len(there) > 1:
+        listed = ", ".join(sorted(there))
+        raise ConfigError(f"{arm.path}: [{table}] topic must be named, since several are read: {listed}")
+    return next(iter(there))
+
+
+def _resolved(
+    arm: Arm, raw: RawRecording, table: str, columns: tuple[str, ...], there: Sequence[str]
+) -> tuple[str, ...]:
+    if len(columns) > 1:
+        return _exact(arm, raw, table, columns, there)
+    (one,) = columns
+    if any(f"{{{key}}}" in one for key in ("joint", "index", "number")):
+        spelled = [
+            one.replace("{joint}", name).replace("{index}", str(k)).replace("{number}", str(k + 1))
+            for k, name in enumerate(arm.names)
+        ]
+        return _exact(arm, raw, table, tuple(spelled), there)
+    by_name = tuple(f"{one}[{name}]" for name in arm.names)
+    if all(name in there for name in by_name):
+        return by_name
+    elements = [name for name in there if name.startswith(f"{one}[")]
+    by_index = tuple(f"{one}[{k}]" for k in range(len(arm.names)))
+    if elements and set(elements) == set(by_index):
+        return by_index
+    if elements:
+        held = [name.removeprefix(f"{one}[").removesuffix("]") for name in elements]
+        raise ConfigError(
+            f"{arm.path}: [{table}] columns = '{one}': in {raw.path.name} its elements are {short_list(held, 16)}; "
+            f'[robot] names (or joints) are {", ".join(arm.names)}: name them as the recording does, or by "{one}'
+            '[{index}]"'
+        )
+    if len(arm.names) == 1 and one in there:
+        return (one,)
+    raise _missing(arm, raw, table, one, there)
+
+
+def _exact(arm: Arm, raw: RawRecording, table: str, names: tuple[str, ...], there: Sequence[str]) -> tuple[str, ...]:
+    for name in names:
+        if name not in there:
+            raise _missing(arm, raw, table, name, there)
+    return names
+
+
+def _missing(arm: Arm, raw: RawRecording, table: str, name: str, there: Sequence[str]) -> ConfigError:
+    bases = list(dict.fromkeys(column.split("[")[0] for column in there))
+    near = difflib.get_close_matches(name, dict.fromkeys([*there, *bases]), 3, 0.3)
+    hint = f"near to it: {', '.join(near)}; " if near else ""
+    left_out = "".join(f"; {note}" for note in raw.notes)  # an array of another length is not in it
+    derive = '; columns = "" derives the velocity from the position' if table == "signals.dq" else ""
+    held = f"it holds {short_list(bases, 20)}{left_out}{derive}"
+    return ConfigError(f"{arm.path}: [{table}] '{name}' is not in {raw.path.name}; {hint}{held}")
+
+
+# --- From what a recording counts in to rad, rad/s and N m at the joint, and the same in words.
+
+
+def in_si(key: str, signal: SignalTable, values: np.ndarray, arm: Arm) -> np.ndarray:
+    """Joint side, SI: sign · unit · (torque constant) · gear, and a position's offset added (rad where normalised)."""
+    if signal.unit == NORMALISED:
+        values = _of_normalised(key, values, arm)
+    factor = np.full(len(arm.robot.joints), UNITS[key][signal.unit])
+    if signal.torque_constant and signal.torque_constant != "unknown":
+        factor *= signal.torque_constant
+    if signal.side == "motor":
+        gear = np.array(arm.gear_ratio)
+        factor = factor * gear if key == "tau" else factor / gear
+    if signal.sign:
+        factor = factor * signal.sign
+    converted = values * factor
+    return converted + np.array(signal.offset) * UNITS[key][signal.unit] if signal.offset else converted
+
+
+def _of_normalised(key: str, values: np.ndarray, arm: Arm) -> np.ndarray:
+    """Angles [rad] of LeRobot's normalised positions and goals; Dynamixel's bus does not turn them by drive_mode."""
+    types = arm.servo.type if arm.servo is not None else ()
+    turned = not any(name.startswith("x") for name in types)
+    columns = [
+        motor.radians_of_normalised(
+            values[:, j], 0.0 if motor.name.endswith("gripper") else -100.0, turned, sent=key == "q_des"
+        )
+        for j, motor in enumerate(arm.motors)
+    ]
+    return np.stack(columns, axis=1)
+
+
+def conversions(arm: Arm) -> list[str]:
+    """What in_si did, in words, where it did anything."""
+    lines = []
+    for key, signal in arm.signals.items():
+        is_current = signal.is_current and key == "tau"
+        plain = UNITS[key][signal.unit] == 1 and signal.unit != NORMALISED and not is_current
+        done = [] if plain else [f"from {signal.unit}"]
+        if is_current:
+            known = signal.torque_constant != "unknown"
+            done.append(f"times {', '.join(f'{k:g}' for k in signal.torque_constant)} Nm/A" if known else "left in A")
+        if signal.side == "motor":
+            done.append(f"{'times' if key == 'tau' else 'divided by'} gear ratio")
+        if any(s < 0 for s in signal.sign):
+            all_of_them = all(s < 0 for s in signal.sign)
+            names = [joint for joint, s in zip(arm.robot.joints, signal.sign, strict=True) if s < 0]
+            done.append("sign turned" + ("" if all_of_them else f" of {', '.join(names)}"))
+        if any(signal.offset):
+            done.append(f"offset {', '.join(f'{o:g}' for o in signal.offset)} {signal.unit} added")
+        if done:
+            lines.append(f"{key}: {', '.join(done)}")
+    return lines
+
+
+def constant_unknown(arm: Arm) -> bool:
+    """Whether the torque stays in amperes, since nobody knows the motor's constant."""
+    return arm.signals["tau"].torque_constant == "unknown"
+
+
+# --- Signals of several clocks onto the stamps of one.
+
+
+Table = tuple[np.ndarray, np.ndarray]
+"""Stamps (samples,), [ns], increasing, and values (samples, columns)."""
+
+
+def base_stream(tables: Mapping[str, Table], torque: str, essential: Sequence[str]) -> str:
+    """The stream whose stamps all others are brought to: the torque's, or one of the essential ones that is slower.
+
+    Interpolating a slow signal onto fast stamps would invent samples; slower: a sample period over 1.5 times as long.
+    """
+    steps = {name: fitted_period_ns(tables[name][0]) if len(tables[name][0]) > 1 else 0.0 for name in essential}
+    slowest = max(essential, key=lambda name: steps[name])
+    return slowest if steps[slowest] > 1.5 * steps[torque] else torque
+
+
+def interpolated(t_ns: np.ndarray, table: Table, counts: Counter[str], name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Values (samples, columns) of another clock at these times, linear between neighbours, and where they are known.
+
+    Unknown, (samples,) false: before its first or after its last sample, or between neighbours of more than 2.5 of its
+    sample periods.
+    """
+    times, values = table
+    if len(times) < 2:
+        return np.repeat(values[:1], len(t_ns), axis=0), np.isin(t_ns, times)
+    after = np.clip(np.searchsorted(times, t_ns), 1, len(times) - 1)
+    left, right = times[after - 1], times[after]
+    share = ((t_ns - left) / (right - left))[:, None]
+    mixed = values[after - 1] * (1 - share) + values[after] * share
+    inside = (t_ns >= times[0]) & (t_ns <= times[-1])
+    near = (right - left <= BRIDGE_STEPS * fitted_period_ns(times)) | (t_ns == left) | (t_ns == right)
+    counts[f"samples dropped: no {name} within its time range, or in a gap of it"] += int((~(inside & near)).sum())
+    return mixed, inside & near
+
+
+def held(t_ns: np.ndarray, table: Table, unknown: float) -> np.ndarray:
+    """Last values (samples, columns) of another clock at or before these times; `unknown` before its first."""
+    times, values = table
+    before = np.searchsorted(times, t_ns, side="right") - 1
+    return np.where((before >= 0)[:, None], values[np.maximum(before, 0)], unknown)
+
+
+# --- Velocity from position, as a control loop can do it too: from samples so far.
+
+
+def derived_velocity(t_ns: np.ndarray, q: np.ndarray, low_pass_hz: float) -> np.ndarray:
+    r"""Backward difference behind a first-order low-pass, (samples, joints), [rad/s].
+
+    .. math:: dq_k = a\,dq_{k-1} + (1-a)\,(q_k - q_{k-1})/\Delta t, \quad a = e^{-2\pi f \Delta t}
+
+    It lags the true velocity by half a step and by 1/(2 pi f). It sees no future, so a monitor that derives it the same
+    way gets the same values. A step of more than 2.5 median steps starts it anew; a first sample takes the difference
+    that follows it.
+
+    Args:
+        t_ns: (samples,), increasing, [ns].
+        q: (samples, joints), [rad].
+        low_pass_hz: cut-off f, [Hz]; 0: no low-pass.
+    """
+    velocity = np.zeros_like(q)
+    if len(q) < 2:
+        return velocity
+    steps_s = np.diff(t_ns) * 1e-9
+    velocity[1:] = np.diff(q, axis=0) / steps_s[:, None]
+    begins = np.r_[True, steps_s > BRIDGE_STEPS * np.median(steps_s)]
+    followed = np.flatnonzero(begins[:-1] & ~begins[1:])
+    velocity[begins] = 0.0
+    velocity[followed] = velocity[followed + 1]
+    if low_pass_hz:
+        keep = np.r_[0.0, np.exp(-2 * math.pi * low_pass_hz * steps_s)]
+        keep[begins] = 0.0
+        for k in range(1, len(q)):
+            velocity[k] += keep[k] * (velocity[k - 1] - velocity[k])
+    return velocity
+
+
+# --- Raw signals and a robot description to recordings; whatever is done to the numbers is written into each.
+
 
 PIECE_S = 600.0
 """A longer raw recording becomes several recordings of about this length, [s] ..."""

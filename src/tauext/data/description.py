@@ -8,12 +8,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-from tauext.data.lerobot_calibration import MotorCalibration, load_lerobot_calibration
 from tauext.data.recording import TorqueTiming
-from tauext.data.servo_types import SERVO_TYPES
+from tauext.data.servo_types import SERVO_TYPES, MotorCalibration, load_lerobot_calibration
 from tauext.errors import ConfigError
-from tauext.files.fetching import local_robot
-from tauext.files.place import Place, place_of
+from tauext.files.copies import local_robot
+from tauext.files.places import Place, place_of
 
 Side = Literal["joint", "motor"]
 Repeats = Literal["drop", "keep"]

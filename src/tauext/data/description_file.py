@@ -27,7 +27,7 @@ from tauext.data.description import (
 from tauext.data.recording import TORQUE_TIMINGS
 from tauext.data.servo import made_torque
 from tauext.errors import ConfigError
-from tauext.files.place import Place, place_of
+from tauext.files.places import Place, place_of
 from tauext.files.plain_file import read_text, toml_of
 
 

@@ -1,19 +1,94 @@
-"""What a servo tells of its drive: whether it has a sign, and how it goes with the error of position.
+r"""Play between a motor with its encoder and what it moves, from reversals.
 
-A position-controlled servo drives with a duty that is its gain times the error of position, limited. The current of
-its motor follows the duty, less what its speed induces; the current of its supply is the motor's times the duty, hence
-never negative while it drives, and at rest goes with the square of the duty.
+After a reversal the motor crosses the play before it moves its load the other way: the position travels by the width
+while the drive bears its own friction alone. Where gravity keeps a gear at one flank there is nothing to cross, and an
+encoder behind the play sees little of it.
+
+At the same place just before a turn and just after it gravity is the same and inertia nearly so. What is left of the
+drive's torque is friction, twice; as a function of the travel s since the turn
+
+.. math:: d\,(\tau_{out}(s) - \tau_{in}(s)) = F_i + c\,v(s) + J\,a(s) - h\,m(s)
+
+with the direction d, the sum of speeds v and the difference of accelerations a of the two ways, and the share m that is
+not yet borne: 1 over a flat, then falling to 0 over a bend of gear or friction (Dahl). F_i is each turn's own. Flat and
+bend are those that leave the least squares; the width is the travel after which half is borne. A bend without a flat is
+what good gears have, and no play.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from tauext.data.quantum import position_step, step_of
 from tauext.data.recording import Recording
+
+# --- The step in which a signal counts: that of a register, of an encoder, of a velocity.
+
+
+LOOKED_AT = 200_000
+"""Values that are looked at: all levels of a coarse signal are among them."""
+LEAST_LEVELS = 3
+FINEST = 1e-5
+"""Share of the range that a step is at least: finer ones are those of the number's own precision."""
+ROUNDED_TO = 6
+"""Decimals of a position, [rad], that count."""
+NEAR = 0.01
+"""Share by which a turn's counts may be off a power of two: a register that is told in rounded numbers."""
+FEWEST_BITS, MOST_BITS = 8, 24
+
+
+def step_of(values: np.ndarray) -> float | None:
+    """Step of which all values are whole multiples but for one offset, in their unit; None where there is none.
+
+    A signal whose every second value is a level of its own counts too finely to tell.
+
+    Args:
+        values: one signal of one joint, any order.
+    """
+    values = values[:: max(1, len(values) // LOOKED_AT)]
+    levels = np.unique(values)
+    if not LEAST_LEVELS <= len(levels) <= 0.5 * len(values):
+        return None
+    gaps = np.diff(levels)
+    step = float(np.median(gaps[gaps < 1.5 * np.percentile(gaps, 10)]))
+    if step <= FINEST * (levels[-1] - levels[0]):
+        return None
+    above = levels - levels[0]
+    for reach in 8 ** np.arange(1, 9):  # what is known of a few counts tells the number of more, and those the step
+        near = above < (reach + 0.5) * step
+        counts = np.round(above[near] / step)
+        step = float(counts @ above[near] / max(counts @ counts, 1.0)) or step
+    counts = above / step
+    return step if np.mean(np.abs(counts - np.round(counts)) < 0.02 + 1e-4 * counts) > 0.95 else None
+
+
+def position_step(q: np.ndarray) -> float | None:
+    """Step of an encoder, [rad]; None where it is too fine to tell, or the joint takes too few places.
+
+    Encoders that count a power of two a turn are told from positions stored as float32 by that: 2 pi / 4096 and not
+    0.001533951.
+
+    Args:
+        q: positions of one joint, [rad].
+    """
+    step = step_of(np.round(q, ROUNDED_TO))  # rounding of single precision is no level
+    if step is None or step < 10.0 ** (1 - ROUNDED_TO):
+        return None
+    bits = math.log2(2 * math.pi / step)
+    whole = round(bits)
+    near = abs(2.0 ** (bits - whole) - 1) < NEAR and FEWEST_BITS <= whole <= MOST_BITS
+    return 2 * math.pi / 2**whole if near else step
+
+
+# --- What a servo tells of its drive: whether it has a sign, and how it goes with the error of position.
+#
+# A position-controlled servo drives with a duty that is its gain times the error of position, limited. The current of
+# its motor follows the duty, less what its speed induces; the current of its supply is the motor's times the duty,
+# hence never negative while it drives, and at rest goes with the square of the duty.
+
 
 AROUND_S = 0.1
 """To either side: a joint rests whose position keeps its place for so long, and moves where it does not."""
@@ -124,3 +199,287 @@ def rest_law(
     whole = 2 if exponent > 1.5 else 1
     gain = float(level[seen] @ at[seen] ** whole / (at[seen] ** whole @ at[seen] ** whole))
     return RestLaw(float(exponent), error, gain, odd, len(x))
+
+
+# --- Play of joints.
+
+
+WIDEST_RAD = 0.045
+"""Play beyond 2.6 degrees is broken, and gravity is another on its far side."""
+LOOKED_RAD = 2.0 * WIDEST_RAD
+"""Of travel before and after a turn."""
+LEAST_TRAVEL_RAD = 0.03
+"""That a way in and a way out must have."""
+FINEST_RAD = 5e-4
+"""Of the places at which the two ways are compared, where the encoder counts more finely."""
+BENDS_RAD = (0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064)
+"""Travel over which the load takes hold again."""
+LEAST_ROWS = 5
+"""Of different places that a way in and a way out must have."""
+FINER = 4
+"""Parts of a place within which a shape has one value."""
+GROUPS = 10
+"""Of turns, of which one at a time is left out for the error."""
+LEAST_TURNS, MOST_TURNS = 8, 300
+"""That a width is found from; of more, evenly chosen ones."""
+LEAST_COUNTS = 2.0
+"""Of the encoder: less is rounding."""
+CERTAIN = 3.0
+"""Standard errors by which a width must stand out."""
+CERTAIN_FLAT, FLAT = 2.5, 0.75
+"""Play is flat: standard errors by which a flat must leave less squares than any bend without one, and how long it is
+at least, by half the bend behind it. A bend whose ends are smoothed by rounding and sampling has a flat of a half."""
+OUTLYING = 4.0
+"""Standard deviations, by the median, beyond which rows are left out: joints that stick and slip."""
+LEAST_SHARE = 0.1
+"""Of the friction that is not borne over the play: less is no play but a ripple."""
+FASTEST_HZ = 250.0
+
+
+@dataclass(frozen=True)
+class Play:
+    """One joint's play, or why none is seen."""
+
+    width_rad: float
+    """NaN: not told, from too few turns; 0: not seen."""
+    error_rad: float
+    """Standard error, from leaving out turns and a count of the encoder; NaN where there is no width."""
+    lost_rad: float
+    """Travel after which half of the load is borne again, for play or for gear and friction that bend; 0: none."""
+    share: float
+    """Of the friction that is not borne while the play is crossed."""
+    turns: int
+    travel_rad: np.ndarray
+    """Places of the mean curve, since the turn."""
+    curve: np.ndarray
+    """Mean over turns of d (tau_out - tau_in) less speed and inertia, as a share of where it ends."""
+
+
+def backlash_widths(recordings: Sequence[Recording]) -> tuple[np.ndarray, np.ndarray]:
+    """Width of each joint's play and its standard error, (joints,) each, [rad].
+
+    The width is the whole way from flank to flank, as the recorded position travels it. 0: none is seen, which says
+    that there is none only where friction and not gravity loads the joint, and the encoder sits before the play; NaN:
+    too few turns to tell. The error is NaN in both cases.
+    """
+    plays = [play_of(recordings, j) for j in range(len(recordings[0].joints))]
+    return np.array([p.width_rad for p in plays]), np.array([p.error_rad for p in plays])
+
+
+def play_of(recordings: Sequence[Recording], j: int) -> Play:
+    """What the turns of one joint tell of its play."""
+    step_rad = position_step(np.concatenate([r.q[:, j] for r in recordings])) or 0.0
+    place_rad = max(step_rad, FINEST_RAD)
+    turns = [turn for r in recordings for turn in _turns(r, j, place_rad, step_rad)]
+    turns = turns[:: max(1, -(-len(turns) // MOST_TURNS))]
+    if len(turns) < LEAST_TURNS:
+        return Play(np.nan, np.nan, np.nan, np.nan, len(turns), np.zeros(0), np.zeros(0))
+    shapes, whole = _shapes(place_rad), _Turns(turns, place_rad)
+    products = whole.products(shapes)
+    best = int(np.argmin(_squares(products.sum(axis=1))))
+    whole = _Turns(whole.trimmed(_weights(products.sum(axis=1)[best]), shapes, best), place_rad)
+    products = whole.products(shapes)
+    total, groups = products.sum(axis=1), products.shape[1]
+    squares, halves = _squares(total), shapes.flat + shapes.half
+    best = int(np.argmin(squares))
+    others = [int(np.argmin(_squares(total - products[:, g]))) for g in range(groups)]
+    weights = _weights(total[best])
+    travel_rad, curve = whole.curve(weights, place_rad)
+    borne = shapes.missing(travel_rad, best)[:, 0] < 0.1
+    full = float(np.mean(curve[borne])) if borne.any() else float(curve[-1])
+    share = float(-weights[2] / full) if full > 0 else 0.0
+    width_rad, bend_rad = float(halves[best]), float(shapes.half[best])
+    error_rad = float(np.sqrt((groups - 1) * np.var(halves[others]) + place_rad**2))
+    bent = int(np.argmin(np.where(shapes.flat == 0, squares, np.inf)))
+    kept = _weights(total[bent])
+    saved = np.array([_left(products[bent, g], kept) - _left(products[best, g], weights) for g in range(groups)])
+    told = width_rad > max(LEAST_COUNTS * step_rad, CERTAIN * error_rad) and share > LEAST_SHARE
+    flat = shapes.flat[best] > FLAT * bend_rad and saved.mean() * np.sqrt(groups) > CERTAIN_FLAT * saved.std(ddof=1)
+    return Play(
+        width_rad if told and flat else 0.0,
+        error_rad if told and flat else np.nan,
+        width_rad if told else 0.0,
+        share,
+        len(turns),
+        travel_rad,
+        curve / abs(full) if full else np.zeros_like(curve),
+    )
+
+
+@dataclass(frozen=True)
+class _Turn:
+    since: np.ndarray  # travel since the turn, increasing, [rad]
+    differences: np.ndarray  # d (out - in) of torque, speed, acceleration (3, rows)
+
+
+def _drive(recording: Recording, j: int) -> np.ndarray | None:
+    """What goes with the drive's torque and has its sign: tau, else goal minus position; None: there is neither."""
+    tau = recording.tau[:, j]
+    if tau.min() < 0 < tau.max():
+        return tau
+    moving, _ = motion_of(recording, j)
+    if tau.any() and unsigned_visits(tau, moving) < LEAST_VISITS:
+        return tau
+    return None if recording.q_des is None else recording.q_des[:, j] - recording.q[:, j]
+
+
+def _turns(recording: Recording, j: int, place_rad: float, step_rad: float) -> list[_Turn]:
+    thin = max(1, round(recording.rate_hz / FASTEST_HZ))
+    drive = _drive(recording, j)
+    if drive is None or recording.samples < 20 * thin:
+        return []
+    t, q, drive = recording.time_s[::thin], recording.q[::thin, j], drive[::thin]
+    least_rad = max(2.5 * step_rad, 0.5 * LEAST_TRAVEL_RAD)
+    ends = _extremes(q, least_rad)
+    speed = np.gradient(q, t)
+    acceleration = np.gradient(speed, t)
+    found = []
+    for before, here, after in zip(ends, ends[1:], ends[2:], strict=False):
+        way = np.sign(q[after] - q[here])
+        travel = min(LOOKED_RAD, abs(q[here] - q[before]), abs(q[after] - q[here]))
+        if travel < LEAST_TRAVEL_RAD:
+            continue
+        columns = []
+        for rows in (np.arange(here, before - 1, -1), np.arange(here, after + 1)):
+            since = np.maximum.accumulate(way * (q[rows] - q[here]))
+            moves = (np.gradient(since) > 0) & (since > 0.5 * step_rad) & (since <= travel)
+            columns.append(
+                _averaged(since[moves], np.stack([x[rows[moves]] for x in (drive, speed, acceleration)]), place_rad)
+            )
+        (since_in, values_in), (since, values) = columns
+        if min(len(since_in), len(since)) < LEAST_ROWS:
+            continue
+        inward = np.stack([np.interp(since, since_in, x) for x in values_in])
+        found.append(_Turn(since, way * (values - inward)))
+    return found
+
+
+def _extremes(q: np.ndarray, least_rad: float) -> list[int]:
+    """Rows of the turning points that lie at least so far apart, each the last row at its place."""
+    ends, low, high, way = [0], 0, 0, 0
+    for k in range(len(q)):
+        low = k if q[k] <= q[low] else low
+        high = k if q[k] >= q[high] else high
+        if way >= 0 and q[high] - q[k] > least_rad:
+            ends, way, low = [*ends, high], -1, k
+        elif way <= 0 and q[k] - q[low] > least_rad:
+            ends, way, high = [*ends, low], 1, k
+    return ends[1:]
+
+
+def _averaged(since: np.ndarray, values: np.ndarray, place_rad: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of one place as their mean: a slow joint counts no more than a fast one."""
+    _, first = np.unique(np.floor(since / place_rad + 0.25).astype(int), return_index=True)
+    count = np.diff(np.r_[first, len(since)])
+    if not len(since):
+        return since, values
+    return np.add.reduceat(since, first) / count, np.add.reduceat(values, first, axis=1) / count
+
+
+@dataclass(frozen=True)
+class _Shapes:
+    """What is not borne: all over a flat, then falling off over a bend, straight or ever slower. Arrays (shapes,)."""
+
+    flat: np.ndarray  # [rad]
+    bend: np.ndarray
+    slower: np.ndarray  # bool
+
+    @property
+    def half(self) -> np.ndarray:
+        """Of the bend, where half is borne, [rad]."""
+        return self.bend * np.where(self.slower, math.log(2), 0.5)
+
+    def missing(self, since: np.ndarray, k: int | slice) -> np.ndarray:
+        """(rows, shapes)."""
+        slower = np.atleast_1d(self.slower[k])
+        beyond = np.maximum(since[:, None] - np.atleast_1d(self.flat[k]), 0) / np.atleast_1d(self.bend[k])
+        missing = np.maximum(1 - beyond, 0)
+        missing[:, slower] = np.exp(-beyond[:, slower])
+        return missing
+
+
+def _shapes(place_rad: float) -> _Shapes:
+    every = [
+        (flat, bend, slower)
+        for flat in np.arange(0, WIDEST_RAD, 0.5 * place_rad)
+        for bend in BENDS_RAD
+        for slower in (True, False)
+    ]
+    return _Shapes(*(np.array(x) for x in zip(*every, strict=True)))
+
+
+class _Turns:
+    """All turns, ready for least squares of any shape."""
+
+    def __init__(self, turns: Sequence[_Turn], place_rad: float) -> None:
+        groups = np.arange(len(turns)) % min(GROUPS, len(turns))
+        turns = [turns[k] for k in np.argsort(groups, kind="stable")]
+        self.since = np.concatenate([turn.since for turn in turns])
+        self.recorded = np.concatenate([turn.differences for turn in turns], axis=1)
+        sizes = np.array([len(turn.since) for turn in turns])
+        self._turn = np.repeat(np.arange(len(turns)), sizes)
+        self._first = np.r_[0, np.cumsum(sizes)[:-1]]
+        self._size = sizes
+        self._group_first = self._first[np.flatnonzero(np.diff(np.sort(groups), prepend=-1))]
+        self._fine_rad = place_rad / FINER
+        self.columns = self._levelled(self.recorded.T)
+
+    def _levelled(self, x: np.ndarray) -> np.ndarray:
+        """(rows, columns), less each turn's own mean."""
+        return x - (np.add.reduceat(x, self._first, axis=0) / self._size[:, None])[self._turn]
+
+    def products(self, shapes: _Shapes) -> np.ndarray:
+        """Of torque, speed, acceleration and a shape with one another: (shapes, groups, 4, 4)."""
+        # Shapes are smooth over a quarter of a place, so that rows there have one value.
+        places, place = np.unique(np.round(self.since / self._fine_rad).astype(int), return_inverse=True)
+        missing = shapes.missing(places * self._fine_rad, slice(None))
+        rows = np.zeros((len(self._size), len(places)))  # of each turn at each place
+        np.add.at(rows, (self._turn, place), 1)
+        first = np.searchsorted(self._first, self._group_first)  # turn of each group
+        group = np.searchsorted(first, self._turn, side="right") - 1
+        sums = np.zeros((len(first), 3, len(places)))
+        for k in range(3):
+            np.add.at(sums[:, k], (group, place), self.columns[:, k])
+        # Columns have no mean over a turn, so a shape's own drops out of the products with them.
+        across = np.moveaxis(sums @ missing, 2, 0)
+        means = (rows @ missing) ** 2 / self._size[:, None]
+        squares = np.add.reduceat(rows, first) @ missing**2 - np.add.reduceat(means, first)
+        own = np.add.reduceat(self.columns[:, :, None] * self.columns[:, None, :], self._group_first, axis=0)
+        products = np.empty((len(shapes.flat), len(own), 4, 4))
+        products[:, :, :3, :3] = own
+        products[:, :, :3, 3] = products[:, :, 3, :3] = across
+        products[:, :, 3, 3] = squares.T
+        return products
+
+    def trimmed(self, weights: np.ndarray, shapes: _Shapes, k: int) -> list[_Turn]:
+        """The turns without the rows that lie far from a fit."""
+        missing = self._levelled(shapes.missing(self.since, k))
+        rest = np.abs(self.columns[:, 0] - np.hstack([self.columns[:, 1:], missing]) @ weights)
+        near = rest < OUTLYING * 1.4826 * np.median(rest) + 1e-300
+        parts = zip(np.split(self.since, self._first[1:]), np.split(self.recorded, self._first[1:], axis=1),
+                    np.split(near, self._first[1:]), strict=True)  # fmt: skip
+        return [_Turn(since[keep], values[:, keep]) for since, values, keep in parts if keep.sum() >= LEAST_ROWS]
+
+    def curve(self, weights: np.ndarray, place_rad: float) -> tuple[np.ndarray, np.ndarray]:
+        """Torque less what speed and acceleration make of it: mean of the rows at each place, and the places, [rad]."""
+        rest = self.recorded[0] - weights[0] * self.recorded[1] - weights[1] * self.recorded[2]
+        place = np.floor(self.since / place_rad).astype(int)
+        count = np.bincount(place)
+        there = np.flatnonzero(count)
+        return (there + 0.5) * place_rad, np.bincount(place, rest)[there] / count[there]
+
+
+def _weights(products: np.ndarray) -> np.ndarray:
+    """Least squares of the first column by the others, (..., 3)."""
+    ridge = 1e-12 * np.eye(3) * (np.trace(products[..., 1:, 1:], axis1=-2, axis2=-1)[..., None, None] + 1e-30)
+    return np.linalg.solve(products[..., 1:, 1:] + ridge, products[..., 1:, :1])[..., 0]
+
+
+def _left(products: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Sum of squares that these weights leave."""
+    whole = np.concatenate([np.ones((*weights.shape[:-1], 1)), -weights], axis=-1)
+    return np.einsum("...a,...ab,...b->...", whole, products, whole)
+
+
+def _squares(products: np.ndarray) -> np.ndarray:
+    return _left(products, _weights(products))

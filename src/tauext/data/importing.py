@@ -11,10 +11,10 @@ from tauext.data.dataset_writing import recordings_of, write_dataset
 from tauext.data.description import Arm
 from tauext.data.description_file import load_arm
 from tauext.data.importers.open_raw import open_raw
-from tauext.data.lerobot_export import export_lerobot
+from tauext.data.lerobot_folder import export_lerobot
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.files.place import Place
+from tauext.files.places import Place
 from tauext.files.plain_file import read_text
 from tauext.files.provenance import provenance, write_json
 from tauext.files.room import expect_folder

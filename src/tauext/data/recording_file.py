@@ -1,4 +1,4 @@
-"""The Parquet file of a recording; docs/files.md is its contract."""
+"""The Parquet file of a recording."""
 
 from __future__ import annotations
 
@@ -9,17 +9,46 @@ import os
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from datetime import UTC, date, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tauext.data.parquet_file import write_parquet
-from tauext.data.recording import FLAGS, REQUIRED_SIGNALS, SIGNALS, Recording, check_joints
-from tauext.data.stamps import fitted_period_ns
-from tauext.errors import RecordingError
-from tauext.files.place import Place, is_stored, place_of
+from tauext.data.recording import FLAGS, REQUIRED_SIGNALS, SIGNALS, Recording, check_joints, fitted_period_ns
+from tauext.errors import RecordingError, StoreError
+from tauext.files.copies import reading
+from tauext.files.places import Place, is_stored, place_of
 from tauext.files.plain_file import expect_file, json_of
-from tauext.files.reading import reading
+from tauext.files.whole_file import whole_file
+
+# --- How a Parquet file of ours is written: whole or not at all, the same content to the same bytes.
+
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+def write_parquet(table: pa.Table, path: Place, **encoding: Any) -> None:
+    """Write a table with its metadata.
+
+    Args:
+        encoding: of pyarrow.parquet.write_table, beside the compression.
+
+    Raises:
+        RecordingError: the file cannot be written; what was written of it is removed.
+    """
+    import pyarrow.parquet as pq
+
+    try:
+        with whole_file(path) as part:
+            pq.write_table(table, part, compression="zstd", compression_level=1, **encoding)
+    except (OSError, UnicodeEncodeError) as error:  # or a name that is no UTF-8
+        cause = getattr(error, "strerror", None) or error
+        raise RecordingError(f"{path}: cannot be written ({cause})") from error
+
+
+# --- The Parquet file of a recording; docs/files.md is its contract.
+
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -329,3 +358,29 @@ def parse_json(path: Place, key: str, text: str, kind: type) -> Any:
         wanted = "list" if kind is list else "object"
         raise RecordingError(f"{path}: metadata '{key}' is {text[:60]}, must be a JSON {wanted}")
     return value
+
+
+# --- When a recording was made, where its clock says so; the samples are not read.
+
+
+EARLIEST_NS = int(datetime(2000, 1, 1, tzinfo=UTC).timestamp()) * 10**9
+"""A clock before it counts from a start of its own, and tells no day."""
+
+
+def recording_date(path: Place) -> date | None:
+    """Day of the first sample, UTC; None: its clock is none of the calendar's, or the file cannot be read."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        with reading(path) as raw, parquet.ParquetFile(raw) as file:
+            column = file.schema_arrow.get_field_index("t_ns")
+            if column < 0 or not file.metadata.num_row_groups:
+                return None
+            told = file.metadata.row_group(0).column(column).statistics
+            if told is None or not told.has_min_max:
+                return None
+            first_ns = int(told.min)
+    except (OSError, ValueError, TypeError, StoreError, pa.ArrowException):
+        return None
+    return datetime.fromtimestamp(first_ns / 1e9, UTC).date() if first_ns >= EARLIEST_NS else None

@@ -1,4 +1,4 @@
-"""Recordings of servo arms: what their [servo] table says to the core, and velocity and torque by it."""
+"""Recordings of currents and servos: their settings in the core, velocity and torque."""
 
 from __future__ import annotations
 
@@ -13,6 +13,31 @@ from tauext.data.description import Arm, ServoTable, SignalTable
 from tauext.data.recording import Recording
 from tauext.data.servo_types import SERVO_TYPES, ServoType
 from tauext.errors import ConfigError
+
+# --- Recordings whose tau is, or was, a motor current: what their import says of it.
+
+
+AMPERES = "amperes: the torque constant is unknown"
+FROM_AMPERES = "N m: amperes times given torque constants"
+
+
+def in_amperes(recordings: Sequence[Recording]) -> bool:
+    """Whether some were imported as currents whose constants nobody knew."""
+    return _unscaled(recordings, AMPERES)
+
+
+def from_amperes(recordings: Sequence[Recording]) -> bool:
+    """Whether some were imported as currents and multiplied by given constants, which may be corrected yet."""
+    return _unscaled(recordings, FROM_AMPERES)
+
+
+# Flights of tauext 0.1 hold torques that were multiplied already, and say so.
+def _unscaled(recordings: Sequence[Recording], torque: str) -> bool:
+    return any(r.provenance.get("torque") == torque and "torque_constants" not in r.provenance for r in recordings)
+
+
+# --- Recordings of servo arms: what their [servo] table says to the core, and velocity and torque by it.
+
 
 RAW_SIGNALS = ("q_des", "current", "duty", "voltage")
 """What of a servo's report makes its torque, beside position and velocity."""

@@ -1,9 +1,18 @@
-"""Servos by their names: constants of motor, position controller and registers, with where they come from."""
+"""Servos by name, and their angles by a LeRobot calibration file."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+
+import numpy as np
+
+from tauext.errors import ConfigError
+from tauext.files.places import Place
+from tauext.files.plain_file import json_of, read_text
+
+# --- Servos by their names: constants of motor, position controller and registers, with where they come from.
+
 
 COUNTS_A_TURN = 4096
 
@@ -64,3 +73,138 @@ SERVO_TYPES = {
     ),
 }  # fmt: skip
 """Servo types that arm.toml knows by name."""
+
+
+# --- Angles of servos by a LeRobot calibration file: of counts, of values from -100 to 100 or 0 to 100, of degrees.
+
+
+KEYS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
+LARGEST_COUNT = 1 << 20
+"""256 turns: no joint's."""
+ROUNDING = 1e-3
+"""Values are stored as float32; [their unit]."""
+
+
+@dataclass(frozen=True)
+class MotorCalibration:
+    """One motor of a LeRobot calibration file, as LeRobot's own MotorCalibration.
+
+    An angle is 0 at the middle of the range and rises with the servo's counts, whatever LeRobot made of them:
+    q = (count - (min + max) / 2) 2 pi / 4096. The servo has taken homing_offset off its counts already.
+    """
+
+    name: str
+    id: int
+    """On the bus."""
+    drive_mode: int
+    """Not 0: LeRobot turns normalised values round (Feetech's; degrees it never turns)."""
+    homing_offset: int
+    """[counts]."""
+    range_min: int
+    """[counts]."""
+    range_max: int
+    """[counts]."""
+
+    @property
+    def middle(self) -> float:
+        """Where the angle is 0, [counts]."""
+        return (self.range_min + self.range_max) / 2
+
+    def radians_of_counts(self, counts: np.ndarray, counts_a_turn: int = COUNTS_A_TURN) -> np.ndarray:
+        """Angles [rad] of positions or goals [counts] as the servo has them after its homing; any shape."""
+        return (np.asarray(counts, dtype=np.float64) - self.middle) * (2 * math.pi / counts_a_turn)
+
+    def counts_of_normalised(self, values: np.ndarray, lowest: float = -100.0, turned: bool = True) -> np.ndarray:
+        """Counts of LeRobot's normalised values: lowest (-100, or 0 of a gripper) at range_min, 100 at range_max.
+
+        A position beyond the range stands at its end: LeRobot cuts it off. NaN stays.
+
+        Args:
+            turned: whether drive_mode turns the values round, as LeRobot's Feetech bus does and its Dynamixel bus not.
+
+        Raises:
+            ConfigError: a value that is outside, so that these are other units.
+        """
+        values = np.asarray(values, dtype=np.float64)
+        if np.any((values < lowest - ROUNDING) | (values > 100 + ROUNDING)):
+            worst = values[np.nanargmax(np.abs(values))]
+            raise ConfigError(
+                f"motor {self.name!r}: {worst:g} is no value from {lowest:g} to 100; is it in degrees, or in counts?"
+            )
+        if turned and self.drive_mode:
+            values = 100 + lowest - values
+        return (values - lowest) / (100 - lowest) * (self.range_max - self.range_min) + self.range_min
+
+    def counts_of_degrees(self, values: np.ndarray, counts_a_turn: int = COUNTS_A_TURN) -> np.ndarray:
+        """Counts of LeRobot's degrees, 360 of which are one count less than a turn: it divides by 4095. NaN stays.
+
+        Raises:
+            ConfigError: a value of over 64 turns, so that these are other units.
+        """
+        values = np.asarray(values, dtype=np.float64)
+        if np.any(np.abs(values) > 64 * 360):
+            raise ConfigError(f"motor {self.name!r}: {np.nanmax(np.abs(values)):g} degrees are over 64 turns")
+        return values * (counts_a_turn - 1) / 360 + self.middle
+
+    def radians_of_normalised(
+        self,
+        values: np.ndarray,
+        lowest: float = -100.0,
+        turned: bool = True,
+        sent: bool = False,
+        counts_a_turn: int = COUNTS_A_TURN,
+    ) -> np.ndarray:
+        """Angles [rad] of normalised values as they are stored, in float32: of the nearest count, which the servo had
+        measured, or, sent, of the one that LeRobot made of a goal: it leaves the fraction off."""
+        counts = self.counts_of_normalised(values, lowest, turned)
+        return self.radians_of_counts(np.trunc(counts) if sent else np.rint(counts), counts_a_turn)
+
+    def radians_of_degrees(
+        self, values: np.ndarray, sent: bool = False, counts_a_turn: int = COUNTS_A_TURN
+    ) -> np.ndarray:
+        """Angles [rad] of LeRobot's degrees; counts as radians_of_normalised() has them."""
+        counts = self.counts_of_degrees(values, counts_a_turn)
+        return self.radians_of_counts(np.trunc(counts) if sent else np.rint(counts), counts_a_turn)
+
+
+def load_lerobot_calibration(path: Place) -> dict[str, MotorCalibration]:
+    """The motors of a file as LeRobot writes it below ~/.cache/huggingface/lerobot/calibration, by their names.
+
+    Raises:
+        ConfigError: names the file, the motor and the rule that is broken.
+    """
+    try:
+        content = json_of(read_text(path))
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path}: there is no such LeRobot calibration file") from error
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: no LeRobot calibration file: not readable as JSON ({error})") from error
+    if not isinstance(content, dict) or not content:
+        raise ConfigError(f"{path}: no LeRobot calibration file: must be motors by their names, is {content!r:.60}")
+    motors = {name: _motor(path, name, table) for name, table in content.items()}
+    by_id: dict[int, str] = {}
+    for name, motor in motors.items():
+        if by_id.setdefault(motor.id, name) != name:
+            raise ConfigError(f"{path}: motors {by_id[motor.id]!r} and {name!r} have one id, {motor.id}")
+    return motors
+
+
+def _motor(path: Place, name: str, table: object) -> MotorCalibration:
+    if not isinstance(table, dict) or set(KEYS) - set(table):
+        raise ConfigError(f"{path}: motor {name!r} must have {', '.join(KEYS)}, is {table!r:.100}")
+    for key in KEYS:
+        value = table[key]
+        if isinstance(value, bool) or not isinstance(value, int) or abs(value) > LARGEST_COUNT:
+            raise ConfigError(
+                f"{path}: motor {name!r}: {key} = {value!r} must be a whole number of at most {LARGEST_COUNT}"
+            )
+    motor = MotorCalibration(name, *(table[key] for key in KEYS))
+    if not 0 <= motor.id <= 252:
+        raise ConfigError(f"{path}: motor {name!r}: id = {motor.id} must be 0 to 252")
+    if not 0 <= motor.drive_mode <= 255:
+        raise ConfigError(f"{path}: motor {name!r}: drive_mode = {motor.drive_mode} must be 0 to 255")
+    if motor.range_min >= motor.range_max:
+        raise ConfigError(
+            f"{path}: motor {name!r}: range_min = {motor.range_min} must be below range_max = {motor.range_max}"
+        )
+    return motor

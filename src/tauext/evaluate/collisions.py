@@ -1,14 +1,18 @@
-"""Collisions in a recording, and whether and when they were found."""
+"""Collisions in recordings: whether and when an alarm latched, on which link, of which kind."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from tauext.bundle.estimates import Estimates
+from tauext import _core
+from tauext.bundle.estimates import COLLISION, Estimates
 from tauext.data.recording import Recording
+
+# --- Collisions in a recording, and whether and when they were found.
+
 
 BOUNCE_S = 0.3
 """Touches closer together than this are one collision: a padded body may bounce."""
@@ -154,3 +158,278 @@ def found_curve(verdicts: Sequence[dict]) -> list[dict]:
             }
         )
     return curve
+
+
+# --- Collisions as a monitor would have latched them: hold time and all, against a sensor with the same limit and hold.
+
+
+STRONG = 1.5
+"""A collision is strong whose sensor reference exceeds so many times the limit ..."""
+STRONG_FOR_S = 0.02
+"""... for so long beside the hold time: then it must be found."""
+
+
+def judge_latched(
+    collision: Collision, recording: Recording, estimates: Estimates, hold_s: float, reference: np.ndarray | None
+) -> dict:
+    """Was it latched, how long after its onset, how long after the sensor would have been, and was it strong?
+
+    The reference is low-passed as the observer is (`sensor_reference`), so that the observer's own lag is not held
+    against the method; it gets the same limit at every sample, and the same hold time. What was over its limit before
+    the touch began does not find it.
+    """
+    hold = round(hold_s * recording.rate_hz)
+    long = hold + round(STRONG_FOR_S * recording.rate_hz)
+    # The sample before the onset, and as many before that as the longest hold time asks for.
+    first = max(collision.begin - 1 - long, 0)
+    last = min(collision.end + round(GRACE_S * recording.rate_hz), recording.samples)
+    part, window = slice(first, last), slice(collision.begin - first, last - first)
+    assert estimates.held_alarm is not None
+    latched = _first_rise_in(estimates.held_alarm[part] == COLLISION, window)
+    sensor, strong = None, False
+    if reference is not None:
+        size, limit = np.abs(reference[part]), estimates.limit[part]
+        sensor = _first_rise_in(np.asarray(held(size > limit, hold).any(axis=1)), window)
+        strong = bool(held(size > STRONG * limit, long)[window].any())
+    seconds = (recording.t_ns[collision.begin : last] - recording.t_ns[collision.begin]) * 1e-9
+    both = latched is not None and sensor is not None
+    return {
+        "id": collision.id,
+        "latched": latched is not None,
+        "strong": strong,
+        "unhealthy": bool(np.mean(estimates.healthy[collision.begin : collision.end]) < 0.5),
+        "delay_s": None if latched is None else float(seconds[latched]),
+        "delay_against_sensor_s": float(seconds[latched] - seconds[sensor]) if both else None,
+    }
+
+
+def held(over: np.ndarray, hold_samples: int) -> np.ndarray:
+    """Whether each flag and the hold_samples before it are all true: (samples, n), along the samples."""
+    runs = np.cumsum(over, axis=0)
+    before = np.zeros_like(runs)
+    before[hold_samples + 1 :] = runs[: -hold_samples - 1]
+    return runs - before == hold_samples + 1
+
+
+def latched_summary(verdicts: Sequence[dict]) -> dict:
+    """The entry `latched` of a bundle in results.json."""
+    delays: dict[str, float | None] = {}
+    for key in ("delay", "delay_against_sensor"):
+        known = [v[f"{key}_s"] for v in verdicts if v[f"{key}_s"] is not None]
+        for name, quantile in (("median", 0.5), ("p95", 0.95)):
+            delays[f"{key}_{name}_s"] = float(np.quantile(known, quantile)) if known else None
+    return {
+        "collisions": len(verdicts),
+        "latched": sum(v["latched"] for v in verdicts),
+        "strong": sum(v["strong"] for v in verdicts),
+        "unhealthy": sum(v["unhealthy"] for v in verdicts),
+        "strong_latched": sum(v["strong"] and v["latched"] for v in verdicts),
+        **delays,
+    }
+
+
+def _first_rise_in(flags: np.ndarray, window: slice) -> int | None:
+    """Index within the window of the first flag that is true after a false one."""
+    return first_rise(flags[window], bool(flags[window.start - 1]) if window.start else False)
+
+
+# --- Collisions latched, and how soon, over how hard they were in N m: one scale for all methods and limits.
+
+
+EDGES_NM = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 40.0)
+
+
+def by_strength(touches: Sequence[Collision], verdicts: Sequence[dict]) -> list[dict]:
+    """The entry `by_strength` of a bundle in results.json.
+
+    Args:
+        touches: their strength is the sensor reference's peak on the joint where that is largest, [N m].
+        verdicts: what `judge_latched` said of them, in their order; those in unhealthy time are in no bin.
+    """
+    unseen = [v["unhealthy"] for v in verdicts]
+    # NaN: no sensor, in no bin
+    peak_nm = np.where(unseen, np.nan, [touch.sensor_peak_nm.max() or np.nan for touch in touches])
+    entries = []
+    for low, high in zip(EDGES_NM, (*EDGES_NM[1:], np.inf), strict=True):
+        inside = [verdicts[k] for k in np.flatnonzero((peak_nm >= low) & (peak_nm < high)).tolist()]
+        delays_s = [v["delay_s"] for v in inside if v["delay_s"] is not None]
+        median, late = (float(np.quantile(delays_s, q)) if delays_s else None for q in (0.5, 0.95))
+        entries.append(
+            {
+                "peak_nm_from": low,
+                "peak_nm_to": None if np.isinf(high) else high,
+                "collisions": len(inside),
+                "latched": sum(v["latched"] for v in inside),
+                "delay_median_s": median,
+                "delay_p95_s": late,
+            }
+        )
+    return entries
+
+
+# --- When an event really began: labels are late or early by tens of milliseconds.
+
+
+BASELINE_S = 0.1
+"""A reference is measured from its mean over so long before the window."""
+SLOPE_S = 0.02
+"""Of the residual's derivative."""
+QUANTILE, RESERVE = 0.999, 1.5
+
+
+def onset_s(
+    recording: Recording, windows: Sequence[tuple[float, float]], residual: np.ndarray, free: np.ndarray
+) -> list[float | None]:
+    """The first time in each window at which the reference leaves its noise band on some joint, [s]; None: it does not.
+
+    The reference is the robot's own tau_ext, measured from its mean over the 0.1 s before the window; where the
+    recording has none, the change of the residual over 20 ms, which lags a step by little. A joint's noise band is 1.5
+    times what 99.9 % of the free samples stay within, these measured from the mean of the 0.1 s that ended 0.1 s
+    earlier, all of it free. Without such samples there is no band, and no onset.
+
+    Args:
+        windows: from and to, counted from the first sample, [s].
+        residual: (samples, joints), [N m]; NaN counts as zero.
+        free: (samples,) bool.
+    """
+    if not windows:
+        return []
+    time_s = recording.time_s
+    if recording.tau_ext is not None:
+        signal = recording.tau_ext
+        ago = signal - means(time_s, signal, time_s - 2 * BASELINE_S, time_s - BASELINE_S)
+    else:
+        residual = np.nan_to_num(residual.astype(float))
+        before = np.clip(np.searchsorted(time_s, time_s - SLOPE_S), 0, None)
+        signal = ago = residual - residual[before]
+    busy = np.append(0, np.cumsum(~free))
+    began = np.searchsorted(time_s, time_s - 2 * BASELINE_S)
+    usable = (busy[1:] == busy[began]) & (time_s > 2 * BASELINE_S)
+    if not usable.any():
+        return [None] * len(windows)
+    band = RESERVE * np.quantile(np.abs(ago[usable]), QUANTILE, axis=0)
+    onsets: list[float | None] = []
+    for begin_s, end_s in windows:
+        inside = np.flatnonzero((time_s >= begin_s) & (time_s <= end_s))
+        level = np.zeros(signal.shape[1])
+        if recording.tau_ext is not None:
+            level = means(time_s, signal, np.array([begin_s - BASELINE_S]), np.array([begin_s]))[0]
+        left = inside[(np.abs(signal[inside] - level) > band).any(axis=1)]
+        onsets.append(float(time_s[left[0]]) if len(left) else None)
+    return onsets
+
+
+def means(time_s: np.ndarray, signal: np.ndarray, from_s: np.ndarray, to_s: np.ndarray) -> np.ndarray:
+    """Mean of a signal over stretches of time, at least one sample each, (stretches, joints)."""
+    sums = np.vstack([np.zeros((1, signal.shape[1])), np.cumsum(signal, axis=0)])
+    first = np.clip(np.searchsorted(time_s, from_s), 0, len(time_s) - 1)
+    last = np.maximum(np.searchsorted(time_s, to_s), first + 1)
+    return (sums[last] - sums[first]) / (last - first)[:, None]
+
+
+# --- What a bundle says of each collision: which link, how many newtons, what kind; and how that fits the labels.
+
+
+FOLLOWED_S = 1.0
+"""After the alarm: so long a monitor tells places of it."""
+STATED = 0.9
+"""A link that is so probable is stated."""
+
+
+@dataclass
+class TouchMeasures:
+    """One bundle's links and kinds, collision by collision."""
+
+    bundle: _core.Bundle
+    _told: list[dict] = field(default_factory=list)
+    _labels: list[tuple[int, str]] = field(default_factory=list)
+    """Touched link, -1 where nobody knows, and the recording's word for the kind of its contacts."""
+
+    def add(self, touches: Sequence[Collision], recording: Recording, estimates: Estimates) -> None:
+        """Take in the collisions of a recording that raised an alarm, contact or collision."""
+        model = _core.PlaceModel(self.bundle) if touches else None  # here, since it is not to be kept with the numbers
+        for touch in touches:
+            rows = alarm_rows(touch, recording, estimates)
+            if model is None or len(rows) == 0:
+                continue
+            place = {} if model.refused else place_of(model, rows, recording, estimates)
+            self._told.append({"id": touch.id, "kind": kind_of(touch, recording, estimates), **place})
+            self._labels.append((touch.link, touch.kind))
+
+    def summary(self) -> dict:
+        """The entry `touches` of a bundle in results.json."""
+        return {"stated_from": STATED, "links": self._links(), "kinds": self._kinds(), "told": self._told}
+
+    def _links(self) -> dict | None:
+        """None where no place was told of a collision whose link is labelled."""
+        names = [link.joint_name for link in self.bundle.links]
+        known = [
+            (names[link], told)
+            for (link, _), told in zip(self._labels, self._told, strict=True)
+            if 0 <= link < len(names) and told.get("links")
+        ]
+        if not known:
+            return None
+        said = [
+            (true, [one["joint"] for one in told["links"]], told["links"][0]["probability"]) for true, told in known
+        ]
+        stated = [true == ranked[0] for true, ranked, probability in said if probability >= STATED]
+        return {
+            "joints": names,
+            "table": [
+                [sum(true == row and ranked[0] == name for true, ranked, _ in said) for name in names] for row in names
+            ],
+            "collisions": len(said),
+            "first": sum(true == ranked[0] for true, ranked, _ in said),
+            "first_two": sum(true in ranked[:2] for true, ranked, _ in said),
+            "stated": len(stated),
+            "stated_right": sum(stated),
+        }
+
+    def _kinds(self) -> dict[str, dict[str, int]]:
+        """How many were said to be of each kind, by the recording's word."""
+        counts: dict[str, dict[str, int]] = {}
+        for (_, word), told in zip(self._labels, self._told, strict=True):
+            if told["kind"] is not None:
+                row = counts.setdefault(word, {})
+                row[told["kind"]] = row.get(told["kind"], 0) + 1
+        return counts
+
+
+def alarm_rows(touch: Collision, recording: Recording, estimates: Estimates) -> np.ndarray:
+    """Rows at which some joint was over a limit, from the first in the collision on, for at most FOLLOWED_S."""
+    assert estimates.held_alarm is not None
+    last = min(touch.end + round(GRACE_S * recording.rate_hz), recording.samples)
+    rows = touch.begin + np.flatnonzero(estimates.held_alarm[touch.begin : last] > 0)
+    return rows[recording.t_ns[rows] <= recording.t_ns[rows[0]] + FOLLOWED_S * 1e9] if len(rows) else rows
+
+
+def place_of(model: _core.PlaceModel, rows: np.ndarray, recording: Recording, estimates: Estimates) -> dict:
+    """Links and newtons as told at that of these rows at which tau_ext stands out most; empty where nothing is."""
+    assert estimates.sigma_nm is not None and estimates.contact_sigma_nm is not None
+    with np.errstate(divide="ignore", invalid="ignore"):
+        strength = np.nan_to_num(np.square(estimates.tau_ext[rows] / estimates.sigma_nm[rows]).sum(axis=1), posinf=0.0)
+    row = int(rows[np.argmax(strength)])
+    signals = (estimates.tau_ext, estimates.sigma_nm, estimates.contact_sigma_nm)
+    tau_ext, sigma, contact_sigma = (signal[row].astype(float).tolist() for signal in signals)
+    found = model.find(recording.q[row].tolist(), tau_ext, sigma, contact_sigma, dq=recording.dq[row].tolist())
+    best = found.best
+    if best is None:
+        return {}
+    return {
+        "links": [
+            {"joint": recording.joints[link], "probability": found.probability[link]} for link in found.ranked[:3]
+        ],
+        "force_n": float(np.linalg.norm(best.force)),
+        "point_m": list(best.point),
+        "spread_m": best.spread_m,
+        "consistent": found.consistent,
+    }
+
+
+def kind_of(touch: Collision, recording: Recording, estimates: Estimates) -> str | None:
+    """As known when the collision is over; None where the estimates do not say it."""
+    if estimates.touch is None:
+        return None
+    last = min(touch.end + round(GRACE_S * recording.rate_hz), recording.samples) - 1
+    return str(_core.Touch(int(estimates.touch[last])).name)

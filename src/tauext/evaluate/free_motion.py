@@ -1,13 +1,21 @@
-"""How wrong the estimate is where nothing touches the arm: there tau_ext is the error."""
+"""Errors and false alarms in free motion, after contacts too, and whether promises and limits hold."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tauext.bundle.estimates import COLLISION, Estimates
+from tauext import _core
+from tauext.bundle.estimates import COLLISION, CONTACT, Estimates
 from tauext.data.recording import Recording
+from tauext.evaluate.collisions import GRACE_S, Collision, judge_latched
+from tauext.evaluate.noticed_force import LEAST_LIMIT_NM, noticed
+from tauext.train.tail import is_consistent, is_kept, rate_interval
+
+# --- How wrong the estimate is where nothing touches the arm: there tau_ext is the error.
+
 
 FALSE_ALARM_QUIET_S = 0.5
 """Detections closer together than this are one false alarm."""
@@ -88,3 +96,259 @@ def count_episodes(flags: np.ndarray, quiet_samples: int) -> int:
 def numbers(values: np.ndarray) -> list[float | None]:
     """For JSON, which knows no NaN: null where a number does not exist."""
     return [float(v) if np.isfinite(v) else None for v in values]
+
+
+# --- What a contact leaves behind: alarms that begin, and errors, when nothing touches the arm any more.
+
+
+EDGES_S = (0.2, 0.5, 1.0, 1.5, 2.5)
+"""Bins of the time since the end of a touch; before, the observer itself still lags."""
+QUIET_S = 0.1
+"""An alarm begins where none of its level was held for so long before: one left over from the touch does not."""
+LEVELS = {"contact": CONTACT, "collision": COLLISION}
+
+
+class AfterContact:
+    """Sums over the healthy samples of each bin, and of free motion to compare with."""
+
+    def __init__(self, joints: int) -> None:
+        bins = len(EDGES_S)  # the last is free motion
+        self._seconds = np.zeros(bins)
+        self._samples = np.zeros(bins, dtype=int)
+        self._square = np.zeros((bins, joints))
+        self._begun = {name: np.zeros(bins, dtype=int) for name in LEVELS}
+
+    def add_free(self, recording: Recording, estimates: Estimates) -> None:
+        """Take in one recording of free motion."""
+        self._add(np.where(estimates.healthy, len(EDGES_S) - 1, -1), recording, estimates)
+
+    def add_touched(self, recording: Recording, estimates: Estimates) -> None:
+        """Take in one recording with contacts; where it is unknown whether something touches nothing is counted."""
+        if recording.contact is None:
+            return
+        since_s = time_since_touch(recording)
+        where = np.searchsorted(EDGES_S, since_s, side="right") - 1
+        where[(where == len(EDGES_S) - 1) | ~estimates.healthy] = -1
+        self._add(where, recording, estimates)
+
+    def _add(self, where: np.ndarray, recording: Recording, estimates: Estimates) -> None:
+        bins = len(EDGES_S)
+        counts = np.bincount(where + 1, minlength=bins + 1)[1:]
+        self._samples += counts
+        self._seconds += counts / recording.rate_hz
+        for k in np.flatnonzero(counts):
+            error = estimates.tau_ext[where == k].astype(float)
+            self._square[k] += np.einsum("ij,ij->j", error, error)
+        assert estimates.held_alarm is not None
+        for name, level in LEVELS.items():
+            begun = where[beginnings(estimates.held_alarm >= level, round(QUIET_S * recording.rate_hz))]
+            self._begun[name] += np.bincount(begun + 1, minlength=bins + 1)[1:]
+
+    def summary(self) -> dict:
+        """The entry `after_contact` of a bundle in results.json."""
+        entries = [self._entry(k) for k in range(len(EDGES_S))]
+        ends = zip(EDGES_S[:-1], EDGES_S[1:], strict=True)
+        bins = [{"from_s": a, "to_s": b} | entry for (a, b), entry in zip(ends, entries[:-1], strict=True)]
+        return {"bins": bins, "free_motion": entries[-1]}
+
+    def _entry(self, k: int) -> dict:
+        hours = float(self._seconds[k]) / 3600
+        entry: dict = {"hours": hours}
+        for name, begun in self._begun.items():
+            entry[f"{name}s"] = int(begun[k])
+            entry[f"{name}s_per_hour"] = int(begun[k]) / hours if hours else None
+        with np.errstate(invalid="ignore"):
+            entry["rmse_nm"] = numbers(np.sqrt(self._square[k] / self._samples[k]))
+        return entry
+
+
+def time_since_touch(recording: Recording) -> np.ndarray:
+    """Since the last sample of the last touch, (samples,), [s]; NaN during touches, before the first, and from where it
+    is unknown whether something touches until the next touch ends."""
+    assert recording.contact is not None
+    marked = np.where(recording.contact != 0, np.arange(recording.samples), -1)
+    last = np.maximum.accumulate(marked)
+    ended = (recording.contact == 0) & (last >= 0) & (recording.contact[last] == 1)
+    return np.where(ended, (recording.t_ns - recording.t_ns[last]) * 1e-9, np.nan)
+
+
+def beginnings(flags: np.ndarray, quiet_samples: int) -> np.ndarray:
+    """Indices of true flags with none in the quiet_samples before them; before the first sample all was quiet."""
+    at = np.flatnonzero(flags)
+    return at[np.diff(at, prepend=-quiet_samples - 1) > quiet_samples]
+
+
+# --- How far the estimate is from the reference while something touches the arm.
+
+
+class DuringContact:
+    """Sums over the healthy samples from the onset of each collision to the grace after its end, a joint each."""
+
+    def __init__(self, joints: int) -> None:
+        self._square = np.zeros(joints)
+        self._samples = 0
+
+    def add(
+        self, touches: Sequence[Collision], recording: Recording, estimates: Estimates, reference: np.ndarray | None
+    ) -> None:
+        """Take in the collisions of one recording; without a reference there is nothing to compare with."""
+        if reference is None:
+            return
+        for touch in touches:
+            window = slice(touch.begin, touch.end + round(GRACE_S * recording.rate_hz))
+            healthy = estimates.healthy[window]
+            error = estimates.tau_ext[window][healthy] - reference[window][healthy]
+            self._square += (error**2).sum(axis=0)
+            self._samples += len(error)
+
+    def rmse_nm(self) -> list[float | None]:
+        """The entry `rmse_during_contact_nm` of a bundle in results.json."""
+        with np.errstate(invalid="ignore"):
+            return numbers(np.sqrt(self._square / self._samples))
+
+
+# --- Poses of free motion with the limits that held there, and what force those limits notice.
+
+
+ROW_S = 1.0
+"""Between the poses that are kept of a recording: a day of them is 3 MB an arm."""
+MOST_POSES = 256
+"""That forces are found at, even in time."""
+
+
+class LimitsHeld:
+    """Poses of the healthy samples of free motion, both limits there, and the standard error."""
+
+    def __init__(self) -> None:
+        self._rows: list[np.ndarray] = []
+
+    def add(self, recording: Recording, estimates: Estimates) -> None:
+        """Take in a recording; what is not healthy is left out."""
+        if estimates.contact_limit is None or estimates.sigma_nm is None:
+            return
+        told = (estimates.limit, estimates.contact_limit, estimates.sigma_nm)
+        counted = estimates.healthy & np.all([np.isfinite(one).all(axis=1) for one in told], axis=0)
+        at = np.flatnonzero(counted)[:: max(1, round(ROW_S * recording.rate_hz))]
+        self._rows.append(np.stack([recording.q[at], *(one[at] for one in told)], axis=1).astype(np.float32))
+
+    def summary(self, bundle: _core.Bundle, frames: Sequence[str] = ()) -> dict | None:
+        """As noticed() says; {"refused": why} of a bundle that tells no forces, null without any pose."""
+        if refused := _core.WrenchModel(bundle).refused:
+            return {"refused": refused}
+        rows = np.concatenate(self._rows) if self._rows else np.empty((0, 4, bundle.joints))
+        if len(rows) == 0:
+            return None
+        at = np.unique(np.linspace(0, len(rows) - 1, min(MOST_POSES, len(rows))).round().astype(int))
+        q, limit, contact, sigma = np.moveaxis(rows[at].astype(float), 1, 0)
+        error_share = float(np.median(sigma / np.maximum(limit, LEAST_LIMIT_NM)))
+        return noticed(bundle, q, {"collision": limit, "contact": contact}, error_share, frames)
+
+
+# --- Detectors that know nothing, judged as the methods are: what a number is worth that they reach as well.
+
+
+RANDOM_PER_HOUR = 60.0
+RANDOM_S = 0.1
+WORTH = {
+    "always": "in alarm at every collision, but at every other moment too: one unbroken alarm, which latches nothing",
+    "never": "no false alarm, and no collision",
+    "random": f"alarms of {RANDOM_S:g} s at random times, {RANDOM_PER_HOUR:g} an hour: what is found so is chance",
+}
+
+
+@dataclass
+class Sanity:
+    """One such detector; takes in the recordings that the methods are evaluated on, in their order."""
+
+    name: str
+    """always, never or random."""
+    seed: int
+    _false: int = 0
+    _alarmed: int = 0
+    _samples: int = 0
+    _hours: float = 0.0
+    _in_alarm: bool = False
+    _found: list[bool] = field(default_factory=list)
+    _latched: list[bool] = field(default_factory=list)
+
+    def add_free(self, number: int, recording: Recording) -> None:
+        """Take in one recording of free motion; an alarm that goes on from the one before is no new one."""
+        alarm = self.alarms(number, recording)
+        at = np.flatnonzero(alarm)
+        apart = np.diff(at) > round(FALSE_ALARM_QUIET_S * recording.rate_hz)
+        self._false += (len(at) > 0 and not (self._in_alarm and alarm[0])) + int(apart.sum())
+        self._in_alarm = bool(alarm[-1])
+        self._alarmed += len(at)
+        self._samples += recording.samples
+        self._hours += recording.samples / recording.rate_hz / 3600
+
+    def add_collisions(
+        self, number: int, touches: Sequence[Collision], recording: Recording, estimates: Estimates
+    ) -> None:
+        """Take in the collisions of one recording; of the estimates only the times and limits count."""
+        alarm = self.alarms(number, recording)
+        said = replace(estimates, held_alarm=np.where(alarm, COLLISION, 0).astype(np.int8))
+        for touch in touches:
+            self._latched.append(judge_latched(touch, recording, said, 0.0, None)["latched"])
+            self._found.append(bool(alarm[touch.begin : touch.end + round(GRACE_S * recording.rate_hz)].any()))
+
+    def alarms(self, number: int, recording: Recording) -> np.ndarray:
+        """Whether it is in alarm, (samples,) bool; the random one by seed and number of the recording."""
+        if self.name != "random":
+            return np.full(recording.samples, self.name == "always")
+        rng = np.random.default_rng([self.seed, number])
+        length_s = recording.samples / recording.rate_hz
+        starts_s = rng.uniform(0, length_s, rng.poisson(RANDOM_PER_HOUR * length_s / 3600))
+        time_s = recording.time_s
+        begun = np.searchsorted(time_s, starts_s)
+        ended = np.searchsorted(time_s, starts_s + RANDOM_S)
+        steps = np.bincount(begun, minlength=recording.samples + 1) - np.bincount(
+            ended, minlength=recording.samples + 1
+        )
+        return np.cumsum(steps)[:-1] > 0
+
+    def summary(self) -> dict:
+        """Its entry in `sanity` of results.json."""
+        return {
+            "name": self.name,
+            "false_per_hour": self._false / self._hours if self._hours else None,
+            "time_in_alarm_share": self._alarmed / self._samples if self._samples else None,
+            "collisions": len(self._found),
+            "found": sum(self._found),
+            "latched": sum(self._latched),
+            "worth": WORTH[self.name],
+        }
+
+
+def sanity_detectors(seed: int) -> list[Sanity]:
+    """One of each."""
+    return [Sanity(name, seed) for name in WORTH]
+
+
+# --- Whether a test leaves standing what a bundle's calibration promised.
+
+
+def promised_per_hour(provenance: Mapping) -> float | None:
+    """False collisions an hour that the bundle's limits are set for, [1/h]; None where they come from no budget.
+
+    What was asked; where the calibration was too short for that, the smallest budget that it supports.
+    """
+    promise = (provenance.get("limits") or {}).get("promise")
+    if promise is None:
+        return None
+    return promise["asked" if promise["supported"] else "supported_budget"]["rate_per_hour"]
+
+
+def check_promise(promised: float | None, false_collisions: int, hours: float) -> dict:
+    """Entries of `free_motion` in results.json: the promised rate, the interval that the test found, and the verdicts.
+
+    promise_consistent: the promised rate lies in the interval of 95 %; promise_kept: so many false collisions or more
+    are no surprise at that rate. null without a promise, or without healthy hours.
+    """
+    known = promised if promised is not None and hours > 0 else None
+    return {
+        "promised_per_hour": promised,
+        "false_collisions_interval_per_hour": list(rate_interval(false_collisions, hours)) if hours > 0 else None,
+        "promise_consistent": is_consistent(false_collisions, hours, known) if known is not None else None,
+        "promise_kept": is_kept(false_collisions, hours, known) if known is not None else None,
+    }

@@ -14,13 +14,13 @@ from typing import Any
 from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.loss_history import read_loss_history
-from tauext.check.rejected import WORTH_A_WARNING
+from tauext.check.look import WORTH_A_WARNING
 from tauext.config import EventsConfig
 from tauext.data.dataset import Dataset
 from tauext.data.recording_file import fingerprint
 from tauext.evaluate.comparison import evaluate
 from tauext.files.half_done import HalfDone
-from tauext.files.place import Place
+from tauext.files.places import Place
 from tauext.files.provenance import VERSION, provenance, write_json
 from tauext.progress import SILENT, Reporter
 

@@ -10,8 +10,7 @@ import tomllib
 from collections.abc import Callable
 from typing import Any
 
-from tauext.files.answers import answers
-from tauext.files.place import Place
+from tauext.files.places import Place, answers
 
 LARGEST_TEXT = 1 << 28
 """Of a file that is read whole, [bytes]; results of a thousand hours are a hundredth of it."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tauext._core import __version__ as VERSION
-from tauext.files.place import Place
+from tauext.files.places import Place
 from tauext.files.whole_file import whole_file
 
 LIBRARIES = ("numpy", "mujoco", "pyarrow")

@@ -7,9 +7,8 @@ import os
 import shutil
 
 from tauext.errors import ConfigError
-from tauext.files.place import Place
-from tauext.files.staging import at_home
-from tauext.files.stored import StoredPlace
+from tauext.files.copies import at_home
+from tauext.files.places import Place, StoredPlace
 
 LEAST_ROOM = 1 << 20
 """What a disk must have left for a bundle, a page or a description, [bytes]."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tauext.errors import ConfigError
-from tauext.files.place import Place
+from tauext.files.places import Place
 from tauext.files.plain_file import read_text, toml_of
 from tauext.files.whole_file import whole_file
 

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from tauext.files.place import Place
-from tauext.files.staging import in_order, put, written_as
+from tauext.files.copies import in_order, put, written_as
+from tauext.files.places import Place
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext import _core
-from tauext.data.first_seconds import total_s
+from tauext.data.free_motion import total_s
 from tauext.data.recording import Recording
 from tauext.fit.regression import FOLDS
 from tauext.fit.training_set import Setup

@@ -1,23 +1,275 @@
-"""The training loop: data, model, loop, checkpoint, from top to bottom."""
+"""Training of the network: schedule, loop, checkpoints, and the gate that a network must pass to ship."""
 
 from __future__ import annotations
 
+import json
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
+from zipfile import BadZipFile
 
 import numpy as np
 
 from tauext import _core
+from tauext.bundle.estimates import OK
 from tauext.config import TrainConfig
-from tauext.errors import TrainingError
-from tauext.fit.adam import Adam
-from tauext.fit.checkpoint import TrainState, load_checkpoint, save_checkpoint
-from tauext.fit.core_backend import CoreBackend
-from tauext.fit.schedules import Schedule, make_schedule
-from tauext.fit.training_set import Setup, WindowSet
+from tauext.data.recording import Recording
+from tauext.errors import ConfigError, TrainingError
+from tauext.files.whole_file import whole_file
+from tauext.fit.core_backend import Adam, CoreBackend
+from tauext.fit.training_set import Setup, TooShort, WindowSet
+
+# --- What a step is taught, and how large it is: the paper's schedule, and the dense one.
+
+
+Number = TypeVar("Number", int, float)
+
+
+class Schedule(Protocol):
+    """Sequences of `length` network steps from zero state, of which the last `targets` teach."""
+
+    steps: int
+    length: int
+    targets: int
+    largest_gradient: float  # a gradient of a larger norm is shortened to it
+    report_every: int  # steps
+    validation_windows: int  # at most so many, evenly spread, are looked at in each report
+
+    def ends(self, step: int) -> np.ndarray:
+        """Rows that end the sequences of this step; the same for the same seed and step, whatever came before."""
+
+    def learning_rate(self, step: int) -> float: ...
+
+    def score(self, step: int, validation_loss: float) -> float:
+        """By which weights are compared after so many steps; those of the lowest are kept."""
+
+    def gives_up(self, history: list[tuple[int, float, float]]) -> bool:
+        """Whether to stop early, after these (step, training loss, validation loss)."""
+
+
+@dataclass
+class PaperSchedule:
+    """One target a window, all windows in a new random order each epoch, constant learning rate [Lim2021]."""
+
+    setup: Setup
+    training: WindowSet
+    config: TrainConfig
+    targets = 1
+    largest_gradient = math.inf
+    report_every = 200
+    validation_windows = 20_000
+
+    def __post_init__(self) -> None:
+        batch = number(self.config.batch)
+        self.length = self.setup.window_steps
+        self.steps_an_epoch = self.training.windows // batch
+        if self.steps_an_epoch == 0:
+            raise TrainingError(
+                f"{self.training.windows} training windows are fewer than a batch of {batch}; record more"
+            )
+        self.steps = min(number(self.config.epochs) * self.steps_an_epoch, self.config.max_steps or 1 << 62)
+        self._order_of = -1
+
+    def ends(self, step: int) -> np.ndarray:
+        epoch, index = divmod(step, self.steps_an_epoch)
+        if self._order_of != epoch:
+            self._order_of = epoch
+            self._order = np.random.default_rng([self.config.seed, epoch]).permutation(self.training.windows)
+        batch = number(self.config.batch)
+        return self.training.ends[self._order[index * batch : (index + 1) * batch]]
+
+    def learning_rate(self, step: int) -> float:
+        return number(self.config.learning_rate)
+
+    def score(self, step: int, validation_loss: float) -> float:
+        return validation_loss
+
+    def gives_up(self, history: list[tuple[int, float, float]]) -> bool:
+        return False
+
+
+@dataclass
+class DenseSchedule:
+    """Sequences drawn at random; after a burn-in as long as the window every step has a target.
+
+    A state that has seen a whole window hardly depends on what came before, so these states stand for those of a
+    window from zero state, which is what the network is used on. One sequence of 199 steps teaches 100 targets, which
+    cost the paper's schedule 10,000 steps. The learning rate rises over the first twentieth of the training and falls
+    to zero along a cosine. A feed-forward network has a window of one step and no state to burn in: each of its
+    sequences is that step, and teaches one target.
+    """
+
+    setup: Setup
+    training: WindowSet
+    config: TrainConfig
+    largest_gradient = 0.1
+    report_every = 500
+    validation_windows = 10_000
+    warm_up = 0.05
+    settled = 0.8  # the share of the steps after which the learning rate is low
+    unsettled_handicap = 1.5
+    patience = 0.1  # the share of the steps without a better score after which a settled training stops
+
+    def __post_init__(self) -> None:
+        self.targets = self.config.targets if self.config.row.network == "sequences" else 1
+        self.length = self.setup.window_steps - 1 + self.targets
+        self.steps = number(self.config.max_steps)
+        reach = self.setup.reach - self.setup.window_steps + self.length  # with the lag of the inputs
+        ends = self.training.ends
+        self._ends = ends[ends - reach >= self.training.first_rows]
+        if len(self._ends) == 0:
+            period_s = 1e-9 * self.setup.observer.sample_period_ns * self.setup.observer.network_stride
+            raise TooShort(
+                f"no training recording holds a sequence of {self.length} steps ({self.length * period_s:g} s without "
+                f"a gap); lower targets = {self.targets} or record longer"
+            )
+
+    def ends(self, step: int) -> np.ndarray:
+        chosen = np.random.default_rng([self.config.seed, step]).integers(len(self._ends), size=self.config.batch)
+        return self._ends[chosen]
+
+    def learning_rate(self, step: int) -> float:
+        done = step / self.steps
+        if done < self.warm_up:
+            return number(self.config.learning_rate) * (step + 1) / (self.warm_up * self.steps + 1)
+        falling = 1 + math.cos(math.pi * (done - self.warm_up) / (1 - self.warm_up))
+        return 0.5 * number(self.config.learning_rate) * falling
+
+    def score(self, step: int, validation_loss: float) -> float:
+        """At a high learning rate the validation loss jumps, and its lowest value is luck: weights from then must be
+        clearly better than settled ones, as they are where a network overfits."""
+        return validation_loss * (1.0 if step >= self.settled * self.steps else self.unsettled_handicap)
+
+    def gives_up(self, history: list[tuple[int, float, float]]) -> bool:
+        scores = [(self.score(step, validation), step) for step, _, validation in history]
+        if not scores or scores[-1][1] < (self.settled + self.patience) * self.steps:
+            return False
+        return min(scores)[1] <= scores[-1][1] - self.patience * self.steps
+
+
+def make_schedule(setup: Setup, training: WindowSet, config: TrainConfig) -> Schedule:
+    """The schedule that the network of a resolved config's recipe is taught by."""
+    if config.row.draws:
+        return DenseSchedule(setup, training, config)
+    return PaperSchedule(setup, training, config)
+
+
+def number(value: Number | None) -> Number:
+    """A setting that a resolved config has."""
+    assert value is not None
+    return value
+
+
+# --- Training state on disk, so that an interrupted run goes on where it stood.
+
+
+@dataclass
+class TrainState:
+    """Everything that moves while training. Fields are replaced, never changed in place, so a copy stays as it is."""
+
+    at: tuple[np.ndarray, Adam]  # parameters (float64) and the optimiser's state
+    history: list[tuple[int, float, float]]  # (step, training loss, validation loss), scaled units
+    best: np.ndarray  # float32, the parameters of the lowest validation loss so far
+    seconds: float = 0.0
+    running_loss: float | None = None
+    """The training loss as the next entry of the history goes on from it; None before the first step."""
+
+
+def save_checkpoint(state: TrainState, settings: dict, path: Path) -> None:
+    """Write under a temporary name, then rename: an interruption leaves the last whole checkpoint."""
+    parameters, adam = state.at
+    with whole_file(path) as part, part.open("wb") as file:
+        np.savez(
+            file,
+            parameters=parameters,
+            m=adam.m,
+            v=adam.v,
+            steps=adam.steps,
+            history=np.array(state.history, dtype=float).reshape(-1, 3),
+            best=state.best,
+            seconds=state.seconds,
+            running_loss=np.nan if state.running_loss is None else state.running_loss,
+            settings=json.dumps(settings, sort_keys=True),
+        )
+
+
+def load_checkpoint(settings: dict, path: Path) -> TrainState | None:
+    """The state of an interrupted run with these settings, or None where there is no checkpoint.
+
+    Raises:
+        ConfigError: the checkpoint belongs to other settings or is damaged; names what differs.
+    """
+    if not path.exists():
+        return None
+    advice = "remove it to start anew, or write elsewhere"
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            theirs = json.loads(str(stored["settings"]))
+            running = float(stored["running_loss"])
+            state = TrainState(
+                (stored["parameters"], Adam(stored["m"], stored["v"], int(stored["steps"]))),
+                [(int(step), float(loss), float(validation)) for step, loss, validation in stored["history"]],
+                stored["best"],
+                float(stored["seconds"]),
+                None if np.isnan(running) else running,
+            )
+    except (OSError, KeyError, ValueError, BadZipFile) as error:
+        raise ConfigError(f"{path}: this checkpoint cannot be read ({error}); {advice}") from error
+    differing = sorted(key for key in settings.keys() | theirs.keys() if settings.get(key) != theirs.get(key))
+    if differing:
+        raise ConfigError(f"{path}: this checkpoint is of a run with other settings ({', '.join(differing)}); {advice}")
+    return state
+
+
+# --- The gate: a network ships for a joint only where it helps on recordings that it never saw.
+
+
+@dataclass(frozen=True)
+class Gate:
+    """RMSE in free motion on validation recordings, and for which joints the network was worth its place."""
+
+    prior_rmse_nm: np.ndarray  # (n,)
+    network_rmse_nm: np.ndarray  # (n,) of prior and network together
+    opened: np.ndarray  # (n,) bool
+
+    def reason(self, joint: int, margin: float) -> str:
+        """Why the joint has a network or none."""
+        before, after = self.prior_rmse_nm[joint], self.network_rmse_nm[joint]
+        verdict = "prior and network" if self.opened[joint] else "prior only"
+        growth = after / before - 1 if before > 0 else np.inf
+        change = f"{growth:+.1%}, asked {-margin:.0%}"
+        return f"{verdict}: RMSE {before:.3g} Nm without a network, {after:.3g} Nm with it ({change})"
+
+
+def apply_gate(bundle: _core.Bundle, validation: Sequence[Recording], margin: float, threads: int) -> Gate:
+    """Judge every joint's network, and shut it off in the bundle where it does not lower the RMSE by `margin`.
+
+    A joint that is shut off has an output scale of 0; where all are, the bundle keeps no network.
+    """
+    n = bundle.joints
+    prior, both, samples = np.zeros(n), np.zeros(n), 0
+    for recording in validation:
+        signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+        said = _core.estimate(bundle, *signals, threads, recording.temperature)
+        healthy = said["health"] == OK
+        prior += ((said["residual"] - said["prior"])[healthy] ** 2).sum(axis=0)
+        both += (said["tau_ext"][healthy] ** 2).sum(axis=0)
+        samples += int(healthy.sum())
+    prior, both = np.sqrt(prior / max(samples, 1)), np.sqrt(both / max(samples, 1))
+    gate = Gate(prior, both, both < (1 - margin) * prior)
+    bundle.output_scale_nm = np.where(gate.opened, bundle.output_scale_nm, 0.0).tolist()
+    if gate.opened.any():
+        bundle.answer_reference()
+    else:
+        bundle.drop_network()
+    return gate
+
+
+# --- The training loop: data, model, loop, checkpoint, from top to bottom.
+
 
 CHECKPOINT_EVERY_S = 20.0
 """With what a step, a validation and the writing itself take, a killed training loses less than 30 s."""

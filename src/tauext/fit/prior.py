@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -11,18 +13,174 @@ from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data.recording import Recording
 from tauext.data.servo import derives_velocity
-from tauext.fit.find_kinematics import can_be_found, find_kinematics
-from tauext.fit.kinematic_sample import LEAST_ROWS, KinematicSample
-from tauext.fit.kinematics import Kinematics
-from tauext.fit.play import Play, find_play, told
-from tauext.fit.prior_fit import PriorFit
-from tauext.fit.prior_terms import CORRECTED, ESTIMATED, has_model, own_terms, shared_terms
+from tauext.fit.find_kinematics import LEAST_ROWS, Kinematics, KinematicSample, can_be_found, find_kinematics
+from tauext.fit.prior_terms import CORRECTED, ESTIMATED, Kind, PriorFit, has_model, idle_widths, own_terms, shared_terms
 from tauext.fit.regression import LEAST_SQUARE
 from tauext.fit.ridge import fit_ridge
-from tauext.fit.ripple import find_ripple
 from tauext.fit.temperature import with_temperature
+from tauext.fit.ties import simplest
 from tauext.fit.training_set import Setup, with_presliding
-from tauext.fit.widths import idle_widths
+
+# --- Textbook friction: what the prior is compared with.
+
+
+SMOOTHING_RAD_S = 0.03
+"""Of the sign of the speed: wide enough for the noise of a differentiated encoder, narrow beside any motion."""
+
+
+def fit_friction(setup: Setup, recordings: Sequence[Recording], **settings: object) -> PriorFit:
+    r"""Constant, viscous and Coulomb friction of every joint, fitted to r as the prior is.
+
+    .. math:: \tau_f = c + v \dot q + k \tanh(\dot q / 0.03\,\mathrm{rad/s})
+
+    each through the observer's filter. The model is taken as it is: what it has wrong stays in r. Without a model that
+    is all of gravity and inertia, for which three numbers a joint cannot stand: such a fit is hopeless.
+
+    Args:
+        settings: of the prior, which has no say here.
+
+    Raises:
+        TrainingError: no recording is longer than the observer's warm-up.
+    """
+    own = [
+        [
+            _core.Term(Kind.constant, joint),
+            _core.Term(Kind.viscous, joint),
+            _core.Term(Kind.coulomb, joint, speed=SMOOTHING_RAD_S),
+        ]
+        for joint in range(setup.tree.size)
+    ]
+    return fit_ridge(setup, recordings, own, shared=[])
+
+
+# --- Torque ripple of motor and gear, searched for in what a fit leaves.
+
+
+MOST_CYCLES = 400
+RIPPLE_DATA_S = 300.0  # so much motion is enough to find a ripple, and it takes a while ...
+RIPPLE_JOINTS_S = 600.0  # ... for each joint anew, so with many joints this over their number, but RIPPLE_ENOUGH_S
+RIPPLE_ENOUGH_S = 120.0
+RIPPLE_LEAST_S = 45.0  # in less, noise looks like one
+AT_A_TIME = 2
+"""Joints: all numbers of cycles of one take hundreds of MB."""
+RIPPLE_SHARE, RIPPLE_OUTSTANDS = 0.03, 5.0
+ALIAS_TIE = 1e-6
+"""An encoder of N counts a turn shows k and N - k cycles as the same, but for rounding: the fewer are taken."""
+
+
+def find_ripple(
+    setup: Setup,
+    recordings: Sequence[Recording],
+    fit: PriorFit,
+    known: Sequence[Sequence[int]],
+    least_cycles: int = 1,
+) -> list[list[int]]:
+    """For each joint the cycles a turn at which a ripple of motor and gear stands out of what a fit leaves.
+
+    Every whole number of cycles is tried: the share of the remainder's sum of squares that its sine and cosine,
+    filtered as the observer filters, explain by themselves. One counts that explains RIPPLE_SHARE of it and
+    RIPPLE_OUTSTANDS times as much as the median number.
+
+    Args:
+        known: cycles that the fit holds already.
+        least_cycles: fewer a turn are no ripple.
+    """
+    n = setup.tree.size
+    if sum(recording.duration_s for recording in recordings) < RIPPLE_LEAST_S:
+        return [[] for _ in range(n)]
+    energy = np.zeros(n)
+    moments, squares = np.zeros((n, MOST_CYCLES, 2)), np.zeros((n, MOST_CYCLES, 2))
+    looked_at_s, data_s = 0.0, min(RIPPLE_DATA_S, max(RIPPLE_JOINTS_S / n, RIPPLE_ENOUGH_S))
+    for recording in recordings:
+        if looked_at_s >= data_s:
+            break
+        looked_at_s += recording.duration_s
+        signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+        observation = _core.observe(setup.tree, setup.observer, *signals, fit.settings)
+        rows = np.flatnonzero(observation.warm.astype(bool))[:: setup.observer.network_stride].astype(np.int64)
+        left = (observation.residual - observation.prior)[rows]
+        energy += (left**2).sum(axis=0)
+        with ThreadPoolExecutor(min(setup.threads, AT_A_TIME)) as pool:
+            each = pool.map(lambda joint, r=recording, k=rows, x=left: _of_joint(setup, r, k, x, joint), range(n))
+            for joint, (moment, square) in enumerate(each):
+                moments[joint] += moment
+                squares[joint] += square
+    explained = (moments**2 / np.maximum(squares, 1e-12)).sum(axis=2)
+    explained[:, : least_cycles - 1] = 0
+    found = []
+    for joint in range(n):
+        best = int(np.flatnonzero(explained[joint] >= (1 - ALIAS_TIE) * explained[joint].max())[0])
+        stands_out = explained[joint, best] > RIPPLE_OUTSTANDS * np.median(explained[joint])
+        matters = explained[joint, best] > RIPPLE_SHARE * energy[joint]
+        found.append([best + 1] if stands_out and matters and best + 1 not in known[joint] else [])
+    return found
+
+
+def _of_joint(
+    setup: Setup, recording: Recording, rows: np.ndarray, left: np.ndarray, joint: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Products of each number's sine and cosine with what is left of the joint, and their squares: (MOST_CYCLES, 2)."""
+    settings = _core.PriorSettings()
+    settings.terms = [
+        _core.Term(_core.TermKind.ripple, joint, b=cycles, form=form)
+        for cycles in range(1, MOST_CYCLES + 1)
+        for form in (0, 1)
+    ]
+    settings.weights = [0.0] * (setup.tree.size * len(settings.terms))
+    signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+    values = _core.prior_regressors(setup.tree, setup.observer, settings, *signals, rows)
+    return (values.T @ left[:, joint]).reshape(-1, 2), (values**2).sum(axis=0).reshape(-1, 2)
+
+
+# --- Play between gear and load: which joints have it, and which presliding width tells where in it they are.
+
+
+HELPS = 0.01
+"""A joint has play where that lowers its error on left-out motion by this share: as of ripples."""
+
+WIDTH_TIE = 0.002
+"""Of the error: of widths that explain the motion so nearly alike the narrowest is taken, hence the least play."""
+
+Play = tuple[int | None, ...]
+"""Of each joint, the index of the width; None: it has none that shows."""
+
+
+def find_play(fit: PriorFit, fitted: Callable[[Play], PriorFit]) -> tuple[Play, PriorFit]:
+    """The play of each joint and the fit with it: every width is tried at all joints at once, the best of each stays
+    where the others' does not do as well.
+
+    A gear carries nothing while it crosses its play: beta (1 - |state|) of the weight shows in r. The state is a stop
+    operator's, of half the play [Nordin2002].
+
+    Args:
+        fit: without play.
+        fitted: the same with this one.
+    """
+    joints, widths = len(fit.error_nm), range(len(fit.settings.widths_rad))
+    none: Play = (None,) * joints
+    fitted = cache(fitted)  # each takes seconds
+    if not widths:
+        return none, fit
+    errors = np.array([fitted((width,) * joints).error_nm for width in widths])
+    best = [simplest(widths, of_joint.__getitem__, WIDTH_TIE) for of_joint in errors.T.tolist()]
+    helps = errors.min(axis=0) < (1 - HELPS) * fit.error_nm
+    play: Play = tuple(int(width) if better else None for width, better in zip(best, helps, strict=True))
+    for joint in [j for j, width in enumerate(play) if width is not None]:
+        # Another joint's play may have been what made the ridge too strong for this one.
+        without: Play = tuple(None if j == joint else width for j, width in enumerate(play))
+        if fitted(without).error_nm[joint] * (1 - HELPS) <= fitted(play).error_nm[joint]:
+            play = without
+    return play, fit if play == none else fitted(play)
+
+
+def told(play: Play, widths_rad: Sequence[float], joints: Sequence[str]) -> str:
+    """In words; empty where no joint has any."""
+    found = [f"{name} {2e3 * widths_rad[k]:g} mrad" for name, k in zip(joints, play, strict=True) if k is not None]
+    return f"play that carries no weight: {', '.join(found)}" if found else ""
+
+
+# --- The prior.
+
 
 RIPPLE_HELPS = 0.01
 """A ripple stays that lowers the error on left-out motion by this share: in minutes, noise may look like one."""

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from tauext import _core
-from tauext.fit.kinematics import Kinematics
-from tauext.fit.prior_fit import PriorFit
+from tauext.fit.find_kinematics import Kinematics
+from tauext.fit.prior_terms import PriorFit
 from tauext.robot.inertial import PARAMETERS
 
 Kind = _core.TermKind

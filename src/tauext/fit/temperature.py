@@ -19,7 +19,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.data.recording import Recording
-from tauext.fit.prior_fit import PriorFit
+from tauext.fit.prior_terms import PriorFit
 from tauext.fit.training_set import Setup
 
 COULOMB = frozenset({"coulomb", "presliding", "local_memory", "load", "load_presliding"})

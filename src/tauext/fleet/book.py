@@ -1,17 +1,178 @@
-"""fleet.json: per arm and stage what stands, of what inputs, and why where it does not."""
+"""Tasks of a fleet and fleet.json: what is done, from which inputs, and why not."""
 
 from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from tauext.files.place import Place
+from tauext.files.places import Place, place_of
 from tauext.files.provenance import VERSION, write_json
-from tauext.fleet.fleet_file import STAGES, Fleet
-from tauext.fleet.plan import PlannedArm
-from tauext.fleet.task import Outcome, Task
+from tauext.fleet.fleet_file import (
+    STAGES,
+    Arm,
+    Fleet,
+    dataset_files,
+    digests,
+    files_of,
+    flat,
+    like_files,
+    plain,
+    robot_files,
+    source_files,
+)
+from tauext.fleet.places import text_of_place
+from tauext.fleet.task import Contents, Outcome, Task, finished, marker_of
+
+# --- Tasks of a fleet: what each depends on, whether it is done, and why it is to be done anew.
+
+
+MOST_NAMED = 4
+"""Changed inputs that are named; more are counted."""
+ARMS, MEMORY = "arms", "inputs.json"
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A task, and what stands of it."""
+
+    task: Task
+    there: Outcome | None
+    """How it ended; None: it is to be done."""
+    why: str
+    """It is to be done; empty where it is not."""
+
+
+@dataclass(frozen=True)
+class PlannedArm:
+    """An arm's tasks in their order, each of which needs those before it."""
+
+    arm: Arm
+    steps: tuple[Planned, ...]
+
+
+def plan_fleet(
+    fleet: Fleet, out: Place, show: Callable[[int, int], object] = lambda done, of: None
+) -> list[PlannedArm]:
+    """All tasks of all arms; contents of files that nobody knows yet are read.
+
+    Args:
+        out: folder of the fleet, which need not be there.
+        show: is called with how many files are read, and of how many.
+
+    Raises:
+        ConfigError: a file that cannot be read.
+    """
+    contents = Contents(out / MEMORY)
+    try:
+        contents.read((file for arm in fleet.arms for file in files_of(arm)), show)
+    finally:
+        if out.is_dir():
+            contents.keep()
+    return [plan_arm(arm, out.absolute(), contents) for arm in fleet.arms]
+
+
+def plan_arm(arm: Arm, out: Place, contents: Contents) -> PlannedArm:
+    """The tasks of one arm."""
+    steps: list[Planned] = []
+    for task in tasks_of(arm, out, contents):
+        before = next((step for step in steps if not step.why == "" and step.task.hash in task.inputs.values()), None)
+        steps.append(planned(task, None if before is None else before.task.stage))
+    return PlannedArm(arm, tuple(steps))
+
+
+def tasks_of(arm: Arm, out: Place, contents: Contents) -> list[Task]:
+    """In the order of the stages."""
+    tasks: dict[str, Task] = {}
+    data = data_inputs(arm, contents)
+    robot = digests(robot_files(arm.robot), contents)
+    dataset: Place | None = arm.dataset
+    bundle: Place | None = None
+    given: dict[str, Any] = {"name": arm.name, "robot": None if arm.robot is None else text_of_place(arm.robot)}
+    accepted = {"accept": ", ".join(arm.accept)}
+
+    def add(stage: str, inputs: Mapping[str, str], **work: Any) -> Task:
+        folder = out / ARMS / arm.name / stage
+        tasks[stage] = Task(arm.name, stage, text_of_place(folder), {"name": arm.name, **inputs}, given | work)
+        return tasks[stage]
+
+    for stage in arm.stages:
+        if stage == "import":
+            sources = [text_of_place(source) for source in arm.sources]
+            named = {"sources": ", ".join(source.name for source in arm.sources)}
+            files = digests(source_files(arm), contents)
+            made = add(stage, named | files, sources=sources, description=text_of_place(arm.description))
+            dataset, data = place_of(made.folder) / arm.name, {"import": made.hash}
+        elif stage == "check":
+            add(stage, data | robot | accepted, dataset=text_of_place(dataset), accept=list(arm.accept))
+        elif stage == "train":
+            settings = without_threads(plain(arm.train.resolved()))
+            said = {"case": arm.case or ""} | accepted | flat(settings, "train.") | digests(like_files(arm), contents)
+            work = {"case": arm.case, "accept": list(arm.accept), "settings": without_threads(plain(arm.train))}
+            work |= {"like": None if arm.like is None else text_of_place(arm.like)}
+            made = add(stage, data | robot | said, dataset=text_of_place(dataset), **work)
+            bundle = place_of(made.folder) / f"{arm.name}.tauext"
+        elif stage == "calibrate":
+            settings, used = plain(arm.calibrate), data
+            if arm.calibration is not None:
+                files = digests(dataset_files(arm.calibration, "calibration"), contents)
+                used = {"calibration": arm.calibration.name} | files
+            work = {
+                "dataset": text_of_place(arm.calibration or dataset),
+                "accept": list(arm.accept),
+                "settings": settings,
+            }
+            said = {"train": tasks["train"].hash} | accepted | flat(settings, "calibrate.")
+            made = add(stage, used | said, bundle=text_of_place(bundle), **work)
+            bundle = place_of(made.folder) / f"{arm.name}.tauext"
+        else:
+            settings, maker = plain(arm.evaluate), "calibrate" if "calibrate" in tasks else "train"
+            said = {maker: tasks[maker].hash} | flat(settings, "evaluate.")
+            add(stage, data | said, dataset=text_of_place(dataset), bundle=text_of_place(bundle), settings=settings)
+    return list(tasks.values())
+
+
+def data_inputs(arm: Arm, contents: Contents) -> dict[str, str]:
+    """Of the arm's own dataset; where it is imported, its import stands for it."""
+    if arm.dataset is None:
+        return {}
+    return {"dataset": arm.dataset.name} | digests(dataset_files(arm.dataset, "dataset"), contents)
+
+
+def without_threads(settings: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in settings.items() if key != "threads"}
+
+
+def planned(task: Task, before: str | None) -> Planned:
+    """before: stage that this one needs and that is to be done; None: there is none."""
+    there = finished(task)
+    if there is not None:
+        return Planned(task, there, "")
+    folder = place_of(task.folder)
+    marker = marker_of(folder)
+    if marker is None:
+        failed = folder.with_name(f"{task.stage}.failed.txt").exists()
+        return Planned(task, None, "failed last time" if failed else "not done yet")
+    if marker.hash == task.hash:
+        return Planned(task, None, f"an output is missing or of another size: {marker.lacks(folder)}")
+    if marker.build != task.build:
+        return Planned(task, None, f"made by tauext {marker.build}, this is {task.build}")
+    changed = changes(marker.inputs, task.inputs)
+    if before is not None and changed == [before]:
+        return Planned(task, None, f"{before} is done anew")
+    more = f" and {len(changed) - MOST_NAMED} more" if len(changed) > MOST_NAMED else ""
+    return Planned(task, None, f"inputs changed: {', '.join(changed[:MOST_NAMED])}{more}")
+
+
+def changes(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
+    """Names of inputs that are other ones, gone or new."""
+    return [name for name in {**new, **old} if old.get(name) != new.get(name)]
+
+
+# --- fleet.json: per arm and stage what stands, of what inputs, and why where it does not.
+
 
 FILE, FORMAT = "fleet.json", 1
 EVERY_S = 5.0

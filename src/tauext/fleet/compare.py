@@ -1,4 +1,4 @@
-"""Arms of one type beside each other and each beside its own first date: numbers, standard errors, probabilities."""
+"""Arms of one type compared with each other and with their own first date."""
 
 from __future__ import annotations
 
@@ -8,19 +8,162 @@ from typing import Any
 
 import numpy as np
 
-from tauext.fleet.bundle_facts import BundleFacts, friction_nm
-from tauext.fleet.gravity import Weighed, arm_tree, gravity_nm, poses_seen, tool_columns, weigh_all
+from tauext import _core
 from tauext.fleet.odds import NAMED, Odds, Question, learn_odds
-from tauext.fleet.questions import (
-    FLEET_CONSTANT,
-    FLEET_FRICTION,
-    FLEET_SHARE,
-    FLEET_TOOL,
-    OWN_CONSTANT,
-    OWN_FRICTION,
-    OWN_SHARE,
-    OWN_TOOL,
-)
+from tauext.fleet.visits import BundleFacts, friction_nm
+from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
+
+# --- What two states of an arm weigh differently: a tool at the flange, or the scale of a joint's torque.
+#
+# .. math:: y_j(q) = X_j(q) (m, m c) - \kappa_j g_j(q) + error
+#
+# y: by how much the gravity torques of two bundles differ at the same poses. A tool shows at all joints at once, as its
+# weight says; a constant that is off by kappa shows at its own joint, in proportion to what weighs there.
+
+
+POSES = 200
+INDEPENDENT = 10.0
+"""Of all poses: gravity of an arm is told by about so many numbers."""
+MASS_KG, MOMENT_KG_M = 1.0, 0.15
+"""Standard deviations of a tool's mass, and of its first moment, before anything is seen: grippers and their parts."""
+ROUNDS = 3
+LEAST_SHARE, LEAST_NM = 0.5, 0.02
+"""Of what training leaves of a joint's torque: no bundle knows gravity better, whatever all arms agree in."""
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """One arm beside another state of it, or beside the fleet."""
+
+    kg: float
+    kg_error: float
+    share: np.ndarray  # (n,) kappa
+    share_error: np.ndarray  # (n,); as large as believed before where nothing weighs on the joint
+
+
+def poses_seen(bundles: Sequence[_core.Bundle], seed: int = 0) -> np.ndarray:
+    """Poses of the cells that half of these bundles' training saw, (POSES, n); each joint by itself."""
+    rng = np.random.default_rng(seed)
+    n = bundles[0].joints
+    q = np.empty((POSES, n))
+    for j in range(n):
+        ranges = [seen_range(bundle, j) for bundle in bundles]
+        low, high = (float(np.median([one[k] for one in ranges])) for k in (0, 1))
+        q[:, j] = rng.uniform(low, high, POSES)
+    return q
+
+
+def seen_range(bundle: _core.Bundle, joint: int) -> tuple[float, float]:
+    """First and last position of the joint in training; a turn about 0 where nobody knows."""
+    coverage = bundle.coverage
+    if not len(coverage.fastest_rad_s):
+        return -np.pi, np.pi
+    cells = [c for c in range(64) if int(coverage.seen[joint]) >> c & 1]
+    if not cells:
+        return -np.pi, np.pi
+    if coverage.turns[joint]:
+        cells = longest_run(cells)
+    first = coverage.centre_rad[joint] - coverage.span_rad[joint] / 2
+    cell = coverage.span_rad[joint] / 64
+    return first + cells[0] * cell, first + (cells[-1] + 1) * cell
+
+
+def longest_run(cells: Sequence[int]) -> list[int]:
+    """Cells of a circle from behind its widest gap on, counted upwards."""
+    gaps = [(cells[(k + 1) % len(cells)] - cell) % 64 or 64 for k, cell in enumerate(cells)]
+    start = (int(np.argmax(gaps)) + 1) % len(cells)
+    turned = [*cells[start:], *(c + 64 for c in cells[:start])]
+    return [c - 64 for c in turned] if turned[0] >= 32 else turned
+
+
+def arm_tree(bundle: _core.Bundle) -> _core.Tree:
+    """The arm as training found it."""
+    return _core.Tree(bundle.prior.corrected_links or bundle.links, bundle.gravity)
+
+
+def gravity_nm(tree: _core.Tree, q: np.ndarray) -> np.ndarray:
+    """Torques that hold the arm, (poses, n)."""
+    return tree.momentum(q, np.zeros_like(q))[1]
+
+
+def tool_columns(tree: _core.Tree, q: np.ndarray) -> np.ndarray:
+    """What a kilogram, and a first moment of 1 kg m along each axis, adds on the last link, (poses, n, 4)."""
+    usual = gravity_nm(tree, q)
+    columns = []
+    for k in range(4):
+        links = tree.links
+        parameters = inertial_parameters(links[-1])
+        parameters[k] += 1.0
+        links[-1] = with_inertial_parameters(links[-1], parameters)
+        columns.append(gravity_nm(_core.Tree(links, tree.gravity), q) - usual)
+    return np.stack(columns, axis=-1)
+
+
+def weigh_all(
+    y: Sequence[np.ndarray], gravity: np.ndarray, columns: np.ndarray, share_spread: float, left_nm: np.ndarray
+) -> list[Weighed]:
+    """Tool and shares of each arm; how well gravity is known is found in what all of them leave.
+
+    Args:
+        y: of each arm, (poses, n) [N m].
+        gravity: (poses, n) that shares are of.
+        share_spread: standard deviation of kappa before anything is seen.
+        left_nm: (n,) what training leaves of a joint's torque; NaN: nobody knows.
+    """
+    n = gravity.shape[1]
+    least_nm = np.maximum(LEAST_SHARE * np.nan_to_num(left_nm), LEAST_NM)
+    noise_nm = np.full(n, 0.1 * float(np.sqrt(np.mean(gravity**2)))) + least_nm
+    found: list[Weighed] = []
+    for _ in range(ROUNDS):
+        found, left = [], []
+        for one in y:
+            weighed, rest = weigh(one, gravity, columns, share_spread, noise_nm)
+            found.append(weighed)
+            left.append(np.mean(rest**2, axis=0))
+        noise_nm = np.maximum(np.sqrt(np.median(left, axis=0)), least_nm)
+    return found
+
+
+def weigh(
+    y: np.ndarray, gravity: np.ndarray, columns: np.ndarray, share_spread: float, noise_nm: np.ndarray
+) -> tuple[Weighed, np.ndarray]:
+    """Least squares on all joints; and what it leaves, (poses, n)."""
+    poses, n = y.shape
+    design = np.zeros((poses, n, 4 + n))
+    design[:, :, :4] = columns
+    design[:, range(n), range(4, 4 + n)] = -gravity
+    worth = INDEPENDENT / poses / noise_nm**2
+    information = np.diag(1 / np.r_[MASS_KG, [MOMENT_KG_M] * 3, [share_spread] * n] ** 2)
+    information += np.einsum("pji,j,pjk->ik", design, worth, design)
+    covariance = np.linalg.inv(information)
+    theta = covariance @ np.einsum("pji,j,pj->i", design, worth, y)
+    error = np.sqrt(np.diag(covariance))
+    return Weighed(float(theta[0]), float(error[0]), theta[4:], error[4:]), y - design @ theta
+
+
+# --- What is believed of each table before it is seen; logarithms, that is shares, unless another unit stands there.
+
+
+OWN_FRICTION = Question(arm_spread=0.08, joint_spread=0.05, jump=0.35, common=0.3, apart=0.1)
+"""From one date to another. Friction of gears falls by 1 to 2 % a kelvin, so halls and warm-up move all joints of an
+arm by some 8 %, a cold morning by 30 %; a joint by itself does half of that. Wear is felt from a tenth on, and is
+mended before friction doubles."""
+FLEET_FRICTION = Question(arm_spread=0.1, joint_spread=0.2, jump=0.35, common=3.0, apart=3.0)
+"""Of one arm beside others of its type: healthy gears differ by 0.7 to 1.3. What the type has is whatever it is."""
+OWN_CONSTANT = Question(arm_spread=0.005, joint_spread=0.01, jump=0.1, common=0.02, apart=0.02, odd_arm=0.05)
+"""A motor's magnets lose 0.1 to 0.2 % a kelvin; another drive, or another number in its software, is a tenth off."""
+FLEET_CONSTANT = Question(arm_spread=0.01, joint_spread=0.05, jump=0.15, common=3.0, apart=3.0, odd_arm=0.1)
+"""Makers keep torque constants, gear losses included, to some 5 %."""
+OWN_TOOL = Question(arm_spread=0.0, joint_spread=0.05, jump=0.7, common=0.02, apart=0.02)
+"""Kilograms. The same tool weighs the same, as far as gravity is known; another one differs by some hundred grams."""
+FLEET_TOOL = Question(arm_spread=0.0, joint_spread=0.2, jump=0.7, common=3.0, apart=3.0)
+"""Kilograms. Arms of one type may carry tools that differ by some hundred grams."""
+OWN_SHARE, FLEET_SHARE = 0.1, 0.05
+"""Standard deviation of what a torque's scale may be off by when tools are weighed: by the date, and by training."""
+
+
+# --- Arms of one type beside each other and each beside its own first date: numbers, standard errors, probabilities.
+
 
 LEAST_ARMS = 3
 """Of fewer nothing is said: which of two is the odd one nobody knows."""

@@ -1,23 +1,193 @@
-"""FLEET.toml: arms, what they have in common by type, and the stages; all of it is checked before anything runs."""
+"""FLEET.toml: arms, common settings, stages; checked before anything runs."""
 
 from __future__ import annotations
 
+import difflib
+import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
 from datetime import date, datetime
-from typing import TYPE_CHECKING, Any, get_args
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from tauext.check.verdict import expect_codes
+from tauext.check.look import expect_codes
 from tauext.config import AlarmConfig, CalibrateStage, CaseName, EvaluateStage, TrainConfig
-from tauext.data.dataset import load_dataset
+from tauext.data.dataset import ROBOT_FILES, SETS, load_dataset
 from tauext.data.description_file import load_arm
 from tauext.errors import ConfigError
-from tauext.files.place import Place
-from tauext.files.place import place_of as any_place
+from tauext.files.places import SHAPES_FILE, Place, named_files
+from tauext.files.places import place_of as any_place
 from tauext.files.plain_file import read_text, toml_of
-from tauext.fleet.places import place_of, places_of
-from tauext.fleet.settings import settings_of, unknown_key
+from tauext.fleet.places import below, files_in, place_of, places_of
+from tauext.fleet.task import Contents
+
+# --- Settings from a table of TOML: every key a field of the dataclass, every value of its type, or one clear message.
+
+
+Settings = TypeVar("Settings")
+PLAIN = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
+
+
+def settings_of(kind: type[Settings], content: Any, where: str, left_out: Mapping[str, str] | None = None) -> Settings:
+    """The dataclass with these values, and defaults for the others.
+
+    Args:
+        content: a table as TOML has it; a table within stands for a dataclass within.
+        where: for messages, as `fleet.toml: [train]`.
+        left_out: fields that are not to be set here, and why.
+
+    Raises:
+        ConfigError: an unknown key (the nearest is named), a value of another type or against the rule of its field.
+    """
+    if not isinstance(content, dict):
+        raise ConfigError(f"{where} = {content!r} must be a table")
+    hints = get_type_hints(kind)
+    refused = left_out or {}
+    for key in content:
+        if key in refused:
+            raise ConfigError(f"{where}: {key} is not set here: {refused[key]}")
+        if key not in hints:
+            raise unknown_key(where, key, [name for name in hints if name not in refused])
+    values = {}
+    for key, value in content.items():
+        hint = hints[key]
+        if isinstance(hint, type) and is_dataclass(hint):
+            values[key] = settings_of(hint, value, f"{where} {key}")
+            continue
+        try:
+            values[key] = converted(value, hint)
+        except TypeError:
+            raise ConfigError(f"{where}: {key} = {value!r} must be {described(hint)}") from None
+    try:
+        return kind(**values)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+
+
+def unknown_key(where: str, key: str, known: Iterable[str]) -> ConfigError:
+    """What is said of a key that nobody knows."""
+    names = list(known)
+    near = difflib.get_close_matches(key, names, 1, 0.0)
+    nearest = f"the nearest known is '{near[0]}'" if near else "none is known"
+    return ConfigError(f"{where}: unknown key '{key}'; {nearest}; known are {', '.join(names)}")
+
+
+def converted(value: Any, hint: Any) -> Any:
+    """The value as the field has it: whole numbers become floats, lists tuples.
+
+    Raises:
+        TypeError: it is of another type.
+    """
+    origin = get_origin(hint)
+    if origin in (Union, UnionType):
+        for choice in get_args(hint):
+            try:
+                return converted(value, choice)
+            except TypeError:
+                continue
+        raise TypeError
+    if origin is Literal:
+        if value in get_args(hint) and not isinstance(value, bool):
+            return value
+        raise TypeError
+    if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise TypeError
+        return tuple(converted(one, get_args(hint)[0]) for one in value)
+    if hint is float and isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+        return float(value)
+    if hint is int and isinstance(value, int) and not isinstance(value, bool):
+        return value
+    if hint in (bool, str) and isinstance(value, hint):
+        return value
+    raise TypeError
+
+
+def described(hint: Any) -> str:
+    """The type of a field for a message."""
+    origin = get_origin(hint)
+    if origin in (Union, UnionType):
+        return " or ".join(described(choice) for choice in get_args(hint) if choice is not NoneType)
+    if origin is Literal:
+        return f"one of {', '.join(map(str, get_args(hint)))}"
+    if origin is tuple:
+        return f"a list ({described(get_args(hint)[0])} each)"
+    return PLAIN.get(hint, str(hint))
+
+
+def plain(settings: Any) -> dict[str, Any]:
+    """The settings as a table that settings_of reads: without what is None, as TOML knows no such value."""
+    found: dict[str, Any] = {}
+    for one in fields(settings):
+        value = getattr(settings, one.name)
+        if is_dataclass(value):
+            found[one.name] = plain(value)
+        elif value is not None:
+            found[one.name] = list(value) if isinstance(value, tuple) else value
+    return found
+
+
+def flat(table: Mapping[str, Any], before: str) -> dict[str, str]:
+    """Values as words by dotted names: {"train.alarm.in_hours": "8.0"}."""
+    found: dict[str, str] = {}
+    for key, value in table.items():
+        if isinstance(value, dict):
+            found |= flat(value, f"{before}{key}.")
+        else:
+            found[f"{before}{key}"] = repr(value)
+    return found
+
+
+# --- A FLEET.toml to begin with.
+
+
+EXAMPLE = """\
+# A fleet: which arms there are, and what is done with their recordings. Places count from this file's folder.
+# `tauext fleet run FLEET.toml --out fleet` does it; --dry-run says what it would do, and why.
+
+stages = ["import", "check", "train", "calibrate", "evaluate"]   # or fewer; these are all, and what holds if left out
+
+# date = 2026-05-04         # day of the recordings, for `tauext fleet report`; an arm's own table may have another one
+
+# For all arms. [types.NAME] says it for the arms of a type, an arm's own table for it alone: the last one counts.
+[train]                     # the options of `tauext train`, without dashes: max-steps is max_steps
+recipe = "tauext"
+alarm = { false_alarms = 1.0, in_hours = 8.0 }
+
+[evaluate]                  # the options of `tauext evaluate`: seed, keep_free_estimates, shortest_event_s, tolerance_s
+keep_free_estimates = 5
+
+[types.ur10e]
+arm = "ur10e.toml"          # description of its recordings: `tauext import --new ur10e.toml` writes one
+# robot = "ur10e.urdf"      # instead of the dataset's own, as for `tauext train`
+# train.like = "ur10e.prior.json"   # what a fleet of this type knows: a minute of a new arm is enough
+# case = "none"             # model case: exact, mass, com, mass+com, none
+# accept = ["payload-missing"]      # codes of the doctor that are no fault on your word
+
+[[arms]]
+name = "cell-01"            # names its folder and its bundle
+type = "ur10e"
+sources = ["bags/cell-01/*.mcap"]   # files and folders of any format that `tauext import` reads; *, ? and ** as usual
+
+[[arms]]
+name = "cell-02"
+type = "ur10e"
+sources = ["bags/cell-02"]
+arm = "cell-02.toml"        # another tool, another logger
+train.max_steps = 20000     # what differs for this arm
+
+[[arms]]
+name = "cell-03"
+type = "ur10e"
+dataset = "datasets/cell-03"        # imported or simulated already, instead of sources
+calibration = "datasets/cell-03-nights"  # the stage calibrate: limits anew, on the calibration recordings of another
+calibrate = { false_alarms = 1.0, in_hours = 24.0 }   # dataset, for another promise, or both; else train's limits stay
+"""
+
+
+# --- FLEET.toml: arms, what they have in common by type, and the stages; all of it is checked before anything runs.
+
 
 if TYPE_CHECKING:
     from tauext.fit.fleet_prior import FleetPrior
@@ -197,8 +367,8 @@ def expect_different(arms: tuple[Arm, ...], path: Place) -> None:
 
 def expect_likes(arms: tuple[Arm, ...], path: Place) -> None:
     """Raise ConfigError of a fleet prior that is none, or that an arm's recipe cannot take."""
-    from tauext.fit.fleet_prior_file import load_fleet_prior
-    from tauext.train.like import like_settings
+    from tauext.fit.fleet_prior import load_fleet_prior
+    from tauext.train.fitting import like_settings
 
     priors: dict[Place, FleetPrior] = {}
     for arm in arms:
@@ -280,3 +450,54 @@ def case_of(said: Mapping[str, Any], where: str) -> str | None:
     if case is not None and case not in get_args(CaseName):
         raise ConfigError(f"{where}: case = '{case}' must be one of {', '.join(get_args(CaseName))}")
     return case
+
+
+# --- What a stage depends on, by names that a person knows: contents of files, settings, and tasks before it.
+
+
+def files_of(arm: Arm) -> Iterator[Place]:
+    """All files that anything of this arm depends on."""
+    yield from source_files(arm).values()
+    for name in ("dataset", "calibration"):
+        folder = getattr(arm, name)
+        yield from dataset_files(folder, name).values() if folder else ()
+    yield from robot_files(arm.robot).values()
+    yield from like_files(arm).values()
+
+
+def source_files(arm: Arm) -> dict[str, Place]:
+    """What an import reads: sources, description, and the robot file that this names."""
+    if arm.description is None:
+        return {}
+    found = {"arm.toml": arm.description} | robot_files(load_arm(arm.description).model)
+    for source in arm.sources:
+        for file in files_in(source):
+            name = source.name if file == source else f"{source.name}/{below(file, source)}"
+            found[f"source {name}" if f"source {name}" not in found else f"source {file}"] = file
+    return found
+
+
+def dataset_files(folder: Place, what: str) -> dict[str, Place]:
+    """Split, robot file and recordings of a dataset, each once."""
+    dataset = load_dataset(folder)
+    there = [folder / name for name in ("split.json", *ROBOT_FILES, SHAPES_FILE) if (folder / name).is_file()]
+    recordings = [file for set_name in SETS for file in dataset.files(set_name)]
+    return {f"{what} {file.name}": file for file in [*there, *recordings]}
+
+
+def like_files(arm: Arm) -> dict[str, Place]:
+    """The fleet prior that its training begins with."""
+    return {} if arm.like is None else {"train.like": arm.like}
+
+
+def robot_files(robot: Place | None) -> dict[str, Place]:
+    """A robot file, and meshes and includes that it names and that are there; MuJoCo reads masses off them."""
+    found: dict[str, Place] = {}
+    for file in () if robot is None else named_files(robot):
+        found[f"robot file {file.name}" if f"robot file {file.name}" not in found else f"robot file {file}"] = file
+    return found
+
+
+def digests(files: dict[str, Place], contents: Contents) -> dict[str, str]:
+    """The same names with the files' contents."""
+    return {name: contents.digest(path) for name, path in files.items()}

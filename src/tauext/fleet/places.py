@@ -9,9 +9,8 @@ from itertools import islice
 from pathlib import Path, PurePosixPath
 
 from tauext.errors import ConfigError
-from tauext.files.place import Place
-from tauext.files.place import place_of as any_place
-from tauext.files.stored import StoredPlace
+from tauext.files.places import Place, StoredPlace
+from tauext.files.places import place_of as any_place
 
 WILD = "*?["
 MOST_FOUND = 100_000

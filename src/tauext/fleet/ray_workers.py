@@ -8,10 +8,9 @@ from dataclasses import asdict
 from typing import Any, Self
 
 from tauext.errors import ConfigError
-from tauext.fleet.local_workers import cores
 from tauext.fleet.stages import STAGES
 from tauext.fleet.task import Outcome, Task, expect_json, one_line, run_task
-from tauext.fleet.workers import Begun, Ended
+from tauext.fleet.workers import Begun, Ended, cores
 
 
 def remote_task(task: dict[str, Any]) -> dict[str, Any]:

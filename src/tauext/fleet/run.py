@@ -8,16 +8,13 @@ from pathlib import Path
 from typing import Protocol
 
 from tauext.config import FleetConfig
-from tauext.files.place import Place
+from tauext.files.copies import at_home
+from tauext.files.places import Place
 from tauext.files.room import expect_folder
-from tauext.files.staging import at_home
-from tauext.fleet.book import Book
+from tauext.fleet.book import ARMS, Book, Planned, PlannedArm, plan_fleet
 from tauext.fleet.fleet_file import Fleet
-from tauext.fleet.local_workers import LocalWorkers, cores
-from tauext.fleet.locking import locked
-from tauext.fleet.plan import ARMS, Planned, PlannedArm, plan_fleet
-from tauext.fleet.task import Outcome, Task, clean
-from tauext.fleet.workers import Begun, Ended, Workers
+from tauext.fleet.task import Outcome, Task, clean, locked
+from tauext.fleet.workers import Begun, Ended, LocalWorkers, Workers, cores
 
 
 class Watcher(Protocol):

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from tauext.config import CalibrateStage, EvaluateStage, EventsConfig, TrainConfig
-from tauext.files.fetching import local_folder
-from tauext.files.place import Place
-from tauext.files.place import place_of as any_place
-from tauext.fleet.fleet_file import alarm_of
-from tauext.fleet.settings import settings_of
+from tauext.files.copies import local_folder
+from tauext.files.places import Place
+from tauext.files.places import place_of as any_place
+from tauext.fleet.fleet_file import alarm_of, settings_of
 from tauext.fleet.task import Stage
 
 COMMAND = "tauext fleet run"
@@ -30,10 +29,9 @@ def import_arm(work: Mapping[str, Any], part: Path) -> None:
 
 def check_arm(work: Mapping[str, Any], part: Path) -> str | None:
     """check.txt and check.json, as `tauext check --out` writes them; pictures are left to that command."""
-    from tauext.check.examine import examine
+    from tauext.check.examine import as_files, examine
     from tauext.check.gather import gather
-    from tauext.check.summary import as_files
-    from tauext.check.verdict import by_code, is_accepted
+    from tauext.check.look import by_code, is_accepted
     from tauext.files.provenance import write_json
 
     recordings, free, robot = gather((any_place(work["dataset"]),), place(work, "robot"))
@@ -54,7 +52,7 @@ def check_arm(work: Mapping[str, Any], part: Path) -> str | None:
 def train_arm(work: Mapping[str, Any], part: Path) -> None:
     """The bundle NAME.tauext with what stands beside it."""
     from tauext.data.dataset import load_dataset
-    from tauext.fit.fleet_prior_file import load_fleet_prior
+    from tauext.fit.fleet_prior import load_fleet_prior
     from tauext.train.stage import train_bundle
 
     config = replace(settings_of(TrainConfig, work["settings"], "train"), threads=1)
@@ -67,7 +65,7 @@ def train_arm(work: Mapping[str, Any], part: Path) -> None:
 def calibrate_arm(work: Mapping[str, Any], part: Path) -> None:
     """The bundle NAME.tauext with other limits."""
     from tauext.data.dataset import load_dataset
-    from tauext.train.bundle_limits import recalibrate
+    from tauext.train.calibrate import recalibrate
 
     settings = settings_of(CalibrateStage, work["settings"], "calibrate")
     dataset, out = load_dataset(any_place(work["dataset"])), part / f"{work['name']}.tauext"

@@ -1,29 +1,163 @@
-"""One stage of one arm: done once, in a folder that appears whole, with a marker that says of what it was made."""
+"""One stage of one arm: done once, in a folder that appears when it is complete."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import shutil
 import socket
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+from tauext import _core
 from tauext.errors import ConfigError, FaultyDataError, StoreError, TauextError
-from tauext.files.place import Place, place_of
-from tauext.files.plain_file import json_of, read_text
-from tauext.files.provenance import provenance, write_json
-from tauext.files.staging import at_home, send_folder
-from tauext.files.stored import StoredPlace
+from tauext.files.copies import at_home, send_folder, version_of
+from tauext.files.places import Place, StoredPlace, is_stored, place_of
+from tauext.files.plain_file import expect_file, json_of, read_text
+from tauext.files.provenance import VERSION, provenance, write_json
 from tauext.files.whole_file import whole_file
-from tauext.fleet.build import build
-from tauext.fleet.contents import digest_of, sha256_of
+
+# --- One driver a folder: a second one would clear away what the first one's workers are writing.
+#
+# A store has no locks: there it is one driver of this machine.
+
+
+LOCK = "fleet.lock"
+
+
+@contextmanager
+def locked(out: Place) -> Iterator[None]:
+    """The folder is ours; the lock ends with the process, whatever ends it.
+
+    Raises:
+        ConfigError: another driver is at work here.
+    """
+    try:
+        import fcntl
+    except ImportError:  # no such locks on this system
+        yield
+        return
+    home = at_home(out)
+    home.mkdir(parents=True, exist_ok=True)
+    with (home / LOCK).open("a+") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            file.seek(0)
+            raise ConfigError(f"{out}: another `tauext fleet run` is at work here ({file.read().strip()})") from error
+        except OSError:
+            pass  # a file system without locks
+        file.truncate(0)
+        file.write(f"process {os.getpid()} of {socket.gethostname()}")
+        file.flush()
+        yield
+
+
+# --- Digests of files by their content, each file read once: what did not change since is known by size and time.
+
+
+AT_A_TIME = 4
+"""Files that are read at a time: disks and networks have little more to give."""
+
+
+def sha256_of(path: Place) -> str:
+    """Of a file's bytes, hexadecimal."""
+    expect_file(path)
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+class Contents:
+    """SHA-256 of files, remembered between runs by path, size and time of the last change."""
+
+    def __init__(self, memory: Place):
+        """memory: file of what is remembered; a damaged one is none."""
+        self._memory = memory
+        self._known: dict[str, list] = {}
+        try:
+            known = json_of(read_text(memory))
+            self._known = {path: entry for path, entry in known.items() if len(entry) == 3}
+        except (OSError, ValueError, TypeError, AttributeError):
+            pass
+
+    def read(self, files: Iterable[Place], show: Callable[[int, int], object]) -> None:
+        """Read those that nobody knows, some at a time; show is called with how many are read, and of how many."""
+        each = dict.fromkeys(files)
+        pool = ThreadPoolExecutor(AT_A_TIME)
+        try:
+            for done, _ in enumerate(pool.map(self.digest, each), 1):
+                show(done, len(each))
+        finally:
+            pool.shutdown(cancel_futures=True)  # a Ctrl-C waits for the files that are being read, and for no other
+
+    def digest(self, path: Place) -> str:
+        """Of one file; of a stored one, what the store marks its content by.
+
+        Raises:
+            ConfigError: it cannot be read.
+        """
+        try:
+            if is_stored(path):
+                return version_of(path)
+            status = path.stat()
+            size, time_ns, digest = self._known.get(str(path), (None, None, ""))
+            if (size, time_ns) != (status.st_size, status.st_mtime_ns):
+                digest = sha256_of(path)
+                self._known[str(path)] = [status.st_size, status.st_mtime_ns, digest]
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
+        return str(digest)
+
+    def keep(self) -> None:
+        """For the next run."""
+        write_json(dict(sorted(self._known.items())), self._memory)
+
+
+def digest_of(content: object) -> str:
+    """SHA-256 of something as JSON; the order of keys does not matter."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+# --- Which tauext does the work: the release, and a digest of all code that decides an output's bytes.
+
+
+COUNTED = ("files", "robot", "data", "bundle", "check", "fit", "train", "evaluate")
+"""Packages whose code decides a task's output, beside the root modules and the stages themselves."""
+STAGE_FILES = ("fleet/stages.py", "fleet/task.py")
+DIGITS = 12
+
+
+@cache
+def build() -> str:
+    """As "0.1.0+3f9c0a1be2d4": one release may be built from several states of the code, or for several processors.
+
+    Of libraries only the core's own counts: another NumPy does nothing anew, and stands in each output's provenance.
+    """
+    root = Path(__file__).parent.parent
+    digest = hashlib.sha256(Path(_core.__file__).read_bytes())
+    for file in sorted(root.rglob("*.py")):
+        name = file.relative_to(root)
+        if name.parts[0] in COUNTED or len(name.parts) == 1 or name.as_posix() in STAGE_FILES:
+            digest.update(f"{name.as_posix()}\0".encode())
+            digest.update(file.read_bytes())
+    return f"{VERSION}+{digest.hexdigest()[:DIGITS]}"
+
+
+# --- One stage of one arm: done once, in a folder that appears whole, with a marker that says of what it was made.
+
 
 FORMAT = 2
 MARKER, WALL_TIME = "task.json", "task.wall_time_s.json"

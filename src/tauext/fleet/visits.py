@@ -1,16 +1,224 @@
-"""Arms at their dates: what stands in the fleet folders that `tauext fleet run` made."""
+"""Arms at their dates: what the fleet folders hold of bundles, results and robots."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
+from tauext import _core
+from tauext.bundle.bundle_file import load_bundle
 from tauext.data.dataset import load_dataset
-from tauext.data.recording_start import recording_date
+from tauext.data.recording_file import recording_date
 from tauext.errors import ConfigError, TauextError
-from tauext.files.place import Place, place_of
+from tauext.files.places import Place, place_of
 from tauext.files.plain_file import json_of, read_text
+from tauext.fleet.odds import NAMED
+
+# --- Which arms and joints are named, in words: what is rather so than not.
+
+
+WORDS = {
+    ("own", "friction", "more"): ("wearing", "friction × {factor} of {since}"),
+    ("own", "friction", "less"): (
+        "less friction",
+        "friction × {factor} of {since}: new grease, a mended gear, or a loose one",
+    ),
+    ("own", "constant", "more"): ("constant changed", "a unit of its recorded torque is × {factor} of {since}"),
+    ("own", "constant", "less"): ("constant changed", "a unit of its recorded torque is × {factor} of {since}"),
+    ("own", "tool", "more"): ("tool changed", "carries {kg} kg more than on {since}"),
+    ("own", "tool", "less"): ("tool changed", "carries {kg} kg less than on {since}"),
+    ("fleet", "friction", "more"): ("more friction than the fleet", "friction × {factor} of the fleet's"),
+    ("fleet", "friction", "less"): ("less friction than the fleet", "friction × {factor} of the fleet's"),
+    ("fleet", "constant", "more"): (
+        "constant unlike the fleet's",
+        "a unit of its recorded torque is × {factor} of the fleet's",
+    ),
+    ("fleet", "constant", "less"): (
+        "constant unlike the fleet's",
+        "a unit of its recorded torque is × {factor} of the fleet's",
+    ),
+    ("fleet", "tool", "more"): ("tool unlike the fleet's", "carries {kg} kg more than the fleet's middle"),
+    ("fleet", "tool", "less"): ("tool unlike the fleet's", "carries {kg} kg less than the fleet's middle"),
+}
+
+
+def named_of(serial: str, joints: Sequence[str], visit: Mapping[str, Any], centres: Mapping[str, Any]) -> list[dict]:
+    """What is named of one arm at its last date.
+
+    Args:
+        visit: with "own" and "fleet".
+        centres: of the tables of its group, (joints,) each, by names as "fleet friction".
+    """
+    found = []
+    for against in ("own", "fleet"):
+        tables = visit.get(against) or {}
+        since = tables.get("since") or "its first date"
+        for what in ("friction", "constant", "tool"):
+            table = tables.get(what)
+            if table is None or "more" not in table:
+                continue
+            for j, pair in enumerate(zip(table["more"], table["less"], strict=True)):
+                for way, probability in zip(("more", "less"), pair, strict=True):
+                    if probability is None or probability < NAMED:
+                        continue
+                    value = table["value"][j] - (centres[f"{against} {what}"][j] if against == "fleet" else 0.0)
+                    kind, words = WORDS[against, what, way]
+                    factor, kg = f"{np.exp(min(value, 20)):.2f}", f"{abs(value):.2f}"
+                    found.append(
+                        {
+                            "arm": serial,
+                            "joint": joints[j] if what != "tool" else None,
+                            "kind": kind,
+                            "against": against,
+                            "what": what,
+                            "probability": probability,
+                            "value": round(float(value if what == "tool" else np.exp(min(value, 20))), 4),
+                            "words": words.format(factor=factor, kg=kg, since=since),
+                        }
+                    )
+    return found
+
+
+# --- What a bundle says of its arm, joint by joint: friction, ripple, limits, constants, promise.
+
+
+SPEED_RAD_S = 0.5
+"""Friction is told at this speed: most joints slide at it, and few slow moves are faster."""
+MEMORY_S = 2.0
+"""Errors of a fit so far apart are independent: the longest that a refit counts."""
+MOVING = 0.5
+"""Share of its recordings in which a joint moves, where nobody counted."""
+Kind = _core.TermKind
+
+
+@dataclass(frozen=True)
+class BundleFacts:
+    """Of one bundle; arrays over the joints."""
+
+    joints: tuple[str, ...]
+    units: tuple[str, ...]
+    """Of torques."""
+    recipe: str
+    minutes: float | None
+    error_nm: np.ndarray
+    """Left by the prior in training; NaN: nobody knows."""
+    ripple_nm: np.ndarray
+    """Amplitudes of all ripples of the joint together, as squares add; NaN without a prior."""
+    limit_nm: np.ndarray
+    stiction_limit_nm: np.ndarray
+    false_per_hour: float | None
+    """What its limits promise at most."""
+    promise: str
+    constants: np.ndarray
+    """Found, in N m a unit of the recordings' torque, or by the import's; NaN where motion did not tell."""
+    constants_error: np.ndarray
+    bundle: _core.Bundle
+
+    @property
+    def nm_per_unit(self) -> np.ndarray:
+        """What recorded torque is multiplied by."""
+        used = self.bundle.observer.nm_per_unit
+        return np.array(used) if len(used) else np.ones(len(self.joints))
+
+    @property
+    def has_prior(self) -> bool:
+        """Friction that can be told."""
+        return any(term.kind in (Kind.coulomb, Kind.presliding) for term in self.bundle.prior.terms)
+
+    def friction_error(self, friction_nm: np.ndarray) -> np.ndarray:
+        """Standard error of the friction as a share of it: what a fit leaves, over the independent moments it saw."""
+        seconds = 60 * (self.minutes or 1.0) * MOVING
+        return self.error_nm / np.maximum(friction_nm, 1e-9) / np.sqrt(max(seconds / MEMORY_S, 1.0))
+
+
+def read_bundle(path: Place) -> BundleFacts:
+    """Of a bundle's file.
+
+    Raises:
+        TauextError: it cannot be read.
+    """
+    bundle = load_bundle(path)
+    facts = json.loads(bundle.provenance or "{}")
+    joints = tuple(link.joint_name for link in bundle.links)
+    prior = of(facts, "prior")
+    found = of(of(facts, "torque_constants"), "found")
+    told = [of(found, name) for name in joints]
+    known = [bool(one.get("determined")) for one in told]
+    promise = of(of(facts, "limits"), "promise")
+    budget = of(promise, "asked") if promise.get("supported", True) else of(promise, "supported_budget")
+    return BundleFacts(
+        joints=joints,
+        units=tuple(bundle.estimate_units),
+        recipe=str(facts.get("recipe") or ""),
+        minutes=facts.get("training_minutes"),
+        error_nm=numbers(of(prior, "error_nm").get(name) for name in joints),
+        ripple_nm=ripples_nm(bundle),
+        limit_nm=np.array(bundle.sliding_limit_nm, dtype=float),
+        stiction_limit_nm=np.array(bundle.near_stiction_limit_nm, dtype=float),
+        false_per_hour=budget.get("rate_per_hour"),
+        promise=str(of(facts, "limits").get("sentence") or promise.get("sentence") or ""),
+        constants=numbers(
+            one.get("nm_per_unit") if is_known else None for one, is_known in zip(told, known, strict=True)
+        ),
+        constants_error=numbers(one.get("standard_error") for one in told),
+        bundle=bundle,
+    )
+
+
+def of(facts: Any, key: str) -> dict[str, Any]:
+    """The table under the key; empty where there is none."""
+    value = facts.get(key) if isinstance(facts, dict) else None
+    return value if isinstance(value, dict) else {}
+
+
+def numbers(values: Any) -> np.ndarray:
+    """NaN for what is not there."""
+    return np.array([np.nan if value is None else float(value) for value in values])
+
+
+def friction_nm(facts: BundleFacts, weight_nm: np.ndarray) -> np.ndarray:
+    """Friction of each joint at SPEED_RAD_S, (n,); NaN without a prior.
+
+    Args:
+        weight_nm: (n,) what weighs on the joint on the average: friction that grows with it belongs to it.
+    """
+    prior, n = facts.bundle.prior, len(facts.joints)
+    if not facts.has_prior:
+        return np.full(n, np.nan)
+    at_speed = {
+        Kind.coulomb: lambda term: float(np.tanh(SPEED_RAD_S / term.speed)),
+        Kind.presliding: lambda term: 1.0,
+        Kind.viscous: lambda term: SPEED_RAD_S,
+        Kind.load: lambda term: weight_nm[term.a] * float(np.tanh(SPEED_RAD_S / term.speed)),
+        Kind.load_presliding: lambda term: weight_nm[term.a],
+    }
+    weights = np.array(prior.weights).reshape(n, -1)
+    out = np.zeros(n)
+    for m, term in enumerate(prior.terms):
+        if term.kind in at_speed:
+            out[term.a] -= weights[term.a, m] * at_speed[term.kind](term)
+    return out
+
+
+def ripples_nm(bundle: _core.Bundle) -> np.ndarray:
+    """Root of the sum of squares of each joint's ripple weights, (n,)."""
+    n = bundle.joints
+    if not bundle.prior.terms:
+        return np.full(n, np.nan)
+    weights = np.array(bundle.prior.weights).reshape(n, -1)
+    squares = np.zeros(n)
+    for m, term in enumerate(bundle.prior.terms):
+        if term.kind == Kind.ripple:
+            squares[term.a] += weights[term.a, m] ** 2
+    return np.sqrt(squares)
+
+
+# --- Arms at their dates: what stands in the fleet folders that `tauext fleet run` made.
+
 
 FLEET, FORMAT = "fleet.json", 1
 
@@ -117,3 +325,82 @@ def date_in(dataset: Place | None) -> str:
         return ""
     found = recording_date(files[0]) if files else None
     return found.isoformat() if found is not None else ""
+
+
+# --- What the files of one arm at one date say, as plain JSON: bundle, results, findings of the doctor.
+
+
+def visit_facts(visit: Visit, facts: BundleFacts | None, friction_nm: np.ndarray | None, broken: str) -> dict[str, Any]:
+    """All of one visit but what it is compared with.
+
+    Args:
+        facts: None: it has no bundle.
+        friction_nm: of each joint.
+        broken: why its bundle cannot be read; empty where it can.
+    """
+    said: dict[str, Any] = {
+        "name": visit.name,
+        "run": visit.run,
+        "date": visit.date or None,
+        "state": "failed" if broken else visit.state,
+        "stage": ("train" if broken else visit.stage) or None,
+        "reason": broken or visit.reason or None,
+        "findings": findings_of(visit.folder / "check" / "check.json"),
+    }
+    if visit.results is not None and visit.dataset is not None:
+        said["places"] = {"results": str(visit.results), "dataset": str(visit.dataset)}
+    if facts is None:
+        return said
+    said |= {
+        "recipe": facts.recipe or None,
+        "minutes": rounded(facts.minutes),
+        "friction_nm": rounded(friction_nm),
+        "ripple_nm": rounded(facts.ripple_nm),
+        "limit_nm": rounded(facts.limit_nm),
+        "near_stiction_limit_nm": rounded(facts.stiction_limit_nm),
+        "promised_per_hour": rounded(facts.false_per_hour),
+        "promise": facts.promise or None,
+    }
+    return said | results_of(visit.results)
+
+
+def results_of(folder: Place | None) -> dict[str, Any]:
+    """Of the free motion that training did not see: its error, and what was false there."""
+    content = json_file(folder / "results.json") if folder is not None else None
+    bundles = content.get("bundles") if isinstance(content, dict) else None
+    free = bundles[0].get("free_motion") if isinstance(bundles, list) and bundles else None
+    free = free if isinstance(free, dict) else {}
+    return {
+        "error_nm": rounded(free.get("l2_nm")),
+        "hours": rounded(free.get("hours")),
+        "false_collisions": free.get("false_collisions"),
+    }
+
+
+def findings_of(path: Place) -> list[dict[str, Any]]:
+    """What the doctor found, without notes."""
+    content = json_file(path)
+    listed = content.get("findings") if isinstance(content, dict) else None
+    kept = ("code", "severity", "joint", "evidence", "advice")
+    return [
+        {key: one.get(key) for key in kept}
+        for one in (listed if isinstance(listed, list) else [])
+        if isinstance(one, dict) and one.get("severity") in ("fault", "warning")
+    ]
+
+
+def json_file(path: Place) -> Any:
+    """Its content; None: not there, or damaged. A report of a hundred arms does not end for one of them."""
+    try:
+        return json_of(read_text(path))
+    except (OSError, ValueError):
+        return None
+
+
+def rounded(value: Any) -> Any:
+    """A number or a list of them with five digits; None for what is no number."""
+    if value is None:
+        return None
+    if isinstance(value, list | tuple | np.ndarray):
+        return [rounded(one) for one in value]
+    return float(f"{value:.5g}") if np.isfinite(value) else None

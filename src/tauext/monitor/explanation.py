@@ -1,29 +1,373 @@
-"""Says in words what a flight shows: what happened, when, on which joint, by how much over which limit, and before."""
+"""Explains a flight in words: what happened, on which joint, over which limit, and what preceded it."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from itertools import groupby
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tauext import _core
+from tauext._core import PlaceModel
 from tauext.bundle.estimates import HEALTHS
-from tauext.monitor.causes import in_words
-from tauext.monitor.changes import CONTACT, FAULT, NONE
-from tauext.monitor.explain_alarm import (
-    doubt,
-    kind_of_touch,
-    limits_of,
-    others,
-    over_limit,
-    place_of_touch,
-    sum_of_terms,
-    unfamiliar,
-)
-from tauext.monitor.explain_fault import fault_causes, fault_sample, last_estimate
-from tauext.monitor.fits_load import fits_load
-from tauext.monitor.flight_content import Flight, FlightSource, carried, event_kind
+from tauext.bundle.units import short
+from tauext.errors import RecordingError
+from tauext.monitor.changes import CONTACT, FAULT, FIRST_KIND, NONE, OK, TOUCHES, with_article
+from tauext.monitor.flight_content import Flight, FlightSource, as_recording, carried, event_kind
 from tauext.monitor.loads import load_words
+from tauext.monitor.places import PlaceChange, place_words
+
+# --- What each cause of a bad health means, and where to look.
+
+
+MEANING = {
+    "not finite": "a position, velocity or torque was NaN, infinite or absurdly large; look at the driver and at the "
+    "conversion of its values",
+    "wrong size": "the sample did not hold one value for each joint; look at what puts the samples together",
+    "late sample": "a sample was older than the one before it and was left out; look at the order in which they come",
+    "time backwards": "the time stamps went back by more than one network period; look at the clock that makes them",
+    "missing sample": "the loop ran and no new sample had come; look at the connection to the arm",
+    "gap": "no sample came for longer than one network period; look at the connection to the arm",
+    "wrong rate": "samples came at another rate than the bundle was trained for; run the loop at that rate, or train "
+    "for this one",
+    "torque saturated": "a drive was at its torque limit and gave another torque than it was told; move slower, carry "
+    "less, or expect doubtful estimates there",
+    "encoder still": "a position did not change while velocity or torque say that the joint moved; look at the encoder "
+    "and its cable",
+    "impossible torque": "a torque was larger than the drive can give, whatever touches the arm; look at the driver, "
+    "at the unit of its torques and at the conversion of their values",
+    "impossible velocity": "a velocity was higher than the joint can get; look at the encoder, at the unit of the "
+    "velocity and at how it is differentiated",
+    "impossible position": "a position lay farther from the one before than the joint can have gone, or beyond all "
+    "that encoders count; look at the encoder, its cable and its zero: after a new zero the monitor goes on by itself",
+}
+"""By the core's name of the cause."""
+
+
+def in_words(names: list[str]) -> str:
+    """`gap and wrong rate`, or `no cause`."""
+    return " and ".join(names) if names else "no cause"
+
+
+# --- Motion that training never saw: which samples are told to be that, and what of them, in words.
+
+
+WORTH_TELLING: float = _core.CoverageSettings.WORTH_TELLING
+"""From this value of `unfamiliar` on."""
+KINDS = tuple(kind.name for kind in sorted(_core.Unseen, key=lambda kind: kind.value))
+"""By the core's number."""
+Unseen = tuple[int, int, int]
+"""Number of the kind, joint, and the other one where positions were never seen together, else -1."""
+
+
+def unseen_of(said: Mapping[str, np.ndarray]) -> Counter[Unseen]:
+    """How many samples were unfamiliar, by what of them was.
+
+    Args:
+        said: as Monitor.run gives it.
+    """
+    told = said["unfamiliar"] >= WORTH_TELLING
+    if not told.any():
+        return Counter()
+    what = np.stack([said[key][told].astype(int) for key in ("unseen", "unseen_joint", "unseen_other")], axis=1)
+    kinds, counts = np.unique(what, axis=0, return_counts=True)
+    return Counter({(kind[0], kind[1], kind[2]): n for kind, n in zip(kinds.tolist(), counts.tolist(), strict=True)})
+
+
+def unseen_words(unseen: Unseen, joints: Sequence[str]) -> str:
+    """`speed of joint2`, `position of joint1`, `joint1 and joint3 together`."""
+    what, joint, other = unseen
+    if other >= 0:
+        return f"{joints[joint]} and {joints[other]} together"
+    return f"{KINDS[what]} of {joints[joint]}"
+
+
+# --- Numbers in sentences: as many decimals as asked for, but never a line of digits.
+
+
+LONGEST = 1e6
+"""From here on decimals tell nothing."""
+
+
+def readable(value: float, spec: str) -> str:
+    """The value by a format like .3f or +.2f; of four digits and a power of ten from LONGEST on."""
+    if abs(value) < LONGEST or value != value:
+        return format(value, spec)
+    return format(value, ("+" if spec.startswith("+") else "") + ".4g")
+
+
+# --- Says in words how a contact or collision came about: which limit, by how much, what observer and network said.
+
+
+MOST_OTHERS = 3
+
+
+def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
+    """By how much over which limit, and since when."""
+    event, row = flight["event"], flight["event_row"]
+    j = event.alarm_joint
+    limits = limits_of(flight, kind)[:, j]
+    left = np.abs(without_load(flight)[:, j])
+    size, limit, speed = left[row], limits[row], flight["dq"][row, j]
+    region, edge = ("near stiction", "below") if event.near_stiction[j] else ("sliding", "not below")
+    unit = source.unit(j)
+    torque = "tau_ext - load" if event.load_nm[j] else "tau_ext"
+    text = (
+        f"|{torque}| of {source.joints[j]} was {size:.3f} {unit}, {size - limit:.3f} {unit} over its {kind} limit of "
+        f"{limit:.3f} {unit} ({region}: its speed was {speed:+.4f} rad/s, {edge} {source.near_stiction_rad_s:g})."
+    )
+    text += certainty(flight, source)
+    since = row
+    while since > 0 and left[since - 1] > limits[since - 1]:
+        since -= 1
+    if since < row:
+        ms = (flight["t_ns"][row] - flight["t_ns"][since]) * 1e-6
+        text += f" It had been over that limit for {ms:.1f} ms."
+    return text
+
+
+def certainty(flight: Flight, source: FlightSource) -> str:
+    """How sure the estimate was, and what the motion did to the limit; empty where no error scale says so."""
+    event = flight["event"]
+    j = event.alarm_joint
+    sigma = event.sigma_nm[j]
+    if not source.has_error_scale or not sigma > 0:
+        return ""
+    motion = (
+        f"; the motion multiplied the limit of usual motion by {event.limit_scale[j]:.2f}" if source.follows else ""
+    )
+    return (
+        f" It was {abs(event.tau_ext[j] - event.load_nm[j]) / sigma:.2g} times its standard error in free motion of "
+        f"{sigma:.3f} {source.unit(j)} (during the contact: {event.contact_sigma_nm[j]:.3f} {source.unit(j)}){motion}."
+    )
+
+
+def kind_of_touch(flight: Flight) -> str:
+    """What kind of touch it was taken for, at the end of the flight; empty where nobody knew."""
+    row, touch = flight["event_row"], flight["touch"]
+    if not len(touch) or touch[-1] < FIRST_KIND:
+        return ""
+    since = len(touch) - 1
+    while since > row and touch[since - 1] == touch[-1]:
+        since -= 1
+    ms = (flight["t_ns"][since] - flight["t_ns"][row]) * 1e-6
+    return f"{ms:.0f} ms later it was taken for {with_article(TOUCHES[touch[-1]])}."
+
+
+def place_of_touch(flight: Flight, source: FlightSource) -> str:
+    """Which link, and where, by the sample since the event at which tau_ext stood out most; empty where unknown."""
+    event, row = flight["event"], flight["event_row"]
+    if source.chain is None or not source.has_error_scale:
+        return ""
+    model, sigma = PlaceModel(source.chain), flight["sigma_nm"][row:]
+    tau = without_load(flight)[row:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        strength = np.where((sigma > 0).all(axis=1), np.square(tau / sigma).sum(axis=1), np.nan)
+    if model.refused or not np.isfinite(strength).any():
+        return ""
+    at = int(np.nanargmax(strength))
+    q, dq, contact_sigma = (flight[name][row + at].tolist() for name in ("q", "dq", "contact_sigma_nm"))
+    found = model.find(q, tau[at].tolist(), sigma[at].tolist(), contact_sigma, dq=dq)
+    if found.best is None:
+        return ""
+    links = tuple((link, found.probability[link]) for link in found.ranked)
+    since_s = (int(flight["t_ns"][row + at]) - int(flight["t_ns"][row])) * 1e-9
+    level = event.alarm.value
+    told = (links, tuple(found.places), found.best, found.consistent)
+    change = PlaceChange(row, int(event.t_ns), level, event.alarm_joint, since_s, *told)
+    words = place_words(change, source.joints)
+    return f"{words[0].upper()}{words[1:]}."
+
+
+def doubt(flight: Flight) -> str:
+    """Health at the event, where it was not ok."""
+    event = flight["event"]
+    if event.health.value == OK:
+        return ""
+    health = HEALTHS[event.health.value]
+    return f"Health was {health} ({in_words(event.causes)}) at that sample: the estimate may be wrong."
+
+
+def unfamiliar(flight: Flight, source: FlightSource) -> str:
+    """What of the motion training never saw, where that is worth telling."""
+    event = flight["event"]
+    if event.unfamiliar < WORTH_TELLING:
+        return ""
+    what = unseen_words((event.unseen.value, event.unseen_joint, event.unseen_other), source.joints)
+    return f"Training never saw such motion ({what}): the estimate may be wrong."
+
+
+def sum_of_terms(flight: Flight, source: FlightSource) -> str:
+    """What observer, prior and network said of the joint."""
+    event = flight["event"]
+    j = event.alarm_joint
+    residual, unit = event.residual[j], source.unit(j)
+    if source.has_prior:
+        said = f"the prior expected {event.prior[j]:+.3f} {unit} of it in free motion"
+        said += f" and the network {event.network[j]:+.3f} {unit} more" if source.has_network else ""
+        said += f", slow changes since training {event.drift[j]:+.3f} {unit}" if source.has_drift else ""
+        left = f"what is left is tau_ext = {event.tau_ext[j]:+.3f} {unit}"
+        return f"The observer said {residual:+.3f} {unit}, {said}; {left}."
+    if not source.has_network:
+        return f"The observer said {residual:+.3f} {unit}; the bundle has no network, so this is tau_ext."
+    expected = f"the network expected {event.network[j]:+.3f} {unit} of it in free motion"
+    return (
+        f"The observer said {residual:+.3f} {unit}, {expected}; "
+        f"their difference is tau_ext = {event.tau_ext[j]:+.3f} {unit}."
+    )
+
+
+def others(flight: Flight, source: FlightSource, kind: str) -> str:
+    """The other joints that are nearest to their limits."""
+    row = flight["event_row"]
+    rest = [j for j in range(len(source.joints)) if j != flight["event"].alarm_joint]
+    if kind == "fault" or not rest:
+        return ""
+    share = np.abs(without_load(flight)[row]) / limits_of(flight, kind)[row]
+    nearest = sorted(rest, key=lambda j: -share[j])[:MOST_OTHERS]
+    return f"Other joints, nearest to their {kind} limits first: {loads(flight, row, source, nearest, kind)}."
+
+
+def without_load(flight: Flight) -> np.ndarray:
+    """tau_ext less what is taken for an expected load, (samples, joints): what the alarm compares with its limits."""
+    left: np.ndarray = flight["tau_ext"] - flight["load_nm"]
+    return left
+
+
+def limits_of(flight: Flight, kind: str) -> np.ndarray:
+    """What |tau_ext| must exceed for this kind of alarm, (samples, joints); for a fault, a collision's."""
+    return flight["contact_limit_nm" if kind == "contact" else "limit_nm"]
+
+
+def loads(flight: Flight, row: int, source: FlightSource, joints: list[int] | range, kind: str = "collision") -> str:
+    """`joint2 1.100 of 2.600 Nm (42%)` for each joint."""
+    parts, limits = [], limits_of(flight, kind)
+    for j in joints:
+        size, limit = abs(without_load(flight)[row, j]), limits[row, j]
+        parts.append(f"{source.joints[j]} {size:.3f} of {limit:.3f} {source.unit(j)} ({size / limit:.0%})")
+    return ", ".join(parts)
+
+
+# --- Says in words what a fault is, what the signals were there, and what was known until then.
+
+
+def fault_causes(flight: Flight) -> list[str]:
+    """What each cause means."""
+    return [f"{name.capitalize()}: {MEANING.get(name, 'unknown')}." for name in flight["event"].causes]
+
+
+def fault_sample(flight: Flight, source: FlightSource) -> str:
+    """The joint's signals at the fault and at the sample before it."""
+    event, row = flight["event"], flight["event_row"]
+    if event.cause_joint < 0:
+        steps_ms = (flight["t_ns"][row] - flight["t_ns"][row - 1]) * 1e-6 if row else None
+        return f"The sample came {steps_ms:+.3f} ms after the one before it." if row else ""
+    text = f"{source.joints[event.cause_joint]} there: {signals(flight, row, event.cause_joint, source)}"
+    return text + (f"; one sample before: {signals(flight, row - 1, event.cause_joint, source)}." if row else ".")
+
+
+def signals(flight: Flight, row: int, joint: int, source: FlightSource) -> str:
+    """Position, velocity and torque of one joint."""
+    q, dq, tau = (flight[name][row, joint] for name in ("q", "dq", "tau"))
+    unit = short(source.torque_units[joint]) if source.torque_units else "Nm"
+    told = f"q = {readable(q, '.5f')} rad, dq = {readable(dq, '+.4f')} rad/s, tau = {readable(tau, '+.3f')}"
+    return f"{told} {unit}"
+
+
+def last_estimate(flight: Flight, source: FlightSource) -> str:
+    """The newest tau_ext up to the fault."""
+    known = np.flatnonzero(np.isfinite(flight["tau_ext"][: flight["event_row"] + 1]).all(axis=1))
+    if len(known) == 0:
+        return "There is no estimate of tau_ext up to the fault in this flight."
+    row = int(known[-1])
+    ms = (flight["t_ns"][flight["event_row"]] - flight["t_ns"][row]) * 1e-6
+    when = "At the fault" if row == flight["event_row"] else f"Last estimate, {ms:.1f} ms before"
+    return f"{when}: {loads(flight, row, source, range(len(source.joints)))}."
+
+
+# --- Whether what raised an alarm is a load: the flight's own samples behind the event, weighed.
+
+
+if TYPE_CHECKING:
+    from tauext.monitor.weighing import Seen
+
+SETTLED = 5.0
+"""Over K0: so long after the event r shows all of what came on at once, but for a hundredth."""
+ONE_ROW = 1.5
+"""Periods of the chain's rows: a longer step between two samples is a gap, behind which r begins anew."""
+
+
+def fits_load(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
+    """A sentence where the torques behind an alarm are those of a load; empty where they are not, or do not tell.
+
+    Weighed as `tauext load` weighs: a constant force that explains them better is no load. What the tracker had learned
+    until the event counts as known, what it learned since as part of the load.
+
+    Args:
+        kept: samples that the flight's recording holds, (samples,) bool.
+    """
+    if source.chain is None or event_kind(flight) == "fault":
+        return ""
+    if set(source.estimate_units or ("N m",)) != {"N m"}:  # a weight says nothing in another unit
+        return ""
+    from tauext.monitor.weighing import identify, load_frame
+
+    frame = load_frame(source.chain)
+    seen = behind_the_event(flight, kept, source)
+    try:
+        found = identify(source.chain, frame, [seen])
+    except RecordingError:
+        return ""  # too few samples
+    if found.verdict != "load" or not found.mass_seen or found.at_bound:
+        return ""
+    event_s = source.time_s(flight["event"].t_ns)
+    start_s = source.time_s(int(seen.recording.t_ns[0]))
+    first_s, last_s = (start_s + float(seen.time_s[row]) - event_s for row in (0, -1))
+    before = next(load for row, load in reversed(carried(flight)) if row <= flight["event_row"])
+    beside = f", beside the {before.mass:.3g} kg that it was told of" if before.mass > 0 else ""
+    return (
+        f"From {first_s:.2f} to {last_s:.2f} s after it the torques fit a load of {found.mass_kg:.2f} ± "
+        f"{found.mass_error_kg:.2f} kg at {frame.name}{beside}: if the arm picked something up, tell the monitor."
+    )
+
+
+def behind_the_event(flight: Flight, kept: np.ndarray, source: FlightSource) -> Seen:
+    """The healthy rows from the event on, once r has settled, without a change of what it was told to carry."""
+    from tauext.monitor.weighing import SIGMA_SHARE, Seen, stand_worth
+
+    assert source.chain is not None
+    chain, row = source.chain, flight["event_row"]
+    observer = chain.observer
+    recording = as_recording(flight, kept, "flight", source, {})
+    place = np.flatnonzero(kept)
+    t_ns = flight["t_ns"][kept]
+    slowest_per_s = min(observer.gain_per_s, observer.low_pass_per_s or observer.gain_per_s)
+    settled_ns = flight["event"].t_ns + SETTLED / slowest_per_s * 1e9
+    ends = [changed for changed, _ in carried(flight)[1:] if changed > row]
+    usable = (t_ns >= settled_ns) & (flight["health"][kept] == OK) & (place < min(ends, default=len(kept)))
+    gaps = np.flatnonzero(np.diff(t_ns) > ONE_ROW * observer.sample_period_ns * observer.network_stride)
+    if len(gaps):
+        usable[: gaps[-1] + 1] = False
+    samples = np.flatnonzero(usable)[:: observer.network_stride]
+    sigma = flight["sigma_nm"] if source.has_error_scale else SIGMA_SHARE * flight["limit_nm"]
+    learned = flight["drift"] - flight["drift"][row]
+    near = flight["near_stiction"][kept].astype(bool)
+    worth = stand_worth(near, np.diff(recording.time_s, prepend=0.0))
+    return Seen(
+        recording,
+        samples,
+        recording.time_s[samples],
+        (flight["tau_ext"] + learned)[kept][samples],
+        np.maximum(sigma[kept][samples], 1e-9),
+        worth[samples],
+        np.abs(recording.dq[samples]),
+    )
+
+
+# --- Says in words what a flight shows: what happened, when, on which joint, by how much over which limit, and before.
+
 
 MOST_HEALTHS = 5
 MOST_SAMPLES_TOLD = 10

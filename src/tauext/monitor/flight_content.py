@@ -10,8 +10,7 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import HEALTHS, Estimates
 from tauext.bundle.units import short
-from tauext.data.recording import RATE_TOLERANCE, Recording, TorqueTiming
-from tauext.data.stamps import fitted_period_ns
+from tauext.data.recording import RATE_TOLERANCE, Recording, TorqueTiming, fitted_period_ns
 from tauext.monitor.changes import ALARMS, COLLISION, FAULT
 
 Flight = dict[str, Any]

@@ -11,7 +11,7 @@ from typing import Any
 from tauext._core import Load, LoadSettings
 from tauext.data.description_file import refuse_unknown
 from tauext.errors import ConfigError
-from tauext.files.place import Place
+from tauext.files.places import Place
 from tauext.files.plain_file import read_text, toml_of
 
 KEYS = ("mass", "com", "inertia", "error")

@@ -11,7 +11,7 @@ import numpy as np
 from tauext._core import Load
 from tauext.data.description_file import refuse_unknown
 from tauext.errors import ConfigError
-from tauext.files.place import Place
+from tauext.files.places import Place
 from tauext.files.toml_file import number, read_toml
 from tauext.monitor.loads import EXPECTED_KEYS, Expected, expected_of_table, load_of_table, load_of_text
 from tauext.monitor.loads import KEYS as LOAD_KEYS

@@ -8,7 +8,7 @@ from typing import Any
 
 from tauext.data.description_file import refuse_unknown
 from tauext.errors import ConfigError
-from tauext.files.place import Place
+from tauext.files.places import Place
 from tauext.files.toml_file import number, read_toml
 from tauext.monitor.changes import TOUCHES
 from tauext.monitor.sink import EVENT_KINDS, EventKind

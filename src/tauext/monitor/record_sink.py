@@ -1,4 +1,4 @@
-"""Keeps what a live arm did as recordings: a day's free motion, to train with again."""
+"""Recordings and flights of a live arm, written while the loop goes on."""
 
 from __future__ import annotations
 
@@ -6,22 +6,26 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
 from tauext import _core
-from tauext.data.amperes import AMPERES
 from tauext.data.recording import Recording, TorqueTiming
 from tauext.data.recording_file import save_recording
-from tauext.data.servo import RAW_SIGNALS, servo_facts
+from tauext.data.servo import AMPERES, RAW_SIGNALS, servo_facts
 from tauext.errors import ConfigError
 from tauext.files.provenance import VERSION
 from tauext.files.room import expect_folder
 from tauext.monitor.changes import NONE, OK
+from tauext.monitor.flight_content import Flight
+from tauext.monitor.flight_files import FlightNews, FlightSource, FlightWriter, write_flight
 from tauext.monitor.sink import Control, LoopReport, Verdict
+
+# --- Keeps what a live arm did as recordings: a day's free motion, to train with again.
+
 
 MOST_WAITING = 4
 """Segments in memory before the disk; then new ones are lost, and counted."""
@@ -194,3 +198,55 @@ class RecordSink:
 def file_name(text: str) -> str:
     """The text as part of a file's name: letters, digits, dots and dashes."""
     return "".join(c if c.isalnum() or c in ".-" else "-" for c in text).strip("-.") or "live"
+
+
+# --- Flights of a live arm: written by a thread while the loop goes on.
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What a flight's files say of where it comes from, as a recording would."""
+
+    name: str
+    joints: tuple[str, ...]
+    t_ns: np.ndarray
+    rate_hz: float
+    torque_timing: TorqueTiming
+    robot_sha256: str = ""
+
+
+class FlightSink:
+    """Writes the flights of a recorder that the loop fills."""
+
+    def __init__(self, folder: Path, bundle: _core.Bundle, recorder: _core.FlightRecorder, source: str):
+        """folder: exists. source: its name, for the files'."""
+        self.recorder = recorder
+        self._folder, self._bundle, self._name = folder, bundle, file_name(source)
+        self._source: FlightSource | None = None
+        self._writer = FlightWriter(recorder, self._write)
+
+    def open(self, joints: tuple[str, ...], control: Control) -> None:
+        self._joints = joints
+        self._writer.__enter__()
+
+    def verdict(self, verdict: Verdict) -> None:
+        if self._source is None:
+            timing = cast(TorqueTiming, self._bundle.observer.timing.name)
+            rate_hz = 1e9 / self._bundle.observer.sample_period_ns
+            first = Origin(self._name, self._joints, np.array([verdict.t_ns]), rate_hz, timing)
+            self._source = replace(FlightSource.of(self._bundle, first), command="tauext monitor")
+
+    def every_second(self, report: LoopReport) -> None:
+        pass
+
+    def close(self) -> None:
+        """Everything is on disk, or told as lost."""
+        self._writer.__exit__(None, None, None)
+
+    def news(self) -> list[FlightNews]:
+        """What became of flights since the last call."""
+        return self._writer.news()
+
+    def _write(self, flight: Flight) -> Path:
+        assert self._source is not None  # a flight comes after a verdict
+        return write_flight(flight, self._folder, self._source)

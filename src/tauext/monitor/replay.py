@@ -1,20 +1,62 @@
-"""Sends samples through the core's monitor, a chunk at a time: no Python runs between two samples of a chunk."""
+"""The monitor on a recording: chunks, pace, collisions behind a latched alarm, tally, status."""
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 
 from tauext import _core
+from tauext.bundle.estimates import HEALTHS
 from tauext.bundle.units import not_in_newtons
-from tauext.monitor.changes import COLLISION, Change, ChangeFinder, LoadChange
+from tauext.monitor.changes import ALARMS, COLLISION, NONE, TOUCHES, AlarmChange, Change, ChangeFinder, LoadChange
+from tauext.monitor.explanation import KINDS, Unseen, unseen_of
 from tauext.monitor.loads import TimedLoad
-from tauext.monitor.pace import Pace
 from tauext.monitor.places import PlaceFinder
+
+# --- Lets the time of a recording pass as time on the wall does.
+
+
+class Pace:
+    """A sample is there once its time has come: the recording runs `speed` times as fast as it was recorded.
+
+    A replay that fell behind does not wait until it has caught up. Times that go backwards are not waited for.
+    """
+
+    def __init__(
+        self,
+        speed: float | None,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ):
+        """speed: None for as fast as it can. clock and sleep count in seconds."""
+        self.speed = speed
+        self._clock, self._sleep = clock, sleep
+        self._began: tuple[float, int] | None = None
+
+    def wait_until(self, t_ns: int) -> None:
+        """Return when the sample of this stamp has been recorded; the first call starts the time and waits for none."""
+        left_s = self.left_s(t_ns)
+        if left_s > 0:
+            self._sleep(left_s)
+
+    def left_s(self, t_ns: int) -> float:
+        """Until then, on the wall, [s]; 0 or negative where its time has come. The first call starts the time, too."""
+        if self.speed is None:
+            return 0.0
+        if self._began is None:
+            self._began = (self._clock(), t_ns)
+        clock_s, first_ns = self._began
+        return clock_s + (t_ns - first_ns) * 1e-9 / self.speed - self._clock()
+
+
+# --- Sends samples through the core's monitor, a chunk at a time: no Python runs between two samples of a chunk.
+
 
 CHUNK_S = 1.0
 PACED_CHUNK_S = 0.02
@@ -134,3 +176,206 @@ def chunk_rows(t_ns: np.ndarray, wait_ns: int | None, due_ns: int | None) -> int
     if due_ns is not None:
         rows = min([rows, *np.flatnonzero(t_ns >= due_ns)[:1].tolist()])
     return max(rows, 1)
+
+
+# --- Collisions that a latched alarm hides: held over a limit like any other, and raising nothing, since one stands.
+
+
+APART_S = 0.5
+"""Without a joint over its limit for so long, the next time is another collision: as false alarms are counted."""
+
+
+@dataclass(frozen=True)
+class HiddenCollision:
+    """One that raised no alarm."""
+
+    t_ns: int
+    joint: int
+    """The one that is furthest over its limit."""
+
+
+class HiddenFinder:
+    """Finds them chunk after chunk of one recording."""
+
+    def __init__(self) -> None:
+        self._held_ns: int | None = None
+        self._stands = False
+
+    def find(self, chunk: Chunk) -> list[HiddenCollision]:
+        """Those that begin in this chunk, in order."""
+        t_ns, said = chunk.t_ns, chunk.said
+        at = np.flatnonzero(said["held_alarm"] == COLLISION)
+        stood = np.append(self._stands, said["alarm"][:-1] == COLLISION)
+        self._stands = bool(said["alarm"][-1] == COLLISION)
+        if len(at) == 0:
+            return []
+        before = np.append(t_ns[at[0]] if self._held_ns is None else self._held_ns, t_ns[at[:-1]])
+        apart = t_ns[at] - before > round(APART_S * 1e9)
+        self._held_ns = int(t_ns[at[-1]])
+        raised = {one.t_ns for one in chunk.changes if isinstance(one, AlarmChange) and one.alarm == COLLISION}
+        return [
+            HiddenCollision(
+                int(t_ns[k]), int(np.nanargmax(np.abs(said["tau_ext"][k] - said["load_nm"][k]) / said["limit_nm"][k]))
+            )
+            for k in at[apart & stood[at]].tolist()
+            if int(t_ns[k]) not in raised
+        ]
+
+
+# --- What a replay comes to: counts, shares and worst margins.
+
+
+@dataclass
+class Tally:
+    """Sums over chunks of one recording or, merged, of several."""
+
+    joints: tuple[str, ...]
+    sample_period_ns: int
+    units: tuple[str, ...] = ()
+    """Of the answers, a joint; empty: N m."""
+    samples: int = 0
+    bridged_ticks: int = 0
+    restarts: int = 0
+    core_s: float = 0.0
+    acknowledged: int = 0
+    hidden: int = 0
+    """Collisions that raised no alarm, since one stood."""
+    health: np.ndarray = field(default_factory=lambda: np.zeros(len(HEALTHS), dtype=np.int64))
+    """Samples of each health."""
+    unfamiliar: Counter[Unseen] = field(default_factory=Counter)
+    """Samples whose motion training never saw, by what of it."""
+    alarms: np.ndarray = field(init=False)
+    """Times that a joint raised the alarm to a level, (levels, joints)."""
+    worst_margin_nm: np.ndarray = field(init=False)
+    """Smallest margin of each joint where there is one; negative: over the limit; infinite: there was none."""
+
+    def __post_init__(self) -> None:
+        self._finder = HiddenFinder()
+        self.units = self.units or ("N m",) * len(self.joints)
+        self.alarms = np.zeros((len(ALARMS), len(self.joints)), dtype=np.int64)
+        self.worst_margin_nm = np.full(len(self.joints), np.inf)
+
+    def add(self, chunk: Chunk, monitor: _core.Monitor) -> None:
+        """Count one more chunk; the counters of the monitor are taken as they stand."""
+        self.samples += len(chunk.t_ns)
+        self.core_s += chunk.core_s
+        self.health += np.bincount(chunk.said["health"], minlength=len(HEALTHS))
+        self.worst_margin_nm = np.fmin(self.worst_margin_nm, np.fmin.reduce(chunk.said["margin_nm"], axis=0))
+        self.unfamiliar += unseen_of(chunk.said)
+        self.hidden += len(self._finder.find(chunk))
+        self.add_changes(chunk.changes)
+        self.bridged_ticks, self.restarts = monitor.bridged_ticks, monitor.restarts
+
+    def add_changes(self, changes: Iterable[Change]) -> None:
+        """Count alarms and acknowledgements alone."""
+        for change in changes:
+            if isinstance(change, AlarmChange):
+                self.acknowledged += change.acknowledged
+                if change.joint >= 0:
+                    self.alarms[change.alarm, change.joint] += 1
+
+    def merge(self, other: Tally) -> None:
+        """Add another recording's."""
+        for name in (
+            "samples",
+            "bridged_ticks",
+            "restarts",
+            "core_s",
+            "acknowledged",
+            "hidden",
+            "health",
+            "alarms",
+            "unfamiliar",
+        ):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        self.worst_margin_nm = np.fmin(self.worst_margin_nm, other.worst_margin_nm)
+
+    @property
+    def unfamiliar_share(self) -> float:
+        """Of the samples."""
+        return self.unfamiliar.total() / self.samples if self.samples else 0.0
+
+    @property
+    def hours(self) -> float:
+        return self.samples * self.sample_period_ns * 1e-9 / 3600
+
+    def summary(self) -> dict:
+        """Plain content for JSON; null where a number does not exist."""
+        shares = self.health / self.samples if self.samples else np.zeros(len(HEALTHS))
+        worst = [float(margin) if np.isfinite(margin) else None for margin in self.worst_margin_nm]
+        return {
+            "samples": self.samples,
+            "hours": self.hours,
+            "health_share": dict(zip(HEALTHS, shares.tolist(), strict=True)),
+            "alarms": {
+                level: dict(zip(self.joints, counts.tolist(), strict=True))
+                for level, counts in zip(ALARMS, self.alarms, strict=True)
+                if level != ALARMS[NONE]
+            },
+            "acknowledged": self.acknowledged,
+            "hidden_collisions": self.hidden,
+            "bridged_ticks": self.bridged_ticks,
+            "restarts": self.restarts,
+            "unfamiliar_share": self.unfamiliar_share,
+            "unfamiliar": [
+                {
+                    "what": KINDS[what],
+                    "joint": self.joints[joint],
+                    "other": self.joints[other] if other >= 0 else None,
+                    "share": count / self.samples,
+                }
+                for (what, joint, other), count in self.unfamiliar.most_common()
+            ],
+            "worst_margin_nm": dict(zip(self.joints, worst, strict=True)),
+            "us_per_sample": self.core_s / self.samples * 1e6 if self.samples else None,
+        }
+
+
+# --- Single samples of a replay, at a rate that a reader asks for.
+
+
+TORQUES = {
+    "residual_nm": "residual",
+    "uncertainty_nm": "uncertainty",
+    "tau_ext_nm": "tau_ext",
+    "sigma_nm": "sigma_nm",
+    "limit_nm": "limit_nm",
+    "contact_limit_nm": "contact_limit_nm",
+    "margin_nm": "margin_nm",
+}
+"""Names of lists over the joints, and of the monitor's arrays that hold them."""
+
+
+class StatusClock:
+    """Picks the first sample of every period, counted from a recording's first sample, whatever the chunks."""
+
+    def __init__(self, start_ns: int, period_ns: int):
+        self._start_ns, self._period_ns = start_ns, period_ns
+        self._last = -1
+
+    def rows(self, t_ns: np.ndarray) -> list[int]:
+        """Rows of a chunk with these stamps, (rows,), [ns]; call it for every chunk in order."""
+        periods = (t_ns - self._start_ns) // self._period_ns
+        rows = np.flatnonzero(periods > np.append(self._last, periods[:-1]))
+        self._last = int(periods[-1])
+        return rows.tolist()
+
+
+def status(chunk: Chunk, row: int) -> dict[str, Any]:
+    """What the monitor said of one sample of the chunk, as plain JSON; null where a number does not exist."""
+    said = chunk.said
+    return {
+        "health": HEALTHS[said["health"][row]],
+        "causes": _core.cause_names(int(said["causes"][row])),
+        "alarm": ALARMS[said["alarm"][row]],
+        "touch": TOUCHES[said["touch"][row]],
+        "detection": bool(said["detection"][row]),
+        **{name: [number(value) for value in said[key][row].tolist()] for name, key in TORQUES.items()},
+        "unfamiliar": float(said["unfamiliar"][row]),
+        "near_stiction": [bool(near) for near in said["near_stiction"][row]],
+    }
+
+
+def number(value: float) -> float | None:
+    """For JSON, which knows no NaN."""
+    return value if math.isfinite(value) else None

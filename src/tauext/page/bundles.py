@@ -1,4 +1,4 @@
-"""Bundles of the demo, one a method: trained on first use from a few minutes of practice, then kept in a cache."""
+"""Bundles of the simulated arms: trained on first use from a few minutes of motion, then kept in a cache."""
 
 from __future__ import annotations
 
@@ -13,15 +13,47 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from tauext.bundle.bundle_file import load_bundle
 from tauext.config import PAPER_CASES, AlarmConfig, ModelCase, PriorConfig, TrainConfig
+from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TauextError
-from tauext.files import caching
+from tauext.files import copies
 from tauext.files.provenance import VERSION
-from tauext.page.practice import practice_recording
 from tauext.progress import Show, Silent
 from tauext.robot.model_case import estimated_model
 from tauext.sim.arms import DemoArm
+from tauext.sim.collect import SETTLE_S
+from tauext.sim.rig import draw_motion, measure, roll_out
+
+# --- Free motion of a demo arm, as its instruments record it: what its bundles are trained on.
+
+
+def practice_recording(arm: DemoArm, seconds: float, seed: int, number: int) -> Recording:
+    """Recording `number` of the arm's free motion around its home; the same arguments give the same samples."""
+    moving, measuring = (np.random.default_rng(s) for s in np.random.SeedSequence(seed, spawn_key=(number,)).spawn(2))
+    settle, samples = round(SETTLE_S * arm.rate_hz), round(seconds * arm.rate_hz)
+    q_des, dq_des = draw_motion(arm.motion, len(arm.joints), samples + settle, arm.rate_hz, moving)
+    q_des += arm.home
+    controls = np.stack([q_des, dq_des], axis=2).reshape(len(q_des), -1)
+    truth = roll_out(arm, arm.model, q_des[0], controls).after(settle)
+    measured = measure(arm, truth, np.zeros_like(truth.q), measuring)
+    return Recording(
+        name=f"practice-{number:03d}",
+        joints=arm.joints,
+        t_ns=np.arange(samples, dtype=np.int64) * round(1e9 / arm.rate_hz),
+        **{signal: measured[signal] for signal in ("q", "dq", "tau")},
+        rate_hz=float(arm.rate_hz),
+        torque_timing="held",
+        source=arm.title,
+        robot_sha256=hashlib.sha256(arm.xml.encode()).hexdigest(),
+        provenance={"seed": seed, "number": number},
+    )
+
+
+# --- Bundles of the demo, one a method: trained on first use from a few minutes of practice, then kept in a cache.
+
 
 ERRORS = {"exact": "exact", "mass": "half the mass", "none": "no model at all"}
 """Model cases that the demo offers, and how the page calls them."""
@@ -68,7 +100,7 @@ LESSONS = {
 
 def cache_folder() -> Path:
     """Where bundles of demos are kept: $XDG_CACHE_HOME/tauext/demo, or ~/.cache/tauext/demo."""
-    return caching.cache_folder() / "demo"
+    return copies.cache_folder() / "demo"
 
 
 def bundle_folder(arm: DemoArm, error: str, lesson: Lesson, seed: int, cache: Path) -> Path:
@@ -130,9 +162,7 @@ def train_bundles(
 
 
 def _train(arm: DemoArm, case: ModelCase, lesson: Lesson, seed: int, out: Path, report: Report) -> None:
-    from tauext.train.stage import (
-        train_on_recordings,  # here: page and simulation start without what only training needs
-    )
+    from tauext.train.stage import train_on_recordings
 
     recordings = []
     for k in range(lesson.recordings):

@@ -1,4 +1,4 @@
-"""The arm in the browser: links to grab, arcs of torque at the joints, arrows of force, words where it is touched."""
+"""The arm in the browser: links, torque arcs, force arrows, and where it is touched."""
 
 from __future__ import annotations
 
@@ -9,11 +9,168 @@ import numpy as np
 import trimesh
 import viser
 
-from tauext.page.arrow import NEWTON_M, Arrow, Rod
-from tauext.page.hand import ball_radius_m
-from tauext.page.place_drawing import ESTIMATE, PlaceDrawing
-from tauext.page.snapshot import Snapshot, Touch
+from tauext.page.snapshot import SHOWN, Place, Placed, Snapshot, Touch, ball_radius_m
 from tauext.sim.arms import DemoArm
+
+# --- Arrows and rods whose shape never changes: they are moved, turned and stretched.
+
+
+SECTIONS = 24
+HEAD_RADII, HEAD_LENGTHS = 2.4, 5.0
+"""Of an arrow's head, in radii of its shaft."""
+NOTHING = 1e-4
+"""Scale of an arrow that is not shown, [m]. It stays in the scene all the same: a browser makes the program that draws
+a thing when it first draws it, and without a GPU that takes it half a second, in the middle of a push."""
+
+NEWTON_M = 0.004
+"""Length of an arrow for each newton, [m]."""
+
+
+class Rod:
+    """A round bar from one point to another."""
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        name: str,
+        color: tuple[int, int, int],
+        radius_m: float,
+        park_m: tuple,
+        opacity: float | None = None,
+    ):
+        """
+        Args:
+            park_m: where it waits while it is not shown, inside of something opaque.
+            opacity: of a faint one, 0 to 1.
+        """
+        self._opacity = opacity
+        self._radius, self._park, self._shown = radius_m, park_m, False
+        self._shaft = self._add(scene, f"{name}/shaft", trimesh.creation.cylinder(1.0, 1.0, SECTIONS), color)
+
+    def show(self, start: np.ndarray, end: np.ndarray) -> None:
+        """Reach from start to end, (3,) each."""
+        self._shown = True
+        self._reach(self._shaft, start, end, self._radius)
+
+    def hide(self) -> None:
+        if self._shown:
+            self._shown = False
+            for part in self._parts():
+                part.position, part.scale = self._park, NOTHING
+
+    def _parts(self) -> list[viser.MeshHandle]:
+        return [self._shaft]
+
+    def _add(self, scene: viser.SceneApi, name: str, mesh: trimesh.Trimesh, color: tuple) -> viser.MeshHandle:
+        """The mesh, of length 1 along z from the origin on."""
+        mesh.apply_translation([0.0, 0.0, -mesh.bounds[0, 2]])
+        return scene.add_mesh_simple(
+            name,
+            mesh.vertices,
+            mesh.faces,
+            color=color,
+            cast_shadow=False,
+            scale=NOTHING,
+            position=self._park,
+            opacity=self._opacity,
+        )
+
+    @staticmethod
+    def _reach(part: viser.MeshHandle, start: np.ndarray, end: np.ndarray, radius_m: float) -> None:
+        length = float(np.linalg.norm(end - start))
+        part.position, part.scale = start, (radius_m, radius_m, max(length, NOTHING))
+        part.wxyz = turn_from_z((end - start) / max(length, 1e-12))
+
+
+class Arrow(Rod):
+    """A rod with a head at its end; one shorter than its head shrinks as a whole."""
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        name: str,
+        color: tuple[int, int, int],
+        radius_m: float,
+        park_m: tuple,
+        opacity: float | None = None,
+    ):
+        super().__init__(scene, name, color, radius_m, park_m, opacity)
+        self._head = self._add(scene, f"{name}/head", trimesh.creation.cone(1.0, 1.0, SECTIONS), color)
+
+    def show(self, start: np.ndarray, end: np.ndarray) -> None:
+        self._shown = True
+        length = float(np.linalg.norm(end - start))
+        shrink = min(1.0, 0.5 * length / (HEAD_LENGTHS * self._radius))
+        neck = end - (end - start) * (shrink * HEAD_LENGTHS * self._radius / max(length, 1e-12))
+        self._reach(self._shaft, start, neck, shrink * self._radius)
+        self._reach(self._head, neck, end, shrink * HEAD_RADII * self._radius)
+
+    def _parts(self) -> list[viser.MeshHandle]:
+        return [self._shaft, self._head]
+
+
+def turn_from_z(direction: np.ndarray) -> np.ndarray:
+    """Quaternion w, x, y, z of the shortest turn from z to a unit vector (3,); the zero vector turns nothing."""
+    quaternion = np.array([1.0 + direction[2], -direction[1], direction[0], 0.0])
+    length = np.linalg.norm(quaternion)
+    return quaternion / length if length > 1e-6 else np.array([0.0, 1.0, 0.0, 0.0])
+
+
+# --- Arrows where a touch is taken to be: the most probable place, and fainter ones at its rivals.
+
+
+ESTIMATE = (10, 60, 200)
+OPACITY: tuple[float | None, ...] = (None, 0.4, 0.2)
+RADIUS_M = (0.009, 0.007, 0.007)
+ABOVE_M = 0.05
+"""Of the words over the arrow's end."""
+
+
+class PlaceDrawing:
+    """One arrow and one label a place; show() moves them."""
+
+    def __init__(self, scene: viser.SceneApi, joints: tuple[str, ...], park: tuple[float, float, float]):
+        self._joints = joints
+        self._arrows = [
+            Arrow(scene, f"/places/{k}", ESTIMATE, RADIUS_M[k], park, opacity=OPACITY[k]) for k in range(SHOWN)
+        ]
+        self._labels = [
+            scene.add_label(f"/places/words{k}", " ", anchor="bottom-center", font_screen_scale=scale, visible=False)
+            for k, scale in enumerate((1.1, 0.8, 0.8))
+        ]
+        self._words = [""] * SHOWN
+
+    def show(self, placed: Placed | None) -> None:
+        """Draw what explains the touch; None: nothing."""
+        places = placed.places if placed is not None else ()
+        for k, (arrow, label) in enumerate(zip(self._arrows, self._labels, strict=True)):
+            words = ""
+            if k < len(places):
+                start, end = span(places[k])
+                arrow.show(start, end)
+                words = said(places[k], self._joints, first=k == 0)
+                label.position = (start if places[k].pushes else end) + [0.0, 0.0, ABOVE_M]
+            else:
+                arrow.hide()
+            if words != self._words[k]:
+                label.text, label.visible, self._words[k] = words or " ", bool(words), words
+
+
+def span(place: Place) -> tuple[np.ndarray, np.ndarray]:
+    """Where its arrow begins and ends: a push's head is at the point, a pull's tail; no arrow hides in the link."""
+    way = NEWTON_M * place.force_n
+    return (place.point_m - way, place.point_m) if place.pushes else (place.point_m, place.point_m + way)
+
+
+def said(place: Place, joints: tuple[str, ...], first: bool) -> str:
+    """`joint4: 34 N`, of a rival `joint5 12%`."""
+    if not first:
+        return f"{joints[place.joint]} {place.probability:.0%}"
+    return f"{joints[place.joint]}: {float((place.force_n**2).sum()) ** 0.5:.0f} N"
+
+
+# --- The arm in the browser: links to grab, arcs of torque at the joints, arrows of force, words where it is touched.
+
 
 PART, DRUM = (196, 202, 211), (78, 88, 104)
 TOUCHED = {"contact": (245, 176, 30), "collision": (222, 44, 40)}

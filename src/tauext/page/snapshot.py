@@ -1,13 +1,261 @@
-"""What a viewer is told of a simulation: how things stand, and what happened since it last asked."""
+"""What a viewer shows of a simulation: estimates of every monitor, the weight in the hand, contact places."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from tauext.page.hand import Held
-from tauext.page.places import Placed
+from tauext import _core
+from tauext.errors import ConfigError
+from tauext.sim.arms import DemoArm
+from tauext.sim.plant import Sample
+
+SHOWN = 3
+"""Places that are drawn: the first, and two ghosts."""
+STAYS = 0.5
+"""Of the most probable link's probability: a link that was first stays first down to this, and no noise makes the arrow
+jump to and fro."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A force at a point that would explain the torques, in the base frame."""
+
+    joint: int
+    """That carries the link."""
+    probability: float
+    point_m: np.ndarray
+    force_n: np.ndarray
+    pushes: bool
+    """Into the surface; else it pulls."""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """What explains the torques of one sample."""
+
+    links: tuple[tuple[int, float], ...]
+    """Joint that carries the link, and its probability: that of the first place, then the most probable first."""
+    places: tuple[Place, ...]
+    """The best one on the first link, then those that rival it, the most probable first."""
+
+    @property
+    def newtons(self) -> float:
+        """Size of the force at the first place."""
+        return float(np.linalg.norm(self.places[0].force_n))
+
+
+class Places:
+    """Of one method; a bundle without a model of the arm or without a standard error tells none."""
+
+    def __init__(self, bundle: _core.Bundle):
+        self._model = _core.PlaceModel(bundle)
+        self._frames = _core.WrenchModel(bundle)
+        self._names = [link.joint_name for link in bundle.links]
+        self.refused = self._model.refused
+        """Why it tells none; empty: it does."""
+        self._first = -1
+
+    def find(self, q: np.ndarray, said: _core.Estimate) -> Placed | None:
+        """Places of this sample; None where no joint is over a limit, so that nothing would be placed but errors."""
+        if self.refused:
+            return None
+        if said.held_alarm == _core.Alarm.none:
+            self._first = -1
+            return None
+        left = np.subtract(said.tau_ext, said.load_nm)
+        found = self._model.find(list(q), left.tolist(), list(said.sigma_nm), list(said.contact_sigma_nm))
+        places = found.places
+        if not places:
+            return None
+        most = found.ranked[0]
+        stays = self._first >= 0 and found.probability[self._first] >= STAYS * found.probability[most]
+        if not stays or all(one.link != self._first for one in places):
+            self._first = most
+        links = tuple(
+            (link, found.probability[link]) for link in put_first(found.ranked, found.ranked.index(self._first))
+        )
+        best = next((k for k, one in enumerate(places) if one.link == self._first), 0)
+        ordered = put_first(places, best)
+        return Placed(links, tuple(self._place(q, one) for one in ordered[:SHOWN]))
+
+    def _place(self, q: np.ndarray, found: _core.TouchPlace) -> Place:
+        turn, _ = self._frames.pose(self._names[found.link], list(q))
+        outwards = turn @ outward(np.array(found.on_link), [c for c in self._model.capsules if c.link == found.link])
+        force = np.array(found.force)
+        return Place(found.link, found.probability, np.array(found.point), force, bool(force @ outwards <= 0))
+
+
+def put_first(all_of: list, index: int) -> list:
+    return [all_of[index], *all_of[:index], *all_of[index + 1 :]]
+
+
+def outward(point_m: np.ndarray, capsules: list[_core.Capsule]) -> np.ndarray:
+    """From the axis of the capsule on whose surface a point lies to the point; all in the link's frame."""
+    best, least = np.zeros(3), np.inf
+    for one in capsules:
+        start, way = np.array(one.start), np.subtract(one.end, one.start)
+        share = np.clip((point_m - start) @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
+        off = point_m - start - share * way
+        if (distance := abs(float(np.linalg.norm(off)) - one.radius_m)) < least:
+            best, least = off, distance
+    return best
+
+
+def place_words(placed: Placed, joints: tuple[str, ...]) -> str:
+    """`On the link of joint4 (83%; joint5 12%): 34 N.`"""
+    (first, probability), *others = placed.links
+    rivals = "".join(f"; {joints[link]} {share:.0%}" for link, share in others[:2] if share >= 0.05)
+    return f"On the link of {joints[first]} ({probability:.0%}{rivals}): {placed.newtons:.0f} N."
+
+
+# --- The monitors of a demo: one a method, all fed with the same samples.
+
+
+class Watch:
+    """tauext._core.Monitor of every method."""
+
+    def __init__(self, bundles: Mapping[str, _core.Bundle], sensitivity: float = 1.0):
+        """
+        Args:
+            bundles: by the name of their method, not empty.
+            sensitivity: as set_sensitivity() takes it.
+        """
+        self.monitors = {name: _core.Monitor(bundle) for name, bundle in bundles.items()}
+        self._places = {name: Places(bundle) for name, bundle in bundles.items()}
+        self.blind_to_stiction = [name for name, bundle in bundles.items() if not bundle.prior.terms]
+        """Methods without a prior: what a push left in a joint's static friction raises no limit of theirs."""
+        self.set_sensitivity(sensitivity)
+
+    @property
+    def methods(self) -> list[str]:
+        return list(self.monitors)
+
+    def set_sensitivity(self, sensitivity: float) -> None:
+        """Divide the trained limits by this, from the next sample on; 0.1 to 10, the bounds of the monitor's factors.
+
+        Raises:
+            ConfigError: outside of them.
+        """
+        if not 0.1 <= sensitivity <= 10:
+            raise ConfigError(f"sensitivity = {sensitivity} must be 0.1 to 10")
+        for monitor in self.monitors.values():
+            factors = np.full(monitor.joints, 1.0 / sensitivity)
+            monitor.set_limit_factors(factors, factors)
+
+    def resume(self) -> None:
+        """End every method's latched collision; the arm moves on and nothing touches it."""
+        for monitor in self.monitors.values():
+            monitor.resume()
+
+    def acknowledge(self, method: str) -> None:
+        """End the latched collision of a method."""
+        self.monitors[method].acknowledge()
+
+    def step(self, sample: Sample) -> dict[str, _core.Estimate]:
+        """What every method says of a sample."""
+        signals = (sample.t_ns, sample.q, sample.dq, sample.tau)
+        return {name: monitor.step(*signals) for name, monitor in self.monitors.items()}
+
+    def place(self, method: str, q: np.ndarray, said: _core.Estimate) -> Placed | None:
+        """Where a method takes the touch of its alarm to be, from what it said of a sample."""
+        return self._places[method].find(q, said)
+
+    def places_refused(self, method: str) -> str:
+        """Why a method tells no place; empty: it does."""
+        return self._places[method].refused
+
+
+# --- A weight in the arm's hand: what it is, since when it is there, and which monitors were told of it.
+
+
+STEEL_KG_M3 = 7850.0
+LEAST_KG, MOST_KG = 1.0, 3.0
+"""Of the weights on offer: less shows on the last joints alone, more is no load for an arm of this size."""
+
+
+def ball_radius_m(mass_kg: float) -> float:
+    """Of a steel ball."""
+    return float(np.cbrt(3 * mass_kg / (4 * np.pi * STEEL_KG_M3)))
+
+
+def ball(arm: DemoArm, mass_kg: float) -> _core.Load:
+    """A steel ball in the hand, in the frame of the last link.
+
+    It lies on the last joint's axis and is round: so it is the same for a bundle without a model, whose last link has
+    another x axis.
+
+    Raises:
+        ConfigError: the arm has no hand, or the mass is none of those on offer.
+    """
+    if arm.hand_m is None:
+        raise ConfigError(f"arm {arm.name} has no hand; another one has")
+    if not LEAST_KG <= mass_kg <= MOST_KG:
+        raise ConfigError(f"mass_kg = {mass_kg:g} must be {LEAST_KG:g} to {MOST_KG:g}")
+    about_centre = 0.4 * mass_kg * ball_radius_m(mass_kg) ** 2
+    return _core.Load(mass_kg, [0.0, 0.0, arm.hand_m], [about_centre] * 3 + [0.0] * 3)
+
+
+@dataclass(frozen=True)
+class Held:
+    """What a viewer is told of the weight in the hand."""
+
+    mass_kg: float
+    since_s: float
+    knows: bool
+    """The method shown was told of it."""
+    refused: str
+    """Why the method shown refused to be told; empty: it did not."""
+
+
+class Hand:
+    """The weight in the hand, and who knows of it; the arm's physics are changed by whoever calls take()."""
+
+    def __init__(self) -> None:
+        self.load: _core.Load | None = None
+        self.since_ns = -1
+        self.told = False
+        self._refused: dict[str, str] = {}
+
+    def take(self, load: _core.Load | None, last_ns: int) -> None:
+        """Hold this from the sample after this time on; None: nothing."""
+        self.load, self.since_ns = load, last_ns
+
+    def tell(self, told: bool, watch: Watch | None, afterwards: bool = False) -> None:
+        """Tell every monitor what is held, or that nothing is; those that refuse go on without.
+
+        Args:
+            told: False: they believe that the hand is empty.
+            afterwards: as if they had been told when it was taken, where a monitor can go back.
+        """
+        self.told, self._refused = told, {}
+        if watch is None:
+            return
+        for method, monitor in watch.monitors.items():
+            load = self.load if told else None
+            if load is None:
+                if monitor.load.mass > 0:  # a monitor that refuses loads refuses this, too
+                    monitor.clear_load()
+            elif reason := monitor.why_no_load(load):
+                self._refused[method] = reason
+            else:
+                since_ns = self.since_ns if afterwards and not monitor.why_no_load(load, self.since_ns) else None
+                monitor.set_load(load.mass, load.com, load.inertia, since_ns=since_ns)
+
+    def knows(self, method: str) -> bool:
+        """Whether a method takes the arm for what it is: nothing is held, or it was told what."""
+        return self.load is None or (self.told and method not in self._refused)
+
+    def held(self, method: str) -> Held | None:
+        """For a viewer of this method; None: nothing."""
+        if self.load is None:
+            return None
+        return Held(self.load.mass, 1e-9 * self.since_ns, self.knows(method), self._refused.get(method, ""))
+
+
+# --- What a viewer is told of a simulation: how things stand, and what happened since it last asked.
 
 
 @dataclass(frozen=True)

@@ -1,26 +1,284 @@
-"""The page: what was done, headline numbers, tables and figures, in one HTML file that asks no host for anything."""
+"""The page of a report: summary, numbers, figures and traces."""
 
 from __future__ import annotations
 
 import base64
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+import matplotlib
 from jinja2 import Environment, StrictUndefined
 
-from tauext.report import paper, tables
-from tauext.report.error_against_sigma import sigma_table
-from tauext.report.events import events_table
-from tauext.report.first_screen import first_screen, shown_bundle
-from tauext.report.injected import ASSUMED
-from tauext.report.injected_figure import injected_table
-from tauext.report.methods_table import method_errors, methods
-from tauext.report.noticed import surely
-from tauext.report.noticed_force import CLOSING, noticed_table
-from tauext.report.results import EvaluatedBundle, Numbers, Results
-from tauext.report.style import bundle_colours
-from tauext.report.touches import kinds_table, links_table, links_worth, told_table
-from tauext.report.traces import NO_TRACES, PageTraces
+from tauext.check.look import WORTH_A_WARNING
+from tauext.errors import ConfigError
+from tauext.files.places import Place
+from tauext.files.room import expect_folder
+from tauext.files.whole_file import whole_folder
+from tauext.report import results as paper
+from tauext.report import tables
+from tauext.report.collision_figures import (
+    draw_after_contact,
+    draw_collisions,
+    draw_found_curve,
+    draw_missed_curve,
+    draw_strength,
+)
+from tauext.report.entry import events_table, kinds_table, links_table, links_worth, told_table
+from tauext.report.error_figures import (
+    draw_error_against_sigma,
+    draw_error_over_speed,
+    draw_free_motion,
+    draw_learning_curves,
+    draw_training_loss,
+    sigma_table,
+)
+from tauext.report.force_figures import CLOSING, draw_injected, draw_noticed_force, injected_table, noticed_table
+from tauext.report.results import ASSUMED, EvaluatedBundle, Numbers, Results, surely
+from tauext.report.results_file import expect_same_dataset, load_results
+from tauext.report.signals import NotAvailable, Signals
+from tauext.report.style import RC, Drawing, bundle_colours, save_png
+from tauext.report.tables import method_errors, methods, milliseconds, number
+from tauext.report.three_collisions import draw_three_collisions
+from tauext.report.traces import NO_TRACES, PAGE_MB, PageTraces, chosen_bundles, or_reason, results_traces
+
+# --- What matters first, in plain words: what was tested, what one method found, what it cannot see, what to do next.
+
+
+MOST_FALSE_PER_HOUR = 1.0
+"""At so many false alarms methods are compared by what they miss."""
+NO_ALARMS_BELOW = 3.0
+"""Without one false alarm in T hours the rate is below 3/T with 95 %: exp(-3) = 0.05."""
+RELIABLE = 0.9
+"""Share of collisions of one strength that raise an alarm, from which on they count as seen."""
+FEW_HOURS = 1.0
+"""Fewer of test motion say little about an hour."""
+MOST_JOINTS = 8
+"""Whose limits are named one by one."""
+CONTACT_KINDS = {"pads": "by padded bodies", "pulses": "by force pulses"}
+
+
+@dataclass(frozen=True)
+class Glance:
+    """A number and what it means."""
+
+    value: str
+    means: str
+
+
+@dataclass(frozen=True)
+class Step:
+    """What to do, and by which command; empty: by none."""
+
+    words: str
+    command: str = ""
+
+
+@dataclass(frozen=True)
+class FirstScreen:
+    """Its parts in their order on the page."""
+
+    tested: str
+    method: str
+    """Of which the numbers are; by its label."""
+    why: str
+    """It is shown."""
+    glances: tuple[Glance, ...]
+    unseen: tuple[str, ...]
+    steps: tuple[Step, ...]
+
+
+def first_screen(results: Results) -> FirstScreen:
+    """Of the method that misses least."""
+    bundle = shown_bundle(results)
+    several = len(results.bundles) > 1
+    return FirstScreen(
+        tested=tested(results, bundle),
+        method=bundle.label,
+        why=f"of {len(results.bundles)} that were compared it misses least; the others stand below" if several else "",
+        glances=(found(bundle), false_alarms(bundle), delay(bundle), limits(results, bundle)),
+        unseen=tuple(unseen(results, bundle)),
+        steps=tuple(steps(results, bundle)),
+    )
+
+
+def shown_bundle(results: Results) -> EvaluatedBundle:
+    """The one that misses fewest collisions at limits scaled to at most one false alarm an hour, and errs least."""
+
+    def rank(bundle: EvaluatedBundle) -> tuple[float, int, float]:
+        points = bundle.measured.missed_curve
+        missed = [p.missed for p in points if p.false_per_hour is not None and p.false_per_hour <= MOST_FALSE_PER_HOUR]
+        latched = bundle.measured.latched
+        errors = [error for error in bundle.l1_nm if error is not None]
+        return min(missed, default=math.inf), -(latched.latched if latched else 0), sum(errors)
+
+    return min(results.bundles, key=rank)
+
+
+def tested(results: Results, bundle: EvaluatedBundle) -> str:
+    """One sentence."""
+    motion = f"{span(bundle.hours)} of motion in which nothing touched the arm" if bundle.hours else "no free motion"
+    kinds = Counter(collision.kind for collision in results.collisions.values())
+    told = [f"{count} {CONTACT_KINDS[kind]}" for kind, count in sorted(kinds.items()) if kind in CONTACT_KINDS]
+    known = f" ({', '.join(told)})" if sum(kinds[kind] for kind in CONTACT_KINDS) == kinds.total() and told else ""
+    touches = f"{plural(kinds.total(), 'collision')}{known}" if kinds else "no collision"
+    return f"Tested on {motion}, and on {touches}; training saw none of it.{rejected_words(bundle)}"
+
+
+def rejected_words(bundle: EvaluatedBundle) -> str:
+    """A sentence about the time in which nothing could be detected; empty where it is next to nothing."""
+    if not bundle.rejected_share or bundle.rejected_share <= WORTH_A_WARNING:
+        return ""
+    causes = f" ({', '.join(bundle.rejected_causes)})" if bundle.rejected_causes else ""
+    return (
+        f" The monitor was not healthy for {bundle.rejected_share:.0%} of the time{causes}; nothing is detected then."
+    )
+
+
+def found(bundle: EvaluatedBundle) -> Glance:
+    latched = bundle.measured.latched
+    if latched is None or not latched.collisions:
+        return Glance("–", "no collisions were tried, so nobody knows how many are found")
+    strong = f"; of the {latched.strong} strong ones, which every method must find, {latched.strong_latched}"
+    if latched.unhealthy:
+        why = f"; {latched.unhealthy} came while the monitor was not healthy, and nothing is detected"
+    else:
+        why = "" if latched.latched else "; none pushed a joint over its limit for as long as an alarm takes"
+    return Glance(
+        f"{latched.latched} of {latched.collisions}",
+        "collisions of every strength raised an alarm" + (strong if latched.strong else "") + why,
+    )
+
+
+def false_alarms(bundle: EvaluatedBundle) -> Glance:
+    false = bundle.measured.false_collisions
+    if false.count is None or not bundle.hours:
+        return Glance("–", "false alarms: no free motion was tested")
+    if false.count == 0:
+        rate = f"fewer than {plain(NO_ALARMS_BELOW / bundle.hours)} an hour, as far as so short a test can tell"
+        return Glance(f"0 in {span(bundle.hours)}", f"false alarms while nothing touched the arm: {rate}")
+    rate = f"{plain(false.count / bundle.hours)} an hour"
+    if false.low is not None and false.high is not None:
+        rate += f" (the truth lies between {plain(false.low)} and {plain(false.high)}, 95 %)"
+    return Glance(f"{false.count:,} in {span(bundle.hours)}", f"false alarms while nothing touched the arm: {rate}")
+
+
+def delay(bundle: EvaluatedBundle) -> Glance:
+    latched = bundle.measured.latched
+    if latched is None or latched.onset_median_s is None:
+        return Glance("–", "delay from the touch to the alarm: not available")
+    most = f"; 95 % within {milliseconds(latched.onset_p95_s)} ms" if latched.onset_p95_s is not None else ""
+    return Glance(
+        f"{milliseconds(latched.onset_median_s)} ms",
+        f"from the first touch to the alarm, for half of them{most} (soft touches take long to grow)",
+    )
+
+
+def limits(results: Results, bundle: EvaluatedBundle) -> Glance:
+    words = "push on a joint that raises an alarm while it moves" + (
+        " in the usual way; the limit follows the motion" if bundle.limits_move else ""
+    )
+    near = joint_list(results, bundle.limit_near_stiction_nm)
+    at_rest = f"; at rest or creeping: {near}" if near else ""
+    return Glance(joint_list(results, bundle.limit_sliding_nm) or "–", f"{words}{at_rest}")
+
+
+def unseen(results: Results, bundle: EvaluatedBundle) -> list[str]:
+    """What it does not see, with what the test showed of it."""
+    lines = ["Touches that push every joint by less than its limit." + weak_words(results, bundle)]
+    lines.append(
+        "Forces that turn no joint: along a link towards the base, or through a joint's axis. Encoders and motors do "
+        "not feel them."
+    )
+    lines.append(
+        "A load that training did not have: a new tool or workpiece looks like a touch that stays, until the monitor "
+        "is told of it or the arm is trained with it."
+    )
+    lines.append("The first second after a start, while the filters fill.")
+    return lines
+
+
+def weak_words(results: Results, bundle: EvaluatedBundle) -> str:
+    """Of the collisions below the strength from which on they are seen."""
+    bins = [one for one in bundle.measured.by_strength if one.collisions]
+    dim = [k for k, one in enumerate(bins) if one.latched < RELIABLE * one.collisions]
+    if not dim or bins[dim[-1]].high_nm is None:
+        return ""
+    below = bins[: dim[-1] + 1]
+    missed = sum(one.collisions - one.latched for one in below)
+    total = sum(one.collisions for one in below)
+    return f" Of {plural(total, 'collision')} below {below[-1].high_nm:g} Nm it missed {missed}."
+
+
+def steps(results: Results, bundle: EvaluatedBundle) -> list[Step]:
+    """What to do next."""
+    false, lines = bundle.measured.false_collisions, list[Step]()
+    if rejected_words(bundle):
+        words = "Find out why the monitor rejects so much, record or import anew, and evaluate again:"
+        lines.append(Step(words, "tauext check"))
+    if false.promised is None:
+        words = (
+            "The limits promise nothing about false alarms. Record an hour or more of the arm's own work with nothing "
+        )
+        lines.append(Step(f"{words}touching it, and set them for a rate that you can bear:", "tauext calibrate"))
+    elif false.kept is False:
+        words = (
+            f"At most {plain(false.promised)} false alarms an hour were promised, and the test had more. Find out what "
+        )
+        lines.append(
+            Step(f"{words}differs (load, speed, temperature), record it, and set limits anew:", "tauext calibrate")
+        )
+    if bundle.hours is not None and bundle.hours < FEW_HOURS:
+        rate = plain(NO_ALARMS_BELOW / bundle.hours)
+        words = f"{span(bundle.hours)} of test motion can show no rate below {rate} an hour: record more before you "
+        lines.append(Step(f"{words}trust it."))
+    if not results.collisions:
+        lines.append(Step("Touch the arm while it is recorded, and mark when: else nobody knows what is found."))
+    else:
+        lines.append(Step("Look at what was missed: every collision has its row below, and the traces show it."))
+    command = f"tauext run {bundle.name}.tauext RECORDING.parquet --acknowledge-after-s 1"
+    lines.append(Step("Watch it on a recording:", command))
+    lines.append(Step("Keep the arm's own safety functions: this is none."))
+    return lines
+
+
+def joint_list(results: Results, values: Numbers) -> str:
+    """`joint1 1.3, joint2 0.5 Nm`; of many joints their range; empty where no number exists."""
+    known = [(name, k) for k, name in enumerate(results.joints) if values[k] is not None]
+    if not known:
+        return ""
+    if len(known) > MOST_JOINTS:
+        several = [value for value in values if value is not None]
+        return f"{number(min(several), 1)} to {number(max(several), 1)} {results.unit}"
+    apart = "\N{NO-BREAK SPACE}"  # of a number and its name or unit
+    return ", ".join(f"{name}{apart}{number(values[k], 1)}" for name, k in known) + f"{apart}{results.unit}"
+
+
+def span(hours: float | None) -> str:
+    """A time in words: 6 seconds, 6 minutes, 10.2 hours."""
+    if hours is None:
+        return "an unknown time"
+    if hours < 1 / 60:
+        return plural(round(3600 * hours), "second")
+    if hours < 1:
+        return plural(max(round(60 * hours), 1), "minute")
+    return f"{hours:.1f} hours"
+
+
+def plain(value: float) -> str:
+    """Two digits, without an exponent."""
+    return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
+
+
+def plural(count: int, word: str) -> str:
+    return f"{count:,} {word}{'' if count == 1 else 's'}"
+
+
+# --- The page: what was done, headline numbers, tables and figures, in one HTML file that asks no host for anything.
+
 
 TEMPLATE = Path(__file__).with_name("page.html.j2")
 PIXELS_PER_INCH = 100
@@ -185,3 +443,88 @@ def short_list(values: Numbers, unit: str = "Nm") -> str:
     if len(values) <= 3:
         return " / ".join(tables.number(value, 2) for value in values) + f" {unit}"
     return f"{min(known):.2f} to {max(known):.2f} {unit}"
+
+
+# --- Draws every figure and writes the page.
+
+
+LARGEST_PAGE_MB = 1000.0
+"""No browser opens a larger one."""
+
+
+def write_report(
+    results_dir: Path, dataset_dir: Place, out_dir: Path, page_mb: float = PAGE_MB, trace_methods: Sequence[str] = ()
+) -> Path:
+    """Write `figures/*.png` and `report.html`, one page that needs no other file; returns its path.
+
+    What is missing (a bundle, a recording, estimates, a number) is said on the page where it would stand.
+
+    Args:
+        results_dir: what `tauext evaluate` wrote.
+        dataset_dir: the dataset that was evaluated.
+        page_mb: size that interactive traces fill the page up to, [MB]; where figures and tables leave no room there
+            are none.
+        trace_methods: bundles whose traces stand in the page; none: the five best.
+
+    Raises:
+        ConfigError: results.json is missing or damaged, or of another dataset; out_dir cannot be written, page_mb < 0,
+            or there is no such bundle.
+        RecordingError: a recording or an estimates file is damaged, or they do not belong together.
+    """
+    check_page_mb(page_mb)
+    expect_folder(out_dir)
+    results = load_results(results_dir)
+    expect_same_dataset(results, results_dir, dataset_dir)
+    chosen_bundles(results, trace_methods)
+    signals = Signals(dataset_dir, results_dir, results.joints)
+    # Those of recordings first: what does not belong together is refused soon.
+    draw: dict[str, Callable[[], Drawing]] = {
+        "figure-5-free-motion": partial(draw_free_motion, results, signals),
+        "figure-6-error-over-speed": partial(draw_error_over_speed, results, signals),
+        "figure-7-collisions": partial(draw_collisions, results, signals),
+        "figure-8-three-collisions": partial(draw_three_collisions, results, signals),
+        "missed-curve": partial(draw_missed_curve, results),
+        "strength": partial(draw_strength, results),
+        "after-contact": partial(draw_after_contact, results),
+        "learning-curves": partial(draw_learning_curves, results),
+        "training-loss": partial(draw_training_loss, results),
+        "error-against-sigma": partial(draw_error_against_sigma, results),
+        "found-curve": partial(draw_found_curve, results),
+        "noticed-force": lambda: draw_noticed_force(shown_bundle(results).measured.noticed),
+        "injected": lambda: draw_injected(results.bundles, shown_bundle(results)),
+    }
+    page = out_dir / "report.html"
+    try:
+        with whole_folder(out_dir) as part:
+            figures = {name: make_figure(one, part / "figures" / f"{name}.png") for name, one in draw.items()}
+            linked = PageTraces("", tuple(collision.recording for collision in results.collisions.values()))
+            room = page_mb * 1e6 - len(render_page(results, figures, linked).encode())
+            traces = or_reason(partial(results_traces, results, signals, room, trace_methods))
+            (part / page.name).write_bytes(render_page(results, figures, traces).encode())
+        for name, figure in figures.items():
+            if figure.png is None:
+                (out_dir / "figures" / f"{name}.png").unlink(missing_ok=True)  # of results that had it
+    except OSError as error:
+        raise ConfigError(f"{out_dir}: the report cannot be written ({error.strerror or error})") from error
+    return page
+
+
+def check_page_mb(page_mb: float) -> None:
+    if not 0 <= page_mb <= LARGEST_PAGE_MB:
+        raise ConfigError(f"page_mb = {page_mb:g} must be a number of megabytes, 0 to {LARGEST_PAGE_MB:g}")
+
+
+def make_figure(draw: Callable[[], Drawing], path: Path) -> PageFigure:
+    """Draw and save one figure; where it cannot be drawn, the reason in its place."""
+    title = path.stem.replace("-", " ").capitalize()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with matplotlib.rc_context(RC):
+        try:
+            drawing = draw()
+            save_png(drawing.figure, path)
+        except NotAvailable as reason:
+            return PageFigure(png=None, caption=f"{title} is not available: {reason}.")
+        except (ArithmeticError, ValueError) as error:  # numbers that no axis holds: 1e308 in a damaged file
+            path.unlink(missing_ok=True)
+            return PageFigure(png=None, caption=f"{title} cannot be drawn: {error}.")
+    return PageFigure(png=path.read_bytes(), caption=drawing.caption, width_in=drawing.figure.get_figwidth())

@@ -2,12 +2,365 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 from tauext.bundle.units import of_all, short
-from tauext.report.methods import Measured, SanityRow
-from tauext.report.naming import bundle_label, model_of
+
+# --- The paper's published numbers, to stand beside ours.
+#
+# Source: D. Lim, D. Kim, J. Park, "Momentum Observer-Based Collision Detection Using LSTM for Model Uncertainty
+# Learning", ICRA 2021: Table I, and the text for stiction, limit, collisions and delays. The observer's extremes are of
+# the real arm, as its authors published them. Two joints everywhere; None where the paper gives no number.
+
+
+JOINTS = 2
+
+CASE_LABELS = {"exact": "exact", "mass": "mass", "com": "CoM", "mass+com": "mass + CoM", "none": "no model"}
+"""The five estimated models: as the robot is, masses halved, centres of mass halved, both, none at all."""
+
+L1_NM = {
+    "exact": (0.402, 0.262),
+    "mass": (0.401, 0.256),
+    "com": (0.392, 0.253),
+    "mass+com": (0.415, 0.258),
+    "none": (0.409, 0.259),
+}
+L2_NM = {
+    "exact": (0.661, 0.369),
+    "mass": (0.687, 0.365),
+    "com": (0.680, 0.355),
+    "mass+com": (0.681, 0.368),
+    "none": (0.683, 0.376),
+}
+MSE_NM2 = {
+    "exact": (0.435, 0.136),
+    "mass": (0.468, 0.132),
+    "com": (0.458, 0.126),
+    "mass+com": (0.464, 0.134),
+    "none": (0.466, 0.141),
+}
+RMSE_SLIDING_NM = {"exact": (0.418, None)}
+RMSE_NEAR_STICTION_NM = {"exact": (1.344, None)}
+LIMIT_SLIDING_NM = {"exact": (4.62, None)}
+COLLISIONS = FOUND = 10
+"""Collisions tried, and found in each of the five cases."""
+DELAYS_AGAINST_SENSOR_MS = (3, 6, -1)
+"""Three collisions, exact model, observer and sensor at the same limit."""
+
+OBSERVER_PEAK_NM = {
+    "exact": (24.0, 14.0),
+    "mass": (52.0, 22.0),
+    "com": (37.0, 22.0),
+    "mass+com": (59.0, 26.0),
+    "none": (81.0, 29.0),
+}
+"""Largest observer output of the real arm in free motion."""
+
+
+# --- Names of bundles: which of the paper's models one is of, and how it is called in figures and tables.
+
+
+def model_of(name: str) -> str | None:
+    """The paper's model that a bundle is of: `exact` and `exact-anything` are of `exact`; None for other names."""
+    model = name.partition("-")[0]
+    return model if model in CASE_LABELS else None
+
+
+def bundle_label(name: str, recipe: str | None = None) -> str:
+    """`exact-paper` is "exact, paper recipe" if it was trained so; names that are no model's stay as they are."""
+    model = model_of(name)
+    if model is None:
+        return name
+    variant = name.removeprefix(model).removeprefix("-")
+    words = [CASE_LABELS[model], f"{variant} recipe" if variant == recipe else variant]
+    return ", ".join(word for word in words if word)
+
+
+def place(name: str) -> tuple[int, bool]:
+    """Sorts bundles as the paper does, one with another recipe behind its model's own, other names last."""
+    model = model_of(name)
+    return (len(CASE_LABELS) if model is None else list(CASE_LABELS).index(model)), name != model
+
+
+# --- What was detected of forces that an evaluation added to free motion, as results.json has it, and in words.
+
+
+ASSUMED = (
+    "The forces were added to the recorded motor torque of free motion: the position controller is assumed to hold its "
+    "path. Hands and compliance reduce a real force, and a controller that gives way shows less of it, and later."
+)
+
+
+@dataclass(frozen=True)
+class PeakBin:
+    """Events whose peaks lie between two, in the entry's unit."""
+
+    peak_from: float
+    peak_to: float
+    events: int
+    latched: int
+    delay_median_s: float | None
+
+    @property
+    def middle(self) -> float:
+        return (self.peak_from * self.peak_to) ** 0.5
+
+
+@dataclass(frozen=True)
+class InjectedCurve:
+    """Of one place and shape."""
+
+    place: str
+    shape: str
+    events: int
+    latched: int
+    nine_of_ten: float | None
+    """Peak from which on 9 of 10 are detected; None where there is none."""
+    delay_median_s: float | None
+    """From there on."""
+    delay_p95_s: float | None
+    bins: tuple[PeakBin, ...]
+
+
+@dataclass(frozen=True)
+class Injected:
+    """Of one bundle."""
+
+    unit: str
+    events: int
+    unhealthy: int
+    curves: tuple[InjectedCurve, ...]
+    without_forces: str | None = None
+    """Why there are torques on single joints instead of forces."""
+    left_out: tuple[str, ...] = ()
+    blind: tuple[str, ...] = ()
+    """Places where usually no joint notices any force."""
+
+    @property
+    def place(self) -> str:
+        """Where most events were: the end of the arm."""
+        return max(self.curves, key=lambda one: (sum(c.events for c in self.at(one.place)), one.place)).place
+
+    def at(self, place: str) -> tuple[InjectedCurve, ...]:
+        return tuple(one for one in self.curves if one.place == place)
+
+    def words(self) -> str:
+        """`30 N (hit of 20 ms, after 35 ms), ...`: the peaks from which on 9 of 10 are detected, at `place`."""
+        return ", ".join(
+            f"{number(one.nine_of_ten)} {self.unit} ({one.shape}, after {milliseconds(one.delay_median_s)} ms)"
+            if one.nine_of_ten is not None
+            else f"no peak that was tried ({one.shape})"
+            for one in self.at(self.place)
+        )
+
+
+def number(peak: float | None) -> str:
+    return "none" if peak is None else f"{peak:.2g}" if peak < 10 else f"{peak:.0f}"
+
+
+def milliseconds(delay_s: float | None) -> str:
+    return "–" if delay_s is None else f"{1e3 * delay_s:.0f}"
+
+
+# --- What force on a link a bundle notices, as results.json has it.
+
+
+Limit = TypeVar("Limit")
+
+ONE_SIDED_95 = 1.645
+"""Standard errors that 95 % of errors are below."""
+WAYS = {"x": "x", "y": "y", "z": "z", "worst_way": "worst way"}
+"""Directions by their keys, in words."""
+
+
+@dataclass(frozen=True)
+class OverPoses:
+    """Force in one direction, [N]; None: blind."""
+
+    median_n: float | None
+    worst_n: float | None
+    blind_share: float
+
+
+@dataclass(frozen=True)
+class NoticedAt:
+    """Forces at one point of the arm."""
+
+    place: str
+    every_median_n: float | None
+    """Over poses and directions, as the next."""
+    nine_of_ten_n: float | None
+    ways: Mapping[str, OverPoses]
+    """By the names of WAYS."""
+
+
+@dataclass(frozen=True)
+class Noticed:
+    """Of one bundle; `refused` says why there is nothing."""
+
+    poses: int = 0
+    limits: Mapping[str, tuple[NoticedAt, ...]] | None = None
+    gain_per_s: float | None = None
+    error_share: float | None = None
+    """Standard error of the estimate as a share of the limit, in the median."""
+    left_out: tuple[str, ...] = ()
+    """Joints that do not answer in N m: what they notice is not in the numbers."""
+    refused: str | None = None
+
+
+def joined(limits: Mapping[str, Limit]) -> dict[str, Limit]:
+    """The same, with limits that notice the same under one name: `collision and contact while sliding`."""
+    found: dict[str, Limit] = {}
+    for name, entries in limits.items():
+        same = next((other for other, those in found.items() if those == entries), None)
+        if same is None:
+            found[name] = entries
+            continue
+        (level, _, motion), after = same.partition(" "), name.partition(" ")[2]
+        both = f"{level if motion == after else same} and {name}"
+        found = {both if other == same else other: those for other, those in found.items()}
+    return found
+
+
+def left_out_words(joints: Sequence[str]) -> str:
+    """A sentence about joints that do not answer in N m; empty without any."""
+    if not joints:
+        return ""
+    return f"Without {', '.join(joints)}: their torque constants are not known, so what they notice is not counted."
+
+
+def surely(error_share: float) -> float:
+    """Times the force that goes over a limit: from there on 19 of 20 do, whatever way the estimate errs."""
+    return 1 + ONE_SIDED_95 * error_share
+
+
+# --- What results.json holds beyond the paper's own measures, as the report uses it.
+
+
+Number = float | None
+
+
+@dataclass(frozen=True)
+class Latched:
+    """Collisions as a monitor would have latched them."""
+
+    collisions: int
+    latched: int
+    strong: int
+    strong_latched: int
+    delay_median_s: Number
+    """Against the sensor, as the next."""
+    delay_p95_s: Number
+    onset_median_s: Number = None
+    """From the true onset to the alarm, as the next; None in results of earlier versions."""
+    onset_p95_s: Number = None
+    unhealthy: int = 0
+    """Of the collisions, while the monitor was not healthy."""
+
+
+@dataclass(frozen=True)
+class FalseCollisions:
+    """False collisions in test free motion, and what was promised of them; an hour where nothing else is said."""
+
+    count: int | None
+    low: Number
+    high: Number
+    promised: Number
+    kept: bool | None
+    consistent: bool | None
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """All limits times `scale`: false collisions an hour, and collisions missed."""
+
+    scale: float
+    false_per_hour: Number
+    missed: int
+
+
+@dataclass(frozen=True)
+class StrengthBin:
+    """Collisions whose sensor reference peaks between two torques; delays from the onset."""
+
+    low_nm: float
+    high_nm: Number
+    collisions: int
+    latched: int
+    delay_median_s: Number
+    delay_p95_s: Number
+
+
+@dataclass(frozen=True)
+class Aftermath:
+    """Alarms that begin, and errors, in a time after a touch; without times, in free motion."""
+
+    from_s: Number
+    to_s: Number
+    hours: float
+    contacts_per_hour: Number
+    collisions_per_hour: Number
+    rmse_nm: tuple[Number, ...]
+
+
+@dataclass(frozen=True)
+class SigmaBin:
+    """Samples of free motion whose standard error lies in one bin: its root mean square, and that of the errors."""
+
+    samples: int
+    sigma_rms_nm: float
+    error_rms_nm: float
+
+
+@dataclass(frozen=True)
+class SigmaRegion:
+    """Of one joint in one region; shares of the errors within one and two standard errors."""
+
+    samples: int
+    within_one_sigma: Number
+    within_two_sigma: Number
+    bins: tuple[SigmaBin, ...]
+
+
+@dataclass(frozen=True)
+class SanityRow:
+    """A detector that knows nothing."""
+
+    name: str
+    false_per_hour: Number
+    time_in_alarm_share: Number
+    collisions: int
+    found: int
+    latched: int
+    worth: str
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Of one bundle; empty or None where an evaluation did not have it."""
+
+    training_minutes: Number
+    model_case: str | None
+    false_collisions: FalseCollisions
+    latched: Latched | None
+    missed_curve: tuple[CurvePoint, ...]
+    by_strength: tuple[StrengthBin, ...]
+    after_contact: tuple[Aftermath, ...]
+    after_nothing: Aftermath | None
+    """Free motion, beside the bins."""
+    rmse_during_contact_nm: tuple[Number, ...]
+    sigma: dict[str, tuple[SigmaRegion, ...]] = field(default_factory=dict)
+    """By region, a joint each; empty where the bundle has no error scale."""
+    noticed: Noticed | None = None
+    """What force on a link it notices."""
+    injected: Injected | None = None
+    """What it detects of forces that were added to free motion."""
+
+
+# --- The results of one report.
+
 
 Numbers = tuple[float | None, ...]
 """One number a joint; None where it does not exist."""

@@ -1,18 +1,219 @@
-"""Reads results.json; docs/files.md is its contract."""
+"""Reads results.json, and refuses a dataset other than the one it was measured on."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
+from tauext.data.dataset import FILE_NAME
+from tauext.data.recording_file import fingerprint
 from tauext.errors import ConfigError
+from tauext.files.places import Place
 from tauext.files.plain_file import json_of, read_text
-from tauext.report.entry import Entry
-from tauext.report.events import read_events
-from tauext.report.methods_file import read_measured, read_sanity
-from tauext.report.naming import place
-from tauext.report.results import Collision, CurveBin, EvaluatedBundle, Results, Verdict
-from tauext.report.touches import read_touches
+from tauext.report.entry import Entry, read_events, read_touches
+from tauext.report.results import (
+    WAYS,
+    Aftermath,
+    Collision,
+    CurveBin,
+    CurvePoint,
+    EvaluatedBundle,
+    FalseCollisions,
+    Injected,
+    InjectedCurve,
+    Latched,
+    Measured,
+    Noticed,
+    NoticedAt,
+    OverPoses,
+    PeakBin,
+    Results,
+    SanityRow,
+    SigmaBin,
+    SigmaRegion,
+    StrengthBin,
+    Verdict,
+    place,
+)
+
+# --- Reads what force on a link a bundle notices.
+
+
+def read_noticed(entry: Entry) -> Noticed | None:
+    """Entry `noticed_force` of a bundle; None where the evaluation had none."""
+    if not entry.content:
+        return None
+    if refused := entry.text("refused"):
+        return Noticed(refused=refused)
+    limits = entry.object("limits")
+    return Noticed(
+        poses=entry.get("poses", int, needed=True),
+        limits={name: tuple(read_place(one) for one in limits.entries(name)) for name in limits.content},
+        left_out=entry.texts("left_out"),
+        **entry.each_number("gain_per_s", "error_share"),
+    )
+
+
+def read_place(entry: Entry) -> NoticedAt:
+    every = entry.object("every_way")
+    return NoticedAt(
+        place=entry.text("place", needed=True),
+        every_median_n=every.number("median_n"),
+        nine_of_ten_n=every.number("nine_of_ten_n"),
+        ways={way: read_over_poses(entry.object(way)) for way in WAYS},
+    )
+
+
+def read_over_poses(entry: Entry) -> OverPoses:
+    return OverPoses(**entry.each_number("median_n", "worst_n"), blind_share=entry.number("blind_share", needed=True))
+
+
+# --- Reads what results.json holds beyond the paper's own measures.
+
+
+def read_measured(entry: Entry, joints: int) -> Measured:
+    """Of one bundle's entry."""
+    after = entry.object("after_contact")
+    free = after.object("free_motion")
+    return Measured(
+        training_minutes=entry.number("training_minutes"),
+        model_case=entry.text("case"),
+        false_collisions=read_false_collisions(entry.object("free_motion")),
+        latched=read_latched(entry.object("latched")),
+        missed_curve=tuple(read_point(e) for e in entry.entries("missed_curve")),
+        by_strength=tuple(read_strength(e) for e in entry.entries("by_strength")),
+        after_contact=tuple(read_aftermath(e, joints) for e in after.entries("bins")),
+        after_nothing=read_aftermath(free, joints) if free.content else None,
+        rmse_during_contact_nm=entry.numbers("rmse_during_contact_nm", joints),
+        sigma=read_sigma(entry.object("error_against_sigma"), joints),
+        noticed=read_noticed(entry.object("noticed_force")),
+        injected=read_injected(entry.object("injected")),
+    )
+
+
+def read_false_collisions(free: Entry) -> FalseCollisions:
+    interval = free.get("false_collisions_interval_per_hour", list) or [None, None]
+    if len(interval) != 2 or not all(type(end) in (int, float, type(None)) for end in interval):
+        raise ConfigError(f"{free.place}: 'false_collisions_interval_per_hour' must be two numbers")
+    return FalseCollisions(
+        count=free.get("false_collisions", int),
+        low=interval[0],
+        high=interval[1],
+        promised=free.number("promised_per_hour"),
+        kept=free.get("promise_kept", bool),
+        consistent=free.get("promise_consistent", bool),
+    )
+
+
+def read_latched(entry: Entry) -> Latched | None:
+    if not entry.content:
+        return None
+    counts = ("collisions", "latched", "strong", "strong_latched")
+    return Latched(
+        **{key: entry.get(key, int, needed=True) for key in counts},
+        delay_median_s=entry.number("delay_against_sensor_median_s"),
+        delay_p95_s=entry.number("delay_against_sensor_p95_s"),
+        onset_median_s=entry.number("delay_median_s"),
+        onset_p95_s=entry.number("delay_p95_s"),
+        unhealthy=entry.get("unhealthy", int) or 0,
+    )
+
+
+def read_point(entry: Entry) -> CurvePoint:
+    return CurvePoint(
+        scale=entry.number("scale", needed=True),
+        false_per_hour=entry.number("false_per_hour"),
+        missed=entry.get("missed", int, needed=True),
+    )
+
+
+def read_strength(entry: Entry) -> StrengthBin:
+    return StrengthBin(
+        low_nm=entry.number("peak_nm_from", needed=True),
+        high_nm=entry.number("peak_nm_to"),
+        **{key: entry.get(key, int, needed=True) for key in ("collisions", "latched")},
+        **entry.each_number("delay_median_s", "delay_p95_s"),
+    )
+
+
+def read_aftermath(entry: Entry, joints: int) -> Aftermath:
+    return Aftermath(
+        hours=entry.number("hours", needed=True),
+        **{key: entry.number(key) for key in ("from_s", "to_s", "contacts_per_hour", "collisions_per_hour")},
+        rmse_nm=entry.numbers("rmse_nm", joints),
+    )
+
+
+def read_sigma(entry: Entry, joints: int) -> dict[str, tuple[SigmaRegion, ...]]:
+    if not entry.content:
+        return {}
+    regions = {region: tuple(map(read_sigma_region, entry.entries(region))) for region in ("sliding", "near_stiction")}
+    if any(len(of_joints) != joints for of_joints in regions.values()):
+        raise ConfigError(f"{entry.place}: each region must hold {joints} entries, one a joint")
+    return regions
+
+
+def read_sigma_region(entry: Entry) -> SigmaRegion:
+    return SigmaRegion(
+        samples=entry.get("samples", int, needed=True),
+        **entry.each_number("within_one_sigma", "within_two_sigma"),
+        bins=tuple(
+            SigmaBin(
+                samples=one.get("samples", int, needed=True),
+                sigma_rms_nm=one.number("sigma_rms_nm", needed=True),
+                error_rms_nm=one.number("error_rms_nm", needed=True),
+            )
+            for one in entry.entries("bins")
+        ),
+    )
+
+
+def read_sanity(entry: Entry) -> SanityRow:
+    return SanityRow(
+        name=entry.text("name", needed=True),
+        **entry.each_number("false_per_hour", "time_in_alarm_share"),
+        **{key: entry.get(key, int, needed=True) for key in ("collisions", "found", "latched")},
+        worth=entry.text("worth") or "",
+    )
+
+
+def read_injected(entry: Entry) -> Injected | None:
+    """Entry `injected` of a bundle; None where the evaluation added no forces."""
+    if not entry.content:
+        return None
+    return Injected(
+        unit=entry.text("unit", needed=True),
+        events=entry.get("events", int, needed=True),
+        unhealthy=entry.get("unhealthy", int, needed=True),
+        curves=tuple(read_curve(one) for one in entry.entries("curves", needed=True)),
+        without_forces=entry.text("without_forces"),
+        left_out=entry.texts("left_out"),
+        blind=entry.texts("blind"),
+    )
+
+
+def read_curve(entry: Entry) -> InjectedCurve:
+    return InjectedCurve(
+        place=entry.text("place", needed=True),
+        shape=entry.text("shape", needed=True),
+        events=entry.get("events", int, needed=True),
+        latched=entry.get("latched", int, needed=True),
+        **entry.each_number("nine_of_ten", "delay_median_s", "delay_p95_s"),
+        bins=tuple(
+            PeakBin(
+                peak_from=one.number("peak_from", needed=True),
+                peak_to=one.number("peak_to", needed=True),
+                events=one.get("events", int, needed=True),
+                latched=one.get("latched", int, needed=True),
+                delay_median_s=one.number("delay_median_s"),
+            )
+            for one in entry.entries("bins", needed=True)
+        ),
+    )
+
+
+# --- Reads results.json; docs/files.md is its contract.
+
 
 FORMATS = (2, 3)
 """What differs: the list of bundles is called `cases` in format 2."""
@@ -127,4 +328,32 @@ def read_bin(entry: Entry) -> CurveBin:
         high=entry.number("peak_over_limit_to"),
         collisions=entry.get("collisions", int, needed=True),
         found=entry.get("found", int, needed=True),
+    )
+
+
+# --- Results are drawn with the dataset that they were measured on, and with no other.
+
+
+NAMED = 3
+"""So many of the recordings are named."""
+
+
+def expect_same_dataset(results: Results, results_dir: Path, dataset_dir: Place) -> None:
+    """Raise ConfigError where the dataset's recordings are not those that were evaluated.
+
+    One that is missing is said on the page where it would stand; a dataset that has none of them is another one.
+    Results of before fingerprints were kept say nothing.
+    """
+    judged = Entry(f"{results_dir / 'results.json'}, provenance", results.provenance).object("recordings")
+    there = [name for name in judged.content if (dataset_dir / f"{name}.parquet").is_file()]
+    other = [name for name in there if fingerprint(dataset_dir / f"{name}.parquet") != judged.text(name)]
+    missing = bool(judged.content) and not there and (dataset_dir / FILE_NAME).is_file()
+    if not other and not missing:
+        return
+    names = other or list(judged.content)
+    told = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
+    what = "are not those that were evaluated" if other else "are not in it"
+    raise ConfigError(
+        f"{dataset_dir}: it is another dataset than that of {results_dir}, '{results.provenance.get('dataset')}': "
+        f"{told} {what}; give the dataset that was evaluated, or evaluate this one"
     )

@@ -10,7 +10,7 @@ from tauext.bundle.estimates import Estimates, load_estimates
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.errors import RecordingError
-from tauext.files.place import Place
+from tauext.files.places import Place
 
 
 class NotAvailable(Exception):

@@ -13,10 +13,19 @@ from matplotlib.patches import Patch
 
 from tauext.bundle.estimates import Estimates
 from tauext.data.recording import Recording
-from tauext.report.drawing import Drawing, draw_band, missing_bundles, sigma_words
 from tauext.report.results import Collision, EvaluatedBundle, Results, Verdict
 from tauext.report.signals import NotAvailable, Signals
-from tauext.report.style import CONTACT, LIMIT, SENSOR, WIDTH_IN, bundle_colours
+from tauext.report.style import (
+    CONTACT,
+    LIMIT,
+    SENSOR,
+    WIDTH_IN,
+    Drawing,
+    bundle_colours,
+    draw_band,
+    missing_bundles,
+    sigma_words,
+)
 
 SHOWN = 3
 BEFORE_S, AFTER_S = 0.2, 0.45

@@ -14,13 +14,11 @@ from jinja2 import Environment, StrictUndefined
 
 from tauext.data.recording_file import describe
 from tauext.errors import ConfigError
-from tauext.report.drawing import uncertainty_words
 from tauext.report.flight_file import Flight
 from tauext.report.results import EvaluatedBundle, Results
 from tauext.report.signals import NotAvailable, Signals
-from tauext.report.style import CASE_COLOURS, bundle_colours
-from tauext.report.trace_packing import Plan, pack
-from tauext.report.tracing import METHOD_SIGNALS, Traced, trace
+from tauext.report.style import CASE_COLOURS, bundle_colours, uncertainty_words
+from tauext.report.trace_packing import METHOD_SIGNALS, Plan, Traced, pack, trace
 
 FOLDER = Path(__file__).parent
 SCRIPTS = ("traces_data.js", "traces_view.js", "traces_control.js")

@@ -5,23 +5,293 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
+from scipy.optimize import least_squares
 
 from tauext._core import Capsule, Tree
 from tauext.errors import RobotError
-from tauext.files.named_files import SHAPES_FILE
+from tauext.files.places import SHAPES_FILE
 from tauext.files.provenance import write_json
-from tauext.robot.capsule_fit import as_capsules
-from tauext.robot.joint_choice import choose_joints
-from tauext.robot.load import compiled
-from tauext.robot.shapes import Shape, box, cylinder, ellipsoid, mesh
-from tauext.robot.tree_from_mujoco import carriers, frame_of_joint
-from tauext.robot.urdf_shapes import is_urdf, urdf_shapes
+from tauext.robot.load import carriers, choose_joints, compiled, frame_of_joint
 from tauext.robot.write import PAYLOAD
+
+# --- Shapes of parts of links: capsules, or surfaces that are to become some.
+
+
+AROUND = 16
+"""Points around a primitive."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A capsule (a sphere where both ends are one), or points of a surface in its place; [m]."""
+
+    radius_m: float
+    start: np.ndarray
+    end: np.ndarray
+    points: np.ndarray | None = None
+    """(n, 3) of the surface; None: it is that capsule."""
+    areas: np.ndarray | None = None
+    """(n,) that each stands for, [m^2]."""
+
+    def moved(self, rotation: np.ndarray, place: np.ndarray) -> Shape:
+        """Turned, then shifted."""
+        points = None if self.points is None else self.points @ rotation.T + place
+        return replace(self, start=rotation @ self.start + place, end=rotation @ self.end + place, points=points)
+
+
+def surface(points: np.ndarray, areas: np.ndarray) -> Shape:
+    """That has no capsule of its own."""
+    return Shape(0.0, np.zeros(3), np.zeros(3), np.asarray(points, dtype=float), np.asarray(areas, dtype=float))
+
+
+def cylinder(radius: float, half_m: float) -> Shape:
+    """Along z; one that is wider than long is a surface."""
+    if half_m >= radius:
+        end = np.array([0, 0, half_m - radius])
+        return Shape(float(radius), -end, end)
+    turned = 2 * np.pi * (np.arange(AROUND) + 0.5) / AROUND
+    ring = np.column_stack([np.cos(turned), np.sin(turned)])
+    points, areas = [], []
+    for z in (-half_m / 2, half_m / 2):
+        points.append(np.column_stack([radius * ring, np.full(AROUND, z)]))
+        areas.append(np.full(AROUND, 2 * np.pi * radius * half_m / AROUND))
+    for z in (-half_m, half_m):
+        for share in (0.35, 0.8):  # rings that halve the disc
+            points.append(np.column_stack([share * radius * ring, np.full(AROUND, z)]))
+            areas.append(np.full(AROUND, np.pi * radius**2 / 2 / AROUND))
+    return surface(np.concatenate(points), np.concatenate(areas))
+
+
+def box(half_m: np.ndarray) -> Shape:
+    """A grid on each side."""
+    grid = (np.arange(AROUND // 2) + 0.5) / (AROUND // 2) * 2 - 1
+    u, v = (one.ravel() for one in np.meshgrid(grid, grid))
+    points, areas = [], []
+    for axis in range(3):
+        a, b = (axis + 1) % 3, (axis + 2) % 3
+        for sign in (-1.0, 1.0):
+            side = np.empty((len(u), 3))
+            side[:, axis], side[:, a], side[:, b] = sign * half_m[axis], u * half_m[a], v * half_m[b]
+            points.append(side)
+            areas.append(np.full(len(u), 4 * half_m[a] * half_m[b] / len(u)))
+    return surface(np.concatenate(points), np.concatenate(areas))
+
+
+def ellipsoid(half_m: np.ndarray) -> Shape:
+    """Points of an even sphere, stretched; each for the area that it is stretched to."""
+    count = 4 * AROUND**2 // 4
+    z = 1 - (2 * np.arange(count) + 1) / count
+    turned = np.pi * (1 + 5**0.5) * np.arange(count)
+    even = np.column_stack([np.sqrt(1 - z**2) * np.cos(turned), np.sqrt(1 - z**2) * np.sin(turned), z])
+    stretched = np.prod(half_m) * np.linalg.norm(even / half_m, axis=1)
+    return surface(even * half_m, 4 * np.pi / count * stretched)
+
+
+def mesh(vertices: np.ndarray, faces: np.ndarray) -> Shape:
+    """Middles of its triangles."""
+    corners = np.asarray(vertices, dtype=float)[np.asarray(faces)]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    return surface(corners.mean(axis=1), areas)
+
+
+# --- Shapes of a URDF's links: placed as the file says, meshes read by MuJoCo where they are found.
+
+
+READ_FORMATS = (".stl", ".obj", ".msh")
+PACKAGE = "package://"
+
+
+def is_urdf(path: Path) -> bool:
+    for _, element in ElementTree.iterparse(path, events=("start",)):
+        return element.tag == "robot"
+    return False
+
+
+def urdf_shapes(path: Path, bodies: list[str]) -> tuple[list[tuple[int, Shape]], list[str]]:
+    """Number of the body and its shape in the body's axes; and what could not be read.
+
+    A link's collision elements, else its visual ones. `package://` is looked for in the file's folder and those above.
+    """
+    numbers, found = {name: number for number, name in enumerate(bodies)}, []
+    lost: dict[str, list[str]] = {}
+    for link in ElementTree.parse(path).getroot().iter("link"):
+        body = numbers.get(link.get("name", ""), -1)
+        for element in link.findall("collision") or link.findall("visual") if body >= 0 else ():
+            geometry = element.find("geometry")
+            if geometry is None or not len(geometry):
+                continue
+            try:
+                shape = _shape(geometry[0], path)
+                if shape is not None:
+                    found.append((body, shape.moved(*_origin(element.find("origin")))))
+            except (OSError, ValueError) as error:
+                lost.setdefault(" ".join(str(error).split()), []).append(link.get("name", ""))
+    if not lost:
+        return found, []
+    first = next(iter(lost))
+    more = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
+    links = dict.fromkeys(link for links in lost.values() for link in links)
+    return found, [f"shapes of {', '.join(links)} could not be read: {first}{more}"]
+
+
+def _shape(geometry: ElementTree.Element, path: Path) -> Shape | None:
+    match geometry.tag:
+        case "sphere":
+            return Shape(_numbers(geometry, "radius", 1)[0], np.zeros(3), np.zeros(3))
+        case "cylinder":
+            return cylinder(_numbers(geometry, "radius", 1)[0], _numbers(geometry, "length", 1)[0] / 2)
+        case "capsule":
+            end = np.array([0, 0, _numbers(geometry, "length", 1)[0] / 2])
+            return Shape(_numbers(geometry, "radius", 1)[0], -end, end)
+        case "box":
+            return box(_numbers(geometry, "size", 3) / 2)
+        case "mesh":
+            scale = _numbers(geometry, "scale", 3) if geometry.get("scale") else np.ones(3)
+            return _mesh(_found(geometry.get("filename", ""), path), scale)
+        case _:
+            return None
+
+
+def _numbers(element: ElementTree.Element, key: str, count: int) -> np.ndarray:
+    values = np.array((element.get(key) or "").split(), dtype=float)
+    if len(values) != count or not np.isfinite(values).all():
+        raise ValueError(f"{element.tag} {key} = {element.get(key)!r} must be {count} finite number{'s' * (count > 1)}")
+    return values
+
+
+def _origin(origin: ElementTree.Element | None) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation and place: fixed-axis roll, pitch, yaw."""
+    place, angles = (
+        _numbers(origin, key, 3) if origin is not None and origin.get(key) else np.zeros(3) for key in ("xyz", "rpy")
+    )
+    (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
+    turn = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.array(turn), place
+
+
+def _found(name: str, path: Path) -> Path:
+    """The mesh file that a URDF names."""
+    if Path(name).suffix.lower() not in READ_FORMATS:
+        raise ValueError(f"{name}: meshes are read from {', '.join(READ_FORMATS)}")
+    local = name.removeprefix("file://").removeprefix(PACKAGE)
+    inside = "/".join(local.split("/")[1:]) if name.startswith(PACKAGE) else local
+    for folder in (path.parent, *path.parent.resolve().parents):
+        for candidate in (folder / local, folder / inside):
+            if candidate.is_file():
+                return candidate
+        if not name.startswith(PACKAGE):
+            break
+    raise ValueError(f"there is no mesh file {name}")
+
+
+def _mesh(file: Path, scale: np.ndarray) -> Shape:
+    """Its triangles in the file's own axes."""
+    spec = mujoco.MjSpec()
+    spec.add_mesh(name="one", file=str(file), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="one")
+    try:
+        model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise ValueError(f"{file.name}: {error}") from error
+    turn = np.empty(9)
+    mujoco.mju_quat2Mat(turn, model.mesh_quat[0])  # MuJoCo keeps meshes along their principal axes
+    vertices = model.mesh_vert @ turn.reshape(3, 3).T + model.mesh_pos[0]
+    return mesh(vertices * scale, model.mesh_face)
+
+
+# --- Capsules whose surface is as near as can be to a given one.
+
+
+MOST_POINTS = 600
+"""Of a mesh; more do not move a capsule."""
+GOOD_SHARE, GOOD_M = 0.15, 0.01
+"""A capsule is good enough whose surface is, root mean square, so near to the given one: as a share of its radius, or
+1 cm, which is less than a place is known to."""
+MOST_SPLITS = 2
+"""One shape becomes four capsules at most."""
+LEAST_RADIUS_M = 1e-3
+
+
+def as_capsules(shape: Shape) -> list[tuple[np.ndarray, np.ndarray, float]]:
+    """Both ends and the radius of each, [m]."""
+    if shape.points is None:
+        return [(shape.start, shape.end, shape.radius_m)]
+    assert shape.areas is not None
+    points, areas = thinned(shape.points, shape.areas)
+    return split(points, areas, MOST_SPLITS) if len(points) else []
+
+
+def thinned(points: np.ndarray, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Drawn by their areas, always the same way; degenerate triangles left out."""
+    sound = np.isfinite(points).all(axis=1) & (areas > 0)
+    points, areas = points[sound], areas[sound]
+    if len(points) <= MOST_POINTS:
+        return points, areas
+    drawn = np.random.default_rng(0).choice(len(points), MOST_POINTS, p=areas / areas.sum())
+    return points[drawn], np.full(MOST_POINTS, areas.sum() / MOST_POINTS)
+
+
+def split(points: np.ndarray, areas: np.ndarray, most: int) -> list[tuple[np.ndarray, np.ndarray, float]]:
+    """One capsule, or those of both halves where it is bad."""
+    start, end, radius, rms = fitted(points, areas)
+    if rms <= max(GOOD_SHARE * radius, GOOD_M) or most == 0 or len(points) < 24:
+        return [(start, end, radius)]
+    first = halves(points, areas)
+    if min(first.sum(), (~first).sum()) < 8:
+        return [(start, end, radius)]
+    return split(points[first], areas[first], most - 1) + split(points[~first], areas[~first], most - 1)
+
+
+def halves(points: np.ndarray, areas: np.ndarray) -> np.ndarray:
+    """Which points are of the first of two groups around middles of their own."""
+    along = main_axis(points, areas)
+    at = (points - np.average(points, axis=0, weights=areas)) @ along
+    first = at > np.median(at)
+    for _ in range(20):
+        middles = [np.average(points[part], axis=0, weights=areas[part]) for part in (first, ~first)]
+        nearer = np.linalg.norm(points - middles[0], axis=1) < np.linalg.norm(points - middles[1], axis=1)
+        if (nearer == first).all() or nearer.all() or not nearer.any():
+            break
+        first = nearer
+    return first
+
+
+def main_axis(points: np.ndarray, areas: np.ndarray) -> np.ndarray:
+    off = points - np.average(points, axis=0, weights=areas)
+    return np.linalg.eigh((off * areas[:, None]).T @ off)[1][:, -1]
+
+
+def fitted(points: np.ndarray, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """By least squares of the distance of the points from the capsule's surface; the last is its root mean square."""
+    middle, along = np.average(points, axis=0, weights=areas), main_axis(points, areas)
+    at = (points - middle) @ along
+    across = np.linalg.norm(points - middle - at[:, None] * along, axis=1)
+    radius = float(np.average(across, weights=areas))
+    reach = max(float(np.quantile(np.abs(at), 0.98)) - radius, 0.05 * radius)
+    weights = np.sqrt(areas / areas.sum())
+
+    def distance(x: np.ndarray) -> np.ndarray:
+        start, way = x[:3], x[3:6] - x[:3]
+        share = np.clip((points - start) @ way / max(float(way @ way), 1e-12), 0, 1)
+        return weights * (np.linalg.norm(points - start - share[:, None] * way, axis=1) - x[6])
+
+    found = least_squares(distance, np.r_[middle - reach * along, middle + reach * along, radius], max_nfev=60)
+    start, end, radius = found.x[:3], found.x[3:6], max(abs(float(found.x[6])), LEAST_RADIUS_M)
+    return start, end, radius, float(np.sqrt(2 * found.cost))
+
+
+# --- Capsules of links.
+
 
 MOST_A_LINK = 8
 """More would cost a ranking time and tell it nothing: the largest are kept."""

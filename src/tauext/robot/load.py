@@ -1,23 +1,361 @@
-"""Load a robot file: read it, choose the joints, make the tree."""
+"""Load a robot file: read it, choose the joints, build the tree."""
+
+from __future__ import annotations
 
 import hashlib
 import math
 import os
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
+import numpy as np
 
-from tauext._core import Tree
+from tauext._core import MAX_JOINTS, CoreError, JointType, Link, Tree
 from tauext.errors import RobotError
 from tauext.files.room import in_words
-from tauext.robot.constraints import check_constraints
-from tauext.robot.joint_choice import choose_joints
-from tauext.robot.tree_from_mujoco import LEAST, make_tree
-from tauext.robot.urdf import read_urdf
+
+# --- Which joints of a robot file are in use, in which order, and where the others are held.
+
+
+_KIND = {
+    int(mujoco.mjtJoint.mjJNT_FREE): "a free joint (floating base)",
+    int(mujoco.mjtJoint.mjJNT_BALL): "a ball joint",
+}
+
+
+@dataclass(frozen=True)
+class JointChoice:
+    """Joints in use, by their index in the model, and the pose: 0 for those in use, locked positions for the rest."""
+
+    joint_ids: list[int]
+    qpos: np.ndarray
+
+
+def choose_joints(
+    model: mujoco.MjModel, joints: Sequence[str] | None, locked: Mapping[str, float], where: str
+) -> JointChoice:
+    """Resolve names to joints; None takes every joint that is not locked.
+
+    Raises:
+        RobotError: see `tauext.robot.load.load_tree`; the message names `where`, the joint, and the joints that exist.
+    """
+    index = {model.joint(j).name: j for j in range(model.njnt) if model.joint(j).name}
+    for name in [*(joints or ()), *locked]:
+        if name not in index:
+            raise RobotError(f"{where}: no joint {name!r}; its joints are {', '.join(index) or 'none'}")
+    if joints is None:
+        chosen = [j for j in range(model.njnt) if model.joint(j).name not in locked]
+    else:
+        for name in joints:
+            if list(joints).count(name) > 1:
+                raise RobotError(f"{where}: joint {name!r} is asked for twice; every joint stands once")
+            if name in locked:
+                raise RobotError(f"{where}: joint {name!r} is both in use and locked at {locked[name]}; choose one")
+        chosen = [index[name] for name in joints]
+    _check_chosen(model, chosen, where)
+
+    qpos = np.array(model.qpos0)
+    for name, position in locked.items():
+        _check_locked(model, index[name], position, where)
+        qpos[model.jnt_qposadr[index[name]]] = position
+    qpos[model.jnt_qposadr[chosen]] = 0.0
+    return JointChoice(chosen, qpos)
+
+
+def _check_chosen(model: mujoco.MjModel, chosen: list[int], where: str) -> None:
+    if not chosen:
+        raise RobotError(f"{where}: no moving joint is left; a robot needs at least one that is not fixed or locked")
+    for j in chosen:
+        name, body = model.joint(j).name, model.body(model.jnt_bodyid[j]).name
+        kind = _KIND.get(int(model.jnt_type[j]))
+        if kind:
+            raise RobotError(
+                f"{where}: joint {name!r} of body {body!r} is {kind}; joints in use must be hinges or slides: "
+                "name those in `joints`, and this one is held where the file has it"
+            )
+        if not name:
+            raise RobotError(
+                f"{where}: a joint of body {body!r} has no name; recordings name their joints: give it one in the file"
+            )
+    if len(chosen) > MAX_JOINTS:
+        raise RobotError(f"{where}: {len(chosen)} joints in use, at most {MAX_JOINTS} can be: lock the others")
+
+
+def _check_locked(model: mujoco.MjModel, joint: int, position: float, where: str) -> None:
+    name, kind = model.joint(joint).name, _KIND.get(int(model.jnt_type[joint]))
+    if kind:
+        raise RobotError(f"{where}: joint {name!r} is {kind} and has no single position to be locked at")
+    if not math.isfinite(position):
+        raise RobotError(f"{where}: joint {name!r}: locked position {position} must be finite, [rad or m]")
+
+
+# --- Turn a compiled MuJoCo model into a tree: one link per joint in use, everything rigidly attached fused into it.
+
+
+LEAST = 2e-15
+"""Mass [kg] and inertia [kg m^2] at or below this count as none; MuJoCo's own least mass of a moving body is 1e-15."""
+
+
+def carriers(model: mujoco.MjModel, joint_ids: Sequence[int]) -> list[int]:
+    """For each body of the model, the joint in use that carries it, as position in `joint_ids`; -1: it never moves."""
+    place = {joint: i for i, joint in enumerate(joint_ids)}
+    carrier = [-1] * model.nbody
+    for body in range(1, model.nbody):
+        carrier[body] = carrier[model.body_parentid[body]]
+        for joint in _joints_of(model, body):
+            carrier[body] = place.get(joint, carrier[body])
+    return carrier
+
+
+def make_tree(
+    model: mujoco.MjModel, joint_ids: Sequence[int], qpos: np.ndarray, gravity: Sequence[float], where: str
+) -> Tree:
+    """The tree whose q = 0 is the pose `qpos`, in which joints in use stand at 0 and the others where they are locked.
+
+    All is read off that one pose in the base frame: MuJoCo has then dealt with joint offsets, reference positions and
+    several joints on one body.
+
+    Raises:
+        RobotError: a link that moves has no mass, or a number of it makes no sense.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    carrier = carriers(model, joint_ids)
+    parents = [_parent(model, joint, joint_ids, carrier) for joint in joint_ids]
+    frames, origins = zip(*(frame_of_joint(data, joint) for joint in joint_ids), strict=True)
+    links = []
+    for i, joint in enumerate(joint_ids):
+        parent = parents[i]
+        base_frame, base_origin = (frames[parent], origins[parent]) if parent >= 0 else (np.eye(3), np.zeros(3))
+        link = Link()
+        link.joint_name = model.joint(joint).name
+        link.parent = parent
+        hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+        link.type = JointType.revolute if hinge else JointType.prismatic
+        link.rotation = (base_frame.T @ frames[i]).ravel().tolist()
+        link.translation = (base_frame.T @ (origins[i] - base_origin)).tolist()
+        link.rotor_inertia = _rotor_inertia(model, joint)
+        carried = [body for body in range(model.nbody) if carrier[body] == i]
+        body = int(model.jnt_bodyid[joint])
+        _set_inertia(link, model, data, carried, frames[i], origins[i])
+        # A body of several joints hangs on the last one; the links before it are rightly empty.
+        if link.mass == 0 and carrier[body] == i:
+            raise RobotError(
+                f"{where}: joint {link.joint_name!r} moves link {model.body(body).name!r}, which has no mass; "
+                "every moving link needs one, its own or of a link fixed to it"
+            )
+        links.append(link)
+    try:
+        return Tree(links, list(gravity))
+    except CoreError as error:
+        raise RobotError(f"{where}: {error}") from error
+
+
+def frame_of_joint(data: mujoco.MjData, joint: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation and origin, in the base, of the link's frame that this joint moves, at the pose of `data`."""
+    return _frame_along(np.array(data.xaxis[joint])), np.array(data.xanchor[joint])
+
+
+def _joints_of(model: mujoco.MjModel, body: int) -> range:
+    first = int(model.body_jntadr[body])
+    return range(first, first + int(model.body_jntnum[body]))
+
+
+def _parent(model: mujoco.MjModel, joint: int, joint_ids: Sequence[int], carrier: list[int]) -> int:
+    """The joint in use that carries this one: an earlier one of the same body, or that of the parent body."""
+    body = int(model.jnt_bodyid[joint])
+    before = [other for other in _joints_of(model, body) if other < joint and other in joint_ids]
+    return list(joint_ids).index(before[-1]) if before else carrier[model.body_parentid[body]]
+
+
+def _frame_along(axis: np.ndarray) -> np.ndarray:
+    """Rotation with `axis` as its z; turning it about that axis would be as good."""
+    z = axis / np.linalg.norm(axis)
+    x = np.eye(3)[np.argmin(np.abs(z))]
+    x = x - (x @ z) * z
+    x = x / np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def _rotor_inertia(model: mujoco.MjModel, joint: int) -> float:
+    """The joint's armature, plus that of each actuator on it times its gear squared."""
+    at_joint = [int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)]
+    drives = np.isin(model.actuator_trntype, at_joint) & (model.actuator_trnid[:, 0] == joint)
+    motors = model.actuator_armature[drives] * model.actuator_gear[drives, 0] ** 2
+    return float(model.dof_armature[model.jnt_dofadr[joint]] + motors.sum())
+
+
+def _set_inertia(
+    link: Link,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    bodies: list[int],
+    frame: np.ndarray,
+    origin: np.ndarray,
+) -> None:
+    """Mass, centre of mass and inertia of the bodies together, in the link's frame."""
+    masses = np.where(model.body_mass[bodies] > LEAST, model.body_mass[bodies], 0.0)
+    link.mass = float(masses.sum())
+    if link.mass == 0:
+        return
+    com = masses @ data.xipos[bodies] / link.mass
+    inertia = np.zeros((3, 3))
+    for body, mass in zip(bodies, masses, strict=True):
+        axes = data.ximat[body].reshape(3, 3)
+        principal = np.where(model.body_inertia[body] > LEAST, model.body_inertia[body], 0.0)
+        arm = data.xipos[body] - com
+        inertia += (axes * principal) @ axes.T + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    inertia = frame.T @ inertia @ frame
+    link.com = (frame.T @ (com - origin)).tolist()
+    link.inertia = [float(inertia[k]) for k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+
+
+# --- What ties joints together so that a tree of independent joints no longer describes the arm.
+
+
+def check_constraints(model: mujoco.MjModel, joint_ids: list[int], where: str) -> None:
+    """Refuse mimic joints in use, closed loops between moving links, and rotor inertia that acts through a tendon.
+
+    Raises:
+        RobotError: names the joints, bodies or tendon, and what to do.
+    """
+    carrier = carriers(model, joint_ids)
+    for k in range(model.neq):
+        if not model.eq_active0[k]:
+            continue
+        if model.eq_type[k] == mujoco.mjtEq.mjEQ_JOINT:
+            _check_mimic(model, k, joint_ids, where)
+        elif model.eq_type[k] == mujoco.mjtEq.mjEQ_CONNECT or model.eq_type[k] == mujoco.mjtEq.mjEQ_WELD:
+            _check_loop(model, k, carrier, where)
+    for tendon in range(model.ntendon):
+        _check_tendon(model, tendon, joint_ids, carrier, where)
+
+
+def _check_mimic(model: mujoco.MjModel, k: int, joint_ids: list[int], where: str) -> None:
+    follower, leader = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+    if follower not in joint_ids:
+        return
+    name = model.joint(follower).name
+    what = f"follows {model.joint(leader).name!r} (mimic)" if leader >= 0 else "is held by an equality"
+    raise RobotError(
+        f"{where}: joint {name!r} {what} and is not independent: lock it, with locked={{{name!r}: position}} "
+        "or by leaving it out of `joints`"
+    )
+
+
+def _check_loop(model: mujoco.MjModel, k: int, carrier: list[int], where: str) -> None:
+    ends = [int(model.eq_obj1id[k]), int(model.eq_obj2id[k])]
+    if model.eq_objtype[k] == mujoco.mjtObj.mjOBJ_SITE:
+        ends = [int(model.site_bodyid[site]) for site in ends]
+    if carrier[ends[0]] != carrier[ends[1]]:
+        names = " and ".join(repr(model.body(body).name) for body in ends)
+        raise RobotError(f"{where}: bodies {names} close a kinematic loop; a tree has none: lock the joints in it")
+
+
+def _check_tendon(model: mujoco.MjModel, tendon: int, joint_ids: list[int], carrier: list[int], where: str) -> None:
+    by_tendon = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
+    drives = by_tendon & (model.actuator_trnid[:, 0] == tendon)
+    if model.tendon_armature[tendon] == 0 and not model.actuator_armature[drives].any():
+        return
+    first = model.tendon_adr[tendon]
+    joints, links = set(), set()
+    for wrap in range(first, first + model.tendon_num[tendon]):
+        if model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_JOINT:
+            joints.add(int(model.wrap_objid[wrap]))
+        elif model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_SITE:
+            links.add(carrier[model.site_bodyid[model.wrap_objid[wrap]]])
+    if joints & set(joint_ids) or len(links) > 1:
+        name = model.tendon(tendon).name
+        raise RobotError(
+            f"{where}: tendon {name!r} has armature and moves joints in use; rotor inertia must stand at a joint"
+        )
+
+
+# --- Read a URDF: without what is only seen or touched, with the rotor inertia that its transmissions state.
+
+
+_DROPPED = ("visual", "collision", "material", "limit", "safety_controller")
+
+
+def read_urdf(path: Path) -> mujoco.MjSpec:
+    """MuJoCo's reading of a URDF, after dropping what a tree has no use for: how it looks, what it hits, its limits.
+
+    Rotor inertia has no place in the URDF standard; Drake's is understood: in a transmission of one joint,
+    `rotor_inertia` times the square of `gear_ratio`, or of the standard's `mechanicalReduction`, of its actuator.
+
+    Raises:
+        RobotError: the file is a xacro template, a joint's or link's name stands twice, or a number cannot be read.
+        ElementTree.ParseError, ValueError: the file is no XML, or no URDF to MuJoCo.
+    """
+    robot = ElementTree.parse(path).getroot()
+    _refuse_xacro(robot, path)
+    _refuse_repeated_names(robot, path)
+    for parent in list(robot.iter()):
+        for child in list(parent):
+            if child.tag in _DROPPED:
+                parent.remove(child)
+    spec = mujoco.MjSpec.from_string(ElementTree.tostring(robot, encoding="unicode"))
+    joints = {joint.name: joint for joint in spec.joints}
+    for name, inertia in _rotor_inertias(robot, path).items():
+        if name in joints:
+            joints[name].armature += inertia
+    return spec
+
+
+def _refuse_xacro(robot: ElementTree.Element, path: Path) -> None:
+    if any("xacro}" in str(element.tag) for element in robot.iter()):
+        raise RobotError(f"{path}: is a xacro template; expand it first: xacro {path.name} > robot.urdf")
+
+
+def _refuse_repeated_names(robot: ElementTree.Element, path: Path) -> None:
+    """MuJoCo would silently drop the second name."""
+    for kind in ("joint", "link"):
+        for name, count in Counter(element.get("name") for element in robot.findall(kind)).items():
+            if count > 1:
+                raise RobotError(f"{path}: {count} {kind}s are named {name!r}; every {kind} needs a name of its own")
+
+
+def _rotor_inertias(robot: ElementTree.Element, path: Path) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for transmission in robot.findall("transmission"):
+        joints = [joint.get("name", "") for joint in transmission.findall("joint")]
+        for actuator in transmission.findall("actuator"):
+            values = {_local(child.tag): child.get("value", child.text) for child in actuator}
+            if "rotor_inertia" not in values:
+                continue
+            if len(joints) != 1:
+                raise RobotError(f"{path}: rotor inertia in a transmission of {len(joints)} joints; it must have one")
+            inertia = _number(values, "rotor_inertia", joints[0], path, least=0.0)
+            gear = "gear_ratio" if "gear_ratio" in values else "mechanicalReduction"
+            ratio = _number(values, gear, joints[0], path) if gear in values else 1.0
+            found[joints[0]] = found.get(joints[0], 0.0) + inertia * ratio**2
+    return found
+
+
+def _local(tag: str) -> str:
+    return tag.rpartition("}")[2]
+
+
+def _number(values: dict[str, str | None], key: str, joint: str, path: Path, least: float = -math.inf) -> float:
+    try:
+        number = float(values[key] or "")
+    except ValueError:
+        number = math.nan
+    if math.isfinite(number) and number >= least:
+        return number
+    rule = "a finite number" if least < 0 else f"a finite number >= {least:g}"
+    raise RobotError(f"{path}: joint {joint!r}: {key} = {values[key]!r} in its transmission must be {rule}")
+
+
+# --- Load a robot file: read it, choose the joints, make the tree.
+
 
 MOST_JOINTS = 1000
 """Of a robot file: a humanoid with its hands has a hundred; a chain of ten thousand takes MuJoCo gigabytes."""

@@ -11,9 +11,8 @@ import mujoco
 import numpy as np
 
 from tauext import _core
-from tauext.sim.arm import LINK_SPACING_M, arm_xml, joint_names
 from tauext.sim.config import DriveConfig, FrictionConfig, MotionConfig, RigConfig, SensorConfig, changed_friction
-from tauext.sim.scene import add_drivetrain
+from tauext.sim.rig import LINK_SPACING_M, add_drivetrain, arm_xml, joint_names
 
 
 @dataclass(frozen=True)

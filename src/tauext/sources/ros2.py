@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tauext.sources.settings import Ros2Settings
+from tauext.sources.ros2_settings import Ros2Settings
 
 if TYPE_CHECKING:
     from tauext import _core
-    from tauext.sources.publisher import Ros2Publisher
-    from tauext.sources.source import Ros2Source
+    from tauext.sources.ros2_publisher import Ros2Publisher
+    from tauext.sources.ros2_source import Ros2Source
 
 
 def connect(settings: Ros2Settings, bundle: _core.Bundle | None = None) -> tuple[Ros2Source, Ros2Publisher]:
@@ -21,11 +21,9 @@ def connect(settings: Ros2Settings, bundle: _core.Bundle | None = None) -> tuple
     Raises:
         ConfigError: CycloneDDS is not installed, the domain cannot be joined, or the bundle has no such frame.
     """
-    from tauext.sources.conditions import Conditions
-    from tauext.sources.node import Node
-    from tauext.sources.publisher import Ros2Publisher
-    from tauext.sources.source import Ros2Source
-    from tauext.sources.wrenches import Wrenches
+    from tauext.sources.ros2_node import Conditions, Node
+    from tauext.sources.ros2_publisher import Ros2Publisher, Wrenches
+    from tauext.sources.ros2_source import Ros2Source
 
     wrenches = Wrenches(settings.wrench_frames, bundle)
     node, conditions = Node(settings), Conditions()

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from tauext.data.description_file import refuse_unknown
-from tauext.data.lerobot_calibration import MotorCalibration, load_lerobot_calibration
+from tauext.data.servo_types import MotorCalibration, load_lerobot_calibration
 from tauext.errors import ConfigError
-from tauext.files.place import Place
+from tauext.files.places import Place
 from tauext.files.toml_file import number, read_toml
 
 MOST_ID = 252

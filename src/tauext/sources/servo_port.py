@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tauext.errors import ConfigError
-from tauext.sources.reader_source import Unreachable
+from tauext.sources.reader import Unreachable
 
 BITS_A_BYTE = 10
 MEMORY = 1

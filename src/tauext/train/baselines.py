@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from tauext.check.verdict import expect_codes
+from tauext.check.look import expect_codes
 from tauext.config import PAPER_CASES, CaseName, LimitsKind, TrainConfig
 from tauext.data.dataset import Dataset
 from tauext.errors import ConfigError
-from tauext.files.place import Place
+from tauext.files.places import Place
 from tauext.progress import SILENT, Reporter
 from tauext.recipes import RECIPES, baselines
 from tauext.robot.model_case import chosen_case, estimated_model
 from tauext.train.look import look_first
-from tauext.train.settings import finished, why_impossible
+from tauext.train.preparation import finished, why_impossible
 from tauext.train.stage import train_on_recordings
 
 

@@ -11,17 +11,161 @@ the moments that set a limit: the scale whose limit, p-th moments taken for larg
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 from scipy.optimize import minimize
 
 from tauext import _core
-from tauext.config import DriftConfig, FreeMotionConfig
+from tauext.bundle.estimates import STALE
+from tauext.config import AlarmConfig, DriftConfig, FreeMotionConfig, warm_up_s
+from tauext.data.free_motion import free_samples, standing_joints
 from tauext.data.recording import Recording
-from tauext.train.judged import Judged, judge, no_free_motion
+from tauext.errors import TrainingError
+
+# --- What limits are found on: samples of free motion, and the error that a bundle makes there.
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A recording, which of its samples count, and who is judged on them."""
+
+    recording: Recording
+    span: slice = field(default_factory=lambda: slice(None))
+    bundle: _core.Bundle | None = None
+    """A stand-in that was fitted without these samples; None: the bundle itself, which never saw them."""
+
+
+def whole_recordings(judged: Sequence[Recording | Judged]) -> list[Recording]:
+    """Each recording once, however many spans of it are judged."""
+    return list({id(r): r for r in (one.recording if isinstance(one, Judged) else one for one in judged)}.values())
+
+
+def errors(
+    bundle: _core.Bundle, judged: Recording | Judged, threads: int, margins: FreeMotionConfig
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Times, |tau_ext|, region and which samples count: (samples,), 2 x (samples, joints) and (samples,) bool.
+
+    |tau_ext| is divided by the error scale of whoever judges, where it has one: what it would be in usual motion.
+
+    Counted are samples of free motion within the span at which an alarm could rise: where tau_ext is held against the
+    limits, also while a drive is saturated, which is no healthy one. The whole recording runs through the chain, so
+    that filters are warm where the span begins.
+    """
+    said, error, counted = judge(bundle, judged, threads, margins)
+    recording = judged.recording if isinstance(judged, Judged) else judged
+    return recording.t_ns, error, said["near_stiction"].astype(bool), counted
+
+
+def judge(
+    bundle: _core.Bundle, judged: Recording | Judged, threads: int, margins: FreeMotionConfig
+) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+    """All that the chain said of the recording, and of errors() |tau_ext| and which samples count."""
+    judged = judged if isinstance(judged, Judged) else Judged(judged)
+    recording = judged.recording
+    signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+    said = _core.estimate(judged.bundle or bundle, *signals, threads, recording.temperature)
+    counted = np.zeros(recording.samples, dtype=bool)
+    counted[judged.span] = True
+    counted &= (said["health"] != STALE) & np.isfinite(said["tau_ext"]).all(axis=1) & free_samples(recording, margins)
+    # What the prior's doubt raises the limits by is no error that limits must stand.
+    error = np.maximum(np.abs(said["tau_ext"]) - said["doubt"], 0) / said["limit_scale"]
+    return said, error, counted
+
+
+def no_free_motion(bundle: _core.Bundle, margins: FreeMotionConfig) -> TrainingError:
+    """What to raise where no recording holds a sample that counts."""
+    warm_s = warm_up_s(bundle.observer.gain_per_s, bundle.observer.low_pass_per_s)
+    window = " and the network's window" if bundle.has_network else ""
+    return TrainingError(
+        f"limits need free motion: no recording holds any beyond the warm-up of {warm_s:g} s{window}, with "
+        f"{margins.before_s:g} s before and {margins.after_s:g} s after every contact left out"
+    )
+
+
+# --- The paper's limits: what free motion that the network was not trained on reached at most.
+
+
+@dataclass(frozen=True)
+class LevelLimits:
+    """Limits of one level of the alarm: what |tau_ext| of a joint must exceed, [N m]."""
+
+    sliding_nm: np.ndarray  # (n,)
+    near_stiction_nm: np.ndarray  # (n,), for |dq| below the bundle's near_stiction_rad_s
+    at_rest: tuple[str, ...] = ()
+    """Joints that stood still in every recording."""
+
+
+def paper_limits(
+    bundle: _core.Bundle,
+    recordings: Sequence[Recording | Judged],
+    threads: int,
+    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
+) -> LevelLimits:
+    """Largest |tau_ext| of each joint on validation free motion, sliding and near stiction apart [Lim2021].
+
+    Where a joint was never near stiction, or less wrong there, its near-stiction limit is the sliding one: a stuck
+    joint's friction is known no better than a moving one's. A joint that never slid has in both regions the limit that
+    it has at rest: nothing is known of it in motion, and `warning` says so. Contacts, with margins, are left out.
+
+    Raises:
+        TrainingError: no healthy sample of free motion, or a joint whose |tau_ext| is zero throughout.
+    """
+    n = bundle.joints
+    sliding, near, samples = np.zeros(n), np.zeros(n), 0
+    for recording in recordings:
+        _, error, stuck, counted = errors(bundle, recording, threads, margins)
+        error, stuck = error[counted], stuck[counted]
+        sliding = np.maximum(sliding, np.where(stuck, 0, error).max(axis=0, initial=0))
+        near = np.maximum(near, np.where(stuck, error, 0).max(axis=0, initial=0))
+        samples += len(error)
+    if samples == 0:
+        raise no_free_motion(bundle, margins)
+    names = [link.joint_name for link in bundle.links]
+    if (np.maximum(sliding, near) == 0).any():
+        name = names[int(np.argmin(np.maximum(sliding, near)))]
+        raise TrainingError(
+            f"joint '{name}': |tau_ext| is zero throughout the validation recordings, so its limit cannot be found; "
+            "is its torque recorded?"
+        )
+    stand = standing_joints([r.recording if isinstance(r, Judged) else r for r in recordings])
+    both = np.maximum(sliding, near)
+    sliding = np.where(stand | (sliding == 0), both, sliding)
+    return LevelLimits(sliding, both, tuple(name for name, stands in zip(names, stand, strict=True) if stands))
+
+
+def at_rest_sentence(joints: Sequence[str], of: int) -> str:
+    """What limits of joints that stood still are worth, in words."""
+    which = "no joint moves" if len(joints) == of else f"{', '.join(joints)} stand{'s' * (len(joints) == 1)} still"
+    return f"limits at rest only: {which} in the recordings; in motion expect false alarms"
+
+
+def set_limits(bundle: _core.Bundle, limits: LevelLimits, alarm: AlarmConfig) -> None:
+    """Put limits and hold times into a bundle. The paper has one limit: contact and collision differ in time only."""
+    bundle.sliding_limit_nm = bundle.contact_sliding_limit_nm = limits.sliding_nm.tolist()
+    bundle.near_stiction_limit_nm = bundle.contact_near_stiction_limit_nm = limits.near_stiction_nm.tolist()
+    bundle.hold_s = alarm.collision_hold_s
+    bundle.contact_hold_s = alarm.contact_hold_s
+    bundle.contact_release_s = alarm.contact_release_s
+
+
+def raise_limits(bundle: _core.Bundle, factor: float, by_nm: np.ndarray | float = 0.0) -> None:
+    """Multiply every limit of a bundle, in both regions and of both alarms, and add so much of each joint, [N m]."""
+    for kind in ("sliding", "near_stiction", "contact_sliding", "contact_near_stiction"):
+        name = f"{kind}_limit_nm"
+        setattr(bundle, name, (factor * np.array(getattr(bundle, name)) + by_nm).tolist())
+
+
+def usual_speed_rad_s(recordings: Sequence[Recording | Judged]) -> np.ndarray:
+    """What a joint's speed stays below for 95 % of the recording where that is largest, (n,), [rad/s]."""
+    speeds = [np.quantile(np.abs(recording.dq), 0.95, axis=0) for recording in whole_recordings(recordings)]
+    return np.max(speeds, axis=0)
+
+
+# --- The error scale.
+
 
 FEATURES = tuple(_core.MotionFeature)
 SHARP_HOURS = 1.0

@@ -1,17 +1,13 @@
-"""Peaks of the error in free motion, as an alarm with a hold time sees it: of the held minimum (held_minimum.py).
-
-A joint has one limit for sliding and one near stiction. A window with samples of both counts for both: an alarm there
-has every sample over its own limit, hence the window's minimum over the lower of the two. So the alarms of an arm are
-at most the sum of what is counted for its joints and regions.
-"""
+"""Peaks of the error in free motion that an alarm with a hold time sees, and moments that decide a limit."""
 
 from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +15,128 @@ from tauext import _core
 from tauext.config import FreeMotionConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.train.held_minimum import held_minimum, hold_lengths
-from tauext.train.judged import Judged, errors, no_free_motion
-from tauext.train.kept_peaks import KeptPeaks
+from tauext.files.half_done import HalfDone
+from tauext.train.error_scale import Judged, errors, no_free_motion
+
+# --- What an alarm with a hold time sees of an error: the least of the last samples.
+#
+# An alarm rises at sample k when |tau_ext| of a joint has been over its limit L without a break since a sample that is
+# `hold_s` old or older. So it rises over L exactly where the held minimum does:
+#
+# .. math:: m(t_k) = \min_{s \le j \le k} |\tau_{ext}(t_j)|, \quad s = \max\{j : t_j \le t_k - hold\}, \qquad m(t_k) > L
+#
+# and m stands for |tau_ext| in everything that is said of limits. With no hold time m is |tau_ext| itself.
+
+
+def held_minimum(tau_abs: np.ndarray, healthy: np.ndarray, hold_samples: int | np.ndarray) -> np.ndarray:
+    """m of every sample: the least |tau_ext| of the last hold_samples + 1 samples, (samples,), [N m]; exact.
+
+    NaN where one of them is unhealthy or NaN, or would lie before the first: no alarm can rise there.
+
+    Args:
+        tau_abs: |tau_ext| of one joint, (samples,), [N m].
+        healthy: (samples,), bool.
+        hold_samples: one number for all samples, or one for each, (samples,), as `hold_lengths` gives.
+
+    Raises:
+        ConfigError: shapes that differ, or hold_samples < 0.
+    """
+    tau_abs, healthy, hold = np.asarray(tau_abs, dtype=float), np.asarray(healthy, dtype=bool), np.asarray(hold_samples)
+    if tau_abs.ndim != 1 or healthy.shape != tau_abs.shape or hold.shape not in ((), tau_abs.shape):
+        raise ConfigError(
+            f"held minimum: |tau_ext|, healthy and hold_samples have shapes {tau_abs.shape}, {healthy.shape} and "
+            f"{hold.shape}; they must be one and the same (samples,)"
+        )
+    if (hold < 0).any():
+        raise ConfigError(f"hold_samples = {hold.min()} must be >= 0")
+    least = np.full(len(tau_abs), -np.inf)
+    over = np.where(healthy & ~np.isnan(tau_abs), tau_abs, -np.inf)
+    length = _one_length(hold)
+    if length is not None:
+        least[length:] = _over_windows(over, length + 1)
+    else:
+        last = np.arange(len(tau_abs))
+        first = last - hold
+        whole = first >= 0
+        least[whole] = _over_ranges(over, first[whole], last[whole])
+    return np.where(np.isneginf(least), np.nan, least)
+
+
+def hold_lengths(t_ns: np.ndarray, hold_s: float) -> np.ndarray:
+    """Samples back to the youngest that is hold_s old or older, (samples,), int64; k + 1, one too many, if none is.
+
+    From stamps and not from a rate, as in the alarm: where samples are missing, fewer of them fill the same time.
+
+    Args:
+        t_ns: sample times, increasing, (samples,), [ns].
+    """
+    so_far, hold_ns, steps = np.arange(1, len(t_ns) + 1), round(hold_s * 1e9), np.diff(t_ns)
+    if len(steps) and (steps == steps[0]).all():  # nothing to search for in a regular recording
+        return np.minimum(so_far, -(-hold_ns // int(steps[0])))
+    return so_far - np.searchsorted(t_ns, t_ns - hold_ns, side="right")
+
+
+def _one_length(hold: np.ndarray) -> int | None:
+    """The hold time in samples where all samples have the same, but for those that reach before the first one."""
+    if hold.ndim == 0:
+        return int(hold)
+    length = int(hold[-1]) if len(hold) else 0
+    return length if (hold == np.minimum(np.arange(1, len(hold) + 1), length)).all() else None
+
+
+def _over_windows(values: np.ndarray, samples: int) -> np.ndarray:
+    """Least of each `samples` values in a row, (len(values) - samples + 1 or 0,), as two overlapping blocks of 2^p."""
+    if samples > len(values):
+        return np.zeros(0)
+    power, table = samples.bit_length() - 1, values
+    for p in range(power):
+        table = np.minimum(table[: -(2**p)], table[2**p :])
+    rest = samples - 2**power
+    return np.minimum(table[:-rest], table[rest:]) if rest else table
+
+
+def _over_ranges(values: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Least of values[first..last] for each pair of indices, first <= last, as two overlapping blocks of 2^p values.
+
+    Memory of one block size at a time; O(samples log of the longest range).
+    """
+    power = np.frexp(last - first + 1)[1] - 1
+    out = np.empty(len(first))
+    table = values  # table[i] = min(values[i .. i + 2^p - 1])
+    for p in range(int(power.max(initial=-1)) + 1):
+        if p:
+            half = 2 ** (p - 1)
+            table = np.minimum(table[:-half], table[half:])
+        now = power == p
+        out[now] = np.minimum(table[first[now]], table[last[now] - 2**p + 1])
+    return out
+
+
+# --- Peaks of calibration recordings that a killed process had picked already.
+
+
+class KeptPeaks:
+    """Peaks of the first recordings, from a process that was killed, and what this one does of it."""
+
+    def __init__(self, half_done: HalfDone):
+        self._half_done = half_done
+        self.collectors: list[Any]
+        self.names: list[str]
+        self.collectors, self.names = half_done.load() or ([], [])
+        self._taken = len(self.names)
+
+    def offer(self, collectors: list[Any], names: Sequence[str]) -> None:
+        """One more recording is taken in; names of these and of the next few, which are estimated already."""
+        self._taken += 1
+        self._half_done.offer((collectors, list(names[: self._taken])))
+
+
+# --- Peaks of the error in free motion, as an alarm with a hold time sees it: of the held minimum (held_minimum.py).
+#
+# A joint has one limit for sliding and one near stiction. A window with samples of both counts for both: an alarm there
+# has every sample over its own limit, hence the window's minimum over the lower of the two. So the alarms of an arm are
+# at most the sum of what is counted for its joints and regions.
+
 
 REGIONS = ("sliding", "near_stiction")
 GAP_S = 0.5
@@ -237,3 +352,84 @@ def _largest_between(values: np.ndarray, first: np.ndarray, end: np.ndarray) -> 
     pairs = np.stack([first[some], end[some]], axis=1).ravel()
     out[some] = np.maximum.reduceat(np.append(values, -np.inf), pairs)[::2]  # an end may be one past the last value
     return out
+
+
+# --- Limits that one moment carries: an end-of-program stop, a touch nobody labelled, a glitch, or the truth.
+#
+# Such a limit stays: large errors of free motion are what limits are for. But a person is told where to look.
+
+
+CODE = "one-moment-limit"
+MOMENT_S = 1.0
+"""A moment is a peak and what lies so near it, [s]: a touch or a stop, and what rings after it."""
+CARRIED = 0.6
+"""Told where the limit without the moment is less than this share of it: the moment does more than the factor of 1.6
+on limits from minutes, which stands for all that minutes do not show. By chance a tail of shape 0.2 has such a largest
+peak once in 13 times (0.6^5), one of Gaussian noise hardly ever."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What sets one joint's limit in one region, all by itself."""
+
+    joint: str
+    region: str
+    recording: str
+    time_s: float
+    """Of its largest peak, after the recording's first sample."""
+    limit_nm: float
+    without_nm: float
+
+    def scaled(self, factor: float, by_nm: float = 0.0) -> Moment:
+        """For limits that are raised afterwards."""
+        return replace(self, limit_nm=factor * self.limit_nm + by_nm, without_nm=factor * self.without_nm + by_nm)
+
+    def sentence(self, unit: str = "Nm") -> str:
+        """In words, for a person who is to look there."""
+        return (
+            f"warning: {CODE} ({self.joint}): one moment of '{self.recording}', at {self.time_s:.1f} s, sets its limit "
+            f"{self.region.replace('_', ' ')}: {self.limit_nm:.3g} {unit}; without it {self.without_nm:.3g} {unit}. If "
+            "something touched the arm there, label it; if a signal failed, cut it out"
+        )
+
+    def facts(self) -> dict:
+        """For provenance, as plain JSON."""
+        return asdict(self)
+
+
+def carrying_moments(peaks: Peaks, limits_of: Callable[[int, Sequence[np.ndarray]], np.ndarray]) -> list[Moment]:
+    """Moments without which a limit would be less than CARRIED of what it is; one a joint and moment, of the region
+    where it matters most.
+
+    Only peaks are needed again: what lies within MOMENT_S of a region's largest one is left out of both regions.
+
+    Args:
+        limits_of: both limits of a joint (regions,), [N m], from its peaks in each region, falling.
+    """
+    first: dict[str, int] = {}
+    same = np.array([first.setdefault(name, k) for k, name in enumerate(peaks.recordings)])
+    found = []
+    for j, joint in enumerate(peaks.joints):
+        with_nm = limits_of(j, peaks.nm[j])
+        told: list[tuple[int, int]] = []
+        for at in peaks.at[j]:
+            if not len(at):
+                continue
+            number, at_ns = int(same[at[0, 0]]), int(at[0, 1])
+            if any(number == other and abs(at_ns - other_ns) <= MOMENT_S * 1e9 for other, other_ns in told):
+                continue
+            told.append((number, at_ns))
+            without_nm = limits_of(j, _without(peaks.nm[j], peaks.at[j], same, number, at_ns))
+            r = int(np.argmin(without_nm / with_nm))
+            if without_nm[r] < CARRIED * with_nm[r]:
+                where = peaks.recordings[number], at_ns * 1e-9
+                found.append(Moment(joint, REGIONS[r], *where, float(with_nm[r]), float(without_nm[r])))
+    return found
+
+
+def _without(
+    nm: Sequence[np.ndarray], at: Sequence[np.ndarray], same: np.ndarray, number: int, at_ns: int
+) -> list[np.ndarray]:
+    """The peaks of each region that do not belong to a moment."""
+    near = [(same[one[:, 0]] == number) & (np.abs(one[:, 1] - at_ns) <= MOMENT_S * 1e9) for one in at]
+    return [values[~left_out] for values, left_out in zip(nm, near, strict=True)]

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from tauext.check.verdict import Look, expect_codes, judge
-from tauext.check.viewing import look_at_calibration, look_at_training
+from tauext.check.look import Look, expect_codes, judge, look_at_calibration, look_at_training
 from tauext.config import ModelCase, TrainConfig
-from tauext.data.amperes import in_amperes
 from tauext.data.dataset import Dataset
 from tauext.data.recording import Recording
+from tauext.data.servo import in_amperes
 from tauext.progress import Reporter
 from tauext.robot.torque_limits import torque_limits
-from tauext.train.recordings import chosen_recordings, wants_constants
+from tauext.train.preparation import chosen_recordings, wants_constants
 
 
 def look_first(

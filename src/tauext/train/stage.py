@@ -2,34 +2,96 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tauext._core import Bundle, Tree
 from tauext.bundle.bundle_file import load_bundle
-from tauext.check.rejected import Rejected
-from tauext.check.verdict import expect_codes
+from tauext.check.look import Rejected, expect_codes
 from tauext.config import PAPER_CASES, CaseName, ModelCase, TrainConfig
 from tauext.data.dataset import Dataset
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.files.place import Place, place_of
-from tauext.files.room import expect_new_file
+from tauext.files.places import Place, place_of
+from tauext.files.room import expect_memory, expect_new_file, expect_time
 from tauext.fit.fleet_prior import FleetPrior
+from tauext.fit.network_training import apply_gate
+from tauext.fit.prior_terms import PriorFit
+from tauext.fit.training_set import Setup
 from tauext.progress import SILENT, Reporter
 from tauext.robot.model_case import chosen_case, estimated_model
-from tauext.train.fitting import fit_prior, observe, put_coverage, put_prior, with_fit
-from tauext.train.gain import choose_gain
-from tauext.train.gating import gate
-from tauext.train.like import expect_like, like_facts, like_settings
+from tauext.train.fitting import (
+    expect_like,
+    fit_prior,
+    like_facts,
+    like_settings,
+    observe,
+    put_coverage,
+    put_prior,
+    with_fit,
+)
 from tauext.train.limits import calibrate, limits_kind
 from tauext.train.load import put_load
 from tauext.train.look import look_first
-from tauext.train.network import assemble, fit_network
-from tauext.train.preparation import note_recordings, prepare
-from tauext.train.size import expect_size
-from tauext.train.train_wrench import put_wrench
-from tauext.train.writing import write
+from tauext.train.network import assemble, choose_gain, fit_network
+from tauext.train.preparation import Job, note_recordings, prepare
+from tauext.train.writing import put_wrench, write
+
+# --- What a training of this size takes at least, held against what is there before anything is loaded.
+
+
+FLOPS_A_CORE = 2e11
+"""Above what a core reaches in single precision (32 sums and products a cycle at 3 GHz), so that times are bounds."""
+LEAST_INPUTS = 3
+"""Of a network: one joint's q(k), dq(k) and dq(k-1)."""
+BYTES_A_SEQUENCE = 3 * 8
+"""Of a training step: which sequences are drawn, and the rows at which they end."""
+
+
+def expect_size(config: TrainConfig) -> None:
+    """Refuse what no machine of this kind finishes within a month, or what its memory cannot hold.
+
+    Raises:
+        ConfigError: the setting, what it needs, and what is there.
+    """
+    config = config.resolved()
+    if config.row.network is None or config.batch is None:
+        return
+    expect_memory(BYTES_A_SEQUENCE * config.batch, f"batch = {config.batch}")
+    window = max(1, int(config.observer.window_s / config.observer.network_period_s))
+    length = window + config.targets if config.row.network == "sequences" else window
+    # An epoch holds a batch at least.
+    steps = min(config.epochs or config.max_steps or 1, config.max_steps or config.epochs or 1)
+    a_step = 3 * 2 * 4 * config.hidden * (config.hidden + LEAST_INPUTS)  # backwards costs twice forwards
+    flops = float(steps) * config.batch * length * a_step
+    told = f"a training of {steps} steps of {config.batch} sequences of {length} with {config.hidden} hidden units"
+    expect_time(flops / (FLOPS_A_CORE * (os.cpu_count() or 1)), told)
+
+
+# --- A network behind a prior ships only where it helps.
+
+
+def gate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> tuple[Bundle, PriorFit | None]:
+    """Shut the network off for joints that it does not help; the bundle that ships, and its prior.
+
+    Where no network is left of one that validated on motion cut off from the training, the prior is fitted to all of
+    it in the end.
+
+    Args:
+        setup: without the prior.
+    """
+    if bundle.has_network:
+        gate = apply_gate(bundle, job.motion.validation, job.config.gate_margin, job.threads)
+        job.facts["gate"] = {name: gate.reason(j, job.config.gate_margin) for j, name in enumerate(job.joints)}
+    if bundle.has_network or not job.motion.network or job.validation:
+        return bundle, fit
+    fit = fit_prior(job, setup, job.motion.uncut)
+    job.notes.append("no joint has a network, so the prior was fitted to all of the motion in the end")
+    return assemble(job, with_fit(setup, fit)), fit
+
+
+# --- One bundle from recordings of free motion: prepare, observe, fit, gate, calibrate, write.
 
 
 def train_bundle(
@@ -56,7 +118,7 @@ def train_bundle(
         report: is told how far it is, and what was found, in sentences.
         accept: codes of the doctor that are no fault on your word, CODE or CODE:joint; they stand in the bundle.
         look: False: do not look; for recordings that are known to be good.
-        like: what a fleet of arms of this type knows (tauext.fit.fleet_prior_file.load_fleet_prior); None: nothing.
+        like: what a fleet of arms of this type knows (tauext.fit.fleet_prior.load_fleet_prior); None: nothing.
 
     Raises:
         FaultyDataError: recordings or robot file have a fault that is not accepted.

@@ -19,7 +19,7 @@ from scipy.special import gammaincinv
 from tauext import _core
 from tauext.config import FreeMotionConfig
 from tauext.data.recording import Recording
-from tauext.train.judged import Judged, judge
+from tauext.train.error_scale import Judged, judge
 
 CLIP = 3.0
 """One large error must not decide what joints have in common."""

@@ -1,18 +1,26 @@
-"""The bundle's file, with its run file and wall time beside it."""
+"""Writes a bundle with its run file; frames, shapes and torque constants for forces."""
 
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from tauext._core import Bundle
 from tauext.bundle.bundle_file import write_bundle
-from tauext.data.first_seconds import total_s
+from tauext.data.free_motion import total_s
 from tauext.data.servo import servo_of_recordings
-from tauext.files.staging import at_home
-from tauext.train.bundle_limits import forget_half_done
+from tauext.errors import RobotError
+from tauext.files.copies import at_home
+from tauext.robot.capsules import link_capsules
+from tauext.robot.frames import wrench_frames
+from tauext.train.calibrate import forget_half_done
 from tauext.train.network import CHECKPOINT, ScaledNetwork
 from tauext.train.preparation import Job
+
+# --- The bundle's file, with its run file and wall time beside it.
 
 
 def write(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> None:
@@ -47,3 +55,49 @@ def facts_of(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> dict:
     if job.constants is not None:
         facts["torque_constants"] = job.constants.facts(job.joints)
     return facts | ({"notes": job.notes} if job.notes else {})
+
+
+# --- What forces at frames are worth: the robot file's frames, and the doubt in the torque constants.
+
+
+MODEL_SHARE = 0.05
+"""Constants that were found by comparing with a model's weights inherit what its masses are off by together; a data
+sheet's leave out cables, covers and tools."""
+LEAST_SHARE = 0.01
+"""No constant is found better: so much changes with the magnets' temperature."""
+
+
+def put_wrench(job: Job, bundle: Bundle, robot: Path) -> None:
+    """Let the bundle tell forces at the robot file's frames, and say how far its torque constants may be off.
+
+    Constants that the training found have a standard error, and one that all have in common; known ones, and torques
+    that were recorded in N m, may be off by config.torque_share each.
+    The friction of gears under a push is part of `contact_sigma_nm`.
+    """
+    settings = bundle.wrench_settings
+    constants = job.constants
+    share = np.full(len(job.joints), job.config.torque_share)
+    if constants is not None:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found = np.abs(constants.standard_errors / constants.nm_per_unit)
+        share = np.where(np.isfinite(found) & (found > 0), np.clip(found, LEAST_SHARE, 1.0), share)
+        settings.common_share = MODEL_SHARE if (found > 0).any() else 0.0
+    settings.torque_share = share.tolist()
+    if any(link.mass > 0 for link in bundle.links):
+        try:
+            settings.frames = wrench_frames(robot, job.tree)
+            put_shapes(job, bundle, robot)
+        except RobotError as error:
+            job.notes.append(f"forces are told at links alone: {error}")
+    bundle.wrench_settings = settings
+    job.facts["wrench"] = {"torque_share": [round(one, 4) for one in share.tolist()]}
+
+
+def put_shapes(job: Job, bundle: Bundle, robot: Path) -> None:
+    """Capsules of the robot file's links; those that it has no shape of are guessed where they are asked for."""
+    bundle.capsules, notes = link_capsules(robot, job.tree)
+    shaped = {one.link for one in bundle.capsules}
+    guessed = [link.joint_name for number, link in enumerate(bundle.links) if number not in shaped]
+    job.facts["shapes"] = {"capsules": len(bundle.capsules), "guessed": guessed, "notes": notes}
+    if notes:
+        job.notes.append(f"the shape of {len(guessed)} of {len(bundle.links)} links is guessed: {notes[0]}")

@@ -16,8 +16,7 @@ from lerobot_robot_tauext.config_tauext import TauextConfig
 from lerobot_robot_tauext.episodes import tell_no_more, tell_of_episodes
 from lerobot_robot_tauext.reactions import CollisionStop, Hold
 from tauext.data.description_file import load_arm
-from tauext.sources.frames import FrameLabeller
-from tauext.sources.labels import element_names
+from tauext.sources.lerobot_frames import FrameLabeller, element_names
 
 logger = logging.getLogger(__name__)
 

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tauext.data.importers.hdf5 import open_hdf5
-from tauext.data.importers.named_arrays import columns_of, sample_count
+from tauext.data.importers.hdf5 import columns_of, open_hdf5, sample_count
 from tauext.data.importers.raw import RawRecording, RawSignals, short_list
 from tauext.errors import RecordingError
 

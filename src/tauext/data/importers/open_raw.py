@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from tauext.data.importers import csv_table, hdf5, lerobot, matlab, parquet, ros1, ros2
+from tauext.data.importers import csv_table, hdf5, lerobot, matlab, parquet, ros
 from tauext.data.importers.raw import RawRecording
 from tauext.errors import RecordingError
 from tauext.files.plain_file import expect_file
@@ -29,7 +29,7 @@ def open_raw(path: Path | str, topics: Sequence[str] = ()) -> list[RawRecording]
     if path.is_dir():
         if (path / lerobot.INFO).is_file():
             return lerobot.open_lerobot(path)
-        return ros2.open_ros2(path, topics)
+        return ros.open_ros2(path, topics)
     try:
         expect_file(path)
         with path.open("rb") as file:
@@ -40,10 +40,10 @@ def open_raw(path: Path | str, topics: Sequence[str] = ()) -> list[RawRecording]
         raise RecordingError(f"{path}: cannot be read ({error.strerror})") from error
     if not begin:
         raise RecordingError(f"{path}: the file is empty; copy or record it again")
-    if begin.startswith(ros1.MAGIC):
-        return ros1.open_ros1(path, topics)
-    if begin.startswith((ros2.SQLITE_MAGIC, ros2.MCAP_MAGIC)):
-        return ros2.open_ros2(path, topics)
+    if begin.startswith(ros.MAGIC):
+        return ros.open_ros1(path, topics)
+    if begin.startswith((ros.SQLITE_MAGIC, ros.MCAP_MAGIC)):
+        return ros.open_ros2(path, topics)
     if begin.startswith(parquet.MAGIC):
         return parquet.open_parquet(path)
     if begin.startswith((matlab.MAGIC_5, matlab.MAGIC_73)):

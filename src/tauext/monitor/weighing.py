@@ -1,0 +1,386 @@
+"""The load of an arm from recordings: frame, rows, windows, mass and centre, in words."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tauext import _core
+from tauext.bundle.estimates import OK
+from tauext.bundle.fit import expect_fit
+from tauext.data.recording import Recording
+from tauext.errors import ConfigError, RecordingError
+
+# --- Where a load is taken to be fixed.
+
+
+@dataclass(frozen=True)
+class NamedFrame:
+    """A load frame, and what people call it."""
+
+    frame: _core.LoadFrame
+    name: str
+
+
+def load_frame(bundle: _core.Bundle, joint: str | None = None) -> NamedFrame:
+    """The frame that the bundle's loads are given in, or that of the link that a joint carries: its origin is on the
+    joint's axis, z along it.
+
+    Args:
+        joint: whose link carries the load; None: the bundle's frame or, if it names none, the link that most joints
+            carry.
+
+    Raises:
+        ConfigError: there is no such joint.
+    """
+    joints = [link.joint_name for link in bundle.links]
+    known = bundle.load_settings
+    if joint is None and known.link >= 0:
+        named = known.frame if known.frame.startswith("link of ") else f"frame {known.frame}"
+        return NamedFrame(_core.LoadFrame(known.link, known.rotation, known.translation), f"the {named}")
+    if joint is None:
+        joint = joints[max(range(len(joints)), key=lambda link: (carriers(bundle, link), link))]
+    if joint not in joints:
+        raise ConfigError(f"frame = {joint!r}: must be the joint whose link carries the load, of {', '.join(joints)}")
+    return NamedFrame(_core.LoadFrame(joints.index(joint)), f"the link of {joint}")
+
+
+def carriers(bundle: _core.Bundle, link: int) -> int:
+    """How many joints carry a link."""
+    count = 0
+    while link >= 0:
+        link, count = bundle.links[link].parent, count + 1
+    return count
+
+
+# --- Which bundles can weigh, and with which joints.
+
+
+def expect_weighable(bundle: _core.Bundle) -> None:
+    """Raise ConfigError where tau_ext is no torque of the joint that a weight could be read from."""
+    if bundle.observer.method.name != "momentum":
+        raise ConfigError(
+            f"bundle '{bundle.name}' follows the {bundle.observer.method.name} residual; a load is weighed by the "
+            "momentum observer's (recipes tauext, prior, friction, observer)"
+        )
+    if not any(link.mass > 0 for link in [*bundle.links, *bundle.prior.corrected_links]):
+        raise ConfigError(
+            f"bundle '{bundle.name}' knows no arm, neither from a model nor found in its motion: no levers"
+        )
+    if not weighing_joints(bundle).any():
+        raise ConfigError(
+            f"bundle '{bundle.name}' has no torque constant of any joint; a load is weighed by joints whose torque is "
+            "in N m: give the constants (--torque-constants of train)"
+        )
+
+
+def weighing_joints(bundle: _core.Bundle) -> np.ndarray:
+    """Joints whose torques can be added up, (n,) bool: those in N m or N; without any, those in one common unit.
+
+    A torque in amperes stands for another number of N m on every joint.
+    """
+    newtons = np.array(bundle.in_newtons)
+    if newtons.any():
+        return newtons
+    own = np.array(bundle.units.unknown or [0] * bundle.joints, dtype=bool)
+    return ~own & np.array([unit != "A" for unit in bundle.estimate_units])
+
+
+# --- What a recording shows of a load, row by row: the chain's estimate, what it is worth, and what would show there.
+
+
+ROW_S = 0.01
+"""A row: the network period. r changes little in less."""
+STAND_S = 0.5
+"""What holds a standing joint does not change meanwhile: however long, a stand tells as much as this of sliding."""
+SIGMA_SHARE = 0.2
+"""Of a limit: the standard error of bundles that have no error scale, whose limits are some five of it."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A recording as the chain saw it, at the rows that tell."""
+
+    recording: Recording
+    samples: np.ndarray  # (rows,) of the recording
+    time_s: np.ndarray  # (rows,) from the recording's first sample
+    tau_ext: np.ndarray  # (rows, n): without what the drift tracker takes off, which takes the load for drift
+    sigma: np.ndarray  # (rows, n)
+    worth: np.ndarray  # (rows, n): 1, less the longer a joint stands, 0 where its torque is in another unit
+    moved: np.ndarray  # (rows, n): |dq|
+
+    @property
+    def rows(self) -> int:
+        return len(self.samples)
+
+    def part(self, keep: np.ndarray) -> Seen:
+        """Some of the rows; keep: (rows,) bool."""
+        fields = (self.samples, self.time_s, self.tau_ext, self.sigma, self.worth, self.moved)
+        return Seen(self.recording, *(values[keep] for values in fields))
+
+
+def see(bundle: _core.Bundle, recording: Recording, threads: int = 0) -> Seen:
+    """Run the chain on a recording: every healthy row of it.
+
+    Raises:
+        BundleError: the recording is not one that the bundle was made for.
+    """
+    expect_fit(bundle, recording)
+    recorded = (recording.t_ns, recording.q, recording.dq, recording.tau)
+    said = _core.estimate(bundle, *recorded, threads or os.cpu_count() or 1)
+    stride = max(1, round(ROW_S * recording.rate_hz))
+    samples = np.arange(0, recording.samples, stride)
+    samples = samples[(said["health"] == OK)[samples]]
+    sigma = said["sigma_nm"] if bundle.error_scale.on else SIGMA_SHARE * said["limit_nm"]
+    worth = stand_worth(said["near_stiction"] > 0, np.diff(recording.time_s, prepend=0.0)) * weighing_joints(bundle)
+    return Seen(
+        recording,
+        samples,
+        recording.time_s[samples],
+        (said["tau_ext"] + said["drift"])[samples],
+        np.maximum(sigma[samples], 1e-9),
+        worth[samples],
+        np.abs(recording.dq[samples]),
+    )
+
+
+def stand_worth(near: np.ndarray, steps_s: np.ndarray) -> np.ndarray:
+    """(1 + t / STAND_S)^-2 with t the time that a joint has stood for, 1 where it slides: it adds up to STAND_S.
+
+    Args:
+        near: (samples, n) bool: near stiction.
+        steps_s: (samples,) since the sample before.
+    """
+    stood, worth = np.zeros(near.shape[1]), np.ones(near.shape)
+    for k, step in enumerate(steps_s):
+        stood = np.where(near[k], stood + step, 0.0)
+        worth[k] = (1 + stood / STAND_S) ** -2
+    return worth
+
+
+def columns(bundle: _core.Bundle, frame: _core.LoadFrame, seen: Seen, phi: np.ndarray) -> np.ndarray:
+    """The rows of `_core.LoadSums`, (rows, n, columns), about a load phi (10,) as known so far.
+
+    It says which side the gears are loaded on.
+    """
+    r, sums = seen.recording, _core.LoadSums
+    told = _core.load_rows(bundle, frame, phi.tolist(), r.t_ns, r.q, r.dq, seen.samples)
+    z = np.empty((*seen.tau_ext.shape, sums.COLUMNS))
+    z[..., sums.LOAD : sums.LOAD + 10] = told["load"]
+    z[..., sums.OFFSET], z[..., sums.COULOMB] = 1.0, told["coulomb"]
+    z[..., sums.BASE : sums.BASE + 3], z[..., sums.FRAME : sums.FRAME + 3] = told["base_forces"], told["frame_forces"]
+    z[..., sums.GEAR], z[..., sums.TAU_EXT] = told["offset"], seen.tau_ext
+    return z
+
+
+def sums_about(bundle: _core.Bundle, frame: _core.LoadFrame, parts: Sequence[Seen], phi: np.ndarray) -> _core.LoadSums:
+    """Of all rows of these recordings."""
+    sums = _core.LoadSums(bundle.joints)
+    for part in parts:
+        sums.add(columns(bundle, frame, part, phi), part.sigma, part.worth)
+    return sums
+
+
+# --- A load from recordings: mass and centre of mass, how sure they are, and whether it is a load at all.
+
+
+ROUNDS = 3
+"""In which inertia and the loaded side of each gear follow from the load found so far."""
+LEAST_ROWS = 30
+"""Three tenths of a second: less is no measurement."""
+
+LoadEstimate = _core.LoadFound
+"""What was found; lengths and axes of the load frame."""
+
+
+def identify(
+    bundle: _core.Bundle, frame: NamedFrame, parts: Sequence[Seen], reach_m: float = 0.3, phi: np.ndarray | None = None
+) -> LoadEstimate:
+    """The load that these rows show, by weighted least squares on tau_ext.
+
+        tau_ext_j = X_j(m, h) + offset_j + Coulomb_j tanh(dq_j / v) + error,   weights worth / (scale_j sigma_j)^2
+
+    X holds gravity, inertia and the friction that the load adds, through the observer's filter. The centre of mass is
+    within the reach: h is drawn to 0 with a standard deviation of m reach / 2.
+
+    Args:
+        phi: a load to begin with, (10,).
+
+    Raises:
+        RecordingError: fewer than LEAST_ROWS rows.
+    """
+    if sum(part.rows for part in parts) < LEAST_ROWS:
+        raise RecordingError(
+            f"{parts[0].recording.name if parts else 'nothing'}: too few healthy samples to weigh a load; it takes "
+            f"{LEAST_ROWS * ROW_S:g} s behind the observer's warm-up"
+        )
+    phi = np.zeros(10) if phi is None else phi
+    for _ in range(ROUNDS):
+        found = _core.weigh_load(bundle, sums_about(bundle, frame.frame, parts, phi), reach_m, phi.tolist(), rounds=1)
+        phi = found.phi
+    return found
+
+
+# --- Recordings cut into what is weighed.
+
+
+WINDOW_S = 4.0
+"""What a robot does between two grasps; and short enough for a load that changes to be seen."""
+
+
+def between(seen: Seen, from_s: float | None, to_s: float | None) -> Seen:
+    """The rows within these times of the recording.
+
+    Raises:
+        RecordingError: there are fewer than a measurement takes.
+    """
+    low, high = from_s if from_s is not None else -np.inf, to_s if to_s is not None else np.inf
+    part = seen.part((seen.time_s >= low) & (seen.time_s <= high))
+    if part.rows < LEAST_ROWS:
+        raise RecordingError(
+            f"{seen.recording.name}: {part.rows} healthy rows from {max(low, 0):g} s on are too few to weigh a load"
+        )
+    return part
+
+
+def expect_different(recordings: Sequence[Recording]) -> None:
+    """Raise ConfigError where two hold the same motion: given twice it would seem to be known better than it is."""
+    for k, one in enumerate(recordings):
+        for other in recordings[:k]:
+            if np.array_equal(one.q, other.q) and np.array_equal(one.tau, other.tau):
+                raise ConfigError(f"recordings {other.name} and {one.name} are the same motion; give each one once")
+
+
+def each_window(
+    bundle: _core.Bundle, frame: NamedFrame, parts: Sequence[Seen], whole: LoadEstimate
+) -> list[tuple[str, float, LoadEstimate]]:
+    """The load by each whole window alone: its recording, where it begins, what it says."""
+    told = []
+    for part in parts:
+        start = part.time_s[0]
+        while start + WINDOW_S <= part.time_s[-1] + 0.05:
+            rows = part.part((part.time_s >= start) & (part.time_s < start + WINDOW_S))
+            if rows.rows >= LEAST_ROWS:
+                own = identify(bundle, frame, [rows], whole.reach_m, whole.phi)
+                told.append((part.recording.name, float(start), own))
+            start += WINDOW_S
+    return told
+
+
+# --- What was found of a load, in sentences; what the motion cannot tell too.
+
+
+SHOWS = 3.0
+"""Standard errors between a mass and 0: as the verdict has it."""
+UNTOLD_KG = 100.0
+"""A mass with a larger standard error is not told at all: before any motion it is 1000 kg."""
+ALONG = 0.9
+"""Cosine from which a direction is called by the axis of the frame that it is near."""
+
+
+def load_sentences(found: LoadEstimate, where: str, unit: str) -> list[str]:
+    """Mass, centre of mass, and what is not told.
+
+    Args:
+        where: what the frame is called.
+        unit: of the bundle's answers; a mass is in kg only where that is N m.
+    """
+    kg = "kg" if unit == "N m" else f"kg times {unit} a N m"
+    mass = f"{found.mass_kg:.2f} ± {found.mass_error_kg:.2f} {kg}"
+    if found.mass_error_kg > UNTOLD_KG:
+        return [
+            f"no weight shows there: gravity never pulls a load at {where} against a joint that weighs it; is the load "
+            "fixed to a link farther out (--frame)?"
+        ]
+    if found.verdict == "too little":
+        return [f"{found.seconds:.2f} s of healthy motion are too little to weigh a load"]
+    if found.verdict == "nothing":
+        return [f"no load shows: {mass}; one of less than {SHOWS * found.mass_error_kg:.2g} {kg} would not"]
+    if found.verdict == "lifts":
+        lift = -found.fits["load"].values[0]
+        return [f"what shows pulls up, as {lift:.2f} {kg} less would: no load, or one that the bundle was trained with"]
+    if found.verdict == "contact":
+        return [contact_sentence(found, unit)]
+    if found.verdict == "unclear":
+        left = found.misfit**0.5
+        return [
+            f"neither a load nor a constant force explains it: the best load, {mass}, leaves {left:.1f} times the "
+            "bundle's error; several contacts, a force that changes, or an arm that has changed itself"
+        ]
+    return [*weighed(found, where, mass, kg), *unseen_sentences(found)]
+
+
+def weighed(found: LoadEstimate, where: str, mass: str, kg: str) -> list[str]:
+    """Mass and centre of mass of a load, as far as they are told."""
+    if not found.mass_seen:
+        return [
+            f"a load, but its mass is not told apart from its lever here: {mass}. Known is only how it pulls at the "
+            "joints in these poses; turn the wrist to other ones"
+        ]
+    said = ", ".join(
+        f"{axis} {1e3 * c:.0f} ± {max(1e3 * e, 1):.0f}"
+        for axis, c, e in zip("xyz", found.com_m, found.com_error_m, strict=True)
+    )
+    lines = [f"load {mass}, centre of mass at {said} mm of {where}"]
+    if found.at_bound:
+        lines.append(
+            f"the centre of mass is at the bound of {found.reach_m:g} m that was stated (--reach-m): the load reaches "
+            "farther, or is fixed to another link (--frame)"
+        )
+    return lines
+
+
+def unseen_sentences(found: LoadEstimate) -> list[str]:
+    """Directions of the centre of mass that gravity never turned to, in words."""
+    lines = []
+    for direction in found.unseen:
+        named = axis_name(direction)
+        error = 1e3 * float(np.sqrt(direction @ found.com_covariance @ direction))
+        lines.append(
+            f"the centre of mass along {named} is not visible in this motion (± {error:.0f} mm): gravity never turned "
+            "across it, and nothing sped it up enough"
+        )
+    return lines
+
+
+def contact_sentence(found: LoadEstimate, unit: str) -> str:
+    """What fits better than a load, and how much."""
+    force_unit = "N" if unit == "N m" else "units of force"
+    base, frame = found.fits["base"], found.fits["frame"]
+    best, axes = (base, "the base") if base.cost <= frame.cost else (frame, "the frame")
+    force = ", ".join(f"{value:.1f}" for value in best.values)
+    load = found.fits["load"]
+    return (
+        f"this does not turn as gravity would: a constant force of ({force}) {force_unit} along the axes of {axes} "
+        f"fits better than any load (it leaves {best.misfit**0.5:.1f} of the bundle's error, the load "
+        f"{load.misfit**0.5:.1f}). Something touches the arm"
+    )
+
+
+def axis_name(direction: np.ndarray) -> str:
+    """`the z axis of the frame`, or the direction in numbers."""
+    k = int(np.abs(direction).argmax())
+    if abs(direction[k]) >= ALONG:
+        return f"the {'xyz'[k]} axis of the frame"
+    turned = direction * np.sign(direction[k])
+    return f"the direction ({', '.join(f'{c:.2f}' for c in turned)}) of the frame"
+
+
+def load_facts(found: LoadEstimate) -> dict:
+    """The same for scripts."""
+    return {
+        "verdict": found.verdict,
+        "mass_kg": found.mass_kg,
+        "mass_error_kg": found.mass_error_kg,
+        "com_m": found.com_m.tolist(),
+        "com_error_m": found.com_error_m.tolist(),
+        "inertia_kg_m2": found.phi[4:].tolist(),
+        "mass_seen": found.mass_seen,
+        "com_unseen": [direction.tolist() for direction in found.unseen],
+        "at_bound": found.at_bound,
+        "misfit": found.misfit,
+        "seconds": found.seconds,
+    }

@@ -1,0 +1,240 @@
+"""Figures and tables of forces: the smallest ones noticed, and those added to free motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from tauext.errors import ConfigError
+from tauext.files.places import Place
+from tauext.files.whole_file import whole_files
+from tauext.report.entry import Entry
+from tauext.report.results import (
+    ASSUMED,
+    WAYS,
+    EvaluatedBundle,
+    Injected,
+    Noticed,
+    joined,
+    left_out_words,
+    milliseconds,
+    number,
+)
+from tauext.report.results_file import read_noticed
+from tauext.report.signals import NotAvailable
+from tauext.report.style import (
+    CASE_COLOURS,
+    GREY,
+    RC,
+    SLIDING,
+    VARIANT_COLOURS,
+    WIDTH_IN,
+    Drawing,
+    bundle_strokes,
+    save_png,
+    use_log_height,
+    use_log_width,
+)
+from tauext.report.tables import Row, Table
+
+# --- What force on a link a bundle notices, as a figure and as a table.
+
+
+COLOURS = (CASE_COLOURS["none"], CASE_COLOURS["exact"], VARIANT_COLOURS["none"], VARIANT_COLOURS["exact"])
+"""Of limits in their order: collision, contact; or both while sliding, then near stiction."""
+MOST_N, EDGE_N = 1000.0, 1950.0
+"""Beyond the first a direction is blind; blind marks stand between the two."""
+BLIND_N = 1400.0
+BLIND = "blind"
+CLOSING = (
+    "ISO/TS 15066 and your risk assessment say what force is allowed where; these are what tauext would notice, not "
+    "what the contact would do."
+)
+
+
+def draw_noticed_force(noticed: Noticed | None) -> Drawing:
+    """A row a point of the arm: median of every way, nine of ten, and the worst way in the median pose.
+
+    Raises:
+        NotAvailable: there are no forces.
+    """
+    if noticed is None or not noticed.limits:
+        raise NotAvailable((noticed and noticed.refused) or "the results hold no forces")
+    limits = joined(noticed.limits)
+    names = list(limits)
+    places = [one.place for one in limits[names[0]]]
+    height = 1.3 + max(0.42, 0.17 * len(names)) * len(places)
+    figure = Figure(figsize=(WIDTH_IN, height), layout="constrained")
+    axes = figure.subplots()
+    axes.axvspan(MOST_N, EDGE_N, color=SLIDING, linewidth=0)
+    for k, name in enumerate(names):
+        colour = COLOURS[k % len(COLOURS)]
+        for row, at in enumerate(limits[name]):
+            height_at = row + 0.62 * ((k + 0.5) / len(names) - 0.5)
+            median, nine = at_or_blind(at.every_median_n), at_or_blind(at.nine_of_ten_n)
+            axes.plot([median, nine], [height_at] * 2, color=colour, linewidth=3.2, solid_capstyle="butt")
+            axes.plot(median, height_at, marker="o", color=colour, markersize=5.5)
+            worst = at_or_blind(at.ways["worst_way"].median_n)
+            axes.plot(worst, height_at, marker="D", markerfacecolor="white", color=colour, markersize=5)
+    axes.set_yticks(range(len(places)), places)
+    axes.set_ylim(len(places) - 0.5, -0.5)
+    use_log_width(axes)
+    axes.set_xlim(right=EDGE_N)
+    axes.grid(axis="x")
+    axes.grid(visible=False, axis="y")
+    axes.set_xlabel("smallest force that goes over the limit, N")
+    axes.text(BLIND_N, -0.55, BLIND, ha="center", va="bottom", color="#555555")
+    figure.legend(handles=handles(names), loc="outside upper left", ncols=4 if len(names) == 1 else 3)
+    return Drawing(
+        figure,
+        f"What force at the end of each link goes over a limit, over {noticed.poses} poses. Dot: the median over poses "
+        "and directions; bar: to the force that nine of ten of them are below; diamond: the worst direction in the "
+        "median pose. Blind: it takes more than 1000 N, or no joint feels it at all."
+        f"{' ' if noticed.left_out else ''}{left_out_words(noticed.left_out)}",
+    )
+
+
+def handles(names: list[str]) -> list[Line2D]:
+    colours = [COLOURS[k % len(COLOURS)] for k in range(len(names))]
+    found = [Line2D([], [], color=c, linewidth=3.2, label=f"{n} limit") for c, n in zip(colours, names, strict=True)]
+    dot = {"color": GREY, "linestyle": "none"}
+    return [
+        *found,
+        Line2D([], [], marker="o", label="every way, median", **dot),
+        Line2D([], [], color=GREY, linewidth=3.2, label="to 9 of 10"),
+        Line2D([], [], marker="D", markerfacecolor="white", label="worst way", **dot),
+    ]
+
+
+def at_or_blind(force_n: float | None) -> float:
+    return BLIND_N if force_n is None else force_n
+
+
+def noticed_table(noticed: Noticed | None) -> Table | None:
+    """A row a limit and point; None without forces."""
+    if noticed is None or not noticed.limits:
+        return None
+    rows = []
+    for limit, entries in joined(noticed.limits).items():
+        for k, at in enumerate(entries):
+            cells = [limit if k == 0 else "", short(at.place), newtons(at.every_median_n), newtons(at.nine_of_ten_n)]
+            for way in WAYS:
+                cells += [newtons(at.ways[way].median_n), newtons(at.ways[way].worst_n)]
+            cells.append(f"{100 * at.ways['worst_way'].blind_share:.0f}")
+            rows.append(Row(tuple(cells), opens=k == 0))
+    groups = (("", 2), ("every way", 2), *((words, 2) for words in WAYS.values()), ("", 1))
+    columns = ("limit", "at the end of", "median", "9 of 10", *("median", "worst") * len(WAYS), "blind, %")
+    return Table(groups, columns, tuple(rows), words=2)
+
+
+def short(place: str) -> str:
+    """Without what the column's heading says: that a link's end is the next joint."""
+    link, _, end = place.partition(", at ")
+    return place if end == "its origin" else link
+
+
+def newtons(force_n: float | None) -> str:
+    if force_n is None:
+        return BLIND
+    return f"{force_n:.1f}" if force_n < 10 else f"{force_n:.0f}"
+
+
+# --- The figure of noticed forces as a file of its own.
+
+
+def write_noticed_picture(noticed: dict[str, Any], picture: Place) -> None:
+    """Draw what stands in an entry `noticed_force`, as a PNG.
+
+    Raises:
+        ConfigError: it cannot be written.
+    """
+    with matplotlib.rc_context(RC):
+        drawing = draw_noticed_force(read_noticed(Entry(str(picture), noticed)))
+        try:
+            picture.parent.mkdir(parents=True, exist_ok=True)
+            with whole_files(picture) as (part,):
+                save_png(drawing.figure, part)
+        except OSError as error:
+            raise ConfigError(f"{picture}: cannot be written ({error.strerror or error})") from error
+
+
+# --- What is detected of forces that were added to free motion, as a figure and as a table.
+
+
+def draw_injected(bundles: Sequence[EvaluatedBundle], shown: EvaluatedBundle) -> Drawing:
+    """A column a shape: detected share and delay over the peak at the shown bundle's place, a curve a bundle.
+
+    Raises:
+        NotAvailable: no forces were added, or no event fitted into the free motion.
+    """
+    injected = shown.measured.injected
+    if injected is None:
+        raise NotAvailable("no forces were added to free motion; `tauext evaluate --inject` does so")
+    if not injected.curves:
+        raise NotAvailable("no force could be added: the free test motion holds none of 4 s, or no joint notices any")
+    place, shapes = injected.place, [one.shape for one in injected.at(injected.place)]
+    figure = Figure(figsize=(WIDTH_IN, 4.6), layout="constrained")
+    panels = figure.subplots(2, len(shapes), sharex="col", sharey="row", squeeze=False)
+    strokes = bundle_strokes([bundle.name for bundle in bundles])
+    for bundle in bundles:
+        known = {} if bundle.measured.injected is None else {c.shape: c for c in bundle.measured.injected.at(place)}
+        style = strokes[bundle.name] | {"markersize": 3.5, "linewidth": 1.3}
+        for k, shape in enumerate(shapes):
+            bins = [one for one in known[shape].bins if one.events] if shape in known else []
+            at = [one.middle for one in bins]
+            line = panels[0, k].plot(at, [100 * one.latched / one.events for one in bins], **style)
+            if k == 0:
+                line[0].set_label(bundle.label)
+            late = [(one.middle, 1e3 * one.delay_median_s) for one in bins if one.delay_median_s is not None]
+            if late:
+                panels[1, k].plot(*zip(*late, strict=True), **style)
+    for k, shape in enumerate(shapes):
+        panels[0, k].set_title(shape)
+        panels[0, k].axhline(90, color="#888888", linewidth=0.6, linestyle=":")
+        use_log_width(panels[0, k])
+    panels[0, 0].set(ylim=(-3, 103), ylabel="detected, %")
+    panels[1, 0].set_ylabel("median delay, ms")
+    use_log_height(panels[1, 0])
+    figure.supxlabel(f"peak, {injected.unit}", fontsize=9)
+    figure.legend(loc="outside upper left", ncols=4, handlelength=3)
+    return Drawing(
+        figure,
+        f"What is detected of {what(injected)} that were added to free motion at {place}, over the peak; below, the "
+        f"median time from the onset to the alarm, of those detected. {ASSUMED}"
+        f"{' ' if injected.left_out else ''}{left_out_words(injected.left_out)}",
+    )
+
+
+def injected_table(bundles: Sequence[EvaluatedBundle], shown: EvaluatedBundle) -> Table | None:
+    """Peaks from which on 9 of 10 are detected and the delay from there on: every place of the shown bundle, and the
+    place of the figure for the others."""
+    injected = shown.measured.injected
+    if injected is None or not injected.curves:
+        return None
+    place, shapes = injected.place, list(dict.fromkeys(one.shape for one in injected.curves))
+    rows = []
+    for bundle in (shown, *(one for one in bundles if one is not shown)):
+        theirs = bundle.measured.injected
+        if theirs is None:
+            continue
+        places = list(dict.fromkeys(one.place for one in theirs.curves)) if bundle is shown else [place]
+        for k, at in enumerate(places):
+            known = {one.shape: one for one in theirs.at(at)}
+            cells = [bundle.label if k == 0 else "", at]
+            for shape in shapes:
+                one = known.get(shape)
+                cells += [
+                    "–" if one is None else number(one.nine_of_ten),
+                    "–" if one is None else milliseconds(one.delay_median_s),
+                ]
+            rows.append(Row(tuple(cells), bundle=bundle.name if k == 0 else None, opens=k == 0))
+    groups = (("", 2), *((shape, 2) for shape in shapes))
+    return Table(groups, ("", "at", *(injected.unit, "ms") * len(shapes)), tuple(rows), words=2)
+
+
+def what(injected: Injected) -> str:
+    return "torques on single joints" if injected.without_forces else "forces in random directions"

@@ -1,0 +1,367 @@
+"""Damiao motors (OpenArm) over CAN, by python-can. Tested on its virtual bus, never on hardware."""
+
+from __future__ import annotations
+
+import importlib
+import struct
+import time
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from tauext.data.description_file import refuse_unknown
+from tauext.errors import ConfigError
+from tauext.files.places import Place
+from tauext.files.toml_file import number, read_toml
+from tauext.monitor.loop import DropOuts
+from tauext.monitor.source import Sample, SourceSettings
+from tauext.sources.reader import ReaderSource, Ticks, Unreachable
+
+# --- What a CAN bus of Damiao motors carries: their ids, zeros and directions by joint, from a file.
+
+
+MOST_ID = 0x7FE
+"""0x7FF is the address of commands to all."""
+BAUD = 1_000_000
+
+
+@dataclass(frozen=True)
+class CanMotor:
+    """A joint and its motor."""
+
+    name: str
+    id: int
+    """ESC_ID: that it is asked by."""
+    answer_id: int
+    """MST_ID: that it answers with."""
+    zero_rad: float = 0.0
+    """Its position where the joint's angle is 0, [rad]."""
+    sign: int = 1
+    """-1: the joint's angle falls as the motor's rises."""
+    ranges: tuple[float, float, float] | None = None
+    """PMAX [rad], VMAX [rad/s], TMAX [N m]: ends of the numbers in its answers; None: the motor is asked for them."""
+
+    def __str__(self) -> str:
+        return f"motor {self.id:#04x} ({self.name})"
+
+
+@dataclass(frozen=True)
+class CanBusFile:
+    """A bus and its motors."""
+
+    path: Place
+    motors: dict[str, CanMotor]
+    interface: str = "socketcan"
+    """Of python-can."""
+    baud: int = BAUD
+    fd_baud: int | None = None
+    """Of the data of CAN FD frames; None: classic CAN."""
+    ask: bool = True
+    """Ask each motor for its state; False: another program commands them, their answers are overheard, and nothing is
+    sent: a question for ranges, too, would be answered where that program expects a state."""
+
+    def of(self, names: tuple[str, ...]) -> list[CanMotor]:
+        """The motors of these joints.
+
+        Raises:
+            ConfigError: one is not in the file.
+        """
+        for name in names:
+            if name not in self.motors:
+                there = ", ".join(self.motors)
+                raise ConfigError(f"{self.path}: joint '{name}' of the bundle is missing; there are {there}")
+        return [self.motors[name] for name in names]
+
+
+def load_can_bus(path: Place) -> CanBusFile:
+    """A file like
+
+        interface = "socketcan"    # of python-can; the bit rate of a socketcan interface is set by `ip link`
+        baud = 1000000             # fd_baud = 5000000: CAN FD
+        ask = true                 # false: send nothing, overhear the answers to another program's commands
+
+        [joints.joint_1]           # by the name that the bundle has
+        id = 0x01                  # answer_id = 0x11: id + 0x10 if left out
+        # zero_rad = 0.0           # the motor's position where the joint's angle is 0
+        # sign = -1
+        # ranges = [12.5, 30, 10]  # PMAX, VMAX, TMAX; the motor is asked if left out, which needs ask = true
+
+    Raises:
+        ConfigError: names the file, the joint and the rule that is broken.
+    """
+    content = read_toml(path)
+    refuse_unknown(path, "", content, ("interface", "baud", "fd_baud", "ask", "joints"))
+    tables = content.get("joints")
+    if not isinstance(tables, dict) or not tables:
+        raise ConfigError(f"{path}: no joints: [joints.NAME] with id = 0x01 is missing")
+    motors = {name: _motor(path, name, table) for name, table in tables.items()}
+    by_id: dict[tuple[int, int], str] = {}
+    for name, motor in motors.items():
+        if (other := by_id.setdefault((motor.answer_id, motor.id & 0xF), name)) != name:
+            raise ConfigError(
+                f"{path}: answers of joints '{other}' and '{name}' cannot be told apart: one answer_id, and ids "
+                "with the same last digit"
+            )
+    interface, ask, fd_baud = content.get("interface", "socketcan"), content.get("ask", True), content.get("fd_baud")
+    if not isinstance(interface, str) or not interface:
+        raise ConfigError(f'{path}: interface = {interface!r} must be one of python-can: "socketcan"')
+    if not isinstance(ask, bool):
+        raise ConfigError(f"{path}: ask = {ask!r} must be true or false")
+    for motor in motors.values():
+        if not ask and motor.ranges is None:
+            raise ConfigError(
+                f"{path}: [joints.{motor.name}] ranges = [PMAX, VMAX, TMAX] is missing: with ask = false the motor "
+                "is not asked for them"
+            )
+    baud = round(number(f"{path}: baud", content.get("baud", BAUD), 1e4, 1e7))
+    fd = None if fd_baud is None else round(number(f"{path}: fd_baud", fd_baud, 1e4, 1e7))
+    return CanBusFile(path, motors, interface, baud, fd, ask)
+
+
+def _motor(path: Place, name: str, table: Any) -> CanMotor:
+    where = f"{path}: [joints.{name}]"
+    refuse_unknown(path, f"joints.{name}", table, ("id", "answer_id", "zero_rad", "sign", "ranges"))
+    if "id" not in table:
+        raise ConfigError(f"{where} id is missing")
+    id_ = number(f"{where} id", table["id"], 1, MOST_ID)
+    answer = number(f"{where} answer_id", table.get("answer_id", id_ + 0x10), 0, MOST_ID)
+    zero = number(f"{where} zero_rad", table.get("zero_rad", 0.0), -100, 100)
+    sign, ranges = table.get("sign", 1), table.get("ranges")
+    if ranges is not None:
+        if not isinstance(ranges, list) or len(ranges) != 3:
+            raise ConfigError(f"{where} ranges = {ranges!r} must be [PMAX, VMAX, TMAX]: [12.5, 30, 10]")
+        ranges = tuple(number(f"{where} ranges", one, 1e-3, 1e4) for one in ranges)
+    if id_ != round(id_) or answer != round(answer):
+        raise ConfigError(f"{where} id and answer_id must be whole numbers")
+    if sign not in (1, -1) or isinstance(sign, bool):
+        raise ConfigError(f"{where} sign = {sign!r} must be 1 or -1")
+    return CanMotor(name, round(id_), round(answer), zero, sign, ranges)
+
+
+# --- Damiao motors (OpenArm) over CAN, by python-can. Never run on hardware: tested on python-can's virtual bus.
+
+
+TO_ALL = 0x7FF
+STATE, REGISTER, WRITTEN, STORED = 0xCC, 0x33, 0x55, 0xAA
+"""Third byte of a command to TO_ALL: send your state; send a register. What sets one is never sent."""
+RANGES = (21, 22, 23)
+"""Registers PMAX [rad], VMAX [rad/s], TMAX [N m]: what the ends of the numbers in a state mean."""
+LAST_REGISTER = 81
+ANSWER_S = 0.02
+"""For which an answer may be late."""
+WAIT_S = 0.1
+TRIES = 3
+FAULTS = {
+    0x8: "too high a voltage", 0x9: "too low a voltage", 0xA: "overcurrent", 0xB: "hot bridge", 0xC: "hot windings",
+    0xD: "nobody commands it any more", 0xE: "overload",
+}  # fmt: skip
+"""Upper half of a state's first byte; 0 and 1: disabled, enabled."""
+
+
+class DamiaoSource(ReaderSource):
+    """Position, speed, torque [N m] and temperature of the windings, a state of each motor a period: 16, 12 and 12 bits
+    over the ranges that the motor itself names.
+
+    Asked, a motor sends its state whether it is enabled or not. Nothing else is sent, or nothing at all (ask = false):
+    no enable, no MIT frame, and no register is set. There is no stop(): who drives the motors would drive on.
+    """
+
+    def __init__(self, channel: str, file: CanBusFile):
+        super().__init__(f"damiao {channel}")
+        self._channel, self._file = channel, file
+        self._bus: Any = None
+        self._motors: list[CanMotor] = []
+        self.answer_s = ANSWER_S
+
+    def open(self, settings: SourceSettings) -> None:
+        self.robot_joints = len(settings.joints)
+        self._motors = self._file.of(settings.joints)
+        if any(unit not in ("N m", "N") for unit in settings.torque_units):
+            raise ConfigError(f"{self.name} reports torque in N m, the bundle takes {', '.join(settings.torque_units)}")
+        if settings.servo is not None and settings.servo.on and settings.servo.torque_from.name != "torque":
+            wanted = settings.servo.torque_from.name.replace("_", "-")
+            raise ConfigError(f"{self.name} reports torque, the bundle takes its torque from {wanted}")
+        self._which = {(one.answer_id, one.id & 0xF): k for k, one in enumerate(self._motors)}
+        self._drop_outs = DropOuts({one.id: str(one) for one in self._motors}, self._note)
+        self._faults = [0] * len(self._motors)
+        self._states: dict[int, bytes] = {}
+        super().open(settings)
+
+    def connect(self) -> None:
+        library = python_can()
+        rates: dict[str, Any] = {"bitrate": self._file.baud}
+        if self._file.fd_baud is not None:
+            rates |= {"fd": True, "data_bitrate": self._file.fd_baud}
+        try:
+            self._bus = library.Bus(interface=self._file.interface, channel=self._channel, **rates)
+        except (library.CanError, OSError, ValueError) as error:
+            raise Unreachable(
+                f"{error}; is it up? `ip link set {self._channel} up type can bitrate 1000000`"
+            ) from error
+        try:
+            self._ranges = np.array([self._ranges_of(motor) for motor in self._motors])
+        except Unreachable:
+            self.disconnect()
+            raise
+        self._states = {}
+        self._ticks = Ticks(self.settings.period_ns * 1e-9)
+
+    def read(self) -> Sample | None:
+        if not self._file.ask:
+            return self._overheard()
+        if (skipped := self._ticks.wait(WAIT_S)) is None:
+            return None
+        self.counts.lost += skipped
+        while self._receive(0.0) is not None:  # late answers to an earlier request
+            pass
+        t_ns = time.monotonic_ns()
+        for motor in self._motors:
+            self._send(motor, STATE)
+        states: dict[int, bytes] = {}
+        until = time.monotonic() + self.answer_s
+        while len(states) < len(self._motors) and (left_s := until - time.monotonic()) > 0:
+            if (came := self._state(left_s)) is not None:
+                states[came[0]] = came[1]
+        return self._whole(t_ns, states)
+
+    def disconnect(self) -> None:
+        if self._bus is not None:
+            self._bus.shutdown()
+            self._bus = None
+
+    def close(self) -> None:
+        super().close()
+        if self._motors and (summary := self._drop_outs.summary()):
+            self._note(f"{self.name}: {summary}")
+            self._drop_outs.forget()
+
+    # Inside.
+
+    def _count_lost(self, t_ns: int) -> None:
+        """Of what is overheard alone: a question that was skipped is counted where it is."""
+        if not self._file.ask:
+            super()._count_lost(t_ns)
+
+    def _overheard(self) -> Sample | None:
+        """A sample once every motor has answered another program; one that answers twice before that ends the wait."""
+        if (came := self._state(WAIT_S)) is None:
+            return None
+        index, state = came
+        states, again = self._states, index in self._states
+        if not states or again:
+            self._begun_ns = time.monotonic_ns()
+        if again:
+            self._states = {index: state}
+            return self._whole(self._begun_ns, states)
+        states[index] = state
+        if len(states) < len(self._motors):
+            return None
+        self._states = {}
+        return self._whole(self._begun_ns, states)
+
+    def _whole(self, t_ns: int, states: dict[int, bytes]) -> Sample | None:
+        if not self._drop_outs.whole([self._motors[k].id for k in states], 0):
+            self.counts.refused += 1
+            self._last_ns = t_ns  # it came, and is not lost
+            return None
+        data = np.array([list(states[k]) for k in range(len(self._motors))])
+        for k, fault in enumerate(data[:, 0] >> 4):
+            self._complain(k, int(fault))
+        counts = np.stack(
+            [
+                data[:, 1] << 8 | data[:, 2],
+                data[:, 3] << 4 | data[:, 4] >> 4,
+                (data[:, 4] & 0xF) << 8 | data[:, 5],
+            ],
+            axis=1,
+        )
+        ends = np.array([0xFFFF, 0xFFF, 0xFFF])
+        position, speed, torque = ((counts / ends * 2 - 1) * self._ranges).T
+        sign = np.array([float(motor.sign) for motor in self._motors])
+        zero = np.array([motor.zero_rad for motor in self._motors])
+        return Sample(
+            t_ns=t_ns,
+            q=sign * (position - zero),
+            dq=sign * speed,
+            tau=sign * torque,
+            received_ns=time.monotonic_ns(),
+            temperature=data[:, 7].astype(float),
+        )
+
+    def _complain(self, k: int, fault: int) -> None:
+        if fault != self._faults[k] and (fault in FAULTS or self._faults[k] in FAULTS):
+            self._note(f"{self._motors[k]} says: {FAULTS.get(fault, 'no fault any more')}")
+        self._faults[k] = fault
+
+    def _state(self, wait_s: float) -> tuple[int, bytes] | None:
+        """Whose state came, and what it is; None: none of a motor of ours."""
+        message = self._receive(wait_s)
+        if message is None or len(message.data) != 8:
+            return None
+        data = bytes(message.data)
+        if data[1] == 0 and data[2] in (REGISTER, WRITTEN, STORED) and data[3] <= LAST_REGISTER:
+            return None  # a register that somebody asked for; as a state it would be at the end of the range
+        k = self._which.get((message.arbitration_id, data[0] & 0xF))
+        return None if k is None else (k, data)
+
+    def _ranges_of(self, motor: CanMotor) -> list[float]:
+        """PMAX, VMAX and TMAX of a motor. Raises Unreachable: it does not answer."""
+        if motor.ranges is not None:
+            return list(motor.ranges)
+        found = []
+        for register in RANGES:
+            for _ in range(TRIES):
+                self._send(motor, REGISTER, register)
+                if (value := self._register(motor, register)) is not None:
+                    break
+            else:
+                raise Unreachable(
+                    f"{motor} does not answer: has it power, this id, and answers with {motor.answer_id:#04x}?"
+                )
+            if not 0 < value < 1e4:
+                raise Unreachable(f"{motor} says {value:g} in its register {register}, the end of a range")
+            found.append(value)
+        return found
+
+    def _register(self, motor: CanMotor, register: int) -> float | None:
+        until = time.monotonic() + WAIT_S
+        head = bytes([motor.id & 0xFF, motor.id >> 8, REGISTER, register])
+        while (left_s := until - time.monotonic()) > 0:
+            message = self._receive(left_s)
+            if message is not None and message.arbitration_id == motor.answer_id and message.data[:4] == head:
+                return struct.unpack_from("<f", message.data, 4)[0]
+        return None
+
+    def _send(self, motor: CanMotor, command: int, register: int = 0) -> None:
+        library = python_can()
+        data = [motor.id & 0xFF, motor.id >> 8, command, register, 0, 0, 0, 0]
+        fd = self._file.fd_baud is not None
+        message = library.Message(arbitration_id=TO_ALL, data=data, is_extended_id=False, is_fd=fd, bitrate_switch=fd)
+        try:
+            self._bus.send(message, timeout=WAIT_S)
+        except (library.CanError, OSError) as error:
+            raise Unreachable(f"nothing can be sent: {error}") from error
+
+    def _receive(self, wait_s: float) -> Any:
+        """The next frame that is no error's; None: none came."""
+        library = python_can()
+        try:
+            message = self._bus.recv(wait_s)
+        except (library.CanError, OSError) as error:
+            raise Unreachable(f"the bus has gone: {error}") from error
+        usable = message is not None and not (message.is_error_frame or message.is_remote_frame)
+        return message if usable and not message.is_extended_id else None
+
+
+def python_can() -> ModuleType:
+    """The optional library.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        return importlib.import_module("can")
+    except ImportError as error:
+        raise ConfigError("source damiao needs python-can: pip install 'tauext[damiao]'") from error

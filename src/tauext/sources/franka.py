@@ -1,0 +1,77 @@
+"""A Franka arm, by pylibfranka. Never run on hardware: tested on a stand-in of that library."""
+
+from __future__ import annotations
+
+import importlib
+from collections import deque
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from tauext.errors import ConfigError
+from tauext.monitor.source import Sample, SourceSettings
+from tauext.sources.reader import ReaderSource, Unreachable, sample_of
+
+RATE_HZ = 1000.0
+KEPT = 256
+
+
+class FrankaSource(ReaderSource):
+    """q [rad], dq [rad/s] and tau_J [N m], what the joints' torque sensors measure; 1 kHz, joints 1 to 7.
+
+    A bundle for it is trained on recordings of the same tau_J. The arm's own estimate, tau_ext_hat_filtered, is kept
+    beside as a reference. stop() ends the motion that runs.
+    """
+
+    robot_joints = 7
+
+    def __init__(self, host: str):
+        super().__init__(f"franka {host}")
+        self._host = host
+        self._robot: Any = None
+        self.reference: deque[tuple[int, np.ndarray]] = deque(maxlen=KEPT)
+        """The newest (t_ns, tau_ext_hat_filtered (7,) [N m])."""
+
+    def open(self, settings: SourceSettings) -> None:
+        rate_hz = 1e9 / settings.period_ns
+        if abs(rate_hz / RATE_HZ - 1) > settings.rate_tolerance:
+            raise ConfigError(f"{self.name} sends {RATE_HZ:g} samples a second, the bundle takes {rate_hz:g}")
+        super().open(settings)
+
+    def connect(self) -> None:
+        library = pylibfranka()
+        try:  # only reading: that needs no real-time kernel
+            self._robot = library.Robot(self._host, library.RealtimeConfig.kIgnore)
+        except library.FrankaException as error:
+            raise Unreachable(str(error)) from error
+
+    def read(self) -> Sample | None:
+        try:
+            state = self._robot.read_once()
+        except pylibfranka().FrankaException as error:
+            raise Unreachable(str(error)) from error
+        sample = sample_of(state.time.to_sec(), state.q, state.dq, np.array(state.tau_J, dtype=float))
+        self.reference.append((sample.t_ns, np.array(state.tau_ext_hat_filtered, dtype=float)))
+        return sample
+
+    def disconnect(self) -> None:
+        self._robot = None  # its destructor closes the connection
+
+    def stop(self) -> None:
+        """Ends the motion that runs."""
+        robot = self._robot
+        if robot is not None:
+            robot.stop()
+
+
+def pylibfranka() -> ModuleType:
+    """The optional library.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        return importlib.import_module("pylibfranka")
+    except ImportError as error:
+        raise ConfigError("source franka needs pylibfranka: pip install 'tauext[franka]'") from error

@@ -1,0 +1,195 @@
+"""Labels for the frames of a LeRobot robot while they are recorded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from tauext import _core
+from tauext.bundle.estimates import COLLISION, CONTACT, OK
+from tauext.data.assemble import Columns, find_columns, in_si
+from tauext.data.description import NEEDS, Arm, ContactTable, TimeTable
+from tauext.data.importers.raw import RawRecording, RawSignals
+from tauext.data.lerobot_folder import frame_stamps
+from tauext.errors import BundleError, ConfigError, RecordingError
+
+# --- What is added to the frames of a LeRobot dataset.
+
+
+CONTACT_NAME, COLLISION_NAME = "contact", "collision"
+UNKNOWN = -1.0
+"""contact and collision while the monitor knows nothing: warming up, or a fault; tau_ext is 0 there, since a single NaN
+makes LeRobot's statistics, and a policy that is normalised by them, NaN."""
+
+
+@dataclass(frozen=True)
+class Labels:
+    """One row a frame, all float32, as LeRobot stores them; never NaN."""
+
+    tau_ext: np.ndarray
+    """(frames, joints), external torque in the bundle's estimate units; 0 where it is unknown."""
+    contact: np.ndarray
+    """(frames,), 1 touched (by a collision, too), 0 free, -1 unknown."""
+    collision: np.ndarray
+    """(frames,), 1, 0, -1."""
+
+    @property
+    def columns(self) -> np.ndarray:
+        """(frames, joints + 2), in the order of element_names()."""
+        return np.column_stack([self.tau_ext, self.contact, self.collision]).astype(np.float32)
+
+
+def labels_of(health: np.ndarray, held_alarm: np.ndarray, tau_ext: np.ndarray) -> Labels:
+    """Labels of a monitor's answers.
+
+    Args:
+        health: (frames,), by the core's number.
+        held_alarm: (frames,), the level without latch.
+        tau_ext: (frames, joints), float32.
+    """
+    known = (health == OK) & np.isfinite(tau_ext).all(axis=1)
+    return Labels(
+        np.where(known[:, None], tau_ext, np.float32(0)).astype(np.float32),
+        np.where(known, held_alarm >= CONTACT, UNKNOWN).astype(np.float32),
+        np.where(known, held_alarm >= COLLISION, UNKNOWN).astype(np.float32),
+    )
+
+
+def bare_name(element: str) -> str:
+    """A joint as LeRobot calls its motor: without `.pos`."""
+    return element.removesuffix(".pos")
+
+
+def element_names(joints: Sequence[str]) -> list[str]:
+    """Names of the labels' columns: `<joint>.tau_ext` of every joint as the dataset names it, contact, collision."""
+    return [*(f"{bare_name(joint)}.tau_ext" for joint in joints), CONTACT_NAME, COLLISION_NAME]
+
+
+# --- From numbers of LeRobot frames to what the chain takes: the same for a whole episode and for one frame.
+
+
+MOST_RAD = 8 * math.pi
+"""Joints do not turn four times: positions beyond are in other units."""
+
+
+class ServoFrames:
+    """Position and raw servo signals, in SI, of frames whose numbers have these names.
+
+    Raises:
+        BundleError: the bundle makes no torque of what servos report, or its joints are others.
+        ConfigError: a column that the description names is not there, or what the torque is made of is not named.
+    """
+
+    def __init__(self, bundle: _core.Bundle, arm: Arm, names: Sequence[str], where: str):
+        if not bundle.servo.on:
+            raise BundleError(
+                f"bundle '{bundle.name}' takes torque as it is measured, which LeRobot's state and action do not hold; "
+                'train one with a table [servo] in arm.toml (torque_from = "goal")'
+            )
+        joints = tuple(link.joint_name for link in bundle.links)
+        if arm.robot.joints != joints:
+            described = ", ".join(arm.robot.joints)
+            raise BundleError(f"bundle '{bundle.name}' is for joints {', '.join(joints)}; {arm.path} names {described}")
+        source = bundle.servo.torque_from.name.replace("_", "-")
+        needed = NEEDS.get(source, "tau")
+        if needed not in arm.signals or not arm.signals[needed].columns:
+            raise ConfigError(
+                f"{arm.path}: [signals.{needed}] is missing, of which bundle '{bundle.name}' makes torque ({source})"
+            )
+        used = {"q", "q_des", "dq", "current", "duty", "voltage"} | ({"tau"} if needed == "tau" else set())
+        wanted = {name: table for name, table in arm.signals.items() if name in used or name == "tau"}
+        arm = replace(arm, signals=wanted, contact=ContactTable(), time=TimeTable())
+        self.arm = arm
+        self._names = tuple(names)
+        blank = RawSignals("", self._names, np.zeros(1, np.int64), np.zeros((1, len(self._names))))
+        raw = RawRecording(where, Path(where), "LeRobot", lambda: iter((blank,)))
+        columns: Columns = find_columns(arm, raw)
+        place = {name: k for k, name in enumerate(self._names)}
+        (listed,) = columns.streams.values()
+        self._places = {key: [place[listed[k]] for k in places] for key, (_, places) in columns.signals.items()}
+
+    def signals(self, rows: np.ndarray) -> dict[str, np.ndarray]:
+        """q [rad] and what else is measured, (rows, joints) each, of numbers (rows, names).
+
+        Raises:
+            RecordingError: positions that no joint reaches, so that they are in other units.
+        """
+        made = {
+            key: np.ascontiguousarray(in_si(key, self.arm.signals[key], rows[:, places], self.arm))
+            for key, places in self._places.items()
+        }
+        far = np.abs(made["q"]) > MOST_RAD
+        if far.any():
+            row, joint = np.argwhere(far)[0]
+            column, unit = self._places["q"][joint], self.arm.signals["q"].unit
+            raise RecordingError(
+                f"{self._names[column]} = {rows[row, column]:g} is no angle in {unit}: say in {self.arm.path}, "
+                "[signals.q] and [signals.q_des], whether unit is 'deg' or 'normalised' (LeRobot's -100 to 100, with "
+                "its calibration file)"
+            )
+        return made
+
+
+# --- A robot's frames labelled while they are made, from the numbers that the dataset will hold.
+
+
+class FrameLabeller:
+    """Labels frame after frame what `tauext label` says of the same frames in a dataset, to the last bit.
+
+    It sees what is stored: numbers in single precision, at frame_index / fps. Frames are counted from the last restart.
+
+    Args:
+        names: of the numbers that step() gets, as the importer names them: `observation.state[elbow.pos]`.
+        fps: of the dataset.
+
+    Raises:
+        BundleError: the bundle is for other joints or another rate, or for no servos.
+        ConfigError: what the description names is not among the names.
+    """
+
+    def __init__(self, bundle: _core.Bundle, arm: Arm, names: Sequence[str], fps: float):
+        expect_rate(bundle, fps)
+        self._frames = ServoFrames(bundle, arm, names, "the robot")
+        self._names = tuple(names)
+        self._input, self._monitor = _core.ServoInput(bundle.servo), _core.Monitor(bundle)
+        self._fps, self._frame = fps, 0
+
+    @property
+    def frame(self) -> int:
+        """Frames since the last restart."""
+        return self._frame
+
+    def restart(self) -> None:
+        """The next frame is the first of an episode; the monitor begins anew and warms up."""
+        self._input.reset()
+        self._monitor.reset()
+        self._frame = 0
+
+    def step(self, values: Mapping[str, float]) -> Labels:
+        """Labels of one more frame, a row each."""
+        row = np.array([[values[name] for name in self._names]], dtype=np.float32).astype(np.float64)
+        signals = {key: rows[0] for key, rows in self._frames.signals(row).items()}
+        t_ns = int(frame_stamps(np.array([self._frame]), self._fps)[0])
+        self._frame += 1
+        q = signals.pop("q")
+        dq, tau = self._input.step(t_ns, q, **signals)
+        said = self._monitor.step(t_ns, q, dq, tau)
+        return labels_of(
+            np.array([said.health.value]),
+            np.array([said.held_alarm.value]),
+            np.array([said.tau_ext]).astype(np.float32),
+        )
+
+
+def expect_rate(bundle: _core.Bundle, fps: float) -> None:
+    """Refuse frames that come at another rate than the bundle's recordings."""
+    rate_hz = 1e9 / bundle.observer.sample_period_ns
+    if abs(fps / rate_hz - 1) > bundle.rate_tolerance:
+        raise BundleError(
+            f"bundle '{bundle.name}' runs at {rate_hz:g} Hz, these frames at {fps:g}; train one on recordings of "
+            "that rate"
+        )

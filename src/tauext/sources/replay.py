@@ -1,0 +1,71 @@
+"""A recording as if it came from an arm: what a live loop is tried out on."""
+
+from __future__ import annotations
+
+import time
+
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording
+from tauext.data.servo import RAW_SIGNALS
+from tauext.errors import ConfigError
+from tauext.files.places import Place
+from tauext.monitor.replay import Pace
+from tauext.monitor.source import Sample, SourceCounts, SourceSettings
+
+
+class ReplaySource:
+    """Gives a recording's samples when their time has come; a late loop finds them waiting, and none is lost."""
+
+    def __init__(self, recording: Recording | Place | str, speed: float | None = 1.0):
+        """speed: so many times as fast as recorded; None: as fast as the loop takes them.
+
+        Raises:
+            RecordingError: the file is not there or damaged.
+        """
+        self.recording = recording if isinstance(recording, Recording) else load_recording(recording)
+        self.name = f"replay {self.recording.name}"
+        self.counts = SourceCounts()
+        self._next, self._stopped, self._pace = 0, False, Pace(speed)
+
+    def open(self, settings: SourceSettings) -> None:
+        """Refuses another arm's recording, or one of another rate."""
+        recording = self.recording
+        if recording.joints != settings.joints:
+            raise ConfigError(
+                f"{self.name} has joints {', '.join(recording.joints)}, the bundle {', '.join(settings.joints)}"
+            )
+        if abs(recording.rate_hz * settings.period_ns * 1e-9 - 1) > settings.rate_tolerance:
+            raise ConfigError(f"{self.name} has {recording.rate_hz:g} Hz, the bundle {1e9 / settings.period_ns:g} Hz")
+
+    def next_sample(self, timeout_s: float) -> Sample | None:
+        if self.ended:
+            return None
+        k, recording = self._next, self.recording
+        t_ns = int(recording.t_ns[k])
+        if self._pace.left_s(t_ns) > timeout_s:
+            time.sleep(timeout_s)
+            return None
+        self._pace.wait_until(t_ns)
+        self._next += 1
+        self.counts.received += 1
+        optional = {
+            name: values[k]
+            for name in ("temperature", *RAW_SIGNALS)
+            if (values := getattr(recording, name)) is not None
+        }
+        received_ns = time.monotonic_ns()
+        return Sample(t_ns, recording.q[k], recording.dq[k], recording.tau[k], received_ns, **optional)
+
+    @property
+    def ended(self) -> bool:
+        return self._stopped or self._next == self.recording.samples
+
+    def notes(self) -> list[str]:
+        return []
+
+    def stop(self) -> None:
+        """The arm of a recording stops by sending no more."""
+        self._stopped = True
+
+    def close(self) -> None:
+        self._stopped = True

@@ -1,0 +1,403 @@
+"""What the monitor publishes on ROS 2: torques, alarms, diagnostics, wrenches; and requests to it."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from cyclonedds.core import DDSException, GuardCondition, WaitSet
+
+from tauext import _core
+from tauext._core import Load
+from tauext.bundle.estimates import HEALTHS
+from tauext.errors import ConfigError
+from tauext.monitor.changes import ALARMS, COLLISION, FAULT, NONE
+from tauext.monitor.changes import OK as HEALTHY
+from tauext.monitor.changes import STALE as HEALTH_STALE
+from tauext.monitor.explanation import MEANING, WORTH_TELLING, in_words, unseen_words
+from tauext.monitor.sink import Control, Event, LoopReport, Verdict
+from tauext.monitor.source import Sample
+from tauext.sources.ros2_messages import (
+    ERROR,
+    OK,
+    STALE,
+    WARN,
+    Bool,
+    DiagnosticArray,
+    DiagnosticStatus,
+    Float64MultiArray,
+    Header,
+    Inertia,
+    JointState,
+    KeyValue,
+    MultiArrayDimension,
+    MultiArrayLayout,
+    String,
+    Time,
+    Vector3,
+    Wrench,
+    WrenchStamped,
+)
+from tauext.sources.ros2_node import Conditions, Node
+from tauext.sources.ros2_source import Ros2Source
+
+# --- The monitor's state in diagnostic_msgs: what stands, in words, and the numbers behind it.
+
+
+TORQUES = (
+    ("tau_ext_nm", "tau_ext"),
+    ("sigma_nm", "sigma_nm"),
+    ("contact_sigma_nm", "contact_sigma_nm"),
+    ("limit_nm", "limit_nm"),
+    ("contact_limit_nm", "contact_limit_nm"),
+    ("margin_nm", "margin_nm"),
+)
+"""Of `tauext: arm`, a joint, and what of the verdict holds them."""
+
+
+def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: str) -> DiagnosticStatus:
+    """Alarm, health and its causes, and per joint the torque, its standard error, its limits and the margin
+    (to a collision), [N m] or what the bundle answers in.
+
+    Level: ERROR for a collision or a fault, STALE while no sample comes, WARN for a contact, while warming up, where a
+    joint's drift stands at its bound and while the motion is none that training saw, else OK. A collision outranks
+    everything.
+    """
+    status = DiagnosticStatus(STALE, "tauext: arm", "no sample yet", hardware_id)
+    if verdict is None:
+        return status
+    said = verdict.said
+    health, alarm = int(said["health"][0]), int(said["alarm"][0])
+    causes = _core.cause_names(int(said["causes"][0]))
+    drifted = [name for name, at_bound in zip(joints, said["drift_saturated"][0], strict=True) if at_bound]
+    texts = []
+    if alarm != NONE:
+        joint = int(said["alarm_joint"][0])
+        texts.append(ALARMS[alarm] + (f" on {joints[joint]}" if joint >= 0 else ""))
+    if health != HEALTHY:
+        texts.append(f"{HEALTHS[health]}: {in_words(causes)}" if causes else HEALTHS[health])
+    if drifted:
+        texts.append(f"drift at its bound on {', '.join(drifted)}: record and train anew")
+    unfamiliar = float(said["unfamiliar"][0])
+    if unfamiliar >= WORTH_TELLING:
+        what, joint, other = (int(said[key][0]) for key in ("unseen", "unseen_joint", "unseen_other"))
+        texts.append(f"training never saw such motion: {unseen_words((what, joint, other), joints)}")
+    status.message = "; ".join(texts) or "ok"
+    if alarm == COLLISION:
+        status.level = ERROR
+    elif verdict.sample is None or health == HEALTH_STALE:
+        status.level = STALE
+    elif health == FAULT:
+        status.level = ERROR
+    else:
+        status.level = WARN if texts else OK
+    status.values = [
+        KeyValue("alarm", ALARMS[alarm]),
+        KeyValue("health", HEALTHS[health]),
+        KeyValue("unfamiliar", number(unfamiliar)),
+        *(KeyValue(f"cause: {cause}", MEANING[cause]) for cause in causes),
+        *(
+            KeyValue(f"{name} {joint}", number(value))
+            for name, key in TORQUES
+            for joint, value in zip(joints, said[key][0].tolist(), strict=True)
+        ),
+    ]
+    return status
+
+
+def input_status(
+    report: LoopReport | None, before: LoopReport | None, standing: list[str], hardware_id: str
+) -> DiagnosticStatus:
+    """Rate, samples that were lost, late or refused, time of a tick, and what stands wrong with the input, in words.
+
+    Level: STALE while no sample comes, WARN where something stands wrong or samples were lost since the report before,
+    else OK.
+    """
+    status = DiagnosticStatus(STALE, "tauext: input", "; ".join(standing) or "no report yet", hardware_id)
+    if report is None:
+        return status
+    counts = report.counts
+    lost = counts.lost + counts.overrun - (before.counts.lost + before.counts.overrun if before else 0)
+    texts = ([f"{lost} samples lost in the last second"] if lost else []) + standing
+    if report.rate_hz > 0:
+        status.level = WARN if texts else OK
+    elif not texts:
+        texts.append("no sample in the last second")
+    status.message = "; ".join(texts) or "ok"
+    status.values = [
+        KeyValue("rate_hz", number(report.rate_hz)),
+        KeyValue("samples", str(report.samples)),
+        KeyValue("received", str(counts.received)),
+        KeyValue("lost", str(counts.lost + counts.overrun)),
+        KeyValue("late", str(report.missing)),
+        KeyValue("refused", str(counts.refused)),
+        KeyValue("tick_p50_us", number(report.tick_p50_us)),
+        KeyValue("tick_p99_us", number(report.tick_p99_us)),
+        KeyValue("tick_max_us", number(report.tick_max_us)),
+        KeyValue("profile", report.profile),
+    ]
+    return status
+
+
+def number(value: float) -> str:
+    """Four digits; - where there is none."""
+    return f"{value:.4g}" if math.isfinite(value) else "-"
+
+
+# --- Force and moment at frames of the arm as ROS 2 messages: a WrenchStamped a frame, and its covariance beside it.
+
+
+LABEL = "force.x force.y force.z torque.x torque.y torque.z"
+"""Of rows and columns of a covariance."""
+SIDE = 6
+
+
+class Wrenches:
+    """Topics `wrench/NAME` and `wrench/NAME/covariance` of the frames that the settings name.
+
+    A wrench is what the surroundings exert on the arm, at the frame's origin and along the frame's own axes, so that
+    the header's frame_id is the frame and tf can turn it. Rows and columns of the covariance are those of LABEL.
+    """
+
+    def __init__(self, frames: Sequence[str], bundle: _core.Bundle | None):
+        """Raises ConfigError where the bundle tells no force, or has no such frame."""
+        self._frames = {topic_name(name): name for name in frames}
+        if len(self._frames) < len(frames):
+            raise ConfigError(f"ROS 2 wrench_frames {', '.join(frames)}: each needs a topic's name of its own")
+        if not frames:
+            return
+        if bundle is None:
+            raise ConfigError(f"ROS 2 wrench_frames {', '.join(frames)}: there is no bundle to tell forces with")
+        self._model = _core.WrenchModel(bundle)
+        if self._model.refused:
+            raise ConfigError(f"ROS 2 wrench_frames {', '.join(frames)}: no force can be told, {self._model.refused}")
+        known = [frame.name for frame in self._model.frames]
+        for name in frames:
+            if name not in known:
+                raise ConfigError(f"ROS 2 wrench_frames {name!r} must be one of {', '.join(known)}")
+
+    def open(self, node: Node) -> None:
+        """Make the writers."""
+
+        def writer(name: str, of: type) -> Any:
+            return node.writer(node.settings.full_name(name), of, "reliable", "volatile", 8)
+
+        self._writers = {
+            frame: (writer(f"wrench/{topic}", WrenchStamped), writer(f"wrench/{topic}/covariance", Float64MultiArray))
+            for topic, frame in self._frames.items()
+        }
+
+    @property
+    def writers(self) -> list:
+        """To be handed back to the node."""
+        return [writer for pair in self._writers.values() for writer in pair]
+
+    def tell(self, verdict: Verdict, stamp_ns: int, send: Callable[[Any, Any], bool]) -> None:
+        """Send what is known of this sample; nothing of a frame of which nothing is."""
+        if verdict.sample is None or not self._writers:
+            return
+        said, sample = verdict.said, verdict.sample
+        rows = (sample.q[None], said["tau_ext"] - said["load_nm"], said["sigma_nm"])
+        for frame, (wrenches, covariances) in self._writers.items():
+            own = _core.WrenchAxes.frame
+            told = self._model.wrenches(frame, *rows, None, own, said["contact_sigma_nm"], sample.dq[None])
+            if np.isfinite(told["force"]).all():
+                send(wrenches, wrench_message(frame, stamp_ns, told["force"][0], told["moment"][0]))
+                send(covariances, covariance_message(told["covariance"][0]))
+
+
+def topic_name(frame: str) -> str:
+    """A frame's name with _ for what ROS 2 does not allow in a topic's."""
+    name = re.sub(r"\W", "_", frame, flags=re.ASCII)
+    return f"_{name}" if name[:1].isdigit() else name
+
+
+def wrench_message(frame: str, stamp_ns: int, force: np.ndarray, moment: np.ndarray) -> WrenchStamped:
+    """Force [N] and moment [N m] along the frame's own axes."""
+    wrench = Wrench(Vector3(*force.tolist()), Vector3(*moment.tolist()))
+    return WrenchStamped(Header(Time.of_ns(stamp_ns), frame), wrench)
+
+
+def covariance_message(covariance: np.ndarray) -> Float64MultiArray:
+    """(6, 6), row by row."""
+    layout = MultiArrayLayout([MultiArrayDimension(LABEL, SIDE, SIDE * SIDE), MultiArrayDimension(LABEL, SIDE, SIDE)])
+    return Float64MultiArray(layout, covariance.ravel().tolist())
+
+
+# --- What the monitor says, on ROS 2 topics; and what others ask of it there.
+
+
+FOREVER_NS = 2**63 - 1
+BETWEEN_NS = 50_000_000
+"""Between two diagnostics that a change asks for, so that a state that flickers does not fill the network."""
+
+
+class Ros2Publisher:
+    """A publisher of the loop: torque at every sample, alarms when they change, diagnostics each second and on change.
+
+    `external_torque`: JointState with the stamp of the sample it speaks of, effort = tau_ext [N m], positive where the
+    environment pushes the joint in its positive direction, NaN while there is no estimate. `contact`, `collision`:
+    Bool, latched: who subscribes later gets the last one. `event`: String, JSON, for reactions with publish = true.
+    `wrench/NAME`: WrenchStamped of each frame that was asked for, with its covariance; nothing where it is not known.
+    `diagnostics`: DiagnosticArray. Asked: `profile` (String: its name), `acknowledge` and `resume` (Bool: true),
+    `load` (Inertia, in the bundle's load frame; m = 0: nothing).
+
+    A subscriber that does not keep up never holds the loop: it misses what is older than a topic's depth. What the
+    library refuses to send is counted in `unsent`.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        conditions: Conditions,
+        source: Ros2Source | None = None,
+        wrenches: Wrenches | None = None,
+    ):
+        """source: whose stamps the torques bear; None: the time of reception. wrenches: None: none are told."""
+        self._wrenches = wrenches or Wrenches((), None)
+        self._node, self._conditions, self._source = node, conditions, source
+        self.unsent = 0
+        self._verdict: Verdict | None = None
+        self._report: LoopReport | None = None
+        self._before: LoopReport | None = None
+        self._said: dict[str, bool] = {}
+        self._diagnosed_ns, self._due = 0, False
+        self._listening: threading.Thread | None = None
+        self._closing: Any = None  # GuardCondition while open
+
+    def open(self, joints: tuple[str, ...], control: Control) -> None:
+        node, settings = self._node, self._node.settings
+        node.enter()
+        self._joints, self._control = joints, control
+        self._torque = node.writer(settings.full_name("external_torque"), JointState, "reliable", "volatile", 8)
+        self._alarms = {
+            name: node.writer(settings.full_name(name), Bool, "reliable", "transient-local")
+            for name in ("contact", "collision")
+        }
+        self._events = node.writer(settings.full_name("event"), String, "reliable", "volatile", 16)
+        self._wrenches.open(node)
+        self._diagnostics = node.writer(
+            settings.full_name(settings.diagnostics), DiagnosticArray, "reliable", "volatile", 8
+        )
+        self._message = JointState(name=list(settings.names or joints))
+        self._asked = {
+            name: (node.inbox(settings.full_name(name), of, "reliable", "volatile", 8), do)
+            for name, of, do in (
+                ("profile", String, self._use_profile),
+                ("acknowledge", Bool, self._acknowledge),
+                ("resume", Bool, self._resume),
+                ("load", Inertia, self._load),
+            )
+        }
+        node.announce()
+        self._say_alarm(NONE)
+        self._diagnose(time.monotonic_ns())
+        self._closing = GuardCondition(node.participant)
+        self._listening = threading.Thread(target=self._listen, name="ros2 asked", daemon=True)
+        self._listening.start()
+
+    def verdict(self, verdict: Verdict) -> None:
+        self._verdict = verdict
+        if verdict.sample is not None:
+            # The writer serialises at once, so one message serves all.
+            stamp_ns = self._stamp_ns(verdict.sample)
+            self._message.header.stamp = Time.of_ns(stamp_ns)
+            self._message.effort = verdict.said["tau_ext"][0].tolist()
+            self._send(self._torque, self._message)
+            self._wrenches.tell(verdict, stamp_ns, self._send)
+        if verdict.changes:
+            self._say_alarm(int(verdict.said["alarm"][0]))
+            self._due = True
+        if self._due:
+            now_ns = time.monotonic_ns()
+            if now_ns - self._diagnosed_ns >= BETWEEN_NS:
+                self._diagnose(now_ns)
+
+    def every_second(self, report: LoopReport) -> None:
+        self._before, self._report = self._report, report
+        self._diagnose(time.monotonic_ns())
+
+    def publish_event(self, event: Event) -> None:
+        facts = {"kind": event.kind, "joint": event.joint, "t_ns": event.t_ns, "merged": event.merged, **event.facts}
+        self._send(self._events, String(json.dumps(facts)))
+
+    def close(self) -> None:
+        """What was said last is kept for nobody: latched topics end with their publisher."""
+        if self._listening is None:
+            return
+        self._closing.set(True)
+        self._listening.join()
+        entities = [self._torque, *self._alarms.values(), self._events, self._diagnostics, *self._wrenches.writers]
+        entities += [inbox.reader for inbox, _ in self._asked.values()]
+        self._listening = self._closing = self._torque = self._events = self._diagnostics = None
+        self._alarms, self._asked = {}, {}
+        self._node.leave(entities)
+
+    def _stamp_ns(self, sample: Sample) -> int:
+        if self._source is not None:
+            return self._source.last_stamp_ns
+        return time.time_ns() - (time.monotonic_ns() - sample.received_ns)
+
+    def _say_alarm(self, alarm: int) -> None:
+        for name, stands in (("contact", alarm != NONE), ("collision", alarm == COLLISION)):
+            if self._said.get(name) != stands and self._send(self._alarms[name], Bool(stands)):
+                self._said[name] = stands
+
+    def _diagnose(self, now_ns: int) -> None:
+        self._diagnosed_ns, self._due = now_ns, False
+        topic = self._node.settings.topic
+        statuses = [
+            arm_status(self._verdict, self._joints, topic),
+            input_status(self._report, self._before, self._conditions.standing(now_ns), topic),
+        ]
+        self._send(self._diagnostics, DiagnosticArray(Header(Time.of_ns(time.time_ns())), statuses))
+
+    def _send(self, writer: Any, message: Any) -> bool:
+        try:
+            writer.write(message)
+        except DDSException:  # no reason to stop watching the arm
+            self.unsent += 1
+            return False
+        return True
+
+    def _listen(self) -> None:
+        """Its own thread: what is asked is rare, and must not wait for a sample."""
+        waitset = WaitSet(self._node.participant)
+        for condition in (self._closing, *(inbox.new for inbox, _ in self._asked.values())):
+            waitset.attach(condition)
+        while not self._closing.read():
+            waitset.wait(FOREVER_NS)
+            for name, (inbox, do) in self._asked.items():
+                topic = self._node.settings.full_name(name)
+                messages, damaged = inbox.take()
+                if damaged:
+                    self._conditions.say(name, f"{topic}: {damaged}", time.monotonic_ns())
+                for message in messages:
+                    do(message if isinstance(message, Inertia) else message.data, f"ros2 {topic}")
+
+    def _use_profile(self, name: str, by: str) -> None:
+        try:
+            self._control.use_profile(name, by)
+        except ConfigError as refused:
+            self._conditions.say("profile", f"{by}: {refused}", time.monotonic_ns())
+
+    def _acknowledge(self, asked: bool, by: str) -> None:
+        if asked:
+            self._control.acknowledge(by)
+
+    def _load(self, body: Inertia, by: str) -> None:
+        inertia = [body.ixx, body.iyy, body.izz, body.ixy, body.ixz, body.iyz]
+        try:
+            self._control.set_load(Load(body.m, [body.com.x, body.com.y, body.com.z], inertia), by)
+        except ConfigError as refused:
+            self._conditions.say("load", f"{by}: {refused}", time.monotonic_ns())
+
+    def _resume(self, asked: bool, by: str) -> None:
+        if asked:
+            self._control.resume(by)

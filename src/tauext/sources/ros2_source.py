@@ -1,0 +1,463 @@
+"""Joint states of a ROS 2 topic as samples: joints, publisher, rate, time, temperatures."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections import deque
+from typing import Any
+
+import numpy as np
+from cyclonedds.core import WaitSet
+
+from tauext.errors import ConfigError
+from tauext.monitor.source import Sample, SourceCounts, SourceSettings
+from tauext.sources.ros2_messages import JointState, Temperature
+from tauext.sources.ros2_node import Conditions, Inbox, Node
+
+# --- The arm's joints in messages that may hold them in any order, beside others, or not at all.
+
+
+FIELDS = ("position", "velocity", "effort")
+
+
+class ArmJoints:
+    """Picks positions, velocities and efforts of the arm, (joints,) each, in the order of `names`."""
+
+    def __init__(self, names: tuple[str, ...]):
+        """names: as the messages name them."""
+        self.names = names
+        self._of: list[str] = []
+        self._rows: list[int] = []
+        self._missing: list[str] = []
+
+    def is_here(self, message: JointState) -> bool:
+        """Whether the message has every joint of the arm; others may be in it."""
+        if message.name != self._of:
+            row = {name: k for k, name in reversed(list(enumerate(message.name)))}
+            self._of, self._missing = message.name, [name for name in self.names if name not in row]
+            self._rows = [row[name] for name in self.names if name in row]
+        return not self._missing
+
+    def missing(self, message: JointState) -> str:
+        """Which joints a message lacks, in words."""
+        self.is_here(message)
+        return f"no {', '.join(self._missing)} among its joints {', '.join(message.name) or '(none)'}"
+
+    def pick(self, message: JointState) -> tuple[np.ndarray, np.ndarray, np.ndarray] | str:
+        """q [rad], dq [rad/s], tau [N m] of a message in which the arm is; or, in words, why there are none.
+
+        NaN is handed on, since the monitor has a fault of its own for it.
+        """
+        values = [getattr(message, field) for field in FIELDS]
+        for field, numbers in zip(FIELDS, values, strict=True):
+            if len(numbers) != len(message.name):
+                return (
+                    f"{field} is empty: position, velocity and effort are needed"
+                    if not numbers
+                    else f"{field} has {len(numbers)} values for {len(message.name)} names"
+                )
+        q, dq, tau = (np.array(numbers, dtype=np.float64)[self._rows] for numbers in values)
+        return q, dq, tau
+
+    def not_finite(self, arrays: tuple[np.ndarray, ...]) -> str | None:
+        """Which numbers are NaN or infinite, in words."""
+        bad = [
+            f"{field} of {', '.join(self.names[j] for j in np.flatnonzero(~np.isfinite(values)))}"
+            for field, values in zip(FIELDS, arrays, strict=True)
+            if not np.isfinite(values).all()
+        ]
+        return f"{' and '.join(bad)} is not a number" if bad else None
+
+
+# --- Which of several publishers on one topic is followed.
+
+
+TAKEOVER_NS = 500_000_000
+"""Silence after which another publisher is followed: longer than any pause that an arm's driver makes."""
+
+
+class Followed:
+    """The first that publishes the arm, until it is silent; then whoever publishes next. Never two at once."""
+
+    def __init__(self) -> None:
+        self._handle: int | None = None
+        self._last_ns = 0
+
+    def is_another(self, handle: int, now_ns: int) -> bool:
+        """Whether this publisher is not the one that is followed now."""
+        return self._handle not in (None, handle) and now_ns - self._last_ns <= TAKEOVER_NS
+
+    def take(self, handle: int, now_ns: int) -> bool:
+        """A sample by this publisher is used; True for the first since another one was followed."""
+        changed = handle != self._handle
+        self._handle, self._last_ns = handle, now_ns
+        return changed
+
+
+# --- From the publisher's rate to the bundle's: every n-th sample, by time stamps.
+
+
+LEARNT_FROM = 21
+"""Samples that the rate is learnt from; none of them is given on, as the monitor would see a wrong rate."""
+TOLERANCE = 0.05
+"""What the monitor calls another rate."""
+CHANGED = 0.2
+"""A rate that differs by so much from the one learnt is another one; less is jitter."""
+
+
+class SampleRate:
+    """Learns a publisher's period from stamps, then says of each sample whether the bundle's rate wants it.
+
+    A publisher at n times the bundle's rate has every n-th sample taken, in slots of the bundle's period counted from
+    the first; a lost sample is replaced by its neighbour. One at any other rate is given on whole, for the monitor to
+    name the wrong rate.
+    """
+
+    def __init__(self, period_ns: int):
+        """period_ns: of the bundle."""
+        self._wanted_ns = period_ns
+        self.forget()
+
+    def forget(self) -> None:
+        """Learn anew: another publisher."""
+        self.period_ns: int | None = None
+        """Of the publisher; None until it is learnt."""
+        self.factor = 1
+        self.lost = 0
+        """By gaps of the stamps, since it was learnt."""
+        self._steps: list[int] = []
+        self._last_ns: int | None = None
+        self._due_ns: int | None = None
+
+    def wants(self, t_ns: int) -> bool:
+        """Whether the sample at t_ns, later than the one before it, is to be given on."""
+        last_ns, self._last_ns = self._last_ns, t_ns
+        if last_ns is None:
+            return False
+        step_ns = t_ns - last_ns
+        if self.period_ns is not None:
+            self.lost += max(0, round(step_ns / self.period_ns) - 1)
+        self._learn(step_ns)
+        if self.period_ns is None:
+            return False
+        if self.factor == 1:
+            return True
+        if self._due_ns is None or t_ns - self._due_ns > self._wanted_ns:
+            self._due_ns = t_ns
+        if t_ns < self._due_ns - self.period_ns // 2:
+            return False
+        self._due_ns += self._wanted_ns
+        return True
+
+    @property
+    def problem(self) -> str | None:
+        """What is wrong with the publisher's rate, in words."""
+        if self.period_ns is None:
+            return None
+        is_hz, wanted_hz = 1e9 / self.period_ns, 1e9 / self._wanted_ns
+        if self.factor > 1 or abs(is_hz / wanted_hz - 1) <= TOLERANCE:
+            return None
+        rule = "no multiple of" if is_hz > wanted_hz else "less than"
+        return (
+            f"{is_hz:.4g} samples a second are {rule} the bundle's {wanted_hz:.4g}: "
+            "publish at that rate, or train for this one"
+        )
+
+    def _learn(self, step_ns: int) -> None:
+        """Again for every so many samples, as rates change.
+
+        The mean step, of steps divided by how many medians they are long: neither lost samples nor jitter count.
+        """
+        self._steps.append(step_ns)
+        if len(self._steps) < LEARNT_FROM - 1:
+            return
+        median_ns = statistics.median(self._steps)
+        period_ns = round(sum(self._steps) / max(1, sum(round(step / median_ns) for step in self._steps)))
+        self._steps.clear()
+        if self.period_ns is not None and abs(period_ns / self.period_ns - 1) <= CHANGED:
+            return
+        self.period_ns, self._due_ns = period_ns, None
+        ratio = self._wanted_ns / period_ns
+        self.factor = max(1, round(ratio)) if abs(round(ratio) / ratio - 1) <= TOLERANCE else 1
+
+
+# --- Time of samples from their stamps, where the stamps can be used; else from their reception.
+
+
+JUMP_NS = 1_000_000_000
+"""A stamp that departs by more than this from the times of reception tells of a clock that was set."""
+
+
+class SampleTime:
+    """Adds up steps: each from one stamp to the next or, where these contradict reception, by reception.
+
+    While stamps are good, time equals the stamp, and delays of the network do not enter. A clock that is set, forward
+    or back, costs one step by reception, and time goes on from there; without stamps every step is one by reception.
+    Where both samples came at once, that step is as long as the one before it.
+    A sample that bears the stamp of the one before it gets the same time, for the caller to leave out.
+    """
+
+    def __init__(self) -> None:
+        self._t_ns = self._stamp_ns = self._received_ns = self._step_ns = 0
+        self._begun = False
+
+    def next(self, stamp_ns: int, received_ns: int, wall_ns: int, follows: bool = True) -> tuple[int, str | None]:
+        """Time of the next sample, [ns], and what was wrong with its stamp.
+
+        Args:
+            stamp_ns: of the message; 0 where it bears none.
+            received_ns: by a clock that is never set.
+            wall_ns: at reception, since 1970: where time begins without stamps.
+            follows: False for the first sample of another publisher, whose stamps may be by another clock.
+        """
+        wrong, step_ns = None, stamp_ns - self._stamp_ns
+        by_reception_ns = received_ns - self._received_ns
+        if stamp_ns == 0:
+            wrong = "there are no stamps: times of reception are used"
+        elif self._begun and follows and self._stamp_ns:
+            if step_ns == 0:
+                return self._t_ns, "two messages bear the same stamp: the second is left out"
+            if step_ns < 0:
+                wrong = f"the stamp went back by {-step_ns / 1e9:.3g} s: the time of reception is used"
+            elif step_ns - by_reception_ns > JUMP_NS:
+                wrong = f"the stamp jumped ahead by {step_ns / 1e9:.3g} s: the time of reception is used"
+        if not self._begun:
+            self._t_ns = stamp_ns or wall_ns
+        elif wrong or not follows or not self._stamp_ns:
+            self._step_ns = by_reception_ns or self._step_ns
+            self._t_ns += self._step_ns
+        else:
+            self._step_ns = step_ns
+            self._t_ns += step_ns
+        self._begun, self._stamp_ns, self._received_ns = True, stamp_ns, received_ns
+        return self._t_ns, wrong
+
+
+# --- Temperatures of the joints, each a topic of its own: the latest of each holds, as they change slowly.
+
+
+class Temperatures:
+    """Reads sensor_msgs/Temperature where the settings name topics; never waits."""
+
+    def __init__(self, node: Node, joints: int):
+        """Subscribe; a publisher need not be there yet.
+
+        Raises:
+            ConfigError: topics are not one a joint.
+        """
+        settings = node.settings
+        topics = settings.temperatures
+        if topics and len(topics) != joints:
+            raise ConfigError(f"ROS 2 temperatures {', '.join(topics)}: {len(topics)} topics for {joints} joints")
+        self._node = node
+        self._inboxes = [
+            node.inbox(topic, Temperature, settings.reliability, settings.durability, settings.depth)
+            for topic in topics
+        ]
+        self._celsius = np.full(joints, np.nan)
+
+    def latest(self) -> np.ndarray | None:
+        """(joints,), [degC], NaN where none came yet; None: there are no topics. What cannot be read is no news."""
+        if not self._inboxes:
+            return None
+        for joint, inbox in enumerate(self._inboxes):
+            told = [message.temperature for message in inbox.take()[0] if math.isfinite(message.temperature)]
+            if told:
+                self._celsius[joint] = told[-1]
+        return self._celsius.copy()
+
+    @property
+    def readers(self) -> list:
+        """To be handed back to the node."""
+        return [inbox.reader for inbox in self._inboxes]
+
+
+# --- Joint states of a ROS 2 topic as samples of the arm.
+
+
+LOOK_NS = 500_000_000
+"""After so long without a message, and as often, the publishers are looked at."""
+
+
+class Ros2Source:
+    """A tauext.monitor Source: reads sensor_msgs/JointState in the thread that asks for samples.
+
+    What cannot be used is counted as refused and stands in `conditions`: messages without the arm's joints, without
+    velocity or effort, of a second publisher. Stamps, rates and publishers that change are dealt with as SampleTime,
+    SampleRate and Followed say. Samples that a full reader pushed out show as lost, by the gap of their stamps.
+    """
+
+    def __init__(self, node: Node, conditions: Conditions):
+        self._node, self.conditions = node, conditions
+        self.name = f"ros2 {node.settings.topic}"
+        self.counts = SourceCounts()
+        self.last_stamp_ns = 0
+        """Of the last sample given, since 1970: what is said of it bears this stamp."""
+        self._inbox: Inbox | None = None
+        self._waitset: Any = None
+        self._pending: deque[JointState] = deque()
+
+    def open(self, settings: SourceSettings) -> None:
+        """Subscribe; a publisher need not be there yet."""
+        chosen = self._node.settings
+        names = chosen.names or settings.joints
+        if len(names) != len(settings.joints):
+            raise ConfigError(
+                f"ROS 2 names {', '.join(names)}: {len(names)} for the bundle's {len(settings.joints)} joints "
+                f"{', '.join(settings.joints)}"
+            )
+        self._node.enter()
+        self._looked_ns = time.monotonic_ns()
+        self._joints, self._rate = ArmJoints(tuple(names)), SampleRate(settings.period_ns)
+        self._time, self._followed = SampleTime(), Followed()
+        self._averaged = settings.torque_timing == "averaged"
+        self._torques: list[np.ndarray] = []
+        self.counts = SourceCounts()
+        self._unreadable = self._node.unreadable.count(chosen.topic)
+        self._lost_before = 0
+        self._t_ns: int | None = None
+        self._inbox = self._node.inbox(chosen.topic, JointState, chosen.reliability, chosen.durability, chosen.depth)
+        self._temperatures = Temperatures(self._node, len(settings.joints))
+        self._waitset = WaitSet(self._node.participant)
+        self._waitset.attach(self._inbox.new)
+        self._node.announce()
+
+    def next_sample(self, timeout_s: float) -> Sample | None:
+        until_ns = time.monotonic_ns() + round(timeout_s * 1e9)
+        while True:
+            while self._pending:
+                sample = self._use(self._pending.popleft())
+                if sample is not None:
+                    return sample
+            now_ns = time.monotonic_ns()
+            self._count_unreadable(now_ns)
+            left_ns = until_ns - now_ns
+            if self._inbox is None or (left_ns <= 0 and timeout_s > 0):
+                return None
+            if self._waitset.wait(max(left_ns, 0)) or timeout_s <= 0:
+                self._take()
+                if not self._pending and timeout_s <= 0:
+                    return None
+            else:
+                self._look_for_publishers(time.monotonic_ns())
+
+    @property
+    def ended(self) -> bool:
+        """A topic never ends, as its publisher may return."""
+        return False
+
+    def notes(self) -> list[str]:
+        return self.conditions.untold()
+
+    def close(self) -> None:
+        """Unsubscribe; a node that nobody else uses ends."""
+        if self._inbox is None:
+            return
+        inbox, self._inbox, self._waitset = self._inbox, None, None
+        self._node.leave([inbox.reader, *self._temperatures.readers])
+        self._pending.clear()
+
+    def _take(self) -> None:
+        received_ns, wall_ns = time.monotonic_ns(), time.time_ns()
+        self._looked_ns = received_ns
+        assert self._inbox is not None  # between open() and close()
+        messages, damaged = self._inbox.take()
+        if damaged:
+            self.counts.received += 1
+            self._refuse("damaged", damaged, received_ns)
+        for message in messages:
+            message.received_ns, message.wall_ns = received_ns, wall_ns
+            self._pending.append(message)
+
+    def _count_unreadable(self, now_ns: int) -> None:
+        """Messages that the library itself dropped since the last look."""
+        count = self._node.unreadable.count(self._node.settings.topic)
+        if count == self._unreadable:
+            return
+        self.counts.received += count - self._unreadable
+        self.counts.refused += count - self._unreadable
+        self._unreadable = count
+        self._say("unreadable", "messages come that are no JointState inside: they are counted as refused", now_ns)
+
+    def _use(self, message: JointState) -> Sample | None:
+        """The sample of a message, if it has one that the bundle's rate wants."""
+        now_ns, publisher = message.received_ns, message.sample_info.publication_handle
+        other = self._followed.is_another(publisher, now_ns)
+        self.counts.received += 1
+        if not self._joints.is_here(message):  # no fault of another's, as a gripper often shares the topic
+            self._refuse("joints", None if other else f"a message has {self._joints.missing(message)}", now_ns)
+            return None
+        picked = self._joints.pick(message)
+        if isinstance(picked, str):
+            self._refuse("values", picked, now_ns)
+            return None
+        if other:
+            self._refuse("publishers", "two publishers: the first is followed", now_ns)
+            return None
+        changed = self._followed.take(publisher, now_ns)
+        if changed:
+            self._begin(now_ns)
+        stamp_ns, last_ns = message.header.stamp.ns, self._t_ns
+        if stamp_ns == 0:
+            stamp_ns = message.sample_info.source_timestamp
+            self._say("stamps are zero", "stamps are zero: times of publication are used", now_ns)
+        t_ns, wrong = self._time.next(stamp_ns, now_ns, message.wall_ns, not changed)
+        self._t_ns = t_ns
+        self._say("stamps", wrong, now_ns)
+        if last_ns is not None and t_ns <= last_ns:
+            self.counts.refused += 1
+            return None
+        wanted = self._rate.wants(t_ns)
+        self.counts.lost = self._lost_before + self._rate.lost
+        self._say("rate", self._rate.problem, now_ns)
+        self._say("numbers", self._joints.not_finite(picked), now_ns)
+        q, dq, tau = picked
+        tau = self._torque(tau, wanted)
+        if not wanted:
+            return None
+        self.last_stamp_ns = stamp_ns or t_ns
+        return Sample(t_ns, q, dq, tau, now_ns, self._temperatures.latest())
+
+    def _torque(self, tau: np.ndarray, wanted: bool) -> np.ndarray:
+        """Of the sample; where its torque means an average, over all samples since the last one given."""
+        if not self._averaged or self._rate.factor == 1:
+            return tau
+        self._torques.append(tau)
+        mean = np.mean(self._torques, axis=0)
+        if wanted:
+            self._torques.clear()
+        return mean
+
+    def _begin(self, now_ns: int) -> None:
+        """Another publisher: its stamps and its rate are its own."""
+        if self._rate.period_ns is not None:
+            self._say("publisher", "another publisher is followed now", now_ns)
+        self._lost_before += self._rate.lost
+        self._rate.forget()
+        self._torques.clear()
+
+    def _refuse(self, key: str, text: str | None, now_ns: int) -> None:
+        self.counts.refused += 1
+        self._say(key, text, now_ns)
+
+    def _say(self, key: str, problem: str | None, now_ns: int) -> None:
+        if problem:
+            self.conditions.say(key, f"{self._node.settings.topic}: {problem}", now_ns)
+
+    def _look_for_publishers(self, now_ns: int) -> None:
+        """Nothing came: is anyone there who could send, and does their quality of service fit?"""
+        if now_ns - self._looked_ns < LOOK_NS:
+            return
+        self._looked_ns = now_ns
+        assert self._inbox is not None  # between open() and close()
+        reader = self._inbox.reader
+        matched = reader.get_matched_publications()
+        if not matched and reader.get_requested_incompatible_qos_status().total_count:
+            text = "a publisher offers less reliability or durability than is asked of it"
+        elif not matched:
+            text = f"no publisher of sensor_msgs/JointState in domain {self._node.settings.domain_id}"
+        else:
+            text = "the publisher is silent"
+        self._say("silence", text, now_ns)

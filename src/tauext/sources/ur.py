@@ -1,0 +1,143 @@
+"""An arm of Universal Robots over RTDE, by ur_rtde. Never run on hardware: tested on a stand-in of that library."""
+
+from __future__ import annotations
+
+import importlib
+import time
+from collections.abc import Sequence
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from tauext.data.description_file import refuse_unknown
+from tauext.errors import ConfigError
+from tauext.files.places import Place
+from tauext.files.toml_file import number, read_toml
+from tauext.monitor.source import Sample, SourceSettings
+from tauext.sources.reader import ReaderSource, Unreachable, sample_of
+
+# --- Torque constants of an arm that reports motor currents, from a file.
+
+
+LARGEST = 1e6
+
+
+def load_torque_constants(path: Place, joints: Sequence[str]) -> np.ndarray:
+    """Joint torque a unit of current, after the gear, (joints,) [N m/A], from a TOML file of one table:
+
+        [nm_per_ampere]
+        shoulder_pan_joint = 12.2
+
+    A negative constant says that the current's sign is the other way round.
+
+    Raises:
+        ConfigError: names the file, the joint and the rule that is broken.
+    """
+    content = read_toml(path)
+    refuse_unknown(path, "", content, ("nm_per_ampere",))
+    table = content.get("nm_per_ampere", {})
+    refuse_unknown(path, "nm_per_ampere", table, tuple(joints))
+    constants = []
+    for joint in joints:
+        where = f"{path}: [nm_per_ampere] {joint}"
+        if joint not in table:
+            raise ConfigError(f"{where} is missing")
+        constants.append(number(where, table[joint], -LARGEST, LARGEST))
+        if constants[-1] == 0:
+            raise ConfigError(f"{where} = 0 must not be 0")
+    return np.array(constants)
+
+
+# --- The source.
+
+
+VARIABLES = ["timestamp", "actual_q", "actual_qd", "actual_current", "joint_temperatures"]
+POLLS_A_PERIOD = 10
+"""The library has its own thread and keeps the newest packet alone: a new one is seen by its time stamp."""
+
+
+class UrSource(ReaderSource):
+    """actual_q [rad], actual_qd [rad/s] and actual_current, joints base to wrist 3; currents as they come for a bundle
+    that takes amperes, times torque constants [N m/A] for one that takes N m; joint_temperatures [degC].
+
+    The stamp is the controller's time since its start. stop() ends the program on the controller by its dashboard.
+    """
+
+    robot_joints = 6
+
+    def __init__(self, host: str, torque_constants: Place | None = None):
+        """torque_constants: file (torque_constants_file.py); None where the bundle takes amperes."""
+        super().__init__(f"ur {host}")
+        self._host, self._file = host, torque_constants
+        self._receive: Any = None
+
+    def open(self, settings: SourceSettings) -> None:
+        amperes = "A" in settings.torque_units
+        if amperes and self._file is not None:
+            raise ConfigError(f"{self.name}: the bundle takes amperes, as they come; leave {self._file} out")
+        if not amperes and self._file is None:
+            raise ConfigError(
+                f"{self.name} sends motor currents, the bundle takes N m: --torque-constants FILE says what they are"
+            )
+        self._constants = np.ones(len(settings.joints))
+        if self._file is not None:
+            self._constants = load_torque_constants(self._file, settings.joints)
+        super().open(settings)
+
+    def connect(self) -> None:
+        library = ur_rtde("rtde_receive")
+        rate_hz = 1e9 / self.settings.period_ns
+        try:
+            self._receive = library.RTDEReceiveInterface(self._host, rate_hz, VARIABLES)
+        except Exception as error:  # the library's are plain RuntimeErrors
+            raise Unreachable(str(error) or type(error).__name__) from error
+        self._stamp_s = self._receive.getTimestamp()
+
+    def read(self) -> Sample | None:
+        until = time.monotonic() + 0.1
+        while (stamp_s := self._receive.getTimestamp()) == self._stamp_s:
+            if not self._receive.isConnected():
+                raise Unreachable("the connection is closed")
+            if time.monotonic() > until:
+                return None
+            time.sleep(self.settings.period_ns * 1e-9 / POLLS_A_PERIOD)
+        while True:  # the getters read the newest packet each: all of one sample must be of one packet
+            q, dq, current, celsius = (get() for get in self._getters())
+            again_s = self._receive.getTimestamp()
+            if again_s == stamp_s:
+                break
+            stamp_s = again_s
+        self._stamp_s = stamp_s
+        tau = np.array(current, dtype=float) * self._constants
+        return sample_of(stamp_s, q, dq, tau, np.array(celsius, dtype=float))
+
+    def disconnect(self) -> None:
+        if self._receive is not None:
+            self._receive.disconnect()
+            self._receive = None
+
+    def stop(self) -> None:
+        """Ends the program that the controller runs."""
+        dashboard = ur_rtde("dashboard_client").DashboardClient(self._host)
+        dashboard.connect()
+        try:
+            dashboard.stop()
+        finally:
+            dashboard.disconnect()
+
+    def _getters(self) -> Sequence:
+        receive = self._receive
+        return receive.getActualQ, receive.getActualQd, receive.getActualCurrent, receive.getJointTemperatures
+
+
+def ur_rtde(module: str) -> ModuleType:
+    """A module of the optional library.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise ConfigError("source ur needs ur_rtde: pip install 'tauext[ur]'") from error

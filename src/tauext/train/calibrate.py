@@ -1,0 +1,248 @@
+"""Limits of a bundle from calibration recordings: put into one that is being trained, or into a copy of one."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from tauext import _core
+from tauext.bundle.bundle_file import load_bundle, write_bundle
+from tauext.bundle.fit import expect_fit
+from tauext.bundle.loss_history import read_loss_history
+from tauext.check.look import Rejected, expect_codes, judge, look_at_calibration
+from tauext.config import AlarmConfig, FreeMotionConfig
+from tauext.data.dataset import Dataset, ahead
+from tauext.data.free_motion import LeftOut, SignalBounds
+from tauext.data.recording import Recording
+from tauext.errors import ConfigError
+from tauext.files.copies import at_home
+from tauext.files.half_done import HalfDone
+from tauext.files.places import Place, place_of
+from tauext.files.provenance import VERSION, provenance
+from tauext.files.room import expect_new_file
+from tauext.progress import SILENT, Reporter
+from tauext.train.error_scale import collect_rows, fit_error_scale
+from tauext.train.held_peaks import KeptPeaks
+from tauext.train.promised_limits import PromisedLimits, apply_promised, promised_limits
+
+SCALE_SHARE = 0.2
+"""Of the calibration recordings, where the error scale is fitted anew."""
+NO_CALIBRATION = (
+    "needs calibration recordings, which the dataset has none of; `tauext simulate --calibration-hours 24` makes some"
+)
+
+
+def recalibrate(
+    bundle: Place,
+    dataset: Dataset,
+    out: Place,
+    alarm: AlarmConfig,
+    threads: int = 0,
+    report: Reporter = SILENT,
+    refit_error_scale: bool = False,
+    accept: Sequence[str] = (),
+) -> PromisedLimits:
+    """Write a bundle like this one, with limits for another promise or from other recordings; nothing is trained.
+
+    First the doctor's cheap checks look at every recording (tauext.check): faults refuse, warnings are told and kept.
+    A killed or interrupted run goes on with the recording after the last one that was taken in.
+
+    Its run file, with what the first one knew, and its wall time stand beside it.
+
+    Args:
+        dataset: its calibration recordings are used.
+        refit_error_scale: find anew how errors grow with the motion, on the first SCALE_SHARE of the recordings; limits
+            follow from the others, since what was fitted to a recording has no surprises there.
+        accept: codes of the doctor that are no fault on your word, CODE or CODE:joint; they stand in the bundle.
+
+    Raises:
+        FaultyDataError: a recording has a fault that is not accepted.
+        ConfigError: the dataset has no calibration recordings, or too few to set some apart.
+        BundleError: there is no such bundle.
+        BundleError, TrainingError: as calibrate_bundle.
+    """
+    started = time.monotonic()
+    expect_codes(accept)
+    loaders: Sequence[Callable[[], Recording]] = dataset.stretches("calibration")
+    if not loaders:
+        raise ConfigError(f"{dataset.folder}: calibrate {NO_CALIBRATION}")
+    expect_new_file(out)
+    loaded = load_bundle(bundle)
+    history = read_loss_history(loaded, bundle) or []
+    facts = json.loads(loaded.provenance or "{}")
+    looked = look_first(loaded, dataset, accept, threads, report)
+    facts["look"] = facts.get("look", {}) | {"calibration": looked}
+    if refit_error_scale:
+        loaders, facts["error_scale"] = refit_scale(loaded, loaders, threads, report)
+    rejected = Rejected.of(loaded, fitting(loaded, loaders), threads or os.cpu_count() or 1)
+    if words := rejected.warning("the calibration recordings", accept):
+        report.say(words)
+        facts["rejected_in_calibration"] = rejected.facts()
+    promised, facts["limits"] = calibrate_bundle(loaded, out.stem, loaders, alarm, threads, report=report, out=out)
+    settings: dict = {"bundle": bundle.name, "dataset": dataset.folder.resolve().name, "alarm": asdict(alarm)}
+    if refit_error_scale:
+        settings["refit_error_scale"] = True
+    facts["calibrated"] = provenance("tauext calibrate", settings, seed=None)
+    loaded.provenance = json.dumps(facts, sort_keys=True)
+    write_bundle(loaded, out, facts | {"loss_history": history}, {"calibrate_s": time.monotonic() - started})
+    forget_half_done(out)
+    return promised
+
+
+def fitting(bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]]) -> Iterator[Recording]:
+    """One after the other, each one of the bundle's robot, rate and timing."""
+    for recording in ahead(loaders):
+        expect_fit(bundle, recording)
+        yield recording
+
+
+def look_first(bundle: _core.Bundle, dataset: Dataset, accept: Sequence[str], threads: int, report: Reporter) -> dict:
+    """Look at the calibration recordings; the facts for provenance: what was accepted, and warnings.
+
+    Raises:
+        ConfigError: a code that does not exist, or a joint.
+        FaultyDataError: a fault that nobody accepted.
+    """
+    expect_codes(accept, [link.joint_name for link in bundle.links])
+    in_nm = all(unit == "N m" for unit in bundle.torque_units)
+    look = look_at_calibration(
+        dataset.files("calibration"),
+        np.array(bundle.torque_limit_nm) if in_nm else None,
+        threads,
+        report,
+    )
+    judge([look], str(dataset.folder), accept, report)
+    return look.facts(accept)
+
+
+def refit_scale(
+    bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], threads: int, report: Reporter = SILENT
+) -> tuple[Sequence[Callable[[], Recording]], dict]:
+    """Fit the error scale to the first recordings; the others' loaders, and the facts for the provenance.
+
+    Raises:
+        ConfigError: there is one recording only.
+        TrainingError: no free motion, or too much that is impossible.
+    """
+    if len(loaders) < 2:
+        raise ConfigError("refit-error-scale needs 2 calibration recordings or more: one to fit to, one for the limits")
+    apart = max(1, round(SCALE_SHARE * len(loaders)))
+    names: list[str] = []
+    left_out = LeftOut("calibration")
+
+    def load_some() -> Iterator[Recording]:
+        for recording in ahead(loaders[:apart]):
+            yield counted(bundle, recording, names, left_out)
+
+    bundle.error_scale = _core.ErrorScaleSettings()
+    with no_freeze(bundle):
+        facts = fit_error_scale(bundle, collect_rows(bundle, load_some(), threads))
+    return loaders[apart:], facts | {"recordings": names} | told(left_out, report)
+
+
+def counted(bundle: _core.Bundle, recording: Recording, names: list[str], left_out: LeftOut) -> Recording:
+    """The recording, whose name is noted and whose impossible samples are counted: the bundle refuses them itself."""
+    expect_fit(bundle, recording)
+    names.append(recording.name)
+    left_out.look(recording, bundle.observer, SignalBounds.of(bundle))
+    return recording
+
+
+def told(left_out: LeftOut, report: Reporter) -> dict:
+    """Say what was impossible in the recordings; the facts for the provenance.
+
+    Raises:
+        TrainingError: too many samples were.
+    """
+    left_out.expect_few()
+    if not left_out.found:
+        return {}
+    report.say(left_out.sentence())
+    return {"impossible": left_out.facts()}
+
+
+@contextmanager
+def no_freeze(bundle: _core.Bundle) -> Iterator[None]:
+    """Limits that are to be replaced must not freeze the drift tracker while the new ones are found."""
+    share, bundle.drift.freeze_share = bundle.drift.freeze_share, 0.0
+    try:
+        yield
+    finally:
+        bundle.drift.freeze_share = share
+
+
+def calibrate_bundle(
+    bundle: _core.Bundle,
+    name: str,
+    loaders: Sequence[Callable[[], Recording]],
+    alarm: AlarmConfig,
+    threads: int,
+    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
+    report: Reporter = SILENT,
+    out: Place | None = None,
+) -> tuple[PromisedLimits, dict]:
+    """Put the limits into the bundle that the recordings support; what they promise, and the facts for its provenance.
+
+    A killed process is gone on with, by a file beside `out`, the bundle that will be written; whoever writes it calls
+    `forget_half_done`.
+
+    Raises:
+        BundleError: a recording of another robot, rate or torque timing.
+        TrainingError: no free motion, too few peaks to say anything, or too much that is impossible.
+    """
+    kept = kept_peaks(out, bundle, loaders, [asdict(alarm), asdict(margins)])
+    names = list(kept.names) if kept else []
+    left_out = LeftOut("calibration")
+    with report.progress(f"calibrate {name}") as show:
+
+        def load_all() -> Iterator[Recording]:
+            for recording in ahead(loaders[: len(names)]):  # what was impossible in them is told again
+                left_out.look(recording, bundle.observer, SignalBounds.of(bundle))
+            for recording in ahead(loaders[len(names) :]):
+                yield counted(bundle, recording, names, left_out)
+                show(len(names), len(loaders), "recordings")
+
+        with no_freeze(bundle):
+            promised = promised_limits(bundle, load_all, alarm, threads, margins, kept=kept)
+    apply_promised(bundle, promised, alarm)
+    units = dict(zip((link.joint_name for link in bundle.links), bundle.estimate_units, strict=True))
+    for moment in promised.moments:
+        report.say(moment.sentence(units[moment.joint]))
+    return promised, promised.facts() | {"recordings": names} | told(left_out, report)
+
+
+def kept_peaks(
+    out: Place | None, bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], settings: list
+) -> KeptPeaks | None:
+    """What a killed process found in these files with this bundle; None: nothing is kept."""
+    if out is None or not all(isinstance(load, partial) for load in loaders):
+        return None
+    files = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in map(file_of, loaders)]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    work = json.dumps([VERSION, hashlib.sha256(bundle.to_bytes()).hexdigest(), files, settings])
+    return KeptPeaks(HalfDone(half_done_file(out), hashlib.sha256(work.encode()).hexdigest()))
+
+
+def file_of(load: Callable[[], Recording]) -> Place:
+    """That a dataset's loader reads."""
+    assert isinstance(load, partial)
+    return place_of(load.args[0])
+
+
+def half_done_file(out: Place) -> Path:
+    """Where the work on a bundle's limits is kept: on this machine."""
+    return at_home(out).with_suffix(".limits.half-done")
+
+
+def forget_half_done(out: Place) -> None:
+    """The bundle is written."""
+    half_done_file(out).unlink(missing_ok=True)

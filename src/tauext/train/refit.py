@@ -1,0 +1,517 @@
+"""A new bundle from an old one and some motion of today."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from tauext import _core
+from tauext.bundle.bundle_file import load_bundle, write_bundle
+from tauext.bundle.fit import expect_fit
+from tauext.bundle.loss_history import read_loss_history
+from tauext.check.look import Rejected, expect_codes, judge, look_at_calibration
+from tauext.config import FreeMotionConfig
+from tauext.data.dataset import FOR_LIMITS, load_dataset
+from tauext.data.free_motion import LeftOut, SignalBounds, free_samples, possible_parts, within
+from tauext.data.recording import Recording, TorqueTiming
+from tauext.data.recording_file import load_recording
+from tauext.errors import ConfigError, TrainingError
+from tauext.files.copies import local_file
+from tauext.files.places import Place
+from tauext.files.provenance import provenance
+from tauext.files.room import expect_new_file
+from tauext.fit.fleet_prior import CLOSE, FleetPrior
+from tauext.progress import SILENT, Reporter
+from tauext.train.held_peaks import REGIONS, separate_peaks
+from tauext.train.tail import FalseAlarmBudget, Promise, duration, is_kept
+
+# --- What a fleet of its type tells a refit: joints that hardly moved follow those that did.
+#
+# .. math:: \log f \sim N(0, D), \qquad \log \hat f_m = \log f_m + e_m
+#
+# D: how friction differs from one recording of an arm to the next (tauext.fleet.prior_evidence); m: joints that
+# moved. A joint that did not is expected at the mean of log f under both. One whose own minute says more than that is
+# left to it, and one that the others contradict tells them nothing: it wears, and was not warmed.
+
+
+LEAST_MOVED_S = 10.0
+"""A joint that moved for less showed too little of its friction."""
+LEAST_AGREEING = 2
+"""Joints: what one alone shows may be its own wear."""
+
+
+def expect_days(like: FleetPrior, bundle: _core.Bundle) -> np.ndarray:
+    """The fleet's covariance between recordings of one arm, (n, n), in the bundle's order of joints.
+
+    Raises:
+        ConfigError: it is of other joints, or none of its arms had several recordings.
+    """
+    joints = tuple(link.joint_name for link in bundle.links)
+    if like.type.joints != joints:
+        told, own = ", ".join(like.type.joints), ", ".join(joints)
+        raise ConfigError(f"like: joints = ({told}) of the fleet prior must be ({own}) as of the bundle")
+    if like.days is None:
+        raise ConfigError(
+            "like: this fleet prior knows how arms differ and not how days do, which is another thing; make it of arms "
+            "with two recordings or more each, from different times of the day"
+        )
+    return like.days.covariance
+
+
+def expectations(
+    factor: np.ndarray, error: np.ndarray, moved_s: np.ndarray, days: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Of a joint's friction by the old one what the other joints say: mean and standard deviation, (n,) each, and which
+    joints are to follow, (n,) bool; None: none is.
+
+    Args:
+        factor, error: of each joint by its own minute, (n,).
+        days: covariance of their logarithms from one recording to the next, (n, n).
+    """
+    telling = agreeing(np.flatnonzero(moved_s >= LEAST_MOVED_S), np.log(factor), error / factor, days)
+    if len(telling) < LEAST_AGREEING:
+        return None
+    mean, spread = np.ones(len(factor)), np.zeros(len(factor))
+    for j in range(len(factor)):
+        others = telling[telling != j]
+        log_mean, spread[j] = predicted(j, others, np.log(factor), error / factor, days)
+        mean[j] = np.exp(log_mean)
+    follows = (moved_s < LEAST_MOVED_S) & (mean * spread < error)
+    return (mean, mean * spread, follows) if follows.any() else None
+
+
+def predicted(
+    joint: int, others: np.ndarray, log_factor: np.ndarray, error: np.ndarray, days: np.ndarray
+) -> tuple[float, float]:
+    """Mean and standard deviation of a joint's logarithm by those of others."""
+    gain = days[joint, others] @ np.linalg.inv(days[np.ix_(others, others)] + np.diag(error[others] ** 2))
+    left = days[joint, joint] - gain @ days[others, joint]
+    return float(gain @ log_factor[others]), float(np.sqrt(max(left, 0.0)))
+
+
+def agreeing(joints: np.ndarray, log_factor: np.ndarray, error: np.ndarray, days: np.ndarray) -> np.ndarray:
+    """Those of the joints that none of the others contradicts: the farthest is left out until all are CLOSE."""
+    while len(joints) >= LEAST_AGREEING:
+        far = [distance(j, joints[joints != j], log_factor, error, days) for j in joints]
+        worst = int(np.argmax(far))
+        if far[worst] <= CLOSE:
+            break
+        joints = np.delete(joints, worst) if len(joints) > LEAST_AGREEING else joints[:0]
+    return joints
+
+
+def distance(joint: int, others: np.ndarray, log_factor: np.ndarray, error: np.ndarray, days: np.ndarray) -> float:
+    """Standard deviations between what the joint showed and what the others let expect."""
+    mean, spread = predicted(joint, others, log_factor, error, days)
+    return abs(float(log_factor[joint]) - mean) / float(np.hypot(spread, error[joint]))
+
+
+Numbers = Sequence[float] | np.ndarray
+
+
+def settings_with(mean: Numbers, error: Numbers, follows: Sequence[bool] | np.ndarray) -> _core.RefitSettings:
+    """A refit's settings in which these joints are expected there, and the others as without a fleet."""
+    settings = _core.RefitSettings()
+    pairs = zip(mean, error, follows, strict=True)
+    told = [(float(m), float(e)) if on else (1.0, settings.common) for m, e, on in pairs]
+    settings.expected, settings.expected_error = [m for m, _ in told], [e for _, e in told]
+    return settings
+
+
+# --- Whether a promise that was made of yesterday's arm may be believed of today's, a joint at a time.
+#
+# A minute cannot keep a promise of hours. What it can do is to speak against one: the limits were found from a tail,
+# peaks of the error over a threshold, so many an hour. After the refit, peaks over that threshold, raised as the limits
+# were, must come no more often than then.
+
+
+STANDS = "stands"
+
+
+def standing(found: _core.Refit, bundle: _core.Bundle, limits: Mapping[str, Any], joint: int) -> str:
+    """`stands`, or why the promise is open for this joint, in words.
+
+    Args:
+        bundle: the old one.
+        limits: what its provenance says of its limits.
+    """
+    of_joint = found.joints[joint]
+    if not promised(limits):
+        return "none was made"
+    if of_joint.moved_s < LEAST_MOVED_S:
+        return f"open: it moved for {of_joint.moved_s:.1f} s, and {LEAST_MOVED_S:g} s are needed"
+    if any(touch.counted and touch.joint == joint for touch in found.touches):
+        return "open: its error is over its old limit too often for touches"
+    name = bundle.links[joint].joint_name
+    usual_nm = (bundle.sliding_limit_nm[joint], bundle.near_stiction_limit_nm[joint])
+    for region, limit_nm in zip(REGIONS, usual_nm, strict=True):
+        tail = limits["tails"].get(f"{name} {region}")
+        if tail is None:
+            return "open: the bundle does not say what its limit rests on"
+        over = of_joint.limit_factor * tail["threshold_nm"] / limit_nm
+        count, hours = peaks_over(found, joint, region, over), found.used_s / 3600
+        if not is_kept(count, hours, tail["rate_per_hour"]):
+            usual = tail["rate_per_hour"] * hours
+            where = region.replace("_", " ")
+            return f"open: {count} errors over {over:.0%} of its limit {where}, and {usual:.2g} were usual"
+    return STANDS
+
+
+def promised(limits: Mapping[str, Any]) -> bool:
+    """Whether the limits rest on a tail and a budget."""
+    return bool(limits.get("tails")) and "promise" in limits
+
+
+def peaks_over(found: _core.Refit, joint: int, region: str, share: float) -> int:
+    """Separate peaks of the left-out error over this share of the limit, while the joint was in the region."""
+    left_out = found.left_out
+    inside = left_out["free"].astype(bool) & (left_out["near_stiction"][:, joint] == REGIONS.index(region))
+    values = np.where(inside, left_out["share"][:, joint], 0.0)
+    return len(separate_peaks(values, left_out["t_ns"], floor=share))
+
+
+def sentence(limits: Mapping[str, Any], used_s: float, open_joints: list[str]) -> str:
+    """What of the old promise may be believed, and what it takes to make it anew, in words."""
+    if not promised(limits):
+        return "The bundle's limits promise nothing, and still do not."
+    asked = limits["promise"]["asked"]
+    budget = FalseAlarmBudget(asked["alarms"], asked["hours"])
+    new = Promise(budget, used_s / 3600, confidence=limits["promise"]["confidence"])
+    alone = f"{duration(used_s / 3600, 'down')} alone support 1 in {duration(new.supported.hours, 'down')}"
+    take = f"to promise {budget} of today's arm by itself takes {duration(new.needed_hours, 'up')} of calibration"
+    if open_joints:
+        return f"The promise ({limits['set_for']}) is open at {', '.join(open_joints)}: {alone}; {take}."
+    return f"The promise ({limits['set_for']}) stands as far as the old errors are like today's: {alone}; {take}."
+
+
+# --- What a refit found, joint by joint: for people, for JSON and for provenance.
+
+
+@dataclass(frozen=True)
+class JointReport:
+    """One joint. A factor is of today's friction by the old one, beside its standard error."""
+
+    joint: str
+    coulomb: tuple[float, float]
+    """Of all that follows the motion's sign: Coulomb, presliding, load."""
+    viscous: tuple[float, float]
+    constant: tuple[float, float]
+    """By how much the constant moved, in the unit of the answers."""
+    unit: str
+    moved_s: float
+    error_ratio: float | None
+    """Of today's left-out error by the standard error that the motion announced; None: nobody knew one."""
+    error_ratio_upper: float | None
+    limit_factor: float
+    sigma_factor: float
+    promise: str
+    follows: bool = False
+    """It hardly moved, and its friction is what the other joints let a fleet expect."""
+
+    @classmethod
+    def of(
+        cls, bundle: _core.Bundle, joint: int, found: _core.RefitJoint, promise: str, follows: bool = False
+    ) -> JointReport:
+        """Of one joint of a refit."""
+        return cls(
+            joint=bundle.links[joint].joint_name,
+            coulomb=found.coulomb,
+            viscous=found.viscous,
+            constant=(found.constant_nm, found.constant_error_nm),
+            unit=bundle.estimate_units[joint],
+            moved_s=found.moved_s,
+            error_ratio=number(found.error_ratio),
+            error_ratio_upper=number(found.error_ratio_upper),
+            limit_factor=found.limit_factor,
+            sigma_factor=found.sigma_factor,
+            promise=promise,
+            follows=follows,
+        )
+
+
+@dataclass(frozen=True)
+class Touch:
+    """A moment that no friction explains."""
+
+    recording: str
+    joint: str
+    from_s: float
+    """After the recording's first sample."""
+    to_s: float
+    limit_share: float
+    """Largest error by the old collision limit."""
+    counted: bool
+    """Too many for touches: they are the joint's error, and its limits were raised by them."""
+
+    def sentence(self) -> str:
+        """In words, for a person who is to look there."""
+        what = "raised its limits" if self.counted else "was left out as a touch"
+        return (
+            f"{self.joint}: {self.from_s:.1f} to {self.to_s:.1f} s of '{self.recording}' is {self.limit_share:.1f} "
+            f"times its limit, which no friction explains, and {what}"
+        )
+
+
+@dataclass(frozen=True)
+class Refitted:
+    """A bundle brought up to date, and what changed."""
+
+    bundle: _core.Bundle
+    joints: list[JointReport]
+    touches: list[Touch]
+    used_s: float
+    memory_s: float
+    """How long errors stay what they are: samples nearer to each other say the same."""
+    promise: str
+    """Whether the old one may be believed, in words."""
+
+    def facts(self) -> dict:
+        """All of it for JSON."""
+        return {
+            "used_s": round(self.used_s, 3),
+            "memory_s": round(self.memory_s, 3),
+            "joints": [asdict(joint) for joint in self.joints],
+            "left_out": [asdict(touch) for touch in self.touches],
+            "promise": self.promise,
+        }
+
+    def table(self) -> str:
+        """For people, a row a joint."""
+        head = ["joint", "friction", "viscous", "constant", "limits", "promise"]
+        rows = [head] + [
+            [
+                one.joint,
+                f"x {one.coulomb[0]:.3f} ± {one.coulomb[1]:.3f}",
+                f"x {one.viscous[0]:.3f} ± {one.viscous[1]:.3f}",
+                f"{one.constant[0]:+.3g} ± {one.constant[1]:.1g} {one.unit}",
+                f"x {one.limit_factor:.2f}",
+                one.promise + "; its friction follows the other joints'" * one.follows,
+            ]
+            for one in self.joints
+        ]
+        widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
+        return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+
+
+def number(value: float) -> float | None:
+    """JSON has no NaN."""
+    return value if math.isfinite(value) else None
+
+
+# --- A new bundle from an old one and some motion of today: look, cut, fit, say what changed, write.
+
+
+MARGINS = FreeMotionConfig()
+
+
+@dataclass(frozen=True)
+class Span:
+    """Which part of each recording is used, [s] after its first sample.
+
+    Raises:
+        ConfigError: a time that is not finite, or an end that is not behind the beginning.
+    """
+
+    from_s: float = 0.0
+    to_s: float | None = None
+    """None: to the end."""
+
+    def __post_init__(self) -> None:
+        end = np.inf if self.to_s is None else self.to_s
+        if not 0 <= self.from_s < end or self.to_s == np.inf:
+            raise ConfigError(f"from = {self.from_s:g} s to {end:g} s must be a time of the recording, from 0 on")
+
+    def of(self, recording: Recording) -> Recording | None:
+        """That part; None where the recording ends before."""
+        start_s = recording.provenance.get("start_s", 0.0)
+        end_s = np.inf if self.to_s is None else self.to_s
+        return within(recording, self.from_s + start_s, end_s + start_s, recording.name)
+
+
+def refit_bundle(
+    bundle: Place,
+    data: Place,
+    out: Place,
+    span: Span = Span(),
+    threads: int = 0,
+    report: Reporter = SILENT,
+    accept: Sequence[str] = (),
+    like: FleetPrior | None = None,
+) -> Refitted:
+    """Write a bundle like this one whose friction is that of the arm in today's recordings.
+
+    First the doctor's cheap checks look at them (tauext.check): faults refuse, warnings are told and kept.
+
+    Args:
+        data: a recording, or a dataset folder, whose training recordings are used.
+        accept: codes of the doctor that are no fault on your word, CODE or CODE:joint; they stand in the bundle.
+        like: what a fleet of arms of this type knows; None: joints that hardly moved stay as they were.
+
+    Raises:
+        FaultyDataError: a recording has a fault that is not accepted.
+        ConfigError: no recording, or no sample of it in the span.
+        BundleError: there is no such bundle; joints, rate or timing of a recording are not the bundle's.
+        TrainingError: the bundle has no prior; too little motion, or motion that no friction explains or the
+            bundle's monitor rejects.
+    """
+    started = time.monotonic()
+    expect_codes(accept)
+    expect_new_file(out)
+    loaded = load_bundle(bundle)
+    expect_prior(loaded, bundle)
+    expect_codes(accept, [link.joint_name for link in loaded.links])
+    if like is not None:
+        expect_days(like, loaded)
+    files = recording_files(data)
+    recordings = [load_recording(file, FOR_LIMITS) for file in files]
+    for recording in recordings:
+        expect_fit(loaded, recording)
+    in_nm = all(unit == "N m" for unit in loaded.torque_units)
+    look = look_at_calibration(files, np.array(loaded.torque_limit_nm) if in_nm else None, threads, report)
+    judge([look], str(data), accept, report)
+    spans = [part for recording in recordings if (part := span.of(recording)) is not None]
+    if not spans:
+        raise ConfigError(f"{data}: no recording has a sample from {span.from_s:g} s on")
+    rejected = Rejected.of(loaded, spans, threads or os.cpu_count() or 1)
+    if words := rejected.warning("today's motion", accept):
+        report.say(words)
+    refitted = refit_recordings(loaded, spans, threads, report, like)
+    facts = json.loads(loaded.provenance or "{}")
+    history = read_loss_history(loaded, bundle) or []
+    settings = {
+        "bundle": bundle.name,
+        "bundle_sha256": file_sha256(bundle),
+        "data": {file.name: file_sha256(file) for file in files},
+        "span": asdict(span),
+    }
+    facts["look"] = facts.get("look", {}) | {"refit": look.facts(accept)}
+    facts["refitted"] = provenance("tauext refit", settings, seed=None) | refitted.facts()
+    if like is not None:
+        facts["refitted"]["like"] = {"sha256": like.sha256, "arms": [one["name"] for one in like.facts.get("arms", [])]}
+    if words:
+        facts["refitted"]["rejected"] = rejected.facts()
+    refitted.bundle.name = out.stem
+    refitted.bundle.provenance = json.dumps(facts, sort_keys=True)
+    run = facts | {"loss_history": history}
+    write_bundle(refitted.bundle, out, run, {"refit_s": time.monotonic() - started})
+    return refitted
+
+
+def refit_recordings(
+    bundle: _core.Bundle,
+    recordings: Sequence[Recording],
+    threads: int = 0,
+    report: Reporter = SILENT,
+    like: FleetPrior | None = None,
+) -> Refitted:
+    """The same in memory, and nothing is looked at: what a monitor's buffer recorded, for example.
+
+    Labelled contacts are cut out with the margins of training. The provenance stays the old one's.
+
+    Raises:
+        ConfigError: a fleet prior of another arm, or one that knows no days.
+        TrainingError: as refit_bundle.
+    """
+    days = None if like is None else expect_days(like, bundle)
+    left_out = LeftOut("refit")
+    parts = possible_parts(recordings, bundle.observer, SignalBounds.of(bundle), left_out)
+    if said := left_out.sentence():
+        report.say(said)
+    sources = [(r.t_ns, r.q, r.dq, r.tau, free_samples(r, MARGINS).astype(np.uint8)) for r in parts]
+    follows = np.zeros(bundle.joints, dtype=bool)
+    try:
+        found = _core.refit(bundle, sources, threads=threads or os.cpu_count() or 1)
+        if days is not None and (told := expected_of(found, days)) is not None:
+            follows = told[2]
+            found = _core.refit(bundle, sources, settings_with(*told), threads=threads or os.cpu_count() or 1)
+    except _core.CoreError as error:
+        raise TrainingError(str(error)) from error
+    limits = json.loads(bundle.provenance or "{}").get("limits", {})
+    joints = [
+        JointReport.of(bundle, j, one, standing(found, bundle, limits, j), bool(follows[j]))
+        for j, one in enumerate(found.joints)
+    ]
+    touches = [touch_of(touch, parts) for touch in found.touches]
+    for touch in touches:
+        report.say(touch.sentence())
+    still_open = [one.joint for one in joints if one.promise != STANDS]
+    words = sentence(limits, found.used_s, still_open)
+    return Refitted(found.bundle, joints, touches, found.used_s, found.memory_s, words)
+
+
+def expected_of(found: _core.Refit, days: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """What the joints that moved say of the others; see expectations."""
+    factor, error = np.array([one.coulomb for one in found.joints]).T
+    return expectations(factor, error, np.array([one.moved_s for one in found.joints]), days)
+
+
+def refit_motion(
+    bundle: _core.Bundle,
+    motion: Mapping[str, np.ndarray],
+    report: Reporter = SILENT,
+    like: FleetPrior | None = None,
+) -> Refitted:
+    """The same of what `Monitor.finish_refit` gives.
+
+    Raises:
+        TrainingError: as refit_bundle.
+    """
+    observer = bundle.observer
+    recording = Recording(
+        name="morning",
+        joints=tuple(link.joint_name for link in bundle.links),
+        t_ns=motion["t_ns"],
+        q=motion["q"],
+        dq=motion["dq"],
+        tau=motion["tau"],
+        rate_hz=1e9 / observer.sample_period_ns,
+        torque_timing=cast(TorqueTiming, observer.timing.name),
+        source="a monitor's refit",
+        robot_sha256="",
+    )
+    return refit_recordings(bundle, [recording], report=report, like=like)
+
+
+def touch_of(touch: _core.RefitTouch, recordings: Sequence[Recording]) -> Touch:
+    """With names, and times from the recording's first sample on."""
+    recording = recordings[touch.source]
+    start_ns = int(recording.t_ns[0]) - round(1e9 * recording.provenance.get("part", {}).get("from_s", 0.0))
+    from_s, to_s = 1e-9 * (touch.from_ns - start_ns), 1e-9 * (touch.to_ns - start_ns)
+    return Touch(recording.name, recording.joints[touch.joint], from_s, to_s, touch.share, touch.counted)
+
+
+def expect_prior(bundle: _core.Bundle, path: Place) -> None:
+    """Raise TrainingError where there is nothing that could be brought up to date."""
+    if not bundle.prior.terms:
+        raise TrainingError(
+            f"{path}: the bundle has no prior, whose friction could be brought up to date; train one with recipe "
+            "tauext or prior, or train this one anew on today's recordings"
+        )
+
+
+def recording_files(data: Place) -> list[Place]:
+    """A recording's file, or those of a dataset's training recordings.
+
+    Raises:
+        ConfigError: there are none.
+    """
+    if data.is_file():
+        return [data]
+    files = load_dataset(data).files("train")
+    if not files:
+        raise ConfigError(f"{data}: split.json lists no training recording, of which refit takes today's motion")
+    return files
+
+
+def file_sha256(path: Place) -> str:
+    """Of a file's bytes."""
+    with local_file(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -7,7 +7,7 @@ import pytest
 from arms import planar_arm
 from test_prior import CORRECTED, RATE_HZ, WIDTHS, Kind, loaded, motion, record, setup_of, twin_presliding, where
 
-from tauext.fit.prior import fit_prior, told
+from tauext.fit.prior import fit_prior, play_sentence
 
 SERVO = {"servo": {"torque_from": "duty", "velocity_steps": 20}}
 STEADY = replace(CORRECTED, correct_model=False)
@@ -51,4 +51,4 @@ def test_other_arms_and_arms_without_play_have_none(recordings):
     tight = [replace(one, provenance=SERVO) for one in made]
     fit = fit_prior(setup_of(planar_arm()), tight, STEADY)
     assert not [t for t in fit.settings.terms if t.kind == Kind.backlash]
-    assert told((None, None), WIDTHS, ("shoulder", "elbow")) == ""
+    assert play_sentence((None, None), WIDTHS, ("shoulder", "elbow")) == ""

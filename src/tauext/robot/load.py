@@ -382,7 +382,7 @@ def load_tree(
             depth first from the base.
         locked: position at which joints that are not in use are held, [rad or m]; one that is not named is held at
             the file's own rest position: 0, or `ref` in MJCF.
-        gravity: acceleration of free fall in the base frame (3,), [m/s^2]; None: the file's, (0, 0, -9.81) if it says
+        gravity: acceleration of free fall in the base frame (3,), [m/s^2]; None: the file's, (0, 0, -9.81) if it has
             nothing.
 
     Raises:
@@ -412,7 +412,7 @@ def movable_joints(path: str | os.PathLike[str]) -> list[str]:
 
 
 def robot_sha256(path: str | os.PathLike[str]) -> str:
-    """SHA-256 of a robot file's bytes, hexadecimal: by it a recording tells its robot. Includes are not followed.
+    """SHA-256 of a robot file's bytes, hexadecimal: it identifies the robot of a recording. Includes are not followed.
 
     Raises:
         RobotError: the file cannot be read.
@@ -464,7 +464,8 @@ def _read(path: Path, keep_fixed: bool) -> mujoco.MjModel:
             raise RobotError(f"{path}: its root element is <{root}>; a URDF has <robot>, an MJCF <mujoco>")
         _refuse_negative_mass(spec, path)
         spec.compiler.fusestatic = spec.compiler.fusestatic and not keep_fixed
-        # MuJoCo refuses a moving body without mass even where its joint is locked; make_tree knows better.
+        # MuJoCo refuses a moving body without mass even where its joint is locked; make_tree refuses only where it
+        # matters.
         spec.compiler.boundmass = max(spec.compiler.boundmass, LEAST)
         spec.compiler.boundinertia = max(spec.compiler.boundinertia, LEAST)
         with warnings.catch_warnings():
@@ -479,7 +480,7 @@ def _read(path: Path, keep_fixed: bool) -> mujoco.MjModel:
 
 
 def _refuse_negative_mass(spec: mujoco.MjSpec, path: Path) -> None:
-    """The least mass and inertia that MuJoCo is told below would hide it."""
+    """The least mass and inertia that MuJoCo is given below would hide it."""
     for body in spec.bodies:
         if body.explicitinertial and not (body.mass >= 0 and (body.inertia >= 0).all()):
             raise RobotError(

@@ -53,7 +53,7 @@ def recalibrate(
 ) -> PromisedLimits:
     """Write a bundle like this one, with limits for another promise or from other recordings; nothing is trained.
 
-    First the doctor's cheap checks look at every recording (tauext.check): faults refuse, warnings are told and kept.
+    First the quick checks (tauext.check) look at every recording: faults refuse, warnings are reported and kept.
     A killed or interrupted run goes on with the recording after the last one that was taken in.
 
     Its run file, with what the first one knew, and its wall time stand beside it.
@@ -146,7 +146,7 @@ def refit_scale(
     bundle.error_scale = _core.ErrorScaleSettings()
     with no_freeze(bundle):
         facts = fit_error_scale(bundle, collect_rows(bundle, load_some(), threads))
-    return loaders[apart:], facts | {"recordings": names} | told(left_out, report)
+    return loaders[apart:], facts | {"recordings": names} | left_out_facts(left_out, report)
 
 
 def counted(bundle: _core.Bundle, recording: Recording, names: list[str], left_out: LeftOut) -> Recording:
@@ -157,7 +157,7 @@ def counted(bundle: _core.Bundle, recording: Recording, names: list[str], left_o
     return recording
 
 
-def told(left_out: LeftOut, report: Reporter) -> dict:
+def left_out_facts(left_out: LeftOut, report: Reporter) -> dict:
     """Say what was impossible in the recordings; the facts for the provenance.
 
     Raises:
@@ -205,7 +205,7 @@ def calibrate_bundle(
     with report.progress(f"calibrate {name}") as show:
 
         def load_all() -> Iterator[Recording]:
-            for recording in ahead(loaders[: len(names)]):  # what was impossible in them is told again
+            for recording in ahead(loaders[: len(names)]):  # what was impossible in them is reported again
                 left_out.look(recording, bundle.observer, SignalBounds.of(bundle))
             for recording in ahead(loaders[len(names) :]):
                 yield counted(bundle, recording, names, left_out)
@@ -217,7 +217,7 @@ def calibrate_bundle(
     units = dict(zip((link.joint_name for link in bundle.links), bundle.estimate_units, strict=True))
     for moment in promised.moments:
         report.say(moment.sentence(units[moment.joint]))
-    return promised, promised.facts() | {"recordings": names} | told(left_out, report)
+    return promised, promised.facts() | {"recordings": names} | left_out_facts(left_out, report)
 
 
 def kept_peaks(

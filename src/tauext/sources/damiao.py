@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 import struct
 import time
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,7 @@ from tauext.files.places import Place
 from tauext.files.toml_file import flag, number, numbers, one_of, read_table, read_toml, tables, text
 from tauext.monitor.loop import DropOuts
 from tauext.monitor.source import Sample, SourceSettings
-from tauext.sources.reader import ReaderSource, Ticks, Unreachable
+from tauext.sources.reader import ReaderSource, Ticks, Unreachable, optional_library
 
 # --- What a CAN bus of Damiao motors carries: their ids, zeros and directions by joint, from a file.
 
@@ -178,7 +176,7 @@ class DamiaoSource(ReaderSource):
         super().open(settings)
 
     def connect(self) -> None:
-        library = python_can()
+        library = self._library = optional_library("can", "source damiao", "python-can", "damiao")
         rates: dict[str, Any] = {"bitrate": self._file.baud}
         if self._file.fd_baud is not None:
             rates |= {"fd": True, "data_bitrate": self._file.fd_baud}
@@ -323,7 +321,7 @@ class DamiaoSource(ReaderSource):
         return None
 
     def _send(self, motor: CanMotor, command: int, register: int = 0) -> None:
-        library = python_can()
+        library = self._library
         data = [motor.id & 0xFF, motor.id >> 8, command, register, 0, 0, 0, 0]
         fd = self._file.fd_baud is not None
         message = library.Message(arbitration_id=TO_ALL, data=data, is_extended_id=False, is_fd=fd, bitrate_switch=fd)
@@ -334,22 +332,10 @@ class DamiaoSource(ReaderSource):
 
     def _receive(self, wait_s: float) -> Any:
         """The next frame that is no error's; None: none came."""
-        library = python_can()
+        library = self._library
         try:
             message = self._bus.recv(wait_s)
         except (library.CanError, OSError) as error:
             raise Unreachable(f"the bus has gone: {error}") from error
         usable = message is not None and not (message.is_error_frame or message.is_remote_frame)
         return message if usable and not message.is_extended_id else None
-
-
-def python_can() -> ModuleType:
-    """The optional library.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
-    try:
-        return importlib.import_module("can")
-    except ImportError as error:
-        raise ConfigError("source damiao needs python-can: pip install 'tauext[damiao]'") from error

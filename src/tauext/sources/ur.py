@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 import time
 from collections.abc import Sequence
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,7 @@ from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.toml_file import number, read_table, read_toml, tables
 from tauext.monitor.source import Sample, SourceSettings
-from tauext.sources.reader import ReaderSource, Unreachable, sample_of
+from tauext.sources.reader import ReaderSource, Unreachable, optional_library, sample_of
 
 # --- Torque constants of an arm that reports motor currents, from a file.
 
@@ -119,13 +117,6 @@ class UrSource(ReaderSource):
         return receive.getActualQ, receive.getActualQd, receive.getActualCurrent, receive.getJointTemperatures
 
 
-def ur_rtde(module: str) -> ModuleType:
-    """A module of the optional library.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise ConfigError("source ur needs ur_rtde: pip install 'tauext[ur]'") from error
+def ur_rtde(module: str) -> Any:
+    """A module of the optional library."""
+    return optional_library(module, "source ur", "ur_rtde", "ur")

@@ -26,7 +26,7 @@ from tauext.check.fit import (
     spread_of,
 )
 from tauext.check.motion import PADDED_ROWS, Stretch
-from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
+from tauext.robot.inertial import point_inertia, six_of, unit_loads, with_more_at_end
 
 # --- The direction in which the arm's own torques say that things fall.
 
@@ -109,14 +109,17 @@ class Load:
 
 def with_load(tree: _core.Tree, by: np.ndarray) -> _core.Tree:
     """The tree with m and m com (4,) added to the last link."""
-    links = list(tree.links)
-    parameters = inertial_parameters(links[-1])
-    parameters[:4] += by
     com = by[1:] / by[0] if by[0] else np.zeros(3)
-    about = by[0] * (com @ com * np.eye(3) - np.outer(com, com))
-    parameters[4:10] += about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    links[-1] = with_inertial_parameters(links[-1], parameters)
-    return _core.Tree(links, tree.gravity)
+    return with_more_at_end(tree, np.r_[by, six_of(point_inertia(by[0], com))])
+
+
+def load_columns(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) -> np.ndarray:
+    """Torque a kg, and a kg m of first moment, at the last link: (rows, joints, 4).
+
+    Args:
+        rows: of these stretches with this tree.
+    """
+    return np.stack([rows_of(stretches, loaded).model - rows.model for loaded in unit_loads(tree)], axis=2)
 
 
 def fit_load(stretches: Sequence, tree: _core.Tree, rows: Rows) -> Load:
@@ -127,16 +130,7 @@ def fit_load(stretches: Sequence, tree: _core.Tree, rows: Rows) -> Load:
     with m and m c common to all joints, and J_i and friction their own. The load's own inertia about its centre of
     mass is left out: of a hand's size it is a hundredth of m c^2 + rotor inertia.
     """
-    columns = []
-    for k in range(4):
-        unit = np.zeros(4)
-        unit[k] = 1.0
-        links = list(tree.links)
-        parameters = inertial_parameters(links[-1])
-        parameters[:4] += unit
-        links[-1] = with_inertial_parameters(links[-1], parameters)
-        columns.append(rows_of(stretches, _core.Tree(links, tree.gravity)).model - rows.model)
-    shared = np.stack(columns, axis=2)  # (rows, joints, 4)
+    shared = load_columns(stretches, tree, rows)
     target = rows.tau - rows.model
     left, rest, without = [], [], np.empty(rows.joints)
     for j in range(rows.joints):

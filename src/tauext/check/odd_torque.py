@@ -10,12 +10,11 @@ from itertools import combinations
 import numpy as np
 
 from tauext import _core
-from tauext.check.arrangement import search_stretches
+from tauext.check.arrangement import load_columns, search_stretches
 from tauext.check.effort import inverted, sign_vote
 from tauext.check.finding import Finding, Severity
 from tauext.check.fit import LEAST_ROWS, SEEN, Rows, columns_of, fit_joint, robust_solve, rows_of, torque_rows
 from tauext.check.motion import FIT_ROWS_HZ, Stretch
-from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
 
 # --- What could be wrong with one recording's torques or positions: each mend with the error that it leaves.
 
@@ -224,22 +223,6 @@ def _of_load(
         way = "more" if load[0] > 0 else "less"
         told = f"{abs(load[0]):.2g} kg {way} at '{joints[-1]}' than in the others taken into account"
         yield Mend(told, None, spread_about_zero(error - shared @ load), "warning", 4, rough=True)
-
-
-def load_columns(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) -> np.ndarray:
-    """Torque a kg, and a kg m of first moment, at the last link: (rows, joints, 4).
-
-    Args:
-        rows: of these stretches with this tree.
-    """
-    columns = []
-    for k in range(4):
-        links = list(tree.links)
-        parameters = inertial_parameters(links[-1])
-        parameters[k] += 1.0
-        links[-1] = with_inertial_parameters(links[-1], parameters)
-        columns.append(rows_of(stretches, _core.Tree(links, tree.gravity)).model - rows.model)
-    return np.stack(columns, axis=2)
 
 
 # --- A recording whose clock, zeros or load are a little off the others': what no error of its own would tell.

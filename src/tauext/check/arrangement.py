@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment, minimize_scalar
@@ -292,11 +291,7 @@ class Change:
 
     def of(self, stretch: Stretch) -> Stretch:
         """The stretch as it would be."""
-        names = ("q", "dq", "tau", "q_raw", "dq_raw")
-        signals: dict[str, Any] = {
-            n: np.ascontiguousarray(self.sign * getattr(stretch, n)[:, self.order]) for n in names
-        }
-        return replace(stretch, **signals)
+        return stretch.changed(lambda x: np.ascontiguousarray(self.sign * x[:, self.order]))
 
     def of_rows(self, rows: Rows) -> Rows:
         """Rows of such stretches, but for the model's torques: all else is odd in the motion, or constant."""
@@ -314,11 +309,7 @@ def search_stretches(stretches: Sequence[Stretch], seconds: float = SEARCH_S) ->
     """A share of every stretch, so many seconds in all; where that leaves too few rows the longest one, whole."""
     share = min(1.0, seconds / max(1e-9, sum(s.seconds for s in stretches)))
 
-    def part(s: Stretch) -> Stretch:
-        rows = slice(0, max(1, round(share * len(s.q))))
-        return replace(s, **{name: getattr(s, name)[rows] for name in ("q", "dq", "tau", "q_raw", "dq_raw")})
-
-    parts = [part(s) for s in stretches]
+    parts = [s.changed(lambda x: x[: max(1, round(share * len(x)))]) for s in stretches]
     enough = [s for s in parts if s.seconds > 2.0 and len(s.q) > PADDED_ROWS]
     return enough or [max(stretches, key=lambda s: s.seconds)]
 
@@ -326,7 +317,7 @@ def search_stretches(stretches: Sequence[Stretch], seconds: float = SEARCH_S) ->
 def exchanged_efforts(rows: Rows, joints: Sequence[str]) -> tuple[list[Finding], list[int]]:
     """Torques that fit the motion of another joint; and for each joint the column that holds its torque."""
     n, every = rows.joints, max(1, len(rows.time_s) // SEARCH_ROWS)
-    rows = Rows(*(getattr(rows, name)[::every] for name in rows.__dataclass_fields__))
+    rows = rows.taken(slice(None, None, every))
     errors = np.empty((n, n))  # log error of torque column k as that of joint j
     for k in range(n):
         y = rows.tau[:, k]

@@ -17,9 +17,8 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import OK
 from tauext.check.contacts import is_unlabelled_contact, spoils_contacts
-from tauext.check.examine import Diagnosis, examine
+from tauext.check.examine import Diagnosis, examine, quick_look, unlabelled_contacts
 from tauext.check.finding import CODES, Finding, Severity
-from tauext.check.quick import quick_look, unlabelled_contacts
 from tauext.data.dataset import stretches
 from tauext.data.free_motion import cut
 from tauext.data.recording import Recording

@@ -68,6 +68,24 @@ def crc16(data: bytes) -> int:
     return crc
 
 
+def sts3215(bus: MadeServoBus, id_: int, model: int = 777, position: int = 2048) -> None:
+    """Registers after power-on, torque on, goal at the position: 7.4 V, 31 degC."""
+    bus.put(id_, "H", 3, model)
+    bus.put(id_, "B", 40, 1)
+    bus.put(id_, "H", 42, position)
+    bus.put(id_, "HHHBB", 56, position, 0, 0, 74, 31)
+
+
+def x_series(bus: MadeServoBus, id_: int, model: int = 1200, position: int = 2048) -> None:
+    """Registers after power-on, in position mode, torque on, goal at the position: 5 V, 30 degC."""
+    bus.put(id_, "H", 0, model)
+    bus.put(id_, "BB", 10, 0, 3)
+    bus.put(id_, "B", 64, 1)
+    bus.put(id_, "i", 116, position)
+    bus.put(id_, "hhii", 124, 0, 0, 0, position)
+    bus.put(id_, "HB", 144, 50, 30)
+
+
 class MadeServoBus:
     """Servos by id, each 256 bytes of registers, answering in the order that they are asked in."""
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tauext.data.description_file import parse_arm
+from tauext.data.description import parse_arm
 
 ROOT = Path(__file__).parent.parent
 KEPT = ROOT / "docs" / "results" / "real-arms"

@@ -80,18 +80,20 @@ def ros2(target: str, options: SourceOptions, bundle: Bundle | None) -> Connecti
 
 def feetech(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
     """feetech:PORT."""
-    from tauext.sources.feetech import FeetechSource
+    from tauext.sources.servo import ServoSource
     from tauext.sources.servo_bus_file import load_servo_bus
+    from tauext.sources.servo_series import FEETECH
 
-    return Connection(FeetechSource(target, load_servo_bus(bus_of("feetech:PORT", options))))
+    return Connection(ServoSource(FEETECH, target, load_servo_bus(bus_of("feetech:PORT", options))))
 
 
 def dynamixel(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
     """dynamixel:PORT."""
-    from tauext.sources.dynamixel import DynamixelSource
+    from tauext.sources.servo import ServoSource
     from tauext.sources.servo_bus_file import load_servo_bus
+    from tauext.sources.servo_series import DYNAMIXEL
 
-    return Connection(DynamixelSource(target, load_servo_bus(bus_of("dynamixel:PORT", options))))
+    return Connection(ServoSource(DYNAMIXEL, target, load_servo_bus(bus_of("dynamixel:PORT", options))))
 
 
 def damiao(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:

@@ -19,6 +19,7 @@ import numpy as np
 from tauext._core import MAX_JOINTS, CoreError, JointType, Link, Tree
 from tauext.errors import RobotError
 from tauext.files.room import in_words
+from tauext.robot.inertial import point_inertia, six_of
 
 # --- Which joints of a robot file are in use, in which order, and where the others are held.
 
@@ -211,10 +212,10 @@ def _set_inertia(
         axes = data.ximat[body].reshape(3, 3)
         principal = np.where(model.body_inertia[body] > LEAST, model.body_inertia[body], 0.0)
         arm = data.xipos[body] - com
-        inertia += (axes * principal) @ axes.T + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        inertia += (axes * principal) @ axes.T + point_inertia(mass, arm)
     inertia = frame.T @ inertia @ frame
     link.com = (frame.T @ (com - origin)).tolist()
-    link.inertia = [float(inertia[k]) for k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    link.inertia = six_of(inertia).tolist()
 
 
 # --- What ties joints together so that a tree of independent joints no longer describes the arm.

@@ -12,13 +12,11 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
 from tauext.bundle.fit import expect_fit
 from tauext.bundle.loss_history import read_loss_history
-from tauext.check.look import Rejected, expect_codes, judge, look_at_calibration
+from tauext.check.look import Rejected, check_for_bundle, expect_codes
 from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data.dataset import Dataset, ahead
 from tauext.data.free_motion import LeftOut, SignalBounds
@@ -79,8 +77,10 @@ def recalibrate(
     loaded = load_bundle(bundle)
     history = read_loss_history(loaded, bundle) or []
     facts = json.loads(loaded.provenance or "{}")
-    looked = look_first(loaded, dataset, accept, threads, report)
-    facts["look"] = facts.get("look", {}) | {"calibration": looked}
+    looked = check_for_bundle(
+        loaded, "calibration", dataset.files("calibration"), str(dataset.folder), accept, threads, report
+    )
+    facts["look"] = facts.get("look", {}) | looked
     if refit_error_scale:
         loaders, facts["error_scale"] = refit_scale(loaded, loaders, threads, report)
     rejected = Rejected.of(loaded, fitting(loaded, loaders), threads or os.cpu_count() or 1)
@@ -103,25 +103,6 @@ def fitting(bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]]) ->
     for recording in ahead(loaders):
         expect_fit(bundle, recording)
         yield recording
-
-
-def look_first(bundle: _core.Bundle, dataset: Dataset, accept: Sequence[str], threads: int, report: Reporter) -> dict:
-    """Look at the calibration recordings; the facts for provenance: what was accepted, and warnings.
-
-    Raises:
-        ConfigError: a code that does not exist, or a joint.
-        FaultyDataError: a fault that nobody accepted.
-    """
-    expect_codes(accept, [link.joint_name for link in bundle.links])
-    in_nm = all(unit == "N m" for unit in bundle.torque_units)
-    look = look_at_calibration(
-        dataset.files("calibration"),
-        np.array(bundle.torque_limit_nm) if in_nm else None,
-        threads,
-        report,
-    )
-    judge([look], str(dataset.folder), accept, report)
-    return look.facts(accept)
 
 
 def refit_scale(

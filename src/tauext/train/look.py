@@ -37,8 +37,7 @@ def look_first(
     """
     expect_codes(accept, training[0].joints)
     looks = view_dataset(dataset, robot, case, training, validation, config, report)
-    judge(list(looks.values()), str(dataset.folder), accept, report)
-    return {name: look.facts(accept) for name, look in looks.items()}
+    return judge(looks, str(dataset.folder), accept, report)
 
 
 def view_dataset(

@@ -17,7 +17,7 @@ from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
 from tauext.bundle.fit import expect_fit
 from tauext.bundle.loss_history import read_loss_history
-from tauext.check.look import Rejected, expect_codes, judge, look_at_calibration
+from tauext.check.look import Rejected, check_for_bundle, expect_codes
 from tauext.config import FreeMotionConfig
 from tauext.data.dataset import FOR_LIMITS, load_dataset
 from tauext.data.free_motion import LeftOut, SignalBounds, free_samples, possible_parts, within
@@ -367,16 +367,13 @@ def refit_bundle(
     expect_new_file(out)
     loaded = load_bundle(bundle)
     expect_prior(loaded, bundle)
-    expect_codes(accept, [link.joint_name for link in loaded.links])
     if like is not None:
         expect_days(like, loaded)
     files = recording_files(data)
     recordings = [load_recording(file, FOR_LIMITS) for file in files]
     for recording in recordings:
         expect_fit(loaded, recording)
-    in_nm = all(unit == "N m" for unit in loaded.torque_units)
-    look = look_at_calibration(files, np.array(loaded.torque_limit_nm) if in_nm else None, threads, report)
-    judge([look], str(data), accept, report)
+    looked = check_for_bundle(loaded, "refit", files, str(data), accept, threads, report)
     spans = [part for recording in recordings if (part := span.of(recording)) is not None]
     if not spans:
         raise ConfigError(f"{data}: no recording has a sample from {span.from_s:g} s on")
@@ -392,7 +389,7 @@ def refit_bundle(
         "data": {file.name: file_sha256(file) for file in files},
         "span": asdict(span),
     }
-    facts["look"] = facts.get("look", {}) | {"refit": look.facts(accept)}
+    facts["look"] = facts.get("look", {}) | looked
     facts["refitted"] = provenance("tauext refit", settings, seed=None) | refitted.facts()
     if like is not None:
         facts["refitted"]["like"] = {"sha256": like.sha256, "arms": [one["name"] for one in like.facts.get("arms", [])]}

@@ -20,7 +20,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-from hostile_cases.cases import Case, lay_out, make_case
+from hostile.cases import Case, lay_out, make_case
 from tauext.cli import main
 
 PATIENCE_S = 10.0

@@ -1,10 +1,10 @@
 """Hostile values for every option of every command, damaged files for every reader: what ends as it must not.
 
-    python benchmarks/hostile.py --cases 10000             # a quarter of an hour on two cores
-    python benchmarks/hostile.py --repeat 1234             # one case again, with all that it says
+    python tests/hostile --cases 10000             # a quarter of an hour on two cores
+    python tests/hostile --repeat 1234             # one case again, with all that it says
 
 A case is drawn from seed and number, and runs in a process of its own with limits on memory, files and threads, as
-nobody where the benchmark runs as root. It must end with status 0, 2, 130 after Ctrl-C, or 1 of `check` and `fleet
+nobody where the program runs as root. It must end with status 0, 2, 130 after Ctrl-C, or 1 of `check` and `fleet
 run`; without a traceback or a crash; refused in one line; within 10 s, or within 10 s of a Ctrl-C where long work was
 asked for; and without a file that is half written, or any file where it was refused.
 """
@@ -23,10 +23,10 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "agg")
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from hostile_cases.good import make_good
-from hostile_cases.judge import Ending, Plan, Worker, end, look, start
+from hostile.good import make_good
+from hostile.judge import Ending, Plan, Worker, end, look, start
 
 POLL_S = 0.003
 BATCH = 25
@@ -65,8 +65,8 @@ def main() -> int:
 
 def make_in_own_process(folder: Path, quick: bool) -> Path:
     """The good files; whoever computes has threads, and a process with threads must not be forked."""
-    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); "
-    code += "from pathlib import Path; from hostile_cases.good import make_good; "
+    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r}); "
+    code += "from pathlib import Path; from hostile.good import make_good; "
     code += f"make_good(Path({str(folder)!r}), {quick})"
     subprocess.run([sys.executable, "-c", code], check=True)
     return make_good(folder)
@@ -84,13 +84,13 @@ def import_all() -> None:
     import scipy.io  # noqa: F401
 
     import tauext.check.examine
-    import tauext.cli.monitor_output
     import tauext.cli.experiment
+    import tauext.cli.monitor_output
     import tauext.data.importers.open_raw
     import tauext.evaluate.results_folder
     import tauext.page.bundles
-    import tauext.report.page
     import tauext.report.check_picture
+    import tauext.report.page
     import tauext.train.stage  # noqa: F401
 
 

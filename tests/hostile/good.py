@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 
 import h5py
+import lerobot_arm
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -26,12 +26,9 @@ from tauext.data.recording_file import load_recording, save_recording
 from tauext.fit.fleet_prior import ArmType, FleetDays, FleetPrior, write_fleet_prior
 from tauext.fit.ridge import WeightPrior
 
-sys.path.append(str(Path(__file__).parents[2] / "tests"))
-import lerobot_arm
-
 EVERY = 10
 """Of 1000 samples a second: files in other formats stay small."""
-OLD_BUNDLE = Path(__file__).parents[2] / "tests/golden/format-4-amperes.tauext"
+OLD_BUNDLE = Path(__file__).parents[1] / "golden/format-4-amperes.tauext"
 TOUCHED_S = 12.0
 LITTLE = ("--minutes", "1", "--collision-recordings", "1")
 ARM = """[robot]

@@ -1,9 +1,9 @@
 """Good data with one mistake each: is it refused or named before training, or does it do no harm?
 
-    python benchmarks/mutations.py OUT [--data DIR] [--jobs 2] [--sample 200] [--datasets rig ...] [--kinds units ...]
+    python tests/mutations OUT [--data DIR] [--jobs 2] [--sample 200] [--datasets rig ...] [--kinds units ...]
 
 The datasets are made in OUT/made, once: the rig, two unseen arms and a real UR3 from the shared recordings (--data,
-with URDFs in models/). Each case takes a clean dataset, breaks one thing (mutation_trial/cases.py lists them; the seed
+with URDFs in models/). Each case takes a clean dataset, breaks one thing (cases.py lists them; the seed
 draws joints, recordings and places), and asks first the door, then, where it lets the data in, what the bundle is worth
 beside the clean one's. OUT/NAME.jsonl gets a row a case as it ends; what is there is not repeated, and the order is
 drawn, so that the first rows are a fair sample. OUT/NAME.json and OUT/NAME.md are made of all rows. --good looks at all
@@ -25,19 +25,18 @@ from functools import cache
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads of small systems only wait for each other
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 import numpy as np
-from mutation_trial.breaking import broken_dataset, judged_recording
-from mutation_trial.cases import Case, cases_of
-from mutation_trial.good_data import look_at_good
-from mutation_trial.good_sets import ALL_KINDS, NAMES, ROOT, GoodSet, make_good_sets
-from mutation_trial.judging import Seen, Worth, looked_at, verdict_after, verdict_before, worth_of
-from mutation_trial.named import fits
-from mutation_trial.tables import LET_IN, markdown
 
+from mutations.cases import Case, broken_dataset, cases_of, judged_recording
+from mutations.good import ALL_KINDS, NAMES, GoodSet, look_at_good, make_good_sets
+from mutations.judging import LET_IN, Seen, Worth, fits, looked_at, markdown, verdict_after, verdict_before, worth_of
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
+
+ROOT = Path(__file__).parents[2]
 
 
 def main() -> None:
@@ -180,7 +179,7 @@ def summarize(out: Path, name: str) -> None:
     good_file = out / f"{name}-good.json"
     good = json.loads(good_file.read_text()) if good_file.exists() else []
     (out / f"{name}.json").write_text(json.dumps(rows, indent=1) + "\n")
-    text = markdown(rows, good, f"python benchmarks/mutations.py OUT --name {name}")
+    text = markdown(rows, good, f"python tests/mutations OUT --name {name}")
     (out / f"{name}.md").write_text(text)
 
 

@@ -1,17 +1,36 @@
-"""The list of mutations: every setting of every kind on every dataset, joints and recordings drawn by seed."""
+"""The list of mutations, joints and recordings drawn by seed, and the dataset that each of them leaves."""
 
 from __future__ import annotations
 
 import itertools
 import math
+import os
+import shutil
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
-from mutation_trial.changes import Change
-from mutation_trial.good_sets import GoodSet
+from mutations.changes import (
+    Change,
+    Facts,
+    Spans,
+    broken_flags,
+    broken_intervals,
+    changed,
+    cut_to,
+    facts_of,
+    imported,
+    with_load,
+)
+from mutations.good import GoodSet
+from tauext.data.dataset import load_dataset
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording, save_recording
+from tauext.robot.load import load_tree
 
 DEGREES, RPM = 180 / math.pi, 30 / math.pi
 SPIKE_SIZES = {"tau": (2.0, 20.0, 1e4), "dq": (2.0, 20.0, 1e4), "q": (0.05, 1.0, 100.0)}
@@ -163,3 +182,63 @@ def _mixed(good: GoodSet) -> Iterator[Setting]:
     for name in good.donors:
         yield Setting("mixed files", f"other-{name}", Change(f"donor-{name}"), 0, 1)
     yield Setting("mixed files", "half-rate", Change("thinned", size=2.0), 0, 1)
+
+
+_facts: dict[str, Facts] = {}
+
+
+def broken_dataset(case: Case, good: GoodSet, folder: Path) -> None:
+    """Write the dataset with the mutation into a folder.
+
+    Raises:
+        TauextError: no recording or dataset may be so.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    if case.change.what.startswith("label-") and good.arm_toml is not None:
+        imported(good.arm_toml, lambda spans, sources: _intervals(case, spans), folder)
+        return
+    shutil.copytree(good.folder, folder, copy_function=os.link)
+    split = load_dataset(good.folder).split
+    for name in (*split.train, *split.validation, *split.calibration):
+        if case.files and Path(name).stem not in case.files:
+            continue
+        new = _broken(case, good, load_recording(good.folder / name))
+        (folder / name).unlink()  # a link to the clean file
+        save_recording(new, folder / name)
+
+
+def judged_recording(case: Case, good: GoodSet, path: Path) -> Recording:
+    """A recording that bundles are judged on, with the mutation where all recordings have it."""
+    recording = load_recording(path)
+    return recording if case.files else _broken(case, good, recording)
+
+
+def _broken(case: Case, good: GoodSet, recording: Recording) -> Recording:
+    change, rng = case.change, np.random.default_rng([case.seed, *recording.name.encode()])
+    if change.what == "load":
+        return with_load(recording, _tree(good.folder, recording.joints), change.size)
+    if change.what.startswith("donor-"):
+        return cut_to(_donor(good.donor_folder / f"{change.what.removeprefix('donor-')}.parquet"), recording)
+    if change.what.startswith("label-"):
+        other = next(r for r in good.training if r.contact is not None and r.name in good.long_files
+                     and r.name != recording.name)  # fmt: skip
+        return broken_flags(recording, other, change.what, change.size, rng)
+    if good.name not in _facts:
+        _facts[good.name] = facts_of(good.training, good.nm_per_ampere)
+    return changed(recording, change, _facts[good.name], rng)
+
+
+def _intervals(case: Case, spans: Spans) -> Spans:
+    rng = np.random.default_rng(case.seed)
+    file = next(name for name in spans if Path(name).stem == case.files[0])
+    return broken_intervals(spans, file, case.change.what, case.change.size, rng)
+
+
+@cache
+def _tree(folder: Path, joints: tuple[str, ...]):
+    return load_tree(load_dataset(folder).robot_file(None), joints=joints)
+
+
+@cache
+def _donor(path: Path) -> Recording:
+    return load_recording(path)

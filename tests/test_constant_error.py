@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from arms import planar_arm
+from made_arms import planar_arm
 from test_few_data import motion
 
 from tauext import _core

@@ -8,7 +8,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from made_demo import SHORT
+from made_bundles import SEVEN_AXIS
+from made_page import SHORT
 
 from tauext.cli import main
 from tauext.errors import ConfigError
@@ -67,7 +68,7 @@ def test_samples_one_by_one_are_those_of_a_rollout(arm):
 
 def test_a_push_on_link_5_is_pinocchios_jacobian_transposed():
     pin = pytest.importorskip("pinocchio")
-    model = pin.buildModelFromUrdf(str(Path(__file__).parent.parent / "benchmarks" / "seven_axis.urdf"))
+    model = pin.buildModelFromUrdf(str(SEVEN_AXIS))
     data = model.createData()
     plant = Plant(ARMS["seven"]())
     plant.data.qpos[:] = np.linspace(-0.5, 0.7, 7)
@@ -99,7 +100,7 @@ def test_a_push_on_the_rig_is_the_planar_torque():
 def test_the_packaged_arm_is_the_one_of_the_benchmarks(tmp_path):
     path = tmp_path / "seven.xml"
     path.write_text(ARMS["seven"]().xml)
-    ours, urdf = load_tree(path), load_tree(Path(__file__).parent.parent / "benchmarks" / "seven_axis.urdf")
+    ours, urdf = load_tree(path), load_tree(SEVEN_AXIS)
     rng = np.random.default_rng(0)
     q, dq = rng.uniform(-2, 2, (20, 7)), rng.uniform(-2, 2, (20, 7))
     for a, b in zip(ours.momentum(q, dq), urdf.momentum(q, dq), strict=True):

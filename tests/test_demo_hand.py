@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from made_demo import SHORT, smooth_arm
+from made_page import SHORT, smooth_arm
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.config import ObserverConfig

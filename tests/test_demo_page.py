@@ -12,8 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made_demo import SHORT
-from page_mouse import CHROMIUM, PATIENCE_S, drag, on_screen, open_pages, until
+from made_page import CHROMIUM, PATIENCE_S, SHORT, drag, on_screen, open_pages, until
 
 from tauext.page.page import Session, free_port, open_server
 from tauext.page.panel import GIVE, TAKE, HandPanel

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made_demo import smooth_arm
+from made_page import smooth_arm
 
 from tauext import _core
 from tauext.config import ObserverConfig

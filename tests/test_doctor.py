@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import planar_arm
-from doctor_arms import scara
-from doctor_faults import FAULTS, Case, Fault, beside, is_named, standing
-from made_motion import made_motion
-from trees import six_axis, urdf
+from check_cases import FAULTS, Case, Fault, beside, is_named, scara, standing
+from made_arms import planar_arm, six_axis, urdf
+from made_recordings import made_motion
 
 from tauext.check.arrangement import fit_load, with_load
 from tauext.check.examine import examine

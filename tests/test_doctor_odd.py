@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import planar_arm
-from made_motion import Drive, made_motion
-from trees import six_axis, urdf
+from made_arms import planar_arm, six_axis, urdf
+from made_recordings import Drive, made_motion
 
 from tauext.check.arrangement import with_load
 from tauext.check.examine import examine

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_servo import COUNT_RAD, Servo, drive, recorded
+from made_servos import COUNT_RAD, Servo, drive, recorded
 
 from tauext.check.examine import as_data, as_text, examine
 from tauext.check.quick import quick_look

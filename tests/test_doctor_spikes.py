@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import planar_arm
-from made_motion import Drive, made_motion
+from made_arms import planar_arm
+from made_recordings import Drive, made_motion
 
 from tauext.check.examine import examine
 from tauext.check.finding import Finding

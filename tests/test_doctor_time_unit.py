@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import planar_arm
-from made_motion import made_motion
+from made_arms import planar_arm
+from made_recordings import made_motion
 
 from tauext.check.clock import time_findings, time_unit
 from tauext.check.examine import examine

@@ -7,8 +7,7 @@ import struct
 
 import numpy as np
 import pytest
-from made_servo_bus import Dynamixel, MadeServoBus, crc16
-from made_servos import NAMES, bus_file, patient, servo_settings, taken
+from made_servos import NAMES, Dynamixel, MadeServoBus, bus_file, crc16, patient, servo_settings, taken
 
 from tauext.errors import ConfigError
 from tauext.sources.servo_bus_file import ServoJoint

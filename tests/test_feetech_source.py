@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from made_servo_bus import Feetech, MadeServoBus
-from made_servos import NAMES, bus_file, patient, servo_settings, taken
+from made_servos import NAMES, Feetech, MadeServoBus, bus_file, patient, servo_settings, taken
 
 from tauext.sources.servo_bus_file import ServoJoint
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_pushes import pushed, watching_bundle
+from made_bundles import pushed, watching_bundle
 
 import tauext
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_arms import random_states, seven_axis, six_axis, urdf
 from made_live import Keeper, ScriptedSource, samples_of
-from trees import random_states, seven_axis, six_axis, urdf
 
 from tauext import _core
 from tauext._core import Load
@@ -116,7 +116,7 @@ def test_where_links_branch_the_way_goes_on_to_a_usual_name_or_ends(tmp_path):
 
 
 def test_an_arm_of_several_ends_asks_which(tmp_path):
-    from trees import branched
+    from made_arms import branched
 
     path = tmp_path / "two_arms.urdf"
     path.write_text(urdf(branched()))
@@ -127,7 +127,7 @@ def test_an_arm_of_several_ends_asks_which(tmp_path):
 
 
 def test_bodies_without_joints_of_an_mjcf_count_and_the_payload_of_an_import_does_not(tmp_path):
-    from arms import PLANAR_MJCF
+    from made_arms import PLANAR_MJCF
 
     path = tmp_path / "arm.xml"
     hand = '<body name="hand" pos="0.25 0 0" euler="0 0 30"><body name="tauext_payload"/></body></body></body>'
@@ -422,7 +422,7 @@ def signals(recording: Recording, rows: slice) -> dict[str, np.ndarray]:
 
 
 def test_halves_of_good_motion_agree_on_what_a_load_weighs_and_halves_of_little_do_not():
-    from made_motion import made_motion
+    from made_recordings import made_motion
     from test_kinematics import CONFIG, LOWER_M, UPPER_M, X, Y, Z, setup_of
     from test_kinematics import arm as arm_of_four
 
@@ -441,7 +441,7 @@ def test_halves_of_good_motion_agree_on_what_a_load_weighs_and_halves_of_little_
 
 
 def test_a_last_axis_that_nothing_weighs_on_may_point_anywhere():
-    from made_motion import made_motion
+    from made_recordings import made_motion
     from test_kinematics import arm as arm_of_four
 
     from tauext.train.load import last_axis_shows

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_motion import Drive, made_motion
-from trees import planar_rig, random_states, six_axis, urdf
+from made_arms import planar_rig, random_states, six_axis, urdf
+from made_recordings import Drive, made_motion
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle

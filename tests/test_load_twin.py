@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import slow_load
+from made_arms import six_axis, urdf
 from made_live import Keeper, ScriptedSource, samples_of
-from made_motion import Drive, made_motion
-from trees import six_axis, urdf
+from made_recordings import Drive, made_motion
 
 from tauext import _core
 from tauext.cli.run_json import found_facts

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made_motion import made_motion
-from trees import six_axis, urdf
+from made_arms import six_axis, urdf
+from made_recordings import made_motion
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle

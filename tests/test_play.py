@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import planar_arm
+from made_arms import planar_arm
 from test_prior import CORRECTED, RATE_HZ, WIDTHS, Kind, loaded, motion, record, setup_of, twin_presliding, where
 
 from tauext.fit.prior import fit_prior, told

@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from arms import no_model, planar_arm, regular_times, settings
+from made_arms import no_model, planar_arm, regular_times, settings
 
 from tauext import _core
 from tauext.config import PriorConfig

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import planar_arm
+from made_arms import planar_arm
 from test_prior import motion, record
 
 from tauext import _core

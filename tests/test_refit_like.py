@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import planar_arm
-from made_fleet import CONFIG, FRICTION, dataset, moving
+from made_arms import planar_arm
+from made_fleets import CONFIG, FRICTION, dataset, moving
 from test_prior import motion, record
 from test_refit import COULOMB_NM, NOISE_NM, RATE_HZ, fitted, friction, refitted  # noqa: F401
 

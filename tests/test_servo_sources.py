@@ -10,8 +10,7 @@ import time
 import numpy as np
 import pytest
 from made_live import Keeper
-from made_servo_bus import Dynamixel, Feetech, MadeServoBus
-from made_servos import NAMES, bus_file, patient, servo_bundle, servo_settings, taken
+from made_servos import NAMES, Dynamixel, Feetech, MadeServoBus, bus_file, patient, servo_bundle, servo_settings, taken
 from test_dynamixel_source import x_series
 from test_feetech_source import sts3215
 

@@ -11,9 +11,8 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 import pytest
-from arms import PLANAR_MJCF
-from made_fleet import moving
-from made_fleets import workers_here
+from made_arms import PLANAR_MJCF
+from made_fleets import moving, workers_here
 from made_s3 import S3, Request, s3_server
 
 from tauext.bundle.bundle_file import load_bundle

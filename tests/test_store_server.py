@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import PLANAR_MJCF
-from made_fleet import moving
+from made_arms import PLANAR_MJCF
+from made_fleets import moving
 
 from tauext.cli import main
 from tauext.data.dataset import Split, load_dataset, save_split

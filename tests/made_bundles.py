@@ -1,19 +1,22 @@
-"""A moving arm that is pushed at known times, and a bundle to watch it with: what a replay should find is known.
-
-The bundle has no model, so its observer shows minus the low-passed torque: a torque pulse of -F looks like a push of F.
-"""
+"""Bundles whose answers are known, and a moving arm that is pushed at known times to watch with them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-from arms import no_model, planar_arm
+from made_arms import no_model, planar_arm
 
 from tauext import _core
 from tauext.config import ObserverConfig
 from tauext.data.recording import Recording
 from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.fit.torque_constants import with_constants
+from tauext.robot.load import load_tree
+
+SEVEN_AXIS = Path(__file__).parents[1] / "benchmarks" / "seven_axis.urdf"
 
 JOINTS = ("shoulder", "elbow")
 LIMIT_NM = 2.0
@@ -91,3 +94,43 @@ def cut_flight(bundle: _core.Bundle, samples, row: int, before: int = 1000, afte
     }
     flight["load"] = np.zeros((len(flight["t_ns"]), 10))
     return flight | {"event_row": row - first, "event": monitor.last}
+
+
+SIGMA_NM, SIGMA_PER_SPEED, SIGMA_NEAR_NM, LARGEST = 0.1, 0.2, 0.3, 4.0
+
+
+def with_error_scale(bundle: _core.Bundle, per_speed: float = 1.0) -> _core.Bundle:
+    """This bundle, changed: limits grow by per_speed of themselves a rad/s, sigma with the speed, too."""
+    scale, n = _core.ErrorScaleSettings(), bundle.joints
+    scale.features = [_core.MotionFeature.constant, _core.MotionFeature.speed]
+    scale.limit_weights = [1.0, per_speed] * n
+    scale.largest = [LARGEST] * n
+    scale.sigma_weights = [SIGMA_NM, SIGMA_PER_SPEED] * n
+    scale.sigma_near_weights = [SIGMA_NEAR_NM, 0.0] * n
+    scale.largest_sigma = [1e3] * n
+    bundle.error_scale = scale
+    return bundle
+
+
+def taking_amperes(bundle: _core.Bundle, nm_per_ampere: np.ndarray) -> _core.Bundle:
+    """The same bundle for currents: it says of tau / nm_per_ampere what it said of tau."""
+    bundle.observer = with_constants(bundle.observer, nm_per_ampere)
+    bundle.units = _core.TorqueUnits(_core.TorqueUnit.ampere)
+    bundle.scale_reference((1 / nm_per_ampere).tolist())
+    return bundle
+
+
+def seven_axis_bundle(sigma_nm: Sequence[float], *capsules: _core.Capsule) -> _core.Bundle:
+    """A seven-axis arm with constant standard errors; if capsules are given, also one from each joint to the next."""
+    tree = load_tree(SEVEN_AXIS)
+    made = _core.Bundle()
+    made.links, made.gravity = tree.links, tree.gravity
+    scale = _core.ErrorScaleSettings()
+    scale.features = [_core.MotionFeature.constant]
+    scale.limit_weights = scale.largest = [1.0] * tree.size
+    scale.sigma_weights = scale.sigma_near_weights = scale.largest_sigma = list(sigma_nm)
+    made.error_scale = scale
+    if capsules:
+        between = [_core.Capsule(k, [0, 0, 0], link.translation, 0.05) for k, link in enumerate(tree.links[1:])]
+        made.capsules = [*between, *capsules]
+    return made

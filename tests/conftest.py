@@ -15,9 +15,9 @@ import pytest
 # As in the Makefile, and before NumPy is imported: threads of two workers would wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-TOGETHER = ("test_demo", "test_ros2")
+TOGETHER = ("test_page", "test_ros2")
 """Beginnings of names of files that use one training, or talk in one DDS domain."""
-APART = ("test_doctor.py", "test_kinematics.py", "test_small_datasets.py")
+APART = ("test_check.py", "test_kinematics.py", "test_small_datasets.py")
 """Files whose tests go, one by one, to whichever worker is free: a third of all the time."""
 
 

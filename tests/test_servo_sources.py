@@ -21,6 +21,7 @@ from tauext.monitor.reactions import start_reactions
 from tauext.monitor.source import Stoppable
 from tauext.sources.dynamixel import DynamixelSource
 from tauext.sources.feetech import FeetechSource
+from tauext.sources.reader import Ticks
 from tauext.sources.servo_bus_file import ServoJoint
 
 KINDS = {"feetech": (Feetech, FeetechSource, sts3215), "dynamixel": (Dynamixel, DynamixelSource, x_series)}
@@ -253,3 +254,24 @@ def test_a_loop_makes_torque_of_what_servos_report_and_a_reaction_makes_them_hol
     np.testing.assert_allclose(sample.tau, 1.2 * volts * np.array([0.4, 0.0, -0.4]) / 2.75, rtol=1e-9)
     held = {id_ for _, id_, _ in rig.bus.writes}
     assert held == {1, 2, 3} and {address for address, _, _ in rig.bus.writes} == {rig.source.goal[0]}
+
+
+def test_ticks_keep_their_times_and_skip_those_that_passed():
+    now, slept = [100.0], []
+
+    def sleep(seconds):
+        slept.append(seconds)
+        now[0] += seconds
+
+    ticks = Ticks(0.25, lambda: now[0], sleep)
+    assert ticks.wait(1.0) == 0 and slept == []  # the first at once
+    now[0] += 0.125  # an answer came
+    assert ticks.wait(1.0) == 0 and now[0] == 100.25
+    now[0] += 0.375  # 100.625: the tick of 100.5 is late and not skipped
+    assert ticks.wait(1.0) == 0 and now[0] == 100.625
+    assert ticks.wait(1.0) == 0 and now[0] == 100.75
+    now[0] += 0.8125  # 101.5625: of 101.0, 101.25, 101.5 the last is still to be used
+    assert ticks.wait(1.0) == 2 and now[0] == 101.5625
+    assert ticks.wait(1.0) == 0 and now[0] == 101.75
+    assert ticks.wait(0.125) is None and now[0] == 101.875
+    assert ticks.wait(0.125) == 0 and now[0] == 102.0

@@ -110,7 +110,7 @@ OF_SERVOS = {
 
 
 def test_every_code_has_a_fault_that_leads_to_it_or_a_test_of_its_own():
-    # an unusable file and a hand that is not mounted here, what servos report in test_doctor_servo.py
+    # an unusable file and a hand that is not mounted here, what servos report in test_check_servo.py
     assert set(CODES) - {fault.code for fault in FAULTS} == {"model-unusable", "payload-absent"} | OF_SERVOS
 
 

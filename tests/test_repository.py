@@ -1,4 +1,4 @@
-"""One version everywhere, citation and licences beside it, and every dependency in the table of licences."""
+"""One version everywhere, licences of all dependencies, and every cited work in the list of references."""
 
 from __future__ import annotations
 
@@ -55,3 +55,16 @@ def test_every_dependency_has_its_row_of_licences(name):
     tables = (ROOT / "THIRD_PARTY.md").read_text().partition("## Notices")[0]
     first_cells = "\n".join(row.split("|")[1] for row in tables.splitlines() if row.startswith("| "))
     assert re.search(rf"\b{re.escape(WRITTEN.get(name, name))}\b", first_cells, re.IGNORECASE)
+
+
+KEY = re.compile(r"\[([A-Z][A-Za-z]+[12]\d{3}[a-z]?)\]")
+
+
+def test_every_cited_work_is_listed_and_every_listed_work_is_cited():
+    text = "".join(page.read_text() for page in sorted((ROOT / "docs" / "method").glob("*.md")))
+    references = (ROOT / "docs" / "references.md").read_text()
+    listed = re.findall(r"^- \*\*\[(\w+)\]\*\*", references, re.MULTILINE)
+    files = [f for folder in ("src", "cpp") for f in (ROOT / folder).rglob("*") if f.suffix in (".py", ".hpp", ".cpp")]
+    cited = set(KEY.findall(text)).union(*(KEY.findall(file.read_text()) for file in files))
+    assert listed == sorted(set(listed)) and len(files) > 200
+    assert cited == set(listed)

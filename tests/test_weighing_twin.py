@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import slow_load
+import slow_weighing
 from made_arms import six_axis, urdf
 from made_live import Keeper, ScriptedSource, samples_of
 from made_recordings import Drive, made_motion
@@ -81,7 +81,7 @@ def test_the_core_finds_what_numpy_does(arm, recordings, what, rubs):
     bundle = bundle_of(arm, recordings["free"], rubs)
     frame, seen = load_frame(bundle), see(bundle, recordings[what])
     for parts in ([seen], [seen.part(seen.time_s < 3.0), seen.part((seen.time_s > 4.0) & (seen.time_s < 5.5))]):
-        found, slow = identify(bundle, frame, parts), slow_load.identify(bundle, frame, parts)
+        found, slow = identify(bundle, frame, parts), slow_weighing.identify(bundle, frame, parts)
         assert found.verdict == slow.verdict
         assert found.seconds == pytest.approx(slow.seconds)
         for name in ("mass_kg", "mass_error_kg", "misfit"):
@@ -100,7 +100,7 @@ def test_the_core_finds_what_numpy_does(arm, recordings, what, rubs):
 def test_sums_are_those_of_numpy():
     rng = np.random.default_rng(1)
     z, sigma = rng.standard_normal((250, 3, _core.LoadSums.COLUMNS)), rng.uniform(0.1, 1, (250, 3))
-    worth, sums, slow = rng.uniform(0, 1, (250, 3)), _core.LoadSums(3), slow_load.Normal.empty(3)
+    worth, sums, slow = rng.uniform(0, 1, (250, 3)), _core.LoadSums(3), slow_weighing.Normal.empty(3)
     slow.gram, slow.blocks = np.zeros((2, 3, 20, 20))
     for rows in (slice(0, 130), slice(130, 250)):
         sums.add(z[rows], sigma[rows], worth[rows])

@@ -1,7 +1,7 @@
 """Places in a real S3 server on loopback that keeps its objects on disk: versitygw, where it is found.
 
     go install github.com/versity/versitygw/cmd/versitygw@latest     # to ~/go/bin
-    TAUEXT_VERSITYGW=~/go/bin/versitygw python -m pytest tests/test_store_server.py
+    TAUEXT_VERSITYGW=~/go/bin/versitygw python -m pytest tests/test_files_server.py
 
 It is started as `versitygw --access KEY --secret SECRET --port 127.0.0.1:PORT posix FOLDER`; a folder in FOLDER is a
 bucket.

@@ -23,8 +23,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from made_servo_bus import Dynamixel, Feetech, MadeServoBus, sts3215, x_series
-from made_servos import NAMES, bus_file, servo_settings
+from made_servos import NAMES, Dynamixel, Feetech, MadeServoBus, bus_file, servo_settings, sts3215, x_series
 from test_damiao_source import Motors, source_of, state_of
 
 from tauext.monitor.source import SourceSettings

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_bags import JOINTS, joint_rows, motion, write_bag
+from made_recordings import JOINTS, joint_rows, motion, write_bag
 
 from tauext.data import assemble as assembling
 from tauext.data import description

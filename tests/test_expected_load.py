@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_arms import six_axis, urdf
 from made_live import Keeper, ScriptedSource, samples_of
-from trees import six_axis, urdf
 
 from tauext import _core
 from tauext._core import Load, LoadPhase

@@ -6,8 +6,8 @@ import json
 
 import numpy as np
 import pytest
-from made_bags import joint_rows, motion, write_bag
-from trees import planar_rig, random_states, six_axis, urdf
+from made_arms import planar_rig, random_states, six_axis, urdf
+from made_recordings import joint_rows, motion, write_bag
 
 from tauext.cli import main
 from tauext.data.dataset import load_split

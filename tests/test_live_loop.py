@@ -6,9 +6,8 @@ import threading
 
 import numpy as np
 import pytest
-from made_amperes import taking_amperes
+from made_bundles import JOINTS, pushed, taking_amperes, watching_bundle
 from made_live import Clock, Keeper, ScriptedSource, samples_of
-from made_pushes import JOINTS, pushed, watching_bundle
 
 from tauext import _core
 from tauext.data.recording_file import load_recording

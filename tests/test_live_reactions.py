@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_bundles import JOINTS, pushed, watching_bundle
 from made_live import Keeper
-from made_pushes import JOINTS, pushed, watching_bundle
 
 from tauext import _core
 from tauext.errors import ConfigError

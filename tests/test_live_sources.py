@@ -9,9 +9,9 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
-from arms import prismatic_mass
+from made_arms import prismatic_mass
+from made_bundles import JOINTS, pushed
 from made_live import Keeper, ScriptedSource, samples_of
-from made_pushes import JOINTS, pushed
 
 from tauext import _core
 from tauext.config import ObserverConfig

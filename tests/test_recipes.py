@@ -11,7 +11,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from arms import planar_arm
+from made_arms import planar_arm
 from test_few_data import motion
 
 from tauext import _core

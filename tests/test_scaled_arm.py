@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import no_model, planar_arm, prismatic_mass
-from made_motion import made_motion
+from made_arms import no_model, planar_arm, prismatic_mass
+from made_recordings import made_motion
 from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
 from test_kinematics import arm

@@ -12,8 +12,20 @@ import time
 import numpy as np
 import pytest
 from made_live import Keeper
-from made_servo_bus import Dynamixel, Feetech, MadeServoBus, crc16, sts3215, x_series
-from made_servos import NAMES, bus_file, patient, servo_bundle, servo_settings, taken
+from made_servos import (
+    NAMES,
+    Dynamixel,
+    Feetech,
+    MadeServoBus,
+    bus_file,
+    crc16,
+    patient,
+    servo_bundle,
+    servo_settings,
+    sts3215,
+    taken,
+    x_series,
+)
 
 from tauext.errors import ConfigError
 from tauext.monitor.loop import TOLD_AFTER, Loop, LoopSettings

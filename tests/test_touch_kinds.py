@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from made_pushes import JOINTS, pushed, watching_bundle
+from made_bundles import JOINTS, pushed, watching_bundle
 
 from tauext import Touch, _core
 from tauext.cli.run_text import touch_words

@@ -32,7 +32,7 @@ def test_the_force_at_the_frame_comes_with_the_place(bundle):
     assert force.consistent > 0.9 and 0 < force.off_n < 10
     words, facts = place_words(told[0], JOINTS), place_facts(told[0], JOINTS)
     assert words.endswith(f"; {frame_force_words(force)}") and " 23 N at joint7 (up to " in words
-    assert facts["at_frame"]["force_n"] == list(force.force_n) and len(facts["at_frame"]["covariance"]) == 9
+    assert facts["at_frame"]["force_n"] == force.force_n and len(facts["at_frame"]["covariance"]) == 9
     assert "at_frame" not in place_facts(told[1], JOINTS) and " N at " not in place_words(told[1], JOINTS)
 
 

@@ -215,11 +215,14 @@ def test_an_alarms_place_is_in_its_events_until_the_next(bundle, signals):
     rows = len(t_ns)
     said["alarm"][FALLS + 50 : FALLS + 60] = 1
     said["alarm_joint"][:] = 4
-    for name in ("limit_nm", "contact_limit_nm", "margin_nm", "residual"):
+    for name in ("limit_nm", "contact_limit_nm", "margin_nm", "residual", "uncertainty"):
         said[name] = np.ones((rows, 7))
     for name, value in (("health", 1), ("causes", 0), ("cause_joint", -1), ("touch", 1)):
         said[name] = np.full(rows, value)
-    said["drift_saturated"] = np.zeros((rows, 7), dtype=bool)
+    for name in ("drift_saturated", "near_stiction"):
+        said[name] = np.zeros((rows, 7), dtype=bool)
+    for name in ("detection", "unfamiliar"):
+        said[name] = np.zeros(rows)
     finder, changes, places, events = EventFinder(JOINTS, {}), ChangeFinder(), PlaceFinder(bundle), []
     for k in range(rows):
         row = {name: column[k : k + 1] for name, column in said.items()}

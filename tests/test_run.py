@@ -27,7 +27,7 @@ from tauext.cli.run import RunSettings
 from tauext.cli.run_text import FlightCount, TextLines
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import RecordingError
-from tauext.monitor.changes import ALARMS, TOUCHES, AlarmChange, ChangeFinder, TouchChange
+from tauext.monitor.changes import ALARMS, TOUCHES, AlarmChange, ChangeFinder, HiddenCollision, TouchChange
 from tauext.monitor.explanation import MEANING, explain
 from tauext.monitor.flight_content import event_kind, flight_rate_hz, rows_kept
 from tauext.monitor.flight_files import FlightSource, FlightWriter, write_flight
@@ -102,6 +102,8 @@ def plain(changes) -> list[tuple]:
     """What replay found, as the slow loop writes it."""
     told = []
     for c in changes:
+        if isinstance(c, HiddenCollision):
+            continue
         if isinstance(c, TouchChange):
             told.append((c.row, c.t_ns, "touch", TOUCHES[c.touch], TOUCHES[c.was], ALARMS[c.alarm], c.joint))
         elif not isinstance(c, AlarmChange):

@@ -12,10 +12,12 @@ from tauext.data.recording import Recording
 from tauext.monitor.changes import (
     ALARMS,
     TOUCHES,
+    AlarmChange,
     Change,
     DriftChange,
     FoundLoad,
     HealthChange,
+    HiddenCollision,
     LoadChange,
     TouchChange,
     WeighChange,
@@ -23,7 +25,7 @@ from tauext.monitor.changes import (
 from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.loads import load_facts
 from tauext.monitor.places import PlaceChange, place_facts
-from tauext.monitor.replay import Chunk, StatusClock, Tally, number, status
+from tauext.monitor.replay import Chunk, StatusClock, Tally, number, sample_facts
 
 
 class JsonLines:
@@ -54,10 +56,12 @@ class JsonLines:
 
     def chunk(self, chunk: Chunk, tally: Tally) -> None:
         """Changes and status lines in the order of their samples."""
-        lines = [(change.row, self._change(change)) for change in chunk.changes]
+        lines = [
+            (change.row, self._change(change)) for change in chunk.changes if not isinstance(change, HiddenCollision)
+        ]
         for k in self._clock.rows(chunk.t_ns) if self._clock else ():
             where = {"row": chunk.first_row + k, **self._when(chunk.t_ns[k])}
-            lines.append((chunk.first_row + k, ("status", where | status(chunk, k))))
+            lines.append((chunk.first_row + k, ("status", where | sample_facts(chunk.said, k))))
         for _, (event, content) in sorted(lines, key=lambda line: line[0]):
             self._write(event, **content)
 
@@ -84,6 +88,7 @@ class JsonLines:
             return "load", {**where, "mass_kg": change.mass_kg, "mass_error_kg": change.error_kg, "by": "expected"}
         if isinstance(change, WeighChange):
             return "weigh", {**where, "what": change.what, "by": change.by, **found_facts(change)}
+        assert isinstance(change, DriftChange | TouchChange | PlaceChange | HealthChange | AlarmChange)
         joint = self._joints[change.joint] if change.joint >= 0 else None
         if isinstance(change, DriftChange):
             return "drift", {**where, "joint": joint, "advice": "recalibrate"}

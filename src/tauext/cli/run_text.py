@@ -20,6 +20,7 @@ from tauext.monitor.changes import (
     DriftChange,
     FoundLoad,
     HealthChange,
+    HiddenCollision,
     LoadChange,
     TouchChange,
     WeighChange,
@@ -29,7 +30,7 @@ from tauext.monitor.explanation import unseen_words
 from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.loads import load_words
 from tauext.monitor.places import PlaceChange, place_words
-from tauext.monitor.replay import Chunk, HiddenCollision, HiddenFinder, Tally
+from tauext.monitor.replay import Chunk, Tally
 
 # --- What `tauext run` tells while it goes on: JSON lines, text lines and the live view do.
 
@@ -110,11 +111,11 @@ class TextLines:
 
     def _begin_events(self) -> None:
         self._latched_s: float | None = None
-        self._behind, self._finder = 0, HiddenFinder()
+        self._behind = 0
         self._healths: dict[tuple[int, int, int], tuple[int, HealthChange]] = {}
 
     def chunk(self, chunk: Chunk, tally: Tally) -> None:
-        for change in sorted([*chunk.changes, *self._finder.find(chunk)], key=lambda event: event.t_ns):
+        for change in sorted(chunk.changes, key=lambda event: event.t_ns):
             if isinstance(change, HiddenCollision):
                 self._hide(change)
             elif isinstance(change, HealthChange):
@@ -132,7 +133,7 @@ class TextLines:
                 self._event(change.t_ns, place_words(change, self._joints))
             elif isinstance(change, DriftChange):
                 self._event(change.t_ns, f"recalibrate: joint {self._joints[change.joint]}'s drift is at its bound")
-            else:
+            elif isinstance(change, AlarmChange):
                 self._alarm(change)
 
     def flight(self, news: FlightNews) -> None:

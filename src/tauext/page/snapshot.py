@@ -9,6 +9,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.errors import ConfigError
+from tauext.monitor.places import links_words
 from tauext.sim.arms import DemoArm
 from tauext.sim.plant import Sample
 
@@ -106,9 +107,7 @@ def outward(point_m: np.ndarray, capsules: list[_core.Capsule]) -> np.ndarray:
 
 def place_words(placed: Placed, joints: tuple[str, ...]) -> str:
     """`On the link of joint4 (83%; joint5 12%): 34 N.`"""
-    (first, probability), *others = placed.links
-    rivals = "".join(f"; {joints[link]} {share:.0%}" for link, share in others[:2] if share >= 0.05)
-    return f"On the link of {joints[first]} ({probability:.0%}{rivals}): {placed.newtons:.0f} N."
+    return f"On {links_words(placed.links, joints)}: {placed.newtons:.0f} N."
 
 
 # --- The monitors of a demo: one a method, all fed with the same samples.

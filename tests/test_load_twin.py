@@ -13,8 +13,8 @@ from made_motion import Drive, made_motion
 from trees import six_axis, urdf
 
 from tauext import _core
-from tauext.cli.run_json import found_facts
-from tauext.cli.run_text import weigh_words
+from tauext.cli.json_lines import found_facts
+from tauext.cli.text_lines import weigh_words
 from tauext.config import ObserverConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_places import bundle as bundle
 
-from tauext.cli.run_json import JsonLines
+from tauext.cli.json_lines import change_facts
 from tauext.errors import ConfigError
 from tauext.monitor.changes import ChangeFinder
 from tauext.monitor.places import PlaceFinder, place_facts, place_words
@@ -112,9 +112,7 @@ def test_words_and_facts(bundle, signals):
     facts = place_facts(change, JOINTS)
     assert facts["links"][0]["joint"] == best and len(facts["places"]) == len(change.places)
     assert len(facts["places"][0]["force_n"]) == 3
-    lines = JsonLines(0)
-    lines._joints, lines._start_ns = JOINTS, 0
-    event, content = lines._change(change)
+    event, content = change_facts(change, JOINTS)
     assert event == "place" and content["joint"] == "joint5" and content["links"] == facts["links"]
     json.dumps(content, allow_nan=False)
 

@@ -10,7 +10,7 @@ import pytest
 from made_pushes import JOINTS, pushed, watching_bundle
 
 from tauext import Touch, _core
-from tauext.cli.run_text import touch_words
+from tauext.cli.text_lines import touch_words
 from tauext.errors import ConfigError
 from tauext.monitor.changes import TOUCHES, ChangeFinder, TouchChange
 from tauext.monitor.reaction_file import Reaction, load_reactions

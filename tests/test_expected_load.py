@@ -11,7 +11,7 @@ from made_live import Keeper, ScriptedSource, samples_of
 
 from tauext import _core
 from tauext._core import Load, LoadPhase
-from tauext.cli.run_text import found_load_words
+from tauext.cli.text_lines import found_load_words
 from tauext.config import ObserverConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError

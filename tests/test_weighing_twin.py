@@ -13,8 +13,8 @@ from made_live import Keeper, ScriptedSource, samples_of
 from made_recordings import Drive, made_motion
 
 from tauext import _core
-from tauext.cli.run_json import found_facts
-from tauext.cli.run_text import weigh_words
+from tauext.cli.json_lines import found_facts
+from tauext.cli.text_lines import weigh_words
 from tauext.config import ObserverConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError

@@ -96,7 +96,7 @@ def make_results(
                 here = [touch for touch in touches if touch.recording == recording.name]
                 detector.add_collisions(number, here, recording, estimates)
     content = {
-        "format": 3,
+        "format": 1,
         "provenance": {
             "command": "tauext reproduce --scale quick --seed 0",
             "version": "0.1.0",

@@ -45,7 +45,7 @@ def test_results_that_are_there_are_replaced_with_a_word(tmp_path, capsys):
     assert main(command) == 0
     told = capsys.readouterr()
     assert f"{out / 'results.json'} is there already and will be replaced" in told.err and "replaced" not in told.out
-    assert json.loads((out / "results.json").read_text())["format"] == 3
+    assert json.loads((out / "results.json").read_text())["format"] == 1
 
 
 def test_show_keeps_the_arm_s_order_of_joints(tmp_path, capsys):

@@ -59,6 +59,7 @@ from tauext.data.drive_signal import Play, play_of
 from tauext.data.recording import Recording
 from tauext.data.servo import derives_velocity, from_amperes, in_amperes, makes_torque
 from tauext.errors import ConfigError
+from tauext.files.plain_file import FORMAT
 from tauext.progress import SILENT, Reporter
 
 # --- What was measured of every joint, findings or none.
@@ -466,7 +467,7 @@ def grouped(findings: list[Finding]) -> list[tuple[Finding, list[str]]]:
 def as_data(diagnosis: Diagnosis) -> dict:
     """JSON-ready: joints, findings, facts by joint, faulty."""
     return {
-        "format": 1,
+        "format": FORMAT,
         "joints": list(diagnosis.joints),
         "faulty": diagnosis.faulty,
         "findings": [asdict(finding) for finding in diagnosis.findings],

@@ -234,13 +234,15 @@ def make_estimates(
     return Estimates(
         joints=recording.joints,
         t_ns=recording.t_ns,
-        r=residual.astype(single),
+        residual=residual.astype(single),
         network=network.astype(single),
         tau_ext=tau_ext.astype(single),
-        limit=limit.astype(single),
+        limit_nm=limit.astype(single),
         sigma_nm=sigma,
         near_stiction=near,
         health=np.where(warm, WARMING_UP, OK).astype(np.int8),
+        causes=np.zeros(recording.samples, np.uint32),
         detection=detection,
         held_alarm=np.where(detection, COLLISION, 0).astype(np.int8),
+        touch=np.zeros(recording.samples, np.int8),
     )

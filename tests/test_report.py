@@ -646,7 +646,7 @@ def test_limits_that_move_are_drawn_as_they_held(moving):
     _, collisions = choose(results)
     said = signals.estimates("exact", signals.recording(collisions[0].recording))
     limit = draw_three_collisions(results, signals).figure.axes[0].get_lines()[-1].get_ydata()
-    assert len(np.unique(np.abs(limit))) > 100 and np.isin(np.abs(limit), said.limit[:, 0]).all()
+    assert len(np.unique(np.abs(limit))) > 100 and np.isin(np.abs(limit), said.limit_nm[:, 0]).all()
     drawing = draw_collisions(results, signals)
     r, uncertainty, below, above = drawing.figure.axes[0].get_lines()[:4]
     np.testing.assert_allclose(

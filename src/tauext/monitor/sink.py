@@ -9,17 +9,13 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from tauext import _core
 from tauext._core import Load
-from tauext.bundle.estimates import HEALTHS
 from tauext.monitor.changes import (
-    ALARMS,
     COLLISION,
     CONTACT,
     FAULT,
     NONE,
     OK,
-    TOUCHES,
     AlarmChange,
     Change,
     HealthChange,
@@ -27,7 +23,7 @@ from tauext.monitor.changes import (
 )
 from tauext.monitor.loads import Expected
 from tauext.monitor.places import PlaceChange, newtons, place_facts
-from tauext.monitor.replay import number
+from tauext.monitor.replay import status
 from tauext.monitor.source import Sample, SourceCounts
 
 # --- Who is told of every sample, and of what happens: publishers, outputs, recordings.
@@ -202,9 +198,6 @@ class Control(Protocol):
 # --- From what the monitor says to what reactions react to.
 
 
-TORQUES = ("tau_ext", "sigma_nm", "contact_sigma_nm", "limit_nm", "contact_limit_nm", "margin_nm", "residual")
-
-
 class EventFinder:
     """Finds the events of one verdict after the other."""
 
@@ -243,17 +236,7 @@ class EventFinder:
 
     def _event(self, kind: EventKind, joint: int, verdict: Verdict, news: bool = True, of_place: bool = False) -> Event:
         said, sample = verdict.said, verdict.sample
-        touch = TOUCHES[said["touch"][0]]
-        facts = {
-            **self._facts,
-            "joints": list(self._joints),
-            "row": verdict.row,
-            "health": HEALTHS[said["health"][0]],
-            "causes": _core.cause_names(int(said["causes"][0])),
-            "alarm": ALARMS[said["alarm"][0]],
-            "touch": touch,
-            **{name.removesuffix("_nm") + "_nm": [number(v) for v in said[name][0].tolist()] for name in TORQUES},
-        }
+        facts = {**self._facts, "joints": list(self._joints), "row": verdict.row, **status(said, 0)}
         received_ns = sample.received_ns if sample is not None else time.monotonic_ns()
         name = self._joints[joint] if joint >= 0 else None
         touched = kind in ("collision", "contact")
@@ -265,7 +248,7 @@ class EventFinder:
             verdict.t_ns,
             received_ns,
             facts,
-            touch=touch if touched else None,
+            touch=facts["touch"] if touched else None,
             news=news,
             links=() if place is None else tuple((self._joints[link], share) for link, share in place.links),
             newtons=None if place is None else newtons(place.best),

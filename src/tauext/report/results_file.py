@@ -261,7 +261,7 @@ def read_collision(entry: Entry, joints: int) -> Collision:
     link = entry.get("link", int)
     return Collision(
         id=entry.text("id", needed=True),
-        recording=entry.text("recording", needed=True).removesuffix(".parquet"),
+        recording=entry.text("recording", needed=True),
         kind=entry.text("kind") or "unknown",
         start_s=entry.number("start_s", needed=True),
         end_s=entry.number("end_s", needed=True),
@@ -279,7 +279,7 @@ def read_bundle(entry: Entry, joints: int) -> EvaluatedBundle:
         name=name,
         recipe=entry.text("recipe"),
         **{key: entry.get(key, int) for key in ("steps", "epochs", "batch", "ten_found")},
-        recordings=tuple(recording.removesuffix(".parquet") for recording in free.texts("recordings")),
+        recordings=free.texts("recordings"),
         **{key: free.get(key, int) for key in ("samples", "false_alarms")},
         **free.each_number("hours", "false_alarms_per_hour"),
         **errors,
@@ -293,7 +293,7 @@ def read_bundle(entry: Entry, joints: int) -> EvaluatedBundle:
         loss_history=entry.loss_history("loss_history"),
         measured=read_measured(entry, joints),
         limits_move=bool(limits.get("moving", bool)),
-        estimate_units=entry.texts("estimate_units") or ("N m",) * joints,
+        estimate_units=entry.texts("estimate_units", needed=True),
         rejected_share=entry.object("rejected").number("share"),
         rejected_causes=tuple(entry.object("rejected").object("causes").content),
         changed=read_changed(entry.object("changed_since_training")),

@@ -16,7 +16,7 @@ from tauext.data.recording_file import ROW_GROUP, describe, load_recording
 from tauext.errors import ConfigError
 from tauext.files.copies import local_robot
 from tauext.files.places import Place, place_of
-from tauext.files.plain_file import json_of, read_text
+from tauext.files.plain_file import read_json
 from tauext.files.whole_file import whole_file
 
 # --- Which recording belongs to which set: whole recordings only, so that no window is in two sets.
@@ -121,12 +121,7 @@ def load_split(folder: Place | str) -> Split:
     """
     folder = place_of(folder)
     path = folder / FILE_NAME
-    try:
-        content = json_of(read_text(path))
-    except FileNotFoundError as error:
-        raise ConfigError(f"{path}: there is no such file; a dataset folder holds one beside its recordings") from error
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: not readable as JSON ({error})") from error
+    content = read_json(path, "there is no such file; a dataset folder holds one beside its recordings")
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         found = content.get("format") if isinstance(content, dict) else None
         raise ConfigError(f"{path}: its format is {found!r}, this version reads {FORMAT}")

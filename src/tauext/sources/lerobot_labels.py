@@ -18,9 +18,8 @@ import pyarrow.parquet as pq
 
 from tauext import _core
 from tauext.data.description import Arm
-from tauext.data.importers.lerobot import raw_episode
 from tauext.data.importers.raw import RawSignals
-from tauext.data.lerobot_folder import INFO, STATE, LerobotFolder, open_folder, readable
+from tauext.data.lerobot_folder import INFO, STATE, LerobotFolder, open_folder, raw_episode, readable
 from tauext.data.servo import velocity_and_torque
 from tauext.errors import ConfigError, RecordingError, TauextError
 from tauext.files.plain_file import json_of, read_text

@@ -16,10 +16,11 @@ from made_servo_bus import Dynamixel, Feetech, MadeServoBus, crc16, sts3215, x_s
 from made_servos import NAMES, bus_file, patient, servo_bundle, servo_settings, taken
 
 from tauext.errors import ConfigError
-from tauext.monitor.loop import TOLD_AFTER, Loop, LoopSettings
+from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.reaction_file import Reaction
 from tauext.monitor.reactions import start_reactions
 from tauext.monitor.source import Stoppable
+from tauext.sources.reader import TOLD_AFTER
 from tauext.sources.servo import ServoSource
 from tauext.sources.servo_bus_file import ServoJoint
 from tauext.sources.servo_series import DYNAMIXEL, FEETECH

@@ -110,7 +110,7 @@ def run_robot(options: argparse.Namespace) -> None:
 def run_monitor(options: argparse.Namespace) -> None:
     """The loop of `tauext monitor`, until nothing has come for a while."""
     from tauext.monitor.loop import Loop
-    from tauext.sources.ros2_publisher import connect
+    from tauext.sources.ros2 import connect
 
     source, publisher = connect(settings(reliability=options.reliability))
 

@@ -18,7 +18,7 @@ from tauext import _core
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.profiles import load_profiles
 from tauext.monitor.sink import Event
-from tauext.sources.ros2_publisher import connect
+from tauext.sources.ros2 import connect
 from tauext.sources.ros2_settings import Ros2Settings
 
 SOURCE = Path(__file__).parent / "interop" / "fastdds_peer.cpp"

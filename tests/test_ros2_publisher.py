@@ -28,6 +28,7 @@ from tauext.errors import ConfigError
 from tauext.monitor.changes import HealthChange
 from tauext.monitor.sink import Event, LoopReport, Publisher, Verdict
 from tauext.monitor.source import Sample, SourceCounts
+from tauext.sources.ros2 import connect
 from tauext.sources.ros2_messages import (
     ERROR,
     GRAPH_TYPES,
@@ -43,7 +44,6 @@ from tauext.sources.ros2_messages import (
     Vector3,
 )
 from tauext.sources.ros2_node import GRAPH_TOPIC, Node, quality
-from tauext.sources.ros2_publisher import connect
 from tauext.sources.ros2_settings import Ros2Settings
 
 JOINTS = ("shoulder", "elbow")

@@ -19,7 +19,7 @@ pytest.importorskip("cyclonedds")
 
 from tauext import _core
 from tauext.monitor.loop import Loop, LoopSettings
-from tauext.sources.ros2_publisher import connect
+from tauext.sources.ros2 import connect
 from tauext.sources.ros2_settings import Ros2Settings
 
 ROOT = Path(__file__).parent.parent

@@ -13,8 +13,8 @@ from cyclonedds._clayer import ddspy_write
 from tauext.errors import ConfigError
 from tauext.monitor.source import SourceSettings
 from tauext.sources import ros2_source
+from tauext.sources.ros2 import connect
 from tauext.sources.ros2_messages import JointState, Temperature
-from tauext.sources.ros2_publisher import connect
 from tauext.sources.ros2_settings import Ros2Settings
 from tauext.sources.ros2_source import LEARNT_FROM
 

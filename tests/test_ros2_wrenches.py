@@ -13,9 +13,9 @@ from tauext import _core
 from tauext.errors import ConfigError
 from tauext.monitor.sink import Verdict
 from tauext.monitor.source import Sample
+from tauext.sources.ros2 import connect
 from tauext.sources.ros2_messages import Float64MultiArray, WrenchStamped
 from tauext.sources.ros2_node import Node
-from tauext.sources.ros2_publisher import connect
 from tauext.sources.ros2_settings import Ros2Settings
 
 JOINTS = ("shoulder", "elbow")

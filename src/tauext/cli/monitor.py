@@ -71,7 +71,7 @@ def franka(target: str, options: SourceOptions, bundle: Bundle | None) -> Connec
 
 def ros2(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
     """ros2, joint states of a topic; torques, alarms and diagnostics go to others."""
-    from tauext.sources.ros2_publisher import connect
+    from tauext.sources.ros2 import connect
     from tauext.sources.ros2_settings import Ros2Settings
 
     source, publisher = connect(options.ros2 or Ros2Settings(), bundle)

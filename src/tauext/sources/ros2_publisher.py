@@ -45,7 +45,6 @@ from tauext.sources.ros2_messages import (
     WrenchStamped,
 )
 from tauext.sources.ros2_node import Conditions, Node
-from tauext.sources.ros2_settings import Ros2Settings
 from tauext.sources.ros2_source import Ros2Source
 
 # --- The monitor's state in diagnostic_msgs: what stands, in words, and the numbers behind it.
@@ -402,15 +401,3 @@ class Ros2Publisher:
     def _resume(self, asked: bool, by: str) -> None:
         if asked:
             self._control.resume(by)
-
-
-def connect(settings: Ros2Settings, bundle: _core.Bundle | None = None) -> tuple[Ros2Source, Ros2Publisher]:
-    """A source and a publisher that share one node; the bundle tells the forces at settings.wrench_frames.
-
-    Raises:
-        ConfigError: the domain cannot be joined, or the bundle has no such frame.
-    """
-    wrenches = Wrenches(settings.wrench_frames, bundle)
-    node, conditions = Node(settings), Conditions()
-    source = Ros2Source(node, conditions)
-    return source, Ros2Publisher(node, conditions, source, wrenches)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,6 +23,7 @@ from tauext.files.places import Place
 from tauext.files.plain_file import read_text
 from tauext.files.provenance import provenance, write_json
 from tauext.files.room import expect_folder
+from tauext.files.whole_file import expect_empty, new_folder
 from tauext.robot.capsules import write_shapes
 from tauext.robot.load import load_tree, robot_sha256
 from tauext.robot.write import Payload, write_placeholder, write_robot
@@ -356,16 +356,12 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
     """
     started = time.monotonic()
     arm = load_arm(arm_file)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ConfigError(f"{out}: is not empty; choose another folder or remove it")
+    expect_empty(out)
     expect_folder(out)
     sources = [source for path in paths for source in open_raw(path, arm.topics)]
     if arm.model is not None:
         load_tree(arm.model, joints=arm.robot.joints)  # names its faults before an hour is imported
-    part = out.with_name(out.name + ".part")
-    shutil.rmtree(part, ignore_errors=True)  # of an import that was killed
-    part.mkdir(parents=True)
-    try:
+    with new_folder(out) as part:
         if format == "lerobot":
             recordings = (_told(recording, say) for _, recording in recordings_of(sources, arm, ""))
             say(f"{export_lerobot(recordings, part)} episodes")
@@ -376,12 +372,6 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
         settings = {"arm": read_text(arm_file), "sources": [path.name for path in paths], "format": format}
         write_json(provenance("tauext import", settings, None), part / "run.json")
         write_json({"import_s": round(time.monotonic() - started, 3)}, part / "wall_time_s.json")
-        if out.exists():
-            out.rmdir()
-        part.rename(out)
-    except BaseException:
-        shutil.rmtree(part, ignore_errors=True)  # half a dataset serves nobody
-        raise
 
 
 def _robot_file(arm: Arm, out: Path, say: Say) -> Path:

@@ -11,10 +11,10 @@ from made_recordings import joint_rows, motion, write_bag
 
 from tauext.cli import main
 from tauext.data.dataset import load_split
-from tauext.data.dataset_writing import RawFacts, plan
 from tauext.data.description import parse_arm
 from tauext.data.free_motion import free_stretches
 from tauext.data.importers.open_raw import open_raw
+from tauext.data.importing import RawFacts, plan
 from tauext.data.recording_file import load_recording
 from tauext.errors import ConfigError, RobotError
 from tauext.robot.capsules import link_capsules

@@ -30,8 +30,7 @@ ORDER = {
 ALSO = {
     "robot/capsules": {"scipy"},
     "data/importers/ros": {"rosbags", "ruamel"},
-    "data/importers/hdf5": {"h5py"},
-    "data/importers/matlab": {"scipy"},
+    "data/importers/hdf5": {"h5py", "scipy"},
     "fit/torch_backend": {"torch"},
     "sources/ur": {"rtde_receive", "dashboard_client"},
     "sources/franka": {"pylibfranka"},

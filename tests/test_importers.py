@@ -187,7 +187,7 @@ def test_a_gzipped_csv_is_told_by_its_bytes_and_a_truncated_one_refused(tmp_path
     path.write_bytes(gzip.compress(csv_text().encode()))
     assert_table(path)
     path.write_bytes(path.read_bytes()[:-200])
-    with pytest.raises(RecordingError, match="run.dat: cannot be read to its end .*truncated"):
+    with pytest.raises(RecordingError, match="run.dat: cannot be read as CSV to its end .*truncated"):
         read(path)
 
 

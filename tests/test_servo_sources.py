@@ -28,10 +28,11 @@ from made_servos import (
 )
 
 from tauext.errors import ConfigError
-from tauext.monitor.loop import TOLD_AFTER, Loop, LoopSettings
+from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.reaction_file import Reaction
 from tauext.monitor.reactions import start_reactions
 from tauext.monitor.source import Stoppable
+from tauext.sources.reader import TOLD_AFTER
 from tauext.sources.servo import ServoSource
 from tauext.sources.servo_bus_file import ServoJoint
 from tauext.sources.servo_series import DYNAMIXEL, FEETECH

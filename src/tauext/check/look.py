@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -21,6 +21,7 @@ from tauext.check.examine import Diagnosis, examine, quick_look, unlabelled_cont
 from tauext.check.finding import CODES, Finding, Severity
 from tauext.data.dataset import stretches
 from tauext.data.free_motion import cut
+from tauext.data.importers.raw import short_list
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, FaultyDataError, TrainingError
 from tauext.files.copies import cache_folder, version_of
@@ -290,7 +291,7 @@ def told(findings: Sequence[Finding]) -> list[str]:
         joints = list(dict.fromkeys(f.joint for f in same if f.joint))
         recordings = list(dict.fromkeys(f.recording for f in same if f.recording))
         named = [f"joint{'s' * (len(joints) > 1)} {', '.join(joints)}"] if joints else []
-        named += [f"recording{'s' * (len(recordings) > 1)} {_few(recordings)}"] if recordings else []
+        named += [f"recording{'s' * (len(recordings) > 1)} {short_list(recordings, TOLD)}"] if recordings else []
         about = f" ({'; '.join(named)})" if named else ""
         lines.append(f"  {code}{about}: {CODES[code]}")
         for finding in same[:TOLD]:
@@ -316,10 +317,6 @@ def by_code(findings: Sequence[Finding]) -> dict[str, list[Finding]]:
     for finding in findings:
         found.setdefault(finding.code, []).append(finding)
     return found
-
-
-def _few(names: Sequence[str]) -> str:
-    return ", ".join(names[:TOLD]) + (f" and {len(names) - TOLD} more" if len(names) > TOLD else "")
 
 
 # --- All checks look at a share of what is learned from; the cheap ones, and for contacts, at every sample of it.
@@ -380,7 +377,8 @@ def look_at_training(
             diagnoses.append(examine(few, robot))
             return diagnoses[0].findings
 
-        tasks = [examined, *(_quick(one, limits_nm) for one in recordings)]
+        tasks: list[Callable[[], list[Finding]]] = [examined]
+        tasks += [partial(quick_look, one, limits_nm) for one in recordings]
         general, *quick = _in_parallel(tasks, workers, "look at the data", report)
         if any(a is not b for a, b in zip(few, recordings, strict=True)):
             general = [f for f in general if f.code not in TOO_FEW]
@@ -405,8 +403,12 @@ def look_at_calibration(files: Sequence[Place], limits_nm: np.ndarray | None, th
         digests = [f"{file.name} {digest}" for file, digest in zip(files, pool.map(file_digest, files), strict=True)]
 
     def find() -> list[Finding]:
-        tasks = [_quick_of(load, limits_nm) for load in stretches(files)]
-        found = _in_parallel(tasks, workers, "look at the calibration recordings", report)
+        def looked(load: Callable[[], Recording]) -> list[Finding]:
+            return quick_look(load(), limits_nm)
+
+        found = _in_parallel(
+            [partial(looked, load) for load in stretches(files)], workers, "look at the calibration recordings", report
+        )
         return [forgiven(finding) for of_recording in found for finding in of_recording]
 
     return Look(_worth_telling(remembered(["calibration", _words(limits_nm), *digests], find)))
@@ -465,14 +467,6 @@ def together(general: Sequence[Finding], quick: Iterable[Sequence[Finding]]) -> 
 
 def _worth_telling(findings: Iterable[Finding]) -> list[Finding]:
     return [finding for finding in findings if finding.severity != "note"]
-
-
-def _quick(recording: Recording, limits_nm: np.ndarray | None) -> Callable[[], list[Finding]]:
-    return lambda: quick_look(recording, limits_nm)
-
-
-def _quick_of(load: Callable[[], Recording], limits_nm: np.ndarray | None) -> Callable[[], list[Finding]]:
-    return lambda: quick_look(load(), limits_nm)
 
 
 def _in_parallel(

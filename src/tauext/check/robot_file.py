@@ -12,6 +12,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.check.finding import Finding
+from tauext.data.importers.raw import short_list
 from tauext.data.recording import Recording
 from tauext.errors import RobotError
 from tauext.robot.load import load_tree, robot_sha256
@@ -179,7 +180,7 @@ def changed_findings(recordings: Sequence[Recording], path: Path) -> list[Findin
     others = [r for r in recordings if r.robot_sha256 and r.robot_sha256 != now]
     if not others:
         return []
-    names = ", ".join(f"'{r.name}'" for r in others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
+    names = short_list((f"'{r.name}'" for r in others), 3)
     evidence = (
         f"{len(others)} of {len(recordings)} recordings ({names}) were made with a file of SHA-256 "
         f"{others[0].robot_sha256[:12]}..., {path.name} has {now[:12]}..."

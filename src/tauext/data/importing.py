@@ -2,24 +2,339 @@
 
 from __future__ import annotations
 
-import shutil
+import math
+import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from tauext.data.dataset_writing import recordings_of, write_dataset
+from tauext.data.assemble import assemble
+from tauext.data.dataset import SETS, Split, save_split, split_recordings
 from tauext.data.description import Arm, load_arm
+from tauext.data.free_motion import free_stretches, has_contact, length_s, within
 from tauext.data.importers.open_raw import open_raw
+from tauext.data.importers.raw import RawRecording
 from tauext.data.lerobot_folder import export_lerobot
 from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.plain_file import read_text
 from tauext.files.provenance import provenance, write_json
 from tauext.files.room import expect_folder
+from tauext.files.whole_file import expect_empty, new_folder
 from tauext.robot.capsules import write_shapes
 from tauext.robot.load import load_tree, robot_sha256
 from tauext.robot.write import Payload, write_placeholder, write_robot
+
+# --- Which stretch of which raw recording serves for what: as the description lists it, or by rule and said so.
+
+
+WHOLE_FROM = 6
+"""So many sources without contact or more are split as whole recordings; fewer are cut by time."""
+WHOLE_SETS = ("train", "validation", "test")
+FREE_SHARES = {"train": 0.8, "test": 0.2}
+TOUCHED_SHARES = {"train": 0.75, "collisions": 0.25}
+"""Of each source that is cut by time. None is for validation: the end of a run shows the same motion as its beginning,
+and `tauext train` does better with all of it, which it leaves out in turn."""
+LEAST_SET_S = 2.0
+"""A window and the observer's warm-up must fit into a set, [s]."""
+
+
+@dataclass(frozen=True)
+class RawFacts:
+    """What a plan needs to know of a raw recording."""
+
+    duration_s: float
+    touched: bool
+    """Whether a sample is in contact."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A stretch of a raw recording for one set, seconds from its first sample; its end is left out."""
+
+    set_name: str
+    raw: str
+    from_s: float = 0.0
+    to_s: float = math.inf
+
+    def __str__(self) -> str:
+        if self.from_s == 0 and self.to_s == math.inf:
+            return self.raw
+        return f"{self.raw}[{self.from_s:.4g}:{'' if self.to_s == math.inf else f'{self.to_s:.4g}'}]"
+
+
+def plan(arm: Arm, raws: Mapping[str, RawFacts], files: Mapping[str, Sequence[str]]) -> tuple[list[Claim], list[str]]:
+    """Claims on the raw recordings, and sentences that say by which rule.
+
+    Listed in [split]: as listed. Not listed: those with contacts are for collisions, others are split whole
+    (from 6 on, some for validation) or each by time with a gap; where every one has contacts, each is split by time
+    and its end kept whole for collisions.
+
+    Args:
+        raws: raw recordings, by name.
+        files: file name: names of the raw recordings in it.
+
+    Raises:
+        ConfigError: a listed one that is not there, or one stretch in two sets.
+    """
+    if arm.split.named:
+        return _listed(arm, raws, files)
+    touched = [name for name, facts in raws.items() if facts.touched]
+    free = [name for name in raws if name not in touched]
+    gap_s = arm.split.gap_s
+    said: list[str] = []
+    short: list[str] = []
+    claims = [Claim("collisions", name) for name in touched] if free else []
+    if len(free) >= WHOLE_FROM:
+        split = split_recordings(free, seed=0, minimum=WHOLE_FROM)
+        claims += [Claim(set_name, name) for set_name in WHOLE_SETS for name in getattr(split, set_name)]
+        said.append(f"{len(free)} sources without contact, split as whole recordings")
+    else:
+        shares = FREE_SHARES if free else TOUCHED_SHARES
+        spans = [(name, 0.0, raws[name].duration_s) for name in free or touched]
+        claims += _by_time(arm, spans, shares, short)
+        listed = ", ".join(f"{set_name} {share:.0%}" for set_name, share in shares.items())
+        count = f"{len(spans)} source{'s' * (len(spans) > 1)}"
+        kind = "without contact" if free else "with contacts, as all are"
+        said.append(
+            f"{count} {kind}: each split by time ({listed}) with a gap of {gap_s:g} s between the parts; test and "
+            "training come from one run, so errors on the test set flatter"
+        )
+        said += short
+    if not free:  # what is free in the collisions' stretch is free motion that nobody trained on
+        claims += [Claim("test", c.raw, c.from_s, c.to_s) for c in claims if c.set_name == "collisions"]
+    if free and touched:
+        said.append(f"{len(touched)} source{'s' * (len(touched) > 1)} with contacts: whole in collisions")
+    return claims, said
+
+
+def _listed(
+    arm: Arm, raws: Mapping[str, RawFacts], files: Mapping[str, Sequence[str]]
+) -> tuple[list[Claim], list[str]]:
+    claims = [
+        Claim(set_name, name, from_s, to_s)
+        for set_name in SETS
+        for text in getattr(arm.split, set_name)
+        for name, from_s, to_s in _parsed(arm, text, raws, files)
+    ]
+    said = ["split as listed in [split]"]
+    for k, one in enumerate(claims):
+        for other in claims[k + 1 :]:
+            apart = {one.set_name, other.set_name} == {"test", "collisions"} or one.raw != other.raw
+            if not apart and one.from_s < other.to_s and other.from_s < one.to_s:
+                raise ConfigError(
+                    f"{arm.path}: [split] {one.set_name}, {other.set_name} share a stretch of {one.raw} "
+                    f"({one}, {other}); a stretch belongs to one set (test and collisions may share one)"
+                )
+    unused = [name for name in raws if name not in {c.raw for c in claims}]
+    if unused:
+        said.append(f"in no set: {', '.join(unused)}")
+    return claims, said
+
+
+def _parsed(
+    arm: Arm, text: str, raws: Mapping[str, RawFacts], files: Mapping[str, Sequence[str]]
+) -> list[tuple[str, float, float]]:
+    """NAME or NAME[t0:t1], either end left out; NAME is a file's, or a source's where a file holds several."""
+    match = re.fullmatch(r"(.*?)(?:\[([0-9.]*):([0-9.]*)\])?", text)
+    assert match
+    name, first, last = match.groups()
+    names = files.get(name, [name] if name in raws else [])
+    if not names:
+        raise ConfigError(f"{arm.path}: [split] '{name}' is none of the sources: {', '.join(files)}")
+    try:
+        span = float(first or 0), float(last or math.inf)
+    except ValueError as error:
+        raise ConfigError(f"{arm.path}: [split] '{text}' must be NAME or NAME[t0:t1], in seconds") from error
+    if not span[0] < span[1]:
+        raise ConfigError(f"{arm.path}: [split] '{text}': its end must come after its beginning")
+    return [(one, *span) for one in names]
+
+
+def _by_time(
+    arm: Arm, spans: Sequence[tuple[str, float, float]], shares: Mapping[str, float], said: list[str]
+) -> list[Claim]:
+    """Successive claims of these shares on each span, with gaps that lie in no set.
+
+    A span that would leave a set of less than 2 s serves whole for the first set, and that is said.
+
+    Raises:
+        ConfigError: all spans are so short.
+    """
+    gap_s = arm.split.gap_s
+    claims, short = [], []
+    for name, from_s, to_s in spans:
+        of_span, begin = [], from_s
+        for k, (set_name, share) in enumerate(shares.items()):
+            end = begin + share * (to_s - from_s)
+            last = k == len(shares) - 1
+            span = begin + (gap_s / 2 if k else 0), to_s if last else end - gap_s / 2
+            of_span.append(Claim(set_name, name, *(round(at, 6) for at in span)))
+            begin = end
+        if min(c.to_s - c.from_s for c in of_span) < LEAST_SET_S:
+            short.append(name)
+            of_span = [Claim(next(iter(shares)), name, from_s, to_s)]
+        claims += of_span
+    if len(short) == len(spans):
+        longest = max(to_s - from_s for _, from_s, to_s in spans)
+        raise ConfigError(
+            f"{', '.join(short)}: {longest:.1f} s are too short to be split by time into parts of at least "
+            f"{LEAST_SET_S:g} s with gaps of {gap_s:g} s; record more, lower gap_s, or list whole files in [split]"
+        )
+    if short:
+        said.append(f"too short to be split by time, whole in {next(iter(shares))}: {', '.join(short)}")
+    return claims
+
+
+# --- From raw recordings to the recordings and the split of a dataset folder, a piece in memory at a time.
+
+
+LEAST_FREE_S = 2.0
+"""A shorter stretch between contacts is left out, [s]: a window and the observer's warm-up would not fit."""
+
+ROUNDED_S = 1.0
+"""An interval may end so much after its recording, [s]: whoever marks its end rounds up."""
+
+
+@dataclass
+class Imported:
+    """What an import found and wrote."""
+
+    split: Split
+    said: list[str] = field(default_factory=list)
+    """How the split came about, and what it lacks."""
+
+
+def recordings_of(
+    raws: Sequence[RawRecording], arm: Arm, robot_sha256: str
+) -> Iterator[tuple[RawRecording, Recording]]:
+    """Recordings of all raw ones, in their order and at one nominal rate: the description's, or the first one's.
+
+    Raises:
+        ConfigError: two raw recordings of one name; a contact in a recording that is not there, or beyond its end.
+    """
+    names = [raw.name for raw in raws]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(
+                f"{names.count(name)} sources are named '{name}'; rename their files so that names differ"
+            )
+    expect_sources(arm, raws)
+    rate_hz = arm.time.rate_hz
+    for raw in raws:
+        end_s = 0.0
+        for recording in assemble(raw, arm, robot_sha256, rate_hz):
+            rate_hz = recording.rate_hz
+            end_s = recording.provenance["start_s"] + length_s(recording)
+            yield raw, recording
+        if [other.path for other in raws].count(raw.path) == 1:  # else an interval may be another one's of the file
+            expect_within(arm, raw, end_s)
+
+
+def expect_sources(arm: Arm, raws: Sequence[RawRecording]) -> None:
+    """Raise ConfigError where contacts are given of what is no source: they would be trained on as free motion."""
+    known = dict.fromkeys(name for raw in raws for name in (raw.path.name, raw.name))
+    for name in arm.contact.intervals:
+        if name not in known:
+            files = dict.fromkeys(raw.path.name for raw in raws)
+            raise ConfigError(f"{arm.path}: [contact.intervals] '{name}' is none of the sources: {', '.join(files)}")
+
+
+def expect_within(arm: Arm, raw: RawRecording, end_s: float) -> None:
+    """Raise ConfigError where a contact lies beyond the end of its recording: it was meant elsewhere."""
+    for begin, end in arm.contact.intervals.get(raw.path.name, arm.contact.intervals.get(raw.name, ())):
+        if begin < 0 or begin >= end_s or end > end_s + ROUNDED_S:
+            raise ConfigError(
+                f"{arm.path}: [contact.intervals] '{raw.path.name}' = [{begin:g}, {end:g}] must lie within the "
+                f"recording, 0 to {end_s:.6g} s after its first sample"
+            )
+
+
+def write_dataset(
+    raws: Sequence[RawRecording], arm: Arm, robot_sha256: str, folder: Path, report: Callable[[Recording], object]
+) -> Imported:
+    """Write recordings and split.json; contacts are cut out of every set but collisions.
+
+    Args:
+        folder: exists.
+        report: called with each recording as it was imported, before it is cut.
+
+    Raises:
+        ConfigError, RecordingError: as assemble and plan.
+    """
+    pieces: dict[str, list[Path]] = {raw.name: [] for raw in raws}
+    files: dict[str, list[str]] = {}
+    duration, touched = dict.fromkeys(pieces, 0.0), dict.fromkeys(pieces, False)
+    for raw, recording in recordings_of(raws, arm, robot_sha256):
+        path = folder / f"{recording.name}.parquet"
+        save_recording(recording, path)
+        report(recording)
+        pieces[raw.name].append(path)
+        duration[raw.name] = recording.provenance["start_s"] + length_s(recording)
+        touched[raw.name] |= has_contact(recording)
+    for raw in raws:
+        files.setdefault(raw.path.name, []).append(raw.name)
+    facts = {name: RawFacts(duration[name], touched[name]) for name in pieces}
+    claims, said = plan(arm, facts, files)
+    written: dict[str, list[str]] = {set_name: [] for set_name in SETS}
+    for name, paths in pieces.items():
+        for path in paths:
+            _cut(path, [c for c in claims if c.raw == name], arm, written)
+    said += [f"{set_name}: {', '.join(names)}" for set_name, names in written.items() if names]
+    if written["train"] and not written["validation"]:
+        said.append("validation is empty: train finds limits on training motion that it leaves out of the fit in turn")
+    for set_name in ("train", "test"):
+        if not written[set_name]:
+            why = (
+                f"no stretch of {LEAST_FREE_S:g} s between contacts"
+                if any(c.set_name == set_name for c in claims)
+                else "no source"
+            )
+            said.append(f"{set_name} is empty ({why}): this dataset serves where no {set_name} set is needed")
+    split = Split(**{set_name: tuple(names) for set_name, names in written.items()})
+    save_split(split, folder)
+    return Imported(split, said)
+
+
+def _cut(path: Path, claims: list[Claim], arm: Arm, written: dict[str, list[str]]) -> None:
+    """Write the claimed stretches of one piece; the piece itself stays where it is claimed whole, or by nobody."""
+    if not claims:
+        return
+    piece = load_recording(path)
+    used = 0
+    for claim in claims:
+        suffix = "" if sum(c.raw == claim.raw for c in claims) == 1 else f"-{claim.set_name}"
+        stretch = within(piece, claim.from_s, claim.to_s, f"{piece.name}{suffix or '-set_name'}")
+        if stretch is None:
+            continue
+        whole = [stretch]
+        if claim.set_name != "collisions" and arm.contact.cut:
+            whole = free_stretches(stretch, arm.contact.before_s, arm.contact.after_s, LEAST_FREE_S)
+        for recording in whole:
+            if f"{recording.name}.parquet" in (name for names in written.values() for name in names):
+                recording = _renamed(recording, written)
+            used += recording.name == piece.name
+            if recording.name != piece.name:
+                save_recording(recording, path.with_name(f"{recording.name}.parquet"))
+            written[claim.set_name].append(f"{recording.name}.parquet")
+    if not used:
+        path.unlink()
+
+
+def _renamed(recording: Recording, written: dict[str, list[str]]) -> Recording:
+    """Under a name that is not taken: one raw recording may give a set several stretches."""
+    taken = {name for names in written.values() for name in names}
+    number = 2
+    while f"{recording.name}-{number}.parquet" in taken:
+        number += 1
+    return replace(recording, name=f"{recording.name}-{number}")
+
+
+# --- The import stage.
+
 
 Say = Callable[[str], object]
 
@@ -41,16 +356,12 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
     """
     started = time.monotonic()
     arm = load_arm(arm_file)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ConfigError(f"{out}: is not empty; choose another folder or remove it")
+    expect_empty(out)
     expect_folder(out)
     sources = [source for path in paths for source in open_raw(path, arm.topics)]
     if arm.model is not None:
         load_tree(arm.model, joints=arm.robot.joints)  # names its faults before an hour is imported
-    part = out.with_name(out.name + ".part")
-    shutil.rmtree(part, ignore_errors=True)  # of an import that was killed
-    part.mkdir(parents=True)
-    try:
+    with new_folder(out) as part:
         if format == "lerobot":
             recordings = (_told(recording, say) for _, recording in recordings_of(sources, arm, ""))
             say(f"{export_lerobot(recordings, part)} episodes")
@@ -61,12 +372,6 @@ def import_dataset(paths: Sequence[Path], arm_file: Place, out: Path, format: st
         settings = {"arm": read_text(arm_file), "sources": [path.name for path in paths], "format": format}
         write_json(provenance("tauext import", settings, None), part / "run.json")
         write_json({"import_s": round(time.monotonic() - started, 3)}, part / "wall_time_s.json")
-        if out.exists():
-            out.rmdir()
-        part.rename(out)
-    except BaseException:
-        shutil.rmtree(part, ignore_errors=True)  # half a dataset serves nobody
-        raise
 
 
 def _robot_file(arm: Arm, out: Path, say: Say) -> Path:

@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
+from tauext.data.importers.raw import RawRecording, RawSignals
 from tauext.data.recording import Recording
 from tauext.errors import RecordingError
 from tauext.files.plain_file import json_of, read_text
@@ -188,6 +189,37 @@ def columns_of(folder: LerobotFolder, rows: pa.Table) -> dict[str, np.ndarray]:
 def frame_stamps(frames: np.ndarray, fps: float) -> np.ndarray:
     """Times of frames, frame_index / fps, as int64 [ns]: LeRobot's own `timestamp` is that in single precision."""
     return np.round(np.asarray(frames, dtype=np.float64) * (1e9 / fps)).astype(np.int64)
+
+
+def open_lerobot(path: Path) -> list[RawRecording]:
+    """Every episode of a LeRobot dataset as a raw recording; element `name` of a feature is `feature[name]`.
+
+    Times are those of the feature `t_ns` where there is one (tauext writes it), else frame_index / fps. `goal[name]` is
+    the goal that was followed: see columns_of().
+
+    Raises:
+        RecordingError: another version, a file missing or damaged.
+    """
+    folder = open_folder(path)
+    return [raw_episode(folder, number) for number in folder.lengths]
+
+
+def raw_episode(folder: LerobotFolder, number: int) -> RawRecording:
+    """One episode; its frames are read when its blocks are asked for."""
+
+    def blocks() -> Iterator[RawSignals]:
+        rows = episode_rows(folder, number)
+        with readable(folder.path, f"episode {number}"):
+            columns = columns_of(folder, rows)
+            if "t_ns" in rows.column_names:
+                t_ns = rows.column("t_ns").to_numpy().astype(np.int64)
+            else:
+                t_ns = frame_stamps(columns["frame_index"], folder.fps)
+            signals = RawSignals("", tuple(columns), t_ns, np.column_stack(list(columns.values())))
+        yield signals
+
+    name = f"{folder.path.name}-episode-{number:03d}"
+    return RawRecording(name, folder.path, f"LeRobot {folder.version.split('.')[0]} dataset", blocks)
 
 
 # --- Recordings as a LeRobot v3 dataset folder: an episode each.

@@ -9,7 +9,8 @@ import numpy as np
 
 from tauext.errors import ConfigError
 from tauext.files.places import Place
-from tauext.files.plain_file import json_of, read_text
+from tauext.files.plain_file import read_json
+from tauext.files.toml_file import number, read_table
 
 # --- Servos by their names: constants of motor, position controller and registers, with where they come from.
 
@@ -78,9 +79,13 @@ SERVO_TYPES = {
 # --- Angles of servos by a LeRobot calibration file: of counts, of values from -100 to 100 or 0 to 100, of degrees.
 
 
-KEYS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 LARGEST_COUNT = 1 << 20
 """256 turns: no joint's."""
+COUNT = number(-LARGEST_COUNT, LARGEST_COUNT, whole=True)
+KEYS = {
+    "id": number(0, 252, whole=True), "drive_mode": number(0, 255, whole=True),
+    "homing_offset": COUNT, "range_min": COUNT, "range_max": COUNT,
+}  # fmt: skip
 ROUNDING = 1e-3
 """Values are stored as float32; [their unit]."""
 
@@ -110,9 +115,9 @@ class MotorCalibration:
         """Where the angle is 0, [counts]."""
         return (self.range_min + self.range_max) / 2
 
-    def radians_of_counts(self, counts: np.ndarray, counts_a_turn: int = COUNTS_A_TURN) -> np.ndarray:
+    def radians_of_counts(self, counts: np.ndarray) -> np.ndarray:
         """Angles [rad] of positions or goals [counts] as the servo has them after its homing; any shape."""
-        return (np.asarray(counts, dtype=np.float64) - self.middle) * (2 * math.pi / counts_a_turn)
+        return (np.asarray(counts, dtype=np.float64) - self.middle) * (2 * math.pi / COUNTS_A_TURN)
 
     def counts_of_normalised(self, values: np.ndarray, lowest: float = -100.0, turned: bool = True) -> np.ndarray:
         """Counts of LeRobot's normalised values: lowest (-100, or 0 of a gripper) at range_min, 100 at range_max.
@@ -135,36 +140,13 @@ class MotorCalibration:
             values = 100 + lowest - values
         return (values - lowest) / (100 - lowest) * (self.range_max - self.range_min) + self.range_min
 
-    def counts_of_degrees(self, values: np.ndarray, counts_a_turn: int = COUNTS_A_TURN) -> np.ndarray:
-        """Counts of LeRobot's degrees, 360 of which are one count less than a turn: it divides by 4095. NaN stays.
-
-        Raises:
-            ConfigError: a value of over 64 turns, so that these are other units.
-        """
-        values = np.asarray(values, dtype=np.float64)
-        if np.any(np.abs(values) > 64 * 360):
-            raise ConfigError(f"motor {self.name!r}: {np.nanmax(np.abs(values)):g} degrees are over 64 turns")
-        return values * (counts_a_turn - 1) / 360 + self.middle
-
     def radians_of_normalised(
-        self,
-        values: np.ndarray,
-        lowest: float = -100.0,
-        turned: bool = True,
-        sent: bool = False,
-        counts_a_turn: int = COUNTS_A_TURN,
+        self, values: np.ndarray, lowest: float = -100.0, turned: bool = True, sent: bool = False
     ) -> np.ndarray:
         """Angles [rad] of normalised values as they are stored, in float32: of the nearest count, which the servo had
         measured, or, sent, of the one that LeRobot made of a goal: it leaves the fraction off."""
         counts = self.counts_of_normalised(values, lowest, turned)
-        return self.radians_of_counts(np.trunc(counts) if sent else np.rint(counts), counts_a_turn)
-
-    def radians_of_degrees(
-        self, values: np.ndarray, sent: bool = False, counts_a_turn: int = COUNTS_A_TURN
-    ) -> np.ndarray:
-        """Angles [rad] of LeRobot's degrees; counts as radians_of_normalised() has them."""
-        counts = self.counts_of_degrees(values, counts_a_turn)
-        return self.radians_of_counts(np.trunc(counts) if sent else np.rint(counts), counts_a_turn)
+        return self.radians_of_counts(np.trunc(counts) if sent else np.rint(counts))
 
 
 def load_lerobot_calibration(path: Place) -> dict[str, MotorCalibration]:
@@ -173,12 +155,7 @@ def load_lerobot_calibration(path: Place) -> dict[str, MotorCalibration]:
     Raises:
         ConfigError: names the file, the motor and the rule that is broken.
     """
-    try:
-        content = json_of(read_text(path))
-    except FileNotFoundError as error:
-        raise ConfigError(f"{path}: there is no such LeRobot calibration file") from error
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: no LeRobot calibration file: not readable as JSON ({error})") from error
+    content = read_json(path, "there is no such LeRobot calibration file", "no LeRobot calibration file: ")
     if not isinstance(content, dict) or not content:
         raise ConfigError(f"{path}: no LeRobot calibration file: must be motors by their names, is {content!r:.60}")
     motors = {name: _motor(path, name, table) for name, table in content.items()}
@@ -190,19 +167,8 @@ def load_lerobot_calibration(path: Place) -> dict[str, MotorCalibration]:
 
 
 def _motor(path: Place, name: str, table: object) -> MotorCalibration:
-    if not isinstance(table, dict) or set(KEYS) - set(table):
-        raise ConfigError(f"{path}: motor {name!r} must have {', '.join(KEYS)}, is {table!r:.100}")
-    for key in KEYS:
-        value = table[key]
-        if isinstance(value, bool) or not isinstance(value, int) or abs(value) > LARGEST_COUNT:
-            raise ConfigError(
-                f"{path}: motor {name!r}: {key} = {value!r} must be a whole number of at most {LARGEST_COUNT}"
-            )
-    motor = MotorCalibration(name, *(table[key] for key in KEYS))
-    if not 0 <= motor.id <= 252:
-        raise ConfigError(f"{path}: motor {name!r}: id = {motor.id} must be 0 to 252")
-    if not 0 <= motor.drive_mode <= 255:
-        raise ConfigError(f"{path}: motor {name!r}: drive_mode = {motor.drive_mode} must be 0 to 255")
+    keys = {key: table[key] for key in KEYS if key in table} if isinstance(table, dict) else table
+    motor = MotorCalibration(name, **read_table(path, f"motor {name!r}:", keys, KEYS))
     if motor.range_min >= motor.range_max:
         raise ConfigError(
             f"{path}: motor {name!r}: range_min = {motor.range_min} must be below range_max = {motor.range_max}"

@@ -66,6 +66,24 @@ def json_of(text: str | bytes, parse_constant: Callable[[str], Any] | None = Non
         raise ValueError("it is nested too deeply") from None
 
 
+def read_json(path: Place, missing: str = "there is no such file", kind: str = "") -> Any:
+    """The value in a JSON file.
+
+    Args:
+        missing: what a message says where there is no file.
+        kind: of file, for messages: `no LeRobot calibration file: `.
+
+    Raises:
+        ConfigError: there is no such file, or it is not JSON.
+    """
+    try:
+        return json_of(read_text(path))
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path}: {missing}") from error
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: {kind}not readable as JSON ({error})") from error
+
+
 def toml_of(text: str) -> dict[str, Any]:
     """The content of a TOML text; ValueError where it is none."""
     try:

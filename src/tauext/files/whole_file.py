@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from tauext.errors import ConfigError
 from tauext.files.copies import in_order, put, written_as
 from tauext.files.places import Place
 
@@ -39,6 +40,34 @@ def whole_files(*paths: Place) -> Iterator[tuple[Path, ...]]:
             with suppress(OSError):
                 part.unlink(missing_ok=True)
         raise
+
+
+def expect_empty(folder: Path) -> None:
+    """Raise ConfigError where there is something of this name, other than an empty folder."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ConfigError(f"{folder}: is not empty; choose another folder or remove it")
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """A folder NAME.part beside it to write into, which takes its name at the end; removed where writing fails.
+
+    Raises:
+        ConfigError: the folder is not empty, or cannot be written.
+    """
+    expect_empty(folder)
+    part = folder.with_name(folder.name + ".part")
+    shutil.rmtree(part, ignore_errors=True)  # of a run that was killed
+    part.mkdir(parents=True)
+    try:
+        yield part
+        if folder.exists():
+            folder.rmdir()
+        part.rename(folder)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written ({error.strerror or error})") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from tauext.errors import RobotError
 from tauext.files.places import SHAPES_FILE
 from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import write_json
-from tauext.robot.load import carriers, choose_joints, compiled, frame_of_joint
+from tauext.robot.load import compiled, placed_bodies
 from tauext.robot.write import PAYLOAD
 
 # --- Shapes of parts of links: capsules, or surfaces that are to become some.
@@ -381,22 +381,11 @@ def link_capsules(path: str | os.PathLike[str], tree: Tree) -> tuple[list[Capsul
     path = Path(path)
     kept = path.with_name(SHAPES_FILE)
     shapes = read_shapes(kept) if kept.is_file() else body_capsules(path)
-    model = compiled(path, keep_fixed=True)
-    choice = choose_joints(model, [link.joint_name for link in tree.links], {}, str(path))
-    data = mujoco.MjData(model)
-    data.qpos[:] = choice.qpos
-    mujoco.mj_kinematics(model, data)
-    carrier = carriers(model, choice.joint_ids)
     found: dict[int, list[Capsule]] = {}
-    for body, link in enumerate(carrier):
-        if link < 0:
-            continue
-        axes, origin = frame_of_joint(data, choice.joint_ids[link])
-        turned = axes.T @ np.array(data.xmat[body]).reshape(3, 3)
-        place = axes.T @ (np.array(data.xpos[body]) - origin)
-        for start, end, radius in shapes.bodies.get(model.body(body).name, []):
-            ends = [(place + turned @ np.array(one)).tolist() for one in (start, end)]
-            found.setdefault(link, []).append(Capsule(link, ends[0], ends[1], radius))
+    for body in placed_bodies(path, tree)[2]:
+        for start, end, radius in shapes.bodies.get(body.name, []):
+            ends = [(body.translation + body.rotation @ np.array(one)).tolist() for one in (start, end)]
+            found.setdefault(body.link, []).append(Capsule(body.link, ends[0], ends[1], radius))
     capsules = []
     for link in sorted(found):
         largest = sorted(found[link], key=area_m2, reverse=True)[:MOST_A_LINK]

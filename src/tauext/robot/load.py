@@ -125,9 +125,7 @@ def make_tree(
     Raises:
         RobotError: a link that moves has no mass, or a number of it makes no sense.
     """
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
+    data = posed(model, qpos)
     carrier = carriers(model, joint_ids)
     parents = [_parent(model, joint, joint_ids, carrier) for joint in joint_ids]
     frames, origins = zip(*(frame_of_joint(data, joint) for joint in joint_ids), strict=True)
@@ -162,6 +160,47 @@ def make_tree(
 def frame_of_joint(data: mujoco.MjData, joint: int) -> tuple[np.ndarray, np.ndarray]:
     """Rotation and origin, in the base, of the link's frame that this joint moves, at the pose of `data`."""
     return _frame_along(np.array(data.xaxis[joint])), np.array(data.xanchor[joint])
+
+
+@dataclass(frozen=True)
+class PlacedBody:
+    """A body of the model that a joint in use moves, as seen from the core's frame of its link."""
+
+    number: int
+    name: str
+    link: int
+    rotation: np.ndarray
+    """(3, 3), link from body."""
+    translation: np.ndarray
+    """(3,), [m]."""
+
+
+def placed_bodies(path: Path, tree: Tree) -> tuple[mujoco.MjModel, list[int], list[PlacedBody]]:
+    """The model of a robot file with its fixed links, the tree's joints in it, and the bodies that these move.
+
+    Args:
+        path: URDF or MJCF that the tree is of.
+        tree: says which joints are in use.
+    """
+    model = compiled(path, keep_fixed=True)
+    choice = choose_joints(model, [link.joint_name for link in tree.links], {}, str(path))
+    data = posed(model, choice.qpos)
+    found = []
+    for body, link in enumerate(carriers(model, choice.joint_ids)):
+        if link >= 0:
+            axes, origin = frame_of_joint(data, choice.joint_ids[link])
+            turned = axes.T @ np.array(data.xmat[body]).reshape(3, 3)
+            place = axes.T @ (np.array(data.xpos[body]) - origin)
+            found.append(PlacedBody(body, model.body(body).name, link, turned, place))
+    return model, choice.joint_ids, found
+
+
+def posed(model: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
+    """Where everything is in this pose."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    return data
 
 
 def _joints_of(model: mujoco.MjModel, body: int) -> range:

@@ -12,9 +12,8 @@ import numpy as np
 from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.toml_file import flag, number, numbers, one_of, read_table, read_toml, tables, text
-from tauext.monitor.loop import DropOuts
 from tauext.monitor.source import Sample, SourceSettings
-from tauext.sources.reader import ReaderSource, Ticks, Unreachable, optional_library
+from tauext.sources.reader import BusSource, Ticks, Unreachable, optional_library
 
 # --- What a CAN bus of Damiao motors carries: their ids, zeros and directions by joint, from a file.
 
@@ -75,18 +74,6 @@ class CanBusFile:
     """Ask each motor for its state; False: another program commands them, their answers are overheard, and nothing is
     sent: a question for ranges, too, would be answered where that program expects a state."""
 
-    def of(self, names: tuple[str, ...]) -> list[CanMotor]:
-        """The motors of these joints.
-
-        Raises:
-            ConfigError: one is not in the file.
-        """
-        for name in names:
-            if name not in self.motors:
-                there = ", ".join(self.motors)
-                raise ConfigError(f"{self.path}: joint '{name}' of the bundle is missing; there are {there}")
-        return [self.motors[name] for name in names]
-
 
 def load_can_bus(path: Place) -> CanBusFile:
     """A file like
@@ -146,7 +133,7 @@ FAULTS = {
 """Upper half of a state's first byte; 0 and 1: disabled, enabled."""
 
 
-class DamiaoSource(ReaderSource):
+class DamiaoSource(BusSource):
     """Position, speed, torque [N m] and temperature of the windings, a state of each motor a period: 16, 12 and 12 bits
     over the ranges that the motor itself names.
 
@@ -162,15 +149,13 @@ class DamiaoSource(ReaderSource):
         self.answer_s = ANSWER_S
 
     def open(self, settings: SourceSettings) -> None:
-        self.robot_joints = len(settings.joints)
-        self._motors = self._file.of(settings.joints)
+        self._motors = self.motors_of(settings, self._file.path, self._file.motors)
         if any(unit not in ("N m", "N") for unit in settings.torque_units):
             raise ConfigError(f"{self.name} reports torque in N m, the bundle takes {', '.join(settings.torque_units)}")
         if settings.servo is not None and settings.servo.on and settings.servo.torque_from.name != "torque":
             wanted = settings.servo.torque_from.name.replace("_", "-")
             raise ConfigError(f"{self.name} reports torque, the bundle takes its torque from {wanted}")
         self._which = {(one.answer_id, one.id & 0xF): k for k, one in enumerate(self._motors)}
-        self._drop_outs = DropOuts({one.id: str(one) for one in self._motors}, self._note)
         self._faults = [0] * len(self._motors)
         self._states: dict[int, bytes] = {}
         super().open(settings)
@@ -217,12 +202,6 @@ class DamiaoSource(ReaderSource):
             self._bus.shutdown()
             self._bus = None
 
-    def close(self) -> None:
-        super().close()
-        if self._motors and (summary := self._drop_outs.summary()):
-            self._note(f"{self.name}: {summary}")
-            self._drop_outs.forget()
-
     # Inside.
 
     def _count_lost(self, t_ns: int) -> None:
@@ -248,8 +227,7 @@ class DamiaoSource(ReaderSource):
         return self._whole(self._begun_ns, states)
 
     def _whole(self, t_ns: int, states: dict[int, bytes]) -> Sample | None:
-        if not self._drop_outs.whole([self._motors[k].id for k in states], 0):
-            self.counts.refused += 1
+        if not self._all_came([self._motors[k].id for k in states]):
             self._last_ns = t_ns  # it came, and is not lost
             return None
         data = np.array([list(states[k]) for k in range(len(self._motors))])

@@ -6,8 +6,8 @@ import copy
 import json
 import os
 import shutil
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -18,13 +18,14 @@ import pyarrow.parquet as pq
 
 from tauext import _core
 from tauext.data.description import Arm
-from tauext.data.importers.lerobot import raw_episode
 from tauext.data.importers.raw import RawSignals
-from tauext.data.lerobot_folder import INFO, STATE, LerobotFolder, open_folder, readable
+from tauext.data.lerobot_folder import INFO, STATE, LerobotFolder, open_folder, raw_episode, readable
+from tauext.data.recording import runs_of
 from tauext.data.servo import velocity_and_torque
 from tauext.errors import ConfigError, RecordingError, TauextError
 from tauext.files.plain_file import json_of, read_text
 from tauext.files.room import expect_folder
+from tauext.files.whole_file import expect_empty, new_folder
 from tauext.progress import Reporter
 from tauext.sources.lerobot_frames import UNKNOWN, Labels, ServoFrames, bare_name, element_names, expect_rate, labels_of
 
@@ -120,12 +121,9 @@ def _set(table: pa.Table, feature: str, values: np.ndarray) -> pa.Table:
     if there < 0 and values.shape[1] == 1:
         return table.append_column(feature, flat)
     kind = table.schema.field(there).type if there >= 0 else None
-    if kind is not None and pa.types.is_list(kind):
-        offsets = pa.array(np.arange(0, values.size + 1, values.shape[1], dtype=np.int32))
-        column = pa.ListArray.from_arrays(offsets, flat)
-    elif kind is not None and pa.types.is_large_list(kind):
-        offsets = pa.array(np.arange(0, values.size + 1, values.shape[1], dtype=np.int64))
-        column = pa.LargeListArray.from_arrays(offsets, flat)
+    if kind is not None and (pa.types.is_list(kind) or pa.types.is_large_list(kind)):
+        size, lists = (np.int32, pa.ListArray) if pa.types.is_list(kind) else (np.int64, pa.LargeListArray)
+        column = lists.from_arrays(pa.array(np.arange(0, values.size + 1, values.shape[1], dtype=size)), flat)
     else:
         column = pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
     return table.append_column(feature, column) if there < 0 else table.set_column(there, feature, column)
@@ -249,14 +247,13 @@ def label_dataset(
     """
     folder = open_folder(dataset)
     expect_rate(bundle, folder.fps)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ConfigError(f"{out}: is not empty; choose another folder or remove it")
+    expect_empty(out)
     if out.resolve().is_relative_to(dataset.resolve()):
         raise ConfigError(f"{out}: is inside the dataset; choose a folder beside it")
     expect_folder(out)
     plan = plan_features(folder, arm.names, into)
     work = Labelling(folder, bundle, arm, plan)
-    with appearing(out) as part:
+    with new_folder(out) as part:
         files = {file.relative_to(folder.path) for file in folder.data_files()}
         for file in sorted(path for path in folder.path.rglob("*") if path.is_file()):
             if (name := file.relative_to(folder.path)) not in files:
@@ -313,7 +310,7 @@ class Labelling:
         self.report.frames += len(labels.contact)
         self.report.unknown += int((labels.contact == UNKNOWN).sum())
         self.report.contact += int((labels.contact == 1).sum())
-        self.report.collisions += int((np.diff(np.r_[0, labels.collision == 1].astype(int)) == 1).sum())
+        self.report.collisions += len(runs_of(labels.collision == 1))
         self._stats[number] = episode_stats(labels.columns)
         return labels
 
@@ -389,23 +386,6 @@ def _whole(table: pa.Table, name: str) -> np.ndarray:
     if numbers.dtype.kind not in "iu":
         raise ValueError(f"{name} is not a whole number in every row")
     return numbers
-
-
-@contextmanager
-def appearing(out: Path) -> Iterator[Path]:
-    """A folder beside it to write into, which takes its name once all is written, and is removed where that fails."""
-    part = out.with_name(out.name + ".part")
-    shutil.rmtree(part, ignore_errors=True)  # of a run that was killed
-    part.mkdir(parents=True)
-    try:
-        yield part
-        if out.exists():
-            out.rmdir()
-        part.rename(out)
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be written ({error.strerror or error})") from error
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
 
 
 def _copy(source: Path, target: Path) -> None:

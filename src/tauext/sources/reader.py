@@ -7,12 +7,13 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 
 from tauext.errors import ConfigError
+from tauext.files.places import Place
 from tauext.monitor.source import Sample, SourceCounts, SourceSettings
 
 # --- Between the thread that receives samples and the loop: bounded, the newest wins, what is pushed out is counted.
@@ -186,6 +187,93 @@ class ReaderSource(ABC):
         if self._last_ns is not None:
             self.counts.lost += max(0, round((t_ns - self._last_ns) / self.settings.period_ns) - 1)
         self._last_ns = t_ns
+
+
+# --- Several motors on a bus, of which some may drop out.
+
+
+TOLD_AFTER = 5
+"""Readings in a row without a motor."""
+Motor = TypeVar("Motor")
+
+
+class DropOuts:
+    """Servos of one bus that do not answer: named when they drop out and when they are back, counted in between."""
+
+    def __init__(self, names: dict[int, str], note: Callable[[str], None]):
+        """names: of the servos by id."""
+        self._names, self._note = names, note
+        self._in_a_row = dict.fromkeys(names, 0)
+        self.missed = dict.fromkeys(names, 0)
+        """Readings without it, by id."""
+        self.corrupt = self.refused = 0
+        """Packets that could not be used; readings in which a servo was missing."""
+
+    def whole(self, came: Collection[int], corrupt: int) -> bool:
+        """Whether all servos came; counts those that did not."""
+        self.corrupt += corrupt
+        for id_, name in self._names.items():
+            if id_ not in came:
+                self.missed[id_] += 1
+                self._in_a_row[id_] += 1
+                if self._in_a_row[id_] == TOLD_AFTER:
+                    self._note(f"{name} does not answer: no sample until it does")
+            else:
+                if self._in_a_row[id_] >= TOLD_AFTER:
+                    self._note(f"{name} answers again, after {self._in_a_row[id_]} readings without it")
+                self._in_a_row[id_] = 0
+        missing = len(came) < len(self._names)
+        self.refused += missing
+        return not missing
+
+    def summary(self) -> str:
+        """In one line what was missing; empty: nothing was."""
+        if not self.refused:
+            return ""
+        by_name = ", ".join(f"{self._names[id_]} in {count}" for id_, count in self.missed.items() if count)
+        packets = f"; {self.corrupt} packets could not be used" if self.corrupt else ""
+        return f"a servo was missing in {self.refused} readings: {by_name}{packets}"
+
+    def forget(self) -> None:
+        """Begin to count anew."""
+        self.refused = self.corrupt = 0
+        self.missed = dict.fromkeys(self._names, 0)
+
+
+class BusSource(ReaderSource):
+    """A source that reads several motors of a bus."""
+
+    _drop_outs: DropOuts | None = None
+
+    def motors_of(self, settings: SourceSettings, path: Place, motors: Mapping[str, Motor]) -> list[Motor]:
+        """The motors of the bundle's joints, whose answers count from now on.
+
+        Args:
+            path: of the file that names the motors.
+
+        Raises:
+            ConfigError: one is not in the file.
+        """
+        for name in settings.joints:
+            if name not in motors:
+                raise ConfigError(f"{path}: joint '{name}' of the bundle is missing; there are {', '.join(motors)}")
+        found = [motors[name] for name in settings.joints]
+        self.robot_joints = len(found)
+        self._drop_outs = DropOuts({one.id: str(one) for one in found}, self._note)  # type: ignore[attr-defined]
+        return found
+
+    def _all_came(self, ids: Collection[int], corrupt: int = 0) -> bool:
+        """Whether all motors answered; counts the reading as refused where one did not."""
+        assert self._drop_outs is not None  # since open()
+        whole = self._drop_outs.whole(ids, corrupt)
+        self.counts.refused += not whole
+        return whole
+
+    def close(self) -> None:
+        super().close()
+        if self._drop_outs is not None and (summary := self._drop_outs.summary()):
+            self._note(f"{self.name}: {summary}")
+            self._drop_outs.forget()
 
 
 def sample_of(

@@ -10,9 +10,8 @@ import numpy as np
 
 from tauext.data.servo_types import COUNTS_A_TURN
 from tauext.errors import ConfigError
-from tauext.monitor.loop import DropOuts
 from tauext.monitor.source import Sample, SourceSettings
-from tauext.sources.reader import ReaderSource, Ticks, Unreachable
+from tauext.sources.reader import BusSource, Ticks, Unreachable
 from tauext.sources.servo_bus import ServoBus, ServoPort
 from tauext.sources.servo_bus_file import ServoBusFile, ServoJoint
 from tauext.sources.servo_series import Series
@@ -40,7 +39,7 @@ class Identity:
     """Of a count of its current; NaN: it measures none."""
 
 
-class ServoSource(ReaderSource):
+class ServoSource(BusSource):
     """Angles, speeds, goals, currents, duties, voltages and temperatures of the bundle's joints, a reading a period.
 
     A reading in which a servo is missing, or its packet corrupt, is left out and counted as refused. Reading never
@@ -61,10 +60,8 @@ class ServoSource(ReaderSource):
     # Of a source.
 
     def open(self, settings: SourceSettings) -> None:
-        self.robot_joints = len(settings.joints)
-        self._servos = self._file.of(settings.joints)
+        self._servos = self.motors_of(settings, self._file.path, self._file.joints)
         self._ids = [servo.id for servo in self._servos]
-        self._drop_outs = DropOuts({servo.id: str(servo) for servo in self._servos}, self._note)
         self._said: dict[int, int] = {}
         least_s = self.bus.transaction_s(len(self._ids), self._series.state[1])
         if least_s * 1e9 > settings.period_ns:
@@ -94,8 +91,7 @@ class ServoSource(ReaderSource):
             return None
         self.counts.lost += skipped
         reading = self.bus.read(*self._series.state, self._ids)
-        if not self._drop_outs.whole(reading.data.keys(), reading.corrupt):
-            self.counts.refused += 1
+        if not self._all_came(reading.data.keys(), reading.corrupt):
             return None
         for id_, error in reading.errors.items():
             self._complain(id_, error)
@@ -103,12 +99,6 @@ class ServoSource(ReaderSource):
 
     def disconnect(self) -> None:
         self.bus.port.close()
-
-    def close(self) -> None:
-        super().close()
-        if self._servos and (summary := self._drop_outs.summary()):
-            self._note(f"{self.name}: {summary}")
-            self._drop_outs.forget()
 
     def stop(self) -> None:
         """Holds: writes the goal position of every servo whose torque is on, its present position, and reads it back.

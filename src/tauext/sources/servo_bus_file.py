@@ -72,20 +72,6 @@ class ServoBusFile:
     joints: dict[str, ServoJoint]
     baud: int = BAUD
 
-    def of(self, names: tuple[str, ...]) -> list[ServoJoint]:
-        """The servos of these joints.
-
-        Raises:
-            ConfigError: one is not in the file.
-        """
-        for name in names:
-            if name not in self.joints:
-                raise ConfigError(f"{self.path}: joint '{name}' of the bundle is missing; there are {self._names()}")
-        return [self.joints[name] for name in names]
-
-    def _names(self) -> str:
-        return ", ".join(self.joints)
-
 
 def load_servo_bus(path: Place) -> ServoBusFile:
     """A bus file (TEMPLATE says what it may hold), or a LeRobot calibration file (*.json).

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tauext.data.importers.raw import RawRecording, RawSignals, short_list
+from tauext.data.importers.raw import RawRecording, RawSignals, readable, short_list
 from tauext.errors import RecordingError
 
 GZIP_MAGIC = b"\x1f\x8b"
@@ -51,11 +51,8 @@ def open_csv(path: Path) -> list[RawRecording]:
     Raises:
         RecordingError: now or while it is read: no table, truncated, or more than 1 % broken lines.
     """
-    try:
-        with _text(path) as file:
-            lines = [line for _ in range(20) if (line := file.readline())]
-    except (OSError, EOFError, zlib.error) as error:
-        raise _unreadable(path, error) from error
+    with readable(path, "CSV to its end", (OSError, EOFError, zlib.error)), _text(path) as file:
+        lines = [line for _ in range(20) if (line := file.readline())]
     with path.open("rb") as raw:
         marked = raw.read(3) == b"\xef\xbb\xbf"
     dialect = replace(_dialect(path, lines), marked=marked)
@@ -79,11 +76,6 @@ def _text(path: Path) -> Any:
         zipped = raw.read(2) == GZIP_MAGIC
     opened = gzip.open if zipped else open
     return opened(path, "rt", encoding="utf-8-sig", errors="replace", newline="")
-
-
-def _unreadable(path: Path, error: BaseException) -> RecordingError:
-    cause = " ".join(str(error).split())
-    return RecordingError(f"{path}: cannot be read to its end ({cause}); it is truncated or damaged: copy it again")
 
 
 def _dialect(path: Path, lines: list[str]) -> Dialect:
@@ -189,7 +181,7 @@ def _blocks(path: Path, dialect: Dialect, numeric: tuple[str, ...], counts: Coun
         counts[key] += 1
         return "skip"
 
-    try:
+    with readable(path, "CSV to its end", (pa.ArrowException, OSError)):
         reader = arrow_csv.open_csv(
             pa.input_stream(str(path), compression="gzip" if path.open("rb").read(2) == GZIP_MAGIC else None),
             read_options=arrow_csv.ReadOptions(
@@ -212,8 +204,6 @@ def _blocks(path: Path, dialect: Dialect, numeric: tuple[str, ...], counts: Coun
             rows += len(columns)
             columns = columns.astype(np.float64, copy=False)
             yield RawSignals("", numeric, _stamps_ns(numeric, columns), columns)
-    except (pa.ArrowException, OSError) as error:
-        raise _unreadable(path, error) from error
     if not rows:
         raise RecordingError(f"{path}: it has no rows under its names")
     if counts[key] > max(1, MOST_BROKEN * rows):

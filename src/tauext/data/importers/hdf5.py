@@ -1,7 +1,8 @@
-"""HDF5 files: named arrays to signals. MATLAB files of version 7.3 are HDF5 inside."""
+"""HDF5 and MATLAB files: named arrays to signals."""
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list
+from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, readable, short_list
 from tauext.errors import RecordingError
 
 # --- Named arrays of HDF5 and MATLAB files as one table: which of them are signals, and which way they lie.
@@ -71,11 +72,8 @@ def open_hdf5(path: Path, separator: str = "/", kind: str = "HDF5") -> list[RawR
     """
     import h5py
 
-    try:
-        with h5py.File(path) as file:
-            shapes = _numeric(file, separator)
-    except BROKEN as error:
-        raise _unreadable(path, kind, error) from error
+    with readable(path, kind, BROKEN), h5py.File(path) as file:
+        shapes = _numeric(file, separator)
     samples = sample_count(path, {name: shape for name, (_, shape) in shapes.items()})
     columns = {name: columns_of(name, shape, samples) for name, (_, shape) in shapes.items()}
     others = [f"{name} ({max(shape, default=1)})" for name, (_, shape) in shapes.items() if columns[name] is None]
@@ -83,14 +81,11 @@ def open_hdf5(path: Path, separator: str = "/", kind: str = "HDF5") -> list[RawR
 
     def blocks() -> Iterator[RawSignals]:
         names = tuple(name for array in columns.values() for name in array or ())
-        try:
-            with h5py.File(path) as file:
-                for first in range(0, samples, BLOCK_ROWS):
-                    rows = slice(first, min(first + BLOCK_ROWS, samples))
-                    parts = [_rows(file[shapes[a][0]], rows, samples) for a in columns if columns[a]]
-                    yield RawSignals("", names, None, np.column_stack(parts).astype(np.float64, copy=False))
-        except BROKEN as error:
-            raise _unreadable(path, kind, error) from error
+        with readable(path, kind, BROKEN), h5py.File(path) as file:
+            for first in range(0, samples, BLOCK_ROWS):
+                rows = slice(first, min(first + BLOCK_ROWS, samples))
+                parts = [_rows(file[shapes[a][0]], rows, samples) for a in columns if columns[a]]
+                yield RawSignals("", names, None, np.column_stack(parts).astype(np.float64, copy=False))
 
     return [RawRecording(path.stem, path, kind, blocks, notes)]
 
@@ -114,10 +109,56 @@ def _numeric(file: Any, separator: str) -> dict[str, tuple[str, tuple[int, ...]]
 def _rows(dataset: Any, rows: slice, samples: int) -> np.ndarray:
     if dataset.ndim == 1:
         return dataset[rows]
-    values = dataset[rows] if dataset.shape[0] == samples else dataset[:, rows].T
-    return values
+    return dataset[rows] if dataset.shape[0] == samples else dataset[:, rows].T
 
 
-def _unreadable(path: Path, kind: str, error: Exception) -> RecordingError:
-    cause = " ".join(str(error).split())
-    return RecordingError(f"{path}: cannot be read as {kind} ({cause}); it is truncated or damaged: copy it again")
+# --- MATLAB files: version 5 to 7 by SciPy, version 7.3 as the HDF5 that it is.
+
+
+MAGIC_5, MAGIC_73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
+
+
+def open_matlab(path: Path) -> list[RawRecording]:
+    """Arrays of a MATLAB file, in structs or not, as one raw recording; a field's name is `struct.field`.
+
+    Raises:
+        RecordingError: damaged, or without signals; MATLAB objects (timeseries, table) cannot be read.
+    """
+    with path.open("rb") as file:
+        if file.read(len(MAGIC_73)) == MAGIC_73:
+            return open_hdf5(path, ".", "MATLAB 7.3")
+    from scipy.io import loadmat
+
+    # SciPy meets damaged bytes with many types; an opaque object beside the data is no fault of the data.
+    with readable(path, "a MATLAB file", (Exception,)), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        content = loadmat(path, struct_as_record=False, squeeze_me=True)
+    arrays = {name: array for key, value in content.items() for name, array in _arrays(str(key), value)}
+    samples = sample_count(path, {name: array.shape for name, array in arrays.items()})
+    names: list[str] = []
+    columns: list[np.ndarray] = []
+    for name, array in arrays.items():
+        if held := columns_of(name, array.shape, samples):
+            names += held
+            columns.append(array if array.shape[0] == samples else array.T)
+    others = [
+        f"{name} ({max(array.shape)})"
+        for name, array in arrays.items()
+        if array.size > 1 and columns_of(name, array.shape, samples) is None
+    ]
+    notes = [f"arrays of another length than {samples} left out: {short_list(others)}"] if others else []
+
+    def blocks() -> Iterator[RawSignals]:
+        yield RawSignals("", tuple(names), None, np.column_stack(columns).astype(np.float64, copy=False))
+
+    return [RawRecording(path.stem, path, "MATLAB", blocks, notes)]
+
+
+def _arrays(name: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
+    if name.startswith("__"):
+        return
+    if isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+        yield name, value
+    elif hasattr(value, "_fieldnames"):
+        for field in value._fieldnames:
+            yield from _arrays(f"{name}.{field}", getattr(value, field))

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from tauext.data.importers import csv_table, hdf5, lerobot, matlab, parquet, ros
+from tauext.data import lerobot_folder
+from tauext.data.importers import csv_table, hdf5, parquet, ros
 from tauext.data.importers.raw import RawRecording
 from tauext.errors import RecordingError
 from tauext.files.plain_file import expect_file
@@ -27,8 +28,8 @@ def open_raw(path: Path | str, topics: Sequence[str] = ()) -> list[RawRecording]
     """
     path = Path(path)
     if path.is_dir():
-        if (path / lerobot.INFO).is_file():
-            return lerobot.open_lerobot(path)
+        if (path / lerobot_folder.INFO).is_file():
+            return lerobot_folder.open_lerobot(path)
         return ros.open_ros2(path, topics)
     try:
         expect_file(path)
@@ -46,8 +47,8 @@ def open_raw(path: Path | str, topics: Sequence[str] = ()) -> list[RawRecording]
         return ros.open_ros2(path, topics)
     if begin.startswith(parquet.MAGIC):
         return parquet.open_parquet(path)
-    if begin.startswith((matlab.MAGIC_5, matlab.MAGIC_73)):
-        return matlab.open_matlab(path)
+    if begin.startswith((hdf5.MAGIC_5, hdf5.MAGIC_73)):
+        return hdf5.open_matlab(path)
     if begin.startswith(hdf5.MAGIC):
         return hdf5.open_hdf5(path)
     if begin.startswith(csv_table.GZIP_MAGIC) or b"\0" not in begin:

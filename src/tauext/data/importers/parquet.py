@@ -10,10 +10,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list
+from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, readable, short_list
 from tauext.errors import RecordingError
 
 MAGIC = b"PAR1"
+BROKEN = (pa.ArrowException, OSError)
 
 
 def open_parquet(path: Path) -> list[RawRecording]:
@@ -22,12 +23,9 @@ def open_parquet(path: Path) -> list[RawRecording]:
     Raises:
         RecordingError: now or while it is read: damaged, or without numbers.
     """
-    try:
-        with pq.ParquetFile(path) as file:
-            names = [field.name for field in file.schema_arrow if _is_numeric(field.type)]
-            others = [field.name for field in file.schema_arrow if not _is_numeric(field.type)]
-    except (pa.ArrowException, OSError) as error:
-        raise _unreadable(path, error) from error
+    with readable(path, "Parquet", BROKEN), pq.ParquetFile(path) as file:
+        names = [field.name for field in file.schema_arrow if _is_numeric(field.type)]
+        others = [field.name for field in file.schema_arrow if not _is_numeric(field.type)]
     if not names:
         raise RecordingError(f"{path}: no column holds numbers; its columns are {', '.join(others)}")
     notes = [f"columns without numbers left out: {short_list(others)}"] if others else []
@@ -44,17 +42,14 @@ def parquet_blocks(path: Path, names: list[str]) -> Iterator[RawSignals]:
     Raises:
         RecordingError: damaged, or a list of changing length.
     """
-    try:
-        with pq.ParquetFile(path) as file:
-            if not file.metadata.num_rows:
-                raise RecordingError(f"{path}: it has no rows")
-            for batch in file.iter_batches(BLOCK_ROWS, columns=names):
-                columns: dict[str, np.ndarray] = {}
-                for name, column in zip(batch.schema.names, batch.columns, strict=True):
-                    columns |= _expanded(path, name, column)
-                yield RawSignals("", tuple(columns), None, np.column_stack(list(columns.values())))
-    except (pa.ArrowException, OSError) as error:
-        raise _unreadable(path, error) from error
+    with readable(path, "Parquet", BROKEN), pq.ParquetFile(path) as file:
+        if not file.metadata.num_rows:
+            raise RecordingError(f"{path}: it has no rows")
+        for batch in file.iter_batches(BLOCK_ROWS, columns=names):
+            columns: dict[str, np.ndarray] = {}
+            for name, column in zip(batch.schema.names, batch.columns, strict=True):
+                columns |= _expanded(path, name, column)
+            yield RawSignals("", tuple(columns), None, np.column_stack(list(columns.values())))
 
 
 def _is_numeric(kind: pa.DataType) -> bool:
@@ -76,8 +71,3 @@ def _expanded(path: Path, name: str, column: Any) -> dict[str, np.ndarray]:
 
 def _floats(column: Any) -> np.ndarray:
     return column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
-
-
-def _unreadable(path: Path, error: BaseException) -> RecordingError:
-    cause = str(error).splitlines()[0]
-    return RecordingError(f"{path}: cannot be read as Parquet ({cause}); it is truncated or damaged: copy it again")

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+
+from tauext.errors import RecordingError
 
 BLOCK_ROWS = 8192
 """Samples that an importer hands over at once: long enough for NumPy, short enough for memory."""
@@ -18,6 +21,23 @@ def short_list(names: Iterable[str], most: int = 8) -> str:
     names = list(names)
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
+
+
+@contextmanager
+def readable(
+    path: object,
+    kind: str,
+    broken: tuple[type[Exception], ...],
+    advice: str = "it is truncated or damaged: copy it again",
+) -> Iterator[None]:
+    """RecordingError in place of what a library raises on damaged bytes."""
+    try:
+        yield
+    except RecordingError:
+        raise
+    except broken as error:
+        cause = " ".join(str(error).split()) or type(error).__name__
+        raise RecordingError(f"{path}: cannot be read as {kind} ({cause}); {advice}") from error
 
 
 @dataclass(frozen=True)

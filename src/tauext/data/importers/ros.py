@@ -6,7 +6,7 @@ import re
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from itertools import islice
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals
+from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, readable
 from tauext.errors import RecordingError
 
 # --- ROS messages to columns: JointState in bulk where all have one layout, any other type by walking its fields.
@@ -267,6 +267,8 @@ def blocks_of(
 
 
 MAGIC = b"#ROSBAG V"
+BAG = ("a ROS 1 bag", (Exception,), "a bag that was not closed can be repaired: rosbag reindex")
+"""What rosbags meets in damaged bytes is of many types: struct, assertion, decompressor, its own."""
 
 
 def open_ros1(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
@@ -277,12 +279,12 @@ def open_ros1(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
     """
     from rosbags.rosbag1 import Reader
 
-    with _readable(path), Reader(path) as reader:
+    with readable(path, *BAG), Reader(path) as reader:
         wanted = chosen_topics(path, reader.connections, topics)
     counts: Counter[str] = Counter()
 
     def blocks() -> Iterator[RawSignals]:
-        with _readable(path), Reader(path) as reader:
+        with readable(path, *BAG), Reader(path) as reader:
             connections = [c for c in reader.connections if c.topic in wanted]
             clocks: dict[str, Clock] = {}
             yield from blocks_of(reader.messages(connections), False, _ros1_deserializer, clocks, counts)
@@ -296,25 +298,6 @@ def _ros1_deserializer(connection: Any) -> Callable[[bytes], Any]:
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
     return lambda raw: store.deserialize_ros1(raw, connection.msgtype)
-
-
-class _readable:
-    """The reader's own errors come out as RecordingError."""
-
-    def __init__(self, path: Path):
-        self._path = path
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
-        # What rosbags meets in damaged bytes is of many types: struct, assertion, decompressor, its own.
-        if isinstance(error, Exception) and not isinstance(error, RecordingError):
-            cause = " ".join(str(error).split()) or type(error).__name__
-            raise RecordingError(
-                f"{self._path}: cannot be read as a ROS 1 bag ({cause}); "
-                "a bag that was not closed can be repaired: rosbag reindex"
-            ) from error
 
 
 # --- ROS 2 bags: sqlite3 and MCAP files, alone or in the folder of a bag.
@@ -412,7 +395,7 @@ def _opened(file: Path | _Folder) -> Iterator[Any]:
     from rosbags.rosbag2.storage_mcap import McapReader
     from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-    try:
+    with readable(file, "a ROS 2 bag", (Exception,), REPAIR):
         if isinstance(file, _Folder):
             storage: Any = DirectoryReader(file.path)
         else:
@@ -421,15 +404,8 @@ def _opened(file: Path | _Folder) -> Iterator[Any]:
                 begin = raw.read(len(SQLITE_MAGIC))
             storage = McapReader(file) if begin.startswith(MCAP_MAGIC) else Sqlite3Reader(file)
         storage.open()
-        try:
+        with closing(storage):
             yield storage
-        finally:
-            storage.close()
-    except (RecordingError, GeneratorExit):
-        raise
-    except Exception as error:  # what rosbags meets in damaged bytes is of many types
-        what = " ".join(str(error).split()) or type(error).__name__
-        raise RecordingError(f"{file}: cannot be read as a ROS 2 bag ({what}); {REPAIR}") from error
 
 
 @cache

@@ -122,7 +122,7 @@ class FlightWriter:
 
     def __init__(self, recorder: _core.FlightRecorder, write: Callable[[Flight], Path], poll_s: float = POLL_S):
         """write: writes one flight and returns its path; raises TauextError where it cannot."""
-        self._recorder, self._write, self._poll_s = recorder, write, poll_s
+        self.recorder, self._write, self._poll_s = recorder, write, poll_s
         self._waiting: deque[Flight] = deque()
         self._news: deque[FlightNews] = deque()
         self._taking = threading.Lock()
@@ -138,7 +138,7 @@ class FlightWriter:
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
         try:
             self._take()
-            self._recorder.finish()
+            self.recorder.finish()
             self._take()
         finally:
             self._ended.set()
@@ -168,7 +168,7 @@ class FlightWriter:
 
     def _take(self) -> None:
         with self._taking:
-            flight = self._recorder.take()
+            flight = self.recorder.take()
             if flight is not None:
                 self._waiting.append(flight)
                 self._wake.set()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import queue
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,14 +21,14 @@ from tauext.files.provenance import VERSION
 from tauext.files.room import expect_folder
 from tauext.monitor.changes import NONE, OK
 from tauext.monitor.flight_content import Flight
-from tauext.monitor.flight_files import FlightNews, FlightSource, FlightWriter, write_flight
+from tauext.monitor.flight_files import FlightSource, FlightWriter, write_flight
 from tauext.monitor.sink import Control, LoopReport, Verdict
 
 # --- Keeps what a live arm did as recordings: a day's free motion, to train with again.
 
 
 MOST_WAITING = 4
-"""Segments in memory before the disk; then new ones are lost, and counted."""
+"""Segments in memory beside the one that is written; then new ones are lost, and counted."""
 GAP_S = 1.0
 """A gap of stamps that begins a new segment."""
 
@@ -77,8 +77,8 @@ class RecordSink:
         self._rows = max(2, round(segment_s * 1e9 / self._period_ns))
         self._number = self._files = self._written = self._unfit = self._lost = 0
         self._error = ""
-        self._waiting: deque[dict[str, np.ndarray]] = deque()
-        self._wake, self._ended = threading.Event(), False
+        self._waiting: queue.SimpleQueue[dict[str, np.ndarray] | None] = queue.SimpleQueue()
+        """None at the end."""
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
 
     @property
@@ -124,8 +124,7 @@ class RecordSink:
     def close(self) -> None:
         """Write what is left, and wait for the disk."""
         self._hand_over(last=True)
-        self._ended = True
-        self._wake.set()
+        self._waiting.put(None)
         self._thread.join()
 
     def _begin(self) -> None:
@@ -137,26 +136,18 @@ class RecordSink:
         k = self._row
         if k < 2:
             self._unfit += k
-        elif len(self._waiting) >= MOST_WAITING and not last:
+        elif self._waiting.qsize() >= MOST_WAITING and not last:
             self._lost += k
             self._error = self._error or "the disk was too slow"
         else:
             signals = {name: kept[:k] for name, kept in zip(self._names, self._signals, strict=True)}
-            self._waiting.append({"t_ns": self._t_ns[:k], "contact": self._contact[:k]} | signals)
-            self._wake.set()
+            self._waiting.put({"t_ns": self._t_ns[:k], "contact": self._contact[:k]} | signals)
         if not last:
             self._begin()
 
     def _work(self) -> None:
-        while True:
-            ended = self._ended
-            self._wake.clear()
-            while self._waiting:
-                self._write(self._waiting[0])
-                self._waiting.popleft()
-            if ended:
-                return
-            self._wake.wait(1.0)
+        while (segment := self._waiting.get()) is not None:
+            self._write(segment)
 
     def _write(self, segment: dict[str, np.ndarray]) -> None:
         while True:
@@ -215,19 +206,18 @@ class Origin:
     robot_sha256: str = ""
 
 
-class FlightSink:
+class FlightSink(FlightWriter):
     """Writes the flights of a recorder that the loop fills."""
 
     def __init__(self, folder: Path, bundle: _core.Bundle, recorder: _core.FlightRecorder, source: str):
         """folder: exists. source: its name, for the files'."""
-        self.recorder = recorder
+        super().__init__(recorder, self._write_here)
         self._folder, self._bundle, self._name = folder, bundle, file_name(source)
         self._source: FlightSource | None = None
-        self._writer = FlightWriter(recorder, self._write)
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         self._joints = joints
-        self._writer.__enter__()
+        self.__enter__()
 
     def verdict(self, verdict: Verdict) -> None:
         if self._source is None:
@@ -241,12 +231,8 @@ class FlightSink:
 
     def close(self) -> None:
         """Everything is on disk, or told as lost."""
-        self._writer.__exit__(None, None, None)
+        self.__exit__(None, None, None)
 
-    def news(self) -> list[FlightNews]:
-        """What became of flights since the last call."""
-        return self._writer.news()
-
-    def _write(self, flight: Flight) -> Path:
+    def _write_here(self, flight: Flight) -> Path:
         assert self._source is not None  # a flight comes after a verdict
         return write_flight(flight, self._folder, self._source)

@@ -33,18 +33,18 @@ GAP_S = 1.0
 """A gap of stamps that begins a new segment."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class RecordCount:
     """What became of samples."""
 
-    files: int
-    samples: int
+    files: int = 0
+    samples: int = 0
     """On disk."""
-    unfit: int
+    unfit: int = 0
     """Not finite, or not newer than the one before: a recording cannot hold them."""
-    lost: int
+    lost: int = 0
     """Of segments that could not be written."""
-    error: str
+    error: str = ""
     """Of the first that could not."""
 
 
@@ -75,15 +75,11 @@ class RecordSink:
         self._contact: np.ndarray
         self._signals: list[np.ndarray]
         self._rows = max(2, round(segment_s * 1e9 / self._period_ns))
-        self._number = self._files = self._written = self._unfit = self._lost = 0
-        self._error = ""
+        self._number = 0
+        self.count = RecordCount()
         self._waiting: queue.SimpleQueue[dict[str, np.ndarray] | None] = queue.SimpleQueue()
         """None at the end."""
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
-
-    @property
-    def count(self) -> RecordCount:
-        return RecordCount(self._files, self._written, self._unfit, self._lost, self._error)
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         self._joints = joints
@@ -100,10 +96,10 @@ class RecordSink:
             self._begin()
         signals = [getattr(sample, name) for name in self._names]
         if any(values is None for values in signals):
-            self._unfit += 1
+            self.count.unfit += 1
             return
         if not all(np.isfinite(values).all() for values in signals) or (k and sample.t_ns <= self._t_ns[k - 1]):
-            self._unfit += 1
+            self.count.unfit += 1
             return
         if k == self._rows or (k and sample.t_ns - self._t_ns[k - 1] > GAP_S * 1e9):
             self._hand_over()
@@ -116,10 +112,10 @@ class RecordSink:
         self._row = k + 1
 
     def every_second(self, report: LoopReport) -> None:
-        lost = self._lost
+        lost = self.count.lost
         if lost > self._told:
             self._told = lost
-            self.note(f"RECORDING LOSES SAMPLES: {lost:,} so far ({self._error})")
+            self.note(f"RECORDING LOSES SAMPLES: {lost:,} so far ({self.count.error})")
 
     def close(self) -> None:
         """Write what is left, and wait for the disk."""
@@ -135,10 +131,10 @@ class RecordSink:
     def _hand_over(self, last: bool = False) -> None:
         k = self._row
         if k < 2:
-            self._unfit += k
+            self.count.unfit += k
         elif self._waiting.qsize() >= MOST_WAITING and not last:
-            self._lost += k
-            self._error = self._error or "the disk was too slow"
+            self.count.lost += k
+            self.count.error = self.count.error or "the disk was too slow"
         else:
             signals = {name: kept[:k] for name, kept in zip(self._names, self._signals, strict=True)}
             self._waiting.put({"t_ns": self._t_ns[:k], "contact": self._contact[:k]} | signals)
@@ -179,11 +175,11 @@ class RecordSink:
             )
             save_recording(recording, path)
         except Exception as error:  # whatever it is, the next segment is tried
-            self._lost += len(segment["t_ns"])
-            self._error = self._error or str(error)
+            self.count.lost += len(segment["t_ns"])
+            self.count.error = self.count.error or str(error)
         else:
-            self._files += 1
-            self._written += recording.samples
+            self.count.files += 1
+            self.count.samples += recording.samples
 
 
 def file_name(text: str) -> str:

@@ -48,16 +48,12 @@ def expected_of_text(text: str) -> Expected:
         ConfigError: says what is wrong and how it is written.
     """
     where = f"expect {text.strip()[:80]!r}"
-    head, pairs = pairs_of_text(text)
-    if head or len(pairs) != 2:
+    head, *rest = re.split(r"(?:^|(?<=[\s,]))([a-z_]+)\s*=", text.strip())
+    if head.strip(" ,\t") or len(rest) != 4:
         raise ConfigError(f"{where} cannot be read; it is {EXPECTED_USAGE}")
-    return expected_of_table(where, dict(pairs))
-
-
-def pairs_of_text(text: str) -> tuple[str, list[tuple[str, str]]]:
-    """What precedes the first `key=`, and each key with its value."""
-    head, *rest = (part.strip(" ,\t") for part in re.split(r"(?:^|(?<=[\s,]))([a-z_]+)\s*=", text.strip()))
-    return head, list(zip(rest[::2], rest[1::2], strict=True))
+    return expected_of_table(
+        where, {key: value.strip(" ,\t") for key, value in zip(rest[::2], rest[1::2], strict=True)}
+    )
 
 
 def expected_of_table(where: str, table: Mapping[str, Any]) -> Expected:
@@ -83,11 +79,12 @@ def load_of_text(text: str) -> Load:
 def load_and_ago_of_text(text: str, extra: Sequence[str] = ("ago",)) -> tuple[Load, float | None]:
     """The same, and how many seconds ago it was picked up where the line says `ago=0.4`."""
     where = f"load {text.strip()[:80]!r}"
-    first, pairs = pairs_of_text(text)
+    head, *rest = re.split(r"(?:^|(?<=[\s,]))([a-z]+)\s*=", text.strip())
+    first = head.strip(" ,\t")
     if first not in ("", "none"):
         raise ConfigError(f"{where} cannot be read; a load is {USAGE}")
     table: dict[str, Any] = {}
-    for key, value in pairs:
+    for key, value in zip(rest[::2], rest[1::2], strict=True):
         if key not in (*KEYS, *extra) or key in table:
             raise ConfigError(f"{where}: {key} is {'there twice' if key in table else 'unknown'}; a load is {USAGE}")
         numbers = [_number(where, one) for one in re.split(r"[\s,]+", value.strip("[]() ,\t")) if one]

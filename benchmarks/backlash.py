@@ -2,7 +2,7 @@
 
     python benchmarks/backlash.py --out docs/results/backlash        # the table there; two minutes on one core
 
-Servos of tests/made_servo.py, two bodies over a gap with friction, gravity, a position controller and 4096 counts a
+Servos of tests/made_servos.py, two bodies over a gap with friction, gravity, a position controller and 4096 counts a
 turn, at 50 Hz. tau is the drive's torque, or made of goal and position as an import makes it: a duty less its back-EMF.
 """
 
@@ -15,7 +15,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 import numpy as np
-from made_servo import COUNT_RAD, NO_LOAD_RAD_S, STALL_NM, Driven, Servo, drive, recorded
+from made_servos import COUNT_RAD, NO_LOAD_RAD_S, STALL_NM, Driven, Servo, drive, recorded
 
 from tauext import _core
 from tauext.data.drive_signal import Play, play_of

@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from page_mouse import drag, on_screen, open_pages, until
+from made_page import drag, on_screen, open_pages, until
 from viser.transforms import SO3
 
 from tauext.page.bundles import cache_folder

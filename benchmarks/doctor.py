@@ -3,9 +3,9 @@
     python benchmarks/doctor.py --out docs/results/doctor        # the tables there; half an hour on one core
     python benchmarks/doctor.py --arms rig [--data FILE ... --robot FILE] [--urdf FILE ...]
 
-Every way of tests/doctor_faults.py to break recordings is tried on made motion of several arms with known friction, and
+Every way of tests/check_cases.py to break recordings is tried on made motion of several arms with known friction, and
 on recordings of the virtual rig. A finding beside the fault counts as other, unless it follows from it (`follows`
-there). The settings of tests/doctor_arms.py, other arms and drives, are good data. Of each recording
+there). Its settings, other arms and drives, are good data. Of each recording
 in --data, real ones, whatever is found is listed.
 """
 
@@ -18,10 +18,21 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
-from doctor_arms import CURRENTS, SETTINGS, Setting, parallel, scara
-from doctor_faults import FAULTS, Case, Made, NotApplicable, beside, is_named
-from made_motion import made_motion
-from trees import Part, six_axis, urdf
+from check_cases import (
+    CURRENTS,
+    FAULTS,
+    SETTINGS,
+    Case,
+    Made,
+    NotApplicable,
+    Setting,
+    beside,
+    is_named,
+    parallel,
+    scara,
+)
+from made_arms import Part, six_axis, urdf
+from made_recordings import made_motion
 
 from tauext.check.examine import Diagnosis, examine
 from tauext.data.recording_file import load_recording

@@ -15,9 +15,9 @@ import pytest
 # As in the Makefile, and before NumPy is imported: threads of two workers would wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-TOGETHER = ("test_demo", "test_ros2")
+TOGETHER = ("test_page", "test_ros2")
 """Beginnings of names of files that use one training, or talk in one DDS domain."""
-APART = ("test_doctor.py", "test_kinematics.py", "test_small_datasets.py")
+APART = ("test_check.py", "test_kinematics.py", "test_small_datasets.py")
 """Files whose tests go, one by one, to whichever worker is free: a third of all the time."""
 
 
@@ -61,9 +61,9 @@ def own_cache(tmp_path_factory):
 @pytest.fixture
 def undrawn():
     """Pages of this test hold a pixel for each picture."""
-    import pictures
+    import made_results
 
-    with pictures.undrawn():
+    with made_results.undrawn():
         yield
 
 
@@ -87,7 +87,7 @@ def unexamined(monkeypatch, tmp_path_factory) -> list[list[str]]:
 @pytest.fixture(scope="session")
 def rig_bundles(tmp_path_factory) -> dict[str, Path]:
     """Those of the demo's rig, in a cache of demos."""
-    from made_demo import SHORT
+    from made_page import SHORT
 
     from tauext.page.bundles import train_bundles
     from tauext.sim.arms import rig_arm

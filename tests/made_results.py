@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import base64
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy.signal import lfilter
 
 from tauext.bundle.estimates import COLLISION, OK, WARMING_UP, Estimates, save_estimates
@@ -244,3 +249,23 @@ def make_estimates(
         detection=detection,
         held_alarm=np.where(detection, COLLISION, 0).astype(np.int8),
     )
+
+
+PIXEL = base64.b64decode(
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+)
+
+
+@contextmanager
+def undrawn() -> Iterator[None]:
+    """Figures are made as ever; the PNG of each is one pixel."""
+
+    def print_pixel(self: FigureCanvasAgg, file: Path | BytesIO, **options: object) -> None:
+        if isinstance(file, BytesIO):
+            file.write(PIXEL)
+        else:
+            Path(file).write_bytes(PIXEL)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(FigureCanvasAgg, "print_png", print_pixel)
+        yield

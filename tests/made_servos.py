@@ -1,12 +1,20 @@
-"""What tests of servo sources share: settings of a bundle of servos, samples as they come, a bus file."""
+"""Simulated servos: with play, behind a bus of a maker's protocol, and what sources of servo buses have in common."""
 
 from __future__ import annotations
 
+import os
+import pty
+import select
+import struct
+import threading
 import time
+import tty
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from arms import prismatic_mass
+from made_arms import prismatic_mass
 
 from tauext import _core
 from tauext.config import ObserverConfig
@@ -16,9 +24,268 @@ from tauext.monitor.source import Sample, SourceSettings
 from tauext.sources.servo import ServoSource
 from tauext.sources.servo_bus_file import ServoBusFile, ServoJoint
 
+STEP_S = 1e-3
+COUNT_RAD = 2 * np.pi / 4096
+STALL_NM, NO_LOAD_RAD_S = 1.9, 5.5  # of a small servo, at the joint
+MOTOR_KG_M2, TOUCH_NM_RAD, TOUCH_NMS_RAD = 0.02, 600.0, 1.0
+
+
+@dataclass(frozen=True)
+class Servo:
+    """One joint: its play and what loads it."""
+
+    play_rad: float = 0.0
+    encoder: str = "motor"
+    """Before the play (motor) or behind it (link)."""
+    motor_friction_nm: float = 0.04
+    link_friction_nm: float = 0.1
+    gravity_nm: float = 0.0
+    """At a level link: what a position of zero asks for is nothing."""
+    link_kg_m2: float = 0.005
+    duty_per_rad: float = 2.8
+    bend_rad: float = 0.0
+    """Width of a presliding state (Dahl) of the link's friction; 0: it jumps."""
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What was simulated, (samples, joints) each."""
+
+    t_s: np.ndarray
+    goal: np.ndarray
+    q: np.ndarray
+    dq: np.ndarray
+    duty: np.ndarray
+    torque: np.ndarray
+
+
+def drive(servos: list[Servo], seconds: float, rate_hz: float = 50.0, seed: int = 0, reach: float = 0.5) -> Driven:
+    """Each servo follows moves and swings of its own at up to 1 rad/s."""
+    n = len(servos)
+    column = {
+        name: np.array([getattr(s, name) for s in servos]) for name in Servo.__dataclass_fields__ if name != "encoder"
+    }
+    behind = np.array([s.encoder == "link" for s in servos])
+    steps, every = round(seconds / STEP_S), round(1 / (rate_hz * STEP_S))
+    goals = _goals(np.random.default_rng(seed), n, seconds, reach)
+    half = column["play_rad"] / 2
+    motor, link = goals[0].copy(), goals[0].copy()
+    w_motor, w_link, bent = np.zeros(n), np.zeros(n), np.zeros(n)
+    bends = column["bend_rad"] > 0
+    width = np.where(bends, column["bend_rad"], 1.0)
+    out = []
+    for k in range(steps):
+        seen = np.round(np.where(behind, link, motor) / COUNT_RAD) * COUNT_RAD
+        duty = np.clip(column["duty_per_rad"] * (goals[k] - seen), -1, 1)
+        torque = STALL_NM * (duty - w_motor / NO_LOAD_RAD_S)
+        if k % every == 0:
+            out.append((goals[k], seen, w_motor.copy() if not behind.all() else w_link.copy(), duty, torque))
+        gap = motor - link
+        deep = gap - np.clip(gap, -half, half)
+        touch = np.where(deep != 0, TOUCH_NM_RAD * deep + TOUCH_NMS_RAD * (w_motor - w_link), 0.0)
+        w_motor = _rubbed(w_motor + STEP_S * (torque - touch) / MOTOR_KG_M2,
+                          STEP_S * column["motor_friction_nm"] / MOTOR_KG_M2)  # fmt: skip
+        pull = touch - column["gravity_nm"] * np.sin(link)
+        bent = np.clip(bent + STEP_S * w_link / width, -1, 1)
+        w_link = (
+            w_link + STEP_S * (pull - np.where(bends, column["link_friction_nm"] * bent, 0.0)) / column["link_kg_m2"]
+        )
+        w_link = _rubbed(
+            w_link, np.where(bends, 0.02, 1.0) * STEP_S * column["link_friction_nm"] / column["link_kg_m2"]
+        )
+        motor, link = motor + STEP_S * w_motor, link + STEP_S * w_link
+    goal, q, dq, duty, torque = (np.array(x) for x in zip(*out, strict=True))
+    return Driven(np.arange(len(q)) / rate_hz, goal, q, dq, duty, torque)
+
+
+def recorded(driven: Driven, tau: np.ndarray, goals: bool = True, name: str = "servos") -> Recording:
+    """As a dataset holds it; tau is what the arm called its torque."""
+    return Recording(
+        name=name,
+        joints=tuple(f"servo{j + 1}" for j in range(tau.shape[1])),
+        t_ns=np.round(driven.t_s * 1e9).astype(np.int64),
+        q=driven.q,
+        dq=driven.dq,
+        tau=tau,
+        rate_hz=1 / (driven.t_s[1] - driven.t_s[0]),
+        torque_timing="instant",
+        source="made",
+        robot_sha256="",
+        q_des=driven.goal if goals else None,
+    )
+
+
+def _rubbed(speed: np.ndarray, most: np.ndarray) -> np.ndarray:
+    """Coulomb friction over one step: what it cannot stop it slows."""
+    return np.sign(speed) * np.maximum(np.abs(speed) - most, 0)
+
+
+def _goals(rng: np.random.Generator, n: int, seconds: float, reach: float) -> np.ndarray:
+    """Quintic moves between random places, and in between pauses."""
+    steps, columns = round(seconds / STEP_S), []
+    for _ in range(n):
+        parts, here, length = [], 0.0, 0
+        while length < steps:
+            there = rng.uniform(-reach, reach)
+            x = np.linspace(0, 1, max(400, round(abs(there - here) / rng.uniform(0.15, 0.6) / STEP_S)))
+            parts += [here + (there - here) * (10 * x**3 - 15 * x**4 + 6 * x**5)]
+            parts += [np.full(round(rng.uniform(0, 0.3) / STEP_S), there)]
+            length, here = length + len(parts[-1]) + len(parts[-2]), there
+        columns.append(np.concatenate(parts)[:steps])
+    return np.stack(columns, axis=1)
+
+
+READ, WRITE, SYNC_READ, SYNC_WRITE, TO_ALL = 0x02, 0x03, 0x82, 0x83, 0xFE
+
+
+class Feetech:
+    """FF FF id length instruction parameters ~sum; an answer has its error bits in the place of the instruction."""
+
+    def packets(self, buffer: bytearray) -> list[tuple[int, int, bytes]]:
+        """id, instruction and parameters of every whole packet, which are taken off the buffer."""
+        found = []
+        while len(buffer) >= 4 and len(buffer) >= buffer[3] + 4:
+            packet = bytes(buffer[: buffer[3] + 4])
+            assert packet[:2] == b"\xff\xff" and packet[-1] == ~sum(packet[2:-1]) & 0xFF, packet.hex(" ")
+            del buffer[: len(packet)]
+            found.append((packet[2], packet[4], packet[5:-1]))
+        return found
+
+    def answer(self, id_: int, error: int, data: bytes) -> bytes:
+        body = bytes([id_, len(data) + 2, error]) + data
+        return b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
+
+    def block(self, parameters: bytes) -> tuple[int, int, bytes]:
+        """Address, length, and what follows them, of a sync read or write."""
+        return parameters[0], parameters[1], parameters[2:]
+
+
+class Dynamixel:
+    """FF FF FD 00 id length instruction parameters CRC; an answer's instruction is 55, then comes its error."""
+
+    def packets(self, buffer: bytearray) -> list[tuple[int, int, bytes]]:
+        found = []
+        while len(buffer) >= 7 and len(buffer) >= (size := struct.unpack_from("<H", buffer, 5)[0] + 7):
+            packet = bytes(buffer[:size])
+            assert packet[:4] == b"\xff\xff\xfd\x00", packet.hex(" ")
+            assert struct.unpack_from("<H", packet, size - 2)[0] == crc16(packet[:-2]), packet.hex(" ")
+            del buffer[:size]
+            found.append((packet[4], packet[7], packet[8:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")))
+        return found
+
+    def answer(self, id_: int, error: int, data: bytes) -> bytes:
+        body = bytes([0x55, error]) + data.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+        packet = b"\xff\xff\xfd\x00" + bytes([id_]) + struct.pack("<H", len(body) + 2) + body
+        return packet + struct.pack("<H", crc16(packet))
+
+    def block(self, parameters: bytes) -> tuple[int, int, bytes]:
+        return *struct.unpack_from("<HH", parameters), parameters[4:]
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16 of the polynomial 0x8005, bit by bit, from 0."""
+    crc = 0
+    for byte in data:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1) ^ 0x8005 if crc & 0x8000 else crc << 1
+            crc &= 0xFFFF
+    return crc
+
+
+class MadeServoBus:
+    """Servos by id, each 256 bytes of registers, answering in the order that they are asked in."""
+
+    def __init__(self, protocol: Feetech | Dynamixel, ids: list[int]):
+        self.protocol = protocol
+        self.registers = {id_: bytearray(256) for id_ in ids}
+        self.errors = dict.fromkeys(ids, 0)
+        self.sent: Callable[[int, bytes], bytes] = lambda id_, packet: packet
+        """What becomes of an answer on its way: b"" is lost."""
+        self.moves: Callable[[int], None] = lambda reading: None
+        """Called before the answers to the sync read of this number."""
+        self.readings = 0
+        self.requests: list[bytes] = []
+        """All bytes that came, a chunk an entry."""
+        self.writes: list[tuple[int, int, bytes]] = []
+        """Address, id, bytes."""
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        self.port = os.ttyname(self._slave)
+        self._quit, self._wake = os.pipe()
+        self._thread = threading.Thread(target=self._work, daemon=True)
+        self._thread.start()
+
+    def put(self, id_: int, layout: str, address: int, *values: int) -> None:
+        """Registers of a servo, little-endian, from the address on."""
+        struct.pack_into("<" + layout, self.registers[id_], address, *values)
+
+    def close(self) -> None:
+        if self._thread.is_alive():
+            os.write(self._wake, b"x")
+            self._thread.join(5)
+            for descriptor in (self._master, self._slave, self._quit, self._wake):
+                os.close(descriptor)
+
+    def __enter__(self) -> MadeServoBus:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _work(self) -> None:
+        buffer = bytearray()
+        while True:
+            ready, _, _ = select.select([self._master, self._quit], [], [])
+            if self._quit in ready:
+                return
+            came = os.read(self._master, 4096)
+            self.requests.append(came)
+            buffer += came
+            for id_, instruction, parameters in self.protocol.packets(buffer):
+                self._obey(id_, instruction, parameters)
+
+    def _obey(self, id_: int, instruction: int, parameters: bytes) -> None:
+        if instruction == SYNC_READ:
+            address, length, ids = self.protocol.block(parameters)
+            self.moves(self.readings)
+            self.readings += 1
+            for one in ids:
+                if one in self.registers:
+                    data = bytes(self.registers[one][address : address + length])
+                    packet = self.sent(one, self.protocol.answer(one, self.errors[one], data))
+                    if packet:
+                        os.write(self._master, packet)
+        elif instruction == SYNC_WRITE:
+            address, length, rest = self.protocol.block(parameters)
+            for k in range(0, len(rest), length + 1):
+                self.writes.append((address, rest[k], rest[k + 1 : k + 1 + length]))
+                self.registers[rest[k]][address : address + length] = rest[k + 1 : k + 1 + length]
+        else:
+            self.writes.append((-1, id_, bytes([instruction]) + parameters))
+
+
 NAMES = ("pan", "lift", "elbow", "wrist", "roll", "grip")
 PATIENCE_S = 1.0
 """An answer that is on its way is waited for, however busy the machine is."""
+
+
+def sts3215(bus: MadeServoBus, id_: int, model: int = 777, position: int = 2048) -> None:
+    """Registers after power-on, torque on, goal at the position: 7.4 V, 31 degC."""
+    bus.put(id_, "H", 3, model)
+    bus.put(id_, "B", 40, 1)
+    bus.put(id_, "H", 42, position)
+    bus.put(id_, "HHHBB", 56, position, 0, 0, 74, 31)
+
+
+def x_series(bus: MadeServoBus, id_: int, model: int = 1200, position: int = 2048) -> None:
+    """Registers after power-on, in position mode, torque on, goal at the position: 5 V, 30 degC."""
+    bus.put(id_, "H", 0, model)
+    bus.put(id_, "BB", 10, 0, 3)
+    bus.put(id_, "B", 64, 1)
+    bus.put(id_, "i", 116, position)
+    bus.put(id_, "hhii", 124, 0, 0, 0, position)
+    bus.put(id_, "HB", 144, 50, 30)
 
 
 def servo_settings(joints: int, torque_from: str = "duty", period_ns: int = 5_000_000) -> SourceSettings:

@@ -3,7 +3,7 @@
 import json
 
 import numpy as np
-from arms import prismatic_mass
+from made_arms import prismatic_mass
 
 from tauext import _core
 from tauext.bundle.estimates import OK, WARMING_UP, Estimates

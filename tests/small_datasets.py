@@ -24,8 +24,8 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from made_motion import Drive, made_motion
-from trees import Part, six_axis, urdf
+from made_arms import Part, six_axis, urdf
+from made_recordings import Drive, made_motion
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle

@@ -12,7 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from pictures import undrawn
+from made_results import undrawn
 
 from tauext import _core
 from tauext.cli import main

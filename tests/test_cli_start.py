@@ -5,8 +5,7 @@ import subprocess
 import sys
 
 import tyro
-from made_error_scale import with_error_scale
-from made_pushes import watching_bundle
+from made_bundles import watching_bundle, with_error_scale
 
 from tauext.cli.parsing import quicken, without_own_source, without_typeguard
 

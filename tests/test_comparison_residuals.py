@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import ROTOR_INERTIA, no_model, planar_arm, prismatic_mass, regular_times
+from made_arms import ROTOR_INERTIA, no_model, planar_arm, prismatic_mass, regular_times
 from sliding_mass import noisy
 
 from tauext import _core

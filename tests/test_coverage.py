@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from arms import planar_arm, prismatic_mass
+from made_arms import planar_arm, prismatic_mass
 from test_few_data import motion as smooth_motion
 from test_few_data import trained
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import planar_arm
-from made_pushes import cut_flight
+from made_arms import planar_arm
+from made_bundles import cut_flight
 from test_train import recording
 
 from tauext import _core

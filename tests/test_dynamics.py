@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from trees import ARMS, branched, planar_rig, random_states, seven_axis, six_axis, urdf
+from made_arms import ARMS, branched, planar_rig, random_states, seven_axis, six_axis, urdf
 
 from tauext import _core
 from tauext.robot.load import load_tree

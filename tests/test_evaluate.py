@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_error_scale import SIGMA_NEAR_NM, with_error_scale
+from made_bundles import SIGMA_NEAR_NM, with_error_scale
 from numpy.testing import assert_allclose
 from sliding_mass import estimates_of, observer_bundle, pushed, recording
 

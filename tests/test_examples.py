@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_amperes import taking_amperes
-from made_pushes import PUSHES, pushed, watching_bundle
+from made_bundles import PUSHES, pushed, taking_amperes, watching_bundle
 
 from tauext import _core
 from tauext.data.recording_file import save_recording

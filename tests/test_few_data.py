@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import no_model, planar_arm
+from made_arms import no_model, planar_arm
 
 from tauext import _core
 from tauext.cli import main

@@ -13,10 +13,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made_bags import joint_rows, write_bag
+from made_arms import planar_rig, urdf
 from made_fleets import QUICK, QUICKER, arms_of, run_here, small_dataset, touched, workers_here, write_fleet, written
+from made_recordings import joint_rows, write_bag
 from test_import_table import files_imported, name_of
-from trees import planar_rig, urdf
 
 import tauext
 from tauext.cli import main

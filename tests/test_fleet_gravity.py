@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from arms import planar_arm
+from made_arms import planar_arm
 
 from tauext import _core
 from tauext.fleet.compare import POSES, gravity_nm, tool_columns, weigh_all

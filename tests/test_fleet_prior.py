@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_fleet import CONFIG, FRICTION, dataset, fleet, moving
-from made_fleets import QUICKER, run_here, write_fleet
+from made_fleets import CONFIG, FRICTION, QUICKER, dataset, fleet, moving, run_here, write_fleet
 
 from tauext import _core
 from tauext.cli import main

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_fleet import CONFIG, dataset, moving
+from made_fleets import CONFIG, dataset, moving
 
 from tauext.data.dataset import load_dataset
 from tauext.errors import ConfigError
@@ -75,7 +75,7 @@ def test_the_joint_that_wears_is_told_from_the_others(content):
 
 
 def test_friction_at_the_speed_is_that_of_the_arm(content):
-    from made_fleet import COULOMB_NM, VISCOUS
+    from made_fleets import COULOMB_NM, VISCOUS
 
     for arm in content["arms"]:
         if arm["serial"] == "broken":

@@ -9,10 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from arms import no_model
-from made_amperes import taking_amperes
-from made_error_scale import with_error_scale
-from made_pushes import JOINTS, cut_flight, damaged, pushed, watching_bundle
+from made_arms import no_model
+from made_bundles import JOINTS, cut_flight, damaged, pushed, taking_amperes, watching_bundle, with_error_scale
 from made_results import make_recording
 
 from tauext import _core

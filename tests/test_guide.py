@@ -1,4 +1,4 @@
-"""docs/your-robot.md: its commands as they stand there, on the recordings that it speaks of, where they are present."""
+"""docs/your-robot.md: its commands, on the recordings that it names; docs/results/real-arms: its descriptions."""
 
 import os
 import re
@@ -11,6 +11,7 @@ import pytest
 from tauext.check.finding import CODES
 from tauext.cli import main
 from tauext.cli.parsing import understood
+from tauext.data.description import parse_arm
 
 ROOT = Path(__file__).parent.parent
 GUIDE = (ROOT / "docs" / "your-robot.md").read_text()
@@ -55,3 +56,38 @@ def test_every_command_of_the_guide_works_as_written(tmp_path, monkeypatch, caps
         if FOUND_FAULTS in command:
             assert "fault: effort-sign" in said and "payload-missing" in said
     assert Path("report/report.html").exists() and Path("flight-report").exists()
+
+
+KEPT = ROOT / "docs" / "results" / "real-arms"
+
+
+@pytest.fixture
+def real_arms(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    return __import__("real_arms")
+
+
+def test_descriptions_and_their_variants_are_valid_and_commands_name_what_is_there(real_arms):
+    for name, arm in real_arms.ARMS.items():
+        text = (KEPT / name / "arm.toml").read_text()
+        there = {*arm.files, "arm.toml", "new.toml", *(f"{variant}.toml" for variant in arm.variants)}
+        for changes in ([], *arm.variants.values()):
+            changed = text
+            for pattern, by in changes:
+                changed, times = re.subn(pattern, by, changed)
+                assert times, f"{name}: {pattern}"
+            described = parse_arm(changed)
+            assert not described.robot.model or described.robot.model in there
+        for command in real_arms.plain(arm.commands):
+            words = shlex.split(command)
+            assert words[0] in ("import", "check", "train", "evaluate", "run", "show")
+            if words[0] == "import" and "--source" in words:
+                sources = words[words.index("--source") + 1 :]
+                sources = sources[: next((k for k, w in enumerate(sources) if w.startswith("--")), None)]
+                assert set(sources) <= there and ("--new" in words or words[words.index("--arm") + 1] in there)
+
+
+def test_every_page_and_figure_that_the_index_names_is_there():
+    index = (KEPT / "README.md").read_text()
+    for target in re.findall(r"\]\(([^)]+)\)", index):
+        assert (KEPT / target).is_file(), target

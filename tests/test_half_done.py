@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_pushes import pushed, watching_bundle
+from made_bundles import pushed, watching_bundle
 
 from tauext.config import AlarmConfig
 from tauext.data.dataset import Split, load_dataset, save_split

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_pushes import LIMIT_NM, pushed, watching_bundle
+from made_bundles import LIMIT_NM, pushed, watching_bundle
 
 from tauext import _core
 from tauext.bundle.estimates import FAULT

@@ -1,4 +1,4 @@
-"""Hostile cases of benchmarks/hostile.py, which draws ten thousand: every one ends as it must."""
+"""Hostile cases of tests/hostile, which draws ten thousand: every one ends as it must."""
 
 import subprocess
 import sys
@@ -6,18 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-
-from hostile_cases.cases import OPTIONS, Case
-from hostile_cases.judge import faults_of
-from hostile_cases.values import hostile_words
+from hostile.cases import OPTIONS, Case, hostile_words
+from hostile.judge import faults_of
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits and processes as Linux has them")
 @pytest.mark.parametrize("count", [8, pytest.param(100, marks=pytest.mark.slow)])
 def test_hostile_cases_end_as_they_must(count):
-    program = Path(__file__).parents[1] / "benchmarks/hostile.py"
+    program = Path(__file__).with_name("hostile")
     command = [sys.executable, str(program), "--quick", "--cases", str(count), "--seed", "100"]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stdout + ended.stderr

@@ -6,13 +6,13 @@ import json
 
 import numpy as np
 import pytest
-from made_bags import joint_rows, motion, write_bag
-from trees import planar_rig, random_states, six_axis, urdf
+from made_arms import planar_rig, random_states, six_axis, urdf
+from made_recordings import joint_rows, motion, write_bag
 
 from tauext.cli import main
 from tauext.data.dataset import load_split
 from tauext.data.dataset_writing import RawFacts, plan
-from tauext.data.description_file import parse_arm
+from tauext.data.description import parse_arm
 from tauext.data.free_motion import free_stretches
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.recording_file import load_recording

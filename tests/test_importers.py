@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from made_bags import JOINTS, joint_rows, motion, write_bag
+from made_recordings import JOINTS, joint_rows, motion, write_bag
 from scipy.io import savemat
 
 from tauext.data.importers import ros

@@ -114,7 +114,7 @@ def test_the_chain_begins_anew_where_a_sample_was_left_out():
 
 
 def arm() -> _core.Tree:
-    from arms import planar_arm
+    from made_arms import planar_arm
 
     return planar_arm()
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from trees import ARMS, random_states, urdf
+from made_arms import ARMS, random_states, urdf
 
 from tauext import _core
 from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters

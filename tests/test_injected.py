@@ -8,9 +8,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from arms import planar_arm, settings
-from made_error_scale import with_error_scale
-from made_pushes import LIMIT_NM, pushed, watching_bundle
+from made_arms import planar_arm, settings
+from made_bundles import LIMIT_NM, pushed, watching_bundle, with_error_scale
 
 from tauext import _core
 from tauext.evaluate.comparison import evaluate

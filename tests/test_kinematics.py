@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import no_model, planar_arm, prismatic_mass, settings
-from made_motion import made_motion
-from trees import random_states
+from made_arms import no_model, planar_arm, prismatic_mass, random_states, settings
+from made_recordings import made_motion
 
 from tauext import _core
 from tauext.config import PriorConfig

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from made_pushes import pushed, watching_bundle
+from made_bundles import pushed, watching_bundle
 
 from tauext.cli import main
 from tauext.data.recording_file import save_recording

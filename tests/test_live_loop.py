@@ -6,9 +6,8 @@ import threading
 
 import numpy as np
 import pytest
-from made_amperes import taking_amperes
+from made_bundles import JOINTS, pushed, taking_amperes, watching_bundle
 from made_live import Clock, Keeper, ScriptedSource, samples_of
-from made_pushes import JOINTS, pushed, watching_bundle
 
 from tauext import _core
 from tauext.data.recording_file import load_recording
@@ -311,15 +310,18 @@ def test_a_socket_obeys_lines_and_is_gone_afterwards(bundle, tmp_path):
 @pytest.mark.parametrize(
     "change, message",
     [
-        (("highest = 3", "highest = 11"), r"\[bounds\] highest = 11 must be 1 to 10"),
-        (("lowest = 0.5", "lowest = 0.05"), r"\[bounds\] lowest = 0.05 must be 0.1 to 1"),
+        (("highest = 3", "highest = 11"), r"\[bounds\] highest = 11 must be a number from 1 to 10"),
+        (("lowest = 0.5", "lowest = 0.05"), r"\[bounds\] lowest = 0.05 must be a number from 0.1 to 1"),
         (("lowest = 0.5", ""), r"\[bounds\] lowest is missing"),
-        (("[bounds]\nlowest = 0.5\nhighest = 3", ""), r"the table \[bounds\] is missing"),
-        (("contact = 3", "contact = 3.01"), r"\[profiles.pressing\] contact = 3.01 must be 0.5 to 3"),
+        (("[bounds]\nlowest = 0.5\nhighest = 3", ""), r"bounds is missing; it must be a table \[bounds\]"),
+        (("contact = 3", "contact = 3.01"), r"\[profiles.pressing\] contact = 3.01 must be a number from 0.5 to 3"),
         (("contact = 3", "contact = nan"), r"contact = nan must be a number"),
         (("contact = 3", 'contact = "3"'), r"contact = '3' must be a number"),
-        (("elbow = 2.0", "elbow = 9"), r"collision.elbow = 9 must be 0.5 to 3"),
-        (("elbow = 2.0", "wrist = 2"), r"names 'wrist', which is no joint; they are shoulder, elbow, and others"),
+        (("elbow = 2.0", "elbow = 9"), r"\[profiles.pressing.collision\] elbow = 9 must be a number from 0.5 to 3"),
+        (
+            ("elbow = 2.0", "wrist = 2"),
+            r"unknown key 'wrist' in \[profiles.pressing.collision\]; .*; known are shoulder, elbow, others",
+        ),
         (("contact = 3", "contcat = 3"), r"unknown key 'contcat' in \[profiles.pressing\]; the nearest"),
         (('profile = "usual"', 'profile = "none"'), r"\[start\] profile = 'none' must be one of usual, pressing"),
         (("[bounds]", "[bounds"), "not readable as TOML"),

@@ -9,9 +9,9 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
-from arms import prismatic_mass
+from made_arms import prismatic_mass
+from made_bundles import JOINTS, pushed
 from made_live import Keeper, ScriptedSource, samples_of
-from made_pushes import JOINTS, pushed
 
 from tauext import _core
 from tauext.config import ObserverConfig
@@ -316,8 +316,8 @@ def test_a_library_that_is_not_installed_names_its_extra(monkeypatch, constants)
 @pytest.mark.parametrize(
     "text, message",
     [
-        ("", "base is missing"),
-        ("[nm_per_ampere]\nbase = 0\n", "base = 0 must not be 0"),
+        ("", "nm_per_ampere is missing"),
+        ("[nm_per_ampere]\nbase = 0\n", "base = 0 must be a number .*, not 0"),
         ("[nm_per_ampere]\nbase = 'x'\n", "base = 'x' must be a number"),
         ("[nm_per_ampere]\nbasis = 1\n", "unknown key 'basis' in .nm_per_ampere.; the nearest known is 'base'"),
         ("[nm_per_amp]\n", "unknown key 'nm_per_amp' at the top"),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from arms import ROTOR_INERTIA, planar_arm
+from made_arms import ROTOR_INERTIA, planar_arm
 
 from tauext import _core
 from tauext.config import AlarmConfig, ObserverConfig

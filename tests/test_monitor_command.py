@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_pushes import pushed, watching_bundle
+from made_bundles import pushed, watching_bundle
 
 from tauext.cli import main
 from tauext.cli.monitor_output import Aside

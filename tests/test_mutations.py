@@ -11,16 +11,10 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
-from mutation_trial.breaking import broken_dataset, judged_recording
-from mutation_trial.cases import Case, cases_of
-from mutation_trial.changes import Change, Facts, changed
-from mutation_trial.donors import with_load
-from mutation_trial.good_sets import ALL_KINDS, GoodSet
-from mutation_trial.judging import Seen, Worth, verdict_after, verdict_before
-from mutation_trial.labels import broken_flags, broken_intervals
-from mutation_trial.named import FITTING, fits
-from mutation_trial.pushes import pushed
-from mutation_trial.tables import markdown
+from mutations.cases import Case, broken_dataset, cases_of, judged_recording
+from mutations.changes import Change, Facts, broken_flags, broken_intervals, changed, pushed, with_load
+from mutations.good import ALL_KINDS, GoodSet
+from mutations.judging import FITTING, Seen, Worth, fits, markdown, verdict_after, verdict_before
 
 from tauext.check.finding import CODES
 from tauext.data.recording import Recording

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio_oracle as oracle
 import pytest
-from arms import planar_arm, regular_times, settings
-from made_error_scale import with_error_scale
-from made_pushes import pushed, watching_bundle
+from made_arms import planar_arm, regular_times, settings
+from made_bundles import SEVEN_AXIS, pushed, watching_bundle, with_error_scale
 from scipy.spatial import HalfspaceIntersection
 
 from tauext import _core
@@ -37,7 +36,6 @@ from tauext.robot.frames import wrench_frames
 from tauext.robot.load import load_tree
 from tauext.train.wrench import POSES, poses
 
-ARM = Path(__file__).parents[1] / "benchmarks" / "seven_axis.urdf"
 LIMITS, NEAR, LENGTH = [6.0, 3.0], [9.0, 4.0], 0.3
 
 
@@ -135,14 +133,14 @@ def test_a_direction_that_nobody_feels_is_blind_and_no_number():
 
 
 def test_levers_are_pinocchio_s_at_a_frame_of_the_robot_file():
-    tree = load_tree(ARM)
+    tree = load_tree(SEVEN_AXIS)
     bundle = _core.Bundle()
     bundle.links, bundle.gravity, bundle.observer = tree.links, tree.gravity, settings()
     asked = _core.WrenchSettings()
-    asked.frames = wrench_frames(ARM, tree)
+    asked.frames = wrench_frames(SEVEN_AXIS, tree)
     bundle.wrench_settings = asked
     told(bundle)
-    pin, arm = oracle.pin, oracle.read_model(ARM.read_text())
+    pin, arm = oracle.pin, oracle.read_model(SEVEN_AXIS.read_text())
     data, joints = arm.createData(), [link.joint_name for link in tree.links]
     order = [arm.joints[arm.getJointId(name)].idx_v for name in joints]
     limit, rng = np.array([8.0, 9.0, 6.0, 5.0, 2.0, 2.0, 1.0]), np.random.default_rng(4)

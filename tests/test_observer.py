@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
-from arms import PLANAR_MJCF, no_model, planar_arm, prismatic_mass, regular_times, settings
+from made_arms import PLANAR_MJCF, no_model, planar_arm, prismatic_mass, regular_times, settings
 
 from tauext import _core
 

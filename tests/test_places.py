@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from made_bundles import SEVEN_AXIS, seven_axis_bundle
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from tauext import _core
-from tauext.robot.load import load_tree
 
-ARM = Path(__file__).parents[1] / "benchmarks" / "seven_axis.urdf"
 GOLDEN = Path(__file__).parent / "golden" / "format-8.tauext"
 SIGMA = np.array([0.3, 0.4, 0.25, 0.3, 0.15, 0.1, 0.08])
 SIZES_N, ALONG, ACROSS, HOLDS, HOLDS_N = (3, 9, 27, 81, 243), 0.5, 0.4, 0.1, 50.0
@@ -23,18 +22,8 @@ RANKING_POINTS = 64
 @pytest.fixture(scope="module")
 def bundle() -> _core.Bundle:
     """A seven-axis arm with a capsule from each joint to the next, one with two."""
-    tree = load_tree(ARM)
-    made = _core.Bundle()
-    made.links, made.gravity = tree.links, tree.gravity
-    scale = _core.ErrorScaleSettings()
-    scale.features = [_core.MotionFeature.constant]
-    scale.limit_weights = scale.largest = [1.0] * tree.size
-    scale.sigma_weights = scale.sigma_near_weights = scale.largest_sigma = SIGMA.tolist()
-    made.error_scale = scale
-    capsules = [_core.Capsule(k, [0, 0, 0], link.translation, 0.05) for k, link in enumerate(tree.links[1:])]
-    capsules += [_core.Capsule(6, [0, 0, 0], [0, 0, 0.12], 0.04), _core.Capsule(3, [-0.05, 0, 0], [0.05, 0, 0], 0.06)]
-    made.capsules = capsules
-    return made
+    hand, elbow = _core.Capsule(6, [0, 0, 0], [0, 0, 0.12], 0.04), _core.Capsule(3, [-0.05, 0, 0], [0.05, 0, 0], 0.06)
+    return seven_axis_bundle(SIGMA, hand, elbow)
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +126,7 @@ def test_a_place_explains_what_a_sharp_touch_shows(bundle, model):
     np.testing.assert_allclose(turned.T @ place.force, tau, atol=0.1 * np.abs(tau).max())
     assert np.linalg.norm(place.force) == pytest.approx(40, rel=0.1)
 
-    arm = pin.buildModelFromUrdf(str(ARM))
+    arm = pin.buildModelFromUrdf(str(SEVEN_AXIS))
     data = arm.createData()
     pin.forwardKinematics(arm, data, np.array(q))
     np.testing.assert_allclose(place.point, data.oMi[7].act(np.array(place.on_link)), atol=1e-9)

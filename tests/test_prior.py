@@ -2,8 +2,7 @@
 
 Recordings say that torque is averaged over the step before its stamp. Then tau_k = (p_k - p_{k-1})/dt + mean of
 beta - mean of v makes the observer's recurrence exact at any rate: r of the true model is the filtered v, and nothing
-else. v is friction as it stands in r: negative where the joint moves forward.
-"""
+else. v is friction as it stands in r: negative where the joint moves forward."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -11,13 +10,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from arms import no_model, planar_arm, regular_times, settings
+from made_arms import no_model, planar_arm, regular_times, settings
 
 from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.fit.prior import Inertia, find_ripple, fit_friction, fit_prior, fit_terms
+from tauext.fit.prior import Inertia, find_ripple, fit_friction, fit_prior, fit_terms, play_sentence
 from tauext.fit.prior_terms import CORRECTED as BY_CORRECTED
 from tauext.fit.prior_terms import ESTIMATED as BY_ESTIMATED
 from tauext.fit.prior_terms import PriorFit, encoder_count, has_model, own_terms, shared_terms
@@ -793,3 +792,48 @@ def test_textbook_friction_without_a_model_leaves_gravity_in_r():
     assert len(fit.settings.terms) == 6
     gravity_nm = np.vstack([planar_arm().momentum(one.q, np.zeros_like(one.dq))[1] for one in made]).std(axis=0)
     assert (fit.error_nm > 0.5 * gravity_nm).all()
+
+
+SERVO = {"servo": {"torque_from": "duty", "velocity_steps": 20}}
+STEADY = replace(CORRECTED, correct_model=False)
+
+
+def with_play(q, dq, beta):
+    """The shoulder carries none of its weight in the middle of 0.04 rad, the elbow always does."""
+    v = loaded(q, dq, beta)
+    v[:, 0] += beta[:, 0] * (1 - np.abs(twin_presliding(q, WIDTHS[1])[:, 0]))
+    return v
+
+
+def turning(seed):
+    """A joint that turns back often: sines, and steps of a tenth of a radian."""
+    q, _ = motion(seed, 30.0)
+    steps = 0.05 * np.sin(2 * np.pi * np.linspace(0, 30, len(q)) * (0.7 + 0.1 * seed))[:, None]
+    q = 0.3 * q + steps
+    return q, np.gradient(q, 1 / RATE_HZ, axis=0)
+
+
+@pytest.fixture(scope="module")
+def servo_recordings():
+    made = [record(planar_arm(), turning(seed), with_play, 0.2, seed) for seed in range(6)]
+    return [replace(one, provenance=SERVO) for one in made]
+
+
+def test_play_is_found_at_its_joint_and_width(servo_recordings):
+    said = []
+    fit = fit_prior(setup_of(planar_arm()), servo_recordings, STEADY, said.append)
+    assert [(t.a, t.b) for t in fit.settings.terms if t.kind == Kind.backlash] == [(0, 1)]
+    # r holds beta (1 - |z|) whole: a weight of 1.
+    assert fit.weights[0, where(fit, 0, "backlash", 1)] == pytest.approx(1.0, abs=0.05)
+    assert said[-1] == "play that carries no weight: shoulder 40 mrad"
+
+
+def test_other_arms_and_arms_without_play_have_none(servo_recordings):
+    plain = [replace(one, provenance={}) for one in servo_recordings]
+    fit = fit_prior(setup_of(planar_arm()), plain, STEADY)
+    assert not [t for t in fit.settings.terms if t.kind == Kind.backlash]
+    made = [record(planar_arm(), turning(seed), loaded, 0.2, seed) for seed in range(6)]
+    tight = [replace(one, provenance=SERVO) for one in made]
+    fit = fit_prior(setup_of(planar_arm()), tight, STEADY)
+    assert not [t for t in fit.settings.terms if t.kind == Kind.backlash]
+    assert play_sentence((None, None), WIDTHS, ("shoulder", "elbow")) == ""

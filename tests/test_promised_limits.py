@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import prismatic_mass
+from made_arms import prismatic_mass
 from scipy.signal import lfilter
 
 from tauext import _core

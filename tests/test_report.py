@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_results import SEVEN_BUNDLES, make_results
-from pictures import undrawn as no_pictures
+from made_results import undrawn as no_pictures
 
 from tauext.data.recording_file import fingerprint, load_recording, save_recording
 from tauext.errors import ConfigError, RecordingError, TauextError

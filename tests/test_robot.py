@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from trees import branched, planar_rig, random_states, six_axis, urdf
+from made_arms import branched, planar_rig, random_states, six_axis, urdf
 
 from tauext import _core
 from tauext.errors import RobotError

@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 import pytest
-from made_pushes import pushed, watching_bundle
+from made_bundles import pushed, watching_bundle
 from made_ros2 import DOMAIN, Robot, until
 
 pytest.importorskip("cyclonedds")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_pushes import watching_bundle
+from made_bundles import watching_bundle
 from made_ros2 import DOMAIN
 
 pytest.importorskip("cyclonedds")

@@ -15,8 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_error_scale import with_error_scale
-from made_pushes import JOINTS, LIMIT_NM, PUSHES, cut_flight, damaged, pushed, watching_bundle
+from made_bundles import JOINTS, LIMIT_NM, PUSHES, cut_flight, damaged, pushed, watching_bundle, with_error_scale
 from rich.console import Console
 
 from tauext import _core

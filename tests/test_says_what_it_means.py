@@ -7,7 +7,7 @@ import re
 from dataclasses import replace
 
 import numpy as np
-from made_pushes import cut_flight, pushed, watching_bundle
+from made_bundles import cut_flight, pushed, watching_bundle
 
 from tauext import _core
 from tauext.bundle.estimates import load_estimates

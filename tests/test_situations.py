@@ -5,8 +5,16 @@ from __future__ import annotations
 import json
 
 import pytest
-from made_error_scale import LARGEST, SIGMA_NEAR_NM, SIGMA_NM, SIGMA_PER_SPEED, with_error_scale
-from made_pushes import JOINTS, LIMIT_NM, watching_bundle
+from made_bundles import (
+    JOINTS,
+    LARGEST,
+    LIMIT_NM,
+    SIGMA_NEAR_NM,
+    SIGMA_NM,
+    SIGMA_PER_SPEED,
+    watching_bundle,
+    with_error_scale,
+)
 
 from tauext import _core
 from tauext.bundle.units import sentences, situations

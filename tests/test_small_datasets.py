@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import planar_arm
-from made_fleet import CONFIG, dataset, moving
+from made_arms import planar_arm
+from made_fleets import CONFIG, dataset, moving
 from scipy.optimize import lsq_linear
 from small_datasets import ARMS, COUNT, SIGNALS, Ending, of_number, summary
 

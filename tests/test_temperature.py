@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import planar_arm
+from made_arms import planar_arm
 from test_drift import with_dynamics
 from test_train import recording
 

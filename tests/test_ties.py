@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import planar_arm
-from made_motion import made_motion
+from made_arms import planar_arm, random_states
+from made_recordings import made_motion
 from test_kinematics import CONFIG, arm, setup_of
-from trees import random_states
 
 from tauext import _core
 from tauext.fit.find_kinematics import BEAM, Kinematics, KinematicSample, directions, frame_of

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from made_pushes import JOINTS, pushed, watching_bundle
+from made_bundles import JOINTS, pushed, watching_bundle
 
 from tauext import Touch, _core
 from tauext.cli.text_lines import touch_words
@@ -131,8 +131,8 @@ def test_a_file_binds_a_reaction_to_kinds(tmp_path):
     path.write_text(FILE.format(on='["collision"]', touch='["clamp", "unknown"]'))
     assert load_reactions(path, JOINTS)[0].touch == ("clamp", "unknown")
     for on, touch, words in (
-        ('["collision"]', '["squeeze"]', "names 'squeeze'; kinds of touch are unknown, impact, push, clamp, load"),
-        ('["fault"]', '["clamp"]', "says nothing of fault; on needs collision or contact"),
+        ('["collision"]', '["squeeze"]', "must be a list of kinds of touch: unknown, impact, push, clamp, load"),
+        ('["fault"]', '["clamp"]', "touch cannot hold for fault; on needs collision or contact"),
         ('["collision"]', "[]", "must be a list of kinds of touch"),
     ):
         path.write_text(FILE.format(on=on, touch=touch))

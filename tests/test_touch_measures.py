@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made_bundles import seven_axis_bundle
 from made_results import make_results
 
 from tauext import _core
@@ -18,9 +18,7 @@ from tauext.evaluate.collisions import TouchMeasures, find_collisions
 from tauext.report.entry import Entry, Told, kinds_table, links_table, links_worth, read_links, told_table, told_words
 from tauext.report.page import write_report
 from tauext.report.results_file import load_results
-from tauext.robot.load import load_tree
 
-ARM = Path(__file__).parents[1] / "benchmarks" / "seven_axis.urdf"
 SIGMA_NM, RATE_HZ, APART_S, HELD_S = 0.15, 100, 3.0, 1.4
 PUSHES = (
     (3, (0.009, 0.2, 0.0), (-0.979, -0.206, 0)),
@@ -37,17 +35,7 @@ ALARM_S = 0.05
 @pytest.fixture(scope="module")
 def bundle() -> _core.Bundle:
     """A seven-axis arm with a capsule from each joint to the next."""
-    tree = load_tree(ARM)
-    made = _core.Bundle()
-    made.links, made.gravity = tree.links, tree.gravity
-    scale = _core.ErrorScaleSettings()
-    scale.features = [_core.MotionFeature.constant]
-    scale.limit_weights = scale.largest = [1.0] * tree.size
-    scale.sigma_weights = scale.sigma_near_weights = scale.largest_sigma = [SIGMA_NM] * tree.size
-    made.error_scale = scale
-    made.capsules = [_core.Capsule(k, [0, 0, 0], link.translation, 0.05) for k, link in enumerate(tree.links[1:])]
-    made.capsules += [_core.Capsule(6, [0, 0, 0.02], [0, 0, 0.14], 0.04)]
-    return made
+    return seven_axis_bundle([SIGMA_NM] * 7, _core.Capsule(6, [0, 0, 0.02], [0, 0, 0.14], 0.04))
 
 
 def pushed(bundle) -> tuple[Recording, Estimates]:

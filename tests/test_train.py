@@ -6,7 +6,7 @@ import signal
 
 import numpy as np
 import pytest
-from arms import planar_arm
+from made_arms import planar_arm
 
 from tauext import _core
 from tauext.config import ObserverConfig, TrainConfig

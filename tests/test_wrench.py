@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio_oracle as oracle
 import pytest
+from made_bundles import SEVEN_AXIS, seven_axis_bundle
 from scipy.stats import chi2
 
 from tauext import _core
@@ -16,7 +17,6 @@ from tauext.robot.frames import wrench_frames
 from tauext.robot.load import load_tree
 from tauext.train.wrench import correlation, factor
 
-ARM = Path(__file__).parents[1] / "benchmarks" / "seven_axis.urdf"
 GOLDEN = Path(__file__).parent / "golden" / "format-8.tauext"
 BASE, FRAME = _core.WrenchAxes.base, _core.WrenchAxes.frame
 SIGMA = np.array([0.8, 0.9, 0.6, 0.5, 0.3, 0.2, 0.15])
@@ -32,18 +32,11 @@ def together(joints: int, seed: int = 3) -> np.ndarray:
 
 def arm_bundle() -> _core.Bundle:
     """A seven-axis arm of which only model, error scale and frames are looked at."""
-    tree = load_tree(ARM)
-    made = _core.Bundle()
-    made.links, made.gravity = tree.links, tree.gravity
-    scale = _core.ErrorScaleSettings()
-    scale.features = [_core.MotionFeature.constant]
-    scale.limit_weights = scale.largest = [1.0] * tree.size
-    scale.sigma_weights = scale.sigma_near_weights = scale.largest_sigma = SIGMA.tolist()
-    made.error_scale = scale
+    made = seven_axis_bundle(SIGMA)
     settings = _core.WrenchSettings()
-    settings.frames = wrench_frames(ARM, tree)
-    settings.correlation = together(tree.size).ravel().tolist()
-    settings.torque_share = [0.03] * tree.size
+    settings.frames = wrench_frames(SEVEN_AXIS, load_tree(SEVEN_AXIS))
+    settings.correlation = together(made.joints).ravel().tolist()
+    settings.torque_share = [0.03] * made.joints
     settings.common_share = 0.02
     settings.radius, settings.residual_radius = [1.5, 1.2], [1.1, 1.3]
     made.wrench_settings = settings
@@ -71,7 +64,7 @@ def one(model, frame: str, q, tau, point=None, axes=BASE) -> dict:
 
 def test_the_jacobian_is_pinocchio_s_at_every_frame_of_the_robot_file(bundle, model):
     pin = oracle.pin
-    arm = oracle.read_model(ARM.read_text())
+    arm = oracle.read_model(SEVEN_AXIS.read_text())
     data, joints = arm.createData(), [link.joint_name for link in bundle.links]
     order = [arm.joints[arm.getJointId(name)].idx_v for name in joints]
     rng = np.random.default_rng(0)
@@ -239,7 +232,7 @@ def test_what_a_touch_adds_to_the_friction_of_moving_joints_is_taken_off_where_a
     model = _core.WrenchModel(made)
     true = torque(model, "joint7", POSE, np.r_[20.0, -25.0, 30.0, 1.0, 0.5, -1.0])
     pin = oracle.pin
-    arm = oracle.read_model(ARM.read_text())
+    arm = oracle.read_model(SEVEN_AXIS.read_text())
     at = np.array(POSE)
     order = [arm.joints[arm.getJointId(link.joint_name)].idx_v for link in made.links]
     seen = np.empty(7)

@@ -112,15 +112,11 @@ def source_of(kind: str, target: str, options: SourceOptions) -> Source:
         from tauext.sources.damiao import DamiaoSource, load_can_bus
 
         return DamiaoSource(target, load_can_bus(options.bus))
+    from tauext.sources.servo import ServoSource
     from tauext.sources.servo_bus_file import load_servo_bus
+    from tauext.sources.servo_series import DYNAMIXEL, FEETECH
 
-    if kind == "feetech":
-        from tauext.sources.feetech import FeetechSource
-
-        return FeetechSource(target, load_servo_bus(options.bus))
-    from tauext.sources.dynamixel import DynamixelSource
-
-    return DynamixelSource(target, load_servo_bus(options.bus))
+    return ServoSource(FEETECH if kind == "feetech" else DYNAMIXEL, target, load_servo_bus(options.bus))
 
 
 # --- The command.

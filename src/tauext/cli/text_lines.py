@@ -234,7 +234,7 @@ def change_words(change: Change, joints: tuple[str, ...], units: Sequence[str]) 
     """A line of text or more for a change.
 
     Args:
-        units: unit of the estimates, one a joint.
+        units: units of the estimates, one a joint.
     """
     if isinstance(change, WeighChange):
         return weigh_words(change)

@@ -1,0 +1,375 @@
+"""One case: a folder, a command line and what is hostile about it, all drawn from a seed and the case's number.
+
+The options of every command are found by looking at the commands themselves.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import types
+import typing
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from hostile.damage import damage
+from tauext import cli
+from tauext.cli import fleet
+
+FLOATS = ("inf", "-inf", "nan", "-1", "0", "-0.0", "1e-308", "1e308", "1e9", "1e18", "-1e9", "0.5", "1e400")
+INTEGERS = ("-1", "0", "1", "1000000000", "2147483648", "9223372036854775808", str(10**30), "1e9", "1.5", "nan", "-5")
+WORDS = ("", " ", "x", "-", "--", "none", "None", "True", "\n", "ä\udcff", "a" * 5000, "../..", "{}", "[]", "%s", "0x1")
+PLACES = ("missing", ".", "/", "", "/dev/null", "/dev/full", "/dev/zero", "/proc/self/mem", "pipe", "a" * 300, "\udcff")
+PLACES += ("full/x", "read-only/x", "robot.xml", "robot.xml/x", "data", "empty", "loop", "new\nline", "-", "~")
+PLACES += ("missing/x/y",)
+
+
+AT_TOP = ("TrainConfig", "AlarmConfig", "EventsConfig")
+NAMES = {"as-json": "json"}
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option of a command."""
+
+    name: str
+    """As it is typed: --max-steps."""
+    kind: Any
+    """Its type."""
+
+
+def options_of(command: Callable[..., Any]) -> list[Option]:
+    """All, those of nested settings too."""
+    hints = typing.get_type_hints(command)
+    return [Option(f"--{NAMES.get(name, name)}", kind) for name, kind in _options(hints, "")]
+
+
+def _options(hints: dict[str, Any], group: str) -> Iterator[tuple[str, Any]]:
+    """Names as they are typed, and types; settings of a command stand at the top, but for those of ros2."""
+    for name, kind in hints.items():
+        kind, spelled = plain(kind), group + name.replace("_", "-")
+        if is_dataclass(kind):
+            inner = typing.get_type_hints(kind, include_extras=True)
+            # The settings of train hold an alarm, too, as a group.
+            at_top = kind.__name__ in AT_TOP and not group and "recipe" not in hints
+            held = {field.name: inner[field.name] for field in fields(kind)}
+            yield from _options(held, "" if at_top else f"{spelled}.")
+        elif name != "return":
+            yield spelled, kind
+
+
+def plain(kind: Any) -> Any:
+    """Without `| None` and annotations."""
+    if typing.get_origin(kind) is typing.Annotated:
+        return plain(typing.get_args(kind)[0])
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
+        rest = [one for one in typing.get_args(kind) if one is not type(None)]
+        return plain(rest[0])
+    return kind
+
+
+def hostile_words(option: Option, rng: np.random.Generator) -> list[str]:
+    """The option with a value that hurts, as it would be typed."""
+    kind = option.kind
+    if typing.get_origin(kind) is tuple:
+        one = plain(typing.get_args(kind)[0])
+        count = int(rng.choice([0, 1, 2, 3, 3, 200]))
+        return [option.name, *(hostile_value(one, rng) for _ in range(count))]
+    if kind is bool:
+        flag = option.name if rng.random() < 0.7 else option.name.replace("--", "--no-", 1)
+        return [flag] if rng.random() < 0.7 else [flag, str(rng.choice(WORDS))]
+    return [option.name, hostile_value(kind, rng)]
+
+
+def hostile_value(kind: Any, rng: np.random.Generator) -> str:
+    """Mostly of the right kind and a bad value; now and then of another kind."""
+    if typing.get_origin(kind) is Literal and rng.random() < 0.7:
+        return str(rng.choice([str(choice) for choice in typing.get_args(kind)]))
+    own = {float: FLOATS, int: INTEGERS, Path: PLACES}.get(kind, WORDS)
+    chosen = own if rng.random() < 0.85 else (FLOATS, INTEGERS, WORDS, PLACES)[int(rng.integers(4))]
+    return str(chosen[int(rng.integers(len(chosen)))])
+
+
+COMMANDS = {
+    "simulate": cli.simulate,
+    "check": cli.check,
+    "train": cli.train,
+    "calibrate": cli.calibrate,
+    "refit": cli.refit,
+    "evaluate": cli.evaluate,
+    "report": cli.report,
+    "run": cli.run,
+    "monitor": cli.monitor,
+    "load": cli.load,
+    "show": cli.show,
+    "convert": cli.convert,
+    "import": cli.import_data,
+    "label": cli.label,
+    "fleet run": fleet.run,
+    "fleet prior": fleet.prior,
+    "fleet example": fleet.example,
+    "reproduce": cli.reproduce,
+    "demo": cli.demo,
+}
+OPTIONS = {name: options_of(command) for name, command in COMMANDS.items()}
+# What works and is soon done; {} takes a file where a reader is tried.
+SIMULATE = "simulate --out out/data --minutes 1 --collision-recordings 0"
+TRAIN = "train --data data --out out/a.tauext --recipe observer"
+PRIOR = "train --data data --out out/a.tauext --recipe prior"
+NETWORK = "train --data data --out out/a.tauext --recipe tauext --max-steps 2 --batch 4"
+EVALUATE = "evaluate --data data --out out/results --bundles observer.tauext"
+CALIBRATE = "calibrate --bundle prior.tauext --data hours --out out/a.tauext"
+REFIT = "refit prior.tauext --data data/free-000.parquet --out out/a.tauext"
+CHECK = "check --data data/free-000.parquet --robot robot.xml --out out/check"
+REPORT = "report --results results --data data --out out/report --page-mb 1"
+FLIGHT = "report --flight flights --out out/report --page-mb 1"
+RUN = "run observer.tauext data/free-006.parquet data/free-007.parquet --flights out/flights"
+MONITOR = "monitor observer.tauext --source replay:data/free-006.parquet --speed 20 --duration-s 0.3"
+LOAD = "load observer.tauext data/free-006.parquet"
+LOAD_KNOWN = LOAD + " --known-kg 1 --out out/a.tauext"
+CARRYING = "run prior.tauext data/free-006.parquet --loads loads.toml"
+LIKE = "train --data data --out out/a.tauext --recipe prior --like arm.prior.json"
+REFIT_LIKE = REFIT + " --like arm.prior.json"
+FLEET = "fleet run fleet.toml --out out/fleet --workers 1"
+FLEET_PRIOR = "fleet prior data data-2 data-3 --out out/a.prior.json"
+RECORD = MONITOR + " --record out/record --flights out/flights"
+CONVERT = "convert old.tauext --out out/a.tauext"
+IMPORT = "import --source arm.csv --arm table.toml --out out/imported"
+LEROBOT = IMPORT + " --format lerobot"
+LABEL = "label --dataset servos-v3.0 --bundle servos.tauext --arm servos.toml --out out/labelled"
+FEETECH = "monitor servos.tauext --source feetech:/dev/null --bus {} --duration-s 0.2"
+DYNAMIXEL = "monitor servos.tauext --source dynamixel:/dev/null --bus {} --duration-s 0.2"
+DAMIAO = "monitor observer.tauext --source damiao:hostile --bus {} --duration-s 0.2"
+NEW_BUS = "monitor --new-bus out/bus.toml"
+NEW = "import --new out/arm.toml --source arm.csv --robot robot.xml"
+GOOD = (SIMULATE, TRAIN, PRIOR, NETWORK, EVALUATE, CALIBRATE, CHECK, REPORT, FLIGHT, RUN, MONITOR, RECORD, CONVERT)
+GOOD += (LOAD, REFIT, LOAD_KNOWN, LIKE, REFIT_LIKE, CARRYING)
+GOOD += (FLEET, FLEET + " --dry-run", FLEET_PRIOR, "fleet example --out out/fleet.toml", "fleet example")
+GOOD += (IMPORT, LEROBOT, NEW, "show observer.tauext", "reproduce --scale smoke --out out/all --cases exact")
+GOOD += (LABEL, LABEL + " --json", NEW_BUS, FEETECH.format("bus.toml"), DAMIAO.format("can.toml"))
+GOOD += ("demo --no-open --headless-seconds 0.1", "demo --no-open")
+RARE = {"reproduce": 0.1, "demo": 0.1, "report": 0.2, "evaluate": 0.4, "calibrate": 0.3, "check": 0.4}
+RARE |= {"fleet prior": 0.1, "fleet run": 0.4}
+RARE |= {"results": 0.2, "flight": 0.4, "run.json": 0.4}
+"""Commands and readers whose good lines take seconds come so much less often."""
+WRITERS = (SIMULATE, TRAIN, NETWORK, EVALUATE, CHECK, REPORT, FLIGHT, RUN, RECORD, CONVERT, IMPORT, LEROBOT, NEW)
+WRITERS += (LABEL, NEW_BUS, FLEET, FLEET_PRIOR, "fleet example --out out/fleet.toml")
+BUNDLE = ("show {}", "show {}", "run {} data/free-006.parquet", "evaluate --data data --out out/results --bundles {}")
+BUNDLE += ("calibrate --bundle {} --data hours --out out/a.tauext",)
+BUNDLE += ("refit {} --data data/free-000.parquet --out out/a.tauext",)
+BUNDLE += ("monitor {} --source replay:data/free-006.parquet --speed 50 --duration-s 0.2",)
+RECORDING = ("show {}", "show {}", "run observer.tauext {}", "check --data {} --robot robot.xml", TRAIN, CHECK)
+RECORDING += (
+    "refit prior.tauext --data {} --out out/a.tauext",
+    "monitor observer.tauext --source replay:{} --speed 50 --duration-s 0.2",
+    "import --source {} --new out/arm.toml",
+)
+ROBOT = ("check --data data/free-000.parquet --robot {}", "import --new out/arm.toml --source arm.csv --robot {}")
+ROBOT += ("train --data data --out out/a.tauext --recipe observer --robot {}",)
+RAW = ("import --source {} --arm table.toml --out out/imported", "import --source {} --new out/arm.toml")
+ARRAYS = ("import --source {} --arm arrays.toml --out out/imported", "import --source {} --new out/arm.toml")
+BAG = ("import --source {} --arm topics.toml --out out/imported", "import --source {} --new out/arm.toml")
+# Reader: its files, of which one is damaged, and commands that read it.
+READERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "bundle": (("observer.tauext", "prior.tauext", "tauext.tauext"), BUNDLE),
+    "recording": (("data/free-000.parquet",), RECORDING),
+    "contacts": (("data/collisions-000.parquet",), (EVALUATE, "run observer.tauext {}", "show {}")),
+    "split.json": (("data/split.json",), (TRAIN, EVALUATE, "check --data data", REPORT, CALIBRATE)),
+    "old bundle": (("old.tauext",), ("convert {} --out out/a.tauext", "show {}")),
+    "run.json": (("data/run.json",), ("simulate --out data --minutes 1 --collision-recordings 1",)),
+    "MJCF": (("robot.xml",), ROBOT),
+    "URDF": (("robot.urdf",), ROBOT),
+    "csv": (("arm.csv",), RAW),
+    "parquet": (("arm.parquet",), RAW),
+    "hdf5": (("arm.h5",), ARRAYS),
+    "mat": (("arm.mat",), ARRAYS),
+    "bag of ROS 1": (("arm.bag",), BAG),
+    "bag of ROS 2": (
+        ("arm/arm.db3", "arm/metadata.yaml"),
+        ("import --source arm --arm topics.toml --out out/imported", BAG[1]),
+    ),
+    "mcap": (("arm-mcap/arm-mcap.mcap",), BAG),
+    "lerobot": (
+        ("lerobot/meta/info.json", "lerobot/data/*/*.parquet", "lerobot/meta/episodes/*/*.parquet"),
+        ("import --source lerobot --new out/arm.toml",),
+    ),
+    "labelled": (
+        ("servos-v3.0/meta/*", "servos-v3.0/data/*/*.parquet", "servos-v3.0/meta/episodes/*/*.parquet"),
+        (LABEL, LABEL + " --into features"),
+    ),
+    "labelled, of v2.1": (
+        ("servos-v2.1/meta/*", "servos-v2.1/data/*/*.parquet"),
+        (LABEL.replace("v3.0", "v2.1"), LABEL.replace("v3.0", "v2.1") + " --into features"),
+    ),
+    "servos": (("servos.toml",), (LABEL, "import --source servos-v3.0 --arm {} --out out/imported")),
+    "servo bundle": (("servos.tauext",), (LABEL, "show {}")),
+    "servo recording": (("servos/*.parquet", "servos/split.json"), (TRAIN.replace("--data data", "--data servos"),)),
+    "calibration": (
+        ("calibration.json",),
+        (LABEL, LABEL + " --calibration {}", FEETECH, DYNAMIXEL, FEETECH.format("bus.toml")),
+    ),
+    "bus": (("bus.toml",), (FEETECH, DYNAMIXEL)),
+    "CAN bus": (("can.toml",), (DAMIAO,)),
+    "arm.toml": (("table.toml",), (IMPORT, IMPORT, LEROBOT)),
+    "FLEET.toml": (("fleet.toml",), (FLEET + " --dry-run", FLEET + " --dry-run --json", FLEET)),
+    "fleet prior": (("arm.prior.json",), ("show {}", "show {} --json", "show {}", LIKE, REFIT_LIKE)),
+    "loads": (("loads.toml",), (CARRYING,)),
+    "results": (("results/results.json", "results/results.json", "results/estimates/*/*.parquet"), (REPORT,)),
+    "flight": (("flights/*.parquet",), (FLIGHT,)),
+    "reactions": (("reactions.toml",), (MONITOR + " --reactions {}",)),
+    "profiles": (("profiles.toml",), (MONITOR + " --profiles {}",)),
+    "constants": (("constants.toml",), ("monitor observer.tauext --source ur:127.0.0.1 --torque-constants {}",)),
+    "any place": (
+        (),
+        (
+            "show {}",
+            "run {} data/free-006.parquet",
+            "run observer.tauext {}",
+            "check --data {}",
+            "train --data {} --out out/a.tauext --max-steps 20",
+            "report --flight {} --out out/r",
+            "report --results {} --data data --out out/r",
+            "import --source {} --new out/a.toml",
+            "import --source arm.csv --arm {} --out out/i",
+            "check --data data/free-000.parquet --robot {}",
+            "convert {} --out out/a.tauext",
+            "run prior.tauext data/free-006.parquet --loads {}",
+            "train --data data --out out/a.tauext --recipe prior --like {}",
+            "refit prior.tauext --data data/free-000.parquet --out out/a.tauext --like {}",
+            "fleet run {} --out out/fleet",
+            "fleet prior {} data data-2 --out out/a.prior.json",
+            MONITOR + " --reactions {}",
+            LABEL.replace("servos-v3.0", "{}"),
+            LABEL.replace("servos.tauext", "{}"),
+            LABEL.replace("servos.toml", "{}"),
+            LABEL + " --calibration {}",
+            FEETECH,
+            DAMIAO,
+            "monitor observer.tauext --source replay:{}",
+            "evaluate --data data --out out/r --bundles {}",
+        ),
+    ),
+}
+FILE_LIMITS = (2000, 5000, 30_000, 100_000)
+"""Standard output and error are files, too, and bear two thousand bytes."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is run, and why it is hostile."""
+
+    kind: str
+    """options, output, or the reader."""
+    arguments: list[str]
+    what: str
+    largest_file: int | None = None
+    """Writing beyond it fails, as on a full disk, [bytes]."""
+
+    @property
+    def command(self) -> str:
+        return verb_of(self.arguments)
+
+
+def lay_out(good: Path, folder: Path, full: Path | None) -> None:
+    """The good files as links, and hostile places, in a folder that is made."""
+    for source in good.rglob("*"):
+        place = folder / source.relative_to(good)
+        if source.is_dir():
+            place.mkdir(parents=True, exist_ok=True)
+        else:
+            place.symlink_to(source)
+    for name in ("empty", "read-only", "out"):
+        (folder / name).mkdir()
+    (folder / "read-only").chmod(0o555)
+    os.mkfifo(folder / "pipe")
+    (folder / "loop").symlink_to("loop")
+    if full is not None:
+        (folder / "full").symlink_to(full)
+
+
+def make_case(seed: int, number: int, folder: Path, only: str = "") -> Case:
+    """Draw the case and damage what it damages; the current folder is `folder`, and is laid out."""
+    rng = np.random.default_rng([seed, number])
+    share = rng.random()
+    if only:
+        share = {"options": 0.0, "output": 0.4}.get(only, 0.9)
+    if share < 0.35:
+        return of_options(rng)
+    if share < 0.45:
+        return of_output(rng)
+    return of_reader(rng, only if only in READERS else drawn(tuple(READERS), rng), folder)
+
+
+def of_options(rng: np.random.Generator) -> Case:
+    """One to three options of a command with hostile values."""
+    arguments = drawn(GOOD, rng).split()
+    command = verb_of(arguments)
+    told = []
+    for option in rng.choice(np.array(OPTIONS[command], dtype=object), int(rng.choice([1, 1, 1, 2, 3]))):
+        words = hostile_words(option, rng)
+        arguments = without(arguments, option.name) + words
+        told.append(" ".join(words)[:80])
+    return Case("options", arguments, " ".join(told))
+
+
+def drawn(choices: tuple[str, ...], rng: np.random.Generator) -> str:
+    """One of the command lines or readers; what takes long less often."""
+    while True:
+        chosen = str(rng.choice(choices))
+        if rng.random() < RARE.get(chosen, RARE.get(verb_of(chosen.split()), 1.0)):
+            return chosen
+
+
+def verb_of(arguments: list[str]) -> str:
+    """The command, of two words where it has them."""
+    return " ".join(arguments[: 1 + (arguments[0] == "fleet")])
+
+
+def without(arguments: list[str], name: str) -> list[str]:
+    """The arguments without an option and its values."""
+    if name not in arguments:
+        return arguments
+    k = arguments.index(name)
+    end = k + 1
+    while end < len(arguments) and not arguments[end].startswith("--"):
+        end += 1
+    return arguments[:k] + arguments[end:]
+
+
+def of_output(rng: np.random.Generator) -> Case:
+    """A place that cannot be written to, or a disk that is full at some point."""
+    arguments = drawn(WRITERS, rng).split()
+    if rng.random() < 0.5:
+        limit = int(rng.choice(FILE_LIMITS))
+        return Case("output", arguments, f"no file beyond {limit} bytes", limit)
+    outs = [k for k, word in enumerate(arguments) if word.startswith("out/")]
+    k = int(rng.choice(outs))
+    place = str(rng.choice(PLACES))
+    if rng.random() < 0.5 and arguments[k].endswith(".tauext"):
+        place += ".tauext"
+    arguments[k] = place
+    return Case("output", arguments, f"{arguments[k - 1]} {place[:60]!r}")
+
+
+def of_reader(rng: np.random.Generator, reader: str, folder: Path) -> Case:
+    """A damaged file, and a command that reads it."""
+    patterns, lines = READERS[reader]
+    line = str(rng.choice(lines))
+    if not patterns:
+        place = str(rng.choice(PLACES))
+        arguments = [word.replace("{}", place) for word in line.split()]
+        return Case(reader, arguments, f"{place[:60]!r}")
+    files = [file for pattern in patterns for file in sorted(folder.glob(pattern))]
+    file = files[int(rng.integers(len(files)))]
+    source = file.resolve()
+    file.unlink()
+    shutil.copyfile(source, file)
+    told = damage(file, rng)
+    if rng.random() < 0.2:
+        told += f"; {damage(file, rng)}" if file.stat().st_size else ""
+    name = str(file.relative_to(folder))
+    return Case(reader, [word.replace("{}", name) for word in line.split()], f"{name}: {told}")

@@ -1,0 +1,222 @@
+"""The verdict on a mutation: what is found before training, what the bundle is worth after it, and the tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tauext.config import PAPER_CASES, EventsConfig, ObserverConfig, PriorConfig, TrainConfig
+from tauext.data.dataset import load_dataset
+from tauext.data.recording import Recording
+from tauext.evaluate.events import EventMeasures, event_time
+from tauext.evaluate.injected import estimate_recording
+from tauext.progress import SILENT
+from tauext.robot.model_case import chosen_case
+from tauext.train.look import view_dataset
+from tauext.train.stage import train_bundle
+
+VELOCITY = ("velocity-unit", "velocity-mismatch", "velocity-sign", "velocity-delay")
+EFFORT = ("effort-scale", "effort-motor-side", "effort-limit", "effort-gravity-compensated", "effort-external")
+LOAD = ("payload-missing", "payload-absent", "effort-scale")
+ONE_OF_MANY = ("odd-recording",)
+
+FITTING: dict[tuple[str, str], tuple[str, ...]] = {
+    ("factor", "q"): ("degrees", "position-limit", "joint-axis", "velocity-sign", "velocity-unit", "velocity-mismatch"),
+    ("factor", "q-dq"): ("degrees", "position-limit", "joint-axis"),
+    ("factor", "dq"): ("degrees", *VELOCITY),
+    ("factor", "tau"): ("effort-sign", *EFFORT),
+    ("amperes", "tau"): EFFORT,
+    ("exchange", "q-dq-tau"): ("joint-order", "joint-axis", "position-limit"),
+    ("exchange", "q"): ("joint-order", *VELOCITY),
+    ("exchange", "dq"): ("joint-order", *VELOCITY),
+    ("exchange", "tau"): ("joint-order",),
+    ("spike", "q"): ("spike", "position-limit", "velocity-mismatch"),
+    ("spike", "dq"): ("spike", "velocity-mismatch"),
+    ("spike", "tau"): ("spike", "effort-limit", "contact-in-free-motion"),
+    ("stuck", "q"): ("stuck", "velocity-mismatch"),
+    ("stuck", "dq"): ("stuck", "velocity-mismatch"),
+    ("stuck", "tau"): ("stuck", "contact-in-free-motion"),
+    ("delay", "tau"): ("torque-delay",),
+    ("delay", "dq"): ("velocity-delay", "velocity-mismatch"),
+    ("time-unit", ""): ("time-unit", "velocity-unit", "velocity-mismatch", "clock-irregular", "clock-gaps"),
+    ("zero", "q"): ("position-offset", "position-limit"),
+    ("thinned", ""): ("clock-irregular", "clock-gaps"),
+    ("load", "tau"): LOAD,
+    ("donor", ""): (*LOAD, "effort-limit", "position-limit", "position-offset"),
+    ("label", ""): ("contact-in-free-motion",),
+}
+"""By what is done and to which signals; "": whichever. One that tells an odd recording fits every mutation of some."""
+
+
+def fits(what: str, signals: tuple[str, ...], code: str) -> bool:
+    """Whether a finding of this code names the mutation."""
+    head = what.split("-")[0] if what.startswith(("label-", "donor-")) else what
+    codes = FITTING.get((head, "-".join(signals))) or FITTING[head, ""]
+    return code in codes or code in ONE_OF_MANY
+
+
+CONFIG = TrainConfig(
+    recipe="prior", threads=1, observer=ObserverConfig(gain_per_s=20.0), prior=PriorConfig(most_ripples=0)
+)
+"""Two searches are left out, each of which takes longer than all the rest; clean and broken alike."""
+TOLERANCE = 0.05
+"""Of limits and of contacts found: less is no harm."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A finding before training."""
+
+    code: str
+    joint: str | None
+    severity: str
+    evidence: str
+    recording: str | None = None
+
+    @property
+    def key(self) -> tuple[str | None, ...]:
+        """Equal findings have equal keys; of contacts there are more where more are told."""
+        count = self.evidence.split(" disturbance")[0] if self.code == "contact-in-free-motion" else None
+        return (self.code, self.joint, self.severity, self.recording, count)
+
+
+@dataclass(frozen=True)
+class Worth:
+    """Of a bundle."""
+
+    limits_nm: list[float]
+    """Median over free samples of the recordings it is judged on, a joint."""
+    found: int
+    events: int
+
+
+def looked_at(folder: Path) -> list[Seen]:
+    """Faults and warnings that a training on this dataset would be told before it learns anything.
+
+    Raises:
+        TauextError: it cannot even be read.
+    """
+    dataset = load_dataset(folder)
+    robot = dataset.robot_file(None)
+    case, _ = chosen_case(None, robot)
+    recordings = dataset.training(), dataset.recordings("validation")
+    looks = view_dataset(dataset, robot, PAPER_CASES[case], *recordings, CONFIG, SILENT)
+    findings = [finding for look in looks.values() for finding in look.findings]
+    return [Seen(f.code, f.joint, f.severity, f.evidence, f.recording) for f in findings]
+
+
+def worth_of(folder: Path, out: Path, judged: Iterable[Recording]) -> Worth:
+    """Train on the dataset, and judge the bundle on these recordings.
+
+    Raises:
+        TauextError: the training refuses, or the bundle does not fit the recordings.
+    """
+    bundle = train_bundle(load_dataset(folder), out, config=CONFIG, look=False)
+    measures = EventMeasures(EventsConfig(), CONFIG.observer.near_stiction_rad_s)
+    limits = []
+    for recording in judged:
+        estimates = estimate_recording(bundle, recording, 1)
+        measures.add_estimates(recording, estimates)
+        limits.append(estimates.limit[~event_time(recording, 0.5) & estimates.healthy])
+    counts = measures.summary()["all"]
+    return Worth(np.median(np.concatenate(limits), axis=0).tolist(), counts["found"], counts["events"])
+
+
+def verdict_before(
+    what: str, signals: tuple[str, ...], seen: list[Seen], clean: list[Seen]
+) -> tuple[str | None, list[Seen]]:
+    """refused: a fault that the clean dataset lacks; named: a warning whose code fits; None: it would be trained on.
+
+    And what is new.
+    """
+    known = {one.key for one in clean}
+    new = [one for one in seen if one.key not in known]
+    if any(one.severity == "fault" for one in new):
+        return "refused", new
+    if any(fits(what, signals, one.code) for one in new):
+        return "named", new
+    return None, new
+
+
+def verdict_after(worth: Worth, clean: Worth) -> tuple[str, float, int]:
+    """harmless or missed; the largest share by which a limit differs; contacts found more or fewer."""
+    ratio = np.array(worth.limits_nm) / np.array(clean.limits_nm) - 1
+    off = float(np.abs(ratio).max()) if np.isfinite(ratio).all() else float("inf")
+    more = worth.found - clean.found
+    harmless = off <= TOLERANCE and abs(more) <= TOLERANCE * clean.found
+    return ("harmless" if harmless else "missed"), off, more
+
+
+LET_IN = "let in"
+"""By the door; nothing was trained on it yet."""
+VERDICTS = ("refused", "named", "harmless", "missed", LET_IN, "traceback")
+
+
+def markdown(rows: Sequence[dict], good: Sequence[dict], command: str) -> str:
+    """The text of README.md."""
+    datasets = list(dict.fromkeys(row["dataset"].removesuffix("-labels") for row in rows))
+    kinds = list(dict.fromkeys(row["kind"] for row in sorted(rows, key=lambda row: row["kind"])))
+    lines = [
+        "# Mutations of good data",
+        "",
+        f"Written by `{command}`.",
+        "",
+        "Refused: a fault or an error that the clean dataset does not have. Named: a warning with a fitting code.",
+        "Harmless: trained, limits and contacts found within 5 % of the clean bundle's. Missed: the rest.",
+        "",
+        f"| dataset | kind | cases | {' | '.join(VERDICTS)} |",
+        f"|---|---|---|{'---|' * len(VERDICTS)}",
+    ]
+    for dataset in datasets:
+        of = [row for row in rows if row["dataset"].removesuffix("-labels") == dataset]
+        lines += [_line(dataset, kind, [row for row in of if row["kind"] == kind]) for kind in kinds]
+        lines.append(_line(f"**{dataset}**", "", of))
+    lines += [_line("**all**", kind, [row for row in rows if row["kind"] == kind]) for kind in kinds]
+    lines.append(_line("**all**", "**all**", rows))
+    lines += ["", f"Missed: {_share(rows, 'missed')}.", *_others(rows), "", *_good(good), "", *_missed(rows)]
+    return "\n".join([*lines, ""])
+
+
+def _line(dataset: str, kind: str, rows: Sequence[dict]) -> str:
+    counts = [str(sum(row["verdict"] == verdict for row in rows)) for verdict in VERDICTS]
+    return f"| {dataset} | {kind} | {len(rows)} | {' | '.join(counts)} |"
+
+
+def _share(rows: Sequence[dict], verdict: str) -> str:
+    count = sum(row["verdict"] == verdict for row in rows)
+    return f"{count} of {len(rows)}, {count / max(1, len(rows)):.1%}"
+
+
+def _others(rows: Sequence[dict]) -> list[str]:
+    """Refusals for another reason than the mutation's own."""
+    other = [row for row in rows if row["verdict"] == "refused" and not row["fits"]]
+    return [f"Refused, but by no code that fits: {len(other)}."] if other else []
+
+
+def _good(good: Sequence[dict]) -> list[str]:
+    false = [one for one in good if one["faults"] or one["error"]]
+    lines = [f"False refusals on good data: {len(false)} of {len(good)} datasets."]
+    return lines + [f"- {one['name']}: {one['error'] or '; '.join(one['faults'])}" for one in false]
+
+
+def _missed(rows: Sequence[dict]) -> list[str]:
+    lines = [
+        "## Missed",
+        "",
+        "| case | largest change of a limit | contacts found | other findings |",
+        "|---|---|---|---|",
+    ]
+    for row in sorted(
+        (row for row in rows if row["verdict"] in ("missed", LET_IN, "traceback")), key=lambda row: row["id"]
+    ):
+        off = "" if row["limit_off"] is None else f"{row['limit_off']:.0%}"
+        found = "" if row["found"] is None else f"{row['found']} of {row['events']} (clean {row['found_clean']})"
+        seen = (
+            ", ".join(f"{one['code']} ({one['joint']})" for one in row["findings"])
+            or (row["error"] or "").strip().rpartition("\n")[2]
+        )
+        lines.append(f"| {row['id']} | {off} | {found} | {seen} |")
+    return lines

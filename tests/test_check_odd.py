@@ -1,0 +1,202 @@
+"""A recording that disagrees with the others is named, with what would mend it; other motion does not make one odd."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_arms import planar_arm, six_axis, urdf
+from made_recordings import Drive, made_motion
+
+from tauext.check.arrangement import with_load
+from tauext.check.examine import examine
+from tauext.check.finding import Finding
+from tauext.data.drive_signal import Play
+from tauext.data.free_motion import cut
+from tauext.data.recording import Recording
+from tauext.robot.load import load_tree
+
+J, ODD = 1, 2
+EXAMINATION = import_module("tauext.check.examine")
+NO_PLAY = Play(np.nan, np.nan, np.nan, np.nan, 0, np.zeros(0), np.zeros(0))
+
+
+def six_axes(folder: Path, minutes: float):
+    path = folder / "six.urdf"
+    path.write_text(urdf(six_axis()).replace('effort="100"', 'effort="30000"'))
+    return path, load_tree(path), made_motion(load_tree(path), minutes, 100.0, pieces=4).recordings
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return six_axes(tmp_path_factory.mktemp("arm"), 1.2)
+
+
+@pytest.fixture(scope="module")
+def longer(tmp_path_factory):
+    """For what shows in more motion alone."""
+    return six_axes(tmp_path_factory.mktemp("longer"), 2.0)
+
+
+def one(r: Recording, signal: str, change) -> np.ndarray:
+    x = getattr(r, signal).copy()
+    x[:, J] = change(x[:, J])
+    return x
+
+
+def swapped(x: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(x[:, [0, 2, 1, 3, 4, 5]])
+
+
+CHANGES = {
+    "the torque of": lambda r: {"tau": -r.tau},
+    "its torque negated": lambda r: {"tau": one(r, "tau", np.negative)},
+    "divided by 0.5": lambda r: {"tau": one(r, "tau", lambda x: x / 2)},
+    "of another unit": lambda r: {"tau": one(r, "tau", lambda x: x * 1000)},
+    "the torques of 'joint2' and 'joint3' exchanged": lambda r: {"tau": swapped(r.tau)},
+    "exchanged": lambda r: {name: swapped(getattr(r, name)) for name in ("q", "dq", "tau")},
+    "velocity is -": lambda r: {"dq": one(r, "dq", np.negative)},
+    "velocity is 57": lambda r: {"dq": r.dq * 180 / np.pi},
+    "in degrees": lambda r: {"q": r.q * 180 / np.pi, "dq": r.dq * 180 / np.pi},
+    "1 turns": lambda r: {"q": one(r, "q", lambda x: x + 2 * np.pi)},
+}
+
+
+def odd(recordings: list[Recording], path=None) -> list[Finding]:
+    """Of an examination without its last steps, torque against model and play, which name no recording odd."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(EXAMINATION, "_torque", lambda *_: ([], None, [], [], None, 0.0))
+        patch.setattr(EXAMINATION, "play_of", lambda recordings, j: NO_PLAY)
+        patch.setattr(EXAMINATION, "facts_of", lambda *_: [])
+        return [f for f in examine(recordings, path).findings if f.code == "odd-recording"]
+
+
+TELLING = ("the torque of", "exchanged", "in degrees")
+VARIANTS = [pytest.param(told, marks=[pytest.mark.slow] * (told not in TELLING)) for told in CHANGES]
+
+
+@pytest.mark.parametrize("told", VARIANTS)
+def test_odd_recording_is_named_with_its_mend(arm, told):
+    path, _, good = arm
+    recordings = [replace(r, **CHANGES[told](r)) if k == ODD else r for k, r in enumerate(good)]
+    diagnosis = examine(recordings, path)
+    (found,) = [f for f in diagnosis.findings if f.code == "odd-recording"]
+    assert found.recording == good[ODD].name and told in found.evidence
+    assert {f.code for f in diagnosis.findings} <= {"odd-recording", "too-short", "position-limit"}
+
+
+WITHOUT_MODEL = {
+    "negated": lambda r: {"tau": -r.tau},
+    "negated friction resists": lambda r: {"tau": one(r, "tau", np.negative)},
+    "of another unit": lambda r: {"tau": one(r, "tau", lambda x: x * 1000)},
+    "exchanged": lambda r: {"tau": np.ascontiguousarray(r.tau[:, ::-1])},
+    "velocity is -": lambda r: {"dq": one(r, "dq", np.negative)},
+    "in degrees": lambda r: {"q": r.q * 180 / np.pi, "dq": r.dq * 180 / np.pi},
+}
+
+
+@pytest.fixture(scope="module")
+def planar() -> list[Recording]:
+    return made_motion(planar_arm(), 3.0, 100.0, pieces=4).recordings
+
+
+@pytest.mark.parametrize("told", WITHOUT_MODEL)
+def test_odd_recording_is_named_without_a_model(planar, told):
+    recordings = [replace(r, **WITHOUT_MODEL[told](r)) if k == ODD else r for k, r in enumerate(planar)]
+    (found,) = odd(recordings)
+    assert found.recording == planar[ODD].name and told in found.evidence
+
+
+def test_good_recordings_are_not_odd(arm, planar):
+    path, _, good = arm
+    assert not odd(good, path) and not odd(planar)
+
+
+@pytest.mark.parametrize(
+    "by, told",
+    [
+        (0.3, "-0.3"),
+        pytest.param(-1.0, "+1.0", marks=pytest.mark.slow),
+        pytest.param(np.pi / 2, "-1.57", marks=pytest.mark.slow),
+    ],
+)
+def test_shifted_zero_is_named_in_rad(arm, by, told):
+    path, _, good = arm
+    recordings = [replace(r, q=one(r, "q", lambda x: x + by)) if k == ODD else r for k, r in enumerate(good)]
+    (found,) = odd(recordings, path)
+    assert (found.recording, found.joint) == (good[ODD].name, "joint2") and told in found.evidence
+    assert found.severity == ("fault" if abs(by) > 0.5 else "warning")
+
+
+@pytest.mark.parametrize("late_s", [0.025, pytest.param(-0.06, marks=pytest.mark.slow)])
+def test_a_recording_whose_torque_comes_late_is_named_in_ms(longer, late_s):
+    path, _, good = longer
+    shifted = np.round(late_s * good[ODD].rate_hz).astype(int)
+    recordings = [replace(r, tau=np.roll(r.tau, shifted, axis=0)) if k == ODD else r for k, r in enumerate(good)]
+    (found,) = odd(recordings, path)
+    assert (found.recording, found.joint, found.severity) == (good[ODD].name, None, "warning")
+    told_ms = float(found.evidence.split(" by ")[1].split()[0])
+    assert abs(told_ms - 1e3 * late_s) < 0.2 * 1e3 * abs(late_s)  # the fit is by the torque's slope alone
+
+
+def test_a_zero_that_is_a_little_off_is_named(longer):
+    """Less than what doubles the error."""
+    path, _, good = longer
+    recordings = [replace(r, q=one(r, "q", lambda x: x + 0.1)) if k == ODD else r for k, r in enumerate(good)]
+    (found,) = odd(recordings, path)
+    assert (found.recording, found.joint, found.severity) == (good[ODD].name, "joint2", "warning")
+
+
+def test_another_load_is_a_warning(arm):
+    path, tree, good = arm
+    heavier = made_motion(with_load(tree, np.array([6.0, 0.1, 0.0, 0.5])), 0.5, 100.0, seed=5, pieces=1).recordings[0]
+    (found,) = odd([*good, replace(heavier, name="loaded")], path)
+    assert (found.recording, found.severity) == ("loaded", "warning") and "kg more" in found.evidence
+
+
+@pytest.mark.parametrize("with_model", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["model", "no model"])
+def test_other_poses_speeds_and_warmth_are_not_odd(arm, with_model):
+    path, tree, good = arm
+    narrow = made_motion(tree, 0.5, 100.0, seed=7, pieces=1, ranges=0.4).recordings[0]
+    wide = made_motion(tree, 0.5, 100.0, seed=8, pieces=1, ranges=2.8).recordings[0]
+    cold = made_motion(tree, 0.5, 100.0, seed=9, pieces=1, drive=Drive(friction=1.4)).recordings[0]
+    still = made_motion(tree, 0.5, 100.0, seed=10, pieces=1, still=1).recordings[0]
+    others = [replace(r, name=f"other-{k}") for k, r in enumerate((narrow, wide, cold, still))]
+    assert not odd([*good, *others], path if with_model else None)
+
+
+def test_what_all_recordings_have_wrong_makes_none_odd(arm):
+    path, _, good = arm
+    negated = examine([replace(r, tau=-r.tau) for r in good], path).findings
+    assert "odd-recording" not in {f.code for f in negated} and "effort-sign" in {f.code for f in negated}
+
+
+def test_robot_file_that_changed_is_a_warning_that_names_recordings(arm):
+    from tauext.robot.load import robot_sha256
+
+    path, _, good = arm
+    known = [replace(cut(r, slice(0, 600)), robot_sha256=robot_sha256(path)) for r in good]
+    assert "robot-file-changed" not in {f.code for f in examine(known, path).findings}
+    one_other = [replace(r, robot_sha256="f" * 64) if k == ODD else r for k, r in enumerate(known)]
+    (found,) = [f for f in examine(one_other, path).findings if f.code == "robot-file-changed"]
+    assert (found.severity, found.recording) == ("warning", good[ODD].name) and "ffffffffffff" in found.evidence
+
+
+def test_a_recording_of_another_rate_is_named(planar):
+    names = ("t_ns", "q", "dq", "tau", "contact")
+    half = {name: np.ascontiguousarray(getattr(planar[ODD], name)[::2]) for name in names}
+    slow = replace(planar[ODD], rate_hz=planar[ODD].rate_hz / 2, **half)  # type: ignore[arg-type]
+    (found,) = odd([slow if k == ODD else r for k, r in enumerate(planar)])
+    assert (found.recording, found.severity) == (slow.name, "fault") and "samples a second" in found.evidence
+
+
+def test_stamps_far_too_long_leave_rows_to_search(arm):
+    from tauext.check.arrangement import search_stretches
+    from tauext.check.motion import stretches
+
+    _, _, good = arm
+    slow = stretches([replace(r, t_ns=r.t_ns * 1_000_000, rate_hz=r.rate_hz / 1e6) for r in good])
+    assert min(len(s.q) for s in search_stretches(slow, 30.0)) > 9

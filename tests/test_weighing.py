@@ -1,0 +1,511 @@
+"""A load weighed by the arm's own joints: its columns, what is found, what is refused, and a weight that is known."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_arms import planar_rig, random_states, six_axis, urdf
+from made_recordings import Drive, made_motion
+
+from tauext import _core
+from tauext.bundle.bundle_file import load_bundle
+from tauext.cli import main
+from tauext.config import ObserverConfig, TrainConfig
+from tauext.data.recording import Recording
+from tauext.data.recording_file import save_recording
+from tauext.errors import ConfigError
+from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.fit.torque_constants import with_constants
+from tauext.monitor.explanation import explain
+from tauext.monitor.flight_content import Flight, rows_kept
+from tauext.monitor.flight_files import FlightSource
+from tauext.monitor.known_load import scaled_bundle, weigh_constants
+from tauext.monitor.replay import replay
+from tauext.monitor.weighing import (
+    between,
+    each_window,
+    expect_weighable,
+    identify,
+    load_frame,
+    load_sentences,
+    see,
+    stand_worth,
+    weighing_joints,
+)
+from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
+from tauext.robot.load import load_tree
+from tauext.train.preparation import known_constants
+
+MASS, COM = 1.6, np.array([0.03, -0.05, 0.08])
+QUIET = Drive(friction=0.0, noise=0.003)
+
+
+def phi_of(mass: float, com: np.ndarray, radius: float = 0.04) -> np.ndarray:
+    """m, h, I about the frame's origin of a ball."""
+    inertia = 0.4 * mass * radius**2 * np.eye(3) + mass * (com @ com * np.eye(3) - np.outer(com, com))
+    return np.r_[mass, mass * com, np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+
+
+def carrying(tree: _core.Tree, phi: np.ndarray) -> _core.Tree:
+    links = tree.links
+    links[-1] = with_inertial_parameters(links[-1], inertial_parameters(links[-1]) + np.r_[phi, 0.0])
+    return _core.Tree(links, tree.gravity)
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory) -> _core.Tree:
+    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
+    path.write_text(urdf(six_axis()))
+    return load_tree(path)
+
+
+@pytest.fixture(scope="module")
+def loaded_motion(arm) -> Recording:
+    return made_motion(carrying(arm, phi_of(MASS, COM)), 0.4, pieces=1, seed=3, drive=QUIET).recordings[0]
+
+
+@pytest.fixture(scope="module")
+def free_motion(arm) -> Recording:
+    return made_motion(arm, 0.2, pieces=1, seed=4, drive=QUIET).recordings[0]
+
+
+def bundle_of(tree: _core.Tree, recording: Recording) -> _core.Bundle:
+    """The plain observer, whose error is a fifth of its limits."""
+    setup = build_setup(tree, recording, ObserverConfig())
+    bundle = make_bundle("arm", setup, 0.02, recording)
+    spread = recording.tau.std(axis=0)
+    bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = (5 * (0.01 * spread + 0.02)).tolist()
+    bundle.possible_torque_nm = [1e6] * tree.size
+    return bundle
+
+
+def test_columns_are_what_pinocchio_says_a_load_adds(tmp_path):
+    pinocchio = pytest.importorskip("pinocchio_oracle")
+    parts = six_axis()
+    q, dq = random_states(len(parts), 200, seed=1)
+    joints = [part.joint for part in parts]
+    (tmp_path / "arm.urdf").write_text(urdf(parts))
+    tree = load_tree(tmp_path / "arm.urdf")
+    last = tree.links[-1]
+    # the same load twice: by our link frame, whose origin is the joint's, and as a heavier last part at its own com
+    part = parts[-1]
+    heavier = replace(part, mass=2 * part.mass, inertia=2 * part.inertia)
+    without, with_it = (
+        pinocchio.momentum(pinocchio.read_model(urdf(arm)), q, dq, joints) for arm in (parts, [*parts[:-1], heavier])
+    )
+    phi = inertial_parameters(last)[:10]
+    columns = _core.load_columns(tree, _core.LoadFrame(len(parts) - 1), q, dq)
+    for found, more, less in zip(columns, with_it, without, strict=True):
+        expected = more - less
+        assert np.abs(found @ phi - expected).max() <= 1e-9 * np.abs(expected).max()
+
+
+def test_an_unmodelled_load_shows_what_its_columns_say(arm, free_motion):
+    phi = phi_of(MASS, COM)
+    signals = (free_motion.t_ns, free_motion.q, free_motion.dq, free_motion.tau)
+    bundle = bundle_of(arm, free_motion)
+    without = _core.observe(arm, bundle.observer, *signals).residual
+    carrying_it = _core.observe(carrying(arm, phi), bundle.observer, *signals).residual
+    rows = np.arange(0, free_motion.samples, 7)
+    told = _core.load_rows(bundle, _core.LoadFrame(5), [0.0] * 10, *signals[:3], rows)
+    # tau_ext of the arm that carries it, seen by the model that lacks it, is lower by what the model would add
+    np.testing.assert_allclose(told["load"] @ phi, (without - carrying_it)[rows], atol=1e-9)
+    assert np.abs(told["offset"]).max() == 0
+
+
+def test_gravity_of_a_load_pulls_as_a_force_along_it(arm, free_motion):
+    still = np.zeros_like(free_motion.dq)
+    bundle = bundle_of(arm, free_motion)
+    rows = np.array([free_motion.samples - 1])
+    pose = np.repeat(free_motion.q[:1], free_motion.samples, axis=0)
+    told = _core.load_rows(bundle, _core.LoadFrame(5), [0.0] * 10, free_motion.t_ns, pose, still, rows)
+    force = told["base_forces"] @ np.array(arm.gravity)
+    np.testing.assert_allclose(told["load"][..., 0], force, atol=1e-6)
+
+
+def test_mass_and_centre_are_found(arm, loaded_motion, free_motion):
+    bundle = bundle_of(arm, free_motion)
+    frame = load_frame(bundle)
+    assert frame.frame.link == 5
+    seen = see(bundle, loaded_motion)
+    found = identify(bundle, frame, [seen])
+    assert found.verdict == "load"
+    assert found.mass_seen and not found.unseen and not found.at_bound
+    assert abs(found.mass_kg - MASS) < 0.02
+    assert np.linalg.norm(found.com_m - COM) < 0.005
+    assert abs(found.mass_kg - MASS) < 4 * found.mass_error_kg
+    windows = each_window(bundle, frame, [between(seen, 1.0, None)], found)
+    assert len(windows) == 5
+    assert max(abs(own.mass_kg - MASS) for _, _, own in windows) < 0.1
+    assert load_sentences(found, frame.name, "N m")[0].startswith("load 1.6")
+
+
+@pytest.mark.parametrize("joint", [4, 5])
+def test_a_joint_in_amperes_weighs_nothing(arm, loaded_motion, free_motion, joint):
+    """Its numbers may be any; five joints tell mass and centre as they do where the sixth is not there."""
+    found = []
+    for nm_per_ampere in (0.1, 5.0):
+        amperes = np.where(np.arange(6) == joint, 1 / nm_per_ampere, 1.0)
+        bundle = bundle_of(arm, replace(free_motion, tau=free_motion.tau * amperes))
+        bundle.observer = with_constants(bundle.observer, np.ones(6))
+        bundle.units = _core.TorqueUnits(_core.TorqueUnit.ampere, -1, [int(j == joint) for j in range(6)])
+        assert [j for j, weighs in enumerate(weighing_joints(bundle)) if not weighs] == [joint]
+        seen = see(bundle, replace(loaded_motion, tau=loaded_motion.tau * amperes))
+        found.append(identify(bundle, load_frame(bundle), [seen]))
+    for one in found:
+        assert one.verdict == "load" and one.misfit < 1  # 734 and 1,453 with the amperes as N m
+        assert abs(one.mass_kg - MASS) < 4 * one.mass_error_kg and one.mass_error_kg < 0.02
+        assert np.linalg.norm(one.com_m - COM) < 0.01
+    np.testing.assert_allclose(found[0].mass_kg, found[1].mass_kg, rtol=1e-6)
+
+
+def test_a_frame_where_no_joint_feels_a_weight_tells_no_mass(tmp_path, arm, free_motion, loaded_motion, capsys):
+    """The first joint stands upright: a load on its link weighs on none."""
+    bundle = bundle_of(arm, free_motion)
+    found = identify(bundle, load_frame(bundle, "joint1"), [see(bundle, loaded_motion)])
+    assert not found.mass_seen and found.mass_error_kg > 100
+    command = [*saved(tmp_path, bundle, loaded_motion), "--frame", "joint1"]
+    assert main(command) == 0
+    assert capsys.readouterr().out.startswith("no weight shows there: gravity never pulls a load at the link of joint1")
+    assert main([*command, "--known-kg", "1.6"]) == 2
+    assert "cannot set torque constants: no weight shows there" in capsys.readouterr().err
+
+
+def test_a_recording_given_twice_is_refused(tmp_path, arm, free_motion, loaded_motion, capsys):
+    """Its errors would fall with the root of how often it is given."""
+    command = saved(tmp_path, bundle_of(arm, free_motion), loaded_motion)
+    save_recording(loaded_motion, tmp_path / "copy.parquet")
+    for again in (command[2], str(tmp_path / "copy.parquet")):
+        assert main([*command, again]) == 2
+        assert "are the same motion; give each one once" in capsys.readouterr().err
+
+
+def test_amperes_of_all_joints_are_no_scales(arm, free_motion):
+    bundle = bundle_of(arm, free_motion)
+    bundle.units = _core.TorqueUnits(_core.TorqueUnit.ampere)
+    with pytest.raises(ConfigError, match="has no torque constant of any joint"):
+        expect_weighable(bundle)
+
+
+def test_a_heavy_load_far_out_is_found_from_little_motion(arm, free_motion):
+    """Levers of a light load, assumed at the beginning, would leave 0.4 kg of it."""
+    mass, com = 2.95, np.array([-0.10, 0.22, -0.04])
+    recording = made_motion(carrying(arm, phi_of(mass, com)), 0.2, pieces=1, seed=116, drive=QUIET).recordings[0]
+    bundle = bundle_of(arm, free_motion)
+    seen = see(bundle, recording)
+    rows = np.arange(len(seen.samples))
+    for begin in (0, 300, 600, 900):
+        found = identify(bundle, load_frame(bundle), [seen.part((rows >= begin) & (rows < begin + 60))])
+        assert found.verdict == "load" and abs(found.mass_kg - mass) < 3 * max(found.mass_error_kg, 0.05)
+
+
+def test_an_empty_hand_is_called_one(arm, free_motion):
+    bundle = bundle_of(arm, free_motion)
+    found = identify(bundle, load_frame(bundle), [see(bundle, free_motion)])
+    assert found.verdict == "nothing"
+    assert "no load shows" in load_sentences(found, "it", "N m")[0]
+
+
+def test_the_friction_that_a_load_adds_is_part_of_it(arm, free_motion):
+    bundle = bundle_of(arm, free_motion)
+    prior = _core.PriorSettings()
+    prior.terms = [_core.Term(_core.TermKind.load, j, speed=0.01) for j in range(6)]
+    weights = np.zeros((6, 6))
+    np.fill_diagonal(weights, [-0.08, -0.08, 0.3, -9.0, -0.02, 0.0])
+    prior.weights = weights.ravel().tolist()
+    bundle.prior = prior
+    # friction that grows with the load lies within a gear's: what was fitted to hardly any load is not believed
+    np.testing.assert_allclose(_core.load_friction_shares(bundle), [0.08, 0.08, 0, 0.15, 0.02, 0])
+    rng = np.random.default_rng(0)
+    t_ns = np.arange(400) * 10_000_000
+    q = np.repeat(rng.uniform(-1, 1, (1, 6)), 400, axis=0)
+    dq = np.full((400, 6), 1.0)  # all joints slide on in one pose: friction has its full size
+    rows = np.array([399])
+    phi = phi_of(MASS, COM)
+    p, beta = _core.load_columns(arm, _core.LoadFrame(5), q[:1], dq[:1])
+    own = arm.momentum(q[:1], dq[:1])[1][0]
+    told = _core.load_rows(bundle, _core.LoadFrame(5), phi.tolist(), t_ns, q, dq, rows)
+    shares = np.array([0.08, 0.08, 0, 0.15, 0.02, 0])
+    friction = -shares * (np.abs(own + beta[0] @ phi) - np.abs(own))
+    np.testing.assert_allclose((told["load"][0] @ phi + told["offset"][0]), -beta[0] @ phi + friction, atol=1e-6)
+
+
+def pushed(arm: _core.Tree, recording: Recording, force_n: np.ndarray) -> Recording:
+    """With a constant force at the last joint's origin."""
+    frame = _core.LoadFrame(5)
+    pull = _core.load_columns(_core.Tree(arm.links, force_n.tolist()), frame, recording.q, 0 * recording.dq)[1][..., 0]
+    return replace(recording, tau=recording.tau + pull)  # beta of a weight is what the motors give against it
+
+
+def test_a_force_that_does_not_turn_as_gravity_would_is_no_load(arm, free_motion):
+    bundle = bundle_of(arm, free_motion)
+    seen = see(bundle, pushed(arm, free_motion, np.array([20.0, 5.0, 0.0])))
+    found = identify(bundle, load_frame(bundle), [seen])
+    assert found.verdict == "contact"
+    sentence = load_sentences(found, "it", "N m")[0]
+    assert sentence.startswith("this does not turn as gravity would: a constant force of (20.")
+    lifted = identify(bundle, load_frame(bundle), [see(bundle, pushed(arm, free_motion, np.array([0.0, 0.0, 15.0])))])
+    assert lifted.verdict in ("contact", "lifts")
+
+
+def test_one_pose_hides_the_centre_along_gravity_and_some_poses_do_not(arm, free_motion):
+    bundle, phi = bundle_of(arm, free_motion), phi_of(MASS, COM)
+    loaded, rng = carrying(arm, phi), np.random.default_rng(5)
+
+    def standing(poses: int) -> Recording:
+        q = np.repeat(rng.uniform(-1.5, 1.5, (poses, 6)), 200, axis=0)
+        tau = loaded.momentum(q, 0 * q)[1] + 0.01 * rng.standard_normal(q.shape)
+        t_ns = np.arange(len(q), dtype=np.int64) * 10_000_000
+        return replace(free_motion, t_ns=t_ns, q=q, dq=0 * q, tau=tau, contact=None)
+
+    # jumps from pose to pose are no motion: the chain is asked about each stand alone
+    parts = [see(bundle, standing(1)) for _ in range(5)]
+    several = identify(bundle, load_frame(bundle), parts)
+    assert several.verdict == "load" and several.mass_seen and not several.unseen
+    assert abs(several.mass_kg - MASS) < 0.05 and np.linalg.norm(several.com_m - COM) < 0.02
+    single = identify(bundle, load_frame(bundle), parts[:1])
+    assert abs(single.mass_kg - MASS) < 0.1 and len(single.unseen) == 1
+    pose = parts[0].recording.q[:1]
+    up = _core.load_columns(arm, load_frame(bundle).frame, pose, 0 * pose)[1][0]
+    # moving the mass along what is not seen changes no joint's torque
+    assert np.abs(up[:, 1:4] @ single.unseen[0]).max() < 0.05 * np.abs(up[:, 1:4]).max()
+
+
+def test_what_gravity_never_turns_across_is_named(tmp_path):
+    (tmp_path / "rig.urdf").write_text(urdf(planar_rig()))
+    rig = load_tree(tmp_path / "rig.urdf")
+    com = np.array([0.05, 0.04, 0.1])  # z of the frame is the joint's axis: level all the time
+    recording = made_motion(carrying(rig, phi_of(2.0, com)), 0.3, pieces=1, seed=1, drive=QUIET).recordings[0]
+    bundle = bundle_of(rig, recording)
+    found = identify(bundle, load_frame(bundle), [see(bundle, recording)])
+    assert found.verdict == "load"
+    assert abs(found.mass_kg - 2.0) < 0.1 and np.linalg.norm(found.com_m[:2] - com[:2]) < 0.01
+    assert [int(np.abs(axis).argmax()) for axis in found.unseen] == [2]
+    assert "along the z axis of the frame is not visible" in load_sentences(found, "it", "N m")[-1]
+
+
+def test_a_reach_that_is_too_short_is_told(arm, loaded_motion, free_motion):
+    bundle = bundle_of(arm, free_motion)
+    found = identify(bundle, load_frame(bundle), [see(bundle, loaded_motion)], reach_m=0.03)
+    assert found.at_bound
+    assert any("--reach-m" in line for line in load_sentences(found, "it", "N m"))
+
+
+def test_a_stand_is_worth_half_a_second_however_long():
+    steps = np.full(100_000, 0.001)
+    near = np.ones((len(steps), 2), dtype=bool)
+    near[:, 1] = False
+    worth = stand_worth(near, steps)
+    assert worth[:, 0].sum() * 0.001 == pytest.approx(0.5, rel=0.02)
+    assert (worth[:, 1] == 1).all()
+
+
+def wrong_constants(arm: _core.Tree, recording: Recording, factor: float) -> _core.Bundle:
+    """A bundle whose N m are too large by `factor`: its arm is too light by as much, as training finds it."""
+    return scaled_bundle(bundle_of(arm, recording), 1 / factor)
+
+
+def test_a_known_weight_tells_the_torque_constants(arm, loaded_motion, free_motion):
+    bundle = wrong_constants(arm, free_motion, 1.12)
+    frame, seen = load_frame(bundle), see(bundle, loaded_motion)
+    assert abs(identify(bundle, frame, [seen]).mass_kg * 1.12 - MASS) < 0.03
+    known = weigh_constants(bundle, frame, [seen], MASS)
+    assert known.common == pytest.approx(1.12, abs=0.01)
+    assert np.linalg.norm(known.com_m - COM) < 0.01
+    right = scaled_bundle(bundle, known.common)
+    assert abs(identify(right, frame, [see(right, loaded_motion)]).mass_kg - MASS) < 0.02
+    placed = weigh_constants(bundle, frame, [seen], MASS, com_m=COM)
+    assert placed.common == pytest.approx(1.12, abs=0.01)
+
+
+def test_an_empty_hand_sets_no_constants(arm, free_motion):
+    bundle = bundle_of(arm, free_motion)
+    with pytest.raises(ConfigError, match=r"--known-kg 2 cannot set torque constants: no load shows"):
+        weigh_constants(bundle, load_frame(bundle), [see(bundle, free_motion)], 2.0)
+
+
+def full_bundle(arm: _core.Tree, recording: Recording) -> _core.Bundle:
+    """With every field that is a torque: a prior with friction by load, a corrected model, drift, an error scale."""
+    bundle, n = bundle_of(arm, recording), arm.size
+    rng, kind = np.random.default_rng(2), _core.TermKind
+    prior = _core.PriorSettings()
+    prior.widths_rad = [1e-3]
+    prior.terms = [
+        term
+        for j in range(n)
+        for term in (
+            _core.Term(kind.coulomb, j, speed=0.05),
+            _core.Term(kind.presliding, j),
+            _core.Term(kind.load, j, speed=0.05, form=1),
+            _core.Term(kind.momentum, j, j),
+        )
+    ]
+    prior.weights = (0.1 * rng.standard_normal(n * len(prior.terms))).tolist()
+    prior.corrected_links = carrying(arm, phi_of(0.5, COM)).links
+    bundle.prior = prior
+    bundle.drift.time_constant_s, bundle.drift.size_nm = 10.0, [2.0] * n
+    bundle.drift.rate_share_per_s, bundle.drift.freeze_s = 0.1, 1.0
+    bundle.drift.freeze_share, bundle.drift.freeze_floor_nm = 0.5, [0.3] * n
+    scale = bundle.error_scale
+    scale.features = [_core.MotionFeature.constant, _core.MotionFeature.speed]
+    scale.limit_weights, scale.largest = [1.0, 0.5] * n, [3.0] * n
+    scale.sigma_weights = scale.sigma_near_weights = [0.2, 0.1] * n
+    scale.largest_sigma = [2.0] * n
+    bundle.sliding_limit_nm = bundle.contact_sliding_limit_nm = [4.0] * n
+    bundle.answer_reference()
+    return bundle
+
+
+def test_one_factor_scales_all_that_the_chain_says(arm, free_motion, loaded_motion):
+    bundle = full_bundle(arm, free_motion)
+    before = bundle.to_bytes()
+    scaled = _core.Bundle.from_bytes(scaled_bundle(bundle, 1.3).to_bytes())
+    assert bundle.to_bytes() == before
+    signals = (loaded_motion.t_ns, loaded_motion.q, loaded_motion.dq, loaded_motion.tau, 1)
+    was, now = _core.estimate(bundle, *signals), _core.estimate(scaled, *signals)
+    for name in ("residual", "prior", "drift", "tau_ext", "doubt", "sigma_nm", "limit_nm"):
+        np.testing.assert_allclose(now[name], 1.3 * was[name], rtol=1e-9, atol=1e-9, err_msg=name)
+    for name in ("alarm", "health", "limit_scale"):
+        np.testing.assert_allclose(now[name], was[name], rtol=1e-12, err_msg=name)
+
+
+def saved(tmp_path, bundle: _core.Bundle, recording: Recording) -> list[str]:
+    bundle.save(str(tmp_path / "arm.tauext"))
+    save_recording(recording, tmp_path / "loaded.parquet")
+    return ["load", str(tmp_path / "arm.tauext"), str(tmp_path / "loaded.parquet")]
+
+
+def test_the_command_says_what_is_carried(tmp_path, arm, loaded_motion, free_motion, capsys):
+    command = saved(tmp_path, bundle_of(arm, free_motion), loaded_motion)
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    assert "load 1.6" in said and "of the link of joint6" in said and "by windows of 4 s each alone: 5 say" in said
+    assert main([*command, "--json", "--from", "5", "--to", "10"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["verdict"] == "load" and abs(facts["mass_kg"] - MASS) < 0.1 and facts["seconds"] < 5.1
+    assert main([*command, "--frame", "hand"]) == 2
+    assert "must be the joint whose link carries the load, of joint1" in capsys.readouterr().err
+    assert main([*command, "--out", str(tmp_path / "x.tauext")]) == 2
+    assert "need --known-kg" in capsys.readouterr().err
+    assert main([*command, "--from", "500"]) == 2
+    assert "too few to weigh a load" in capsys.readouterr().err
+
+
+def test_the_command_writes_a_bundle_by_a_known_weight(tmp_path, arm, loaded_motion, free_motion, capsys):
+    command = saved(tmp_path, wrong_constants(arm, free_motion, 1.12), loaded_motion)
+    out = tmp_path / "right.tauext"
+    assert main([*command, "--known-kg", str(MASS), "--out", str(out)]) == 0
+    assert "torques are to be multiplied by 1.12" in capsys.readouterr().out
+    right = load_bundle(out)
+    assert right.observer.nm_per_unit == pytest.approx([1.0] * 6, abs=0.01)
+    assert json.loads(right.provenance)["known_weight"]["mass_kg"] == MASS
+    assert main(["show", str(out)]) == 0
+    corrected = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("torques corrected"))
+    assert "times 1.12" in corrected and f"{MASS:g} kg" in corrected
+    assert main(["load", str(out), command[2], "--json"]) == 0
+    assert abs(json.loads(capsys.readouterr().out)["mass_kg"] - MASS) < 0.03
+    assert main([*command, "--known-kg", "1600"]) == 2
+    assert "torque constants are not off by so much" in capsys.readouterr().err
+    assert main([*command, "--known-kg", "1", "--out", command[1]]) == 2
+    assert "it is the bundle to correct" in capsys.readouterr().err
+
+
+def test_a_known_weight_skips_a_joint_without_a_constant_and_names_it(
+    tmp_path, arm, loaded_motion, free_motion, capsys
+):
+    amperes = np.array([1, 1, 1, 1, 1, 0.2])
+    recordings = [replace(one, tau=one.tau * amperes) for one in (free_motion, loaded_motion)]
+    bundle = bundle_of(arm, recordings[0])
+    bundle.observer = with_constants(bundle.observer, np.ones(6))
+    bundle.units = _core.TorqueUnits(_core.TorqueUnit.ampere, -1, [0, 0, 0, 0, 0, 1])
+    out = tmp_path / "right.tauext"
+    command = [*saved(tmp_path, bundle, recordings[1]), "--known-kg", str(1.12 * MASS), "--out", str(out)]
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    assert "torques are to be multiplied by 1.12" in said and "skipped: joint6, whose" in said
+    right = load_bundle(out)
+    assert right.estimate_units[:5] == ["N m"] * 5 and right.estimate_units[5].startswith("A / 1.1")
+    assert right.in_newtons == [True] * 5 + [False]
+    assert main([*command[:3], "--known-kg", str(1.12 * MASS), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["left_out"] == ["joint6"] and facts["joints"]["joint6"]["nm_per_unit"] == 1.0
+
+
+def test_known_constants_are_taken_as_they_are(free_motion):
+    told = known_constants((2.0,) * 6, [free_motion])
+    assert told.used == [2.0] * 6 and told.given and not told.guessed.any()
+    with pytest.raises(ConfigError, match="must be 6, one for each of joint1"):
+        known_constants((2.0,), [free_motion])
+    with pytest.raises(ConfigError, match=r"torque_constants = \(0.0,\) must be within 1e-9 and 1e9"):
+        TrainConfig(torque_constants=(0.0,))
+    with pytest.raises(ConfigError, match="left out beside torque_constants"):
+        TrainConfig(torque_constants=(1.0,), fit_torque_constants=True)
+
+
+BALL_COM = np.array([0.03, -0.02, 0.06])
+ON = 600
+"""The sample, of 1200 in 12 s, from which on something is added."""
+
+
+def from_then_on(before: Recording, after: Recording) -> Recording:
+    """The motion of both, which is the same, with what the second adds."""
+    tau = before.tau.copy()
+    tau[ON:] = after.tau[ON:]
+    return replace(before, tau=tau)
+
+
+def with_load(arm: _core.Tree, free: Recording, mass: float) -> Recording:
+    """What the motors give for a ball at the last joint too, at rest: its inertia is left out."""
+    p, beta = _core.load_columns(arm, _core.LoadFrame(5), free.q, 0 * free.dq)
+    return from_then_on(free, replace(free, tau=free.tau + beta @ phi_of(mass, BALL_COM)))
+
+
+def flight_of(bundle: _core.Bundle, recording: Recording) -> Flight:
+    recorder = _core.FlightRecorder(bundle.joints, bundle.observer.sample_period_ns, 2.0, 1.0)
+    monitor = _core.Monitor(bundle)
+    for _ in replay(monitor, recording, recorder=recorder, chunk_s=0.5):
+        flight = recorder.take()
+        if flight:
+            return flight
+    raise AssertionError("no alarm")
+
+
+def said(bundle: _core.Bundle, flight: Flight, recording: Recording) -> list[str]:
+    text = explain(flight, rows_kept(flight), FlightSource.of(bundle, recording))
+    return [line for line in text.splitlines() if "fit a load" in line]
+
+
+def test_what_came_on_as_a_load_is_weighed_from_the_second_behind_the_alarm(arm, free_motion):
+    bundle, motion = bundle_of(arm, free_motion), with_load(arm, free_motion, 2.2)
+    (line,) = said(bundle, flight_of(bundle, motion), motion)
+    words = line.split()
+    mass, error = (float(words[words.index("±") + k]) for k in (-1, 1))
+    assert abs(mass - 2.2) < 3 * error and error < 0.5
+    assert line.endswith(f"kg at {load_frame(bundle).name}: if the arm picked something up, tell the monitor.")
+    assert float(words[1]) >= 5 / bundle.observer.gain_per_s - 0.011  # r has settled by then
+
+
+@pytest.mark.parametrize("force", [(60.0, 15.0, 0.0), (0.0, -50.0, 0.0), (0.0, 0.0, 60.0)])
+def test_a_force_to_the_side_or_upwards_is_called_no_load(arm, free_motion, force):
+    bundle = bundle_of(arm, free_motion)
+    motion = from_then_on(free_motion, pushed(arm, free_motion, np.array(force)))
+    assert said(bundle, flight_of(bundle, motion), motion) == []
+
+
+def test_a_push_that_has_ended_is_no_load(arm, free_motion):
+    bundle, tau = bundle_of(arm, free_motion), with_load(arm, free_motion, 5.0).tau.copy()
+    tau[ON + 12 :] = free_motion.tau[ON + 12 :]
+    motion = replace(free_motion, tau=tau)
+    assert said(bundle, flight_of(bundle, motion), motion) == []
+
+
+def test_nobody_weighs_in_another_unit_or_without_the_bundle(arm, free_motion):
+    bundle, motion = bundle_of(arm, free_motion), with_load(arm, free_motion, 2.2)
+    flight, source = flight_of(bundle, motion), FlightSource.of(bundle, motion)
+    kept = rows_kept(flight)
+    assert "fit a load" in explain(flight, kept, source)
+    assert "fit a load" not in explain(flight, kept, replace(source, chain=None))
+    assert "fit a load" not in explain(flight, kept, replace(source, estimate_units=("A",) * 6))

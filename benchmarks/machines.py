@@ -279,7 +279,7 @@ def of_arm(case: Case, data: Path, judged: Path, out: Path) -> dict:
             collisions += count_episodes(alarms, round(EPISODE_S * recording.rate_hz))
             at = said.healthy & (recording.contact == 0) if recording.contact is not None else said.healthy
             free.append(np.abs(said.tau_ext[at]))
-            limits.append(said.limit[at])
+            limits.append(said.limit_nm[at])
     whole = [np.concatenate(one).astype(float).mean(axis=0).tolist() for one in (limits, free)]
     return {"decisions": decisions(bundle, facts), "limits": whole[0], "l1": whole[1], "collisions": collisions}
 

@@ -154,8 +154,8 @@ def draw(recording: Path, estimates: Path, joints: list[int], spans: list[tuple[
             axes.plot(told.time_s, said.tau_ext[:, j], color=CASE_COLOURS["exact"], lw=0.9, label="tauext")
             for sign in (-1, 1):
                 label = "limit" if sign > 0 else None
-                axes.plot(told.time_s, sign * said.limit[:, j], color=GREY, lw=0.5, ls="--", zorder=1, label=label)
-            top = 3 * float(np.median(said.limit[:, j])) if told.tau_ext is None else None
+                axes.plot(told.time_s, sign * said.limit_nm[:, j], color=GREY, lw=0.5, ls="--", zorder=1, label=label)
+            top = 3 * float(np.median(said.limit_nm[:, j])) if told.tau_ext is None else None
             axes.set_ylim(*((-top, top) if top else (None, None)))
             axes.set_ylabel(f"{told.joints[j].removesuffix('_joint')}\nNm")
             axes.margins(x=0)

@@ -101,7 +101,7 @@ def make_results(
                 here = [touch for touch in touches if touch.recording == recording.name]
                 detector.add_collisions(number, here, recording, estimates)
     content = {
-        "format": 3,
+        "format": 1,
         "provenance": {
             "command": "tauext reproduce --scale quick --seed 0",
             "version": "0.1.0",
@@ -239,15 +239,17 @@ def make_estimates(
     return Estimates(
         joints=recording.joints,
         t_ns=recording.t_ns,
-        r=residual.astype(single),
+        residual=residual.astype(single),
         network=network.astype(single),
         tau_ext=tau_ext.astype(single),
-        limit=limit.astype(single),
+        limit_nm=limit.astype(single),
         sigma_nm=sigma,
         near_stiction=near,
         health=np.where(warm, WARMING_UP, OK).astype(np.int8),
+        causes=np.zeros(recording.samples, np.uint32),
         detection=detection,
         held_alarm=np.where(detection, COLLISION, 0).astype(np.int8),
+        touch=np.zeros(recording.samples, np.int8),
     )
 
 

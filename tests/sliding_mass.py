@@ -6,7 +6,7 @@ import numpy as np
 from made_arms import prismatic_mass
 
 from tauext import _core
-from tauext.bundle.estimates import OK, WARMING_UP, Estimates
+from tauext.bundle.estimates import COLLISION, OK, WARMING_UP, Estimates
 from tauext.config import ObserverConfig
 from tauext.data.recording import Recording
 from tauext.fit.bundle_writing import build_setup, make_bundle
@@ -75,13 +75,16 @@ def estimates_of(tau_ext: np.ndarray, limit: float, warm_from: int = 0) -> Estim
     return Estimates(
         joints=("slide",),
         t_ns=np.arange(len(tau_ext), dtype=np.int64) * 1_000_000,
-        r=tau_ext,
+        residual=tau_ext,
         network=zeros,
         tau_ext=tau_ext,
-        limit=zeros + np.float32(limit),
+        limit_nm=zeros + np.float32(limit),
         near_stiction=np.arange(len(tau_ext))[:, None] % 2 == 0,
         health=np.where(healthy, OK, WARMING_UP).astype(np.int8),
-        detection=healthy & (np.abs(tau_ext[:, 0]) > limit),
+        causes=np.zeros(len(tau_ext), np.uint32),
+        detection=(over := healthy & (np.abs(tau_ext[:, 0]) > limit)),
+        held_alarm=np.where(over, COLLISION, 0).astype(np.int8),
+        touch=np.zeros(len(tau_ext), np.int8),
     )
 
 

@@ -146,7 +146,7 @@ def test_estimates_hold_drift_where_there_is_a_tracker(fitted, tmp_path):
         save_estimates(estimate_recording(one, made, 1), tmp_path / "made.estimates.parquet")
         loaded = load_estimates(tmp_path / "made.estimates.parquet")
         assert (loaded.drift is not None) == has
-    left = loaded.r - loaded.prior - loaded.network - loaded.drift
+    left = loaded.residual - loaded.prior - loaded.network - loaded.drift
     np.testing.assert_allclose(loaded.tau_ext[600:], left[600:], atol=1e-5)  # float32
 
 

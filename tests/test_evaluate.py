@@ -149,7 +149,7 @@ def test_a_push_is_held_against_the_limit_that_holds_at_its_samples(tmp_path):
     still, entry = results["bundles"]
     assert (still["limits"]["moving"], entry["limits"]["moving"]) == (False, True)
     said = load_estimates(tmp_path / "moving" / "hit.parquet")
-    ratio = np.abs(hit.tau_ext_sensor / said.limit)[1000:1600].max()
+    ratio = np.abs(hit.tau_ext_sensor / said.limit_nm)[1000:1600].max()
     assert entry["collisions"][0]["peak_over_limit"] == pytest.approx(ratio)
     assert 1.2 < ratio < 2.0 < still["collisions"][0]["peak_over_limit"]
     assert results["ten_collisions"] == []  # at the limits that move it is not strong

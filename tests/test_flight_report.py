@@ -14,7 +14,7 @@ from made_bundles import JOINTS, cut_flight, damaged, pushed, taking_amperes, wa
 from made_results import make_recording
 
 from tauext import _core
-from tauext.bundle.estimates import load_estimates, save_estimates
+from tauext.bundle.estimates import COLUMNS, STORED, load_estimates, save_estimates
 from tauext.cli import main
 from tauext.config import ObserverConfig
 from tauext.data.recording_file import load_recording, save_recording
@@ -96,8 +96,8 @@ def test_limits_that_move_and_the_standard_error_are_drawn_and_told(tmp_path):
     np.testing.assert_array_equal(loaded.estimates.contact_sigma_nm, flight["contact_sigma_nm"].astype(np.float32))
     assert loaded.event["sigma_nm"] == list(flight["event"].sigma_nm)
     top = draw_flight(loaded).figure.axes[0]
-    assert np.ptp(loaded.estimates.limit[:, 0]) > 0.5
-    np.testing.assert_array_equal(top.get_lines()[1].get_ydata(), loaded.estimates.limit[:, 0])
+    assert np.ptp(loaded.estimates.limit_nm[:, 0]) > 0.5
+    np.testing.assert_array_equal(top.get_lines()[1].get_ydata(), loaded.estimates.limit_nm[:, 0])
     (band,) = (one for one in top.collections if one.get_alpha())
     sigma, row = flight["contact_sigma_nm"][1000, 0], flight["event"].tau_ext[0]
     heights = band.get_paths()[0].vertices[:, 1]
@@ -120,8 +120,8 @@ def test_the_figure_shows_the_files_rows_and_marks_the_event(collision):
     top = drawing.figure.axes[0]
     above, below, tau_ext, event = top.get_lines()
     np.testing.assert_array_equal(tau_ext.get_ydata(), estimates.tau_ext[:, 0])
-    np.testing.assert_array_equal(below.get_ydata(), estimates.limit[:, 0])
-    np.testing.assert_array_equal(above.get_ydata(), -estimates.limit[:, 0])
+    np.testing.assert_array_equal(below.get_ydata(), estimates.limit_nm[:, 0])
+    np.testing.assert_array_equal(above.get_ydata(), -estimates.limit_nm[:, 0])
     assert list(event.get_xdata()) == [0, 0]
     assert flight.since_s[1000] == 0 and flight.joint == 0
     close = draw_close(flight)
@@ -246,35 +246,34 @@ def test_what_is_no_flight_or_whose_files_do_not_belong_together_is_refused(coll
 # The estimates beside a flight
 
 
-def test_alarm_and_causes_come_back_from_the_file_and_older_files_have_none(collision, tmp_path):
+def test_alarm_and_causes_come_back_from_the_file_and_none_where_it_has_none(collision, tmp_path):
     path = collision.with_name(f"{collision.stem}.estimates.parquet")
     estimates = load_estimates(path)
     assert (estimates.alarm.dtype, estimates.causes.dtype) == (np.int8, np.uint32)
     assert set(estimates.alarm.tolist()) == {0, 1, 2}
-    save_estimates(replace(estimates, alarm=None, causes=None), tmp_path / "old.parquet")
-    old = load_estimates(tmp_path / "old.parquet")
-    assert old.alarm is None and old.causes is None
-    np.testing.assert_array_equal(old.tau_ext, estimates.tau_ext)
+    save_estimates(replace(estimates, alarm=None), tmp_path / "evaluated.parquet")
+    evaluated = load_estimates(tmp_path / "evaluated.parquet")
+    assert evaluated.alarm is None
+    np.testing.assert_array_equal(evaluated.tau_ext, estimates.tau_ext)
     (tmp_path / "file").touch()
     with pytest.raises(RecordingError, match="cannot be written"):
         save_estimates(estimates, tmp_path / "file" / "e.parquet")
 
 
-def test_the_alarm_of_an_evaluation_s_older_file_is_the_held_one(collision, tmp_path):
-    path = collision.with_name(f"{collision.stem}.estimates.parquet")
-    estimates = load_estimates(path)
-    table = pq.read_table(path)
+def test_estimates_of_another_format_are_refused(collision, tmp_path):
+    table = pq.read_table(collision.with_name(f"{collision.stem}.estimates.parquet"))
+    older = table.schema.metadata | {b"tauext_estimates_format": b"3"}
+    pq.write_table(table.replace_schema_metadata(older), tmp_path / "older.parquet")
+    with pytest.raises(RecordingError, match="format 3 instead of 1: made by a development version before 0.1.0"):
+        load_estimates(tmp_path / "older.parquet")
 
-    def of_format_1(name: str, left_out: list[str]):
-        older = table.drop_columns(left_out)
-        metadata = {**table.schema.metadata, b"tauext_estimates_format": b"1"}
-        pq.write_table(older.replace_schema_metadata(metadata), tmp_path / name)
-        return load_estimates(tmp_path / name)
 
-    evaluated, flown = of_format_1("evaluated", ["held_alarm", "causes"]), of_format_1("flown", ["held_alarm"])
-    np.testing.assert_array_equal(evaluated.held_alarm, estimates.alarm)
-    np.testing.assert_array_equal(flown.alarm, estimates.alarm)
-    assert evaluated.alarm is None and flown.held_alarm is None
+def test_every_column_of_the_table_is_in_the_file_or_in_messages(collision):
+    names = set(pq.read_schema(collision.with_name(f"{collision.stem}.estimates.parquet")).names)
+    stored = {f"{c.name}_{JOINTS[0]}" if c.per_joint else c.name for c in STORED}
+    lacking = ("prior", "drift", "sigma_nm", "contact_sigma_nm")  # as its bundle has none of them
+    assert stored - names == {f"{name}_{JOINTS[0]}" for name in lacking}
+    assert all(column in STORED or column.told for column in COLUMNS)
 
 
 def test_a_flight_of_currents_says_so(tmp_path, undrawn):
@@ -289,11 +288,6 @@ def test_a_flight_of_currents_says_so(tmp_path, undrawn):
     assert event["tau"] == recording.tau[recording.t_ns == event["t_ns"]][0].tolist()
     page = write_flight_report(path, tmp_path / "report", page_mb=0).read_text()
     assert "motor torque, A" in page and "motor torque, Nm" not in page
-    # Older flights, all in N m.
-    event["tau_nm"] = event.pop("tau")
-    del event["torque_units"]
-    save_recording(recording, path)
-    assert load_flight(path).event["tau"] == event["tau_nm"] and load_flight(path).torque_unit == "Nm"
 
 
 def test_the_provenance_of_a_flight_is_plain_json(fault):

@@ -45,7 +45,7 @@ def test_the_held_ratio_is_over_a_factor_only_where_one_joint_was_all_the_time()
     size = rng.uniform(0, 2, (400, 2)).astype(np.float32)
     t_ns = np.arange(400, dtype=np.int64) * 1_000_000
     made = estimates_of(size[:, 0], 1.0, warm_from=50)
-    made = replace(made, tau_ext=size, limit=np.full_like(size, 0.5))
+    made = replace(made, tau_ext=size, limit_nm=np.full_like(size, 0.5))
     for stamps in (t_ns, t_ns + rng.integers(0, 300_000, 400)):  # even and uneven ones
         ratio = held_ratio(replace(made, t_ns=stamps), 0.003)
         slow = np.zeros(400)

@@ -222,7 +222,7 @@ def test_an_evaluation_holds_it_over_its_test_recordings_or_says_why_not(arm_bun
     assert 6 <= found["poses"] <= 8 and set(found["limits"]) == {"collision", "contact"}
     assert refused == {"refused": _core.WrenchModel(bundles["none"]).refused}
     kept_ = load_estimates(tmp_path / "planar" / "pushed.parquet")
-    assert kept_.contact_limit is None  # that of a flight's estimates alone
+    assert kept_.contact_limit_nm is None  # that of a flight's estimates alone
     every = [one["every_way"]["median_n"] for one in (*found["limits"]["collision"], *found["limits"]["contact"])]
     usual = usual_limits(arm_bundle, 1)
     regions = ("collision while sliding", "collision near stiction")

@@ -98,6 +98,7 @@ def verdict(
         "sigma_nm": np.array([[0.25, np.nan]]),
         "contact_sigma_nm": np.array([[0.5, np.nan]]),
         "margin_nm": np.array([[5.0, 6.0]]) - np.abs([tau_ext]),
+        **dict.fromkeys(("residual", "uncertainty", "load_nm"), np.zeros((1, 2))),
         "health": np.array([health]),
         "alarm": np.array([alarm]),
         "alarm_joint": np.array([joint]),

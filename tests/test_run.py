@@ -252,13 +252,8 @@ def test_a_flight_holds_the_rows_of_the_recording_around_the_event_and_what_was_
         rows = slice(row - 1000, row + 501)
         for signal in ("t_ns", "q", "dq", "tau"):
             np.testing.assert_array_equal(getattr(flight, signal), getattr(recording, signal)[rows], err_msg=signal)
-        for key, column in {
-            "residual": "r",
-            "network": "network",
-            "tau_ext": "tau_ext",
-            "limit_nm": "limit",
-        }.items():
-            np.testing.assert_array_equal(getattr(estimates, column), said[key][rows].astype(np.float32), err_msg=key)
+        for key in ("residual", "network", "tau_ext", "limit_nm"):
+            np.testing.assert_array_equal(getattr(estimates, key), said[key][rows].astype(np.float32), err_msg=key)
         for key in ("near_stiction", "health", "detection", "causes"):
             np.testing.assert_array_equal(getattr(estimates, key), said[key][rows], err_msg=key)
         assert estimates.alarm[999] < 2 and estimates.alarm[1000] == 2

@@ -45,7 +45,7 @@ def test_results_that_are_there_are_replaced_with_a_word(tmp_path, capsys):
     assert main(command) == 0
     told = capsys.readouterr()
     assert f"{out / 'results.json'} is there already and will be replaced" in told.err and "replaced" not in told.out
-    assert json.loads((out / "results.json").read_text())["format"] == 3
+    assert json.loads((out / "results.json").read_text())["format"] == 1
 
 
 def test_show_keeps_the_arm_s_order_of_joints(tmp_path, capsys):
@@ -68,7 +68,7 @@ def test_a_flight_without_a_network_says_so_and_draws_what_there_is(tmp_path):
     source = FlightSource.of(bundle, samples)
     plain = load_estimates(write_flight(flight, tmp_path, source).with_suffix(".estimates.parquet"))
     assert uncertainty_words([plain]) == "nothing learned"
-    loaded = load_flight(write_flight(flight, tmp_path, replace(source, has_prior=True)))
+    loaded = load_flight(write_flight(flight, tmp_path, replace(source, lacking=source.lacking - {"prior"})))
     assert uncertainty_words([loaded.estimates]) == "prior"
     figure = draw_close(loaded).figure
     assert "prior" in [text.get_text() for text in figure.legends[0].get_texts()]
@@ -82,7 +82,7 @@ def test_a_contact_s_flight_is_drawn_with_the_contact_limit(tmp_path):
     row = int(np.flatnonzero(said["alarm"] == 1)[0])
     loaded = load_flight(write_flight(cut_flight(bundle, samples, row), tmp_path, FlightSource.of(bundle, samples)))
     assert loaded.limit_level == "contact"
-    np.testing.assert_allclose(2 * loaded.limit_nm, loaded.estimates.limit)  # as watching_bundle's contacts have it
+    np.testing.assert_allclose(2 * loaded.limit_nm, loaded.estimates.limit_nm)  # as watching_bundle's contacts have it
 
 
 def test_the_first_estimates_are_nan_and_say_why():

@@ -82,8 +82,8 @@ FAULTS = {
     "misspelt set": ({"colisions": []}, "'colisions' is no set; the sets are train, validation, test, collisions, cal"),
     "text for a list": ({"test": "a"}, "'test' must be a list of file names"),
     "number for a name": ({"collisions": [3]}, "3 in 'collisions' must be a file name"),
-    "newer": ({"format": 2}, "its format is 2, this version reads 1"),
-    "no format": ({"format": None}, "its format is None, this version reads 1"),
+    "newer": ({"format": 2}, "format 2 instead of 1: made by a development version before 0.1.0"),
+    "no format": ({"format": None}, "its 'format' is missing, must be 1"),
 }
 
 
@@ -105,5 +105,5 @@ def test_a_missing_or_garbled_split_file_is_refused_by_name(tmp_path):
     with pytest.raises(ConfigError, match=r"split\.json: not readable as JSON"):
         load_split(tmp_path)
     (tmp_path / "split.json").write_text("[]")
-    with pytest.raises(ConfigError, match="its format is None"):
+    with pytest.raises(ConfigError, match="its 'format' is missing"):
         load_split(tmp_path)

@@ -10,6 +10,7 @@ import pytest
 from made_bundles import JOINTS, pushed, watching_bundle
 
 from tauext import Touch, _core
+from tauext.bundle.estimates import COLUMNS
 from tauext.cli.text_lines import touch_words
 from tauext.errors import ConfigError
 from tauext.monitor.changes import TOUCHES, ChangeFinder, TouchChange
@@ -25,10 +26,7 @@ UNKNOWN, IMPACT, PUSH, CLAMP = (Touch[name].value for name in ("unknown", "impac
 def said(touch: list[int], alarm: list[int]) -> dict[str, np.ndarray]:
     """What a monitor says of samples 10 ms apart whose torques nobody asks for here."""
     rows = len(touch)
-    torques = {
-        name: np.ones((rows, 2)) for name in ("tau_ext", "sigma_nm", "contact_sigma_nm", "limit_nm", "contact_limit_nm")
-    }
-    torques |= {name: np.ones((rows, 2)) for name in ("margin_nm", "residual", "uncertainty")}
+    torques = {column.name: np.ones((rows, 2)) for column in COLUMNS if column.told}
     flags = {name: np.zeros((rows, 2), bool) for name in ("near_stiction", "drift_saturated")}
     numbers = {name: np.zeros(rows, int) for name in ("causes", "cause_joint", "detection", "unfamiliar")}
     return {

@@ -73,8 +73,8 @@ def pushed(bundle) -> tuple[Recording, Estimates]:
     single = tau.astype(np.float32)
     said = Estimates(
         joints, recording.t_ns, single, 0 * single, single, 1 + 0 * single, np.zeros(q.shape, bool),
-        np.ones(samples, np.int8), held > 0, sigma_nm=np.full_like(single, SIGMA_NM),
-        contact_sigma_nm=np.full_like(single, SIGMA_NM), held_alarm=held, touch=touch,
+        np.ones(samples, np.int8), np.zeros(samples, np.uint32), held > 0, held, touch,
+        sigma_nm=np.full_like(single, SIGMA_NM), contact_sigma_nm=np.full_like(single, SIGMA_NM),
     )  # fmt: skip
     return recording, said
 

@@ -148,12 +148,10 @@ def test_alarms_have_their_level_and_are_detections_where_no_alarm_is_known():
     rng = np.random.default_rng(0)
     recording = make_recording("r", 2, 2.0, False, rng)
     said = make_estimates(recording, "exact", np.full(2, 4.0), rng)
-    flags, detection = np.zeros(2000, np.int8), np.zeros(2000, bool)
+    flags = np.zeros(2000, np.int8)
     flags[100:300], flags[200:250] = CONTACT, COLLISION
-    detection[700] = True
-    levels = replace(said, held_alarm=flags, detection=detection)
+    levels = replace(said, held_alarm=flags)
     np.testing.assert_allclose(alarms(levels, recording.time_s), [(0.2, 0.249, COLLISION), (0.1, 0.299, CONTACT)])
-    np.testing.assert_allclose(alarms(replace(levels, held_alarm=None), recording.time_s), [(0.7, 0.7, COLLISION)])
 
 
 def test_windows_are_of_the_first_events_and_do_not_touch():
@@ -233,14 +231,14 @@ def test_traces_take_no_more_than_their_room_and_keep_the_more_important_windows
 
 def test_steps_follow_the_smallest_limit_or_the_range_and_a_wild_value_changes_neither(recorded):
     recording, said = recorded
-    r = said["exact"].r.copy()
+    r = said["exact"].residual.copy()
     r[1000] = 1e9
-    wild = trace(recording, said | {"exact": replace(said["exact"], r=r)}, 4, 0)
+    wild = trace(recording, said | {"exact": replace(said["exact"], residual=r)}, 4, 0)
     steps, calm = (quanta([one], 3) for one in (wild, trace(recording, said, 4, 0)))
     assert steps["tau_ext"] == pytest.approx([4.0 / QUANTA_A_LIMIT] * 3)
     assert steps["tau"][0] == pytest.approx(np.ptp(recording.tau[:, 0]) / 8000, rel=0.05)
     assert steps["r"] == pytest.approx(calm["r"], rel=0.05)
-    free = {"exact": replace(said["exact"], limit=np.full((recording.samples, 3), np.inf, np.float32))}
+    free = {"exact": replace(said["exact"], limit_nm=np.full((recording.samples, 3), np.inf, np.float32))}
     assert 0 < quanta([trace(recording, free, 4, 0)], 3)["tau_ext"][0] < 0.01
 
 

@@ -59,7 +59,6 @@ class Verdicts:
 
     def add_estimates(self, recording: Recording, estimates: Estimates, hold_s: float, gain_per_s: float) -> None:
         """Take in what a bundle said, as a monitor would have latched it."""
-        assert estimates.held_alarm is not None
         touches = self.add(recording, estimates.held_alarm == COLLISION, estimates.healthy)
         reference = sensor_reference(recording, gain_per_s)
         self.strong += [judge_latched(t, recording, estimates, hold_s, reference)["strong"] for t in touches]

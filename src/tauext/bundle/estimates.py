@@ -1,18 +1,20 @@
-"""Estimates of a recording, sample by sample, and their file: from `tauext evaluate` or beside a flight."""
+"""Estimates of a recording, sample by sample: the table of their columns, and their file."""
 
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tauext._core import cause_names
+from tauext import _core
 from tauext.data.recording_file import write_parquet
 from tauext.errors import RecordingError
-from tauext.files.plain_file import expect_file, json_of
+from tauext.files.plain_file import FORMAT, expect_file, expect_format, json_of
 
 HEALTHS = ("warming up", "ok", "stale", "fault")
 """By the core's number."""
@@ -21,8 +23,48 @@ CONTACT, COLLISION = 1, 2  # alarm
 
 
 @dataclass(frozen=True)
+class Column:
+    """One quantity of an estimate. The core, `Estimates` and its file call it `name`, JSON and messages `key`."""
+
+    name: str
+    words: str
+    kind: type = np.float32
+    """In files; float32: a torque, in the bundle's estimate unit of the joint."""
+    per_joint: bool = True
+    told: bool = False
+    """Whether it is among the torques of JSON and messages."""
+
+    @property
+    def key(self) -> str:
+        return self.name.removesuffix("_nm") + "_nm"
+
+
+COLUMNS = (
+    Column("residual", "residual r of the observer", told=True),
+    Column("prior", "r expected by physics that was fitted to the data"),
+    Column("network", "r expected by the network beside the prior; 0 without one, NaN while warming up"),
+    Column("drift", "what the tracker of slow changes takes off"),
+    Column("uncertainty", "r expected in free motion: prior + network + drift", told=True),
+    Column("tau_ext", "external torque: residual - uncertainty; NaN while warming up", told=True),
+    Column("load_nm", "share of tau_ext taken for a load that is expected", told=True),
+    Column("sigma_nm", "standard error of tau_ext; NaN where that is", told=True),
+    Column("contact_sigma_nm", "the same during a contact and after it", told=True),
+    Column("limit_nm", "what |tau_ext| must exceed for a collision", told=True),
+    Column("contact_limit_nm", "what |tau_ext| must exceed for a contact", told=True),
+    Column("margin_nm", "limit_nm - |tau_ext|", told=True),
+    Column("near_stiction", "whether the limits are those near stiction, not those of sliding", bool),
+    Column("health", "0 warming up, 1 ok, 2 stale, 3 fault", np.int8, False),
+    Column("causes", "a bit for each cause why health is not ok; `cause_names` has the words", np.uint32, False),
+    Column("detection", "healthy, and some |tau_ext| over its collision limit", bool, False),
+    Column("held_alarm", "level held at this sample: 0 none, 1 contact, 2 collision", np.int8, False),
+    Column("alarm", "the same, latched until somebody acknowledges it; of a monitor alone", np.int8, False),
+    Column("touch", "kind of the touch, of `Touch`; of a monitor 0 once the alarm was acknowledged", np.int8, False),
+)
+
+
+@dataclass(frozen=True)
 class Estimates:
-    """One row a sample of the recording; torques are (samples, joints) float32, in the bundle's estimate units.
+    """One row a sample of the recording, as COLUMNS describes them: (samples, joints) or (samples,).
 
     The first rows' tau_ext is NaN: until the observer has forgotten how it began, 10/K0, and a network's window is
     full, there is no estimate (a second at K0 = 20; without a network half of that). `health` states it, `why(row)` in
@@ -33,38 +75,41 @@ class Estimates:
     """Names of the joints, in the order of the columns."""
     t_ns: np.ndarray
     """(samples,) int64: stamps of the samples, [ns]."""
-    r: np.ndarray
-    """Residual of the observer."""
+    residual: np.ndarray
     network: np.ndarray
-    """What the network expects of r beside the prior; 0 where the bundle has none, NaN while warming up."""
     tau_ext: np.ndarray
-    """External torque, r - prior - network - drift; NaN while warming up."""
-    limit: np.ndarray
-    """What |tau_ext| must exceed for a collision, at each sample."""
+    limit_nm: np.ndarray
     near_stiction: np.ndarray
-    """(samples, joints) bool: whether the limit is that near stiction, not that of sliding."""
     health: np.ndarray
-    """(samples,) int8: 0 warming up, 1 ok, 2 stale, 3 fault."""
+    causes: np.ndarray
     detection: np.ndarray
-    """(samples,) bool: healthy, and some |tau_ext| over its limit."""
+    held_alarm: np.ndarray
+    touch: np.ndarray
+    # None where the bundle has none: no prior, no drift tracker, no error scale.
     prior: np.ndarray | None = None
-    """What physics, fitted to the data, expects of r; None where the bundle has no prior."""
     drift: np.ndarray | None = None
-    """What the tracker of slow changes takes off; None where the bundle has none."""
     sigma_nm: np.ndarray | None = None
-    """Standard error of tau_ext; NaN where that is, None where the bundle has no error scale."""
     contact_sigma_nm: np.ndarray | None = None
-    """The same during a contact and after it."""
-    contact_limit: np.ndarray | None = None
-    """What |tau_ext| must exceed for a contact; None but beside flights."""
-    held_alarm: np.ndarray | None = None
-    """(samples,) int8: the level held at that sample, 0 none, 1 contact, 2 collision."""
+    # None but beside flights, and the first as `estimate_recording` gives it.
+    contact_limit_nm: np.ndarray | None = None
     alarm: np.ndarray | None = None
-    """(samples,) int8: the same, latched until somebody acknowledges it; None but of a monitor."""
-    touch: np.ndarray | None = None
-    """(samples,) int8: kind of the touch, of `Touch`; of a monitor 0 once the alarm was acknowledged."""
-    causes: np.ndarray | None = None
-    """(samples,) uint32: a bit for each cause why health is not ok; `cause_names` has the words."""
+
+    @classmethod
+    def of(
+        cls,
+        joints: tuple[str, ...],
+        t_ns: np.ndarray,
+        said: Mapping[str, np.ndarray],
+        lacking: Collection[str],
+        rows: np.ndarray | slice = slice(None),
+    ) -> Estimates:
+        """Rows of the core's answers; `t_ns` of these rows. lacking: columns that its bundle does not have."""
+        known: dict[str, Any] = {
+            column.name: said[column.name][rows].astype(column.kind, copy=False)
+            for column in STORED
+            if column.name in said and column.name not in lacking
+        }
+        return cls(joints, t_ns, **known)
 
     @property
     def band_nm(self) -> np.ndarray | None:
@@ -74,7 +119,7 @@ class Estimates:
     @property
     def limits_move(self) -> bool:
         """Whether a limit takes more values than one sliding and one near stiction."""
-        return any(len(np.unique(one[np.isfinite(one)])) > 2 for one in self.limit.T)
+        return any(len(np.unique(one[np.isfinite(one)])) > 2 for one in self.limit_nm.T)
 
     @property
     def healthy(self) -> np.ndarray:
@@ -83,7 +128,7 @@ class Estimates:
 
     def why(self, row: int) -> str:
         """Health of one sample in words: `ok`, `warming up`, `warming up: gap`, `fault: not finite`."""
-        causes = cause_names(int(self.causes[row])) if self.causes is not None else []
+        causes = _core.cause_names(int(self.causes[row]))
         return HEALTHS[int(self.health[row])] + (f": {', '.join(causes)}" if causes else "")
 
     @property
@@ -98,12 +143,29 @@ class Estimates:
         return np.asarray(np.sum(parts, axis=0, dtype=np.float32))
 
 
-TORQUES = ("r", "network", "tau_ext", "limit")
-OPTIONAL = ("prior", "drift", "sigma_nm", "contact_sigma_nm", "contact_limit")
-"""Torques that some bundles have; a file holds their columns or not."""
-STATES = {"held_alarm": np.int8, "alarm": np.int8, "touch": np.int8, "causes": np.uint32}
-"""Columns that a file holds or not."""
-FORMAT = "3"
+STORED = tuple(column for column in COLUMNS if column.name in Estimates.__dataclass_fields__)
+
+
+def lacking(bundle: _core.Bundle) -> frozenset[str]:
+    """Columns that say nothing in the estimates of this bundle."""
+    has_prior = bool(bundle.prior.terms or bundle.prior.corrected_links)
+    has = {"prior": has_prior, "drift": bundle.drift.time_constant_s > 0}
+    has |= dict.fromkeys(("sigma_nm", "contact_sigma_nm"), bundle.error_scale.on)
+    return frozenset(name for name, there in has.items() if not there)
+
+
+def number(value: float) -> float | None:
+    """For JSON, which knows no NaN."""
+    return float(value) if math.isfinite(value) else None
+
+
+def told_torques(values: Callable[[str], Iterable[float]]) -> dict[str, list[float | None]]:
+    """The torques of one sample for JSON and messages, a joint; null where a number does not exist.
+
+    Args:
+        values: those of the column of this name.
+    """
+    return {column.key: [number(value) for value in values(column.name)] for column in COLUMNS if column.told}
 
 
 def save_estimates(estimates: Estimates, path: Path) -> None:
@@ -114,26 +176,25 @@ def save_estimates(estimates: Estimates, path: Path) -> None:
     """
     import pyarrow as pa
 
-    columns: dict[str, np.ndarray] = {"t_ns": estimates.t_ns}
-    torque_names = [*TORQUES, *(signal for signal in OPTIONAL if getattr(estimates, signal) is not None)]
-    for signal in (*torque_names, "near_stiction"):
-        values = getattr(estimates, signal)
-        columns |= {f"{signal}_{joint}": np.ascontiguousarray(values[:, j]) for j, joint in enumerate(estimates.joints)}
-    columns |= {"health": estimates.health, "detection": estimates.detection}
-    for name, kind in STATES.items():
-        if getattr(estimates, name) is not None:
-            columns[name] = getattr(estimates, name).astype(kind)
+    columns, torques = {"t_ns": estimates.t_ns}, []
+    for column in STORED:
+        values = getattr(estimates, column.name)
+        if values is None:
+            continue
+        if not column.per_joint:
+            columns[column.name] = values.astype(column.kind, copy=False)
+            continue
+        names = [f"{column.name}_{joint}" for joint in estimates.joints]
+        columns |= {name: np.ascontiguousarray(values[:, j]) for j, name in enumerate(names)}
+        torques += names if column.kind is np.float32 else []
     table = pa.table(columns).replace_schema_metadata(
-        {"tauext_estimates_format": FORMAT, "joints": json.dumps(estimates.joints)}
+        {"tauext_estimates_format": str(FORMAT), "joints": json.dumps(estimates.joints)}
     )
-    torques = [f"{signal}_{joint}" for signal in torque_names for joint in estimates.joints]
     write_parquet(table, path, use_dictionary=False, column_encoding=dict.fromkeys(torques, "BYTE_STREAM_SPLIT"))
 
 
 def load_estimates(path: Path) -> Estimates:
     """Read what save_estimates wrote; what the file has no column for is None.
-
-    In format 1 `alarm` was the held level, but in files beside flights, which have `causes`. Format 2 had no sigma.
 
     Raises:
         RecordingError: missing, damaged or foreign file.
@@ -144,20 +205,19 @@ def load_estimates(path: Path) -> Estimates:
     try:
         expect_file(path)
         table = pq.read_table(path)
-        joints = tuple(json_of(table.schema.metadata[b"joints"]))
-        column = {name: table.column(name).to_numpy() for name in table.column_names}
-        if odd := [name for name, values in column.items() if values.dtype.kind not in "fiub"]:
+        metadata = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
+        expect_format(metadata, path, "evaluate or run again", RecordingError, "tauext_estimates_format")
+        joints = tuple(json_of(metadata["joints"]))
+        held = {name: table.column(name).to_numpy() for name in table.column_names}
+        if odd := [name for name, values in held.items() if values.dtype.kind not in "fiub"]:
             raise ValueError(f"column '{odd[0]}' holds no numbers")
-        signals = {
-            signal: np.stack([column[f"{signal}_{joint}"] for joint in joints], axis=1)
-            for signal in (*TORQUES, "near_stiction", *OPTIONAL)
-            if signal not in OPTIONAL or f"{signal}_{joints[0]}" in column
-        }
-        flags = {name: column[name] for name in ("health", "detection")}
-        states: dict[str, Any] = {name: column.get(name) for name in STATES}
-        if table.schema.metadata.get(b"tauext_estimates_format") == b"1" and states["causes"] is None:
-            states["held_alarm"], states["alarm"] = states["alarm"], None
-        return Estimates(joints, column["t_ns"], **signals, **flags, **states)
+        said = {}
+        for column in STORED:
+            names = [f"{column.name}_{joint}" for joint in joints] if column.per_joint else [column.name]
+            if names[0] in held:
+                values = [held[name] for name in names]
+                said[column.name] = np.stack(values, axis=1) if column.per_joint else values[0]
+        return Estimates(joints, held["t_ns"], **said)
     except FileNotFoundError as error:
         raise RecordingError(
             f"{path}: there are no such estimates; `tauext evaluate` and `tauext run --flights` write them"

@@ -63,6 +63,7 @@ from tauext.data.servo import derives_velocity, from_amperes, in_amperes, makes_
 from tauext.errors import ConfigError
 from tauext.files.copies import local_robot
 from tauext.files.places import Place
+from tauext.files.plain_file import FORMAT
 from tauext.progress import SILENT, Reporter
 from tauext.robot.write import is_placeholder
 
@@ -471,7 +472,7 @@ def grouped(findings: list[Finding]) -> list[tuple[Finding, list[str]]]:
 def as_data(diagnosis: Diagnosis) -> dict:
     """JSON-ready: joints, findings, facts by joint, faulty."""
     return {
-        "format": 1,
+        "format": FORMAT,
         "joints": list(diagnosis.joints),
         "faulty": diagnosis.faulty,
         "findings": [asdict(finding) for finding in diagnosis.findings],

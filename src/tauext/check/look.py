@@ -126,9 +126,6 @@ class Rejected:
 # --- Findings that are remembered by the content of what was looked at, so that nobody looks at the same data twice.
 
 
-FORMAT = 1
-
-
 def remembered(parts: Iterable[str], find: Callable[[], list[Finding]]) -> list[Finding]:
     """What was found when something with these parts was last looked at, else what is found now.
 
@@ -137,7 +134,7 @@ def remembered(parts: Iterable[str], find: Callable[[], list[Finding]]) -> list[
     Args:
         parts: all that the findings depend on but for the doctor, as digests or words.
     """
-    text = json.dumps([FORMAT, VERSION, looking_version(), *parts])
+    text = json.dumps([VERSION, looking_version(), *parts])
     path = folder() / f"{hashlib.sha256(text.encode()).hexdigest()}.json"
     try:
         return [Finding(**entry) for entry in json.loads(path.read_text())]

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Self
 
 from tauext._core import Bundle, cause_names
-from tauext.bundle.estimates import HEALTHS
+from tauext.bundle.estimates import HEALTHS, number
 from tauext.cli.text_lines import Outcome, TextLines
 from tauext.data.recording import Recording
 from tauext.monitor.changes import (
@@ -26,7 +26,7 @@ from tauext.monitor.changes import (
 from tauext.monitor.flight_files import FlightCount, FlightNews
 from tauext.monitor.loads import load_facts
 from tauext.monitor.places import PlaceChange, place_facts
-from tauext.monitor.replay import Chunk, StatusClock, Tally, number, sample_facts
+from tauext.monitor.replay import Chunk, StatusClock, Tally, sample_facts
 
 if TYPE_CHECKING:
     from tauext.monitor.loop import ProfileSwitch

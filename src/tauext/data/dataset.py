@@ -16,13 +16,12 @@ from tauext.data.recording_file import ROW_GROUP, describe, load_recording
 from tauext.errors import ConfigError
 from tauext.files.copies import local_robot
 from tauext.files.places import Place, place_of
-from tauext.files.plain_file import json_of, read_text
+from tauext.files.plain_file import FORMAT, expect_format, json_of, read_text
 from tauext.files.whole_file import whole_file
 
 # --- Which recording belongs to which set: whole recordings only, so that no window is in two sets.
 
 
-FORMAT = 1
 FILE_NAME = "split.json"
 
 
@@ -127,9 +126,7 @@ def load_split(folder: Place | str) -> Split:
         raise ConfigError(f"{path}: there is no such file; a dataset folder holds one beside its recordings") from error
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: not readable as JSON ({error})") from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        found = content.get("format") if isinstance(content, dict) else None
-        raise ConfigError(f"{path}: its format is {found!r}, this version reads {FORMAT}")
+    expect_format(content, path, "import or simulate the dataset again")
     for key in content:
         if key != "format" and key not in SETS:  # a list that nobody reads would be a set that is empty unsaid
             raise ConfigError(f"{path}: '{key}' is no set; the sets are {', '.join(SETS)}")

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-import logging
 import os
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tauext.data.recording import FLAGS, REQUIRED_SIGNALS, SIGNALS, Recording, check_joints, fitted_period_ns
+from tauext.data.recording import FLAGS, REQUIRED_SIGNALS, SIGNALS, Recording, check_joints
 from tauext.errors import RecordingError, StoreError
 from tauext.files.copies import reading
 from tauext.files.places import Place, is_stored, place_of
-from tauext.files.plain_file import expect_file, json_of
+from tauext.files.plain_file import FORMAT, expect_file, expect_format, json_of
 from tauext.files.whole_file import whole_file
 
 # --- How a Parquet file of ours is written: whole or not at all, the same content to the same bytes.
@@ -54,14 +53,9 @@ if TYPE_CHECKING:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-FORMAT = 1
 UNITS = {"t": "ns", "q": "rad", "dq": "rad/s", "tau": "N m"}
 TEXTS = ("tauext_format", "joints", "units", "rate_hz", "torque_timing", "source", "robot_sha256", "provenance")
 """Keys of the schema's metadata, all needed."""
-RATE_OFF = 0.01
-"""An import before the period was fitted stored the rate of the median step, rounded within this."""
-REPORTED: set[str] = set()
-"""Folders of which a message said that their rates were fitted again: one message a folder."""
 MAGIC = b"PAR1"
 ROW_GROUP = 225_000
 """Samples that are written, and can be read, at a time: half an hour at 125 Hz; no import puts more in a file."""
@@ -253,10 +247,7 @@ def read_head(path: Place, file: pq.ParquetFile) -> Description:
     texts = {key: metadata[key.encode()].decode(errors="replace") for key in TEXTS if key.encode() in metadata}
     if "tauext_format" not in texts:
         raise RecordingError(f"{path}: not a recording: its metadata has no tauext_format; tauext writes '{FORMAT}'")
-    if texts["tauext_format"] != str(FORMAT):
-        raise RecordingError(
-            f"{path}: its format is '{texts['tauext_format']}', this version reads '{FORMAT}'; update tauext"
-        )
+    expect_format(texts, path, "import or record it again", RecordingError, "tauext_format")
     for key in TEXTS:
         if key not in texts:
             raise RecordingError(f"{path}: its metadata has no '{key}'; needed are {', '.join(TEXTS)}")
@@ -274,7 +265,7 @@ def read_head(path: Place, file: pq.ParquetFile) -> Description:
         raise RecordingError(f"{path}: rate_hz = '{texts['rate_hz']}' must be a number, in Hz") from error
     names = set(file.schema_arrow.names)
     held = tuple(s for s in SIGNALS if any(f"{s}_{joint}" in names for joint in joints))
-    head = Description(
+    return Description(
         name=path.stem,
         joints=joints,
         signals=held + tuple(flag for flag in FLAGS if flag in names),
@@ -285,32 +276,6 @@ def read_head(path: Place, file: pq.ParquetFile) -> Description:
         robot_sha256=texts["robot_sha256"],
         provenance=parse_json(path, "provenance", texts["provenance"], dict),
     )
-    if head.provenance.get("command") == "tauext import" and "rate" not in head.provenance and "t_ns" in names:
-        return replace(head, rate_hz=_fitted_again(path, file, rate_hz))
-    return head
-
-
-def _fitted_again(path: Place, file: pq.ParquetFile, rate_hz: float) -> float:
-    """The rate of a recording whose import took it from the median step: that of the fitted period, if it differs.
-
-    A rate that is not the median step's was stated, and stays.
-    """
-    t_ns = file.read_row_group(0, ["t_ns"]).column(0).to_numpy() if file.num_row_groups else np.zeros(0)
-    if len(t_ns) < 2 or (np.diff(t_ns) <= 0).any():
-        return rate_hz
-    median_hz, fitted_hz = 1e9 / float(np.median(np.diff(t_ns))), 1e9 / fitted_period_ns(t_ns)
-    if abs(rate_hz / median_hz - 1) > RATE_OFF or abs(rate_hz / fitted_hz - 1) <= RATE_OFF:
-        return rate_hz
-    if (folder := str(path.parent)) not in REPORTED:
-        REPORTED.add(folder)
-        logging.getLogger("tauext").warning(
-            "%s: its clock is uneven, and its rate %.4g Hz, where its import stored %g Hz; so it may be of other "
-            "recordings there: import them again to store it",
-            path,
-            fitted_hz,
-            rate_hz,
-        )
-    return fitted_hz
 
 
 def check_columns(path: Place, head: Description, schema: pa.Schema) -> None:

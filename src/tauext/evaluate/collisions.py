@@ -100,13 +100,13 @@ def judge(collision: Collision, recording: Recording, estimates: Estimates) -> d
     sensor = peak = None
     if recording.tau_ext_sensor is not None:
         part = slice(before, window.stop)
-        ratio = np.nan_to_num(np.abs(recording.tau_ext_sensor[part]) / estimates.limit[part]).max(axis=1)
+        ratio = np.nan_to_num(np.abs(recording.tau_ext_sensor[part]) / estimates.limit_nm[part]).max(axis=1)
         over = ratio > 1
         sensor = first_rise(over[collision.begin - before :], bool(over[0]))
         peak = float(ratio[collision.begin - before :].max())
     result = {"id": collision.id, "found": found is not None, "joint": None, "delay_s": None}
     if found is not None:
-        margin = np.abs(estimates.tau_ext[window][found]) / estimates.limit[window][found]
+        margin = np.abs(estimates.tau_ext[window][found]) / estimates.limit_nm[window][found]
         result |= {"joint": recording.joints[int(np.argmax(margin))], "delay_s": float(seconds[found])}
     result["peak_over_limit"] = peak
     result["sensor_delay_s"] = None if sensor is None else float(seconds[sensor])
@@ -185,11 +185,10 @@ def judge_latched(
     first = max(collision.begin - 1 - long, 0)
     last = min(collision.end + round(GRACE_S * recording.rate_hz), recording.samples)
     part, window = slice(first, last), slice(collision.begin - first, last - first)
-    assert estimates.held_alarm is not None
     latched = _first_rise_in(estimates.held_alarm[part] == COLLISION, window)
     sensor, strong = None, False
     if reference is not None:
-        size, limit = np.abs(reference[part]), estimates.limit[part]
+        size, limit = np.abs(reference[part]), estimates.limit_nm[part]
         sensor = _first_rise_in(np.asarray(held(size > limit, hold).any(axis=1)), window)
         strong = bool(held(size > STRONG * limit, long)[window].any())
     seconds = (recording.t_ns[collision.begin : last] - recording.t_ns[collision.begin]) * 1e-9
@@ -397,7 +396,6 @@ class TouchMeasures:
 
 def alarm_rows(touch: Collision, recording: Recording, estimates: Estimates) -> np.ndarray:
     """Rows at which some joint was over a limit, from the first in the collision on, for at most FOLLOWED_S."""
-    assert estimates.held_alarm is not None
     last = min(touch.end + round(GRACE_S * recording.rate_hz), recording.samples)
     rows = touch.begin + np.flatnonzero(estimates.held_alarm[touch.begin : last] > 0)
     return rows[recording.t_ns[rows] <= recording.t_ns[rows[0]] + FOLLOWED_S * 1e9] if len(rows) else rows
@@ -421,9 +419,7 @@ def place_of(model: _core.PlaceModel, rows: np.ndarray, recording: Recording, es
     }
 
 
-def kind_of(touch: Collision, recording: Recording, estimates: Estimates) -> str | None:
-    """As known when the collision is over; None where the estimates do not say it."""
-    if estimates.touch is None:
-        return None
+def kind_of(touch: Collision, recording: Recording, estimates: Estimates) -> str:
+    """As known when the collision is over."""
     last = min(touch.end + round(GRACE_S * recording.rate_hz), recording.samples) - 1
     return str(_core.Touch(int(estimates.touch[last])).name)

@@ -259,7 +259,7 @@ class Comparison:
             bundle, measures = self._bundles[name], self._measures[name]
             estimates = estimate_recording(bundle, recording, own_threads)
             if keep_in is not None:
-                save_estimates(replace(estimates, contact_limit=None), keep_in / name / f"{recording.name}.parquet")
+                save_estimates(replace(estimates, contact_limit_nm=None), keep_in / name / f"{recording.name}.parquet")
             measures.add_events(recording, estimates)
             if free:
                 without_touches = free_part(recording, estimates) if found else estimates
@@ -353,5 +353,5 @@ def free_part(recording: Recording, estimates: Estimates) -> Estimates:
         estimates,
         health=np.where(free | ~estimates.healthy, estimates.health, STALE).astype(np.int8),
         detection=estimates.detection & free,
-        held_alarm=None if estimates.held_alarm is None else np.where(free, estimates.held_alarm, 0).astype(np.int8),
+        held_alarm=np.where(free, estimates.held_alarm, 0).astype(np.int8),
     )

@@ -144,8 +144,8 @@ class EventMeasures:
     def add_estimates(self, recording: Recording, estimates: Estimates) -> None:
         """Take in what a bundle said: collisions as a monitor would have latched them."""
         alarm = estimates.healthy & (estimates.held_alarm == COLLISION)
-        share = np.abs(np.nan_to_num(estimates.tau_ext)) / estimates.limit
-        self.add(recording, alarm, estimates.healthy, share, estimates.r)
+        share = np.abs(np.nan_to_num(estimates.tau_ext)) / estimates.limit_nm
+        self.add(recording, alarm, estimates.healthy, share, estimates.residual)
 
     def summary(self) -> dict:
         """The entry `events` of a bundle in results.json."""

@@ -52,15 +52,14 @@ class FreeMotionErrors:
         self._square += ones @ square
         self._near_square += ones @ np.where(near, square, 0)
         self._near += ones @ near
-        largest = [np.abs(column).max(initial=0) for column in estimates.r[healthy].T]
+        largest = [np.abs(column).max(initial=0) for column in estimates.residual[healthy].T]
         self._largest_r = np.maximum(self._largest_r, largest)
         self.samples += int(healthy.sum())
         self.seconds += healthy.sum() / recording.rate_hz
         self.recordings.append(recording.name)
         quiet = round(FALSE_ALARM_QUIET_S * recording.rate_hz)
         self.false_alarms += count_episodes(estimates.detection, quiet)
-        if estimates.held_alarm is not None:
-            self.false_collisions += count_episodes(estimates.held_alarm == COLLISION, quiet)
+        self.false_collisions += count_episodes(estimates.held_alarm == COLLISION, quiet)
 
     def summary(self) -> dict:
         """The entry `free_motion` of results.json."""
@@ -139,7 +138,6 @@ class AfterContact:
         for k in np.flatnonzero(counts):
             error = estimates.tau_ext[where == k].astype(float)
             self._square[k] += np.einsum("ij,ij->j", error, error)
-        assert estimates.held_alarm is not None
         for name, level in LEVELS.items():
             begun = where[beginnings(estimates.held_alarm >= level, round(QUIET_S * recording.rate_hz))]
             self._begun[name] += np.bincount(begun + 1, minlength=bins + 1)[1:]
@@ -224,9 +222,9 @@ class LimitsHeld:
 
     def add(self, recording: Recording, estimates: Estimates) -> None:
         """Take in a recording; what is not healthy is left out."""
-        if estimates.contact_limit is None or estimates.sigma_nm is None:
+        if estimates.contact_limit_nm is None or estimates.sigma_nm is None:
             return
-        told = (estimates.limit, estimates.contact_limit, estimates.sigma_nm)
+        told = (estimates.limit_nm, estimates.contact_limit_nm, estimates.sigma_nm)
         counted = estimates.healthy & np.all([np.isfinite(one).all(axis=1) for one in told], axis=0)
         at = np.flatnonzero(counted)[:: max(1, round(ROW_S * recording.rate_hz))]
         self._rows.append(np.stack([recording.q[at], *(one[at] for one in told)], axis=1).astype(np.float32))

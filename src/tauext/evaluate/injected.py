@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import isotonic_regression
 
 from tauext import _core
-from tauext.bundle.estimates import Estimates
+from tauext.bundle.estimates import Estimates, lacking
 from tauext.bundle.fit import expect_fit
 from tauext.bundle.units import left_out, of_all
 from tauext.data.free_motion import free_samples
@@ -37,25 +37,8 @@ def estimate_recording(bundle: _core.Bundle, recording: Recording, threads: int 
     said = _core.estimate(
         bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads, recording.temperature
     )
-    return Estimates(
-        joints=recording.joints,
-        t_ns=recording.t_ns,
-        r=said["residual"].astype(np.float32),
-        network=said["network"].astype(np.float32),
-        tau_ext=said["tau_ext"].astype(np.float32),
-        prior=said["prior"].astype(np.float32) if bundle.prior.terms or bundle.prior.corrected_links else None,
-        drift=said["drift"].astype(np.float32) if bundle.drift.time_constant_s else None,
-        sigma_nm=said["sigma_nm"].astype(np.float32) if bundle.error_scale.on else None,
-        contact_sigma_nm=said["contact_sigma_nm"].astype(np.float32) if bundle.error_scale.on else None,
-        limit=said["limit_nm"].astype(np.float32),
-        contact_limit=contact_limit_nm(bundle, said).astype(np.float32),
-        near_stiction=said["near_stiction"].astype(bool),
-        health=said["health"].astype(np.int8),
-        causes=said["causes"],
-        detection=said["detection"].astype(bool),
-        held_alarm=said["held_alarm"].astype(np.int8),
-        touch=said["touch"].astype(np.int8),
-    )
+    said["contact_limit_nm"] = contact_limit_nm(bundle, said)
+    return Estimates.of(recording.joints, recording.t_ns, said, {"alarm", *lacking(bundle)})
 
 
 def contact_limit_nm(bundle: _core.Bundle, said: dict[str, np.ndarray]) -> np.ndarray:

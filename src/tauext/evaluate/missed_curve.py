@@ -68,7 +68,7 @@ class MissedCurve:
 def held_ratio(estimates: Estimates, hold_s: float) -> np.ndarray:
     """rho of every sample, (samples,): see MissedCurve; 0 where its hold time is not all healthy or not yet past."""
     t_ns = estimates.t_ns
-    ratio = np.abs(estimates.tau_ext) / estimates.limit
+    ratio = np.abs(estimates.tau_ext) / estimates.limit_nm
     ratio[~estimates.healthy] = 0
     steps = np.diff(t_ns)
     if len(steps) and (steps == steps[0]).all():

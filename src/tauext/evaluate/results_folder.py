@@ -21,6 +21,7 @@ from tauext.data.recording_file import fingerprint
 from tauext.evaluate.comparison import evaluate
 from tauext.files.half_done import HalfDone
 from tauext.files.places import Place
+from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import VERSION, provenance, write_json
 from tauext.progress import SILENT, Reporter
 
@@ -98,7 +99,7 @@ def evaluate_bundles(
     keep = {key: run[key] for key in ("version", "seed", "machine")}
     write_json(run, out / "run.json")
     write_json({"evaluate_s": time.monotonic() - started}, out / "wall_time_s.json")
-    results = {"format": 3, "provenance": source | keep} | results
+    results = {"format": FORMAT, "provenance": source | keep} | results
     write_json(results, out / "results.json")
     for entry in results["bundles"]:
         if words := unhealthy_words(entry):

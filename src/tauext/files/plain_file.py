@@ -10,7 +10,11 @@ import tomllib
 from collections.abc import Callable
 from typing import Any
 
+from tauext.errors import ConfigError, TauextError
 from tauext.files.places import Place, answers
+
+FORMAT = 1
+"""Of every kind of file that this version writes, and reads."""
 
 LARGEST_TEXT = 1 << 28
 """Of a file that is read whole, [bytes]; results of a thousand hours are a hundredth of it."""
@@ -23,6 +27,20 @@ def expect_file(path: Place) -> None:
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not stat.S_ISREG(mode):
         raise OSError(errno.EINVAL, "Not a file but a device, pipe or socket", str(path))
+
+
+def expect_format(
+    content: object, path: Place, remedy: str, error: type[TauextError] = ConfigError, key: str = "format"
+) -> None:
+    """Raise the error unless a file's content names, under this key, the format that this version reads."""
+    found = content.get(key) if isinstance(content, dict) else None
+    if found is None:
+        raise error(f"{path}: its '{key}' is missing, must be {FORMAT}; {remedy}")
+    if str(found) != str(FORMAT):
+        raise error(
+            f"{path}: format {found} instead of {FORMAT}: made by a development version before 0.1.0 or by a later "
+            f"version; {remedy}"
+        )
 
 
 def read_text(path: Place) -> str:

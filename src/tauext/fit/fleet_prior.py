@@ -15,7 +15,7 @@ from tauext.config import PriorConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.files.places import Place
-from tauext.files.plain_file import json_of, read_text
+from tauext.files.plain_file import FORMAT, expect_format, json_of, read_text
 from tauext.files.provenance import json_text, write_json
 from tauext.fit.prior import bound_loads, branches_of
 from tauext.fit.prior_terms import PriorFit
@@ -346,7 +346,6 @@ def block_columns(own: Sequence[Sequence[_core.Term]]) -> list[np.ndarray]:
 
 LEAST_MEMORY_S, MOST_MEMORY_S = 1e-3, 1e4
 """Of errors that go on in one direction: a sample of the fastest loop, and hours."""
-FORMAT = 1
 SUFFIX = ".prior.json"
 OPTIONAL = ("trust", "errors", "coverage", "days")
 COVERAGE = ("fastest_rad_s", "turns", "centre_rad", "span_rad", "seen", "reach", "seen_together", "reach_together")
@@ -418,9 +417,7 @@ def load_fleet_prior(path: Place) -> FleetPrior:
         raw = json_of(text)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: not a readable fleet prior ({error}); `tauext fleet prior` makes one") from error
-    if not isinstance(raw, dict) or raw.get("format") != FORMAT:
-        found = raw.get("format") if isinstance(raw, dict) else None
-        raise ConfigError(f"{path}: format = {found} of a fleet prior must be {FORMAT}; `tauext fleet prior` makes one")
+    expect_format(raw, path, "`tauext fleet prior` makes one")
     try:
         prior = parsed(raw, hashlib.sha256(text.encode()).hexdigest())
         expect_sound(prior)
@@ -455,7 +452,7 @@ def parsed(raw: Mapping[str, Any], sha256: str) -> FleetPrior:
     kept = {key: value for key, value in raw.items() if key not in (*named, *OPTIONAL)}
     errors = None if raw["errors"] is None else errors_of(raw["errors"], len(own))
     coverage = None if raw["coverage"] is None else coverage_of(raw["coverage"])
-    days = None if raw.get("days") is None else days_of(raw["days"], len(own))
+    days = None if raw["days"] is None else days_of(raw["days"], len(own))
     widths = tuple(float(width) for width in raw["widths_rad"])
     return FleetPrior(kind, float(raw["gain_per_s"]), widths, own, weights, errors, coverage, days, kept, sha256)
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tauext.files.places import Place, place_of
+from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import VERSION, write_json
 from tauext.fleet.fleet_file import (
     STAGES,
@@ -174,7 +175,7 @@ def changes(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
 # --- fleet.json: per arm and stage what stands, of what inputs, and why where it does not.
 
 
-FILE, FORMAT = "fleet.json", 1
+FILE = "fleet.json"
 EVERY_S = 5.0
 """Between two writings while tasks end."""
 

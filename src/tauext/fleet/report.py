@@ -8,12 +8,13 @@ from typing import Any
 
 from tauext.errors import TauextError
 from tauext.files.places import Place
+from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import VERSION, write_json
 from tauext.fleet.compare import GroupNumbers, compare
 from tauext.fleet.visits import SPEED_RAD_S, BundleFacts, Visit, named_of, read_bundle, visit_facts, visits_of
 from tauext.progress import SILENT, Reporter
 
-FILE, FORMAT = "fleet-report.json", 1
+FILE = "fleet-report.json"
 TABLES = ("friction", "constant", "tool")
 
 

@@ -23,7 +23,7 @@ from tauext import _core
 from tauext.errors import ConfigError, FaultyDataError, StoreError, TauextError
 from tauext.files.copies import at_home, send_folder, version_of
 from tauext.files.places import Place, StoredPlace, is_stored, place_of
-from tauext.files.plain_file import expect_file, json_of, read_text
+from tauext.files.plain_file import FORMAT, expect_file, json_of, read_text
 from tauext.files.provenance import VERSION, provenance, write_json
 from tauext.files.whole_file import whole_file
 
@@ -159,7 +159,6 @@ def build() -> str:
 # --- One stage of one arm: done once, in a folder that appears whole, with a marker that says of what it was made.
 
 
-FORMAT = 2
 MARKER, WALL_TIME = "task.json", "task.wall_time_s.json"
 TIMED = "wall_time_s.json"
 """End of the names of files that differ from run to run: task.wall_time_s.json, and those of the commands."""
@@ -188,7 +187,7 @@ class Task:
     @property
     def hash(self) -> str:
         """SHA-256 over stage, build and inputs: tasks of one hash give the same bytes."""
-        return digest_of([FORMAT, self.build, self.stage, self.inputs])
+        return digest_of([self.build, self.stage, self.inputs])
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)

@@ -15,7 +15,7 @@ from tauext.data.dataset import load_dataset
 from tauext.data.recording_file import recording_date
 from tauext.errors import ConfigError, TauextError
 from tauext.files.places import Place, place_of
-from tauext.files.plain_file import json_of, read_text
+from tauext.files.plain_file import expect_format, json_of, read_text
 from tauext.fleet.odds import NAMED
 
 # --- Which arms and joints are named, in words: what is rather so than not.
@@ -220,7 +220,7 @@ def ripples_nm(bundle: _core.Bundle) -> np.ndarray:
 # --- Arms at their dates: what stands in the fleet folders that `tauext fleet run` made.
 
 
-FLEET, FORMAT = "fleet.json", 1
+FLEET = "fleet.json"
 
 
 @dataclass(frozen=True)
@@ -273,8 +273,7 @@ def visits_in(fleet: Place, run: int) -> list[Visit]:
     path = fleet / FLEET
     try:
         content = json_of(read_text(path))
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            raise ValueError("its format is another one")
+        expect_format(content, path, "run `tauext fleet run` again")
         return [visit_of(entry, fleet, run) for entry in content["arms"]]
     except FileNotFoundError as error:
         raise ConfigError(

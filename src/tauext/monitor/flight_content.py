@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import HEALTHS, Estimates
+from tauext.bundle.estimates import HEALTHS, Estimates, lacking, number, told_torques
 from tauext.bundle.units import short
 from tauext.data.recording import RATE_TOLERANCE, Recording, TorqueTiming, fitted_period_ns
 from tauext.monitor.changes import ALARMS, COLLISION, FAULT
@@ -50,9 +51,8 @@ class FlightSource:
     robot_sha256: str = ""
     near_stiction_rad_s: float = 0.0
     has_network: bool = True
-    has_prior: bool = False
-    has_drift: bool = False
-    has_error_scale: bool = False
+    lacking: frozenset[str] = frozenset()
+    """Columns of the estimates that the bundle does not have."""
     follows: bool = False
     """Limits follow the motion."""
     command: str = "tauext run"
@@ -79,15 +79,25 @@ class FlightSource:
             robot_sha256=recording.robot_sha256,
             near_stiction_rad_s=bundle.near_stiction_rad_s,
             has_network=bundle.has_network,
-            has_prior=bool(bundle.prior.terms or bundle.prior.corrected_links),
-            has_drift=bundle.drift.time_constant_s > 0,
-            has_error_scale=bundle.error_scale.on,
+            lacking=lacking(bundle),
             follows=bundle.error_scale.follows,
             torque_units=tuple(bundle.torque_units),
             estimate_units=tuple(bundle.estimate_units),
             load_frame=bundle.load_settings.frame,
             chain=bundle,
         )
+
+    @property
+    def has_prior(self) -> bool:
+        return "prior" not in self.lacking
+
+    @property
+    def has_drift(self) -> bool:
+        return "drift" not in self.lacking
+
+    @property
+    def has_error_scale(self) -> bool:
+        return "sigma_nm" not in self.lacking
 
     def unit(self, joint: int) -> str:
         """Of what is said of the joint, as it stands behind a number."""
@@ -149,25 +159,7 @@ def as_recording(
 
 def as_estimates(flight: Flight, kept: np.ndarray, source: FlightSource) -> Estimates:
     """What the monitor said of the samples that are kept."""
-    torques = {"r": "residual", "tau_ext": "tau_ext", "limit": "limit_nm", "contact_limit": "contact_limit_nm"}
-    prior, drift = flight["prior"][kept], flight["drift"][kept]
-    return Estimates(
-        joints=source.joints,
-        t_ns=flight["t_ns"][kept],
-        **{name: flight[key][kept].astype(np.float32) for name, key in torques.items()},
-        network=flight["network"][kept].astype(np.float32),
-        prior=prior.astype(np.float32) if source.has_prior else None,
-        drift=drift.astype(np.float32) if source.has_drift else None,
-        sigma_nm=flight["sigma_nm"][kept].astype(np.float32) if source.has_error_scale else None,
-        contact_sigma_nm=flight["contact_sigma_nm"][kept].astype(np.float32) if source.has_error_scale else None,
-        near_stiction=flight["near_stiction"][kept].astype(bool),
-        health=flight["health"][kept].astype(np.int8),
-        detection=flight["detection"][kept].astype(bool),
-        alarm=flight["alarm"][kept].astype(np.int8),
-        held_alarm=flight["held_alarm"][kept].astype(np.int8),
-        touch=flight["touch"][kept].astype(np.int8),
-        causes=flight["causes"][kept].astype(np.uint32),
-    )
+    return Estimates.of(source.joints, flight["t_ns"][kept], flight, source.lacking, kept)
 
 
 def carried(flight: Flight) -> list[tuple[int, _core.Load]]:
@@ -187,9 +179,6 @@ def event_numbers(flight: Flight, source: FlightSource) -> dict[str, Any]:
     def name(joint: int) -> str | None:
         return source.joints[joint] if joint >= 0 else None
 
-    def numbers(values: Any) -> list[float | None]:
-        return [float(value) if np.isfinite(value) else None for value in values]
-
     what = event_kind(flight)
     return {
         "what": what,
@@ -201,23 +190,10 @@ def event_numbers(flight: Flight, source: FlightSource) -> dict[str, Any]:
         "alarm": ALARMS[event.alarm.value],
         "alarm_joint": name(event.alarm_joint),
         "detection": bool(event.detection),
-        **{
-            key: numbers(getattr(event, field))
-            for key, field in (
-                ("residual_nm", "residual"),
-                ("uncertainty_nm", "uncertainty"),
-                ("tau_ext_nm", "tau_ext"),
-                ("load_nm", "load_nm"),
-                ("sigma_nm", "sigma_nm"),
-                ("contact_sigma_nm", "contact_sigma_nm"),
-                ("limit_nm", "limit_nm"),
-                ("contact_limit_nm", "contact_limit_nm"),
-                ("margin_nm", "margin_nm"),
-            )
-        },
+        **told_torques(partial(getattr, event)),
         "near_stiction": [bool(near) for near in event.near_stiction],
-        "dq_rad_s": numbers(flight["dq"][row]),
-        "tau": numbers(flight["tau"][row]),
+        "dq_rad_s": [number(value) for value in flight["dq"][row]],
+        "tau": [number(value) for value in flight["tau"][row]],
         "torque_units": list(source.torque_units or ("N m",) * len(source.joints)),
         "estimate_units": list(source.estimate_units or ("N m",) * len(source.joints)),
     }

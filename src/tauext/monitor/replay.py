@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -12,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import HEALTHS
+from tauext.bundle.estimates import HEALTHS, told_torques
 from tauext.bundle.units import not_in_newtons
 from tauext.monitor.changes import (
     ALARMS,
@@ -338,19 +337,6 @@ class Tally:
 # --- Single samples of a replay, at a rate that a reader asks for.
 
 
-TORQUES = {
-    "residual_nm": "residual",
-    "uncertainty_nm": "uncertainty",
-    "tau_ext_nm": "tau_ext",
-    "sigma_nm": "sigma_nm",
-    "contact_sigma_nm": "contact_sigma_nm",
-    "limit_nm": "limit_nm",
-    "contact_limit_nm": "contact_limit_nm",
-    "margin_nm": "margin_nm",
-}
-"""Names of lists over the joints, and of the monitor's arrays that hold them."""
-
-
 class StatusClock:
     """Picks the first sample of every period, counted from a recording's first sample, whatever the chunks."""
 
@@ -374,12 +360,7 @@ def sample_facts(said: Mapping[str, np.ndarray], row: int) -> dict[str, Any]:
         "alarm": ALARMS[said["alarm"][row]],
         "touch": TOUCHES[said["touch"][row]],
         "detection": bool(said["detection"][row]),
-        **{name: [number(value) for value in said[key][row].tolist()] for name, key in TORQUES.items()},
+        **told_torques(lambda name: said[name][row]),
         "unfamiliar": float(said["unfamiliar"][row]),
         "near_stiction": [bool(near) for near in said["near_stiction"][row]],
     }
-
-
-def number(value: float) -> float | None:
-    """For JSON, which knows no NaN."""
-    return value if math.isfinite(value) else None

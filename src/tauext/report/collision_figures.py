@@ -137,12 +137,12 @@ def draw_excerpt(axes: Axes, excerpt: Excerpt, joint: int, colour: str, results:
             span = excerpt.shown(np.clip([other.start_s, other.end_s], begin_s, end_s))
             axes.axvspan(*span, color=CONTACT, linewidth=0, zorder=0)
     shown_s = excerpt.shown(excerpt.recording.time_s[rows])
-    axes.plot(shown_s, excerpt.said.r[rows, joint], color=OBSERVER, linewidth=OBSERVER_WIDTH)
+    axes.plot(shown_s, excerpt.said.residual[rows, joint], color=OBSERVER, linewidth=OBSERVER_WIDTH)
     uncertainty = excerpt.said.uncertainty[rows, joint]
     axes.plot(shown_s, uncertainty, color=colour)
     if excerpt.said.limits_move:
         for side in (-1, 1):
-            axes.plot(shown_s, uncertainty + side * excerpt.said.limit[rows, joint], **LIMIT_LINE)
+            axes.plot(shown_s, uncertainty + side * excerpt.said.limit_nm[rows, joint], **LIMIT_LINE)
     if excerpt.shown_at_s > 0:
         axes.axvline(excerpt.shown_at_s, color=JOINT_AT, linewidth=0.7)
 

@@ -233,7 +233,7 @@ class BundleTouches:
 
 
 def read_touches(top: Entry) -> tuple[BundleTouches, ...]:
-    """Of every bundle that told a link or a kind; none in results of older versions."""
+    """Of every bundle that told a link or a kind."""
     found = []
     for bundle in top.entries("bundles", needed=True):
         entry = bundle.object("touches")

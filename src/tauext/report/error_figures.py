@@ -213,7 +213,7 @@ def collect(bundle: EvaluatedBundle, signals: Signals) -> tuple[np.ndarray, np.n
         rows = said.healthy & np.isfinite(said.tau_ext).all(axis=1)
         speeds.append(recording.dq[rows])
         errors.append(said.tau_ext[rows])
-        limits.append(said.limit[rows])
+        limits.append(said.limit_nm[rows])
         used.append(name)
     if sum(map(len, speeds)) == 0:
         raise NotAvailable(f"no test recording is there with its estimates of bundle {bundle.label}")
@@ -279,7 +279,7 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
     for column, (bundle, said) in enumerate(estimates.items()):
         for joint in range(n):
             axes = grid[joint, column]
-            axes.plot(time_s[rows], said.r[rows, joint], color=OBSERVER, linewidth=OBSERVER_WIDTH)
+            axes.plot(time_s[rows], said.residual[rows, joint], color=OBSERVER, linewidth=OBSERVER_WIDTH)
             axes.plot(time_s[rows], said.uncertainty[rows, joint], color=colours[bundle])
             axes.margins(x=0)
         grid[0, column].set_title(results.labels[bundle].replace(", ", ",\n"), color=colours[bundle], fontweight="bold")

@@ -137,7 +137,7 @@ def draw_signal(axes: Axes, flight: Flight, column: str, joint: int, part: slice
             draw_band(axes, whole_s, centre, broken(since, said.band_nm[part, joint], period)[1], TAU_EXT)
     elif column == "observer":
         curves = [
-            (said.r[part, joint], {"color": OBSERVER, "linewidth": OBSERVER_WIDTH}),
+            (said.residual[part, joint], {"color": OBSERVER, "linewidth": OBSERVER_WIDTH}),
             (said.uncertainty[part, joint], {"color": UNCERTAINTY}),
         ]
     else:
@@ -252,7 +252,7 @@ def facts(flight: Flight) -> list[tuple[str, str]]:
 
 
 def loads(flight: Flight) -> list[tuple[str, str]]:
-    """What the arm was taken to carry, where it ever carried anything; flights of older versions do not know."""
+    """What the arm was taken to carry, where it ever carried anything."""
     words: list[str] = []
     for since_s, mass_kg in flight.loads:
         words.append(f"{mass_kg:.4g} kg" + (f" from {since_s:+.3f} s on" if words else ""))
@@ -276,16 +276,15 @@ FIELDS = ("tau_ext_nm", "contact_sigma_nm", "limit_nm", "margin_nm", "residual_n
 
 def event_rows(flight: Flight) -> list[tuple[bool, list[str]]]:
     """What was said of each joint at the event, and whether it is the event's joint; a dash where no number exists."""
-    rows, n = [], len(flight.recording.joints)
-    regions = flight.event.get("near_stiction") or [None] * n
+    rows, regions = [], flight.event["near_stiction"]
     for j, joint in enumerate(flight.recording.joints):
-        said = {field: (flight.event.get(field) or [None] * n)[j] for field in FIELDS}
+        said = {field: flight.event[field][j] for field in FIELDS}
         if flight.limit_level == "contact":
-            said |= contact_margin((flight.event.get("contact_limit_nm") or [None] * n)[j], said["tau_ext_nm"])
+            said |= contact_margin(flight.event["contact_limit_nm"][j], said["tau_ext_nm"])
         values = said.values()
         cells = ["–" if value is None else f"{value:.3f}".replace("-", "−") for value in values]
         name = f"{joint} [{flight.estimate_unit_of(j)}]" if flight.estimate_unit == SEVERAL else joint
-        region = {None: "–", True: "near stiction", False: "sliding"}[regions[j]]
+        region = "near stiction" if regions[j] else "sliding"
         rows.append((joint == flight.event["joint"], [name, *cells, region]))
     return rows
 

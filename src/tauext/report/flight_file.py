@@ -8,29 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from tauext.bundle.estimates import Estimates, load_estimates
+from tauext.bundle.estimates import COLUMNS, Estimates, load_estimates
 from tauext.bundle.units import of_all, short
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.errors import ConfigError, RecordingError
 
 ESTIMATES = ".estimates.parquet"
-NEEDED = {"what", "t_ns", "joint"}
+LISTS: dict[str, Any] = dict.fromkeys([column.key for column in COLUMNS if column.told], int | float | None)
+LISTS |= dict.fromkeys(("tau", "dq_rad_s"), int | float | None)
+LISTS |= {"near_stiction": bool, "torque_units": str, "estimate_units": str}
+"""Of an event, a value a joint: its kind."""
+NEEDED = {"what", "t_ns", "joint", *LISTS}
 """Of an event."""
-LISTS = {
-    "tau_ext_nm",
-    "load_nm",
-    "sigma_nm",
-    "contact_sigma_nm",
-    "limit_nm",
-    "margin_nm",
-    "residual_nm",
-    "uncertainty_nm",
-    "tau",
-    "dq_rad_s",
-}
-LISTS |= {"near_stiction", "torque_units"}
-"""A value a joint; none of them has to be there."""
 
 
 @dataclass(frozen=True)
@@ -55,40 +45,38 @@ class Flight:
     def loads(self) -> list[tuple[float, float]]:
         """What the arm was taken to carry, [kg], and since when, [s] from the event on; none where it never carried.
 
-        The first is of the whole time before the second. Flights of older versions do not know.
+        The first is of the whole time before the second.
         """
-        told = self.facts.get("loads")
-        if not isinstance(told, list) or not any(one.get("mass_kg") for one in told):
+        told = self.facts["loads"]
+        if not any(one["mass_kg"] for one in told):
             return []
         return [((one["t_ns"] - self.event["t_ns"]) * 1e-9, one["mass_kg"]) for one in told]
 
     @property
     def torque_unit(self) -> str:
         """Of the motor torque: Nm, A or whatever the bundle took."""
-        return of_all(self.event.get("torque_units") or ())
+        return of_all(self.event["torque_units"])
 
     @property
     def estimate_unit(self) -> str:
         """Of external torque and limits, which need not be Nm where the arm had no model."""
-        return of_all(self.event.get("estimate_units") or ())
+        return of_all(self.event["estimate_units"])
 
     def estimate_unit_of(self, joint: int) -> str:
         """Of one joint."""
-        units: list[str] = self.event.get("estimate_units") or ["N m"] * len(self.recording.joints)
-        return short(units[joint])
+        return short(self.event["estimate_units"][joint])
 
     @property
     def limit_nm(self) -> np.ndarray:
         """What |tau_ext| had to exceed for the event's level, (samples, joints)."""
-        contact = self.estimates.contact_limit if self.limit_level == "contact" else None
-        return self.estimates.limit if contact is None else contact
+        limit = self.estimates.contact_limit_nm if self.limit_level == "contact" else self.estimates.limit_nm
+        assert limit is not None  # flights have both
+        return limit
 
     @property
     def limit_level(self) -> str:
-        """`contact` or `collision`: whose limits are shown. Flights of older versions know a collision's alone."""
-        return (
-            "contact" if self.event["what"] == "contact" and self.estimates.contact_limit is not None else "collision"
-        )
+        """`contact` or `collision`: whose limits are shown."""
+        return "contact" if self.event["what"] == "contact" else "collision"
 
     @property
     def joint(self) -> int:
@@ -111,32 +99,35 @@ def load_flight(path: Path) -> Flight:
     facts = dict(recording.provenance)
     event, explanation = facts.pop("event", None), facts.pop("explanation", None)
     told = isinstance(explanation, str) and bool(explanation.strip())
-    if not isinstance(event, dict) or not NEEDED <= event.keys() or not told:
+    if not isinstance(event, dict) or not told:
         raise RecordingError(
             f"{path}: a recording, but no flight: its provenance has no event; `tauext run --flights` writes flights"
         )
     beside = path.with_name(path.stem + ESTIMATES)
     estimates = load_estimates(beside)
+    if estimates.contact_limit_nm is None:
+        raise RecordingError(f"{beside}: its contact limits are missing; record the flight again")
     if estimates.joints != recording.joints or not np.array_equal(estimates.t_ns, recording.t_ns):
         raise RecordingError(f"{beside}: its joints or times are not those of {path.name}; it is of another flight")
-    if "tau_nm" in event:  # as flights had it while all torques were in N m
-        event["tau"] = event.pop("tau_nm")
     check_event(path, event, len(recording.joints))
+    loads, of = facts.get("loads"), {"t_ns", "mass_kg"}
+    if not isinstance(loads, list) or not all(isinstance(one, dict) and of <= one.keys() for one in loads):
+        raise RecordingError(f"{path}: its loads are no list of {{t_ns, mass_kg, ...}}; record it again")
     return Flight(recording, estimates, event, tuple(explanation.splitlines()), facts)
 
 
 def check_event(path: Path, event: dict[str, Any], joints: int) -> None:
     """Raise RecordingError unless every field of the event has its kind: text, whole numbers, or a list a joint."""
+    if missing := NEEDED - event.keys():
+        raise RecordingError(f"{path}: its event has no {', '.join(sorted(missing))}; record it again")
     kinds: dict[str, Any] = {"what": str, "t_ns": int, "joint": str | None}
     for name, kind in kinds.items():
         if not isinstance(event[name], kind) or isinstance(event[name], bool):
             raise RecordingError(f"{path}: its event's {name} = {event[name]!r} is of the wrong kind; record it again")
-    for name in LISTS & event.keys():
+    for name, of in LISTS.items():
         value = event[name]
-        if value is not None:
-            of = {"torque_units": str, "near_stiction": bool | None}.get(name, int | float | None)
-            if not isinstance(value, list) or len(value) != joints or not all(isinstance(one, of) for one in value):
-                raise RecordingError(f"{path}: its event's {name} is no list of {joints} values; record it again")
+        if not isinstance(value, list) or len(value) != joints or not all(isinstance(one, of) for one in value):
+            raise RecordingError(f"{path}: its event's {name} is no list of {joints} values; record it again")
 
 
 def newest(folder: Path) -> Path:

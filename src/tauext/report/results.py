@@ -254,7 +254,7 @@ class Latched:
     """Against the sensor, as the next."""
     delay_p95_s: Number
     onset_median_s: Number = None
-    """From the true onset to the alarm, as the next; None in results of earlier versions."""
+    """From the true onset to the alarm, as the next; None where no collision was latched."""
     onset_p95_s: Number = None
     unhealthy: int = 0
     """Of the collisions, while the monitor was not healthy."""
@@ -432,12 +432,12 @@ class EvaluatedBundle:
     """Step, training loss, validation loss; empty where nothing was recorded."""
     measured: Measured
     """Beyond the paper's own measures."""
+    estimate_units: tuple[str, ...]
+    """Of its torques, a joint: not Nm where an arm without a model was recorded in amperes, or by power."""
     limits_move: bool = False
     """Its limits are multiplied by what the motion announces; those named are of usual motion."""
-    estimate_units: tuple[str, ...] = ()
-    """Of its torques, a joint: not Nm where an arm without a model was recorded in amperes, or by power."""
     rejected_share: float | None = None
-    """Of the time, in which its monitor was not healthy; None in results of earlier versions."""
+    """Of the time, in which its monitor was not healthy."""
     rejected_causes: tuple[str, ...] = ()
     changed: tuple[tuple[str, str], ...] = ()
     """What was done to it after its training, and in words what came of it."""
@@ -498,7 +498,7 @@ class Results:
 
     def unit_of(self, joint: int) -> str:
         """Of torques of one joint."""
-        return of_all([bundle.estimate_units[joint] for bundle in self.bundles if bundle.estimate_units])
+        return of_all([bundle.estimate_units[joint] for bundle in self.bundles])
 
     @property
     def units_note(self) -> str:
@@ -510,7 +510,6 @@ class Results:
                 f"{name} in {short(unit)}" for name, unit in zip(self.joints, bundle.estimate_units, strict=True)
             )
             for bundle in self.bundles
-            if bundle.estimate_units
         }
         if len(set(told.values())) == 1:
             return f"All bundles answer {next(iter(told.values()))}."

@@ -9,7 +9,7 @@ from tauext.data.dataset import FILE_NAME
 from tauext.data.recording_file import fingerprint
 from tauext.errors import ConfigError
 from tauext.files.places import Place
-from tauext.files.plain_file import json_of, read_text
+from tauext.files.plain_file import expect_format, json_of, read_text
 from tauext.report.entry import Entry, read_events, read_touches
 from tauext.report.results import (
     WAYS,
@@ -215,10 +215,6 @@ def read_curve(entry: Entry) -> InjectedCurve:
 # --- Reads results.json; docs/files.md is its contract.
 
 
-FORMATS = (2, 3)
-"""What differs: the list of bundles is called `cases` in format 2."""
-
-
 def load_results(folder: Path) -> Results:
     """Read `results.json` of a results folder. A number may be null, or absent: it is None then.
 
@@ -232,12 +228,7 @@ def load_results(folder: Path) -> Results:
         raise ConfigError(f"{path}: there are no such results; `tauext evaluate` writes them") from error
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: not readable as JSON ({error}); evaluate again") from error
-    if not isinstance(content, dict) or content.get("format") not in FORMATS:
-        found = content.get("format") if isinstance(content, dict) else None
-        readable = " and ".join(map(str, FORMATS))
-        raise ConfigError(f"{path}: its format is {found!r}, this version reads {readable}; evaluate again")
-    if content["format"] == 2 and "cases" in content:
-        content["bundles"] = content.pop("cases")
+    expect_format(content, path, "evaluate again")
     return read_results(Entry(str(path), content))
 
 
@@ -270,7 +261,7 @@ def read_collision(entry: Entry, joints: int) -> Collision:
     link = entry.get("link", int)
     return Collision(
         id=entry.text("id", needed=True),
-        recording=entry.text("recording", needed=True).removesuffix(".parquet"),
+        recording=entry.text("recording", needed=True),
         kind=entry.text("kind") or "unknown",
         start_s=entry.number("start_s", needed=True),
         end_s=entry.number("end_s", needed=True),
@@ -288,7 +279,7 @@ def read_bundle(entry: Entry, joints: int) -> EvaluatedBundle:
         name=name,
         recipe=entry.text("recipe"),
         **{key: entry.get(key, int) for key in ("steps", "epochs", "batch", "ten_found")},
-        recordings=tuple(recording.removesuffix(".parquet") for recording in free.texts("recordings")),
+        recordings=free.texts("recordings"),
         **{key: free.get(key, int) for key in ("samples", "false_alarms")},
         **free.each_number("hours", "false_alarms_per_hour"),
         **errors,
@@ -302,7 +293,7 @@ def read_bundle(entry: Entry, joints: int) -> EvaluatedBundle:
         loss_history=entry.loss_history("loss_history"),
         measured=read_measured(entry, joints),
         limits_move=bool(limits.get("moving", bool)),
-        estimate_units=entry.texts("estimate_units") or ("N m",) * joints,
+        estimate_units=entry.texts("estimate_units", needed=True),
         rejected_share=entry.object("rejected").number("share"),
         rejected_causes=tuple(entry.object("rejected").object("causes").content),
         changed=read_changed(entry.object("changed_since_training")),
@@ -342,7 +333,6 @@ def expect_same_dataset(results: Results, results_dir: Path, dataset_dir: Place)
     """Raise ConfigError where the dataset's recordings are not those that were evaluated.
 
     One that is missing is said on the page where it would stand; a dataset that has none of them is another one.
-    Results of before fingerprints were kept say nothing.
     """
     judged = Entry(f"{results_dir / 'results.json'}, provenance", results.provenance).object("recordings")
     there = [name for name in judged.content if (dataset_dir / f"{name}.parquet").is_file()]

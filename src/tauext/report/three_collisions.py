@@ -163,7 +163,7 @@ def draw_curves(axes: Axes, scene: Scene, rows: np.ndarray, colours: dict[str, s
         draw_band(axes, time, tau_ext, sigma, colours[bundle])
     if scene.sensor is not None:
         axes.plot(time, scene.sensor[rows], color=SENSOR, linewidth=2, zorder=3)
-    limit = next(iter(scene.said.values())).limit[rows, scene.joint]
+    limit = next(iter(scene.said.values())).limit_nm[rows, scene.joint]
     axes.plot(time, scene.side() * limit, color=LIMIT, linestyle="--", linewidth=1, zorder=2)
     axes.margins(x=0)
 

@@ -123,12 +123,9 @@ def stretches(holds: np.ndarray, time_s: np.ndarray, apart_s: float = 0.0) -> li
 def alarms(estimates: Estimates, time_s: np.ndarray) -> list[tuple[float, float, int]]:
     """First and last time of every alarm and its level, collisions first.
 
-    A monitor's are latched; without a monitor they last as long as they are held. Of detections, where no alarms are
-    known.
+    A monitor's are latched; without a monitor they last as long as they are held.
     """
     level_at = estimates.held_alarm if estimates.alarm is None else estimates.alarm
-    if level_at is None:
-        return [(*one, COLLISION) for one in stretches(estimates.detection, time_s, APART_S)]
     return [(*one, level) for level in (COLLISION, CONTACT) for one in stretches(level_at == level, time_s, APART_S)]
 
 
@@ -180,8 +177,8 @@ def trace(
         named["reference", None] = reference
     for method, estimates in said.items():
         healthy_only = np.where((estimates.health == OK)[:, None], estimates.tau_ext, np.nan)
-        learned = estimates.r - estimates.tau_ext
-        values = (healthy_only, estimates.limit, estimates.band_nm, learned, estimates.r)
+        learned = estimates.residual - estimates.tau_ext
+        values = (healthy_only, estimates.limit_nm, estimates.band_nm, learned, estimates.residual)
         named |= {(name, method): one for name, one in zip(METHOD_SIGNALS, values, strict=True) if one is not None}
     contacts = [] if recording.contact is None else stretches(recording.contact == 1, time_s)
     found = {method: alarms(estimates, time_s) for method, estimates in said.items()}

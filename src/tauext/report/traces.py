@@ -113,7 +113,7 @@ def flight_traces(flight: Flight, room: float) -> PageTraces:
     event_s = (flight.event["t_ns"] - int(recording.t_ns[0])) * 1e-9
     traced = trace(
         recording,
-        {name: replace(flight.estimates, limit=flight.limit_nm)},
+        {name: replace(flight.estimates, limit_nm=flight.limit_nm)},
         plan.size,
         plan.windows(recording),
         [(event_s, event_s)],

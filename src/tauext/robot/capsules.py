@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 from tauext._core import Capsule, Tree
 from tauext.errors import RobotError
 from tauext.files.places import SHAPES_FILE
+from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import write_json
 from tauext.robot.load import carriers, choose_joints, compiled, frame_of_joint
 from tauext.robot.write import PAYLOAD
@@ -341,7 +342,7 @@ def write_shapes(source: Path, folder: Path) -> BodyCapsules:
         name: [{"start_m": start, "end_m": end, "radius_m": radius} for start, end, radius in ends]
         for name, ends in shapes.bodies.items()
     }
-    write_json({"format": 1, "bodies": listed, "notes": shapes.notes}, folder / SHAPES_FILE)
+    write_json({"format": FORMAT, "bodies": listed, "notes": shapes.notes}, folder / SHAPES_FILE)
     return shapes
 
 

@@ -19,7 +19,7 @@ from tauext.data.dataset import save_split, split_recordings
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
 from tauext.errors import ConfigError
-from tauext.files.plain_file import json_of, read_text
+from tauext.files.plain_file import FORMAT, json_of, read_text
 from tauext.files.provenance import VERSION, write_json
 from tauext.files.room import expect_folder, span
 from tauext.files.whole_file import whole_file
@@ -213,7 +213,7 @@ def _settings(config: RigConfig, seed: int, settings: dict) -> dict:
     """What the recordings depend on, as plain JSON."""
     settings = settings | {"config": asdict(config)}
     return {
-        "format": 1,
+        "format": FORMAT,
         "command": "simulate",
         "version": VERSION,
         "seed": seed,

@@ -15,7 +15,7 @@ from cyclonedds.core import DDSException, GuardCondition, WaitSet
 
 from tauext import _core
 from tauext._core import Load
-from tauext.bundle.estimates import HEALTHS
+from tauext.bundle.estimates import HEALTHS, told_torques
 from tauext.errors import ConfigError
 from tauext.monitor.changes import ALARMS, COLLISION, FAULT, NONE
 from tauext.monitor.changes import OK as HEALTHY
@@ -48,17 +48,6 @@ from tauext.sources.ros2_node import Conditions, Node
 from tauext.sources.ros2_source import Ros2Source
 
 # --- The monitor's state in diagnostic_msgs: what stands, in words, and the numbers behind it.
-
-
-TORQUES = (
-    ("tau_ext_nm", "tau_ext"),
-    ("sigma_nm", "sigma_nm"),
-    ("contact_sigma_nm", "contact_sigma_nm"),
-    ("limit_nm", "limit_nm"),
-    ("contact_limit_nm", "contact_limit_nm"),
-    ("margin_nm", "margin_nm"),
-)
-"""Of `tauext: arm`, a joint, and what of the verdict holds them."""
 
 
 def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: str) -> DiagnosticStatus:
@@ -103,9 +92,9 @@ def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: st
         KeyValue("unfamiliar", number(unfamiliar)),
         *(KeyValue(f"cause: {cause}", MEANING[cause]) for cause in causes),
         *(
-            KeyValue(f"{name} {joint}", number(value))
-            for name, key in TORQUES
-            for joint, value in zip(joints, said[key][0].tolist(), strict=True)
+            KeyValue(f"{key} {joint}", number(value))
+            for key, values in told_torques(lambda name: said[name][0]).items()
+            for joint, value in zip(joints, values, strict=True)
         ),
     ]
     return status
@@ -145,9 +134,9 @@ def input_status(
     return status
 
 
-def number(value: float) -> str:
+def number(value: float | None) -> str:
     """Four digits; - where there is none."""
-    return f"{value:.4g}" if math.isfinite(value) else "-"
+    return f"{value:.4g}" if value is not None and math.isfinite(value) else "-"
 
 
 # --- Force and moment at frames of the arm as ROS 2 messages: a WrenchStamped a frame, and its covariance beside it.

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +27,7 @@ from felt.session import Course, Wish, run
 from felt.wishes import moves, press, taps
 
 from tauext._core import Bundle
-from tauext.monitor.leader_feedback import (
-    EnergyTank,
-    FeedbackSettings,
-    LeaderFeedback,
-    TankSettings,
-    free_motion_sigmas,
-)
+from tauext.monitor.leader_feedback import EnergyTank, FeedbackSettings, LeaderFeedback, free_motion_sigmas
 from tauext.progress import SILENT
 
 TABLE = Wall((0.0, 0.0, 1.0), 0.08)
@@ -94,7 +88,7 @@ def press_session(
     """A session against the table, whose energy is kept or only counted."""
     feedback = LeaderFeedback(3, settings)
     if not kept:
-        feedback.tank = EnergyTank(TankSettings(1e9, np.zeros(3), settings.acceleration_rad_s2, 0.0, 1.0, 1.0))
+        feedback.tank = EnergyTank(3, replace(settings, tank_j=1e9, friction_nm=0.0, rest_w=0.0))
     return run(wish, PRESS_S, delay, hand, gears, TABLE, MonitorSenses(bundle), feedback)
 
 

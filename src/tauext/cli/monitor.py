@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
@@ -17,14 +16,17 @@ from tauext.errors import ConfigError
 from tauext.files.places import Place, place_of
 from tauext.sources.ros2_settings import Ros2Settings
 
-# --- The sources that `tauext monitor --source` knows; a new one is registered here.
-
-
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from tauext._core import Bundle
+    from tauext.cli.json_lines import Output
+    from tauext.monitor.flight_files import FlightSettings
+    from tauext.monitor.loop import Loop, LoopSettings
     from tauext.monitor.sink import Sink
     from tauext.monitor.source import Source
-    from tauext.sources.ros2_settings import Ros2Settings
+
+# --- The sources that `tauext monitor --source` knows; a new one is registered here.
 
 
 @dataclass(frozen=True)
@@ -38,102 +40,31 @@ class SourceOptions:
 
 
 @dataclass(frozen=True)
-class Connection:
-    """A source, and who publishes on its side."""
-
-    source: Source
-    sinks: tuple[Sink, ...] = ()
-
-
-def replay(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
-    """replay:FILE, a recording at its own pace or --speed times as fast."""
-    from tauext.sources.replay import ReplaySource
-
-    speed = options.speed or 1.0
-    if speed < 1:  # by the clock, every sample would be missing
-        raise ConfigError(f"speed = {speed:g} must be >= 1: a live loop takes samples that are slower for missing ones")
-    return Connection(ReplaySource(place_of(target), speed))
-
-
-def ur(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
-    """ur:HOST."""
-    from tauext.sources.ur import UrSource
-
-    return Connection(UrSource(target, options.torque_constants))
-
-
-def franka(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
-    """franka:HOST."""
-    from tauext.sources.franka import FrankaSource
-
-    return Connection(FrankaSource(target))
-
-
-def ros2(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
-    """ros2, joint states of a topic; torques, alarms and diagnostics go to others."""
-    from tauext.sources.ros2 import connect
-    from tauext.sources.ros2_settings import Ros2Settings
-
-    source, publisher = connect(options.ros2 or Ros2Settings(), bundle)
-    return Connection(source, (publisher,))
-
-
-def feetech(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
-    """feetech:PORT."""
-    from tauext.sources.servo import ServoSource
-    from tauext.sources.servo_bus_file import load_servo_bus
-    from tauext.sources.servo_series import FEETECH
-
-    return Connection(ServoSource(FEETECH, target, load_servo_bus(bus_of("feetech:PORT", options))))
-
-
-def dynamixel(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
-    """dynamixel:PORT."""
-    from tauext.sources.servo import ServoSource
-    from tauext.sources.servo_bus_file import load_servo_bus
-    from tauext.sources.servo_series import DYNAMIXEL
-
-    return Connection(ServoSource(DYNAMIXEL, target, load_servo_bus(bus_of("dynamixel:PORT", options))))
-
-
-def damiao(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
-    """damiao:CAN."""
-    from tauext.sources.damiao import DamiaoSource, load_can_bus
-
-    return Connection(DamiaoSource(target, load_can_bus(bus_of("damiao:CAN", options))))
-
-
-def bus_of(source: str, options: SourceOptions) -> Place:
-    """The bus file. Raises ConfigError: none was given."""
-    if options.bus is None:
-        raise ConfigError(f"--source {source} needs --bus FILE: which servo is which joint (docs/servo-buses.md)")
-    return options.bus
-
-
-@dataclass(frozen=True)
 class Kind:
     """A kind of source."""
 
     target: str
     """What stands behind its colon; empty: nothing does."""
-    connect: Callable[[str, SourceOptions, Bundle | None], Connection]
     takes: tuple[str, ...] = ()
     """Of SourceOptions."""
 
 
 KINDS = {
-    "replay": Kind("FILE", replay, ("speed",)),
-    "ur": Kind("HOST", ur, ("torque_constants",)),
-    "franka": Kind("HOST", franka),
-    "feetech": Kind("PORT", feetech, ("bus",)),
-    "dynamixel": Kind("PORT", dynamixel, ("bus",)),
-    "damiao": Kind("CAN", damiao, ("bus",)),
-    "ros2": Kind("", ros2, ("ros2",)),
+    "replay": Kind("FILE", ("speed",)),
+    "ur": Kind("HOST", ("torque_constants",)),
+    "franka": Kind("HOST"),
+    "feetech": Kind("PORT", ("bus",)),
+    "dynamixel": Kind("PORT", ("bus",)),
+    "damiao": Kind("CAN", ("bus",)),
+    "ros2": Kind("", ("ros2",)),
 }
 
 
-def connect(text: str, options: SourceOptions, bundle: Bundle | None = None) -> Connection:
-    """The source of this text, KIND:TARGET; it is not open yet. bundle: what publishers on its side tell forces with.
+def connect(text: str, options: SourceOptions, bundle: Bundle | None = None) -> tuple[Source, tuple[Sink, ...]]:
+    """The source of this text, KIND:TARGET, not open yet, and who publishes on its side.
+
+    Args:
+        bundle: what publishers tell forces with.
 
     Raises:
         ConfigError: an unknown kind, a target that is missing, an option that is for another kind; or the source's own.
@@ -147,19 +78,48 @@ def connect(text: str, options: SourceOptions, bundle: Bundle | None = None) -> 
         if getattr(options, name) is not None and name not in known.takes:
             those = ", ".join(other for other, one in KINDS.items() if name in one.takes)
             raise ConfigError(f"--{name.replace('_', '-')} is for source {those}, not for {kind}")
-    return known.connect(target, options, bundle)
+    if kind == "ros2":
+        from tauext.sources import ros2
+
+        source, publisher = ros2.connect(options.ros2 or Ros2Settings(), bundle)
+        return source, (publisher,)
+    return source_of(kind, target, options), ()
+
+
+def source_of(kind: str, target: str, options: SourceOptions) -> Source:
+    """A source that nobody publishes beside; only what this kind needs is imported."""
+    if kind == "replay":
+        from tauext.sources.replay import ReplaySource
+
+        speed = options.speed or 1.0
+        if speed < 1:  # by the clock, every sample would be missing
+            raise ConfigError(
+                f"speed = {speed:g} must be >= 1: a live loop takes samples that are slower for missing ones"
+            )
+        return ReplaySource(place_of(target), speed)
+    if kind == "ur":
+        from tauext.sources.ur import UrSource
+
+        return UrSource(target, options.torque_constants)
+    if kind == "franka":
+        from tauext.sources.franka import FrankaSource
+
+        return FrankaSource(target)
+    if options.bus is None:
+        known = f"{kind}:{KINDS[kind].target}"
+        raise ConfigError(f"--source {known} needs --bus FILE: which servo is which joint (docs/servo-buses.md)")
+    if kind == "damiao":
+        from tauext.sources.damiao import DamiaoSource, load_can_bus
+
+        return DamiaoSource(target, load_can_bus(options.bus))
+    from tauext.sources.servo import ServoSource
+    from tauext.sources.servo_bus_file import load_servo_bus
+    from tauext.sources.servo_series import DYNAMIXEL, FEETECH
+
+    return ServoSource(FEETECH if kind == "feetech" else DYNAMIXEL, target, load_servo_bus(options.bus))
 
 
 # --- The command.
-
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from tauext._core import Bundle
-    from tauext.cli.json_lines import Output
-    from tauext.monitor.flight_files import FlightSettings
-    from tauext.monitor.loop import Loop, LoopSettings
 
 STDIN = Path("-")
 MOST_CORES = 1024
@@ -328,8 +288,7 @@ def watch(
 
     bundle = load_bundle(path)
     joints = tuple(link.joint_name for link in bundle.links)
-    connection = connect(text, options, bundle)
-    source = connection.source
+    source, publishers = connect(text, options, bundle)
     profiles = None if extras.profiles is None else load_profiles(extras.profiles, joints)
     rules = [] if extras.reactions is None else load_reactions(extras.reactions, joints)
     flights = None
@@ -338,8 +297,8 @@ def watch(
     record = None
     if extras.record is not None:
         record = RecordSink(extras.record, bundle, source.name, extras.segment_s)
-    sinks = [*connection.sinks, *(sink for sink in (flights, record) if sink is not None)]
-    reactions = start_reactions(rules, source, connection.sinks)
+    sinks = [*publishers, *(sink for sink in (flights, record) if sink is not None)]
+    reactions = start_reactions(rules, source, publishers)
     recorder = flights.recorder if flights else None
     with ExitStack() as stack:
         stack.callback(reactions.end)

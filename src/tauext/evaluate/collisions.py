@@ -10,7 +10,7 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import COLLISION, Estimates
 from tauext.data.recording import Recording
-from tauext.monitor.places import newtons, strongest_place
+from tauext.monitor.places import FOLLOWED_S, newtons, strongest_place
 
 # --- Collisions in a recording, and whether and when they were found.
 
@@ -330,8 +330,6 @@ def means(time_s: np.ndarray, signal: np.ndarray, from_s: np.ndarray, to_s: np.n
 # --- What a bundle says of each collision: which link, how many newtons, what kind; and how that fits the labels.
 
 
-FOLLOWED_S = 1.0
-"""After the alarm: so long a monitor tells places of it."""
 STATED = 0.9
 """A link that is so probable is stated."""
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import groupby
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from tauext.monitor.changes import CONTACT, FAULT, FIRST_KIND, NONE, OK, TOUCHES
 from tauext.monitor.flight_content import Flight, FlightSource, as_recording, carried, event_kind
 from tauext.monitor.loads import load_words
 from tauext.monitor.places import PlaceChange, place_words, strongest_place
+from tauext.monitor.weighing import SIGMA_SHARE, Seen, identify, load_frame
 
 # --- What each cause of a bad health means, and where to look.
 
@@ -280,9 +280,6 @@ def last_estimate(flight: Flight, source: FlightSource) -> str:
 # --- Whether what raised an alarm is a load: the flight's own samples behind the event, weighed.
 
 
-if TYPE_CHECKING:
-    from tauext.monitor.weighing import Seen
-
 SETTLED = 5.0
 """Over K0: so long after the event r shows all of what came on at once, but for a hundredth."""
 ONE_ROW = 1.5
@@ -302,8 +299,6 @@ def fits_load(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
         return ""
     if set(source.estimate_units or ("N m",)) != {"N m"}:  # a weight says nothing in another unit
         return ""
-    from tauext.monitor.weighing import identify, load_frame
-
     frame = load_frame(source.chain)
     seen = behind_the_event(flight, kept, source)
     try:
@@ -325,8 +320,6 @@ def fits_load(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
 
 def behind_the_event(flight: Flight, kept: np.ndarray, source: FlightSource) -> Seen:
     """The healthy rows from the event on, once r has settled, without a change of what it was told to carry."""
-    from tauext.monitor.weighing import SIGMA_SHARE, Seen, stand_worth
-
     assert source.chain is not None
     chain, row = source.chain, flight["event_row"]
     observer = chain.observer
@@ -344,16 +337,7 @@ def behind_the_event(flight: Flight, kept: np.ndarray, source: FlightSource) -> 
     sigma = flight["sigma_nm"] if source.has_error_scale else SIGMA_SHARE * flight["limit_nm"]
     learned = flight["drift"] - flight["drift"][row]
     near = flight["near_stiction"][kept].astype(bool)
-    worth = stand_worth(near, np.diff(recording.time_s, prepend=0.0))
-    return Seen(
-        recording,
-        samples,
-        recording.time_s[samples],
-        (flight["tau_ext"] + learned)[kept][samples],
-        np.maximum(sigma[kept][samples], 1e-9),
-        worth[samples],
-        np.abs(recording.dq[samples]),
-    )
+    return Seen.of(recording, samples, (flight["tau_ext"] + learned)[kept], sigma[kept], near)
 
 
 # --- Says in words what a flight shows: what happened, when, on which joint, by how much over which limit, and before.

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from types import TracebackType
 
@@ -122,7 +123,7 @@ class FlightWriter:
 
     def __init__(self, recorder: _core.FlightRecorder, write: Callable[[Flight], Path], poll_s: float = POLL_S):
         """write: writes one flight and returns its path; raises TauextError where it cannot."""
-        self._recorder, self._write, self._poll_s = recorder, write, poll_s
+        self.recorder, self._write, self._poll_s = recorder, write, poll_s
         self._waiting: deque[Flight] = deque()
         self._news: deque[FlightNews] = deque()
         self._taking = threading.Lock()
@@ -138,7 +139,7 @@ class FlightWriter:
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
         try:
             self._take()
-            self._recorder.finish()
+            self.recorder.finish()
             self._take()
         finally:
             self._ended.set()
@@ -168,7 +169,7 @@ class FlightWriter:
 
     def _take(self) -> None:
         with self._taking:
-            flight = self._recorder.take()
+            flight = self.recorder.take()
             if flight is not None:
                 self._waiting.append(flight)
                 self._wake.set()
@@ -201,17 +202,7 @@ class FlightWriter:
 
 ENDINGS = (".txt", ".dropped.csv", ".estimates.parquet", ".parquet")
 """In the order of writing: who sees FLIGHT.parquet finds the others beside it."""
-
-
-@dataclass(frozen=True)
-class Reservation:
-    """A name in a folder that nobody else uses, held by a file NAME.txt.part."""
-
-    folder: Path
-    name: str
-
-    def path(self, ending: str) -> Path:
-        return self.folder / f"{self.name}{ending}"
+PART = ".txt.part"
 
 
 def write_flight(flight: Flight, folder: Path, source: FlightSource) -> Path:
@@ -244,45 +235,47 @@ def write_flight(flight: Flight, folder: Path, source: FlightSource) -> Path:
         provenance["torque"] = AMPERES
     wanted = f"{source.recording}-{event['time_s']:.3f}s-{event_kind(flight)}"
     try:
-        place = reserve(folder, wanted)
+        base = reserve(folder, wanted)
         try:
             if not kept.all():
-                write_dropped(flight, kept, source, place.path(".dropped.csv"))
+                write_dropped(flight, kept, source, with_ending(base, ".dropped.csv"))
             if kept.any():
-                save_estimates(as_estimates(flight, kept, source), place.path(".estimates.parquet"))
-                recording = as_recording(flight, kept, place.name, source, provenance)
-            place.path(".txt.part").write_text(text + "\n", encoding="utf-8")
-            os.replace(place.path(".txt.part"), place.path(".txt"))
+                save_estimates(as_estimates(flight, kept, source), with_ending(base, ".estimates.parquet"))
+                recording = as_recording(flight, kept, base.name, source, provenance)
+            with_ending(base, PART).write_text(text + "\n", encoding="utf-8")
+            os.replace(with_ending(base, PART), with_ending(base, ".txt"))
             if kept.any():
-                save_recording(recording, place.path(".parquet"))
+                save_recording(recording, with_ending(base, ".parquet"))
         except BaseException:
-            remove(place)
+            for ending in (*ENDINGS, PART):
+                with suppress(OSError):
+                    with_ending(base, ending).unlink(missing_ok=True)
             raise
     except OSError as error:
         raise RecordingError(f"{folder / wanted}: the flight cannot be written ({error.strerror or error})") from error
-    return place.path(".parquet" if kept.any() else ".txt")
+    return with_ending(base, ".parquet" if kept.any() else ".txt")
 
 
-def reserve(folder: Path, wanted: str) -> Reservation:
-    """The wanted name or, where a file of it exists or is being written, one with a number behind it."""
-    number = 1
-    while True:
-        place = Reservation(folder, wanted if number == 1 else f"{wanted}-{number}")
-        number += 1
+def with_ending(base: Path, ending: str) -> Path:
+    """A file of the flight of this name."""
+    return base.with_name(base.name + ending)
+
+
+def reserve(folder: Path, wanted: str) -> Path:
+    """The wanted name or, where a file of it exists or is being written, one with a number behind it.
+
+    A file NAME.txt.part holds the name from then on.
+    """
+    for number in count(1):
+        base = folder / (wanted if number == 1 else f"{wanted}-{number}")
         try:
-            place.path(".txt.part").open("x").close()
+            with_ending(base, PART).open("x").close()
         except FileExistsError:
             continue
-        if not any(place.path(ending).exists() for ending in ENDINGS):
-            return place
-        place.path(".txt.part").unlink()
-
-
-def remove(place: Reservation) -> None:
-    """Take back whatever stands there under this name."""
-    for ending in (*ENDINGS, ".txt.part"):
-        with suppress(OSError):
-            place.path(ending).unlink(missing_ok=True)
+        if not any(with_ending(base, ending).exists() for ending in ENDINGS):
+            break
+        with_ending(base, PART).unlink()
+    return base
 
 
 def write_dropped(flight: Flight, kept: np.ndarray, source: FlightSource, path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from tauext import _core
 from tauext.errors import ConfigError
 from tauext.files.provenance import VERSION
-from tauext.monitor.weighing import ROUNDS, NamedFrame, Seen, identify, sums_about, weighing_joints
+from tauext.monitor.weighing import ROUNDS, NamedFrame, Seen, identify, load_sentences, sums_about, weighing_joints
 
 # --- A known weight turned round: by what factor the torque constants are off.
 
@@ -88,8 +88,6 @@ def weigh_constants(
     """
     first = identify(bundle, frame, parts, reach_m)
     if first.verdict != "load" or not first.mass_seen:
-        from tauext.monitor.weighing import load_sentences
-
         said = load_sentences(first, frame.name, "N m")[0]
         raise ConfigError(f"--known-kg {mass_kg:g} cannot set torque constants: {said}")
     common = first.mass_kg / mass_kg

@@ -29,11 +29,6 @@ class Latencies:
         place = int(math.log2(max(ns, 1)) * BINS_PER_OCTAVE)
         self._bins[min(place, len(self._bins) - 1)] += 1
 
-    def merge(self, other: Latencies) -> None:
-        """Add the other's times."""
-        self.count, self.max_ns = self.count + other.count, max(self.max_ns, other.max_ns)
-        self._bins = [a + b for a, b in zip(self._bins, other._bins, strict=True)]
-
     def quantile_us(self, share: float) -> float:
         """The time that this share of all is not over, [µs]; NaN without any."""
         if self.count == 0:

@@ -13,16 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.units import not_in_newtons
 from tauext.config import require
 from tauext.errors import ConfigError
-from tauext.monitor.changes import COLLISION, Change, ChangeFinder, LoadChange, WeighChange
+from tauext.monitor.changes import COLLISION, Change, LoadChange, WeighChange
 from tauext.monitor.latency import Latencies, ask_for_real_time
 from tauext.monitor.loads import Expected
 from tauext.monitor.places import PlaceFinder
 from tauext.monitor.profiles import Profile, Profiles
 from tauext.monitor.reactions import Reactions
-from tauext.monitor.replay import Chunk
+from tauext.monitor.replay import Chunk, EventStream
 from tauext.monitor.sink import USUAL_REACH_M, EventFinder, LoopReport, Sink, Verdict
 from tauext.monitor.source import Sample, ServoStage, Source, SourceSettings
 
@@ -118,13 +117,12 @@ class Loop:
                 raise ConfigError(f"profile {profile.name}: {reason}")
             if profile.expect is not None and (reason := self._why_not(profile.expect)):
                 raise ConfigError(f"profile {profile.name}: {reason}")
-        self._changes, self._places = ChangeFinder(), PlaceFinder(bundle, settings.wrench)
-        for rule in [thread.reaction for thread in self._reactions.threads] if self._places.refused else []:
+        places = PlaceFinder(bundle, settings.wrench)
+        for rule in [thread.reaction for thread in self._reactions.threads] if places.refused else []:
             if rule.links is not None or rule.newtons_over is not None:
-                raise ConfigError(f"reaction {rule.name!r}: where a touch is cannot be told: {self._places.refused}")
+                raise ConfigError(f"reaction {rule.name!r}: where a touch is cannot be told: {places.refused}")
+        self._changes = EventStream(self.monitor, places)
         self._events = EventFinder(self.joints, {"bundle": bundle.name, "source": source.name})
-        self._left_out = not_in_newtons(self.joints, bundle.estimate_units)
-        self._noted: list[Change] = []
         self._due_ns: int | None = None
         self._last: Sample | None = None
         self._stopped = False
@@ -265,24 +263,17 @@ class Loop:
 
     def _tell(self, t_ns: int, sample: Sample | None, said: dict[str, np.ndarray]) -> None:
         """Changes, then events to reactions, which must not wait, then the verdict to sinks."""
+        q, dq = (None, None) if sample is None else (sample.q[None], sample.dq[None])
+        changes = self._changes.find(self.samples, np.array([t_ns]), said, q, dq)
         if not self.samples:  # what was told before the first sample holds from there on
             told = LoadChange | WeighChange
-            self._noted = [replace(one, t_ns=t_ns) if isinstance(one, told) else one for one in self._noted]
-        at = np.array([t_ns])
-        changes = self._noted + self._changes.find(self.samples, at, said)
-        if sample is not None:
-            changes += self._places.find(self.samples, at, sample.q[None], sample.dq[None], said)
-        self._noted = []
+            changes = [replace(one, t_ns=t_ns) if isinstance(one, told) else one for one in changes]
         verdict = Verdict(self.samples, t_ns, sample, said, tuple(changes))
         for event in self._events.find(verdict):
             self._reactions.put(event)
         if said["alarm"][0] == COLLISION and self._settings.acknowledge_after_s is not None:
             self._due_ns = self.monitor.last.alarm_t_ns + round(self._settings.acknowledge_after_s * 1e9)
-        for sink in tuple(self.sinks):
-            try:
-                sink.verdict(verdict)
-            except Exception as error:
-                self._lose(sink, error)
+        self._each_sink(lambda sink: sink.verdict(verdict))
 
     def _report(self, rate_hz: float) -> None:
         """Once a second."""
@@ -294,15 +285,16 @@ class Loop:
         report = LoopReport(now_ns, self.samples, self.missing, rate_hz, counts, *quantiles, longest, name)
         self._second = Latencies()
         self._tell_notes()
+        self._each_sink(lambda sink: sink.every_second(report))
+
+    def _each_sink(self, call: Callable[[Sink], None]) -> None:
+        """One that raises is not called again."""
         for sink in tuple(self.sinks):
             try:
-                sink.every_second(report)
+                call(sink)
             except Exception as error:
-                self._lose(sink, error)
-
-    def _lose(self, sink: Sink, error: Exception) -> None:
-        self.sinks.remove(sink)
-        self.note(f"{type(sink).__name__} is left out from here on: {type(error).__name__}: {error}")
+                self.sinks.remove(sink)
+                self.note(f"{type(sink).__name__} is left out from here on: {type(error).__name__}: {error}")
 
     def _tell_notes(self) -> None:
         for text in self._source.notes():
@@ -331,11 +323,12 @@ class Loop:
         self.note(f"a load of at most {expected.at_most_kg:g} kg is expected for {expected.seconds:g} s, by {by}")
 
     def _carry(self, load: _core.Load, ago_s: float | None, by: str) -> None:
-        """As in replay() the change belongs to the next sample."""
-        t_ns = self._last.t_ns if self._last else 0
-        since_ns = None if ago_s is None else t_ns - round(ago_s * 1e9)
-        self.monitor.set_load(load.mass, load.com, load.inertia, since_ns=since_ns, error_share=load.error_share)
-        self._noted.append(LoadChange(self.samples, t_ns, load, by, since_ns, self._left_out))
+        since_ns = None if ago_s is None else self._last_ns - round(ago_s * 1e9)
+        self._changes.carry(load, self.samples, self._last_ns, by, since_ns)
+
+    @property
+    def _last_ns(self) -> int:
+        return self._last.t_ns if self._last else 0
 
     def _weigh(self, what: str, reach_m: float, by: str) -> None:
         if what == "start":
@@ -343,21 +336,15 @@ class Loop:
         elif what == "stop":
             self.monitor.stop_weighing()
         found = None if what == "start" else self.monitor.estimate_load()
-        t_ns, frame = self._last.t_ns if self._last else 0, self.monitor.load_settings.frame
-        self._noted.append(WeighChange(self.samples, t_ns, what, by, frame, self.monitor.load, found))
+        frame = self.monitor.load_settings.frame
+        self._changes.note(WeighChange(self.samples, self._last_ns, what, by, frame, self.monitor.load, found))
 
     def _acknowledge_when_due(self, t_ns: int) -> None:
         if self._due_ns is not None and t_ns >= self._due_ns:
             self._end_alarm(self.monitor.acknowledge)
 
     def _end_alarm(self, end: Callable[[], None], note: str = "") -> None:
-        """By one of the monitor's two calls; as in replay() the change belongs to the next sample."""
         if note:
             self.note(note)
         self._due_ns = None
-        stood = self.monitor.last.alarm != _core.Alarm.none
-        end()
-        if stood:
-            t_ns = self._last.t_ns if self._last else 0
-            self._noted.append(self._changes.acknowledged(self.samples, t_ns))
-            self._places.acknowledged()
+        self._changes.end_alarm(end, self.samples, self._last_ns)

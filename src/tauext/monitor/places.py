@@ -222,43 +222,34 @@ class PlaceFinder:
         by_row = strength(said["tau_ext"] - said["load_nm"], said["sigma_nm"])
         told = []
         for k in range(len(t_ns)):
-            found = self._step(k, first_row + k, int(t_ns[k]), int(alarm[k]), float(by_row[k]), q, dq, said)
-            if found is not None:
+            fell, level = self._follow(int(t_ns[k]), int(alarm[k]), int(said["alarm_joint"][k]))
+            if self._due_ns is None:
+                continue
+            if alarm[k] and by_row[k] > self._strength:
+                self._strength = float(by_row[k])
+                tau_ext = said["tau_ext"][k] - said["load_nm"][k]
+                signals = (q[k], tau_ext, said["sigma_nm"][k], said["contact_sigma_nm"][k], dq[k])
+                self._sample = tuple(one.tolist() for one in signals)
+                if self._at_frame is not None:
+                    self._force = self._at_frame.find(q, dq, said, k)
+            if found := self._judge(first_row + k, int(t_ns[k]), fell, level):
                 told.append(found)
         return told
 
-    def _step(
-        self,
-        k: int,
-        row: int,
-        t_ns: int,
-        alarm: int,
-        strength: float,
-        q: np.ndarray,
-        dq: np.ndarray,
-        said: dict[str, np.ndarray],
-    ) -> PlaceChange | None:
-        fell, level = self._alarm > 0 and alarm == 0, self._alarm
+    def _follow(self, t_ns: int, alarm: int, joint: int) -> tuple[bool, int]:
+        """Whether the alarm fell at this sample, and the level that is told."""
+        fell, level = self._alarm > 0 and alarm == 0, alarm or self._alarm
         if alarm > self._alarm:
             if self._alarm == 0:
                 self._strength, self._told, self._sample = 0.0, 0.0, None
-            self._rose_ns, self._joint = t_ns, int(said["alarm_joint"][k])
+            self._rose_ns, self._joint = t_ns, joint
             self._due_ns = t_ns + round(AFTER_S * 1e9)
         self._alarm = alarm
-        if self._due_ns is None:
-            return None
-        if alarm and strength > self._strength:
-            self._strength = strength
-            sample = (
-                q[k],
-                said["tau_ext"][k] - said["load_nm"][k],
-                said["sigma_nm"][k],
-                said["contact_sigma_nm"][k],
-                dq[k],
-            )
-            self._sample = tuple(one.tolist() for one in sample)
-            if self._at_frame is not None:
-                self._force = self._at_frame.find(q, dq, said, k)
+        return fell, level
+
+    def _judge(self, row: int, t_ns: int, fell: bool, level: int) -> PlaceChange | None:
+        """A place, where one is due and the strongest sample has become so much stronger."""
+        assert self._due_ns is not None
         due = fell or t_ns >= self._due_ns
         if not due or self._sample is None or self._strength < STRONGER * self._told:
             if fell or t_ns - self._rose_ns > FOLLOWED_S * 1e9:
@@ -266,10 +257,10 @@ class PlaceFinder:
             return None
         self._told = self._strength
         self._due_ns = None if fell else t_ns + round(AGAIN_S * 1e9)
-        q_then, tau_ext, sigma_nm, contact_sigma_nm, dq_then = self._sample
-        found = self._model.find(q_then, tau_ext, sigma_nm, contact_sigma_nm, dq=dq_then)
+        q, tau_ext, sigma_nm, contact_sigma_nm, dq = self._sample
+        found = self._model.find(q, tau_ext, sigma_nm, contact_sigma_nm, dq=dq)
         since_s = (t_ns - self._rose_ns) * 1e-9
-        return PlaceChange.of(found, row, t_ns, level if fell else alarm, self._joint, since_s, self._force)
+        return PlaceChange.of(found, row, t_ns, level, self._joint, since_s, self._force)
 
 
 def newtons(place: TouchPlace) -> float:

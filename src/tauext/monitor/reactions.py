@@ -333,16 +333,21 @@ def start_reactions(rules: Sequence[Reaction], source: Source, sinks: Sequence[S
     publishers = [sink for sink in sinks if isinstance(sink, Publisher)]
     processes: list[ReactionProcess] = []
     threads: list[Callable[[], ReactionThread]] = []
+
+    def publish(event: Event) -> None:
+        for publisher in publishers:
+            publisher.publish_event(event)
+
     try:
         for rule in rules:
             if rule.stop:
                 if not isinstance(source, Stoppable):
                     raise ConfigError(f"reaction {rule.name!r}: source {source.name} has no way to stop its robot")
-                threads.append(partial(ReactionThread, rule, _stop(source)))
+                threads.append(partial(ReactionThread, rule, lambda event: source.stop()))
             elif rule.publish:
                 if not publishers:
                     raise ConfigError(f"reaction {rule.name!r}: source {source.name} publishes nothing; ros2 does")
-                threads.append(partial(ReactionThread, rule, _publish_to(publishers)))
+                threads.append(partial(ReactionThread, rule, publish))
             else:
                 process = ReactionProcess(rule)
                 processes.append(process)
@@ -352,15 +357,3 @@ def start_reactions(rules: Sequence[Reaction], source: Source, sinks: Sequence[S
             process.close()
         raise
     return Reactions([start() for start in threads])
-
-
-def _stop(source: Stoppable) -> Callable[[Event], None]:
-    return lambda event: source.stop()
-
-
-def _publish_to(publishers: Sequence[Publisher]) -> Callable[[Event], None]:
-    def publish(event: Event) -> None:
-        for publisher in publishers:
-            publisher.publish_event(event)
-
-    return publish

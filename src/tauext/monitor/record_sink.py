@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import queue
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,30 +21,30 @@ from tauext.files.provenance import VERSION
 from tauext.files.room import expect_folder
 from tauext.monitor.changes import NONE, OK
 from tauext.monitor.flight_content import Flight
-from tauext.monitor.flight_files import FlightNews, FlightSource, FlightWriter, write_flight
+from tauext.monitor.flight_files import FlightSource, FlightWriter, write_flight
 from tauext.monitor.sink import Control, LoopReport, Verdict
 
 # --- Keeps what a live arm did as recordings: a day's free motion, to train with again.
 
 
 MOST_WAITING = 4
-"""Segments in memory before the disk; then new ones are lost, and counted."""
+"""Segments in memory beside the one that is written; then new ones are lost, and counted."""
 GAP_S = 1.0
 """A gap of stamps that begins a new segment."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class RecordCount:
     """What became of samples."""
 
-    files: int
-    samples: int
+    files: int = 0
+    samples: int = 0
     """On disk."""
-    unfit: int
+    unfit: int = 0
     """Not finite, or not newer than the one before: a recording cannot hold them."""
-    lost: int
+    lost: int = 0
     """Of segments that could not be written."""
-    error: str
+    error: str = ""
     """Of the first that could not."""
 
 
@@ -75,15 +75,11 @@ class RecordSink:
         self._contact: np.ndarray
         self._signals: list[np.ndarray]
         self._rows = max(2, round(segment_s * 1e9 / self._period_ns))
-        self._number = self._files = self._written = self._unfit = self._lost = 0
-        self._error = ""
-        self._waiting: deque[dict[str, np.ndarray]] = deque()
-        self._wake, self._ended = threading.Event(), False
+        self._number = 0
+        self.count = RecordCount()
+        self._waiting: queue.SimpleQueue[dict[str, np.ndarray] | None] = queue.SimpleQueue()
+        """None at the end."""
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
-
-    @property
-    def count(self) -> RecordCount:
-        return RecordCount(self._files, self._written, self._unfit, self._lost, self._error)
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         self._joints = joints
@@ -100,10 +96,10 @@ class RecordSink:
             self._begin()
         signals = [getattr(sample, name) for name in self._names]
         if any(values is None for values in signals):
-            self._unfit += 1
+            self.count.unfit += 1
             return
         if not all(np.isfinite(values).all() for values in signals) or (k and sample.t_ns <= self._t_ns[k - 1]):
-            self._unfit += 1
+            self.count.unfit += 1
             return
         if k == self._rows or (k and sample.t_ns - self._t_ns[k - 1] > GAP_S * 1e9):
             self._hand_over()
@@ -116,16 +112,15 @@ class RecordSink:
         self._row = k + 1
 
     def every_second(self, report: LoopReport) -> None:
-        lost = self._lost
+        lost = self.count.lost
         if lost > self._told:
             self._told = lost
-            self.note(f"RECORDING LOSES SAMPLES: {lost:,} so far ({self._error})")
+            self.note(f"RECORDING LOSES SAMPLES: {lost:,} so far ({self.count.error})")
 
     def close(self) -> None:
         """Write what is left, and wait for the disk."""
         self._hand_over(last=True)
-        self._ended = True
-        self._wake.set()
+        self._waiting.put(None)
         self._thread.join()
 
     def _begin(self) -> None:
@@ -136,27 +131,19 @@ class RecordSink:
     def _hand_over(self, last: bool = False) -> None:
         k = self._row
         if k < 2:
-            self._unfit += k
-        elif len(self._waiting) >= MOST_WAITING and not last:
-            self._lost += k
-            self._error = self._error or "the disk was too slow"
+            self.count.unfit += k
+        elif self._waiting.qsize() >= MOST_WAITING and not last:
+            self.count.lost += k
+            self.count.error = self.count.error or "the disk was too slow"
         else:
             signals = {name: kept[:k] for name, kept in zip(self._names, self._signals, strict=True)}
-            self._waiting.append({"t_ns": self._t_ns[:k], "contact": self._contact[:k]} | signals)
-            self._wake.set()
+            self._waiting.put({"t_ns": self._t_ns[:k], "contact": self._contact[:k]} | signals)
         if not last:
             self._begin()
 
     def _work(self) -> None:
-        while True:
-            ended = self._ended
-            self._wake.clear()
-            while self._waiting:
-                self._write(self._waiting[0])
-                self._waiting.popleft()
-            if ended:
-                return
-            self._wake.wait(1.0)
+        while (segment := self._waiting.get()) is not None:
+            self._write(segment)
 
     def _write(self, segment: dict[str, np.ndarray]) -> None:
         while True:
@@ -188,11 +175,11 @@ class RecordSink:
             )
             save_recording(recording, path)
         except Exception as error:  # whatever it is, the next segment is tried
-            self._lost += len(segment["t_ns"])
-            self._error = self._error or str(error)
+            self.count.lost += len(segment["t_ns"])
+            self.count.error = self.count.error or str(error)
         else:
-            self._files += 1
-            self._written += recording.samples
+            self.count.files += 1
+            self.count.samples += recording.samples
 
 
 def file_name(text: str) -> str:
@@ -215,19 +202,18 @@ class Origin:
     robot_sha256: str = ""
 
 
-class FlightSink:
+class FlightSink(FlightWriter):
     """Writes the flights of a recorder that the loop fills."""
 
     def __init__(self, folder: Path, bundle: _core.Bundle, recorder: _core.FlightRecorder, source: str):
         """folder: exists. source: its name, for the files'."""
-        self.recorder = recorder
+        super().__init__(recorder, self._write_here)
         self._folder, self._bundle, self._name = folder, bundle, file_name(source)
         self._source: FlightSource | None = None
-        self._writer = FlightWriter(recorder, self._write)
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         self._joints = joints
-        self._writer.__enter__()
+        self.__enter__()
 
     def verdict(self, verdict: Verdict) -> None:
         if self._source is None:
@@ -241,12 +227,8 @@ class FlightSink:
 
     def close(self) -> None:
         """Everything is on disk, or told as lost."""
-        self._writer.__exit__(None, None, None)
+        self.__exit__(None, None, None)
 
-    def news(self) -> list[FlightNews]:
-        """What became of flights since the last call."""
-        return self._writer.news()
-
-    def _write(self, flight: Flight) -> Path:
+    def _write_here(self, flight: Flight) -> Path:
         assert self._source is not None  # a flight comes after a verdict
         return write_flight(flight, self._folder, self._source)

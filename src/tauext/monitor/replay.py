@@ -106,6 +106,54 @@ class Chunk:
         return int(np.nanargmax(share)) if np.isfinite(share).any() else len(share) - 1
 
 
+class EventStream:
+    """A monitor and the changes in its answers: the one stream of events of a replay and of the live loop."""
+
+    def __init__(self, monitor: _core.Monitor, places: PlaceFinder | None = None):
+        """places: finds which link is touched, and where; None: nobody asks."""
+        self.monitor = monitor
+        self._finder, self._places = ChangeFinder(), places
+        self._left_out = not_in_newtons(monitor.joint_names, monitor.estimate_units)
+        self._noted: list[Change] = []
+
+    def note(self, change: Change) -> None:
+        """A change made just before the next samples."""
+        self._noted.append(change)
+
+    def end_alarm(self, end: Callable[[], None], row: int, t_ns: int) -> None:
+        """By one of the monitor's two calls, acknowledge or resume, just before the sample of this row."""
+        stood = self.monitor.last.alarm != _core.Alarm.none
+        end()
+        if stood:
+            self.note(self._finder.acknowledged(row, t_ns))
+            if self._places is not None:
+                self._places.acknowledged()
+
+    def carry(self, load: _core.Load, row: int, t_ns: int, by: str = "", since_ns: int | None = None) -> None:
+        """What the arm carries from the sample of this row on, or as if told at since_ns.
+
+        Raises:
+            CoreError: the bundle takes no such load.
+        """
+        self.monitor.set_load(load.mass, load.com, load.inertia, since_ns=since_ns, error_share=load.error_share)
+        self.note(LoadChange(row, t_ns, load, by, since_ns, self._left_out))
+
+    def find(
+        self,
+        row: int,
+        t_ns: np.ndarray,
+        said: dict[str, np.ndarray],
+        q: np.ndarray | None = None,
+        dq: np.ndarray | None = None,
+    ) -> list[Change]:
+        """What was noted, then changes in the answers, then places; see ChangeFinder and PlaceFinder."""
+        changes, self._noted = self._noted, []
+        changes += self._finder.find(row, t_ns, said)
+        if self._places is not None and q is not None and dq is not None:
+            changes += self._places.find(row, t_ns, q, dq, said)
+        return changes
+
+
 def replay(
     monitor: _core.Monitor,
     samples: Samples,
@@ -136,27 +184,20 @@ def replay(
         CoreError: the bundle takes no such load.
     """
     pace = pace or Pace(None)
-    changes = ChangeFinder()
+    events = EventStream(monitor, places)
     t_ns, temperature = samples.t_ns, getattr(samples, "temperature", None)
     if len(t_ns):
         pace.wait_until(int(t_ns[0]))
     most = max(1, round(chunk_s * 1e9 / monitor.sample_period_ns))
     wait_ns = None if acknowledge_after_s is None else round(acknowledge_after_s * 1e9)
     due_ns, begin = None, 0
-    left_out = not_in_newtons(monitor.joint_names, monitor.estimate_units)
     waiting = [(int(t_ns[0]) + round(one.from_s * 1e9), one.load) for one in loads] if len(t_ns) else []
     while begin < len(t_ns):
-        noted: list[Change] = []
         if due_ns is not None and t_ns[begin] >= due_ns:
-            monitor.acknowledge()
-            noted.append(changes.acknowledged(begin, t_ns[begin]))
-            if places is not None:
-                places.acknowledged()
+            events.end_alarm(monitor.acknowledge, begin, int(t_ns[begin]))
             due_ns = None
         while waiting and t_ns[begin] >= waiting[0][0]:
-            load = waiting.pop(0)[1]
-            monitor.set_load(load.mass, load.com, load.inertia, error_share=load.error_share)
-            noted.append(LoadChange(begin, int(t_ns[begin]), load, left_out=left_out))
+            events.carry(waiting.pop(0)[1], begin, int(t_ns[begin]))
         ends = [end for end in (due_ns, *(load[0] for load in waiting[:1])) if end is not None]
         rows = slice(begin, begin + chunk_rows(t_ns[begin : begin + most], wait_ns, min(ends, default=None)))
         pace.wait_until(int(t_ns[rows.stop - 1]))
@@ -164,10 +205,8 @@ def replay(
         warm = None if temperature is None else temperature[rows]
         said = monitor.run(t_ns[rows], samples.q[rows], samples.dq[rows], samples.tau[rows], recorder, warm)
         core_s = time.perf_counter() - started
-        noted += changes.find(begin, t_ns[rows], said)
-        if places is not None:
-            noted += places.find(begin, t_ns[rows], samples.q[rows], samples.dq[rows], said)
-        yield Chunk(begin, t_ns[rows], samples.dq[rows], said, noted, core_s)
+        changes = events.find(begin, t_ns[rows], said, samples.q[rows], samples.dq[rows])
+        yield Chunk(begin, t_ns[rows], samples.dq[rows], said, changes, core_s)
         if wait_ns is not None:
             due_ns = monitor.last.alarm_t_ns + wait_ns if said["alarm"][-1] == COLLISION else None
         begin = rows.stop

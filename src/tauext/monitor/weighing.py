@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -116,6 +116,28 @@ class Seen:
     def rows(self) -> int:
         return len(self.samples)
 
+    @classmethod
+    def of(
+        cls, recording: Recording, samples: np.ndarray, tau_ext: np.ndarray, sigma: np.ndarray, near: np.ndarray
+    ) -> Seen:
+        """Some samples of a recording.
+
+        Args:
+            samples: (rows,) of the recording.
+            tau_ext, sigma: (samples, n) of the whole recording.
+            near: (samples, n) bool: near stiction.
+        """
+        worth = stand_worth(near, np.diff(recording.time_s, prepend=0.0))
+        return cls(
+            recording,
+            samples,
+            recording.time_s[samples],
+            tau_ext[samples],
+            np.maximum(sigma[samples], 1e-9),
+            worth[samples],
+            np.abs(recording.dq[samples]),
+        )
+
     def part(self, keep: np.ndarray) -> Seen:
         """Some of the rows; keep: (rows,) bool."""
         fields = (self.samples, self.time_s, self.tau_ext, self.sigma, self.worth, self.moved)
@@ -135,16 +157,8 @@ def see(bundle: _core.Bundle, recording: Recording, threads: int = 0) -> Seen:
     samples = np.arange(0, recording.samples, stride)
     samples = samples[(said["health"] == OK)[samples]]
     sigma = said["sigma_nm"] if bundle.error_scale.on else SIGMA_SHARE * said["limit_nm"]
-    worth = stand_worth(said["near_stiction"] > 0, np.diff(recording.time_s, prepend=0.0)) * weighing_joints(bundle)
-    return Seen(
-        recording,
-        samples,
-        recording.time_s[samples],
-        (said["tau_ext"] + said["drift"])[samples],
-        np.maximum(sigma[samples], 1e-9),
-        worth[samples],
-        np.abs(recording.dq[samples]),
-    )
+    seen = Seen.of(recording, samples, said["tau_ext"] + said["drift"], sigma, said["near_stiction"] > 0)
+    return replace(seen, worth=seen.worth * weighing_joints(bundle))
 
 
 def stand_worth(near: np.ndarray, steps_s: np.ndarray) -> np.ndarray:

@@ -131,7 +131,8 @@ def run_training(pipe: Connection, arm_name: str, error: str, lesson: Lesson, se
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that what is half done is removed
     try:
-        _step_back()
+        if hasattr(os, "nice"):
+            os.nice(10)  # training leaves the processor to the simulation and the page
         pipe.send(
             train_bundles(ARMS[arm_name](), error, lesson, seed, cache, lambda share, what: pipe.send((share, what)))
         )
@@ -139,10 +140,3 @@ def run_training(pipe: Connection, arm_name: str, error: str, lesson: Lesson, se
         pipe.send(str(failed))
     except (BrokenPipeError, ConnectionResetError):
         return
-
-
-def _step_back() -> None:
-    """Training leaves the processor to the simulation and the page."""
-
-    if hasattr(os, "nice"):
-        os.nice(10)

@@ -14,9 +14,10 @@ from tauext import _core
 from tauext.cli import main
 from tauext.data.dataset import load_dataset
 from tauext.errors import ConfigError
+from tauext.files.toml_file import plain
 from tauext.fit.fleet_prior import content, load_fleet_prior, write_fleet_prior
 from tauext.fleet.book import plan_fleet
-from tauext.fleet.fleet_file import load_fleet, plain
+from tauext.fleet.fleet_file import load_fleet
 from tauext.fleet.prior import make_fleet_prior, table
 from tauext.fleet.prior_arms import distinct, fleet_arms, own_terms_of
 from tauext.fleet.prior_evidence import factor_of

@@ -9,7 +9,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
-from hostile_cases.cases import OPTIONS, Case
+from hostile_cases.cases import KEYS, OPTIONS, Case
 from hostile_cases.judge import faults_of
 from hostile_cases.values import hostile_words
 
@@ -26,7 +26,8 @@ def test_hostile_cases_end_as_they_must(count):
 
 def test_the_options_of_every_command_are_found():
     names = {option.name for option in OPTIONS["train"]}
-    assert {"--data", "--max-steps", "--observer.gain-per-s", "--alarm.holds-s", "--seed"} <= names
+    assert {"--data", "--config", "--max-steps", "--in-hours", "--seed"} <= names
+    assert {"max_steps", "observer.gain_per_s", "alarm.holds_s"} <= {name for name, _ in KEYS}
     assert "--json" in {option.name for option in OPTIONS["run"]}
     assert "--ros2.topic" in {option.name for option in OPTIONS["monitor"]}
     words = {tuple(hostile_words(OPTIONS["simulate"][1], np.random.default_rng(k))) for k in range(200)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from dataclasses import dataclass
@@ -10,33 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from hostile_cases.damage import damage
-from hostile_cases.values import PLACES, hostile_words, options_of
-from tauext import cli
-from tauext.cli import fleet
-from tauext.cli import fleet as fleet_prior
+from hostile_cases.values import PLACES, hostile_value, hostile_words, keys_of, options_of
+from tauext.cli import COMMANDS, command_of
+from tauext.cli import FLEET as FLEET_COMMANDS
+from tauext.config import TrainConfig
 
-COMMANDS = {
-    "simulate": cli.simulate,
-    "check": cli.check,
-    "train": cli.train,
-    "calibrate": cli.calibrate,
-    "refit": cli.refit,
-    "evaluate": cli.evaluate,
-    "report": cli.report,
-    "run": cli.run,
-    "monitor": cli.monitor,
-    "load": cli.load,
-    "show": cli.show,
-    "convert": cli.convert,
-    "import": cli.import_data,
-    "label": cli.label,
-    "fleet run": fleet.run,
-    "fleet prior": fleet_prior.prior,
-    "fleet example": fleet.example,
-    "reproduce": cli.reproduce,
-    "demo": cli.demo,
-}
-OPTIONS = {name: options_of(command) for name, command in COMMANDS.items()}
+VERBS = [[name] for name in COMMANDS if name != "fleet"] + [["fleet", name] for name in FLEET_COMMANDS]
+OPTIONS = {" ".join(verb): options_of(command_of(verb)[1]) for verb in VERBS}
+KEYS = keys_of(TrainConfig)
 # What works and is soon done; {} takes a file where a reader is tried.
 SIMULATE = "simulate --out out/data --minutes 1 --collision-recordings 0"
 TRAIN = "train --data data --out out/a.tauext --recipe observer"
@@ -199,7 +181,7 @@ class Case:
     """What is run, and why it is hostile."""
 
     kind: str
-    """options, output, or the reader."""
+    """settings, options, output, or the reader."""
     arguments: list[str]
     what: str
     largest_file: int | None = None
@@ -232,7 +214,9 @@ def make_case(seed: int, number: int, folder: Path, only: str = "") -> Case:
     rng = np.random.default_rng([seed, number])
     share = rng.random()
     if only:
-        share = {"options": 0.0, "output": 0.4}.get(only, 0.9)
+        share = {"settings": 0.0, "options": 0.1, "output": 0.4}.get(only, 0.9)
+    if share < 0.05:
+        return of_settings(rng)
     if share < 0.35:
         return of_options(rng)
     if share < 0.45:
@@ -250,6 +234,16 @@ def of_options(rng: np.random.Generator) -> Case:
         arguments = without(arguments, option.name) + words
         told.append(" ".join(words)[:80])
     return Case("options", arguments, " ".join(told))
+
+
+def of_settings(rng: np.random.Generator) -> Case:
+    """A file of settings with one hostile value, as it stands or as text."""
+    name, kind = KEYS[int(rng.integers(len(KEYS)))]
+    value = hostile_value(kind, rng)
+    line = f"{name} = {value if rng.random() < 0.7 else json.dumps(value)}\n"
+    Path("study.toml").write_text(line, errors="surrogateescape")
+    command = str(rng.choice([TRAIN, CALIBRATE]))
+    return Case("settings", [*command.split(), "--config", "study.toml"], line[:80])
 
 
 def drawn(choices: tuple[str, ...], rng: np.random.Generator) -> str:

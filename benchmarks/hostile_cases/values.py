@@ -5,7 +5,7 @@ from __future__ import annotations
 import types
 import typing
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,7 +19,7 @@ PLACES += ("full/x", "read-only/x", "robot.xml", "robot.xml/x", "data", "empty",
 PLACES += ("missing/x/y",)
 
 
-AT_TOP = ("TrainConfig", "AlarmConfig", "EventsConfig")
+AT_TOP = ("TrainOptions", "AlarmOptions", "EventsConfig", "FleetConfig")
 NAMES = {"as-json": "json"}
 
 
@@ -43,14 +43,16 @@ def _options(hints: dict[str, Any], group: str) -> Iterator[tuple[str, Any]]:
     """Names as they are typed, and types; settings of a command stand at the top, but for those of ros2."""
     for name, kind in hints.items():
         kind, spelled = plain(kind), group + name.replace("_", "-")
-        if is_dataclass(kind):
-            inner = typing.get_type_hints(kind, include_extras=True)
-            # The settings of train hold an alarm, too, as a group.
-            at_top = kind.__name__ in AT_TOP and not group and "recipe" not in hints
-            held = {field.name: inner[field.name] for field in fields(kind)}
-            yield from _options(held, "" if at_top else f"{spelled}.")
+        if is_dataclass(kind) or typing.is_typeddict(kind):
+            held = typing.get_type_hints(kind, include_extras=True)
+            yield from _options(held, "" if kind.__name__ in AT_TOP else f"{spelled}.")
         elif name != "return":
             yield spelled, kind
+
+
+def keys_of(settings: type) -> list[tuple[str, Any]]:
+    """Keys of a file of settings, with their types: alarm.in_hours."""
+    return [(name.replace("-", "_"), kind) for name, kind in _options(typing.get_type_hints(settings), "")]
 
 
 def plain(kind: Any) -> Any:

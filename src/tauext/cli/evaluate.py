@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from tauext.cli.place_argument import PlaceArg
+from tauext.cli.place_argument import AcceptArg, PlaceArg
 from tauext.config import CaseName, EventsConfig, require, require_seed, require_threads
 from tauext.errors import ConfigError
 from tauext.files.copies import staged
@@ -43,7 +43,7 @@ def evaluate(
     seed: int = 0,
     threads: int = 0,
     keep_free_estimates: int = 20,
-    accept: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")] = (),
+    accept: AcceptArg = (),
     inject: bool = False,
     events: Annotated[EventsConfig, tyro.conf.arg(name="")] = EventsConfig(),  # noqa: B008
 ) -> None:

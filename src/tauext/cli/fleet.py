@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from tauext.cli.parsing import deferred
-from tauext.cli.place_argument import PlaceArg
+from tauext.cli.place_argument import AcceptArg, PlaceArg
 from tauext.config import FleetConfig, require, require_threads
 from tauext.errors import ConfigError
 from tauext.files.copies import local_folder, staged
@@ -22,7 +21,7 @@ def prior(
     arms: tyro.conf.Positional[tuple[str, ...]],
     out: PlaceArg,
     threads: int = 0,
-    accept: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")] = (),
+    accept: AcceptArg = (),
 ) -> None:
     """Learn from arms of one type what the next one can start with: `tauext train --like` takes it, and a minute.
 
@@ -195,14 +194,3 @@ def example(out: Path | None = None) -> None:
 
     write_template(out, EXAMPLE)
     print(out)
-
-
-HELP = "Many arms: all stages of every arm, on many cores; what they tell of the next one, and of each other."
-
-
-def fleet_app() -> tyro.extras.SubcommandApp:
-    """`tauext fleet VERB`."""
-    app = tyro.extras.SubcommandApp()
-    for command in (run, example, prior, report):
-        app.command(deferred(command))
-    return app

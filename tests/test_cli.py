@@ -153,11 +153,11 @@ def test_the_same_seed_gives_the_same_bundle_bytes_in_another_folder(workplace, 
 
 def test_show_tells_what_a_bundle_and_a_recording_hold(workplace, capsys):
     code, out, _ = run(capsys, "show", workplace / "runs/none.tauext")
-    assert code == 0 and "100 steps of 10 ms" in out and "joint1" in out and "2202" in out
+    assert code == 0 and "window_steps 100, step_s 0.01" in out and "joint1" in out and "2202" in out
     code, out, _ = run(capsys, "show", workplace / "runs/none.tauext", "--json")
     assert json.loads(out)["network"]["hidden"] == 20
     code, out, _ = run(capsys, "show", workplace / "runs/data/collisions-000.parquet", "--json")
-    assert code == 0 and json.loads(out)["rate [Hz]"] == 1000.0
+    assert code == 0 and json.loads(out)["rate_hz"] == 1000.0
 
 
 def test_the_plain_observer_is_a_bundle_too(workplace, capsys, tmp_path):

@@ -264,11 +264,9 @@ def test_show_says_what_the_next_arm_is_told(made, capsys):
     told = json.loads(capsys.readouterr().out)
     raw = json.loads(made[0].read_text())
     assert told["table"] == table(raw).splitlines() and told["arms"] == 6
-    assert told["not like the others"] == {"arm-5": ["elbow", "links"]}
-    assert told["limits sliding [Nm]"] == dict(
-        zip(raw["type"]["joints"], raw["errors"]["sliding_limit_nm"], strict=True)
-    )
-    assert told["limits promise"] == raw["errors"]["facts"]["sentence"]
+    assert told["not_like_the_others"] == {"arm-5": ["elbow", "links"]}
+    assert told["limits_sliding_nm"] == dict(zip(raw["type"]["joints"], raw["errors"]["sliding_limit_nm"], strict=True))
+    assert told["limits_promise"] == raw["errors"]["facts"]["sentence"]
     assert main(["show", str(made[0])]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[: len(told["table"])] == told["table"]

@@ -164,9 +164,8 @@ def test_show_says_how_days_differ(made, capsys):
     assert main(["show", str(made[0]), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     days = load_fleet_prior(made[0]).days
-    said = told["friction of one arm differs from recording to recording by"]
-    assert float(said["elbow"].rstrip("%")) / 100 == pytest.approx(np.sqrt(days.covariance[1, 1]), abs=1e-3)
-    assert told["which is of"] == "8 of 4 arms"
+    assert told["friction_change_share"]["elbow"] == pytest.approx(np.sqrt(days.covariance[1, 1]))
+    assert told["friction_change_from"] == {"recordings": 8, "arms": 4}
 
 
 def test_a_prior_that_knows_no_days_is_refused(made):

@@ -84,8 +84,8 @@ def import_all() -> None:
     import scipy.io  # noqa: F401
 
     import tauext.check.examine
-    import tauext.cli.experiment
     import tauext.cli.monitor_output
+    import tauext.cli.reproduce
     import tauext.data.importers.open_raw
     import tauext.evaluate.results_folder
     import tauext.page.bundles

@@ -34,10 +34,10 @@ KILLED = (
 )
 GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "Recordings": {
-        "import": ("import_data", "recordings of a real arm become a dataset; --new writes arm.toml"),
-        "simulate": ("simulate", "a dataset of the paper's two-axis rig"),
-        "check": ("check", "find wrong units, signs, order and timing before anyone trains"),
-        "label": ("label", "add contact and collision to a LeRobot dataset"),
+        "import": ("recordings", "recordings of a real arm become a dataset; --new writes arm.toml"),
+        "simulate": ("recordings", "a dataset of the paper's two-axis rig"),
+        "check": ("recordings", "find wrong units, signs, order and timing before anyone trains"),
+        "label": ("recordings", "add contact and collision to a LeRobot dataset"),
     },
     "Bundles": {
         "train": ("train", "a bundle from a dataset's free motion"),
@@ -52,8 +52,8 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "demo": ("demo", "push a simulated arm in the browser"),
     },
     "Results": {
-        "evaluate": ("evaluate", "errors, false alarms and delays of bundles on a dataset"),
-        "report": ("report", "an HTML page of results, or of one flight"),
+        "evaluate": ("results", "errors, false alarms and delays of bundles on a dataset"),
+        "report": ("results", "an HTML page of results, or of one flight"),
         "reproduce": ("reproduce", "simulate, train, evaluate and report: the paper's experiment"),
     },
     "Many arms": {

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 
-from tauext.cli.place_argument import AcceptArg, PlaceArg
-from tauext.config import FleetConfig, require, require_threads
-from tauext.errors import ConfigError
+from tauext.cli.place_argument import AcceptArg, PlaceArg, tell_replaced
+from tauext.cli.progress import Terminal
+from tauext.config import FleetConfig, TrainConfig, require, require_threads
+from tauext.errors import ConfigError, TauextError
 from tauext.files.copies import local_folder, staged
 from tauext.files.places import place_of
+from tauext.files.room import expect_folder
+from tauext.files.toml_file import write_template
+from tauext.progress import Reporter
 
 # --- `tauext fleet prior`: what arms of one type know that the next one does not.
 
@@ -36,9 +40,6 @@ def prior(
         accept: codes of findings that are no fault on your word, at all joints or at one.
     """
     require_threads(threads)
-    from tauext.cli.place_argument import tell_replaced
-    from tauext.cli.progress import Terminal
-    from tauext.config import TrainConfig
     from tauext.fleet.prior import make_fleet_prior, table
     from tauext.fleet.prior_arms import fleet_arms
 
@@ -51,10 +52,6 @@ def prior(
 
 
 # --- `tauext fleet report`: one page of all arms, and beside it each arm's own.
-
-
-if TYPE_CHECKING:
-    from tauext.progress import Reporter
 
 
 def report(
@@ -80,8 +77,6 @@ def report(
     require(0 <= arm_page_mb <= 1000, "arm_page_mb", arm_page_mb, "0 to 1000")
     if not fleets:
         raise ConfigError("there is no fleet to report: give one folder or more that `tauext fleet run` made")
-    from tauext.cli.progress import Terminal
-    from tauext.files.room import expect_folder
     from tauext.fleet.page import write_fleet_page
     from tauext.fleet.report import make_fleet_report
 
@@ -102,7 +97,6 @@ def report(
 
 def write_arm_pages(content: dict[str, Any], out: Path, page_mb: float, reporter: Reporter) -> None:
     """Of every arm at its last date; one that cannot be drawn is told, and the others are."""
-    from tauext.errors import TauextError
     from tauext.fleet.page import arm_folder, is_newer
     from tauext.report.page import write_report
 
@@ -190,7 +184,5 @@ def example(out: Path | None = None) -> None:
     if out is None:
         print(EXAMPLE, end="")
         return
-    from tauext.files.toml_file import write_template
-
     write_template(out, EXAMPLE)
     print(out)

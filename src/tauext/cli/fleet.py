@@ -10,7 +10,7 @@ import tyro
 
 from tauext.cli.place_argument import AcceptArg, PlaceArg, tell_replaced
 from tauext.cli.progress import Terminal
-from tauext.config import FleetConfig, TrainConfig, require, require_threads
+from tauext.config import FleetConfig, TrainConfig, require_threads
 from tauext.errors import ConfigError, TauextError
 from tauext.files.copies import local_folder, staged
 from tauext.files.places import place_of
@@ -54,11 +54,14 @@ def prior(
 # --- `tauext fleet report`: one page of all arms, and beside it each arm's own.
 
 
+ARM_PAGE_MB = 2.0
+"""Largest size of an arm's own page; traces fill it."""
+
+
 def report(
     fleets: tyro.conf.Positional[tuple[PlaceArg, ...]],
     out: PlaceArg,
     arm_pages: bool = True,
-    arm_page_mb: float = 2.0,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> None:
     """Draw one page of all arms: friction, ripple, limits, errors and promises, and which arm or joint stands out.
@@ -71,10 +74,8 @@ def report(
         fleets: folders that `tauext fleet run` made, one or several: monday tuesday.
         out: folder to write: fleet.html, fleet-report.json with all numbers, arms/RUN/NAME/report.html of each arm.
         arm_pages: write each arm's own page, at its last date, where its results and recordings are there.
-        arm_page_mb: largest size of an arm's own page, [MB]; traces fill it.
         as_json: print the content of fleet-report.json.
     """
-    require(0 <= arm_page_mb <= 1000, "arm_page_mb", arm_page_mb, "0 to 1000")
     if not fleets:
         raise ConfigError("there is no fleet to report: give one folder or more that `tauext fleet run` made")
     from tauext.fleet.page import write_fleet_page
@@ -85,7 +86,7 @@ def report(
     with staged(out) as folder:
         content = make_fleet_report(fleets, folder, terminal)
         if arm_pages:
-            write_arm_pages(content, folder, arm_page_mb, terminal)
+            write_arm_pages(content, folder, terminal)
         page = out / write_fleet_page(content, folder).name
     if as_json:
         print(json.dumps(content, indent=1, allow_nan=False))
@@ -95,7 +96,7 @@ def report(
     print(page)
 
 
-def write_arm_pages(content: dict[str, Any], out: Path, page_mb: float, reporter: Reporter) -> None:
+def write_arm_pages(content: dict[str, Any], out: Path, reporter: Reporter) -> None:
     """Of every arm at its last date; one that cannot be drawn is told, and the others are."""
     from tauext.fleet.page import arm_folder, is_newer
     from tauext.report.page import write_report
@@ -107,7 +108,7 @@ def write_arm_pages(content: dict[str, Any], out: Path, page_mb: float, reporter
             results, dataset = (place_of(places[key]) for key in ("results", "dataset"))
             if not is_newer(folder / "report.html", results):
                 try:
-                    write_report(local_folder(results), dataset, folder, page_mb)
+                    write_report(local_folder(results), dataset, folder, ARM_PAGE_MB)
                 except TauextError as error:
                     reporter.say(f"{visit['name']}: its own page cannot be drawn: {error}")
             show(done + 1, len(drawn), visit["name"])

@@ -10,7 +10,7 @@ import tyro
 
 from tauext.cli.place_argument import AcceptArg, PlaceArg, expect_another, tell_replaced
 from tauext.cli.progress import Terminal
-from tauext.config import AlarmConfig, CaseName, TrainConfig, require, require_threads
+from tauext.config import AlarmConfig, CaseName, TrainConfig, require_threads
 from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.toml_file import field_help, read_toml, values_of
@@ -164,7 +164,6 @@ def refit(
     out: PlaceArg,
     from_s: Annotated[float, tyro.conf.arg(name="from")] = 0.0,
     to_s: Annotated[float | None, tyro.conf.arg(name="to")] = None,
-    seconds: float | None = None,
     like: PlaceArg | None = None,
     threads: int = 0,
     accept: AcceptArg = (),
@@ -183,7 +182,6 @@ def refit(
         out: bundle to write, NAME.tauext; one that is there is replaced, and said to be.
         from_s: seconds of each recording at which the motion to be used begins.
         to_s: seconds of each recording at which it ends. None: at its end.
-        seconds: how many seconds of each recording are used, instead of --to. None: all.
         like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`): a joint that hardly moved follows
             those that did, as far as the fleet's arms showed it from one recording to the next.
         threads: threads that estimate; 0: one a core. The result does not depend on it.
@@ -195,12 +193,10 @@ def refit(
     from tauext.train.refit import Span, refit_bundle
 
     require_threads(threads)
-    require(seconds is None or to_s is None, "seconds", seconds, "left out with --to")
-    require(seconds is None or 0 < seconds <= 1e6, "seconds", seconds, "> 0, at most 1e6")
     expect_another(out, bundle, "begin with")
     known = None if like is None else load_fleet_prior(like)
     tell_replaced(out)
-    span = Span(from_s, to_s if seconds is None else from_s + seconds)
+    span = Span(from_s, to_s)
     found = refit_bundle(bundle, data, out, span, threads, Terminal(), accept, known)
     if as_json:
         print(json_text(found.facts() | {"bundle": str(out)}), end="")

@@ -34,44 +34,44 @@ KILLED = (
 )
 GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "Recordings": {
-        "import": ("recordings", "recordings of a real arm become a dataset; --new writes arm.toml"),
-        "simulate": ("recordings", "a dataset of the paper's two-axis rig"),
-        "check": ("recordings", "find wrong units, signs, order and timing before anyone trains"),
-        "label": ("recordings", "add contact and collision to a LeRobot dataset"),
+        "import": ("recordings.import_data", "recordings of a real arm become a dataset; --new writes arm.toml"),
+        "simulate": ("recordings.simulate", "a dataset of the paper's two-axis rig"),
+        "check": ("recordings.check", "find wrong units, signs, order and timing before anyone trains"),
+        "label": ("recordings.label", "add contact and collision to a LeRobot dataset"),
     },
     "Bundles": {
-        "train": ("train", "a bundle from a dataset's free motion"),
-        "calibrate": ("train", "other limits for a trained bundle"),
-        "refit": ("train", "bring a bundle's friction up to date with a minute of today's motion"),
-        "show": ("show", "print what is in a bundle, a recording or a fleet prior"),
+        "train": ("train.train", "a bundle from a dataset's free motion"),
+        "calibrate": ("train.calibrate", "other limits for a trained bundle"),
+        "refit": ("train.refit", "bring a bundle's friction up to date with a minute of today's motion"),
+        "show": ("show.show", "print what is in a bundle, a recording or a fleet prior"),
     },
     "Monitor": {
-        "run": ("run", "monitor recordings"),
-        "monitor": ("monitor", "monitor a live arm"),
-        "load": ("load", "mass and centre of mass of a payload; torque constants from a known weight"),
-        "demo": ("demo", "push a simulated arm in the browser"),
+        "run": ("run.run", "monitor recordings"),
+        "monitor": ("monitor.monitor", "monitor a live arm"),
+        "load": ("load.load", "mass and centre of mass of a payload; torque constants from a known weight"),
+        "demo": ("demo.demo", "push a simulated arm in the browser"),
     },
     "Results": {
-        "evaluate": ("results", "errors, false alarms and delays of bundles on a dataset"),
-        "report": ("results", "an HTML page of results, or of one flight"),
-        "reproduce": ("reproduce", "simulate, train, evaluate and report: the paper's experiment"),
+        "evaluate": ("results.evaluate", "errors, false alarms and delays of bundles on a dataset"),
+        "report": ("results.report", "an HTML page of results, or of one flight"),
+        "reproduce": ("reproduce.reproduce", "simulate, train, evaluate and report: the paper's experiment"),
     },
     "Many arms": {
         "fleet": ("fleet", "run: all stages of every arm; prior, report, example"),
     },
     "Older files": {
-        "convert": ("convert", "a bundle of an older format"),
+        "convert": ("convert.convert", "a bundle of an older format"),
     },
 }
-"""Commands: the module of this package that holds each, and a line of help."""
+"""Commands: module and function in this package, and a line of help."""
 COMMANDS = {name: row for group in GROUPS.values() for name, row in group.items()}
 FLEET = {
-    "run": ("run", "import, check, train, calibrate and evaluate every arm"),
-    "example": ("example", "print a FLEET.toml to begin with"),
-    "prior": ("prior", "learn from arms of one type what the next one can start with"),
-    "report": ("report", "one page of all arms"),
+    "run": "import, check, train, calibrate and evaluate every arm",
+    "example": "print a FLEET.toml to begin with",
+    "prior": "learn from arms of one type what the next one can start with",
+    "report": "one page of all arms",
 }
-"""Commands of `tauext fleet`: functions of its module."""
+"""Functions of the module fleet, and a line of help."""
 DESCRIPTION = f"""\
 External joint torque and collision detection for robot arms, from encoders and motor torque alone.
 
@@ -85,8 +85,6 @@ HELP_CONFIG = """\
 # Settings for `tauext train --config FILE.toml`: help, default and type of every key. A key without a default follows
 # from the recipe or the recordings. `tauext calibrate --config` takes the table [alarm].
 """
-FIND_COMMAND = {"import": "import_data"}
-"""Functions that cannot have the command's name."""
 PARSER_INDENT = 8
 """The parser's box indents the help of an option by so many blanks, and the option by fewer."""
 LEFT_OUT = ("Argument helptext", "For full helptext")
@@ -122,11 +120,11 @@ def command_of(argv: Sequence[str]) -> tuple[str, Callable[..., Any]]:
         ConfigError: there is no such command.
     """
     name = named(argv[:1], COMMANDS, "tauext")
-    module = importlib.import_module(f"tauext.cli.{COMMANDS[name][0]}")
-    if name != "fleet":
-        return f"tauext {name}", getattr(module, FIND_COMMAND.get(name, name))
-    verb = named(argv[1:2], FLEET, "tauext fleet")
-    return f"tauext fleet {verb}", getattr(module, verb)
+    module, _, function = COMMANDS[name][0].partition(".")
+    if name == "fleet":
+        function = named(argv[1:2], FLEET, "tauext fleet")
+        name = f"fleet {function}"
+    return f"tauext {name}", getattr(importlib.import_module(f"tauext.cli.{module}"), function)
 
 
 def named(words: Sequence[str], commands: Collection[str], prog: str) -> str:
@@ -144,7 +142,8 @@ def overview(argv: Sequence[str]) -> str | None:
     """The help of all commands, or of those of fleet, where the arguments ask for one; that of --config."""
     help_asked = ("-h", "--help")
     if argv[:1] and argv[0] in help_asked:
-        groups = "\n\n".join(f"{title}:\n{listed(commands)}" for title, commands in GROUPS.items())
+        lists = {title: listed({name: row[1] for name, row in group.items()}) for title, group in GROUPS.items()}
+        groups = "\n\n".join(f"{title}:\n{commands}" for title, commands in lists.items())
         return (
             f"usage: tauext COMMAND [OPTIONS]\n\n{DESCRIPTION}\n\n{groups}\n\n"
             "`tauext COMMAND --help` lists the options of a command; `tauext --version` prints the versions of\n"
@@ -160,8 +159,8 @@ def overview(argv: Sequence[str]) -> str | None:
     return None
 
 
-def listed(commands: Mapping[str, tuple[str, str]]) -> str:
-    return "\n".join(f"  {name:<11}{words}" for name, (_, words) in commands.items())
+def listed(commands: Mapping[str, str]) -> str:
+    return "\n".join(f"  {name:<11}{words}" for name, words in commands.items())
 
 
 def understood(command: Callable[..., Any], prog: str, arguments: Sequence[str]) -> Callable[[], Any]:

@@ -23,11 +23,11 @@ EVERY_METHOD = ("exact", "none")
 MINUTES = (2, 5, 10, 20, 45)
 GAINS = (20, 50, 100)
 LIMITS = {
-    "prior-constants": "--recipe prior --observer.gain-per-s 20 --error-scale off",
-    "friction-scaled": "--recipe friction --error-scale on",
-    "observer-scaled": "--recipe observer --error-scale on",
+    "prior-constants": 'recipe = "prior"\nerror_scale = "off"\nobserver.gain_per_s = 20\n',
+    "friction-scaled": 'recipe = "friction"\nerror_scale = "on"\n',
+    "observer-scaled": 'recipe = "observer"\nerror_scale = "on"\n',
 }
-"""Each kind of limits with the methods that usually have the other."""
+"""Settings: each kind of limits with the methods that usually have the other."""
 ENCODER_BITS = (16, 12)
 SHORT_TEST = 40  # recordings, for learning curves
 
@@ -43,12 +43,12 @@ def steps(out: Path) -> list[tuple[Path, str]]:
     for gain in GAINS:
         bundles = [out / f"gain-{gain}" / "bundles" / f"{case}.tauext" for case in EVERY_METHOD]
         for case, bundle in zip(EVERY_METHOD, bundles, strict=True):
-            command = f"train --data {data} --case {case} --recipe prior --observer.gain-per-s {gain} --out {bundle}"
+            command = f"train --data {data} --case {case} --config {out}/gain-{gain}.toml --out {bundle}"
             found.append((bundle, command))
         found.append(evaluated(data, out / f"gain-{gain}", bundles))
     scaled = [out / "limits" / "bundles" / f"{name}-{case}.tauext" for case in EVERY_METHOD for name in LIMITS]
     for bundle, (case, name) in zip(scaled, itertools.product(EVERY_METHOD, LIMITS), strict=True):
-        found.append((bundle, f"train --data {data} --case {case} {LIMITS[name]} --out {bundle}"))
+        found.append((bundle, f"train --data {data} --case {case} --config {out}/{name}.toml --out {bundle}"))
     found.append(evaluated(data, out / "limits", scaled))
     little = [out / "ten-minutes" / "bundles" / f"{case}-10min.tauext" for case in EVERY_METHOD]
     for case, bundle in zip(EVERY_METHOD, little, strict=True):
@@ -73,6 +73,14 @@ def steps(out: Path) -> list[tuple[Path, str]]:
     found.append((sticky / "split.json", f"simulate --out {sticky} {hours}"))
     found.append(evaluated(sticky, out / "friction", [exact / f"{name}.tauext" for name in ("prior", "friction")]))
     return found
+
+
+def write_settings(out: Path) -> None:
+    """Files for --config."""
+    gains = {f"gain-{gain}": f'recipe = "prior"\nobserver.gain_per_s = {gain}\n' for gain in GAINS}
+    out.mkdir(parents=True, exist_ok=True)
+    for name, text in (LIMITS | gains).items():
+        (out / f"{name}.toml").write_text(text)
 
 
 def evaluated(data: Path, out: Path, bundles: list[Path]) -> tuple[Path, str]:
@@ -152,6 +160,7 @@ def main() -> None:
     if options.tables:
         print(tables(options.out))
         return
+    write_settings(options.out)
     for made, command in steps(options.out):
         if made.exists():
             continue

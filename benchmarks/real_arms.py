@@ -68,7 +68,9 @@ def ur3_commands() -> list[str]:
 # --- Panda, touched at rest
 
 TOUCHED = ("a4", "a6", "b8", "b9", "c3", "d3", "f2", "f4")
-MARGINS = "--margins.before-s 0.1 --margins.after-s 0.25"
+MARGINS = "--config margins.toml"
+SETTINGS = ("margins.toml", "sines.toml")
+"""Files for --config that are kept beside an arm's arm.toml."""
 AT_REST = ("observer", "highpass", "bandpass")
 
 
@@ -146,7 +148,7 @@ ARMS = {
             "2 train --data data --case exact --out exact.tauext",
             "2 train --data data --recipe paper --out paper.tauext",
             "train --data data --recipe prior --out bundles/prior.tauext",
-            "train --data data --recipe prior --prior.no-find-kinematics --out bundles/sines.tauext",
+            "train --data data --recipe prior --config sines.toml --out bundles/sines.tauext",
             "train --data data --recipe friction --out bundles/friction.tauext",
             "show bundles/prior.tauext",
             f"evaluate --data data --bundles {' '.join(f'bundles/{b}.tauext' for b in KUKA)} --out results",
@@ -178,6 +180,9 @@ def prepare(name: str, data: Path, folder: Path) -> None:
             changed, times = re.subn(pattern, by, changed)
             assert times, f"{name}/arm.toml: nothing to replace: {pattern}"
         (folder / f"{variant}.toml").write_text(changed)
+    for settings in SETTINGS:
+        if (KEPT / name / settings).is_file():
+            shutil.copy(KEPT / name / settings, folder)
 
 
 def plain(commands: list[str]) -> list[str]:

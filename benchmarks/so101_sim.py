@@ -138,7 +138,10 @@ def make(out: Path, trial: Trial) -> Path:
     bundle = out / trial.bundle
     if not bundle.exists():
         case = () if trial.model else ("--case", "none")
-        case += ("--error-scale", "off") if trial.constant else ()
+        if trial.constant:
+            settings = bundle.with_suffix(".toml")
+            settings.write_text('error_scale = "off"\n')
+            case += ("--config", settings)
         case += ("--accept", "effort-sign") if trial.source == "goal" else ()  # see the page: steps of 30 Hz
         said = bundle.with_suffix(".train.txt")
         command(said, "train", "--data", data, "--recipe", trial.recipe, *case, "--out", bundle)

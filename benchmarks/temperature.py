@@ -48,7 +48,9 @@ def main() -> None:
         bundles = {word: folder / f"{word}.tauext" for word in ("without", "with")}
         for word, bundle in bundles.items():
             if not bundle.exists():
-                how = ["--prior.follow-temperature" if word == "with" else "--prior.no-follow-temperature"]
+                settings = folder / f"{word}.toml"
+                settings.write_text(f"prior.follow_temperature = {'true' if word == 'with' else 'false'}\n")
+                how = ["--config", settings]
                 command(folder / f"train-{word}.txt", "train", "--data", folder / "data", "--out", bundle, *how)
         for test in ("cold", "warm"):
             for tracking in (False, True):

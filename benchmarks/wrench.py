@@ -72,7 +72,9 @@ def trained(maker: Maker, options: argparse.Namespace, which: str) -> _core.Bund
         words += ["--recipe", "prior", "--out", path]
         if which == "true":
             factors = arm_of(maker, options.seed).nm_per_ampere / told(maker, options.seed)
-            words += ["--torque-constants", *(f"{one:.6g}" for one in factors), "--torque-share", "0.005"]
+            words += ["--torque-constants", *(f"{one:.6g}" for one in factors), "--config", path.with_suffix(".toml")]
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.with_suffix(".toml").write_text("torque_share = 0.005\n")
         subprocess.run([str(word) for word in words], check=True, capture_output=True)
     return _core.Bundle.load(str(path))
 

@@ -4,8 +4,9 @@ import ast
 import json
 import re
 import shlex
+import tomllib
 from contextlib import redirect_stdout
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from io import StringIO
 from itertools import pairwise
@@ -15,9 +16,11 @@ import pytest
 from made_results import undrawn
 
 from tauext import _core
-from tauext.cli import main
-from tauext.cli.experiment import SCALES
-from tauext.config import TrainConfig
+from tauext.cli import COMMANDS, main
+from tauext.cli.reproduce import SCALES
+from tauext.cli.train import alarm_settings, train_settings
+from tauext.config import AlarmConfig, DriftConfig, TrainConfig
+from tauext.files.toml_file import field_help, settings_of
 from tauext.sim.config import RigConfig
 
 ROOT = Path(__file__).parent.parent
@@ -27,7 +30,7 @@ SMALLER = {
     "--minutes 20": "--minutes 1",
     "--collision-recordings 6": "--collision-recordings 1",
     "--calibration-hours 1": "--calibration-hours 0.03",
-    "--out runs/exact.tauext": "--out runs/exact.tauext --max-steps 10 --batch 8 --prior.most-ripples 0",
+    "--out runs/exact.tauext": "--out runs/exact.tauext --max-steps 10 --batch 8 --config few.toml",
     "--recipe dense --max-steps 10000": "--recipe dense --max-steps 10 --batch 8",
     "--scale quick": "--scale smoke",
 }
@@ -52,10 +55,11 @@ class Done:
 @pytest.fixture(scope="module")
 def done(tmp_path_factory) -> Done:
     folder, said = tmp_path_factory.mktemp("readme"), {}
+    (folder / "few.toml").write_text("[prior]\nmost_ripples = 0\n")
     with pytest.MonkeyPatch.context() as patch, undrawn():
         patch.chdir(folder)
         patch.setitem(SCALES, "smoke", SMALLEST)
-        patch.setattr("tauext.cli.experiment.RigConfig", SHORTER)
+        patch.setattr("tauext.sim.config.RigConfig", SHORTER)
         patch.setattr("tauext.sim.config.changed_rig", lambda *changes: SHORTER())
         for command in commands(STEP_BY_STEP):
             for quick, smoke in SMALLER.items():
@@ -130,8 +134,8 @@ def test_reproduce_a_second_time_gives_the_same_results_and_trains_nothing_anew(
     before, written_ns = results.read_bytes(), bundle.stat().st_mtime_ns
     monkeypatch.chdir(workplace)
     monkeypatch.setitem(SCALES, "smoke", SMALLEST)
-    monkeypatch.setattr("tauext.cli.experiment.RigConfig", SHORTER)
-    monkeypatch.setattr("tauext.cli.experiment.write_report", lambda results, data, folder: folder)  # is there already
+    monkeypatch.setattr("tauext.sim.config.RigConfig", SHORTER)
+    monkeypatch.setattr("tauext.report.page.write_report", lambda results, data, folder: folder)  # is there already
     assert main(["reproduce", "--scale", "smoke", "--out", "runs/quick", "--cases", "exact"]) == 0
     assert bundle.stat().st_mtime_ns == written_ns
     after = results.read_bytes()
@@ -140,31 +144,20 @@ def test_reproduce_a_second_time_gives_the_same_results_and_trains_nothing_anew(
 
 def test_the_same_seed_gives_the_same_bundle_bytes_in_another_folder(workplace, capsys, tmp_path):
     data = workplace / "runs/quick/data"
-    options = (
-        "--data",
-        data,
-        "--case",
-        "none",
-        "--recipe",
-        "paper",
-        "--max-steps",
-        STEPS,
-        "--batch",
-        64,
-        "--epochs",
-        1,
-    )
+    (tmp_path / "once.toml").write_text("epochs = 1\nbatch = 64\n")
+    options = ("--data", data, "--case", "none", "--recipe", "paper", "--config", tmp_path / "once.toml")
+    options += ("--max-steps", STEPS)
     assert run(capsys, "train", *options, "--out", tmp_path / "none.tauext")[0] == 0
     assert (tmp_path / "none.tauext").read_bytes() == (workplace / "runs/quick/bundles/none.tauext").read_bytes()
 
 
 def test_show_tells_what_a_bundle_and_a_recording_hold(workplace, capsys):
     code, out, _ = run(capsys, "show", workplace / "runs/none.tauext")
-    assert code == 0 and "100 steps of 10 ms" in out and "joint1" in out and "2202" in out
+    assert code == 0 and "window_steps 100, step_s 0.01" in out and "joint1" in out and "2202" in out
     code, out, _ = run(capsys, "show", workplace / "runs/none.tauext", "--json")
     assert json.loads(out)["network"]["hidden"] == 20
     code, out, _ = run(capsys, "show", workplace / "runs/data/collisions-000.parquet", "--json")
-    assert code == 0 and json.loads(out)["rate [Hz]"] == 1000.0
+    assert code == 0 and json.loads(out)["rate_hz"] == 1000.0
 
 
 def test_the_plain_observer_is_a_bundle_too(workplace, capsys, tmp_path):
@@ -174,34 +167,51 @@ def test_the_plain_observer_is_a_bundle_too(workplace, capsys, tmp_path):
     assert run(capsys, "evaluate", "--data", data, "--bundles", out, "--out", tmp_path / "results")[0] == 0
 
 
-COMMANDS = "simulate import train calibrate refit evaluate report run monitor load show reproduce fleet".split()
-
-
 @pytest.mark.parametrize("command", ["", *COMMANDS])
 def test_help_answers_for_every_command(capsys, command):
     code, out, _ = run(capsys, *([command] if command else []), "--help")
     assert code == 0 and "usage: tauext" in out
 
 
-def options_of(text: str) -> list[str]:
-    return re.findall(r"^  (--[\w.-]+)", text, flags=re.MULTILINE)
+def test_train_has_few_options_and_a_file_for_all_settings(capsys):
+    code, text, _ = run(capsys, "train", "--help")
+    options = re.findall(r"^[│ ] {1,2}(--[\w.-]+)", text, flags=re.MULTILINE)
+    assert code == 0 and options[:3] == ["--data", "--out", "--config"] and {"--case", "--recipe"} <= set(options)
+    assert len(options) < 20 and "--help-config" in text
+    assert "a checkpoint beside it is written every 20 s" in " ".join(re.sub(r"[│|]", "", text).split())
+    code, text, _ = run(capsys, "train", "--help-config")
+    keys = tomllib.loads(re.sub(r"^# (\w+ = .+  #)", r"\1", text, flags=re.MULTILINE))
+    assert code == 0 and settings_of(TrainConfig, keys, "all") == TrainConfig()
+    for name in (*field_help(TrainConfig), *field_help(AlarmConfig), *field_help(DriftConfig)):
+        assert re.search(rf"^(# {name} = .*|\[{name}\])$", text, flags=re.MULTILINE)
 
 
-def test_help_of_train_has_the_common_options_first_and_all_when_asked(capsys):
-    """Held against the fields of the settings themselves, so that no option is lost in the arrangement."""
-    short, everything = (run(capsys, "train", word)[1] for word in ("--help", "--help-all"))
-    named = {"--data", "--out", "--case", "--robot", "--like", "--accept"}
-    for field in fields(TrainConfig):
-        value = getattr(TrainConfig(), field.name)
-        inner = [f"--{field.name}.{one.name}" for one in fields(value)] if is_dataclass(value) else []
-        named |= {name.replace("_", "-") for name in inner or [f"--{field.name}"]}
-    assert sorted(options_of(everything)) == sorted(named)
-    assert options_of(short) == options_of(everything)[: len(options_of(short))] and len(options_of(short)) < 20
-    assert options_of(short)[:2] == ["--data", "--out"] and {"--case", "--recipe"} <= set(options_of(short))
-    assert f"{len(named) - len(options_of(short))} more" in short and "--help-all" in short
-    for text in (short, everything):
-        assert max(len(line) for line in text.splitlines() if "{" not in line) <= 100
-    assert "a checkpoint beside it is written every 20 s, and kept" in " ".join(short.split())
+def test_options_of_the_command_line_replace_keys_of_the_file(tmp_path):
+    file = tmp_path / "study.toml"
+    file.write_text('recipe = "prior"\nepochs = 3\nseed = 1\n[alarm]\nin_hours = 2\nconfidence = 0.9\n')
+    found = train_settings(file, {"recipe": "paper", "seed": 0, "in_hours": 4.0})
+    assert found == TrainConfig(recipe="paper", epochs=3, alarm=AlarmConfig(in_hours=4.0, confidence=0.9))
+    assert alarm_settings(file, {"false_alarms": 2.0}) == AlarmConfig(2.0, 2.0, 0.9)
+    assert train_settings(None, {"minutes": 2.0}) == TrainConfig(minutes=2.0)
+
+
+BAD_KEYS = [
+    ("hiden = 3", [], "study.toml: unknown key 'hiden'; the nearest known is 'hidden'"),
+    ("[drift]\nfreeze_s = -1", [], "study.toml drift: freeze_s = -1.0 must be 0 to 60"),
+    ("[observer]\ngain_per_s = true", [], "gain_per_s = True must be a number or one of auto"),
+    ('recipe = "lstm"', [], "study.toml: recipe = 'lstm' must be one of tauext, prior"),
+    ("epochs = 3", [], "study.toml: epochs = 3 must be left out with recipe tauext"),
+    ("epochs = 3", ["--minutes", "-1"], "error: minutes = -1.0 must be > 0"),
+    ("epochs = ", [], "study.toml: not readable as TOML"),
+]
+
+
+@pytest.mark.parametrize("text, options, says", BAD_KEYS)
+def test_a_wrong_key_of_the_file_is_refused_in_one_line(tmp_path, capsys, text, options, says):
+    (tmp_path / "study.toml").write_text(text)
+    arguments = ("--data", "x", "--out", "a.tauext", "--config", tmp_path / "study.toml", *options)
+    code, _, err = run(capsys, "train", *arguments)
+    assert code == 2 and len(err.splitlines()) == 1 and says in err
 
 
 WRONG = [
@@ -263,7 +273,8 @@ def test_ctrl_c_while_training_keeps_a_checkpoint_that_the_same_command_goes_on_
 ):
     out = tmp_path / "none.tauext"
     options = ("train", "--data", workplace / "runs/quick/data", "--case", "none", "--out", out)
-    options += ("--recipe", "paper", "--max-steps", STEPS, "--batch", 64, "--epochs", 1)
+    (tmp_path / "once.toml").write_text("epochs = 1\n")
+    options += ("--recipe", "paper", "--max-steps", STEPS, "--batch", 64, "--config", tmp_path / "once.toml")
     with monkeypatch.context() as patch:
         calls = []
         step = _core.lstm_gradient

@@ -4,10 +4,7 @@ import os
 import subprocess
 import sys
 
-import tyro
 from made_bundles import watching_bundle, with_error_scale
-
-from tauext.cli.parsing import quicken, without_own_source, without_typeguard
 
 LOADED = (
     "import atexit, sys; atexit.register(lambda: print(*sys.modules, file=sys.stderr)); from tauext.cli import main; "
@@ -22,10 +19,16 @@ def modules_after(*arguments):
     return set(ended.stderr.split())
 
 
-def test_help_loads_the_parser_and_little_else():
+def test_help_of_all_commands_loads_none_of_them_and_no_parser():
     loaded = modules_after("--help")
+    assert "tauext.cli" in loaded
+    assert not loaded & {"tyro", "tauext.cli.show", "numpy", "pyarrow", "asyncio", "importlib.metadata", "tauext._core"}
+
+
+def test_help_of_one_command_loads_no_other_and_no_numpy():
+    loaded = modules_after("show", "--help")
     assert {"tyro", "tauext.cli.show"} <= loaded
-    assert not loaded & {"numpy", "pyarrow", "typeguard", "asyncio", "importlib.metadata", "tauext._core"}
+    assert not loaded & {"tauext.cli.train", "numpy", "pyarrow", "tauext._core"}
 
 
 def test_show_describes_a_bundle_without_numpy_and_the_library_of_recordings(tmp_path):
@@ -34,27 +37,4 @@ def test_show_describes_a_bundle_without_numpy_and_the_library_of_recordings(tmp
     bundle.save(str(tmp_path / "arm.tauext"))
     loaded = modules_after("show", str(tmp_path / "arm.tauext"))
     assert "tauext.bundle.units" in loaded
-    assert not loaded & {"numpy", "tauext.data", "pyarrow", "typeguard"}
-
-
-def test_the_shorter_ways_answer_as_the_long_ones():
-    def no_typeguard(kind, value):
-        raise AssertionError("the long way")
-
-    short = without_typeguard(no_typeguard)
-    assert short(list[int], tyro.MISSING) and short(str | None, None) and short(tuple[int, ...], ())
-    for kind, value in ((int, "word"), (int, ()), (tuple[int, str], ()), (int, None)):
-        assert without_typeguard(lambda kind, value: False)(kind, value) is False
-    docstring = without_own_source(lambda owner, *about: f"{owner.__name__} {about}")
-    assert docstring(dict, "key", ()) == "dict ('key', ())"
-    assert docstring(type(tyro.MISSING), "key", ()) is None
-
-
-def test_they_are_put_in_place_once():
-    quicken()
-    from tyro import _docstrings, _resolver
-
-    before = _resolver.is_instance, _docstrings.get_field_docstring
-    quicken()
-    assert before == (_resolver.is_instance, _docstrings.get_field_docstring)
-    assert _resolver.is_instance.__wrapped__ is not None
+    assert not loaded & {"numpy", "tauext.data", "pyarrow"}

@@ -192,7 +192,7 @@ def test_a_drift_at_its_bound_is_told_once(fitted, tmp_path, capsys):
     first = {joint: int(np.argmax(said[:, j])) for j, joint in enumerate(made.joints)}
     assert {event["joint"]: event["row"] for event in drifts} == first
     content = describe_bundle(tmp_path / "drifting.tauext")
-    assert content["drift of a coefficient at most [Nm]"]["shoulder"] == drifting.drift.size_nm[0]
+    assert content["drift_at_most_nm"]["shoulder"] == drifting.drift.size_nm[0]
 
 
 def test_drift_is_found_at_the_same_row_whatever_the_chunks():

@@ -17,7 +17,7 @@ from made_s3 import S3, Request, s3_server
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main
-from tauext.cli.evaluate import command_line
+from tauext.cli.results import command_line
 from tauext.data import dataset as stretches_module
 from tauext.data import recording_file
 from tauext.data.dataset import Split, ahead, load_dataset, save_split, stretches

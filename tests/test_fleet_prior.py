@@ -13,9 +13,10 @@ from tauext import _core
 from tauext.cli import main
 from tauext.data.dataset import load_dataset
 from tauext.errors import ConfigError
+from tauext.files.toml_file import plain
 from tauext.fit.fleet_prior import content, load_fleet_prior, write_fleet_prior
 from tauext.fleet.book import plan_fleet
-from tauext.fleet.fleet_file import load_fleet, plain
+from tauext.fleet.fleet_file import load_fleet
 from tauext.fleet.prior import make_fleet_prior, table
 from tauext.fleet.prior_arms import distinct, fleet_arms, own_terms_of
 from tauext.fleet.prior_evidence import factor_of
@@ -262,11 +263,9 @@ def test_show_says_what_the_next_arm_is_told(made, capsys):
     told = json.loads(capsys.readouterr().out)
     raw = json.loads(made[0].read_text())
     assert told["table"] == table(raw).splitlines() and told["arms"] == 6
-    assert told["not like the others"] == {"arm-5": ["elbow", "links"]}
-    assert told["limits sliding [Nm]"] == dict(
-        zip(raw["type"]["joints"], raw["errors"]["sliding_limit_nm"], strict=True)
-    )
-    assert told["limits promise"] == raw["errors"]["facts"]["sentence"]
+    assert told["not_like_the_others"] == {"arm-5": ["elbow", "links"]}
+    assert told["limits_sliding_nm"] == dict(zip(raw["type"]["joints"], raw["errors"]["sliding_limit_nm"], strict=True))
+    assert told["limits_promise"] == raw["errors"]["facts"]["sentence"]
     assert main(["show", str(made[0])]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[: len(told["table"])] == told["table"]

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from tauext.check.finding import CODES
-from tauext.cli import main
-from tauext.cli.parsing import understood
+from tauext.cli import main, understood
 from tauext.data.description import parse_arm
 
 ROOT = Path(__file__).parent.parent

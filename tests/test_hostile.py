@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hostile.cases import OPTIONS, Case, hostile_words
+from hostile.cases import KEYS, OPTIONS, Case
 from hostile.judge import faults_of
+from hostile.values import hostile_words
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits and processes as Linux has them")
@@ -22,7 +23,8 @@ def test_hostile_cases_end_as_they_must(count):
 
 def test_the_options_of_every_command_are_found():
     names = {option.name for option in OPTIONS["train"]}
-    assert {"--data", "--max-steps", "--observer.gain-per-s", "--alarm.holds-s", "--seed"} <= names
+    assert {"--data", "--config", "--max-steps", "--in-hours", "--seed"} <= names
+    assert {"max_steps", "observer.gain_per_s", "alarm.holds_s"} <= {name for name, _ in KEYS}
     assert "--json" in {option.name for option in OPTIONS["run"]}
     assert "--ros2.topic" in {option.name for option in OPTIONS["monitor"]}
     words = {tuple(hostile_words(OPTIONS["simulate"][1], np.random.default_rng(k))) for k in range(200)}

@@ -190,7 +190,7 @@ def test_a_dataset_without_a_model_is_trained_without_one_and_goes_through_every
     assert main(train) == 0 and "the dataset has no model, so the case is 'none'" in capsys.readouterr().err
     assert main(["show", str(bundle), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
-    assert said["made by"]["case"] == "none" and said["model"]["masses [kg]"] == [0, 0]
+    assert said["provenance"]["case"] == "none" and said["masses_kg"] == [0, 0]
     assert main(["check", "--data", str(out)]) in (0, 1)
     assert capsys.readouterr().out.startswith("no robot model: ")
     assert main(["check", "--data", str(out), "--json"]) in (0, 1)

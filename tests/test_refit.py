@@ -306,7 +306,7 @@ def test_the_command_prints_a_row_a_joint_and_writes_where_it_came_from(files, c
     assert main(["show", str(files / "new.tauext")]) == 0
     shown = capsys.readouterr().out
     assert "friction brought up to date" in shown and "since training, shoulder" in shown and "times 1.3" in shown
-    assert main([*arguments, str(files / "short.tauext"), "--from", "5", "--seconds", "30", "--json"]) == 0
+    assert main([*arguments, str(files / "short.tauext"), "--from", "5", "--to", "35", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["used_s"] == pytest.approx(29.5, abs=0.2) and told["joints"][0]["coulomb"][0] == pytest.approx(
         1.3, abs=0.02
@@ -319,8 +319,7 @@ def test_the_command_prints_a_row_a_joint_and_writes_where_it_came_from(files, c
         (["--out", "{old}"], "choose another --out"),
         (["--out", "new.bundle"], "ends in .tauext"),
         (["--out", "{new}", "--from", "100"], "no recording has a sample"),
-        (["--out", "{new}", "--seconds", "3"], "10 s of motion"),
-        (["--out", "{new}", "--seconds", "30", "--to", "40"], "left out with --to"),
+        (["--out", "{new}", "--to", "3"], "10 s of motion"),
     ],
 )
 def test_what_cannot_be_done_is_one_line_and_nothing_is_written(files, capsys, more, says):
@@ -503,9 +502,8 @@ def test_show_says_how_days_differ(made, capsys):
     assert main(["show", str(made[0]), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     days = load_fleet_prior(made[0]).days
-    said = told["friction of one arm differs from recording to recording by"]
-    assert float(said["elbow"].rstrip("%")) / 100 == pytest.approx(np.sqrt(days.covariance[1, 1]), abs=1e-3)
-    assert told["which is of"] == "8 of 4 arms"
+    assert told["friction_change_share"]["elbow"] == pytest.approx(np.sqrt(days.covariance[1, 1]))
+    assert told["friction_change_from"] == {"recordings": 8, "arms": 4}
 
 
 def test_a_prior_that_knows_no_days_is_refused(made):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tauext.cli.experiment import SCALES, trainings
+from tauext.cli.reproduce import SCALES, trainings
 from tauext.config import PAPER_CASES
 from tauext.report.results import bundle_label, place
 

@@ -16,7 +16,7 @@ from made_results import SEVEN_BUNDLES, make_estimates, make_recording, make_res
 
 from tauext.bundle.estimates import COLLISION, CONTACT, FAULT, OK
 from tauext.cli import main
-from tauext.cli.report import report
+from tauext.cli.results import report
 from tauext.errors import ConfigError
 from tauext.report.results_file import load_results
 from tauext.report.signals import NotAvailable, Signals

@@ -10,55 +10,39 @@ from typing import Any
 
 from made_pages import prose, write_page
 
+from tauext.cli import COMMANDS, FLEET
+
 BORDER = "─━-"
 HELP_INDENT = 6
 """Help of an option is indented by at least so much, the option itself by one."""
 
 
-HEADING = re.compile(r"(\S.*):")
-GROUPS = ("fleet",)
-"""Verbs that have verbs of their own."""
-EVERYTHING = "--help-all"
-"""Of a verb whose `--help` keeps to the common options, and says so."""
-
-
-def help_text(*verb: str) -> str:
-    """All that the verb's help prints, in one column, without colours."""
+def help_text(*verb: str, option: str = "--help") -> str:
+    """What the verb's help prints, in one column, without colours."""
     environment = os.environ | {"COLUMNS": "82", "NO_COLOR": "1", "PYTHONIOENCODING": "utf-8"}
-
-    def said(option: str) -> str:
-        command = [sys.executable, "-m", "tauext", *verb, option]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, encoding="utf-8")
-        return done.stdout
-
-    common = said("--help")
-    return said(EVERYTHING) if EVERYTHING in common else common
+    command = [sys.executable, "-m", "tauext", *verb, option]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, encoding="utf-8")
+    return done.stdout
 
 
-def verbs(*group: str) -> list[str]:
-    """The verbs in the order in which the help names them; of a group of verbs each with the group's name before it."""
-    (found,) = re.findall(r"\[-h\]\s+\{([a-z,\s]+)\}", help_text(*group))
-    named = [" ".join((*group, verb)) for verb in re.sub(r"\s", "", found).split(",")]
-    return [verb for name in named for verb in (verbs(name) if name in GROUPS else [name])]
+def verbs() -> list[str]:
+    """The commands in the order in which the help names them; those of fleet with its name before them."""
+    return [verb for name in COMMANDS for verb in ([f"fleet {one}" for one in FLEET] if name == "fleet" else [name])]
 
 
 def boxes(text: str) -> tuple[str, list[tuple[str, list[str]]]]:
-    """The text before the options, and each group's title and lines: a box without its frame, or what is indented."""
+    """The text before the options, and each group's title and lines: a box without its frame."""
     head: list[str] = []
     found: list[tuple[str, list[str]]] = []
     inside = False
-    lines = text.splitlines()
-    for line, following in zip(lines, [*lines[1:], ""], strict=True):
+    for line in text.splitlines():
         if line.startswith("╭"):
             found.append((line.strip("╭╮─ "), []))
             inside = True
-        elif (heading := HEADING.fullmatch(line)) and following.startswith("  -"):
-            found.append((heading[1], []))
-            inside = True
-        elif line.startswith("╰") or (inside and line and not line.startswith((" ", "│"))):
+        elif line.startswith("╰"):
             inside = False
         elif inside:
-            found[-1][1].append(line.strip().strip("│").rstrip() if "│" in line else line)
+            found[-1][1].append(line.strip().strip("│").rstrip())
         elif not found:
             head.append(line)
     return "\n".join(head), found
@@ -97,6 +81,8 @@ def page(verb: str) -> list[str]:
         lines += [f"## {title[:1].upper()}{title[1:]}", "", prose(introduction), ""]
         for option, told in options:
             lines += [f"````{{option}} {option}", prose(told), "````", ""]
+    if verb == "train":
+        lines += ["## Keys of --config", "", "```toml", help_text(verb, option="--help-config").rstrip(), "```", ""]
     return lines
 
 

@@ -82,9 +82,9 @@ def import_all() -> None:
     import rosbags.rosbag1
     import rosbags.rosbag2  # noqa: F401
     import scipy.io  # noqa: F401
+    import tauext.cli.experiment
 
     import tauext.check.examine
-    import tauext.cli.experiment
     import tauext.cli.monitor_output
     import tauext.data.importers.open_raw
     import tauext.evaluate.results_folder

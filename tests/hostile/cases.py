@@ -5,117 +5,23 @@ The options of every command are found by looking at the commands themselves.
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
-import types
-import typing
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 
 from hostile.damage import damage
-from tauext import cli
-from tauext.cli import fleet
+from hostile.values import PLACES, hostile_value, hostile_words, keys_of, options_of
+from tauext.cli import COMMANDS, command_of
+from tauext.cli import FLEET as FLEET_COMMANDS
+from tauext.config import TrainConfig
 
-FLOATS = ("inf", "-inf", "nan", "-1", "0", "-0.0", "1e-308", "1e308", "1e9", "1e18", "-1e9", "0.5", "1e400")
-INTEGERS = ("-1", "0", "1", "1000000000", "2147483648", "9223372036854775808", str(10**30), "1e9", "1.5", "nan", "-5")
-WORDS = ("", " ", "x", "-", "--", "none", "None", "True", "\n", "ä\udcff", "a" * 5000, "../..", "{}", "[]", "%s", "0x1")
-PLACES = ("missing", ".", "/", "", "/dev/null", "/dev/full", "/dev/zero", "/proc/self/mem", "pipe", "a" * 300, "\udcff")
-PLACES += ("full/x", "read-only/x", "robot.xml", "robot.xml/x", "data", "empty", "loop", "new\nline", "-", "~")
-PLACES += ("missing/x/y",)
-
-
-AT_TOP = ("TrainConfig", "AlarmConfig", "EventsConfig")
-NAMES = {"as-json": "json"}
-
-
-@dataclass(frozen=True)
-class Option:
-    """One option of a command."""
-
-    name: str
-    """As it is typed: --max-steps."""
-    kind: Any
-    """Its type."""
-
-
-def options_of(command: Callable[..., Any]) -> list[Option]:
-    """All, those of nested settings too."""
-    hints = typing.get_type_hints(command)
-    return [Option(f"--{NAMES.get(name, name)}", kind) for name, kind in _options(hints, "")]
-
-
-def _options(hints: dict[str, Any], group: str) -> Iterator[tuple[str, Any]]:
-    """Names as they are typed, and types; settings of a command stand at the top, but for those of ros2."""
-    for name, kind in hints.items():
-        kind, spelled = plain(kind), group + name.replace("_", "-")
-        if is_dataclass(kind):
-            inner = typing.get_type_hints(kind, include_extras=True)
-            # The settings of train hold an alarm, too, as a group.
-            at_top = kind.__name__ in AT_TOP and not group and "recipe" not in hints
-            held = {field.name: inner[field.name] for field in fields(kind)}
-            yield from _options(held, "" if at_top else f"{spelled}.")
-        elif name != "return":
-            yield spelled, kind
-
-
-def plain(kind: Any) -> Any:
-    """Without `| None` and annotations."""
-    if typing.get_origin(kind) is typing.Annotated:
-        return plain(typing.get_args(kind)[0])
-    if typing.get_origin(kind) in (typing.Union, types.UnionType):
-        rest = [one for one in typing.get_args(kind) if one is not type(None)]
-        return plain(rest[0])
-    return kind
-
-
-def hostile_words(option: Option, rng: np.random.Generator) -> list[str]:
-    """The option with a value that hurts, as it would be typed."""
-    kind = option.kind
-    if typing.get_origin(kind) is tuple:
-        one = plain(typing.get_args(kind)[0])
-        count = int(rng.choice([0, 1, 2, 3, 3, 200]))
-        return [option.name, *(hostile_value(one, rng) for _ in range(count))]
-    if kind is bool:
-        flag = option.name if rng.random() < 0.7 else option.name.replace("--", "--no-", 1)
-        return [flag] if rng.random() < 0.7 else [flag, str(rng.choice(WORDS))]
-    return [option.name, hostile_value(kind, rng)]
-
-
-def hostile_value(kind: Any, rng: np.random.Generator) -> str:
-    """Mostly of the right kind and a bad value; now and then of another kind."""
-    if typing.get_origin(kind) is Literal and rng.random() < 0.7:
-        return str(rng.choice([str(choice) for choice in typing.get_args(kind)]))
-    own = {float: FLOATS, int: INTEGERS, Path: PLACES}.get(kind, WORDS)
-    chosen = own if rng.random() < 0.85 else (FLOATS, INTEGERS, WORDS, PLACES)[int(rng.integers(4))]
-    return str(chosen[int(rng.integers(len(chosen)))])
-
-
-COMMANDS = {
-    "simulate": cli.simulate,
-    "check": cli.check,
-    "train": cli.train,
-    "calibrate": cli.calibrate,
-    "refit": cli.refit,
-    "evaluate": cli.evaluate,
-    "report": cli.report,
-    "run": cli.run,
-    "monitor": cli.monitor,
-    "load": cli.load,
-    "show": cli.show,
-    "convert": cli.convert,
-    "import": cli.import_data,
-    "label": cli.label,
-    "fleet run": fleet.run,
-    "fleet prior": fleet.prior,
-    "fleet example": fleet.example,
-    "reproduce": cli.reproduce,
-    "demo": cli.demo,
-}
-OPTIONS = {name: options_of(command) for name, command in COMMANDS.items()}
+VERBS = [[name] for name in COMMANDS if name != "fleet"] + [["fleet", name] for name in FLEET_COMMANDS]
+OPTIONS = {" ".join(verb): options_of(command_of(verb)[1]) for verb in VERBS}
+KEYS = keys_of(TrainConfig)
 # What works and is soon done; {} takes a file where a reader is tried.
 SIMULATE = "simulate --out out/data --minutes 1 --collision-recordings 0"
 TRAIN = "train --data data --out out/a.tauext --recipe observer"
@@ -263,7 +169,7 @@ class Case:
     """What is run, and why it is hostile."""
 
     kind: str
-    """options, output, or the reader."""
+    """settings, options, output, or the reader."""
     arguments: list[str]
     what: str
     largest_file: int | None = None
@@ -296,7 +202,9 @@ def make_case(seed: int, number: int, folder: Path, only: str = "") -> Case:
     rng = np.random.default_rng([seed, number])
     share = rng.random()
     if only:
-        share = {"options": 0.0, "output": 0.4}.get(only, 0.9)
+        share = {"settings": 0.0, "options": 0.1, "output": 0.4}.get(only, 0.9)
+    if share < 0.05:
+        return of_settings(rng)
     if share < 0.35:
         return of_options(rng)
     if share < 0.45:
@@ -314,6 +222,16 @@ def of_options(rng: np.random.Generator) -> Case:
         arguments = without(arguments, option.name) + words
         told.append(" ".join(words)[:80])
     return Case("options", arguments, " ".join(told))
+
+
+def of_settings(rng: np.random.Generator) -> Case:
+    """A file of settings with one hostile value, as it stands or as text."""
+    name, kind = KEYS[int(rng.integers(len(KEYS)))]
+    value = hostile_value(kind, rng)
+    line = f"{name} = {value if rng.random() < 0.7 else json.dumps(value)}\n"
+    Path("study.toml").write_text(line, errors="surrogateescape")
+    command = str(rng.choice([TRAIN, CALIBRATE]))
+    return Case("settings", [*command.split(), "--config", "study.toml"], line[:80])
 
 
 def drawn(choices: tuple[str, ...], rng: np.random.Generator) -> str:

@@ -1,13 +1,18 @@
-"""The command line: one verb a stage. Heavy imports stand inside each command, so that `--help` answers at once."""
+"""The command line: one verb a stage. The module of a command is imported when the command is called."""
 
 from __future__ import annotations
 
 import _thread
+import difflib
+import functools
+import importlib
 import os
 import sys
+import textwrap
 import warnings
-from contextlib import suppress
-from io import TextIOWrapper
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import redirect_stderr, suppress
+from io import StringIO, TextIOWrapper
 from typing import Any
 
 # The fits solve many small systems: more threads of the linear algebra only wait for each other. NumPy reads it once.
@@ -15,50 +20,75 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Nothing is drawn by MuJoCo here. Its import would look for a window system in a process of its own, and lose a Ctrl-C.
 os.environ.setdefault("MUJOCO_GL", "disable")
 
-import tyro
+from tauext.errors import ConfigError, FaultyDataError, TauextError
 
-from tauext.cli.calibrate import calibrate
-from tauext.cli.check import check
-from tauext.cli.convert import convert
-from tauext.cli.demo import demo
-from tauext.cli.evaluate import evaluate
-from tauext.cli.fleet import HELP as FLEET_HELP
-from tauext.cli.fleet import fleet_app
-from tauext.cli.import_data import import_data
-from tauext.cli.label import label
-from tauext.cli.load import load
-from tauext.cli.monitor import monitor
-from tauext.cli.parsing import deferred, understood
-from tauext.cli.place_argument import RULE
-from tauext.cli.purposes import arranged_help
-from tauext.cli.refit import refit
-from tauext.cli.report import report
-from tauext.cli.reproduce import reproduce
-from tauext.cli.run import run
-from tauext.cli.show import show
-from tauext.cli.simulate import simulate
-from tauext.cli.train import train
-from tauext.errors import FaultyDataError, TauextError
-
+RULE = (
+    "What stands at --out already: bundles, results, reports and findings are replaced when the new ones are whole, "
+    "and a line on stderr says so at the start; datasets and descriptions are refused; flights and recordings get "
+    "another name."
+)
 KILLED = (
     "Whatever ends a process (Ctrl-C, kill -9, a power cut) leaves whole files, and costs at most the last 30 s of "
     "simulated, trained, calibrated or evaluated motion: the same command goes on there. What is fitted in between "
     "(a prior, the gate) is done again; so is an import, a check and a report."
 )
-DESCRIPTION = (
-    "External joint torque and collision detection for robot arms, from encoders and motor torque alone. "
-    "simulate (or import: your own recordings) -> train -> evaluate -> report; reproduce does all four. "
-    "check: what recordings and robot file have wrong, before anyone trains. "
-    "train -> run: the monitor on recordings; monitor: on a live arm. calibrate: other limits for a trained bundle. "
-    "label: contact and collision in a LeRobot dataset. "
-    "load: what the arm carries, or torque constants by a known weight. "
-    "refit: its friction brought up to date by a minute of today's motion. "
-    "fleet: all of this for many arms, on many cores, and what arms of one type tell the next one (train --like). "
-    "demo: push a simulated arm in the browser. convert: a bundle of an older format. "
-    "Where a path may stand, a URL of an object store may: s3://, gs://, abfs://. "
-    "--version: of package, core, its compiler and bundles. "
-    f"{RULE} {KILLED}"
-)
+GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "Recordings": {
+        "import": ("recordings.import_data", "recordings of a real arm become a dataset; --new writes arm.toml"),
+        "simulate": ("recordings.simulate", "a dataset of the paper's two-axis rig"),
+        "check": ("recordings.check", "find wrong units, signs, order and timing before anyone trains"),
+        "label": ("recordings.label", "add contact and collision to a LeRobot dataset"),
+    },
+    "Bundles": {
+        "train": ("train.train", "a bundle from a dataset's free motion"),
+        "calibrate": ("train.calibrate", "other limits for a trained bundle"),
+        "refit": ("train.refit", "bring a bundle's friction up to date with a minute of today's motion"),
+        "show": ("show.show", "print what is in a bundle, a recording or a fleet prior"),
+    },
+    "Monitor": {
+        "run": ("run.run", "monitor recordings"),
+        "monitor": ("monitor.monitor", "monitor a live arm"),
+        "load": ("load.load", "mass and centre of mass of a payload; torque constants from a known weight"),
+        "demo": ("demo.demo", "push a simulated arm in the browser"),
+    },
+    "Results": {
+        "evaluate": ("results.evaluate", "errors, false alarms and delays of bundles on a dataset"),
+        "report": ("results.report", "an HTML page of results, or of one flight"),
+        "reproduce": ("reproduce.reproduce", "simulate, train, evaluate and report: the paper's experiment"),
+    },
+    "Many arms": {
+        "fleet": ("fleet", "run: all stages of every arm; prior, report, example"),
+    },
+    "Older files": {
+        "convert": ("convert.convert", "a bundle of an older format"),
+    },
+}
+"""Commands: module and function in this package, and a line of help."""
+COMMANDS = {name: row for group in GROUPS.values() for name, row in group.items()}
+FLEET = {
+    "run": "import, check, train, calibrate and evaluate every arm",
+    "example": "print a FLEET.toml to begin with",
+    "prior": "learn from arms of one type what the next one can start with",
+    "report": "one page of all arms",
+}
+"""Functions of the module fleet, and a line of help."""
+DESCRIPTION = f"""\
+External joint torque and collision detection for robot arms, from encoders and motor torque alone.
+
+import (or simulate) -> train -> run or monitor; evaluate -> report.
+Where a path may stand, a URL of an object store may: s3://, gs://, abfs://.
+
+{textwrap.fill(RULE, 100)}
+
+{textwrap.fill(KILLED, 100)}"""
+HELP_CONFIG = """\
+# Settings for `tauext train --config FILE.toml`: help, default and type of every key. A key without a default follows
+# from the recipe or the recordings. `tauext calibrate --config` takes the table [alarm].
+"""
+PARSER_INDENT = 8
+"""The parser's box indents the help of an option by so many blanks, and the option by fewer."""
+LEFT_OUT = ("Argument helptext", "For full helptext")
+"""Sections of the parser's box that a line has no room for: the line names the help instead."""
 
 
 LONGEST_ERROR = 1500
@@ -83,33 +113,101 @@ def version_text() -> str:
     return f"tauext {version('tauext')}, core {VERSION} by {compiler} with {_core.simd_in_use()}, {formats}"
 
 
+def command_of(argv: Sequence[str]) -> tuple[str, Callable[..., Any]]:
+    """The command that the arguments name, as it is typed, and its function, whose module is imported now.
+
+    Raises:
+        ConfigError: there is no such command.
+    """
+    name = named(argv[:1], COMMANDS, "tauext")
+    module, _, function = COMMANDS[name][0].partition(".")
+    if name == "fleet":
+        function = named(argv[1:2], FLEET, "tauext fleet")
+        name = f"fleet {function}"
+    return f"tauext {name}", getattr(importlib.import_module(f"tauext.cli.{module}"), function)
+
+
+def named(words: Sequence[str], commands: Collection[str], prog: str) -> str:
+    """The word, if it is one of these commands."""
+    for word in words:
+        if word in commands:
+            return word
+        near = difflib.get_close_matches(word, commands, 1)
+        meant = f"; did you mean '{near[0]}'?" if near else ""
+        raise ConfigError(f"there is no command '{word}'{meant}; see `{prog} --help`")
+    raise ConfigError(f"a command is missing: {', '.join(commands)}; see `{prog} --help`")
+
+
+def overview(argv: Sequence[str]) -> str | None:
+    """The help of all commands, or of those of fleet, where the arguments ask for one; that of --config."""
+    help_asked = ("-h", "--help")
+    if argv[:1] and argv[0] in help_asked:
+        lists = {title: listed({name: row[1] for name, row in group.items()}) for title, group in GROUPS.items()}
+        groups = "\n\n".join(f"{title}:\n{commands}" for title, commands in lists.items())
+        return (
+            f"usage: tauext COMMAND [OPTIONS]\n\n{DESCRIPTION}\n\n{groups}\n\n"
+            "`tauext COMMAND --help` lists the options of a command; `tauext --version` prints the versions of\n"
+            "package, core and bundles."
+        )
+    if argv[:1] == ["fleet"] and argv[1:2] and argv[1] in help_asked:
+        return f"usage: tauext fleet COMMAND [OPTIONS]\n\nMany arms on many cores.\n\n{listed(FLEET)}"
+    if argv[:1] == ["train"] and "--help-config" in argv:
+        from tauext.config import TrainConfig
+        from tauext.files.toml_file import settings_text
+
+        return f"{HELP_CONFIG}\n{settings_text(TrainConfig)}"
+    return None
+
+
+def listed(commands: Mapping[str, str]) -> str:
+    return "\n".join(f"  {name:<11}{words}" for name, words in commands.items())
+
+
+def understood(command: Callable[..., Any], prog: str, arguments: Sequence[str]) -> Callable[[], Any]:
+    """The call that the arguments ask for; `--help` prints and exits here.
+
+    Raises:
+        ConfigError: they cannot be understood.
+    """
+    import tyro
+
+    markers = (tyro.conf.DisallowNone, tyro.conf.FlagCreatePairsOff)  # no {None} and no --no-json in the help
+
+    @functools.wraps(command)
+    def later(*values: Any, **named: Any) -> Callable[[], Any]:
+        return functools.partial(command, *values, **named)
+
+    printed = StringIO()
+    try:
+        with redirect_stderr(printed):
+            call: Callable[[], Any] = tyro.cli(later, prog=prog, args=list(arguments), config=markers)
+    except SystemExit as stop:
+        if not stop.code:
+            raise
+        raise ConfigError(f"{in_one_line(printed.getvalue())}; see `{prog} --help`") from None
+    sys.stderr.write(printed.getvalue())
+    return call
+
+
+def in_one_line(box: str) -> str:
+    """The content of a box of the parser, without its frame, help texts and advice."""
+    sections: list[list[str]] = [[]]
+    for line in box.splitlines():
+        inside = line.strip("│|")
+        if not inside.strip(" ─-") or line.startswith(("╭", "╰", "+")):
+            sections.append([])
+        elif len(inside) - len(inside.lstrip()) < PARSER_INDENT:
+            sections[-1].append(inside.strip())
+    told = [" ".join(section) for section in sections if section and not section[0].startswith(LEFT_OUT)]
+    return "; ".join(told) or "the options cannot be understood"
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit status.
 
     0 done, 1 a fault (check) or a failed arm (fleet), 2 bad input (one line on stderr), 130 interrupted, 141 no reader.
     """
     argv = sys.argv[1:] if argv is None else argv
-    app = tyro.extras.SubcommandApp()
-    for command in (
-        reproduce,
-        simulate,
-        check,
-        train,
-        calibrate,
-        refit,
-        evaluate,
-        report,
-        run,
-        monitor,
-        label,
-        load,
-        show,
-        demo,
-        convert,
-    ):
-        app.command(deferred(command))
-    app.command(name="import")(deferred(import_data))
-    app.command(fleet_app(), name="fleet", help=FLEET_HELP)
     # What overflows is found by whoever checks the number; the interpreter's own words about it are none of ours.
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     sys.unraisablehook = not_swallowed
@@ -124,11 +222,12 @@ def main(argv: list[str] | None = None) -> int:
         if argv == ["--version"]:
             print(version_text())
             return 0
-        if (told := arranged_help(app, "tauext", argv)) is not None:
-            print(told)
+        if (text := overview(argv)) is not None:
+            print(text)
             flush()
             return 0
-        status = understood(app, "tauext", DESCRIPTION, spelled_out(argv))()
+        prog, command = command_of(argv)
+        status = understood(command, prog, spelled_out(argv[len(prog.split()) - 1 :]))()
         flush()
     except FaultyDataError as error:
         tell(f"tauext: error: {error}")  # a block: what is found in data, and how to mend it

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 
-from tauext.cli.parsing import deferred
-from tauext.cli.place_argument import PlaceArg
-from tauext.config import FleetConfig, require, require_threads
-from tauext.errors import ConfigError
+from tauext.cli.place_argument import AcceptArg, PlaceArg, tell_replaced
+from tauext.cli.progress import Terminal
+from tauext.config import FleetConfig, TrainConfig, require_threads
+from tauext.errors import ConfigError, TauextError
 from tauext.files.copies import local_folder, staged
 from tauext.files.places import place_of
+from tauext.files.room import expect_folder
+from tauext.files.toml_file import write_template
+from tauext.progress import Reporter
 
 # --- `tauext fleet prior`: what arms of one type know that the next one does not.
 
@@ -22,7 +25,7 @@ def prior(
     arms: tyro.conf.Positional[tuple[str, ...]],
     out: PlaceArg,
     threads: int = 0,
-    accept: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")] = (),
+    accept: AcceptArg = (),
 ) -> None:
     """Learn from arms of one type what the next one can start with: `tauext train --like` takes it, and a minute.
 
@@ -37,9 +40,6 @@ def prior(
         accept: codes of findings that are no fault on your word, at all joints or at one.
     """
     require_threads(threads)
-    from tauext.cli.place_argument import tell_replaced
-    from tauext.cli.progress import Terminal
-    from tauext.config import TrainConfig
     from tauext.fleet.prior import make_fleet_prior, table
     from tauext.fleet.prior_arms import fleet_arms
 
@@ -54,15 +54,14 @@ def prior(
 # --- `tauext fleet report`: one page of all arms, and beside it each arm's own.
 
 
-if TYPE_CHECKING:
-    from tauext.progress import Reporter
+ARM_PAGE_MB = 2.0
+"""Largest size of an arm's own page; traces fill it."""
 
 
 def report(
     fleets: tyro.conf.Positional[tuple[PlaceArg, ...]],
     out: PlaceArg,
     arm_pages: bool = True,
-    arm_page_mb: float = 2.0,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> None:
     """Draw one page of all arms: friction, ripple, limits, errors and promises, and which arm or joint stands out.
@@ -75,14 +74,10 @@ def report(
         fleets: folders that `tauext fleet run` made, one or several: monday tuesday.
         out: folder to write: fleet.html, fleet-report.json with all numbers, arms/RUN/NAME/report.html of each arm.
         arm_pages: write each arm's own page, at its last date, where its results and recordings are there.
-        arm_page_mb: largest size of an arm's own page, [MB]; traces fill it.
         as_json: print the content of fleet-report.json.
     """
-    require(0 <= arm_page_mb <= 1000, "arm_page_mb", arm_page_mb, "0 to 1000")
     if not fleets:
         raise ConfigError("there is no fleet to report: give one folder or more that `tauext fleet run` made")
-    from tauext.cli.progress import Terminal
-    from tauext.files.room import expect_folder
     from tauext.fleet.page import write_fleet_page
     from tauext.fleet.report import make_fleet_report
 
@@ -91,7 +86,7 @@ def report(
     with staged(out) as folder:
         content = make_fleet_report(fleets, folder, terminal)
         if arm_pages:
-            write_arm_pages(content, folder, arm_page_mb, terminal)
+            write_arm_pages(content, folder, terminal)
         page = out / write_fleet_page(content, folder).name
     if as_json:
         print(json.dumps(content, indent=1, allow_nan=False))
@@ -101,9 +96,8 @@ def report(
     print(page)
 
 
-def write_arm_pages(content: dict[str, Any], out: Path, page_mb: float, reporter: Reporter) -> None:
+def write_arm_pages(content: dict[str, Any], out: Path, reporter: Reporter) -> None:
     """Of every arm at its last date; one that cannot be drawn is told, and the others are."""
-    from tauext.errors import TauextError
     from tauext.fleet.page import arm_folder, is_newer
     from tauext.report.page import write_report
 
@@ -114,7 +108,7 @@ def write_arm_pages(content: dict[str, Any], out: Path, page_mb: float, reporter
             results, dataset = (place_of(places[key]) for key in ("results", "dataset"))
             if not is_newer(folder / "report.html", results):
                 try:
-                    write_report(local_folder(results), dataset, folder, page_mb)
+                    write_report(local_folder(results), dataset, folder, ARM_PAGE_MB)
                 except TauextError as error:
                     reporter.say(f"{visit['name']}: its own page cannot be drawn: {error}")
             show(done + 1, len(drawn), visit["name"])
@@ -191,18 +185,5 @@ def example(out: Path | None = None) -> None:
     if out is None:
         print(EXAMPLE, end="")
         return
-    from tauext.files.toml_file import write_template
-
     write_template(out, EXAMPLE)
     print(out)
-
-
-HELP = "Many arms: all stages of every arm, on many cores; what they tell of the next one, and of each other."
-
-
-def fleet_app() -> tyro.extras.SubcommandApp:
-    """`tauext fleet VERB`."""
-    app = tyro.extras.SubcommandApp()
-    for command in (run, example, prior, report):
-        app.command(deferred(command))
-    return app

@@ -7,8 +7,9 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
+from tauext.cli.progress import aligned
 from tauext.fleet.book import Book, PlannedArm, stage_counts
 from tauext.fleet.fleet_file import STAGES
 from tauext.fleet.run import FleetEnd
@@ -22,25 +23,7 @@ READING_EVERY_S = 5.0
 STATES = ("done", "refused", "failed", "skipped", "waiting")
 
 
-class Output(Protocol):
-    """A watcher that is a context and tells the end."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(self, *error: object) -> None: ...
-
-    def reading(self, done: int, of: int) -> None: ...
-
-    def started(self, plan: Sequence[PlannedArm]) -> None: ...
-
-    def begun(self, task: Task) -> None: ...
-
-    def ended(self, ended: Ended) -> None: ...
-
-    def finish(self, end: FleetEnd) -> None: ...
-
-
-def open_watcher(as_json: bool) -> Output:
+def open_watcher(as_json: bool) -> JsonLines | TextLines:
     """JSON lines where asked for, a table that is redrawn on a terminal, else a line a task."""
     if as_json:
         return JsonLines()
@@ -252,11 +235,3 @@ def stage_table(book: Book) -> list[str]:
     return aligned(
         [["stage", *shown], *([stage, *(str(counts[state]) for state in shown)] for stage, counts in found.items())]
     )
-
-
-def aligned(rows: list[list[str]]) -> list[str]:
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return [
-        "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))])
-        for row in rows
-    ]

@@ -12,13 +12,12 @@ from tauext.config import require
 from tauext.errors import ConfigError
 from tauext.files.places import Place
 
-# --- `tauext load --known-kg`: torque constants from a weight that is known.
-
-
 if TYPE_CHECKING:
     from tauext._core import Bundle
     from tauext.monitor.known_load import KnownWeight
-    from tauext.monitor.weighing import NamedFrame, Seen
+    from tauext.monitor.weighing import LoadEstimate, NamedFrame, Seen
+
+# --- `tauext load --known-kg`: torque constants from a weight that is known.
 
 
 def set_constants(
@@ -37,9 +36,10 @@ def set_constants(
     Raises:
         ConfigError: the weight does not tell, or the new bundle cannot be written.
     """
-    from tauext.monitor.known_load import weigh_constants
+    from tauext.monitor.known_load import scaled_bundle, weigh_constants, with_provenance
 
-    check_out(path, out)
+    if out is not None:  # refused before anything is computed
+        expect_another(out, path, "correct")
     known = weigh_constants(bundle, where, parts, mass_kg, com_m, reach_m)
     constants = known.constants(bundle)
     joints = [link.joint_name for link in bundle.links]
@@ -49,24 +49,11 @@ def set_constants(
         for line in known_sentences(known, joints, mass_kg, constants):
             print(line)
     if out is not None:
-        write(bundle, path, known, mass_kg, [part.recording.name for part in parts], out)
+        new = scaled_bundle(bundle, known.common)
+        with_provenance(new, known, mass_kg, [part.recording.name for part in parts])
+        write_another(new, path, out)
         if not as_json:
             print(out)
-
-
-def check_out(path: Place, out: Place | None) -> None:
-    """Raise ConfigError where the new bundle cannot be written, before anything is computed."""
-    if out is not None:
-        expect_another(out, path, "correct")
-
-
-def write(bundle: Bundle, path: Place, known: KnownWeight, mass_kg: float, recordings: list[str], out: Place) -> None:
-    """The bundle with its constants times the common factor; its run file is copied along, where there is one."""
-    from tauext.monitor.known_load import scaled_bundle, with_provenance
-
-    new = scaled_bundle(bundle, known.common)
-    with_provenance(new, known, mass_kg, recordings)
-    write_another(new, path, out)
 
 
 def known_sentences(known: KnownWeight, joints: list[str], mass_kg: float, constants: list[float]) -> list[str]:
@@ -114,11 +101,6 @@ def known_facts(known: KnownWeight, joints: list[str], constants: list[float]) -
 
 
 # --- The command.
-
-
-if TYPE_CHECKING:
-    from tauext._core import Bundle
-    from tauext.monitor.weighing import LoadEstimate, NamedFrame, Seen
 
 
 def load(

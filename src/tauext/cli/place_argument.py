@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
 from tauext.errors import ConfigError
@@ -45,15 +46,11 @@ LocalArg = Annotated[Path, LOCAL]
 """Of this machine alone."""
 
 
+AcceptArg = Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")]
+"""Codes of findings that are accepted."""
+
+
 # --- The one rule for outputs that stand already: results are replaced, and a line says so before the work begins.
-
-
-RULE = (
-    "What stands at --out already: bundles, results, reports and findings are replaced when the new ones are whole, "
-    "and a line on stderr says so at the start; datasets and descriptions are refused; flights and recordings get "
-    "another name."
-)
-"""As the help says it."""
 
 
 def tell_replaced(*outputs: Place) -> None:

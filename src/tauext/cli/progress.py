@@ -1,18 +1,15 @@
-"""Sentences and progress bars of a stage on a terminal: on stderr, so that stdout stays clean."""
+"""What commands print: sentences and progress bars on stderr, so that stdout stays clean; tables."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
 
 from tauext.progress import Show
-
-# --- A progress bar on a terminal, plain lines elsewhere; always on stderr, so that stdout stays clean.
-
 
 PLAIN_LINE_EVERY_S = 10.0
 
@@ -62,9 +59,6 @@ class ProgressBar:
             self._bar.stop()
 
 
-# --- What a stage tells, on a terminal: sentences and a progress bar, all on stderr, so that stdout stays clean.
-
-
 class Terminal:
     """Prints a line a sentence, and draws a bar for whatever takes long (see tauext.progress.Reporter)."""
 
@@ -75,3 +69,12 @@ class Terminal:
     def progress(self, title: str) -> Iterator[Show]:
         with ProgressBar(title) as bar:
             yield bar.update
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """A line a row; the first column is aligned on its left, all others on their right."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return [
+        "  ".join([row[0].ljust(widths[0]), *(one.rjust(w) for one, w in zip(row[1:], widths[1:], strict=True))])
+        for row in rows
+    ]

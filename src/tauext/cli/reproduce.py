@@ -1,12 +1,128 @@
-"""`tauext reproduce`: the paper from beginning to end."""
+"""`tauext reproduce`: the paper's experiment in its five steps, at three scales."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
-from tauext.cli.place_argument import PlaceArg
-from tauext.config import CaseName, require_seed
+from tauext.cli.place_argument import PlaceArg, tell_replaced
+from tauext.cli.progress import Terminal
+from tauext.cli.results import command_line
+from tauext.config import PAPER_CASES, CaseName, ModelCase, TrainConfig, require_seed
 from tauext.files.copies import staged
+from tauext.files.room import expect_folder
+from tauext.progress import SILENT, Reporter
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Bundles beside those of every case: what the same data gives by another recipe; named CASE-RECIPE."""
+
+    training: TrainConfig
+    cases: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How much data and how many steps: never a time limit, so the result is the same on a slow machine."""
+
+    minutes: float
+    """Free motion in all."""
+    collision_recordings: int
+    """Recordings with about ten collisions each."""
+    training: TrainConfig
+    """How every model case is trained."""
+    beside: Beside | None = None
+
+
+SCALES = {
+    "smoke": Scale(
+        minutes=2.0, collision_recordings=1, training=TrainConfig(recipe="paper", epochs=1, batch=64, max_steps=20)
+    ),
+    "quick": Scale(
+        minutes=45.0,
+        collision_recordings=20,
+        training=TrainConfig(recipe="dense", max_steps=10_000),
+        # Minutes of motion are all that it needs, and its fit takes as long as what it is fitted to.
+        beside=Beside(TrainConfig(minutes=10.0, max_steps=3000), ("exact",)),
+    ),
+    "full": Scale(
+        minutes=90.0,
+        collision_recordings=20,
+        training=TrainConfig(recipe="dense"),
+        beside=Beside(TrainConfig(recipe="paper"), tuple(PAPER_CASES)),
+    ),
+}
+
+
+def trainings(scale: Scale, cases: Sequence[str], seed: int) -> dict[str, tuple[ModelCase, TrainConfig]]:
+    """What is trained, by the names of the bundles: every case, then those by another recipe, one after the other."""
+    jobs = {case: (PAPER_CASES[case], replace(scale.training, seed=seed)) for case in cases}
+    if scale.beside is not None:
+        other = replace(scale.beside.training, seed=seed)
+        chosen = [case for case in scale.beside.cases if case in cases]
+        jobs |= {f"{case}-{other.recipe}": (PAPER_CASES[case], other) for case in chosen}
+    return jobs
+
+
+def reproduce_paper(
+    out: Path,
+    scale_name: str,
+    scale: Scale,
+    cases: Sequence[str],
+    seed: int,
+    command: str,
+    report: Reporter = SILENT,
+) -> Path:
+    """Simulate, train, evaluate, report; returns the report. What is done with these settings is not repeated.
+
+    Args:
+        command: what is run, for the report.
+        report: is told how far it is.
+    """
+    from tauext.data.dataset import load_dataset
+    from tauext.evaluate.results_folder import evaluate_bundles
+    from tauext.report.page import write_report
+    from tauext.robot.model_case import estimated_model
+    from tauext.sim.collect import simulate_dataset
+    from tauext.sim.config import RigConfig
+    from tauext.train.look import look_first
+    from tauext.train.preparation import finished
+    from tauext.train.stage import train_on_recordings
+
+    data = out / "data"
+    with report.progress("simulate") as show:
+        simulate_dataset(
+            data,
+            RigConfig(),
+            seed,
+            scale.minutes,
+            scale.collision_recordings,
+            lambda what, done, total: show(done, total, what),
+        )
+    dataset = load_dataset(data)
+    jobs = trainings(scale, cases, seed)
+    bundles = {name: out / "bundles" / f"{name}.tauext" for name in jobs}
+    missing = [name for name, (case, config) in jobs.items() if not finished(bundles[name], case, config)]
+    if missing:
+        robot = dataset.robot_file(None)
+        training, validation = dataset.recordings("train"), dataset.recordings("validation")
+        # One look for all: with a model it holds all that one without a model would.
+        case, config = max((jobs[name] for name in missing), key=lambda job: not job[0].no_model)
+        looked = look_first(dataset, robot, case, training, validation, config, (), report)
+        for name in missing:
+            case, config = jobs[name]
+            tree = estimated_model(robot, training[0].joints, case)
+            train_on_recordings(
+                tree, robot, case, training, validation, config, bundles[name], report=report, looked=looked
+            )
+    evaluate_bundles(dataset, bundles, out / "results", seed, 0, command, scale_name, report=report)
+    return write_report(out / "results", data, out / "report")
+
+
+# --- The command.
 
 
 def reproduce(
@@ -29,12 +145,6 @@ def reproduce(
         cases: model cases to train.
         seed: seed of everything that is drawn.
     """
-    from tauext.cli.evaluate import command_line
-    from tauext.cli.experiment import SCALES, reproduce_paper
-    from tauext.cli.place_argument import tell_replaced
-    from tauext.cli.progress import Terminal
-    from tauext.files.room import expect_folder
-
     require_seed(seed)
     expect_folder(out)
     tell_replaced(out / "results" / "results.json", out / "report" / "report.html")

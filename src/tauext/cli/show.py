@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
@@ -13,145 +13,33 @@ from tauext.cli.place_argument import PlaceArg
 from tauext.errors import BundleError, ConfigError
 from tauext.files.places import Place
 
-# --- `tauext show` of a fleet prior: its arms in a table, and what the next arm would be told.
-
-
 if TYPE_CHECKING:
+    from tauext._core import Bundle, LoadSettings, ObserverSettings
     from tauext.fit.fleet_prior import FleetDays, FleetErrors, FleetPrior
 
-Told = dict[str, Any]
-
-
-def describe_fleet_prior(file: Place) -> Told:
-    """Plain content of a fleet prior's file; `table` is what `tauext fleet prior` prints at its end.
-
-    Raises:
-        ConfigError: it is none, or what it says of its arms is damaged.
-    """
-    from tauext.fit.fleet_prior import load_fleet_prior
-
-    prior = load_fleet_prior(file)
-    try:
-        return described(file, prior)
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, ZeroDivisionError) as error:
-        why = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ConfigError(
-            f"{file}: what it says of its arms is damaged ({why}); `tauext fleet prior` makes one"
-        ) from error
-
-
-def described(file: Place, prior: FleetPrior) -> Told:
-    """The same of what was read; KeyError, TypeError or ValueError of whatever is missing."""
-    from tauext.fleet.prior import ODD, table
-
-    facts, kind = prior.facts, prior.type
-    odd = {one["name"]: parts for one in facts["arms"] if (parts := odd_parts(one["trust"], ODD))}
-    per_joint = list(kind.joints)
-    content: Told = {
-        "fleet prior": file.name,
-        "table": table(dict(facts)).splitlines(),
-        "arms": len(facts["arms"]),
-        "minutes": round(sum(float(one["minutes"]) for one in facts["arms"]), 3),
-        "not like the others": odd or "none",
-        "left out": dict(facts["left_out"]) or "none",
-        "joints": per_joint,
-        "model case": kind.case,
-        "sample rate [Hz]": kind.rate_hz,
-        "torque is": kind.torque_timing,
-        "takes tau in": dict(zip(per_joint, (unit.replace("newton_metre", "N m") for unit in kind.units), strict=True)),
-        "gain [1/s]": prior.gain_per_s,
-        "presliding widths [mrad]": [1e3 * width for width in prior.widths_rad],
-        **{f"terms of {joint}": words(group) for joint, group in zip(per_joint, prior.own, strict=True)},
-        "usual error [Nm]": dict(zip(per_joint, prior.weights.error_nm.tolist(), strict=True)),
-        "errors last for [s]": dict(zip(per_joint, prior.weights.memory_s.tolist(), strict=True)),
-        "a row of the next arm counts": prior.weights.trust,
-        "error after a minute, by that with all": dict(facts["after_a_minute"]),
-        **describe_errors(prior.errors, per_joint),
-        **describe_days(prior.days, per_joint),
-    }
-    content["made by"] = {key: facts.get(key) for key in ("command", "version", "seed", "machine")}
-    content["made from"] = {name: str(data) for name, data in facts["settings"]["data"].items()}
-    content["sha256"] = prior.sha256
-    return content
-
-
-def odd_parts(trust: Mapping[str, float], least: float) -> list[str]:
-    """Joints, or the links, that count for less."""
-    return [name for name, share in trust.items() if share < least]
-
-
-def words(group: Any) -> str:
-    """How many of a joint's terms are of which kind."""
-    kinds = [term.kind.name for term in group]
-    return ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
-
-
-def describe_days(days: FleetDays | None, joints: list[str]) -> Told:
-    """What `refit --like` goes by."""
-    name = "friction of one arm differs from recording to recording by"
-    if days is None:
-        return {name: "nobody knows: fewer than three arms have two recordings in which all joints moved"}
-    shares = [f"{math.sqrt(days.covariance[j, j]):.1%}" for j in range(len(joints))]
-    return {name: dict(zip(joints, shares, strict=True)), "which is of": f"{days.recordings} of {days.arms} arms"}
-
-
-def describe_errors(errors: FleetErrors | None, joints: list[str]) -> Told:
-    """What the next arm's limits rest on."""
-    if errors is None:
-        return {"limits of the next arm": "follow from its own minute: no three arms showed more than a minute"}
-    of_arms = (
-        f"{errors.hours:.3g} h of {errors.arms} arms, each taken for a new one with {errors.minutes:g} min of its own"
-    )
-    return {
-        "limits of the next arm": f"rest on the errors in {of_arms}",
-        "limits sliding [Nm]": dict(zip(joints, errors.sliding_limit_nm.tolist(), strict=True)),
-        "limits near stiction [Nm]": dict(zip(joints, errors.near_stiction_limit_nm.tolist(), strict=True)),
-        "raised for arms unlike each other by": errors.facts["arms_factor"],
-        "collision held for [s]": errors.hold_s,
-        "limits promise": errors.facts["sentence"],
-    }
-
-
-# --- What a bundle says of servos, in words.
-
-
-if TYPE_CHECKING:
-    from tauext._core import Bundle
-
-MADE_OF = {
-    "phase_current": "current of the windings",
-    "supply_current": "current of the supply, with the sign of the duty or of goal minus position",
-    "duty": "duty, less back-EMF",
-    "goal": "goal minus position by the gain of the servo's controller, less back-EMF",
+Content = dict[str, Any]
+"""By identifiers, for --json; units are in their names. Text has the same with blanks, and words beside it."""
+SHOWN = "a bundle (*.tauext), a recording (*.parquet) or a fleet prior (*.prior.json)"
+UNITS = {
+    "_nm": "Nm",
+    "_per_s": "1/s",
+    "_rad_s": "rad/s",
+    "_rad": "rad",
+    "_mrad": "mrad",
+    "_s": "s",
+    "_hz": "Hz",
+    "_kg_m2": "kg m2",
+    "_kg": "kg",
+    "_m": "m",
 }
-
-
-def describe_servo(bundle: Bundle, names: list[str]) -> dict:
-    """Empty where the joints are no servos', or report their torque and velocity."""
-    servo = bundle.servo
-    if not servo.on:
-        return {}
-    said: dict = {}
-    if (source := servo.torque_from.name) in MADE_OF:
-        said["torque is made of"] = MADE_OF[source]
-        said["servos"] = {
-            name: f"{joint.volts:g} V, {joint.ohm:g} ohm, {joint.back_emf_v_s:g} V s/rad, {joint.nm_per_ampere:g} Nm/A"
-            + (f", duty {joint.duty_per_rad:.3g} a rad, at most {joint.most_duty:g}" if joint.duty_per_rad else "")
-            for name, joint in zip(names, servo.joints, strict=True)
-        }
-    if servo.velocity_steps:
-        said["velocity is derived from the position"] = f"over {servo.velocity_steps} samples at most"
-        said["encoder counts [rad]"] = {name: joint.count_rad for name, joint in zip(names, servo.joints, strict=True)}
-    return said
+"""By the end of an identifier; the first that fits."""
+ESTIMATED = ("limits", "contact_limits", "drift")
+"""Beginnings of identifiers whose values have the unit of the estimate, which is not Nm for every bundle."""
+IN_WORDS = ("provenance", "situations", "table")
+"""Content that text shows otherwise."""
 
 
 # --- The command.
-
-
-if TYPE_CHECKING:
-    from tauext._core import Bundle, LoadSettings, ObserverSettings
-
-SHOWN = "a bundle (*.tauext), a recording (*.parquet) or a fleet prior (*.prior.json)"
 
 
 def show(
@@ -162,12 +50,12 @@ def show(
     frame: tuple[str, ...] = (),
     picture: PlaceArg | None = None,
 ) -> None:
-    """Say what is in a bundle (*.tauext), a recording (*.parquet) or a fleet prior (*.prior.json).
+    """Print what is in a bundle (*.tauext), a recording (*.parquet) or a fleet prior (*.prior.json).
 
     Args:
         file: bundle (*.tauext), recording (*.parquet) or fleet prior (*.prior.json) to show.
         as_json: print what is found as JSON for scripts.
-        force: say what force at each link's end goes over a bundle's limits, in newtons.
+        force: print what force at each link's end goes over a bundle's limits, in newtons.
         data: recordings (*.parquet) whose poses and limits --force takes; none: poses that the bundle keeps.
         frame: frames that --force tells, too.
         picture: PNG that --force draws.
@@ -184,175 +72,123 @@ def show(
     if file.suffix == ".tauext":
         try:
             content = describe_bundle(file)
+            text = [*lines(content), *aligned(words_of_provenance(content)), *situation_lines(content)]
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise BundleError(f"{file}: its provenance is damaged ({type(error).__name__}: {error})") from error
     elif file.suffix == ".parquet":
         content = describe_recording(file)
+        text = lines(content)
     elif file.name.endswith(".prior.json"):
         content = describe_fleet_prior(file)
+        text = [*content["table"], *lines(content)]
     else:
         raise ConfigError(f"{file}: its name must end as that of {SHOWN}")
-    if as_json:
-        print(json.dumps(content, indent=1))
-        return
-    from tauext.bundle.units import certainty
-
-    if "table" in content:
-        print("\n".join(content.pop("table")))
-    tabled = content.pop("situations", {})
-    width = max(map(len, content))
-    for key, value in content.items():
-        if isinstance(value, dict):
-            value = ", ".join(f"{k} {_text(v)}" for k, v in value.items())
-        print(f"{key:<{width}}  {_text(value)}")
-    for name, situation in tabled.items():
-        told = [f"{joint} {certainty(situation, joint, unit)}" for joint, unit in content["answers in"].items()]
-        print(f"{name:<{width}}  {'; '.join(told)}")
+    print(json.dumps(content, indent=1) if as_json else "\n".join(text))
 
 
-def describe_bundle(file: Place) -> dict:
-    """Plain content of a bundle; loading it also replays its reference."""
-    from tauext.bundle.bundle_file import changed_since_training, load_bundle
+def lines(content: Content) -> list[str]:
+    """A line an identifier, in words."""
     from tauext.bundle.units import of_all
+
+    units = UNITS | ({"_nm": of_all(content["answers_in"].values())} if "answers_in" in content else {})
+    return aligned(
+        {
+            label(key, units if key.startswith(ESTIMATED) else UNITS): in_text(value)
+            for key, value in content.items()
+            if key not in IN_WORDS
+        }
+    )
+
+
+def label(key: str, units: Mapping[str, str]) -> str:
+    """The identifier in words: `sample rate [Hz]`."""
+    end, unit = next(((end, unit) for end, unit in units.items() if key.endswith(end)), ("", ""))
+    words = key.removesuffix(end).replace("_", " ")
+    return f"{words} [{unit}]" if unit else words
+
+
+def in_text(value: object) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {in_text(one)}" for key, one in value.items()) or "none"
+    if isinstance(value, list):
+        return ", ".join(map(in_text, value)) or "none"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "none" if value is None else str(value)
+
+
+def aligned(words: Mapping[str, str]) -> list[str]:
+    width = max(map(len, words), default=0)
+    return [f"{key:<{width}}  {value}" for key, value in words.items()]
+
+
+# --- A bundle.
+
+
+def describe_bundle(file: Place) -> Content:
+    """Content of a bundle; loading it also replays its reference."""
+    from tauext.bundle.bundle_file import load_bundle
+    from tauext.bundle.units import left_out, situations
 
     bundle = load_bundle(file)
     names = [link.joint_name for link in bundle.links]
-    facts = json.loads(bundle.provenance or "{}")
-    facts = in_order(facts, names)  # provenance has its keys by the alphabet: joint10 before joint2
+    # Provenance has its keys by the alphabet: joint10 before joint2.
+    facts = in_order(json.loads(bundle.provenance or "{}"), names)
+    if not isinstance(facts, dict):
+        raise TypeError("it is no object")
+
+    def of_joints(values: Any) -> Content:
+        return dict(zip(names, values, strict=True))
+
     period_s = bundle.observer.sample_period_ns * 1e-9
-    network_period_s = period_s * bundle.observer.network_stride
-    usual = ", in usual motion" if bundle.error_scale.follows else ""
-    unit = of_all(bundle.estimate_units)  # of answers and limits; what is given may be another
-    content: dict[str, Any] = {
+    content: Content = {
         "bundle": bundle.name,
         "joints": names,
-        "model": {
-            "masses [kg]": [link.mass for link in bundle.links],
-            "rotor inertias [kg m2]": [link.rotor_inertia for link in bundle.links],
-        },
-        "takes tau in": dict(zip(names, bundle.torque_units, strict=True)),
-        "answers in": dict(zip(names, bundle.estimate_units, strict=True)),
+        "masses_kg": [link.mass for link in bundle.links],
+        "rotor_inertias_kg_m2": [link.rotor_inertia for link in bundle.links],
+        "takes_tau_in": of_joints(bundle.torque_units),
+        "answers_in": of_joints(bundle.estimate_units),
         "observer": describe_observer(bundle.observer),
-        "sample rate [Hz]": 1 / period_s,
-        "network": "none: the plain observer",
-        f"limits sliding{usual} [{unit}]": dict(zip(names, bundle.sliding_limit_nm, strict=True)),
-        f"limits near stiction{usual} [{unit}]": dict(zip(names, bundle.near_stiction_limit_nm, strict=True)),
-        "near stiction below [rad/s]": bundle.near_stiction_rad_s,
-        "collision held for [s]": bundle.hold_s,
-        f"contact limits sliding{usual} [{unit}]": dict(zip(names, bundle.contact_sliding_limit_nm, strict=True)),
-        f"contact limits near stiction{usual} [{unit}]": dict(
-            zip(names, bundle.contact_near_stiction_limit_nm, strict=True)
-        ),
-        "contact held for, released after [s]": [bundle.contact_hold_s, bundle.contact_release_s],
-        "largest torque in training [Nm]": dict(zip(names, bundle.largest_torque_nm, strict=True)),
-        "torque limits of the drives [Nm]": {
-            name: limit if math.isfinite(limit) else "not known"
-            for name, limit in zip(names, bundle.torque_limit_nm, strict=True)
-        },
-        "a fault beyond": {name: beyond(bundle, joint) for joint, name in enumerate(names)},
+        "sample_rate_hz": 1 / period_s,
+        "network": None,
+        "prior": None,
+        "limits_hold": "in usual motion; they follow the motion" if bundle.error_scale.follows else "always",
+        "limits_sliding_nm": of_joints(bundle.sliding_limit_nm),
+        "limits_near_stiction_nm": of_joints(bundle.near_stiction_limit_nm),
+        "contact_limits_sliding_nm": of_joints(bundle.contact_sliding_limit_nm),
+        "contact_limits_near_stiction_nm": of_joints(bundle.contact_near_stiction_limit_nm),
+        "near_stiction_below_rad_s": bundle.near_stiction_rad_s,
+        "collision_hold_s": bundle.hold_s,
+        "contact_hold_s": bundle.contact_hold_s,
+        "contact_release_s": bundle.contact_release_s,
+        "after_contact_factor": bundle.after_contact_factor,
+        "largest_torque_in_training_nm": of_joints(bundle.largest_torque_nm),
+        "drive_torque_limits_nm": of_joints(map(finite, bundle.torque_limit_nm)),
+        "a_fault_beyond": of_joints(beyond(bundle, joint) for joint in range(len(names))),
         "load": describe_load(bundle.load_settings),
-        **describe_left_out(bundle),
-        "shapes of links": describe_shapes(bundle, names),
+        "shapes_of_links": describe_shapes(bundle, names),
         "reference": "replayed, equal",
-        "made by": {key: facts.get(key) for key in ("command", "version", "seed", "recipe", "case", "steps", "batch")},
+        "provenance": facts,
     }
     if bundle.has_network:
-        content["network"] = {
-            "inputs": bundle.shape.inputs,
-            "hidden": bundle.shape.hidden,
-            "outputs": bundle.shape.outputs,
-            "parameters": bundle.shape.parameter_count,
-            "window": f"{bundle.window_steps} steps of {network_period_s * 1e3:g} ms",
-        }
-    content |= describe_servo(bundle, names)
-    if bundle.observer.nm_per_unit:
-        content["torque constants"] = dict(zip(names, bundle.observer.nm_per_unit, strict=True))
+        shape, stride = bundle.shape, bundle.observer.network_stride
+        content["network"] = {name: getattr(shape, name) for name in ("inputs", "hidden", "outputs")}
+        content["network"] |= {"parameters": shape.parameter_count, "window_steps": bundle.window_steps}
+        content["network"] |= {"step_s": round(period_s * stride, 9)}
     if bundle.prior.terms:
-        if not bundle.has_network:
-            content["network"] = "none: observer and prior"
-        content |= describe_prior(bundle, facts)
-    if bundle.drift.time_constant_s:
-        content["drift tracker"] = {
-            "time constant [s]": bundle.drift.time_constant_s,
-            "learns nothing over this share of a contact limit": bundle.drift.freeze_share,
-            "and so long afterwards [s]": bundle.drift.freeze_s,
-        }
-        if any(bundle.drift.freeze_floor_nm):
-            content[f"but never below this [{unit}]"] = dict(zip(names, bundle.drift.freeze_floor_nm, strict=True))
-        if bundle.drift.friction_share:
-            content["drift tracker"]["follows friction that is off at once by this share"] = bundle.drift.friction_share
-        content[f"drift of a coefficient at most [{unit}]"] = dict(zip(names, bundle.drift.size_nm, strict=True))
-        content[f"and a minute at most [{unit}]"] = {
-            name: min(1.0, 60 * bundle.drift.rate_share_per_s) * size
-            for name, size in zip(names, bundle.drift.size_nm, strict=True)
-        }
-    content |= describe_coverage(bundle)
-    for joint, reason in facts.get("gate", {}).items():
-        content[f"network of {joint}"] = reason
-    content |= changed_since_training(facts)
-    content |= describe_look(facts)
-    content |= describe_limits(bundle, facts)
-    if "reason" in facts.get("gain", {}):
-        content["gain was chosen"] = facts["gain"]["reason"]
-    limits = facts.get("limits", {})
-    for moment in limits.get("one_moment", []):
-        where = f"at {moment['time_s']:.1f} s of {moment['recording']}"
-        content[f"warning: one moment sets the limit of {moment['joint']}"] = (
-            f"{where}: {moment['limit_nm']:.3g} Nm {moment['region'].replace('_', ' ')}, "
-            f"without it {moment['without_nm']:.3g} Nm"
-        )
-    if "sentence" in limits:
-        content["limits promise"] = limits["sentence"]
-    if "other_motion" in limits:
-        content["in other motion"] = limits["other_motion"]["sentence"]
-    if "set_for" in limits:
-        content["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"
+        content["prior"] = {"terms": len(bundle.prior.terms), "presliding_widths_rad": list(bundle.prior.widths_rad)}
+    if bundle.prior.temperature.reference_c:
+        warm = bundle.prior.temperature
+        for name in ("coulomb_per_10k", "viscous_per_10k", "reference_c"):
+            content[f"temperature_{name}"] = of_joints(getattr(warm, name))
+    if bundle.observer.nm_per_unit:
+        content["torque_constants"] = of_joints(bundle.observer.nm_per_unit)
+    if (names_left := left_out(bundle).get("left_out", [])) and not bundle.too_few_in_newtons(""):
+        content["without_loads_and_forces"] = names_left
+    content |= describe_servo(bundle, names) | describe_drift(bundle, names) | describe_coverage(bundle, names)
+    if found := situations(bundle):
+        content["situations"] = found
     return content
-
-
-def describe_load(settings: LoadSettings) -> dict | str:
-    """In which frame a load is told, and the most that is believed."""
-    if not settings.settable:
-        return f"none can be set: {settings.refused}"
-    most = {"at most [kg]": settings.largest_mass_kg, "reaching [m]": settings.largest_reach_m}
-    return {"in the frame": settings.frame, **most}
-
-
-def describe_left_out(bundle: Bundle) -> dict[str, str]:
-    """Joints by which no load and no force is told; nothing where all answer in N m, or none."""
-    from tauext.bundle.units import left_out
-
-    if not (names := left_out(bundle).get("left_out", [])) or bundle.too_few_in_newtons(""):
-        return {}
-    return {
-        "not in N m": f"{', '.join(names)}: they tell nothing of loads and forces, and while a load is set their "
-        "limits are higher by all that it may show there"
-    }
-
-
-def describe_shapes(bundle: Bundle, names: list[str]) -> str:
-    """What a touch's place rests on."""
-    if not bundle.capsules:
-        return "none: where a touch is is told by guessed ones"
-    shaped = {one.link for one in bundle.capsules}
-    guessed = [name for number, name in enumerate(names) if number not in shaped]
-    beside = f"; guessed for {', '.join(guessed)}" if guessed else ""
-    return f"{len(bundle.capsules)} capsules of {len(shaped)} links{beside}"
-
-
-def describe_look(facts: dict) -> dict:
-    """What the data had wrong and a person accepted, and what they were warned of."""
-    content: dict[str, str] = {}
-    for recordings, looked in facts.get("look", {}).items():
-        for what, entries in looked.items():
-            for entry in entries:
-                joint = f" of {entry['joint']}" if entry["joint"] else ""
-                content[f"{LOOKED[what]} in {recordings}: {entry['code']}{joint}"] = entry["evidence"]
-    return content
-
-
-LOOKED = {"accepted": "accepted", "warnings": "warning"}
-"""What a look found, by its name in the provenance."""
 
 
 def in_order(facts: Any, names: list[str]) -> Any:
@@ -364,8 +200,19 @@ def in_order(facts: Any, names: list[str]) -> Any:
     return {key: in_order(facts[key], names) for key in keys}
 
 
+def finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def describe_observer(observer: ObserverSettings) -> Content:
+    """Its method, its gain, and its filters where it has any."""
+    content = {"method": observer.method.name, "gain_per_s": observer.gain_per_s, "torque_is": observer.timing.name}
+    filters = {name: getattr(observer, name) for name in ("high_pass_per_s", "low_pass_per_s")}
+    return content | {name: cutoff for name, cutoff in filters.items() if cutoff > 0}
+
+
 def beyond(bundle: Bundle, joint: int) -> str:
-    """What of a joint the monitor takes for no sample at all, in words."""
+    """Samples of a joint beyond these values are faults."""
     from tauext.bundle.units import short
 
     unit = short(bundle.estimate_units[joint])
@@ -376,75 +223,144 @@ def beyond(bundle: Bundle, joint: int) -> str:
     return " and ".join(told) or "nothing is known"
 
 
-def describe_limits(bundle: Bundle, facts: dict) -> dict:
-    """What raises limits beside the error scale, and how sure each joint is in motions that everybody knows."""
-    from tauext.bundle.units import sentences, situations
+def describe_load(settings: LoadSettings) -> Content:
+    """Frame of a load, and the largest load; or why none can be set."""
+    if not settings.settable:
+        return {"refused": settings.refused}
+    return {"frame": settings.frame, "largest_kg": settings.largest_mass_kg, "reach_m": settings.largest_reach_m}
 
-    content: dict[str, Any] = {}
-    limits, scale = facts.get("limits", {}), facts.get("error_scale", {})
-    if bundle.after_contact_factor != 1:
-        content["limits of a joint pushed at rest, until it slides, times"] = bundle.after_contact_factor
-    if "minutes_factor" in limits:
-        content["limits are these times what was seen in training"] = limits["minutes_factor"]
-    if "friction_reserve" in limits:
-        content["share of the friction in the limits, since it changes"] = limits["friction_reserve"]
-    if "hours" in scale:
-        content["error scale was found on [h]"] = scale["hours"]
-    if found := situations(bundle):
-        names = [link.joint_name for link in bundle.links]
-        told = sentences(found, dict(zip(names, bundle.estimate_units, strict=True)))
-        content |= {f"{joint} is": words for joint, words in told.items()}
-        content["situations"] = found
+
+def describe_shapes(bundle: Bundle, names: list[str]) -> Content:
+    """Capsules that the place of a touch rests on."""
+    shaped = {one.link for one in bundle.capsules}
+    guessed = [name for number, name in enumerate(names) if number not in shaped]
+    return {"capsules": len(bundle.capsules), "links": len(shaped), "guessed": guessed}
+
+
+def describe_servo(bundle: Bundle, names: list[str]) -> Content:
+    """Empty where the joints are no servos', or report their torque and velocity."""
+    servo = bundle.servo
+    content: Content = {}
+    if servo.on and servo.torque_from.name in MADE_OF:
+        content["torque_made_of"] = MADE_OF[servo.torque_from.name]
+        of_servo = ("volts", "ohm", "back_emf_v_s", "nm_per_ampere", "duty_per_rad", "most_duty")
+        for name in of_servo:
+            content[f"servo_{name}"] = {
+                joint: getattr(one, name) for joint, one in zip(names, servo.joints, strict=True)
+            }
+    if servo.on and servo.velocity_steps:
+        content["velocity_from_position_steps"] = servo.velocity_steps
+        content["encoder_counts_rad"] = {name: joint.count_rad for name, joint in zip(names, servo.joints, strict=True)}
     return content
 
 
-def describe_coverage(bundle: Bundle) -> dict:
+MADE_OF = {
+    "phase_current": "current of the windings",
+    "supply_current": "current of the supply, with the sign of the duty or of goal minus position",
+    "duty": "duty, less back-EMF",
+    "goal": "goal minus position by the gain of the servo's controller, less back-EMF",
+}
+
+
+def describe_drift(bundle: Bundle, names: list[str]) -> Content:
+    """Settings of the drift tracker; empty where there is none."""
+    drift = bundle.drift
+    if not drift.time_constant_s:
+        return {}
+    tracker = ("time_constant_s", "freeze_share", "freeze_s", "friction_share")
+    a_minute = min(1.0, 60 * drift.rate_share_per_s)
+    content: Content = {
+        "drift": {name: getattr(drift, name) for name in tracker},
+        "drift_at_most_nm": dict(zip(names, drift.size_nm, strict=True)),
+        "drift_a_minute_at_most_nm": {name: a_minute * size for name, size in zip(names, drift.size_nm, strict=True)},
+    }
+    if any(drift.freeze_floor_nm):
+        content["drift_never_frozen_below_nm"] = dict(zip(names, drift.freeze_floor_nm, strict=True))
+    return content
+
+
+def describe_coverage(bundle: Bundle, names: list[str]) -> Content:
     """What motion training saw; nothing where nobody knows."""
     coverage = bundle.coverage
     if coverage.empty:
         return {}
-    names = [link.joint_name for link in bundle.links]
-    width = [span / coverage.CELLS for span in coverage.span_rad]
-    units = ["rad" if turns else "m" for turns in coverage.turns]
-    near = zip(names, coverage.reach, width, units, strict=True)
+    near = zip(names, coverage.reach, coverage.span_rad, coverage.turns, strict=True)
+    together = math.degrees(2 * math.pi * coverage.reach_together / coverage.PAIR_CELLS)
     return {
-        "fastest in training [rad/s]": dict(zip(names, coverage.fastest_rad_s, strict=True)),
-        "familiar within": {
-            name: f"{reach * cell:.2g} {unit} of training" if reach else "any position"
-            for name, reach, cell, unit in near
+        "fastest_in_training_rad_s": dict(zip(names, coverage.fastest_rad_s, strict=True)),
+        "familiar_within": {
+            name: f"{reach * span / coverage.CELLS:.2g} {'rad' if turns else 'm'} of training"
+            if reach
+            else "any position"
+            for name, reach, span, turns in near
         },
-        "pairs of joints familiar within": (
-            f"{math.degrees(2 * math.pi * coverage.reach_together / coverage.PAIR_CELLS):.3g}° of training"
-            if coverage.reach_together
-            else "any positions"
-        ),
+        "pairs_of_joints_familiar_within": f"{together:.3g}° of training" if together else "any positions",
     }
 
 
-def describe_observer(observer: ObserverSettings) -> dict:
-    """Its method where that is not the momentum observer, its gain, and its filters where it has any."""
-    content: dict[str, Any] = {} if observer.method.name == "momentum" else {"method": METHODS[observer.method.name]}
-    content |= {"gain [1/s]": observer.gain_per_s, "torque is": observer.timing.name}
-    filters = {"high-pass [1/s]": observer.high_pass_per_s, "low-pass [1/s]": observer.low_pass_per_s}
-    return content | {name: cutoff for name, cutoff in filters.items() if cutoff > 0}
+def situation_lines(content: Content) -> list[str]:
+    """Limit and standard error of each joint in each situation."""
+    from tauext.bundle.units import certainty
 
-
-METHODS = {
-    "direct": "direct residual",
-    "velocity": "velocity observer",
-    "energy": "energy observer: its residual and limits are in watts",
-}
-
-
-def describe_prior(bundle: Bundle, facts: dict) -> dict:
-    """What was fitted, as an engineer would compare it with a data sheet."""
-    content: dict = {
-        "prior": {
-            "terms": len(bundle.prior.terms),
-            "presliding widths [mrad]": [1e3 * w for w in bundle.prior.widths_rad],
+    return aligned(
+        {
+            name: "; ".join(f"{joint} {certainty(one, joint, unit)}" for joint, unit in content["answers_in"].items())
+            for name, one in content.get("situations", {}).items()
         }
-    }
-    fitted = facts.get("prior", {})
+    )
+
+
+# --- What the provenance of a bundle holds, in words.
+
+
+def words_of_provenance(content: Content) -> dict[str, str]:
+    """What was learned, accepted, warned of and promised."""
+    from tauext.bundle.bundle_file import changed_since_training
+    from tauext.bundle.units import sentences
+
+    facts: Content = content["provenance"]
+    made = {key: facts.get(key) for key in ("command", "version", "seed", "recipe", "case", "steps", "batch")}
+    told: dict[str, str] = {"made by": in_text({key: value for key, value in made.items() if value is not None})}
+    told |= prior_words(facts.get("prior", {}))
+    told |= {f"network of {joint}": reason for joint, reason in facts.get("gate", {}).items()}
+    told |= changed_since_training(facts)
+    for recordings, looked in facts.get("look", {}).items():
+        for what, entries in looked.items():
+            for entry in entries:
+                joint = f" of {entry['joint']}" if entry["joint"] else ""
+                told[f"{LOOKED[what]} in {recordings}: {entry['code']}{joint}"] = entry["evidence"]
+    limits, scale = facts.get("limits", {}), facts.get("error_scale", {})
+    if "minutes_factor" in limits:
+        told["limits are these times what was seen in training"] = in_text(limits["minutes_factor"])
+    if "friction_reserve" in limits:
+        told["share of the friction in the limits, since it changes"] = in_text(limits["friction_reserve"])
+    if "hours" in scale:
+        told["error scale was found on [h]"] = in_text(scale["hours"])
+    if found := content.get("situations"):
+        told |= {f"{joint} is": words for joint, words in sentences(found, content["answers_in"]).items()}
+    if "reason" in facts.get("gain", {}):
+        told["gain was chosen"] = facts["gain"]["reason"]
+    for moment in limits.get("one_moment", []):
+        told[f"warning: one moment sets the limit of {moment['joint']}"] = (
+            f"at {moment['time_s']:.1f} s of {moment['recording']}: {moment['limit_nm']:.3g} Nm "
+            f"{moment['region'].replace('_', ' ')}, without it {moment['without_nm']:.3g} Nm"
+        )
+    if "sentence" in limits:
+        told["limits promise"] = limits["sentence"]
+    if "other_motion" in limits:
+        told["in other motion"] = limits["other_motion"]["sentence"]
+    if "set_for" in limits:
+        told["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"
+    return told
+
+
+LOOKED = {"accepted": "accepted", "warnings": "warning"}
+"""What a look found, by its name in the provenance."""
+
+
+def prior_words(fitted: Content) -> dict[str, str]:
+    """What was fitted, as an engineer would compare it with a data sheet."""
+    told: dict[str, str] = {}
     for joint, friction in fitted.get("friction", {}).items():
         words = [
             f"Coulomb {friction['coulomb_nm']:.3g} Nm",
@@ -454,55 +370,131 @@ def describe_prior(bundle: Bundle, facts: dict) -> dict:
         ]
         if friction["not_supported"]:
             words.append(f"not supported by the data: {', '.join(friction['not_supported'])}")
-        content[f"friction of {joint}"] = "; ".join(words)
-    warm = bundle.prior.temperature
-    if warm.reference_c:
-        shares = zip(warm.coulomb_per_10k, warm.viscous_per_10k, warm.reference_c, strict=True)
-        content["friction follows the temperature: share for 10 K (Coulomb, viscous), fitted at [degC]"] = {
-            link.joint_name: f"{coulomb:+.1%}, {viscous:+.1%}, {celsius:.0f}" if coulomb or viscous else "no"
-            for link, (coulomb, viscous, celsius) in zip(bundle.links, shares, strict=True)
-        }
+        told[f"friction of {joint}"] = "; ".join(words)
     for joint, found in fitted.get("arm", {}).items():
         words = ["axis " + " ".join(f"{value:.2g}" for value in found["axis"])]
         if "angle_deg" in found:
             words.append(f"{found['angle_deg']:.3g}° and {found['distance_m']:.2g} m from the axis before")
-        content[f"found in the motion of {joint}"] = "; ".join(words)
+        told[f"found in the motion of {joint}"] = "; ".join(words)
     for joint, corrections in fitted.get("model", {}).items():
-        told = {name: value for name, value in corrections.items() if isinstance(value, dict)}
-        words = [f"{name} {value['by']:+.3g} ± {value['standard_error']:.1g}" for name, value in told.items()]
-        left = [name.split(" ")[0] for name in corrections if name not in told]
+        supported = {name: value for name, value in corrections.items() if isinstance(value, dict)}
+        words = [f"{name} {value['by']:+.3g} ± {value['standard_error']:.1g}" for name, value in supported.items()]
+        left = [name.split(" ")[0] for name in corrections if name not in supported]
         words.append(f"not supported by the data: {', '.join(left)}")
-        content[f"model error of {joint}"] = "; ".join(words)
-    return content
+        told[f"model error of {joint}"] = "; ".join(words)
+    return told
 
 
-def describe_recording(file: Place) -> dict:
-    """Plain content of a recording."""
+# --- A recording.
+
+
+def describe_recording(file: Place) -> Content:
+    """Content of a recording."""
     from tauext.data.recording import FLAGS, OPTIONAL_SIGNALS
     from tauext.data.recording_file import load_recording
 
     recording = load_recording(file)
-    signals = (*OPTIONAL_SIGNALS, *FLAGS)
-    touched = "unknown" if recording.contact is None else f"{(recording.contact == 1).mean():.1%} of the samples"
+    joints, contact = recording.joints, recording.contact
+
+    def largest(values: Any) -> Content:
+        return dict(zip(joints, abs(values).max(axis=0).tolist(), strict=True))
+
     return {
         "recording": recording.name,
-        "joints": list(recording.joints),
-        "duration [s]": recording.duration_s,
+        "joints": list(joints),
+        "duration_s": recording.duration_s,
         "samples": recording.samples,
-        "rate [Hz]": recording.rate_hz,
-        "torque is": recording.torque_timing,
-        "also holds": [s for s in signals if getattr(recording, s) is not None],
-        "in contact": touched,
-        "largest |q| [rad]": dict(zip(recording.joints, abs(recording.q).max(axis=0).tolist(), strict=True)),
-        "largest |dq| [rad/s]": dict(zip(recording.joints, abs(recording.dq).max(axis=0).tolist(), strict=True)),
-        "largest |tau| [Nm]": dict(zip(recording.joints, abs(recording.tau).max(axis=0).tolist(), strict=True)),
+        "rate_hz": recording.rate_hz,
+        "torque_is": recording.torque_timing,
+        "also_holds": [name for name in (*OPTIONAL_SIGNALS, *FLAGS) if getattr(recording, name) is not None],
+        "share_in_contact": None if contact is None else float((contact == 1).mean()),
+        "largest_q_rad": largest(recording.q),
+        "largest_dq_rad_s": largest(recording.dq),
+        "largest_tau_nm": largest(recording.tau),
         "source": recording.source,
     }
 
 
-def _text(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, list):
-        return ", ".join(_text(v) for v in value)
-    return str(value)
+# --- A fleet prior: its arms in a table, and what the next arm begins with.
+
+
+def describe_fleet_prior(file: Place) -> Content:
+    """Content of a fleet prior's file; `table` is what `tauext fleet prior` prints at its end.
+
+    Raises:
+        ConfigError: the file is no fleet prior, or damaged.
+    """
+    from tauext.fit.fleet_prior import load_fleet_prior
+
+    prior = load_fleet_prior(file)
+    try:
+        return described(file, prior)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, ZeroDivisionError) as error:
+        why = " ".join(f"{type(error).__name__}: {error}".split())
+        raise ConfigError(
+            f"{file}: what it says of its arms is damaged ({why}); `tauext fleet prior` makes one"
+        ) from error
+
+
+def described(file: Place, prior: FleetPrior) -> Content:
+    """The same of what was read; KeyError, TypeError or ValueError of whatever is missing."""
+    from tauext.fleet.prior import ODD, table
+
+    facts, kind, names = prior.facts, prior.type, list(prior.type.joints)
+    odd = {one["name"]: [name for name, share in one["trust"].items() if share < ODD] for one in facts["arms"]}
+    return {
+        "fleet_prior": file.name,
+        "table": table(dict(facts)).splitlines(),
+        "arms": len(facts["arms"]),
+        "minutes": round(sum(float(one["minutes"]) for one in facts["arms"]), 3),
+        "not_like_the_others": {name: parts for name, parts in odd.items() if parts},
+        "left_out": dict(facts["left_out"]),
+        "joints": names,
+        "model_case": kind.case,
+        "sample_rate_hz": kind.rate_hz,
+        "torque_is": kind.torque_timing,
+        "takes_tau_in": dict(zip(names, (unit.replace("newton_metre", "N m") for unit in kind.units), strict=True)),
+        "gain_per_s": prior.gain_per_s,
+        "presliding_widths_rad": list(prior.widths_rad),
+        "terms": {joint: dict(term_counts(group)) for joint, group in zip(names, prior.own, strict=True)},
+        "usual_error_nm": dict(zip(names, prior.weights.error_nm.tolist(), strict=True)),
+        "errors_last_s": dict(zip(names, prior.weights.memory_s.tolist(), strict=True)),
+        "weight_of_a_row": prior.weights.trust,
+        "error_after_a_minute_by_that_with_all": dict(facts["after_a_minute"]),
+        **describe_errors(prior.errors, names),
+        **describe_days(prior.days, names),
+        "made_by": {key: facts.get(key) for key in ("command", "version", "seed", "machine")},
+        "made_from": {name: str(data) for name, data in facts["settings"]["data"].items()},
+        "sha256": prior.sha256,
+    }
+
+
+def term_counts(group: Any) -> Iterator[tuple[str, int]]:
+    """How many of a joint's terms are of each kind."""
+    kinds = [term.kind.name for term in group]
+    return ((kind, kinds.count(kind)) for kind in dict.fromkeys(kinds))
+
+
+def describe_errors(errors: FleetErrors | None, joints: list[str]) -> Content:
+    """What the next arm's limits rest on: errors of the fleet's arms, or its own minute alone."""
+    if errors is None:
+        return {"limits_of_the_next_arm": "follow from its own minute: no three arms showed more than a minute"}
+    return {
+        "limits_of_the_next_arm": (
+            f"rest on the errors in {errors.hours:.3g} h of {errors.arms} arms, each taken for a new one with "
+            f"{errors.minutes:g} min of its own"
+        ),
+        "limits_sliding_nm": dict(zip(joints, errors.sliding_limit_nm.tolist(), strict=True)),
+        "limits_near_stiction_nm": dict(zip(joints, errors.near_stiction_limit_nm.tolist(), strict=True)),
+        "factor_for_different_arms": errors.facts["arms_factor"],
+        "collision_hold_s": errors.hold_s,
+        "limits_promise": errors.facts["sentence"],
+    }
+
+
+def describe_days(days: FleetDays | None, joints: list[str]) -> Content:
+    """How much the friction of one arm differs between recordings, which `refit --like` goes by."""
+    if days is None:
+        return {"friction_change_share": None}
+    shares = {joint: math.sqrt(days.covariance[j, j]) for j, joint in enumerate(joints)}
+    return {"friction_change_share": shares, "friction_change_from": {"recordings": days.recordings, "arms": days.arms}}

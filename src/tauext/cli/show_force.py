@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from tauext.cli.progress import aligned
 from tauext.errors import ConfigError
 from tauext.files.places import Place
 
@@ -128,13 +129,3 @@ def cells(entry: dict) -> list[str]:
 
 def force(value: float | None) -> str:
     return BLIND if value is None else f"{value:.3g}" if value < 100 else f"{value:.0f}"
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return [
-        "  ".join(
-            cell.ljust(w) if k == 0 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    ]

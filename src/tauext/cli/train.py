@@ -1,24 +1,91 @@
-"""`tauext train`: a bundle from recordings of free motion."""
+"""`tauext train`, `calibrate` and `refit`: the commands that write bundles, and their settings."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
 
 import tyro
 
-from tauext.cli.place_argument import PlaceArg
-from tauext.config import CaseName, TrainConfig
+from tauext.cli.place_argument import AcceptArg, PlaceArg, expect_another, tell_replaced
+from tauext.cli.progress import Terminal
+from tauext.config import AlarmConfig, CaseName, TrainConfig, require_threads
 from tauext.errors import ConfigError
+from tauext.files.places import Place
+from tauext.files.toml_file import field_help, read_toml, values_of
+
+# --- Settings: those of a file, and the few that are options of the command line, too.
+
+
+COMMON = (
+    *("recipe", "minutes", "limits", "fit_torque_constants", "torque_constants"),
+    *("max_steps", "batch", "threads", "backend", "seed"),
+)
+"""Fields of TrainConfig that are options of `tauext train`."""
+ALARM = ("false_alarms", "in_hours")
+"""Fields of AlarmConfig that are options of `tauext train` and `calibrate`."""
+
+
+def options(kind: type, names: tuple[str, ...]) -> dict[str, Any]:
+    """Types of these fields for the parser, with their help and defaults; an option that is not given has no value."""
+    hints, words, defaults = get_type_hints(kind), field_help(kind), kind()
+    found = {}
+    for name in names:
+        hint, default = hints[name], getattr(defaults, name)
+        given = [one for one in getattr(hint, "__args__", ()) if one is not type(None)]
+        hint = given[0] if default is None else hint
+        shown = "" if default is None else f"(default: {default})"
+        about = tyro.conf.arg(help=words[name], help_behavior_hint=shown)
+        found[name] = Annotated[hint, about, tyro.conf.FlagConversionOff]
+    return found
+
+
+if TYPE_CHECKING:
+    AlarmOptions = Mapping[str, Any]
+    TrainOptions = Mapping[str, Any]
+else:
+    AlarmOptions = TypedDict("AlarmOptions", options(AlarmConfig, ALARM), total=False)
+    TrainOptions = TypedDict("TrainOptions", options(TrainConfig, COMMON) | options(AlarmConfig, ALARM), total=False)
+
+
+def train_settings(file: Place | None, given: Mapping[str, Any]) -> TrainConfig:
+    """Settings of the file, under those that are given.
+
+    Raises:
+        ConfigError: one line with file, key, value and rule.
+    """
+    values = {} if file is None else values_of(TrainConfig, read_toml(file), f"{file}")
+    values |= {"alarm": promise(values, given)} | {name: given[name] for name in COMMON if name in given}
+    try:
+        return TrainConfig(**values)
+    except ConfigError as error:
+        wrong = str(error).partition(" ")[0]
+        raise (error if file is None or wrong in given else ConfigError(f"{file}: {error}")) from None
+
+
+def alarm_settings(file: Place | None, given: Mapping[str, Any]) -> AlarmConfig:
+    """The same of the table [alarm] alone."""
+    return promise({} if file is None else values_of(TrainConfig, read_toml(file), f"{file}"), given)
+
+
+def promise(values: Mapping[str, Any], given: Mapping[str, Any]) -> AlarmConfig:
+    """The alarm of these settings, with what is given."""
+    return replace(values.get("alarm", AlarmConfig()), **{name: given[name] for name in ALARM if name in given})
+
+
+# --- The commands.
 
 
 def train(
     data: PlaceArg,
     out: PlaceArg,
+    config: PlaceArg | None = None,
     case: CaseName | None = None,
     robot: PlaceArg | None = None,
     like: PlaceArg | None = None,
-    accept: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")] = (),
-    config: Annotated[TrainConfig, tyro.conf.arg(name="")] = TrainConfig(),  # noqa: B008
+    accept: AcceptArg = (),
+    options: Annotated[TrainOptions, tyro.conf.arg(name="")] = {},  # noqa: B006
 ) -> None:
     """Train on a dataset's free motion, find the limits on its validation recordings, write one bundle.
 
@@ -30,23 +97,110 @@ def train(
         out: bundle to write, NAME.tauext; one that is there is replaced, and said to be. While its network is trained,
             a checkpoint beside it is written every 20 s, and kept until the bundle is: after Ctrl-C, or whatever ends
             the process, the same command goes on from there. What comes before the network is done again.
+        config: FILE.toml with further settings; `tauext train --help-config` lists its keys. An option of the command
+            line replaces its key.
         case: the estimated model: the robot file as it is (exact), mass and/or centre of mass halved, or no model at
             all (none). Left out: exact, or none where the dataset was imported without a model.
         robot: URDF or MJCF of the arm; default: the dataset's own.
         like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`): a minute of this one is enough.
             None: the arm is by itself.
         accept: codes of findings that are no fault on your word, at all joints or at one; they stand in the bundle.
-        config: recipe, seed and sizes.
+        options: settings that are often changed.
     """
-    from tauext.cli.place_argument import tell_replaced
-    from tauext.cli.progress import Terminal
     from tauext.data.dataset import load_dataset
     from tauext.fit.fleet_prior import load_fleet_prior
     from tauext.train.stage import train_bundle
 
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
+    settings = train_settings(config, options)
     known = None if like is None else load_fleet_prior(like)
     tell_replaced(out)
-    train_bundle(load_dataset(data), out, case, robot, config, Terminal(), accept, like=known)
+    train_bundle(load_dataset(data), out, case, robot, settings, Terminal(), accept, like=known)
+    print(out)
+
+
+def calibrate(
+    bundle: PlaceArg,
+    data: PlaceArg,
+    out: PlaceArg,
+    config: PlaceArg | None = None,
+    options: Annotated[AlarmOptions, tyro.conf.arg(name="")] = {},  # noqa: B006
+    threads: int = 0,
+    refit_error_scale: bool = False,
+    accept: AcceptArg = (),
+) -> None:
+    """Set the limits and hold times of a bundle for another promise or on other recordings; nothing is trained.
+
+    First every calibration recording is looked at, by those checks of `tauext check` that are cheap: a fault refuses.
+
+    Args:
+        bundle: bundle (*.tauext) to begin with; it stays as it is.
+        data: dataset folder; its calibration recordings are used.
+        out: bundle to write, NAME.tauext; one that is there is replaced, and said to be.
+        config: FILE.toml of `tauext train`, whose table [alarm] holds further settings. An option of the command line
+            replaces its key.
+        options: what is promised.
+        threads: threads that estimate; 0: one a core. The result does not depend on it.
+        refit_error_scale: find anew how errors grow with the motion, on the first fifth of the calibration recordings;
+            limits follow from the others.
+        accept: codes of findings that are no fault on your word, at all joints or at one; they stand in the bundle.
+    """
+    from tauext.data.dataset import load_dataset
+    from tauext.train.calibrate import recalibrate
+
+    require_threads(threads)
+    alarm = alarm_settings(config, options)
+    expect_another(out, bundle, "begin with")
+    tell_replaced(out)
+    promised = recalibrate(bundle, load_dataset(data), out, alarm, threads, Terminal(), refit_error_scale, accept)
+    print(promised.sentence())
+    print(out)
+
+
+def refit(
+    bundle: tyro.conf.Positional[PlaceArg],
+    data: PlaceArg,
+    out: PlaceArg,
+    from_s: Annotated[float, tyro.conf.arg(name="from")] = 0.0,
+    to_s: Annotated[float | None, tyro.conf.arg(name="to")] = None,
+    like: PlaceArg | None = None,
+    threads: int = 0,
+    accept: AcceptArg = (),
+    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+) -> None:
+    """Bring the friction of a bundle up to date with 30 to 60 s of the arm's ordinary motion today.
+
+    Friction of a joint moves by a common factor first, then apart as the motion supports it; gravity and inertia stay.
+    Limits grow where today's error is larger, and never shrink. Printed is what changed, a row a joint, and whether the
+    promise of false alarms still stands. First the recordings are looked at, by those checks of `tauext check` that are
+    cheap: a fault refuses. Labelled contacts are left out; so is what no friction explains, and it is told.
+
+    Args:
+        bundle: bundle (*.tauext) with a prior, of recipe tauext or prior; it stays as it is.
+        data: recording (*.parquet), or dataset folder whose training recordings are used.
+        out: bundle to write, NAME.tauext; one that is there is replaced, and said to be.
+        from_s: seconds of each recording at which the motion to be used begins.
+        to_s: seconds of each recording at which it ends. None: at its end.
+        like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`): a joint that hardly moved follows
+            those that did, as far as the fleet's arms showed it from one recording to the next.
+        threads: threads that estimate; 0: one a core. The result does not depend on it.
+        accept: codes of findings that are no fault on your word, at all joints or at one; they stand in the bundle.
+        as_json: print one JSON object instead of the table.
+    """
+    from tauext.files.provenance import json_text
+    from tauext.fit.fleet_prior import load_fleet_prior
+    from tauext.train.refit import Span, refit_bundle
+
+    require_threads(threads)
+    expect_another(out, bundle, "begin with")
+    known = None if like is None else load_fleet_prior(like)
+    tell_replaced(out)
+    span = Span(from_s, to_s)
+    found = refit_bundle(bundle, data, out, span, threads, Terminal(), accept, known)
+    if as_json:
+        print(json_text(found.facts() | {"bundle": str(out)}), end="")
+        return
+    print(found.table())
+    print(found.promise)
     print(out)

@@ -1,12 +1,18 @@
-"""Reads TOML files whose keys are declared; an unknown key or a wrong value is reported in one line."""
+"""TOML files: declared keys, settings of a dataclass, templates. A wrong key or value is reported in one line."""
 
 from __future__ import annotations
 
+import ast
 import difflib
+import inspect
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import NoneType, UnionType
+from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from tauext.errors import ConfigError
 from tauext.files.places import Place
@@ -186,3 +192,167 @@ def write_template(path: Path, content: str) -> None:
             part.write_text(content, encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+# --- Settings from a table: every key is a field of the dataclass, every value of its type, or one clear message.
+
+
+Settings = TypeVar("Settings")
+PLAIN = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
+
+
+def settings_of(kind: type[Settings], content: Any, where: str, left_out: Mapping[str, str] | None = None) -> Settings:
+    """The dataclass with these values, and defaults for the others.
+
+    Args:
+        content: a table as TOML has it; a table within stands for a dataclass within.
+        where: for messages, as `fleet.toml: [train]`.
+        left_out: fields that are not to be set here, and why.
+
+    Raises:
+        ConfigError: an unknown key (the nearest is named), a value of another type or against the rule of its field.
+    """
+    values = values_of(kind, content, where, left_out)
+    try:
+        return kind(**values)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+
+
+def values_of(kind: type, content: Any, where: str, left_out: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """Arguments for the dataclass, as of settings_of; rules that join several of its fields are not checked yet."""
+    if not isinstance(content, dict):
+        raise ConfigError(f"{where} = {content!r} must be a table")
+    hints = get_type_hints(kind)
+    refused = left_out or {}
+    for key in content:
+        if key in refused:
+            raise ConfigError(f"{where}: {key} is not set here: {refused[key]}")
+        if key not in hints:
+            raise unknown_key(where, key, [name for name in hints if name not in refused])
+    values = {}
+    for key, value in content.items():
+        hint = hints[key]
+        if isinstance(hint, type) and is_dataclass(hint):
+            values[key] = settings_of(hint, value, f"{where} {key}")
+            continue
+        try:
+            values[key] = converted(value, hint)
+        except TypeError:
+            raise ConfigError(f"{where}: {key} = {value!r} must be {described(hint)}") from None
+    return values
+
+
+def field_help(kind: type) -> dict[str, str]:
+    """The docstring under each field of a dataclass, without line breaks."""
+    found: dict[str, str] = {}
+    for owner in reversed(kind.__mro__[:-1]):
+        (definition,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
+        assert isinstance(definition, ast.ClassDef)
+        for one, text in pairwise(definition.body):
+            if isinstance(one, ast.AnnAssign) and isinstance(text, ast.Expr):
+                found[ast.unparse(one.target)] = " ".join(ast.literal_eval(text.value).split())
+    return found
+
+
+def settings_text(kind: type) -> str:
+    """Every key of the settings in TOML, as a comment with its default, its type and its help."""
+    return "\n".join(key_lines(kind(), ""))
+
+
+def key_lines(settings: Any, table: str) -> Iterator[str]:
+    """Keys of one table, then those of the tables within."""
+    hints, words = get_type_hints(type(settings)), field_help(type(settings))
+    inner = [one.name for one in fields(settings) if is_dataclass(getattr(settings, one.name))]
+    for name in (one.name for one in fields(settings) if one.name not in inner):
+        yield from textwrap.wrap(words[name], 110, initial_indent="# ", subsequent_indent="# ")
+        yield f"# {name} = {toml_value(getattr(settings, name))}  # {described(hints[name])}"
+        yield ""
+    for name in inner:
+        yield from textwrap.wrap(words[name], 110, initial_indent="# ", subsequent_indent="# ")
+        yield f"[{table}{name}]"
+        yield ""
+        yield from key_lines(getattr(settings, name), f"{table}{name}.")
+
+
+def toml_value(value: Any) -> str:
+    """As it is written in TOML; nothing for None."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(toml_value, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return "" if value is None else f'"{value}"' if isinstance(value, str) else repr(value)
+
+
+def unknown_key(where: str, key: str, known: Iterable[str]) -> ConfigError:
+    """What is said of a key that nobody knows."""
+    names = list(known)
+    near = difflib.get_close_matches(key, names, 1, 0.0)
+    nearest = f"the nearest known is '{near[0]}'" if near else "none is known"
+    return ConfigError(f"{where}: unknown key '{key}'; {nearest}; known are {', '.join(names)}")
+
+
+def converted(value: Any, hint: Any) -> Any:
+    """The value as the field has it: whole numbers become floats, lists tuples.
+
+    Raises:
+        TypeError: it is of another type.
+    """
+    origin = get_origin(hint)
+    if origin in (Union, UnionType):
+        for choice in get_args(hint):
+            try:
+                return converted(value, choice)
+            except TypeError:
+                continue
+        raise TypeError
+    if origin is Literal:
+        if value in get_args(hint) and not isinstance(value, bool):
+            return value
+        raise TypeError
+    if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise TypeError
+        return tuple(converted(one, get_args(hint)[0]) for one in value)
+    if hint is float and isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+        return float(value)
+    if hint is int and isinstance(value, int) and not isinstance(value, bool):
+        return value
+    if hint in (bool, str) and isinstance(value, hint):
+        return value
+    raise TypeError
+
+
+def described(hint: Any) -> str:
+    """The type of a field for a message."""
+    origin = get_origin(hint)
+    if origin in (Union, UnionType):
+        return " or ".join(described(choice) for choice in get_args(hint) if choice is not NoneType)
+    if origin is Literal:
+        return f"one of {', '.join(map(str, get_args(hint)))}"
+    if origin is tuple:
+        return f"a list ({described(get_args(hint)[0])} each)"
+    return PLAIN.get(hint, str(hint))
+
+
+def plain(settings: Any) -> dict[str, Any]:
+    """The settings as a table that settings_of reads: without what is None, as TOML knows no such value."""
+    found: dict[str, Any] = {}
+    for one in fields(settings):
+        value = getattr(settings, one.name)
+        if is_dataclass(value):
+            found[one.name] = plain(value)
+        elif value is not None:
+            found[one.name] = list(value) if isinstance(value, tuple) else value
+    return found
+
+
+def flat(table: Mapping[str, Any], before: str) -> dict[str, str]:
+    """Values as words by dotted names: {"train.alarm.in_hours": "8.0"}."""
+    found: dict[str, str] = {}
+    for key, value in table.items():
+        if isinstance(value, dict):
+            found |= flat(value, f"{before}{key}.")
+        else:
+            found[f"{before}{key}"] = repr(value)
+    return found

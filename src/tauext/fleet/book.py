@@ -11,6 +11,7 @@ from typing import Any
 from tauext.files.places import Place, place_of
 from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import VERSION, write_json
+from tauext.files.toml_file import flat, plain
 from tauext.fleet.fleet_file import (
     STAGES,
     Arm,
@@ -18,9 +19,7 @@ from tauext.fleet.fleet_file import (
     dataset_files,
     digests,
     files_of,
-    flat,
     like_files,
-    plain,
     robot_files,
     source_files,
 )

@@ -11,7 +11,8 @@ from tauext.config import CalibrateStage, EvaluateStage, EventsConfig, TrainConf
 from tauext.files.copies import local_folder
 from tauext.files.places import Place
 from tauext.files.places import place_of as any_place
-from tauext.fleet.fleet_file import alarm_of, settings_of
+from tauext.files.toml_file import settings_of
+from tauext.fleet.fleet_file import alarm_of
 from tauext.fleet.task import Stage
 
 COMMAND = "tauext fleet run"

@@ -272,7 +272,7 @@ class OtherMotion:
         most = max(some, key=lambda name: some[name])
         return (
             f"{words} Most, {some[most]}, came in {most}: more recordings of such motion help. Limits "
-            f"{self.kept_by:.2g} times as high (--alarm.minutes-factor) would have kept the promise, and detect less."
+            f"{self.kept_by:.2g} times as high (alarm.minutes_factor) would have kept the promise, and detect less."
         )
 
     def facts(self) -> dict:

@@ -1,17 +1,20 @@
-"""`tauext evaluate`: bundles on test free motion and on collisions."""
+"""`tauext evaluate` and `report`: results of bundles, and pages of them."""
 
 from __future__ import annotations
 
 import re
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from tauext.cli.place_argument import PlaceArg
+from tauext.cli.place_argument import AcceptArg, PlaceArg, tell_replaced
+from tauext.cli.progress import Terminal
 from tauext.config import CaseName, EventsConfig, require, require_seed, require_threads
 from tauext.errors import ConfigError
-from tauext.files.copies import staged
+from tauext.files.copies import local_beside, local_folder, staged
+from tauext.files.places import Place
 from tauext.files.room import expect_folder
 from tauext.recipes import baselines as known_baselines
 
@@ -26,7 +29,7 @@ def command_line() -> str:
     return " ".join(["tauext", *(QUERY.sub(r"\1", word) for word in sys.argv[1:])])
 
 
-# --- The command.
+# --- `tauext evaluate`: bundles on test free motion and on collisions.
 
 
 METHODS = f"train and compare only these of the baselines: {', '.join(known_baselines())}."
@@ -43,7 +46,7 @@ def evaluate(
     seed: int = 0,
     threads: int = 0,
     keep_free_estimates: int = 20,
-    accept: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")] = (),
+    accept: AcceptArg = (),
     inject: bool = False,
     events: Annotated[EventsConfig, tyro.conf.arg(name="")] = EventsConfig(),  # noqa: B008
 ) -> None:
@@ -66,8 +69,6 @@ def evaluate(
             directions, and count what is detected of them; where no contacts were recorded, this shows what would be.
         events: how alarms are held against labels.
     """
-    from tauext.cli.place_argument import tell_replaced
-    from tauext.cli.progress import Terminal
     from tauext.data.dataset import load_dataset
     from tauext.evaluate.results_folder import evaluate_bundles
 
@@ -110,3 +111,59 @@ def evaluate(
             inject=inject,
         )
     print(out / "results.json")
+
+
+# --- `tauext report`: figures and one self-contained page from results, or of one flight.
+
+
+def report(
+    out: PlaceArg,
+    results: PlaceArg | None = None,
+    data: PlaceArg | None = None,
+    flight: PlaceArg | None = None,
+    page_mb: float = 9.5,
+    trace_methods: tuple[str, ...] = (),
+) -> None:
+    """Draw Table I and the paper's figures from results, or what happened in one flight: an HTML page and PNG figures.
+
+    Give --results and --data, or --flight. The page holds traces to zoom into; it is one file and needs no network.
+
+    Args:
+        out: folder to write the page and its figures to; a page that is there is replaced, and said to be.
+        results: results folder to draw (`tauext evaluate` makes one).
+        data: dataset folder that was evaluated.
+        flight: flight to draw (FLIGHT.parquet, `tauext run --flights` writes them), or a folder of flights, of which
+            the newest is drawn.
+        page_mb: largest size of the page; traces fill it, in as much detail as there is room for. 0: no traces.
+        trace_methods: bundles whose traces stand in the page, by their names; default: the best five.
+    """
+    from tauext.data.dataset import load_dataset
+    from tauext.report.flight import write_flight_report
+    from tauext.report.page import write_report
+
+    if flight is not None:
+        if results is not None or data is not None:
+            raise ConfigError("give either --results and --data, or --flight; not both")
+        if trace_methods:
+            raise ConfigError("--trace-methods chooses among the methods of --results; a flight has one")
+        there = {page.name for page in out.glob("*.html")}
+        with staged(out, fresh=True) as folder:
+            page = out / write_flight_report(local_flight(flight), folder, page_mb).name
+        if page.name in there:
+            print(f"tauext: {page} was there already and is replaced", file=sys.stderr)
+        print(page)
+    elif results is not None and data is not None:
+        tell_replaced(out / "report.html")
+        with staged(out, fresh=True) as folder:
+            page = write_report(local_folder(results), load_dataset(data).folder, folder, page_mb, trace_methods)
+        print(out / page.name)
+    else:
+        missing = "--results" if results is None else "--data"
+        raise ConfigError(
+            f"{missing} is missing: give --results and --data (a report of results), or --flight (of one)"
+        )
+
+
+def local_flight(flight: Place) -> Path:
+    """A flight with what stands beside it, or a folder of them, on this machine."""
+    return local_folder(flight) if flight.is_dir() else local_beside(flight)

@@ -1,0 +1,279 @@
+"""`tauext import`, `simulate`, `check` and `label`: datasets and what is wrong in them."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from tauext.cli.place_argument import PlaceArg, tell_replaced
+from tauext.cli.progress import ProgressBar, Terminal
+from tauext.config import require, require_seed
+from tauext.errors import ConfigError
+from tauext.files.copies import local_file, local_folder, local_robot, staged
+from tauext.files.places import is_stored
+from tauext.files.room import expect_folder, expect_new_file
+from tauext.files.whole_file import whole_folder
+
+if TYPE_CHECKING:
+    from tauext.data.importers.raw import RawRecording
+
+# --- `tauext import`: recordings of a real arm, in any format, to a dataset folder; or a template of its description.
+
+
+def import_data(
+    source: tuple[PlaceArg, ...] = (),
+    arm: PlaceArg | None = None,
+    out: PlaceArg | None = None,
+    new: Path | None = None,
+    robot: PlaceArg | None = None,
+    format: Literal["tauext", "lerobot"] = "tauext",
+) -> None:
+    """Bring recordings of a real arm to rad, rad/s and Nm, and write a dataset folder that `tauext train` takes.
+
+    First `tauext import --new arm.toml --source FILE --robot FILE` writes a description to fill in, then
+    `tauext import --source FILE ... --arm arm.toml --out DIR` imports. All that was done to the numbers is printed and
+    kept in the recordings. In the end all that would be trained on is looked at: faults, which train will refuse, and
+    warnings are told; the dataset stays, so that `tauext check` can draw it.
+
+    Args:
+        source: files or folders to import: ROS 1 and ROS 2 bags (sqlite3, MCAP), CSV, Parquet, HDF5, MATLAB, LeRobot
+            v3.0 and v2.1.
+        arm: description of robot and recordings, arm.toml.
+        out: folder to write, which must be empty or not there.
+        new: file to write a commented description to instead of importing, filled in from the names in the source and
+            the robot file.
+        robot: URDF or MJCF of the arm, named in the description that --new writes.
+        format: what is written. tauext: recordings, robot file, split.json. lerobot: a LeRobot v3
+            dataset, an episode a recording.
+    """
+    if new is not None:
+        if arm is not None or out is not None:
+            raise ConfigError("--new writes a description and imports nothing: leave --arm and --out out")
+        write_template(new, tuple(map(local_folder, source)), local_robot(robot) if robot is not None else None)
+        return
+    if robot is not None:
+        raise ConfigError("--robot goes with --new; an import takes the robot file that arm.toml names (model)")
+    for name, value in (("--source", source), ("--arm", arm), ("--out", out)):
+        if not value:
+            raise ConfigError(f"{name} is missing; `tauext import --new arm.toml --source FILE` writes a description")
+    assert arm is not None and out is not None
+    from tauext.data.importing import import_dataset
+
+    if is_stored(out) and any(out.iterdir()):
+        raise ConfigError(f"{out}: is not empty; choose another folder or remove it")
+    with staged(out, fresh=True) as folder:
+        import_dataset([local_folder(one) for one in source], arm, folder, format, print)
+        if format == "tauext":
+            tell_findings(folder)
+    print(out)
+
+
+def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) -> None:
+    """Write the commented arm.toml; nothing is overwritten."""
+    from tauext.data.description_template import Guess, guess, template
+    from tauext.data.importers.open_raw import open_raw
+    from tauext.files.toml_file import write_template as write_text
+    from tauext.robot.load import movable_joints
+
+    if path.exists():
+        raise ConfigError(f"{path}: is there already; choose another name or remove it")
+    expect_new_file(path)
+    guessed, streams = Guess(), {}
+    if sources:
+        (first, *_) = open_raw(sources[0])
+        streams = first.streams()
+        guessed = guess(streams)
+        guessed.time_unit = unit_of_times(first, guessed.columns.get("time", ""))
+    joints, model = [], ""
+    if robot is not None:
+        joints = movable_joints(robot)
+        model = Path(os.path.relpath(robot, path.parent)).as_posix()
+    write_text(path, template(guessed, model, joints, list(streams)))
+    print(path)
+
+
+def unit_of_times(raw: RawRecording, column: str) -> str:
+    """Unit of the column of times, as its first values show it."""
+    from tauext.data.description_template import time_unit
+
+    for block in raw.blocks():
+        if column in block.names:
+            return time_unit(block.columns[:, block.names.index(column)])
+    return ""
+
+
+def tell_findings(out: Path) -> None:
+    """Say on stderr what `tauext train` would refuse of this dataset, and what it would warn of."""
+    from tauext.check.look import entries, sentence, told
+    from tauext.config import PAPER_CASES, TrainConfig
+    from tauext.data.dataset import load_dataset
+    from tauext.robot.model_case import chosen_case
+    from tauext.train.look import view_dataset
+
+    dataset, terminal = load_dataset(out), Terminal()
+    if not dataset.split.train:
+        return
+    robot = dataset.robot_file(None)
+    case = PAPER_CASES[chosen_case(None, robot)[0]]
+    training, validation = dataset.training(), dataset.recordings("validation")
+    looks = view_dataset(dataset, robot, case, training, validation, TrainConfig(), terminal)
+    findings = [finding for look in looks.values() for finding in look.findings]
+    for entry in entries(finding for finding in findings if finding.severity == "warning"):
+        terminal.say(f"warning: {sentence(entry)}")
+    faults = [finding for finding in findings if finding.severity == "fault"]
+    if faults:
+        plural = "" if len(faults) == 1 else "s"
+        words = f"{out}: {len(faults)} fault{plural}, which `tauext train` refuses; mend arm.toml, and import again"
+        terminal.say("\n".join([words, *told(faults), f"  `tauext check --data {out} --out DIR` draws it"]))
+
+
+# --- `tauext simulate`: a dataset from the virtual rig.
+
+
+def simulate(
+    out: PlaceArg,
+    minutes: float = 90.0,
+    collision_recordings: int = 10,
+    seed: int = 0,
+    calibration_hours: float = 0.0,
+    test_hours: float = 0.0,
+    encoder_bits: int = 20,
+    friction: float = 1.0,
+) -> None:
+    """Simulate the paper's rig: free motion and collisions, recorded at 1 kHz.
+
+    Args:
+        out: dataset folder to write: recordings, robot.xml, split.json.
+        minutes: minutes of free motion in all, cut in recordings of at most 90 s, at least 20 of them.
+        collision_recordings: number of recordings with about ten collisions each.
+        seed: seed of motions, noise and collisions.
+        calibration_hours: hours of free motion beside the minutes, for limits alone; 24 support a promise of 1 false
+            alarm in 8 hours.
+        test_hours: hours of free motion beside the minutes, to test on.
+        encoder_bits: resolution of the joints' encoders, counts in one turn as a power of two.
+        friction: factor on Coulomb, static and viscous friction of every joint.
+    """
+    from tauext.sim.collect import simulate_dataset
+    from tauext.sim.config import changed_rig
+
+    require(0 < minutes < math.inf, "minutes", minutes, "> 0")
+    require(0 <= calibration_hours < math.inf, "calibration_hours", calibration_hours, ">= 0")
+    require(0 <= test_hours < math.inf, "test_hours", test_hours, ">= 0")
+    require_seed(seed)
+    require(collision_recordings >= 0, "collision_recordings", collision_recordings, ">= 0")
+    require(12 <= encoder_bits <= 24, "encoder_bits", encoder_bits, "12 to 24")
+    require(0.1 <= friction <= 10, "friction", friction, "0.1 to 10")
+    with staged(out) as folder, ProgressBar("simulate") as bar:
+        simulate_dataset(
+            folder,
+            changed_rig(encoder_bits, friction),
+            seed,
+            minutes,
+            collision_recordings,
+            lambda what, done, total: bar.update(done, total, what),
+            calibration_hours,
+            test_hours,
+        )
+    print(out)
+
+
+# --- `tauext check`: the signal doctor, before anyone trains.
+
+
+def check(
+    data: tuple[PlaceArg, ...],
+    robot: PlaceArg | None = None,
+    out: PlaceArg | None = None,
+    gravity: tuple[float, float, float] | None = None,
+    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+) -> int:
+    """Look for mistakes of units, signs, order and timing in recordings, and in the robot file.
+
+    Prints each finding with its evidence and what to do. Exit status: 0 no fault (there may be warnings), 1 a fault,
+    2 bad input.
+
+    Args:
+        data: a dataset folder, a folder of recordings, or recordings (*.parquet), of free motion.
+        robot: URDF or MJCF of the arm; default: the dataset's own. Without any, what needs a model is not looked for.
+        out: folder to write: check.txt, check.json, and measured against predicted torque as pictures; those that are
+            there are replaced, and said to be.
+        gravity: acceleration of free fall in the base frame, m/s^2; default: the robot file's.
+        as_json: print the findings as JSON for scripts.
+    """
+    from tauext.check.examine import as_files, examine, gather
+
+    if out is not None:
+        expect_folder(out)
+        tell_replaced(out / "check.json")
+    recordings, free, robot = gather(data, robot, Terminal())
+    diagnosis = examine(recordings, robot, gravity, free, Terminal())
+    text, content = as_files(diagnosis, (recording.name for recording in recordings), robot is None)
+    if out is not None:
+        from tauext.report.check_picture import draw
+
+        with whole_folder(out) as part:
+            (part / "check.txt").write_text(text + "\n")
+            (part / "check.json").write_text(json.dumps(content, indent=1) + "\n")
+            draw(diagnosis, part, Terminal())
+    print(json.dumps(content, indent=1) if as_json else text)
+    return 1 if diagnosis.faulty else 0
+
+
+# --- `tauext label`: external torque, contact and collision added to an existing LeRobot dataset.
+
+
+def label(
+    dataset: PlaceArg,
+    bundle: PlaceArg,
+    arm: PlaceArg,
+    out: PlaceArg,
+    calibration: PlaceArg | None = None,
+    into: Literal["state", "features"] = "state",
+    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+) -> None:
+    """Add external torque, contact and collision to every frame of a LeRobot dataset that has state and action only.
+
+    Reads and writes datasets of v3.0 (lerobot 0.4 and later) and v2.1 (0.3), without LeRobot. The torque comes from
+    the goal (the action of the frame before) minus the state. Every episode begins with a monitor that knows nothing:
+    for about a second contact and collision are -1, not known. The dataset itself is only read; what is written
+    appears whole or not at all, with features and statistics brought up to date, and videos linked or copied as they
+    are. The bundle comes from the same kind of data: `tauext import --source DATASET --arm arm.toml --out DIR`, then
+    `tauext train --data DIR --out arm.tauext`.
+
+    Args:
+        dataset: folder of the LeRobot dataset, with meta/info.json in it.
+        bundle: bundle (*.tauext) of this arm, trained on recordings of the same rate, with [servo] in its arm.toml.
+        arm: arm.toml that the bundle's recordings were imported with: which elements of the state are joints, and in
+            which unit.
+        out: folder to write, which must be empty or not there.
+        calibration: LeRobot's calibration file of the arm (*.json), for states from -100 to 100; instead of the one
+            that arm.toml names.
+        into: where labels go. state: elements of observation.state, as a robot wrapped by lerobot_robot_tauext records
+            them; features: observation.tau_ext, observation.contact and observation.collision, which leaves the state
+            as policies trained on it know it.
+        as_json: print the counts as one JSON object.
+    """
+    from tauext.bundle.bundle_file import load_bundle
+    from tauext.data.description import load_arm
+    from tauext.sources.lerobot_labels import label_dataset
+
+    described = load_arm(arm, None if calibration is None else local_file(calibration))
+    loaded = load_bundle(bundle)
+    with staged(out, fresh=True) as folder:
+        report = label_dataset(local_folder(dataset), loaded, described, folder, into, Terminal())
+    if as_json:
+        print(json.dumps({"out": str(out), **asdict(report)}))
+        return
+    known = report.frames - report.unknown
+    share = f"{report.contact / known:.1%} of them in contact" if known else "none: every episode is over too soon"
+    print(f"{report.episodes} episodes, {report.frames} frames; {known} with an estimate, {share}")
+    print(f"{report.collisions} collisions")
+    if report.held:
+        print(f"{report.equal} of {report.held} frames held these very values before")
+    print(out)

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-from made_arms import no_model, planar_arm
+from made_arms import no_model, planar_arm, settings
 
 from tauext import _core
 from tauext.config import ObserverConfig
@@ -134,3 +134,18 @@ def seven_axis_bundle(sigma_nm: Sequence[float], *capsules: _core.Capsule) -> _c
         between = [_core.Capsule(k, [0, 0, 0], link.translation, 0.05) for k, link in enumerate(tree.links[1:])]
         made.capsules = [*between, *capsules]
     return made
+
+
+TOOL_M = 0.2
+
+
+def planar_tool_bundle() -> _core.Bundle:
+    """Two links of 0.3 m in the x-y plane with a tool TOOL_M on from the elbow's axis; the error scale is constant."""
+    bundle, tree = _core.Bundle(), planar_arm()
+    bundle.name, bundle.links, bundle.gravity, bundle.observer = "planar", tree.links, tree.gravity, settings()
+    bundle.sliding_limit_nm, bundle.near_stiction_limit_nm = [6.0, 3.0], [9.0, 4.0]
+    bundle.contact_sliding_limit_nm = bundle.contact_near_stiction_limit_nm = [2.0, 1.0]
+    load = bundle.load_settings
+    load.frame, load.link, load.translation = "tool", 1, [TOOL_M, 0.0, 0.0]
+    bundle.load_settings = load
+    return with_error_scale(bundle, 0.0)

@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 import pytest
-from made_servos import NAMES, Dynamixel, MadeServoBus, bus_file, crc16, patient, servo_settings, taken
+from made_servos import NAMES, Dynamixel, MadeServoBus, bus_file, crc16, first_sample, patient, servo_settings, taken
 
 from tauext.errors import ConfigError
 from tauext.sources.servo_bus_file import ServoJoint
@@ -72,11 +72,7 @@ def test_an_answer_of_the_servo_is_taken_byte_by_byte(two):
     packet = b"\xff\xff\xfd\x00\x01\x23\x00\x55\x00" + registers
     packet += struct.pack("<H", crc16(packet))
     two.sent = lambda id_, made: packet if id_ == 1 and two.readings > 1 else made
-    source = opened(two)
-    try:
-        (one,) = taken(source, 1)
-    finally:
-        source.close()
+    one = first_sample(opened(two))
     assert one.q[0] == 0.0 and one.q_des[0] == pytest.approx(52 * RAD)
     assert one.dq[0] == pytest.approx(-100 * 0.229 * 2 * math.pi / 60)
     assert one.duty[0] == pytest.approx(-1.0) and one.current[0] == pytest.approx(-0.3)
@@ -89,20 +85,14 @@ def test_an_answer_of_the_servo_is_taken_byte_by_byte(two):
 def test_currents_are_signed_and_in_the_step_of_the_model(two, model, ampere, counts):
     x_series(two, 1, model)
     two.put(1, "h", 126, counts)
-    source = opened(two)
-    try:
-        (one,) = taken(source, 1)
-    finally:
-        source.close()
+    one = first_sample(opened(two))
     assert one.current[0] == pytest.approx(counts * ampere)
 
 
 def test_an_xl430_has_no_current(two):
     x_series(two, 1, XL430)
     two.put(1, "h", 126, 500)  # its load, an estimate
-    source = opened(two)
-    (one,) = taken(source, 1)
-    source.close()
+    one = first_sample(opened(two))
     assert np.isnan(one.current[0]) and one.current[1] == 0.0
     with pytest.raises(
         ConfigError, match=r"a xl430-w250, reports duty, goal, the bundle takes its torque from phase-cu"
@@ -113,31 +103,21 @@ def test_an_xl430_has_no_current(two):
 def test_bytes_like_a_header_are_stuffed_and_come_back(two):
     """FF FF FD in the registers: a position of -131073 is FF FF FD FF, after which the packet is a byte longer."""
     two.put(1, "i", 132, -131073)
-    source = opened(two, ServoJoint("pan", 1, 0.0, multi_turn=True), ServoJoint("lift", 2))
-    try:
-        (one,) = taken(source, 1)
-    finally:
-        source.close()
+    one = first_sample(opened(two, ServoJoint("pan", 1, 0.0, multi_turn=True), ServoJoint("lift", 2)))
     assert one.q[0] == pytest.approx(-131073 * RAD)
 
 
 def test_turns_are_counted_in_32_bits_and_directions_turn_currents_too(two):
     two.put(1, "hhii", 124, 100, 7, -5, 3 * 4096 + 10)
     two.put(1, "B", 11, 4)  # extended position
-    source = opened(two, ServoJoint("pan", 1, 10.0, -1, multi_turn=True), ServoJoint("lift", 2))
-    try:
-        (one,) = taken(source, 1)
-    finally:
-        source.close()
+    one = first_sample(opened(two, ServoJoint("pan", 1, 10.0, -1, multi_turn=True), ServoJoint("lift", 2)))
     assert one.q[0] == pytest.approx(-6 * math.pi)
     assert one.current[0] == pytest.approx(-0.007) and one.duty[0] == pytest.approx(-100 / 885) and one.dq[0] > 0
 
 
 def test_a_mode_without_goal_has_none(two):
     two.put(1, "B", 11, 0)  # current
-    source = opened(two)
-    (one,) = taken(source, 1)
-    source.close()
+    one = first_sample(opened(two))
     assert np.isnan(one.q_des[0]) and one.q_des[1] == 0.0
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from made_servos import NAMES, Feetech, MadeServoBus, bus_file, patient, servo_settings, taken
+from made_servos import NAMES, Feetech, MadeServoBus, bus_file, first_sample, patient, servo_settings, taken
 
 from tauext.sources.servo_bus_file import ServoJoint
 
@@ -60,11 +60,7 @@ def test_an_answer_of_the_servo_is_taken_byte_by_byte(two):
     body = bytes([1, 33, 0]) + registers
     packet = b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
     two.sent = lambda id_, made: packet if id_ == 1 and two.readings > 1 else made
-    source = opened(two)
-    try:
-        (one,) = taken(source, 1)
-    finally:
-        source.close()
+    one = first_sample(opened(two))
     assert one.q[0] == 0.0 and one.q_des[0] == pytest.approx(52 * RAD)
     assert one.dq[0] == pytest.approx(-300 * RAD)
     assert one.duty[0] == pytest.approx(-0.100) and one.current[0] == pytest.approx(1.3)
@@ -90,11 +86,7 @@ def test_an_answer_of_the_servo_is_taken_byte_by_byte(two):
 )
 def test_signs_are_in_the_bits_that_the_manual_says(two, register, word, signal, value):
     two.put(1, "H", register, word)
-    source = opened(two)
-    try:
-        (one,) = taken(source, 1)
-    finally:
-        source.close()
+    one = first_sample(opened(two))
     assert getattr(one, signal)[0] == pytest.approx(value, abs=1e-12)
 
 
@@ -104,11 +96,7 @@ def test_zeros_directions_and_turns_are_those_of_the_file(two):
     two.put(1, "H", 69, 10)
     two.put(2, "H", 56, 0x8000 | 5000)
     joints = ServoJoint("lift", 1, 1048.0, -1), ServoJoint("pan", 2, 0.0, 1, multi_turn=True)
-    source = opened(two, *joints)
-    try:
-        (one,) = taken(source, 1)
-    finally:
-        source.close()
+    one = first_sample(opened(two, *joints))
     assert one.q == pytest.approx([-5000 * RAD, -2000 * RAD])  # in the order of the bundle: pan, lift
     assert one.q_des[1] - one.q[1] == pytest.approx(-100 * RAD)
     assert one.dq[1] == pytest.approx(-100 * RAD) and one.duty[1] == pytest.approx(-0.05)
@@ -132,11 +120,7 @@ def test_an_angle_goes_on_where_the_counts_wrap(two):
 def test_a_servo_without_torque_or_in_another_mode_has_no_goal(two):
     two.put(1, "B", 40, 0)
     two.put(2, "B", 33, 1)  # speed
-    source = opened(two)
-    try:
-        (one,) = taken(source, 1)
-    finally:
-        source.close()
+    one = first_sample(opened(two))
     assert np.isnan(one.q_des).all() and np.isfinite(one.q).all() and np.isfinite(one.duty).all()
 
 

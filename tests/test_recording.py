@@ -317,9 +317,6 @@ FILE_FAULTS = {
     "seconds": (replace("t_ns", lambda c: c.cast(pa.float64())), "column 't_ns' is double, must be int64"),
     "missing value": (replace("tau_elbow", at(9, None)), "tau_elbow at row 9 is missing; every sample must have a val"),
     "nan": (replace("tau_elbow", at(9, float("nan"))), "tau_elbow at row 9 is nan; every value must be finite"),
-    "time backwards": (replace("t_ns", at(9, 5_000_000_000)), "t_ns at row 9 is 5000000000, after 5008000000 at row 8"),
-    "contact 3": (replace("contact", at(9, 3)), "contact at row 9 is 3"),
-    "no rows": ({"change_table": lambda table: table.slice(0, 0)}, "it has no samples"),
     "unknown column": (extra("tau_wrist"), "column 'tau_wrist' is none of a recording's"),
     "column twice": (extra("q_elbow"), "column 'q_elbow' stands there 2 times"),
     "degrees": (with_unit("q", "deg"), "the unit of q is 'deg', must be 'rad'"),
@@ -329,11 +326,8 @@ FILE_FAULTS = {
     "no metadata": ({"change_metadata": lambda old: {}}, "not a recording: its metadata has no tauext_format"),
     "no joints": (without("joints"), "its metadata has no 'joints'; needed are tauext_format, joints"),
     "joints of another": (metadata(joints='["wrist"]'), "column 'q_wrist' is missing"),
-    "joint twice": (metadata(joints='["elbow", "elbow"]'), "joint 'elbow' is named 2 times"),
     "newer": (metadata(tauext_format="2"), "its format is '2', this version reads '1'; update tauext"),
     "rate text": (metadata(rate_hz="fast"), "rate_hz = 'fast' must be a number, in Hz"),
-    "wrong rate": (metadata(rate_hz="100"), "rate_hz = 100 disagrees with the sample period of t_ns, 1 ms"),
-    "timing": (metadata(torque_timing="later"), "torque_timing = 'later' must be one of held, instant, averaged"),
 }
 
 

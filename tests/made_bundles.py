@@ -120,16 +120,21 @@ def taking_amperes(bundle: _core.Bundle, nm_per_ampere: np.ndarray) -> _core.Bun
     return bundle
 
 
+def constant_error_scale(sigma_nm: Sequence[float]) -> _core.ErrorScaleSettings:
+    """Limits as they are, and these standard errors, in any motion."""
+    scale = _core.ErrorScaleSettings()
+    scale.features = [_core.MotionFeature.constant]
+    scale.limit_weights = scale.largest = [1.0] * len(sigma_nm)
+    scale.sigma_weights = scale.sigma_near_weights = scale.largest_sigma = list(sigma_nm)
+    return scale
+
+
 def seven_axis_bundle(sigma_nm: Sequence[float], *capsules: _core.Capsule) -> _core.Bundle:
     """A seven-axis arm with constant standard errors; if capsules are given, also one from each joint to the next."""
     tree = load_tree(SEVEN_AXIS)
     made = _core.Bundle()
     made.links, made.gravity = tree.links, tree.gravity
-    scale = _core.ErrorScaleSettings()
-    scale.features = [_core.MotionFeature.constant]
-    scale.limit_weights = scale.largest = [1.0] * tree.size
-    scale.sigma_weights = scale.sigma_near_weights = scale.largest_sigma = list(sigma_nm)
-    made.error_scale = scale
+    made.error_scale = constant_error_scale(sigma_nm)
     if capsules:
         between = [_core.Capsule(k, [0, 0, 0], link.translation, 0.05) for k, link in enumerate(tree.links[1:])]
         made.capsules = [*between, *capsules]

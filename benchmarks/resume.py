@@ -30,7 +30,7 @@ class Acknowledging(Simulation):
     """Ends the alarm when it moves on, and nothing else."""
 
     def resume(self) -> None:
-        for monitor in self.watch.monitors.values():
+        for monitor in self.monitors.values():
             monitor.acknowledge()
         self._alarms.clear()
         self.mover.resume()

@@ -23,19 +23,17 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from made_servos import NAMES, Dynamixel, Feetech, MadeServoBus, bus_file, servo_settings
+from made_servos import NAMES, Dynamixel, Feetech, MadeServoBus, bus_file, servo_settings, sts3215, x_series
 from test_damiao_source import Motors, source_of, state_of
-from test_dynamixel_source import x_series
-from test_feetech_source import sts3215
 
 from tauext.monitor.source import SourceSettings
-from tauext.sources import servo_port
+from tauext.sources import servo_bus
 from tauext.sources.damiao import CanMotor
-from tauext.sources.dynamixel import DynamixelSource
-from tauext.sources.feetech import FeetechSource
+from tauext.sources.servo import ServoSource
 from tauext.sources.servo_bus_file import ServoJoint
+from tauext.sources.servo_series import DYNAMIXEL, FEETECH
 
-KINDS = {"feetech": (Feetech, FeetechSource, sts3215), "dynamixel": (Dynamixel, DynamixelSource, x_series)}
+KINDS = {"feetech": (Feetech, FEETECH, sts3215), "dynamixel": (Dynamixel, DYNAMIXEL, x_series)}
 BYTE_S = 10 / 1e6
 SERVOS = 6
 EXAMPLES = {
@@ -64,15 +62,15 @@ def main() -> None:
     if options.serve:
         serve(options.serve)
         return
-    servo_port.users_of = lambda path: ""  # the process that answers has the pty open, too
+    servo_bus.users_of = lambda path: ""  # the process that answers has the pty open, too
     print("| bus | register | bytes | sample |\n|---|---|---|---|")
     for kind in KINDS:
         decoded(kind)
     print("\n| bus | Hz | samples | refused | lost | overrun | ms p50 | p99 | max |\n" + "|---" * 9 + "|")
     for hz in options.hz:
-        for kind, (_, source, _) in KINDS.items():
+        for kind, (_, series, _) in KINDS.items():
             with served(kind, options.priority) as port:
-                one = source(port, bus_file(*(ServoJoint(NAMES[k], k + 1) for k in range(SERVOS))))
+                one = ServoSource(series, port, bus_file(*(ServoJoint(NAMES[k], k + 1) for k in range(SERVOS))))
                 measured(kind, one, servo_settings(SERVOS, period_ns=round(1e9 / hz)), hz, options.seconds)
         motors = Motors()
         motors.states = {k + 1: state_of(k + 1) for k in range(SERVOS)}
@@ -83,12 +81,12 @@ def main() -> None:
 
 def decoded(kind: str) -> None:
     """What single registers of the first servo become."""
-    protocol, source, power_on = KINDS[kind]
+    protocol, series, power_on = KINDS[kind]
     for address, layout, value, signal in EXAMPLES[kind]:
         with MadeServoBus(protocol(), [1]) as bus:
             power_on(bus, 1)
             bus.put(1, layout, address, value)
-            one = source(bus.port, bus_file(ServoJoint(NAMES[0], 1)))
+            one = ServoSource(series, bus.port, bus_file(ServoJoint(NAMES[0], 1)))
             one.bus.port.answer_s = 1.0
             one.open(servo_settings(1))
             sample = one.next_sample(10.0)

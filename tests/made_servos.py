@@ -270,6 +270,24 @@ PATIENCE_S = 1.0
 """An answer that is on its way is waited for, however busy the machine is."""
 
 
+def sts3215(bus: MadeServoBus, id_: int, model: int = 777, position: int = 2048) -> None:
+    """Registers after power-on, torque on, goal at the position: 7.4 V, 31 degC."""
+    bus.put(id_, "H", 3, model)
+    bus.put(id_, "B", 40, 1)
+    bus.put(id_, "H", 42, position)
+    bus.put(id_, "HHHBB", 56, position, 0, 0, 74, 31)
+
+
+def x_series(bus: MadeServoBus, id_: int, model: int = 1200, position: int = 2048) -> None:
+    """Registers after power-on, in position mode, torque on, goal at the position: 5 V, 30 degC."""
+    bus.put(id_, "H", 0, model)
+    bus.put(id_, "BB", 10, 0, 3)
+    bus.put(id_, "B", 64, 1)
+    bus.put(id_, "i", 116, position)
+    bus.put(id_, "hhii", 124, 0, 0, 0, position)
+    bus.put(id_, "HB", 144, 50, 30)
+
+
 def servo_settings(joints: int, torque_from: str = "duty", period_ns: int = 5_000_000) -> SourceSettings:
     """Of a bundle of these servos."""
     known = {"volts": 7.4, "ohm": 2.75, "back_emf_v_s": 1.2, "nm_per_ampere": 1.2}

@@ -257,15 +257,15 @@ def test_a_given_constant_that_is_far_off_is_told(data, tmp_path):
 def test_warnings_are_told_once_and_faults_of_many_joints_are_accepted_by_their_code():
     heard = Heard()
     many = [Finding("clock-gaps", "warning", None, f"'{k}': gaps", "look", str(k)) for k in range(50)]
-    judge([Look(many)], "data", [], heard)
+    judge({"training": Look(many)}, "data", [], heard)
     assert heard.said == ["warning: clock-gaps: '0': gaps (and 49 more)"]
     (entry,) = Look(many).facts([])["warnings"]
     assert entry["count"] == 50 and len(entry["recordings"]) < 50
     faults = [Finding("effort-sign", "fault", f"joint{j}", "-1", "negate") for j in range(6)]
     with pytest.raises(FaultyDataError) as caught:
-        judge([Look(faults)], "data", [], heard)
+        judge({"training": Look(faults)}, "data", [], heard)
     assert str(caught.value).splitlines()[-1].strip() == "--accept effort-sign"
-    judge([Look(faults)], "data", ["effort-sign"], heard)
+    judge({"training": Look(faults)}, "data", ["effort-sign"], heard)
 
 
 def moving(seconds: float, still_s: float) -> Recording:

@@ -9,9 +9,8 @@ import pytest
 from made_arms import planar_arm
 from made_recordings import Drive, made_motion
 
-from tauext.check.examine import examine
+from tauext.check.examine import examine, quick_look
 from tauext.check.finding import Finding
-from tauext.check.quick import quick_look
 from tauext.check.sensors import normal_ranges, spikes_of, without_spikes
 from tauext.data.recording import Recording
 

@@ -10,8 +10,7 @@ from made_arms import planar_arm
 from made_recordings import made_motion
 
 from tauext.check.clock import time_findings, time_unit
-from tauext.check.examine import examine
-from tauext.check.quick import quick_look
+from tauext.check.examine import examine, quick_look
 from tauext.data.assemble import derived_velocity
 from tauext.data.recording import Recording
 

@@ -203,10 +203,10 @@ def test_a_bus_file_is_read(tmp_path):
 @pytest.mark.parametrize(
     "text, message",
     [
-        ("", "no joints"),
+        ("", "joints is missing"),
         ("[joints.a]\n", r"\[joints.a\] id is missing"),
-        ("[joints.a]\nid = 0x7ff\n", "id = 2047 must be 1 to 2046"),
-        ("[joints.a]\nid = 1.5\n", "must be whole numbers"),
+        ("[joints.a]\nid = 0x7ff\n", "id = 2047 must be a whole number from 1 to 2046"),
+        ("[joints.a]\nid = 1.5\n", "id = 1.5 must be a whole number"),
         ("[joints.a]\nid = 1\nsign = 2\n", "sign = 2 must be 1 or -1"),
         ("[joints.a]\nid = 1\nrange = 2\n", "unknown key 'range' in .joints.a.; the nearest known is 'ranges'"),
         ("[joints.a]\nid = 1\nranges = 2\n", r"ranges = 2 must be \[PMAX, VMAX, TMAX\]"),

@@ -11,7 +11,7 @@ import pytest
 from tauext.check.finding import CODES
 from tauext.cli import main
 from tauext.cli.parsing import understood
-from tauext.data.description_file import parse_arm
+from tauext.data.description import parse_arm
 
 ROOT = Path(__file__).parent.parent
 GUIDE = (ROOT / "docs" / "your-robot.md").read_text()

@@ -12,7 +12,7 @@ from made_recordings import joint_rows, motion, write_bag
 from tauext.cli import main
 from tauext.data.dataset import load_split
 from tauext.data.dataset_writing import RawFacts, plan
-from tauext.data.description_file import parse_arm
+from tauext.data.description import parse_arm
 from tauext.data.free_motion import free_stretches
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.recording_file import load_recording

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tauext.data.assemble import assemble
-from tauext.data.description_file import parse_arm
+from tauext.data.description import parse_arm
 from tauext.data.importers.open_raw import open_raw
 from tauext.errors import RecordingError
 from tauext.robot.load import load_tree

@@ -61,7 +61,7 @@ def test_a_joint_that_is_not_known_fades_and_the_others_stay(tau, sigma):
 
 
 def test_a_leader_that_is_not_seen_gets_nothing_at_once_and_its_energy_is_charged():
-    feedback = LeaderFeedback(1, FeedbackSettings(dead_band_sigmas=0.0, slew_nm_s=BIG))
+    feedback = LeaderFeedback(1, FeedbackSettings(cap_nm=0.5, dead_band_sigmas=0.0, slew_nm_s=BIG))
     before = steady(feedback, [0.3], [0.0], 3)
     full = feedback.tank.energy_j
     assert before == pytest.approx([0.3])
@@ -102,7 +102,9 @@ def test_never_gives_more_than_tank_and_friction_hold(seed, along):
 
 
 def test_what_is_rougher_than_was_told_overdraws_the_tank_by_no_more_and_shuts_it():
-    feedback = LeaderFeedback(1, FeedbackSettings(dead_band_sigmas=0, slew_nm_s=BIG, tank_j=0.001, rest_w=0.0))
+    feedback = LeaderFeedback(
+        1, FeedbackSettings(cap_nm=0.5, dead_band_sigmas=0, slew_nm_s=BIG, tank_j=0.001, rest_w=0.0)
+    )
     held = feedback.step([0.5], [0], [0.0], DT)[0]
     feedback.step([0.5], [0], [0.5], DT)  # 1250 rad/s^2
     assert feedback.tank.energy_j == pytest.approx(0.001 - held * 0.5)
@@ -111,7 +113,9 @@ def test_what_is_rougher_than_was_told_overdraws_the_tank_by_no_more_and_shuts_i
 
 def test_who_presses_against_a_torque_always_feels_it():
     """An empty tank takes nothing from a hand that moves against the torque."""
-    feedback = LeaderFeedback(1, FeedbackSettings(dead_band_sigmas=0, slew_nm_s=BIG, tank_j=1e-12, rest_w=0.0))
+    feedback = LeaderFeedback(
+        1, FeedbackSettings(cap_nm=0.5, dead_band_sigmas=0, slew_nm_s=BIG, tank_j=1e-12, rest_w=0.0)
+    )
     feedback.step([0.0], [0], [0.0], DT)
     for k in range(1, 4):
         assert feedback.step([-0.4], [0], [0.02 * k], DT) == pytest.approx(-0.4)  # 1 rad/s

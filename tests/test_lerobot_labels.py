@@ -14,7 +14,7 @@ from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main
 from tauext.config import PriorConfig, TrainConfig
 from tauext.data.dataset import load_dataset
-from tauext.data.description_file import load_arm, parse_arm
+from tauext.data.description import load_arm, parse_arm
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.importing import import_dataset
 from tauext.errors import BundleError, ConfigError, RecordingError

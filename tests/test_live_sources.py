@@ -316,8 +316,8 @@ def test_a_library_that_is_not_installed_names_its_extra(monkeypatch, constants)
 @pytest.mark.parametrize(
     "text, message",
     [
-        ("", "base is missing"),
-        ("[nm_per_ampere]\nbase = 0\n", "base = 0 must not be 0"),
+        ("", "nm_per_ampere is missing"),
+        ("[nm_per_ampere]\nbase = 0\n", "base = 0 must be a number .*, not 0"),
         ("[nm_per_ampere]\nbase = 'x'\n", "base = 'x' must be a number"),
         ("[nm_per_ampere]\nbasis = 1\n", "unknown key 'basis' in .nm_per_ampere.; the nearest known is 'base'"),
         ("[nm_per_amp]\n", "unknown key 'nm_per_amp' at the top"),

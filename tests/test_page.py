@@ -268,7 +268,7 @@ def test_what_a_push_left_in_static_friction_is_no_collision_after_resume_and_a_
     pushed(simulation, 0, [1.0, 0.0, 0.0])
     simulation.release("test")
     assert step(500) == "collision"
-    simulation.watch.acknowledge("tauext")
+    simulation.monitors["tauext"].acknowledge()
     assert step(50) == "collision"  # again, though nothing pushes
     simulation.resume()
     simulation.take_events()

@@ -114,7 +114,7 @@ def test_a_weight_that_nobody_told_of_is_a_collision_and_is_weighed(arm, bundles
     run(simulation, 4.0)
     pushed = weigh(load_bundle(bundles["tauext"]), arm, simulation.recent())
     assert pushed.verdict == "contact" and "something touches the arm" in weighed_words(pushed)
-    assert simulation.watch.monitors["tauext"].load.mass == 0.0
+    assert simulation.monitors["tauext"].load.mass == 0.0
 
 
 def test_a_weight_that_was_told_is_no_push_and_neither_is_its_going(arm, bundles):
@@ -126,7 +126,7 @@ def test_a_weight_that_was_told_is_no_push_and_neither_is_its_going(arm, bundles
     assert not simulation.tau_ext_nm.any()
     simulation.let_go()
     assert list(run(simulation, 1.0)) in ([], ["deaf"])
-    assert simulation.snapshot().held is None and simulation.watch.monitors["tauext"].load.mass == 0.0
+    assert simulation.snapshot().held is None and simulation.monitors["tauext"].load.mass == 0.0
 
 
 def test_told_afterwards_is_as_told_in_time(arm, bundles):
@@ -152,7 +152,7 @@ def test_monitors_that_come_later_are_told_too_and_a_refusal_is_given_its_reason
     run(simulation, 0.01)
     simulation.watch_nothing()
     simulation.watch_with({name: str(path) for name, path in bundles.items()}, "deaf")
-    assert simulation.watch.monitors["tauext"].load.mass == 2.0
+    assert simulation.monitors["tauext"].load.mass == 2.0
     held = simulation.snapshot().held
     assert not held.knows and "this one takes none" in held.refused
     assert "could not be told" in hand_text(held, "", True) and "this one takes none" in hand_text(held, "", True)

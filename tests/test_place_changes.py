@@ -11,7 +11,7 @@ import pytest
 from test_places import bundle as bundle
 
 from tauext import _core
-from tauext.cli.run_json import JsonLines
+from tauext.cli.json_lines import change_facts
 from tauext.errors import ConfigError
 from tauext.monitor.changes import ChangeFinder
 from tauext.monitor.places import FrameForce, PlaceFinder, frame_force_words, place_facts, place_words
@@ -113,9 +113,7 @@ def test_words_and_facts(bundle, signals):
     facts = place_facts(change, JOINTS)
     assert facts["links"][0]["joint"] == best and len(facts["places"]) == len(change.places)
     assert len(facts["places"][0]["force_n"]) == 3
-    lines = JsonLines(0)
-    lines._joints, lines._start_ns = JOINTS, 0
-    event, content = lines._change(change)
+    event, content = change_facts(change, JOINTS)
     assert event == "place" and content["joint"] == "joint5" and content["links"] == facts["links"]
     json.dumps(content, allow_nan=False)
 
@@ -189,9 +187,13 @@ FILE = '[[reaction]]\nname = "one"\non = {on}\n{rule}\nstop = true\n'
 @pytest.mark.parametrize(
     ("on", "rule", "words"),
     [
-        ('["collision"]', 'links = ["joint9"]', "links names 'joint9'; links, by their joints, are joint1"),
+        (
+            '["collision"]',
+            'links = ["joint9"]',
+            "links = .'joint9'. must be a list of joints that carry",
+        ),
         ('["collision"]', "newtons_over = -1", "newtons_over = -1"),
-        ('["fault"]', "newtons_over = 5", "links and newtons_over say nothing of fault; on needs collision or contact"),
+        ('["fault"]', "newtons_over = 5", "newtons_over cannot hold for fault; on needs collision or contact"),
     ],
 )
 def test_a_file_binds_reactions_to_places_and_refuses_what_cannot_be(tmp_path, on, rule, words):
@@ -216,11 +218,14 @@ def test_an_alarms_place_is_in_its_events_until_the_next(bundle, signals):
     rows = len(t_ns)
     said["alarm"][FALLS + 50 : FALLS + 60] = 1
     said["alarm_joint"][:] = 4
-    for name in ("limit_nm", "contact_limit_nm", "margin_nm", "residual"):
+    for name in ("limit_nm", "contact_limit_nm", "margin_nm", "residual", "uncertainty"):
         said[name] = np.ones((rows, 7))
     for name, value in (("health", 1), ("causes", 0), ("cause_joint", -1), ("touch", 1)):
         said[name] = np.full(rows, value)
-    said["drift_saturated"] = np.zeros((rows, 7), dtype=bool)
+    for name in ("drift_saturated", "near_stiction"):
+        said[name] = np.zeros((rows, 7), dtype=bool)
+    for name in ("detection", "unfamiliar"):
+        said[name] = np.zeros(rows)
     finder, changes, places, events = EventFinder(JOINTS, {}), ChangeFinder(), PlaceFinder(bundle), []
     for k in range(rows):
         row = {name: column[k : k + 1] for name, column in said.items()}
@@ -254,7 +259,7 @@ def test_the_force_at_the_frame_comes_with_the_place(bundle):
     assert force.consistent > 0.9 and 0 < force.off_n < 10
     words, facts = place_words(told[0], JOINTS), place_facts(told[0], JOINTS)
     assert words.endswith(f"; {frame_force_words(force)}") and " 23 N at joint7 (up to " in words
-    assert facts["at_frame"]["force_n"] == list(force.force_n) and len(facts["at_frame"]["covariance"]) == 9
+    assert facts["at_frame"]["force_n"] == force.force_n and len(facts["at_frame"]["covariance"]) == 9
     assert "at_frame" not in place_facts(told[1], JOINTS) and " N at " not in place_words(told[1], JOINTS)
 
 

@@ -16,7 +16,7 @@ from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.fit.prior import Inertia, find_ripple, fit_friction, fit_prior, fit_terms, told
+from tauext.fit.prior import Inertia, find_ripple, fit_friction, fit_prior, fit_terms, play_sentence
 from tauext.fit.prior_terms import CORRECTED as BY_CORRECTED
 from tauext.fit.prior_terms import ESTIMATED as BY_ESTIMATED
 from tauext.fit.prior_terms import PriorFit, encoder_count, has_model, own_terms, shared_terms
@@ -788,4 +788,4 @@ def test_other_arms_and_arms_without_play_have_none(servo_recordings):
     tight = [replace(one, provenance=SERVO) for one in made]
     fit = fit_prior(setup_of(planar_arm()), tight, STEADY)
     assert not [t for t in fit.settings.terms if t.kind == Kind.backlash]
-    assert told((None, None), WIDTHS, ("shoulder", "elbow")) == ""
+    assert play_sentence((None, None), WIDTHS, ("shoulder", "elbow")) == ""

@@ -30,11 +30,11 @@ from tauext.train.stage import train_on_recordings
 EXACT, NONE = PAPER_CASES["exact"], PAPER_CASES["none"]
 
 
-def fit_viscous(setup: Setup, recordings, *, tell, **settings) -> PriorFit:
+def fit_viscous(setup: Setup, recordings, *, report, **settings) -> PriorFit:
     """Constant and viscous friction of every joint: the baseline that the test below adds."""
     kinds = (_core.TermKind.constant, _core.TermKind.viscous)
     fit = fit_ridge(setup, recordings, [[_core.Term(kind, j) for kind in kinds] for j in range(setup.tree.size)], [])
-    tell(f"error on left-out motion {fit.error_nm.max():.2f} Nm")
+    report(f"error on left-out motion {fit.error_nm.max():.2f} Nm")
     return fit
 
 

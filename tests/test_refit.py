@@ -510,7 +510,7 @@ def test_show_says_how_days_differ(made, capsys):
 
 def test_a_prior_that_knows_no_days_is_refused(made):
     prior = replace(load_fleet_prior(made[0]), days=None)
-    with pytest.raises(ConfigError, match="knows how arms differ and not how days do"):
+    with pytest.raises(ConfigError, match="has differences between arms, not between days"):
         refit_recordings(load_bundle(made[1]), [moving(91, 30.0, (1.0, 1.0))], like=prior)
     other = replace(prior, type=replace(prior.type, joints=("a", "b")))
     with pytest.raises(ConfigError, match="joints = .a, b. of the fleet prior must be .shoulder, elbow."):

@@ -122,7 +122,7 @@ def test_where_no_arm_can_be_found_given_constants_are_kept_and_unknown_ones_are
     measured = made_motion(prismatic_mass(5.0), 1.0, pieces=1).recordings
     kept = fit_torque_constants(slide, measured, ObserverConfig(), given=True)
     assert kept.used == [1.0]
-    assert kept.sentences(("slide",)) == ["torque constants of the import are kept: the motion says no more"]
+    assert kept.sentences(("slide",)) == ["torque constants of the import are kept: the motion does not improve them"]
     with pytest.raises(ConfigError, match="--fit-torque-constants False trains in the recordings' own unit"):
         fit_torque_constants(slide, measured, ObserverConfig())
 

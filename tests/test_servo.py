@@ -13,7 +13,7 @@ from tauext.check.examine import of_servos
 from tauext.check.finding import Finding
 from tauext.check.sensors import normal_ranges, spikes_of
 from tauext.data.assemble import assemble
-from tauext.data.description_file import parse_arm
+from tauext.data.description import parse_arm
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.servo import servo_of, servo_of_recordings, velocity_and_torque
 from tauext.data.servo_types import SERVO_TYPES
@@ -145,11 +145,14 @@ def test_unknown_servos_leave_their_constant_to_training(raw):
     [
         ('torque_from = "load"\n', "one of torque, phase-current, supply-current, duty, goal"),
         ("", r"\[servo\] torque_from is missing"),
-        ('torque_from = "goal"\nohm = 0\n', r"\[servo\] ohm = \[0.0, 0.0\] must be > 0"),
-        ('torque_from = "goal"\nmost_duty = [1, 50]\n', r"\[servo\] most_duty = \[1.0, 50.0\] must be at most 1"),
-        ('torque_from = "goal"\nmost_duty = 0\n', r"\[servo\] most_duty = .* must be > 0"),
-        ('torque_from = "goal"\ngain = [1, 2, 3]\n', r"\[servo\] gain = .* as many as joints, 2"),
-        ('torque_from = "goal"\nvelocity_window_s = 9\n', "velocity_window_s = 9.0 must be 0 to 2"),
+        ('torque_from = "goal"\nohm = 0\n', r"\[servo\] ohm = 0 must be a number > 0"),
+        (
+            'torque_from = "goal"\nmost_duty = [1, 50]\n',
+            r"\[servo\] most_duty = \[1, 50\] must be a number > 0, at most 1",
+        ),
+        ('torque_from = "goal"\nmost_duty = 0\n', r"\[servo\] most_duty = .* must be a number > 0"),
+        ('torque_from = "goal"\ngain = [1, 2, 3]\n', r"\[servo\] gain = .*, one for all joints or a list of 2"),
+        ('torque_from = "goal"\nvelocity_window_s = 9\n', "velocity_window_s = 9 must be a number from 0 to 2"),
         ('torque_from = "goal"\ngian = 16\n', "unknown key 'gian' in .servo.; the nearest known is 'gain'"),
         ('torque_from = "duty"\n[signals.tau]\ncolumns = "mA_{joint}"\n', "must be left out"),
     ],

@@ -22,7 +22,7 @@ from unseen.so101 import servo_arm, so101
 from unseen.velocities import estimators, judge
 
 from tauext import _core
-from tauext.data.description_file import parse_arm
+from tauext.data.description import parse_arm
 from tauext.data.recording import Recording
 from tauext.robot.load import load_tree
 

@@ -1,8 +1,10 @@
-"""What sources of serial servos share: lost, short and corrupt packets, silent servos, ports, and what is refused."""
+"""Sources of serial servos on a mocked bus, through the vendors' packet handlers: bytes by the manuals, and faults."""
 
 from __future__ import annotations
 
+import math
 import os
+import struct
 import subprocess
 import sys
 import time
@@ -10,38 +12,61 @@ import time
 import numpy as np
 import pytest
 from made_live import Keeper
-from made_servos import NAMES, Dynamixel, Feetech, MadeServoBus, bus_file, patient, servo_bundle, servo_settings, taken
-from test_dynamixel_source import x_series
-from test_feetech_source import sts3215
+from made_servos import (
+    NAMES,
+    Dynamixel,
+    Feetech,
+    MadeServoBus,
+    bus_file,
+    crc16,
+    first_sample,
+    patient,
+    servo_bundle,
+    servo_settings,
+    sts3215,
+    taken,
+    x_series,
+)
 
 from tauext.errors import ConfigError
 from tauext.monitor.loop import TOLD_AFTER, Loop, LoopSettings
 from tauext.monitor.reaction_file import Reaction
 from tauext.monitor.reactions import start_reactions
 from tauext.monitor.source import Stoppable
-from tauext.sources.dynamixel import DynamixelSource
-from tauext.sources.feetech import FeetechSource
-from tauext.sources.reader import Ticks
+from tauext.sources.servo import ServoSource
 from tauext.sources.servo_bus_file import ServoJoint
+from tauext.sources.servo_series import DYNAMIXEL, FEETECH
 
-KINDS = {"feetech": (Feetech, FeetechSource, sts3215), "dynamixel": (Dynamixel, DynamixelSource, x_series)}
-POSITION = {"feetech": ("H", 56), "dynamixel": ("i", 132)}
+pytest.importorskip("scservo_sdk")
+pytest.importorskip("dynamixel_sdk")
+
+KINDS = {"feetech": (Feetech, FEETECH, sts3215), "dynamixel": (Dynamixel, DYNAMIXEL, x_series)}
+PLACES = {
+    "feetech": {"position": ("H", 56), "goal": ("H", 42), "torque": ("B", 40), "mode": ("B", 33)},
+    "dynamixel": {"position": ("i", 132), "goal": ("i", 116), "torque": ("B", 64), "mode": ("B", 11)},
+}
+RAD = 2 * math.pi / 4096
+XL330, XL430, XM430 = 1200, 1060, 1020
 
 
 class Rig:
     """Three servos of a kind, whose positions are the number of the reading."""
 
     def __init__(self, kind: str):
-        protocol, source, power_on = KINDS[kind]
+        protocol, series, power_on = KINDS[kind]
         self.kind, self.bus = kind, MadeServoBus(protocol(), [1, 2, 3])
         for id_ in (1, 2, 3):
             power_on(self.bus, id_)
         self.bus.moves = self._move
-        self.source = patient(source(self.bus.port, bus_file(*(ServoJoint(NAMES[k], k + 1, 0.0) for k in range(3)))))
+        joints = (ServoJoint(NAMES[k], k + 1, 0.0) for k in range(3))
+        self.source = patient(ServoSource(series, self.bus.port, bus_file(*joints)))
 
     def _move(self, reading: int) -> None:
         for id_ in (1, 2, 3):
-            self.bus.put(id_, POSITION[self.kind][0], POSITION[self.kind][1], reading % 2000)
+            self.put(id_, "position", reading % 2000)
+
+    def put(self, id_: int, what: str, value: int) -> None:
+        self.bus.put(id_, *PLACES[self.kind][what], value)
 
     def open(self, **settings) -> None:
         self.source.open(servo_settings(3, **settings))
@@ -223,16 +248,16 @@ def test_a_port_that_is_none_is_refused(tmp_path):
         (str(tmp_path / "ttyACM7"), "there is no such port; there (are|is none)"),
         ("/dev/null", "this is no serial port"),
     ):
-        source = FeetechSource(path, bus_file(ServoJoint("pan", 1)))
+        source = ServoSource(FEETECH, path, bus_file(ServoJoint("pan", 1)))
         with pytest.raises(ConfigError, match=message):
             source.open(servo_settings(1))
 
 
-@pytest.mark.parametrize("module, source", [("scservo_sdk", FeetechSource), ("dynamixel_sdk", DynamixelSource)])
-def test_a_library_that_is_not_installed_names_its_extra(monkeypatch, module, source):
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(ConfigError, match=r"pip install 'tauext\[(feetech|dynamixel)\]'"):
-        source("/dev/ttyACM0", bus_file(ServoJoint("pan", 1)))
+@pytest.mark.parametrize("series", [FEETECH, DYNAMIXEL])
+def test_a_library_that_is_not_installed_names_its_extra(monkeypatch, series):
+    monkeypatch.setitem(sys.modules, series.library, None)
+    with pytest.raises(ConfigError, match=rf"pip install 'tauext\[{series.kind}\]'"):
+        ServoSource(series, "/dev/ttyACM0", bus_file(ServoJoint("pan", 1)))
 
 
 @pytest.mark.timing
@@ -253,25 +278,266 @@ def test_a_loop_makes_torque_of_what_servos_report_and_a_reaction_makes_them_hol
     sample = next(verdict.sample for verdict in keeper.verdicts if verdict.sample is not None)
     np.testing.assert_allclose(sample.tau, 1.2 * volts * np.array([0.4, 0.0, -0.4]) / 2.75, rtol=1e-9)
     held = {id_ for _, id_, _ in rig.bus.writes}
-    assert held == {1, 2, 3} and {address for address, _, _ in rig.bus.writes} == {rig.source.goal[0]}
+    assert held == {1, 2, 3} and {address for address, _, _ in rig.bus.writes} == {PLACES[rig.kind]["goal"][1]}
 
 
-def test_ticks_keep_their_times_and_skip_those_that_passed():
-    now, slept = [100.0], []
+# Bytes and registers, by the manuals of the makers.
 
-    def sleep(seconds):
-        slept.append(seconds)
-        now[0] += seconds
 
-    ticks = Ticks(0.25, lambda: now[0], sleep)
-    assert ticks.wait(1.0) == 0 and slept == []  # the first at once
-    now[0] += 0.125  # an answer came
-    assert ticks.wait(1.0) == 0 and now[0] == 100.25
-    now[0] += 0.375  # 100.625: the tick of 100.5 is late and not skipped
-    assert ticks.wait(1.0) == 0 and now[0] == 100.625
-    assert ticks.wait(1.0) == 0 and now[0] == 100.75
-    now[0] += 0.8125  # 101.5625: of 101.0, 101.25, 101.5 the last is still to be used
-    assert ticks.wait(1.0) == 2 and now[0] == 101.5625
-    assert ticks.wait(1.0) == 0 and now[0] == 101.75
-    assert ticks.wait(0.125) is None and now[0] == 101.875
-    assert ticks.wait(0.125) == 0 and now[0] == 102.0
+@pytest.fixture(params=list(KINDS))
+def two(request):
+    """Two servos of a series at rest."""
+    with Two(request.param) as bus:
+        yield bus
+
+
+@pytest.fixture
+def feetech():
+    with Two("feetech") as bus:
+        yield bus
+
+
+@pytest.fixture
+def dynamixel():
+    with Two("dynamixel") as bus:
+        yield bus
+
+
+class Two(MadeServoBus):
+    def __init__(self, kind: str, servos: int = 2):
+        protocol, self.series, power_on = KINDS[kind]
+        super().__init__(protocol(), list(range(1, servos + 1)))
+        self.kind = kind
+        for id_ in self.registers:
+            power_on(self, id_)
+
+    def set(self, id_: int, what: str, value: int) -> None:
+        self.put(id_, *PLACES[self.kind][what], value)
+
+    def opened(self, *joints: ServoJoint, **settings) -> ServoSource:
+        joints = joints or tuple(ServoJoint(NAMES[id_ - 1], id_) for id_ in self.registers)
+        source = patient(ServoSource(self.series, self.port, bus_file(*joints)))
+        source.open(servo_settings(len(joints), **settings))
+        return source
+
+    def sample(self, *joints: ServoJoint, **settings):
+        """The first sample of a source."""
+        return first_sample(self.opened(*joints, **settings))
+
+
+def checked(asked: str) -> bytes:
+    """A request of protocol 2.0 with its CRC."""
+    packet = bytes.fromhex(asked)
+    return packet + struct.pack("<H", crc16(packet))
+
+
+def test_the_mocked_bus_has_the_check_of_the_manual():
+    """e-Manual, Protocol 2.0: a ping of id 1."""
+    assert crc16(bytes.fromhex("ff ff fd 00 01 03 00 01")) == 0x4E19
+
+
+def test_a_reading_is_one_sync_read_and_writes_nothing(two):
+    source = two.opened()
+    try:
+        taken(source, 3)
+    finally:
+        source.close()
+    # Header, to all, length, sync read, first register, how many, ids, check: by the manuals, written out by hand.
+    identity, state = {
+        "feetech": (bytes.fromhex("ff ff fe 06 82 03 1f 01 02 54"), bytes.fromhex("ff ff fe 06 82 28 1f 01 02 2f")),
+        "dynamixel": (
+            checked("ff ff fd 00 fe 09 00 82 00 00 18 00 01 02"),
+            checked("ff ff fd 00 fe 09 00 82 74 00 1f 00 01 02"),
+        ),
+    }[two.kind]
+    assert two.requests[0] == identity and set(two.requests[1:]) == {state}
+    assert two.writes == []
+
+
+def test_an_answer_of_the_servo_is_taken_byte_by_byte(two):
+    """A whole answer as on the wire: goal 2100, position 2048, 12.3 V, 42 degC."""
+    if two.kind == "feetech":  # FF FF, id, length 33, no error, 31 registers, ~sum
+        body = bytes.fromhex(
+            "01 21 00"
+            "01 00 34 08 00 00 00 00 e8 03 00 00 00 00 00 00"  # 40: on, acceleration, goal, time, speed, limit 1000
+            "00 08 2c 81 64 04 7b 2a 00 00 01 00 00 c8 00"  # 56: position, -300, -100, volts, degC, ..., current 200
+        )
+        packet = b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
+        dq, duty, current = -300 * RAD, -0.100, 1.3
+    else:
+        packet = checked(
+            "ff ff fd 00 01 23 00 55 00"
+            "34 08 00 00 00 00 00 00"  # 116: goal, tick, moving, status
+            "8b fc d4 fe 9c ff ff ff 00 08 00 00"  # 124: PWM -885, current -300, velocity -100, position
+            "00 00 00 00 00 00 00 00 7b 00 2a"  # 136: trajectories, volts, degC
+        )
+        dq, duty, current = -100 * 0.229 * 2 * math.pi / 60, -1.0, -0.3
+    two.sent = lambda id_, made: packet if id_ == 1 and two.readings > 1 else made
+    one = two.sample()
+    assert one.q[0] == 0.0 and one.q_des[0] == pytest.approx(52 * RAD)
+    assert (one.dq[0], one.duty[0], one.current[0]) == pytest.approx((dq, duty, current))
+    assert one.voltage[0] == pytest.approx(12.3) and one.temperature[0] == 42.0
+    assert np.isnan(one.tau).all()
+
+
+@pytest.mark.parametrize(
+    "register, word, signal, value",
+    [
+        (56, 0x8005, "q", (-5 - 2048 + 4096) * RAD),  # sign in bit 15; within half a turn of the zero
+        (58, 0x012C, "dq", 300 * RAD),
+        (58, 0x812C, "dq", -300 * RAD),
+        (58, 0x8000, "dq", 0.0),
+        (60, 0x03E8, "duty", 1.0),
+        (60, 0x07E8, "duty", -1.0),  # sign in bit 10
+        (60, 0x0400, "duty", 0.0),
+        (69, 0x0064, "current", 0.65),
+        (69, 0x8064, "current", -0.65),
+        (42, 0x0834, "q_des", 52 * RAD),
+        (42, 0x8034, "q_des", (-52 - 2048) * RAD),
+    ],
+)
+def test_signs_of_feetech_are_in_the_bits_that_the_manual_says(feetech, register, word, signal, value):
+    feetech.put(1, "H", register, word)
+    assert getattr(feetech.sample(), signal)[0] == pytest.approx(value, abs=1e-12)
+
+
+@pytest.mark.parametrize("model, ampere", [(XL330, 0.001), (1190, 0.001), (XM430, 0.00269), (1120, 0.00269)])
+@pytest.mark.parametrize("counts", [1, -1, 1193, -32768])
+def test_currents_of_dynamixel_are_signed_and_in_the_step_of_the_model(dynamixel, model, ampere, counts):
+    x_series(dynamixel, 1, model)
+    dynamixel.put(1, "h", 126, counts)
+    assert dynamixel.sample().current[0] == pytest.approx(counts * ampere)
+
+
+def test_an_xl430_has_no_current(dynamixel):
+    x_series(dynamixel, 1, XL430)
+    dynamixel.put(1, "h", 126, 500)  # its load, an estimate
+    one = dynamixel.sample()
+    assert np.isnan(one.current[0]) and one.current[1] == 0.0
+    with pytest.raises(ConfigError, match=r"a xl430-w250, reports duty, goal, the bundle takes its torque from phase"):
+        dynamixel.opened(torque_from="phase_current")
+
+
+def test_bytes_like_a_header_are_stuffed_and_come_back(dynamixel):
+    """FF FF FD in the registers: a position of -131073 is FF FF FD FF, after which the packet is a byte longer."""
+    dynamixel.set(1, "position", -131073)
+    one = dynamixel.sample(ServoJoint("pan", 1, 0.0, multi_turn=True), ServoJoint("lift", 2))
+    assert one.q[0] == pytest.approx(-131073 * RAD)
+
+
+def test_zeros_directions_and_turns_are_those_of_the_file(feetech):
+    feetech.put(1, "HHH", 56, 3048, 100, 50)
+    feetech.set(1, "goal", 3148)
+    feetech.put(1, "H", 69, 10)
+    feetech.set(2, "position", 0x8000 | 5000)
+    one = feetech.sample(ServoJoint("lift", 1, 1048.0, -1), ServoJoint("pan", 2, 0.0, 1, multi_turn=True))
+    assert one.q == pytest.approx([-5000 * RAD, -2000 * RAD])  # in the order of the bundle: pan, lift
+    assert one.q_des[1] - one.q[1] == pytest.approx(-100 * RAD)
+    assert one.dq[1] == pytest.approx(-100 * RAD) and one.duty[1] == pytest.approx(-0.05)
+    assert one.current[1] == pytest.approx(0.065)  # what the supply gives has no direction
+
+
+def test_turns_are_counted_in_32_bits_and_directions_turn_phase_currents_too(dynamixel):
+    dynamixel.put(1, "hhii", 124, 100, 7, -5, 3 * 4096 + 10)
+    dynamixel.set(1, "mode", 4)  # extended position
+    one = dynamixel.sample(ServoJoint("pan", 1, 10.0, -1, multi_turn=True), ServoJoint("lift", 2))
+    assert one.q[0] == pytest.approx(-6 * math.pi)
+    assert one.current[0] == pytest.approx(-0.007) and one.duty[0] == pytest.approx(-100 / 885) and one.dq[0] > 0
+
+
+def test_an_angle_goes_on_where_the_counts_wrap(two):
+    two.moves = lambda reading: two.set(1, "position", (4090 + 2 * reading) % 4096)
+    source = two.opened(ServoJoint("pan", 1, 4000.0), ServoJoint("lift", 2))
+    try:
+        q = np.array([one.q[0] for one in taken(source, 12)])
+    finally:
+        source.close()
+    np.testing.assert_allclose(np.diff(q), 2 * RAD, atol=1e-12)
+    assert q[0] > 0
+
+
+def test_a_servo_in_another_mode_has_no_goal(two):
+    two.set(1, "mode", 1)  # speed
+    one = two.sample()
+    assert np.isnan(one.q_des[0]) and one.q_des[1] == 0.0 and np.isfinite([one.q, one.duty]).all()
+
+
+def test_a_feetech_without_torque_has_no_goal(feetech):
+    feetech.set(1, "torque", 0)
+    one = feetech.sample()
+    assert np.isnan(one.q_des[0]) and one.q_des[1] == 0.0
+
+
+def test_stop_writes_the_present_position_as_goal_to_servos_whose_torque_is_on(two):
+    two.set(1, "position", 0x8123 if two.kind == "feetech" else -77)
+    two.set(2, "torque", 0)
+    source = two.opened()
+    try:
+        taken(source, 2)
+        assert two.writes == []
+        source.stop()
+    finally:
+        source.close()
+    # Header, to all, length, sync write, register, how many bytes, id 1 and its position, check.
+    address, goal, sent = {
+        "feetech": (42, b"\x23\x81", bytes.fromhex("ff ff fe 07 83 2a 02 01 23 81 a6")),
+        "dynamixel": (
+            116,
+            struct.pack("<i", -77),
+            checked("ff ff fd 00 fe 0c 00 83 74 00 04 00 01 b3 ff ff ff"),
+        ),
+    }[two.kind]
+    assert two.writes == [(address, 1, goal)] and sent in b"".join(two.requests)
+
+
+def test_stop_says_what_does_not_hold(two):
+    two.set(2, "mode", 1)
+    source = two.opened()
+    with pytest.raises(RuntimeError, match=r"does not hold: servo 2 \(lift\) is in an operating mode without goal"):
+        source.stop()
+    assert [id_ for _, id_, _ in two.writes] == [1]
+    patient(source, 0.05)
+    two.sent = lambda id_, packet: b"" if id_ == 1 else packet
+    with pytest.raises(RuntimeError, match=r"servo 1 \(pan\) does not answer"):
+        source.stop()
+    source.close()
+
+
+def test_a_servo_that_does_not_take_its_goal_is_named(two):
+    source = two.opened()
+    source.bus.write = lambda *_: None  # on its way it is lost
+    two.set(1, "goal", 99)
+    with pytest.raises(RuntimeError, match=r"servo 1 \(pan\) does not take the goal"):
+        source.stop()
+    source.close()
+
+
+def test_what_a_servo_complains_of_is_told_once(two):
+    error, text = (36, "overheated, overload") if two.kind == "feetech" else (0x80, "a hardware alert; its register 70")
+    source = two.opened()
+    try:
+        taken(source, 2)
+        two.errors[2] = error
+        taken(source, 10)
+        (note,) = source.notes()
+        assert note.startswith(f"servo 2 (lift) says: {text}")
+        two.errors[2] = 0
+        taken(source, 10)
+        assert source.notes() == ["servo 2 (lift) has no more to say"]
+    finally:
+        source.close()
+
+
+@pytest.mark.slow
+def test_six_servos_are_read_six_thousand_times_and_each_time_whole():
+    """A minute at 100 Hz. How late they are depends on the machine: benchmarks/servo_buses.py."""
+    with Two("feetech", 6) as bus:
+        bus.moves = lambda reading: [bus.set(id_, "position", (reading + 100 * id_) % 4096) for id_ in bus.registers]
+        source = bus.opened(period_ns=10_000_000)
+        try:
+            q = np.array([one.q for one in taken(source, 6000, 300.0)])
+        finally:
+            source.close()
+        assert source.counts.refused == source.counts.overrun == 0 and source.notes() == []
+    steps = np.diff(q, axis=0) / RAD
+    assert np.isin(np.rint(steps), (1, -4095)).all()  # no reading twice, none mixed from two

@@ -10,7 +10,7 @@ import pytest
 from made_bundles import JOINTS, pushed, watching_bundle
 
 from tauext import Touch, _core
-from tauext.cli.run_text import touch_words
+from tauext.cli.text_lines import touch_words
 from tauext.errors import ConfigError
 from tauext.monitor.changes import TOUCHES, ChangeFinder, TouchChange
 from tauext.monitor.reaction_file import Reaction, load_reactions
@@ -28,9 +28,9 @@ def said(touch: list[int], alarm: list[int]) -> dict[str, np.ndarray]:
     torques = {
         name: np.ones((rows, 2)) for name in ("tau_ext", "sigma_nm", "contact_sigma_nm", "limit_nm", "contact_limit_nm")
     }
-    torques |= {name: np.ones((rows, 2)) for name in ("margin_nm", "residual")}
+    torques |= {name: np.ones((rows, 2)) for name in ("margin_nm", "residual", "uncertainty")}
     flags = {name: np.zeros((rows, 2), bool) for name in ("near_stiction", "drift_saturated")}
-    numbers = {name: np.zeros(rows, int) for name in ("causes", "cause_joint")}
+    numbers = {name: np.zeros(rows, int) for name in ("causes", "cause_joint", "detection", "unfamiliar")}
     return {
         **torques,
         **flags,
@@ -131,8 +131,8 @@ def test_a_file_binds_a_reaction_to_kinds(tmp_path):
     path.write_text(FILE.format(on='["collision"]', touch='["clamp", "unknown"]'))
     assert load_reactions(path, JOINTS)[0].touch == ("clamp", "unknown")
     for on, touch, words in (
-        ('["collision"]', '["squeeze"]', "names 'squeeze'; kinds of touch are unknown, impact, push, clamp, load"),
-        ('["fault"]', '["clamp"]', "says nothing of fault; on needs collision or contact"),
+        ('["collision"]', '["squeeze"]', "must be a list of kinds of touch: unknown, impact, push, clamp, load"),
+        ('["fault"]', '["clamp"]', "touch cannot hold for fault; on needs collision or contact"),
         ('["collision"]', "[]", "must be a list of kinds of touch"),
     ):
         path.write_text(FILE.format(on=on, touch=touch))

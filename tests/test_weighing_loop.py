@@ -13,8 +13,8 @@ from made_recordings import made_motion
 from test_weighing import COM, MASS, QUIET, bundle_of, carrying, phi_of
 
 from tauext import _core
-from tauext.cli.run_json import found_facts
-from tauext.cli.run_text import weigh_words
+from tauext.cli.json_lines import found_facts
+from tauext.cli.text_lines import weigh_words
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.monitor.changes import WeighChange

@@ -14,7 +14,7 @@ if module.CODEBASE_VERSION != "v2.1":
     pytest.skip(f"this lerobot writes {module.CODEBASE_VERSION}", allow_module_level=True)
 
 import tauext
-from tauext.data.description_file import load_arm
+from tauext.data.description import load_arm
 from tauext.sources.lerobot_labels import label_dataset
 
 ADDED = ["shoulder.tau_ext", "elbow.tau_ext", "wrist.tau_ext", "contact", "collision"]

@@ -20,7 +20,7 @@ from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 from mock_arm import NAMES, Player
 
 import tauext
-from tauext.data.description_file import load_arm
+from tauext.data.description import load_arm
 from tauext.sources.lerobot_labels import label_dataset
 
 EPISODES, SECONDS = 2, 3

@@ -22,7 +22,7 @@ from lerobot_robot_tauext import CollisionStop, Tauext, TauextConfig
 from mock_arm import NAMES, MockArm, MockArmConfig, Player
 
 import tauext
-from tauext.data.description_file import load_arm
+from tauext.data.description import load_arm
 from tauext.sources.lerobot_labels import label_dataset
 
 ADDED = ["shoulder.tau_ext", "elbow.tau_ext", "wrist.tau_ext", "contact", "collision"]

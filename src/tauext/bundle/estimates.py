@@ -1,4 +1,4 @@
-"""What a bundle said of a recording, sample by sample, and its file: from `tauext evaluate` or beside a flight."""
+"""Estimates of a recording, sample by sample, and their file: from `tauext evaluate` or beside a flight."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Estimates:
     """One row a sample of the recording; torques are (samples, joints) float32, in the bundle's estimate units.
 
     The first rows' tau_ext is NaN: until the observer has forgotten how it began, 10/K0, and a network's window is
-    full, there is no estimate (a second at K0 = 20; without a network half of that). `health` says so, `why(row)` in
+    full, there is no estimate (a second at K0 = 20; without a network half of that). `health` states it, `why(row)` in
     words.
     """
 
@@ -82,13 +82,13 @@ class Estimates:
         return self.health == OK
 
     def why(self, row: int) -> str:
-        """What health says of one sample: `ok`, `warming up`, `warming up: gap`, `fault: not finite`."""
+        """Health of one sample in words: `ok`, `warming up`, `warming up: gap`, `fault: not finite`."""
         causes = cause_names(int(self.causes[row])) if self.causes is not None else []
         return HEALTHS[int(self.health[row])] + (f": {', '.join(causes)}" if causes else "")
 
     @property
     def has_network(self) -> bool:
-        """A bundle without one says 0 throughout."""
+        """0 throughout for a bundle without one."""
         return bool(np.nan_to_num(self.network).any())
 
     @property

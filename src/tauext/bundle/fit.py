@@ -12,7 +12,7 @@ from tauext.errors import BundleError
 def expect_fit(bundle: _core.Bundle, recording: Recording | Description) -> None:
     """Raise BundleError, naming what differs, where the recording is not of the bundle's robot, rate and timing.
 
-    So it does where the bundle takes amperes and the recording says that its tau is in N m; most say nothing of that.
+    So it does where the bundle takes amperes and the recording states that its tau is in N m; most state nothing.
     """
     joints = tuple(link.joint_name for link in bundle.links)
     if recording.joints != joints:
@@ -38,8 +38,8 @@ def expect_fit(bundle: _core.Bundle, recording: Recording | Description) -> None
             f"bundle '{bundle.name}' makes velocity and torque of what servos report; those of recording "
             f"{recording.name} are {how}: import it with the arm.toml that the bundle's recordings were imported with"
         )
-    told = recording.provenance.get("torque")
-    if "A" in bundle.torque_units and told in ("N m", FROM_AMPERES):
+    unit = recording.provenance.get("torque")
+    if "A" in bundle.torque_units and unit in ("N m", FROM_AMPERES):
         raise BundleError(
-            f"bundle '{bundle.name}' takes motor currents in amperes; recording {recording.name} is in {told}"
+            f"bundle '{bundle.name}' takes motor currents in amperes; recording {recording.name} is in {unit}"
         )

@@ -23,7 +23,7 @@ def read_loss_history(bundle: _core.Bundle, path: Place) -> LossHistory | None:
     """The history of the bundle that was loaded from this path, thinned; None where nothing was recorded.
 
     A bundle without its run file is a bundle that was copied, and nothing is wrong with it. A run file that cannot be
-    read, or that tells of another bundle, is a mistake to be told before hours of evaluation, not a curve to leave out.
+    read, or belongs to another bundle, is refused before hours of evaluation, not a curve to leave out.
 
     Raises:
         ConfigError: the run file is damaged, or of another training than the bundle.

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from tauext._core import Bundle
 
 SEVERAL = "unit of the joint"
-"""Where joints answer in different units, a heading over all of them says this."""
+"""Where joints answer in different units, a heading over all of them is this."""
 
 
 def short(unit: str) -> str:
@@ -24,13 +24,13 @@ def short(unit: str) -> str:
 
 
 def of_all(units: Sequence[str]) -> str:
-    """The unit that all joints share, [N m] where nobody says one, or that each has its own."""
+    """The unit that all joints share, [N m] where none is stated, or that each has its own."""
     different = set(units) or {"N m"}
     return short(different.pop()) if len(different) == 1 else SEVERAL
 
 
 def left_out(bundle: Bundle) -> dict[str, list[str]]:
-    """For facts: names of the joints that do not answer in N m, by which no load or force is told; {} if all do."""
+    """For facts: names of the joints that do not answer in N m, which loads and forces leave out; {} if all do."""
     names = not_in_newtons([link.joint_name for link in bundle.links], bundle.estimate_units)
     return {"left_out": list(names)} if names else {}
 
@@ -40,7 +40,7 @@ def not_in_newtons(joints: Sequence[str], units: Sequence[str]) -> tuple[str, ..
     return tuple(joint for joint, unit in zip(joints, units, strict=True) if unit not in ("N m", "N", "W"))
 
 
-# --- How sure a bundle with an error scale is, in motions that everybody knows: `tauext show` says it.
+# --- How sure a bundle with an error scale is, in typical motions, for `tauext show`.
 
 
 SPEED_RAD_S = 0.5
@@ -97,12 +97,12 @@ def motions(bundle: _core.Bundle) -> dict[str, tuple[list[float], bool]]:
 
 def sentences(found: Mapping[str, Situation], units: Mapping[str, str]) -> dict[str, str]:
     """Where each joint is least sure, and where it is surest."""
-    told = {}
+    sentences = {}
     for joint, unit in units.items():
         by_limit = sorted(found, key=lambda name: found[name]["limit"][joint])
         words = [f"{name}: {certainty(found[name], joint, unit)}" for name in (by_limit[-1], by_limit[0])]
-        told[joint] = f"least sure {words[0]}; surest {words[1]}"
-    return told
+        sentences[joint] = f"least sure {words[0]}; surest {words[1]}"
+    return sentences
 
 
 def certainty(situation: Situation, joint: str, unit: str) -> str:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment, minimize_scalar
@@ -26,7 +25,7 @@ from tauext.check.fit import (
     spread_of,
 )
 from tauext.check.motion import PADDED_ROWS, Stretch
-from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
+from tauext.robot.inertial import point_inertia, six_of, unit_loads, with_more_at_end
 
 # --- The direction in which the arm's own torques say that things fall.
 
@@ -109,14 +108,17 @@ class Load:
 
 def with_load(tree: _core.Tree, by: np.ndarray) -> _core.Tree:
     """The tree with m and m com (4,) added to the last link."""
-    links = list(tree.links)
-    parameters = inertial_parameters(links[-1])
-    parameters[:4] += by
     com = by[1:] / by[0] if by[0] else np.zeros(3)
-    about = by[0] * (com @ com * np.eye(3) - np.outer(com, com))
-    parameters[4:10] += about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    links[-1] = with_inertial_parameters(links[-1], parameters)
-    return _core.Tree(links, tree.gravity)
+    return with_more_at_end(tree, np.r_[by, six_of(point_inertia(by[0], com))])
+
+
+def load_columns(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) -> np.ndarray:
+    """Torque a kg, and a kg m of first moment, at the last link: (rows, joints, 4).
+
+    Args:
+        rows: of these stretches with this tree.
+    """
+    return np.stack([rows_of(stretches, loaded).model - rows.model for loaded in unit_loads(tree)], axis=2)
 
 
 def fit_load(stretches: Sequence, tree: _core.Tree, rows: Rows) -> Load:
@@ -127,16 +129,7 @@ def fit_load(stretches: Sequence, tree: _core.Tree, rows: Rows) -> Load:
     with m and m c common to all joints, and J_i and friction their own. The load's own inertia about its centre of
     mass is left out: of a hand's size it is a hundredth of m c^2 + rotor inertia.
     """
-    columns = []
-    for k in range(4):
-        unit = np.zeros(4)
-        unit[k] = 1.0
-        links = list(tree.links)
-        parameters = inertial_parameters(links[-1])
-        parameters[:4] += unit
-        links[-1] = with_inertial_parameters(links[-1], parameters)
-        columns.append(rows_of(stretches, _core.Tree(links, tree.gravity)).model - rows.model)
-    shared = np.stack(columns, axis=2)  # (rows, joints, 4)
+    shared = load_columns(stretches, tree, rows)
     target = rows.tau - rows.model
     left, rest, without = [], [], np.empty(rows.joints)
     for j in range(rows.joints):
@@ -298,11 +291,7 @@ class Change:
 
     def of(self, stretch: Stretch) -> Stretch:
         """The stretch as it would be."""
-        names = ("q", "dq", "tau", "q_raw", "dq_raw")
-        signals: dict[str, Any] = {
-            n: np.ascontiguousarray(self.sign * getattr(stretch, n)[:, self.order]) for n in names
-        }
-        return replace(stretch, **signals)
+        return stretch.changed(lambda x: np.ascontiguousarray(self.sign * x[:, self.order]))
 
     def of_rows(self, rows: Rows) -> Rows:
         """Rows of such stretches, but for the model's torques: all else is odd in the motion, or constant."""
@@ -320,11 +309,7 @@ def search_stretches(stretches: Sequence[Stretch], seconds: float = SEARCH_S) ->
     """A share of every stretch, so many seconds in all; where that leaves too few rows the longest one, whole."""
     share = min(1.0, seconds / max(1e-9, sum(s.seconds for s in stretches)))
 
-    def part(s: Stretch) -> Stretch:
-        rows = slice(0, max(1, round(share * len(s.q))))
-        return replace(s, **{name: getattr(s, name)[rows] for name in ("q", "dq", "tau", "q_raw", "dq_raw")})
-
-    parts = [part(s) for s in stretches]
+    parts = [s.changed(lambda x: x[: max(1, round(share * len(x)))]) for s in stretches]
     enough = [s for s in parts if s.seconds > 2.0 and len(s.q) > PADDED_ROWS]
     return enough or [max(stretches, key=lambda s: s.seconds)]
 
@@ -332,7 +317,7 @@ def search_stretches(stretches: Sequence[Stretch], seconds: float = SEARCH_S) ->
 def exchanged_efforts(rows: Rows, joints: Sequence[str]) -> tuple[list[Finding], list[int]]:
     """Torques that fit the motion of another joint; and for each joint the column that holds its torque."""
     n, every = rows.joints, max(1, len(rows.time_s) // SEARCH_ROWS)
-    rows = Rows(*(getattr(rows, name)[::every] for name in rows.__dataclass_fields__))
+    rows = rows.taken(slice(None, None, every))
     errors = np.empty((n, n))  # log error of torque column k as that of joint j
     for k in range(n):
         y = rows.tau[:, k]

@@ -10,7 +10,7 @@ import numpy as np
 
 from tauext.check.finding import Finding, Severity
 from tauext.check.motion import Stretch, repeated_rows
-from tauext.data.recording import GAP_STEPS, Recording, fitted_period_ns
+from tauext.data.recording import GAP_STEPS, Recording, fitted_period_ns, runs_of
 
 # --- Time stamps and rows: gaps, irregular steps, rows that repeat the one before.
 
@@ -76,7 +76,7 @@ def _repeats(recordings: Sequence[Recording]) -> list[Finding]:
     count, rows = sum(int(x.sum()) for x in repeats), sum(len(x) for x in repeats)
     if count < 3 or count / rows < REPEATED:
         return []
-    runs = np.concatenate([_run_lengths(x) for x in repeats])
+    runs = np.concatenate([np.ptp(runs_of(x), axis=1) for x in repeats])
     fresh = np.concatenate([np.diff(r.t_ns[~x]) * 1e-6 for r, x in zip(recordings, repeats, strict=True)])
     severity: Severity = "warning" if count / rows >= REPEATED_BADLY else "note"
     evidence = f"{count / rows:.1%} of the rows equal the row before ({len(runs)} runs, up to {runs.max()} repeats)"
@@ -90,11 +90,6 @@ def _repeats(recordings: Sequence[Recording]) -> list[Finding]:
         'slower, drop repeats at import ([time] repeats = "drop")'
     )
     return [Finding("repeated-rows", severity, None, evidence, advice)]
-
-
-def _run_lengths(flags: np.ndarray) -> np.ndarray:
-    edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(np.int8), 0]))
-    return edges[1::2] - edges[::2]
 
 
 # --- Time stamps in another unit than said: the motion and the velocity tell what a step takes.

@@ -23,7 +23,7 @@ from tauext.check.fit import (
 )
 from tauext.check.motion import POSITION_CUTOFF_HZ, Stretch, low_pass, stretches
 from tauext.config import FreeMotionConfig
-from tauext.data.recording import Recording
+from tauext.data.recording import Recording, runs_of
 
 CUTOFF_HZ, ROWS_HZ = 10.0, 50.0
 """An impact lasts 50 to 200 ms: the fits' own filter would take half of it."""
@@ -147,10 +147,8 @@ def near_label(rows: Rows, recordings: Sequence[Recording]) -> np.ndarray:
     margins, start_s = FreeMotionConfig(), 0.0
     near = np.zeros(len(rows.time_s), dtype=bool)
     for r in recordings:
-        touched = np.zeros(r.samples, dtype=np.int8) if r.contact is None else (r.contact == 1).astype(np.int8)
-        edges = np.flatnonzero(np.diff(np.r_[0, touched, 0]))
-        for first, last in zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True):
-            begin, end = start_s + r.time_s[first] - margins.before_s, start_s + r.time_s[last] + margins.after_s
+        for first, after in [] if r.contact is None else runs_of(r.contact == 1).tolist():
+            begin, end = start_s + r.time_s[first] - margins.before_s, start_s + r.time_s[after - 1] + margins.after_s
             near |= (rows.time_s >= begin) & (rows.time_s <= end)
         start_s += r.duration_s
     return near

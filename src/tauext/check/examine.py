@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import numpy as np
 
@@ -55,11 +55,16 @@ from tauext.check.servo import (
     with_sign,
     without_scale,
 )
+from tauext.data.dataset import ROBOT_FILES, load_dataset
 from tauext.data.drive_signal import Play, play_of
 from tauext.data.recording import Recording
+from tauext.data.recording_file import describe, load_recording
 from tauext.data.servo import derives_velocity, from_amperes, in_amperes, makes_torque
 from tauext.errors import ConfigError
+from tauext.files.copies import local_robot
+from tauext.files.places import Place
 from tauext.progress import SILENT, Reporter
+from tauext.robot.write import is_placeholder
 
 # --- What was measured of every joint, findings or none.
 
@@ -488,3 +493,93 @@ def _table(diagnosis: Diagnosis) -> list[str]:
         return "  ".join([first[0].ljust(first[1]), *(cell.rjust(width) for cell, width in others)])
 
     return [line(row) for row in [head, *rows]]
+
+
+# --- What there is to examine: recordings of a dataset, a folder or by name, and the robot file beside them.
+
+
+MOST_MINUTES = 30.0
+"""Recordings beyond this are left out, evenly: what half an hour does not show is no mistake of units."""
+
+
+def gather(
+    data: tuple[Place, ...], robot: Place | None, report: Reporter = SILENT
+) -> tuple[list[Recording], set[str], Path | None]:
+    """Recordings, at most MOST_MINUTES of them; names of those that a dataset calls free; and the robot file.
+
+    Raises:
+        ConfigError: nothing to check.
+    """
+    files: list[Place] = []
+    free: set[str] = set()
+    for path in data:
+        if not path.is_dir():
+            files.append(path)
+            continue
+        if (path / "split.json").is_file():
+            split = load_dataset(path).split
+            names = [*split.train, *split.validation, *split.test]
+            free |= {PurePath(name).stem for name in names}
+            files += [path / name for name in names]
+        else:
+            files += sorted(path.glob("*.parquet"))
+        robot = robot or next((path / name for name in ROBOT_FILES if (path / name).is_file()), None)
+    robot_file = None if robot is None else local_robot(robot)
+    if robot_file is not None and is_placeholder(robot_file):
+        robot_file = None
+    if not files:
+        raise ConfigError(f"{', '.join(map(str, data)) or 'data'}: no recording (*.parquet) is there to check")
+    return _evenly(files, report), free, robot_file
+
+
+def _evenly(files: list[Place], report: Reporter) -> list[Recording]:
+    """Loaded, every second or third only where there are too many."""
+    heads = [describe(file) for file in files]
+    minutes = sum(head.samples / head.rate_hz for head in heads) / 60
+    stride = max(1, -int(-minutes // MOST_MINUTES))
+    chosen, recordings = files[::stride], []
+    with report.progress("read") as show:
+        for file in chosen:
+            recordings.append(load_recording(file))
+            show(len(recordings), len(chosen), "recordings")
+    return recordings
+
+
+# --- The cheap checks: at one recording without any fit, and at all of them with one, so that hours pass in seconds.
+
+
+OF_ALL = ("quantised", "smoothed", "saturated")
+"""A joint that rests in one recording, or holds one torque, shows none of these; all of them together do."""
+
+
+def quick_look(recording: Recording, torque_limits_nm: np.ndarray | None) -> list[Finding]:
+    """Unsigned efforts, clock, spikes, stuck and saturated signals, degrees and unit of time of one recording, the
+    worst first.
+
+    Args:
+        torque_limits_nm: (joints,) of the robot file, infinite where it has none; None: no robot file.
+    """
+    found, (mended,) = time_findings([recording])
+    efforts = efforts_of([mended])
+    found += [f for f in servo_findings(mended.joints, efforts) if f.severity == "fault"]
+    (mended,), _ = with_sign([mended], efforts)
+    normal = normal_ranges([mended])
+    spikes = spikes_of(mended, normal, torque_limits_nm)
+    found += spike_findings(mended, spikes, normal)
+    mended = without_spikes(mended, spikes)
+    found += clock_findings([mended])
+    found += [f for f in sensor_findings([mended]) if f.code not in OF_ALL]
+    found += degree_findings([mended], stretches([mended]))
+    return sorted((replace(f, recording=recording.name) for f in found), key=lambda f: SEVERITIES.index(f.severity))
+
+
+def unlabelled_contacts(recordings: Sequence[Recording], diagnosis: Diagnosis) -> list[Finding]:
+    """What `examine` says of contacts without a label, of more than it saw.
+
+    Args:
+        recordings: of the same joints.
+        diagnosis: of a share of them, without a fault.
+    """
+    normal = normal_ranges(recordings)
+    mended = [without_spikes(r, spikes_of(r, normal)) for r in recordings]
+    return unlabelled_findings(mended, diagnosis.tree, diagnosis.lag_s)

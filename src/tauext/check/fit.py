@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -48,6 +48,15 @@ class Rows:
     @property
     def model(self) -> np.ndarray:
         return self.gravity + self.inertial
+
+    def taken(self, at: np.ndarray | slice) -> Rows:
+        """Some of the rows."""
+        return Rows(*(getattr(self, field.name)[at] for field in fields(self)))
+
+    @staticmethod
+    def joined(parts: Sequence[Rows]) -> Rows:
+        """The rows of all parts."""
+        return Rows(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Rows)))
 
 
 def rows_of(

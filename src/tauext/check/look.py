@@ -17,9 +17,8 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import OK
 from tauext.check.contacts import is_unlabelled_contact, spoils_contacts
-from tauext.check.examine import Diagnosis, examine
+from tauext.check.examine import Diagnosis, examine, quick_look, unlabelled_contacts
 from tauext.check.finding import CODES, Finding, Severity
-from tauext.check.quick import quick_look, unlabelled_contacts
 from tauext.data.dataset import stretches
 from tauext.data.free_motion import cut
 from tauext.data.recording import Recording
@@ -253,16 +252,16 @@ def is_accepted(finding: Finding, accept: Collection[str]) -> bool:
     return finding.code in accept or f"{finding.code}:{finding.joint}" in accept
 
 
-def judge(looks: Sequence[Look], where: str, accept: Sequence[str], report: Reporter) -> None:
-    """Tell warnings and accepted faults, each once.
+def judge(looks: Mapping[str, Look], where: str, accept: Sequence[str], report: Reporter) -> dict[str, dict]:
+    """Report warnings and accepted faults, each once; the facts of each look, for provenance.
 
     Args:
-        where: what was looked at, for the message.
+        where: the data, for the message.
 
     Raises:
         FaultyDataError: a fault that nobody accepted; the message is a block with all of them.
     """
-    findings = [finding for look in looks for finding in look.findings]
+    findings = [finding for look in looks.values() for finding in look.findings]
     refused = [f for f in findings if f.severity == "fault" and not is_accepted(f, accept)]
     if refused:
         plural = "" if len(refused) == 1 else "s"
@@ -277,6 +276,7 @@ def judge(looks: Sequence[Look], where: str, accept: Sequence[str], report: Repo
         report.say(f"accepted: {sentence(entry)}")
     for entry in entries(f for f in findings if f.severity == "warning"):
         report.say(f"warning: {sentence(entry)}")
+    return {name: look.facts(accept) for name, look in looks.items()}
 
 
 def sentence(entry: dict) -> str:
@@ -413,6 +413,26 @@ def look_at_calibration(files: Sequence[Place], limits_nm: np.ndarray | None, th
         return [forgiven(finding) for of_recording in found for finding in of_recording]
 
     return Look(_worth_telling(remembered(["calibration", _words(limits_nm), *digests], find)))
+
+
+def check_for_bundle(
+    bundle: _core.Bundle,
+    name: str,
+    files: Sequence[Place],
+    where: str,
+    accept: Sequence[str],
+    threads: int,
+    report: Reporter,
+) -> dict[str, dict]:
+    """The cheap checks of recordings from which a bundle learns again; their facts under the name, for provenance.
+
+    Raises:
+        ConfigError: a code that does not exist, or a joint.
+        FaultyDataError: a fault that nobody accepted.
+    """
+    expect_codes(accept, [link.joint_name for link in bundle.links])
+    limits_nm = np.array(bundle.torque_limit_nm) if all(unit == "N m" for unit in bundle.torque_units) else None
+    return judge({name: look_at_calibration(files, limits_nm, threads, report)}, where, accept, report)
 
 
 def shares(recordings: Sequence[Recording]) -> list[Recording]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,7 @@ CONTACT_MARGIN_S = 0.5
 """Left out on both sides of a labelled contact: labels come late, and an arm springs back."""
 REPEATS_S = 0.25
 """Rows that repeat for longer end a stretch."""
+SIGNALS = ("q", "dq", "tau", "q_raw", "dq_raw")
 GAP_PERIODS = 5.0
 """A step of so many periods ends a stretch: what is in between cannot be interpolated."""
 
@@ -49,6 +51,11 @@ class Stretch:
     @property
     def seconds(self) -> float:
         return len(self.q) / self.rate_hz
+
+    def changed(self, change: Callable[[np.ndarray], np.ndarray], names: Sequence[str] = SIGNALS) -> Stretch:
+        """The stretch with these signals changed."""
+        signals: dict[str, Any] = {name: change(getattr(self, name)) for name in names}
+        return replace(self, **signals)
 
 
 PADDED_ROWS = 9

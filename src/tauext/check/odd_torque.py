@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 
 from tauext import _core
-from tauext.check.arrangement import search_stretches
+from tauext.check.arrangement import load_columns, search_stretches
 from tauext.check.effort import inverted, sign_vote
 from tauext.check.finding import Finding, Severity
 from tauext.check.fit import LEAST_ROWS, SEEN, Rows, columns_of, fit_joint, robust_solve, rows_of, torque_rows
-from tauext.check.motion import FIT_ROWS_HZ, Stretch
-from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
+from tauext.check.motion import FIT_ROWS_HZ, SIGNALS, Stretch
 
 # --- What could be wrong with one recording's torques or positions: each mend with the error that it leaves.
 
@@ -163,11 +163,11 @@ def _of_arrangement(
     joints: Sequence[str],
 ) -> Iterator[Mend]:
     n = len(joints)
-    motion, all_of_it = ("q", "dq", "q_raw", "dq_raw"), ("q", "dq", "tau", "q_raw", "dq_raw")
+    motion, all_of_it = ("q", "dq", "q_raw", "dq_raw"), SIGNALS
     for chosen in (*range(n), None):
         sign = np.where([chosen is None or j == chosen for j in range(n)], -1.0, 1.0)
         for names, what in ((motion, "positions and velocities"), (all_of_it, "all signals")):
-            changed = [replace(s, **{name: getattr(s, name) * sign for name in names}) for s in stretches]
+            changed = [s.changed(partial(np.multiply, sign), names) for s in stretches]
             told = f"{what} negated of {'all joints' if chosen is None else repr(joints[chosen])}"
             yield Mend(told, chosen, errors(rows_of(changed, tree)), "fault", 0, moves=True)
     for a, b in combinations(range(n), 2):
@@ -176,10 +176,7 @@ def _of_arrangement(
         order = list(range(n))
         order[a], order[b] = b, a
         for names, what in ((motion, "the positions and velocities"), (all_of_it, "all signals")):
-            changed = [
-                replace(s, **{name: np.ascontiguousarray(getattr(s, name)[:, order]) for name in names})  # type: ignore[arg-type]
-                for s in stretches
-            ]
+            changed = [s.changed(partial(np.take, indices=order, axis=1), names) for s in stretches]
             after = errors(rows_of(changed, tree))
             if names is all_of_it:
                 after = after[order]  # each torque against itself
@@ -189,7 +186,7 @@ def _of_arrangement(
 def _of_zero(whole: Rows, tree: _core.Tree | None, errors: Errors) -> Iterator[Mend]:
     """The best shift of each joint: gravity at the shifted positions, inertia as it is."""
     stride = max(1, len(whole.time_s) // ZERO_ROWS)
-    rows = Rows(*(getattr(whole, name)[::stride] for name in whole.__dataclass_fields__))
+    rows = whole.taken(slice(None, None, stride))
     for j in range(rows.joints):
 
         def after(by: float, j: int = j) -> np.ndarray:
@@ -224,22 +221,6 @@ def _of_load(
         way = "more" if load[0] > 0 else "less"
         told = f"{abs(load[0]):.2g} kg {way} at '{joints[-1]}' than in the others taken into account"
         yield Mend(told, None, spread_about_zero(error - shared @ load), "warning", 4, rough=True)
-
-
-def load_columns(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) -> np.ndarray:
-    """Torque a kg, and a kg m of first moment, at the last link: (rows, joints, 4).
-
-    Args:
-        rows: of these stretches with this tree.
-    """
-    columns = []
-    for k in range(4):
-        links = list(tree.links)
-        parameters = inertial_parameters(links[-1])
-        parameters[k] += 1.0
-        links[-1] = with_inertial_parameters(links[-1], parameters)
-        columns.append(rows_of(stretches, _core.Tree(links, tree.gravity)).model - rows.model)
-    return np.stack(columns, axis=2)
 
 
 # --- A recording whose clock, zeros or load are a little off the others': what no error of its own would tell.
@@ -476,7 +457,7 @@ def odd_torques(
     if len({s.recording for s in motion}) < 2:
         return []
     rows = rows_of(motion, tree)
-    parts = {k: taken(rows, rows.recording == k) for k in np.unique(rows.recording).astype(int).tolist()}
+    parts = {k: rows.taken(rows.recording == k) for k in np.unique(rows.recording).astype(int).tolist()}
     parts = {k: part for k, part in parts.items() if len(part.time_s) >= LEAST_ROWS}
     if len(parts) < 2:
         return []
@@ -522,10 +503,6 @@ def _driven(parts: dict[int, Rows], joints: Sequence[str], names: Sequence[str])
     return found
 
 
-def taken(rows: Rows, at: np.ndarray | slice) -> Rows:
-    return Rows(*(getattr(rows, name)[at] for name in rows.__dataclass_fields__))
-
-
 def _consensus(parts: dict[int, Rows]) -> tuple[list[int], Pool]:
     """Recordings that agree, and the fit on them: of two the one whose torque does work, or the longer one."""
     members = list(parts)
@@ -548,8 +525,7 @@ def _consensus(parts: dict[int, Rows]) -> tuple[list[int], Pool]:
 def _pool(parts: Sequence[Rows]) -> Pool:
     count = sum(len(part.time_s) for part in parts)
     stride = max(1, count // FIT_ROWS)
-    few = [taken(part, slice(None, None, stride)) for part in parts]
-    rows = Rows(*(np.concatenate([getattr(p, name) for p in few]) for name in few[0].__dataclass_fields__))
+    rows = Rows.joined([part.taken(slice(None, None, stride)) for part in parts])
     weights, whiten, reach = [], [], []
     for j in range(rows.joints):
         x = columns_of(rows, j)

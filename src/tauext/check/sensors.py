@@ -13,7 +13,7 @@ from tauext.check.finding import Finding, Severity
 from tauext.check.motion import repeated_rows
 from tauext.config import ObserverConfig
 from tauext.data.drive_signal import LOOKED_AT, position_step, step_of
-from tauext.data.recording import Recording
+from tauext.data.recording import Recording, runs_of
 from tauext.data.servo import derives_velocity, makes_torque
 
 # --- Signals as such: stuck at an extreme value, standing still, in coarse steps, or cleaner than a measurement.
@@ -99,13 +99,13 @@ def _stuck(recordings: Sequence[Recording], j: int, joint: str) -> Finding | Non
         travelled = {"q": r.dq, "dq": r.q, "tau": r.q}
         for signal in signals:
             x = getattr(r, signal)[:, j]
-            edges = np.flatnonzero(np.diff(np.r_[0, ((x[1:] == x[:-1]) & ~whole[1:]).astype(np.int8), 0]))
-            lasted = (r.t_ns[edges[1::2]] - r.t_ns[edges[::2]]) * 1e-9
+            runs = runs_of((x[1:] == x[:-1]) & ~whole[1:])
+            lasted = (r.t_ns[runs[:, 1]] - r.t_ns[runs[:, 0]]) * 1e-9
             least_s = STUCK_S
             if signal != "q" and len(lasted) >= 100:
                 least_s = max(STUCK_S, STUCK_TIMES * float(np.percentile(lasted, 99)))
-            long = (lasted >= least_s) & (edges[1::2] - edges[::2] >= 10)
-            for first, last, seconds in zip(edges[::2][long], edges[1::2][long], lasted[long], strict=True):
+            long = (lasted >= least_s) & (np.ptp(runs, axis=1) >= 10)
+            for (first, last), seconds in zip(runs[long], lasted[long], strict=True):
                 if x[first] in ends.get(signal, ()):
                     continue
                 other = travelled[signal][first : last + 1, j]
@@ -446,11 +446,10 @@ def _unheard(far: np.ndarray, leap: np.ndarray, half: float, limit: float) -> li
     beyond = (far > UNHEARD * half) | (far > max(DRIVE * limit, BEYOND * half) + half)
     if half == 0 or not beyond.any() or beyond.sum() > max(FEW_ROWS, RARE * len(far)):
         return []
-    edges = np.flatnonzero(np.diff(np.r_[0, beyond.astype(np.int8), 0]))
     jump = np.r_[0.0, np.abs(leap), 0.0]
     return [
         (first, last)
-        for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+        for first, last in runs_of(beyond).tolist()
         if max(jump[first], jump[last]) > SHARE * far[first:last].max()
     ]
 

@@ -31,8 +31,7 @@ def check(
     """
     import json
 
-    from tauext.check.examine import as_files, examine
-    from tauext.check.gather import gather
+    from tauext.check.examine import as_files, examine, gather
     from tauext.cli.place_argument import tell_replaced
     from tauext.cli.progress import Terminal
     from tauext.files.room import expect_folder

@@ -43,7 +43,7 @@ def label(
     """
     from tauext.bundle.bundle_file import load_bundle
     from tauext.cli.progress import Terminal
-    from tauext.data.description_file import load_arm
+    from tauext.data.description import load_arm
     from tauext.sources.lerobot_labels import label_dataset
 
     described = load_arm(arm, None if calibration is None else local_file(calibration))

@@ -1,9 +1,10 @@
-"""The live view of `tauext run` on a terminal: events scroll above, one panel shows the arm as it is now."""
+"""The live view on a terminal: events scroll above, one panel shows the arm as it is now."""
 
 from __future__ import annotations
 
 import math
 import time
+from pathlib import Path
 from typing import Self
 
 from rich.console import Console, Group
@@ -11,12 +12,11 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from tauext._core import Bundle, cause_names
+from tauext._core import cause_names
 from tauext.bundle.estimates import HEALTHS
 from tauext.bundle.units import SEVERAL, of_all, short
-from tauext.cli.run_settings import RunSettings
-from tauext.cli.run_text import FlightCount, TextLines
-from tauext.data.recording import Recording
+from tauext.cli.text_lines import TextLines
+from tauext.files.places import Place
 from tauext.monitor.changes import ALARMS
 from tauext.monitor.explanation import readable
 from tauext.monitor.replay import Chunk, Tally
@@ -30,8 +30,8 @@ ALARM_STYLES = {"none": "green", "contact": "bold yellow", "collision": "bold wh
 class LiveView(TextLines):
     """Text lines, with a panel below them that is drawn anew ten times a second."""
 
-    def __init__(self, settings: RunSettings, console: Console | None = None):
-        super().__init__(settings)
+    def __init__(self, flights: Place | Path | None = None, acknowledges: bool = False, console: Console | None = None):
+        super().__init__(flights, acknowledges)
         self._console = console or Console()
         self._live = Live(console=self._console, auto_refresh=False, transient=True)
         self._drawn = 0.0
@@ -46,11 +46,6 @@ class LiveView(TextLines):
     def say(self, line: str) -> None:
         self._console.print(line, markup=False, highlight=False, soft_wrap=True)
 
-    def start(self, bundle: Bundle, recording: Recording, number: int, of: int) -> None:
-        super().start(bundle, recording, number, of)
-        self._title, self._duration_s = recording.name, recording.duration_s
-        self._began = time.monotonic()
-
     def chunk(self, chunk: Chunk, tally: Tally) -> None:
         super().chunk(chunk, tally)
         now = time.monotonic()
@@ -58,14 +53,14 @@ class LiveView(TextLines):
             self._drawn = now
             self._live.update(self.panel(chunk, now - self._began), refresh=True)
 
-    def end(self, tally: Tally, flights: FlightCount, complete: bool) -> None:
+    def _tell_rest(self) -> None:
         self._live.update("", refresh=True)
-        super().end(tally, flights, complete)
+        super()._tell_rest()
 
     def panel(self, chunk: Chunk, wall_s: float) -> Group:
         """What the monitor said of the chunk's last sample; bars show the chunk's largest |tau_ext| of each joint."""
         said = chunk.said
-        time_s = (int(chunk.t_ns[-1]) - self._start_ns) * 1e-9
+        time_s = self._time_s(int(chunk.t_ns[-1]))
         health, alarm = HEALTHS[said["health"][-1]], ALARMS[said["alarm"][-1]]
         causes = ", ".join(cause_names(int(said["causes"][-1])))
         status = Text.assemble(
@@ -83,6 +78,8 @@ class LiveView(TextLines):
 
     def heading(self, time_s: float, wall_s: float) -> str:
         """The panel's first line."""
+        if math.isinf(self._duration_s):
+            return f"{self._title}  {time_s:.1f} s"
         speed = f", {time_s / wall_s:.1f} times as fast as recorded" if wall_s > 0.5 else ""
         return f"{self._title}  {time_s:.2f} of {self._duration_s:.2f} s{speed}"
 

@@ -80,18 +80,20 @@ def ros2(target: str, options: SourceOptions, bundle: Bundle | None) -> Connecti
 
 def feetech(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
     """feetech:PORT."""
-    from tauext.sources.feetech import FeetechSource
+    from tauext.sources.servo import ServoSource
     from tauext.sources.servo_bus_file import load_servo_bus
+    from tauext.sources.servo_series import FEETECH
 
-    return Connection(FeetechSource(target, load_servo_bus(bus_of("feetech:PORT", options))))
+    return Connection(ServoSource(FEETECH, target, load_servo_bus(bus_of("feetech:PORT", options))))
 
 
 def dynamixel(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
     """dynamixel:PORT."""
-    from tauext.sources.dynamixel import DynamixelSource
+    from tauext.sources.servo import ServoSource
     from tauext.sources.servo_bus_file import load_servo_bus
+    from tauext.sources.servo_series import DYNAMIXEL
 
-    return Connection(DynamixelSource(target, load_servo_bus(bus_of("dynamixel:PORT", options))))
+    return Connection(ServoSource(DYNAMIXEL, target, load_servo_bus(bus_of("dynamixel:PORT", options))))
 
 
 def damiao(target: str, options: SourceOptions, bundle: Bundle | None) -> Connection:
@@ -155,9 +157,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from tauext._core import Bundle
-    from tauext.cli.monitor_output import MonitorOutput, Outcome
+    from tauext.cli.json_lines import Output
+    from tauext.monitor.flight_files import FlightSettings
     from tauext.monitor.loop import Loop, LoopSettings
-    from tauext.monitor.record_sink import FlightSink
 
 STDIN = Path("-")
 MOST_CORES = 1024
@@ -170,10 +172,7 @@ class Extras:
 
     reactions: Place | None
     profiles: Place | None
-    flights: Path | None
-    before_s: float
-    after_s: float
-    contacts: bool
+    flights: FlightSettings | None
     record: Path | None
     segment_s: float
     control: Path | None
@@ -260,17 +259,18 @@ def monitor(
     require(core is None or 0 <= core < MOST_CORES, "core", core, f"0 to {MOST_CORES - 1}")
     require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
 
-    from tauext.cli.monitor_output import open_output
-    from tauext.cli.run_settings import RunSettings
+    from tauext.cli.run import open_output
+    from tauext.monitor.flight_files import FlightSettings
     from tauext.monitor.loop import LoopSettings
 
     missing_s = None if missing_after_ms is None else missing_after_ms * 1e-3
     settings = LoopSettings(own_rate, missing_s, acknowledge_after_s, duration_s, core, priority, wrench)
-    extras = Extras(reactions, profiles, flights, before_s, after_s, contacts, record, segment_s, control)
-    shown = RunSettings(None, own_rate, acknowledge_after_s, flights, before_s, after_s, contacts)
+    kept = None if flights is None else FlightSettings(flights, before_s, after_s, contacts, flights)
+    extras = Extras(reactions, profiles, kept, record, segment_s, control)
     options = SourceOptions(speed, torque_constants, None if ros2 == Ros2Settings() else ros2, bus)
     with quiet_library(source):
-        watch(bundle, source, options, settings, extras, open_output(as_json, status_hz, shown))
+        output = open_output(as_json, status_hz, flights, acknowledge_after_s is not None)
+        watch(bundle, source, options, settings, extras, output)
 
 
 def quiet_library(source: str) -> AbstractContextManager[None]:
@@ -310,20 +310,21 @@ def write_templates(reactions: Path | None, profiles: Path | None, bus: Path | N
 
 
 def watch(
-    path: Place, text: str, options: SourceOptions, settings: LoopSettings, extras: Extras, output: MonitorOutput
+    path: Place, text: str, options: SourceOptions, settings: LoopSettings, extras: Extras, output: Output
 ) -> None:
     """Connect everything, run the loop, tell the summary.
 
     Raises:
-        ConfigError: something does not fit, before the first sample.
+        ConfigError: something does not fit, before the first sample; or, at the end, samples or flights are lost.
     """
     from tauext.bundle.bundle_file import load_bundle
-    from tauext.cli.monitor_output import Aside, Outcome, OutputSink
+    from tauext.cli.monitor_output import Aside, OutputSink
+    from tauext.cli.text_lines import Outcome
     from tauext.monitor.loop import Loop
     from tauext.monitor.profiles import load_profiles
     from tauext.monitor.reaction_file import load_reactions
     from tauext.monitor.reactions import start_reactions
-    from tauext.monitor.record_sink import RecordSink
+    from tauext.monitor.record_sink import FlightSink, RecordSink
 
     bundle = load_bundle(path)
     joints = tuple(link.joint_name for link in bundle.links)
@@ -331,7 +332,9 @@ def watch(
     source = connection.source
     profiles = None if extras.profiles is None else load_profiles(extras.profiles, joints)
     rules = [] if extras.reactions is None else load_reactions(extras.reactions, joints)
-    flights = None if extras.flights is None else flight_sink(bundle, extras, source.name)
+    flights = None
+    if (kept := extras.flights) is not None:
+        flights = FlightSink(kept.folder, bundle, kept.recorder(bundle), source.name)
     record = None
     if extras.record is not None:
         record = RecordSink(extras.record, bundle, source.name, extras.segment_s)
@@ -349,7 +352,7 @@ def watch(
             record.note = shown.note
         loop.note, loop.switched = shown.note, shown.switched
         stack.enter_context(controlled(extras.control, loop))
-        aside.do(partial(output.begin, source.name, bundle))
+        aside.do(partial(output.start_live, source.name, bundle))
         loop.run()
         shown.tell_news()
         if recorder is not None:
@@ -358,33 +361,11 @@ def watch(
         outcome.reactions = {thread.reaction.name: thread.count for thread in reactions.threads}
         outcome.recorded = record.count if record else None
         aside.do(partial(output.finish, outcome))
-    expect_all_kept(outcome)
-
-
-def expect_all_kept(outcome: Outcome) -> None:
-    """Raise ConfigError where samples or flights that were to be kept are lost."""
-    recorded, flights = outcome.recorded, outcome.flights
+    recorded = outcome.recorded
     if recorded is not None and recorded.lost:
-        total = recorded.lost + recorded.samples
-        raise ConfigError(f"{recorded.lost} of {total} samples of the recording are lost: {recorded.error}")
-    if flights.failed:
-        raise ConfigError(f"{flights.failed} of {flights.failed + flights.written} flights are lost: {flights.error}")
-
-
-def flight_sink(bundle: Bundle, extras: Extras, source: str) -> FlightSink:
-    """Writes flights into the folder, which is made."""
-    from tauext import _core
-    from tauext.monitor.record_sink import FlightSink
-
-    assert extras.flights is not None
-    try:
-        extras.flights.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{extras.flights}: no folder for flights ({error.strerror or error})") from error
-    recorder = _core.FlightRecorder(
-        bundle.joints, bundle.observer.sample_period_ns, extras.before_s, extras.after_s, extras.contacts
-    )
-    return FlightSink(extras.flights, bundle, recorder, source)
+        of = recorded.lost + recorded.samples
+        raise ConfigError(f"{recorded.lost} of {of} samples of the recording are lost: {recorded.error}")
+    shown.flights.expect_all_written()
 
 
 @contextmanager

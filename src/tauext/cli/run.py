@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
-from dataclasses import replace
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from tauext.cli.place_argument import PlaceArg
-from tauext.cli.run_settings import RunSettings
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
 from tauext.files.copies import added
@@ -20,11 +19,24 @@ from tauext.files.places import Place
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
-    from tauext.cli.run_text import FlightCount, Output
+    from tauext.cli.json_lines import Output
     from tauext.data.recording import Recording
-    from tauext.monitor.flight_files import FlightWriter
+    from tauext.monitor.flight_files import FlightCount, FlightSettings
     from tauext.monitor.loads import TimedLoad
     from tauext.monitor.replay import Tally
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """How recordings are replayed."""
+
+    speed: float | None
+    own_rate: bool
+    acknowledge_after_s: float | None
+    flights: FlightSettings | None
+    loads: tuple[TimedLoad, ...]
+    wrench: str | None
+    """Frame that the force of a touch is told at, too."""
 
 
 def run(
@@ -78,24 +90,20 @@ def run(
     require(after is None or 0 < after <= 1e6, "acknowledge_after_s", after, "> 0, at most 1e6; left out: never")
     require(0 <= status_hz <= 1e6, "status_hz", status_hz, "0 to 1e6")
     require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
+    from tauext.monitor.flight_files import FlightSettings
+    from tauext.monitor.places import PlaceFinder
+
     loaded = fitting_bundle(bundle, recordings)
-    flights_here = nullcontext(None) if flights is None else added(flights)
-    with flights_here as folder:
-        settings = RunSettings(
-            1.0 if real_time else speed,
-            own_rate,
-            acknowledge_after_s,
-            flights,
-            before_s,
-            after_s,
-            contacts,
-            told_loads(loaded, load, loads),
-            folder,
-            wrench,
-        )
-        check_frame(loaded, wrench)
-        check_flights(loaded, settings)
-        with open_output(as_json, status_hz, settings) as output:
+    with nullcontext(None) if flights is None else added(flights) as folder:
+        kept = None
+        if folder is not None and flights is not None:
+            kept = FlightSettings(folder, before_s, after_s, contacts, flights)
+        told = told_loads(loaded, load, loads)
+        settings = RunSettings(1.0 if real_time else speed, own_rate, after, kept, told, wrench)
+        PlaceFinder(loaded, wrench)  # refuses an unknown frame before anything is replayed
+        if kept is not None:
+            kept.recorder(loaded)
+        with open_output(as_json, status_hz, flights, after is not None) as output:
             replay_all(loaded, recordings, settings, output)
 
 
@@ -114,19 +122,19 @@ def told_loads(bundle: Bundle, load: str | None, loads: Place | None) -> tuple[T
     return tuple(told)
 
 
-def open_output(as_json: bool, status_hz: float, settings: RunSettings) -> Output:
+def open_output(as_json: bool, status_hz: float, flights: Place | Path | None, acknowledges: bool) -> Output:
     """JSON lines where asked for, a live view on a terminal, else lines of text."""
     if as_json:
-        from tauext.cli.run_json import JsonLines
+        from tauext.cli.json_lines import JsonLines
 
         return JsonLines(status_hz)
     if sys.stdout.isatty():
         from tauext.cli.live_view import LiveView
 
-        return LiveView(settings)
-    from tauext.cli.run_text import TextLines
+        return LiveView(flights, acknowledges)
+    from tauext.cli.text_lines import TextLines
 
-    return TextLines(settings)
+    return TextLines(flights, acknowledges)
 
 
 def fitting_bundle(path: Place, recordings: tuple[Place, ...]) -> Bundle:
@@ -148,36 +156,14 @@ def fitting_bundle(path: Place, recordings: tuple[Place, ...]) -> Bundle:
     return bundle
 
 
-def check_frame(bundle: Bundle, wrench: str | None) -> None:
-    """Refuse a frame that there is not before anything is replayed."""
-    from tauext.monitor.places import PlaceFinder
-
-    PlaceFinder(bundle, wrench)
-
-
-def check_flights(bundle: Bundle, settings: RunSettings) -> None:
-    """Make the folder, and refuse what the recorder would refuse, before anything is replayed."""
-    from tauext import _core
-
-    if settings.folder is None:
-        return
-    try:
-        settings.folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{settings.flights}: no folder for flights ({error.strerror or error})") from error
-    _core.FlightRecorder(
-        bundle.joints, bundle.observer.sample_period_ns, settings.before_s, settings.after_s, settings.contacts
-    )
-
-
 def replay_all(bundle: Bundle, recordings: tuple[Place, ...], settings: RunSettings, output: Output) -> None:
     """One recording after the other; after an interruption or a damaged one, still the summary of what was done.
 
     Raises:
         ConfigError: some flights could not be written.
     """
-    from tauext.cli.run_text import FlightCount
     from tauext.data.recording_file import load_recording
+    from tauext.monitor.flight_files import FlightCount
     from tauext.monitor.replay import Tally
 
     total = Tally(
@@ -188,8 +174,7 @@ def replay_all(bundle: Bundle, recordings: tuple[Place, ...], settings: RunSetti
         for number, path in enumerate(recordings, 1):
             recording = load_recording(path)
             output.start(bundle, recording, number, len(recordings))
-            with counted(recording, total, flights, output) as (tally, own_flights):
-                replay_one(bundle, recording, settings, tally, own_flights, output)
+            replay_one(bundle, recording, settings, total, flights, output)
             done += 1
     except (KeyboardInterrupt, TauextError) as error:
         stopped = error
@@ -198,74 +183,49 @@ def replay_all(bundle: Bundle, recordings: tuple[Place, ...], settings: RunSetti
         raise KeyboardInterrupt("the summary is of what was replayed until then, and its flights are kept")
     if stopped is not None:
         raise stopped
-    if flights.failed:
-        raise ConfigError(f"{flights.failed} of {flights.failed + flights.written} flights are lost: {flights.error}")
-
-
-@contextmanager
-def counted(
-    recording: Recording, total: Tally, flights: FlightCount, output: Output
-) -> Iterator[tuple[Tally, FlightCount]]:
-    """A tally and a count of flights for one recording; told and added to the total even if it ends early."""
-    from tauext.cli.run_text import FlightCount
-    from tauext.monitor.replay import Tally
-
-    tally, own_flights = Tally(total.joints, total.sample_period_ns, total.units), FlightCount()
-    try:
-        yield tally, own_flights
-    finally:
-        total.merge(tally)
-        flights.merge(own_flights)
-        output.end(tally, own_flights, complete=tally.samples == recording.samples)
+    flights.expect_all_written()
 
 
 def replay_one(
-    bundle: Bundle, recording: Recording, settings: RunSettings, tally: Tally, flights: FlightCount, output: Output
+    bundle: Bundle, recording: Recording, settings: RunSettings, total: Tally, all_flights: FlightCount, output: Output
 ) -> None:
-    """One recording through a new monitor, with a new flight recorder."""
+    """One recording through a new monitor, with a new flight recorder; counted in full even if it ends early."""
     from tauext import _core
-    from tauext.monitor.flight_files import FlightSource, FlightWriter, write_flight
+    from tauext.monitor.flight_files import FlightCount, FlightSource, FlightWriter, write_flight
     from tauext.monitor.places import PlaceFinder
-    from tauext.monitor.replay import CHUNK_S, PACED_CHUNK_S, Pace, replay
+    from tauext.monitor.replay import CHUNK_S, PACED_CHUNK_S, Pace, Tally, replay
 
     monitor = _core.Monitor(bundle, settings.own_rate)
+    tally, flights = Tally(total.joints, total.sample_period_ns, total.units), FlightCount()
     recorder = writer = None
     chunk_s = CHUNK_S if settings.speed is None else PACED_CHUNK_S * settings.speed
-    if settings.folder is not None:
-        period_ns = monitor.sample_period_ns
-        recorder = _core.FlightRecorder(
-            monitor.joints, period_ns, settings.before_s, settings.after_s, settings.contacts
-        )
+    if (kept := settings.flights) is not None:
+        recorder = kept.recorder(bundle)
         source = FlightSource.of(bundle, recording)
-        writer = FlightWriter(recorder, partial(write_flight, folder=settings.folder, source=source))
-        chunk_s = min(chunk_s, max(settings.after_s, PACED_CHUNK_S))
+        writer = FlightWriter(recorder, partial(write_flight, folder=kept.folder, source=source))
+        chunk_s = min(chunk_s, max(kept.after_s, PACED_CHUNK_S))
+
+    def tell_flights() -> None:
+        for news in writer.news() if writer is not None else ():
+            flights.add(news)
+            if kept is not None and news.path is not None:  # not where it waits to be sent
+                news = replace(news, path=kept.given / news.path.name)
+            output.flight(news)
+
+    pace, places = Pace(settings.speed), PlaceFinder(bundle, settings.wrench)
+    after_s = settings.acknowledge_after_s
     try:
         with writer or nullcontext():
-            for chunk in replay(
-                monitor,
-                recording,
-                Pace(settings.speed),
-                recorder,
-                settings.acknowledge_after_s,
-                chunk_s,
-                settings.loads,
-                PlaceFinder(bundle, settings.wrench),
-            ):
+            for chunk in replay(monitor, recording, pace, recorder, after_s, chunk_s, settings.loads, places):
                 tally.add(chunk, monitor)
                 if writer is not None:
                     writer.catch_up()
                 output.chunk(chunk, tally)
-                tell_flights(writer, flights, output, settings)
+                tell_flights()
     finally:
-        tell_flights(writer, flights, output, settings)
+        tell_flights()
         if recorder is not None:
             flights.missed += recorder.missed
-
-
-def tell_flights(writer: FlightWriter | None, flights: FlightCount, output: Output, settings: RunSettings) -> None:
-    """Pass on what became of flights since the last time."""
-    for news in writer.news() if writer is not None else ():
-        flights.add(news)
-        if settings.flights is not None and news.path is not None:  # not where it waits to be sent
-            news = replace(news, path=settings.flights / news.path.name)
-        output.flight(news)
+        total.merge(tally)
+        all_flights.merge(flights)
+        output.end(tally, flights, complete=tally.samples == recording.samples)

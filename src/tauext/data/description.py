@@ -3,16 +3,31 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, get_args
 
-from tauext.data.recording import TorqueTiming
+from tauext.data.recording import TORQUE_TIMINGS, TorqueTiming
 from tauext.data.servo_types import SERVO_TYPES, MotorCalibration, load_lerobot_calibration
 from tauext.errors import ConfigError
 from tauext.files.copies import local_robot
 from tauext.files.places import Place, place_of
+from tauext.files.toml_file import (
+    REQUIRED,
+    Key,
+    flag,
+    number,
+    numbers,
+    one_of,
+    parse_toml,
+    read_table,
+    read_toml,
+    refuse_unknown,
+    tables,
+    text,
+)
 
 Side = Literal["joint", "motor"]
 Repeats = Literal["drop", "keep"]
@@ -34,17 +49,71 @@ NORMALISED = "normalised"
 TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 
 
+# --- The tables of an arm.toml: each field declares how its value is read.
+
+
+def key(rule: Key | Callable[[int], Key], default: Any = MISSING) -> Any:
+    """A field, and how its value is read; a rule that depends on the number of joints is a function of it."""
+    return field(default=default, metadata={"rule": rule})
+
+
+def each(of: Key, other: str = "") -> Callable[[int], Key]:
+    """One value for all joints, or a list of one a joint; or the word `other`."""
+
+    def of_joints(joints: int) -> Key:
+        def read(value: Any) -> tuple[Any, ...] | str:
+            if other and value == other:
+                return other
+            found = tuple(map(of.read, value if isinstance(value, list) else [value] * joints))
+            if len(found) not in (0, joints):
+                raise ValueError
+            return found
+
+        word = f', or "{other}"' if other else ""
+        return Key(read, f"{of.rule}, one for all joints or a list of {joints}{word}")
+
+    return of_joints
+
+
+def listed(of: Key, rule: str, default: Any = ()) -> Any:
+    """A field of one value or a list of them; "" is none."""
+
+    def read(value: Any) -> tuple[str, ...]:
+        return tuple(map(of.read, value if isinstance(value, list) else [value] * (value != "")))
+
+    return key(Key(read, rule), default)
+
+
+def _spans(value: Any) -> dict[str, tuple[tuple[float, ...], ...]]:
+    found = {
+        name: tuple(map(SPAN.read, spans)) for name, spans in tables("[contact.intervals]", {}).read(value).items()
+    }
+    if not all(first < last for spans in found.values() for first, last in spans):
+        raise ValueError
+    return found
+
+
+SPAN = numbers((2,), number())
+WORD = text(empty=True)
+POSITIVE = number().where(lambda value: value > 0, "a number > 0")
+LEAST_0 = number().where(lambda value: value >= 0, "a number >= 0")
+NOT_0 = number().where(lambda value: value != 0, "a number, not 0")
+SIGN = number().where(lambda value: abs(value) == 1, "1 or -1")
+TEXTS = "a text or a list of texts"
+NUMBERS = "a number or a list of numbers"
+
+
 @dataclass(frozen=True)
 class RobotTable:
     """[robot]"""
 
-    joints: tuple[str, ...]
-    model: str = ""
-    names: tuple[str, ...] = ()
-    gear_ratio: tuple[float, ...] = ()
-    rotor_inertia_kg_m2: tuple[float, ...] = ()
-    gravity_m_s2: tuple[float, ...] = ()
-    calibration: str = ""
+    joints: tuple[str, ...] = listed(text(), "the names of the joints in use, at least one", MISSING)
+    model: str = key(WORD, "")
+    names: tuple[str, ...] = listed(text(), TEXTS)
+    gear_ratio: tuple[float, ...] = key(each(NOT_0), ())
+    rotor_inertia_kg_m2: tuple[float, ...] = key(each(LEAST_0), ())
+    gravity_m_s2: tuple[float, ...] = key(numbers((0, 3), number(), "three numbers"), ())
+    calibration: str = key(WORD, "")
     """LeRobot's calibration file of the arm, for positions that are normalised."""
 
 
@@ -52,37 +121,39 @@ class RobotTable:
 class PayloadTable:
     """[payload]"""
 
-    link: str = ""
-    mass_kg: float = 0.0
-    com_m: tuple[float, ...] = (0.0, 0.0, 0.0)
-    inertia_kg_m2: tuple[float, ...] = (0.0,) * 6
+    link: str = key(WORD, "")
+    mass_kg: float = key(LEAST_0, 0.0)
+    com_m: tuple[float, ...] = key(numbers((3,), number(), "three numbers"), (0.0,) * 3)
+    inertia_kg_m2: tuple[float, ...] = key(numbers((6,), number(), "six numbers: xx, yy, zz, xy, xz, yz"), (0.0,) * 6)
 
 
 @dataclass(frozen=True)
 class TimeTable:
     """[time]"""
 
-    column: str = ""
-    unit: str = "s"
-    rate_hz: float = 0.0
-    repeats: Repeats = "keep"
+    column: str = key(WORD, "")
+    unit: str = key(one_of(tuple(TIME_UNITS)), "s")
+    rate_hz: float = key(number(0, 1e6), 0.0)
+    """0: as measured."""
+    repeats: Repeats = key(one_of(get_args(Repeats)), "keep")
 
 
 @dataclass(frozen=True)
 class SignalTable:
     """[signals.NAME]; which of the keys a signal has is in KEYS."""
 
-    columns: tuple[str, ...]
+    columns: tuple[str, ...] = listed(text(), TEXTS)
     """One name that stands for all joints, or one a joint; none: the velocity is derived from the position."""
-    unit: str
-    topic: str = ""
-    side: Side = "joint"
-    sign: tuple[float, ...] = ()
-    offset: tuple[float, ...] = ()
-    low_pass_hz: float = 20.0
-    torque_constant: tuple[float, ...] | str = ()
-    """[N m/A] a joint, or "unknown"."""
-    timing: TorqueTiming = "instant"
+    unit: str = key(WORD, "")
+    topic: str = key(WORD, "")
+    side: Side = key(one_of(get_args(Side)), "joint")
+    sign: tuple[float, ...] = key(each(SIGN), ())
+    offset: tuple[float, ...] = key(each(number()), ())
+    low_pass_hz: float = key(LEAST_0, 20.0)
+    """0: no low-pass."""
+    torque_constant: tuple[float, ...] | str = key(each(NOT_0, "unknown"), ())
+    """[N m/A] a joint, or "unknown"; signs go in `sign`."""
+    timing: TorqueTiming = key(one_of(TORQUE_TIMINGS), "instant")
 
     @property
     def is_current(self) -> bool:
@@ -93,35 +164,38 @@ class SignalTable:
 TorqueSource = Literal["torque", "phase-current", "supply-current", "duty", "goal"]
 NEEDS = {"phase-current": "current", "supply-current": "current", "duty": "duty", "goal": "q_des"}
 """The signal that a servo's torque is made of, by its source."""
+DELAY = number(0, 0.5)
 
 
 @dataclass(frozen=True)
 class ServoTable:
     """[servo]: joints are driven by servos, and what these report is turned into velocity and torque."""
 
-    torque_from: TorqueSource
-    type: tuple[str, ...] = ()
-    """Of SERVO_TYPES, one that stands for all joints or one a joint; none: a servo nobody knows."""
-    gain: tuple[float, ...] = ()
+    torque_from: TorqueSource = key(one_of(get_args(TorqueSource)))
+    type: tuple[str, ...] = listed(one_of(tuple(SERVO_TYPES)), f"one of {', '.join(SERVO_TYPES)}, or one a joint")
+    """One that stands for all joints or one a joint; none: a servo nobody knows."""
+    gain: tuple[float, ...] = key(each(POSITIVE), ())
     """P gain of the position controller, in the servo's own unit; none: what its type usually has."""
-    duty_per_rad: tuple[float, ...] = ()
+    duty_per_rad: tuple[float, ...] = key(each(POSITIVE), ())
     """Duty a rad of position error, in place of `gain`."""
-    most_duty: tuple[float, ...] = ()
-    """Largest duty that the servo's registers allow, at most 1; none: the type's."""
-    voltage_v: tuple[float, ...] = ()
+    most_duty: tuple[float, ...] = key(each(POSITIVE.where(lambda duty: duty <= 1, "a number > 0, at most 1")), ())
+    """Largest duty that the servo's registers allow; none: the type's."""
+    voltage_v: tuple[float, ...] = key(each(POSITIVE), ())
     """Of the supply, where no signal says it; none: the type's."""
-    ohm: tuple[float, ...] = ()
-    back_emf_v_s: tuple[float, ...] = ()
-    torque_constant: tuple[float, ...] | str = ()
+    ohm: tuple[float, ...] = key(each(POSITIVE), ())
+    back_emf_v_s: tuple[float, ...] = key(each(LEAST_0), ())
+    torque_constant: tuple[float, ...] | str = key(each(number(), "unknown"), ())
     """[N m/A] a joint, or "unknown"; none: the type's."""
-    counts_a_turn: tuple[float, ...] = ()
+    counts_a_turn: tuple[float, ...] = key(each(POSITIVE), ())
     """Of the encoder; none: the type's, or else as the recordings show."""
-    velocity_window_s: float = 0.2
+    velocity_window_s: float = key(number(0, 2), 0.2)
     """Longest stretch that a velocity is derived from, [s]; 0: the velocity is taken as measured."""
-    goal_delay_s: float | str = "period"
+    goal_delay_s: float | str = key(
+        Key(lambda value: value if value == "period" else DELAY.read(value), f'{DELAY.rule}, or "period"'), "period"
+    )
     """A goal acts so long after its stamp, [s]; "period": one sample period, since most loops read the position first
     and send the goal then, so that the next position is the first that it moves."""
-    timing: TorqueTiming = "held"
+    timing: TorqueTiming = key(one_of(TORQUE_TIMINGS), "held")
     """Of the torque."""
 
 
@@ -144,26 +218,28 @@ KEYS = {
 class ContactTable:
     """[contact]"""
 
-    column: str = ""
-    topic: str = ""
-    contact_values: tuple[float, ...] = (1.0,)
-    free_values: tuple[float, ...] = (0.0,)
-    intervals: dict[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
-    before_s: float = 0.5
-    after_s: float = 1.0
-    cut: bool = True
+    column: str = key(WORD, "")
+    topic: str = key(WORD, "")
+    contact_values: tuple[float, ...] = listed(number(), NUMBERS, (1.0,))
+    free_values: tuple[float, ...] = listed(number(), NUMBERS, (0.0,))
+    intervals: dict[str, tuple[tuple[float, float], ...]] = field(
+        default_factory=dict, metadata={"rule": Key(_spans, "a table of lists [[t0, t1], ...], t0 < t1")}
+    )
+    before_s: float = key(LEAST_0, 0.5)
+    after_s: float = key(LEAST_0, 1.0)
+    cut: bool = key(flag(), True)
 
 
 @dataclass(frozen=True)
 class SplitTable:
     """[split]"""
 
-    train: tuple[str, ...] = ()
-    validation: tuple[str, ...] = ()
-    test: tuple[str, ...] = ()
-    collisions: tuple[str, ...] = ()
-    calibration: tuple[str, ...] = ()
-    gap_s: float = 2.0
+    train: tuple[str, ...] = listed(text(), TEXTS)
+    validation: tuple[str, ...] = listed(text(), TEXTS)
+    test: tuple[str, ...] = listed(text(), TEXTS)
+    collisions: tuple[str, ...] = listed(text(), TEXTS)
+    calibration: tuple[str, ...] = listed(text(), TEXTS)
+    gap_s: float = key(LEAST_0, 2.0)
 
     @property
     def named(self) -> bool:
@@ -190,21 +266,15 @@ class Arm:
     """Its file; the robot model's path is relative to it."""
 
     def __post_init__(self) -> None:
-        robot = self.robot
+        robot, payload = self.robot, self.payload
+        for name in ("joints", "names"):
+            listed = getattr(robot, name)
+            self._require(len(set(listed)) == len(listed), "robot", name, list(listed), "names that differ")
         self._require(bool(robot.joints), "robot", "joints", [], "the names of the joints in use, at least one")
-        for key in ("joints", "names"):
-            listed = getattr(robot, key)
-            self._require(len(set(listed)) == len(listed), "robot", key, list(listed), "names that differ")
-        for key in ("names", "gear_ratio", "rotor_inertia_kg_m2"):
-            self._check_count("robot", key, getattr(robot, key))
-        self._require(all(g != 0 for g in robot.gear_ratio), "robot", "gear_ratio", robot.gear_ratio, "not 0")
-        inertia = robot.rotor_inertia_kg_m2
-        self._require(all(j >= 0 for j in inertia), "robot", "rotor_inertia_kg_m2", inertia, ">= 0")
-        self._require(len(robot.gravity_m_s2) in (0, 3), "robot", "gravity_m_s2", robot.gravity_m_s2, "three numbers")
-        self._check_payload()
-        rate_hz, unit = self.time.rate_hz, self.time.unit
-        self._require(0 <= rate_hz <= 1e6, "time", "rate_hz", rate_hz, ">= 0, at most 1e6; 0: as measured")
-        self._require(unit in TIME_UNITS, "time", "unit", repr(unit), f"one of {', '.join(TIME_UNITS)}")
+        self._check_count("robot", "names", robot.names)
+        if payload.mass_kg:
+            self._require(bool(robot.model), "robot", "model", "''", "a robot file, where there is a payload")
+            self._require(bool(payload.link), "payload", "link", "''", "the link that carries the payload")
         for name in ("q", "tau"):
             if name not in self.signals:
                 raise ConfigError(f"{self.path}: [signals.{name}] is missing; position and torque are needed")
@@ -212,15 +282,6 @@ class Arm:
             self._check_servo(self.servo)
         for name, signal in self.signals.items():
             self._check_signal(name, signal)
-        for name, spans in self.contact.intervals.items():
-            for span in spans:
-                self._require(
-                    len(span) == 2 and span[0] < span[1], "contact.intervals", name, span, "[t0, t1], t0 < t1"
-                )
-        for key in ("before_s", "after_s"):
-            value = getattr(self.contact, key)
-            self._require(value >= 0, "contact", key, value, ">= 0")
-        self._require(self.split.gap_s >= 0, "split", "gap_s", self.split.gap_s, ">= 0")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -244,16 +305,6 @@ class Arm:
         """Topics that are named, each once."""
         named = [*(signal.topic for signal in self.signals.values()), self.contact.topic]
         return tuple(dict.fromkeys(topic for topic in named if topic))
-
-    def _check_payload(self) -> None:
-        payload = self.payload
-        self._require(payload.mass_kg >= 0, "payload", "mass_kg", payload.mass_kg, ">= 0")
-        self._require(len(payload.com_m) == 3, "payload", "com_m", payload.com_m, "three numbers")
-        rule = "six numbers: xx, yy, zz, xy, xz, yz"
-        self._require(len(payload.inertia_kg_m2) == 6, "payload", "inertia_kg_m2", payload.inertia_kg_m2, rule)
-        if payload.mass_kg:
-            self._require(bool(self.robot.model), "robot", "model", "''", "a robot file, where there is a payload")
-            self._require(bool(payload.link), "payload", "link", "''", "the link that carries the payload")
 
     @cached_property
     def motors(self) -> tuple[MotorCalibration, ...]:
@@ -280,16 +331,11 @@ class Arm:
                 "LeRobot calibration file: name it in [robot] calibration, or with --calibration of `tauext label`; "
                 "LeRobot keeps it below ~/.cache/huggingface/lerobot/calibration/robots"
             )
-        self._require(signal.unit in UNITS[name], table, "unit", repr(signal.unit), f"one of {', '.join(UNITS[name])}")
         none = not signal.columns
         derived = name == "dq" or (name == "tau" and self.makes_torque)
         self._require(not none or derived, table, "columns", "''", "given (only a velocity can be derived)")
         if len(signal.columns) > 1:
             self._check_count(table, "columns", signal.columns)
-        for key in ("sign", "offset"):
-            self._check_count(table, key, getattr(signal, key))
-        self._require(all(s in (-1, 1) for s in signal.sign), table, "sign", signal.sign, "1 or -1")
-        self._require(signal.low_pass_hz >= 0, table, "low_pass_hz", signal.low_pass_hz, ">= 0; 0: no low-pass")
         if name != "tau":
             return
         constant = signal.torque_constant
@@ -299,9 +345,6 @@ class Arm:
         else:
             rule = f"left out, since the unit is {signal.unit}"
             self._require(not constant, table, "torque_constant", constant, rule)
-        if not isinstance(constant, str):  # "unknown"
-            self._check_count(table, "torque_constant", constant)
-            self._require(all(k != 0 for k in constant), table, "torque_constant", constant, "not 0; signs go in sign")
 
     @property
     def makes_torque(self) -> bool:
@@ -309,25 +352,8 @@ class Arm:
         return self.servo is not None and self.servo.torque_from != "torque"
 
     def _check_servo(self, servo: ServoTable) -> None:
-        known = ", ".join(SERVO_TYPES)
-        for name in servo.type:
-            self._require(name in SERVO_TYPES, "servo", "type", repr(name), f"one of {known}")
         if len(servo.type) > 1:
             self._check_count("servo", "type", servo.type)
-        for key in ("gain", "duty_per_rad", "most_duty", "voltage_v", "ohm", "back_emf_v_s", "counts_a_turn"):
-            values = getattr(servo, key)
-            self._check_count("servo", key, values)
-            least = key == "back_emf_v_s"
-            rule = ">= 0" if least else "> 0"
-            self._require(all(v > 0 or (least and v == 0) for v in values), "servo", key, list(values), rule)
-        duties = list(servo.most_duty)
-        self._require(all(v <= 1 for v in duties), "servo", "most_duty", duties, "at most 1")
-        if not isinstance(servo.torque_constant, str):
-            self._check_count("servo", "torque_constant", servo.torque_constant)
-        window_s = servo.velocity_window_s
-        self._require(0 <= window_s <= 2, "servo", "velocity_window_s", window_s, "0 to 2")
-        delay_s = 0.0 if isinstance(servo.goal_delay_s, str) else servo.goal_delay_s
-        self._require(0 <= delay_s <= 0.5, "servo", "goal_delay_s", delay_s, '0 to 0.5, or "period"')
         if servo.torque_from == "torque":
             return
         needed = NEEDS[servo.torque_from]
@@ -354,3 +380,78 @@ class Arm:
     def _require(self, ok: bool, table: str, key: str, value: object, rule: str) -> None:
         if not ok:
             raise ConfigError(f"{self.path}: [{table}] {key} = {value} must be {rule}")
+
+
+# --- The file.
+
+
+TABLES = {
+    "robot": RobotTable, "payload": PayloadTable, "time": TimeTable, "contact": ContactTable, "split": SplitTable,
+    "servo": ServoTable,
+}  # fmt: skip
+
+
+def load_arm(path: Place | str, calibration: Path | None = None) -> Arm:
+    """Read an arm.toml.
+
+    Args:
+        calibration: LeRobot's calibration file, in place of the one that it names.
+
+    Raises:
+        ConfigError: no such file, not TOML, an unknown key (the nearest known one is named), a value of the wrong type
+            or against its rule.
+    """
+    path = place_of(path)
+    return _arm(read_toml(path, f"`tauext import --new {path}` writes a template"), path, calibration)
+
+
+def parse_arm(content: str, path: Place | str = "arm.toml") -> Arm:
+    """As load_arm, from the text of the file."""
+    path = place_of(path)
+    return _arm(parse_toml(content, path), path)
+
+
+def _arm(content: dict[str, Any], path: Place, calibration: Path | None = None) -> Arm:
+    top: dict[str, Key] = {name: tables(f"[{name}]", None) for name in ("robot", *TABLES, "signals")}
+    given = {name: table for name, table in read_table(path, "", content, top).items() if table is not None}
+    if "robot" not in given:
+        raise ConfigError(f"{path}: the table [robot] is missing")
+    joints = given["robot"].get("joints", [])
+    count = len(joints) if isinstance(joints, list) else 1
+    signals = given.pop("signals", {})
+    refuse_unknown(path, "[signals]", signals, KEYS)
+    read = {name: _table(path, name, TABLES[name], table, count) for name, table in given.items()}
+    read["signals"] = {
+        name: _table(path, f"signals.{name}", SignalTable, signals[name], count, name)
+        for name in KEYS
+        if name in signals
+    }
+    read["signals"].setdefault("dq", SignalTable((), "rad/s"))
+    if calibration is not None:
+        read["robot"] = replace(read["robot"], calibration=str(calibration.absolute()))
+    servo = read.get("servo")
+    if servo is not None and servo.torque_from != "torque" and "tau" not in signals:
+        read["signals"]["tau"] = _made_torque(servo, count)
+    return Arm(**read, path=path)
+
+
+def _table(path: Place, name: str, kind: type, content: Any, joints: int, signal: str = "") -> Any:
+    """The dataclass of a table; of [signals], with the keys and units of that signal."""
+    keys = {}
+    for one in fields(kind):
+        rule = one.metadata["rule"]
+        default = REQUIRED if one.default is MISSING and one.default_factory is MISSING else one.default
+        keys[one.name] = (rule if isinstance(rule, Key) else rule(joints))._replace(default=default)
+    if signal:
+        units = tuple(UNITS[signal])
+        keys = {key: keys[key] for key in KEYS[signal]} | {"unit": one_of(units, units[0])}
+    values = read_table(path, f"[{name}]", content, keys)
+    return kind(**{key: value for key, value in values.items() if value is not MISSING})
+
+
+def _made_torque(servo: ServoTable, joints: int) -> SignalTable:
+    """The torque that is made of what servos report, as if a column held it: in A where no constant is known."""
+    known = servo.torque_constant or tuple(SERVO_TYPES[name].nm_per_ampere or 0.0 for name in servo.type)
+    known = known * joints if len(known) == 1 and not isinstance(known, str) else known
+    constant = "unknown" if not known or isinstance(known, str) or 0.0 in known else known
+    return SignalTable((), "A", torque_constant=constant, timing=servo.timing)

@@ -9,7 +9,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.config import FreeMotionConfig
-from tauext.data.recording import FLAGS, SIGNALS, Recording
+from tauext.data.recording import FLAGS, SIGNALS, Recording, runs_of
 from tauext.errors import TrainingError
 
 # --- Some samples of a recording, as a recording of its own.
@@ -166,7 +166,7 @@ def split_by_time(
 def _far_from(touched: np.ndarray, t_ns: np.ndarray, before_s: float, after_s: float) -> np.ndarray:
     """Whether each sample is neither touched nor so soon before or after one that is, (samples,) bool."""
     far = np.ones(len(t_ns), dtype=bool)
-    for begin, end in np.flatnonzero(np.diff(np.r_[False, touched, False])).reshape(-1, 2):
+    for begin, end in runs_of(touched):
         first, last = t_ns[begin] - int(before_s * 1e9), t_ns[end - 1] + int(after_s * 1e9)
         far[np.searchsorted(t_ns, first) : np.searchsorted(t_ns, last, side="right")] = False
     return far
@@ -174,8 +174,7 @@ def _far_from(touched: np.ndarray, t_ns: np.ndarray, before_s: float, after_s: f
 
 def _runs(free: np.ndarray, t_ns: np.ndarray, least_s: float) -> list[tuple[int, int]]:
     """(first, one after the last) sample of every stretch of true flags that lasts so long, [s]."""
-    runs = np.flatnonzero(np.diff(np.r_[False, free, False])).reshape(-1, 2).tolist()
-    return [(first, last) for first, last in runs if (t_ns[last - 1] - t_ns[first]) * 1e-9 >= least_s]
+    return [(first, last) for first, last in runs_of(free).tolist() if (t_ns[last - 1] - t_ns[first]) * 1e-9 >= least_s]
 
 
 # --- Samples that no arm sends: found by the core's own check, left out as a gap is, and told in words.

@@ -8,8 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tauext.data.dataset_writing import recordings_of, write_dataset
-from tauext.data.description import Arm
-from tauext.data.description_file import load_arm
+from tauext.data.description import Arm, load_arm
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.lerobot_folder import export_lerobot
 from tauext.data.recording import Recording

@@ -112,6 +112,11 @@ def lost_samples(t_ns: np.ndarray) -> np.ndarray:
     return periods_of(np.diff(t_ns), fitted_period_ns(t_ns)) - 1
 
 
+def runs_of(flags: np.ndarray) -> np.ndarray:
+    """First sample of each run of true ones, and the sample after its last, (runs, 2)."""
+    return np.flatnonzero(np.diff(np.r_[False, flags, False])).reshape(-1, 2)
+
+
 def _same_as_before(values: np.ndarray) -> np.ndarray:
     return np.r_[False, (values[1:] == values[:-1]).all(axis=1)] if values.shape[1] else np.zeros(len(values), bool)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tauext import _core
-from tauext.data.description import Arm, ServoTable, SignalTable
+from tauext.data.description import Arm
 from tauext.data.recording import Recording
 from tauext.data.servo_types import SERVO_TYPES, ServoType
 from tauext.errors import ConfigError
@@ -45,15 +45,6 @@ CONSTANTS = ("volts", "ohm", "back_emf_v_s", "nm_per_ampere", "duty_per_rad", "m
 UNKNOWN = ServoType(1.0, 1.0, 0.0, None, count_rad=0.0)
 """A servo of which nobody knows anything: its torque is in units of the duty, or of the current, times a constant that
 training finds; its back-EMF is a viscous friction."""
-
-
-def made_torque(servo: ServoTable, joints: int) -> SignalTable:
-    """The torque that is made of what servos report, as if a column held it: in A where no constant is known."""
-    types = [SERVO_TYPES.get(name, UNKNOWN) for name in servo.type]  # Arm refuses a name that is not known
-    known = servo.torque_constant or tuple(kind.nm_per_ampere or 0.0 for kind in types)
-    known = known * joints if len(known) == 1 and not isinstance(known, str) else known
-    constant = "unknown" if not known or isinstance(known, str) or 0.0 in known else known
-    return SignalTable((), "A", torque_constant=constant, timing=servo.timing)
 
 
 def servo_settings(arm: Arm, rate_hz: float, q: np.ndarray) -> _core.ServoSettings:

@@ -10,6 +10,7 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import COLLISION, Estimates
 from tauext.data.recording import Recording
+from tauext.monitor.places import newtons, strongest_place
 
 # --- Collisions in a recording, and whether and when they were found.
 
@@ -352,7 +353,7 @@ class TouchMeasures:
             rows = alarm_rows(touch, recording, estimates)
             if model is None or len(rows) == 0:
                 continue
-            place = {} if model.refused else place_of(model, rows, recording, estimates)
+            place = place_of(model, rows, recording, estimates)
             self._told.append({"id": touch.id, "kind": kind_of(touch, recording, estimates), **place})
             self._labels.append((touch.link, touch.kind))
 
@@ -407,22 +408,17 @@ def alarm_rows(touch: Collision, recording: Recording, estimates: Estimates) -> 
 def place_of(model: _core.PlaceModel, rows: np.ndarray, recording: Recording, estimates: Estimates) -> dict:
     """Links and newtons as told at that of these rows at which tau_ext stands out most; empty where nothing is."""
     assert estimates.sigma_nm is not None and estimates.contact_sigma_nm is not None
-    with np.errstate(divide="ignore", invalid="ignore"):
-        strength = np.nan_to_num(np.square(estimates.tau_ext[rows] / estimates.sigma_nm[rows]).sum(axis=1), posinf=0.0)
-    row = int(rows[np.argmax(strength)])
-    signals = (estimates.tau_ext, estimates.sigma_nm, estimates.contact_sigma_nm)
-    tau_ext, sigma, contact_sigma = (signal[row].astype(float).tolist() for signal in signals)
-    found = model.find(recording.q[row].tolist(), tau_ext, sigma, contact_sigma, dq=recording.dq[row].tolist())
-    best = found.best
-    if best is None:
+    signals = (recording.q, recording.dq, estimates.tau_ext, estimates.sigma_nm, estimates.contact_sigma_nm)
+    found = strongest_place(model, *(signal[rows] for signal in signals))
+    if found is None or found.best is None:
         return {}
     return {
         "links": [
             {"joint": recording.joints[link], "probability": found.probability[link]} for link in found.ranked[:3]
         ],
-        "force_n": float(np.linalg.norm(best.force)),
-        "point_m": list(best.point),
-        "spread_m": best.spread_m,
+        "force_n": newtons(found.best),
+        "point_m": list(found.best.point),
+        "spread_m": found.best.spread_m,
         "consistent": found.consistent,
     }
 

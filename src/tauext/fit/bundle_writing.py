@@ -66,7 +66,7 @@ def build_setup(
     """The estimated model and the settings that follow from the recording's rate and torque timing.
 
     Args:
-        recipe: says which observer, whether its r is filtered, and how much a network sees at once.
+        recipe: which observer, whether its r is filtered, and how much a network sees at once.
         filters: cut-offs of the filters, None: the default ones.
 
     Raises:
@@ -146,14 +146,14 @@ def set_signal_ranges(
     torque_limit_nm: Sequence[float] | np.ndarray | None = None,
     bounds: SignalBounds | None = None,
 ) -> None:
-    """What the monitor must know of the arm's signals to tell a broken one.
+    """The ranges of the arm's signals, beyond which the monitor reports a fault.
 
     Args:
         recordings: free motion; the largest |tau| of each joint is kept, in the unit of the bundle's answers, or what
             the torque moved by while the encoder stood still, if that is larger: joints that were locked. An encoder
             that stands still while the torque moves by more is a fault.
         torque_limit_nm: what each drive can give at most, infinite where unknown; None: unknown throughout. A drive at
-            its limit is a fault, since it no longer gives what it is told.
+            its limit is a fault, since the drive no longer follows its command.
         bounds: what is possible at all, None: anything; beyond them a sample is refused.
     """
     largest = np.max([np.abs(recording.tau).max(axis=0) for recording in recordings], axis=0)

@@ -1,4 +1,4 @@
-"""What training saw of an arm's motion, kept so that the monitor can tell motion that it never saw."""
+"""What training saw of an arm's motion, kept so that the monitor recognises motion outside of it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SHORT_MIN = 10.0
 the reach is the next wider one. On simulated arms 0.3 to 1.0 % of other motion was called unfamiliar after 5 minutes of
 training, and 1.4 to 5.3 % without."""
 LEAST_SPEED_RAD_S = 0.05
-"""A joint that training hardly moved may move that fast: noise is nothing to be told."""
+"""A joint that training hardly moved may move that fast: noise must not be reported."""
 LEAST_SPAN_M = 0.1
 
 
@@ -63,12 +63,12 @@ class Motion:
 
 
 def fit_coverage(setup: Setup, recordings: Sequence[Recording]) -> CoverageFit:
-    """Speeds and positions of this motion, positions as finely as so much motion can tell.
+    """Speeds and positions of this motion, positions as finely as this much motion allows.
 
     What is near a seen position is familiar too: within the least reach of each joint with which, of every fifth of the
     motion beside the other four, no more than MOST_FALSE would be called unfamiliar, and of pairs of joints, all alike,
     MOST_FALSE_TOGETHER. Minutes of many joints leave gaps between what was seen; see SHORT_MIN. Where not even the
-    widest will do, a position (pairs) tells nothing.
+    widest will do, a position (pairs) has no information.
 
     Args:
         recordings: free motion, at least one sample.
@@ -83,7 +83,7 @@ def fit_coverage(setup: Setup, recordings: Sequence[Recording]) -> CoverageFit:
     parts = np.array_split(np.arange(len(motion.q)), count)
     folds = [(motion.cut(np.concatenate(parts[:k] + parts[k + 1 :])), motion.cut(parts[k])) for k in range(count)]
 
-    def told(reach: np.ndarray, together: int, speeds: bool = False) -> float:
+    def reported(reach: np.ndarray, together: int, speeds: bool = False) -> float:
         """Share of the left-out samples that would be called unfamiliar by what stayed."""
         number = 0
         for stayed, left in folds:
@@ -92,20 +92,20 @@ def fit_coverage(setup: Setup, recordings: Sequence[Recording]) -> CoverageFit:
         return number / len(motion.q)
 
     def least(reaches: Sequence[int], share: Callable[[int], float], most: float) -> int:
-        """The least reach by which no more than this share is told, or the next one; 0: none."""
+        """The least reach by which no more than this share is reported, or the next one; 0: none."""
         found = next((k for k, cells in enumerate(reaches) if share(cells) <= most), None)
         return 0 if found is None else reaches[min(found + short, len(reaches) - 1)]
 
     def own(joint: int) -> int:
         """The reach of a joint by itself."""
         only = (np.arange(len(slides)) == joint).astype(int)
-        return least(REACHES, lambda cells: told(cells * only, 0), MOST_FALSE)
+        return least(REACHES, lambda cells: reported(cells * only, 0), MOST_FALSE)
 
     reach = np.array([own(joint) for joint in range(len(slides))])
     together = 0
     if len(slides) > 1:
-        together = least(REACHES_TOGETHER, lambda cells: told(nothing, cells), MOST_FALSE_TOGETHER)
-    return CoverageFit(seen(motion, slides, reach, together), told(reach, together, speeds=True))
+        together = least(REACHES_TOGETHER, lambda cells: reported(nothing, cells), MOST_FALSE_TOGETHER)
+    return CoverageFit(seen(motion, slides, reach, together), reported(reach, together, speeds=True))
 
 
 def seen_too(
@@ -113,7 +113,7 @@ def seen_too(
 ) -> CoverageFit:
     """The fit with motion that other arms of the type showed, whose cells and reaches it takes over.
 
-    What a fleet's prior says of a pose holds for one more arm of the type, though this one never was there.
+    A fleet prior's pose holds for one more arm of the type, though this one never was there.
     """
     motion = Motion.of(recordings, setup.observer.network_stride)
     both = _core.CoverageSettings()
@@ -130,7 +130,7 @@ def seen(motion: Motion, slides: np.ndarray, reach: np.ndarray, together: int) -
 
     Args:
         slides: whether a joint does, (joints,).
-        reach: of each joint by itself, (joints,), [cells]; 0: it tells nothing.
+        reach: of each joint by itself, (joints,), [cells]; 0: it has no information.
         together: that of pairs.
     """
     n = len(slides)
@@ -149,9 +149,9 @@ def seen(motion: Motion, slides: np.ndarray, reach: np.ndarray, together: int) -
 
 def coverage_facts(fit: CoverageFit, joints: Sequence[str]) -> dict:
     """What is called unfamiliar, as plain JSON: speeds [rad/s] from which on, distances from seen positions [rad]."""
-    told, settings = _core.CoverageSettings, fit.settings
-    cell_rad = np.array(settings.span_rad) / told.CELLS
-    pair_cell_rad = float(cell_rad[np.array(settings.turns) == 1].max(initial=0.0)) * told.CELLS / told.PAIR_CELLS
+    sizes, settings = _core.CoverageSettings, fit.settings
+    cell_rad = np.array(settings.span_rad) / sizes.CELLS
+    pair_cell_rad = float(cell_rad[np.array(settings.turns) == 1].max(initial=0.0)) * sizes.CELLS / sizes.PAIR_CELLS
     return {
         "fastest_rad_s": dict(zip(joints, settings.fastest_rad_s, strict=True)),
         "reach_rad": dict(zip(joints, (cell_rad * settings.reach).tolist(), strict=True)),

@@ -226,7 +226,7 @@ class Candidate:
     kinematics: Kinematics
     error: float
     scales: np.ndarray
-    """(n,) of each joint's r against what the arm says; 1 where torques of all joints are in one unit."""
+    """(n,) of each joint's r against the arm's model; 1 where torques of all joints are in one unit."""
 
 
 def can_be_found(setup: Setup) -> bool:
@@ -238,7 +238,7 @@ def can_be_found(setup: Setup) -> bool:
 def find_kinematics(
     sample: KinematicSample,
     joints: Sequence[str],
-    tell: Callable[[str], None] | None = None,
+    report: Callable[[str], None] | None = None,
     one_unit: bool = True,
     start: Kinematics | None = None,
 ) -> Candidate:
@@ -251,22 +251,22 @@ def find_kinematics(
     not depend on, and a shift along an axis, may be any.
 
     Args:
-        tell: takes a line a stage.
+        report: receives a line a stage.
         one_unit: torques of all joints are in N m; False: each in a unit of its own, of which only the ratios show.
         start: an arm that was found in torques of other units, from which the search goes on.
     """
-    tell = tell or (lambda line: None)
+    report = report or (lambda line: None)
     free = frozenset() if one_unit else frozenset({"scales"})
     if start is not None:
         best = [Candidate(start, np.inf, np.ones(sample.joints))]
     else:
         best = directions(sample, joints)
-        tell(f"axes at right angles: error {np.sqrt(best[0].error):.1%} of r")
+        report(f"axes at right angles: error {np.sqrt(best[0].error):.1%} of r")
     tried = [refined(sample, joints, one, free) for one in best[:REFINED]]
     found = simplest(tried, lambda one: one.error, GAINS_LITTLE)
-    tell(f"with link lengths: {np.sqrt(found.error):.1%}")
+    report(f"with link lengths: {np.sqrt(found.error):.1%}")
     oblique = refined(sample, joints, found, free | {"axes"})
-    tell(f"with oblique axes: {np.sqrt(oblique.error):.1%}")
+    report(f"with oblique axes: {np.sqrt(oblique.error):.1%}")
     return oblique if oblique.error < (1 - OBLIQUE_HELPS) ** 2 * found.error else found
 
 
@@ -383,9 +383,9 @@ class Fitted:
         extra[:, ROTOR] = np.maximum(0.0, -self.parameters[:, ROTOR])
         light = [with_inertial_parameters(link, p) for link, p in zip(links, extra, strict=True)]
         whole = [with_inertial_parameters(link, p) for link, p in zip(links, extra + self.parameters, strict=True)]
-        said = [
+        modelled = [
             observed(light, sample.gravity, sample.observer, *piece)
             - observed(whole, sample.gravity, sample.observer, *piece)
             for piece in sample.pieces
         ]
-        return np.concatenate(said)
+        return np.concatenate(modelled)

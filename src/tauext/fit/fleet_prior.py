@@ -31,7 +31,7 @@ from tauext.robot.inertial import PARAMETERS
 #
 # a: an arm, b: a block of weights that vary together (friction of a joint, the inertial corrections of all links). u_ab
 # is 1 for an arm like the others and falls with how far the arm's block is from those of the others, so steeply that a
-# worn joint neither moves nor widens what is said of everybody's. Arms are few and weights many: Sigma_b is drawn
+# worn joint neither moves nor widens the estimate for all. Arms are few and weights many: Sigma_b is drawn
 # towards its own diagonal, as if MORE_ARMS more had been seen whose weights vary independently.
 
 
@@ -45,7 +45,7 @@ STEEP = 6
 """... from where its trust falls with this power of the distance: with the fourth of Mahalanobis', so that what a block
 adds to the mean and to the covariance falls, too."""
 LEAST_ARMS = 5
-"""Of fewer none can be told to be the odd one."""
+"""Of fewer, none can be singled out."""
 USUAL = 1.4826
 """Times the median distance from the median, a standard deviation."""
 COMMON, SINGLE = 0.3, 0.1
@@ -341,7 +341,7 @@ def block_columns(own: Sequence[Sequence[_core.Term]]) -> list[np.ndarray]:
     return [*joints, np.arange(ends[-1], ends[-1] + len(PARAMETERS) * len(own))]
 
 
-# --- A fleet prior's file: JSON that says what arms it is of, and holds a mean and a covariance block by block.
+# --- A fleet prior's file: JSON with the arms it was made of, and a mean and a covariance block by block.
 
 
 LEAST_MEMORY_S, MOST_MEMORY_S = 1e-3, 1e4
@@ -419,8 +419,8 @@ def load_fleet_prior(path: Place) -> FleetPrior:
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: not a readable fleet prior ({error}); `tauext fleet prior` makes one") from error
     if not isinstance(raw, dict) or raw.get("format") != FORMAT:
-        told = raw.get("format") if isinstance(raw, dict) else None
-        raise ConfigError(f"{path}: format = {told} of a fleet prior must be {FORMAT}; `tauext fleet prior` makes one")
+        found = raw.get("format") if isinstance(raw, dict) else None
+        raise ConfigError(f"{path}: format = {found} of a fleet prior must be {FORMAT}; `tauext fleet prior` makes one")
     try:
         prior = parsed(raw, hashlib.sha256(text.encode()).hexdigest())
         expect_sound(prior)
@@ -431,7 +431,7 @@ def load_fleet_prior(path: Place) -> FleetPrior:
 
 
 def parsed(raw: Mapping[str, Any], sha256: str) -> FleetPrior:
-    """What the JSON says; a KeyError, TypeError or ValueError of whatever is missing."""
+    """The JSON's content; a KeyError, TypeError or ValueError of whatever is missing."""
     of = raw["type"]
     kind = ArmType(**{one.name: hashable(of[one.name]) for one in fields(ArmType)})
     if tuple(raw["parameters"]) != PARAMETERS:
@@ -526,7 +526,7 @@ def same_bytes(prior: FleetPrior) -> str:
     return json_text(content(prior))
 
 
-# --- A prior from a minute of an arm's own motion and what a fleet of its type knows.
+# --- A prior from a minute of an arm's own motion and the fleet prior of its type.
 
 
 def fit_like(setup: Setup, recordings: Sequence[Recording], config: PriorConfig, like: FleetPrior) -> PriorFit:

@@ -53,7 +53,7 @@ def observed(
     recording: Recording,
     rows: np.ndarray,
 ) -> np.ndarray:
-    """r of these links beside a motor torque of zero: what the model says alone, (rows, n), [N m]."""
+    """r of these links beside a motor torque of zero: the model alone, (rows, n), [N m]."""
     still = np.zeros_like(recording.tau)
     tree = _core.Tree(list(links), gravity)
     return _core.observe(tree, observer, recording.t_ns, recording.q, recording.dq, still).residual[rows]
@@ -105,8 +105,8 @@ def correction_columns(tree: _core.Tree, width: int) -> np.ndarray:
 def fix_impossible(regression: Regression, corrected: _core.Tree | None, solution: np.ndarray) -> bool:
     """Fix corrections that are at a bound, and masses of links that no link can be; whether there were any.
 
-    What is fixed counts as not determined by the motion. A mass that falls to zero or below keeps what the file says,
-    or is 1 kg where the file says nothing: what it adds shows in other parameters too, and they make up for it. One
+    What is fixed counts as not determined by the motion. A mass that falls to zero or below keeps the file's value,
+    or is 1 kg where the file has none: what it adds shows in other parameters too, and they make up for it. One
     that is too small for its link's first moment grows to 1 kg, or as many kg as the moment has kg m.
     """
     if corrected is None:

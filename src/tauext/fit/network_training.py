@@ -253,10 +253,10 @@ def apply_gate(bundle: _core.Bundle, validation: Sequence[Recording], margin: fl
     prior, both, samples = np.zeros(n), np.zeros(n), 0
     for recording in validation:
         signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-        said = _core.estimate(bundle, *signals, threads, recording.temperature)
-        healthy = said["health"] == OK
-        prior += ((said["residual"] - said["prior"])[healthy] ** 2).sum(axis=0)
-        both += (said["tau_ext"][healthy] ** 2).sum(axis=0)
+        estimates = _core.estimate(bundle, *signals, threads, recording.temperature)
+        healthy = estimates["health"] == OK
+        prior += ((estimates["residual"] - estimates["prior"])[healthy] ** 2).sum(axis=0)
+        both += (estimates["tau_ext"][healthy] ** 2).sum(axis=0)
         samples += int(healthy.sum())
     prior, both = np.sqrt(prior / max(samples, 1)), np.sqrt(both / max(samples, 1))
     gate = Gate(prior, both, both < (1 - margin) * prior)

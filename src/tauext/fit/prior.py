@@ -132,7 +132,7 @@ def _of_joint(
     return (values.T @ left[:, joint]).reshape(-1, 2), (values**2).sum(axis=0).reshape(-1, 2)
 
 
-# --- Play between gear and load: which joints have it, and which presliding width tells where in it they are.
+# --- Play between gear and load: which joints have it, and which presliding width shows where in it they are.
 
 
 HELPS = 0.01
@@ -173,7 +173,7 @@ def find_play(fit: PriorFit, fitted: Callable[[Play], PriorFit]) -> tuple[Play, 
     return play, fit if play == none else fitted(play)
 
 
-def told(play: Play, widths_rad: Sequence[float], joints: Sequence[str]) -> str:
+def play_sentence(play: Play, widths_rad: Sequence[float], joints: Sequence[str]) -> str:
     """In words; empty where no joint has any."""
     found = [f"{name} {2e3 * widths_rad[k]:g} mrad" for name, k in zip(joints, play, strict=True) if k is not None]
     return f"play that carries no weight: {', '.join(found)}" if found else ""
@@ -201,7 +201,7 @@ LEAST_CYCLES = 5  # a turn: what comes back more seldom is gravity that is not q
 
 @dataclass(frozen=True)
 class Inertia:
-    """What the prior says of gravity and inertia, beside the estimated model: the default is sines and cosines."""
+    """The prior's terms of gravity and inertia, beside the estimated model: the default is sines and cosines."""
 
     tree: _core.Tree | None = None
     """Its inertial parameters are corrected; None: none are."""
@@ -219,7 +219,7 @@ def fit_prior(
     setup: Setup,
     recordings: Sequence[Recording],
     config: PriorConfig,
-    tell: Callable[[str], None] | None = None,
+    report: Callable[[str], None] | None = None,
     known: Kinematics | None = None,
 ) -> PriorFit:
     """The prior of a setup whose prior holds nothing but presliding widths yet.
@@ -228,7 +228,7 @@ def fit_prior(
     presliding widths that do not help are left out.
 
     Args:
-        tell: takes a line about what was found.
+        report: receives a line about what was found.
         known: an arm that was found already, to be looked at first where there is no model.
 
     Raises:
@@ -237,7 +237,7 @@ def fit_prior(
     inertia = Inertia(setup.tree if config.correct_model else None, ESTIMATED)
     fit = None
     if not has_model(setup):
-        inertia, fit = find_inertia(setup, recordings, config, tell or (lambda line: None), known)
+        inertia, fit = find_inertia(setup, recordings, config, report or (lambda line: None), known)
     ripple: list[list[int]] = [[] for _ in range(setup.tree.size)]
     fit = fit or fit_terms(setup, recordings, config, ripple, inertia)
     for _ in range(config.most_ripples):
@@ -258,7 +258,7 @@ def fit_prior(
         without = fit_terms(with_presliding(setup, kept_widths), recordings, config, ripple, inertia)
         fit = replace(without, dropped_widths=dropped)
     if any(derives_velocity(recording) for recording in recordings) and inertia.load is not None:
-        inertia, fit = with_play(setup, fit, recordings, config, ripple, inertia, tell)
+        inertia, fit = with_play(setup, fit, recordings, config, ripple, inertia, report)
     inertia, fit = with_local_memory(setup, fit, recordings, config, ripple, inertia)
     return chosen(setup, fit, recordings, config, ripple, inertia)
 
@@ -270,7 +270,7 @@ def with_play(
     config: PriorConfig,
     ripple: Sequence[Sequence[int]],
     inertia: Inertia,
-    tell: Callable[[str], None] | None,
+    report: Callable[[str], None] | None,
 ) -> tuple[Inertia, PriorFit]:
     """The play of servos' gears, where it shows: see find_play."""
     bent = with_presliding(setup, fit.settings.widths_rad)
@@ -280,9 +280,9 @@ def with_play(
         return replace(again, dropped_widths=fit.dropped_widths)
 
     play, better = find_play(fit, fitted)
-    words = told(play, bent.widths_rad, [link.joint_name for link in setup.tree.links])
-    if words and tell is not None:
-        tell(words)
+    words = play_sentence(play, bent.widths_rad, [link.joint_name for link in setup.tree.links])
+    if words and report is not None:
+        report(words)
     return replace(inertia, play=play), better
 
 
@@ -371,7 +371,7 @@ def chosen(
 
 
 def weighs_on(setup: Setup, recordings: Sequence[Recording], inertia: Inertia) -> np.ndarray:
-    """Which joints (n,) bool the arm loads so much that its motion can tell the friction of load.
+    """Which joints (n,) bool the arm loads so much that its motion shows the friction of load.
 
     USUAL_SHARE of what it weighs there is WEIGHS of the friction or more, which is the mean of the torque along the
     joint's speed.
@@ -418,12 +418,12 @@ def find_inertia(
     setup: Setup,
     recordings: Sequence[Recording],
     config: PriorConfig,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
     known: Kinematics | None,
 ) -> tuple[Inertia, PriorFit]:
     """What stands for gravity and inertia where there is no model, and a first fit with it.
 
-    An arm found from its motion says what happens at poses that training never saw, which sines and cosines of
+    An arm found from its motion predicts poses that training never saw, which sines and cosines of
     the angles cannot; those stay where they explain left-out motion better by FOUND_ARM_COSTS.
     """
     nothing: list[list[int]] = [[] for _ in range(setup.tree.size)]
@@ -435,14 +435,14 @@ def find_inertia(
     if sample.rows < LEAST_ROWS:
         return Inertia(), basis
     joints = tuple(link.joint_name for link in setup.tree.links)
-    kinematics = find_kinematics(sample, joints, tell, start=known).kinematics
+    kinematics = find_kinematics(sample, joints, report, start=known).kinematics
     inertia = Inertia(kinematics.tree(joints, setup.tree.gravity), kinematics=kinematics)
     fit = fit_terms(setup, recordings, config, nothing, inertia)
     inertia = replace(inertia, load=CORRECTED, loads=tuple(fit.settings.corrected_links))
     fit = fit_terms(setup, recordings, config, nothing, inertia)
     rms = np.sqrt(np.maximum(fit.regression.whole.energy / fit.regression.whole.rows, LEAST_SQUARE))
     with_arm, without = (float(np.sqrt(np.mean((one.error_nm / rms) ** 2))) for one in (fit, basis))
-    tell(f"error on left-out motion: {with_arm:.1%} of r with the arm found, {without:.1%} with sines and cosines")
+    report(f"error on left-out motion: {with_arm:.1%} of r with the arm found, {without:.1%} with sines and cosines")
     return (Inertia(), basis) if (1 - FOUND_ARM_COSTS) * with_arm > without else (inertia, fit)
 
 

@@ -20,7 +20,8 @@ UNITS = {"m": "kg", "h": "kg m", "I": "kg m2", "r": "kg m2"}
 
 
 def prior_facts(fit: PriorFit, joints: Sequence[str]) -> dict:
-    """Friction of every joint and implied errors of the model, as plain JSON; what the data cannot support says so.
+    """Friction of every joint and implied errors of the model, as plain JSON; values that the data do not support are
+    marked.
 
     Coulomb friction: what the terms that follow the sign of the motion add up to in steady sliding, with its sign
     turned, since r shows minus the friction. A value is supported where the data determine it (and not the
@@ -127,12 +128,12 @@ def supported(fit: PriorFit, joint: int, term: int) -> bool:
 
 
 def corrections(fit: PriorFit, link: int) -> dict:
-    """How far each inertial parameter of a link lies from the robot file, where the data can tell."""
+    """How far each inertial parameter of a link lies from the robot file, where the data determine it."""
     facts: dict = {}
     for k, parameter in enumerate(PARAMETERS):
         value, error = fit.corrections[link, k], fit.correction_errors[link, k]
-        told = fit.corrections_determined[link, k] > WELL_DETERMINED and np.isfinite(error)
+        determined = fit.corrections_determined[link, k] > WELL_DETERMINED and np.isfinite(error)
         facts[f"{parameter} [{UNITS[parameter[0]]}]"] = (
-            {"by": float(value), "standard_error": float(error)} if told else "not supported by the data"
+            {"by": float(value), "standard_error": float(error)} if determined else "not supported by the data"
         )
     return facts

@@ -49,7 +49,7 @@ class PriorFit:
     correction_errors: np.ndarray
     corrections_determined: np.ndarray
     corrections_held: np.ndarray
-    """(n, 11) bool: at a bound of what a link can be, or as the robot file has it, whatever the motion says."""
+    """(n, 11) bool: at a bound of what a link can be, or as the robot file has it, whatever the motion shows."""
     regression: Regression
     left_out: list[LeftOut]  # one for each fold that leaves a possible model
     kinematics: Kinematics | None = None  # found from the motion, where there is no model and this explains it
@@ -72,7 +72,7 @@ def idle_widths(setup: Setup, recordings: Sequence[Recording], config: PriorConf
 
     A width below LEAST_COUNTS counts of the encoder follows the last count's flicker and not the joint. Any other goes
     if without it, and without those that went before, the error on left-out recordings grows by less than IDLE_SHARE in
-    every joint. The width that tells the limit's region stays.
+    every joint. The width that decides the region of limits stays.
     """
     regression, dropped = fit.regression, {}
     count_rad = encoder_count(recordings)
@@ -104,7 +104,7 @@ def encoder_count(recordings: Sequence[Recording]) -> float:
 
 
 def region_width(widths_rad: Sequence[float], config: PriorConfig) -> int:
-    """Index of the width whose state tells sliding from near stiction; -1: there are no presliding states."""
+    """Index of the width whose state separates sliding from near stiction; -1: there are no presliding states."""
     wide = [k for k, width in enumerate(widths_rad) if width >= config.region_width_rad]
     return wide[0] if wide else len(widths_rad) - 1
 
@@ -136,7 +136,7 @@ def own_terms(
 
     Args:
         top_speed_rad_s: of the joint in training.
-        load: friction grows with the load by ESTIMATED or CORRECTED model; None: there is none that could tell.
+        load: friction grows with the load by ESTIMATED or CORRECTED model; None: no model can show it.
         local_memory: part of its presliding friction may have local memory; the setup's prior has its branch.
         play: index of the width that is half the joint's play, where it carries no load; None: none.
     """
@@ -157,7 +157,8 @@ def own_terms(
 
 
 def shared_terms(setup: Setup) -> list[_core.Term]:
-    """Gravity and inertia from sines and cosines of single joints and pairs, for every joint: where no model says."""
+    """Gravity and inertia from sines and cosines of single joints and pairs, for every joint: where there is no
+    model."""
     joints = range(setup.tree.size)
     terms = [_core.Term(Kind.gravity, j, j, form=form) for j in joints for form in (0, 1)]
     terms += [_core.Term(Kind.gravity, a, b, form=form) for a, b in combinations(joints, 2) for form in (2, 3, 4, 5)]

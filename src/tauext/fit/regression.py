@@ -78,7 +78,7 @@ RIDGES = 10.0 ** np.arange(-7, 2.0)
 FOLDS = 5
 RIDGE_TIE = 1e-6
 """Of the squared error by cross-validation: where the data determine everything, weak ridges differ by rounding alone,
-and the strongest of them is taken. No more, since a stronger one shows in what the data are said to determine."""
+and the strongest of them is taken. No more, since a stronger one shows in what the data seem to determine."""
 LEAST_SQUARE = 1e-12
 """Of a joint's r, mean square, [N m squared]: what is smaller weighs no more."""
 LEAST_RMS = 1e-9  # a regressor that never exceeds it was not excited

@@ -217,7 +217,7 @@ def _settings(
     return settings
 
 
-# --- Weights that are most likely where a fleet says before what they may be: MAP instead of the ridge.
+# --- Weights that are most likely given a fleet's prior distribution: MAP instead of the ridge.
 #
 # .. math:: \min_w \sum_j \frac{\gamma\,\eta_j}{s_j^2} |y_j - X_j w|^2 + (w - \mu)^T \Sigma^{-1} (w - \mu)
 #
@@ -258,7 +258,7 @@ class WeightPrior:
 
 
 class MapRegression(Regression):
-    """A regression whose ridge is what a fleet knows; the `ridge` of its methods has no say.
+    """A regression whose ridge is a fleet's prior distribution; the `ridge` of its methods has no effect.
 
     Args:
         equations: of each stretch, at least one.

@@ -1,6 +1,6 @@
 r"""How a joint's friction follows its temperature: two shares a joint, found in what the prior leaves.
 
-With f_C and f_V what the prior says of a joint's friction (Coulomb's, viscous; filtered as r is) and
+With f_C and f_V the prior's friction of a joint (Coulomb's, viscous; filtered as r is) and
 k = (T - T_ref) / 10 K, least squares on the motion of training whose temperature is known:
 
 .. math:: r - \mathrm{prior} = (b_C + c_C k) f_C + (b_V + c_V k) f_V
@@ -25,7 +25,7 @@ from tauext.fit.training_set import Setup
 COULOMB = frozenset({"coulomb", "presliding", "local_memory", "load", "load_presliding"})
 FRICTION = COULOMB | {"viscous"}
 PER_K = 0.1
-"""Shares are told for 10 K."""
+"""Shares are given for 10 K."""
 LEAST_SPREAD_K = 1.0
 """Standard deviation of a joint's temperature over the motion: a smaller one is the sensor's."""
 BEYOND_K = 5.0

@@ -41,10 +41,10 @@ TOOL = 0.1
 INDEPENDENT_S = 1.0
 """What friction leaves unexplained stays for about as long, so that many samples say no more than one."""
 KNOWN = 0.5
-"""Standard error, as a share, from which on a constant of the model as it is says nothing, not even its sign."""
+"""Standard error, as a share, from which on a constant by the unchanged model has no information, not even its sign."""
 SIGN_TIE = 1.0
-"""By so much in the logarithm of the evidence an inverted sign must be more likely: a factor of e says nothing, and few
-drives report their current with the sign inverted."""
+"""By so much in the logarithm of the evidence an inverted sign must be more likely: a factor of e means nothing, and
+few drives report their current with the sign inverted."""
 LEAST_NOISE = 1e-6
 ROUNDS = 8
 DELTA = 1e-4
@@ -91,7 +91,7 @@ def fit_scaled_arm(
         parts.append(left.T @ left)
     count = max(1.0, sample.rows * ROW_S / INDEPENDENT_S)
     grams, begun = np.array(parts), start is None
-    # A joint whose torque friction explains to the last bit, as one of 0 throughout, says nothing of its constant.
+    # A joint whose torque friction explains to the last bit, as one of 0 throughout, does not determine its constant.
     grams[grams[:, -1, -1] <= LEAST_NOISE**2 * sample.rows] = 0.0
     start = as_it_is(grams, model, count) if start is None else start
     evidence = Evidence(grams, model, spread, start, log_spread)
@@ -123,7 +123,7 @@ def most_likely(evidence: Evidence, rows: int, count: float) -> tuple[np.ndarray
 
 
 def as_it_is(grams: np.ndarray, model: np.ndarray, count: float) -> np.ndarray:
-    """Constants that the model has if nothing of it is off, (n,); a joint where that says nothing gets the mean.
+    """Constants that the model has if nothing of it is off, (n,); an undetermined joint gets the mean.
 
     Args:
         count: independent samples.
@@ -212,7 +212,7 @@ it must meet, than amperes are."""
 LEAST_SHARE = 0.05
 """Without a model: what gravity and inertia of the arm found must make up of what friction leaves of the current."""
 UNKNOWN_TO = 1.0
-"""Standard deviation of the logarithm of a constant that nobody knows about what the model as it is says."""
+"""Standard deviation of the logarithm of an unknown constant about its value by the unchanged model."""
 GIVEN_TO = 0.1
 """The same of a given one: makers' numbers, and gear losses beside them, are right to about 10 %."""
 KEPT = 0.75
@@ -225,13 +225,13 @@ ARM_OFF = 0.05
 
 @dataclass(frozen=True)
 class TorqueConstants:
-    """One constant a joint, in N m a unit of the recordings' tau; a negative one says that the sign is inverted."""
+    """One constant a joint, in N m a unit of the recordings' tau; negative: the sign is inverted."""
 
     nm_per_unit: np.ndarray  # (n,)
     standard_errors: np.ndarray  # (n,)
     determined: np.ndarray  # (n,) bool
     relative_to: int | None = None
-    """Joint in whose recorded unit all torques are then, where no model says what a N m is; None: they are in N m."""
+    """Joint in whose recorded unit all torques are then, where no model defines the N m; None: they are in N m."""
     given: bool = False
     """They correct constants that the recordings were multiplied by; one that is not determined is kept."""
     kinematics: Kinematics | None = None
@@ -282,30 +282,30 @@ class TorqueConstants:
             return ", ".join(text for text, here in zip(texts, which, strict=True) if here)
 
         if self.given:
-            kept = f"; kept for {listed(~self.determined, joints)}, whose motion says no more"
+            kept = f"; kept for {listed(~self.determined, joints)}, whose motion does not improve them"
             if not self.determined.any():
-                return ["torque constants of the import are kept: the motion says no more"]
+                return ["torque constants of the import are kept: the motion does not improve them"]
             return [
                 f"torque constants of the import, corrected by a factor: {listed(self.determined, words)}"
                 f"{kept if not self.determined.all() else ''}. The bundle applies them, a loop gives what it recorded"
             ]
-        unit, said, unknown = "Nm", [], ~(self.determined | self.guessed)
+        unit, sentences, unknown = "Nm", [], ~(self.determined | self.guessed)
         if self.relative_to is not None:
             unit = f"units of {joints[self.relative_to]}"
-            said.append(f"without a model nothing says what a Nm is: torques, estimates and limits are in {unit}")
+            sentences.append(f"without a model the Nm is undefined: torques, estimates and limits are in {unit}")
         if self.determined.any():
-            said.append(f"torque constants, {unit} a unit of tau: {listed(self.determined, words)}")
+            sentences.append(f"torque constants, {unit} a unit of tau: {listed(self.determined, words)}")
         if self.guessed.any():
-            said.append(
+            sentences.append(
                 f"torque constants of {listed(self.guessed, words)} are guesses, gravity and inertia there are too "
                 f"small beside friction: their torques, estimates and limits are no {unit} to rely on"
             )
         if unknown.any():
-            said.append(
+            sentences.append(
                 f"torque constants of {listed(unknown, joints)} are undetermined, gravity and inertia there are too "
                 "small beside friction: their torques, estimates and limits stay in the recordings' own unit"
             )
-        return said
+        return sentences
 
 
 def fit_torque_constants(
@@ -376,8 +376,8 @@ def _relative_constants(
         )
     candidate = find_kinematics(sample, joints, one_unit=False)
     fitted = Fitted.of(sample, joints, candidate.kinematics, candidate.scales)
-    said = fitted.columns @ fitted.parameters.ravel()
-    found = [_fit(said[:, j], sample.target[:, j], sample.own[j]) for j in range(len(joints))]
+    modelled = fitted.columns @ fitted.parameters.ravel()
+    found = [_fit(modelled[:, j], sample.target[:, j], sample.own[j]) for j in range(len(joints))]
     constants, errors, determined = (np.array([one[k] for one in found]) for k in range(3))
     if given:
         return replace(drawn_to_given(constants, errors), kinematics=candidate.kinematics)
@@ -447,7 +447,7 @@ def converted(old: bytes) -> _core.Bundle:
 
 
 def _units(joints: list[str], constants: dict, used: list[float], facts: dict) -> _core.TorqueUnits:
-    """As TorqueConstants.units says them; a constant of exactly 1 that was not determined was not used."""
+    """As TorqueConstants.units; a constant of exactly 1 that was not determined was not used."""
     if constants.get("given"):
         return _core.TorqueUnits(_core.TorqueUnit.newton_metre)
     asked = facts.get("settings", {}).get("config", {}).get("fit_torque_constants")

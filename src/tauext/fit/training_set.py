@@ -175,13 +175,13 @@ def _observe(setup: Setup, recording: Recording) -> _core.Observation:
     return _core.observe(setup.tree, setup.observer, *signals, setup.prior, recording.temperature)
 
 
-# --- What an arm can do at most, told from its recordings and its robot file: beyond it a sample is no sample.
+# --- What an arm can do at most, from its recordings and its robot file: beyond it a sample is no sample.
 
 
 LEAST_TORQUE_NM = 1.0
 """A joint that needed no torque in training may yet need some: least torque that counts as the largest."""
 BEYOND_DRIVE = 2.0
-"""Times what the robot file says that a drive gives: files often say the rated torque, and a peak is twice that."""
+"""Times the robot file's drive torque: files often state the rated torque, and a peak is twice that."""
 BEYOND_TORQUE = 10.0
 """Times what a joint needed where its drive is not known: a wrist that moved gently needs a tenth of what its drive
 gives, and a collision makes it give all."""

@@ -11,7 +11,7 @@ import numpy as np
 from tauext import _core
 from tauext.fleet.odds import NAMED, Odds, Question, learn_odds
 from tauext.fleet.visits import BundleFacts, friction_nm
-from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
+from tauext.robot.inertial import unit_loads
 
 # --- What two states of an arm weigh differently: a tool at the flange, or the scale of a joint's torque.
 #
@@ -89,14 +89,7 @@ def gravity_nm(tree: _core.Tree, q: np.ndarray) -> np.ndarray:
 def tool_columns(tree: _core.Tree, q: np.ndarray) -> np.ndarray:
     """What a kilogram, and a first moment of 1 kg m along each axis, adds on the last link, (poses, n, 4)."""
     usual = gravity_nm(tree, q)
-    columns = []
-    for k in range(4):
-        links = tree.links
-        parameters = inertial_parameters(links[-1])
-        parameters[k] += 1.0
-        links[-1] = with_inertial_parameters(links[-1], parameters)
-        columns.append(gravity_nm(_core.Tree(links, tree.gravity), q) - usual)
-    return np.stack(columns, axis=-1)
+    return np.stack([gravity_nm(loaded, q) - usual for loaded in unit_loads(tree)], axis=-1)
 
 
 def weigh_all(

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_or
 from tauext.check.look import expect_codes
 from tauext.config import AlarmConfig, CalibrateStage, CaseName, EvaluateStage, TrainConfig
 from tauext.data.dataset import ROBOT_FILES, SETS, load_dataset
-from tauext.data.description_file import load_arm
+from tauext.data.description import load_arm
 from tauext.errors import ConfigError
 from tauext.files.places import SHAPES_FILE, Place, named_files
 from tauext.files.places import place_of as any_place
-from tauext.files.plain_file import read_text, toml_of
+from tauext.files.toml_file import read_toml
 from tauext.fleet.places import below, files_in, place_of, places_of
 from tauext.fleet.task import Contents
 
@@ -249,14 +249,7 @@ def load_fleet(path: Place | str) -> Fleet:
             one name, a file that is not there.
     """
     path = any_place(path)
-    try:
-        content = toml_of(read_text(path))
-    except FileNotFoundError as error:
-        raise ConfigError(f"{path}: there is no such file; `tauext fleet example` prints one") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error})") from error
-    except ValueError as error:
-        raise ConfigError(f"{path}: not readable as TOML: {error}") from error
+    content = read_toml(path, "`tauext fleet example` prints one")
     expect_keys(content, (*SHARED, "types", "arms"), f"{path}")
     types = content.get("types", {})
     listed = content.get("arms")

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from tauext._core import Load, LoadFound, Touch
-from tauext.monitor.places import PlaceChange
 
 ALARMS = ("none", "contact", "collision")
 """By the core's number."""
@@ -24,13 +23,24 @@ def with_article(kind: str) -> str:
     return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
 
 
+APART_S = 0.5
+"""A collision counts as another one after this time without a joint over its limit, as false alarms are counted."""
+
+
 @dataclass(frozen=True)
-class HealthChange:
-    """Health, or why it is not ok, is not what it was one sample before."""
+class Change:
+    """An event at one sample: replay and live loop make them, the writers of text, JSON and panel print them."""
 
     row: int
     """Of the sample, counted from the recording's first."""
     t_ns: int
+    """Stamp of the sample, [ns]."""
+
+
+@dataclass(frozen=True)
+class HealthChange(Change):
+    """Health, or why it is not ok, is not what it was one sample before."""
+
     health: int
     was: int
     causes: int
@@ -40,11 +50,9 @@ class HealthChange:
 
 
 @dataclass(frozen=True)
-class AlarmChange:
+class AlarmChange(Change):
     """The alarm has another level than one sample before, or was acknowledged before this sample."""
 
-    row: int
-    t_ns: int
     alarm: int
     was: int
     joint: int
@@ -61,11 +69,17 @@ class AlarmChange:
 
 
 @dataclass(frozen=True)
-class TouchChange:
+class HiddenCollision(Change):
+    """A collision that raised no alarm: a collision alarm was already latched."""
+
+    joint: int
+    """The one that is furthest over its limit."""
+
+
+@dataclass(frozen=True)
+class TouchChange(Change):
     """From this sample on the monitor knows what kind of touch the alarm is, or takes it for another."""
 
-    row: int
-    t_ns: int
     touch: int
     """Index of TOUCHES."""
     was: int
@@ -78,20 +92,16 @@ class TouchChange:
 
 
 @dataclass(frozen=True)
-class DriftChange:
+class DriftChange(Change):
     """The drift of a joint is at its bound, for the first time since the monitor was made: train anew."""
 
-    row: int
-    t_ns: int
     joint: int
 
 
 @dataclass(frozen=True)
-class LoadChange:
+class LoadChange(Change):
     """The arm was told just before this sample what it carries."""
 
-    row: int
-    t_ns: int
     load: Load
     by: str = ""
     """Who told it; empty: whoever started the replay."""
@@ -102,11 +112,9 @@ class LoadChange:
 
 
 @dataclass(frozen=True)
-class FoundLoad:
+class FoundLoad(Change):
     """A load that was expected was found at this sample, or weighed better: it is set."""
 
-    row: int
-    t_ns: int
     mass_kg: float
     """All that is carried now; 0: nothing more."""
     error_kg: float
@@ -114,11 +122,9 @@ class FoundLoad:
 
 
 @dataclass(frozen=True)
-class WeighChange:
+class WeighChange(Change):
     """Just before this sample weighing began, ended, or somebody asked what it says."""
 
-    row: int
-    t_ns: int
     what: str
     """`start`, `stop` or `tell`."""
     by: str
@@ -130,9 +136,6 @@ class WeighChange:
     """What was found until now; None where it begins."""
 
 
-Change = HealthChange | AlarmChange | TouchChange | PlaceChange | DriftChange | LoadChange | FoundLoad | WeighChange
-
-
 class ChangeFinder:
     """Finds every change in what the monitor said, chunk after chunk; the first sample follows a new monitor."""
 
@@ -141,6 +144,7 @@ class ChangeFinder:
         self._saturated: set[int] = set()
         self._found_ns, self._told_kg, self._told_error_kg = 0, np.nan, np.nan
         self._touch, self._alarm_ns = 0, 0
+        self._held_ns: int | None = None
 
     def acknowledged(self, row: int, t_ns: int) -> AlarmChange:
         """The alarm was acknowledged just before this sample; one that stands at the sample was raised anew there."""
@@ -148,7 +152,7 @@ class ChangeFinder:
         return AlarmChange(row, int(t_ns), NONE, was, -1, acknowledged=True)
 
     def find(self, first_row: int, t_ns: np.ndarray, said: dict[str, np.ndarray]) -> list[Change]:
-        """Changes at these samples in order; of one sample, its health before its alarm, then its touch, then drift.
+        """Changes at these samples in order; of one sample health, alarm, touch, drift, hidden collision.
 
         Args:
             first_row: of the chunk, counted from the recording's first sample.
@@ -171,6 +175,8 @@ class ChangeFinder:
         if "touch" in said:
             changes += self._touches(first_row, t_ns, said, before["alarm"])
         changes += self._drift(first_row, t_ns, said["drift_saturated"])
+        if "held_alarm" in said:
+            changes += self._hidden(first_row, t_ns, said, before["alarm"])
         return sorted(changes, key=lambda change: change.row)
 
     def _found(self, first_row: int, t_ns: np.ndarray, said: dict[str, np.ndarray]) -> list[FoundLoad]:
@@ -213,6 +219,20 @@ class ChangeFinder:
         self._saturated.update(new)
         rows = [int(np.argmax(saturated[:, j])) for j in new]
         return [DriftChange(first_row + k, int(t_ns[k]), j) for k, j in zip(rows, new, strict=True)]
+
+    def _hidden(
+        self, first_row: int, t_ns: np.ndarray, said: dict[str, np.ndarray], alarm_before: np.ndarray
+    ) -> list[HiddenCollision]:
+        at = np.flatnonzero(said["held_alarm"] == COLLISION)
+        if len(at) == 0:
+            return []
+        before_ns = np.append(t_ns[at[0]] if self._held_ns is None else self._held_ns, t_ns[at[:-1]])
+        self._held_ns = int(t_ns[at[-1]])
+        hidden = []
+        for k in at[(t_ns[at] - before_ns > round(APART_S * 1e9)) & (alarm_before[at] == COLLISION)].tolist():
+            share = np.abs(said["tau_ext"][k] - said["load_nm"][k]) / said["limit_nm"][k]
+            hidden.append(HiddenCollision(first_row + k, int(t_ns[k]), int(np.nanargmax(share))))
+        return hidden
 
     @staticmethod
     def _alarm_change(row: int, t_ns: int, k: int, was: int, said: dict[str, np.ndarray]) -> AlarmChange:

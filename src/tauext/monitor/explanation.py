@@ -17,7 +17,7 @@ from tauext.errors import RecordingError
 from tauext.monitor.changes import CONTACT, FAULT, FIRST_KIND, NONE, OK, TOUCHES, with_article
 from tauext.monitor.flight_content import Flight, FlightSource, as_recording, carried, event_kind
 from tauext.monitor.loads import load_words
-from tauext.monitor.places import PlaceChange, place_words
+from tauext.monitor.places import PlaceChange, place_words, strongest_place
 
 # --- What each cause of a bad health means, and where to look.
 
@@ -161,22 +161,12 @@ def place_of_touch(flight: Flight, source: FlightSource) -> str:
     event, row = flight["event"], flight["event_row"]
     if source.chain is None or not source.has_error_scale:
         return ""
-    model, sigma = PlaceModel(source.chain), flight["sigma_nm"][row:]
-    tau = without_load(flight)[row:]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        strength = np.where((sigma > 0).all(axis=1), np.square(tau / sigma).sum(axis=1), np.nan)
-    if model.refused or not np.isfinite(strength).any():
+    signals = (flight[name][row:] for name in ("sigma_nm", "contact_sigma_nm"))
+    q, dq, tau_ext = flight["q"][row:], flight["dq"][row:], without_load(flight)[row:]
+    found = strongest_place(PlaceModel(source.chain), q, dq, tau_ext, *signals)
+    change = PlaceChange.of(found, row, int(event.t_ns), event.alarm.value, event.alarm_joint, 0.0)
+    if change is None:
         return ""
-    at = int(np.nanargmax(strength))
-    q, dq, contact_sigma = (flight[name][row + at].tolist() for name in ("q", "dq", "contact_sigma_nm"))
-    found = model.find(q, tau[at].tolist(), sigma[at].tolist(), contact_sigma, dq=dq)
-    if found.best is None:
-        return ""
-    links = tuple((link, found.probability[link]) for link in found.ranked)
-    since_s = (int(flight["t_ns"][row + at]) - int(flight["t_ns"][row])) * 1e-9
-    level = event.alarm.value
-    told = (links, tuple(found.places), found.best, found.consistent)
-    change = PlaceChange(row, int(event.t_ns), level, event.alarm_joint, since_s, *told)
     words = place_words(change, source.joints)
     return f"{words[0].upper()}{words[1:]}."
 

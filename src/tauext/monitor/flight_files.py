@@ -18,7 +18,7 @@ from tauext import _core
 from tauext.bundle.estimates import save_estimates
 from tauext.data.recording_file import save_recording
 from tauext.data.servo import AMPERES
-from tauext.errors import RecordingError, TauextError
+from tauext.errors import ConfigError, RecordingError, TauextError
 from tauext.files.places import Place
 from tauext.files.provenance import VERSION
 from tauext.files.whole_file import whole_file
@@ -53,6 +53,64 @@ class FlightNews:
     """Of the event."""
     path: Place | None
     error: str | None = None
+
+
+@dataclass
+class FlightCount:
+    """Number of flights that were written, failed or missed."""
+
+    written: int = 0
+    failed: int = 0
+    missed: int = 0
+    error: str = ""
+    """Of the first that failed."""
+
+    def add(self, news: FlightNews) -> None:
+        """Count one more."""
+        self.written += news.error is None
+        self.failed += news.error is not None
+        self.error = self.error or news.error or ""
+
+    def merge(self, other: FlightCount) -> None:
+        """Add another recording's."""
+        self.written, self.failed = self.written + other.written, self.failed + other.failed
+        self.missed += other.missed
+        self.error = self.error or other.error
+
+    def summary(self) -> dict[str, int]:
+        return {"written": self.written, "failed": self.failed, "missed": self.missed}
+
+    def expect_all_written(self) -> None:
+        """Raise ConfigError where a flight could not be written."""
+        if self.failed:
+            raise ConfigError(f"{self.failed} of {self.failed + self.written} flights are lost: {self.error}")
+
+
+@dataclass(frozen=True)
+class FlightSettings:
+    """Where flights are written, and how much they keep."""
+
+    folder: Path
+    before_s: float
+    after_s: float
+    contacts: bool
+    """Write flights of contacts, too."""
+    given: Place | Path
+    """The folder as the user gave it: flights may be sent there later."""
+
+    def recorder(self, bundle: _core.Bundle) -> _core.FlightRecorder:
+        """A new one; makes the folder.
+
+        Raises:
+            ConfigError: there can be no such folder.
+            CoreError: the recorder refuses the settings.
+        """
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{self.given}: no folder for flights ({error.strerror or error})") from error
+        period_ns = bundle.observer.sample_period_ns
+        return _core.FlightRecorder(bundle.joints, period_ns, self.before_s, self.after_s, self.contacts)
 
 
 class FlightWriter:

@@ -114,8 +114,8 @@ class FeedbackSettings:
     gain: PerJoint = 1.0
     """Torque of the leader over what is felt of tau_ext: [N m] over its unit; negative where the leader's joint turns
     the other way."""
-    cap_nm: PerJoint = 0.5
-    """Most torque of the leader's motors, [N m]: a hand that holds the arm by two fingers can give way to it."""
+    cap_nm: PerJoint = 0.1
+    """Most torque of the leader's motors, [N m]: a tenth of what small servos can give, which a hand easily resists."""
     dead_band_sigmas: PerJoint = 8.0
     """Of tau_ext so many standard errors are not felt: errors of friction have heavier tails than Gauss's, so
     `free_motion_sigmas` says how many an arm needs."""

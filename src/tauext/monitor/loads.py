@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from tauext._core import Load, LoadSettings
-from tauext.data.description_file import refuse_unknown
 from tauext.errors import ConfigError
 from tauext.files.places import Place
-from tauext.files.plain_file import read_text, toml_of
+from tauext.files.toml_file import number, numbers, read_table, read_toml, tables
 
-KEYS = ("mass", "com", "inertia", "error")
+KEYS = {
+    "mass": number(),
+    "com": numbers((3,), number(), default=(0.0,) * 3),
+    "inertia": numbers((3, 6), number(), default=(0.0,) * 6),
+    "error": number(default=None),
+}
 USAGE = "none, or mass=KG com=X,Y,Z inertia=XX,YY,ZZ,XY,XZ,YZ error=SHARE; mass alone has to be there"
-EXPECTED_KEYS = ("seconds", "at_most")
 EXPECTED_USAGE = "seconds=S at_most=KG: for how long, and the most that may be carried then"
 NOTHING = Load()
 MOST_AGO_S = 1e6
-MOST_FROM_S = 1e9
+EXPECTED_KEYS = {"seconds": number(), "at_most": number()}
+FROM_S = number(0.0, 1e9, 0.0)
 """Stamps in nanoseconds hold nine times as much."""
 
 
@@ -51,20 +54,17 @@ def expected_of_text(text: str) -> Expected:
     head, *rest = re.split(r"(?:^|(?<=[\s,]))([a-z_]+)\s*=", text.strip())
     if head.strip(" ,\t") or len(rest) != 4:
         raise ConfigError(f"{where} cannot be read; it is {EXPECTED_USAGE}")
-    return expected_of_table(
-        where, {key: value.strip(" ,\t") for key, value in zip(rest[::2], rest[1::2], strict=True)}
-    )
+    table = {key: _number(where, value.strip(" ,\t")) for key, value in zip(rest[::2], rest[1::2], strict=True)}
+    return expected_of_table(where, "", table)
 
 
-def expected_of_table(where: str, table: Mapping[str, Any]) -> Expected:
+def expected_of_table(path: Place | str, table: str, content: Any) -> Expected:
     """The same of a table.
 
     Raises:
         ConfigError: names the key, the value and the rule.
     """
-    if set(table) != set(EXPECTED_KEYS):
-        raise ConfigError(f"{where}: has {', '.join(table) or 'nothing'}; it is {EXPECTED_USAGE}")
-    return Expected(*(_number(f"{where}: {key}", table[key]) for key in EXPECTED_KEYS))
+    return Expected(*read_table(path, table, content, EXPECTED_KEYS).values())
 
 
 def load_of_text(text: str) -> Load:
@@ -96,28 +96,18 @@ def load_and_ago_of_text(text: str, extra: Sequence[str] = ("ago",)) -> tuple[Lo
         raise ConfigError(f"{where}: ago = {ago:g} s must be 0 to {MOST_AGO_S:g}")
     if first == "none" and table:
         raise ConfigError(f"{where}: none has no {next(iter(table))}")
-    return (NOTHING if first == "none" else load_of_table(where, table)), ago
+    return (NOTHING if first == "none" else load_of_table(where, "", table)), ago
 
 
-def load_of_table(where: str, table: Mapping[str, Any]) -> Load:
+def load_of_table(path: Place | str, table: str, content: Any) -> Load:
     """The load of a table with mass, com, inertia and error; three numbers of inertia are its diagonal.
 
     Raises:
         ConfigError: names the key, the value and the rule.
     """
-    if "mass" not in table:
-        raise ConfigError(f"{where}: mass is missing; a load is {USAGE}")
-    lengths = {"mass": (1,), "error": (1,), "com": (3,), "inertia": (3, 6)}
-    found: dict[str, list[float]] = {}
-    for key, value in table.items():
-        numbers = value if isinstance(value, list) else [value]
-        if len(numbers) not in lengths[key]:
-            allowed = " or ".join(str(count) for count in lengths[key])
-            raise ConfigError(f"{where}: {key} = {value} must be {allowed} number{'s' * (lengths[key] != (1,))}")
-        found[key] = [_number(f"{where}: {key}", one) for one in numbers]
-    com, inertia = found.get("com", [0.0] * 3), found.get("inertia", [0.0] * 6)
-    load = Load(found["mass"][0], com, inertia + [0.0] * (6 - len(inertia)))
-    return Load(load.mass, load.com, load.inertia, found["error"][0]) if "error" in found else load
+    mass, com, inertia, error = read_table(path, table, content, KEYS).values()
+    load = Load(mass, com, inertia + (0.0,) * (6 - len(inertia)))
+    return load if error is None else Load(load.mass, load.com, load.inertia, error)
 
 
 def read_loads(path: Place) -> list[TimedLoad]:
@@ -126,26 +116,13 @@ def read_loads(path: Place) -> list[TimedLoad]:
     Raises:
         ConfigError: no such file, or a value that breaks a rule.
     """
-    try:
-        content = toml_of(read_text(path))
-    except FileNotFoundError as error:
-        raise ConfigError(f"{path}: there is no such file") from error
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be read as TOML ({error})") from error
-    refuse_unknown(path, "", content, ("load",))
-    tables = content.get("load", [])
-    if not isinstance(tables, list) or not tables:
-        raise ConfigError(f"{path}: there are no loads: a table [[load]] with from_s and mass for each is missing")
     found: list[TimedLoad] = []
-    for number, table in enumerate(tables, 1):
-        refuse_unknown(path, f"load {number}", table, ("from_s", *KEYS))
-        where = f"{path}: load {number}"
-        from_s = _number(f"{where}: from_s", table.get("from_s", 0.0))
-        if from_s < (found[-1].from_s if found else 0.0):
-            raise ConfigError(f"{where}: from_s = {from_s:g} must be >= 0 and not before the load above it")
-        if from_s > MOST_FROM_S:
-            raise ConfigError(f"{where}: from_s = {from_s:g} must be at most {MOST_FROM_S:g}")
-        found.append(TimedLoad(from_s, load_of_table(where, {k: v for k, v in table.items() if k != "from_s"})))
+    for count, table in enumerate(read_table(path, "", read_toml(path), {"load": tables("[[load]]")})["load"], 1):
+        where = f"load {count}"
+        from_s = read_table(path, where, table, {"from_s": FROM_S} | KEYS)["from_s"]
+        if found and from_s < found[-1].from_s:
+            raise ConfigError(f"{path}: {where} from_s = {from_s:g} must not be before the load above it")
+        found.append(TimedLoad(from_s, load_of_table(path, where, {k: v for k, v in table.items() if k != "from_s"})))
     return found
 
 
@@ -168,11 +145,8 @@ def load_facts(load: Load) -> dict[str, Any]:
     return {"mass_kg": load.mass, "com_m": list(load.com), "inertia_kg_m2": list(load.inertia)}
 
 
-def _number(where: str, value: Any) -> float:
+def _number(where: str, value: str) -> float:
     try:
-        number = math.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not math.isfinite(number):
-        raise ConfigError(f"{where}: {value!r} must be a finite number")
-    return number
+        return float(value)
+    except ValueError:
+        raise ConfigError(f"{where}: {value!r} must be a number") from None

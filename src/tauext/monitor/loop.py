@@ -161,10 +161,8 @@ class Loop:
         self._profiles, self._recorder = profiles, recorder
         self._profile: Profile | None = None
         self._settings = settings
-        self._requests: queue.SimpleQueue[tuple[str, str, str]] = queue.SimpleQueue()
-        self._reaches: queue.SimpleQueue[float] = queue.SimpleQueue()
-        self._loads: queue.SimpleQueue[tuple[_core.Load, float | None]] = queue.SimpleQueue()
-        self._expected: queue.SimpleQueue[Expected] = queue.SimpleQueue()
+        self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        """To be done by the loop's thread before the next sample."""
         for profile in profiles.by_name.values() if profiles else ():
             if profile.load is not None and (reason := self.monitor.why_no_load(profile.load)):
                 raise ConfigError(f"profile {profile.name}: {reason}")
@@ -184,51 +182,41 @@ class Loop:
         self._missing_after_s = settings.missing_after_s or period_s + max(period_s, 0.002)
         self._second = Latencies()
 
-    # Control: any thread.
+    # Control: any thread; see Control.
 
     def use_profile(self, name: str, by: str) -> None:
-        """Change to this profile before the next sample."""
         if self._profiles is None:
             raise ConfigError(f"profile {name!r}: there are none; `tauext monitor --profiles FILE` reads some")
         self._profiles.named(name)
-        self._requests.put(("profile", name, by))
+        self._requests.put(lambda: self._switch(name, by))
 
     def acknowledge(self, by: str) -> None:
-        """End a latched alarm before the next sample."""
-        self._requests.put(("acknowledge", "", by))
+        self._requests.put(lambda: self._end_alarm(self.monitor.acknowledge, f"acknowledged by {by}"))
 
     def resume(self, by: str) -> None:
-        """The same where nothing touches the arm any more and it is to move on: _core.Monitor.resume()."""
-        self._requests.put(("resume", "", by))
+        self._requests.put(lambda: self._end_alarm(self.monitor.resume, f"resumed by {by}"))
 
     def set_load(self, load: _core.Load, by: str, ago_s: float | None = None) -> None:
-        """Take the arm to carry this from the next sample on, or as if it had been told so long before the last one."""
         if reason := self.monitor.why_no_load(load, None if ago_s is None else 0):
             raise ConfigError(reason)
-        self._loads.put((load, ago_s))
-        self._requests.put(("load", "", by))
+        self._requests.put(lambda: self._carry(load, ago_s, by))
 
     def expect_load(self, expected: Expected, by: str) -> None:
-        """The gripper closes or opens: Monitor.expect_load() before the next sample."""
         if reason := self._why_not(expected):
             raise ConfigError(reason)
-        self._expected.put(expected)
-        self._requests.put(("expect", "", by))
+        self._requests.put(lambda: self._expect(expected, by))
 
     def _why_not(self, expected: Expected) -> str:
         return self.monitor.why_not_expected(expected.seconds, expected.at_most_kg)
 
     def weigh(self, what: str, by: str, reach_m: float = USUAL_REACH_M) -> None:
-        """Weigh what the arm carries, tell what was found so far, or end it: see Control."""
         if reason := self.monitor.why_no_weighing():
             raise ConfigError(reason)
         require(1e-3 <= reach_m <= 100, "reach", reach_m, "0.001 to 100 m, how far away a load's centre of mass may be")
-        self._reaches.put(reach_m)
-        self._requests.put(("weigh", what, by))
+        self._requests.put(lambda: self._weigh(what, reach_m, by))
 
     def stop(self, by: str) -> None:
-        """End the loop before the next sample."""
-        self._requests.put(("stop", "", by))
+        self._requests.put(lambda: self._stop(by))
 
     @property
     def profile(self) -> Profile | None:
@@ -279,7 +267,8 @@ class Loop:
         due = math.inf
         before = 0
         while not self._source.ended:
-            self._requested()
+            while not self._requests.empty():
+                self._requests.get()()
             if self._stopped:
                 return
             now = time.monotonic()
@@ -371,26 +360,9 @@ class Loop:
 
     # What was asked for.
 
-    def _requested(self) -> None:
-        while not self._requests.empty():
-            what, name, by = self._requests.get()
-            if what == "profile":
-                self._switch(name, by)
-            elif what == "acknowledge":
-                self.note(f"acknowledged by {by}")
-                self._end_alarm(self.monitor.acknowledge)
-            elif what == "load":
-                self._carry(*self._loads.get(), by)
-            elif what == "expect":
-                self._expect(self._expected.get(), by)
-            elif what == "weigh":
-                self._weigh(name, self._reaches.get(), by)
-            elif what == "resume":
-                self.note(f"resumed by {by}")
-                self._end_alarm(self.monitor.resume)
-            else:
-                self.note(f"stopped by {by}")
-                self._stopped = True
+    def _stop(self, by: str) -> None:
+        self.note(f"stopped by {by}")
+        self._stopped = True
 
     def _switch(self, name: str, by: str) -> None:
         assert self._profiles is not None  # or use_profile() had refused it
@@ -428,8 +400,10 @@ class Loop:
         if self._due_ns is not None and t_ns >= self._due_ns:
             self._end_alarm(self.monitor.acknowledge)
 
-    def _end_alarm(self, end: Callable[[], None]) -> None:
+    def _end_alarm(self, end: Callable[[], None], note: str = "") -> None:
         """By one of the monitor's two calls; as in replay() the change belongs to the next sample."""
+        if note:
+            self.note(note)
         self._due_ns = None
         stood = self.monitor.last.alarm != _core.Alarm.none
         end()

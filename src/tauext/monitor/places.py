@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from tauext._core import Bundle, PlaceModel, TouchPlace, WrenchModel
+from tauext._core import Bundle, PlaceModel, TouchPlace, TouchPlaces, WrenchModel
 from tauext.errors import ConfigError
+from tauext.monitor.changes import Change
 
 # --- The force that an alarm's touch would be at a frame that the user names, in newtons.
 
@@ -102,19 +104,6 @@ def frame_force_words(force: FrameForce) -> str:
     return f"{force.size_n:.0f} N at {force.frame} ({doubt}), {degrees:.0f}° from {sign}{'xyz'[axis]}"
 
 
-def frame_force_facts(force: FrameForce) -> dict:
-    """As plain JSON."""
-    return {
-        "frame": force.frame,
-        "force_n": list(force.force_n),
-        "covariance": list(force.covariance),
-        "blind": force.blind,
-        "blind_directions": [list(way) for way in force.blind_directions],
-        "left_out": list(force.left_out),
-        "consistent": force.consistent,
-    }
-
-
 # --- Which link an alarm's touch is on, and where: told while the alarm stands.
 
 
@@ -130,11 +119,9 @@ its root, are then 0.7 of those before."""
 
 
 @dataclass(frozen=True)
-class PlaceChange:
+class PlaceChange(Change):
     """From this sample on the monitor knows which link is touched and where, or knows it better."""
 
-    row: int
-    t_ns: int
     alarm: int
     """Level that stands."""
     joint: int
@@ -151,6 +138,47 @@ class PlaceChange:
     """Probability that a single force leaves so much unexplained."""
     force: FrameForce | None = None
     """What it would be at the frame that was named."""
+
+    @classmethod
+    def of(
+        cls,
+        found: TouchPlaces | None,
+        row: int,
+        t_ns: int,
+        alarm: int,
+        joint: int,
+        since_s: float,
+        force: FrameForce | None = None,
+    ) -> PlaceChange | None:
+        """None where no place was found."""
+        if found is None or found.best is None:
+            return None
+        links = tuple((link, found.probability[link]) for link in found.ranked)
+        places, consistent = tuple(found.places), found.consistent
+        return cls(row, t_ns, alarm, joint, since_s, links, places, found.best, consistent, force)
+
+
+def strength(tau_ext: np.ndarray, sigma_nm: np.ndarray) -> np.ndarray:
+    """Sum over the joints of (tau_ext / sigma)^2, (samples,); 0 where a torque or its standard error is unknown."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.nan_to_num(np.square(tau_ext / sigma_nm).sum(axis=1), nan=0.0, posinf=0.0)
+
+
+def strongest_place(
+    model: PlaceModel,
+    q: np.ndarray,
+    dq: np.ndarray,
+    tau_ext: np.ndarray,
+    sigma_nm: np.ndarray,
+    contact_sigma_nm: np.ndarray,
+) -> TouchPlaces | None:
+    """Places at the sample with the largest strength(), of arrays (samples, joints); None where none are found."""
+    if model.refused:
+        return None
+    row = int(np.argmax(strength(tau_ext, sigma_nm)))
+    at_row = [signal[row].astype(float).tolist() for signal in (q, tau_ext, sigma_nm, contact_sigma_nm)]
+    found = model.find(at_row[0], at_row[1], at_row[2], at_row[3], dq=dq[row].tolist())
+    return None if found.best is None else found
 
 
 class PlaceFinder:
@@ -191,12 +219,10 @@ class PlaceFinder:
         alarm = said["alarm"]
         if self.refused or (self._due_ns is None and (alarm == self._alarm).all()):
             return []  # also behind an alarm that stands for hours
-        with np.errstate(divide="ignore", invalid="ignore"):
-            left = said["tau_ext"] - said["load_nm"]
-            strength = np.nan_to_num(np.square(left / said["sigma_nm"]).sum(axis=1), nan=0.0, posinf=0.0)
+        by_row = strength(said["tau_ext"] - said["load_nm"], said["sigma_nm"])
         told = []
         for k in range(len(t_ns)):
-            found = self._step(k, first_row + k, int(t_ns[k]), int(alarm[k]), float(strength[k]), q, dq, said)
+            found = self._step(k, first_row + k, int(t_ns[k]), int(alarm[k]), float(by_row[k]), q, dq, said)
             if found is not None:
                 told.append(found)
         return told
@@ -240,18 +266,10 @@ class PlaceFinder:
             return None
         self._told = self._strength
         self._due_ns = None if fell else t_ns + round(AGAIN_S * 1e9)
-        return self._tell(row, t_ns, level if fell else alarm)
-
-    def _tell(self, row: int, t_ns: int, alarm: int) -> PlaceChange | None:
-        assert self._sample is not None
-        q, tau_ext, sigma_nm, contact_sigma_nm, dq = self._sample
-        found = self._model.find(q, tau_ext, sigma_nm, contact_sigma_nm, dq=dq)
-        if found.best is None:
-            return None
-        links = tuple((link, found.probability[link]) for link in found.ranked)
+        q_then, tau_ext, sigma_nm, contact_sigma_nm, dq_then = self._sample
+        found = self._model.find(q_then, tau_ext, sigma_nm, contact_sigma_nm, dq=dq_then)
         since_s = (t_ns - self._rose_ns) * 1e-9
-        told = (links, tuple(found.places), found.best, found.consistent, self._force)
-        return PlaceChange(row, t_ns, alarm, self._joint, since_s, *told)
+        return PlaceChange.of(found, row, t_ns, level if fell else alarm, self._joint, since_s, self._force)
 
 
 def newtons(place: TouchPlace) -> float:
@@ -259,24 +277,33 @@ def newtons(place: TouchPlace) -> float:
     return float(np.linalg.norm(place.force))
 
 
+def links_words(links: Sequence[tuple[int, float]], joints: tuple[str, ...]) -> str:
+    """`the link of elbow (83%; wrist_1 12%)`.
+
+    Args:
+        links: number of the joint that carries the link, and its probability; the most probable first.
+    """
+    (first, probability), *others = links
+    rivals = "".join(f"; {joints[link]} {share:.0%}" for link, share in others[:2] if share >= 0.05)
+    return f"the link of {joints[first]} ({probability:.0%}{rivals})"
+
+
 def place_words(change: PlaceChange, joints: tuple[str, ...]) -> str:
     """`the touch is on the link of elbow (83%; wrist_1 12%): 34 N within 3 cm of (0.31, -0.20, 0.55) m`."""
     at_frame = "" if change.force is None else f"; {frame_force_words(change.force)}"
     if change.consistent < INCONSISTENT:
         return f"the touch is no single force on one link: two touches, or a moment without a force{at_frame}"
-    (first, probability), *others = change.links
-    rivals = "".join(f"; {joints[link]} {share:.0%}" for link, share in others[:2] if share >= 0.05)
     place = change.best
     where = ", ".join(f"{value:.2f}" for value in place.point)
     return (
-        f"the touch is on the link of {joints[first]} ({probability:.0%}{rivals}): {newtons(place):.0f} N within "
+        f"the touch is on {links_words(change.links, joints)}: {newtons(place):.0f} N within "
         f"{max(place.spread_m * 100, 1):.0f} cm of ({where}) m{at_frame}"
     )
 
 
 def place_facts(change: PlaceChange, joints: tuple[str, ...]) -> dict:
     """As plain JSON: links by their joints' names, places in the base's frame."""
-    told = {} if change.force is None else {"at_frame": frame_force_facts(change.force)}
+    told = {} if change.force is None else {"at_frame": asdict(change.force)}
     return told | {
         "links": [{"joint": joints[link], "probability": share} for link, share in change.links],
         "places": [

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from tauext._core import Load
-from tauext.data.description_file import refuse_unknown
 from tauext.errors import ConfigError
 from tauext.files.places import Place
-from tauext.files.toml_file import number, read_toml
-from tauext.monitor.loads import EXPECTED_KEYS, Expected, expected_of_table, load_of_table, load_of_text
-from tauext.monitor.loads import KEYS as LOAD_KEYS
+from tauext.files.toml_file import Key, number, one_of, read_table, read_toml, refuse_unknown, tables
+from tauext.monitor.loads import Expected, expected_of_table, load_of_table, load_of_text
 
 LEVELS = ("contact", "collision")
 LOWEST, HIGHEST = 0.1, 10.0
 """The core takes no factor beyond."""
 OTHERS = "others"
+FILE_KEYS = {"bounds": tables("[bounds]"), "start": tables("[start]", {}), "profiles": tables("[profiles.NAME]")}
+BOUND_KEYS = {"lowest": number(LOWEST, 1.0), "highest": number(1.0, HIGHEST)}
 
 TEMPLATE = """\
 # Factors on a bundle's limits, for phases of a task. Above 1 it takes more to raise an alarm, below 1 less.
@@ -86,39 +86,22 @@ def load_profiles(path: Place, joints: Sequence[str]) -> Profiles:
     Raises:
         ConfigError: names the file, the key, the value and the rule that it breaks.
     """
-    content = read_toml(path, "--new-profiles")
-    refuse_unknown(path, "", content, ("bounds", "start", "profiles"))
-    bounds = content.get("bounds")
-    if bounds is None:
-        raise ConfigError(f"{path}: the table [bounds] is missing; it holds lowest and highest, within 0.1 to 10")
-    refuse_unknown(path, "bounds", bounds, ("lowest", "highest"))
-    for key in ("lowest", "highest"):
-        if key not in bounds:
-            raise ConfigError(f"{path}: [bounds] {key} is missing")
-    lowest = number(f"{path}: [bounds] lowest", bounds["lowest"], LOWEST, 1.0)
-    highest = number(f"{path}: [bounds] highest", bounds["highest"], 1.0, HIGHEST)
-    tables = content.get("profiles", {})
-    if not isinstance(tables, dict) or not tables:
-        raise ConfigError(f"{path}: there are no profiles: a table [profiles.NAME] for each is missing")
+    content = read_toml(path, f"`tauext monitor --new-profiles {path}` writes a template")
+    top = read_table(path, "", content, FILE_KEYS)
+    bounds = read_table(path, "[bounds]", top["bounds"], BOUND_KEYS)
+    factor = number(bounds["lowest"], bounds["highest"])
     found = {}
-    for name, table in tables.items():
+    for name, table in top["profiles"].items():
         where = f"profiles.{name}"
-        refuse_unknown(path, where, table, (*LEVELS, "load", "expect"))
+        refuse_unknown(path, f"[{where}]", table, (*LEVELS, "load", "expect"))
         if name != name.strip() or not name or any(character in name for character in "\r\n"):
             raise ConfigError(f"{path}: profile name {name!r} must be a word or words on one line")
-        factors = {
-            level: _factors(f"{path}: [{where}] {level}", table.get(level, 1.0), joints, lowest, highest)
-            for level in LEVELS
-        }
+        contact, collision = (_factors(path, where, table, level, joints, factor) for level in LEVELS)
         load = _load(path, where, table["load"]) if "load" in table else None
-        expect = _expected(path, where, table["expect"]) if "expect" in table else None
-        found[name] = Profile(name, factors["contact"], factors["collision"], load, expect)
-    start = content.get("start", {})
-    refuse_unknown(path, "start", start, ("profile",))
-    first = start.get("profile", next(iter(found)))
-    if not isinstance(first, str) or first not in found:
-        raise ConfigError(f"{path}: [start] profile = {first!r} must be one of {', '.join(found)}")
-    return Profiles(found, first)
+        expect = expected_of_table(path, f"[{where}.expect]", table["expect"]) if "expect" in table else None
+        found[name] = Profile(name, contact, collision, load, expect)
+    start = read_table(path, "[start]", top["start"], {"profile": one_of(tuple(found), next(iter(found)))})
+    return Profiles(found, start["profile"])
 
 
 def _load(path: Place, where: str, value: Any) -> Load:
@@ -127,20 +110,13 @@ def _load(path: Place, where: str, value: Any) -> Load:
             return load_of_text(value)
         except ConfigError as error:
             raise ConfigError(f"{path}: [{where}] {error}") from error
-    refuse_unknown(path, f"{where}.load", value, LOAD_KEYS)
-    return load_of_table(f"{path}: [{where}] load", value)
+    return load_of_table(path, f"[{where}.load]", value)
 
 
-def _expected(path: Place, where: str, value: Any) -> Expected:
-    refuse_unknown(path, f"{where}.expect", value, EXPECTED_KEYS)
-    return expected_of_table(f"{path}: [{where}] expect", value)
-
-
-def _factors(where: str, value: Any, joints: Sequence[str], lowest: float, highest: float) -> np.ndarray:
+def _factors(path: Place, where: str, table: Any, level: str, joints: Sequence[str], factor: Key) -> np.ndarray:
+    value = table.get(level, 1.0)
     if not isinstance(value, dict):
-        return np.full(len(joints), number(where, value, lowest, highest))
-    for key in value:
-        if key not in (*joints, OTHERS):
-            raise ConfigError(f"{where} names {key!r}, which is no joint; they are {', '.join(joints)}, and {OTHERS}")
-    rest = value.get(OTHERS, 1.0)
-    return np.array([number(f"{where}.{joint}", value.get(joint, rest), lowest, highest) for joint in joints])
+        return np.full(len(joints), read_table(path, f"[{where}]", {level: value}, {level: factor})[level])
+    keys = dict.fromkeys(joints, factor._replace(default=None)) | {OTHERS: factor._replace(default=1.0)}
+    found = read_table(path, f"[{where}.{level}]", value, keys)
+    return np.array([found[OTHERS] if found[joint] is None else found[joint] for joint in joints])

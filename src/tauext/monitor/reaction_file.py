@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
-from tauext.data.description_file import refuse_unknown
 from tauext.errors import ConfigError
 from tauext.files.places import Place
-from tauext.files.toml_file import number, read_toml
+from tauext.files.toml_file import Key, flag, names, number, read_table, read_toml, tables, text
 from tauext.monitor.changes import TOUCHES
 from tauext.monitor.sink import EVENT_KINDS, EventKind
 
-TEMPLATE = """\
+TEMPLATE = """
 # What shall happen when the monitor finds something. Each [[reaction]] has a thread of its own: one that fails, hangs
 # or is slow delays neither the monitor nor the others. Events that come while it is at work wait; of those with the
 # same kind and joint the newest stands for all.
@@ -100,74 +99,54 @@ def load_reactions(path: Place, joints: Sequence[str]) -> list[Reaction]:
     Raises:
         ConfigError: names the file, the key, the value and the rule that it breaks.
     """
-    content = read_toml(path, "--new-reactions")
-    refuse_unknown(path, "", content, ("reaction",))
-    tables = content.get("reaction", [])
-    if not isinstance(tables, list) or not tables:
-        raise ConfigError(f"{path}: there are no reactions: a table [[reaction]] for each is missing")
-    found = [_reaction(path, table, joints) for table in tables]
-    names = [reaction.name for reaction in found]
-    for name in names:
-        if names.count(name) > 1:
-            raise ConfigError(f"{path}: [[reaction]] name = {name!r} stands there {names.count(name)} times")
+    content = read_toml(path, f"`tauext monitor --new-reactions {path}` writes a template")
+    keys = {
+        "name": text("text, not empty"),
+        "on": names(EVENT_KINDS, "events"),
+        "joints": names(joints, "joints", None),
+        "min_interval_s": number(0.0, 86400.0, 0.0),
+        "timeout_s": number(0.01, 3600.0, 5.0),
+        "command": Key(_command, 'a list of texts: ["program", "argument"]', ()),
+        "python": Key(_function, '"module:function"', ""),
+        "publish": flag(False),
+        "stop": flag(False),
+        "touch": names(TOUCHES[1:], "kinds of touch", None),
+        "links": names(joints, "joints that carry the links", None),
+        "newtons_over": number(0.0, 1e4, None),
+    }
+    found: list[Reaction] = []
+    for table in read_table(path, "", content, {"reaction": tables("[[reaction]]")})["reaction"]:
+        found.append(_reaction(path, table, keys))
+        if found[-1].name in [other.name for other in found[:-1]]:
+            raise ConfigError(f"{path}: [[reaction]] name = {found[-1].name!r} is given twice; names must differ")
     return found
 
 
-def _reaction(path: Place, table: Any, joints: Sequence[str]) -> Reaction:
-    refuse_unknown(path, "reaction", table, tuple(field.name for field in fields(Reaction)))
-    name = table.get("name")
-    if not isinstance(name, str) or not name.strip():
-        raise ConfigError(f"{path}: [[reaction]] name = {name!r} must be text, not empty")
-    here = f"{path}: [[reaction]] {name!r}:"
-    on = _names(f"{here} on", table.get("on", []), EVENT_KINDS, "events")
-    chosen = _names(f"{here} joints", table["joints"], joints, "joints") if "joints" in table else None
-    touch = _names(f"{here} touch", table["touch"], TOUCHES[1:], "kinds of touch") if "touch" in table else None
-    if touch is not None and not {"collision", "contact"} & set(on):
+def _reaction(path: Place, table: Any, keys: dict[str, Key]) -> Reaction:
+    named = isinstance(table, dict) and isinstance(table.get("name"), str)
+    where = f"[[reaction]] {table['name']!r}:" if named else "[[reaction]]"
+    reaction = Reaction(**read_table(path, where, table, keys))
+    here = f"{path}: {where}"
+    of_touch = [key for key in ("touch", "links", "newtons_over") if getattr(reaction, key) is not None]
+    if of_touch and not {"collision", "contact"} & set(reaction.on):
         raise ConfigError(
-            f"{here} touch = {table['touch']!r} says nothing of {', '.join(on)}; on needs collision or contact"
-        )
-    links = _names(f"{here} links", table["links"], joints, "links, by their joints,") if "links" in table else None
-    over = number(f"{here} newtons_over", table["newtons_over"], 0.0, 1e4) if "newtons_over" in table else None
-    if (links is not None or over is not None) and not {"collision", "contact"} & set(on):
-        raise ConfigError(
-            f"{here} links and newtons_over say nothing of {', '.join(on)}; on needs collision or contact"
+            f"{here} {' and '.join(of_touch)} cannot hold for {', '.join(reaction.on)}; on needs collision or contact"
         )
     given = [key for key in ACTIONS if table.get(key) not in (None, False)]
     if len(given) != 1:
         what = f"{' and '.join(given)} are given" if given else "nothing to do is given"
         raise ConfigError(f"{here} {what}; it must be one of {', '.join(ACTIONS)}")
-    command, function = table.get("command", []), table.get("python", "")
-    if not isinstance(command, list) or any(not isinstance(word, str) for word in command):
-        raise ConfigError(f'{here} command = {command!r} must be a list of texts: ["program", "argument"]')
-    if given == ["command"] and not (command and command[0]):
-        raise ConfigError(f"{here} command = {command!r} must begin with a program")
-    module, colon, rest = function.partition(":") if isinstance(function, str) else ("", "", "")
-    if function != "" and not (module and colon and rest.isidentifier()):
-        raise ConfigError(f'{here} python = {function!r} must be "module:function"')
-    for key in ("publish", "stop"):
-        if not isinstance(table.get(key, False), bool):
-            raise ConfigError(f"{here} {key} = {table[key]!r} must be true or false")
-    return Reaction(
-        name,
-        on,
-        chosen,
-        number(f"{here} min_interval_s", table.get("min_interval_s", 0.0), 0.0, 86400.0),
-        number(f"{here} timeout_s", table.get("timeout_s", 5.0), 0.01, 3600.0),
-        tuple(command),
-        function,
-        given == ["publish"],
-        given == ["stop"],
-        touch,
-        links,
-        over,
-    )
+    return reaction
 
 
-def _names(where: str, value: Any, known: Sequence[str], what: str) -> tuple[Any, ...]:
-    listed = [value] if isinstance(value, str) else value
-    if not isinstance(listed, list) or not listed:
-        raise ConfigError(f"{where} = {value!r} must be a list of {what}: {', '.join(known)}")
-    for one in listed:
-        if one not in known:
-            raise ConfigError(f"{where} names {one!r}; {what} are {', '.join(known)}")
-    return tuple(listed)
+def _command(value: Any) -> tuple[str, ...]:
+    if not isinstance(value, list) or not value or any(not isinstance(word, str) for word in value) or not value[0]:
+        raise TypeError
+    return tuple(value)
+
+
+def _function(value: Any) -> str:
+    module, _, function = value.partition(":") if isinstance(value, str) else ("", "", "")
+    if not module or not function.isidentifier():
+        raise ValueError
+    return value

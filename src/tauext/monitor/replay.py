@@ -1,11 +1,11 @@
-"""The monitor on a recording: chunks, pace, collisions behind a latched alarm, tally, status."""
+"""The monitor on a recording: chunks, pace, tally, single samples."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -14,7 +14,17 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import HEALTHS
 from tauext.bundle.units import not_in_newtons
-from tauext.monitor.changes import ALARMS, COLLISION, NONE, TOUCHES, AlarmChange, Change, ChangeFinder, LoadChange
+from tauext.monitor.changes import (
+    ALARMS,
+    COLLISION,
+    NONE,
+    TOUCHES,
+    AlarmChange,
+    Change,
+    ChangeFinder,
+    HiddenCollision,
+    LoadChange,
+)
 from tauext.monitor.explanation import KINDS, Unseen, unseen_of
 from tauext.monitor.loads import TimedLoad
 from tauext.monitor.places import PlaceFinder
@@ -178,50 +188,6 @@ def chunk_rows(t_ns: np.ndarray, wait_ns: int | None, due_ns: int | None) -> int
     return max(rows, 1)
 
 
-# --- Collisions that a latched alarm hides: held over a limit like any other, and raising nothing, since one stands.
-
-
-APART_S = 0.5
-"""Without a joint over its limit for so long, the next time is another collision: as false alarms are counted."""
-
-
-@dataclass(frozen=True)
-class HiddenCollision:
-    """One that raised no alarm."""
-
-    t_ns: int
-    joint: int
-    """The one that is furthest over its limit."""
-
-
-class HiddenFinder:
-    """Finds them chunk after chunk of one recording."""
-
-    def __init__(self) -> None:
-        self._held_ns: int | None = None
-        self._stands = False
-
-    def find(self, chunk: Chunk) -> list[HiddenCollision]:
-        """Those that begin in this chunk, in order."""
-        t_ns, said = chunk.t_ns, chunk.said
-        at = np.flatnonzero(said["held_alarm"] == COLLISION)
-        stood = np.append(self._stands, said["alarm"][:-1] == COLLISION)
-        self._stands = bool(said["alarm"][-1] == COLLISION)
-        if len(at) == 0:
-            return []
-        before = np.append(t_ns[at[0]] if self._held_ns is None else self._held_ns, t_ns[at[:-1]])
-        apart = t_ns[at] - before > round(APART_S * 1e9)
-        self._held_ns = int(t_ns[at[-1]])
-        raised = {one.t_ns for one in chunk.changes if isinstance(one, AlarmChange) and one.alarm == COLLISION}
-        return [
-            HiddenCollision(
-                int(t_ns[k]), int(np.nanargmax(np.abs(said["tau_ext"][k] - said["load_nm"][k]) / said["limit_nm"][k]))
-            )
-            for k in at[apart & stood[at]].tolist()
-            if int(t_ns[k]) not in raised
-        ]
-
-
 # --- What a replay comes to: counts, shares and worst margins.
 
 
@@ -250,7 +216,6 @@ class Tally:
     """Smallest margin of each joint where there is one; negative: over the limit; infinite: there was none."""
 
     def __post_init__(self) -> None:
-        self._finder = HiddenFinder()
         self.units = self.units or ("N m",) * len(self.joints)
         self.alarms = np.zeros((len(ALARMS), len(self.joints)), dtype=np.int64)
         self.worst_margin_nm = np.full(len(self.joints), np.inf)
@@ -262,13 +227,13 @@ class Tally:
         self.health += np.bincount(chunk.said["health"], minlength=len(HEALTHS))
         self.worst_margin_nm = np.fmin(self.worst_margin_nm, np.fmin.reduce(chunk.said["margin_nm"], axis=0))
         self.unfamiliar += unseen_of(chunk.said)
-        self.hidden += len(self._finder.find(chunk))
         self.add_changes(chunk.changes)
         self.bridged_ticks, self.restarts = monitor.bridged_ticks, monitor.restarts
 
     def add_changes(self, changes: Iterable[Change]) -> None:
-        """Count alarms and acknowledgements alone."""
+        """Count alarms, acknowledgements and hidden collisions alone."""
         for change in changes:
+            self.hidden += isinstance(change, HiddenCollision)
             if isinstance(change, AlarmChange):
                 self.acknowledged += change.acknowledged
                 if change.joint >= 0:
@@ -339,6 +304,7 @@ TORQUES = {
     "uncertainty_nm": "uncertainty",
     "tau_ext_nm": "tau_ext",
     "sigma_nm": "sigma_nm",
+    "contact_sigma_nm": "contact_sigma_nm",
     "limit_nm": "limit_nm",
     "contact_limit_nm": "contact_limit_nm",
     "margin_nm": "margin_nm",
@@ -361,9 +327,8 @@ class StatusClock:
         return rows.tolist()
 
 
-def status(chunk: Chunk, row: int) -> dict[str, Any]:
-    """What the monitor said of one sample of the chunk, as plain JSON; null where a number does not exist."""
-    said = chunk.said
+def sample_facts(said: Mapping[str, np.ndarray], row: int) -> dict[str, Any]:
+    """The monitor's answer for one row of Monitor.run, as plain JSON; null where a number does not exist."""
     return {
         "health": HEALTHS[said["health"][row]],
         "causes": _core.cause_names(int(said["causes"][row])),

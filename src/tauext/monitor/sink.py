@@ -9,25 +9,11 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from tauext import _core
 from tauext._core import Load
-from tauext.bundle.estimates import HEALTHS
-from tauext.monitor.changes import (
-    ALARMS,
-    COLLISION,
-    CONTACT,
-    FAULT,
-    NONE,
-    OK,
-    TOUCHES,
-    AlarmChange,
-    Change,
-    HealthChange,
-    TouchChange,
-)
+from tauext.monitor.changes import COLLISION, FAULT, NONE, OK, AlarmChange, Change, HealthChange, TouchChange
 from tauext.monitor.loads import Expected
 from tauext.monitor.places import PlaceChange, newtons, place_facts
-from tauext.monitor.replay import number
+from tauext.monitor.replay import sample_facts
 from tauext.monitor.source import Sample, SourceCounts
 
 # --- Who is told of every sample, and of what happens: publishers, outputs, recordings.
@@ -202,9 +188,6 @@ class Control(Protocol):
 # --- From what the monitor says to what reactions react to.
 
 
-TORQUES = ("tau_ext", "sigma_nm", "contact_sigma_nm", "limit_nm", "contact_limit_nm", "margin_nm", "residual")
-
-
 class EventFinder:
     """Finds the events of one verdict after the other."""
 
@@ -221,19 +204,17 @@ class EventFinder:
             return []
         events = []
         for change in verdict.changes:
-            if isinstance(change, HealthChange) and change.health == FAULT and change.was != FAULT:
-                events.append(self._event("fault", change.joint, verdict))
-            elif isinstance(change, AlarmChange) and change.joint >= 0 and change.alarm in (CONTACT, COLLISION):
-                kind: EventKind = "collision" if change.alarm == COLLISION else "contact"
-                if change.was == NONE:
+            if isinstance(change, HealthChange):
+                if change.health == FAULT and change.was != FAULT:
+                    events.append(self._event("fault", change.joint, verdict))
+            elif isinstance(change, AlarmChange | TouchChange | PlaceChange) and change.alarm and change.joint >= 0:
+                if isinstance(change, AlarmChange) and change.was == NONE:
                     self._place, self._alarm_t_ns = None, change.t_ns
-                events.append(self._event(kind, change.joint, verdict))
-            elif isinstance(change, TouchChange) and change.alarm in (CONTACT, COLLISION):
-                kind = "collision" if change.alarm == COLLISION else "contact"
-                events.append(self._event(kind, change.joint, verdict, news=False))
-            elif isinstance(change, PlaceChange) and change.alarm in (CONTACT, COLLISION):
-                kind, self._place = "collision" if change.alarm == COLLISION else "contact", change
-                events.append(self._event(kind, change.joint, verdict, news=False, of_place=True))
+                elif isinstance(change, PlaceChange):
+                    self._place = change
+                kind: EventKind = "collision" if change.alarm == COLLISION else "contact"
+                news, of_place = isinstance(change, AlarmChange), isinstance(change, PlaceChange)
+                events.append(self._event(kind, change.joint, verdict, news, of_place))
         if events:
             self._unsettled = True
         elif self._unsettled and verdict.said["health"][0] == OK and verdict.said["alarm"][0] == NONE:
@@ -243,16 +224,11 @@ class EventFinder:
 
     def _event(self, kind: EventKind, joint: int, verdict: Verdict, news: bool = True, of_place: bool = False) -> Event:
         said, sample = verdict.said, verdict.sample
-        touch = TOUCHES[said["touch"][0]]
         facts = {
             **self._facts,
             "joints": list(self._joints),
             "row": verdict.row,
-            "health": HEALTHS[said["health"][0]],
-            "causes": _core.cause_names(int(said["causes"][0])),
-            "alarm": ALARMS[said["alarm"][0]],
-            "touch": touch,
-            **{name.removesuffix("_nm") + "_nm": [number(v) for v in said[name][0].tolist()] for name in TORQUES},
+            **sample_facts(said, 0),
         }
         received_ns = sample.received_ns if sample is not None else time.monotonic_ns()
         name = self._joints[joint] if joint >= 0 else None
@@ -265,7 +241,7 @@ class EventFinder:
             verdict.t_ns,
             received_ns,
             facts,
-            touch=touch if touched else None,
+            touch=facts["touch"] if touched else None,
             news=news,
             links=() if place is None else tuple((self._joints[link], share) for link, share in place.links),
             newtons=None if place is None else newtons(place.best),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -46,6 +47,7 @@ class Rod:
         self._opacity = opacity
         self._radius, self._park, self._shown = radius_m, park_m, False
         self._shaft = self._add(scene, f"{name}/shaft", trimesh.creation.cylinder(1.0, 1.0, SECTIONS), color)
+        self._parts = [self._shaft]
 
     def show(self, start: np.ndarray, end: np.ndarray) -> None:
         """Reach from start to end, (3,) each."""
@@ -55,11 +57,8 @@ class Rod:
     def hide(self) -> None:
         if self._shown:
             self._shown = False
-            for part in self._parts():
+            for part in self._parts:
                 part.position, part.scale = self._park, NOTHING
-
-    def _parts(self) -> list[viser.MeshHandle]:
-        return [self._shaft]
 
     def _add(self, scene: viser.SceneApi, name: str, mesh: trimesh.Trimesh, color: tuple) -> viser.MeshHandle:
         """The mesh, of length 1 along z from the origin on."""
@@ -85,17 +84,10 @@ class Rod:
 class Arrow(Rod):
     """A rod with a head at its end; one shorter than its head shrinks as a whole."""
 
-    def __init__(
-        self,
-        scene: viser.SceneApi,
-        name: str,
-        color: tuple[int, int, int],
-        radius_m: float,
-        park_m: tuple,
-        opacity: float | None = None,
-    ):
-        super().__init__(scene, name, color, radius_m, park_m, opacity)
+    def __init__(self, scene: viser.SceneApi, name: str, color: tuple[int, int, int], *how: Any, **options: Any):
+        super().__init__(scene, name, color, *how, **options)
         self._head = self._add(scene, f"{name}/head", trimesh.creation.cone(1.0, 1.0, SECTIONS), color)
+        self._parts.append(self._head)
 
     def show(self, start: np.ndarray, end: np.ndarray) -> None:
         self._shown = True
@@ -105,15 +97,27 @@ class Arrow(Rod):
         self._reach(self._shaft, start, neck, shrink * self._radius)
         self._reach(self._head, neck, end, shrink * HEAD_RADII * self._radius)
 
-    def _parts(self) -> list[viser.MeshHandle]:
-        return [self._shaft, self._head]
-
 
 def turn_from_z(direction: np.ndarray) -> np.ndarray:
     """Quaternion w, x, y, z of the shortest turn from z to a unit vector (3,); the zero vector turns nothing."""
     quaternion = np.array([1.0 + direction[2], -direction[1], direction[0], 0.0])
     length = np.linalg.norm(quaternion)
     return quaternion / length if length > 1e-6 else np.array([0.0, 1.0, 0.0, 0.0])
+
+
+class Label:
+    """Words in the scene; nothing is sent that has not changed."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, scale: float):
+        self._handle = scene.add_label(name, " ", anchor="bottom-center", font_screen_scale=scale, visible=False)
+        self._words = ""
+
+    def show(self, words: str, position: Any = None) -> None:
+        """Empty words hide it; position None: where it was."""
+        if position is not None:
+            self._handle.position = position
+        if words != self._words:
+            self._handle.text, self._handle.visible, self._words = words or " ", bool(words), words
 
 
 # --- Arrows where a touch is taken to be: the most probable place, and fainter ones at its rivals.
@@ -134,26 +138,20 @@ class PlaceDrawing:
         self._arrows = [
             Arrow(scene, f"/places/{k}", ESTIMATE, RADIUS_M[k], park, opacity=OPACITY[k]) for k in range(SHOWN)
         ]
-        self._labels = [
-            scene.add_label(f"/places/words{k}", " ", anchor="bottom-center", font_screen_scale=scale, visible=False)
-            for k, scale in enumerate((1.1, 0.8, 0.8))
-        ]
-        self._words = [""] * SHOWN
+        self._labels = [Label(scene, f"/places/words{k}", scale) for k, scale in enumerate((1.1, 0.8, 0.8))]
 
     def show(self, placed: Placed | None) -> None:
         """Draw what explains the touch; None: nothing."""
         places = placed.places if placed is not None else ()
         for k, (arrow, label) in enumerate(zip(self._arrows, self._labels, strict=True)):
-            words = ""
             if k < len(places):
                 start, end = span(places[k])
                 arrow.show(start, end)
-                words = said(places[k], self._joints, first=k == 0)
-                label.position = (start if places[k].pushes else end) + [0.0, 0.0, ABOVE_M]
+                over = (start if places[k].pushes else end) + [0.0, 0.0, ABOVE_M]
+                label.show(said(places[k], self._joints, first=k == 0), over)
             else:
                 arrow.hide()
-            if words != self._words[k]:
-                label.text, label.visible, self._words[k] = words or " ", bool(words), words
+                label.show("")
 
 
 def span(place: Place) -> tuple[np.ndarray, np.ndarray]:
@@ -195,7 +193,6 @@ class Drawing:
         self._frames, self._parts, self._arcs = [], [], []
         self._levels = [""] * len(arm.joints)
         self._shares = [np.nan] * len(arm.joints)
-        self._verdict = self._force = ""
         self._light(server)
         model = arm.model
         for j, joint in enumerate(arm.joints):
@@ -229,12 +226,7 @@ class Drawing:
         self._places = PlaceDrawing(self._scene, arm.joints, park)
         letters = "".join(sorted(set("contact: collision, N estimated 0123456789-%" + "".join(arm.joints))))
         self._scene.add_label("/words/letters", letters, position=park, font_screen_scale=0.01)  # see arrow.NOTHING
-        self._words = {
-            what: self._scene.add_label(
-                f"/words/{what}", " ", anchor="bottom-center", font_screen_scale=scale, visible=False
-            )
-            for what, scale in (("verdict", 1.5), ("force", 1.1))
-        }
+        self._verdict, self._force = Label(self._scene, "/words/verdict", 1.5), Label(self._scene, "/words/force", 1.1)
 
     def show(self, snapshot: Snapshot) -> None:
         """Draw how things stand."""
@@ -272,33 +264,30 @@ class Drawing:
             self._ball.scale = ball_radius_m(mass_kg)
 
     def _say_verdict(self, snapshot: Snapshot, joint: int) -> None:
-        label, text = self._words["verdict"], ""
-        if joint >= 0:
-            text = f"{snapshot.verdicts[snapshot.method].alarm}: {self._arm.joints[joint]}"
-            label.position = snapshot.poses[joint, :3] + [0.0, 0.0, 0.16]
-        if text != self._verdict:
-            label.text, label.visible, self._verdict = text or " ", bool(text), text
+        if joint < 0:
+            self._verdict.show("")
+        else:
+            words = f"{snapshot.verdicts[snapshot.method].alarm}: {self._arm.joints[joint]}"
+            self._verdict.show(words, snapshot.poses[joint, :3] + [0.0, 0.0, 0.16])
 
     def _show_push(self, touch: Touch | None, estimated: bool) -> None:
         """estimated: the method tells no places, and its force is drawn at the point that the demo knows."""
-        label, text = self._words["force"], ""
         if touch is None:
             for arrow in (self._true, self._estimate, self._spring):
                 arrow.hide()
-        else:
-            at = touch.point_m
+            self._force.show("")
+            return
+        at = touch.point_m
+        self._true.show(at, at + NEWTON_M * touch.force_n)
+        self._spring.show(at, touch.target_m)
+        text = f"{np.linalg.norm(touch.force_n):.0f} N"
+        if estimated:
             lifted = at + [0.0, 0.0, 0.022]
-            self._true.show(at, at + NEWTON_M * touch.force_n)
-            self._spring.show(at, touch.target_m)
-            text = f"{np.linalg.norm(touch.force_n):.0f} N"
-            if estimated:
-                self._estimate.show(lifted, lifted + NEWTON_M * touch.estimate_n)
-                text += f", estimated {np.linalg.norm(touch.estimate_n):.0f} N"
-            else:
-                self._estimate.hide()
-            label.position = at + [0.0, 0.0, 0.07]
-        if text != self._force:
-            label.text, label.visible, self._force = text or " ", bool(text), text
+            self._estimate.show(lifted, lifted + NEWTON_M * touch.estimate_n)
+            text += f", estimated {np.linalg.norm(touch.estimate_n):.0f} N"
+        else:
+            self._estimate.hide()
+        self._force.show(text, at + [0.0, 0.0, 0.07])
 
     def _make_grabbable(self, handle: viser.MeshHandle, joint: int, grab: Grab) -> None:
         @handle.on_drag("left")

@@ -20,17 +20,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tauext.errors import ConfigError, TauextError
-from tauext.page.bundles import LESSONS, Lesson, bundle_folder, find_bundles
+from tauext.page.bundles import LESSONS, Lesson, Report, bundle_folder, find_bundles
 from tauext.page.simulation import Stretch, Weigher
 from tauext.page.snapshot import Event, Snapshot
 from tauext.page.workers import RECENT, SNAPSHOT, run_simulation, run_training, start_worker
 from tauext.sim.arms import ARMS
 
+if TYPE_CHECKING:
+    import viser
+
 # --- Who may talk to the page's server: browsers that show this page, and nobody whom another page sent.
 
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
@@ -131,15 +131,10 @@ def silent_logger() -> logging.Logger:
 # --- The page: a server, one arm at a time on it, and what passes between browser, simulation and training.
 
 
-if TYPE_CHECKING:
-    import viser
-
 FRAME_S = 1 / 30
 """The browsers are sent nothing more often than this; viser drops what a slow one has not taken when newer comes."""
 PORTS = 20
 """That are tried from the wanted one on."""
-
-Report = Callable[[float, str], None]
 
 
 def free_port(host: str, wanted: int) -> int:

@@ -16,7 +16,7 @@ from tauext.bundle.bundle_file import load_bundle
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TauextError
 from tauext.monitor.weighing import LoadEstimate, between, expect_weighable, identify, load_frame, load_sentences, see
-from tauext.page.snapshot import Event, Hand, Placed, Snapshot, Touch, Verdict, Watch, ball
+from tauext.page.snapshot import Event, Hand, Placed, Places, Snapshot, Touch, Verdict, ball
 from tauext.sim.arms import DemoArm
 from tauext.sim.plant import REACTIONS, Drag, Mover, Plant, Reaction, Sample, estimated_force
 
@@ -181,7 +181,8 @@ class Simulation:
         self.arm = arm
         self.plant = Plant(arm, seed)
         self.mover = Mover(arm, seed)
-        self.watch: Watch | None = None
+        self.monitors: dict[str, _core.Monitor] = {}
+        """By method, all fed with the same samples; empty: none yet."""
         self.method = ""
         self.reaction: Reaction = "stop"
         self.sensitivity = 1.0
@@ -196,6 +197,9 @@ class Simulation:
         self._velocity_lag = round(arm.rate_hz / arm.sensors.velocity_cutoff_rad_s)
         self._stuck = np.zeros(len(arm.joints), bool)
         self._resumed_at = np.array(arm.home)
+        self._places: dict[str, Places] = {}
+        self._blind_to_stiction: list[str] = []
+        """Methods without a prior: what a push left in a joint's static friction raises no limit of theirs."""
         self._said: dict[str, _core.Estimate] = {}
         self._alarms: dict[str, _core.Alarm] = {}
         self._newtons: dict[str, float] = {}
@@ -209,18 +213,22 @@ class Simulation:
 
     def watch_with(self, bundles: Mapping[str, str], method: str) -> None:
         """Watch with these bundle files, by method, from now on; `method` is shown and reacted to."""
-        self.watch = Watch({name: _core.Bundle.load(path) for name, path in bundles.items()}, self.sensitivity)
+        loaded = {name: _core.Bundle.load(path) for name, path in bundles.items()}
+        self.monitors = {name: _core.Monitor(bundle) for name, bundle in loaded.items()}
+        self._places = {name: Places(bundle) for name, bundle in loaded.items()}
+        self._blind_to_stiction = [name for name, bundle in loaded.items() if not bundle.prior.terms]
         self._said, self._alarms = {}, {}
-        self.hand.tell(self.hand.told, self.watch)
+        self.set_sensitivity(self.sensitivity)
+        self.hand.tell(self.hand.told, self.monitors)
         self.set_method(method)
 
     def watch_nothing(self) -> None:
         """Until other bundles are there."""
-        self.watch, self._said, self._alarms = None, {}, {}
+        self.monitors, self._places, self._said, self._alarms = {}, {}, {}, {}
 
     def set_method(self, method: str) -> None:
-        if self.watch is not None and method not in self.watch.methods:
-            raise ConfigError(f"method = {method} must be one of {', '.join(self.watch.methods)}")
+        if self.monitors and method not in self.monitors:
+            raise ConfigError(f"method = {method} must be one of {', '.join(self.monitors)}")
         self.method = method
 
     def set_reaction(self, reaction: Reaction) -> None:
@@ -229,9 +237,13 @@ class Simulation:
         self.reaction = reaction
 
     def set_sensitivity(self, sensitivity: float) -> None:
+        """Divide the trained limits by this from the next sample on; 0.1 to 10, the bounds of the monitor's factors."""
+        if not 0.1 <= sensitivity <= 10:
+            raise ConfigError(f"sensitivity = {sensitivity} must be 0.1 to 10")
         self.sensitivity = sensitivity
-        if self.watch is not None:
-            self.watch.set_sensitivity(sensitivity)
+        for monitor in self.monitors.values():
+            factors = np.full(monitor.joints, 1.0 / sensitivity)
+            monitor.set_limit_factors(factors, factors)
 
     def set_friction(self, factor: float) -> None:
         self.plant.set_friction(factor)
@@ -255,8 +267,8 @@ class Simulation:
         """End the collision and go on moving: nothing pushes any more."""
         self._resumed_s = self.plant.time_s
         self._resumed_at, self._stuck[:] = self.plant.data.qpos.copy(), True
-        if self.watch is not None:
-            self.watch.resume()
+        for monitor in self.monitors.values():
+            monitor.resume()
         self._alarms = dict.fromkeys(self._alarms, _core.Alarm.none)
         self.mover.resume()
 
@@ -269,15 +281,14 @@ class Simulation:
 
     def let_go(self) -> None:
         """Take the weight out of the hand; monitors that knew of it are told."""
-        methods = [] if self.watch is None else self.watch.methods
-        self._unknown_weight = {name for name in methods if not self.hand.knows(name)}
+        self._unknown_weight = {name for name in self.monitors if not self.hand.knows(name)}
         self._emptied_s = self.plant.time_s
         self._take(None, False)
 
     def tell(self, told: bool) -> None:
         """Tell the monitors of the weight after all, as if they had been told when it came; or that there is none."""
         self._told_at = -1
-        self.hand.tell(told, self.watch, afterwards=True)
+        self.hand.tell(told, self.monitors, afterwards=True)
 
     def move_on(self) -> None:
         """Move for some seconds in spite of every alarm, so that the weight shows at other poses too."""
@@ -300,7 +311,7 @@ class Simulation:
     def step(self) -> bool:
         """One sample; True where an alarm was raised at it."""
         if self._ticks == self._told_at:
-            self.hand.tell(self._telling, self.watch)
+            self.hand.tell(self._telling, self.monitors)
         plant = self.plant
         force, point = self.drag.force_n(plant) if self.drag else (None, None)
         measured = self._sample
@@ -310,14 +321,13 @@ class Simulation:
         self._sample = sample
         self._recent.add(sample)
         raised = False
-        if self.watch is not None:
-            excused = self.watch.blind_to_stiction if self._resuming() else ()
-            for method in excused:
-                self.watch.acknowledge(method)
-            self._said = self.watch.step(sample)
-            for method, said in self._said.items():
-                alarm = _core.Alarm.none if method in excused else said.alarm
-                raised |= self._judge(method, alarm, said.alarm_joint)
+        excused = self._blind_to_stiction if self.monitors and self._resuming() else ()
+        for method in excused:
+            self.monitors[method].acknowledge()
+        for method, monitor in self.monitors.items():
+            said = self._said[method] = monitor.step(sample.t_ns, sample.q, sample.dq, sample.tau)
+            alarm = _core.Alarm.none if method in excused else said.alarm
+            raised |= self._judge(method, alarm, said.alarm_joint)
         if self._ticks % round(TRACE_EVERY_S * self.arm.rate_hz) == 0:
             estimate, sigma, limit = self._shown()
             self._trace.append(np.concatenate([[plant.time_s], estimate, sigma, limit, self.tau_ext_nm]))
@@ -372,7 +382,7 @@ class Simulation:
             events=self.take_events(),
             held=self.hand.held(self.method),
             placed=placed.get(self.method),
-            places_refused=self.watch.places_refused(self.method) if self.watch is not None else "",
+            places_refused=self._places[self.method].refused if self._places else "",
         )
 
     def _placed(self) -> dict[str, Placed | None]:
@@ -382,8 +392,8 @@ class Simulation:
             if self._alarms[name] == _core.Alarm.none:
                 self._newtons[name] = np.nan
                 continue
-            assert self.watch is not None and self._sample is not None
-            placed[name] = found = self.watch.place(name, self._sample.q, said)
+            assert self._sample is not None
+            placed[name] = found = self._places[name].find(self._sample.q, said)
             self._newtons[name] = self._newtons.get(name, np.nan) if found is None else found.newtons
         return placed
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from tauext import _core
 from tauext.errors import ConfigError
+from tauext.monitor.places import links_words
 from tauext.sim.arms import DemoArm
-from tauext.sim.plant import Sample
 
 SHOWN = 3
 """Places that are drawn: the first, and two ghosts."""
@@ -106,66 +106,7 @@ def outward(point_m: np.ndarray, capsules: list[_core.Capsule]) -> np.ndarray:
 
 def place_words(placed: Placed, joints: tuple[str, ...]) -> str:
     """`On the link of joint4 (83%; joint5 12%): 34 N.`"""
-    (first, probability), *others = placed.links
-    rivals = "".join(f"; {joints[link]} {share:.0%}" for link, share in others[:2] if share >= 0.05)
-    return f"On the link of {joints[first]} ({probability:.0%}{rivals}): {placed.newtons:.0f} N."
-
-
-# --- The monitors of a demo: one a method, all fed with the same samples.
-
-
-class Watch:
-    """tauext._core.Monitor of every method."""
-
-    def __init__(self, bundles: Mapping[str, _core.Bundle], sensitivity: float = 1.0):
-        """
-        Args:
-            bundles: by the name of their method, not empty.
-            sensitivity: as set_sensitivity() takes it.
-        """
-        self.monitors = {name: _core.Monitor(bundle) for name, bundle in bundles.items()}
-        self._places = {name: Places(bundle) for name, bundle in bundles.items()}
-        self.blind_to_stiction = [name for name, bundle in bundles.items() if not bundle.prior.terms]
-        """Methods without a prior: what a push left in a joint's static friction raises no limit of theirs."""
-        self.set_sensitivity(sensitivity)
-
-    @property
-    def methods(self) -> list[str]:
-        return list(self.monitors)
-
-    def set_sensitivity(self, sensitivity: float) -> None:
-        """Divide the trained limits by this, from the next sample on; 0.1 to 10, the bounds of the monitor's factors.
-
-        Raises:
-            ConfigError: outside of them.
-        """
-        if not 0.1 <= sensitivity <= 10:
-            raise ConfigError(f"sensitivity = {sensitivity} must be 0.1 to 10")
-        for monitor in self.monitors.values():
-            factors = np.full(monitor.joints, 1.0 / sensitivity)
-            monitor.set_limit_factors(factors, factors)
-
-    def resume(self) -> None:
-        """End every method's latched collision; the arm moves on and nothing touches it."""
-        for monitor in self.monitors.values():
-            monitor.resume()
-
-    def acknowledge(self, method: str) -> None:
-        """End the latched collision of a method."""
-        self.monitors[method].acknowledge()
-
-    def step(self, sample: Sample) -> dict[str, _core.Estimate]:
-        """What every method says of a sample."""
-        signals = (sample.t_ns, sample.q, sample.dq, sample.tau)
-        return {name: monitor.step(*signals) for name, monitor in self.monitors.items()}
-
-    def place(self, method: str, q: np.ndarray, said: _core.Estimate) -> Placed | None:
-        """Where a method takes the touch of its alarm to be, from what it said of a sample."""
-        return self._places[method].find(q, said)
-
-    def places_refused(self, method: str) -> str:
-        """Why a method tells no place; empty: it does."""
-        return self._places[method].refused
+    return f"On {links_words(placed.links, joints)}: {placed.newtons:.0f} N."
 
 
 # --- A weight in the arm's hand: what it is, since when it is there, and which monitors were told of it.
@@ -223,17 +164,16 @@ class Hand:
         """Hold this from the sample after this time on; None: nothing."""
         self.load, self.since_ns = load, last_ns
 
-    def tell(self, told: bool, watch: Watch | None, afterwards: bool = False) -> None:
+    def tell(self, told: bool, monitors: Mapping[str, _core.Monitor], afterwards: bool = False) -> None:
         """Tell every monitor what is held, or that nothing is; those that refuse go on without.
 
         Args:
             told: False: they believe that the hand is empty.
+            monitors: by method.
             afterwards: as if they had been told when it was taken, where a monitor can go back.
         """
         self.told, self._refused = told, {}
-        if watch is None:
-            return
-        for method, monitor in watch.monitors.items():
+        for method, monitor in monitors.items():
             load = self.load if told else None
             if load is None:
                 if monitor.load.mass > 0:  # a monitor that refuses loads refuses this, too

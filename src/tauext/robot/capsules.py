@@ -100,7 +100,7 @@ def mesh(vertices: np.ndarray, faces: np.ndarray) -> Shape:
     return surface(corners.mean(axis=1), areas)
 
 
-# --- Shapes of a URDF's links: placed as the file says, meshes read by MuJoCo where they are found.
+# --- Shapes of a URDF's links: placed as in the file, meshes read by MuJoCo where they are found.
 
 
 READ_FORMATS = (".stl", ".obj", ".msh")
@@ -294,7 +294,7 @@ def fitted(points: np.ndarray, areas: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 MOST_A_LINK = 8
-"""More would cost a ranking time and tell it nothing: the largest are kept."""
+"""More would cost a ranking time without improving it: the largest are kept."""
 
 
 Ends = tuple[list[float], list[float], float]
@@ -372,7 +372,7 @@ def link_capsules(path: str | os.PathLike[str], tree: Tree) -> tuple[list[Capsul
 
     Args:
         path: URDF or MJCF that the tree is of; shapes kept beside it by write_shapes() go before its own.
-        tree: says which joints are in use.
+        tree: defines which joints are in use.
 
     Raises:
         RobotError: a file cannot be read.

@@ -15,7 +15,7 @@ from tauext.errors import RobotError
 from tauext.robot.load import carriers, choose_joints, compiled, frame_of_joint
 from tauext.robot.write import PAYLOAD
 
-# --- Frames of the robot file at which forces can be told: every link or body that a joint in use moves.
+# --- Frames of the robot file at which forces can be reported: every link or body that a joint in use moves.
 
 
 def wrench_frames(path: str | os.PathLike[str], tree: Tree) -> list[WrenchFrame]:
@@ -23,7 +23,7 @@ def wrench_frames(path: str | os.PathLike[str], tree: Tree) -> list[WrenchFrame]
 
     Args:
         path: URDF or MJCF that the tree is of.
-        tree: says which joints are in use.
+        tree: defines which joints are in use.
     """
     path = Path(path)
     model = compiled(path, keep_fixed=True)
@@ -67,7 +67,7 @@ def load_frame(path: str | os.PathLike[str], tree: Tree, name: str | None = None
 
     Args:
         path: URDF or MJCF that the tree is of.
-        tree: says which joints are in use.
+        tree: defines which joints are in use.
         name: of a link (URDF) or body (MJCF) that a joint in use moves; None: the last one that is fixed to the link
             at the end of the arm, else that link itself.
 

@@ -19,6 +19,7 @@ import numpy as np
 from tauext._core import MAX_JOINTS, CoreError, JointType, Link, Tree
 from tauext.errors import RobotError
 from tauext.files.room import in_words
+from tauext.robot.inertial import point_inertia, six_of
 
 # --- Which joints of a robot file are in use, in which order, and where the others are held.
 
@@ -211,10 +212,10 @@ def _set_inertia(
         axes = data.ximat[body].reshape(3, 3)
         principal = np.where(model.body_inertia[body] > LEAST, model.body_inertia[body], 0.0)
         arm = data.xipos[body] - com
-        inertia += (axes * principal) @ axes.T + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        inertia += (axes * principal) @ axes.T + point_inertia(mass, arm)
     inertia = frame.T @ inertia @ frame
     link.com = (frame.T @ (com - origin)).tolist()
-    link.inertia = [float(inertia[k]) for k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    link.inertia = six_of(inertia).tolist()
 
 
 # --- What ties joints together so that a tree of independent joints no longer describes the arm.
@@ -382,7 +383,7 @@ def load_tree(
             depth first from the base.
         locked: position at which joints that are not in use are held, [rad or m]; one that is not named is held at
             the file's own rest position: 0, or `ref` in MJCF.
-        gravity: acceleration of free fall in the base frame (3,), [m/s^2]; None: the file's, (0, 0, -9.81) if it says
+        gravity: acceleration of free fall in the base frame (3,), [m/s^2]; None: the file's, (0, 0, -9.81) if it has
             nothing.
 
     Raises:
@@ -412,7 +413,7 @@ def movable_joints(path: str | os.PathLike[str]) -> list[str]:
 
 
 def robot_sha256(path: str | os.PathLike[str]) -> str:
-    """SHA-256 of a robot file's bytes, hexadecimal: by it a recording tells its robot. Includes are not followed.
+    """SHA-256 of a robot file's bytes, hexadecimal: it identifies the robot of a recording. Includes are not followed.
 
     Raises:
         RobotError: the file cannot be read.
@@ -464,7 +465,8 @@ def _read(path: Path, keep_fixed: bool) -> mujoco.MjModel:
             raise RobotError(f"{path}: its root element is <{root}>; a URDF has <robot>, an MJCF <mujoco>")
         _refuse_negative_mass(spec, path)
         spec.compiler.fusestatic = spec.compiler.fusestatic and not keep_fixed
-        # MuJoCo refuses a moving body without mass even where its joint is locked; make_tree knows better.
+        # MuJoCo refuses a moving body without mass even where its joint is locked; make_tree refuses only where it
+        # matters.
         spec.compiler.boundmass = max(spec.compiler.boundmass, LEAST)
         spec.compiler.boundinertia = max(spec.compiler.boundinertia, LEAST)
         with warnings.catch_warnings():
@@ -479,7 +481,7 @@ def _read(path: Path, keep_fixed: bool) -> mujoco.MjModel:
 
 
 def _refuse_negative_mass(spec: mujoco.MjSpec, path: Path) -> None:
-    """The least mass and inertia that MuJoCo is told below would hide it."""
+    """The least mass and inertia that MuJoCo is given below would hide it."""
     for body in spec.bodies:
         if body.explicitinertial and not (body.mass >= 0 and (body.inertia >= 0).all()):
             raise RobotError(

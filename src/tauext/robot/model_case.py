@@ -51,7 +51,7 @@ def empty(tree: Tree) -> Tree:
 
 def chosen_case(name: CaseName | None, robot: Path) -> tuple[CaseName, str]:
     """The case asked for; left out: exact, or, where the robot file is a placeholder, none. Beside it what is to be
-    said of such a choice, in a sentence; empty: nothing.
+    a sentence about such a choice; empty: none.
 
     Raises:
         ConfigError: another case than none, and the robot file is a placeholder.

@@ -1,4 +1,4 @@
-"""What a robot file says its drives can give at most."""
+"""The largest torques of the drives, by the robot file."""
 
 from __future__ import annotations
 

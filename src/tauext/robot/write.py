@@ -47,7 +47,7 @@ def write_robot(
     and meshes, whose files would be missing.
 
     Args:
-        rotor_inertia: joint: motor inertia [kg m^2] and gear ratio; it replaces what the file says of that joint.
+        rotor_inertia: joint: motor inertia [kg m^2] and gear ratio; it replaces the file's value of that joint.
         gravity: acceleration of free fall in the base frame, [m/s^2].
 
     Raises:
@@ -73,7 +73,7 @@ def write_robot(
 def write_placeholder(joints: Sequence[str], folder: Path) -> Path:
     """A robot.urdf for an arm without a model: these joints in a row, whose links weigh nothing; returns its path.
 
-    It gives momentum and gravity of zero, to rounding; what it says of axes and lengths is made up.
+    It gives momentum and gravity of zero, to rounding; its axes and lengths are invented.
     """
     root = ElementTree.Element("robot", name=NO_MODEL)
     root.append(ElementTree.Comment(" no model was given: axes and lengths are made up, masses nil "))

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import importlib
 import struct
 import time
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from tauext.data.description_file import refuse_unknown
 from tauext.errors import ConfigError
 from tauext.files.places import Place
-from tauext.files.toml_file import number, read_toml
+from tauext.files.toml_file import flag, number, numbers, one_of, read_table, read_toml, tables, text
 from tauext.monitor.loop import DropOuts
 from tauext.monitor.source import Sample, SourceSettings
-from tauext.sources.reader import ReaderSource, Ticks, Unreachable
+from tauext.sources.reader import ReaderSource, Ticks, Unreachable, optional_library
 
 # --- What a CAN bus of Damiao motors carries: their ids, zeros and directions by joint, from a file.
 
@@ -25,6 +22,22 @@ from tauext.sources.reader import ReaderSource, Ticks, Unreachable
 MOST_ID = 0x7FE
 """0x7FF is the address of commands to all."""
 BAUD = 1_000_000
+
+
+BUS_KEYS = {
+    "interface": text('one of python-can: "socketcan"', "socketcan"),
+    "baud": number(1e4, 1e7, BAUD, whole=True),
+    "fd_baud": number(1e4, 1e7, None, whole=True),
+    "ask": flag(True),
+    "joints": tables("[joints.NAME] with id = 0x01"),
+}
+MOTOR_KEYS = {
+    "id": number(1, MOST_ID, whole=True),
+    "answer_id": number(0, MOST_ID, None, whole=True),
+    "zero_rad": number(-100, 100, 0.0),
+    "sign": one_of((1, -1), 1, "1 or -1"),
+    "ranges": numbers((3,), number(1e-3, 1e4), "[PMAX, VMAX, TMAX]: [12.5, 30, 10]", None),
+}
 
 
 @dataclass(frozen=True)
@@ -91,12 +104,12 @@ def load_can_bus(path: Place) -> CanBusFile:
     Raises:
         ConfigError: names the file, the joint and the rule that is broken.
     """
-    content = read_toml(path)
-    refuse_unknown(path, "", content, ("interface", "baud", "fd_baud", "ask", "joints"))
-    tables = content.get("joints")
-    if not isinstance(tables, dict) or not tables:
-        raise ConfigError(f"{path}: no joints: [joints.NAME] with id = 0x01 is missing")
-    motors = {name: _motor(path, name, table) for name, table in tables.items()}
+    bus = read_table(path, "", read_toml(path), BUS_KEYS)
+    motors = {}
+    for name, table in bus["joints"].items():
+        values = read_table(path, f"[joints.{name}]", table, MOTOR_KEYS)
+        answer_id = values["id"] + 0x10 if values["answer_id"] is None else values["answer_id"]
+        motors[name] = CanMotor(name, **values | {"answer_id": answer_id})
     by_id: dict[tuple[int, int], str] = {}
     for name, motor in motors.items():
         if (other := by_id.setdefault((motor.answer_id, motor.id & 0xF), name)) != name:
@@ -104,40 +117,13 @@ def load_can_bus(path: Place) -> CanBusFile:
                 f"{path}: answers of joints '{other}' and '{name}' cannot be told apart: one answer_id, and ids "
                 "with the same last digit"
             )
-    interface, ask, fd_baud = content.get("interface", "socketcan"), content.get("ask", True), content.get("fd_baud")
-    if not isinstance(interface, str) or not interface:
-        raise ConfigError(f'{path}: interface = {interface!r} must be one of python-can: "socketcan"')
-    if not isinstance(ask, bool):
-        raise ConfigError(f"{path}: ask = {ask!r} must be true or false")
     for motor in motors.values():
-        if not ask and motor.ranges is None:
+        if not bus["ask"] and motor.ranges is None:
             raise ConfigError(
                 f"{path}: [joints.{motor.name}] ranges = [PMAX, VMAX, TMAX] is missing: with ask = false the motor "
                 "is not asked for them"
             )
-    baud = round(number(f"{path}: baud", content.get("baud", BAUD), 1e4, 1e7))
-    fd = None if fd_baud is None else round(number(f"{path}: fd_baud", fd_baud, 1e4, 1e7))
-    return CanBusFile(path, motors, interface, baud, fd, ask)
-
-
-def _motor(path: Place, name: str, table: Any) -> CanMotor:
-    where = f"{path}: [joints.{name}]"
-    refuse_unknown(path, f"joints.{name}", table, ("id", "answer_id", "zero_rad", "sign", "ranges"))
-    if "id" not in table:
-        raise ConfigError(f"{where} id is missing")
-    id_ = number(f"{where} id", table["id"], 1, MOST_ID)
-    answer = number(f"{where} answer_id", table.get("answer_id", id_ + 0x10), 0, MOST_ID)
-    zero = number(f"{where} zero_rad", table.get("zero_rad", 0.0), -100, 100)
-    sign, ranges = table.get("sign", 1), table.get("ranges")
-    if ranges is not None:
-        if not isinstance(ranges, list) or len(ranges) != 3:
-            raise ConfigError(f"{where} ranges = {ranges!r} must be [PMAX, VMAX, TMAX]: [12.5, 30, 10]")
-        ranges = tuple(number(f"{where} ranges", one, 1e-3, 1e4) for one in ranges)
-    if id_ != round(id_) or answer != round(answer):
-        raise ConfigError(f"{where} id and answer_id must be whole numbers")
-    if sign not in (1, -1) or isinstance(sign, bool):
-        raise ConfigError(f"{where} sign = {sign!r} must be 1 or -1")
-    return CanMotor(name, round(id_), round(answer), zero, sign, ranges)
+    return CanBusFile(path, motors, bus["interface"], bus["baud"], bus["fd_baud"], bus["ask"])
 
 
 # --- Damiao motors (OpenArm) over CAN, by python-can. Never run on hardware: tested on python-can's virtual bus.
@@ -190,7 +176,7 @@ class DamiaoSource(ReaderSource):
         super().open(settings)
 
     def connect(self) -> None:
-        library = python_can()
+        library = self._library = optional_library("can", "source damiao", "python-can", "damiao")
         rates: dict[str, Any] = {"bitrate": self._file.baud}
         if self._file.fd_baud is not None:
             rates |= {"fd": True, "data_bitrate": self._file.fd_baud}
@@ -335,7 +321,7 @@ class DamiaoSource(ReaderSource):
         return None
 
     def _send(self, motor: CanMotor, command: int, register: int = 0) -> None:
-        library = python_can()
+        library = self._library
         data = [motor.id & 0xFF, motor.id >> 8, command, register, 0, 0, 0, 0]
         fd = self._file.fd_baud is not None
         message = library.Message(arbitration_id=TO_ALL, data=data, is_extended_id=False, is_fd=fd, bitrate_switch=fd)
@@ -346,22 +332,10 @@ class DamiaoSource(ReaderSource):
 
     def _receive(self, wait_s: float) -> Any:
         """The next frame that is no error's; None: none came."""
-        library = python_can()
+        library = self._library
         try:
             message = self._bus.recv(wait_s)
         except (library.CanError, OSError) as error:
             raise Unreachable(f"the bus has gone: {error}") from error
         usable = message is not None and not (message.is_error_frame or message.is_remote_frame)
         return message if usable and not message.is_extended_id else None
-
-
-def python_can() -> ModuleType:
-    """The optional library.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
-    try:
-        return importlib.import_module("can")
-    except ImportError as error:
-        raise ConfigError("source damiao needs python-can: pip install 'tauext[damiao]'") from error

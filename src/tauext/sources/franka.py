@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 from collections import deque
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from tauext.errors import ConfigError
 from tauext.monitor.source import Sample, SourceSettings
-from tauext.sources.reader import ReaderSource, Unreachable, sample_of
+from tauext.sources.reader import ReaderSource, Unreachable, optional_library, sample_of
 
 RATE_HZ = 1000.0
 KEPT = 256
@@ -40,7 +38,7 @@ class FrankaSource(ReaderSource):
         super().open(settings)
 
     def connect(self) -> None:
-        library = pylibfranka()
+        library = self._library = optional_library("pylibfranka", "source franka", "pylibfranka", "franka")
         try:  # only reading: that needs no real-time kernel
             self._robot = library.Robot(self._host, library.RealtimeConfig.kIgnore)
         except library.FrankaException as error:
@@ -49,7 +47,7 @@ class FrankaSource(ReaderSource):
     def read(self) -> Sample | None:
         try:
             state = self._robot.read_once()
-        except pylibfranka().FrankaException as error:
+        except self._library.FrankaException as error:
             raise Unreachable(str(error)) from error
         sample = sample_of(state.time.to_sec(), state.q, state.dq, np.array(state.tau_J, dtype=float))
         self.reference.append((sample.t_ns, np.array(state.tau_ext_hat_filtered, dtype=float)))
@@ -63,15 +61,3 @@ class FrankaSource(ReaderSource):
         robot = self._robot
         if robot is not None:
             robot.stop()
-
-
-def pylibfranka() -> ModuleType:
-    """The optional library.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
-    try:
-        return importlib.import_module("pylibfranka")
-    except ImportError as error:
-        raise ConfigError("source franka needs pylibfranka: pip install 'tauext[franka]'") from error

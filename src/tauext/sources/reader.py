@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import threading
 import time
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -71,6 +73,18 @@ RETRY_S = 1.0
 
 class Unreachable(Exception):
     """The robot is not there, or went; says why."""
+
+
+def optional_library(module: str, who: str, package: str, extra: str) -> Any:
+    """A module of a library that only one source needs.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise ConfigError(f"{who} needs {package}: pip install 'tauext[{extra}]'") from error
 
 
 class ReaderSource(ABC):

@@ -1,13 +1,10 @@
-"""What sources of serial servos have in common: one transaction a period, silent servos, holding position."""
+"""A bus of serial servos as a source: one transaction a period, silent servos, holding position."""
 
 from __future__ import annotations
 
-import threading
 import time
-from abc import abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,114 +13,9 @@ from tauext.errors import ConfigError
 from tauext.monitor.loop import DropOuts
 from tauext.monitor.source import Sample, SourceSettings
 from tauext.sources.reader import ReaderSource, Ticks, Unreachable
+from tauext.sources.servo_bus import ServoBus, ServoPort
 from tauext.sources.servo_bus_file import ServoBusFile, ServoJoint
-from tauext.sources.servo_port import PORT_ERRORS, ServoPort
-
-# --- One request to all servos of a serial bus, and their answers, whichever of them come.
-
-
-class Packets(Protocol):
-    """A vendor's packet handler, as both of them are called; the fields say how their packets differ."""
-
-    overhead: int
-    """Bytes of an answer beside its data."""
-    asked: int
-    """Bytes of a request for a block beside the ids."""
-    success: int
-    """What their functions return where nothing is wrong."""
-    silence: int
-    """What they return where nothing came."""
-
-    def ask(self, port: ServoPort, address: int, length: int, ids: Sequence[int]) -> int:
-        """Send a sync read, the one instruction that all servos answer, one after the other."""
-        ...
-
-    def answer(self, port: ServoPort) -> tuple[int, int, int, bytes]:
-        """Wait for the next packet: what was wrong with it, id, error bits, data."""
-        ...
-
-    def write(self, port: ServoPort, address: int, length: int, data: Sequence[int]) -> int:
-        """Send a sync write, which no servo answers; data: id, bytes, id, bytes ..."""
-        ...
-
-
-@dataclass
-class Reading:
-    """What came of one request."""
-
-    t_ns: int
-    """When it was sent, by time.monotonic_ns(): each servo reads its registers on its way to answer."""
-    data: dict[int, bytes] = field(default_factory=dict)
-    """Registers by id, of the servos whose answer was whole."""
-    errors: dict[int, int] = field(default_factory=dict)
-    """Error bits by id, as their packets hold them."""
-    corrupt: int = 0
-    """Packets that could not be used: a wrong checksum, a wrong length, bytes that are no packet, a servo not asked."""
-
-
-class ServoBus:
-    """Transactions on a port. Whoever else of this process uses the port holds `lock` meanwhile."""
-
-    def __init__(self, port: ServoPort, packets: Packets):
-        self.port, self.packets = port, packets
-        self.lock = threading.Lock()
-        """A transaction holds it; a thread that drives the arm through the same port does, too."""
-
-    def transaction_s(self, servos: int, length: int) -> float:
-        """Shortest time of a reading, by the bytes on the wire, [s]; return delays of the servos are on top."""
-        packets = self.packets
-        return self.port.wire_s(packets.asked + servos + servos * (packets.overhead + length))
-
-    def read(self, address: int, length: int, ids: Sequence[int]) -> Reading:
-        """Registers address to address + length - 1 of all these servos. Which of them did not answer is for the caller
-        to see.
-
-        Raises:
-            Unreachable: the port has gone.
-        """
-        with self.lock:
-            return self._read(address, length, ids)
-
-    def write(self, address: int, length: int, values: Mapping[int, bytes]) -> None:
-        """Registers of each servo by its id; no servo says whether it took them: read them back.
-
-        Raises:
-            Unreachable: the port has gone.
-        """
-        data = [byte for id_, value in values.items() for byte in (id_, *value)]
-        with self.lock:
-            self._sent(self.packets.write, address, length, data)
-
-    def _read(self, address: int, length: int, ids: Sequence[int]) -> Reading:
-        reading = Reading(time.monotonic_ns())
-        self._sent(self.packets.ask, address, length, ids)
-        silent = set(ids)
-        while silent:
-            try:
-                result, id_, error, data = self.packets.answer(self.port)
-            except PORT_ERRORS as wrong:
-                raise Unreachable(f"the port has gone: {wrong}") from wrong
-            if result == self.packets.success and len(data) == length and id_ in silent:
-                silent.discard(id_)
-                reading.data[id_], reading.errors[id_] = data, error
-                continue
-            reading.corrupt += result != self.packets.silence
-            if self.port.isPacketTimeout():
-                break
-        return reading
-
-    def _sent(self, send: Any, address: int, length: int, data: Sequence[int]) -> None:
-        self.port.begin()
-        try:
-            result = send(self.port, address, length, data)
-        except PORT_ERRORS as wrong:
-            raise Unreachable(f"the port has gone: {wrong}") from wrong
-        if result != self.packets.success:
-            raise Unreachable(f"a request could not be sent (the library's code {result})")
-
-
-# --- What sources of serial servos have in common: all servos in one transaction a period, who is silent, how to hold.
-
+from tauext.sources.servo_series import Series
 
 WAIT_S = 0.1
 TRIES = 3
@@ -140,28 +32,12 @@ class Identity:
     """Its name, by its model number."""
     reports: tuple[str, ...]
     """As data.servo_types: torque_from that it can serve, beside goal."""
-    homing_offset: int
+    homing_offset: float
     """[counts]."""
     holds: bool
     """It follows a goal position: its operating mode is one of those."""
-
-
-@dataclass(frozen=True)
-class Registers:
-    """What one reading of a servo says, in its own direction; NaN: not measured."""
-
-    count: int
-    """Position."""
-    goal: float
-    """Where the servo goes, [counts]; NaN where it follows no goal, say with its torque off."""
-    counts_a_s: float
-    """Speed."""
-    current: float
-    """[A]."""
-    duty: float
-    """-1 to 1."""
-    volts: float
-    celsius: float
+    ampere: float
+    """Of a count of its current; NaN: it measures none."""
 
 
 class ServoSource(ReaderSource):
@@ -169,50 +45,18 @@ class ServoSource(ReaderSource):
 
     A reading in which a servo is missing, or its packet corrupt, is left out and counted as refused. Reading never
     writes a register; stop() alone writes, the goals of servos whose torque is on.
+
+    The current of a series that reports the supply's has no direction. q_des is NaN where a servo follows no goal: its
+    torque is off, or its operating mode has none.
     """
 
-    bus: ServoBus
-    """For a program that drives the arm through the same port, in this process: see ServoBus.lock."""
-
-    # What a maker's servos have of their own.
-
-    packets: type[Packets]
-    block: tuple[int, int]
-    """First register of a reading, and how many bytes."""
-    identity: tuple[int, int]
-    """The same of what is asked once."""
-    goal: tuple[int, int]
-    """The same of the goal position."""
-    position: tuple[int, int]
-    """The same of the present position."""
-    torque_enable: tuple[int, int]
-    """The same of the switch of the torque: 1 is on."""
-    current_turns: bool
-    """The sign of the current goes with the direction of the joint."""
-
-    def __init__(self, port: str, file: ServoBusFile):
-        super().__init__(f"{self.kind} {port}")
-        self._file = file
-        self.bus = ServoBus(ServoPort(port, file.baud), self.packets())
+    def __init__(self, series: Series, port: str, file: ServoBusFile):
+        super().__init__(f"{series.kind} {port}")
+        self._series, self._file = series, file
+        self.bus = ServoBus(ServoPort(port, file.baud), series)
+        """For a program that drives the arm through the same port, in this process: see ServoBus.lock."""
         self._servos: list[ServoJoint] = []
         self._identities: dict[int, Identity] = {}
-
-    @property
-    @abstractmethod
-    def kind(self) -> str:
-        """As the command line names it."""
-
-    @abstractmethod
-    def identified(self, servo: ServoJoint, data: bytes) -> Identity:
-        """From the bytes of `identity`. Raises Unreachable: an unknown servo."""
-
-    @abstractmethod
-    def registers(self, identity: Identity, data: bytes) -> Registers:
-        """From the bytes of `block`."""
-
-    @abstractmethod
-    def complaint(self, error: int) -> str:
-        """In words what the error bits of an answer say; empty: nothing."""
 
     # Of a source.
 
@@ -222,7 +66,7 @@ class ServoSource(ReaderSource):
         self._ids = [servo.id for servo in self._servos]
         self._drop_outs = DropOuts({servo.id: str(servo) for servo in self._servos}, self._note)
         self._said: dict[int, int] = {}
-        least_s = self.bus.transaction_s(len(self._ids), self.block[1])
+        least_s = self.bus.transaction_s(len(self._ids), self._series.state[1])
         if least_s * 1e9 > settings.period_ns:
             raise ConfigError(
                 f"{self.name}: a reading of {len(self._ids)} servos takes {least_s * 1e3:.2g} ms at {self._file.baud} "
@@ -236,8 +80,8 @@ class ServoSource(ReaderSource):
         port.close()
         port.open()
         try:
-            said = self._all_of(*self.identity)
-            self._identities = {one.id: self.identified(one, said[one.id]) for one in self._servos}
+            said = self._all_of(*self._series.identity)
+            self._identities = {one.id: self._identified(one, said[one.id]) for one in self._servos}
             for servo in self._servos:
                 self._expect(servo, self._identities[servo.id])
         except Unreachable:
@@ -249,7 +93,7 @@ class ServoSource(ReaderSource):
         if (skipped := self._ticks.wait(WAIT_S)) is None:
             return None
         self.counts.lost += skipped
-        reading = self.bus.read(*self.block, self._ids)
+        reading = self.bus.read(*self._series.state, self._ids)
         if not self._drop_outs.whole(reading.data.keys(), reading.corrupt):
             self.counts.refused += 1
             return None
@@ -274,16 +118,17 @@ class ServoSource(ReaderSource):
         Raises:
             RuntimeError: a servo follows no goals, does not answer, or does not take the goal.
         """
+        torque, position, goal = (self._series.registers[name].block for name in ("torque", "position", "goal"))
         silent, unlike = set(self._ids), set[int]()
         for _ in range(TRIES):
-            on = self.bus.read(*self.torque_enable, sorted(silent | unlike)).data
-            present = self.bus.read(*self.position, list(on)).data
+            on = self.bus.read(*torque, sorted(silent | unlike)).data
+            present = self.bus.read(*position, list(on)).data
             silent -= present.keys()
             goals = {id_: data for id_, data in present.items() if on[id_] == ON and self._identities[id_].holds}
             taken = {}
             if goals:
-                self.bus.write(*self.goal, goals)
-                taken = self.bus.read(*self.goal, list(goals)).data
+                self.bus.write(*goal, goals)
+                taken = self.bus.read(*goal, list(goals)).data
             unlike = {id_ for id_, data in goals.items() if taken.get(id_) != data} | (unlike - present.keys())
             if not silent | unlike:
                 break
@@ -313,6 +158,17 @@ class ServoSource(ReaderSource):
         found = f"{there} do" if there else "nor does any other: is the arm's power on, and are they at "
         found += "" if there else f"{self._file.baud} baud?"
         raise Unreachable(f"{silent} does not answer; {found}")
+
+    def _identified(self, servo: ServoJoint, data: bytes) -> Identity:
+        """From the bytes of the block `identity`. Raises Unreachable: an unknown servo."""
+        series, first = self._series, self._series.identity[0]
+        model, mode, homing = (series.registers[name].of(data, first) for name in ("model", "mode", "homing"))
+        if model not in series.models:
+            known = ", ".join(f"{name} ({number})" for number, (name, _) in series.models.items())
+            raise Unreachable(f"{servo} says model {model}; known are {known}")
+        name, ampere = series.models[int(model)]
+        reports = ("duty",) if ampere is None else (series.current, "duty")
+        return Identity(name, reports, homing, mode in series.holds, np.nan if ampere is None else ampere)
 
     def _expect(self, servo: ServoJoint, identity: Identity) -> None:
         """Raises Unreachable where the servo is not the one that the file and the bundle mean."""
@@ -349,37 +205,40 @@ class ServoSource(ReaderSource):
         if error != self._said.get(id_, 0):
             self._said[id_] = error
             servo = next(one for one in self._servos if one.id == id_)
-            text = self.complaint(error)
-            self._note(f"{servo} says: {text}" if text else f"{servo} has no more to say")
+            texts = [text for bit, text in self._series.complaints.items() if error & bit] or [f"error {error}"]
+            self._note(f"{servo} says: {', '.join(texts)}" if error else f"{servo} has no more to say")
 
     def _sample(self, t_ns: int, data: Sequence[bytes]) -> Sample:
-        read = [self.registers(self._identities[id_], one) for id_, one in zip(self._ids, data, strict=True)]
+        registers, first = self._series.registers, self._series.state[0]
+
+        def column(name: str) -> np.ndarray:
+            return np.array([registers[name].of(one, first) for one in data], dtype=float)
+
+        identities = [self._identities[id_] for id_ in self._ids]
+        follows = np.array([identity.holds for identity in identities])
+        if registers["torque"].address >= first:
+            follows &= column("torque") == 1
         sign = np.array([servo.sign for servo in self._servos], dtype=float)
-        from_zero = np.array([angle_counts(servo, one.count) for servo, one in zip(self._servos, read, strict=True)])
-        to_goal = np.array([one.goal - one.count for one in read])
-        current = np.array([one.current for one in read])
+        counts = column("position")
+        from_zero = np.array([angle_counts(servo, count) for servo, count in zip(self._servos, counts, strict=True)])
+        to_goal = np.where(follows, column("goal") - counts, np.nan)
+        current = column("current") * np.array([identity.ampere for identity in identities])
         return Sample(
             t_ns=t_ns,
             q=sign * from_zero * COUNT_RAD,
-            dq=sign * np.array([one.counts_a_s for one in read]) * COUNT_RAD,
-            tau=np.full(len(read), np.nan),
+            dq=sign * column("speed") * COUNT_RAD,
+            tau=np.full(len(data), np.nan),
             received_ns=time.monotonic_ns(),
-            temperature=np.array([one.celsius for one in read]),
+            temperature=column("celsius"),
             q_des=sign * (from_zero + to_goal) * COUNT_RAD,
-            current=sign * current if self.current_turns else current,
-            duty=sign * np.array([one.duty for one in read]),
-            voltage=np.array([one.volts for one in read]),
+            current=sign * current if self._series.current == "phase-current" else current,
+            duty=sign * column("duty"),
+            voltage=column("volts"),
         )
 
 
-def angle_counts(servo: ServoJoint, count: int) -> float:
+def angle_counts(servo: ServoJoint, count: float) -> float:
     """Counts from the zero; within half a turn of it unless the servo counts turns: of one that wraps from 4095 to 0
     the angle goes on."""
     away = count - servo.zero
     return away if servo.multi_turn else (away + COUNTS_A_TURN / 2) % COUNTS_A_TURN - COUNTS_A_TURN / 2
-
-
-def sign_magnitude(word: int, bit: int) -> int:
-    """The number whose sign is that bit and whose amount is the bits below it."""
-    amount = word & ((1 << bit) - 1)
-    return -amount if word >> bit & 1 else amount

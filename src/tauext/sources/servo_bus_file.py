@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from tauext.data.description_file import refuse_unknown
 from tauext.data.servo_types import MotorCalibration, load_lerobot_calibration
 from tauext.errors import ConfigError
 from tauext.files.places import Place
-from tauext.files.toml_file import number, read_toml
+from tauext.files.toml_file import flag, number, one_of, read_table, read_toml, tables, text
 
 MOST_ID = 252
 BAUD = 1_000_000
@@ -29,6 +27,20 @@ zero = 2048              # count of the encoder where the angle is 0
 # multi_turn = true      # counts go on beyond a turn; if left out, angles are within half a turn of the zero
 # type = "sts3215"       # refuse another servo; if left out, what the servo says that it is
 """
+
+
+BUS_KEYS = {
+    "baud": number(9600, 4_500_000, BAUD, whole=True),
+    "calibration": text("the path of a LeRobot calibration file", ""),
+    "joints": tables("[joints.NAME]", {}),
+}
+JOINT_KEYS = {
+    "id": number(0, MOST_ID, whole=True),
+    "zero": number(-(1 << 31), 1 << 31, 2048.0),
+    "sign": one_of((1, -1), 1, "1 or -1"),
+    "multi_turn": flag(False),
+    "type": text('a servo\'s name: "sts3215"', "", empty=True),
+}
 
 
 @dataclass(frozen=True)
@@ -83,50 +95,26 @@ def load_servo_bus(path: Place) -> ServoBusFile:
     """
     if path.name.endswith(".json"):
         return ServoBusFile(path, {name: _calibrated(one) for name, one in load_lerobot_calibration(path).items()})
-    content = read_toml(path, "--new-bus")
-    refuse_unknown(path, "", content, ("baud", "calibration", "joints"))
+    bus = read_table(path, "", read_toml(path, f"`tauext monitor --new-bus {path}` writes a template"), BUS_KEYS)
     joints: dict[str, ServoJoint] = {}
-    if "calibration" in content:
-        beside = content["calibration"]
-        if not isinstance(beside, str) or not beside:
-            raise ConfigError(f"{path}: calibration = {beside!r} must be the path of a LeRobot calibration file")
+    if beside := bus["calibration"]:
         place = Path(beside).expanduser() if beside.startswith(("/", "~")) else path.parent / beside
         joints = {name: _calibrated(one) for name, one in load_lerobot_calibration(place).items()}
-    tables = content.get("joints", {})
-    if not isinstance(tables, dict):
-        raise ConfigError(f"{path}: [joints] is {tables!r}, must be a table a joint: [joints.elbow_flex]")
-    for name, table in tables.items():
-        joints[name] = _joint(path, name, table, joints.get(name))
+    for name, table in bus["joints"].items():
+        known = joints.get(name)
+        keys = JOINT_KEYS
+        if known is not None:
+            keys = {key: rule._replace(default=getattr(known, key)) for key, rule in keys.items()}
+        homing = None if known is None else known.homing_offset
+        joints[name] = ServoJoint(name, **read_table(path, f"[joints.{name}]", table, keys), homing_offset=homing)
     if not joints:
         raise ConfigError(f"{path}: no joints: neither [joints.NAME] nor calibration = FILE")
     by_id: dict[int, str] = {}
     for name, joint in joints.items():
         if by_id.setdefault(joint.id, name) != name:
             raise ConfigError(f"{path}: joints '{by_id[joint.id]}' and '{name}' have one id, {joint.id}")
-    baud = number(f"{path}: baud", content.get("baud", BAUD), 9600, 4_500_000)
-    return ServoBusFile(path, joints, round(baud))
+    return ServoBusFile(path, joints, bus["baud"])
 
 
 def _calibrated(motor: MotorCalibration) -> ServoJoint:
     return ServoJoint(motor.name, motor.id, motor.middle, homing_offset=motor.homing_offset)
-
-
-def _joint(path: Place, name: str, table: Any, known: ServoJoint | None) -> ServoJoint:
-    """The joint of a table; what it does not say is as known, if it is."""
-    where = f"{path}: [joints.{name}]"
-    refuse_unknown(path, f"joints.{name}", table, ("id", "zero", "sign", "multi_turn", "type"))
-    if "id" not in table and known is None:
-        raise ConfigError(f"{where} id is missing")
-    known = known or ServoJoint(name, -1)
-    sign, turns, kind = (table.get(key, getattr(known, key)) for key in ("sign", "multi_turn", "type"))
-    id_ = number(f"{where} id", table.get("id", known.id), 0, MOST_ID)
-    zero = number(f"{where} zero", table.get("zero", known.zero), -(1 << 31), 1 << 31)
-    if id_ != round(id_):
-        raise ConfigError(f"{where} id = {id_:g} must be a whole number")
-    if sign not in (1, -1) or isinstance(sign, bool):
-        raise ConfigError(f"{where} sign = {sign!r} must be 1 or -1")
-    if not isinstance(turns, bool):
-        raise ConfigError(f"{where} multi_turn = {turns!r} must be true or false")
-    if not isinstance(kind, str):
-        raise ConfigError(f'{where} type = {kind!r} must be a servo\'s name: "sts3215"')
-    return ServoJoint(name, round(id_), zero, sign, turns, kind, known.homing_offset)

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import importlib
 import time
 from collections.abc import Sequence
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from tauext.data.description_file import refuse_unknown
 from tauext.errors import ConfigError
 from tauext.files.places import Place
-from tauext.files.toml_file import number, read_toml
+from tauext.files.toml_file import number, read_table, read_toml, tables
 from tauext.monitor.source import Sample, SourceSettings
-from tauext.sources.reader import ReaderSource, Unreachable, sample_of
+from tauext.sources.reader import ReaderSource, Unreachable, optional_library, sample_of
 
 # --- Torque constants of an arm that reports motor currents, from a file.
 
 
-LARGEST = 1e6
+CONSTANT = number(-1e6, 1e6).where(lambda constant: constant != 0, "a number from -1e+06 to 1e+06, not 0")
 
 
 def load_torque_constants(path: Place, joints: Sequence[str]) -> np.ndarray:
@@ -34,19 +31,8 @@ def load_torque_constants(path: Place, joints: Sequence[str]) -> np.ndarray:
     Raises:
         ConfigError: names the file, the joint and the rule that is broken.
     """
-    content = read_toml(path)
-    refuse_unknown(path, "", content, ("nm_per_ampere",))
-    table = content.get("nm_per_ampere", {})
-    refuse_unknown(path, "nm_per_ampere", table, tuple(joints))
-    constants = []
-    for joint in joints:
-        where = f"{path}: [nm_per_ampere] {joint}"
-        if joint not in table:
-            raise ConfigError(f"{where} is missing")
-        constants.append(number(where, table[joint], -LARGEST, LARGEST))
-        if constants[-1] == 0:
-            raise ConfigError(f"{where} = 0 must not be 0")
-    return np.array(constants)
+    table = read_table(path, "", read_toml(path), {"nm_per_ampere": tables("[nm_per_ampere]")})["nm_per_ampere"]
+    return np.array(list(read_table(path, "[nm_per_ampere]", table, dict.fromkeys(joints, CONSTANT)).values()))
 
 
 # --- The source.
@@ -131,13 +117,6 @@ class UrSource(ReaderSource):
         return receive.getActualQ, receive.getActualQd, receive.getActualCurrent, receive.getJointTemperatures
 
 
-def ur_rtde(module: str) -> ModuleType:
-    """A module of the optional library.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise ConfigError("source ur needs ur_rtde: pip install 'tauext[ur]'") from error
+def ur_rtde(module: str) -> Any:
+    """A module of the optional library."""
+    return optional_library(module, "source ur", "ur_rtde", "ur")

@@ -33,7 +33,7 @@ def train_baselines(
     """Train the baselines into folder/NAME.tauext; their bundles by name, simplest first.
 
     Limits keep one and the same promise where the dataset has calibration recordings; else they are the paper's. What
-    is finished with these settings is kept. What cannot exist for the case is left out, and the reporter told why.
+    is finished with these settings is kept. What cannot exist for the case is left out, and the reason reported.
 
     Args:
         robot: URDF or MJCF; None: the dataset's own.
@@ -53,9 +53,9 @@ def train_baselines(
             raise ConfigError(f"baseline '{name}' does not exist; they are {', '.join(known)}")
     expect_codes(accept)
     robot_file = dataset.robot_file(robot)
-    case_name, said = chosen_case(case_name, robot_file)
-    if said:
-        report.say(said)
+    case_name, note = chosen_case(case_name, robot_file)
+    if note:
+        report.say(note)
     case, calibration = PAPER_CASES[case_name], dataset.stretches("calibration")
     bundles: dict[str, Path] = {}
     missing: dict[str, TrainConfig] = {}

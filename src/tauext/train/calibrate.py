@@ -12,13 +12,11 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
 from tauext.bundle.fit import expect_fit
 from tauext.bundle.loss_history import read_loss_history
-from tauext.check.look import Rejected, expect_codes, judge, look_at_calibration
+from tauext.check.look import Rejected, check_for_bundle, expect_codes
 from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data.dataset import Dataset, ahead
 from tauext.data.free_motion import LeftOut, SignalBounds
@@ -53,7 +51,7 @@ def recalibrate(
 ) -> PromisedLimits:
     """Write a bundle like this one, with limits for another promise or from other recordings; nothing is trained.
 
-    First the doctor's cheap checks look at every recording (tauext.check): faults refuse, warnings are told and kept.
+    First the quick checks (tauext.check) look at every recording: faults refuse, warnings are reported and kept.
     A killed or interrupted run goes on with the recording after the last one that was taken in.
 
     Its run file, with what the first one knew, and its wall time stand beside it.
@@ -79,8 +77,10 @@ def recalibrate(
     loaded = load_bundle(bundle)
     history = read_loss_history(loaded, bundle) or []
     facts = json.loads(loaded.provenance or "{}")
-    looked = look_first(loaded, dataset, accept, threads, report)
-    facts["look"] = facts.get("look", {}) | {"calibration": looked}
+    looked = check_for_bundle(
+        loaded, "calibration", dataset.files("calibration"), str(dataset.folder), accept, threads, report
+    )
+    facts["look"] = facts.get("look", {}) | looked
     if refit_error_scale:
         loaders, facts["error_scale"] = refit_scale(loaded, loaders, threads, report)
     rejected = Rejected.of(loaded, fitting(loaded, loaders), threads or os.cpu_count() or 1)
@@ -105,25 +105,6 @@ def fitting(bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]]) ->
         yield recording
 
 
-def look_first(bundle: _core.Bundle, dataset: Dataset, accept: Sequence[str], threads: int, report: Reporter) -> dict:
-    """Look at the calibration recordings; the facts for provenance: what was accepted, and warnings.
-
-    Raises:
-        ConfigError: a code that does not exist, or a joint.
-        FaultyDataError: a fault that nobody accepted.
-    """
-    expect_codes(accept, [link.joint_name for link in bundle.links])
-    in_nm = all(unit == "N m" for unit in bundle.torque_units)
-    look = look_at_calibration(
-        dataset.files("calibration"),
-        np.array(bundle.torque_limit_nm) if in_nm else None,
-        threads,
-        report,
-    )
-    judge([look], str(dataset.folder), accept, report)
-    return look.facts(accept)
-
-
 def refit_scale(
     bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], threads: int, report: Reporter = SILENT
 ) -> tuple[Sequence[Callable[[], Recording]], dict]:
@@ -146,7 +127,7 @@ def refit_scale(
     bundle.error_scale = _core.ErrorScaleSettings()
     with no_freeze(bundle):
         facts = fit_error_scale(bundle, collect_rows(bundle, load_some(), threads))
-    return loaders[apart:], facts | {"recordings": names} | told(left_out, report)
+    return loaders[apart:], facts | {"recordings": names} | left_out_facts(left_out, report)
 
 
 def counted(bundle: _core.Bundle, recording: Recording, names: list[str], left_out: LeftOut) -> Recording:
@@ -157,7 +138,7 @@ def counted(bundle: _core.Bundle, recording: Recording, names: list[str], left_o
     return recording
 
 
-def told(left_out: LeftOut, report: Reporter) -> dict:
+def left_out_facts(left_out: LeftOut, report: Reporter) -> dict:
     """Say what was impossible in the recordings; the facts for the provenance.
 
     Raises:
@@ -205,7 +186,7 @@ def calibrate_bundle(
     with report.progress(f"calibrate {name}") as show:
 
         def load_all() -> Iterator[Recording]:
-            for recording in ahead(loaders[: len(names)]):  # what was impossible in them is told again
+            for recording in ahead(loaders[: len(names)]):  # what was impossible in them is reported again
                 left_out.look(recording, bundle.observer, SignalBounds.of(bundle))
             for recording in ahead(loaders[len(names) :]):
                 yield counted(bundle, recording, names, left_out)
@@ -217,7 +198,7 @@ def calibrate_bundle(
     units = dict(zip((link.joint_name for link in bundle.links), bundle.estimate_units, strict=True))
     for moment in promised.moments:
         report.say(moment.sentence(units[moment.joint]))
-    return promised, promised.facts() | {"recordings": names} | told(left_out, report)
+    return promised, promised.facts() | {"recordings": names} | left_out_facts(left_out, report)
 
 
 def kept_peaks(

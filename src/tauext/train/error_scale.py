@@ -54,25 +54,29 @@ def errors(
     limits, also while a drive is saturated, which is no healthy one. The whole recording runs through the chain, so
     that filters are warm where the span begins.
     """
-    said, error, counted = judge(bundle, judged, threads, margins)
+    estimates, error, counted = judge(bundle, judged, threads, margins)
     recording = judged.recording if isinstance(judged, Judged) else judged
-    return recording.t_ns, error, said["near_stiction"].astype(bool), counted
+    return recording.t_ns, error, estimates["near_stiction"].astype(bool), counted
 
 
 def judge(
     bundle: _core.Bundle, judged: Recording | Judged, threads: int, margins: FreeMotionConfig
 ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-    """All that the chain said of the recording, and of errors() |tau_ext| and which samples count."""
+    """All estimates of the recording, and of errors() |tau_ext| and which samples count."""
     judged = judged if isinstance(judged, Judged) else Judged(judged)
     recording = judged.recording
     signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-    said = _core.estimate(judged.bundle or bundle, *signals, threads, recording.temperature)
+    estimates = _core.estimate(judged.bundle or bundle, *signals, threads, recording.temperature)
     counted = np.zeros(recording.samples, dtype=bool)
     counted[judged.span] = True
-    counted &= (said["health"] != STALE) & np.isfinite(said["tau_ext"]).all(axis=1) & free_samples(recording, margins)
+    counted &= (
+        (estimates["health"] != STALE)
+        & np.isfinite(estimates["tau_ext"]).all(axis=1)
+        & free_samples(recording, margins)
+    )
     # What the prior's doubt raises the limits by is no error that limits must stand.
-    error = np.maximum(np.abs(said["tau_ext"]) - said["doubt"], 0) / said["limit_scale"]
-    return said, error, counted
+    error = np.maximum(np.abs(estimates["tau_ext"]) - estimates["doubt"], 0) / estimates["limit_scale"]
+    return estimates, error, counted
 
 
 def no_free_motion(bundle: _core.Bundle, margins: FreeMotionConfig) -> TrainingError:
@@ -108,7 +112,7 @@ def paper_limits(
 
     Where a joint was never near stiction, or less wrong there, its near-stiction limit is the sliding one: a stuck
     joint's friction is known no better than a moving one's. A joint that never slid has in both regions the limit that
-    it has at rest: nothing is known of it in motion, and `warning` says so. Contacts, with margins, are left out.
+    it has at rest: its errors in motion are unknown, and `warning` states it. Contacts, with margins, are left out.
 
     Raises:
         TrainingError: no healthy sample of free motion, or a joint whose |tau_ext| is zero throughout.
@@ -357,12 +361,12 @@ def collect_rows(
     numbers: dict[str, int] = {}
     for one in judged:
         one = one if isinstance(one, Judged) else Judged(one)
-        said, error, counted = judge(bundle, one, threads, margins)
+        estimates, error, counted = judge(bundle, one, threads, margins)
         at = np.flatnonzero(counted)[::stride].astype(np.int64)
         if len(at) == 0:
             continue
-        r, near = one.recording, said["near_stiction"]
-        motion = _core.motion_errors(plain, r.t_ns, r.dq, near, said["entered"], said["restarted"], at)
+        r, near = one.recording, estimates["near_stiction"]
+        motion = _core.motion_errors(plain, r.t_ns, r.dq, near, estimates["entered"], estimates["restarted"], at)
         number = np.full(len(at), numbers.setdefault(r.name, len(numbers)))
         found.append((error[at], near[at].astype(bool), motion["features"], r.t_ns[at], number))
         count += len(at)

@@ -34,14 +34,14 @@ class Fit(Protocol):
         recordings: Sequence[Recording],
         *,
         config: PriorConfig,
-        tell: Callable[[str], None],
+        report: Callable[[str], None],
         known: Kinematics | None,
     ) -> PriorFit:
         """A prior for the setup, from free motion.
 
         Args:
             setup: without a prior; with presliding states where the row has them.
-            tell: takes a line about what was found.
+            report: receives a line about what was found.
             known: an arm that was found in the motion before, where there is no model.
 
         Raises:
@@ -81,7 +81,7 @@ def fit_prior(job: Job, setup: Setup, recordings: Sequence[Recording]) -> PriorF
     fit: Fit = resolve_name(recipe.fit)
     bent = with_presliding(setup, config.widths_rad) if recipe.presliding else setup
     known = job.constants.kinematics if job.constants else None
-    return fit(bent, recordings, config=config, tell=job.say, known=known)
+    return fit(bent, recordings, config=config, report=job.say, known=known)
 
 
 def with_fit(setup: Setup, fit: PriorFit | None) -> Setup:
@@ -105,7 +105,7 @@ def put_prior(job: Job, bundle: Bundle, fit: PriorFit | None) -> None:
 
 
 def put_coverage(job: Job, bundle: Bundle, setup: Setup) -> None:
-    """Let the bundle tell motion that training never saw, where the recipe does, and its facts."""
+    """Add the coverage of training motion, where the recipe has it, and its facts."""
     if not job.config.row.coverage:
         return
     fit = fit_coverage(setup, job.motion.uncut)
@@ -116,7 +116,7 @@ def put_coverage(job: Job, bundle: Bundle, setup: Setup) -> None:
 
 
 def put_region(job: Job, bundle: Bundle, fit: PriorFit) -> None:
-    """Let the bundle tell by its presliding states which region's limits hold."""
+    """Set the presliding width that decides which region's limits hold."""
     if fit.settings.widths_rad:
         bundle.region_width = region_width(fit.settings.widths_rad, job.config.prior)
 
@@ -128,7 +128,7 @@ def like_settings(config: TrainConfig, like: FleetPrior | None) -> TrainConfig:
     """The settings with the fleet's observer gain, unless a number was asked for.
 
     Raises:
-        ConfigError: the recipe has no prior that a fleet could know.
+        ConfigError: the recipe has no prior that a fleet prior could replace.
     """
     if like is None:
         return config
@@ -154,7 +154,7 @@ def arm_type(job: Job, setup: Setup) -> ArmType:
 
 
 def units_of(job: Job) -> tuple[str, ...]:
-    """Of each joint's torque as the prior sees it: newton metres, or what only this arm knows."""
+    """Of each joint's torque as the prior sees it: newton metres, or this arm's own unit."""
     if job.constants is None:
         return (job.units.given.name,) * len(job.joints)
     unknown = job.units.unknown or [0] * len(job.joints)

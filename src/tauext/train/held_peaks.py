@@ -25,7 +25,7 @@ from tauext.train.error_scale import Judged, errors, no_free_motion
 #
 # .. math:: m(t_k) = \min_{s \le j \le k} |\tau_{ext}(t_j)|, \quad s = \max\{j : t_j \le t_k - hold\}, \qquad m(t_k) > L
 #
-# and m stands for |tau_ext| in everything that is said of limits. With no hold time m is |tau_ext| itself.
+# and m stands for |tau_ext| wherever limits are compared. With no hold time m is |tau_ext| itself.
 
 
 def held_minimum(tau_abs: np.ndarray, healthy: np.ndarray, hold_samples: int | np.ndarray) -> np.ndarray:
@@ -356,7 +356,7 @@ def _largest_between(values: np.ndarray, first: np.ndarray, end: np.ndarray) -> 
 
 # --- Limits that one moment carries: an end-of-program stop, a touch nobody labelled, a glitch, or the truth.
 #
-# Such a limit stays: large errors of free motion are what limits are for. But a person is told where to look.
+# Such a limit stays: large errors of free motion are what limits are for. But the moment is reported.
 
 
 CODE = "one-moment-limit"
@@ -411,14 +411,14 @@ def carrying_moments(peaks: Peaks, limits_of: Callable[[int, Sequence[np.ndarray
     found = []
     for j, joint in enumerate(peaks.joints):
         with_nm = limits_of(j, peaks.nm[j])
-        told: list[tuple[int, int]] = []
+        reported: list[tuple[int, int]] = []
         for at in peaks.at[j]:
             if not len(at):
                 continue
             number, at_ns = int(same[at[0, 0]]), int(at[0, 1])
-            if any(number == other and abs(at_ns - other_ns) <= MOMENT_S * 1e9 for other, other_ns in told):
+            if any(number == other and abs(at_ns - other_ns) <= MOMENT_S * 1e9 for other, other_ns in reported):
                 continue
-            told.append((number, at_ns))
+            reported.append((number, at_ns))
             without_nm = limits_of(j, _without(peaks.nm[j], peaks.at[j], same, number, at_ns))
             r = int(np.argmin(without_nm / with_nm))
             if without_nm[r] < CARRIED * with_nm[r]:

@@ -44,19 +44,20 @@ from tauext.train.wrench import fit_wrench
 # --- Limits of an arm that has shown a minute of itself: those that errors of other arms in its place ask for.
 #
 # Each arm of the fleet was given a minute of its own and the prior of the others, and judged on the rest of its motion.
-# What that says of errors, of limits and of how they grow with the motion holds for one more arm of the type, but for
-# its size: a joint's errors on its own minute, left out of the fit in turn, by what the fleet's scale says of that.
+# Its errors, limits and their growth with the motion hold for one more arm of the type, but for
+# its size: a joint's errors on its own minute, left out of the fit in turn, over what the fleet's scale predicts for
+# it.
 
 
 ENOUGH_S = 540.0
 """From so much motion on an arm's own errors say more of it than other arms' do: from there on short recordings ask for
 no reserve of friction either (train/limits.py)."""
 LEAST_SIZE, LARGEST_SIZE = 0.5, 2.0
-"""A minute's errors do not show that an arm is twice as quiet as the fleet; one that is twice as loud is told."""
+"""A minute's errors do not show that an arm is twice as quiet as the fleet; one that is twice as loud is reported."""
 
 
 def fleet_errors(job: Job, bundle: _core.Bundle) -> FleetErrors | None:
-    """What the fleet says of this arm's errors; None: it says nothing, or the arm's own say more."""
+    """The fleet's errors for this arm; None: there are none, or the arm's own determine more."""
     like = job.like
     if like is None or like.errors is None or bundle.has_network:
         return None
@@ -228,7 +229,7 @@ def unseen_motion(
 def left_out_of_fit(bundle: Bundle, fit: PriorFit, setup: Setup, reference: Recording) -> list[Judged]:
     """Every fifth of the training motion, judged by a prior that was fitted to the other four.
 
-    So all of it tells how large errors on unseen motion are, where a tenth of it set apart would show few of them.
+    So all of it shows how large errors on unseen motion are, where a tenth of it set apart would show few of them.
     The stand-ins saw less than the bundle, hence are worse and never better than it on average.
     """
     judged = []
@@ -259,7 +260,7 @@ def set_supported_limits(
     what was done, in words, and the facts.
 
     Args:
-        rows: the errors that the error scale was fitted to; they tell how the promise holds in other motion.
+        rows: the errors that the error scale was fitted to; they show how the promise holds in other motion.
     """
     seen_s = total_s(whole_recordings(judged))
     factor = round(factor_after(seen_s, config.alarm.minutes_factor), 3)

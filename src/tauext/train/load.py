@@ -37,11 +37,11 @@ def load_disagreement(
     """By what share a load's torques differ between the arms that each half of the motion makes of this one.
 
     Axes stay. Lengths are first put off by OFF_M, those of each half otherwise, and follow that half alone: one that
-    the motion does not tell stays off, and shows. The largest over joints of the root mean square, over the largest of
-    what the load weighs on a joint.
+    the motion does not determine stays wrong, and shows. The largest over joints of the root mean square, over the
+    largest of what the load weighs on a joint.
 
     Returns:
-        The share; None where a half is too short to tell, or nothing weighs on the arm.
+        The share; None where a half is too short, or nothing weighs on the arm.
     """
     own = [own_terms(setup, config, joint) for joint in range(setup.tree.size)]
     joints = tuple(link.joint_name for link in setup.tree.links)
@@ -67,7 +67,7 @@ def last_axis_shows(
 ) -> bool:
     """Whether what the last link weighs on its own joint stands out of what the prior leaves there, error_nm.
 
-    Else nothing tells where its axis points, and a load is put at its end on a guess.
+    Else the direction of its axis is unknown, and a load is put at its end on a guess.
     """
     poses = np.ascontiguousarray(np.concatenate([one.q[:: max(1, one.samples // 500)] for one in recordings]))
     torque = _core.Tree(list(links), list(gravity)).momentum(poses, np.zeros_like(poses))[1][:, -1]
@@ -88,7 +88,7 @@ MOST_POSES = 5000
 MOST_DISAGREEMENT = 0.1
 """Of a load's torques by the arms that each half of the motion makes: three times what a load is wrong by itself."""
 LEAST_REACH_M = 0.3
-LEAST_LEVER_NM = 1e-6  # of a kilogram: what weighs less on a joint tells nothing of the mass
+LEAST_LEVER_NM = 1e-6  # of a kilogram: a smaller lever does not determine the mass
 
 
 def put_load(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit | None) -> None:
@@ -123,7 +123,7 @@ def put_load(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit 
             limits = job.possible.torque_limit_nm
             settings.largest_mass_kg = largest_mass_kg(job, settings, job.tree, limits) or settings.largest_mass_kg
     elif asked is not None:
-        raise ConfigError(f"load_frame = {asked}: the arm has no model that knows this frame")
+        raise ConfigError(f"load_frame = {asked}: the arm has no model with this frame")
     elif newtons and fit is not None and fit.kinematics is not None:
         put_found_arm(job, bundle, settings, setup, fit, fit.kinematics)
     bundle.load_settings = settings
@@ -171,8 +171,8 @@ def largest_mass_kg(job: Job, settings: LoadSettings, tree: Tree, limits: np.nda
     at_rest = np.zeros_like(poses)
     heavier = Tree(links, tree.gravity).momentum(poses, at_rest)[1] - tree.momentum(poses, at_rest)[1]
     levers = np.abs(heavier).max(axis=0)
-    told = np.isfinite(limits) & (levers > LEAST_LEVER_NM)
-    return float((limits[told] / levers[told]).min()) if told.any() else None
+    bounded = np.isfinite(limits) & (levers > LEAST_LEVER_NM)
+    return float((limits[bounded] / levers[bounded]).min()) if bounded.any() else None
 
 
 def facts_of(settings: LoadSettings) -> dict:

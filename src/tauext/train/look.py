@@ -37,8 +37,7 @@ def look_first(
     """
     expect_codes(accept, training[0].joints)
     looks = view_dataset(dataset, robot, case, training, validation, config, report)
-    judge(list(looks.values()), str(dataset.folder), accept, report)
-    return {name: look.facts(accept) for name, look in looks.items()}
+    return judge(looks, str(dataset.folder), accept, report)
 
 
 def view_dataset(
@@ -55,7 +54,7 @@ def view_dataset(
     Without a model nothing is held against the robot file: it is not trained on.
     """
     training, validation = chosen_recordings(training, validation, config)
-    # constants that were given may be corrected, by a little: what says more is told
+    # constants that were given may be corrected, by a little: a larger correction is reported
     unknown = wants_constants(config, training, case) and (bool(config.fit_torque_constants) or in_amperes(training))
     no_torque = in_amperes(training) or bool(config.fit_torque_constants)
     limits_nm = None if case.no_model or no_torque else torque_limits(robot, training[0].joints)

@@ -129,12 +129,12 @@ def choose_gain(job: Job, setup: Setup, fit: PriorFit) -> tuple[Setup, PriorFit]
     hit_nm = HIT * errors[PAPER_GAIN_PER_S].usual_limit_nm
     delay_s = {gain: mean_delay_s(gain, errors[gain].limit_nm, hit_nm) for gain in tried}
     chosen = simplest(list(delay_s), delay_s.__getitem__, WORTH)
-    told = ", ".join(f"{1e3 * delay:.0f} ms at {gain:g} 1/s" for gain, delay in delay_s.items())
+    delays = ", ".join(f"{1e3 * delay:.0f} ms at {gain:g} 1/s" for gain, delay in delay_s.items())
     job.facts["gain"] = {
         "chosen_per_s": chosen,
         "hit_nm": dict(zip(job.joints, hit_nm.tolist(), strict=True)),
         "mean_delay_s": {f"{gain:g}": delay for gain, delay in delay_s.items()},
-        "reason": f"a hit of {HIT:g} times the limit at {PAPER_GAIN_PER_S:g} 1/s is found after {told}",
+        "reason": f"a hit of {HIT:g} times the limit at {PAPER_GAIN_PER_S:g} 1/s is found after {delays}",
     }
     return tried[chosen]
 

@@ -38,7 +38,7 @@ from tauext.recipes import Recipe
 from tauext.robot.torque_limits import torque_limits
 from tauext.train.error_scale import at_rest_sentence
 
-# --- What a trained bundle depends on beside the data, so that it is told apart from one of other settings.
+# --- What a trained bundle depends on beside the data, so that it is distinguished from one of other settings.
 
 
 def training_settings(case: ModelCase, config: TrainConfig) -> dict:
@@ -100,7 +100,7 @@ def why_impossible(recipe: Recipe, case: ModelCase) -> str | None:
 
 
 LEAST_S = 30.0
-"""Of motion, before an arm is looked for in it to tell torque constants, [s]."""
+"""Of motion, before an arm is searched in it for torque constants, [s]."""
 
 
 def chosen_recordings(
@@ -132,20 +132,20 @@ def given_unit(config: TrainConfig, training: Sequence[Recording]) -> TorqueUnit
     """What a number of the recordings' tau stands for: that is what the bundle takes."""
     if in_amperes(training):
         return TorqueUnit.ampere
-    # Who asks for constants of what was no current says that it is no torque either.
+    # To ask for constants of what was no current means that it is no torque either.
     asked = config.fit_torque_constants and not from_amperes(training)
     return TorqueUnit.recorded if asked else TorqueUnit.newton_metre
 
 
 def wants_constants(config: TrainConfig, training: Sequence[Recording], case: ModelCase) -> bool:
-    """Whether torque constants are to be fitted or, where they were given, corrected; unless said, where the recordings
-    were currents and a model or half a minute of motion tells them."""
+    """Whether torque constants are to be fitted or, where they were given, corrected; by default where the recordings
+    were currents and a model or half a minute of motion determines them."""
     if config.fit_torque_constants is not None:
         return config.fit_torque_constants
     if not case.no_model:
         return in_amperes(training) or from_amperes(training)
-    told = in_amperes(training) or (from_amperes(training) and config.row.finds_arm)
-    return total_s(training) >= LEAST_S and told
+    determined = in_amperes(training) or (from_amperes(training) and config.row.finds_arm)
+    return total_s(training) >= LEAST_S and determined
 
 
 # --- Which stretches of a dataset's recordings are trained on and which validate, and what that leaves out, in words.
@@ -200,7 +200,7 @@ def training_motion(
     if not validation and config.row.gated and total_s(uncut) < 60 * NETWORK_LEAST_MIN:
         network = False
         notes.append(
-            f"no network: {total_s(uncut) / 60:.1f} minutes without validation recordings cannot tell if it helps "
+            f"no network: {total_s(uncut) / 60:.1f} minutes without validation recordings cannot show whether it helps "
             f"({NETWORK_LEAST_MIN:g} minutes or a list of validation recordings can)"
         )
     if not validation and not network:
@@ -297,9 +297,9 @@ class PossibleMotion:
     validation: list[Recording]
     bounds: SignalBounds
     torque_limit_nm: np.ndarray
-    """Of each drive, infinite where nobody knows."""
+    """Of each drive, infinite where unknown."""
     constants: TorqueConstants | None
-    """That tau is to be multiplied by; None: it is in N m, or nothing tells."""
+    """That tau is to be multiplied by; None: it is in N m, or unknown."""
     left_out: LeftOut
     passed: np.ndarray
     """Joints whose drive limit of the robot file does not hold, (n,) bool; see passed_limits."""
@@ -320,7 +320,7 @@ def possible_motion(
 
     Args:
         training: at least one.
-        torque_limit_nm: what the robot file says of each drive, infinite where it does not.
+        torque_limit_nm: the robot file's limit of each drive, infinite where it has none.
 
     Raises:
         ConfigError: torque constants are not one a joint.
@@ -381,7 +381,7 @@ def known_constants(nm_per_unit: Sequence[float], training: Sequence[Recording])
 def in_newton_metres(
     constants: TorqueConstants | None, training: Sequence[Recording], config: TrainConfig
 ) -> np.ndarray | bool:
-    """Whether a joint's torque is known in N m, so that it can be held against what the robot file says."""
+    """Whether a joint's torque is known in N m, so that it can be compared with the robot file's limits."""
     if constants is None:
         return given_unit(config, training) == TorqueUnit.newton_metre
     return constants.given or (constants.determined & (constants.relative_to is None))
@@ -408,7 +408,7 @@ class Job:
     facts: dict = field(default_factory=dict)
     """What was found, for provenance: the steps add to it."""
     like: FleetPrior | None = None
-    """What a fleet of arms of this type knows; None: the arm is by itself."""
+    """The fleet prior of this type; None: the arm is by itself."""
 
     @property
     def name(self) -> str:
@@ -432,7 +432,7 @@ class Job:
 
     @property
     def constants(self) -> TorqueConstants | None:
-        """That the recordings' tau is to be multiplied by; None: it is in N m, or nothing tells."""
+        """That the recordings' tau is to be multiplied by; None: it is in N m, or unknown."""
         return self.possible.constants
 
     @property

@@ -36,7 +36,7 @@ HARD_PUSH = 3.0
 """Hold times are compared on a push of so many times the limit that no hold time at all would have."""
 
 HOLD_WORTH = 0.01
-"""A longer hold time must find that push sooner by this share: the tails' fits know their limits no better."""
+"""A longer hold time must find that push sooner by this share: the fits of the tails are no more precise."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def promised_limits(
         t = -ln(1 - limit(hold) / S) / K0 + hold,     S = HARD_PUSH limit(0)
 
     on the mean over joints in the sliding region. Where the recordings are too short for the budget, the limits are set
-    for the smallest budget that they support, and the promise says how much is missing.
+    for the smallest budget that they support, and the promise states how much is missing.
 
     Args:
         recordings: loads them one at a time; called once.

@@ -17,7 +17,7 @@ from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
 from tauext.bundle.fit import expect_fit
 from tauext.bundle.loss_history import read_loss_history
-from tauext.check.look import Rejected, expect_codes, judge, look_at_calibration
+from tauext.check.look import Rejected, check_for_bundle, expect_codes
 from tauext.config import FreeMotionConfig
 from tauext.data.dataset import FOR_LIMITS, load_dataset
 from tauext.data.free_motion import LeftOut, SignalBounds, free_samples, possible_parts, within
@@ -33,13 +33,13 @@ from tauext.progress import SILENT, Reporter
 from tauext.train.held_peaks import REGIONS, separate_peaks
 from tauext.train.tail import FalseAlarmBudget, Promise, duration, is_kept
 
-# --- What a fleet of its type tells a refit: joints that hardly moved follow those that did.
+# --- What a fleet prior adds to a refit: joints that hardly moved follow those that did.
 #
 # .. math:: \log f \sim N(0, D), \qquad \log \hat f_m = \log f_m + e_m
 #
 # D: how friction differs from one recording of an arm to the next (tauext.fleet.prior_evidence); m: joints that
-# moved. A joint that did not is expected at the mean of log f under both. One whose own minute says more than that is
-# left to it, and one that the others contradict tells them nothing: it wears, and was not warmed.
+# moved. A joint that did not is expected at the mean of log f under both. One whose own minute determines more is
+# left to it, and one that the others contradict has no influence on them: it wears, and was not warmed.
 
 
 LEAST_MOVED_S = 10.0
@@ -56,11 +56,11 @@ def expect_days(like: FleetPrior, bundle: _core.Bundle) -> np.ndarray:
     """
     joints = tuple(link.joint_name for link in bundle.links)
     if like.type.joints != joints:
-        told, own = ", ".join(like.type.joints), ", ".join(joints)
-        raise ConfigError(f"like: joints = ({told}) of the fleet prior must be ({own}) as of the bundle")
+        theirs, own = ", ".join(like.type.joints), ", ".join(joints)
+        raise ConfigError(f"like: joints = ({theirs}) of the fleet prior must be ({own}) as of the bundle")
     if like.days is None:
         raise ConfigError(
-            "like: this fleet prior knows how arms differ and not how days do, which is another thing; make it of arms "
+            "like: this fleet prior has differences between arms, not between days; make it of arms "
             "with two recordings or more each, from different times of the day"
         )
     return like.days.covariance
@@ -121,8 +121,8 @@ def settings_with(mean: Numbers, error: Numbers, follows: Sequence[bool] | np.nd
     """A refit's settings in which these joints are expected there, and the others as without a fleet."""
     settings = _core.RefitSettings()
     pairs = zip(mean, error, follows, strict=True)
-    told = [(float(m), float(e)) if on else (1.0, settings.common) for m, e, on in pairs]
-    settings.expected, settings.expected_error = [m for m, _ in told], [e for _, e in told]
+    expected = [(float(m), float(e)) if on else (1.0, settings.common) for m, e, on in pairs]
+    settings.expected, settings.expected_error = [m for m, _ in expected], [e for _, e in expected]
     return settings
 
 
@@ -141,7 +141,7 @@ def standing(found: _core.Refit, bundle: _core.Bundle, limits: Mapping[str, Any]
 
     Args:
         bundle: the old one.
-        limits: what its provenance says of its limits.
+        limits: what its provenance has of its limits.
     """
     of_joint = found.joints[joint]
     if not promised(limits):
@@ -348,7 +348,7 @@ def refit_bundle(
 ) -> Refitted:
     """Write a bundle like this one whose friction is that of the arm in today's recordings.
 
-    First the doctor's cheap checks look at them (tauext.check): faults refuse, warnings are told and kept.
+    First the quick checks (tauext.check) look at them: faults refuse, warnings are reported and kept.
 
     Args:
         data: a recording, or a dataset folder, whose training recordings are used.
@@ -367,16 +367,13 @@ def refit_bundle(
     expect_new_file(out)
     loaded = load_bundle(bundle)
     expect_prior(loaded, bundle)
-    expect_codes(accept, [link.joint_name for link in loaded.links])
     if like is not None:
         expect_days(like, loaded)
     files = recording_files(data)
     recordings = [load_recording(file, FOR_LIMITS) for file in files]
     for recording in recordings:
         expect_fit(loaded, recording)
-    in_nm = all(unit == "N m" for unit in loaded.torque_units)
-    look = look_at_calibration(files, np.array(loaded.torque_limit_nm) if in_nm else None, threads, report)
-    judge([look], str(data), accept, report)
+    looked = check_for_bundle(loaded, "refit", files, str(data), accept, threads, report)
     spans = [part for recording in recordings if (part := span.of(recording)) is not None]
     if not spans:
         raise ConfigError(f"{data}: no recording has a sample from {span.from_s:g} s on")
@@ -392,7 +389,7 @@ def refit_bundle(
         "data": {file.name: file_sha256(file) for file in files},
         "span": asdict(span),
     }
-    facts["look"] = facts.get("look", {}) | {"refit": look.facts(accept)}
+    facts["look"] = facts.get("look", {}) | looked
     facts["refitted"] = provenance("tauext refit", settings, seed=None) | refitted.facts()
     if like is not None:
         facts["refitted"]["like"] = {"sha256": like.sha256, "arms": [one["name"] for one in like.facts.get("arms", [])]}
@@ -417,21 +414,21 @@ def refit_recordings(
     Labelled contacts are cut out with the margins of training. The provenance stays the old one's.
 
     Raises:
-        ConfigError: a fleet prior of another arm, or one that knows no days.
+        ConfigError: a fleet prior of another arm, or one without differences between days.
         TrainingError: as refit_bundle.
     """
     days = None if like is None else expect_days(like, bundle)
     left_out = LeftOut("refit")
     parts = possible_parts(recordings, bundle.observer, SignalBounds.of(bundle), left_out)
-    if said := left_out.sentence():
-        report.say(said)
+    if note := left_out.sentence():
+        report.say(note)
     sources = [(r.t_ns, r.q, r.dq, r.tau, free_samples(r, MARGINS).astype(np.uint8)) for r in parts]
     follows = np.zeros(bundle.joints, dtype=bool)
     try:
         found = _core.refit(bundle, sources, threads=threads or os.cpu_count() or 1)
-        if days is not None and (told := expected_of(found, days)) is not None:
-            follows = told[2]
-            found = _core.refit(bundle, sources, settings_with(*told), threads=threads or os.cpu_count() or 1)
+        if days is not None and (expectation := expected_of(found, days)) is not None:
+            follows = expectation[2]
+            found = _core.refit(bundle, sources, settings_with(*expectation), threads=threads or os.cpu_count() or 1)
     except _core.CoreError as error:
         raise TrainingError(str(error)) from error
     limits = json.loads(bundle.provenance or "{}").get("limits", {})

@@ -65,8 +65,8 @@ def expect_size(config: TrainConfig) -> None:
     steps = min(config.epochs or config.max_steps or 1, config.max_steps or config.epochs or 1)
     a_step = 3 * 2 * 4 * config.hidden * (config.hidden + LEAST_INPUTS)  # backwards costs twice forwards
     flops = float(steps) * config.batch * length * a_step
-    told = f"a training of {steps} steps of {config.batch} sequences of {length} with {config.hidden} hidden units"
-    expect_time(flops / (FLOPS_A_CORE * (os.cpu_count() or 1)), told)
+    work = f"a training of {steps} steps of {config.batch} sequences of {length} with {config.hidden} hidden units"
+    expect_time(flops / (FLOPS_A_CORE * (os.cpu_count() or 1)), work)
 
 
 # --- A network behind a prior ships only where it helps.
@@ -107,7 +107,7 @@ def train_bundle(
 ) -> Bundle:
     """Train on a dataset's free motion, find limits on its validation or calibration recordings, and write one bundle.
 
-    First the doctor looks at all that is used (tauext.check): faults refuse, warnings are told and stand in the bundle.
+    First all that is used is checked (tauext.check): faults refuse, warnings are reported and stored in the bundle.
 
     Args:
         out: NAME.tauext; its run file and wall time are written beside it. An interrupted training of a network goes on
@@ -115,10 +115,10 @@ def train_bundle(
         case: the estimated model; None: the robot file as it is, or none where the dataset was imported without one.
         robot: URDF or MJCF of the arm; None: the dataset's own.
         config: recipe, seed and sizes.
-        report: is told how far it is, and what was found, in sentences.
+        report: receives the progress and sentences about what was found.
         accept: codes of the doctor that are no fault on your word, CODE or CODE:joint; they stand in the bundle.
         look: False: do not look; for recordings that are known to be good.
-        like: what a fleet of arms of this type knows (tauext.fit.fleet_prior.load_fleet_prior); None: nothing.
+        like: the fleet prior of this type (tauext.fit.fleet_prior.load_fleet_prior); None: nothing.
 
     Raises:
         FaultyDataError: recordings or robot file have a fault that is not accepted.
@@ -135,9 +135,9 @@ def train_bundle(
     like_settings(config, like)
     limits_kind(config, dataset.split.calibration)
     robot_file = dataset.robot_file(robot)
-    case, said = chosen_case(case, robot_file)
-    if said:
-        report.say(said)
+    case, note = chosen_case(case, robot_file)
+    if note:
+        report.say(note)
     training, validation = dataset.training(), dataset.recordings("validation")
     model = PAPER_CASES[case]
     tree = estimated_model(robot_file, training[0].joints, model)
@@ -177,9 +177,9 @@ def train_on_recordings(
         validation: others, which nothing is trained on; none: the recipe does without, or cuts some off.
         out: NAME.tauext; its folder is made.
         calibration: load the recordings on which a promise about false alarms is kept.
-        report: is told how far it is, and what was found, in sentences.
+        report: receives the progress and sentences about what was found.
         looked: what the doctor found (look_first), for provenance; None: nobody looked.
-        like: what a fleet of arms of this type knows; None: the arm is by itself.
+        like: the fleet prior of this type; None: the arm is by itself.
         accept: `rejected`: go on where a monitor rejects more than a fifth of the training motion.
 
     Raises:

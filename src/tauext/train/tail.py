@@ -22,7 +22,7 @@ from tauext.errors import ConfigError, TrainingError
 #           x_\rho = u + \frac{\sigma}{\xi}\left[\left(\frac{\lambda_u}{\rho}\right)^{\xi} - 1\right]
 #
 # with x_rho the level that peaks exceed rho times an hour. xi = 0 is the exponential distribution; with xi < 0 the tail
-# ends at u - sigma/xi. It is SciPy's `genpareto`, whose own fit knows no bounds of the shape and sees one pair of
+# ends at u - sigma/xi. It is SciPy's `genpareto`, whose own fit has no bounds of the shape and sees one pair of
 # parameters at a time. Here, with c = xi/sigma, the log-likelihood [Grimshaw1993]_
 #
 # .. math:: \ell(c, \sigma) = -n \ln\sigma - S(c) - \frac{S(c)}{c\,\sigma}, \quad S(c) = \sum_i \ln(1 + c\,y_i)
@@ -35,7 +35,7 @@ EXCEEDANCES = (200, 140, 100, 70, 50)
 TAIL_SHARE = 0.05
 """Of all peaks, more than this share are no tail; but 50 are always tried."""
 FEWEST = 30
-"""With fewer exceedances than this nothing is said of a tail."""
+"""With fewer exceedances than this a tail is unknown."""
 SHAPES = (-0.9, 1.0)
 """Bounds of the shape. Below -1 the likelihood has no maximum [Grimshaw1993]_. From 1 on the mean excess is infinite,
 which no torque error is."""
@@ -405,7 +405,7 @@ class Promise:
     """What was asked of a calibration, and what its recordings can support.
 
     Supported means: at the rate asked for, the recordings would have held a false alarm with probability `confidence`
-    or more. Shorter ones cannot tell the wanted limits from worse ones, whatever a fit says. It is a necessary
+    or more. Shorter ones cannot separate the wanted limits from worse ones, whatever a fit gives. It is a necessary
     condition and no proof: the limits come from these very recordings, and beyond them rest on the fitted tail; what
     the limits do is shown by other recordings (`is_kept`).
 
@@ -463,12 +463,12 @@ class Promise:
                 f"{100 * self.confidence:g} % confidence); record {duration(self.missing_hours, 'up')} more of free "
                 f"motion, {duration(self.needed_hours, 'up')} in all."
             )
-        said = f"{asked}: supported by {have} (at {100 * self.confidence:g} % confidence)."
+        sentence = f"{asked}: supported by {have} (at {100 * self.confidence:g} % confidence)."
         if self.streams > 1:
             share = duration(self.streams / self.asked.rate_per_hour)
             far = f"{self.extrapolation:.1f} times" if self.extrapolation > 1 else "within"
-            said += f" Each of {self.streams} limits has an equal share, 1 in {share}, {far} the recorded time."
-        return said
+            sentence += f" Each of {self.streams} limits has an equal share, 1 in {share}, {far} the recorded time."
+        return sentence
 
     def summary(self) -> dict:
         """All of it for JSON."""

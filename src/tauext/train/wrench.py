@@ -4,7 +4,7 @@ With z = tau_ext / sigma of rows of free motion that nothing was trained on, cli
 
 .. math:: R = (1 - a)\,\hat R + a\,1, \qquad a = \max\left(A, \frac{n}{n + T}\right),
 
-T being the seconds of motion: errors a second apart are about independent, and so many of them tell n joints apart. The
+T being the seconds of motion: errors a second apart are about independent, and so many of them separate n joints. The
 radius is what variances are multiplied by so that 95 % of the errors of force and moment, which are 0 in free motion,
 lie within the ellipsoid of 95 %; heavy tails are in it, where a mean would miss them.
 """
@@ -29,13 +29,13 @@ HELD = 0.95
 """Share of errors within the ellipsoids."""
 LEAST_RADIUS = 0.5
 """sigma is rather too large than too small, by some tenth to a quarter of the variance; less than half of it, and the
-motion was too tame to tell. What free motion does not show of a touch is in the covariance apart."""
+motion was too slow to show it. What free motion does not show of a touch is in the covariance apart."""
 MOST_ROWS = 100_000
 """An hour and a half at 20 Hz: beyond, quantiles do not change."""
 ROW_S = 0.05
 """Between rows: errors change within the observer's 1/K0."""
 LEAST_ROWS = 200
-"""Fewer tell no quantile of 95 %: the radius stays 1."""
+"""Fewer determine no quantile of 95 %: the radius stays 1."""
 POSES = 64
 """That a bundle keeps: a share of them is then known to some 6 %, and a joint to be seen in its whole range."""
 POSE_DIGITS = 3
@@ -50,7 +50,7 @@ def fit_wrench(
 ) -> dict:
     """Put correlation and radius into a bundle whose error scale stands; the facts for its provenance.
 
-    Nothing happens where the bundle tells no wrench.
+    Nothing happens where the bundle has no wrench.
     """
     if refused := _core.WrenchModel(bundle).refused:
         return {"refused": refused}
@@ -107,16 +107,16 @@ def radius(
     bundle: _core.Bundle, frame: str, q: np.ndarray, tau_ext: np.ndarray, sigma: np.ndarray, point: list | None
 ) -> float:
     """Factor on variances that makes the ellipsoids of 95 % hold 95 % of these rows, in which the truth is 0."""
-    said = _core.WrenchModel(bundle).wrenches(frame, q, tau_ext, sigma, point)
-    seen = (said["freedom"] >= 0) & (said["blind"] == 0)
+    wrenches = _core.WrenchModel(bundle).wrenches(frame, q, tau_ext, sigma, point)
+    seen = (wrenches["freedom"] >= 0) & (wrenches["blind"] == 0)
     if seen.sum() < LEAST_ROWS:  # it never sees all: those that it sees most of
-        seen = said["blind"] == said["blind"].min()
-    size = len(said["covariance"][0])
-    shown = size - int(said["blind"][seen].min())
+        seen = wrenches["blind"] == wrenches["blind"].min()
+    size = len(wrenches["covariance"][0])
+    shown = size - int(wrenches["blind"][seen].min())
     if shown == 0:  # no joint torque depends on a force there: one joint whose axis passes through the point
         return 1.0
-    unknown = np.concatenate([said["force"], said["moment"]], axis=1)[:, :size]
-    return factor(squared_distances(unknown, said["covariance"])[seen], shown)
+    unknown = np.concatenate([wrenches["force"], wrenches["moment"]], axis=1)[:, :size]
+    return factor(squared_distances(unknown, wrenches["covariance"])[seen], shown)
 
 
 def squared_distances(errors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -136,18 +136,18 @@ def residual(
     bundle: _core.Bundle, frame: str, q: np.ndarray, tau_ext: np.ndarray, sigma: np.ndarray, point: list | None
 ) -> float:
     """Likewise of what such a wrench leaves unexplained; 1 where it leaves nothing."""
-    said = _core.WrenchModel(bundle).wrenches(frame, q, tau_ext, sigma, point)
-    freedom = said["freedom"]
+    wrenches = _core.WrenchModel(bundle).wrenches(frame, q, tau_ext, sigma, point)
+    freedom = wrenches["freedom"]
     if freedom.max() < 1:
         return 1.0
     usual = int(np.bincount(freedom).argmax())
     at = freedom == max(usual, 1)
-    return factor(said["chi_square"][at], max(usual, 1)) if at.sum() >= LEAST_ROWS else 1.0
+    return factor(wrenches["chi_square"][at], max(usual, 1)) if at.sum() >= LEAST_ROWS else 1.0
 
 
 def factor(squared: np.ndarray, freedom: int) -> float:
     """That a chi-square's quantile of 95 % is multiplied by to be that of these."""
-    chi_square = 2 * gammaincinv(freedom / 2, HELD)  # scipy.stats says so, too, and takes a third of a second to load
+    chi_square = 2 * gammaincinv(freedom / 2, HELD)  # as scipy.stats, which takes a third of a second to load
     return max(float(np.quantile(squared, HELD) / chi_square), LEAST_RADIUS)
 
 
@@ -159,10 +159,10 @@ def free_rows(
     found = []
     for one in judged:
         one = one if isinstance(one, Judged) else Judged(one)
-        said, _, counted = judge(bundle, one, threads, margins)
-        counted &= np.isfinite(said["sigma_nm"]).all(axis=1) & (said["sigma_nm"] > 0).all(axis=1)
+        estimates, _, counted = judge(bundle, one, threads, margins)
+        counted &= np.isfinite(estimates["sigma_nm"]).all(axis=1) & (estimates["sigma_nm"] > 0).all(axis=1)
         at = np.flatnonzero(counted)[::stride]
-        found.append((one.recording.q[at], said["tau_ext"][at], said["sigma_nm"][at]))
+        found.append((one.recording.q[at], estimates["tau_ext"][at], estimates["sigma_nm"][at]))
     if not found:
         return (np.empty((0, bundle.joints)),) * 3
     rows = [np.concatenate(column) for column in zip(*found, strict=True)]

@@ -24,7 +24,7 @@ from tauext.train.preparation import Job
 
 
 def write(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> None:
-    """Write all three, or none; the notes are told, too."""
+    """Write all three, or none; the notes are reported, too."""
     for note in job.notes:
         job.say(note)
     facts = facts_of(job, bundle, network)
@@ -68,7 +68,7 @@ LEAST_SHARE = 0.01
 
 
 def put_wrench(job: Job, bundle: Bundle, robot: Path) -> None:
-    """Let the bundle tell forces at the robot file's frames, and say how far its torque constants may be off.
+    """Add the robot file's frames for forces, and the errors of the torque constants.
 
     Constants that the training found have a standard error, and one that all have in common; known ones, and torques
     that were recorded in N m, may be off by config.torque_share each.
@@ -88,7 +88,7 @@ def put_wrench(job: Job, bundle: Bundle, robot: Path) -> None:
             settings.frames = wrench_frames(robot, job.tree)
             put_shapes(job, bundle, robot)
         except RobotError as error:
-            job.notes.append(f"forces are told at links alone: {error}")
+            job.notes.append(f"forces are available at links only: {error}")
     bundle.wrench_settings = settings
     job.facts["wrench"] = {"torque_share": [round(one, 4) for one in share.tolist()]}
 

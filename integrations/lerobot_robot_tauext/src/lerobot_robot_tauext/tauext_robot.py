@@ -15,7 +15,7 @@ from lerobot_robot_tauext.block_read import REGISTERS, BlockRead
 from lerobot_robot_tauext.config_tauext import TauextConfig
 from lerobot_robot_tauext.episodes import tell_no_more, tell_of_episodes
 from lerobot_robot_tauext.reactions import CollisionStop, Hold
-from tauext.data.description_file import load_arm
+from tauext.data.description import load_arm
 from tauext.sources.lerobot_frames import FrameLabeller, element_names
 
 logger = logging.getLogger(__name__)

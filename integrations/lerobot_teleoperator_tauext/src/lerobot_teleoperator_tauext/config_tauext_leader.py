@@ -7,6 +7,8 @@ from typing import Any
 
 from lerobot.teleoperators import TeleoperatorConfig
 
+from tauext.monitor.leader_feedback import FeedbackSettings
+
 
 @TeleoperatorConfig.register_subclass("tauext_leader")
 @dataclass
@@ -18,11 +20,11 @@ class TauextLeaderConfig(TeleoperatorConfig):
     # Joints that are felt; empty: all but "gripper", whose motor is the trigger's spring.
     joints: list[str] = field(default_factory=list)
     # Most torque of the leader's motors, [N m]. Begin low: see the README.
-    cap_nm: float | dict[str, float] = 0.1
+    cap_nm: float | dict[str, float] = FeedbackSettings.cap_nm
     # Torque of the leader over what is felt of tau_ext; negative where the leader's joint turns the other way.
     gain: float | dict[str, float] = 0.5
     # Of tau_ext so many standard errors are not felt, where the follower tells them (<joint>.tau_ext_sigma).
-    dead_band_sigmas: float | dict[str, float] = 8.0
+    dead_band_sigmas: float | dict[str, float] = FeedbackSettings.dead_band_sigmas
     # And no less than this, [N m]; needed where the follower tells no standard errors.
     dead_band_nm: float | dict[str, float] | None = None
     # Fastest change of the torque, [N m/s].

@@ -1,4 +1,4 @@
-"""A serial port as the packet handlers of Feetech's and ROBOTIS' libraries take one, for one process alone."""
+"""A bus of serial servos: a port that one process has alone, and one request to all servos on it."""
 
 from __future__ import annotations
 
@@ -6,13 +6,16 @@ import errno
 import importlib
 import os
 import select
+import threading
 import time
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tauext.errors import ConfigError
-from tauext.sources.reader import Unreachable
+from tauext.sources.reader import Unreachable, optional_library
+from tauext.sources.servo_series import Series
 
 BITS_A_BYTE = 10
 MEMORY = 1
@@ -44,7 +47,7 @@ class ServoPort:
 
     def open(self) -> None:
         """Raises Unreachable: no such port, no right to it, or another process has it."""
-        serial = pyserial()
+        serial = optional_library("serial", "a bus of serial servos", "pyserial", "feetech")
         if users := users_of(self.path):
             raise Unreachable(f"another process has the port: {users}; a bus takes one at a time")
         try:
@@ -147,13 +150,94 @@ def why_not_open(path: str, error: BaseException) -> str:
     return f"the port cannot be opened: {error}"
 
 
-def pyserial() -> Any:
-    """The optional library.
+# --- One request to all servos of a bus, and their answers, whichever of them come: a sync read is the one instruction
+# that all servos answer, one after the other; a sync write is answered by none.
 
-    Raises:
-        ConfigError: it is not installed.
-    """
-    try:
-        return importlib.import_module("serial")
-    except ImportError as error:
-        raise ConfigError("serial servos need pyserial: pip install 'tauext[feetech]'") from error
+
+SUCCESS = 0
+"""What the libraries' functions return where nothing is wrong."""
+
+
+@dataclass
+class Reading:
+    """What came of one request."""
+
+    t_ns: int
+    """When it was sent, by time.monotonic_ns(): each servo reads its registers on its way to answer."""
+    data: dict[int, bytes] = field(default_factory=dict)
+    """Registers by id, of the servos whose answer was whole."""
+    errors: dict[int, int] = field(default_factory=dict)
+    """Error bits by id, as their packets hold them."""
+    corrupt: int = 0
+    """Packets that could not be used: a wrong checksum, a wrong length, bytes that are no packet, a servo not asked."""
+
+
+class ServoBus:
+    """Transactions on a port. Whoever else of this process uses the port holds `lock` meanwhile."""
+
+    def __init__(self, port: ServoPort, series: Series):
+        self.port, self.series = port, series
+        library = optional_library(series.library, f"source {series.kind}", series.package, series.kind)
+        self._handler = library.PacketHandler(series.protocol)
+        self.lock = threading.Lock()
+        """A transaction holds it; a thread that drives the arm through the same port does, too."""
+
+    def transaction_s(self, servos: int, length: int) -> float:
+        """Shortest time of a reading, by the bytes on the wire, [s]; return delays of the servos are on top."""
+        return self.port.wire_s(self.series.asked + servos * (1 + self.series.overhead + length))
+
+    def read(self, address: int, length: int, ids: Sequence[int]) -> Reading:
+        """Registers address to address + length - 1 of all these servos. Which of them did not answer is for the caller
+        to see.
+
+        Raises:
+            Unreachable: the port has gone.
+        """
+        with self.lock:
+            return self._read(address, length, ids)
+
+    def write(self, address: int, length: int, values: Mapping[int, bytes]) -> None:
+        """Registers of each servo by its id; no servo says whether it took them: read them back.
+
+        Raises:
+            Unreachable: the port has gone.
+        """
+        data = [byte for id_, value in values.items() for byte in (id_, *value)]
+        with self.lock:
+            self._sent(self._handler.syncWriteTxOnly, address, length, data, len(data))
+
+    def _read(self, address: int, length: int, ids: Sequence[int]) -> Reading:
+        reading = Reading(time.monotonic_ns())
+        self._sent(self._handler.syncReadTx, address, length, list(ids), len(ids), *self.series.flags)
+        silent = set(ids)
+        while silent:
+            try:
+                result, id_, error, data = self._answer()
+            except PORT_ERRORS as wrong:
+                raise Unreachable(f"the port has gone: {wrong}") from wrong
+            if result == SUCCESS and len(data) == length and id_ in silent:
+                silent.discard(id_)
+                reading.data[id_], reading.errors[id_] = data, error
+                continue
+            reading.corrupt += result != self.series.silence
+            if self.port.isPacketTimeout():
+                break
+        return reading
+
+    def _answer(self) -> tuple[int, int, int, bytes]:
+        """Wait for the next packet: the library's result, id, error bits, data."""
+        packet, result = self._handler.rxPacket(self.port, *self.series.flags)
+        if result != SUCCESS:
+            return result, -1, 0, b""
+        whole, places = bytes(packet), self.series.packet
+        id_, length, error = (int(places[name].of(whole)) for name in ("id", "length", "error"))
+        return result, id_, error, whole[places["error"].address + 1 : places["length"].address + length]
+
+    def _sent(self, send: Any, *arguments: Any) -> None:
+        self.port.begin()
+        try:
+            result = send(self.port, *arguments)
+        except PORT_ERRORS as wrong:
+            raise Unreachable(f"the port has gone: {wrong}") from wrong
+        if result != SUCCESS:
+            raise Unreachable(f"a request could not be sent (the library's code {result})")

@@ -1,79 +1,46 @@
-"""`tauext run` as text: one line an event, and a summary."""
+"""Events of `tauext run` and `tauext monitor` as text: one line an event, and a summary."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol, Self
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
 
 from tauext._core import Bundle, cause_names
 from tauext.bundle.estimates import HEALTHS
 from tauext.bundle.units import short
-from tauext.cli.run_settings import RunSettings
 from tauext.data.recording import Recording
 from tauext.files.places import Place
 from tauext.monitor.changes import (
     ALARMS,
+    COLLISION,
     TOUCHES,
     AlarmChange,
+    Change,
     DriftChange,
     FoundLoad,
     HealthChange,
+    HiddenCollision,
     LoadChange,
     TouchChange,
     WeighChange,
     with_article,
 )
 from tauext.monitor.explanation import unseen_words
-from tauext.monitor.flight_files import FlightNews
+from tauext.monitor.flight_files import FlightCount, FlightNews
 from tauext.monitor.loads import load_words
 from tauext.monitor.places import PlaceChange, place_words
-from tauext.monitor.replay import Chunk, HiddenCollision, HiddenFinder, Tally
+from tauext.monitor.replay import Chunk, Tally
 
-# --- What `tauext run` tells while it goes on: JSON lines, text lines and the live view do.
-
-
-@dataclass
-class FlightCount:
-    """What became of flights."""
-
-    written: int = 0
-    failed: int = 0
-    missed: int = 0
-    error: str = ""
-    """Of the first that failed."""
-
-    def add(self, news: FlightNews) -> None:
-        """Count one more."""
-        self.written += news.error is None
-        self.failed += news.error is not None
-        self.error = self.error or news.error or ""
-
-    def merge(self, other: FlightCount) -> None:
-        """Add another recording's."""
-        self.written, self.failed = self.written + other.written, self.failed + other.failed
-        self.missed += other.missed
-        self.error = self.error or other.error
-
-    def summary(self) -> dict[str, int]:
-        return {"written": self.written, "failed": self.failed, "missed": self.missed}
-
-
-class Output(Protocol):
-    """What a replay tells while it goes on; a context, which the live view needs."""
-
-    def __enter__(self) -> Output: ...
-    def __exit__(self, *error: object) -> None: ...
-    def start(self, bundle: Bundle, recording: Recording, number: int, of: int) -> None: ...
-    def chunk(self, chunk: Chunk, tally: Tally) -> None: ...
-    def flight(self, news: FlightNews) -> None: ...
-    def end(self, tally: Tally, flights: FlightCount, complete: bool) -> None: ...
-    def total(self, tally: Tally, flights: FlightCount, recordings: int, interrupted: bool) -> None: ...
-
-
-# --- `tauext run` in lines of text, for people: a line an event and a summary.
-
+if TYPE_CHECKING:
+    from tauext.monitor.latency import Latencies
+    from tauext.monitor.loop import ProfileSwitch
+    from tauext.monitor.reactions import ReactionCount, ReactionNews
+    from tauext.monitor.record_sink import RecordCount
+    from tauext.monitor.source import SourceCounts
 
 WARNS_FROM = 0.01
 """Share of the motion that is unfamiliar: of motion like that of training a few thousandths may be."""
@@ -83,11 +50,30 @@ MOST_BEHIND_LINES = 10
 """About collisions behind one alarm that stands."""
 
 
-class TextLines:
-    """A line an event and a summary."""
+@dataclass
+class Outcome:
+    """Summary of a `tauext monitor` run."""
 
-    def __init__(self, settings: RunSettings):
-        self._settings = settings
+    tally: Tally
+    tick: Latencies
+    missing: int
+    counts: SourceCounts
+    flights: FlightCount
+    reactions: dict[str, ReactionCount] = field(default_factory=dict)
+    recorded: RecordCount | None = None
+
+
+class TextLines:
+    """A line an event and a summary; a context, which the live view needs."""
+
+    def __init__(self, flights: Place | Path | None = None, acknowledges: bool = False):
+        """
+        Args:
+            flights: folder of flights, as the user gave it.
+            acknowledges: alarms are acknowledged after a set time.
+        """
+        self._flights, self._acknowledges = flights, acknowledges
+        self._start_ns: int | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -99,61 +85,109 @@ class TextLines:
         print(line, flush=True)
 
     def start(self, bundle: Bundle, recording: Recording, number: int, of: int) -> None:
-        self._joints, self._start_ns, self._of = recording.joints, int(recording.t_ns[0]), of
-        self._units = bundle.estimate_units
-        self._begin_events()
+        """A recording begins."""
+        self._of = of
+        self._begin(recording.name, bundle, int(recording.t_ns[0]), recording.duration_s)
         which = f" ({number} of {of})" if of > 1 else ""
         self.say(
             f"{recording.name}{which}: {recording.duration_s:.1f} s, {recording.samples:,} samples at "
             f"{recording.rate_hz:g} Hz, bundle {bundle.name}"
         )
 
-    def _begin_events(self) -> None:
+    def start_live(self, source: str, bundle: Bundle) -> None:
+        """A live source begins."""
+        self._begin(source, bundle, None, math.inf)
+        rate_hz = 1e9 / bundle.observer.sample_period_ns
+        self.say(f"{source}: {len(self._joints)} joints at {rate_hz:g} Hz, bundle {bundle.name}; Ctrl-C ends")
+
+    def first(self, t_ns: int) -> None:
+        """The first live sample."""
+        self._start_ns = t_ns
+
+    def _begin(self, title: str, bundle: Bundle, start_ns: int | None, duration_s: float) -> None:
+        self._title, self._duration_s, self._began = title, duration_s, time.monotonic()
+        self._joints, self._units = tuple(link.joint_name for link in bundle.links), bundle.estimate_units
+        self._start_ns = start_ns
         self._latched_s: float | None = None
-        self._behind, self._finder = 0, HiddenFinder()
+        self._behind = 0
         self._healths: dict[tuple[int, int, int], tuple[int, HealthChange]] = {}
 
     def chunk(self, chunk: Chunk, tally: Tally) -> None:
-        for change in sorted([*chunk.changes, *self._finder.find(chunk)], key=lambda event: event.t_ns):
+        for change in sorted(chunk.changes, key=lambda event: event.t_ns):
             if isinstance(change, HiddenCollision):
                 self._hide(change)
             elif isinstance(change, HealthChange):
                 self._health(change)
-            elif isinstance(change, LoadChange):
-                self._event(change.t_ns, load_change_words(change))
-            elif isinstance(change, FoundLoad):
-                self._event(change.t_ns, found_load_words(change))
-            elif isinstance(change, WeighChange):
-                for words in weigh_words(change):
-                    self._event(change.t_ns, words)
-            elif isinstance(change, TouchChange):
-                self._event(change.t_ns, touch_words(change))
-            elif isinstance(change, PlaceChange):
-                self._event(change.t_ns, place_words(change, self._joints))
-            elif isinstance(change, DriftChange):
-                self._event(change.t_ns, f"recalibrate: joint {self._joints[change.joint]}'s drift is at its bound")
             else:
-                self._alarm(change)
+                if isinstance(change, AlarmChange):
+                    self._latch(change)
+                for words in change_words(change, self._joints, self._units):
+                    self._event(change.t_ns, words)
 
     def flight(self, news: FlightNews) -> None:
         self._event(news.t_ns, f"flight: {news.path}" if news.path else f"flight of the {news.what} lost: {news.error}")
 
+    def note(self, text: str) -> None:
+        self.say(f"{'':13}  {text}")
+
+    def switched(self, switch: ProfileSwitch) -> None:
+        text = f"profile {switch.new}" + (f" (was {switch.old})" if switch.old else "") + f", by {switch.by}"
+        if switch.t_ns is None or self._start_ns is None:
+            self.note(text)
+        else:
+            self._event(switch.t_ns, text)
+
+    def reaction(self, news: ReactionNews) -> None:
+        event = news.event
+        what = f"{event.kind}{f' of {event.joint}' if event.joint else ''}"
+        merged = f", for {event.merged} events" if event.merged > 1 else ""
+        when = f"began {news.start_us * 1e-3:.2f} ms after the sample" if news.start_us is not None else ""
+        failed = f"FAILED: {news.error}" if news.error is not None else ""
+        self._event(
+            event.t_ns, f"reaction {news.reaction} to the {what}{merged}: {', '.join(filter(None, (failed, when)))}"
+        )
+
     def end(self, tally: Tally, flights: FlightCount, complete: bool) -> None:
-        self._tell_healths()
-        self._tell_latched()
+        """The end of one recording."""
+        self._tell_rest()
         if self._of > 1:
-            for line in summary_lines(tally, flights, self._settings.flights):
-                self.say(f"  {line}")
+            self._say_all(summary_lines(tally, flights, self._flights))
 
     def total(self, tally: Tally, flights: FlightCount, recordings: int, interrupted: bool) -> None:
+        """The end of all recordings."""
         if tally.samples:
             stopped = ", interrupted" if interrupted else ""
             self.say(f"{recordings} recording{'s' * (recordings != 1)} to the end{stopped}")
-            for line in summary_lines(tally, flights, self._settings.flights):
-                self.say(f"  {line}")
+            self._say_all(summary_lines(tally, flights, self._flights))
+
+    def finish(self, outcome: Outcome) -> None:
+        """The end of a live source."""
+        self._tell_rest()
+        self.say("ended")
+        counts = outcome.counts
+        lines = summary_lines(outcome.tally, outcome.flights, self._flights, f"told after {outcome.tick.text()}")
+        gone = [f"{n} {what}" for what, n in asdict(counts).items() if n and what != "received"]
+        gone += [f"{outcome.missing} times none in time"] if outcome.missing else []
+        lines.insert(1, f"source        {counts.received:,} received, {', '.join(gone) if gone else 'none lost'}")
+        for name, count in outcome.reactions.items():
+            told = [f"{n} {what.replace('_', ' ')}" for what, n in count.summary().items() if what != "start" and n]
+            start = f"; began after {count.start.text()}" if count.start.count else ""
+            lines.append(f"reaction      {name}: {', '.join(told) if told else 'no event'}{start}")
+        if (kept := outcome.recorded) is not None:
+            left = f", {kept.unfit} unfit" if kept.unfit else ""
+            lost = f", {kept.lost} LOST: {kept.error}" if kept.lost else ""
+            lines.append(f"recorded      {kept.samples:,} samples in {kept.files} files{left}{lost}")
+        self._say_all(lines)
+
+    def _say_all(self, lines: list[str]) -> None:
+        for line in lines:
+            self.say(f"  {line}")
+
+    def _time_s(self, t_ns: int) -> float:
+        return (t_ns - (self._start_ns or 0)) * 1e-9
 
     def _event(self, t_ns: int, text: str) -> None:
-        self.say(f"{(t_ns - self._start_ns) * 1e-9:11.3f} s  {text}")
+        self.say(f"{self._time_s(t_ns):11.3f} s  {text}")
 
     def _health(self, change: HealthChange) -> None:
         """The first of its kind, and a line at the end about the others: a bad cable can fail at every sample."""
@@ -163,16 +197,13 @@ class TextLines:
             self._event(change.t_ns, health_words(change, self._joints))
         self._healths[kind] = times + 1, change
 
-    def _tell_healths(self) -> None:
+    def _tell_rest(self) -> None:
+        """How often health failed, and what an alarm hid that stands at the end."""
         for times, last in self._healths.values():
             if times > 1 and HEALTHS[last.health] in ("stale", "fault"):
-                at_s = (last.t_ns - self._start_ns) * 1e-9
                 words = health_words(replace(last, was=last.health), self._joints)
-                self.say(f"  {words}: {times:,} times, the last at {at_s:.3f} s")
-
-    def _tell_latched(self) -> None:
-        """What an alarm hid that stands at the end, and how to see it."""
-        if self._latched_s is None or self._settings.acknowledge_after_s is not None:
+                self.say(f"  {words}: {times:,} times, the last at {self._time_s(last.t_ns):.3f} s")
+        if self._latched_s is None or self._acknowledges:
             return
         count = collisions_text(self._behind) if self._behind else "what came after it"
         self.say(
@@ -192,12 +223,33 @@ class TextLines:
             collision.t_ns, f"another collision, {joint}: hidden by the alarm of {self._latched_s:.3f} s{until}{last}"
         )
 
-    def _alarm(self, change: AlarmChange) -> None:
-        if change.alarm == ALARMS.index("collision"):
-            self._latched_s, self._behind = (change.t_ns - self._start_ns) * 1e-9, 0
-        elif change.was == ALARMS.index("collision"):
+    def _latch(self, change: AlarmChange) -> None:
+        if change.alarm == COLLISION:
+            self._latched_s, self._behind = self._time_s(change.t_ns), 0
+        elif change.was == COLLISION:
             self._latched_s = None
-        self._event(change.t_ns, alarm_words(change, self._joints, self._units))
+
+
+def change_words(change: Change, joints: tuple[str, ...], units: Sequence[str]) -> list[str]:
+    """A line of text or more for a change.
+
+    Args:
+        units: units of the estimates, one a joint.
+    """
+    if isinstance(change, WeighChange):
+        return weigh_words(change)
+    if isinstance(change, AlarmChange):
+        return [alarm_words(change, joints, units)]
+    if isinstance(change, TouchChange):
+        return [touch_words(change)]
+    if isinstance(change, PlaceChange):
+        return [place_words(change, joints)]
+    if isinstance(change, LoadChange):
+        return [load_change_words(change)]
+    if isinstance(change, FoundLoad):
+        return [found_load_words(change)]
+    assert isinstance(change, DriftChange)
+    return [f"recalibrate: joint {joints[change.joint]}'s drift is at its bound"]
 
 
 def health_words(change: HealthChange, joints: tuple[str, ...]) -> str:
@@ -234,7 +286,7 @@ def touch_words(change: TouchChange) -> str:
     return f"the {ALARMS[change.alarm]} is {with_article(kind)}, {change.since_s * 1e3:.0f} ms after the alarm{was}"
 
 
-def summary_lines(tally: Tally, flights: FlightCount, folder: Place | None, timing: str = "") -> list[str]:
+def summary_lines(tally: Tally, flights: FlightCount, folder: Place | Path | None, timing: str = "") -> list[str]:
     """The summary of one recording or of all. timing: said of the samples instead of the core's time for each."""
     told = tally.summary()
     if not tally.samples:

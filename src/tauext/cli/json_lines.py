@@ -1,0 +1,167 @@
+"""Events of `tauext run` and `tauext monitor` as JSON lines for programs; docs/files.md lists them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, Self
+
+from tauext._core import Bundle, cause_names
+from tauext.bundle.estimates import HEALTHS
+from tauext.cli.text_lines import Outcome, TextLines
+from tauext.data.recording import Recording
+from tauext.monitor.changes import (
+    ALARMS,
+    TOUCHES,
+    AlarmChange,
+    Change,
+    DriftChange,
+    FoundLoad,
+    HealthChange,
+    HiddenCollision,
+    LoadChange,
+    TouchChange,
+    WeighChange,
+)
+from tauext.monitor.flight_files import FlightCount, FlightNews
+from tauext.monitor.loads import load_facts
+from tauext.monitor.places import PlaceChange, place_facts
+from tauext.monitor.replay import Chunk, StatusClock, Tally, number, sample_facts
+
+if TYPE_CHECKING:
+    from tauext.monitor.loop import ProfileSwitch
+    from tauext.monitor.reactions import ReactionNews
+
+
+class JsonLines:
+    """One object an event, each written at once; times count from the recording's first sample."""
+
+    def __init__(self, status_hz: float):
+        self._status_ns = round(1e9 / status_hz) if status_hz else 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def start(self, bundle: Bundle, recording: Recording, number: int, of: int) -> None:
+        self._recording, self._joints, self._start_ns = recording.name, recording.joints, int(recording.t_ns[0])
+        self._clock = StatusClock(self._start_ns, self._status_ns) if self._status_ns else None
+        self._write(
+            "start",
+            bundle=bundle.name,
+            joints=recording.joints,
+            estimate_units=bundle.estimate_units,
+            samples=recording.samples,
+            duration_s=recording.duration_s,
+            rate_hz=recording.rate_hz,
+            t_ns=self._start_ns,
+        )
+
+    def start_live(self, source: str, bundle: Bundle) -> None:
+        self._recording, self._joints = source, tuple(link.joint_name for link in bundle.links)
+        self._start_ns, self._clock = 0, None
+        rate_hz = 1e9 / bundle.observer.sample_period_ns
+        units = bundle.estimate_units
+        self._write("start", bundle=bundle.name, joints=self._joints, estimate_units=units, rate_hz=rate_hz)
+
+    def first(self, t_ns: int) -> None:
+        self._start_ns = t_ns
+        self._clock = StatusClock(t_ns, self._status_ns) if self._status_ns else None
+
+    def chunk(self, chunk: Chunk, tally: Tally) -> None:
+        """Changes and status lines in the order of their samples."""
+        changes = [change for change in chunk.changes if not isinstance(change, HiddenCollision)]
+        lines = [(change.row, change.t_ns, *change_facts(change, self._joints)) for change in changes]
+        for k in self._clock.rows(chunk.t_ns) if self._clock else ():
+            lines.append((chunk.first_row + k, int(chunk.t_ns[k]), "status", sample_facts(chunk.said, k)))
+        for row, t_ns, event, content in sorted(lines, key=lambda line: line[0]):
+            self._write(event, row=row, **self._when(t_ns), **content)
+
+    def flight(self, news: FlightNews) -> None:
+        told = {"file": str(news.path)} if news.path else {"file": None, "error": news.error}
+        self._write("flight", what=news.what, **self._when(news.t_ns), **told)
+
+    def note(self, text: str) -> None:
+        self._write("note", text=text)
+
+    def switched(self, switch: ProfileSwitch) -> None:
+        when = {} if switch.t_ns is None else self._when(switch.t_ns)
+        self._write("profile", **when, by=switch.by, old=switch.old, new=switch.new)
+
+    def reaction(self, news: ReactionNews) -> None:
+        event = news.event
+        told = {"what": event.kind, "joint": event.joint, "merged": event.merged}
+        self._write(
+            "reaction", name=news.reaction, **self._when(event.t_ns), **told, start_us=news.start_us, error=news.error
+        )
+
+    def end(self, tally: Tally, flights: FlightCount, complete: bool) -> None:
+        self._write("end", complete=complete, **tally.summary(), flights=flights.summary())
+
+    def total(self, tally: Tally, flights: FlightCount, recordings: int, interrupted: bool) -> None:
+        content = {"recordings": recordings, "interrupted": interrupted, **tally.summary()}
+        print(json.dumps({"event": "summary", **content, "flights": flights.summary()}, allow_nan=False), flush=True)
+
+    def _when(self, t_ns: int) -> dict[str, Any]:
+        return {"t_ns": int(t_ns), "time_s": (int(t_ns) - self._start_ns) * 1e-9}
+
+    def finish(self, outcome: Outcome) -> None:
+        content: dict[str, Any] = outcome.tally.summary()
+        del content["us_per_sample"]
+        content |= {"source": asdict(outcome.counts), "missing": outcome.missing, "told_after": outcome.tick.summary()}
+        content |= {"flights": outcome.flights.summary()}
+        content |= {"reactions": {name: count.summary() for name, count in outcome.reactions.items()}}
+        content |= {"recorded": asdict(outcome.recorded)} if outcome.recorded else {}
+        self._write("summary", **content)
+
+    def _write(self, event: str, **content: Any) -> None:
+        print(json.dumps({"event": event, "recording": self._recording, **content}, allow_nan=False), flush=True)
+
+
+Output = TextLines | JsonLines
+
+
+def change_facts(change: Change, joints: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
+    """Name of the event, and its content beside row and time."""
+    if isinstance(change, LoadChange):
+        told = {"by": change.by, "since_ns": change.since_ns, "left_out": list(change.left_out)}
+        return "load", {**load_facts(change.load), **told}
+    if isinstance(change, FoundLoad):
+        return "load", {"mass_kg": change.mass_kg, "mass_error_kg": change.error_kg, "by": "expected"}
+    if isinstance(change, WeighChange):
+        return "weigh", {"what": change.what, "by": change.by, **found_facts(change)}
+    assert isinstance(change, DriftChange | TouchChange | PlaceChange | HealthChange | AlarmChange)
+    joint = joints[change.joint] if change.joint >= 0 else None
+    if isinstance(change, DriftChange):
+        return "drift", {"joint": joint, "advice": "recalibrate"}
+    if isinstance(change, TouchChange):
+        kinds = {"touch": TOUCHES[change.touch], "was": TOUCHES[change.was], "alarm": ALARMS[change.alarm]}
+        return "touch", {**kinds, "joint": joint, "since_s": change.since_s}
+    if isinstance(change, PlaceChange):
+        raised = {"alarm": ALARMS[change.alarm], "joint": joint, "since_s": change.since_s}
+        return "place", {**raised, **place_facts(change, joints)}
+    if isinstance(change, HealthChange):
+        said = {"health": HEALTHS[change.health], "was": HEALTHS[change.was], "causes": cause_names(change.causes)}
+        return "health", {**said, "joint": joint}
+    return "alarm", {
+        "alarm": ALARMS[change.alarm],
+        "was": ALARMS[change.was],
+        "joint": joint,
+        "tau_ext_nm": number(change.tau_ext_nm),
+        "sigma_nm": number(change.sigma_nm),
+        "limit_nm": number(change.limit_nm),
+        "near_stiction": change.near_stiction if joint else None,
+        "acknowledged": change.acknowledged,
+    }
+
+
+def found_facts(change: WeighChange) -> dict[str, Any]:
+    """As plain JSON: what was found, and the load to set."""
+    from tauext.monitor.weighing import load_facts as facts_of_found
+
+    if change.found is None:
+        return {"frame": change.frame, "found": None, "load": None}
+    load = {**load_facts(change.found.load), "error_share": change.found.load.error_share}
+    return {"frame": change.frame, "found": facts_of_found(change.found), "load": load}

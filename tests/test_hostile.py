@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hostile.cases import OPTIONS, Case, hostile_words
+from hostile.cases import OPTIONS, Case
 from hostile.judge import faults_of
+from hostile.values import hostile_words
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits and processes as Linux has them")

@@ -326,8 +326,11 @@ FILE_FAULTS = {
     "no metadata": ({"change_metadata": lambda old: {}}, "not a recording: its metadata has no tauext_format"),
     "no joints": (without("joints"), "its metadata has no 'joints'; needed are tauext_format, joints"),
     "joints of another": (metadata(joints='["wrist"]'), "column 'q_wrist' is missing"),
+    "joint twice": (metadata(joints='["elbow", "elbow"]'), "joint 'elbow' is named 2 times"),
     "newer": (metadata(tauext_format="2"), "its format is '2', this version reads '1'; update tauext"),
     "rate text": (metadata(rate_hz="fast"), "rate_hz = 'fast' must be a number, in Hz"),
+    "wrong rate": (metadata(rate_hz="100"), "rate_hz = 100 disagrees with the sample period of t_ns, 1 ms"),
+    "timing": (metadata(torque_timing="later"), "torque_timing = 'later' must be one of held, instant, averaged"),
 }
 
 

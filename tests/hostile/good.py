@@ -26,7 +26,7 @@ from tauext.fit.ridge import WeightPrior
 
 EVERY = 10
 """Of 1000 samples a second: files in other formats stay small."""
-OLD_BUNDLE = Path(__file__).parents[1] / "golden/format-4-amperes.tauext"
+OLD_BUNDLE = Path(__file__).parents[2] / "tests/golden/format-4-amperes.tauext"
 TOUCHED_S = 12.0
 LITTLE = ("--minutes", "1", "--collision-recordings", "1")
 ARM = """[robot]

@@ -5,8 +5,8 @@
 
 Every way of tests/check_cases.py to break recordings is tried on made motion of several arms with known friction, and
 on recordings of the virtual rig. A finding beside the fault counts as other, unless it follows from it (`follows`
-there). Its settings, other arms and drives, are good data. Of each recording
-in --data, real ones, whatever is found is listed.
+there). Other arms and drives (`SETTINGS` there) are good data. Of each recording in --data, real ones, whatever is
+found is listed.
 """
 
 import argparse

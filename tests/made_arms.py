@@ -6,10 +6,12 @@ URDF, so that every oracle reads the same text.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from tauext import _core
+from tauext.robot.load import load_tree
 
 IDENTITY = [1.0, 0, 0, 0, 1, 0, 0, 0, 1]
 ROTOR_INERTIA = (0.6, 0.3)
@@ -44,6 +46,15 @@ def planar_arm() -> _core.Tree:
         link.rotor_inertia = ROTOR_INERTIA[k]
         links.append(link)
     return _core.Tree(links, [0, -9.81, 0])
+
+
+def planar_torque(q: np.ndarray, dq: np.ndarray) -> np.ndarray:
+    """What the planar arm's drives exert without friction at 125 Hz, averaged: r of an observer that is fast enough."""
+    t_ns = np.arange(len(q), dtype=np.int64) * 8_000_000
+    fast = _core.ObserverSettings(
+        gain_per_s=1e4, timing=_core.TorqueTiming.averaged, sample_period_ns=8_000_000, network_stride=1
+    )
+    return _core.observe(planar_arm(), fast, t_ns, q, dq, np.zeros_like(q)).residual
 
 
 def prismatic_mass(mass: float) -> _core.Tree:
@@ -133,6 +144,13 @@ def planar_rig() -> list[Part]:
 def six_axis() -> list[Part]:
     """An industrial arm: quarter turns between axes, and small misalignments as a calibration finds them."""
     return _serial(6, seed=6, heaviest_kg=28.0)
+
+
+def six_axis_tree(folder: Path) -> _core.Tree:
+    """The six-axis arm as the core reads it."""
+    path = folder / "arm.urdf"
+    path.write_text(urdf(six_axis()))
+    return load_tree(path)
 
 
 def seven_axis() -> list[Part]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-from made_arms import no_model, planar_arm
+from made_arms import no_model, planar_arm, settings
 
 from tauext import _core
 from tauext.config import ObserverConfig
@@ -120,17 +120,37 @@ def taking_amperes(bundle: _core.Bundle, nm_per_ampere: np.ndarray) -> _core.Bun
     return bundle
 
 
+def constant_error_scale(sigma_nm: Sequence[float]) -> _core.ErrorScaleSettings:
+    """Limits as they are, and these standard errors, in any motion."""
+    scale = _core.ErrorScaleSettings()
+    scale.features = [_core.MotionFeature.constant]
+    scale.limit_weights = scale.largest = [1.0] * len(sigma_nm)
+    scale.sigma_weights = scale.sigma_near_weights = scale.largest_sigma = list(sigma_nm)
+    return scale
+
+
 def seven_axis_bundle(sigma_nm: Sequence[float], *capsules: _core.Capsule) -> _core.Bundle:
     """A seven-axis arm with constant standard errors; if capsules are given, also one from each joint to the next."""
     tree = load_tree(SEVEN_AXIS)
     made = _core.Bundle()
     made.links, made.gravity = tree.links, tree.gravity
-    scale = _core.ErrorScaleSettings()
-    scale.features = [_core.MotionFeature.constant]
-    scale.limit_weights = scale.largest = [1.0] * tree.size
-    scale.sigma_weights = scale.sigma_near_weights = scale.largest_sigma = list(sigma_nm)
-    made.error_scale = scale
+    made.error_scale = constant_error_scale(sigma_nm)
     if capsules:
         between = [_core.Capsule(k, [0, 0, 0], link.translation, 0.05) for k, link in enumerate(tree.links[1:])]
         made.capsules = [*between, *capsules]
     return made
+
+
+TOOL_M = 0.2
+
+
+def planar_tool_bundle() -> _core.Bundle:
+    """Two links of 0.3 m in the x-y plane with a tool TOOL_M on from the elbow's axis; the error scale is constant."""
+    bundle, tree = _core.Bundle(), planar_arm()
+    bundle.name, bundle.links, bundle.gravity, bundle.observer = "planar", tree.links, tree.gravity, settings()
+    bundle.sliding_limit_nm, bundle.near_stiction_limit_nm = [6.0, 3.0], [9.0, 4.0]
+    bundle.contact_sliding_limit_nm = bundle.contact_near_stiction_limit_nm = [2.0, 1.0]
+    load = bundle.load_settings
+    load.frame, load.link, load.translation = "tool", 1, [TOOL_M, 0.0, 0.0]
+    bundle.load_settings = load
+    return with_error_scale(bundle, 0.0)

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from made_arms import PLANAR_MJCF, planar_arm
+from made_arms import PLANAR_MJCF, planar_torque
 
-from tauext import _core
 from tauext.config import FleetConfig, ObserverConfig, PriorConfig, TrainConfig
 from tauext.data.dataset import Split, save_split
 from tauext.data.recording import Recording
@@ -36,15 +35,6 @@ CONFIG = TrainConfig(
 """Few terms, so that a fleet takes seconds."""
 
 
-def model_torque(q: np.ndarray, dq: np.ndarray) -> np.ndarray:
-    """What the planar arm's drives exert without friction: the observer's r, fast enough to be the torque itself."""
-    t_ns = np.arange(len(q), dtype=np.int64) * 8_000_000
-    fast = _core.ObserverSettings(
-        gain_per_s=1e4, timing=_core.TorqueTiming.averaged, sample_period_ns=8_000_000, network_stride=1
-    )
-    return _core.observe(planar_arm(), fast, t_ns, q, dq, np.zeros_like(q)).residual
-
-
 def moving(seed: int, seconds: float, friction: tuple[float, float], name: str = "made", **changes) -> Recording:
     """Two joints on a way of many sines, with friction of each by that of the type."""
     rng = np.random.default_rng(seed)
@@ -52,7 +42,7 @@ def moving(seed: int, seconds: float, friction: tuple[float, float], name: str =
     speeds, phases = rng.uniform(0.2, 2.0, (2, 6)), rng.uniform(0, 6, (2, 6))
     angle = t[:, None, None] * speeds + phases
     q, dq = 0.4 * np.sin(angle).sum(axis=2), 0.4 * (speeds * np.cos(angle)).sum(axis=2)
-    torque = model_torque(q, dq) + np.array(friction) * (COULOMB_NM * np.tanh(dq / 0.03) + VISCOUS * dq)
+    torque = planar_torque(q, dq) + np.array(friction) * (COULOMB_NM * np.tanh(dq / 0.03) + VISCOUS * dq)
     torque += NOISE_NM * rng.normal(size=q.shape)
     named = {"name": name, "joints": ("shoulder", "elbow"), "t_ns": np.arange(len(t), dtype=np.int64) * 8_000_000}
     meta = {"rate_hz": RATE_HZ, "torque_timing": "averaged", "source": "test", "robot_sha256": ""}

@@ -339,3 +339,11 @@ def taken(source, count: int, within_s: float = 20.0) -> list[Sample]:
             samples.append(sample)
     assert len(samples) == count, f"{len(samples)} of {count} samples; {source.counts}; {source.notes()}"
     return samples
+
+
+def first_sample(source: ServoSource) -> Sample:
+    """The next sample of an open source, which is then closed."""
+    try:
+        return taken(source, 1)[0]
+    finally:
+        source.close()

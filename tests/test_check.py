@@ -1,4 +1,4 @@
-"""The doctor names what is wrong, with its joint, and is silent on good data."""
+"""The check names what is wrong, with its joint, and is silent on good data."""
 
 from __future__ import annotations
 

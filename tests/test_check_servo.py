@@ -1,4 +1,4 @@
-"""What the doctor says of servo arms, on simulated servos: what their effort is, its steps, their velocity and play."""
+"""What the check finds on servo arms, on simulated servos: what their effort is, its steps, their velocity and play."""
 
 from dataclasses import replace
 

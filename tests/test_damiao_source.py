@@ -11,7 +11,7 @@ from uuid import uuid4
 
 import numpy as np
 import pytest
-from made_servos import PATIENCE_S, servo_settings, taken
+from made_servos import PATIENCE_S, first_sample, servo_settings, taken
 
 from tauext.errors import ConfigError
 from tauext.monitor.source import SourceSettings, Stoppable
@@ -100,8 +100,7 @@ def test_a_state_is_taken_bit_by_bit(motors):
     motors.states[2] = bytes.fromhex("12 00 00 ff f0 00 1e 2b")
     source = source_of(motors)
     open_it(source)
-    (one,) = taken(source, 1)
-    source.close()
+    one = first_sample(source)
     assert one.q.tolist() == [12.5, -12.5] and one.dq.tolist() == [-30.0, 30.0] and one.tau.tolist() == [10.0, -10.0]
     assert one.temperature.tolist() == [42.0, 43.0] and one.q_des is None and one.current is None
 
@@ -113,8 +112,7 @@ def test_a_state_between_the_ends_is_linear(motors):
         motors.states[1] = state_of(1, 1, *numbers)
         source = source_of(motors, CanMotor("pan", 1, 0x11, 0.5, -1))
         open_it(source)
-        (one,) = taken(source, 1)
-        source.close()
+        one = first_sample(source)
         q, dq, tau = (
             -end + 2 * end * k / (2**bits - 1) for end, k, bits in zip(RANGES, numbers, (16, 12, 12), strict=True)
         )

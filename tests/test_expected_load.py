@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_arms import six_axis, urdf
+from made_arms import six_axis_tree
 from made_live import Keeper, ScriptedSource, samples_of
 
 from tauext import _core
@@ -22,7 +22,6 @@ from tauext.monitor.control_lines import obey
 from tauext.monitor.loads import Expected, expected_of_text
 from tauext.monitor.loop import Loop
 from tauext.monitor.profiles import load_profiles
-from tauext.robot.load import load_tree
 
 PICKED, SAMPLES = 2500, 6500
 MASS = 1.6
@@ -61,9 +60,7 @@ def arm(empty):
 
 @pytest.fixture(scope="module")
 def empty(tmp_path_factory):
-    path = tmp_path_factory.mktemp("arm") / "six.urdf"
-    path.write_text(urdf(six_axis()))
-    return load_tree(path)
+    return six_axis_tree(tmp_path_factory.mktemp("arm"))
 
 
 def rows(recording: Recording, begin: int, end: int | None) -> list[np.ndarray]:
@@ -109,31 +106,6 @@ def test_a_load_that_is_expected_is_found_where_the_last_joint_answers_in_ampere
     said = monitor.run(*rows(picks, PICKED - 200, None))
     assert (said["alarm"] == 0).all()
     assert monitor.load.mass == pytest.approx(MASS, rel=0.05)
-
-
-def test_a_push_within_the_window_is_a_collision(arm, empty):
-    bundle, picks = arm
-    pushed = picks.tau.copy()
-    pushed[PICKED:] = drive_torque(empty, picks.q, picks.dq)[PICKED:]
-    pushed[PICKED : PICKED + 300, 0] -= 20.0  # about the first axis alone: no load does that
-    monitor = _core.Monitor(bundle)
-    recording = replace(picks, tau=pushed)
-    monitor.run(*rows(recording, 0, PICKED - 200))
-    monitor.expect_load(2.0, 3.0)
-    said = monitor.run(*rows(recording, PICKED - 200, None))
-    raised = np.flatnonzero(said["alarm"] == COLLISION)
-    assert 200 < raised[0] < 300 and monitor.load.mass == 0
-
-
-@pytest.mark.parametrize(
-    ("seconds", "at_most", "words"),
-    [(0.0, 1.0, "60 s"), (61.0, 1.0, "60 s"), (1.0, 1e4, "must be 0 to"), (1, -1, "-1")],
-)
-def test_what_is_refused_says_why(arm, seconds, at_most, words):
-    monitor = _core.Monitor(arm[0])
-    with pytest.raises(_core.CoreError, match=words):
-        monitor.expect_load(seconds, at_most)
-    assert words in monitor.why_not_expected(seconds, at_most) and monitor.why_not_expected(1.0, 1.0) == ""
 
 
 def test_a_line_of_text_says_what_is_expected():

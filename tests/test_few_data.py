@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_arms import no_model, planar_arm
+from made_arms import no_model, planar_arm, planar_torque
 
 from tauext import _core
 from tauext.cli import main
@@ -26,18 +26,6 @@ RATE_HZ = 125.0
 EXACT = PAPER_CASES["exact"]
 
 
-def arm_torque(q: np.ndarray, dq: np.ndarray) -> np.ndarray:
-    """What the planar arm's drives exert without friction: p and beta of the core, dp/dt by differences."""
-    t_ns = np.arange(len(q), dtype=np.int64) * 8_000_000
-    settings = _core.ObserverSettings(
-        gain_per_s=1e4,  # so fast that r is the torque itself
-        timing=_core.TorqueTiming.averaged,
-        sample_period_ns=8_000_000,
-        network_stride=1,
-    )
-    return _core.observe(planar_arm(), settings, t_ns, q, dq, np.zeros_like(q)).residual
-
-
 def motion(seconds: float = 40.0, seed: int = 0, name: str = "made", still: bool = False, **changes) -> Recording:
     """Two joints on a smooth way of many sines, friction and noise of the torque."""
     rng = np.random.default_rng(seed)
@@ -49,7 +37,7 @@ def motion(seconds: float = 40.0, seed: int = 0, name: str = "made", still: bool
     )
     if still:
         q, dq = np.zeros_like(q) + [0.3, 0.4], np.zeros_like(dq)
-    torque = arm_torque(q, dq) + 3 * np.tanh(dq / 0.03) + 2 * dq + rng.normal(0, 0.1, q.shape)
+    torque = planar_torque(q, dq) + 3 * np.tanh(dq / 0.03) + 2 * dq + rng.normal(0, 0.1, q.shape)
     named = {"name": name, "joints": ("shoulder", "elbow"), "t_ns": np.arange(len(t), dtype=np.int64) * 8_000_000}
     meta = {"rate_hz": RATE_HZ, "torque_timing": "averaged", "source": "test", "robot_sha256": ""}
     return Recording(**(named | {"q": q, "dq": dq, "tau": torque} | meta | changes))

@@ -18,7 +18,7 @@ SHARED = Path(os.environ.get("TAUEXT_SHARED_DATA", ROOT.parent / "shared" / "dat
 FOUND_FAULTS = "check --data first"  # the one command that is to end with status 1
 
 
-def test_the_guide_names_every_code_of_the_doctor_and_no_other():
+def test_the_guide_names_every_code_of_the_check_and_no_other():
     table = GUIDE[GUIDE.index("| code |") :]
     assert set(re.findall(r"`([a-z]+(?:-[a-z]+)*)`", table)) == set(CODES)
 

@@ -8,10 +8,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made_arms import planar_arm, settings
-from made_bundles import LIMIT_NM, pushed, watching_bundle, with_error_scale
+from made_bundles import LIMIT_NM, TOOL_M, planar_tool_bundle, pushed, watching_bundle
 
-from tauext import _core
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.injected import SHAPES, Injection, curve, profile
 from tauext.report.entry import Entry
@@ -19,19 +17,7 @@ from tauext.report.force_figures import draw_injected, injected_table
 from tauext.report.results_file import read_injected
 
 SECONDS = 40.0
-UPPER_M, TOOL_M = 0.3, 0.2
-
-
-def planar() -> _core.Bundle:
-    bundle = _core.Bundle()
-    tree = planar_arm()
-    bundle.name, bundle.links, bundle.gravity, bundle.observer = "planar", tree.links, tree.gravity, settings()
-    bundle.sliding_limit_nm, bundle.near_stiction_limit_nm = [6.0, 3.0], [9.0, 4.0]
-    bundle.contact_sliding_limit_nm = bundle.contact_near_stiction_limit_nm = [2.0, 1.0]
-    load = bundle.load_settings
-    load.frame, load.link, load.translation = "tool", 1, [TOOL_M, 0.0, 0.0]
-    bundle.load_settings = load
-    return with_error_scale(bundle, 0.0)
+UPPER_M = 0.3
 
 
 def lever(q: np.ndarray) -> np.ndarray:
@@ -44,7 +30,7 @@ def lever(q: np.ndarray) -> np.ndarray:
 
 def test_a_force_is_one_vector_of_the_base_while_the_arm_moves():
     recording = pushed(seconds=SECONDS, pushes=())
-    injection = Injection({"planar": planar()}, 0, 30)
+    injection = Injection({"planar": planar_tool_bundle()}, 0, 30)
     tool = len(injection.places) - 1
     events = [event for copy in injection.draw(0, recording) for event in copy if event.place == tool]
     assert len(events) > 5
@@ -63,7 +49,7 @@ def test_a_force_is_one_vector_of_the_base_while_the_arm_moves():
 def test_events_are_drawn_by_seed_and_recording_and_leave_room_between_them():
     recording = pushed(seconds=SECONDS, pushes=())
     draws = [
-        Injection({"a": planar()}, seed, 30).draw(number, recording)
+        Injection({"a": planar_tool_bundle()}, seed, 30).draw(number, recording)
         for seed, number in ((0, 0), (0, 0), (1, 0), (0, 1))
     ]
     begins = [[event.begin for copy in draw for event in copy] for draw in draws]
@@ -136,5 +122,5 @@ def test_what_was_touched_gets_no_further_touch():
     recording = pushed(seconds=SECONDS, pushes=())
     contact = np.zeros(recording.samples, dtype=np.int8)
     contact[10_000:30_000] = 1
-    for copy in Injection({"planar": planar()}, 0, 30).draw(0, replace(recording, contact=contact)):
+    for copy in Injection({"planar": planar_tool_bundle()}, 0, 30).draw(0, replace(recording, contact=contact)):
         assert all(event.begin + len(event.tau_ext) <= 10_000 or event.begin >= 30_000 for event in copy)

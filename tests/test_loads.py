@@ -206,27 +206,6 @@ def test_told_at_the_grasp_no_push_is_seen_and_untold_it_weighs_on_every_joint(a
     assert np.abs(seen["tau_ext"][PICKED + 1000 :]).max() > 10
 
 
-@pytest.mark.parametrize("late", [100, 450, 1500])
-def test_told_later_with_the_time_of_the_grasp_the_push_is_gone_at_once(arm, late):
-    bundle, free, _ = arm
-    monitor = _core.Monitor(bundle)
-    monitor.run(*arrays(free, slice(0, PICKED + late)))
-    assert np.abs(monitor.last.tau_ext).max() > 1
-    set_tool(monitor, int(free.t_ns[PICKED]))
-    after = monitor.run(*arrays(free, slice(PICKED + late, None)))
-    rest = 40 * np.exp(-10) if late > 500 else 1e-9  # r remembers 10/K0, 0.5 s; 40 Nm is what it weighs at most
-    assert np.abs(after["tau_ext"]).max() < rest
-
-
-def test_told_later_without_that_time_the_push_goes_as_the_observer_forgets(arm):
-    bundle, free, _ = arm
-    monitor = _core.Monitor(bundle)
-    monitor.run(*arrays(free, slice(0, PICKED + 400)))
-    set_tool(monitor)
-    after = np.abs(monitor.run(*arrays(free, slice(PICKED + 400, None)))["tau_ext"]).max(axis=1)
-    assert after[0] > 1 and after[150] < 0.1 * after[0] and after[-1] < 1e-9  # e^-3
-
-
 def test_what_is_refused_says_why_and_changes_nothing(arm):
     bundle, free, _ = arm
     monitor = _core.Monitor(bundle)

@@ -51,57 +51,6 @@ def test_gradient_equals_stored_pytorch_gradient():
     assert error < 1e-5  # float against double through 100 steps
 
 
-@pytest.mark.parametrize(
-    "hidden, inputs, outputs, count", [(1, 1, 1, 1), (5, 3, 2, 18), (20, 21, 7, 70), (33, 4, 3, 9)]
-)
-def test_gradient_equals_finite_differences(hidden, inputs, outputs, count):
-    shape = _core.LstmShape(inputs, hidden, outputs)
-    parameters, windows, targets = random_case(hidden, shape, 12, count)
-    rows, ends = as_rows(windows)
-    step_inputs = [(f, 0) for f in range(inputs)]
-
-    def loss(p):
-        out = _core.lstm_forward(shape, p.astype(np.float32), rows, 1, 12, step_inputs, ends, 1)
-        return float(np.mean((out.astype(float) - targets) ** 2))
-
-    _, gradient = _core.lstm_gradient(
-        shape, parameters, rows, 1, 12, step_inputs, ends, beside(rows, ends, targets), 1, 2
-    )
-    rng = np.random.default_rng(1)
-    for _ in range(20):
-        direction = rng.normal(size=parameters.size)
-        direction /= np.linalg.norm(direction)
-        h = 2e-3
-        numeric = (loss(parameters + h * direction) - loss(parameters - h * direction)) / (2 * h)
-        # float rounding of the loss (1e-7) over 2 h, and the cubic term h^2.
-        assert numeric == pytest.approx(float(gradient @ direction), abs=3e-4)
-
-
-def test_forward_and_gradient_equal_pytorch():
-    torch = pytest.importorskip("torch")
-    shape = _core.LstmShape(21, 20, 7)
-    parameters, windows, targets = random_case(3, shape, 100, 130)
-    rows, ends = as_rows(windows)
-    step_inputs = [(f, 0) for f in range(21)]
-    lstm = torch.nn.LSTM(21, 20, batch_first=True).double()
-    head = torch.nn.Linear(20, 7).double()
-    tensors = [lstm.weight_ih_l0, lstm.weight_hh_l0, lstm.bias_ih_l0, head.weight, head.bias]
-    at = 0
-    for tensor in tensors:
-        tensor.data = torch.from_numpy(parameters[at : at + tensor.numel()]).double().reshape(tensor.shape)
-        at += tensor.numel()
-    lstm.bias_hh_l0.data.zero_()
-    output = head(lstm(torch.from_numpy(windows).double())[0][:, -1])
-    torch.nn.functional.mse_loss(output, torch.from_numpy(targets).double()).backward()
-    expected = np.concatenate([t.grad.numpy().ravel() for t in tensors])
-    out = _core.lstm_forward(shape, parameters, rows, 1, 100, step_inputs, ends, 2)
-    _, gradient = _core.lstm_gradient(
-        shape, parameters, rows, 1, 100, step_inputs, ends, beside(rows, ends, targets), 1, 2
-    )
-    np.testing.assert_allclose(out, output.detach().numpy(), atol=1e-6, rtol=0)
-    assert np.linalg.norm(gradient - expected) / np.linalg.norm(expected) < 1e-5
-
-
 def test_gradient_bytes_do_not_depend_on_the_number_of_threads():
     shape = _core.LstmShape(6, 20, 2)
     parameters, windows, targets = random_case(4, shape, 30, 333)
@@ -138,14 +87,6 @@ def test_strided_windows_with_lags_equal_windows_that_were_written_out():
     expected = _core.lstm_forward(shape, parameters, plain_rows, 1, length, [(0, 0), (1, 0), (2, 0)], plain_ends, 1)
     out = _core.lstm_forward(shape, parameters, rows, stride, length, inputs, ends, 1)
     assert out.tobytes() == expected.tobytes()
-
-
-def test_activations_stay_within_their_stated_error():
-    x = np.concatenate([np.linspace(-25, 25, 400_001), np.linspace(-1e-3, 1e-3, 1001)]).astype(np.float32)
-    sigmoid, tanh = _core.lstm_activations(x)
-    exact = x.astype(float)
-    assert np.abs(sigmoid - 1 / (1 + np.exp(-exact))).max() <= 5e-7
-    assert np.abs(tanh - np.tanh(exact)).max() <= 5e-7
 
 
 def test_a_nan_input_gives_a_nan_output():

@@ -163,16 +163,6 @@ def test_a_fault_has_a_name_and_the_state_outlives_it():
         monitor.restore_state(state[:-1] + bytes([state[-1] ^ 1]))
 
 
-def test_a_bundle_survives_its_bytes_and_damaged_bytes_are_refused():
-    bundle, _ = bundle_of_real_size()
-    content = bundle.to_bytes()
-    assert _core.Bundle.from_bytes(content).to_bytes() == content
-    with pytest.raises(TauextError, match="truncated"):
-        _core.Bundle.from_bytes(content[:-1])
-    with pytest.raises(TauextError, match="made by a newer tauext"):
-        _core.Bundle.from_bytes(content[:8] + b"\x63" + content[9:])
-
-
 def test_samples_of_another_arm_are_refused():
     bundle, _ = bundle_of_real_size()
     three = np.zeros((5, 3))

@@ -14,7 +14,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from mutations.cases import Case, broken_dataset, cases_of, judged_recording
 from mutations.changes import Change, Facts, broken_flags, broken_intervals, changed, pushed, with_load
 from mutations.good import ALL_KINDS, GoodSet
-from mutations.judging import FITTING, Seen, Worth, fits, markdown, verdict_after, verdict_before
+from mutations.judging import FITTING, Seen, Worth, fits, verdict_after, verdict_before
+from mutations.tables import markdown
 
 from tauext.check.finding import CODES
 from tauext.data.recording import Recording

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio_oracle as oracle
 import pytest
 from made_arms import planar_arm, regular_times, settings
-from made_bundles import SEVEN_AXIS, pushed, watching_bundle, with_error_scale
+from made_bundles import SEVEN_AXIS, planar_tool_bundle, pushed, watching_bundle, with_error_scale
 from scipy.spatial import HalfspaceIntersection
 
 from tauext import _core
@@ -46,16 +46,7 @@ def told(bundle: _core.Bundle, per_speed: float = 0.0) -> _core.Bundle:
 
 @pytest.fixture
 def planar() -> _core.Bundle:
-    """Two links of 0.3 m in the x-y plane; a tool 0.2 m on from the elbow's axis."""
-    bundle = _core.Bundle()
-    tree = planar_arm()
-    bundle.name, bundle.links, bundle.gravity, bundle.observer = "planar", tree.links, tree.gravity, settings()
-    bundle.sliding_limit_nm, bundle.near_stiction_limit_nm = LIMITS, NEAR
-    bundle.contact_sliding_limit_nm = bundle.contact_near_stiction_limit_nm = [2.0, 1.0]
-    load = bundle.load_settings
-    load.frame, load.link, load.translation = "tool", 1, [0.2, 0.0, 0.0]
-    bundle.load_settings = load
-    return told(bundle)
+    return planar_tool_bundle()
 
 
 def at_poses(bundle, q, limit=LIMITS, which=-1, frames=()):

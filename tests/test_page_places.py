@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made_bundles import constant_error_scale
 from made_page import smooth_arm
 
 from tauext import _core
@@ -33,11 +34,7 @@ def bundles(arm, tmp_path_factory):
     tree, free = load_tree(robot), practice_recording(arm, 1.0, 0, 0)
     bundle = make_bundle("free", build_setup(tree, free, ObserverConfig(window_s=0.1)), LIMIT_NM, free)
     bundle.save(str(folder / "deaf.tauext"))
-    scale = _core.ErrorScaleSettings()
-    scale.features = [_core.MotionFeature.constant]
-    scale.limit_weights = scale.largest = [1.0] * tree.size
-    scale.sigma_weights = scale.sigma_near_weights = scale.largest_sigma = [SIGMA_NM] * tree.size
-    bundle.error_scale = scale
+    bundle.error_scale = constant_error_scale([SIGMA_NM] * tree.size)
     bundle.capsules = link_capsules(robot, tree)[0]
     bundle.save(str(folder / "tauext.tauext"))
     return {name: str(folder / f"{name}.tauext") for name in ("tauext", "deaf")}

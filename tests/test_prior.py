@@ -201,49 +201,6 @@ def test_a_term_is_its_formula_through_the_observers_recurrence(name):
     np.testing.assert_allclose(regressors[:, 0], expected, rtol=0, atol=tolerance)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_presliding_states_equal_slow_stop_operators_on_a_random_walk(seed):
-    q = random_walk(4000, 2, seed)
-    widths = [1e-5, 1e-4, 1e-3, 1e-2, 0.1]
-    prior = _core.PriorSettings()
-    prior.widths_rad = widths
-    still = np.zeros_like(q)
-    states = _core.observe(planar_arm(), settings(), regular_times(len(q)), q, still, still, prior).presliding
-    assert states.shape == (4000, 10) and states.dtype == np.float32 and np.abs(states).max() == 1
-    expected = np.stack([twin_presliding(q, width) for width in widths], axis=2).reshape(4000, 10)
-    # Float32 holds 6e-8 of 1; the sums themselves agree to 4000 roundings of 1e-16 rad in widths of 1e-5.
-    np.testing.assert_allclose(states, expected, rtol=0, atol=1.5e-7)
-
-
-def test_weighted_regressors_are_the_prior_at_any_samples_and_for_any_number_of_terms():
-    t_ns, q, dq, tau = wild_motion()
-    tree, observer = three_joint_arm(), settings()
-    empty = [np.zeros((len(q), 3))] * 2
-    terms = [term for term, _, _ in formulas(q, dq, dq, empty).values()] * 2  # 40: more than one filter holds
-    weights = np.random.default_rng(5).normal(size=(3, len(terms)))
-    prior = prior_of(terms, weights, WIDTHS)
-    prior.branches = 3 * list(BRANCH)
-    rows = np.flatnonzero(np.random.default_rng(6).random(len(q)) < 0.3)
-    regressors = _core.prior_regressors(tree, observer, prior, t_ns, q, dq, tau, rows)
-    expected = _core.observe(tree, observer, t_ns, q, dq, tau, prior).prior[rows]
-    # The same numbers added up in another order: up to 100 Nm in the 16th digit.
-    np.testing.assert_allclose(regressors @ weights.T, expected, rtol=0, atol=1e-9)
-
-
-def test_with_the_true_model_as_its_correction_what_is_left_is_the_true_models_residual():
-    true, wrong = planar_arm(), perturbed(planar_arm(), mass_factor=0.5, com_factor=0.7)
-    made = record(true, motion(1, 20.0))
-    prior = _core.PriorSettings()
-    prior.corrected_links = true.links
-    signals = (made.t_ns, made.q, made.dq, made.tau)
-    observer = settings("averaged", RATE_HZ)
-    said = _core.observe(wrong, observer, *signals, prior)
-    exact = _core.observe(true, observer, *signals).residual
-    assert np.abs(said.residual).max() > 10
-    np.testing.assert_allclose(exact, 0, atol=1e-9)  # the motion is closed: nothing but rounding
-    np.testing.assert_allclose(said.residual - said.prior, exact, rtol=0, atol=1e-9)
-
-
 # --- recordings of known friction
 
 
@@ -363,7 +320,9 @@ def test_known_friction_is_recovered_within_its_standard_errors():
             # Four: errors from five parts scatter by a third themselves.
             assert abs(weight - values[joint]) < 4 * error, (joint, kind, weight, error)
             assert abs(weight) > 10 * error and fit.determined[joint, m] > 0.9
+            assert fit.weights[1 - joint, m] == 0
     assert fit.corrections.size == 0 and not fit.settings.corrected_links
+    np.testing.assert_array_equal(fit.weights.ravel(), fit.settings.weights)
 
 
 def test_held_torques_at_1_khz_tell_the_same_friction():
@@ -392,13 +351,6 @@ def test_terms_that_are_not_in_the_friction_do_not_stand_out_of_their_standard_e
             m = where(fit, joint, kind, width)
             assert fit.standard_errors[joint, m] > abs(fit.weights[joint, m]) / 4
             assert fit.standard_errors[joint, m] > 0
-
-
-def test_friction_of_one_joint_has_no_weight_in_another():
-    fit = fit_prior(setup_of(planar_arm()), recordings(loaded), ONE_SPEED)
-    for m, term in enumerate(fit.settings.terms):
-        assert fit.weights[1 - term.a, m] == 0
-    np.testing.assert_array_equal(fit.weights.ravel(), fit.settings.weights)
 
 
 def test_what_is_left_of_new_recordings_is_the_noise_and_the_error_that_was_promised():

@@ -40,6 +40,16 @@ def observer(recipe="observer") -> _core.Bundle:
     return make_bundle("observer", setup, 0.02, made)
 
 
+def alarms_of(bundle: _core.Bundle, least: int) -> int:
+    """Alarms of this level or above in six other minutes."""
+    alarms = 0
+    for k in range(10, 16):
+        made = noisy(k)
+        said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
+        alarms += len(cluster_peaks((said["held_alarm"] >= least).astype(float), made.time_s, floor=0.5))
+    return alarms
+
+
 def test_the_promised_rate_is_kept_on_recordings_that_were_not_calibrated_on():
     bundle = observer()
     found = promised_limits(bundle, lambda: (noisy(k) for k in range(1, 6)), BUDGET, 1)
@@ -47,13 +57,8 @@ def test_the_promised_rate_is_kept_on_recordings_that_were_not_calibrated_on():
     apply_promised(bundle, found, BUDGET)
     assert bundle.hold_s == found.hold_s and bundle.contact_hold_s == 0
     assert bundle.contact_sliding_limit_nm[0] <= bundle.sliding_limit_nm[0] <= bundle.near_stiction_limit_nm[0]
-    alarms = 0
-    for k in range(10, 16):
-        made = noisy(k)
-        said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
-        alarms += len(cluster_peaks((said["held_alarm"] == 2).astype(float), made.time_s, floor=0.5))
     # 0.1 h at 50 an hour are 5 alarms at most; 12 would be seen in less than 1 of 100 such tests.
-    assert alarms < 12
+    assert alarms_of(bundle, 2) < 12
     json.dumps(found.facts(), allow_nan=False)
 
 
@@ -117,13 +122,8 @@ def test_contacts_keep_their_rate_where_collisions_take_a_hold_time():
     found = promised_limits(bundle, lambda: (noisy(k) for k in range(1, 6)), BUDGET, 1)
     apply_promised(bundle, found, BUDGET)
     assert bundle.contact_hold_s == bundle.hold_s > 0
-    contacts = 0
-    for k in range(10, 16):
-        made = noisy(k)
-        said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
-        contacts += len(cluster_peaks((said["held_alarm"] >= 1).astype(float), made.time_s, floor=0.5))
     # 0.1 h at 600 an hour are 60; 90 would be seen in less than 1 of 1000 such tests.
-    assert contacts < 90
+    assert alarms_of(bundle, 1) < 90
 
 
 def test_limits_with_even_odds_keep_the_supported_budget_about():
@@ -132,13 +132,8 @@ def test_limits_with_even_odds_keep_the_supported_budget_about():
     even = promised_limits(bundle, lambda: [noisy(1)], asked, 1, level_confidence=0.5)
     assert even.budget == sure.budget and even.collision.sliding_nm < sure.collision.sliding_nm
     apply_promised(bundle, even, asked)
-    alarms = 0
-    for k in range(10, 16):
-        made = noisy(k)
-        said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
-        alarms += len(cluster_peaks((said["held_alarm"] == 2).astype(float), made.time_s, floor=0.5))
     # 6 minutes at 1 in 20 s are 18; a level of even odds is crossed up to twice as often on average.
-    assert 1 < alarms < 50
+    assert 1 < alarms_of(bundle, 2) < 50
 
 
 def test_too_little_calibration_is_refused_and_says_how_much_more():

@@ -153,18 +153,6 @@ def test_a_clock_that_is_set_back_costs_no_sample(listen, robot, topic):
     assert live.notes() == [f"{topic}: the stamp went back by 3.6e+03 s: the time of reception is used"]
 
 
-def test_every_tenth_sample_of_a_fast_publisher(listen, robot):
-    live, arm = listen(period_ms=10, timing="instant"), robot()
-    arm.meets()
-    for _ in range(6):
-        arm.send(50)
-        received(live, 0.01) if arm.sent < 300 else None
-    assert live.counts.lost == 0
-    arm.send(60)
-    times = [sample.t_ns for sample in received(live)]
-    assert np.unique(np.diff(times)).tolist() == [10 * MS]
-
-
 def test_torques_that_mean_averages_are_averaged_over_what_is_left_out(listen, robot):
     live, arm = listen(period_ms=10, timing="averaged"), robot()
     arm.meets()
@@ -173,15 +161,6 @@ def test_torques_that_mean_averages_are_averaged_over_what_is_left_out(listen, r
     # Effort of the first joint is 10 k: ten samples up to the given one have a mean 45 below its own.
     assert second.tau[0] == 10 * second.q[0] - 45
     assert second.q[0] == first.q[0] + 10
-
-
-@pytest.mark.parametrize(("step_ms", "rule"), [(2, "less than"), (0.7, "no multiple of")])
-def test_another_rate_is_given_on_whole_and_named(listen, robot, topic, step_ms, rule):
-    live, arm = listen(), robot(step_ns=round(step_ms * MS))
-    arm.meets()
-    arm.send(LEARNT_FROM + 10)
-    assert len(received(live)) == 11
-    assert f"{topic}: {1000 / step_ms:.4g} samples a second are {rule} the bundle's 1000" in live.notes()[0]
 
 
 def test_samples_that_a_late_reader_lost_are_counted(listen, robot):

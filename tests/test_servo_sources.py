@@ -19,6 +19,7 @@ from made_servos import (
     MadeServoBus,
     bus_file,
     crc16,
+    first_sample,
     patient,
     servo_bundle,
     servo_settings,
@@ -322,11 +323,7 @@ class Two(MadeServoBus):
 
     def sample(self, *joints: ServoJoint, **settings):
         """The first sample of a source."""
-        source = self.opened(*joints, **settings)
-        try:
-            return taken(source, 1)[0]
-        finally:
-            source.close()
+        return first_sample(self.opened(*joints, **settings))
 
 
 def checked(asked: str) -> bytes:

@@ -74,10 +74,6 @@ def test_a_fleet_prior_of_small_datasets_ends_in_one_or_in_one_line(arm, signals
     expect_sound(of_number(number(arm, signals), fleets=True))
 
 
-def test_there_are_three_hundred_small_datasets():
-    assert COUNT >= 300
-
-
 def problem(rng: np.random.Generator, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
     """Columns, some of them nearly the same, and a target."""
     X = rng.normal(size=(rows, columns)) * 10 ** rng.uniform(-2, 2, columns)

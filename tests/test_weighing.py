@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_arms import planar_rig, random_states, six_axis, urdf
+from made_arms import planar_rig, six_axis_tree, urdf
 from made_recordings import Drive, made_motion
 
 from tauext import _core
@@ -57,9 +57,7 @@ def carrying(tree: _core.Tree, phi: np.ndarray) -> _core.Tree:
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory) -> _core.Tree:
-    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    path.write_text(urdf(six_axis()))
-    return load_tree(path)
+    return six_axis_tree(tmp_path_factory.mktemp("arm"))
 
 
 @pytest.fixture(scope="module")
@@ -82,27 +80,6 @@ def bundle_of(tree: _core.Tree, recording: Recording) -> _core.Bundle:
     return bundle
 
 
-def test_columns_are_what_pinocchio_says_a_load_adds(tmp_path):
-    pinocchio = pytest.importorskip("pinocchio_oracle")
-    parts = six_axis()
-    q, dq = random_states(len(parts), 200, seed=1)
-    joints = [part.joint for part in parts]
-    (tmp_path / "arm.urdf").write_text(urdf(parts))
-    tree = load_tree(tmp_path / "arm.urdf")
-    last = tree.links[-1]
-    # the same load twice: by our link frame, whose origin is the joint's, and as a heavier last part at its own com
-    part = parts[-1]
-    heavier = replace(part, mass=2 * part.mass, inertia=2 * part.inertia)
-    without, with_it = (
-        pinocchio.momentum(pinocchio.read_model(urdf(arm)), q, dq, joints) for arm in (parts, [*parts[:-1], heavier])
-    )
-    phi = inertial_parameters(last)[:10]
-    columns = _core.load_columns(tree, _core.LoadFrame(len(parts) - 1), q, dq)
-    for found, more, less in zip(columns, with_it, without, strict=True):
-        expected = more - less
-        assert np.abs(found @ phi - expected).max() <= 1e-9 * np.abs(expected).max()
-
-
 def test_an_unmodelled_load_shows_what_its_columns_say(arm, free_motion):
     phi = phi_of(MASS, COM)
     signals = (free_motion.t_ns, free_motion.q, free_motion.dq, free_motion.tau)
@@ -114,16 +91,6 @@ def test_an_unmodelled_load_shows_what_its_columns_say(arm, free_motion):
     # tau_ext of the arm that carries it, seen by the model that lacks it, is lower by what the model would add
     np.testing.assert_allclose(told["load"] @ phi, (without - carrying_it)[rows], atol=1e-9)
     assert np.abs(told["offset"]).max() == 0
-
-
-def test_gravity_of_a_load_pulls_as_a_force_along_it(arm, free_motion):
-    still = np.zeros_like(free_motion.dq)
-    bundle = bundle_of(arm, free_motion)
-    rows = np.array([free_motion.samples - 1])
-    pose = np.repeat(free_motion.q[:1], free_motion.samples, axis=0)
-    told = _core.load_rows(bundle, _core.LoadFrame(5), [0.0] * 10, free_motion.t_ns, pose, still, rows)
-    force = told["base_forces"] @ np.array(arm.gravity)
-    np.testing.assert_allclose(told["load"][..., 0], force, atol=1e-6)
 
 
 def test_mass_and_centre_are_found(arm, loaded_motion, free_motion):
@@ -249,6 +216,12 @@ def test_a_force_that_does_not_turn_as_gravity_would_is_no_load(arm, free_motion
     assert sentence.startswith("this does not turn as gravity would: a constant force of (20.")
     lifted = identify(bundle, load_frame(bundle), [see(bundle, pushed(arm, free_motion, np.array([0.0, 0.0, 15.0])))])
     assert lifted.verdict in ("contact", "lifts")
+
+
+def test_what_pulls_up_as_gravity_would_pull_down_is_no_load(arm, free_motion):
+    recording = made_motion(carrying(arm, phi_of(-0.5, COM)), 0.2, pieces=1, seed=5, drive=QUIET).recordings[0]
+    bundle = bundle_of(arm, free_motion)
+    assert identify(bundle, load_frame(bundle), [see(bundle, recording)]).verdict == "lifts"
 
 
 def test_one_pose_hides_the_centre_along_gravity_and_some_poses_do_not(arm, free_motion):

@@ -1,7 +1,4 @@
-"""One case: a folder, a command line and what is hostile about it, all drawn from a seed and the case's number.
-
-The options of every command are found by looking at the commands themselves.
-"""
+"""One case: a folder, a command line and what is hostile about it, all drawn from a seed and the case's number."""
 
 from __future__ import annotations
 
@@ -62,8 +59,23 @@ RARE = {"reproduce": 0.1, "demo": 0.1, "report": 0.2, "evaluate": 0.4, "calibrat
 RARE |= {"fleet prior": 0.1, "fleet run": 0.4}
 RARE |= {"results": 0.2, "flight": 0.4, "run.json": 0.4}
 """Commands and readers whose good lines take seconds come so much less often."""
-WRITERS = (SIMULATE, TRAIN, NETWORK, EVALUATE, CHECK, REPORT, FLIGHT, RUN, RECORD, CONVERT, IMPORT, LEROBOT, NEW)
-WRITERS += (LABEL, NEW_BUS, FLEET, FLEET_PRIOR, "fleet example --out out/fleet.toml")
+WRITERS: tuple[str, ...] = (
+    SIMULATE,
+    TRAIN,
+    NETWORK,
+    EVALUATE,
+    CHECK,
+    REPORT,
+    FLIGHT,
+    RUN,
+    RECORD,
+    CONVERT,
+    IMPORT,
+    LEROBOT,
+    NEW,
+)
+WRITERS += (LABEL, NEW_BUS)
+WRITERS += (FLEET, FLEET_PRIOR, "fleet example --out out/fleet.toml")
 BUNDLE = ("show {}", "show {}", "run {} data/free-006.parquet", "evaluate --data data --out out/results --bundles {}")
 BUNDLE += ("calibrate --bundle {} --data hours --out out/a.tauext",)
 BUNDLE += ("refit {} --data data/free-000.parquet --out out/a.tauext",)

@@ -13,9 +13,7 @@ import lerobot_arm
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from made_recordings import write_bag
 from scipy.io import savemat
 
 from tauext import _core
@@ -28,7 +26,7 @@ from tauext.fit.ridge import WeightPrior
 
 EVERY = 10
 """Of 1000 samples a second: files in other formats stay small."""
-OLD_BUNDLE = Path(__file__).parents[1] / "golden/format-4-amperes.tauext"
+OLD_BUNDLE = Path(__file__).parents[2] / "tests/golden/format-4-amperes.tauext"
 TOUCHED_S = 12.0
 LITTLE = ("--minutes", "1", "--collision-recordings", "1")
 ARM = """[robot]
@@ -237,23 +235,19 @@ def make_formats(folder: Path, data: Path) -> None:
         for name, values in arrays.items():
             file[name] = values
     savemat(folder / "arm.mat", arrays)
-    write_bag(folder / "arm", recording, "sqlite3")
-    write_bag(folder / "arm-mcap", recording, "mcap")
-    write_bag(folder / "arm.bag", recording, "ros1")
+    stamps_ns = (10**18 + recording.t_ns[::EVERY]).tolist()
+    messages = [
+        (stamp_ns, stamp_ns, recording.joints, *values)
+        for stamp_ns, *values in zip(stamps_ns, arrays["q"], arrays["dq"], arrays["tau"], strict=True)
+    ]
+    for name, kind in (("arm", "sqlite3"), ("arm-mcap", "mcap"), ("arm.bag", "ros1")):
+        write_bag(folder / name, kind, {"/joint_states": messages})
     (folder / "robot.xml").write_bytes((data / "robot.xml").read_bytes())
     (folder / "robot.urdf").write_text(URDF)
     for name, text in (("table.toml", ARM), ("arrays.toml", ARRAYS), ("topics.toml", TOPICS)):
         (folder / name).write_text(text)
-    lerobot = [
-        "import",
-        "--source",
-        str(folder / "arm.csv"),
-        "--arm",
-        str(folder / "table.toml"),
-        "--format",
-        "lerobot",
-    ]
-    done([*lerobot, "--out", str(folder / "lerobot")])
+    source, arm, out = (str(folder / name) for name in ("arm.csv", "table.toml", "lerobot"))
+    done(["import", "--source", source, "--arm", arm, "--format", "lerobot", "--out", out])
     (folder / "constants.toml").write_text("[nm_per_ampere]\njoint1 = 1.0\njoint2 = 2.0\n")
 
 
@@ -270,22 +264,3 @@ def make_servos(folder: Path) -> None:
     done(["train", "--data", data, "--out", str(folder / "servos.tauext"), "--recipe", "observer"])
     (folder / "bus.toml").write_text(BUS)
     (folder / "can.toml").write_text(CAN)
-
-
-def write_bag(path: Path, recording, kind: str) -> None:
-    """JointState messages, a bag of ROS 1 or ROS 2."""
-    ros1 = kind == "ros1"
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    types, message = store.types, "sensor_msgs/msg/JointState"
-    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-    with Writer1(path) if ros1 else Writer(path, version=9, storage_plugin=plugin) as writer:
-        connection = writer.add_connection("/joint_states", message, typestore=store)
-        for k in range(0, recording.samples, EVERY):
-            stamp_ns = 10**18 + int(recording.t_ns[k])
-            stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
-            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="", **({"seq": k} if ros1 else {}))
-            values = {"position": recording.q[k], "velocity": recording.dq[k], "effort": recording.tau[k]}
-            values = {name: np.array(value) for name, value in values.items()}
-            content = types[message](header=header, name=list(recording.joints), **values)
-            raw = (store.serialize_ros1 if ros1 else store.serialize_cdr)(content, message)
-            writer.write(connection, stamp_ns, raw)

@@ -32,7 +32,8 @@ import numpy as np
 
 from mutations.cases import Case, broken_dataset, cases_of, judged_recording
 from mutations.good import ALL_KINDS, NAMES, GoodSet, look_at_good, make_good_sets
-from mutations.judging import LET_IN, Seen, Worth, fits, looked_at, markdown, verdict_after, verdict_before, worth_of
+from mutations.judging import Seen, Worth, fits, looked_at, verdict_after, verdict_before, worth_of
+from mutations.tables import LET_IN, markdown
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
 

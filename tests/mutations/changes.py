@@ -38,7 +38,7 @@ class Change:
     """One mutation of a recording."""
 
     what: str
-    """A key of CHANGES."""
+    """A case of `changed`, or one of cases.py: load, donor-NAME, label-WHAT."""
     signals: tuple[str, ...] = SIGNALS
     joints: tuple[int, ...] = ()
     """None: all."""
@@ -58,116 +58,61 @@ def changed(recording: Recording, change: Change, facts: Facts, rng: np.random.G
     Raises:
         RecordingError: no recording may be so.
     """
-    joints = list(change.joints) or list(range(len(recording.joints)))
-    return CHANGES[change.what](recording, change, joints, facts, rng)
-
-
-def _each(recording: Recording, change: Change, new: Callable[[str, np.ndarray], None]) -> Recording:
-    """With a copy of each signal that `new` has written into."""
+    if change.what == "time-unit":
+        return _time_unit(recording, change.size)
+    if change.what == "thinned":
+        return _thinned(recording, int(change.size))
+    joints, size, time_s = list(change.joints) or list(range(len(recording.joints))), change.size, recording.time_s
+    rows, sign = _rows_of(recording, change, joints, rng)
     signals = {name: getattr(recording, name).copy() for name in change.signals}
     for name, values in signals.items():
-        new(name, values)
+        match change.what:
+            case "factor":  # another unit, or the opposite sign
+                values[:, joints] *= size
+            case "amperes":  # currents that stand as torques
+                values[:, joints] /= facts.nm_per_ampere[joints]
+            case "exchange":  # two joints' columns, one for the other
+                values[:, joints] = values[:, joints[::-1]]
+            case "zero":  # positions count from elsewhere, by so many rad
+                values[:, joints] += size
+            case "delay":  # later by so many seconds than the other signals
+                for j in joints:
+                    values[:, j] = np.interp(time_s - size, time_s, values[:, j])
+            case "stuck":
+                values[rows, joints] = values[rows.start, joints]
+            case "spike" if name == "q":  # a position is off by rad
+                values[rows, joints] += sign * size
+            case "spike":  # a velocity or torque is so many times the largest
+                values[rows, joints] = sign * size * facts.largest[name][joints]
+            case _:
+                raise KeyError(change.what)
     return replace(recording, **signals)
 
 
-def factor(
-    recording: Recording, change: Change, joints: list[int], facts: Facts, rng: np.random.Generator
-) -> Recording:
-    """Times the size: another unit, or the opposite sign."""
-
-    def scale(_: str, values: np.ndarray) -> None:
-        values[:, joints] *= change.size
-
-    return _each(recording, change, scale)
-
-
-def amperes(
-    recording: Recording, change: Change, joints: list[int], facts: Facts, rng: np.random.Generator
-) -> Recording:
-    """Currents that stand as torques."""
-
-    def divide(_: str, values: np.ndarray) -> None:
-        values[:, joints] /= facts.nm_per_ampere[joints]
-
-    return _each(recording, change, divide)
-
-
-def exchange(
-    recording: Recording, change: Change, joints: list[int], facts: Facts, rng: np.random.Generator
-) -> Recording:
-    """Two joints' columns, one for the other."""
-    first, second = joints
-
-    def swap(_: str, values: np.ndarray) -> None:
-        values[:, [first, second]] = values[:, [second, first]]
-
-    return _each(recording, change, swap)
-
-
-def spike(recording: Recording, change: Change, joints: list[int], facts: Facts, rng: np.random.Generator) -> Recording:
-    """A few samples in a row: a velocity or torque is set to so many times the largest, a position is off by rad."""
-    count = int(change.length)
-    begin = int(rng.integers(recording.samples // 10, max(recording.samples // 10 + 1, recording.samples - count)))
-    rows, sign = slice(begin, begin + count), float(rng.choice([-1, 1]))
-
-    def put(name: str, values: np.ndarray) -> None:
-        if name == "q":
-            values[rows, joints] += sign * change.size
-        else:
-            values[rows, joints] = sign * change.size * facts.largest[name][joints]
-
-    return _each(recording, change, put)
-
-
-def stuck(recording: Recording, change: Change, joints: list[int], facts: Facts, rng: np.random.Generator) -> Recording:
-    """A signal keeps a value for some seconds while its joint moves; infinite: for the whole recording."""
-    count = recording.samples
-    begin = 0
-    if np.isfinite(change.length):
-        count = min(round(change.length * recording.rate_hz), recording.samples)
-        tries = rng.integers(0, max(1, recording.samples - count), STUCK_TRIES)
+def _rows_of(recording: Recording, change: Change, joints: list[int], rng: np.random.Generator) -> tuple[slice, float]:
+    """The rows that are spiked or stuck, and the sign of a spike."""
+    samples, first = recording.samples, recording.samples // 10
+    if change.what == "spike":
+        count = int(change.length)
+        begin = int(rng.integers(first, max(first + 1, samples - count)))
+        return slice(begin, begin + count), float(rng.choice([-1, 1]))
+    if change.what == "stuck" and np.isfinite(change.length):  # where the joint moves most, of some places
+        count = min(round(change.length * recording.rate_hz), samples)
+        tries = rng.integers(0, max(1, samples - count), STUCK_TRIES)
         moved = [np.ptp(recording.q[at : at + count, joints], axis=0).max() for at in tries]
         begin = int(tries[int(np.argmax(moved))])
-
-    def hold(_: str, values: np.ndarray) -> None:
-        values[begin : begin + count, joints] = values[begin, joints]
-
-    return _each(recording, change, hold)
+        return slice(begin, begin + count), 1.0
+    return slice(0, samples), 1.0
 
 
-def delay(recording: Recording, change: Change, joints: list[int], facts: Facts, rng: np.random.Generator) -> Recording:
-    """Later by so many seconds than the other signals."""
-    time_s = recording.time_s
-
-    def late(_: str, values: np.ndarray) -> None:
-        for j in joints:
-            values[:, j] = np.interp(time_s - change.size, time_s, values[:, j])
-
-    return _each(recording, change, late)
-
-
-def time_unit(
-    recording: Recording, change: Change, joints: list[int], facts: Facts, rng: np.random.Generator
-) -> Recording:
+def _time_unit(recording: Recording, size: float) -> Recording:
     """Stamps counted from the first, times the size; the nominal rate follows, as an import takes it from them."""
-    steps = np.round((recording.t_ns - recording.t_ns[0]) * change.size).astype(np.int64)
-    return replace(recording, t_ns=recording.t_ns[0] + steps, rate_hz=recording.rate_hz / change.size)
+    steps = np.round((recording.t_ns - recording.t_ns[0]) * size).astype(np.int64)
+    return replace(recording, t_ns=recording.t_ns[0] + steps, rate_hz=recording.rate_hz / size)
 
 
-def zero(recording: Recording, change: Change, joints: list[int], facts: Facts, rng: np.random.Generator) -> Recording:
-    """Positions count from elsewhere, by so many rad."""
-
-    def shift(_: str, values: np.ndarray) -> None:
-        values[:, joints] += change.size
-
-    return _each(recording, change, shift)
-
-
-def thinned(
-    recording: Recording, change: Change, joints: list[int], facts: Facts, rng: np.random.Generator
-) -> Recording:
+def _thinned(recording: Recording, step: int) -> Recording:
     """Every so manieth row alone."""
-    step = int(change.size)
     signals = {
         name: values[::step]
         for name in (*SIGNALS, "t_ns", "tau_jts", "tau_ext", "tau_ext_sensor", "q_des", "temperature", "contact",
@@ -175,19 +120,6 @@ def thinned(
         if (values := getattr(recording, name)) is not None
     }  # fmt: skip
     return replace(recording, rate_hz=recording.rate_hz / step, **signals)
-
-
-CHANGES = {
-    "factor": factor,
-    "amperes": amperes,
-    "exchange": exchange,
-    "spike": spike,
-    "stuck": stuck,
-    "delay": delay,
-    "time-unit": time_unit,
-    "zero": zero,
-    "thinned": thinned,
-}
 
 
 SMOOTH_HZ = 10.0

@@ -1,4 +1,4 @@
-"""Loads that the core finds beside those that NumPy does, and weighed inside the loop beside a recording."""
+"""Loads weighed inside the loop, beside the same recording weighed as a whole; and the sums behind both."""
 
 from __future__ import annotations
 
@@ -7,42 +7,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import slow_weighing
-from made_arms import six_axis, urdf
+from made_arms import six_axis_tree
 from made_live import Keeper, ScriptedSource, samples_of
-from made_recordings import Drive, made_motion
+from made_recordings import made_motion
+from test_weighing import COM, MASS, QUIET, bundle_of, carrying, phi_of
 
 from tauext import _core
 from tauext.cli.json_lines import found_facts
 from tauext.cli.text_lines import weigh_words
-from tauext.config import ObserverConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.monitor.changes import WeighChange
 from tauext.monitor.control_lines import obey
 from tauext.monitor.loop import Loop
 from tauext.monitor.weighing import identify, load_frame, see
-from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
-from tauext.robot.load import load_tree
-
-MASS, COM = 1.6, np.array([0.03, -0.05, 0.08])
-QUIET = Drive(friction=0.0, noise=0.003)
 
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory) -> _core.Tree:
-    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    path.write_text(urdf(six_axis()))
-    return load_tree(path)
-
-
-def carrying(tree: _core.Tree, mass: float, com: np.ndarray) -> _core.Tree:
-    links = tree.links
-    inertia = 6e-4 * mass * np.eye(3) + mass * (com @ com * np.eye(3) - np.outer(com, com))
-    phi = np.r_[mass, mass * com, np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2], 0.0]
-    links[-1] = with_inertial_parameters(links[-1], inertial_parameters(links[-1]) + phi)
-    return _core.Tree(links, tree.gravity)
+    return six_axis_tree(tmp_path_factory.mktemp("arm"))
 
 
 @pytest.fixture(scope="module")
@@ -50,64 +33,22 @@ def recordings(arm) -> dict[str, Recording]:
     def moved(tree: _core.Tree, seed: int) -> Recording:
         return made_motion(tree, 0.2, pieces=1, seed=seed, drive=QUIET).recordings[0]
 
-    free = moved(arm, 4)
-    weight = _core.Tree(arm.links, [20.0, 5.0, 0.0])  # beta of a weight along these axes is what pushes
-    pull = _core.load_columns(weight, _core.LoadFrame(5), free.q, 0 * free.dq)[1][..., 0]
-    return {
-        "free": free,
-        "loaded": moved(carrying(arm, MASS, COM), 3),
-        "pushed": replace(free, tau=free.tau + pull),
-        "lifted": moved(carrying(arm, -0.5, COM), 5),
-    }
-
-
-def bundle_of(tree: _core.Tree, recording: Recording, rubs: bool = False) -> _core.Bundle:
-    """The plain observer; rubs: with a prior whose gears rub more under a load."""
-    bundle = make_bundle("arm", build_setup(tree, recording, ObserverConfig()), 0.02, recording)
-    spread = recording.tau.std(axis=0)
-    bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = (5 * (0.01 * spread + 0.02)).tolist()
-    bundle.possible_torque_nm = [1e6] * tree.size
-    if rubs:
-        prior = _core.PriorSettings()
-        prior.terms = [_core.Term(_core.TermKind.load, j, speed=0.05) for j in range(tree.size)]
-        prior.weights = (-0.1 * np.eye(tree.size)).ravel().tolist()
-        bundle.prior = prior
-    return bundle
-
-
-@pytest.mark.parametrize("what", ["free", "loaded", "pushed", "lifted"])
-@pytest.mark.parametrize("rubs", [False, True])
-def test_the_core_finds_what_numpy_does(arm, recordings, what, rubs):
-    bundle = bundle_of(arm, recordings["free"], rubs)
-    frame, seen = load_frame(bundle), see(bundle, recordings[what])
-    for parts in ([seen], [seen.part(seen.time_s < 3.0), seen.part((seen.time_s > 4.0) & (seen.time_s < 5.5))]):
-        found, slow = identify(bundle, frame, parts), slow_weighing.identify(bundle, frame, parts)
-        assert found.verdict == slow.verdict
-        assert found.seconds == pytest.approx(slow.seconds)
-        for name in ("mass_kg", "mass_error_kg", "misfit"):
-            assert getattr(found, name) == pytest.approx(getattr(slow, name), rel=1e-8, abs=1e-9), name
-        for name in ("com_m", "com_error_m", "phi", "covariance", "com_covariance"):
-            was, now = getattr(slow, name), getattr(found, name)
-            np.testing.assert_allclose(now, was, rtol=1e-7, atol=1e-9 * np.abs(was).max(), err_msg=name)
-        assert (found.mass_seen, found.at_bound) == (slow.mass_seen, slow.at_bound)
-        assert len(found.unseen) == len(slow.unseen)
-        for kind, fit in found.fits.items():
-            assert fit.cost == pytest.approx(slow.fits[kind].cost, rel=1e-8), kind
-            np.testing.assert_allclose(fit.values, slow.fits[kind].values, rtol=1e-7, atol=1e-8, err_msg=kind)
-            assert fit.correlation == pytest.approx(slow.fits[kind].noise.correlation)
+    return {"free": moved(arm, 4), "loaded": moved(carrying(arm, phi_of(MASS, COM)), 3)}
 
 
 def test_sums_are_those_of_numpy():
     rng = np.random.default_rng(1)
     z, sigma = rng.standard_normal((250, 3, _core.LoadSums.COLUMNS)), rng.uniform(0.1, 1, (250, 3))
-    worth, sums, slow = rng.uniform(0, 1, (250, 3)), _core.LoadSums(3), slow_weighing.Normal.empty(3)
-    slow.gram, slow.blocks = np.zeros((2, 3, 20, 20))
+    worth, sums = rng.uniform(0, 1, (250, 3)), _core.LoadSums(3)
     for rows in (slice(0, 130), slice(130, 250)):
         sums.add(z[rows], sigma[rows], worth[rows])
-        slow.add(z[rows], sigma[rows], worth[rows])
-    np.testing.assert_allclose(sums.whole, slow.gram, rtol=1e-12, atol=1e-9)
-    np.testing.assert_allclose(sums.blocks, slow.blocks, rtol=1e-12, atol=1e-9)
-    np.testing.assert_allclose(sums.worth, slow.worth)
+    scaled = z / sigma[..., None]
+    weighted = worth[..., None] * scaled
+    np.testing.assert_allclose(sums.whole, np.einsum("kja,kjb->jab", weighted, scaled), rtol=1e-12, atol=1e-9)
+    # Blocks of 100 rows, which begin anew with every call.
+    blocks = np.stack([weighted[slice(*ends)].sum(axis=0) for ends in ((0, 100), (100, 130), (130, 230), (230, 250))])
+    np.testing.assert_allclose(sums.blocks, np.einsum("bja,bjc->jac", blocks, blocks), rtol=1e-12, atol=1e-9)
+    np.testing.assert_allclose(sums.worth, worth.sum(axis=0))
     assert sums.rows == 250
     with pytest.raises(_core.CoreError, match=r"must have the shape \(rows, 3, 20\)"):
         sums.add(z[:, :2].copy(), sigma, worth)
@@ -153,14 +94,6 @@ def test_where_nothing_can_be_weighed_says_why(arm, recordings):
     bundle.load_settings = _core.LoadSettings()
     with pytest.raises(_core.CoreError, match="no load can be weighed: the bundle names no frame for a load"):
         _core.Monitor(bundle).start_weighing()
-
-
-def test_two_loads_are_one(arm):
-    one, two = _core.Load(1.0, [0.1, 0.0, 0.0], [0.01, 0.02, 0.02, 0, 0, 0]), _core.Load(3.0, [-0.1, 0.0, 0.2])
-    both = _core.loads_together(one, two)
-    np.testing.assert_allclose([both.mass, *both.com], [4.0, -0.05, 0.0, 0.15])
-    # Steiner: 1 kg and 3 kg apart by (0.2, 0, 0.2) m turn about their centre as 0.75 kg there
-    np.testing.assert_allclose(both.inertia, [0.04, 0.08, 0.05, 0, 0.03, 0], atol=1e-12)
 
 
 def test_a_live_monitor_weighs_when_a_line_asks(arm, recordings, capsys):

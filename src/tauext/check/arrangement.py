@@ -56,9 +56,7 @@ def gravity_finding(stretches: Sequence[Stretch], tree: _core.Tree, rows: Rows) 
         known.append(robust_spread(y - x @ given))
         weights.append(1 / max(known[-1], 1e-9))
     for _ in range(3):
-        gram = sum(w**2 * x.T @ x for x, w in zip(left, weights, strict=True))
-        moment = sum(w**2 * x.T @ y for x, y, w in zip(left, rest, weights, strict=True))
-        found = np.linalg.lstsq(gram, moment, rcond=1e-6)[0]
+        found = _solve(left, rest, weights, rcond=1e-6)
         errors = [robust_spread(y - x @ found) for x, y in zip(left, rest, strict=True)]
         weights = [1 / max(e, 1e-9) for e in errors]
     size, usual = float(np.linalg.norm(found)), float(np.linalg.norm(given))
@@ -150,10 +148,11 @@ def fit_load(stretches: Sequence, tree: _core.Tree, rows: Rows) -> Load:
     return Load(float(solution[0]), spread, solution[1:] / (solution[0] or 1.0), np.maximum(errors, 1e-9), without)
 
 
-def _solve(left: list[np.ndarray], rest: list[np.ndarray], weights: list[float]) -> np.ndarray:
+def _solve(left: list[np.ndarray], rest: list[np.ndarray], weights: list[float], rcond: float = 1e-9) -> np.ndarray:
+    """Weighted least squares of all joints together."""
     gram = sum(w**2 * x.T @ x for x, w in zip(left, weights, strict=True))
     moment = sum(w**2 * x.T @ r for x, r, w in zip(left, rest, weights, strict=True))
-    return np.linalg.lstsq(gram, moment, rcond=1e-9)[0]
+    return np.linalg.lstsq(gram, moment, rcond=rcond)[0]
 
 
 def payload_findings(load: Load, joints: Sequence[str], strong: Sequence[int]) -> list[Finding]:

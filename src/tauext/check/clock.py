@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tauext.check.finding import Finding, Severity
-from tauext.check.motion import Stretch, repeated_rows
+from tauext.check.motion import LEAST_CORRELATION, Stretch, repeated_rows
 from tauext.data.recording import GAP_STEPS, Recording, fitted_period_ns, runs_of
 
 # --- Time stamps and rows: gaps, irregular steps, rows that repeat the one before.
@@ -101,7 +101,6 @@ OFF = 0.03
 """Deg/s, 57.3, stays apart from minutes, 60."""
 AGREE = 0.05
 """Joints' ratios lie within this."""
-LEAST_CORRELATION = 0.9
 LEAST_RAD = 0.1
 """A joint that moves by less tells nothing."""
 SLOWEST_HZ, FASTEST_HZ = 5.0, 20_000.0

@@ -21,7 +21,7 @@ from tauext.check.fit import (
     robust_spread,
     rows_of,
 )
-from tauext.check.motion import POSITION_CUTOFF_HZ, Stretch, low_pass, stretches
+from tauext.check.motion import MOVING_RAD_S, POSITION_CUTOFF_HZ, Stretch, low_pass, stretches
 from tauext.config import FreeMotionConfig
 from tauext.data.recording import Recording, runs_of
 
@@ -40,7 +40,6 @@ TOGETHER, SPREADS_TOGETHER = 4.0, 6.0
 """The same at two joints in one window: what touches a link acts on the joints before it."""
 LEAST_SHARE = 0.1
 """Of the torque's spread, or of its swing in the window: steps of acceleration are explained but for some of that."""
-MOVING_RAD_S = 0.02
 CRAWL_RAD_S = 0.05
 CRAWLS = 0.5
 """A joint that is as slow may stick and slip: there it takes so much of its friction more."""

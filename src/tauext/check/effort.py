@@ -9,7 +9,7 @@ import numpy as np
 
 from tauext.check.finding import Finding
 from tauext.check.fit import CONSTANT, FRICTION, JointFit, Rows, columns_of, robust_solve, spread_of, torque_rows
-from tauext.check.motion import Stretch
+from tauext.check.motion import MOVING_RAD_S, Stretch
 from tauext.data.recording import Recording
 
 # --- Which way a joint's torque counts: friction resists, inertia resists, gravity pulls down.
@@ -315,7 +315,6 @@ def drift_findings(
 STANDING_RAD = 0.05
 LEAST_RANGE_RAD = 0.2
 LEAST_SPEED_RAD_S = 0.1
-MOVING_RAD_S = 0.02
 LEAST_SHARE = 0.05
 SEARCH_S = 30.0
 """Of motion, below which order, axes and delay of torque are not judged: of dozens of arrangements one will fit."""

@@ -19,6 +19,7 @@ from tauext.bundle.estimates import OK
 from tauext.check.contacts import is_unlabelled_contact, spoils_contacts
 from tauext.check.examine import Diagnosis, examine, quick_look, unlabelled_contacts
 from tauext.check.finding import CODES, Finding, Severity
+from tauext.check.motion import MOVING_RAD_S
 from tauext.data.dataset import stretches
 from tauext.data.free_motion import cut
 from tauext.data.importers.raw import short_list
@@ -329,7 +330,6 @@ LEAST_MOVING_S = 20.0
 """Of each recording, [s]: a shorter one shows too little to be held against the others."""
 LEAST_ROWS = 200
 """Of each recording: stamps of another unit make seconds of an hour, or hours of a second."""
-MOVES_RAD_S = 0.02
 FITTED = ("effort-scale", "effort-motor-side")
 """Is no fault where the factor is what training finds."""
 LESSER: Mapping[str, Severity] = {
@@ -436,7 +436,7 @@ def check_for_bundle(
 
 def shares(recordings: Sequence[Recording]) -> list[Recording]:
     """The beginning of each, as long as its share of MOST_MOVING_S of motion takes; all where there is no more."""
-    moving = [np.cumsum((np.abs(r.dq) > MOVES_RAD_S).any(axis=1)) / r.rate_hz for r in recordings]
+    moving = [np.cumsum((np.abs(r.dq) > MOVING_RAD_S).any(axis=1)) / r.rate_hz for r in recordings]
     share = min(1.0, MOST_MOVING_S / max(1e-9, sum(float(m[-1]) for m in moving)))
     if share == 1.0:
         return list(recordings)

@@ -26,6 +26,8 @@ FIT_CUTOFF_HZ = 5.0
 FIT_ROWS_HZ = 25.0
 MOST_HZ, THINNED_CUTOFF_HZ = 250.0, 60.0
 """Faster recordings are low-passed and thinned: no fit looks above 15 Hz."""
+MOVING_RAD_S = 0.02
+"""A slower joint rests."""
 CONTACT_MARGIN_S = 0.5
 """Left out on both sides of a labelled contact: labels come late, and an arm springs back."""
 REPEATS_S = 0.25

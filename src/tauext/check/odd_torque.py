@@ -11,7 +11,15 @@ from itertools import combinations
 import numpy as np
 
 from tauext import _core
-from tauext.check.arrangement import load_columns, search_stretches
+from tauext.check.arrangement import (
+    GRID_RAD,
+    HALVED,
+    LEAST_KG,
+    LEAST_RAD,
+    WORSE,
+    load_columns,
+    search_stretches,
+)
 from tauext.check.effort import inverted, sign_vote
 from tauext.check.finding import Finding, Severity
 from tauext.check.fit import LEAST_ROWS, SEEN, Rows, columns_of, fit_joint, robust_solve, rows_of, torque_rows
@@ -20,10 +28,7 @@ from tauext.check.motion import FIT_ROWS_HZ, SIGNALS, Stretch
 # --- What could be wrong with one recording's torques or positions: each mend with the error that it leaves.
 
 
-GRID_RAD = math.radians(15.0)
 ZERO_ROWS = 250
-LEAST_RAD = 0.05
-"""A smaller shift of the zero is what friction and rough models look like."""
 WRONG_RAD = 0.5
 """A larger one is no doubt wrong; of smaller ones a rough model or another trajectory may look like one."""
 SCALES = (0.65, 1.5)
@@ -32,7 +37,6 @@ LAGS_S = tuple(sign * lag for lag in (0.02, 0.04, 0.06, 0.08, 0.1, 0.12) for sig
 OF_UNITS = 8.0
 """A larger factor is that of a unit; a smaller one is certain where a model knows what the torque should be: without,
 other poses may have another gravity."""
-LEAST_KG = 0.3
 
 Errors = Callable[[Rows], np.ndarray]
 """Of rows: the robust error of each joint [N m], by what fits the other recordings."""
@@ -400,8 +404,6 @@ GAIN, ENOUGH_S = 1.0, 30.0
 """Sum over joints of the logarithm of how much the error falls by the mend; more of shorter motion ..."""
 ZERO_GAIN = 2.0
 """... and for a shift of a zero, of position, torque or time: of all shifts of all joints one gains by chance."""
-HALVED, WORSE = 0.6, 1.15
-"""At least one joint's error falls to this share, and none rises by more than this."""
 BACK = 2.0
 """Times the others' error, to which the mended joint comes back ..."""
 BACK_SHARE = 0.35

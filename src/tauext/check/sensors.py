@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tauext.check.finding import Finding, Severity
-from tauext.check.motion import repeated_rows
+from tauext.check.motion import MOVING_RAD_S, repeated_rows
 from tauext.config import ObserverConfig
 from tauext.data.drive_signal import LOOKED_AT, position_step, step_of
 from tauext.data.recording import Recording, runs_of
@@ -37,7 +37,6 @@ CLEAN_RATE_HZ = 60.0
 """At lower rates motion itself fills the spectrum, and at much higher ones a drive's own filter empties its top."""
 COARSE = 0.1
 """Step of the torque as a share of its spread."""
-MOVING_RAD_S = 0.02
 
 
 def sensor_findings(recordings: Sequence[Recording]) -> list[Finding]:

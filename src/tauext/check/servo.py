@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -10,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from tauext.check.finding import Finding
+from tauext.check.motion import DEGREES
 from tauext.data.drive_signal import LEAST_VISITS, Play, RestLaw, motion_of, rest_law, step_of, unsigned_visits
 from tauext.data.recording import Recording
 
@@ -305,9 +305,6 @@ def _duty_told(effort: Effort) -> str:
 
 
 # --- Play of joints, as a finding.
-
-
-DEGREES = 180 / math.pi
 
 
 def play_findings(joints: Sequence[str], plays: Sequence[Play]) -> list[Finding]:

@@ -23,7 +23,7 @@ from tauext.monitor.changes import (
 from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.loads import load_facts
 from tauext.monitor.places import PlaceChange, place_facts
-from tauext.monitor.replay import Chunk, StatusClock, Tally, status
+from tauext.monitor.replay import Chunk, StatusClock, Tally, sample_facts
 
 
 class JsonLines:
@@ -57,7 +57,7 @@ class JsonLines:
         lines = [(change.row, self._change(change)) for change in chunk.changes]
         for k in self._clock.rows(chunk.t_ns) if self._clock else ():
             where = {"row": chunk.first_row + k, **self._when(chunk.t_ns[k])}
-            lines.append((chunk.first_row + k, ("status", where | status(chunk.said, k))))
+            lines.append((chunk.first_row + k, ("status", where | sample_facts(chunk.said, k))))
         for _, (event, content) in sorted(lines, key=lambda line: line[0]):
             self._write(event, **content)
 

@@ -23,7 +23,7 @@ from tauext.monitor.changes import (
 )
 from tauext.monitor.loads import Expected
 from tauext.monitor.places import PlaceChange, newtons, place_facts
-from tauext.monitor.replay import status
+from tauext.monitor.replay import sample_facts
 from tauext.monitor.source import Sample, SourceCounts
 
 # --- Who is told of every sample, and of what happens: publishers, outputs, recordings.
@@ -236,7 +236,12 @@ class EventFinder:
 
     def _event(self, kind: EventKind, joint: int, verdict: Verdict, news: bool = True, of_place: bool = False) -> Event:
         said, sample = verdict.said, verdict.sample
-        facts = {**self._facts, "joints": list(self._joints), "row": verdict.row, **status(said, 0)}
+        facts = {
+            **self._facts,
+            "joints": list(self._joints),
+            "row": verdict.row,
+            **sample_facts(said, 0),
+        }
         received_ns = sample.received_ns if sample is not None else time.monotonic_ns()
         name = self._joints[joint] if joint >= 0 else None
         touched = kind in ("collision", "contact")

@@ -624,6 +624,7 @@ void bind_bundle(nb::module_& m) {
         out["contact_sigma_nm"] = to_numpy(std::move(e.contact_sigma_nm), {N, n});
         out["limit_scale"] = to_numpy(std::move(e.limit_scale), {N, n});
         out["limit_nm"] = to_numpy(std::move(e.limit_nm), {N, n});
+        out["contact_limit_nm"] = to_numpy(std::move(e.contact_limit_nm), {N, n});
         out["unfamiliar"] = to_numpy(std::move(e.unfamiliar), {N});
         out["unseen"] = to_numpy(std::move(e.unseen), {N});
         out["unseen_joint"] = to_numpy(std::move(e.unseen_joint), {N});

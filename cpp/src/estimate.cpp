@@ -117,6 +117,7 @@ void judge_all(const Bundle& bundle, const RecordingView& recording, const Seen&
       out.contact_sigma_nm[cell] = e.contact_sigma_nm[j];
       out.limit_scale[cell] = e.limit_scale[j];
       out.limit_nm[cell] = e.limit_nm[j];
+      out.contact_limit_nm[cell] = e.contact_limit_nm[j];
       out.near_stiction[cell] = e.near_stiction >> j & 1;
     }
     out.health[k] = static_cast<std::uint8_t>(e.health);
@@ -150,7 +151,7 @@ Estimates estimate(const Bundle& bundle, const RecordingView& recording, int thr
   const auto N = static_cast<std::size_t>(recording.samples), n = static_cast<std::size_t>(recording.joints);
   Estimates out;
   for (auto* torque : {&out.residual, &out.prior, &out.network, &out.drift, &out.tau_ext, &out.doubt, &out.sigma_nm, &out.contact_sigma_nm,
-                       &out.limit_scale, &out.limit_nm})
+                       &out.limit_scale, &out.limit_nm, &out.contact_limit_nm})
     torque->resize(N * n);
   out.near_stiction.resize(N * n);
   for (auto* flags : {&out.health, &out.detection, &out.alarm, &out.held_alarm, &out.unseen, &out.touch, &out.entered,

@@ -212,6 +212,7 @@ std::string difference(const Bundle& bundle, const Signals& s, int threads, Seen
       if (!same(e.sigma_nm[j], bulk.sigma_nm[at])) return "sigma" + here;
       if (!same(e.limit_scale[j], bulk.limit_scale[at])) return "limit scale" + here;
       if (!same(e.limit_nm[j], bulk.limit_nm[at])) return "limit" + here;
+      if (!same(e.contact_limit_nm[j], bulk.contact_limit_nm[at])) return "contact limit" + here;
       if ((e.near_stiction >> j & 1) != bulk.near_stiction[at]) return "near_stiction" + here;
       // NaN never stands where health says that there is an estimate.
       if (e.health == Health::ok && !std::isfinite(e.tau_ext[j])) return "tau_ext that is not finite" + here;

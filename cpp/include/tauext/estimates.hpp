@@ -11,7 +11,7 @@ namespace tauext {
 
 // What a newly made Monitor says of a recording, one row a sample; fields as in Estimate.
 struct Estimates {
-  std::vector<double> residual, prior, network, drift, tau_ext, doubt, limit_nm;  // (samples, joints), [N m]
+  std::vector<double> residual, prior, network, drift, tau_ext, doubt, limit_nm, contact_limit_nm;  // (samples, joints), [N m]
   std::vector<double> sigma_nm, contact_sigma_nm;    // (samples, joints), [N m]
   std::vector<double> limit_scale;                   // (samples, joints)
   std::vector<double> unfamiliar;                    // (samples)

@@ -135,9 +135,6 @@ class OutputSink:
         told, self._verdicts = self._verdicts, []
         if not told:
             return
-        came = [one for one in told if one.sample is not None]
-        changes = [change for one in told for change in one.changes]
-        if came:
-            self.tally.add(chunk_of(came, []), self._monitor)
-        self.tally.add_changes(changes)
-        self._aside.do(partial(self._output.chunk, chunk_of(told, changes), self.tally), may_be_left_out=not changes)
+        chunk = chunk_of(told)
+        self.tally.add(chunk, self._monitor, [one.sample is not None for one in told])
+        self._aside.do(partial(self._output.chunk, chunk, self.tally), may_be_left_out=not chunk.changes)

@@ -37,21 +37,7 @@ def estimate_recording(bundle: _core.Bundle, recording: Recording, threads: int 
     said = _core.estimate(
         bundle, recording.t_ns, recording.q, recording.dq, recording.tau, threads, recording.temperature
     )
-    said["contact_limit_nm"] = contact_limit_nm(bundle, said)
     return Estimates.of(recording.joints, recording.t_ns, said, {"alarm", *lacking(bundle)})
-
-
-def contact_limit_nm(bundle: _core.Bundle, said: dict[str, np.ndarray]) -> np.ndarray:
-    """Contact limit in force at every sample, (samples, joints), from that of a collision.
-
-    Both are a limit of the joint's region times the same factor, and the prior's doubt (AlarmStage::step).
-    """
-    near = said["near_stiction"].astype(bool)
-    collision = np.where(near, bundle.near_stiction_limit_nm, bundle.sliding_limit_nm)
-    contact = np.where(near, bundle.contact_near_stiction_limit_nm, bundle.contact_sliding_limit_nm)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        limit: np.ndarray = said["doubt"] + (said["limit_nm"] - said["doubt"]) * (contact / collision)
-    return limit
 
 
 # --- Detectable hits without contact recordings: forces added to free motion, as a stiff arm's motors would answer

@@ -15,7 +15,7 @@ import numpy as np
 from tauext import _core
 from tauext.config import require
 from tauext.errors import ConfigError
-from tauext.monitor.changes import COLLISION, Change, LoadChange, WeighChange
+from tauext.monitor.changes import COLLISION, LoadChange, WeighChange
 from tauext.monitor.latency import Latencies, ask_for_real_time
 from tauext.monitor.loads import Expected
 from tauext.monitor.places import PlaceFinder
@@ -28,11 +28,12 @@ from tauext.monitor.source import Sample, ServoStage, Source, SourceSettings
 # --- Verdicts of a live loop in the form that a replay gives, for those who tell and count.
 
 
-def chunk_of(verdicts: Sequence[Verdict], changes: list[Change]) -> Chunk:
-    """Verdicts in a row, at least one, with these changes; the speed of a sample that did not come is NaN."""
+def chunk_of(verdicts: Sequence[Verdict]) -> Chunk:
+    """Verdicts in a row, at least one; the speed of a sample that did not come is NaN."""
     said = {key: np.concatenate([one.said[key] for one in verdicts]) for key in verdicts[0].said}
     unknown = np.full(said["tau_ext"].shape[1], np.nan)
     dq = np.array([unknown if one.sample is None else one.sample.dq for one in verdicts])
+    changes = [change for one in verdicts for change in one.changes]
     return Chunk(verdicts[0].row, np.array([one.t_ns for one in verdicts]), dq, said, changes, 0.0)
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -258,24 +258,30 @@ class Tally:
         self.alarms = np.zeros((len(ALARMS), len(self.joints)), dtype=np.int64)
         self.worst_margin_nm = np.full(len(self.joints), np.inf)
 
-    def add(self, chunk: Chunk, monitor: _core.Monitor) -> None:
-        """Count one more chunk; the counters of the monitor are taken as they stand."""
-        self.samples += len(chunk.t_ns)
-        self.core_s += chunk.core_s
-        self.health += np.bincount(chunk.said["health"], minlength=len(HEALTHS))
-        self.worst_margin_nm = np.fmin(self.worst_margin_nm, np.fmin.reduce(chunk.said["margin_nm"], axis=0))
-        self.unfamiliar += unseen_of(chunk.said)
-        self.add_changes(chunk.changes)
-        self.bridged_ticks, self.restarts = monitor.bridged_ticks, monitor.restarts
+    def add(self, chunk: Chunk, monitor: _core.Monitor, came: Sequence[bool] = ()) -> None:
+        """Count one more chunk; the counters of the monitor are taken as they stand.
 
-    def add_changes(self, changes: Iterable[Change]) -> None:
-        """Count alarms, acknowledgements and hidden collisions alone."""
-        for change in changes:
+        Args:
+            came: whether each row is of a sample that came, and so is counted; empty: all are.
+        """
+        for change in chunk.changes:
             self.hidden += isinstance(change, HiddenCollision)
             if isinstance(change, AlarmChange):
                 self.acknowledged += change.acknowledged
                 if change.joint >= 0:
                     self.alarms[change.alarm, change.joint] += 1
+        if came and not any(came):
+            return
+        if not all(came):
+            rows = np.array(came)
+            said = {name: values[rows] for name, values in chunk.said.items()}
+            chunk = replace(chunk, t_ns=chunk.t_ns[rows], said=said)
+        self.samples += len(chunk.t_ns)
+        self.core_s += chunk.core_s
+        self.health += np.bincount(chunk.said["health"], minlength=len(HEALTHS))
+        self.worst_margin_nm = np.fmin(self.worst_margin_nm, np.fmin.reduce(chunk.said["margin_nm"], axis=0))
+        self.unfamiliar += unseen_of(chunk.said)
+        self.bridged_ticks, self.restarts = monitor.bridged_ticks, monitor.restarts
 
     def merge(self, other: Tally) -> None:
         """Add another recording's."""

@@ -15,9 +15,8 @@ from made_pushes import LIMIT_NM, pushed, watching_bundle
 from tauext import _core
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.injected import SHAPES, Injection, curve, profile
-from tauext.report.entry import Entry
-from tauext.report.force_figures import draw_injected, injected_table
-from tauext.report.results_file import read_injected
+from tauext.evaluate.results import Injected, JsonReader
+from tauext.report.force_figures import draw_injected, injected_table, injected_words
 
 SECONDS = 40.0
 UPPER_M, TOOL_M = 0.3, 0.2
@@ -89,9 +88,9 @@ def test_torques_on_single_joints_are_detected_from_the_limit_on(tmp_path):
         if shape == "press":
             assert LIMIT_NM / shown <= one["nine_of_ten"] <= 2.2 * LIMIT_NM
             assert one["bins"][-1]["latched"] == one["bins"][-1]["events"]
-    report = read_injected(Entry("results", injected))
-    assert report is not None and report.unit == "Nm" and "press" in report.words()
-    shown_one = SimpleNamespace(name="a", label="watching", measured=SimpleNamespace(injected=report))
+    report = JsonReader(2).object(Injected, injected, "results")
+    assert report.unit == "Nm" and "press" in injected_words(report)
+    shown_one = SimpleNamespace(name="a", label="watching", injected=report)
     panels = draw_injected([shown_one], shown_one).figure.axes
     assert [axes.get_title() for axes in panels[: len(SHAPES)]] == [*SHAPES]
     press = report.at(report.place)[list(SHAPES).index("press")]

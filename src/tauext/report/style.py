@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from tauext.bundle.estimates import Estimates
-from tauext.report.results import Results, model_of
+from tauext.evaluate.results import Results, model_of
 
 # --- How figures look: one colour a bundle throughout, text that is legible at the page's width, no decoration.
 

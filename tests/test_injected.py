@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from types import SimpleNamespace
@@ -15,7 +16,7 @@ from made_pushes import LIMIT_NM, pushed, watching_bundle
 from tauext import _core
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.injected import SHAPES, Injection, curve, profile
-from tauext.evaluate.results import Injected, JsonReader
+from tauext.evaluate.results import Injected, JsonReader, results_of, to_json
 from tauext.report.force_figures import draw_injected, injected_table, injected_words
 
 SECONDS = 40.0
@@ -78,6 +79,8 @@ def test_torques_on_single_joints_are_detected_from_the_limit_on(tmp_path):
     recording = replace(pushed(seconds=SECONDS, pushes=()), name="free")
     bundle = watching_bundle(network=False)
     found = evaluate({"watching": bundle}, [lambda: recording], [], tmp_path, 0, 1, inject=True)
+    written = {"format": 3, "provenance": {}} | json.loads(json.dumps(found))
+    assert to_json(results_of(written, "results.json")) == written  # every key has its field, every field its key
     injected = found["bundles"][0]["injected"]
     assert injected["without_forces"] and injected["unit"] == "Nm" and injected["unhealthy"] == 0
     shown = 1 - math.exp(-0.9 * bundle.observer.gain_per_s)

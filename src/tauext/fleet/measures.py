@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from tauext.fleet.odds import NAMED
+
 # --- Cells of the fleet's tables: a number, its place in a sorted column, how far out it is, and where it leads.
 
 
-NAMED, WATCH = 0.5, 0.1
+WATCH = 0.1
 FULL = 3.0
 """Spreads from which on the colour is full: one healthy joint in 400."""
 LEAST_SPREAD = 0.02

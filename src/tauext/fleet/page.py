@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 
 from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.whole_file import whole_file
 from tauext.fleet.measures import (
-    NAMED,
     NONE,
     Cell,
     Measure,
@@ -26,6 +24,8 @@ from tauext.fleet.measures import (
     percent,
     trends,
 )
+from tauext.fleet.odds import NAMED
+from tauext.report.tables import plural, render_template
 
 # --- One row an arm: date, state, promise, tool, findings.
 
@@ -121,28 +121,6 @@ class FleetGlance:
 
 
 @dataclass(frozen=True)
-class Named:
-    """One line of what to look at first."""
-
-    arm: str
-    joint: str | None
-    kind: str
-    words: str
-    beside: str
-    probability: float
-    percent: str
-    link: str
-
-
-@dataclass(frozen=True)
-class Failed:
-    arm: str
-    date: str
-    stage: str
-    reason: str
-
-
-@dataclass(frozen=True)
 class PageGroup:
     """Arms of one type."""
 
@@ -172,8 +150,8 @@ def render_fleet_page(content: Content, links: Mapping[tuple[int, str], str]) ->
         )
         for k, group in enumerate(content["groups"])
     ]
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+    return render_template(
+        TEMPLATE,
         title=title(arms, labels),
         lead=lead(content, arms),
         glances=glances(content, arms),
@@ -253,14 +231,14 @@ def glances(content: Content, arms: Sequence[Content]) -> list[FleetGlance]:
             str(len(others)), "other things to look at: tools, constants, arms unlike the others", bool(others)
         ),
     ]
-    own = [told["named_from"] for name, told in tables(content) if name.startswith("own friction")]
-    if own:
-        text = f"× {np.exp(own[-1]):.2f}" if own[-1] is not None else "never"
-        found.append(FleetGlance(text, "friction of a joint from which it would be named, beside its own first date"))
-    fleet = [told["named_from"] for name, told in tables(content) if name == "fleet friction"]
-    if fleet:
-        text = f"× {np.exp(fleet[-1]):.2f}" if fleet[-1] is not None else "never"
-        found.append(FleetGlance(text, "friction from which it would be named beside the other arms alone"))
+    for start, means in (
+        ("own friction", "friction of a joint from which it would be named, beside its own first date"),
+        ("fleet friction", "friction from which it would be named beside the other arms alone"),
+    ):
+        named_from = [told["named_from"] for name, told in tables(content) if name.startswith(start)]
+        if named_from:
+            last = named_from[-1]
+            found.append(FleetGlance("never" if last is None else f"× {np.exp(last):.2f}", means))
     return found
 
 
@@ -268,16 +246,15 @@ def tables(content: Content) -> list[tuple[str, Content]]:
     return [pair for group in content["groups"] for pair in group["tables"].items()]
 
 
-def named(one: Content, link: Mapping[str, str]) -> Named:
+def named(one: Content, link: Mapping[str, str]) -> Content:
+    """One line of what to look at first."""
     beside = "its own first date" if one["against"] == "own" else "the fleet"
-    return Named(
-        one["arm"], one["joint"], one["kind"], one["words"], beside, one["probability"], percent(one["probability"]),
-        link.get(one["arm"], ""),
-    )  # fmt: skip
+    return {**one, "beside": beside, "percent": percent(one["probability"]), "link": link.get(one["arm"], "")}
 
 
-def failed(arm: Content, visit: Content) -> Failed:
-    return Failed(arm["serial"], visit["label"], visit["stage"] or "", visit["reason"] or visit["state"])
+def failed(arm: Content, visit: Content) -> Content:
+    reason = visit["reason"] or visit["state"]
+    return {"arm": arm["serial"], "date": visit["label"], "stage": visit["stage"] or "", "reason": reason}
 
 
 def reading(content: Content) -> list[str]:
@@ -314,10 +291,6 @@ def reading(content: Content) -> list[str]:
 
 def share(spread: float) -> str:
     return f"{100 * spread:.1f} %" if spread < 0.1 else f"{100 * spread:.0f} %"
-
-
-def plural(count: int, word: str) -> str:
-    return f"{count:,} {word}{'' if count == 1 else 's'}"
 
 
 # --- Writes the page of a fleet, and beside it each arm's own.

@@ -31,9 +31,11 @@ from tauext.report.style import (
     bundle_colours,
     bundle_strokes,
     label_joint,
+    panel_grid,
     sentence,
     uncertainty_words,
     use_log_height,
+    write_above,
 )
 
 # --- Figure 7: observer and uncertainty over time, without a model, while the ten collisions happen.
@@ -149,15 +151,7 @@ def label_excerpts(top: Axes, bottom: Axes, excerpts: list[Excerpt]) -> None:
     """A number above each excerpt; below, the time at which its contact begins in its own recording."""
     for number, excerpt in enumerate(excerpts, 1):
         middle = excerpt.shown((excerpt.collision.start_s + excerpt.collision.end_s) / 2)
-        top.annotate(
-            str(number),
-            (middle, 1),
-            xycoords=("data", "axes fraction"),
-            xytext=(0, 3),
-            textcoords="offset points",
-            ha="center",
-            fontweight="bold",
-        )
+        write_above(top, middle, str(number), fontweight="bold")
     bottom.set_xticks(
         [excerpt.shown(excerpt.collision.start_s) for excerpt in excerpts],
         [f"{excerpt.collision.start_s:.2f} s" for excerpt in excerpts],
@@ -186,12 +180,9 @@ def draw_after_contact(results: Results) -> Drawing:
         (name, f"RMSE, {results.unit_of(j)}", partial(error_of, j)) for j, name in enumerate(results.joints)
     ]
     panels.append(("contact alarms that begin", "an hour", lambda entry: entry.contacts_per_hour))
-    rows = -(-len(panels) // MOST_COLUMNS)
-    columns = -(-len(panels) // rows)
-    figure = Figure(figsize=(WIDTH_IN, 0.6 + 2.9 * rows), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False)
+    figure, grid = panel_grid(len(panels), MOST_COLUMNS, lambda columns: WIDTH_IN, (0.6, 2.9))
     strokes = bundle_strokes([bundle.name for bundle in results.bundles])
-    for axes, (title, quantity, value) in zip(grid.flat, panels, strict=False):
+    for axes, (title, quantity, value) in zip(grid, panels, strict=True):
         for bundle, after in known:
             values = [value(entry) for entry in (*after.bins, after.free_motion)]
             draw_entries(axes, values, strokes[bundle.name], bundle.label)
@@ -203,11 +194,9 @@ def draw_after_contact(results: Results) -> Drawing:
             axes.set_ylim(0, max(axes.get_ylim()[1], 1))
         else:
             use_log_height(axes)
-    for axes in grid.flat[len(panels) :]:
-        axes.remove()
     figure.supxlabel("time since the end of the last contact, s", fontsize=9)
     hours = sum(entry.hours for entry in known[0][1].bins)
-    handles, labels = grid.flat[0].get_legend_handles_labels()
+    handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", handlelength=3, ncols=LEGEND_COLUMNS)
     return Drawing(
         figure,
@@ -308,15 +297,7 @@ def draw_found_curve(results: Results) -> Drawing:
     first_over = next((at for at, (low, _) in enumerate(edges) if low >= 1), None)
     if first_over is not None:
         axes.axvline(first_over - 0.5, color="#555555", linestyle="--", linewidth=1)
-        axes.annotate(
-            "the limit",
-            (first_over - 0.5, 1),
-            xycoords=("data", "axes fraction"),
-            xytext=(0, 3),
-            textcoords="offset points",
-            ha="center",
-            color="#555555",
-        )
+        write_above(axes, first_over - 0.5, "the limit", color="#555555")
     axes.set_xticks(range(len(edges)), [bin_label(results, edge) for edge in edges])
     axes.set(xlabel="peak of the sensor reference over the limit; below, collisions in the bin", ylabel="found, %")
     axes.set(ylim=(-6, 106), xlim=(-0.5, len(edges) - 0.5))
@@ -378,15 +359,7 @@ def draw_missed_curve(results: Results) -> Drawing:
     rates = [10.0**k for k in range(math.ceil(math.log10(right)), 3)]
     axes.set_xticks(rates, [f"{rate:g}" for rate in rates])
     axes.set(xlabel="false collisions an hour of free motion", ylabel="collisions missed, %")
-    axes.annotate(
-        f"none in {hours:.3g} h",
-        ((left * right) ** 0.5, 1),
-        xycoords=("data", "axes fraction"),
-        xytext=(0, 3),
-        textcoords="offset points",
-        ha="center",
-        color="#555555",
-    )
+    write_above(axes, (left * right) ** 0.5, f"none in {hours:.3g} h", color="#555555")
     figure.legend(loc="outside right upper", handlelength=3)
     return Drawing(
         figure,

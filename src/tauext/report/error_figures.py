@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -31,11 +32,12 @@ from tauext.report.style import (
     bundle_colours,
     label_joint,
     missing_bundles,
+    panel_grid,
     uncertainty_words,
     use_log_height,
     use_log_width,
 )
-from tauext.report.tables import NONE, Row, Table, whole
+from tauext.report.tables import NONE, Row, Table, block, whole
 
 # --- Errors in free motion over the standard error that was told with them, and the shares within it.
 
@@ -112,13 +114,11 @@ def sigma_table(results: Results) -> Table | None:
     if not bundles:
         return None
     columns = ("model", "joint", *("samples", "1 σ", "2 σ") * len(REGIONS))
-    rows = []
+    rows: list[Row] = []
     for bundle in bundles:
-        for joint, name in enumerate(results.joints):
-            cells = [bundle.label if joint == 0 else "", name]
-            for region in REGIONS:
-                cells += region_cells((bundle.error_against_sigma or {})[region][joint])
-            rows.append(Row(tuple(cells), bundle.name if joint == 0 else None, opens=joint == 0))
+        regions = [(bundle.error_against_sigma or {})[region] for region in REGIONS]
+        of_joints = zip(results.joints, *regions, strict=True)
+        rows += block(bundle.label, ((name, *chain(*map(region_cells, of))) for name, *of in of_joints), bundle.name)
     groups = (("", 2), *((f"{words}: errors within, %", 3) for words in REGIONS.values()))
     return Table(groups, columns, tuple(rows), words=2)
 
@@ -328,10 +328,9 @@ def draw_training_loss(results: Results) -> Drawing:
     colours = bundle_colours([bundle.name for bundle in results.bundles])
     rows = -(-len(panels) // LOSS_COLUMNS)
     columns = -(-len(panels) // rows)
-    size = min(WIDTH_IN, 1.5 + 3.2 * columns), 0.6 + 2.3 * rows
-    figure = Figure(figsize=size, layout="constrained")
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for axes, (name, bundles) in zip(grid.flat, panels.items(), strict=False):
+    width = min(WIDTH_IN, 1.5 + 3.2 * columns)
+    figure, grid = panel_grid(len(panels), LOSS_COLUMNS, lambda columns: width, (0.6, 2.3), sharex=True, sharey=True)
+    for axes, (name, bundles) in zip(grid, panels.items(), strict=True):
         for bundle in bundles:
             recipe = bundle.label.partition(", ")[2] or (f"{bundle.recipe} recipe" if bundle.recipe else bundle.label)
             draw_history(axes, bundle, recipe, colours[bundle.name])
@@ -340,14 +339,12 @@ def draw_training_loss(results: Results) -> Drawing:
             axes.legend(loc="upper right", handlelength=1.2, borderaxespad=0, labelcolor="linecolor")
         else:
             axes.set_title(bundles[0].label, color=colours[bundles[0].name], fontweight="bold")
-    for axes in grid.flat[len(panels) :]:
-        axes.remove()
-    for k, axes in enumerate(grid.flat[: len(panels)]):
+    for k, axes in enumerate(grid):
         axes.set(xscale="log", yscale="log")
         if k + columns >= len(panels):
             axes.set_xlabel("training steps")
             axes.tick_params(labelbottom=True)
-    for axes in grid[:, 0]:
+    for axes in grid[::columns]:
         axes.set_ylabel("loss")
     handles = [
         Line2D([], [], color=LOSS_GREY, linewidth=TRAINING_WIDTH, alpha=PALE, label="training"),
@@ -390,12 +387,9 @@ def draw_learning_curves(results: Results) -> Drawing:
     if all(len({bundle.training_minutes for bundle in of_one}) < 2 for of_one in lines.values()):
         raise NotAvailable("no recipe was trained on two amounts of data")
     several_models = len({model for _, model in lines}) > 1
-    rows = -(-len(results.joints) // MOST_COLUMNS)
-    columns = -(-len(results.joints) // rows)
-    figure = Figure(figsize=(min(WIDTH_IN, 1.8 + 3.6 * columns), 0.6 + 2.9 * rows), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False)
+    figure, grid = panel_grid(len(results.joints), MOST_COLUMNS, lambda columns: 1.8 + 3.6 * columns, (0.6, 2.9))
     colours = (*CASE_COLOURS.values(), *OTHER_COLOURS)
-    for joint, (axes, name) in enumerate(zip(grid.flat, results.joints, strict=False)):
+    for joint, (axes, name) in enumerate(zip(grid, results.joints, strict=True)):
         for k, ((recipe, model), bundles) in enumerate(lines.items()):
             points = sorted(
                 (c.training_minutes, c.free_motion.l1_nm[joint])
@@ -413,10 +407,8 @@ def draw_learning_curves(results: Results) -> Drawing:
         use_log_height(axes)
         axes.set_title(name)
         axes.set_ylabel(f"L1, {results.unit}")
-    for axes in grid.flat[len(results.joints) :]:
-        axes.remove()
     figure.supxlabel("training data, minutes", fontsize=9)
-    handles, labels = grid.flat[0].get_legend_handles_labels()
+    handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", handlelength=3, ncols=LEGEND_COLUMNS)
     return Drawing(
         figure,

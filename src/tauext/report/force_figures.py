@@ -27,7 +27,7 @@ from tauext.report.style import (
     use_log_height,
     use_log_width,
 )
-from tauext.report.tables import NONE, Row, Table, milliseconds
+from tauext.report.tables import NONE, Row, Table, block, milliseconds
 
 # --- What force on a link a bundle notices, as a figure and as a table.
 
@@ -138,20 +138,15 @@ def noticed_table(noticed: NoticedForce | None) -> Table | None:
     """A row a limit and point; None without forces."""
     if noticed is None or not noticed.limits:
         return None
-    rows = []
+    rows: list[Row] = []
     for limit, entries in joined(noticed.limits).items():
-        for k, at in enumerate(entries):
-            cells = [
-                limit if k == 0 else "",
-                short(at.place),
-                newtons(at.every_way.median_n),
-                newtons(at.every_way.nine_of_ten_n),
-            ]
+        lines = []
+        for at in entries:
+            forces = [at.every_way.median_n, at.every_way.nine_of_ten_n]
             for way in WAYS:
-                force = getattr(at, way)
-                cells += [newtons(force.median_n), newtons(force.worst_n)]
-            cells.append(f"{100 * at.worst_way.blind_share:.0f}")
-            rows.append(Row(tuple(cells), opens=k == 0))
+                forces += [getattr(at, way).median_n, getattr(at, way).worst_n]
+            lines.append((short(at.place), *map(newtons, forces), f"{100 * at.worst_way.blind_share:.0f}"))
+        rows += block(limit, lines)
     groups = (("", 2), ("every way", 2), *((words, 2) for words in WAYS.values()), ("", 1))
     columns = ("limit", "at the end of", "median", "9 of 10", *("median", "worst") * len(WAYS), "blind, %")
     return Table(groups, columns, tuple(rows), words=2)
@@ -248,22 +243,17 @@ def injected_table(bundles: Sequence[EvaluatedBundle], shown: EvaluatedBundle) -
     if injected is None or not injected.curves:
         return None
     place, shapes = injected.place, list(dict.fromkeys(one.shape for one in injected.curves))
-    rows = []
+    rows: list[Row] = []
     for bundle in (shown, *(one for one in bundles if one is not shown)):
         theirs = bundle.injected
         if theirs is None:
             continue
         places = list(dict.fromkeys(one.place for one in theirs.curves)) if bundle is shown else [place]
-        for k, at in enumerate(places):
-            known = {one.shape: one for one in theirs.at(at)}
-            cells = [bundle.label if k == 0 else "", at]
-            for shape in shapes:
-                one = known.get(shape)
-                cells += [
-                    NONE if one is None else peak(one.nine_of_ten),
-                    NONE if one is None else milliseconds(one.delay_median_s),
-                ]
-            rows.append(Row(tuple(cells), bundle=bundle.name if k == 0 else None, opens=k == 0))
+        lines = []
+        for at in places:
+            known = {one.shape: (peak(one.nine_of_ten), milliseconds(one.delay_median_s)) for one in theirs.at(at)}
+            lines.append([at, *(cell for shape in shapes for cell in known.get(shape, (NONE, NONE)))])
+        rows += block(bundle.label, lines, bundle.name)
     groups = (("", 2), *((shape, 2) for shape in shapes))
     return Table(groups, ("", "at", *(injected.unit, "ms") * len(shapes)), tuple(rows), words=2)
 

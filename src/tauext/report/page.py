@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 
 import matplotlib
-from jinja2 import Environment, StrictUndefined
 
 from tauext.check.look import WORTH_A_WARNING
 from tauext.errors import ConfigError
@@ -47,7 +46,7 @@ from tauext.report.force_figures import (
 )
 from tauext.report.signals import NotAvailable, Signals, expect_same_dataset
 from tauext.report.style import RC, Drawing, bundle_colours, save_png
-from tauext.report.tables import method_errors, methods, milliseconds, number
+from tauext.report.tables import method_errors, methods, milliseconds, number, plural, render_template
 from tauext.report.three_collisions import draw_three_collisions
 from tauext.report.traces import NO_TRACES, PAGE_MB, PageTraces, chosen_bundles, or_reason, results_traces
 
@@ -278,10 +277,6 @@ def plain(value: float) -> str:
     return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
 
 
-def plural(count: int, word: str) -> str:
-    return f"{count:,} {word}{'' if count == 1 else 's'}"
-
-
 # --- The page: what was done, headline numbers, tables and figures, in one HTML file that asks no host for anything.
 
 
@@ -337,8 +332,8 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
     colours = bundle_colours([bundle.name for bundle in results.bundles])
     shown = shown_bundle(results)
     noticed = shown.noticed_force
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+    return render_template(
+        TEMPLATE,
         first=first_screen(results),
         facts=facts(results),
         changed=[

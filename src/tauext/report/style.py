@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -128,6 +128,31 @@ def _number_plainly(axis: Axis) -> None:
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
+def panel_grid(
+    count: int, most_columns: int, width_in: Callable[[int], float], height_in: tuple[float, float], **share: bool
+) -> tuple[Figure, list[Axes]]:
+    """A figure of so many panels in rows of about the same number, and its axes.
+
+    Args:
+        width_in: by the number of columns; WIDTH_IN at most.
+        height_in: of what all rows share, and of each row.
+    """
+    rows = -(-count // most_columns)
+    columns = -(-count // rows)
+    size = min(WIDTH_IN, width_in(columns)), height_in[0] + height_in[1] * rows
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False, **share)
+    for axes in grid.flat[count:]:
+        axes.remove()
+    return figure, list(grid.flat[:count])
+
+
+def write_above(axes: Axes, x: float, text: str, **style: str) -> None:
+    """A word above the axes, centred at this place of the horizontal axis."""
+    to = {"xycoords": ("data", "axes fraction"), "xytext": (0, 3), "textcoords": "offset points"}
+    axes.annotate(text, (x, 1), ha="center", **to, **style)
+
+
 def sentence(text: str) -> str:
     """With a capital at its start, the rest as it is."""
     return text[:1].upper() + text[1:]
@@ -147,10 +172,11 @@ class Drawing:
     caption: str
 
 
-def save_png(figure: Figure, path: Path) -> None:
+def save_png(figure: Figure, path: Path) -> Path:
     """As `figure.savefig` does, with one drawing instead of two: the layout is computed by the drawing itself."""
     figure.set_dpi(DPI)
     FigureCanvasAgg(figure).print_png(path, metadata={"Software": None})
+    return path
 
 
 def draw_band(axes: Axes, time: np.ndarray, centre: np.ndarray, sigma: np.ndarray | None, colour: str) -> None:

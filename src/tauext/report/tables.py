@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 from urllib.parse import quote
+
+from jinja2 import Environment, StrictUndefined
 
 from tauext.evaluate.results import (
     EvaluatedBundle,
@@ -46,6 +50,22 @@ class Table:
     columns: tuple[str, ...]
     rows: tuple[Row, ...]
     words: int
+
+
+def block(label: str, lines: Iterable[Sequence[str]], bundle: str | None = None) -> list[Row]:
+    """Rows about one thing: label, colour and the line above are the first row's alone."""
+    rows = enumerate(lines)
+    return [Row((label if k == 0 else "", *one), bundle if k == 0 else None, opens=k == 0) for k, one in rows]
+
+
+def render_template(template: Path, **facts: Any) -> str:
+    """A page, by jinja; a name that it lacks is an error."""
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string(template.read_text(encoding="utf-8")).render(facts)
+
+
+def plural(count: int, word: str) -> str:
+    return f"{count:,} {word}{'' if count == 1 else 's'}"
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -99,22 +119,23 @@ def by_joint(
     if last:
         groups.append(("training", len(last)))
         columns += last
-    rows = []
-    for bundle in results.bundles:
-        for joint, name in enumerate(results.joints):
-            cells = [bundle.label if joint == 0 else "", name]
-            for measure, known in zip(measures, published, strict=True):
-                ours = measure.ours(bundle)[joint]
-                cells.append(number(None if ours is None else measure.factor * ours, measure.digits))
-                if known is not None:
-                    cells.append(
-                        number(
-                            known[bundle.model][joint] if bundle.model and bundle.model in known else None,
-                            measure.digits,
-                        )
+
+    def cells(bundle: EvaluatedBundle, joint: int) -> list[str]:
+        found = [results.joints[joint]]
+        for measure, known in zip(measures, published, strict=True):
+            ours = measure.ours(bundle)[joint]
+            found.append(number(None if ours is None else measure.factor * ours, measure.digits))
+            if known is not None:
+                found.append(
+                    number(
+                        known[bundle.model][joint] if bundle.model and bundle.model in known else None, measure.digits
                     )
-            cells += [text(bundle) if joint == 0 else "" for text in (last or {}).values()]
-            rows.append(Row(tuple(cells), bundle.name if joint == 0 else None, opens=joint == 0))
+                )
+        return found + [text(bundle) if joint == 0 else "" for text in (last or {}).values()]
+
+    rows: list[Row] = []
+    for bundle in results.bundles:
+        rows += block(bundle.label, (cells(bundle, joint) for joint in range(len(results.joints))), bundle.name)
     return Table(tuple(groups), tuple(columns), tuple(rows), words=2)
 
 
@@ -405,16 +426,14 @@ def links_table(results: Results) -> Table | None:
     if not placing:
         return None
     joints = placing[0][1].joints
-    rows = []
+    rows: list[Row] = []
     for bundle, links in placing:
-        opens = True
-        for joint, counts in zip(links.joints, links.table, strict=True):
-            if not sum(counts):
-                continue
-            right = counts[links.joints.index(joint)] / sum(counts)
-            cells = (bundle.label if opens else "", joint, *(str(count) if count else "" for count in counts))
-            rows.append(Row((*cells, f"{right:.0%}"), bundle.name if opens else None, opens=opens))
-            opens = False
+        lines = [
+            (joint, *(str(count or "") for count in counts), f"{counts[k] / sum(counts):.0%}")
+            for k, (joint, counts) in enumerate(zip(links.joints, links.table, strict=True))
+            if sum(counts)
+        ]
+        rows += block(bundle.label, lines, bundle.name)
     groups = (("", 1), ("touched", 1), ("said to be on the link of", len(joints)), ("", 1))
     return Table(groups, ("model", "link of", *joints, "right"), tuple(rows), words=2)
 
@@ -434,18 +453,12 @@ def links_worth(label: str, one: Touches) -> str:
 
 def kinds_table(results: Results) -> Table | None:
     """A row a bundle and the recordings' word for their contacts; None where no kind was told."""
-    rows = []
+    rows: list[Row] = []
     for bundle, one in touched(results):
-        opens = True
-        for word, counts in sorted(one.kinds.items()):
-            cells = (str(counts[kind]) if counts.get(kind) else "" for kind in KINDS)
-            rows.append(Row((bundle.label if opens else "", word, *cells), bundle.name if opens else None, opens=opens))
-            opens = False
-    return (
-        Table((("", 2), ("said to be", len(KINDS))), ("model", "contacts", *KINDS), tuple(rows), words=2)
-        if rows
-        else None
-    )
+        lines = [(word, *(str(of.get(kind) or "") for kind in KINDS)) for word, of in sorted(one.kinds.items())]
+        rows += block(bundle.label, lines, bundle.name)
+    groups = (("", 2), ("said to be", len(KINDS)))
+    return Table(groups, ("model", "contacts", *KINDS), tuple(rows), words=2) if rows else None
 
 
 def told_table(results: Results) -> Table | None:

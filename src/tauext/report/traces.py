@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 
 from tauext.data.recording_file import describe
 from tauext.errors import ConfigError
@@ -18,6 +17,7 @@ from tauext.evaluate.results import EvaluatedBundle, Results
 from tauext.report.flight_file import Flight
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import CASE_COLOURS, bundle_colours, uncertainty_words
+from tauext.report.tables import render_template
 from tauext.report.trace_packing import METHOD_SIGNALS, Plan, Traced, pack, trace
 
 FOLDER = Path(__file__).parent
@@ -92,13 +92,9 @@ def results_traces(results: Results, signals: Signals, room: float, methods: Seq
     note = f"{len(shown)} of the {len(there)} recordings that have estimates, " if len(shown) < len(there) else ""
     note += "an hour at most. " if note else ""
     note += f"Methods left out: {', '.join(left)}; --trace-methods chooses. " if left else ""
-    words = Words(learned.pop() if len(learned) == 1 else "what was learned", units_of(results))
+    units = [results.unit_of(joint) for joint in range(len(results.joints))]
+    words = Words(learned.pop() if len(learned) == 1 else "what was learned", units)
     return section(traced, results.joints, told, plan.room, note, words)
-
-
-def units_of(results: Results) -> list[str]:
-    """Of torques, a joint."""
-    return [results.unit_of(joint) for joint in range(len(results.joints))]
 
 
 def flight_traces(flight: Flight, room: float) -> PageTraces:
@@ -198,8 +194,8 @@ def section(
     if size > 1:
         note += f"Minimum and maximum of every {size} samples are kept"
         note += f", and every sample in {windows} stretches around events. " if windows else ". "
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    html = environment.from_string((FOLDER / "traces.html.j2").read_text(encoding="utf-8")).render(
+    html = render_template(
+        FOLDER / "traces.html.j2",
         told=json.dumps(told | {"methods": methods}, allow_nan=False).replace("<", "\\u003c"),
         texts=texts,
         script="\n".join((FOLDER / name).read_text(encoding="utf-8") for name in SCRIPTS),

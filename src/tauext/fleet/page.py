@@ -14,9 +14,8 @@ from tauext.files.places import Place
 from tauext.files.whole_file import whole_file
 from tauext.fleet.measures import (
     NONE,
+    ArmRow,
     Cell,
-    Measure,
-    Trend,
     likelier,
     measures,
     number,
@@ -39,21 +38,7 @@ class Head:
     word: bool = False
 
 
-@dataclass(frozen=True)
-class OverviewRow:
-    arm: str
-    link: str
-    failed: bool
-    cells: tuple[Cell, ...]
-
-
-@dataclass(frozen=True)
-class Overview:
-    heads: tuple[Head, ...]
-    rows: tuple[OverviewRow, ...]
-
-
-def overview(arms: Sequence[Content], link: Mapping[str, str]) -> Overview:
+def overview(arms: Sequence[Content], link: Mapping[str, str]) -> dict[str, Any]:
     """Every arm at its last date, the failed ones too; types only where there are several."""
     typed = len({arm["type"] for arm in arms}) > 1
     heads = [Head("arm"), *([Head("type", True)] if typed else []), Head("last date", True), Head("state", True)]
@@ -68,8 +53,8 @@ def overview(arms: Sequence[Content], link: Mapping[str, str]) -> Overview:
         cells += [Cell(str(len(arm["visits"])), float(len(arm["visits"])))]
         cells += [plain(visit.get("minutes"), to), promise(visit, out, to), false(visit, to)]
         cells += [tool(visit, "fleet", to), tool(visit, "own", to), findings(visit)]
-        rows.append(OverviewRow(arm["serial"], to, visit["state"] != "done", tuple(cells)))
-    return Overview(tuple(heads), tuple(rows))
+        rows.append(ArmRow(arm["serial"], to, tuple(cells), failed=visit["state"] != "done"))
+    return {"heads": heads, "rows": rows}
 
 
 def plain(value: float | None, link: str) -> Cell:
@@ -120,17 +105,6 @@ class FleetGlance:
     alert: bool = False
 
 
-@dataclass(frozen=True)
-class PageGroup:
-    """Arms of one type."""
-
-    number: int
-    type: str
-    joints: tuple[str, ...]
-    measures: tuple[Measure, ...]
-    trends: tuple[Trend, ...]
-
-
 def render_fleet_page(content: Content, links: Mapping[tuple[int, str], str]) -> str:
     """The whole page.
 
@@ -141,13 +115,12 @@ def render_fleet_page(content: Content, links: Mapping[tuple[int, str], str]) ->
     arms, labels = with_places(content)
     link = {arm["serial"]: links.get((arm["visits"][-1]["run"], arm["visits"][-1]["name"]), "") for arm in arms}
     groups = [
-        PageGroup(
-            k,
-            group["type"],
-            tuple(group["joints"]),
-            tuple(measures(group, members(k, arms), link)),
-            tuple(trends(group, members(k, arms), labels)),
-        )
+        {
+            "number": k,
+            "type": group["type"],
+            "measures": measures(group, members(k, arms), link),
+            "trends": trends(group, members(k, arms), labels),
+        }
         for k, group in enumerate(content["groups"])
     ]
     return render_template(
@@ -159,7 +132,7 @@ def render_fleet_page(content: Content, links: Mapping[tuple[int, str], str]) ->
         failed=[failed(arm, one) for arm in arms for one in arm["visits"] if one["state"] != "done"],
         overview=overview(arms, link),
         groups=groups,
-        most_measures=max((len(group.measures) for group in groups), default=1),
+        most_measures=max((len(group["measures"]) for group in groups), default=1),
         reading=reading(content),
         command=content["command"],
         version=content["version"],

@@ -180,7 +180,7 @@ def draw_after_contact(results: Results) -> Drawing:
         (name, f"RMSE, {results.unit_of(j)}", partial(error_of, j)) for j, name in enumerate(results.joints)
     ]
     panels.append(("contact alarms that begin", "an hour", lambda entry: entry.contacts_per_hour))
-    figure, grid = panel_grid(len(panels), MOST_COLUMNS, lambda columns: WIDTH_IN, (0.6, 2.9))
+    figure, grid, _ = panel_grid(len(panels), MOST_COLUMNS, (WIDTH_IN, 0.0), (0.6, 2.9))
     strokes = bundle_strokes([bundle.name for bundle in results.bundles])
     for axes, (title, quantity, value) in zip(grid, panels, strict=True):
         for bundle, after in known:

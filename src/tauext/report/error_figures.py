@@ -61,16 +61,9 @@ def draw_error_against_sigma(results: Results) -> Drawing:
     bundles = with_sigma(results)
     if not bundles:
         raise NotAvailable("no bundle in the results has an error scale")
-    n = len(results.joints)
-    columns = min(n, MOST_COLUMNS)
-    rows = -(-n // columns)
-    figure = Figure(figsize=(min(WIDTH_IN, 1.2 + 3.6 * columns), 0.9 + 3.0 * rows), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False)
+    figure, grid, columns = panel_grid(len(results.joints), MOST_COLUMNS, (1.2, 3.6), (0.9, 3.0))
     colours = bundle_colours([bundle.name for bundle in results.bundles])
-    for joint, axes in enumerate(grid.flat):
-        if joint >= n:
-            axes.set_axis_off()
-            continue
+    for joint, axes in enumerate(grid):
         ends: list[float] = []
         for bundle in bundles:
             for region in REGIONS:
@@ -326,10 +319,8 @@ def draw_training_loss(results: Results) -> Drawing:
     if not panels:
         raise NotAvailable("the results hold no loss history; evaluate bundles with their NAME.run.json beside them")
     colours = bundle_colours([bundle.name for bundle in results.bundles])
-    rows = -(-len(panels) // LOSS_COLUMNS)
-    columns = -(-len(panels) // rows)
-    width = min(WIDTH_IN, 1.5 + 3.2 * columns)
-    figure, grid = panel_grid(len(panels), LOSS_COLUMNS, lambda columns: width, (0.6, 2.3), sharex=True, sharey=True)
+    shared = {"sharex": True, "sharey": True}
+    figure, grid, columns = panel_grid(len(panels), LOSS_COLUMNS, (1.5, 3.2), (0.6, 2.3), **shared)
     for axes, (name, bundles) in zip(grid, panels.items(), strict=True):
         for bundle in bundles:
             recipe = bundle.label.partition(", ")[2] or (f"{bundle.recipe} recipe" if bundle.recipe else bundle.label)
@@ -387,7 +378,7 @@ def draw_learning_curves(results: Results) -> Drawing:
     if all(len({bundle.training_minutes for bundle in of_one}) < 2 for of_one in lines.values()):
         raise NotAvailable("no recipe was trained on two amounts of data")
     several_models = len({model for _, model in lines}) > 1
-    figure, grid = panel_grid(len(results.joints), MOST_COLUMNS, lambda columns: 1.8 + 3.6 * columns, (0.6, 2.9))
+    figure, grid, _ = panel_grid(len(results.joints), MOST_COLUMNS, (1.8, 3.6), (0.6, 2.9))
     colours = (*CASE_COLOURS.values(), *OTHER_COLOURS)
     for joint, (axes, name) in enumerate(zip(grid, results.joints, strict=True)):
         for k, ((recipe, model), bundles) in enumerate(lines.items()):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -129,22 +129,22 @@ def _number_plainly(axis: Axis) -> None:
 
 
 def panel_grid(
-    count: int, most_columns: int, width_in: Callable[[int], float], height_in: tuple[float, float], **share: bool
-) -> tuple[Figure, list[Axes]]:
-    """A figure of so many panels in rows of about the same number, and its axes.
+    count: int, most_columns: int, width_in: tuple[float, float], height_in: tuple[float, float], **share: bool
+) -> tuple[Figure, list[Axes], int]:
+    """A figure of so many panels in rows of about the same number, its axes, and the number of columns.
 
     Args:
-        width_in: by the number of columns; WIDTH_IN at most.
+        width_in: of what all columns share, and of each column; WIDTH_IN at most in all.
         height_in: of what all rows share, and of each row.
     """
     rows = -(-count // most_columns)
     columns = -(-count // rows)
-    size = min(WIDTH_IN, width_in(columns)), height_in[0] + height_in[1] * rows
+    size = min(WIDTH_IN, width_in[0] + width_in[1] * columns), height_in[0] + height_in[1] * rows
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False, **share)
     for axes in grid.flat[count:]:
         axes.remove()
-    return figure, list(grid.flat[:count])
+    return figure, list(grid.flat[:count]), columns
 
 
 def write_above(axes: Axes, x: float, text: str, **style: str) -> None:

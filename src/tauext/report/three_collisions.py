@@ -230,8 +230,10 @@ def delay_text(verdict: Verdict | None, joint: str, sensed: bool) -> str:
     if against is None and not sensed:
         assert verdict.delay_s is not None  # of every one that was found
         text = f"{round(verdict.delay_s * 1e3)} ms"
-        return text if verdict.joint in (joint, None) else f"{text} ({verdict.joint})"
-    text = "sensor below" if against is None else f"{round(against * 1e3):+d} ms".replace("+0", "0").replace("-", "−")
+    elif against is None:
+        text = "sensor below"
+    else:
+        text = f"{round(against * 1e3):+d} ms".replace("+0", "0").replace("-", "−")
     return text if verdict.joint in (joint, None) else f"{text} ({verdict.joint})"
 
 

@@ -7,9 +7,16 @@ from dataclasses import replace
 import pytest
 from made_results import make_results
 
+from tauext.evaluate.results import (
+    CurvePoint,
+    EvaluatedBundle,
+    Limits,
+    RejectedTime,
+    Results,
+    StrengthBin,
+    load_results,
+)
 from tauext.report.page import false_alarms, first_screen, joint_list, plain, shown_bundle, span, weak_words
-from tauext.report.results import CurvePoint, EvaluatedBundle, Results, StrengthBin
-from tauext.report.results_file import load_results
 
 
 @pytest.fixture(scope="module")
@@ -18,73 +25,72 @@ def results(tmp_path_factory) -> Results:
     return load_results(folder)
 
 
-def measured(bundle: EvaluatedBundle, **changes) -> EvaluatedBundle:
-    return replace(bundle, measured=replace(bundle.measured, **changes))
-
-
-def false(bundle: EvaluatedBundle, **changes) -> EvaluatedBundle:
-    return measured(bundle, false_collisions=replace(bundle.measured.false_collisions, **changes))
+def free(bundle: EvaluatedBundle, **changes) -> EvaluatedBundle:
+    return replace(bundle, free_motion=replace(bundle.free_motion, **changes))
 
 
 def test_its_numbers_are_those_of_the_results(results):
     screen, bundle = first_screen(results), shown_bundle(results)
-    latched = bundle.measured.latched
+    latched = bundle.latched
     found, false_alarm, delay, limit = screen.glances
     assert screen.method == bundle.label
     assert found.value == f"{latched.latched} of {latched.collisions}"
     assert f"of the {latched.strong} strong ones, which every method must find, {latched.strong_latched}" in found.means
-    assert false_alarm.value.startswith(f"{bundle.measured.false_collisions.count} in ")
-    assert delay.value == f"{1000 * latched.onset_median_s:.0f} ms"
-    for name, value in zip(results.joints, bundle.limit_sliding_nm, strict=True):
+    assert false_alarm.value.startswith(f"{bundle.free_motion.false_collisions} in ")
+    assert delay.value == f"{1000 * latched.delay_median_s:.0f} ms"
+    for name, value in zip(results.joints, bundle.limits.sliding_nm, strict=True):
         assert f"{name} {value:.1f}" in limit.value.replace("\N{NO-BREAK SPACE}", " ")
     assert f"{len(results.collisions)} collision" in screen.tested and "by force pulses" in screen.tested
 
 
 def test_a_rate_of_no_alarm_at_all_is_as_low_as_the_test_was_long(results):
     """exp(-3) = 0.05: at 3 / T an hour, T hours without an alarm have a probability of 5 %."""
-    none = false(replace(results.bundles[0], hours=0.1), count=0)
+    none = free(results.bundles[0], hours=0.1, false_collisions=0)
     assert false_alarms(none).value == "0 in 6 minutes" and "fewer than 30 an hour" in false_alarms(none).means
-    some = false(replace(results.bundles[0], hours=0.5), count=2, low=0.48, high=14.4)
+    some = free(results.bundles[0], hours=0.5, false_collisions=2, false_collisions_interval_per_hour=(0.48, 14.4))
     assert "4 an hour (the truth lies between 0.48 and 14, 95 %)" in false_alarms(some).means
 
 
 def test_the_method_shown_misses_least_at_one_false_alarm_an_hour(results):
     """One that finds all by alarming all the time is not shown."""
     exact, none = results.bundles
-    loud = measured(exact, missed_curve=(CurvePoint(0.1, 900.0, 0), CurvePoint(1.0, 0.5, 9)))
-    calm = measured(none, missed_curve=(CurvePoint(0.1, 800.0, 0), CurvePoint(1.0, 0.9, 3)))
+    loud = replace(exact, missed_curve=(CurvePoint(0.1, 900.0, 0), CurvePoint(1.0, 0.5, 9)))
+    calm = replace(none, missed_curve=(CurvePoint(0.1, 800.0, 0), CurvePoint(1.0, 0.9, 3)))
     assert shown_bundle(replace(results, bundles=(loud, calm))) is calm
     assert shown_bundle(replace(results, bundles=(calm, loud))) is calm
 
 
 def test_what_is_too_weak_is_counted_up_to_the_strength_that_is_seen(results):
     bins = ((0.0, 1.0, 5, 0), (1.0, 2.0, 10, 4), (2.0, 4.0, 20, 19), (4.0, None, 30, 30))
-    bundle = measured(results.bundles[0], by_strength=tuple(StrengthBin(*one, None, None) for one in bins))
+    bundle = replace(results.bundles[0], by_strength=tuple(StrengthBin(*one, None, None) for one in bins))
     assert weak_words(results, bundle) == " Of 15 collisions below 2 Nm it missed 11."
-    seen = measured(bundle, by_strength=bundle.measured.by_strength[2:])
+    seen = replace(bundle, by_strength=bundle.by_strength[2:])
     assert weak_words(results, seen) == ""
 
 
 @pytest.mark.parametrize(
     "change, says",
     [
-        ({"promised": None}, "promise nothing about false alarms"),
-        ({"promised": 0.125, "kept": False}, "At most 0.12 false alarms an hour were promised, and the test had more"),
+        ({"promised_per_hour": None}, "promise nothing about false alarms"),
+        (
+            {"promised_per_hour": 0.125, "promise_kept": False},
+            "At most 0.12 false alarms an hour were promised, and the test had more",
+        ),
     ],
 )
 def test_the_next_step_follows_from_the_promise(results, change, says):
-    told = first_screen(replace(results, bundles=(false(results.bundles[0], **change),)))
+    told = first_screen(replace(results, bundles=(free(results.bundles[0], **change),)))
     assert says in " ".join(step.words for step in told.steps)
 
 
 def test_what_is_missing_is_said_to_be(results):
-    bundle = replace(measured(results.bundles[0], latched=None), hours=None)
-    screen = first_screen(replace(results, bundles=(bundle,), collisions={}))
+    bundle = free(replace(results.bundles[0], latched=None), hours=None)
+    screen = first_screen(replace(results, bundles=(bundle,), collisions=()))
     assert screen.glances[0].value == "–" and "no collisions were tried" in screen.glances[0].means
     assert screen.glances[2].value == "–" and "no free motion" in screen.tested and not screen.why
     assert "Touch the arm while it is recorded" in " ".join(step.words for step in screen.steps)
-    nothing = replace(bundle, limit_sliding_nm=(None, None), limit_near_stiction_nm=(None, None))
-    assert joint_list(results, nothing.limit_sliding_nm) == ""
+    nothing = replace(bundle, limits=Limits((None, None), (None, None), False))
+    assert joint_list(results, nothing.limits.sliding_nm) == ""
 
 
 def test_times_and_numbers_are_as_people_say_them():
@@ -97,14 +103,14 @@ def test_times_and_numbers_are_as_people_say_them():
 def test_collisions_in_unhealthy_time_are_no_misses_of_the_limits(results):
     """`0 of 20` stands beside its reason."""
     bundle = results.bundles[0]
-    latched = replace(bundle.measured.latched, collisions=20, latched=0, strong=3, strong_latched=0, unhealthy=18)
-    blind = replace(measured(bundle, latched=latched), rejected_share=0.86, rejected_causes=("wrong rate",))
+    latched = replace(bundle.latched, collisions=20, latched=0, strong=3, strong_latched=0, unhealthy=18)
+    blind = replace(bundle, latched=latched, rejected=RejectedTime(0.86, {"wrong rate": 0.86}, None))
     screen = first_screen(replace(results, bundles=(blind,)))
     assert (
         screen.glances[0].value == "0 of 20" and "18 came while the monitor was not healthy" in screen.glances[0].means
     )
     assert "not healthy for 86% of the time (wrong rate)" in screen.tested
     assert screen.steps[0].command == "tauext check"
-    calm = measured(bundle, latched=replace(latched, unhealthy=0))
+    calm = replace(bundle, latched=replace(latched, unhealthy=0))
     assert "none pushed a joint over its limit" in first_screen(replace(results, bundles=(calm,))).glances[0].means
     assert span(6 / 3600) == "6 seconds" and span(0.1) == "6 minutes"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from types import SimpleNamespace
@@ -12,9 +13,8 @@ from made_bundles import LIMIT_NM, TOOL_M, planar_tool_bundle, pushed, watching_
 
 from tauext.evaluate.comparison import evaluate
 from tauext.evaluate.injected import SHAPES, Injection, curve, profile
-from tauext.report.entry import Entry
-from tauext.report.force_figures import draw_injected, injected_table
-from tauext.report.results_file import read_injected
+from tauext.evaluate.results import Injected, JsonReader, results_of, to_json
+from tauext.report.force_figures import draw_injected, injected_table, injected_words
 
 SECONDS = 40.0
 UPPER_M = 0.3
@@ -64,6 +64,8 @@ def test_torques_on_single_joints_are_detected_from_the_limit_on(tmp_path):
     recording = replace(pushed(seconds=SECONDS, pushes=()), name="free")
     bundle = watching_bundle(network=False)
     found = evaluate({"watching": bundle}, [lambda: recording], [], tmp_path, 0, 1, inject=True)
+    written = {"format": 3, "provenance": {}} | json.loads(json.dumps(found))
+    assert to_json(results_of(written, "results.json")) == written  # every key has its field, every field its key
     injected = found["bundles"][0]["injected"]
     assert injected["without_forces"] and injected["unit"] == "Nm" and injected["unhealthy"] == 0
     shown = 1 - math.exp(-0.9 * bundle.observer.gain_per_s)
@@ -74,9 +76,9 @@ def test_torques_on_single_joints_are_detected_from_the_limit_on(tmp_path):
         if shape == "press":
             assert LIMIT_NM / shown <= one["nine_of_ten"] <= 2.2 * LIMIT_NM
             assert one["bins"][-1]["latched"] == one["bins"][-1]["events"]
-    report = read_injected(Entry("results", injected))
-    assert report is not None and report.unit == "Nm" and "press" in report.words()
-    shown_one = SimpleNamespace(name="a", label="watching", measured=SimpleNamespace(injected=report))
+    report = JsonReader(2).object(Injected, injected, "results")
+    assert report.unit == "Nm" and "press" in injected_words(report)
+    shown_one = SimpleNamespace(name="a", label="watching", injected=report)
     panels = draw_injected([shown_one], shown_one).figure.axes
     assert [axes.get_title() for axes in panels[: len(SHAPES)]] == [*SHAPES]
     press = report.at(report.place)[list(SHAPES).index("press")]

@@ -15,7 +15,8 @@ from made_results import undrawn as no_pictures
 
 from tauext.data.recording_file import fingerprint, load_recording, save_recording
 from tauext.errors import ConfigError, RecordingError, TauextError
-from tauext.report import results as paper
+from tauext.evaluate.results import bundle_label, load_results
+from tauext.report import paper
 from tauext.report.collision_figures import (
     draw_after_contact,
     draw_collisions,
@@ -32,11 +33,9 @@ from tauext.report.error_figures import (
     draw_training_loss,
     sigma_table,
 )
-from tauext.report.force_figures import MOST_N, draw_noticed_force, noticed_table
+from tauext.report.force_figures import MOST_N, draw_noticed_force, joined, noticed_table
 from tauext.report.page import PageFigure, render_page, tile, write_report
-from tauext.report.results import bundle_label, joined
-from tauext.report.results_file import expect_same_dataset, load_results
-from tauext.report.signals import NotAvailable, Signals
+from tauext.report.signals import NotAvailable, Signals, expect_same_dataset
 from tauext.report.style import CASE_COLOURS, OTHER_COLOURS, VARIANT_COLOURS, bundle_colours, bundle_strokes
 from tauext.report.tables import methods
 from tauext.report.three_collisions import choose, draw_three_collisions
@@ -124,7 +123,7 @@ def test_the_report_is_one_page_with_every_figure_inside_and_asks_no_host(made, 
         assert outside not in words
     for source in re.findall(r'src="(.{5})', page):
         assert source == "data:"
-    first = next(iter(load_results(made[0]).collisions.values()))
+    first = load_results(made[0]).collisions[0]
     link = f"#recording=collisions-000&amp;t={first.start_s - 1:.3f},{first.start_s + 1:.3f}"
     assert f'<a href="{link}">collisions-000</a>' in page
 
@@ -190,11 +189,12 @@ def test_ours_stand_beside_the_papers(made):
     for case in paper.L1_NM:
         for published in (paper.L1_NM[case], paper.L2_NM[case], paper.MSE_NM2[case]):
             assert f"{published[0]:.3f}" in page and f"{published[1]:.3f}" in page
-    assert f"joint1 {ours.l1_nm[0]:.3f} 0.402 {ours.l2_nm[0]:.3f} 0.661 {ours.mse_nm2[0]:.3f} 0.435 189,000" in page
-    assert f"{ours.limit_sliding_nm[0]:.2f} 4.62" in page
+    free = ours.free_motion
+    assert f"joint1 {free.l1_nm[0]:.3f} 0.402 {free.l2_nm[0]:.3f} 0.661 {free.mse_nm2[0]:.3f} 0.435 189,000" in page
+    assert f"{ours.limits.sliding_nm[0]:.2f} 4.62" in page
     assert "0.418" in page and "1.344" in page
-    false, latched = ours.measured.false_collisions.count, ours.measured.latched
-    assert f"{false:,} false collision{'' if false == 1 else 's'} in {ours.hours:.2f} h" in page
+    false, latched = ours.free_motion.false_collisions, ours.latched
+    assert f"{false:,} false collision{'' if false == 1 else 's'} in {ours.free_motion.hours:.2f} h" in page
     assert f"exact {latched.strong_latched} of {latched.strong} strong collisions raised an alarm" in page
 
 
@@ -303,8 +303,8 @@ def test_figure_seven_shows_the_chosen_collisions_without_a_model(made):
     results = load_results(made[0])
     drawing = draw_collisions(results, signals_of(made))
     top, bottom = drawing.figure.axes
-    assert [text.get_text() for text in top.texts] == [str(k + 1) for k in range(len(results.ten))]
-    onsets = [f"{results.collisions[one].start_s:.2f} s" for one in results.ten]
+    assert [text.get_text() for text in top.texts] == [str(k + 1) for k in range(len(results.ten_collisions))]
+    onsets = [f"{one.start_s:.2f} s" for one in results.ten]
     assert [tick.get_text() for tick in bottom.get_xticklabels()] == onsets
     assert drawing.caption.startswith("Figure 7. No model:")
 
@@ -399,7 +399,8 @@ def test_the_papers_numbers_stand_beside_both_recipes_and_the_recipe_is_named(se
     assert by_the_paper < page.index("exact, paper recipe joint1") < by_dense
     for label, name, trained in (("exact", "exact", "20,000"), ("exact, paper recipe", "exact-paper", "189,000")):
         ours = load_results(seven[0]).bundle(name)
-        measures = f"{ours.l1_nm[0]:.3f} 0.402 {ours.l2_nm[0]:.3f} 0.661 {ours.mse_nm2[0]:.3f} 0.435"
+        free = ours.free_motion
+        measures = f"{free.l1_nm[0]:.3f} 0.402 {free.l2_nm[0]:.3f} 0.661 {free.mse_nm2[0]:.3f} 0.435"
         assert f"{label} joint1 {measures} {trained}" in page
     assert "exact 20,000 steps; exact, paper recipe 189,000 steps; mass 20,000 steps" in page
 
@@ -431,7 +432,7 @@ def test_a_method_has_one_row_and_detectors_that_know_nothing_stand_under_it(mad
     table = methods(results)
     assert [row.cells[0] for row in table.rows] == [*results.labels.values(), "always", "never", "random"]
     assert {len(row.cells) for row in table.rows} == {len(table.columns)} == {sum(span for _, span in table.groups)}
-    latched = results.bundles[0].measured.latched
+    latched = results.bundles[0].latched
     assert f"{latched.strong_latched} of {latched.strong}" in table.rows[0].cells
     assert f"0 of {len(results.collisions)} (in alarm at {len(results.collisions)})" in table.rows[5].cells
 
@@ -450,9 +451,9 @@ def test_the_mark_of_a_method_stands_at_its_own_false_collisions_and_misses(made
     axes = draw_missed_curve(results).figure.axes[0]
     marks = {tuple(line.get_xydata()[0]) for line in axes.get_lines() if len(line.get_xydata()) == 1}
     for bundle in results.bundles:
-        false, latched = bundle.measured.false_collisions, bundle.measured.latched
-        at = [mark for mark in marks if mark[0] == pytest.approx(false.count / bundle.hours)]
-        at = at or [mark for mark in marks if false.count == 0 and mark[0] < 0.4 / bundle.hours]  # in the strip
+        free, latched = bundle.free_motion, bundle.latched
+        at = [mark for mark in marks if mark[0] == pytest.approx(free.false_collisions / free.hours)]
+        at = at or [mark for mark in marks if free.false_collisions == 0 and mark[0] < 0.4 / free.hours]  # in the strip
         missed = 100 * (1 - latched.latched / latched.collisions)
         assert any(mark[1] <= missed + 1e-9 for mark in at)  # one that was on before the onset is not latched anew
 
@@ -497,7 +498,7 @@ def test_learning_curves_have_a_line_a_recipe_and_a_panel_a_joint(copied):
     panels = draw_learning_curves(results).figure.axes
     assert [axes.get_title() for axes in panels] == ["joint1", "joint2"]
     dense, prior = (line.get_xydata().tolist() for line in panels[1].get_lines())
-    assert dense == [[m, results.bundle(f"m{k}").l1_nm[1]] for k, m in ((0, 1), (2, 30), (4, 50))]
+    assert dense == [[m, results.bundle(f"m{k}").free_motion.l1_nm[1]] for k, m in ((0, 1), (2, 30), (4, 50))]
     assert len(prior) == 2
 
 
@@ -577,8 +578,8 @@ def cut(content):
 FAULTS = {
     "older": (lambda c: c.update(format=3), "format 3 instead of 1: made by a development version before 0.1.0"),
     "no joints": (lambda c: c.update(joints=[]), "it holds no joints"),
-    "no bundles": (lambda c: c.update(bundles=[]), "it holds no bundle; evaluate at least one bundle"),
-    "bundles null": (lambda c: c.update(bundles=None), "'bundles' is null, must be list"),
+    "no bundles": (lambda c: c.update(bundles=[]), "it holds no bundles; evaluate at least one bundle"),
+    "bundles null": (lambda c: c.update(bundles=None), "it holds no bundle"),
     "a bundle that is text": (lambda c: c.update(bundles=["exact"]), 'bundles[0]: is "exact", must be an object'),
     "nameless bundle": (lambda c: c["bundles"][1].pop("name"), "bundles[1]: 'name' is null, must be str"),
     "one number for two joints": (cut, "bundles[0], free_motion: 'l1_nm' must be a list of 2 numbers or null"),
@@ -596,7 +597,7 @@ FAULTS = {
     ),
     "loss without step": (
         lambda c: c["bundles"][0].update(loss_history=[[0.5, 0.1, 0.1]]),
-        "bundles[0]: 'loss_history' holds [0.5, 0.1, 0.1], must be [step, training, validation loss]",
+        "bundles[0]: 'loss_history[0][0]' is 0.5, must be int",
     ),
     "true for a count": (lambda c: c["bundles"][0].update(ten_found=True), "'ten_found' is true, must be int"),
     "not a number": (lambda c: c["bundles"][0]["free_motion"].update(hours=float("nan")), "NaN is no JSON number"),
@@ -663,7 +664,7 @@ def test_errors_against_sigma_have_a_panel_a_joint_and_a_table(moving, made):
     results = load_results(moving[0])
     drawing = draw_error_against_sigma(results)
     assert [axes.get_title() for axes in drawing.figure.axes] == list(results.joints)
-    region = results.bundles[0].measured.sigma["sliding"][0]
+    region = results.bundles[0].error_against_sigma["sliding"][0]
     offsets = drawing.figure.axes[0].collections[0].get_offsets()
     np.testing.assert_allclose(offsets, [(b.sigma_rms_nm, b.error_rms_nm) for b in region.bins if b.samples >= FEWEST])
     table = sigma_table(results)
@@ -705,7 +706,7 @@ def test_the_page_says_what_force_is_noticed_with_a_table_and_a_figure(made, not
     words = words_of(written[1].read_text())
     assert "What force is noticed" in words
     assert "1.3 times these on" in words and "K0 = 20 1/s" in words and "ISO/TS 15066" in words
-    noticed = load_results(noticing[0]).bundles[0].measured.noticed
+    noticed = load_results(noticing[0]).bundles[0].noticed_force
     table = noticed_table(noticed)
     row = ("collision", "link of joint1", "14", "55", "12", "40", "9.0", "17", "31", "blind", "blind")
     assert table.rows[0].cells == (*row, "blind", "100")
@@ -717,7 +718,7 @@ def test_the_page_says_what_force_is_noticed_with_a_table_and_a_figure(made, not
 
 def test_limits_that_notice_the_same_stand_once(copied):
     put_noticed(copied[0])
-    table = noticed_table(load_results(copied[0]).bundles[0].measured.noticed)
+    table = noticed_table(load_results(copied[0]).bundles[0].noticed_force)
     assert [row.cells[0] for row in table.rows] == ["collision and contact"]
     alike = {"collision while sliding": 1, "collision near stiction": 2, "contact while sliding": 1}
     assert joined(alike) == {"collision and contact while sliding": 1, "collision near stiction": 2}
@@ -728,7 +729,7 @@ def test_a_bundle_that_tells_no_force_says_why(copied):
     change(copied[0], lambda content: [one.update(noticed_force={"refused": why}) for one in content["bundles"]])
     assert why in words_of(page_of(copied[0]))
     with pytest.raises(NotAvailable, match=why):
-        draw_noticed_force(load_results(copied[0]).bundles[0].measured.noticed)
+        draw_noticed_force(load_results(copied[0]).bundles[0].noticed_force)
 
 
 def test_forces_that_are_no_numbers_are_refused_with_their_place(copied):

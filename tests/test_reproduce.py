@@ -6,7 +6,7 @@ import pytest
 
 from tauext.cli.reproduce import SCALES, trainings
 from tauext.config import PAPER_CASES
-from tauext.report.results import bundle_label, place
+from tauext.evaluate.results import bundle_label, place
 
 CASES = tuple(PAPER_CASES)
 

@@ -15,9 +15,9 @@ from tauext.bundle.estimates import Estimates
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.evaluate.collisions import TouchMeasures, find_collisions
-from tauext.report.entry import Entry, Told, kinds_table, links_table, links_worth, read_links, told_table, told_words
+from tauext.evaluate.results import JsonReader, LinkProbability, LinkTable, ToldTouch, load_results
 from tauext.report.page import write_report
-from tauext.report.results_file import load_results
+from tauext.report.tables import kinds_table, links_table, links_worth, told_table, told_words, touched
 
 SIGMA_NM, RATE_HZ, APART_S, HELD_S = 0.15, 100, 3.0, 1.4
 PUSHES = (
@@ -128,13 +128,13 @@ def test_a_stated_link_counts_as_right_or_wrong():
 def test_the_report_has_the_tables_and_older_results_none(tmp_path, undrawn):
     results, data = make_results(tmp_path / "new", seconds=25, bundles=["exact"], error_scale=True)
     read = load_results(results)
-    (one,) = read.touches
-    table = links_table(read.touches)
+    ((bundle, one),) = touched(read)
+    table = links_table(read)
     assert [row.cells[1] for row in table.rows] == ["joint2"]  # where all of them are
     assert [int(cell or 0) for cell in table.rows[0].cells[2:4]] == list(one.links.table[1])
-    assert f"the right link first in {one.links.first} of {one.links.collisions}" in links_worth(one)
-    assert [row.cells[1] for row in kinds_table(read.touches).rows] == ["pulses"]
-    rows = told_table(read, read.touches).rows
+    assert f"the right link first in {one.links.first} of {one.links.collisions}" in links_worth(bundle.label, one)
+    assert [row.cells[1] for row in kinds_table(read).rows] == ["pulses"]
+    rows = told_table(read).rows
     assert len(rows) == len(read.collisions) and rows[1].cells[-1] == "joint2 95%, 21 N, impact"
     write_report(results, data, tmp_path / "report")
     assert "Where, how hard, and what kind" in (tmp_path / "report" / "report.html").read_text()
@@ -142,16 +142,24 @@ def test_the_report_has_the_tables_and_older_results_none(tmp_path, undrawn):
     for bundle in content["bundles"]:
         del bundle["touches"]
     (results / "results.json").write_text(json.dumps(content))
-    assert load_results(results).touches == ()
+    assert touched(load_results(results)) == []
 
 
 def test_what_was_told_in_words():
-    assert told_words(None) == "–" and told_words(Told(None)) == "–"
-    assert told_words(Told("unknown")) == "unknown"
-    assert told_words(Told("clamp", "elbow", 0.831, 33.6)) == "elbow 83%, 34 N, clamp"
+    assert told_words(None) == "–" and told_words(ToldTouch("x", None)) == "–"
+    assert told_words(ToldTouch("x", "unknown")) == "unknown"
+    assert told_words(ToldTouch("x", "clamp", (LinkProbability("elbow", 0.831),), 33.6)) == "elbow 83%, 34 N, clamp"
 
 
 def test_a_table_that_is_not_square_is_refused():
-    content = {"joints": ["a", "b"], "table": [[1, 2]], "collisions": 3, "first": 1, "first_two": 1}
+    content = {
+        "joints": ["a", "b"],
+        "table": [[1, 2]],
+        "collisions": 3,
+        "first": 1,
+        "first_two": 1,
+        "stated": 0,
+        "stated_right": 0,
+    }
     with pytest.raises(ConfigError, match="'table' must be 2 lists of 2 counts"):
-        read_links(Entry("results.json", content))
+        JsonReader(2).object(LinkTable, content, "results.json")

@@ -18,7 +18,7 @@ from tauext.bundle.estimates import COLLISION, CONTACT, FAULT, OK
 from tauext.cli import main
 from tauext.cli.results import report
 from tauext.errors import ConfigError
-from tauext.report.results_file import load_results
+from tauext.evaluate.results import load_results
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.trace_packing import (
     CLOSE_SHARE,

@@ -88,8 +88,7 @@ def expect_picture(picture: Place | None) -> None:
 
 def force_lines(found: dict) -> list[str]:
     """The tables, and what they say and do not say."""
-    from tauext.report.force_figures import CLOSING
-    from tauext.report.results import joined, left_out_words, surely
+    from tauext.report.force_figures import CLOSING, joined, left_out_words, surely
 
     lines = [
         f"{found['bundle']}: smallest force [N] that goes over a limit, "

@@ -213,19 +213,22 @@ def held(over: np.ndarray, hold_samples: int) -> np.ndarray:
 
 def latched_summary(verdicts: Sequence[dict]) -> dict:
     """The entry `latched` of a bundle in results.json."""
-    delays: dict[str, float | None] = {}
-    for key in ("delay", "delay_against_sensor"):
-        known = [v[f"{key}_s"] for v in verdicts if v[f"{key}_s"] is not None]
-        for name, quantile in (("median", 0.5), ("p95", 0.95)):
-            delays[f"{key}_{name}_s"] = float(np.quantile(known, quantile)) if known else None
     return {
         "collisions": len(verdicts),
         "latched": sum(v["latched"] for v in verdicts),
         "strong": sum(v["strong"] for v in verdicts),
         "unhealthy": sum(v["unhealthy"] for v in verdicts),
         "strong_latched": sum(v["strong"] and v["latched"] for v in verdicts),
-        **delays,
+        **delay_quantiles(verdicts, "delay"),
+        **delay_quantiles(verdicts, "delay_against_sensor"),
     }
+
+
+def delay_quantiles(verdicts: Sequence[dict], key: str) -> dict[str, float | None]:
+    """Median and 95 % quantile of the verdicts' delays, as KEY_median_s and KEY_p95_s."""
+    known = [verdict[f"{key}_s"] for verdict in verdicts if verdict[f"{key}_s"] is not None]
+    quantiles = {"median": 0.5, "p95": 0.95}
+    return {f"{key}_{name}_s": float(np.quantile(known, q)) if known else None for name, q in quantiles.items()}
 
 
 def _first_rise_in(flags: np.ndarray, window: slice) -> int | None:
@@ -252,16 +255,13 @@ def by_strength(touches: Sequence[Collision], verdicts: Sequence[dict]) -> list[
     entries = []
     for low, high in zip(EDGES_NM, (*EDGES_NM[1:], np.inf), strict=True):
         inside = [verdicts[k] for k in np.flatnonzero((peak_nm >= low) & (peak_nm < high)).tolist()]
-        delays_s = [v["delay_s"] for v in inside if v["delay_s"] is not None]
-        median, late = (float(np.quantile(delays_s, q)) if delays_s else None for q in (0.5, 0.95))
         entries.append(
             {
                 "peak_nm_from": low,
                 "peak_nm_to": None if np.isinf(high) else high,
                 "collisions": len(inside),
                 "latched": sum(v["latched"] for v in inside),
-                "delay_median_s": median,
-                "delay_p95_s": late,
+                **delay_quantiles(inside, "delay"),
             }
         )
     return entries

@@ -11,7 +11,7 @@ from tauext.bundle.estimates import COLLISION, Estimates
 from tauext.config import EventsConfig
 from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
-from tauext.evaluate.collisions import onset_s
+from tauext.evaluate.collisions import delay_quantiles, onset_s
 from tauext.evaluate.free_motion import FALSE_ALARM_QUIET_S, beginnings, time_since_touch
 
 # --- Alarms against labelled events whose edges are uncertain: found, false and how late, moving and resting apart.
@@ -163,12 +163,11 @@ class EventMeasures:
         chosen = [v for v in self._verdicts if v["moving"] in states]
         hours = float(self._free_s[list(states)].sum()) / 3600
         false = sum(alarm["moving"] in states for alarm in self._false_alarms)
-        entry: dict = {"events": len(chosen), "found": sum(v["found"] for v in chosen)}
-        for key in ("delay_s", "delay_from_onset_s"):
-            delays = [v[key] for v in chosen if v[key] is not None]
-            for suffix, quantile in (("median", 0.5), ("p95", 0.95)):
-                entry[f"{key.removesuffix('_s')}_{suffix}_s"] = float(np.quantile(delays, quantile)) if delays else None
-        return entry | {
+        return {
+            "events": len(chosen),
+            "found": sum(v["found"] for v in chosen),
+            **delay_quantiles(chosen, "delay"),
+            **delay_quantiles(chosen, "delay_from_onset"),
             "free_hours": hours,
             "false_alarms": false,
             "false_alarms_per_hour": false / hours if hours else None,

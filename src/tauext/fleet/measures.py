@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from tauext.fleet.odds import NAMED
+
 # --- Cells of the fleet's tables: a number, its place in a sorted column, how far out it is, and where it leads.
 
 
-NAMED, WATCH = 0.5, 0.1
+WATCH = 0.1
 FULL = 3.0
 """Spreads from which on the colour is full: one healthy joint in 400."""
 LEAST_SPREAD = 0.02
@@ -111,10 +113,11 @@ CONSTANT_SINCE = "What a unit of recorded torque is worth, by that of the arm's 
 
 
 @dataclass(frozen=True)
-class MeasureRow:
+class ArmRow:
     arm: str
     link: str
     cells: tuple[Cell, ...]
+    failed: bool = False
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,7 @@ class Measure:
 
     name: str
     says: str
-    rows: tuple[MeasureRow, ...]
+    rows: tuple[ArmRow, ...]
     heads: tuple[str, ...]
 
 
@@ -164,27 +167,19 @@ def relative(
     """Factors with their errors, coloured by how far they are from what the arm does and what all arms do."""
     rows, with_arm = [], what == "friction"
     for arm in arms:
-        told = (arm["visits"][-1].get(against) or {}).get(what)
+        told, to = (arm["visits"][-1].get(against) or {}).get(what), link.get(arm["serial"], "")
         cells = [
-            NONE if told is None or told["value"][j] is None else factor_cell(group, arm, told, j, against, what, link)
+            NONE if told is None or told["value"][j] is None else factor_cell(group, arm, told, j, against, what, to)
             for j in range(len(group["joints"]))
         ]
-        to = link.get(arm["serial"], "")
-        rows.append(MeasureRow(arm["serial"], to, (*cells, whole_arm(told, to)) if with_arm else tuple(cells)))
+        if with_arm:  # what all joints of the arm do together
+            factor = float(np.exp(told["arm"])) if told and "arm" in told else None
+            cells.append(NONE if factor is None else Cell(f"{factor:.2f}", factor, link=to))
+        rows.append(ArmRow(arm["serial"], to, tuple(cells)))
     return Measure(name, says, tuple(rows), (*group["joints"], "all joints") if with_arm else tuple(group["joints"]))
 
 
-def whole_arm(told: Content | None, link: str) -> Cell:
-    """What all joints of the arm do together."""
-    if told is None or "arm" not in told:
-        return NONE
-    factor = float(np.exp(told["arm"]))
-    return Cell(f"{factor:.2f}", factor, link=link)
-
-
-def factor_cell(
-    group: Content, arm: Content, told: Content, joint: int, against: str, what: str, link: Mapping[str, str]
-) -> Cell:
+def factor_cell(group: Content, arm: Content, told: Content, joint: int, against: str, what: str, link: str) -> Cell:
     """One factor: in logarithms beside the centre of the table, by the spread of healthy joints."""
     table = table_of(group, arm, against, what)
     value, error = told["value"][joint], told["error"][joint]
@@ -199,7 +194,7 @@ def factor_cell(
     factor = float(np.exp(min(value, 20)))
     text = f"{factor:.2f} ± {factor * error:.2f}"
     title = f"{arm['serial']} {group['joints'][joint]}: {text}, {out:+.1f} spreads"
-    return Cell(text, factor, out, probability, link.get(arm["serial"], ""), title)
+    return Cell(text, factor, out, probability, link, title)
 
 
 def table_of(group: Content, arm: Content, against: str, what: str) -> Content | None:
@@ -224,7 +219,7 @@ def absolute(
             NONE if columns[j][a] is None else Cell(number(columns[j][a]), columns[j][a], out[j][a], link=to)
             for j in joints
         )
-        rows.append(MeasureRow(arm["serial"], to, cells))
+        rows.append(ArmRow(arm["serial"], to, cells))
     return Measure(name, says, tuple(rows), tuple(group["joints"]))
 
 
@@ -249,12 +244,6 @@ MORE, LESS, USUAL = "#d55e00", "#0072b2", "#b5b5b5"
 
 
 @dataclass(frozen=True)
-class Trend:
-    joint: str
-    svg: str
-
-
-@dataclass(frozen=True)
 class Line:
     """One arm's joint: dates by their place on the axis, logarithms."""
 
@@ -265,7 +254,7 @@ class Line:
     """1: named for more, -1: for less, 0: not named."""
 
 
-def trends(group: Mapping[str, Any], arms: Sequence[Mapping[str, Any]], labels: Sequence[str]) -> list[Trend]:
+def trends(group: Mapping[str, Any], arms: Sequence[Mapping[str, Any]], labels: Sequence[str]) -> list[dict[str, str]]:
     """Of every joint; none where no arm has two dates.
 
     Args:
@@ -278,7 +267,7 @@ def trends(group: Mapping[str, Any], arms: Sequence[Mapping[str, Any]], labels: 
     for j, joint in ((None, "all joints together"), *enumerate(group["joints"])):
         lines = [line for arm in arms if (line := line_of(arm, j)) is not None]
         if lines:
-            found.append(Trend(joint, draw(lines, bands(group, j, len(labels)), labels)))
+            found.append({"joint": joint, "svg": draw(lines, bands(group, j, len(labels)), labels)})
     return found
 
 

@@ -8,17 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 
 from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.files.whole_file import whole_file
 from tauext.fleet.measures import (
-    NAMED,
     NONE,
+    ArmRow,
     Cell,
-    Measure,
-    Trend,
     likelier,
     measures,
     number,
@@ -26,6 +23,8 @@ from tauext.fleet.measures import (
     percent,
     trends,
 )
+from tauext.fleet.odds import NAMED
+from tauext.report.tables import plural, render_template
 
 # --- One row an arm: date, state, promise, tool, findings.
 
@@ -39,21 +38,7 @@ class Head:
     word: bool = False
 
 
-@dataclass(frozen=True)
-class OverviewRow:
-    arm: str
-    link: str
-    failed: bool
-    cells: tuple[Cell, ...]
-
-
-@dataclass(frozen=True)
-class Overview:
-    heads: tuple[Head, ...]
-    rows: tuple[OverviewRow, ...]
-
-
-def overview(arms: Sequence[Content], link: Mapping[str, str]) -> Overview:
+def overview(arms: Sequence[Content], link: Mapping[str, str]) -> dict[str, Any]:
     """Every arm at its last date, the failed ones too; types only where there are several."""
     typed = len({arm["type"] for arm in arms}) > 1
     heads = [Head("arm"), *([Head("type", True)] if typed else []), Head("last date", True), Head("state", True)]
@@ -68,8 +53,8 @@ def overview(arms: Sequence[Content], link: Mapping[str, str]) -> Overview:
         cells += [Cell(str(len(arm["visits"])), float(len(arm["visits"])))]
         cells += [plain(visit.get("minutes"), to), promise(visit, out, to), false(visit, to)]
         cells += [tool(visit, "fleet", to), tool(visit, "own", to), findings(visit)]
-        rows.append(OverviewRow(arm["serial"], to, visit["state"] != "done", tuple(cells)))
-    return Overview(tuple(heads), tuple(rows))
+        rows.append(ArmRow(arm["serial"], to, tuple(cells), failed=visit["state"] != "done"))
+    return {"heads": heads, "rows": rows}
 
 
 def plain(value: float | None, link: str) -> Cell:
@@ -120,39 +105,6 @@ class FleetGlance:
     alert: bool = False
 
 
-@dataclass(frozen=True)
-class Named:
-    """One line of what to look at first."""
-
-    arm: str
-    joint: str | None
-    kind: str
-    words: str
-    beside: str
-    probability: float
-    percent: str
-    link: str
-
-
-@dataclass(frozen=True)
-class Failed:
-    arm: str
-    date: str
-    stage: str
-    reason: str
-
-
-@dataclass(frozen=True)
-class PageGroup:
-    """Arms of one type."""
-
-    number: int
-    type: str
-    joints: tuple[str, ...]
-    measures: tuple[Measure, ...]
-    trends: tuple[Trend, ...]
-
-
 def render_fleet_page(content: Content, links: Mapping[tuple[int, str], str]) -> str:
     """The whole page.
 
@@ -163,17 +115,16 @@ def render_fleet_page(content: Content, links: Mapping[tuple[int, str], str]) ->
     arms, labels = with_places(content)
     link = {arm["serial"]: links.get((arm["visits"][-1]["run"], arm["visits"][-1]["name"]), "") for arm in arms}
     groups = [
-        PageGroup(
-            k,
-            group["type"],
-            tuple(group["joints"]),
-            tuple(measures(group, members(k, arms), link)),
-            tuple(trends(group, members(k, arms), labels)),
-        )
+        {
+            "number": k,
+            "type": group["type"],
+            "measures": measures(group, members(k, arms), link),
+            "trends": trends(group, members(k, arms), labels),
+        }
         for k, group in enumerate(content["groups"])
     ]
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+    return render_template(
+        TEMPLATE,
         title=title(arms, labels),
         lead=lead(content, arms),
         glances=glances(content, arms),
@@ -181,7 +132,7 @@ def render_fleet_page(content: Content, links: Mapping[tuple[int, str], str]) ->
         failed=[failed(arm, one) for arm in arms for one in arm["visits"] if one["state"] != "done"],
         overview=overview(arms, link),
         groups=groups,
-        most_measures=max((len(group.measures) for group in groups), default=1),
+        most_measures=max((len(group["measures"]) for group in groups), default=1),
         reading=reading(content),
         command=content["command"],
         version=content["version"],
@@ -253,14 +204,14 @@ def glances(content: Content, arms: Sequence[Content]) -> list[FleetGlance]:
             str(len(others)), "other things to look at: tools, constants, arms unlike the others", bool(others)
         ),
     ]
-    own = [told["named_from"] for name, told in tables(content) if name.startswith("own friction")]
-    if own:
-        text = f"× {np.exp(own[-1]):.2f}" if own[-1] is not None else "never"
-        found.append(FleetGlance(text, "friction of a joint from which it would be named, beside its own first date"))
-    fleet = [told["named_from"] for name, told in tables(content) if name == "fleet friction"]
-    if fleet:
-        text = f"× {np.exp(fleet[-1]):.2f}" if fleet[-1] is not None else "never"
-        found.append(FleetGlance(text, "friction from which it would be named beside the other arms alone"))
+    for start, means in (
+        ("own friction", "friction of a joint from which it would be named, beside its own first date"),
+        ("fleet friction", "friction from which it would be named beside the other arms alone"),
+    ):
+        named_from = [told["named_from"] for name, told in tables(content) if name.startswith(start)]
+        if named_from:
+            last = named_from[-1]
+            found.append(FleetGlance("never" if last is None else f"× {np.exp(last):.2f}", means))
     return found
 
 
@@ -268,16 +219,15 @@ def tables(content: Content) -> list[tuple[str, Content]]:
     return [pair for group in content["groups"] for pair in group["tables"].items()]
 
 
-def named(one: Content, link: Mapping[str, str]) -> Named:
+def named(one: Content, link: Mapping[str, str]) -> Content:
+    """One line of what to look at first."""
     beside = "its own first date" if one["against"] == "own" else "the fleet"
-    return Named(
-        one["arm"], one["joint"], one["kind"], one["words"], beside, one["probability"], percent(one["probability"]),
-        link.get(one["arm"], ""),
-    )  # fmt: skip
+    return {**one, "beside": beside, "percent": percent(one["probability"]), "link": link.get(one["arm"], "")}
 
 
-def failed(arm: Content, visit: Content) -> Failed:
-    return Failed(arm["serial"], visit["label"], visit["stage"] or "", visit["reason"] or visit["state"])
+def failed(arm: Content, visit: Content) -> Content:
+    reason = visit["reason"] or visit["state"]
+    return {"arm": arm["serial"], "date": visit["label"], "stage": visit["stage"] or "", "reason": reason}
 
 
 def reading(content: Content) -> list[str]:
@@ -314,10 +264,6 @@ def reading(content: Content) -> list[str]:
 
 def share(spread: float) -> str:
     return f"{100 * spread:.1f} %" if spread < 0.1 else f"{100 * spread:.0f} %"
-
-
-def plural(count: int, word: str) -> str:
-    return f"{count:,} {word}{'' if count == 1 else 's'}"
 
 
 # --- Writes the page of a fleet, and beside it each arm's own.

@@ -14,6 +14,7 @@ from tauext.bundle.bundle_file import load_bundle
 from tauext.data.dataset import load_dataset
 from tauext.data.recording_file import recording_date
 from tauext.errors import ConfigError, TauextError
+from tauext.evaluate.results import load_results
 from tauext.files.places import Place, place_of
 from tauext.files.plain_file import expect_format, json_of, read_text
 from tauext.fleet.odds import NAMED
@@ -365,20 +366,21 @@ def visit_facts(visit: Visit, facts: BundleFacts | None, friction_nm: np.ndarray
 
 def results_of(folder: Place | None) -> dict[str, Any]:
     """Of the free motion that training did not see: its error, and what was false there."""
-    content = json_file(folder / "results.json") if folder is not None else None
-    bundles = content.get("bundles") if isinstance(content, dict) else None
-    free = bundles[0].get("free_motion") if isinstance(bundles, list) and bundles else None
-    free = free if isinstance(free, dict) else {}
-    return {
-        "error_nm": rounded(free.get("l2_nm")),
-        "hours": rounded(free.get("hours")),
-        "false_collisions": free.get("false_collisions"),
-    }
+    try:
+        free = load_results(folder).bundles[0].free_motion if folder is not None else None
+    except ConfigError:  # a report of a hundred arms does not end for one of them
+        free = None
+    if free is None:
+        return {"error_nm": None, "hours": None, "false_collisions": None}
+    return {"error_nm": rounded(free.l2_nm), "hours": rounded(free.hours), "false_collisions": free.false_collisions}
 
 
 def findings_of(path: Place) -> list[dict[str, Any]]:
     """What the doctor found, without notes."""
-    content = json_file(path)
+    try:
+        content = json_of(read_text(path))
+    except (OSError, ValueError):  # not there, or damaged
+        content = None
     listed = content.get("findings") if isinstance(content, dict) else None
     kept = ("code", "severity", "joint", "evidence", "advice")
     return [
@@ -386,14 +388,6 @@ def findings_of(path: Place) -> list[dict[str, Any]]:
         for one in (listed if isinstance(listed, list) else [])
         if isinstance(one, dict) and one.get("severity") in ("fault", "warning")
     ]
-
-
-def json_file(path: Place) -> Any:
-    """Its content; None: not there, or damaged. A report of a hundred arms does not end for one of them."""
-    try:
-        return json_of(read_text(path))
-    except (OSError, ValueError):
-        return None
 
 
 def rounded(value: Any) -> Any:

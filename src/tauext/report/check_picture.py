@@ -30,17 +30,17 @@ def draw(diagnosis: Diagnosis, folder: Path, report: Reporter = SILENT) -> list[
     """
     servos = any(diagnosis.rests) or any(play.width_rad > 0 for play in diagnosis.plays)
     if diagnosis.rows is None:
-        return [_save(_servos(diagnosis), folder / "servos.png")] if servos else []
+        return [save_png(_servos(diagnosis), folder / "servos.png")] if servos else []
     count = 1 + len(diagnosis.joints) + servos
     with matplotlib.rc_context(RC), report.progress("draw") as show:
         show(0, count, "pictures")
-        paths = [_save(_all(diagnosis), folder / "torque.png")]
+        paths = [save_png(_all(diagnosis), folder / "torque.png")]
         for j in range(len(diagnosis.joints)):
             show(len(paths), count, "pictures")
-            paths.append(_save(_one(diagnosis, j), folder / f"torque-{j + 1}.png"))
+            paths.append(save_png(_one(diagnosis, j), folder / f"torque-{j + 1}.png"))
         if servos:
             show(len(paths), count, "pictures")
-            paths.append(_save(_servos(diagnosis), folder / "servos.png"))
+            paths.append(save_png(_servos(diagnosis), folder / "servos.png"))
         show(count, count, "pictures")
     return paths
 
@@ -128,8 +128,3 @@ def _broken(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """With NaN where rows are apart, so that no line is drawn across."""
     gaps = np.flatnonzero(np.diff(time) > BREAK_S) + 1
     return np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan)
-
-
-def _save(figure: Figure, path: Path) -> Path:
-    save_png(figure, path)
-    return path

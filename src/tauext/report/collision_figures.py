@@ -17,7 +17,7 @@ from matplotlib.ticker import NullLocator
 
 from tauext.bundle.estimates import Estimates
 from tauext.data.recording import Recording
-from tauext.report.results import Aftermath, Collision, CurvePoint, EvaluatedBundle, Results
+from tauext.evaluate.results import Aftermath, CurvePoint, EvaluatedBundle, LabelledCollision, Results
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import (
     CONTACT,
@@ -31,9 +31,11 @@ from tauext.report.style import (
     bundle_colours,
     bundle_strokes,
     label_joint,
+    panel_grid,
     sentence,
     uncertainty_words,
     use_log_height,
+    write_above,
 )
 
 # --- Figure 7: observer and uncertainty over time, without a model, while the ten collisions happen.
@@ -48,7 +50,7 @@ LIMIT_LINE: dict[str, Any] = {"color": LIMIT, "linestyle": "--", "linewidth": 0.
 class Excerpt:
     """A stretch of one recording around a collision, and where it stands on the joined axis."""
 
-    collision: Collision
+    collision: LabelledCollision
     recording: Recording
     said: Estimates
     first: int
@@ -71,9 +73,7 @@ def draw_collisions(results: Results, signals: Signals) -> Drawing:
         NotAvailable: no collision was chosen, or a file of the bundle is missing.
     """
     bundle = results.bundle("none")
-    excerpts = cut_excerpts(
-        [results.collisions[one] for one in results.ten if one in results.collisions], bundle.name, signals
-    )
+    excerpts = cut_excerpts(results.ten, bundle.name, signals)
     if not excerpts:
         raise NotAvailable("the results name no collisions to draw")
     colour, n = bundle_colours([c.name for c in results.bundles])[bundle.name], len(results.joints)
@@ -108,7 +108,7 @@ def draw_collisions(results: Results, signals: Signals) -> Drawing:
     )
 
 
-def cut_excerpts(collisions: list[Collision], bundle: str, signals: Signals) -> list[Excerpt]:
+def cut_excerpts(collisions: tuple[LabelledCollision, ...], bundle: str, signals: Signals) -> list[Excerpt]:
     """Longer than 3 s only where the contact itself is longer; cut short at the ends of its recording."""
     loaded: dict[str, tuple[Recording, Estimates]] = {}
     excerpts, shown_at_s = [], 0.0
@@ -132,7 +132,7 @@ def draw_excerpt(axes: Axes, excerpt: Excerpt, joint: int, colour: str, results:
     """Its curves, its limits where they move, every contact in it, and the line where the one before it ends."""
     rows = slice(excerpt.first, excerpt.last + 1)
     begin_s, end_s = excerpt.recording.time_s[[excerpt.first, excerpt.last]]
-    for other in results.collisions.values():
+    for other in results.collisions:
         if other.recording == excerpt.collision.recording and other.start_s < end_s and other.end_s > begin_s:
             span = excerpt.shown(np.clip([other.start_s, other.end_s], begin_s, end_s))
             axes.axvspan(*span, color=CONTACT, linewidth=0, zorder=0)
@@ -151,15 +151,7 @@ def label_excerpts(top: Axes, bottom: Axes, excerpts: list[Excerpt]) -> None:
     """A number above each excerpt; below, the time at which its contact begins in its own recording."""
     for number, excerpt in enumerate(excerpts, 1):
         middle = excerpt.shown((excerpt.collision.start_s + excerpt.collision.end_s) / 2)
-        top.annotate(
-            str(number),
-            (middle, 1),
-            xycoords=("data", "axes fraction"),
-            xytext=(0, 3),
-            textcoords="offset points",
-            ha="center",
-            fontweight="bold",
-        )
+        write_above(top, middle, str(number), fontweight="bold")
     bottom.set_xticks(
         [excerpt.shown(excerpt.collision.start_s) for excerpt in excerpts],
         [f"{excerpt.collision.start_s:.2f} s" for excerpt in excerpts],
@@ -181,24 +173,20 @@ def draw_after_contact(results: Results) -> Drawing:
     Raises:
         NotAvailable: no bundle has them.
     """
-    bundles = [bundle for bundle in results.bundles if bundle.measured.after_contact and bundle.measured.after_nothing]
-    if not bundles or not any(b.hours for bundle in bundles for b in bundle.measured.after_contact):
+    known = [(bundle, bundle.after_contact) for bundle in results.bundles if bundle.after_contact]
+    if not any(entry.hours for _, after in known for entry in after.bins):
         raise NotAvailable("the results hold no time after contacts")
     panels: list[tuple[str, str, Callable[[Aftermath], float | None]]] = [
         (name, f"RMSE, {results.unit_of(j)}", partial(error_of, j)) for j, name in enumerate(results.joints)
     ]
     panels.append(("contact alarms that begin", "an hour", lambda entry: entry.contacts_per_hour))
-    rows = -(-len(panels) // MOST_COLUMNS)
-    columns = -(-len(panels) // rows)
-    figure = Figure(figsize=(WIDTH_IN, 0.6 + 2.9 * rows), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False)
+    figure, grid, _ = panel_grid(len(panels), MOST_COLUMNS, (WIDTH_IN, 0.0), (0.6, 2.9))
     strokes = bundle_strokes([bundle.name for bundle in results.bundles])
-    for axes, (title, quantity, value) in zip(grid.flat, panels, strict=False):
-        for bundle in bundles:
-            nothing = bundle.measured.after_nothing
-            entries = [*bundle.measured.after_contact, *([nothing] if nothing else [])]
-            draw_entries(axes, [value(entry) for entry in entries], strokes[bundle.name], bundle.label)
-        bins = [f"{entry.from_s:g}\nto {entry.to_s:g}" for entry in bundles[0].measured.after_contact]
+    for axes, (title, quantity, value) in zip(grid, panels, strict=True):
+        for bundle, after in known:
+            values = [value(entry) for entry in (*after.bins, after.free_motion)]
+            draw_entries(axes, values, strokes[bundle.name], bundle.label)
+        bins = [f"{entry.from_s:g}\nto {entry.to_s:g}" for entry in known[0][1].bins]
         axes.set_xticks(range(len(bins) + 1), [*bins, "free\nmotion"], fontsize=8)
         axes.set_title(title)
         axes.set_ylabel(quantity)
@@ -206,22 +194,17 @@ def draw_after_contact(results: Results) -> Drawing:
             axes.set_ylim(0, max(axes.get_ylim()[1], 1))
         else:
             use_log_height(axes)
-    for axes in grid.flat[len(panels) :]:
-        axes.remove()
     figure.supxlabel("time since the end of the last contact, s", fontsize=9)
-    handles, labels = grid.flat[0].get_legend_handles_labels()
+    hours = sum(entry.hours for entry in known[0][1].bins)
+    handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", handlelength=3, ncols=LEGEND_COLUMNS)
     return Drawing(
         figure,
         "What a contact leaves behind: error of the estimate while nothing touches the arm any more, and at the right "
         "of each panel in motion without contacts. A network whose window still holds the contact errs more than that. "
-        f"Last panel, alarms of the contact level that begin there. {hours_of(bundles[0].measured.after_contact):.2g} "
+        f"Last panel, alarms of the contact level that begin there. {hours:.2g} "
         "h lie after contacts.",
     )
-
-
-def hours_of(entries: tuple[Aftermath, ...]) -> float:
-    return sum(entry.hours for entry in entries)
 
 
 def error_of(joint: int, entry: Aftermath) -> float | None:
@@ -246,12 +229,7 @@ def draw_strength(results: Results) -> Drawing:
     Raises:
         NotAvailable: the results hold no collisions by strength.
     """
-    bins = {
-        (b.low_nm, b.high_nm): b.collisions
-        for bundle in results.bundles
-        for b in bundle.measured.by_strength
-        if b.collisions
-    }
+    bins = {b.edges: b.collisions for bundle in results.bundles for b in bundle.by_strength if b.collisions}
     if not bins:
         raise NotAvailable("the results hold no collisions by strength")
     edges = sorted(bins, key=lambda edge: edge[0])
@@ -259,7 +237,7 @@ def draw_strength(results: Results) -> Drawing:
     share, delay = figure.subplots(1, 2)
     strokes = bundle_strokes([bundle.name for bundle in results.bundles])
     for bundle in results.bundles:
-        known = {(b.low_nm, b.high_nm): b for b in bundle.measured.by_strength if b.collisions}
+        known = {b.edges: b for b in bundle.by_strength if b.collisions}
         at = [k for k, edge in enumerate(edges) if edge in known]
         here = [known[edges[k]] for k in at]
         style = strokes[bundle.name] | {"markersize": 4.5}
@@ -299,7 +277,7 @@ def draw_found_curve(results: Results) -> Drawing:
         NotAvailable: the results hold no collision.
     """
     edges = sorted(
-        {(b.low, b.high) for bundle in results.shown for b in bundle.found_curve if b.collisions}, key=lambda e: e[0]
+        {b.edges for bundle in results.shown for b in bundle.found_curve if b.collisions}, key=lambda e: e[0]
     )
     if not edges:
         raise NotAvailable("the results hold no collisions")
@@ -309,7 +287,7 @@ def draw_found_curve(results: Results) -> Drawing:
     axes = figure.subplots()
     for k, bundle in enumerate(results.shown):
         shift = 0.09 * (k - (len(names) - 1) / 2) if len(names) < 9 else 0.0
-        bins = {(b.low, b.high): b for b in bundle.found_curve if b.collisions}
+        bins = {b.edges: b for b in bundle.found_curve if b.collisions}
         places = [at for at, edge in enumerate(edges) if edge in bins]
         shares = [100 * bins[edges[at]].found / bins[edges[at]].collisions for at in places]
         sizes = [12 * bins[edges[at]].collisions ** 0.5 + 10 for at in places]
@@ -319,15 +297,7 @@ def draw_found_curve(results: Results) -> Drawing:
     first_over = next((at for at, (low, _) in enumerate(edges) if low >= 1), None)
     if first_over is not None:
         axes.axvline(first_over - 0.5, color="#555555", linestyle="--", linewidth=1)
-        axes.annotate(
-            "the limit",
-            (first_over - 0.5, 1),
-            xycoords=("data", "axes fraction"),
-            xytext=(0, 3),
-            textcoords="offset points",
-            ha="center",
-            color="#555555",
-        )
+        write_above(axes, first_over - 0.5, "the limit", color="#555555")
     axes.set_xticks(range(len(edges)), [bin_label(results, edge) for edge in edges])
     axes.set(xlabel="peak of the sensor reference over the limit; below, collisions in the bin", ylabel="found, %")
     axes.set(ylim=(-6, 106), xlim=(-0.5, len(edges) - 0.5))
@@ -343,7 +313,7 @@ def draw_found_curve(results: Results) -> Drawing:
 def bin_label(results: Results, edge: tuple[float, float | None]) -> str:
     """Range of a bin, and how many collisions fall in it; a range where bundles differ."""
     low, high = edge
-    counts = [b.collisions for bundle in results.shown for b in bundle.found_curve if (b.low, b.high) == edge]
+    counts = [b.collisions for bundle in results.shown for b in bundle.found_curve if b.edges == edge]
     count = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)}–{max(counts)}"
     return (f"{low:g}–{high:g}" if high is not None else f"over {low:g}") + f"\n{count}"
 
@@ -369,7 +339,7 @@ def draw_missed_curve(results: Results) -> Drawing:
     bundles = [bundle for bundle in results.bundles if drawable(bundle)]
     if not bundles:
         raise NotAvailable("the results hold no collisions missed over false alarms")
-    hours = max(bundle.hours or 0.0 for bundle in bundles)
+    hours = max(bundle.free_motion.hours or 0.0 for bundle in bundles)
     left, right = (share / hours for share in STRIP)
     figure = Figure(figsize=(WIDTH_IN, 4.6), layout="constrained")
     axes = figure.subplots()
@@ -389,15 +359,7 @@ def draw_missed_curve(results: Results) -> Drawing:
     rates = [10.0**k for k in range(math.ceil(math.log10(right)), 3)]
     axes.set_xticks(rates, [f"{rate:g}" for rate in rates])
     axes.set(xlabel="false collisions an hour of free motion", ylabel="collisions missed, %")
-    axes.annotate(
-        f"none in {hours:.3g} h",
-        ((left * right) ** 0.5, 1),
-        xycoords=("data", "axes fraction"),
-        xytext=(0, 3),
-        textcoords="offset points",
-        ha="center",
-        color="#555555",
-    )
+    write_above(axes, (left * right) ** 0.5, f"none in {hours:.3g} h", color="#555555")
     figure.legend(loc="outside right upper", handlelength=3)
     return Drawing(
         figure,
@@ -408,8 +370,13 @@ def draw_missed_curve(results: Results) -> Drawing:
 
 
 def drawable(bundle: EvaluatedBundle) -> bool:
-    latched, points = bundle.measured.latched, bundle.measured.missed_curve
-    return bool(bundle.hours and latched and latched.collisions and any(p.false_per_hour is not None for p in points))
+    latched, points = bundle.latched, bundle.missed_curve
+    return bool(
+        bundle.free_motion.hours
+        and latched
+        and latched.collisions
+        and any(p.false_per_hour is not None for p in points)
+    )
 
 
 def draw_curve(axes: Axes, bundle: EvaluatedBundle, none_at: float, stroke: dict) -> None:
@@ -417,9 +384,9 @@ def draw_curve(axes: Axes, bundle: EvaluatedBundle, none_at: float, stroke: dict
 
     Under lower limits yet, alarms run into one another: they become fewer and no better.
     """
-    assert bundle.measured.latched is not None  # drawable() looked
-    collisions = bundle.measured.latched.collisions
-    points = sorted((p for p in bundle.measured.missed_curve if p.false_per_hour is not None), key=lambda p: p.scale)
+    assert bundle.latched is not None  # drawable() looked
+    collisions = bundle.latched.collisions
+    points = sorted((p for p in bundle.missed_curve if p.false_per_hour is not None), key=lambda p: p.scale)
     rates = [point.false_per_hour or 0.0 for point in points]
     busiest = rates.index(max(rates))
     first_quiet = next((k for k in range(busiest, len(points)) if rates[k] == 0), len(points))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, NullLocator
 
-from tauext.report.results import EvaluatedBundle, Results, SigmaRegion, bundle_label
+from tauext.evaluate.results import EvaluatedBundle, Results, SigmaRegion, bundle_label
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import (
     CASE_COLOURS,
@@ -31,11 +32,12 @@ from tauext.report.style import (
     bundle_colours,
     label_joint,
     missing_bundles,
+    panel_grid,
     uncertainty_words,
     use_log_height,
     use_log_width,
 )
-from tauext.report.tables import NONE, Row, Table, whole
+from tauext.report.tables import NONE, Row, Table, block, whole
 
 # --- Errors in free motion over the standard error that was told with them, and the shares within it.
 
@@ -47,7 +49,7 @@ MOST_COLUMNS = 4
 
 
 def with_sigma(results: Results) -> list[EvaluatedBundle]:
-    return [bundle for bundle in results.shown if bundle.measured.sigma]
+    return [bundle for bundle in results.shown if bundle.error_against_sigma]
 
 
 def draw_error_against_sigma(results: Results) -> Drawing:
@@ -59,19 +61,13 @@ def draw_error_against_sigma(results: Results) -> Drawing:
     bundles = with_sigma(results)
     if not bundles:
         raise NotAvailable("no bundle in the results has an error scale")
-    n = len(results.joints)
-    columns = min(n, MOST_COLUMNS)
-    rows = -(-n // columns)
-    figure = Figure(figsize=(min(WIDTH_IN, 1.2 + 3.6 * columns), 0.9 + 3.0 * rows), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False)
+    figure, grid, columns = panel_grid(len(results.joints), MOST_COLUMNS, (1.2, 3.6), (0.9, 3.0))
     colours = bundle_colours([bundle.name for bundle in results.bundles])
-    for joint, axes in enumerate(grid.flat):
-        if joint >= n:
-            axes.set_axis_off()
-            continue
+    for joint, axes in enumerate(grid):
         ends: list[float] = []
         for bundle in bundles:
-            for region, of_joints in bundle.measured.sigma.items():
+            for region in REGIONS:
+                of_joints = (bundle.error_against_sigma or {})[region]
                 drawn = [one for one in of_joints[joint].bins if one.samples >= FEWEST]
                 sizes = [8 + 60 * one.samples / of_joints[joint].samples for one in drawn]
                 face = colours[bundle.name] if region == "sliding" else "white"
@@ -111,13 +107,11 @@ def sigma_table(results: Results) -> Table | None:
     if not bundles:
         return None
     columns = ("model", "joint", *("samples", "1 σ", "2 σ") * len(REGIONS))
-    rows = []
+    rows: list[Row] = []
     for bundle in bundles:
-        for joint, name in enumerate(results.joints):
-            cells = [bundle.label if joint == 0 else "", name]
-            for region in REGIONS:
-                cells += region_cells(bundle.measured.sigma[region][joint])
-            rows.append(Row(tuple(cells), bundle.name if joint == 0 else None, opens=joint == 0))
+        regions = [(bundle.error_against_sigma or {})[region] for region in REGIONS]
+        of_joints = zip(results.joints, *regions, strict=True)
+        rows += block(bundle.label, ((name, *chain(*map(region_cells, of))) for name, *of in of_joints), bundle.name)
     groups = (("", 2), *((f"{words}: errors within, %", 3) for words in REGIONS.values()))
     return Table(groups, columns, tuple(rows), words=2)
 
@@ -152,7 +146,7 @@ def draw_error_over_speed(results: Results, signals: Signals) -> Drawing:
     grid = figure.subplots(n, 2, sharey="row", squeeze=False, width_ratios=[3, 2])
     for joint, name in enumerate(results.joints):
         fastest, largest = np.abs(speed[:, joint]).max(), np.abs(error[:, joint]).max()
-        limits = bundle.limit_sliding_nm[joint], bundle.limit_near_stiction_nm[joint]
+        limits = bundle.limits.sliding_nm[joint], bundle.limits.near_stiction_nm[joint]
         top = 1.08 * max(largest, *(one or 0 for one in limits)) or 1.0
         for axes, reach in zip(grid[joint], (1.03 * fastest or 1.0, CLOSE_UP * near), strict=True):
             shade(axes, near, reach)
@@ -161,7 +155,7 @@ def draw_error_over_speed(results: Results, signals: Signals) -> Drawing:
             )
             dots = np.ma.masked_equal(counts.T, 0)
             axes.pcolormesh(x, y, dots, cmap=INK, norm=LogNorm(1, max(counts.max(), 10)), rasterized=True, zorder=3)
-            if bundle.limits_move:
+            if bundle.limits.moving:
                 draw_typical_limit(axes, speed[:, joint], limit[:, joint], reach)
             else:
                 draw_limits(axes, *limits, near, reach)
@@ -177,17 +171,17 @@ def draw_error_over_speed(results: Results, signals: Signals) -> Drawing:
         Patch(color=NEAR_STICTION, label=f"near stiction, |speed| < {near:g} rad/s"),
         Patch(color="#0072b2", label="samples, darker where more"),
     ]
-    if any(limit is not None for limit in bundle.limit_sliding_nm):
-        words = "limit, median at a speed" if bundle.limits_move else "limit"
+    if any(limit is not None for limit in bundle.limits.sliding_nm):
+        words = "limit, median at a speed" if bundle.limits.moving else "limit"
         legend.append(Line2D([], [], color=LIMIT, linestyle="--", label=words))
     figure.legend(handles=legend, loc="outside upper left", ncols=4)
-    left = sorted(set(bundle.recordings) - set(used))
+    left = sorted(set(bundle.free_motion.recordings) - set(used))
     return Drawing(
         figure,
         f"Figure 6. Error of the estimate over joint speed, {bundle.label}, {len(speed):,} samples of "
         f"{len(used)} test recordings. Nothing touches the arm, so the whole estimate is error; it is largest near "
         f"stiction, which is why that region has a limit of its own."
-        + (" Limits follow the motion, hence differ at one speed, too." if bundle.limits_move else "")
+        + (" Limits follow the motion, hence differ at one speed, too." if bundle.limits.moving else "")
         + left_out(left),
     )
 
@@ -204,7 +198,7 @@ def left_out(names: Sequence[str]) -> str:
 def collect(bundle: EvaluatedBundle, signals: Signals) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[str]]:
     """Speed, error and limit of every healthy sample, each (samples, joints), and the recordings that they are of."""
     speeds, errors, limits, used = [], [], [], []
-    for name in bundle.recordings:
+    for name in bundle.free_motion.recordings:
         try:
             recording = signals.recording(name)
             said = signals.estimates(bundle.name, recording)
@@ -262,7 +256,7 @@ def draw_free_motion(results: Results, signals: Signals) -> Drawing:
         NotAvailable: no test recording or no estimates of it.
     """
     names = [bundle.name for bundle in results.shown]
-    recordings = [name for bundle in results.bundles for name in bundle.recordings]
+    recordings = [name for bundle in results.bundles for name in bundle.free_motion.recordings]
     if not recordings:
         raise NotAvailable("the results name no test recording of free motion")
     recording = signals.recording(recordings[0])
@@ -325,12 +319,9 @@ def draw_training_loss(results: Results) -> Drawing:
     if not panels:
         raise NotAvailable("the results hold no loss history; evaluate bundles with their NAME.run.json beside them")
     colours = bundle_colours([bundle.name for bundle in results.bundles])
-    rows = -(-len(panels) // LOSS_COLUMNS)
-    columns = -(-len(panels) // rows)
-    size = min(WIDTH_IN, 1.5 + 3.2 * columns), 0.6 + 2.3 * rows
-    figure = Figure(figsize=size, layout="constrained")
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for axes, (name, bundles) in zip(grid.flat, panels.items(), strict=False):
+    shared = {"sharex": True, "sharey": True}
+    figure, grid, columns = panel_grid(len(panels), LOSS_COLUMNS, (1.5, 3.2), (0.6, 2.3), **shared)
+    for axes, (name, bundles) in zip(grid, panels.items(), strict=True):
         for bundle in bundles:
             recipe = bundle.label.partition(", ")[2] or (f"{bundle.recipe} recipe" if bundle.recipe else bundle.label)
             draw_history(axes, bundle, recipe, colours[bundle.name])
@@ -339,14 +330,12 @@ def draw_training_loss(results: Results) -> Drawing:
             axes.legend(loc="upper right", handlelength=1.2, borderaxespad=0, labelcolor="linecolor")
         else:
             axes.set_title(bundles[0].label, color=colours[bundles[0].name], fontweight="bold")
-    for axes in grid.flat[len(panels) :]:
-        axes.remove()
-    for k, axes in enumerate(grid.flat[: len(panels)]):
+    for k, axes in enumerate(grid):
         axes.set(xscale="log", yscale="log")
         if k + columns >= len(panels):
             axes.set_xlabel("training steps")
             axes.tick_params(labelbottom=True)
-    for axes in grid[:, 0]:
+    for axes in grid[::columns]:
         axes.set_ylabel("loss")
     handles = [
         Line2D([], [], color=LOSS_GREY, linewidth=TRAINING_WIDTH, alpha=PALE, label="training"),
@@ -365,7 +354,7 @@ def draw_training_loss(results: Results) -> Drawing:
 
 def draw_history(axes: Axes, bundle: EvaluatedBundle, label: str, colour: str) -> None:
     """Training thin and pale, validation thick, a dot where that is lowest."""
-    steps, training, validation = zip(*bundle.loss_history, strict=True)
+    steps, training, validation = zip(*bundle.loss_history or (), strict=True)
     axes.plot(steps, training, color=colour, linewidth=TRAINING_WIDTH, alpha=PALE)
     axes.plot(steps, validation, color=colour, linewidth=VALIDATION_WIDTH, label=label)
     lowest = validation.index(min(validation))
@@ -383,21 +372,20 @@ def draw_learning_curves(results: Results) -> Drawing:
     """
     lines: dict[tuple[str, str], list[EvaluatedBundle]] = {}
     for bundle in results.bundles:
-        if bundle.measured.training_minutes:
-            lines.setdefault((bundle.recipe or bundle.name, bundle.measured.model_case or ""), []).append(bundle)
-    minutes = sorted({bundle.measured.training_minutes or 0.0 for bundles in lines.values() for bundle in bundles})
-    if all(len({bundle.measured.training_minutes for bundle in of_one}) < 2 for of_one in lines.values()):
+        if bundle.training_minutes:
+            lines.setdefault((bundle.recipe or bundle.name, bundle.case or ""), []).append(bundle)
+    minutes = sorted({bundle.training_minutes or 0.0 for bundles in lines.values() for bundle in bundles})
+    if all(len({bundle.training_minutes for bundle in of_one}) < 2 for of_one in lines.values()):
         raise NotAvailable("no recipe was trained on two amounts of data")
     several_models = len({model for _, model in lines}) > 1
-    rows = -(-len(results.joints) // MOST_COLUMNS)
-    columns = -(-len(results.joints) // rows)
-    figure = Figure(figsize=(min(WIDTH_IN, 1.8 + 3.6 * columns), 0.6 + 2.9 * rows), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False)
+    figure, grid, _ = panel_grid(len(results.joints), MOST_COLUMNS, (1.8, 3.6), (0.6, 2.9))
     colours = (*CASE_COLOURS.values(), *OTHER_COLOURS)
-    for joint, (axes, name) in enumerate(zip(grid.flat, results.joints, strict=False)):
+    for joint, (axes, name) in enumerate(zip(grid, results.joints, strict=True)):
         for k, ((recipe, model), bundles) in enumerate(lines.items()):
             points = sorted(
-                (c.measured.training_minutes, c.l1_nm[joint]) for c in bundles if c.l1_nm[joint] is not None
+                (c.training_minutes, c.free_motion.l1_nm[joint])
+                for c in bundles
+                if c.free_motion.l1_nm[joint] is not None
             )
             if not points:
                 continue
@@ -410,10 +398,8 @@ def draw_learning_curves(results: Results) -> Drawing:
         use_log_height(axes)
         axes.set_title(name)
         axes.set_ylabel(f"L1, {results.unit}")
-    for axes in grid.flat[len(results.joints) :]:
-        axes.remove()
     figure.supxlabel("training data, minutes", fontsize=9)
-    handles, labels = grid.flat[0].get_legend_handles_labels()
+    handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", handlelength=3, ncols=LEGEND_COLUMNS)
     return Drawing(
         figure,

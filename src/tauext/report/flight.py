@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -31,6 +30,7 @@ from tauext.report.style import (
     draw_band,
     uncertainty_words,
 )
+from tauext.report.tables import render_template
 from tauext.report.trace_packing import GAP_PERIODS
 from tauext.report.traces import NO_TRACES, PAGE_MB, PageTraces, flight_traces, or_reason
 
@@ -227,8 +227,8 @@ def write_flight_report(flight_path: Path, out_dir: Path, page_mb: float = PAGE_
 
 def render_flight(flight: Flight, figures: list[PageFigure], traces: PageTraces = NO_TRACES) -> str:
     """The whole page."""
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+    return render_template(
+        TEMPLATE,
         name=flight.recording.name,
         headline=flight.explanation[0],
         explanation=flight.explanation[1:],

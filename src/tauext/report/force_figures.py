@@ -2,29 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
 import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from tauext.errors import ConfigError
+from tauext.evaluate.results import EvaluatedBundle, Injected, JsonReader, NoticedForce
 from tauext.files.places import Place
 from tauext.files.whole_file import whole_files
-from tauext.report.entry import Entry
-from tauext.report.results import (
-    ASSUMED,
-    WAYS,
-    EvaluatedBundle,
-    Injected,
-    Noticed,
-    joined,
-    left_out_words,
-    milliseconds,
-    number,
-)
-from tauext.report.results_file import read_noticed
 from tauext.report.signals import NotAvailable
 from tauext.report.style import (
     CASE_COLOURS,
@@ -39,7 +27,7 @@ from tauext.report.style import (
     use_log_height,
     use_log_width,
 )
-from tauext.report.tables import Row, Table
+from tauext.report.tables import NONE, Row, Table, block, milliseconds
 
 # --- What force on a link a bundle notices, as a figure and as a table.
 
@@ -55,8 +43,40 @@ CLOSING = (
     "what the contact would do."
 )
 
+Limit = TypeVar("Limit")
+ONE_SIDED_95 = 1.645
+"""Standard errors that 95 % of errors are below."""
+WAYS = {"x": "x", "y": "y", "z": "z", "worst_way": "worst way"}
+"""Directions by their keys, in words."""
 
-def draw_noticed_force(noticed: Noticed | None) -> Drawing:
+
+def joined(limits: Mapping[str, Limit]) -> dict[str, Limit]:
+    """The same, with limits that notice the same under one name: `collision and contact while sliding`."""
+    found: dict[str, Limit] = {}
+    for name, entries in limits.items():
+        same = next((other for other, those in found.items() if those == entries), None)
+        if same is None:
+            found[name] = entries
+            continue
+        (level, _, motion), after = same.partition(" "), name.partition(" ")[2]
+        both = f"{level if motion == after else same} and {name}"
+        found = {both if other == same else other: those for other, those in found.items()}
+    return found
+
+
+def left_out_words(joints: Sequence[str]) -> str:
+    """A sentence about joints that do not answer in N m; empty without any."""
+    if not joints:
+        return ""
+    return f"Without {', '.join(joints)}: their torque constants are not known, so what they notice is not counted."
+
+
+def surely(error_share: float) -> float:
+    """Times the force that goes over a limit: from there on 19 of 20 do, whatever way the estimate errs."""
+    return 1 + ONE_SIDED_95 * error_share
+
+
+def draw_noticed_force(noticed: NoticedForce | None) -> Drawing:
     """A row a point of the arm: median of every way, nine of ten, and the worst way in the median pose.
 
     Raises:
@@ -75,10 +95,10 @@ def draw_noticed_force(noticed: Noticed | None) -> Drawing:
         colour = COLOURS[k % len(COLOURS)]
         for row, at in enumerate(limits[name]):
             height_at = row + 0.62 * ((k + 0.5) / len(names) - 0.5)
-            median, nine = at_or_blind(at.every_median_n), at_or_blind(at.nine_of_ten_n)
+            median, nine = at_or_blind(at.every_way.median_n), at_or_blind(at.every_way.nine_of_ten_n)
             axes.plot([median, nine], [height_at] * 2, color=colour, linewidth=3.2, solid_capstyle="butt")
             axes.plot(median, height_at, marker="o", color=colour, markersize=5.5)
-            worst = at_or_blind(at.ways["worst_way"].median_n)
+            worst = at_or_blind(at.worst_way.median_n)
             axes.plot(worst, height_at, marker="D", markerfacecolor="white", color=colour, markersize=5)
     axes.set_yticks(range(len(places)), places)
     axes.set_ylim(len(places) - 0.5, -0.5)
@@ -114,18 +134,19 @@ def at_or_blind(force_n: float | None) -> float:
     return BLIND_N if force_n is None else force_n
 
 
-def noticed_table(noticed: Noticed | None) -> Table | None:
+def noticed_table(noticed: NoticedForce | None) -> Table | None:
     """A row a limit and point; None without forces."""
     if noticed is None or not noticed.limits:
         return None
-    rows = []
+    rows: list[Row] = []
     for limit, entries in joined(noticed.limits).items():
-        for k, at in enumerate(entries):
-            cells = [limit if k == 0 else "", short(at.place), newtons(at.every_median_n), newtons(at.nine_of_ten_n)]
+        lines = []
+        for at in entries:
+            forces = [at.every_way.median_n, at.every_way.nine_of_ten_n]
             for way in WAYS:
-                cells += [newtons(at.ways[way].median_n), newtons(at.ways[way].worst_n)]
-            cells.append(f"{100 * at.ways['worst_way'].blind_share:.0f}")
-            rows.append(Row(tuple(cells), opens=k == 0))
+                forces += [getattr(at, way).median_n, getattr(at, way).worst_n]
+            lines.append((short(at.place), *map(newtons, forces), f"{100 * at.worst_way.blind_share:.0f}"))
+        rows += block(limit, lines)
     groups = (("", 2), ("every way", 2), *((words, 2) for words in WAYS.values()), ("", 1))
     columns = ("limit", "at the end of", "median", "9 of 10", *("median", "worst") * len(WAYS), "blind, %")
     return Table(groups, columns, tuple(rows), words=2)
@@ -153,7 +174,7 @@ def write_noticed_picture(noticed: dict[str, Any], picture: Place) -> None:
         ConfigError: it cannot be written.
     """
     with matplotlib.rc_context(RC):
-        drawing = draw_noticed_force(read_noticed(Entry(str(picture), noticed)))
+        drawing = draw_noticed_force(JsonReader(0).object(NoticedForce, noticed, str(picture)))
         try:
             picture.parent.mkdir(parents=True, exist_ok=True)
             with whole_files(picture) as (part,):
@@ -165,13 +186,19 @@ def write_noticed_picture(noticed: dict[str, Any], picture: Place) -> None:
 # --- What is detected of forces that were added to free motion, as a figure and as a table.
 
 
+ASSUMED = (
+    "The forces were added to the recorded motor torque of free motion: the position controller is assumed to hold its "
+    "path. Hands and compliance reduce a real force, and a controller that gives way shows less of it, and later."
+)
+
+
 def draw_injected(bundles: Sequence[EvaluatedBundle], shown: EvaluatedBundle) -> Drawing:
     """A column a shape: detected share and delay over the peak at the shown bundle's place, a curve a bundle.
 
     Raises:
         NotAvailable: no forces were added, or no event fitted into the free motion.
     """
-    injected = shown.measured.injected
+    injected = shown.injected
     if injected is None:
         raise NotAvailable("no forces were added to free motion; `tauext evaluate --inject` does so")
     if not injected.curves:
@@ -181,7 +208,7 @@ def draw_injected(bundles: Sequence[EvaluatedBundle], shown: EvaluatedBundle) ->
     panels = figure.subplots(2, len(shapes), sharex="col", sharey="row", squeeze=False)
     strokes = bundle_strokes([bundle.name for bundle in bundles])
     for bundle in bundles:
-        known = {} if bundle.measured.injected is None else {c.shape: c for c in bundle.measured.injected.at(place)}
+        known = {} if bundle.injected is None else {c.shape: c for c in bundle.injected.at(place)}
         style = strokes[bundle.name] | {"markersize": 3.5, "linewidth": 1.3}
         for k, shape in enumerate(shapes):
             bins = [one for one in known[shape].bins if one.events] if shape in known else []
@@ -212,29 +239,38 @@ def draw_injected(bundles: Sequence[EvaluatedBundle], shown: EvaluatedBundle) ->
 def injected_table(bundles: Sequence[EvaluatedBundle], shown: EvaluatedBundle) -> Table | None:
     """Peaks from which on 9 of 10 are detected and the delay from there on: every place of the shown bundle, and the
     place of the figure for the others."""
-    injected = shown.measured.injected
+    injected = shown.injected
     if injected is None or not injected.curves:
         return None
     place, shapes = injected.place, list(dict.fromkeys(one.shape for one in injected.curves))
-    rows = []
+    rows: list[Row] = []
     for bundle in (shown, *(one for one in bundles if one is not shown)):
-        theirs = bundle.measured.injected
+        theirs = bundle.injected
         if theirs is None:
             continue
         places = list(dict.fromkeys(one.place for one in theirs.curves)) if bundle is shown else [place]
-        for k, at in enumerate(places):
-            known = {one.shape: one for one in theirs.at(at)}
-            cells = [bundle.label if k == 0 else "", at]
-            for shape in shapes:
-                one = known.get(shape)
-                cells += [
-                    "–" if one is None else number(one.nine_of_ten),
-                    "–" if one is None else milliseconds(one.delay_median_s),
-                ]
-            rows.append(Row(tuple(cells), bundle=bundle.name if k == 0 else None, opens=k == 0))
+        lines = []
+        for at in places:
+            known = {one.shape: (peak(one.nine_of_ten), milliseconds(one.delay_median_s)) for one in theirs.at(at)}
+            lines.append([at, *(cell for shape in shapes for cell in known.get(shape, (NONE, NONE)))])
+        rows += block(bundle.label, lines, bundle.name)
     groups = (("", 2), *((shape, 2) for shape in shapes))
     return Table(groups, ("", "at", *(injected.unit, "ms") * len(shapes)), tuple(rows), words=2)
 
 
 def what(injected: Injected) -> str:
     return "torques on single joints" if injected.without_forces else "forces in random directions"
+
+
+def injected_words(injected: Injected) -> str:
+    """`30 N (hit of 20 ms, after 35 ms), ...`: the peaks from which on 9 of 10 are detected, at `place`."""
+    return ", ".join(
+        f"{peak(one.nine_of_ten)} {injected.unit} ({one.shape}, after {milliseconds(one.delay_median_s)} ms)"
+        if one.nine_of_ten is not None
+        else f"no peak that was tried ({one.shape})"
+        for one in injected.at(injected.place)
+    )
+
+
+def peak(value: float | None) -> str:
+    return "none" if value is None else f"{value:.2g}" if value < 10 else f"{value:.0f}"

@@ -11,15 +11,14 @@ from functools import partial
 from pathlib import Path
 
 import matplotlib
-from jinja2 import Environment, StrictUndefined
 
 from tauext.check.look import WORTH_A_WARNING
 from tauext.errors import ConfigError
+from tauext.evaluate.results import EvaluatedBundle, Numbers, Results, load_results
 from tauext.files.places import Place
 from tauext.files.room import expect_folder
 from tauext.files.whole_file import whole_folder
-from tauext.report import results as paper
-from tauext.report import tables
+from tauext.report import paper, tables
 from tauext.report.collision_figures import (
     draw_after_contact,
     draw_collisions,
@@ -27,7 +26,6 @@ from tauext.report.collision_figures import (
     draw_missed_curve,
     draw_strength,
 )
-from tauext.report.entry import events_table, kinds_table, links_table, links_worth, told_table
 from tauext.report.error_figures import (
     draw_error_against_sigma,
     draw_error_over_speed,
@@ -36,12 +34,19 @@ from tauext.report.error_figures import (
     draw_training_loss,
     sigma_table,
 )
-from tauext.report.force_figures import CLOSING, draw_injected, draw_noticed_force, injected_table, noticed_table
-from tauext.report.results import ASSUMED, EvaluatedBundle, Numbers, Results, surely
-from tauext.report.results_file import expect_same_dataset, load_results
-from tauext.report.signals import NotAvailable, Signals
+from tauext.report.force_figures import (
+    ASSUMED,
+    CLOSING,
+    draw_injected,
+    draw_noticed_force,
+    injected_table,
+    injected_words,
+    noticed_table,
+    surely,
+)
+from tauext.report.signals import NotAvailable, Signals, expect_same_dataset
 from tauext.report.style import RC, Drawing, bundle_colours, save_png
-from tauext.report.tables import method_errors, methods, milliseconds, number
+from tauext.report.tables import method_errors, methods, milliseconds, number, plural, render_template
 from tauext.report.three_collisions import draw_three_collisions
 from tauext.report.traces import NO_TRACES, PAGE_MB, PageTraces, chosen_bundles, or_reason, results_traces
 
@@ -109,10 +114,10 @@ def shown_bundle(results: Results) -> EvaluatedBundle:
     """The one that misses fewest collisions at limits scaled to at most one false alarm an hour, and errs least."""
 
     def rank(bundle: EvaluatedBundle) -> tuple[float, int, float]:
-        points = bundle.measured.missed_curve
+        points = bundle.missed_curve
         missed = [p.missed for p in points if p.false_per_hour is not None and p.false_per_hour <= MOST_FALSE_PER_HOUR]
-        latched = bundle.measured.latched
-        errors = [error for error in bundle.l1_nm if error is not None]
+        latched = bundle.latched
+        errors = [error for error in bundle.free_motion.l1_nm if error is not None]
         return min(missed, default=math.inf), -(latched.latched if latched else 0), sum(errors)
 
     return min(results.bundles, key=rank)
@@ -120,8 +125,9 @@ def shown_bundle(results: Results) -> EvaluatedBundle:
 
 def tested(results: Results, bundle: EvaluatedBundle) -> str:
     """One sentence."""
-    motion = f"{span(bundle.hours)} of motion in which nothing touched the arm" if bundle.hours else "no free motion"
-    kinds = Counter(collision.kind for collision in results.collisions.values())
+    hours = bundle.free_motion.hours
+    motion = f"{span(hours)} of motion in which nothing touched the arm" if hours else "no free motion"
+    kinds = Counter(collision.kind for collision in results.collisions)
     told = [f"{count} {CONTACT_KINDS[kind]}" for kind, count in sorted(kinds.items()) if kind in CONTACT_KINDS]
     known = f" ({', '.join(told)})" if sum(kinds[kind] for kind in CONTACT_KINDS) == kinds.total() and told else ""
     touches = f"{plural(kinds.total(), 'collision')}{known}" if kinds else "no collision"
@@ -130,16 +136,15 @@ def tested(results: Results, bundle: EvaluatedBundle) -> str:
 
 def rejected_words(bundle: EvaluatedBundle) -> str:
     """A sentence about the time in which nothing could be detected; empty where it is next to nothing."""
-    if not bundle.rejected_share or bundle.rejected_share <= WORTH_A_WARNING:
+    share = bundle.rejected.share
+    if not share or share <= WORTH_A_WARNING:
         return ""
-    causes = f" ({', '.join(bundle.rejected_causes)})" if bundle.rejected_causes else ""
-    return (
-        f" The monitor was not healthy for {bundle.rejected_share:.0%} of the time{causes}; nothing is detected then."
-    )
+    causes = f" ({', '.join(bundle.rejected.causes)})" if bundle.rejected.causes else ""
+    return f" The monitor was not healthy for {share:.0%} of the time{causes}; nothing is detected then."
 
 
 def found(bundle: EvaluatedBundle) -> Glance:
-    latched = bundle.measured.latched
+    latched = bundle.latched
     if latched is None or not latched.collisions:
         return Glance("–", "no collisions were tried, so nobody knows how many are found")
     strong = f"; of the {latched.strong} strong ones, which every method must find, {latched.strong_latched}"
@@ -154,36 +159,38 @@ def found(bundle: EvaluatedBundle) -> Glance:
 
 
 def false_alarms(bundle: EvaluatedBundle) -> Glance:
-    false = bundle.measured.false_collisions
-    if false.count is None or not bundle.hours:
+    free = bundle.free_motion
+    count, hours = free.false_collisions, free.hours
+    if count is None or not hours:
         return Glance("–", "false alarms: no free motion was tested")
-    if false.count == 0:
-        rate = f"fewer than {plain(NO_ALARMS_BELOW / bundle.hours)} an hour, as far as so short a test can tell"
-        return Glance(f"0 in {span(bundle.hours)}", f"false alarms while nothing touched the arm: {rate}")
-    rate = f"{plain(false.count / bundle.hours)} an hour"
-    if false.low is not None and false.high is not None:
-        rate += f" (the truth lies between {plain(false.low)} and {plain(false.high)}, 95 %)"
-    return Glance(f"{false.count:,} in {span(bundle.hours)}", f"false alarms while nothing touched the arm: {rate}")
+    low, high = free.false_collisions_interval_per_hour or (None, None)
+    if count == 0:
+        rate = f"fewer than {plain(NO_ALARMS_BELOW / hours)} an hour, as far as so short a test can tell"
+    else:
+        rate = f"{plain(count / hours)} an hour"
+        if low is not None and high is not None:
+            rate += f" (the truth lies between {plain(low)} and {plain(high)}, 95 %)"
+    return Glance(f"{count:,} in {span(hours)}", f"false alarms while nothing touched the arm: {rate}")
 
 
 def delay(bundle: EvaluatedBundle) -> Glance:
-    latched = bundle.measured.latched
-    if latched is None or latched.onset_median_s is None:
+    latched = bundle.latched
+    if latched is None or latched.delay_median_s is None:
         return Glance("–", "delay from the touch to the alarm: not available")
-    most = f"; 95 % within {milliseconds(latched.onset_p95_s)} ms" if latched.onset_p95_s is not None else ""
+    most = f"; 95 % within {milliseconds(latched.delay_p95_s)} ms" if latched.delay_p95_s is not None else ""
     return Glance(
-        f"{milliseconds(latched.onset_median_s)} ms",
+        f"{milliseconds(latched.delay_median_s)} ms",
         f"from the first touch to the alarm, for half of them{most} (soft touches take long to grow)",
     )
 
 
 def limits(results: Results, bundle: EvaluatedBundle) -> Glance:
     words = "push on a joint that raises an alarm while it moves" + (
-        " in the usual way; the limit follows the motion" if bundle.limits_move else ""
+        " in the usual way; the limit follows the motion" if bundle.limits.moving else ""
     )
-    near = joint_list(results, bundle.limit_near_stiction_nm)
+    near = joint_list(results, bundle.limits.near_stiction_nm)
     at_rest = f"; at rest or creeping: {near}" if near else ""
-    return Glance(joint_list(results, bundle.limit_sliding_nm) or "–", f"{words}{at_rest}")
+    return Glance(joint_list(results, bundle.limits.sliding_nm) or "–", f"{words}{at_rest}")
 
 
 def unseen(results: Results, bundle: EvaluatedBundle) -> list[str]:
@@ -203,37 +210,34 @@ def unseen(results: Results, bundle: EvaluatedBundle) -> list[str]:
 
 def weak_words(results: Results, bundle: EvaluatedBundle) -> str:
     """Of the collisions below the strength from which on they are seen."""
-    bins = [one for one in bundle.measured.by_strength if one.collisions]
+    bins = [one for one in bundle.by_strength if one.collisions]
     dim = [k for k, one in enumerate(bins) if one.latched < RELIABLE * one.collisions]
-    if not dim or bins[dim[-1]].high_nm is None:
+    if not dim or bins[dim[-1]].peak_nm_to is None:
         return ""
     below = bins[: dim[-1] + 1]
     missed = sum(one.collisions - one.latched for one in below)
     total = sum(one.collisions for one in below)
-    return f" Of {plural(total, 'collision')} below {below[-1].high_nm:g} Nm it missed {missed}."
+    return f" Of {plural(total, 'collision')} below {below[-1].peak_nm_to:g} Nm it missed {missed}."
 
 
 def steps(results: Results, bundle: EvaluatedBundle) -> list[Step]:
     """What to do next."""
-    false, lines = bundle.measured.false_collisions, list[Step]()
+    free, lines = bundle.free_motion, list[Step]()
     if rejected_words(bundle):
         words = "Find out why the monitor rejects so much, record or import anew, and evaluate again:"
         lines.append(Step(words, "tauext check"))
-    if false.promised is None:
+    if free.promised_per_hour is None:
         words = (
             "The limits promise nothing about false alarms. Record an hour or more of the arm's own work with nothing "
         )
         lines.append(Step(f"{words}touching it, and set them for a rate that you can bear:", "tauext calibrate"))
-    elif false.kept is False:
-        words = (
-            f"At most {plain(false.promised)} false alarms an hour were promised, and the test had more. Find out what "
-        )
-        lines.append(
-            Step(f"{words}differs (load, speed, temperature), record it, and set limits anew:", "tauext calibrate")
-        )
-    if bundle.hours is not None and bundle.hours < FEW_HOURS:
-        rate = plain(NO_ALARMS_BELOW / bundle.hours)
-        words = f"{span(bundle.hours)} of test motion can show no rate below {rate} an hour: record more before you "
+    elif free.promise_kept is False:
+        words = f"At most {plain(free.promised_per_hour)} false alarms an hour were promised, and the test had more. "
+        words += "Find out what differs (load, speed, temperature), record it, and set limits anew:"
+        lines.append(Step(words, "tauext calibrate"))
+    if free.hours is not None and free.hours < FEW_HOURS:
+        rate = plain(NO_ALARMS_BELOW / free.hours)
+        words = f"{span(free.hours)} of test motion can show no rate below {rate} an hour: record more before you "
         lines.append(Step(f"{words}trust it."))
     if not results.collisions:
         lines.append(Step("Touch the arm while it is recorded, and mark when: else nobody knows what is found."))
@@ -271,10 +275,6 @@ def span(hours: float | None) -> str:
 def plain(value: float) -> str:
     """Two digits, without an exponent."""
     return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
-
-
-def plural(count: int, word: str) -> str:
-    return f"{count:,} {word}{'' if count == 1 else 's'}"
 
 
 # --- The page: what was done, headline numbers, tables and figures, in one HTML file that asks no host for anything.
@@ -331,13 +331,16 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
     """
     colours = bundle_colours([bundle.name for bundle in results.bundles])
     shown = shown_bundle(results)
-    noticed = shown.measured.noticed
-    ten = [results.collisions[one] for one in results.ten if one in results.collisions]
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+    noticed = shown.noticed_force
+    return render_template(
+        TEMPLATE,
         first=first_screen(results),
         facts=facts(results),
-        changed=[(bundle.label, bundle.changed) for bundle in results.bundles if bundle.changed],
+        changed=[
+            (bundle.label, list(changed.items()))
+            for bundle in results.bundles
+            if (changed := bundle.changed_since_training)
+        ],
         notice=SCALES.get(str(results.provenance.get("scale"))),
         compared=tables.has_paper(results),
         colours=colours,
@@ -347,17 +350,17 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         methods=methods(results),
         method_errors=method_errors(results),
         sanity=results.sanity,
-        events=events_table(results.events) if results.events else None,
-        labels=results.events[0] if results.events else None,
+        events=tables.events_table(results),
+        labels=next((events for _, events in tables.events_of(results)), None),
         table_one=tables.tables_one(results),
         regions=tables.regions(results),
         limits_move=results.some_limits_move,
         units_note=results.units_note,
         sigma=sigma_table(results),
-        touched_links=links_table(results.touches),
-        links_worth=[words for one in results.touches if (words := links_worth(one))],
-        touch_kinds=kinds_table(results.touches),
-        touches_told=told_table(results, results.touches) if results.touches else None,
+        touched_links=tables.links_table(results),
+        links_worth=[words for one, its in tables.touched(results) if (words := tables.links_worth(one.label, its))],
+        touch_kinds=tables.kinds_table(results),
+        touches_told=tables.told_table(results),
         extremes=tables.extremes(results),
         noticed=noticed_table(noticed),
         noticed_by=shown.label,
@@ -365,16 +368,17 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         noticed_gain=noticed and noticed.gain_per_s,
         noticed_times=surely(noticed.error_share) if noticed and noticed.error_share else None,
         noticed_closing=CLOSING,
-        injected=shown.measured.injected,
+        injected=shown.injected,
+        injected_words=injected_words(shown.injected) if shown.injected and shown.injected.curves else "",
         injected_closing=ASSUMED,
         injected_table=injected_table(results.bundles, shown),
         alarms=tables.alarms(results),
-        ten_collisions=tables.collisions(results, ten, traces.recordings) if ten else None,
-        all_collisions=tables.collisions(results, results.collisions.values(), traces.recordings)
+        ten_collisions=tables.collisions(results, results.ten, traces.recordings) if results.ten else None,
+        all_collisions=tables.collisions(results, results.collisions, traces.recordings)
         if results.collisions
         else None,
         collision_count=len(results.collisions),
-        ten_count=len(ten),
+        ten_count=len(results.ten),
         paper=paper,
         figures=figures,
         traces=traces,
@@ -409,7 +413,7 @@ def by_bundle(values: dict[str, str]) -> str:
 def tile(bundle: EvaluatedBundle, results: Results, colour: str) -> Tile:
     """Headline of one bundle; what does not exist is said to be so."""
     found, of_what = headline(bundle, results)
-    error = f"L1 {short_list(bundle.l1_nm, results.unit)}"
+    error = f"L1 {short_list(bundle.free_motion.l1_nm, results.unit)}"
     return Tile(bundle.label, colour, found, of_what, false_collisions(bundle), error)
 
 
@@ -419,20 +423,20 @@ def headline(bundle: EvaluatedBundle, results: Results) -> tuple[str, str]:
     Those of the table of methods: strong ones, by an alarm that a monitor would have raised. Results that do not know
     them have the ten that were drawn by seed.
     """
-    latched = bundle.measured.latched
+    latched = bundle.latched
     if latched is not None and latched.strong:
         return f"{latched.strong_latched} of {latched.strong}", "strong collisions raised an alarm"
-    if bundle.ten_found is not None and results.ten:
-        return f"{bundle.ten_found} of {len(results.ten)}", "chosen collisions went over a limit"
+    if bundle.ten_found is not None and results.ten_collisions:
+        return f"{bundle.ten_found} of {len(results.ten_collisions)}", "chosen collisions went over a limit"
     return "none tried", "collisions"
 
 
 def false_collisions(bundle: EvaluatedBundle) -> str:
     """False collisions in test free motion, as the table of methods counts them."""
-    count = bundle.measured.false_collisions.count
-    if count is None or bundle.hours is None:
+    count, hours = bundle.free_motion.false_collisions, bundle.free_motion.hours
+    if count is None or hours is None:
         return "false collisions: not available"
-    return f"{count:,} false collision{'' if count == 1 else 's'} in {bundle.hours:.2f}\N{NO-BREAK SPACE}h"
+    return f"{count:,} false collision{'' if count == 1 else 's'} in {hours:.2f}\N{NO-BREAK SPACE}h"
 
 
 def short_list(values: Numbers, unit: str = "Nm") -> str:
@@ -490,14 +494,14 @@ def write_report(
         "training-loss": partial(draw_training_loss, results),
         "error-against-sigma": partial(draw_error_against_sigma, results),
         "found-curve": partial(draw_found_curve, results),
-        "noticed-force": lambda: draw_noticed_force(shown_bundle(results).measured.noticed),
+        "noticed-force": lambda: draw_noticed_force(shown_bundle(results).noticed_force),
         "injected": lambda: draw_injected(results.bundles, shown_bundle(results)),
     }
     page = out_dir / "report.html"
     try:
         with whole_folder(out_dir) as part:
             figures = {name: make_figure(one, part / "figures" / f"{name}.png") for name, one in draw.items()}
-            linked = PageTraces("", tuple(collision.recording for collision in results.collisions.values()))
+            linked = PageTraces("", tuple(collision.recording for collision in results.collisions))
             room = page_mb * 1e6 - len(render_page(results, figures, linked).encode())
             traces = or_reason(partial(results_traces, results, signals, room, trace_methods))
             (part / page.name).write_bytes(render_page(results, figures, traces).encode())

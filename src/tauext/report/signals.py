@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tauext.bundle.estimates import Estimates, load_estimates
+from tauext.data.dataset import FILE_NAME
 from tauext.data.recording import Recording
-from tauext.data.recording_file import load_recording
-from tauext.errors import RecordingError
+from tauext.data.recording_file import fingerprint, load_recording
+from tauext.errors import ConfigError, RecordingError
+from tauext.evaluate.results import Results
 from tauext.files.places import Place
 
 
@@ -79,3 +81,31 @@ class Signals:
         if not found:
             raise NotAvailable(f"there are no estimates of {recording.name}")
         return found, missing
+
+
+# --- Results are drawn with the dataset that they were measured on, and with no other.
+
+
+NAMED = 3
+"""So many of the recordings are named."""
+
+
+def expect_same_dataset(results: Results, results_dir: Path, dataset_dir: Place) -> None:
+    """Raise ConfigError where the dataset's recordings are not those that were evaluated.
+
+    One that is missing is said on the page where it would stand; a dataset that has none of them is another one.
+    Results of before fingerprints were kept say nothing.
+    """
+    judged = results.provenance.get("recordings") or {}
+    there = [name for name in judged if (dataset_dir / f"{name}.parquet").is_file()]
+    other = [name for name in there if fingerprint(dataset_dir / f"{name}.parquet") != judged[name]]
+    missing = bool(judged) and not there and (dataset_dir / FILE_NAME).is_file()
+    if not other and not missing:
+        return
+    names = other or list(judged)
+    told = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
+    what = "are not those that were evaluated" if other else "are not in it"
+    raise ConfigError(
+        f"{dataset_dir}: it is another dataset than that of {results_dir}, '{results.provenance.get('dataset')}': "
+        f"{told} {what}; give the dataset that was evaluated, or evaluate this one"
+    )

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from tauext.bundle.estimates import Estimates
-from tauext.report.results import Results, model_of
+from tauext.evaluate.results import Results, model_of
 
 # --- How figures look: one colour a bundle throughout, text that is legible at the page's width, no decoration.
 
@@ -128,6 +128,31 @@ def _number_plainly(axis: Axis) -> None:
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
+def panel_grid(
+    count: int, most_columns: int, width_in: tuple[float, float], height_in: tuple[float, float], **share: bool
+) -> tuple[Figure, list[Axes], int]:
+    """A figure of so many panels in rows of about the same number, its axes, and the number of columns.
+
+    Args:
+        width_in: of what all columns share, and of each column; WIDTH_IN at most in all.
+        height_in: of what all rows share, and of each row.
+    """
+    rows = -(-count // most_columns)
+    columns = -(-count // rows)
+    size = min(WIDTH_IN, width_in[0] + width_in[1] * columns), height_in[0] + height_in[1] * rows
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False, **share)
+    for axes in grid.flat[count:]:
+        axes.remove()
+    return figure, list(grid.flat[:count]), columns
+
+
+def write_above(axes: Axes, x: float, text: str, **style: str) -> None:
+    """A word above the axes, centred at this place of the horizontal axis."""
+    to = {"xycoords": ("data", "axes fraction"), "xytext": (0, 3), "textcoords": "offset points"}
+    axes.annotate(text, (x, 1), ha="center", **to, **style)
+
+
 def sentence(text: str) -> str:
     """With a capital at its start, the rest as it is."""
     return text[:1].upper() + text[1:]
@@ -147,10 +172,11 @@ class Drawing:
     caption: str
 
 
-def save_png(figure: Figure, path: Path) -> None:
+def save_png(figure: Figure, path: Path) -> Path:
     """As `figure.savefig` does, with one drawing instead of two: the layout is computed by the drawing itself."""
     figure.set_dpi(DPI)
     FigureCanvasAgg(figure).print_png(path, metadata={"Software": None})
+    return path
 
 
 def draw_band(axes: Axes, time: np.ndarray, centre: np.ndarray, sigma: np.ndarray | None, colour: str) -> None:

@@ -3,12 +3,28 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
-from tauext.report import results as paper
-from tauext.report.results import Collision, EvaluatedBundle, FalseCollisions, Numbers, Results, SanityRow, Verdict
+from jinja2 import Environment, StrictUndefined
+
+from tauext.evaluate.results import (
+    EvaluatedBundle,
+    EventCounts,
+    Events,
+    FreeMotion,
+    LabelledCollision,
+    Numbers,
+    Results,
+    SanityRow,
+    ToldTouch,
+    Touches,
+    Verdict,
+)
+from tauext.report import paper
 
 # --- The page's tables: ours beside the paper's where the paper has a number, a dash where there is none.
 
@@ -34,6 +50,22 @@ class Table:
     columns: tuple[str, ...]
     rows: tuple[Row, ...]
     words: int
+
+
+def block(label: str, lines: Iterable[Sequence[str]], bundle: str | None = None) -> list[Row]:
+    """Rows about one thing: label, colour and the line above are the first row's alone."""
+    rows = enumerate(lines)
+    return [Row((label if k == 0 else "", *one), bundle if k == 0 else None, opens=k == 0) for k, one in rows]
+
+
+def render_template(template: Path, **facts: Any) -> str:
+    """A page, by jinja; a name that it lacks is an error."""
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string(template.read_text(encoding="utf-8")).render(facts)
+
+
+def plural(count: int, word: str) -> str:
+    return f"{count:,} {word}{'' if count == 1 else 's'}"
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -87,22 +119,23 @@ def by_joint(
     if last:
         groups.append(("training", len(last)))
         columns += last
-    rows = []
-    for bundle in results.bundles:
-        for joint, name in enumerate(results.joints):
-            cells = [bundle.label if joint == 0 else "", name]
-            for measure, known in zip(measures, published, strict=True):
-                ours = measure.ours(bundle)[joint]
-                cells.append(number(None if ours is None else measure.factor * ours, measure.digits))
-                if known is not None:
-                    cells.append(
-                        number(
-                            known[bundle.model][joint] if bundle.model and bundle.model in known else None,
-                            measure.digits,
-                        )
+
+    def cells(bundle: EvaluatedBundle, joint: int) -> list[str]:
+        found = [results.joints[joint]]
+        for measure, known in zip(measures, published, strict=True):
+            ours = measure.ours(bundle)[joint]
+            found.append(number(None if ours is None else measure.factor * ours, measure.digits))
+            if known is not None:
+                found.append(
+                    number(
+                        known[bundle.model][joint] if bundle.model and bundle.model in known else None, measure.digits
                     )
-            cells += [text(bundle) if joint == 0 else "" for text in (last or {}).values()]
-            rows.append(Row(tuple(cells), bundle.name if joint == 0 else None, opens=joint == 0))
+                )
+        return found + [text(bundle) if joint == 0 else "" for text in (last or {}).values()]
+
+    rows: list[Row] = []
+    for bundle in results.bundles:
+        rows += block(bundle.label, (cells(bundle, joint) for joint in range(len(results.joints))), bundle.name)
     return Table(tuple(groups), tuple(columns), tuple(rows), words=2)
 
 
@@ -132,14 +165,14 @@ def table_one(results: Results) -> Table:
     unit, squared = results.unit, "N²m²" if results.unit == "Nm" else f"({results.unit})²"
     several_recipes = len({bundle.recipe for bundle in results.bundles}) > 1
     last = {"recipe": lambda bundle: bundle.recipe or NONE} if several_recipes else {}
-    if len({bundle.measured.training_minutes for bundle in results.bundles}) > 1:
-        last |= {"minutes": lambda bundle: number(bundle.measured.training_minutes, 1)}
+    if len({bundle.training_minutes for bundle in results.bundles}) > 1:
+        last |= {"minutes": lambda bundle: number(bundle.training_minutes, 1)}
     return by_joint(
         results,
         (
-            Measure(f"L1, {unit}", lambda bundle: bundle.l1_nm, paper.L1_NM),
-            Measure(f"L2 (RMSE), {unit}", lambda bundle: bundle.l2_nm, paper.L2_NM),
-            Measure(f"MSE, {squared}", lambda bundle: bundle.mse_nm2, paper.MSE_NM2),
+            Measure(f"L1, {unit}", lambda bundle: bundle.free_motion.l1_nm, paper.L1_NM),
+            Measure(f"L2 (RMSE), {unit}", lambda bundle: bundle.free_motion.l2_nm, paper.L2_NM),
+            Measure(f"MSE, {squared}", lambda bundle: bundle.free_motion.mse_nm2, paper.MSE_NM2),
         ),
         last=last | {"steps": lambda bundle: whole(bundle.steps)},
     )
@@ -151,17 +184,19 @@ def regions(results: Results) -> Table:
     return by_joint(
         results,
         (
-            Measure(f"RMSE sliding, {unit}", lambda bundle: bundle.rmse_sliding_nm, paper.RMSE_SLIDING_NM),
+            Measure(f"RMSE sliding, {unit}", lambda bundle: bundle.free_motion.rmse_sliding_nm, paper.RMSE_SLIDING_NM),
             Measure(
                 f"RMSE near stiction, {unit}",
-                lambda bundle: bundle.rmse_near_stiction_nm,
+                lambda bundle: bundle.free_motion.rmse_near_stiction_nm,
                 paper.RMSE_NEAR_STICTION_NM,
             ),
-            Measure("share near stiction, %", lambda bundle: bundle.near_stiction_share, digits=1, factor=100.0),
             Measure(
-                f"{limit} sliding, {unit}", lambda bundle: bundle.limit_sliding_nm, paper.LIMIT_SLIDING_NM, digits=2
+                "share near stiction, %", lambda bundle: bundle.free_motion.near_stiction_share, digits=1, factor=100.0
             ),
-            Measure(f"{limit} near stiction, {unit}", lambda bundle: bundle.limit_near_stiction_nm, digits=2),
+            Measure(
+                f"{limit} sliding, {unit}", lambda bundle: bundle.limits.sliding_nm, paper.LIMIT_SLIDING_NM, digits=2
+            ),
+            Measure(f"{limit} near stiction, {unit}", lambda bundle: bundle.limits.near_stiction_nm, digits=2),
         ),
     )
 
@@ -173,7 +208,7 @@ def limit_heading(results: Results) -> str:
 def extremes(results: Results) -> Table:
     """Largest observer output in free motion: how large the uncertainty is that the network has to learn."""
     heading = f"largest |r|, {results.unit}"
-    measure = Measure(heading, lambda bundle: bundle.observer_peak_nm, paper.OBSERVER_PEAK_NM, digits=1)
+    measure = Measure(heading, lambda bundle: bundle.free_motion.observer_peak_nm, paper.OBSERVER_PEAK_NM, digits=1)
     return by_joint(results, (measure,))
 
 
@@ -181,14 +216,18 @@ def alarms(results: Results) -> Table:
     """One row a bundle: collisions found, false alarms, training."""
     show_paper = has_paper(results)
     groups = [("", 1), ("collisions found", 3 if show_paper else 2), ("free motion", 3), ("training", 4)]
-    of = f"of the {len(results.ten)}"
+    of = f"of the {len(results.ten_collisions)}"
     columns = ["model", of, *([f"paper, of {paper.COLLISIONS}"] if show_paper else []), "of all"]
     columns += ["hours", "false alarms", "per hour", "recipe", "epochs", "batch", "steps"]
     rows = []
     for bundle in results.bundles:
         known = paper.FOUND if bundle.model in paper.L1_NM else None
         cells = [bundle.label, whole(bundle.ten_found), *([whole(known)] if show_paper else []), found_of(bundle)]
-        cells += [number(bundle.hours, 2), whole(bundle.false_alarms), number(bundle.false_alarms_per_hour, 1)]
+        cells += [
+            number(bundle.free_motion.hours, 2),
+            whole(bundle.free_motion.false_alarms),
+            number(bundle.free_motion.false_alarms_per_hour, 1),
+        ]
         cells += [bundle.recipe or NONE, whole(bundle.epochs), whole(bundle.batch), whole(bundle.steps)]
         rows.append(Row(tuple(cells), bundle.name, opens=True))
     return Table(tuple(groups), tuple(columns), tuple(rows), words=1)
@@ -200,7 +239,7 @@ def found_of(bundle: EvaluatedBundle) -> str:
     return f"{sum(v.found for v in bundle.verdicts.values())} of {len(bundle.verdicts)}"
 
 
-def collisions(results: Results, chosen: Iterable[Collision], traced: Collection[str] = ()) -> Table:
+def collisions(results: Results, chosen: Iterable[LabelledCollision], traced: Collection[str] = ()) -> Table:
     """One row a collision; a bundle's cell gives its delay and, in brackets, the delay against the sensor.
 
     The first column is the number that the collision has in figure 7, where it stands in it. Recordings that are
@@ -212,7 +251,7 @@ def collisions(results: Results, chosen: Iterable[Collision], traced: Collection
     rows = []
     for collision in chosen:
         link = results.joints[collision.link] if 0 <= collision.link < len(results.joints) else NONE
-        numbered = str(results.ten.index(collision.id) + 1) if collision.id in results.ten else ""
+        numbered = str(results.ten_collisions.index(collision.id) + 1) if collision.id in results.ten_collisions else ""
         cells = [numbered, collision.recording, collision.kind, f"link of {link}" if link != NONE else NONE]
         cells += [number(collision.start_s, 2), *(number(peak, 1) for peak in collision.sensor_peak_nm)]
         cells += [verdict_text(bundle.verdicts.get(collision.id)) for bundle in results.bundles]
@@ -270,11 +309,11 @@ def error_cells(bundle: EvaluatedBundle, apart: bool) -> tuple[str, ...]:
     """apart: every joint has a cell."""
     cells = [bundle.label]
     for values, digits in (
-        (bundle.l1_nm, 3),
-        (bundle.rmse_sliding_nm, 3),
-        (bundle.rmse_near_stiction_nm, 3),
-        (bundle.limit_sliding_nm, 2),
-        (bundle.limit_near_stiction_nm, 2),
+        (bundle.free_motion.l1_nm, 3),
+        (bundle.free_motion.rmse_sliding_nm, 3),
+        (bundle.free_motion.rmse_near_stiction_nm, 3),
+        (bundle.limits.sliding_nm, 2),
+        (bundle.limits.near_stiction_nm, 2),
     ):
         cells += [number(value, digits) for value in values] if apart else [number_range(values, digits)]
     return tuple(cells)
@@ -286,13 +325,16 @@ def number_range(values: Numbers, digits: int) -> str:
 
 
 def method_cells(bundle: EvaluatedBundle) -> tuple[str, ...]:
-    measured = bundle.measured
-    false, latched = measured.false_collisions, measured.latched
-    cells = [bundle.label, whole(false.count), interval(false.low, false.high), rate(false.promised), kept(false)]
+    free, latched = bundle.free_motion, bundle.latched
+    low, high = free.false_collisions_interval_per_hour or (None, None)
+    cells = [bundle.label, whole(free.false_collisions), interval(low, high), rate(free.promised_per_hour), kept(free)]
     if latched is None or not latched.collisions:
         return (*cells, NONE, NONE, NONE, NONE)
     cells += [f"{latched.latched} of {latched.collisions}", f"{latched.strong_latched} of {latched.strong}"]
-    cells += [milliseconds(delay, signed=True) for delay in (latched.delay_median_s, latched.delay_p95_s)]
+    cells += [
+        milliseconds(delay, signed=True)
+        for delay in (latched.delay_against_sensor_median_s, latched.delay_against_sensor_p95_s)
+    ]
     return tuple(cells)
 
 
@@ -304,13 +346,13 @@ def sanity_cells(row: SanityRow) -> tuple[str, ...]:
     return (row.name, rate(row.false_per_hour) + "/h", in_alarm, "", "", found, "", "", "")
 
 
-def kept(false: FalseCollisions) -> str:
+def kept(free: FreeMotion) -> str:
     """Whether the test leaves the promise standing; `far below` where it shows that less would have done."""
-    if false.kept is None:
+    if free.promise_kept is None:
         return NONE
-    if not false.kept:
+    if not free.promise_kept:
         return "no"
-    return "yes" if false.consistent is not False else "yes, far below"
+    return "yes" if free.promise_consistent is not False else "yes, far below"
 
 
 def interval(low: float | None, high: float | None) -> str:
@@ -320,3 +362,125 @@ def interval(low: float | None, high: float | None) -> str:
 def rate(value: float | None) -> str:
     """A rate an hour to three digits."""
     return NONE if value is None else f"{value:.3g}"
+
+
+# --- The table of labelled events: found, how late, false alarms an hour of free time, moving and resting apart.
+
+
+OWN = "the robot's own tau_ext"
+
+
+def events_of(results: Results) -> list[tuple[EvaluatedBundle | None, Events]]:
+    """Of every bundle that was held against labels, and, without a bundle, of the robot's own torque; none where
+    nothing was labelled."""
+    found: list[tuple[EvaluatedBundle | None, Events]] = [(one, one.events) for one in results.bundles if one.events]
+    found += [(None, results.own_torque.events)] if results.own_torque else []
+    return found if any(events.all.events for _, events in found) else []
+
+
+def events_table(results: Results) -> Table | None:
+    """One row a method and state that occurred; None where nothing was labelled."""
+    groups = (("", 3), ("delay from label, ms", 2), ("delay from onset, ms", 2), ("false alarms in free time", 3))
+    columns = ("method", "arm", "found", "median", "95 %", "median", "95 %", "count", "minutes", "an hour")
+    rows = []
+    for bundle, events in events_of(results):
+        label, name = (bundle.label, bundle.name) if bundle else (OWN, None)
+        for state in ("all", "moving", "resting"):
+            counts: EventCounts = getattr(events, state)
+            if state == "all" or counts.events or counts.free_hours:
+                whole = state == "all"
+                rows.append(Row((label if whole else "", state, *event_cells(counts)), name, opens=whole))
+    return Table(groups, columns, tuple(rows), words=2) if rows else None
+
+
+def event_cells(counts: EventCounts) -> tuple[str, ...]:
+    delays = (
+        counts.delay_median_s,
+        counts.delay_p95_s,
+        counts.delay_from_onset_median_s,
+        counts.delay_from_onset_p95_s,
+    )
+    return (
+        f"{counts.found} of {counts.events}" if counts.events else NONE,
+        *(milliseconds(delay) for delay in delays),
+        f"{counts.false_alarms:,}",
+        number(60 * counts.free_hours, 1),
+        number(counts.false_alarms_per_hour, 1),
+    )
+
+
+# --- Which link and kind were reported of collisions, beside the labels.
+
+
+KINDS = ("impact", "push", "clamp", "load", "unknown")
+
+
+def touched(results: Results) -> list[tuple[EvaluatedBundle, Touches]]:
+    """Bundles that reported a link or a kind, with both."""
+    return [(b, b.touches) for b in results.bundles if b.touches and (b.touches.links or b.touches.kinds)]
+
+
+def links_table(results: Results) -> Table | None:
+    """A row a bundle and touched link; None where no link was reported."""
+    placing = [(bundle, one.links) for bundle, one in touched(results) if one.links is not None]
+    if not placing:
+        return None
+    joints = placing[0][1].joints
+    rows: list[Row] = []
+    for bundle, links in placing:
+        lines = [
+            (joint, *(str(count or "") for count in counts), f"{counts[k] / sum(counts):.0%}")
+            for k, (joint, counts) in enumerate(zip(links.joints, links.table, strict=True))
+            if sum(counts)
+        ]
+        rows += block(bundle.label, lines, bundle.name)
+    groups = (("", 1), ("touched", 1), ("said to be on the link of", len(joints)), ("", 1))
+    return Table(groups, ("model", "link of", *joints, "right"), tuple(rows), words=2)
+
+
+def links_worth(label: str, one: Touches) -> str:
+    """`exact: the right link first in 6 of 8 collisions, among the first two in 7; stated with 90% or more in 3`."""
+    links = one.links
+    if links is None:
+        return ""
+    stated = f"stated with {one.stated_from:.0%} or more in {links.stated}"
+    right = f", right in {links.stated_right} of them" if links.stated else ""
+    return (
+        f"{label}: the right link first in {links.first} of {links.collisions} collisions, among the first two in "
+        f"{links.first_two}; {stated}{right}"
+    )
+
+
+def kinds_table(results: Results) -> Table | None:
+    """A row a bundle and the recordings' word for their contacts; None where no kind was told."""
+    rows: list[Row] = []
+    for bundle, one in touched(results):
+        lines = [(word, *(str(of.get(kind) or "") for kind in KINDS)) for word, of in sorted(one.kinds.items())]
+        rows += block(bundle.label, lines, bundle.name)
+    groups = (("", 2), ("said to be", len(KINDS)))
+    return Table(groups, ("model", "contacts", *KINDS), tuple(rows), words=2) if rows else None
+
+
+def told_table(results: Results) -> Table | None:
+    """A row a collision: the estimate of each bundle; None where no bundle has any."""
+    touches = touched(results)
+    if not touches:
+        return None
+    told = [{one.id: one for one in touch.told} for _, touch in touches]
+    rows = []
+    for collision in results.collisions:
+        link = results.joints[collision.link] if 0 <= collision.link < len(results.joints) else NONE
+        cells = [collision.recording, number(collision.start_s, 2), collision.kind, link]
+        rows.append(Row((*cells, *(told_words(one.get(collision.id)) for one in told))))
+    columns = ("recording", "onset, s", "kind", "link of", *(bundle.label for bundle, _ in touches))
+    groups = (("", 2), ("labelled", 2), ("said: link, newtons, kind", len(touches)))
+    return Table(groups, columns, tuple(rows), words=1)
+
+
+def told_words(told: ToldTouch | None) -> str:
+    """`joint4 83%, 34 N, push`; a dash where no alarm was raised."""
+    if told is None:
+        return NONE
+    parts = [f"{one.joint} {one.probability:.0%}" for one in told.links[:1]]
+    parts += [] if told.force_n is None or not told.links else [f"{told.force_n:.0f} N"]
+    return ", ".join([*parts, *([told.kind] if told.kind not in (None, "none") else [])]) or NONE

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 
 from tauext.bundle.estimates import Estimates
 from tauext.data.recording import Recording
-from tauext.report.results import Collision, EvaluatedBundle, Results, Verdict
+from tauext.evaluate.results import EvaluatedBundle, LabelledCollision, Results, Verdict
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import (
     CONTACT,
@@ -38,7 +38,7 @@ FOUND_MARK = {"marker": "o", "markersize": 5.5, "zorder": 7}
 class Scene:
     """One collision on one joint: what the sensor and every available bundle said of it."""
 
-    collision: Collision
+    collision: LabelledCollision
     recording: Recording
     said: dict[str, Estimates]
     verdicts: dict[str, Verdict]
@@ -130,16 +130,15 @@ def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
     )
 
 
-def choose(results: Results) -> tuple[int, list[Collision]]:
+def choose(results: Results) -> tuple[int, list[LabelledCollision]]:
     """The first joint if three of the ten collisions were found there, else the joint with most; by that of the
     bundles shown which found most of them, of several the first.
 
     Of those, the three whose sensor peaks are largest, in order of time; fewer where there are fewer.
     """
-    ten = [results.collisions[one] for one in results.ten if one in results.collisions]
 
-    def found_by(bundle: EvaluatedBundle) -> list[Collision]:
-        return [c for c in ten if c.id in bundle.verdicts and bundle.verdicts[c.id].joint in results.joints]
+    def found_by(bundle: EvaluatedBundle) -> list[LabelledCollision]:
+        return [c for c in results.ten if c.id in bundle.verdicts and bundle.verdicts[c.id].joint in results.joints]
 
     best = max(results.shown, key=lambda bundle: len(found_by(bundle)))
     found, verdicts = found_by(best), best.verdicts
@@ -231,8 +230,10 @@ def delay_text(verdict: Verdict | None, joint: str, sensed: bool) -> str:
     if against is None and not sensed:
         assert verdict.delay_s is not None  # of every one that was found
         text = f"{round(verdict.delay_s * 1e3)} ms"
-        return text if verdict.joint in (joint, None) else f"{text} ({verdict.joint})"
-    text = "sensor below" if against is None else f"{round(against * 1e3):+d} ms".replace("+0", "0").replace("-", "−")
+    elif against is None:
+        text = "sensor below"
+    else:
+        text = f"{round(against * 1e3):+d} ms".replace("+0", "0").replace("-", "−")
     return text if verdict.joint in (joint, None) else f"{text} ({verdict.joint})"
 
 

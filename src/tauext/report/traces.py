@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 
 from tauext.data.recording_file import describe
 from tauext.errors import ConfigError
+from tauext.evaluate.results import EvaluatedBundle, Results
 from tauext.report.flight_file import Flight
-from tauext.report.results import EvaluatedBundle, Results
 from tauext.report.signals import NotAvailable, Signals
 from tauext.report.style import CASE_COLOURS, bundle_colours, uncertainty_words
+from tauext.report.tables import render_template
 from tauext.report.trace_packing import METHOD_SIGNALS, Plan, Traced, pack, trace
 
 FOLDER = Path(__file__).parent
@@ -75,14 +75,13 @@ def results_traces(results: Results, signals: Signals, room: float, methods: Seq
     shown = there[: max(int((until_s <= HOUR_S).sum()), 1)]
     samples = sum(head.samples for head in heads[: len(shown)])
     plan = make_plan(samples, len(results.joints), len(bundles), room)
-    ten = [results.collisions[one] for one in results.ten if one in results.collisions]
     traced: list[Traced] = []
     learned: set[str] = set()
     for name in shown:
         recording = signals.recording(name)
         said, _ = signals.by_bundle([bundle.name for bundle in bundles], recording)
         learned |= {uncertainty_words([one]) for one in said.values()}
-        first = [(touch.start_s, touch.end_s) for touch in ten if touch.recording == name]
+        first = [(touch.start_s, touch.end_s) for touch in results.ten if touch.recording == name]
         traced.append(trace(recording, said, plan.size, plan.windows(recording), first))
     colours = bundle_colours([bundle.name for bundle in results.bundles])
     told = [
@@ -93,13 +92,9 @@ def results_traces(results: Results, signals: Signals, room: float, methods: Seq
     note = f"{len(shown)} of the {len(there)} recordings that have estimates, " if len(shown) < len(there) else ""
     note += "an hour at most. " if note else ""
     note += f"Methods left out: {', '.join(left)}; --trace-methods chooses. " if left else ""
-    words = Words(learned.pop() if len(learned) == 1 else "what was learned", units_of(results))
+    units = [results.unit_of(joint) for joint in range(len(results.joints))]
+    words = Words(learned.pop() if len(learned) == 1 else "what was learned", units)
     return section(traced, results.joints, told, plan.room, note, words)
-
-
-def units_of(results: Results) -> list[str]:
-    """Of torques, a joint."""
-    return [results.unit_of(joint) for joint in range(len(results.joints))]
 
 
 def flight_traces(flight: Flight, room: float) -> PageTraces:
@@ -160,16 +155,16 @@ def chosen_bundles(results: Results, names: Sequence[str]) -> list[EvaluatedBund
         return [bundle for bundle in results.bundles if bundle.name in names]
 
     def rank(bundle: EvaluatedBundle) -> tuple[bool, int, float]:
-        latched = bundle.measured.latched.latched if bundle.measured.latched else 0
-        return bundle.model != "exact", -latched, sum(error for error in bundle.l1_nm if error is not None)
+        latched = bundle.latched.latched if bundle.latched else 0
+        return bundle.model != "exact", -latched, sum(error for error in bundle.free_motion.l1_nm if error is not None)
 
     return sorted(results.bundles, key=rank)[:ROOM]
 
 
 def recordings_of(results: Results) -> list[str]:
     """Those with collisions and those of free motion, three and one by turns."""
-    touched = list(dict.fromkeys(collision.recording for collision in results.collisions.values()))
-    free = [name for bundle in results.bundles for name in bundle.recordings]
+    touched = list(dict.fromkeys(collision.recording for collision in results.collisions))
+    free = [name for bundle in results.bundles for name in bundle.free_motion.recordings]
     free = [name for name in dict.fromkeys(free) if name not in touched]
     order = []
     while touched or free:
@@ -199,8 +194,8 @@ def section(
     if size > 1:
         note += f"Minimum and maximum of every {size} samples are kept"
         note += f", and every sample in {windows} stretches around events. " if windows else ". "
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    html = environment.from_string((FOLDER / "traces.html.j2").read_text(encoding="utf-8")).render(
+    html = render_template(
+        FOLDER / "traces.html.j2",
         told=json.dumps(told | {"methods": methods}, allow_nan=False).replace("<", "\\u003c"),
         texts=texts,
         script="\n".join((FOLDER / name).read_text(encoding="utf-8") for name in SCRIPTS),

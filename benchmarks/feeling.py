@@ -3,7 +3,7 @@
     python benchmarks/feeling.py OUT [--seed 0]
 
 Leader, wire and follower are simulated: two arms of an SO-101's size in MuJoCo (felt/arm.py), servos as they were
-identified (felt/servo.py), 50 ticks a second, 1 to 3 ticks of delay each way, a table of 10 N/mm. tau_ext is tauext's
+identified (felt/arm.py), 50 ticks a second, 1 to 3 ticks of delay each way, a table of 10 N/mm. tau_ext is tauext's
 own: OUT/data gets free motion of the follower with its bundle; what is there is used again. OUT/README.md gets the
 tables, OUT/press.png and OUT/taps.png the pictures, OUT/feeling.json the numbers; those of docs/results/feeling are
 one run of these. Some 4 minutes of one core.
@@ -11,20 +11,14 @@ one run of these. Some 4 minutes of one core.
 
 from __future__ import annotations
 
-import argparse
 import json
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
-from felt.arm import Wall
-from felt.leader import GEARS, HANDS, Gears, Hand
-from felt.measures import swing
-from felt.pages import page
-from felt.pictures import draw
-from felt.senses import MonitorSenses, free_motion, train
-from felt.session import Course, Wish, run
-from felt.wishes import moves, press, taps
+from common import arguments, write_page
+from felt.arm import GEARS, HANDS, Gears, Hand, Wall
+from felt.pages import draw, page, swing
+from felt.session import Course, MonitorSenses, Wish, free_motion, moves, press, run, taps, train
 
 from tauext._core import Bundle
 from tauext.monitor.leader_feedback import (
@@ -49,8 +43,7 @@ CAP_NM = 1.0
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "out")
     parser.add_argument("--seed", type=int, default=0, help="of the motion: training, validation and test")
     options = parser.parse_args()
     bundle = train(options.out / "data", options.seed, SILENT)
@@ -83,9 +76,7 @@ def main() -> None:
     (options.out / "feeling.json").write_text(json.dumps(numbers, indent=1) + "\n")
     draw(courses[GEARS[1].name, HANDS[0].name, 3], TABLE, options.out / "press.png")
     draw(tapped, TABLE, options.out / "taps.png")
-    text = page(numbers)
-    (options.out / "README.md").write_text(text)
-    print(text)
+    write_page(options.out / "README.md", page(numbers))
 
 
 def press_session(

@@ -2,7 +2,7 @@
 
     python benchmarks/fleet.py MODELS OUT [--arms 40] [--minutes 12] [--ray local]
 
-Arms are of one simulated type (unseen.of_type), as CSV files of currents: friction, tool and constants are each
+Arms are of one simulated type (unseen.arms), as CSV files of currents: friction, tool and constants are each
 arm's own. Of each 20 arms two have a broken source, and must fail alone. Each run starts with empty folders and an
 empty memory of looks. MODELS: folder of the arms' URDFs, as of unseen_arms.py.
 """

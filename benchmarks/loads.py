@@ -11,20 +11,17 @@ command. What is there is used again.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import re
-import subprocess
-import sys
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from common import arguments, in_parallel, trained, write_page
 from unseen.arms import Maker, makers, true_arm
-from unseen.recordings import description, write_take
+from unseen.recordings import description, import_csv, simulate_takes
 from weighing.results import Weighed, markdown, summary
 from weighing.rig import PLANE, make_rig, rig_carried, tip
 from weighing.takes import FIRST_S, KNOWN_KG, TRAIN, WINDOW_S, WINDOWS, Carried, carried, write_carrying
@@ -57,9 +54,7 @@ class Subject:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("models", type=Path, help="folder of ur5_robot.urdf, panda.urdf and kinova.urdf")
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "models", "out")
     parser.add_argument("--arms", nargs="+", default=["ur5", "panda", "kinova", "seven_axis", RIG])
     parser.add_argument("--true-only", nargs="*", default=[], help="of these, arms whose constants are never off")
     parser.add_argument("--seed", type=int, default=0)
@@ -72,7 +67,7 @@ def main() -> None:
         known = None if name == RIG else makers(options.models)[name]
         subject = an_arm(known, folder, options.seed, kinds) if known else the_rig(folder, options.seed)
         for kind in kinds:
-            train(folder, kind, folder / f"{kind}.tauext", KINDS[kind])
+            trained(folder / f"data-{kind}", folder / f"{kind}.tauext", *KINDS[kind])
             outcomes += weigh(folder, kind, folder / f"{kind}.tauext", subject)
         if name in options.true_only:
             continue
@@ -84,15 +79,13 @@ def main() -> None:
     (options.out / "loads.json").write_text(json.dumps(facts, indent=1) + "\n")
     asked = f"python benchmarks/loads.py MODELS OUT --arms {' '.join(options.arms)}"
     asked += f" --true-only {' '.join(options.true_only)}" if options.true_only else ""
-    text = markdown(outcomes, factors, asked)
-    (options.out / "README.md").write_text(text)
-    print(text)
+    write_page(options.out / "README.md", markdown(outcomes, factors, asked))
 
 
 def an_arm(maker: Maker, folder: Path, seed: int, kinds: list[str]) -> Subject:
     """One of the trial on unseen arms; its recordings and datasets are made where they are not there."""
-    simulate_all(maker, folder, seed)
     takes = carried(maker, seed)
+    simulate_all(maker, folder, seed, list(takes))
     for kind in kinds:
         dataset(maker, folder, seed, kind, folder / f"data-{kind}", list(takes))
     return Subject(maker.name, takes, wrong_constants(maker, seed), lambda bundle: load_frame(bundle, maker.joints[-1]))
@@ -109,23 +102,12 @@ def wrong_constants(maker: Maker, seed: int) -> np.ndarray:
     return maker.random(seed, 98).uniform(1 - WRONG, 1 + WRONG, len(maker.joints))
 
 
-def simulate_all(maker: Maker, folder: Path, seed: int) -> None:
-    """Every recording that is not there."""
+def simulate_all(maker: Maker, folder: Path, seed: int, names: list[str]) -> None:
+    """Every recording that does not exist: those to train on, and these of `carried`."""
     raw = folder / "csv"
-    raw.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        jobs = [
-            pool.submit(write_take, maker, seed, k, raw, TRAIN)
-            for k, take in enumerate(TRAIN)
-            if not (raw / f"{take.name}.truth.npz").exists()
-        ]
-        jobs += [
-            pool.submit(write_carrying, maker, seed, name, raw)
-            for name in carried(maker, seed)
-            if not (raw / f"{name}.truth.json").exists()
-        ]
-        for job in jobs:
-            job.result()
+    simulate_takes(maker, seed, raw, TRAIN, os.cpu_count())
+    missing = [name for name in names if not (raw / f"{name}.truth.json").exists()]
+    in_parallel(os.cpu_count(), write_carrying, [(maker, seed, name, raw) for name in missing])
 
 
 def dataset(maker: Maker, folder: Path, seed: int, kind: str, out: Path, names: list[str], part: str = "test") -> None:
@@ -139,22 +121,8 @@ def dataset(maker: Maker, folder: Path, seed: int, kind: str, out: Path, names: 
     constants = json.dumps("unknown" if kind == "unknown" else (arm.nm_per_ampere * wrong).tolist())
     text = re.sub(r"torque_constant = .*", f"torque_constant = {constants}", text)
     text = text.replace(f"{part} = []", f"{part} = {json.dumps([f'{name}.csv' for name in names])}")
-    (folder / "csv" / f"arm-{out.name}.toml").write_text(text)
-    files = [str(folder / "csv" / f"{name}.csv") for name in [*(take.name for take in TRAIN), *names]]
-    command("import", "--source", *files, "--arm", folder / "csv" / f"arm-{out.name}.toml", "--out", out)
-
-
-def train(folder: Path, kind: str, out: Path, how: list[str]) -> None:
-    if not out.exists():
-        command("train", "--data", folder / f"data-{kind}", "--recipe", "prior", "--out", out, *how)
-
-
-def command(*arguments: str | Path) -> None:
-    """Run `tauext ARGUMENTS`; RuntimeError where it failed."""
-    words = [sys.executable, "-m", "tauext", *map(str, arguments)]
-    ended = subprocess.run(words, capture_output=True, text=True, check=False)
-    if ended.returncode:
-        raise RuntimeError(f"{' '.join(words)}:\n{ended.stdout}{ended.stderr}")
+    files = [folder / "csv" / f"{name}.csv" for name in [*(take.name for take in TRAIN), *names]]
+    import_csv(text, files, folder / "csv" / f"arm-{out.name}.toml", out)
 
 
 def weigh(folder: Path, label: str, path: Path, subject: Subject) -> list[Weighed]:
@@ -192,7 +160,8 @@ def correct(folder: Path, subject: Subject) -> dict:
         return facts | {"refused": str(error)}
     scaled_bundle(bundle, known.common).save(str(folder / "off-common.tauext"))
     told = (constants * known.factors).tolist()
-    train(folder, "off", folder / "off-joints.tauext", ["--torque-constants", *(f"{k:.6g}" for k in told)])
+    constants_told = ["--torque-constants", *(f"{k:.6g}" for k in told)]
+    trained(folder / "data-off", folder / "off-joints.tauext", *constants_told)
     return facts | {
         "common": known.common,
         "common_error": known.common_error,

@@ -10,20 +10,16 @@ command. What is there is used again.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import re
-import subprocess
-import sys
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from picking.results import markdown, summary
+from common import arguments, in_parallel, trained, write_page
+from picking.results import Outcome, errors, markdown, summary, watch
 from picking.takes import write_pick
-from picking.watched import Outcome, errors, watch
 from unseen.arms import Maker, makers, true_arm
-from unseen.recordings import description, write_take
+from unseen.recordings import description, import_csv, simulate_takes
 from weighing.takes import TRAIN
 
 EMPTY = 24
@@ -31,29 +27,25 @@ EMPTY = 24
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("models", type=Path, help="folder of ur5_robot.urdf, panda.urdf and kinova.urdf")
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "models", "out")
     parser.add_argument("--arms", nargs="+", default=["ur5", "panda"])
     parser.add_argument("--picks", nargs="+", type=int, default=[80, 80], help="of each arm; as many collisions")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     outcomes: list[Outcome] = []
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        for name, picks in zip(options.arms, options.picks, strict=True):
-            maker, folder = makers(options.models)[name], options.out / name
-            takes = plan(picks)
-            simulate_all(pool, maker, folder, options.seed, takes)
-            data = dataset(maker, folder, options.seed, takes)
-            bundle = train(folder, data)
-            free = errors(bundle, data, [f"empty-{k:03d}" for k in range(EMPTY)])
-            jobs = [pool.submit(watch, name, bundle, data, folder / "csv", take, free) for take in names(takes)]
-            outcomes += [job.result() for job in jobs]
-            print(markdown(outcomes, ""), flush=True)
+    for name, picks in zip(options.arms, options.picks, strict=True):
+        maker, folder = makers(options.models)[name], options.out / name
+        takes = plan(picks)
+        simulate_all(maker, folder, options.seed, takes)
+        data = dataset(maker, folder, options.seed, takes)
+        bundle = trained(data, folder / "arm.tauext", "--fit-torque-constants", "False")
+        free = errors(bundle, data, [f"empty-{k:03d}" for k in range(EMPTY)])
+        jobs = [(name, bundle, data, folder / "csv", take, free) for take in names(takes)]
+        outcomes += in_parallel(os.cpu_count(), watch, jobs)
     counts = " ".join(map(str, options.picks))
     asked = f"python benchmarks/picks.py MODELS OUT --arms {' '.join(options.arms)} --picks {counts}"
     (options.out / "picks.json").write_text(json.dumps(summary(outcomes)) + "\n")
-    (options.out / "README.md").write_text(markdown(outcomes, asked))
+    write_page(options.out / "README.md", markdown(outcomes, asked))
 
 
 def plan(picks: int) -> dict[str, int]:
@@ -66,22 +58,16 @@ def names(takes: dict[str, int]) -> list[str]:
     return [f"{kind}-{k:03d}" for kind, count in takes.items() if kind != "empty" for k in range(count)]
 
 
-def simulate_all(pool: ProcessPoolExecutor, maker: Maker, folder: Path, seed: int, takes: dict[str, int]) -> None:
+def simulate_all(maker: Maker, folder: Path, seed: int, takes: dict[str, int]) -> None:
+    """Recordings to train on, and takes of every kind; not those that exist."""
     raw = folder / "csv"
-    raw.mkdir(parents=True, exist_ok=True)
-    jobs = [
-        pool.submit(write_take, maker, seed, k, raw, TRAIN)
-        for k, take in enumerate(TRAIN)
-        if not (raw / f"{take.name}.truth.npz").exists()
-    ]
+    simulate_takes(maker, seed, raw, TRAIN, os.cpu_count())
+    jobs = []
     for kind, count in takes.items():
         what, _, hand = kind.partition("-")
         contact = "none" if what == "pick" else what
-        jobs += [
-            pool.submit(write_pick, maker, seed, k, raw, k % 2 == 0, contact, hand == "hand") for k in range(count)
-        ]
-    for job in jobs:
-        job.result()
+        jobs += [(maker, seed, k, raw, k % 2 == 0, contact, hand == "hand") for k in range(count)]
+    in_parallel(os.cpu_count(), write_pick, jobs)
 
 
 def dataset(maker: Maker, folder: Path, seed: int, takes: dict[str, int]) -> Path:
@@ -99,25 +85,9 @@ def dataset(maker: Maker, folder: Path, seed: int, takes: dict[str, int]) -> Pat
     touched = [name for name in watched if not name.startswith("pick")]
     text = re.sub(r"\ntest = .*", f"\ntest = {json.dumps([name for name in watched if name not in touched])}", text)
     text = re.sub(r"\ncollisions = .*", f"\ncollisions = {json.dumps(touched)}", text)
-    (folder / "csv" / "arm.toml").write_text(text)
-    files = [str(folder / "csv" / name) for name in ordinary + empty + watched]
-    command("import", "--source", *files, "--arm", folder / "csv" / "arm.toml", "--out", out)
+    files = [folder / "csv" / name for name in ordinary + empty + watched]
+    import_csv(text, files, folder / "csv" / "arm.toml", out)
     return out
-
-
-def train(folder: Path, data: Path) -> Path:
-    out = folder / "arm.tauext"
-    if not out.exists():
-        command("train", "--data", data, "--recipe", "prior", "--out", out, "--fit-torque-constants", "False")
-    return out
-
-
-def command(*arguments: str | Path) -> None:
-    """Run `tauext ARGUMENTS`; RuntimeError where it failed."""
-    words = [sys.executable, "-m", "tauext", *map(str, arguments)]
-    ended = subprocess.run(words, capture_output=True, text=True, check=False)
-    if ended.returncode:
-        raise RuntimeError(f"{' '.join(words)}:\n{ended.stdout}{ended.stderr}")
 
 
 if __name__ == "__main__":

@@ -9,30 +9,23 @@ are of this command. What is there is used again.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import re
-import sys
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from kinds.results import markdown, summary
+from common import arguments, in_parallel, trained, write_page
+from kinds.results import Watched, markdown, summary, watch
 from kinds.takes import KINDS, name_of, write_touch
-from kinds.watched import Watched, watch
-from picks import command
-from unseen.arms import Maker, makers
-from unseen.fresh import fresh_makers
-from unseen.recordings import description, write_take
+from unseen.arms import Maker, fresh_makers, makers
+from unseen.recordings import description, import_csv, simulate_takes
 from weighing.takes import TRAIN
 
 ARMS = ("panda", "kinova", "seven_axis", "light_arm", "offset_wrist", "palletizer")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("models", type=Path)
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "models", "out")
     parser.add_argument("--arms", nargs="+", default=list(ARMS))
     parser.add_argument("--touches", type=int, default=25, help="of each kind on each arm")
     parser.add_argument(
@@ -43,35 +36,26 @@ def main() -> None:
     asked = f"python benchmarks/touch_kinds.py MODELS OUT --touches {options.touches} --seed {options.seed}"
     asked += f" --arms {' '.join(options.arms)}" if tuple(options.arms) != ARMS else ""
     outcomes: list[Watched] = []
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        for arm in options.arms:
-            folder = options.out / arm
-            simulate_all(pool, known[arm], folder, options.seed, options.touches)
-            data = dataset(known[arm], folder, options.seed, options.touches)
-            bundle = train(folder, data)
-            jobs = [pool.submit(watch, arm, bundle, data, folder / "csv", name) for name in names(options.touches)]
-            outcomes += [job.result() for job in jobs]
-            print(markdown(outcomes, asked), flush=True)
+    for arm in options.arms:
+        folder = options.out / arm
+        simulate_all(known[arm], folder, options.seed, options.touches)
+        data = dataset(known[arm], folder, options.seed, options.touches)
+        bundle = trained(data, folder / "arm.tauext")
+        jobs = [(arm, bundle, data, folder / "csv", name) for name in names(options.touches)]
+        outcomes += in_parallel(os.cpu_count(), watch, jobs)
     (options.out / "kinds.json").write_text(json.dumps(summary(outcomes)) + "\n")
-    (options.out / "README.md").write_text(markdown(outcomes, asked))
+    write_page(options.out / "README.md", markdown(outcomes, asked))
 
 
 def names(touches: int) -> list[str]:
     return [name_of(kind, number) for kind in KINDS for number in range(touches)]
 
 
-def simulate_all(pool: ProcessPoolExecutor, maker: Maker, folder: Path, seed: int, touches: int) -> None:
-    """Takes to train on and touches; not what is there."""
-    raw = folder / "csv"
-    raw.mkdir(parents=True, exist_ok=True)
-    jobs = [
-        pool.submit(write_take, maker, seed, k, raw, TRAIN)
-        for k, take in enumerate(TRAIN)
-        if not (raw / f"{take.name}.truth.npz").exists()
-    ]
-    jobs += [pool.submit(write_touch, maker, seed, kind, number, raw) for kind in KINDS for number in range(touches)]
-    for job in jobs:
-        job.result()
+def simulate_all(maker: Maker, folder: Path, seed: int, touches: int) -> None:
+    """Takes to train on and touches; not those that exist."""
+    simulate_takes(maker, seed, folder / "csv", TRAIN, os.cpu_count())
+    jobs = [(maker, seed, kind, number, folder / "csv") for kind in KINDS for number in range(touches)]
+    in_parallel(os.cpu_count(), write_touch, jobs)
 
 
 def dataset(maker: Maker, folder: Path, seed: int, touches: int) -> Path:
@@ -82,18 +66,10 @@ def dataset(maker: Maker, folder: Path, seed: int, touches: int) -> Path:
     text = description(maker, seed, model=True, takes=TRAIN)
     files = [f"{name}.csv" for name in names(touches)]
     text = re.sub(r"\ncollisions = .*", f"\ncollisions = {json.dumps(files)}", text)
-    (folder / "csv" / "arm.toml").write_text(text)
-    sources = [str(folder / "csv" / name) for name in [f"{take.name}.csv" for take in TRAIN] + files]
-    command("import", "--source", *sources, "--arm", folder / "csv" / "arm.toml", "--out", out)
-    return out
-
-
-def train(folder: Path, data: Path) -> Path:
-    out = folder / "arm.tauext"
-    if not out.exists():
-        command("train", "--data", data, "--recipe", "prior", "--out", out)
+    sources = [folder / "csv" / name for name in [f"{take.name}.csv" for take in TRAIN] + files]
+    import_csv(text, sources, folder / "csv" / "arm.toml", out)
     return out
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -1,10 +1,64 @@
-"""The page of benchmarks/feeling.py."""
+"""What a session shows: how far the leader swings, what its motors gave; the page and pictures of feeling.py."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from felt.measures import Swing
+import matplotlib
+import numpy as np
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+from felt.arm import TICK_S, Wall
+from felt.session import Course
+
+FIRST_S, LAST_S = (3.0, 5.0), (10.0, 12.0)
+"""Stretches of a press that lasts 12 s: after the hand has come down, and the end."""
+
+
+@dataclass(frozen=True)
+class Swing:
+    """Of one press."""
+
+    first_mm: float
+    """Peak to peak of the leader's hand along z in FIRST_S."""
+    last_mm: float
+    """In LAST_S."""
+    given_j: float
+    """What the leader's motors gave the hand in all, [J]; negative: they took."""
+    most_given_j: float
+    """The most that they had given at any time."""
+    felt: float
+    """Mean torque of the leader in LAST_S as a share of the wall's at the follower, joints that the wall loads."""
+
+    @property
+    def settles(self) -> bool:
+        """Does not swing at the end: by no more than the hand trembles under the estimate's noise."""
+        return self.last_mm < 3.0
+
+    @property
+    def grows(self) -> bool:
+        """More at the end than at first."""
+        return self.last_mm > 1.1 * self.first_mm and not self.settles
+
+
+def swing(course: Course) -> Swing:
+    """Of a press."""
+    first, last = (slice(round(a / TICK_S), round(b / TICK_S)) for a, b in (FIRST_S, LAST_S))
+    z = 1000 * course.leader_tip[:, 2]
+    truth = np.abs(course.outside_nm[last].mean(axis=0))
+    loaded = truth > 0.1
+    felt = np.abs(course.torque_nm[last].mean(axis=0))[loaded].sum() / max(truth[loaded].sum(), 1e-9)
+    given = course.given_j
+    return Swing(float(np.ptp(z[first])), float(np.ptp(z[last])), float(given[-1]), float(given.max()), float(felt))
+
+
+# --- The page.
+
 
 HEAD = """# Feeling what the follower touches
 
@@ -91,3 +145,37 @@ def verdict(pairs: list[tuple[Swing, Swing]]) -> str:
         f"end (worst {worst:.1f} mm).\nWithout it {swinging} of {n} go on swinging, {growing} of them more than at "
         "first; what bounds them is the cap of the torque."
     )
+
+
+# --- The pictures.
+
+
+LEADER, FOLLOWER = "#1f6fb4", "#c8501e"
+
+
+def draw(pair: Sequence[Course], wall: Wall, out: Path) -> None:
+    """Without and with the tank, side by side: height of both hands, torque of the lift, energy given."""
+    figure, axes = plt.subplots(3, 2, figsize=(9.5, 6.2), sharex=True, sharey="row", constrained_layout=True)
+    for column, (course, title) in enumerate(zip(pair, ("energy not kept", "energy kept by the tank"), strict=True)):
+        t = course.t_s
+        height, torque, energy = axes[:, column]
+        height.axhspan(-40, 1000 * wall.at_m, color="0.9")
+        height.plot(t, 1000 * course.leader_tip[:, 2], color=LEADER, label="leader")
+        height.plot(t, 1000 * course.follower_tip[:, 2], color=FOLLOWER, lw=1.2, label="follower")
+        height.set_title(title)
+        torque.plot(t, course.outside_nm[:, 1], color=FOLLOWER, lw=1.0, label="of the table, at the follower")
+        torque.plot(t, course.torque_nm[:, 1], color=LEADER, label="of the leader's motor")
+        energy.plot(t, 1000 * course.given_j, color=LEADER)
+        energy.axhline(0, color="0.6", lw=0.8)
+        energy.set_xlabel("time, s")
+        for axis in axes[:, column]:
+            axis.grid(color="0.92")
+    axes[0, 0].set_ylabel("height of the hand, mm")
+    axes[1, 0].set_ylabel("torque of the lift, N m")
+    axes[2, 0].set_ylabel("energy the motors gave, mJ")
+    axes[2, 0].set_yscale("symlog", linthresh=100)
+    axes[0, 0].set_ylim(-20, None)
+    for axis in axes[:2, 0]:
+        axis.legend(loc="lower left", fontsize=8)
+    figure.savefig(out, dpi=110)
+    plt.close(figure)

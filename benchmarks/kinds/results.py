@@ -1,14 +1,73 @@
-"""Tables of the trial of kinds."""
+"""What the monitor reports of a touch: when its alarm came, what kind it was taken for as time went on; tables."""
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from common import head, table_row
 
 from kinds.takes import KINDS
-from kinds.watched import DEADLINE_S, Watched
+from tauext import Monitor, Touch, load_bundle
+from tauext.data.recording_file import load_recording
+
+DEADLINE_S = 0.2
+"""Since the alarm."""
+EARLY_S = 0.005
+"""Stamps jitter: an alarm so long before the touch is one of it."""
+
+
+@dataclass(frozen=True)
+class Watched:
+    """One touch; the kinds are none where it raised no alarm."""
+
+    arm: str
+    name: str
+    kind: str
+    """That it is."""
+    way: str
+    rise_s: float
+    """Of a push."""
+    delay_s: float
+    """From the touch to its alarm; NaN: there was none."""
+    told: str = "none"
+    """DEADLINE_S after the alarm."""
+    told_s: float = np.nan
+    """Since when it has been that."""
+    last: str = "none"
+    """At the end of the recording, a second after the touch."""
+    ever: tuple[str, ...] = ()
+
+
+def watch(arm: str, bundle: Path, data: Path, raw: Path, name: str) -> Watched:
+    truth = json.loads((raw / f"{name}.truth.json").read_text())
+    recording = load_recording(data / f"{name}.parquet")
+    said = Monitor(load_bundle(bundle)).run(recording.t_ns, recording.q, recording.dq, recording.tau)
+    facts = (arm, name, truth["kind"], truth["way"], truth.get("rise_s", 0.0))
+    time_s = recording.time_s
+    over = np.flatnonzero((said["held_alarm"] > 0) & (time_s >= truth["start_s"] - EARLY_S))
+    if not len(over):
+        return Watched(*facts, np.nan)
+    since_s = time_s[over[0] :] - time_s[over[0]]
+    kinds = np.array(said["touch"][over[0] :])
+    known = kinds[since_s <= DEADLINE_S]
+    other = np.flatnonzero(known != known[-1])
+    return Watched(
+        *facts,
+        float(time_s[over[0]] - truth["start_s"]),
+        Touch(int(known[-1])).name,
+        float(since_s[other[-1] + 1]) if len(other) else 0.0,
+        Touch(int(kinds[-1])).name,
+        tuple(Touch(int(kind)).name for kind in np.unique(kinds)),
+    )
+
+
+# --- Tables of the trial.
+
 
 SLOW_S = 0.3
 """A push that rises for longer still rises at the deadline."""
@@ -55,16 +114,14 @@ COLUMNS = (*KINDS, "unknown")
 
 
 def confusion(name: str, facts: dict[str, dict]) -> list[str]:
-    lines = [
-        f"| {name} | touches | alarms | {' | '.join(COLUMNS)} | recall | told after, ms: median, 95 % | at the end |"
-    ]
-    lines.append("|---" * (len(COLUMNS) + 6) + "|")
+    columns = " | ".join(COLUMNS)
+    lines = head(f"{name} | touches | alarms | {columns} | recall | told after, ms: median, 95 % | at the end")
     for what, f in facts.items():
-        counts = " | ".join(str(f["told"].get(kind, 0)) for kind in COLUMNS)
+        counts = [f["told"].get(kind, 0) for kind in COLUMNS]
         when = "–" if f["told_s"] is None else ", ".join(f"{1e3 * s:.0f}" for s in f["told_s"])
         recall = "–" if f["recall"] is None else f"{f['recall']:.0%}"
         last = ", ".join(f"{n} {kind}" for kind, n in sorted(f["last"].items(), key=lambda item: -item[1]))
-        lines.append(f"| {what} | {f['touches']} | {f['alarms']} | {counts} | {recall} | {when} | {last} |")
+        lines.append(table_row(what, f["touches"], f["alarms"], *counts, recall, when, last))
     return [*lines, ""]
 
 
@@ -103,10 +160,8 @@ def markdown(outcomes: Sequence[Watched], command: str) -> str:
         *confusion("pushes", facts["pushes"]),
         "Recall by arm:",
         "",
-        f"| arm | {' | '.join(KINDS)} |",
-        "|---" * (len(KINDS) + 1) + "|",
+        *head(" | ".join(["arm", *KINDS])),
     ]
     for arm, kinds in facts["arms"].items():
-        told = (f"{f['told'].get(kind, 0)}/{f['alarms']}" for kind, f in kinds.items())
-        lines.append(f"| {arm} | {' | '.join(told)} |")
+        lines.append(table_row(arm, *(f"{f['told'].get(kind, 0)}/{f['alarms']}" for kind, f in kinds.items())))
     return "\n".join(lines) + "\n"

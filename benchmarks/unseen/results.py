@@ -12,8 +12,7 @@ import numpy as np
 from tauext import _core
 from tauext.data.dataset import load_split
 from tauext.data.recording_file import load_recording
-from unseen.arms import Maker
-from unseen.of_type import arm_of
+from unseen.arms import Maker, arm_of
 from unseen.recordings import TAKES, told_constants
 
 STRONG = 3.0

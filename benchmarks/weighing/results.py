@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from common import head, joined, table_row
 
 from tauext.monitor.weighing import LoadEstimate
 from weighing.takes import Carried
@@ -129,25 +130,25 @@ def markdown(outcomes: Sequence[Weighed], factors: dict[str, dict], command: str
         "constants scale. Its loads are within 10 cm of its tip, in the plane in which it moves: nothing tells where",
         "they are across it, and their centres are judged in the plane.",
         "",
-        "| constants | arm | windows | mass | centre | both | mass told | mass where told | centre told | centre where "
-        "told | mass off by, median (68 %) | mass within two of its errors |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|",
+        *head(
+            "constants | arm | windows | mass | centre | both | mass told | mass where told | centre told "
+            "| centre where told | mass off by, median (68 %) | mass within two of its errors"
+        ),
     ]
     for kind, arms in facts.items():
         for arm, f in arms.items():
             mass, where = ("–" if f[key] is None else f"{f[key]:.0%}" for key in ("mass_where_told", "com_where_told"))
             name = f"**{arm}**" if arm == "all" else arm
-            lines.append(
-                f"| {TITLES[kind]} | {name} | {f['windows']} | {f['mass']:.1%} | {f['com']:.1%} | {f['both']:.1%} | "
-                f"{f['mass_told']:.0%} | {mass} | {f['com_told']:.0%} | {where} | "
-                f"{f['mass_bias']:+.1%} (± {f['mass_spread']:.1%}) | {f['within_2_errors']:.0%} |"
-            )
+            shares = [f"{f[key]:.1%}" for key in ("mass", "com", "both")]
+            told = [f"{f['mass_told']:.0%}", mass, f"{f['com_told']:.0%}", where]
+            off = [f"{f['mass_bias']:+.1%} (± {f['mass_spread']:.1%})", f"{f['within_2_errors']:.0%}"]
+            lines.append(table_row(TITLES[kind], name, f["windows"], *shares, *told, *off))
     lines += ["", "What each window was taken for, loads and then constant forces of 10 to 40 N across gravity:", ""]
-    lines += ["| constants | arm | loads | forces |", "|---|---|---|---|"]
+    lines += head("constants | arm | loads | forces")
     for kind, arms in facts.items():
         for arm, f in arms.items():
             counts = (", ".join(f"{n} {v}" for v, n in sorted(f[key].items())) for key in ("verdicts", "pushes"))
-            lines.append(f"| {TITLES[kind]} | {arm} | {' | '.join(counts)} |")
+            lines.append(table_row(TITLES[kind], arm, *counts))
     lines += ["", *factor_lines(factors)]
     return "\n".join(lines) + "\n"
 
@@ -157,14 +158,13 @@ def factor_lines(factors: dict[str, dict]) -> list[str]:
     lines = [
         "Factors by which the torques of the arm as trained are off, and what 2.805 kg in 40 s of motion said of them:",
         "",
-        "| arm | true | one factor | joint by joint (in brackets: taken from all) |",
-        "|---|---|---|---|",
+        *head("arm | true | one factor | joint by joint (in brackets: taken from all)"),
     ]
     for arm, f in factors.items():
-        true = " · ".join(f"{x:.3f}" for x in f["left"])
+        true = joined(f["left"], ".3f")
         if "refused" in f:
             lines.append(f"| {arm} | {true} | refused: {f['refused']} | |")
             continue
         own = " · ".join(f"{x:.3f}" if s else f"({x:.3f})" for x, s in zip(f["joints"], f["shows"], strict=True))
-        lines.append(f"| {arm} | {true} | {f['common']:.3f} ± {f['common_error']:.3f} | {own} |")
+        lines.append(table_row(arm, true, f"{f['common']:.3f} ± {f['common_error']:.3f}", own))
     return lines

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from unseen.arms import with_ball
 
 from tauext import _core
 from tauext.data.dataset import Split, save_split
@@ -108,17 +109,13 @@ def add_load(scene: mujoco.MjModel, config: RigConfig, what: Carried) -> None:
     mujoco.mju_quat2Mat(turn, scene.body_iquat[body])
     own_m, mass_kg, load_kg = scene.body_ipos[body].copy(), float(scene.body_mass[body]), what.mass_kg
     load_m = np.array(what.com_m) + [0.0, 0.0, config.links[-1].length_m]
-    both_m = (mass_kg * own_m + load_kg * load_m) / (mass_kg + load_kg)
     inertia = turn.reshape(3, 3) @ np.diag(scene.body_inertia[body]) @ turn.reshape(3, 3).T
-    inertia += 0.4 * load_kg * what.radius_m**2 * np.eye(3)
-    for one, place in ((mass_kg, own_m), (load_kg, load_m)):
-        lever = place - both_m
-        inertia += one * (lever @ lever * np.eye(3) - np.outer(lever, lever))
+    both_kg, both_m, inertia = with_ball(mass_kg, own_m, inertia, load_kg, load_m, what.radius_m)
     sizes, axes = np.linalg.eigh(inertia)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, axes.ravel())
-    scene.body_mass[body], scene.body_ipos[body] = mass_kg + load_kg, both_m
+    scene.body_mass[body], scene.body_ipos[body] = both_kg, both_m
     scene.body_inertia[body], scene.body_iquat[body] = sizes, quat
     mujoco.mj_setConst(scene, mujoco.MjData(scene))
 

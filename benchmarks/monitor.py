@@ -15,24 +15,24 @@ from __future__ import annotations
 import argparse
 import gc
 import importlib
-import importlib.metadata
 import json
 import os
 import platform
-import re
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from common import ROOT, compiler_flags, other_processes_s
 
-ROOT = Path(__file__).parent.parent
+from tauext import __version__
+from tauext.files.provenance import machine
+
 TOLERANCE = 1e-5
 """Of outputs, scaled: each library has its own sigmoid, tanh and order of additions."""
 OPSET, IR_VERSION = 17, 8
@@ -63,10 +63,7 @@ class Network:
 
 
 def main() -> None:
-    about = __doc__.partition("\n")
-    parser = argparse.ArgumentParser(
-        description=about[0], epilog=about[2], formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bench", type=Path, default=ROOT / "build/cpp/monitor_bench", help="default: %(default)s")
     parser.add_argument("--joints", type=int, nargs="+", default=[2, 7], help="default: 2 7")
     parser.add_argument("--steps", type=int, default=1_000_000, help="samples back to back in a round (%(default)s)")
@@ -83,27 +80,30 @@ def main() -> None:
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})  # the core that monitor_bench takes, too
     libraries = {"ONNX Runtime": onnx_runtime(), "PyTorch": pytorch()}
-    about_machine = machine()
-    print(about_machine["text"])
+    about = {
+        "machine": machine(), "python": platform.python_version(), "numpy": np.__version__, "tauext": __version__,
+        "flags": compiler_flags(),
+    }  # fmt: skip
+    print(f"{about['machine']}, Python {about['python']}, NumPy {about['numpy']}")
+    print(f"tauext {__version__}: {about['flags']}, instruction set chosen at run time")
     for name, library in libraries.items():
         print(f"{name} {library.version}" if isinstance(library, Library) else f"{name}: {library}")
     print(f"{options.rounds} rounds in turns; a round: {options.steps} samples, {options.calls} calls of a library\n")
 
     results = {}
-    before = processor_seconds()
+    before = other_processes_s()
     for joints in options.joints:
         results[joints] = one_arm(joints, options, {n: x for n, x in libraries.items() if isinstance(x, Library)})
         show(joints, results[joints])
-    after = processor_seconds()
+    after = other_processes_s()
     others_s, stolen_s = (after[k] - before[k] for k in range(2))
     print(f"meanwhile other processes took {others_s:.1f} s of processor time and the host kept {stolen_s:.1f} s for")
     print("itself: both lengthen the tails")
 
     if options.json:
-        del about_machine["text"]
         versions = {n: x.version if isinstance(x, Library) else x for n, x in libraries.items()}
         run = {"steps": options.steps, "rounds": options.rounds, "calls": options.calls, "paced_s": options.paced_s}
-        everything = {"machine": about_machine, "libraries": versions, "run": run, "joints": results}
+        everything = {"machine": about, "libraries": versions, "run": run, "joints": results}
         everything["meanwhile"] = {"others_s": others_s, "stolen_s": stolen_s}
         options.json.write_text(json.dumps(everything, indent=1) + "\n")
 
@@ -434,49 +434,6 @@ def show(joints: int, result: dict) -> None:
         verdict = {True: "held", False: "MISSED", None: ""}[bound["held"]]
         print(f"{bound['what']:42}{value:>12} {sign} {bound['bound']:g}  {verdict}")
     print(flush=True)
-
-
-def machine() -> dict[str, str]:
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-    about = {
-        "processor": processor(),
-        "cores": str(os.cpu_count()),
-        "system": f"{platform.system()} {platform.release()}",
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "tauext": version,
-        "flags": compiler_flags(),
-    }
-    about["text"] = (
-        f"{about['processor']}, {about['cores']} cores, {about['system']}, Python {about['python']}, "
-        f"NumPy {about['numpy']}\ntauext {version}: {about['flags']}, instruction set chosen at run time"
-    )
-    return about
-
-
-def processor_seconds() -> tuple[float, float]:
-    """Processor time of all other processes since start-up, and what the host kept; zeros where it is not told."""
-    stat = Path("/proc/stat")
-    if not stat.exists():
-        return 0.0, 0.0
-    ticks = [int(value) for value in stat.read_text().split("\n")[0].split()[1:]]
-    here = os.times()
-    own = here.user + here.system + here.children_user + here.children_system
-    second = os.sysconf("SC_CLK_TCK")
-    return sum(ticks[:3]) / second - own, (ticks[7] if len(ticks) > 7 else 0) / second
-
-
-def compiler_flags() -> str:
-    """As CMakeLists.txt gives them, warnings left out."""
-    cmake = (ROOT / "CMakeLists.txt").read_text()
-    flags = re.search(r"target_compile_options\(tauext_flags INTERFACE ([^)]*)\)", cmake).group(1).split()
-    return " ".join(["C++20", *(flag for flag in flags if not flag.startswith("-W"))])
-
-
-def processor() -> str:
-    info = Path("/proc/cpuinfo")
-    names = [line.partition(": ")[2] for line in info.read_text().splitlines() if line.startswith("model name")]
-    return names[0] if names else platform.processor()
 
 
 if __name__ == "__main__":

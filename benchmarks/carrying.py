@@ -22,8 +22,8 @@ import numpy as np
 from common import COLLISION, arguments, head, in_parallel, joined, table_row, write_page
 from loads import KINDS, dataset
 from unseen.arms import Maker, makers
+from unseen.loads import CONTACTS, PAIRS, pair_names, write_pair
 from unseen.results import STRONG
-from weighing.takes import CONTACTS, PAIRS, pair_names, write_pair
 
 from tauext import Bundle, Monitor, Recording, load_bundle, load_dataset, load_recording
 from tauext.monitor.weighing import identify, load_frame, see

@@ -28,7 +28,7 @@ from common import arguments, head, table_row, tauext
 from loads import dataset, simulate_all
 from real_arms import KEPT, NO_TOOL
 from unseen.arms import Maker, TrueArm, makers, true_arm
-from weighing.takes import TRAIN, WARM_S, WINDOW_S, Carried, carried, with_load
+from unseen.loads import TRAIN, WARM_S, WINDOW_S, Carried, carried, with_load
 from wrench import STREAM, pushes_of, told_of
 
 from tauext import Bundle

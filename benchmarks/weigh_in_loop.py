@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from common import arguments
 from unseen.arms import makers
-from weighing.takes import FIRST_S, WINDOW_S, carried
+from unseen.loads import FIRST_S, WINDOW_S, carried
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle

@@ -175,10 +175,7 @@ def _kinds(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def _errors(outcomes: Sequence[Outcome]) -> list[str]:
-    lines = [
-        "Held-out RMS error, Nm (% of the torque's RMS), joint by joint, and the usual sliding limits, Nm:",
-        "",
-    ]
+    lines = ["Held-out RMS error, Nm (% of the torque's RMS), joint by joint, and the usual sliding limits, Nm:", ""]
     lines += ["| arm | model | recipe | error | limits |", "|---|---|---|---|---|"]
     for c in outcomes:
         errors = " · ".join(f"{e:.2f} ({s:.0%})" for e, s in zip(c.rmse_nm, c.rmse_share, strict=True))

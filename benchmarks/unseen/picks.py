@@ -8,6 +8,8 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+
+from tauext.robot.load import load_tree
 from unseen.arms import Maker, TrueArm, direction, link_with_ball, true_arm
 from unseen.recordings import peak_nm, write_csv
 from unseen.simulation import (
@@ -22,8 +24,6 @@ from unseen.simulation import (
     simulate,
     trapezoid,
 )
-
-from tauext.robot.load import load_tree
 
 WINDOW_S = 3.0
 """From the gripper's command: so long a load is expected."""

@@ -7,12 +7,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from unseen.arms import Maker, TrueArm, add_ball, direction, true_arm
-from unseen.recordings import Take, motor_temperature, peak_nm, write_csv
-from unseen.simulation import RATE_HZ, Contact, draw_contacts, draw_motion, simulate
 
 from tauext import _core
 from tauext.robot.load import load_tree
+from unseen.arms import Maker, TrueArm, add_ball, direction, true_arm
+from unseen.recordings import Take, motor_temperature, peak_nm, write_csv
+from unseen.simulation import RATE_HZ, Contact, draw_contacts, draw_motion, simulate
 
 FIRST_S = 1.2
 """Before the first window: observer and limits' memory have warmed up."""

@@ -15,14 +15,14 @@ from typing import Any, Protocol
 
 import mujoco
 import numpy as np
-from picking.takes import Gripper, Pick, Way, raised
-from unseen.arms import Maker, TrueArm, true_arm
-from unseen.recordings import write_csv
-from unseen.simulation import LINK_RADIUS_M, RATE_HZ, Contact, build, point_jacobian, reach_of, simulate
 
 from tauext import _core
 from tauext.robot.load import load_tree
 from tauext.sim.contacts import log_uniform
+from unseen.arms import Maker, TrueArm, true_arm
+from unseen.picks import Gripper, Pick, Way, raised
+from unseen.recordings import write_csv
+from unseen.simulation import LINK_RADIUS_M, RATE_HZ, Contact, build, point_jacobian, reach_of, simulate
 
 SUBSTEPS = 4
 """Of a free mass in a step of the arm."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -108,6 +109,12 @@ def collisions_begin(held_alarm: np.ndarray, t_ns: np.ndarray) -> np.ndarray:
 def joined(values: Iterable[float], form: str = ".2f", by: str = " · ") -> str:
     """Numbers in one cell, joint by joint."""
     return by.join(format(value, form) for value in values)
+
+
+def free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
 
 
 def compiler_flags() -> str:

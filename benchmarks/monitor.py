@@ -119,9 +119,8 @@ def one_arm(joints: int, options: argparse.Namespace, libraries: dict[str, Libra
             if not differences[how] <= TOLERANCE:
                 sys.exit(f"{how}, {joints} joints: its output differs from the core's by {differences[how]:.1e}")
             ways[how] = way
-        overhead = library.empty_call()
-        if overhead:
-            ways[f"{name}, empty graph"] = overhead
+        if library.empty_call:
+            ways[f"{name}, empty graph"] = library.empty_call
 
     rounds: list[dict] = []
     for _ in range(options.rounds):
@@ -162,16 +161,15 @@ def dumped(bench: Path, joints: int) -> Network:
     return Network(f, h, o, *parts)
 
 
+@dataclass
 class Library:
+    """Another library that runs the network."""
+
     version: str
-
-    def ways(self, network: Network) -> dict[str, Way]:
-        """Each way to run one window, by name; names begin with the library's."""
-        raise NotImplementedError
-
-    def empty_call(self) -> Way | None:
-        """What a call costs that computes nothing."""
-        return None
+    ways: Callable[[Network], dict[str, Way]]
+    """Each way to run one window, by name; names begin with the library's."""
+    empty_call: Way | None = None
+    """A call that computes nothing."""
 
 
 def onnx_runtime() -> Library | str:
@@ -181,65 +179,45 @@ def onnx_runtime() -> Library | str:
         return "not installed, not measured (pip install 'tauext[bench]')"
     helper, numpy_helper = importlib.import_module("onnx.helper"), importlib.import_module("onnx.numpy_helper")
 
-    class OnnxRuntime(Library):
-        version = ort.__version__
+    def session_of(nodes: list, weights: dict[str, np.ndarray], x: tuple, y: tuple) -> object:
+        kind = onnx.TensorProto.FLOAT
+        inputs, outputs = ([helper.make_tensor_value_info(*named)] for named in (("x", kind, x), ("y", kind, y)))
+        arrays = [numpy_helper.from_array(np.ascontiguousarray(value), name) for name, value in weights.items()]
+        graph = helper.make_graph(nodes, "network", inputs, outputs, arrays)
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
+        onnx.checker.check_model(model)
+        settings = ort.SessionOptions()
+        settings.intra_op_num_threads = settings.inter_op_num_threads = 1
+        settings.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+        settings.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
+        return ort.InferenceSession(model.SerializeToString(), settings, providers=["CPUExecutionProvider"])
 
-        def session(self, nodes: list, weights: dict[str, np.ndarray], x: tuple, y: tuple) -> object:
-            kind = onnx.TensorProto.FLOAT
-            graph = helper.make_graph(
-                nodes,
-                "network",
-                [helper.make_tensor_value_info("x", kind, x)],
-                [helper.make_tensor_value_info("y", kind, y)],
-                [numpy_helper.from_array(np.ascontiguousarray(value), name) for name, value in weights.items()],
-            )
-            model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
-            onnx.checker.check_model(model)
-            settings = ort.SessionOptions()
-            settings.intra_op_num_threads = settings.inter_op_num_threads = 1
-            settings.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
-            settings.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
-            return ort.InferenceSession(model.SerializeToString(), settings, providers=["CPUExecutionProvider"])
+    def ways(network: Network) -> dict[str, Way]:
+        (steps, f), h, o = network.window.shape, network.hidden, network.outputs
+        b = to_onnx_gates(network.b)
+        nodes = [
+            helper.make_node("LSTM", ["x", "W", "R", "B"], ["", "last"], hidden_size=h),
+            helper.make_node("Reshape", ["last", "flat"], ["row"]),
+            helper.make_node("Gemm", ["row", "W_head", "b_head"], ["y"], transB=1),
+        ]
+        weights = {"W": to_onnx_gates(network.w_x)[None], "R": to_onnx_gates(network.w_h)[None]}
+        weights |= {"B": np.concatenate([b, np.zeros_like(b)])[None]}  # of the input and of the recurrence
+        weights |= {"flat": np.array([1, h], np.int64), "W_head": network.w_head, "b_head": network.b_head}
+        session = session_of(nodes, weights, (steps, 1, f), (1, o))
+        x, y = np.ascontiguousarray(network.window[:, None]), np.zeros((1, o), np.float32)
+        binding = session.io_binding()
+        binding.bind_input("x", "cpu", 0, np.float32, x.shape, x.ctypes.data)
+        binding.bind_output("y", "cpu", 0, np.float32, y.shape, y.ctypes.data)
 
-        def ways(self, network: Network) -> dict[str, Way]:
-            steps, f = network.window.shape
-            h, o = network.hidden, network.outputs
-            b = to_onnx_gates(network.b)
-            session = self.session(
-                [
-                    helper.make_node("LSTM", ["x", "W", "R", "B"], ["", "last"], hidden_size=h),
-                    helper.make_node("Reshape", ["last", "flat"], ["row"]),
-                    helper.make_node("Gemm", ["row", "W_head", "b_head"], ["y"], transB=1),
-                ],
-                {
-                    "W": to_onnx_gates(network.w_x)[None],
-                    "R": to_onnx_gates(network.w_h)[None],
-                    "B": np.concatenate([b, np.zeros_like(b)])[None],  # of the input and of the recurrence
-                    "flat": np.array([1, h], np.int64),
-                    "W_head": network.w_head,
-                    "b_head": network.b_head,
-                },
-                (steps, 1, f),
-                (1, o),
-            )
-            x, y = np.ascontiguousarray(network.window[:, None]), np.zeros((1, o), np.float32)
-            binding = session.io_binding()
-            binding.bind_input("x", "cpu", 0, np.float32, x.shape, x.ctypes.data)
-            binding.bind_output("y", "cpu", 0, np.float32, y.shape, y.ctypes.data)
+        def bound() -> np.ndarray:
+            session.run_with_iobinding(binding)
+            return y
 
-            def bound() -> np.ndarray:
-                session.run_with_iobinding(binding)
-                return y
+        bound.keep = x  # the binding knows its address alone
+        return {"ONNX Runtime, run": lambda: session.run(["y"], {"x": x})[0], "ONNX Runtime, bound": bound}
 
-            bound.keep = x  # the binding knows its address alone
-            return {"ONNX Runtime, run": lambda: session.run(["y"], {"x": x})[0], "ONNX Runtime, bound": bound}
-
-        def empty_call(self) -> Way:
-            session = self.session([helper.make_node("Identity", ["x"], ["y"])], {}, (1,), (1,))
-            x = np.zeros(1, np.float32)
-            return lambda: session.run(["y"], {"x": x})[0]
-
-    return OnnxRuntime()
+    empty, one = session_of([helper.make_node("Identity", ["x"], ["y"])], {}, (1,), (1,)), np.zeros(1, np.float32)
+    return Library(ort.__version__, ways, lambda: empty.run(["y"], {"x": one})[0])
 
 
 def to_onnx_gates(rows: np.ndarray) -> np.ndarray:
@@ -255,31 +233,22 @@ def pytorch() -> Library | str:
         return "not installed, not measured (pip install 'tauext[torch]')"
     torch.set_num_threads(1)
 
-    class PyTorch(Library):
-        version = torch.__version__
+    def ways(network: Network) -> dict[str, Way]:
+        lstm = torch.nn.LSTM(network.inputs, network.hidden)
+        head = torch.nn.Linear(network.hidden, network.outputs)
+        values = (network.w_x, network.w_h, network.b, np.zeros_like(network.b), network.w_head, network.b_head)
+        with torch.no_grad():
+            for parameter, value in zip([*lstm.parameters(), *head.parameters()], values, strict=True):
+                parameter.copy_(torch.from_numpy(np.array(value)))
+        window = torch.from_numpy(np.array(network.window[:, None]))
 
-        def ways(self, network: Network) -> dict[str, Way]:
-            def tensor(values: np.ndarray) -> object:
-                return torch.from_numpy(np.array(values))
+        def eager() -> np.ndarray:
+            with torch.inference_mode():
+                return head(lstm(window)[1][0][0]).numpy()
 
-            lstm = torch.nn.LSTM(network.inputs, network.hidden)
-            head = torch.nn.Linear(network.hidden, network.outputs)
-            with torch.no_grad():
-                lstm.weight_ih_l0.copy_(tensor(network.w_x))
-                lstm.weight_hh_l0.copy_(tensor(network.w_h))
-                lstm.bias_ih_l0.copy_(tensor(network.b))
-                lstm.bias_hh_l0.zero_()
-                head.weight.copy_(tensor(network.w_head))
-                head.bias.copy_(tensor(network.b_head))
-            window = tensor(network.window[:, None])
+        return {"PyTorch, eager": eager}
 
-            def eager() -> np.ndarray:
-                with torch.inference_mode():
-                    return head(lstm(window)[1][0][0]).numpy()
-
-            return {"PyTorch, eager": eager}
-
-    return PyTorch()
+    return Library(torch.__version__, ways)
 
 
 def measured(way: Way, calls: int) -> dict[str, float]:

@@ -6,7 +6,6 @@ Servos of tests/made_servos.py, two bodies over a gap with friction, gravity, a 
 turn, at 50 Hz. tau is the drive's torque, or made of goal and position as an import makes it: a duty less its back-EMF.
 """
 
-import argparse
 import shlex
 import sys
 from dataclasses import replace
@@ -15,6 +14,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 import numpy as np
+from common import arguments, head, table_row, write_page
 from made_servos import COUNT_RAD, NO_LOAD_RAD_S, STALL_NM, Driven, Servo, drive, recorded
 
 from tauext import _core
@@ -36,7 +36,7 @@ CASES = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = arguments(__doc__)
     parser.add_argument("--minutes", type=float, default=2.0, help="of each recording")
     parser.add_argument("--recordings", type=int, default=3, help="that a width is found from")
     parser.add_argument("--out", type=Path, help="folder for the table as README.md")
@@ -53,16 +53,13 @@ def main() -> None:
         "error in degrees, in brackets the travel after which half of the friction is borne where no play is certain.",
     ]
     for what, made in (("the drive's torque", False), ("goal and position, by the gain of the servo", True)):
-        lines += ["", f"## tau from {what}", "", "| joint | " + " | ".join(f"{play:g}°" for play in PLAYS) + " |"]
-        lines.append("|---" * (len(PLAYS) + 1) + "|")
+        lines += ["", f"## tau from {what}", "", *head(" | ".join(["joint", *(f"{play:g}°" for play in PLAYS)]))]
         for k, (name, servo) in enumerate(CASES.items()):
             recordings = [recording(part(one, k), servo, made) for one in driven]
-            cells = [told(play_of(recordings, j)) for j in range(len(PLAYS))]
-            lines.append(f"| {name} | " + " | ".join(cells) + " |")
+            lines.append(table_row(name, *(told(play_of(recordings, j)) for j in range(len(PLAYS)))))
             print(lines[-1], flush=True)
     if options.out:
-        options.out.mkdir(parents=True, exist_ok=True)
-        (options.out / "README.md").write_text("\n".join(lines) + "\n")
+        write_page(options.out / "README.md", lines)
 
 
 def part(driven: Driven, k: int) -> Driven:

@@ -11,20 +11,19 @@ OUT/carrying.md and OUT/carrying.json get the tables; docs/results/carrying has 
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 from collections import defaultdict
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common import COLLISION, arguments, head, in_parallel, joined, table_row, write_page
 from loads import KINDS, dataset
 from unseen.arms import Maker, makers
+from unseen.loads import CONTACTS, PAIRS, pair_names, write_pair
 from unseen.results import STRONG
-from weighing.pushed import CONTACTS, PAIRS, pair_names, write_pair
 
 from tauext import Bundle, Monitor, Recording, load_bundle, load_dataset, load_recording
 from tauext.monitor.weighing import identify, load_frame, see
@@ -36,7 +35,6 @@ APART_S = 0.5
 """Detections farther apart are two collisions."""
 AFTER_S = 0.5
 """After a push a collision still counts as that push's."""
-COLLISION = 2
 HARD = 1.5
 GRADES = ("hard", "strong", "weak")
 """Some joint's true torque is HARD times its usual limit without a load or more; STRONG times its error; less."""
@@ -45,9 +43,7 @@ TOLD = {"not told": None, "told": (1.0, 0.03), "told, believed exactly": (1.0, 0
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("models", type=Path, help="folder of ur5_robot.urdf, panda.urdf and kinova.urdf")
-    parser.add_argument("out", type=Path, help="folder that benchmarks/loads.py wrote")
+    parser = arguments(__doc__, "models", "out")
     parser.add_argument("--arms", nargs="+", default=["ur5", "panda", "kinova", "seven_axis"])
     parser.add_argument("--seed", type=int, default=0, help="that of benchmarks/loads.py")
     options = parser.parse_args()
@@ -60,8 +56,7 @@ def main() -> None:
         pushed += facts["pushed"]
     page = markdown(carrying, pushed, f"python benchmarks/carrying.py MODELS OUT --arms {' '.join(options.arms)}")
     (options.out / "carrying.json").write_text(json.dumps({"carrying": carrying, "pushed": pushed}, indent=1) + "\n")
-    (options.out / "carrying.md").write_text(page)
-    print(page)
+    write_page(options.out / "carrying.md", page)
 
 
 def judge(maker: Maker, folder: Path, seed: int) -> dict[str, list[dict[str, Any]]]:
@@ -70,9 +65,7 @@ def judge(maker: Maker, folder: Path, seed: int) -> dict[str, list[dict[str, Any
     kinds = [kind for kind in KINDS if bundles[kind].exists()]  # of some arms loads.py makes no others
     if told.exists() and all(told.stat().st_mtime > bundles[kind].stat().st_mtime for kind in kinds):
         return json.loads(told.read_text())
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        for job in [pool.submit(write_pair, maker, seed, k, folder / "csv") for k in range(PAIRS)]:
-            job.result()
+    in_parallel(os.cpu_count(), write_pair, [(maker, seed, k, folder / "csv") for k in range(PAIRS)])
     facts = {
         "carrying": [row for kind in kinds for row in carry(folder, kind)],
         "pushed": [row for kind in kinds for row in push(maker, folder, kind, seed)],
@@ -235,30 +228,30 @@ def markdown(carrying: Sequence[dict], pushed: Sequence[dict], command: str) -> 
         f"from the onset to {AFTER_S:g} s after the end; the delay is that of the hard ones. False collisions: of the",
         "free motion between.",
         "",
-        "| arm | constants | the monitor is | hard found | strong found | weak found | delay, ms: median, 90 % "
-        "| false collisions |",
-        "|---|---|---|---|---|---|---|---|",
+        *head(
+            "arm | constants | the monitor is | hard found | strong found | weak found | delay, ms: median, 90 % "
+            "| false collisions"
+        ),
     ]
-    for row in [*pushed, *over_arms(pushed)]:
+    for one in [*pushed, *over_arms(pushed)]:
         delays = "–"
-        if row["delays_s"]:
-            delays = ", ".join(f"{1e3 * x:.0f}" for x in np.quantile(row["delays_s"], [0.5, 0.9]))
-        counts = " | ".join("/".join(map(str, row[name])) for name in GRADES)
-        told = f"{row['collisions']} in {row['hours']:.3f} h"
-        lines.append(f"| {row['arm']} | {row['constants']} | {row['monitor']} | {counts} | {delays} | {told} |")
+        if one["delays_s"]:
+            delays = joined(1e3 * np.quantile(one["delays_s"], [0.5, 0.9]), ".0f", ", ")
+        counts = ["/".join(map(str, one[name])) for name in GRADES]
+        told = f"{one['collisions']} in {one['hours']:.3f} h"
+        lines.append(table_row(one["arm"], one["constants"], one["monitor"], *counts, delays, told))
     lines += [
         "",
         "## False collisions and errors",
         "",
         "25 loads an arm, 9 s of each, and nobody touches it.",
         "",
-        "| arm | constants | the monitor is | collisions | tau_ext, RMS, Nm | usual limits, Nm |",
-        "|---|---|---|---|---|---|",
+        *head("arm | constants | the monitor is | collisions | tau_ext, RMS, Nm | usual limits, Nm"),
     ]
-    for row in carrying:
-        rms, limits = (" ".join(f"{x:.2f}" for x in row[name]) for name in ("rms_nm", "limit_nm"))
-        told = f"{row['collisions']} in {row['hours']:.3f} h"
-        lines.append(f"| {row['arm']} | {row['constants']} | {row['monitor']} | {told} | {rms} | {limits} |")
+    for one in carrying:
+        rms, limits = (joined(one[name], by=" ") for name in ("rms_nm", "limit_nm"))
+        told = f"{one['collisions']} in {one['hours']:.3f} h"
+        lines.append(table_row(one["arm"], one["constants"], one["monitor"], told, rms, limits))
     return "\n".join(lines) + "\n"
 
 

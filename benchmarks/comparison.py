@@ -16,6 +16,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from common import head, table_row
+
 HOURS = "--minutes 90 --collision-recordings 50 --calibration-hours 24.2 --test-hours 10"
 FEWER_HOURS = "--minutes 90 --collision-recordings 50 --calibration-hours 8.1 --test-hours 3.4"  # of other encoders
 CASES = ("exact", "mass", "com", "mass+com", "none")
@@ -111,19 +113,12 @@ def tables(out: Path) -> str:
     return "\n".join(parts)
 
 
-COLUMNS = (
-    "method",
-    "L1",
-    "RMSE near stiction",
-    "RMSE sliding",
-    "limits sliding",
-    "near stiction",
-    "false collisions (promised an hour; 95 % of the count)",
-    "latched",
-    "strong latched",
-    "delay, median and 95 %, ms",
+HEAD = "\n".join(
+    head(
+        "method | L1 | RMSE near stiction | RMSE sliding | limits sliding | near stiction | false collisions "
+        "(promised an hour; 95 % of the count) | latched | strong latched | delay, median and 95 %, ms"
+    )
 )
-HEAD = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|"
 
 
 def line(bundle: dict) -> str:
@@ -140,7 +135,7 @@ def line(bundle: dict) -> str:
         f"{latched['strong_latched']} of {latched['strong']}",
         ", ".join("-" if delay is None else f"{1e3 * delay:.1f}" for delay in delays),
     ]
-    return f"| {' | '.join(cells)} |"
+    return table_row(*cells)
 
 
 def joints(values: list[float | None], digits: int = 3) -> str:

@@ -11,20 +11,20 @@ there is used again, so that another version judges the same draws.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from common import arguments, head, in_parallel, table_row, write_page
 
 from tauext import _core
 from tauext.config import PAPER_CASES
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
+from tauext.files.whole_file import whole_file
 from tauext.page.bundles import LESSONS, practice_recording
 from tauext.robot.model_case import estimated_model
 from tauext.sim.arms import ARMS, DemoArm
@@ -62,8 +62,7 @@ CASES: dict[str, tuple[Callable[[], DemoArm], int]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "out")
     parser.add_argument("--arms", nargs="+", choices=tuple(CASES), default=list(CASES))
     parser.add_argument("--draws", type=int, default=6)
     parser.add_argument("--seed", type=int, default=0)
@@ -75,22 +74,13 @@ def main() -> None:
             if not (folder / needed).exists():
                 parser.error(f"--unseen {folder}: holds no {needed} (arms whose logs have gaps are not supported)")
     options.out.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(options.workers) as pool:
-        list(pool.map(train, options.arms, [options.out] * len(options.arms)))
-        jobs = [(name, options.out, options.seed + k) for name in options.arms for k in range(options.draws)]
-        list(pool.map(draw_of, *zip(*jobs, strict=True)))
+    in_parallel(options.workers, train, [(name, options.out) for name in options.arms])
+    jobs = [(name, options.out, options.seed + k) for name in options.arms for k in range(options.draws)]
+    in_parallel(options.workers, draw_of, jobs)
     rows = [row for name in options.arms for row in judged(name, options.out, options.seed, options.draws)]
     rows += [row for folder in options.unseen for row in judged_unseen(folder)]
-    write(options.out / "contact_errors.json", json.dumps(rows, indent=1) + "\n")
-    text = markdown(rows)
-    write(options.out / "README.md", text)
-    print(text)
-
-
-def write(path: Path, text: str) -> None:
-    part = path.with_suffix(".part")
-    part.write_text(text)
-    part.rename(path)
+    (options.out / "contact_errors.json").write_text(json.dumps(rows, indent=1) + "\n")
+    write_page(options.out / "README.md", markdown(rows))
 
 
 def thinned(recording: Recording, by: int) -> Recording:
@@ -172,9 +162,8 @@ def draw_of(name: str, out: Path, seed: int) -> Path:
             signals[key].append(value.copy())
         phases.append(phase(now, ends_s, stopped))
     columns = {key: np.array(values) for key, values in signals.items()}
-    part = path.with_suffix(".part.npz")
-    np.savez_compressed(part, t_ns=np.array(stamps), phase=np.array(phases), joint=joint, **columns)
-    part.rename(path)
+    with whole_file(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, t_ns=np.array(stamps), phase=np.array(phases), joint=joint, **columns)
     return path
 
 
@@ -257,19 +246,11 @@ def tabulated(
         error = tau_ext[at] - true[at]
         for j, joint in enumerate(joints):
             e, s = error[:, j], sigma[at, j]
-            rows.append(
-                {
-                    "arm": name,
-                    "phase": title,
-                    "joint": joint,
-                    "true_nm": rms(true[at, j]),
-                    "error_nm": rms(e),
-                    "sigma_nm": rms(s),
-                    "free_sigma_nm": rms(free_sigma[at, j]),
-                    "within_free": float(np.mean(np.abs(e) <= 2 * free_sigma[at, j])),
-                    "within": [float(np.mean(np.abs(e) <= times * s)) for times in (1, 2, 3)],
-                }
-            )
+            row = {"arm": name, "phase": title, "joint": joint, "true_nm": rms(true[at, j]), "error_nm": rms(e)}
+            row |= {"sigma_nm": rms(s), "free_sigma_nm": rms(free_sigma[at, j])}
+            row["within_free"] = float(np.mean(np.abs(e) <= 2 * free_sigma[at, j]))
+            row["within"] = [float(np.mean(np.abs(e) <= times * s)) for times in (1, 2, 3)]
+            rows.append(row)
     return rows
 
 
@@ -285,10 +266,8 @@ def rms(values: np.ndarray) -> float:
 
 def markdown(rows: list[dict]) -> str:
     """A row an arm and phase: the least and the most of its joints."""
-    lines = [
-        "| arm | phase | true, N m | error | free-motion sigma | within 2, % | standard error | within 1, % | 2 | 3 |",
-        "|---" * 10 + "|",
-    ]
+    columns = "true, N m | error | free-motion sigma | within 2, % | standard error | within 1, % | 2 | 3"
+    lines = head(f"arm | phase | {columns}")
     for arm, title in dict.fromkeys((row["arm"], row["phase"]) for row in rows):
         of = [row for row in rows if (row["arm"], row["phase"]) == (arm, title)]
 
@@ -300,7 +279,7 @@ def markdown(rows: list[dict]) -> str:
         cells += [both([100 * row["within_free"] for row in of], ".0f")]
         cells += [both([row["sigma_nm"] for row in of], ".2f")]
         cells += [both([100 * row["within"][k] for row in of], ".0f") for k in range(3)]
-        lines.append(f"| {arm} | {title} | {' | '.join(cells)} |")
+        lines.append(table_row(arm, title, *cells))
     return "\n".join(lines) + "\n"
 
 

@@ -11,11 +11,11 @@ that of the other, for every joint.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
+from common import arguments, head, table_row
+from common import runs as all_runs
 
 from tauext import _core
 from tauext._core import Tree
@@ -37,8 +37,7 @@ Value = Callable[[Recording], np.ndarray]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("dataset", type=Path)
+    parser = arguments(__doc__, "dataset")
     parser.add_argument("--minutes", type=float, help="of training motion; all of it unless said")
     parser.add_argument("--recordings", type=int, default=40, help="test recordings, at most")
     parser.add_argument("--errors", action="store_true", help="of a prior that never saw such motion, too")
@@ -59,17 +58,13 @@ def main() -> None:
             part = fit_prior(bent, pieces, PriorConfig()).settings
             ratio = rmse(bent, part, test, value, beyond) / rmse(bent, whole, test, value, beyond)
             cells.append(" ".join(f"{joint:.1f}" for joint in ratio))
-        print(f"| {' | '.join([name, f'{total_s(pieces) / 60:.1f}', *cells])} |", flush=True)
+        print(table_row(name, f"{total_s(pieces) / 60:.1f}", *cells), flush=True)
 
     bent = with_presliding(setup, PriorConfig().widths_rad)
     whole = fit_prior(bent, training, PriorConfig()).settings if options.errors else None
 
-    print(
-        "| unfamiliar | training, min | reach, rad | together, rad | told there | told in the like of training |",
-        end="",
-    )
-    print(" RMSE there, ratio |" if options.errors else "")
-    print("|---" * (7 if options.errors else 6) + "|")
+    columns = "unfamiliar | training, min | reach, rad | together, rad | told there | told in the like of training"
+    print("\n".join(head(columns + " | RMSE there, ratio" * options.errors)))
     largest = np.max([np.abs(one.dq).max(axis=0) for one in training], axis=0)
     slow = [np.abs(one.dq[(np.abs(one.dq) <= SLOW * largest).all(axis=1)]).max(axis=0) for one in training]
     line("nothing", lambda one: np.zeros(one.samples), 0, -1)
@@ -121,8 +116,7 @@ def last_place(tree: Tree, q: np.ndarray) -> np.ndarray:
 
 def runs(kept: np.ndarray, least: int) -> list[slice]:
     """Samples in a row that are kept, at least so many."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], kept, [False]]).astype(np.int8)))
-    return [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
+    return [slice(begin, end) for begin, end in all_runs(kept) if end - begin >= least]
 
 
 def row(fit: CoverageFit, test: Sequence[Recording], value: Value, like: float, beyond: float) -> list[str]:

@@ -31,6 +31,7 @@ from check_cases import (
     parallel,
     scara,
 )
+from common import arguments, head, table_row
 from made_arms import Part, six_axis, urdf
 from made_recordings import made_motion
 
@@ -58,7 +59,7 @@ class Lines(list):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = arguments(__doc__)
     parser.add_argument("--minutes", type=float, default=1.2, help="of the data that are broken")
     parser.add_argument("--good-minutes", type=float, default=12.0, help="long enough for no finding at all")
     parser.add_argument("--arms", default="six,seven,scara,parallel,rig", help="whose recordings are broken")
@@ -111,7 +112,7 @@ def print_faults(lines: Lines, arm: str, folder: Path, options: argparse.Namespa
         others += len(besides)
         joints = ", ".join(dict.fromkeys(f.joint or "all" for f in diagnosis.findings if f.code == fault.code))
         told = ", ".join(sorted({f"{f.code} ({f.joint})" for f in besides}))
-        lines.say(f"| {fault.name} | {fault.code if found else 'NOT NAMED'} | {joints} | {told} |")
+        lines.say(table_row(fault.name, fault.code if found else "NOT NAMED", joints, told))
     lines.say()
     for seed in range(options.seeds):
         good = make_case(arm, folder, options.good_minutes, seed)
@@ -129,12 +130,12 @@ def print_settings(lines: Lines, folder: Path, options: argparse.Namespace) -> N
         "named as such, rightly.\nThe thresholds for stuck efforts, drift and unlabelled contacts were set on these "
         "data, those of the other checks were not.\n"
     )
-    lines.say("| arm | with a model | without |\n|---|---|---|")
+    lines.say("\n".join(head("arm | with a model | without")))
     for setting in (*SETTINGS, *CURRENTS):
         expected = UNIT_CODES if setting in CURRENTS else ()
         path, recordings = good_data(setting, folder, SETTING_MINUTES)
         told = [told_findings(examine(recordings, robot), expected) for robot in (path, None)]
-        lines.say(f"| {setting.name} | {told[0]} | {told[1]} |")
+        lines.say(table_row(setting.name, *told))
 
 
 def good_data(setting: Setting, folder: Path, minutes: float) -> tuple[Path, list]:

@@ -7,13 +7,12 @@ and calibration recordings; the last of these are used. What follows friction th
 docs/method/evidence.md holds the tables that it prints.
 """
 
-import argparse
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
+from common import arguments, collisions_begin, head, joined, table_row
 
 from tauext import _core
 from tauext.config import DriftConfig
@@ -25,7 +24,7 @@ from tauext.sim.config import RigConfig
 
 Signals = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 BREAK_NS = 1_000_000_000
-OK, COLLISION = 1, 2
+OK = 1
 LENGTH_S = 90.0
 WITHOUT, SLOW, BOTH = "without", "slow", "both"
 """No tracker; the slow one; with the one that follows friction that is off at once."""
@@ -33,17 +32,14 @@ MINUTES = (1, 5, 10)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("bundle", type=Path)
-    parser.add_argument("dataset", type=Path)
+    parser = arguments(__doc__, "bundle", "dataset")
     parser.add_argument("--recordings", type=int, default=20)
     options = parser.parse_args()
     bundle = _core.Bundle.load(str(options.bundle))
     names = load_split(options.dataset).calibration[-options.recordings :]
     free = end_to_end([load_recording(options.dataset / name) for name in names])
     titles = (WITHOUT, SLOW, BOTH, f"frozen, {SLOW} and {BOTH}", "false collisions", "the last after")
-    print(f"| friction of both joints | {' | '.join(titles)} |")
-    print("|---|---|---|---|---|---|---|")
+    print("\n".join(head(" | ".join(["friction of both joints", *titles]))))
     print_errors("as trained", bundle, free)
     print_errors("falls to 85 % in 30 minutes", bundle, with_friction(np.linspace(1, 0.85, 20).tolist()))
     for share in (0.95, 0.9, 0.85, 0.7, 1.05, 1.15, 1.3):
@@ -51,8 +47,8 @@ def main() -> None:
     print_errors("Coulomb's and static 130 %", bundle, with_friction([1.3] * 7, viscous=False))
     pushes = {f"constant {n:g} Nm on joint 1": np.array([n, 0.0]) * np.ones_like(free[1]) for n in (1.0, 10.0)}
     pushes |= {f"{n:g} N against the tool's velocity": against_velocity(free, n) for n in (2.0, 5.0, 10.0, 20.0)}
-    print(f"| push | joint | {' | '.join(f'{s}, after {m} min' for s in (SLOW, BOTH) for m in MINUTES)} |")
-    print("|---" * (2 + 2 * len(MINUTES)) + "|")
+    columns = [f"{s}, after {m} min" for s in (SLOW, BOTH) for m in MINUTES]
+    print("\n".join(head(" | ".join(["push", "joint", *columns]))))
     for title, push in pushes.items():
         print_absorbed(title, bundle, free, push)
 
@@ -72,12 +68,8 @@ def with_friction(shares: Sequence[float], viscous: bool = True) -> Signals:
 
     def config(share: float) -> RigConfig:
         names = ("coulomb_nm", "static_nm", "viscous_nm_s_rad")[: 3 if viscous else 2]
-        return replace(
-            RigConfig(),
-            friction=tuple(
-                replace(f, **{name: share * getattr(f, name) for name in names}) for f in RigConfig().friction
-            ),
-        )
+        joints = [replace(f, **{name: share * getattr(f, name) for name in names}) for f in RigConfig().friction]
+        return replace(RigConfig(), friction=tuple(joints))
 
     return end_to_end([simulate_recording(config(s), "free", LENGTH_S, 7, k) for k, s in enumerate(shares)])
 
@@ -113,21 +105,15 @@ def print_errors(title: str, bundle: _core.Bundle, signals: Signals) -> None:
         said = estimate(bundle, signals, tracker)
         healthy = said["health"] == OK
         last = healthy & (np.arange(len(healthy)) >= 2 * len(healthy) // 3)
-        rmse = ["/".join(f"{x:.2f}" for x in np.sqrt((said["tau_ext"][r] ** 2).mean(axis=0))) for r in (healthy, last)]
+        rmse = [joined(np.sqrt((said["tau_ext"][rows] ** 2).mean(axis=0)), by="/") for rows in (healthy, last)]
         errors.append(" → ".join(rmse))
-        begun = false_collisions(said, signals[0])
+        begun = collisions_begin(said["held_alarm"], signals[0])
         alarms.append(str(len(begun)))
         ends.append(f"{(begun[-1] - signals[0][0]) / 1e9:.0f} s" if len(begun) else "–")
         frozen.append(f"{frozen_share(bundle, said, signals[0]):.0%}")
     hours = (signals[0][-1] - signals[0][0]) / 3.6e12
-    told = f"{', '.join(alarms)} in {hours:.2f} h | {ends[-1]}"
-    print(f"| {title} | {' | '.join(errors)} | {', '.join(frozen[1:])} | {told} |", flush=True)
-
-
-def false_collisions(said: dict[str, np.ndarray], t_ns: np.ndarray) -> np.ndarray:
-    """When collisions began, those less than 0.5 s apart counted as one, [ns]."""
-    at = np.flatnonzero(said["held_alarm"] == COLLISION)
-    return t_ns[at[np.r_[True, np.diff(t_ns[at]) >= 500_000_000]]] if len(at) else t_ns[:0]
+    told = f"{', '.join(alarms)} in {hours:.2f} h", ends[-1]
+    print(table_row(title, *errors, ", ".join(frozen[1:]), *told), flush=True)
 
 
 def frozen_share(bundle: _core.Bundle, said: dict[str, np.ndarray], t_ns: np.ndarray) -> float:
@@ -167,7 +153,7 @@ def print_absorbed(title: str, bundle: _core.Bundle, signals: Signals, push_nm: 
                 share = float(learned[:, joint] @ push_nm[rows, joint]) / size if size else np.nan
                 shares[joint].append("–" if np.isnan(share) else f"{share:.0%}")
     for joint, row in enumerate(shares):
-        print(f"| {title} | {joint + 1} | {' | '.join(row)} |", flush=True)
+        print(table_row(title, joint + 1, *row), flush=True)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ medians are given.
 
 from __future__ import annotations
 
-import argparse
 import os
 import platform
 import shutil
@@ -24,8 +23,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pinocchio as pin
+from common import arguments
 
 import tauext
+from tauext.files.provenance import machine
 from tauext.robot.load import load_tree
 
 HERE = Path(__file__).parent
@@ -36,7 +37,7 @@ SHIFT_S = 1e-4
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = arguments(__doc__)
     parser.add_argument("--states", type=int, default=2000)
     parser.add_argument("--rounds", type=int, default=7)
     options = parser.parse_args()
@@ -63,7 +64,7 @@ def main() -> None:
                 ns, answers[name] = way()
                 times[name].append(ns)
 
-    print(f"{processor()}, {os.cpu_count()} cores, Python {platform.python_version()}, NumPy {np.__version__}")
+    print(f"{machine()}, Python {platform.python_version()}, NumPy {np.__version__}")
     print(f"tauext {tauext.__version__}, Pinocchio {pin.__version__}, MuJoCo {mujoco.__version__}")
     print(f"{ARM.name}, {options.states} random states, median of {options.rounds} rounds in turns\n")
     print(f"{'p and beta of one state':31}{'ns':>8}{'(min':>9}{'max)':>8}{'ratio':>8}   difference of p, beta")
@@ -130,13 +131,9 @@ def compiled_ways(
     boost = [*(f"-DBOOST_MPL_{limit}" for limit in limits), "-DBOOST_FUSION_INVOKE_MAX_ARITY=12"]
     link = [f"-L{prefix}/lib", f"-Wl,-rpath,{prefix}/lib", "-lpinocchio_default", "-lboost_serialization"]
     mujoco_link = [str(next(library.glob("libmujoco.so*"), "")), f"-Wl,-rpath,{library}"]
+    native = ["-march=native", f"-I{prefix}/include", *eigen, *boost]
     programs = {
-        "Pinocchio, C++, -march=native": (
-            "pinocchio",
-            "arm.txt",
-            ["-march=native", f"-I{prefix}/include", *eigen, *boost],
-            link,
-        ),
+        "Pinocchio, C++, -march=native": ("pinocchio", "arm.txt", native, link),
         "MuJoCo, C++": ("mujoco", "arm.mjb", [f"-I{library}/include"], mujoco_link),
     }
     compiler, ways = os.environ.get("CXX", "g++"), {}
@@ -154,12 +151,6 @@ def compiled_ways(
 def run_compiled(command: list[str], folder: Path, shape: tuple[int, ...]) -> tuple[float, np.ndarray]:
     printed = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
     return float(printed), np.fromfile(folder / command[3]).reshape(2, *shape)
-
-
-def processor() -> str:
-    info = Path("/proc/cpuinfo")
-    names = [line.partition(": ")[2] for line in info.read_text().splitlines() if line.startswith("model name")]
-    return names[0] if names else platform.processor()
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
     python benchmarks/feeling.py OUT [--seed 0]
 
 Leader, wire and follower are simulated: two arms of an SO-101's size in MuJoCo (felt/arm.py), servos as they were
-identified (felt/servo.py), 50 ticks a second, 1 to 3 ticks of delay each way, a table of 10 N/mm. tau_ext is tauext's
+identified (felt/arm.py), 50 ticks a second, 1 to 3 ticks of delay each way, a table of 10 N/mm. tau_ext is tauext's
 own: OUT/data gets free motion of the follower with its bundle; what is there is used again. OUT/README.md gets the
 tables, OUT/press.png and OUT/taps.png the pictures, OUT/feeling.json the numbers; those of docs/results/feeling are
 one run of these. Some 4 minutes of one core.
@@ -11,20 +11,17 @@ one run of these. Some 4 minutes of one core.
 
 from __future__ import annotations
 
-import argparse
 import json
-from dataclasses import asdict, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
-from felt.arm import Wall
-from felt.leader import GEARS, HANDS, Gears, Hand
-from felt.measures import swing
-from felt.pages import page
-from felt.pictures import draw
-from felt.senses import MonitorSenses, free_motion, train
-from felt.session import Course, Wish, run
-from felt.wishes import moves, press, taps
+from common import arguments, write_page
+from felt.arm import GEARS, HANDS, TICK_S, Gears, Hand, Wall
+from felt.session import Course, MonitorSenses, Wish, free_motion, moves, press, run, taps, train
 
 from tauext._core import Bundle
 from tauext.monitor.leader_feedback import EnergyTank, FeedbackSettings, LeaderFeedback, free_motion_sigmas
@@ -43,8 +40,7 @@ CAP_NM = 1.0
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "out")
     parser.add_argument("--seed", type=int, default=0, help="of the motion: training, validation and test")
     options = parser.parse_args()
     bundle = train(options.out / "data", options.seed, SILENT)
@@ -77,9 +73,7 @@ def main() -> None:
     (options.out / "feeling.json").write_text(json.dumps(numbers, indent=1) + "\n")
     draw(courses[GEARS[1].name, HANDS[0].name, 3], TABLE, options.out / "press.png")
     draw(tapped, TABLE, options.out / "taps.png")
-    text = page(numbers)
-    (options.out / "README.md").write_text(text)
-    print(text)
+    write_page(options.out / "README.md", page(numbers))
 
 
 def press_session(
@@ -106,6 +100,174 @@ def free_session(bundle: Bundle, settings: FeedbackSettings, seed: int, hand: Ha
         "most_torque_nm": float(np.abs(course.torque_nm).max()),
         "ticks_felt": int((np.abs(course.torque_nm) > 0).any(axis=1).sum()),
     }
+
+
+# --- What a session shows, the page and its pictures.
+
+
+FIRST_S, LAST_S = (3.0, 5.0), (10.0, 12.0)
+"""Stretches of a press that lasts 12 s: after the hand has come down, and the end."""
+
+
+@dataclass(frozen=True)
+class Swing:
+    """Of one press."""
+
+    first_mm: float
+    """Peak to peak of the leader's hand along z in FIRST_S."""
+    last_mm: float
+    """In LAST_S."""
+    given_j: float
+    """What the leader's motors gave the hand in all, [J]; negative: they took."""
+    most_given_j: float
+    """The most that they had given at any time."""
+    felt: float
+    """Mean torque of the leader in LAST_S as a share of the wall's at the follower, joints that the wall loads."""
+
+    @property
+    def settles(self) -> bool:
+        """Does not swing at the end: by no more than the hand trembles under the estimate's noise."""
+        return self.last_mm < 3.0
+
+    @property
+    def grows(self) -> bool:
+        """More at the end than at first."""
+        return self.last_mm > 1.1 * self.first_mm and not self.settles
+
+
+def swing(course: Course) -> Swing:
+    """Of a press."""
+    first, last = (slice(round(a / TICK_S), round(b / TICK_S)) for a, b in (FIRST_S, LAST_S))
+    z = 1000 * course.leader_tip[:, 2]
+    truth = np.abs(course.outside_nm[last].mean(axis=0))
+    loaded = truth > 0.1
+    felt = np.abs(course.torque_nm[last].mean(axis=0))[loaded].sum() / max(truth[loaded].sum(), 1e-9)
+    given = course.given_j
+    return Swing(float(np.ptp(z[first])), float(np.ptp(z[last])), float(given[-1]), float(given.max()), float(felt))
+
+
+# --- The page.
+
+
+HEAD = """# Feeling what the follower touches
+
+Written by `python benchmarks/feeling.py OUT --seed {seed}`. All of this is simulated; nothing ran on hardware. What is
+tried here: [feeling](../../feeling.md).
+
+A hand leads one arm; a second one follows it by position control over a wire of 1 to 3 ticks each way, 50 ticks a
+second, and comes upon a table of 10 N/mm. Both arms have the size of an SO-101, with three joints and 12-bit encoders.
+The follower's servos are STS3215 at 7.4 V as Rhoban's BAM identified them: motor, position loop at P = 16, friction
+that grows with the load. tau_ext is tauext's own, from position and goal alone, by a bundle trained on 10 minutes of
+free motion; its observer adds 50 ms to the wire. The leader's motors give the torque that they are told, and the hand
+carries its weight. Its gears are the same, or light ones that hardly rub, which is the harder case. Hands are a
+spring, a damper and a mass: two fingers 50 N/m, 2 N s/m, 0.1 kg; loose 150, 6, 0.3; firm 400, 20, 0.5.
+
+Gain 1, at most {cap:g} N m, a tank of {tank:g} mJ into which 2 mW flow at rest. The dead band is {sigmas} standard
+errors (pan, lift, elbow): 1.5 times the most that the validation recordings showed.
+
+## In free motion there is nothing to feel
+
+Motion that neither training nor the dead band saw, 2 ticks each way. (On two earlier draws one tick in 12 minutes was
+felt, with 5 and 10 mN m: since then the dead band narrows no faster than the observer forgets. These draws are others.)
+
+| gears | hand | minutes | largest tau_ext, N m: pan, lift, elbow | largest torque of the leader, N m | ticks felt |
+|---|---|---|---|---|---|
+"""
+PRESS = """
+## Pressing on the table
+
+The hand wants to be {deep:.0f} cm below the table's surface within a second, and stays there for 10 s. Swing is peak
+to peak of the leader's hand along the vertical, in seconds 3 to 5 → 10 to 12. Given is the most energy that the
+leader's motors had given the hand at any time: a real wall gives none. Felt is the leader's torque over the table's at
+the end, which is below 100 % for the dead band, and where the cap is reached.
+
+| gears | hand | ticks each way | swing, mm: no tank | tank | given, mJ: no tank | tank | felt: no tank | tank |
+|---|---|---|---|---|---|---|---|---|
+"""
+TAIL = """
+{verdict}
+
+![Height of both hands, torque and energy of a press, without and with the tank](press.png)
+
+Two fingers on light gears, 3 ticks each way. Grey: the table. Without the tank the leader swings up within two seconds.
+
+## Tapping
+
+The same leader and wire, {hz:g} taps a second: the motors gave up to {taps_free:.0f} mJ without the tank,
+{taps_kept:.0f} mJ with it.
+After the first tap next to nothing is felt with it: what comes back when the hand is on its way out gives energy alone.
+
+![The same of taps](taps.png)
+"""
+
+
+def page(numbers: dict[str, Any]) -> str:
+    """README.md."""
+    sigmas = ", ".join(f"{value:.1f}" for value in numbers["dead_band_sigmas"])
+    text = HEAD.format(seed=numbers["seed"], cap=numbers["cap_nm"], tank=1000 * numbers["tank_j"], sigmas=sigmas)
+    for row in numbers["free"]:
+        errors = ", ".join(f"{value:.2f}" for value in row["most_tau_ext_nm"])
+        torque = f"{row['most_torque_nm']:.3f}" if row["ticks_felt"] else "0"
+        text += f"| {row['gears']} | {row['hand']} | {row['minutes']:g} | {errors} | {torque} | {row['ticks_felt']} |\n"
+    text += PRESS.format(deep=100 * numbers["below_m"])
+    pairs = []
+    for gears, hand, delay, *pair in numbers["press"]:
+        free, kept = (Swing(**measured) for measured in pair)
+        pairs.append((free, kept))
+        swings = " | ".join(f"{one.first_mm:.1f} → {one.last_mm:.1f}" for one in (free, kept))
+        given = " | ".join(f"{1000 * one.most_given_j:.0f}" for one in (free, kept))
+        felt = " | ".join(f"{100 * one.felt:.0f} %" for one in (free, kept))
+        text += f"| {gears} | {hand} | {delay} | {swings} | {given} | {felt} |\n"
+    taps_free, taps_kept = (1000 * Swing(**measured).most_given_j for measured in numbers["taps"])
+    return text + TAIL.format(verdict=verdict(pairs), hz=numbers["tap_hz"], taps_free=taps_free, taps_kept=taps_kept)
+
+
+def verdict(pairs: list[tuple[Swing, Swing]]) -> str:
+    """What the table of presses comes to, in words."""
+    (free, kept), n = zip(*pairs, strict=True), len(pairs)
+    swinging, growing = sum(not one.settles for one in free), sum(one.grows for one in free)
+    with_tank = sum(not one.settles for one in kept)
+    grown = sum(one.grows for one in kept)
+    worst = max(one.last_mm for one in kept)
+    return (
+        f"With the tank {grown or 'none'} of {n} grow, and {with_tank or 'none'} still swing by 3 mm or more at the "
+        f"end (worst {worst:.1f} mm).\nWithout it {swinging} of {n} go on swinging, {growing} of them more than at "
+        "first; what bounds them is the cap of the torque."
+    )
+
+
+# --- The pictures.
+
+
+LEADER, FOLLOWER = "#1f6fb4", "#c8501e"
+
+
+def draw(pair: Sequence[Course], wall: Wall, out: Path) -> None:
+    """Without and with the tank, side by side: height of both hands, torque of the lift, energy given."""
+    figure, axes = plt.subplots(3, 2, figsize=(9.5, 6.2), sharex=True, sharey="row", constrained_layout=True)
+    for column, (course, title) in enumerate(zip(pair, ("energy not kept", "energy kept by the tank"), strict=True)):
+        t = course.t_s
+        height, torque, energy = axes[:, column]
+        height.axhspan(-40, 1000 * wall.at_m, color="0.9")
+        height.plot(t, 1000 * course.leader_tip[:, 2], color=LEADER, label="leader")
+        height.plot(t, 1000 * course.follower_tip[:, 2], color=FOLLOWER, lw=1.2, label="follower")
+        height.set_title(title)
+        torque.plot(t, course.outside_nm[:, 1], color=FOLLOWER, lw=1.0, label="of the table, at the follower")
+        torque.plot(t, course.torque_nm[:, 1], color=LEADER, label="of the leader's motor")
+        energy.plot(t, 1000 * course.given_j, color=LEADER)
+        energy.axhline(0, color="0.6", lw=0.8)
+        energy.set_xlabel("time, s")
+        for axis in axes[:, column]:
+            axis.grid(color="0.92")
+    axes[0, 0].set_ylabel("height of the hand, mm")
+    axes[1, 0].set_ylabel("torque of the lift, N m")
+    axes[2, 0].set_ylabel("energy the motors gave, mJ")
+    axes[2, 0].set_yscale("symlog", linthresh=100)
+    axes[0, 0].set_ylim(-20, None)
+    for axis in axes[:2, 0]:
+        axis.legend(loc="lower left", fontsize=8)
+    figure.savefig(out, dpi=110)
+    plt.close(figure)
 
 
 if __name__ == "__main__":

@@ -2,26 +2,25 @@
 
     python benchmarks/fleet.py MODELS OUT [--arms 40] [--minutes 12] [--ray local]
 
-Arms are of one simulated type (unseen.of_type), as CSV files of currents: friction, tool and constants are each
+Arms are of one simulated type (unseen.arms), as CSV files of currents: friction, tool and constants are each
 arm's own. Of each 20 arms two have a broken source, and must fail alone. Each run starts with empty folders and an
 empty memory of looks. MODELS: folder of the arms' URDFs, as of unseen_arms.py.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import shutil
 import subprocess
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+from common import arguments, in_parallel
 from unseen.arms import Maker, makers
-from unseen.recordings import Take, description, write_take
+from unseen.recordings import Take, description, simulate_takes
 
 FIRST_SEED = 300
 BROKEN = {7: "headless", 13: "empty"}
@@ -36,9 +35,7 @@ def simulate(maker: Maker, out: Path, arms: int, minutes: float, workers: int) -
         Take("free-1", "test", minutes / 4, 0, 60),
         Take("contacts-1", "collisions", minutes / 4, round(1.5 * minutes), 360),
     )
-    with ProcessPoolExecutor(workers) as pool:
-        for done in [pool.submit(sources, maker, k, out / f"arm-{k:02d}", takes) for k in range(arms)]:
-            done.result()
+    in_parallel(workers, sources, [(maker, k, out / f"arm-{k:02d}", takes) for k in range(arms)])
     names = [f"arm-{k:02d}" for k in range(arms)]
     tables = [f'[[arms]]\nname = "{n}"\narm = "{n}/arm.toml"\nsources = ["{n}/*.csv"]\n' for n in names]
     path = out / "fleet.toml"
@@ -48,10 +45,7 @@ def simulate(maker: Maker, out: Path, arms: int, minutes: float, workers: int) -
 
 def sources(maker: Maker, number: int, folder: Path, takes: tuple[Take, ...]) -> None:
     """The CSV files of one arm and their description, some broken."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for k, take in enumerate(takes):
-        if not (folder / f"{take.name}.truth.npz").exists():
-            write_take(maker, FIRST_SEED + number, k, folder, takes)
+    simulate_takes(maker, FIRST_SEED + number, folder, takes)
     (folder / "arm.toml").write_text(description(maker, FIRST_SEED + number, True, takes))
     broken = folder / f"{takes[-1].name}.csv"
     if BROKEN.get(number % 20) == "empty":
@@ -81,9 +75,7 @@ def written(out: Path) -> dict[str, bytes]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("models", type=Path)
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "models", "out")
     parser.add_argument("--type", default="ur5", help="of the arms' maker, default: %(default)s")
     parser.add_argument("--arms", type=int, default=40, help="default: %(default)s")
     parser.add_argument("--minutes", type=float, default=12.0, help="of motion an arm, default: %(default)s")

@@ -2,7 +2,7 @@
 
     python benchmarks/fleet_prior.py MODELS OUT [--type ur5] [--arms 10] [--minutes 6] [--new 6] [--type-seed 1]
 
-Simulated arms of one type (unseen.of_type): links, gears and drives they share; friction of each joint (0.7 to 1.3 of
+Simulated arms of one type (unseen.arms): links, gears and drives they share; friction of each joint (0.7 to 1.3 of
 the type's), tool, torque constants (8 % about those of the data sheet) and ripple's size and phase are each arm's own.
 MODELS: folder of the arms' URDFs, as of unseen_arms.py. OUT gets recordings, bundles and README.md (TYPE.md of
 another type than ur5); what is there is used again. Those of docs/results/fleet-prior are of these.
@@ -17,12 +17,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from unseen.arms import Maker, makers
-from unseen.cold import command
-from unseen.fleet_takes import FLEET_TAKES, NEW_TAKES, make_arm
-from unseen.of_type import arm_of
-from unseen.recordings import told_constants
-from unseen.refitted import AFTER_S, COLLISION, EPISODE_S
+from common import COLLISION, arguments, collisions_begin, flags, head, runs, table_row, tauext, trained, write_page
+from unseen.arms import Maker, arm_of, makers
+from unseen.recordings import Take, make_dataset, told_constants
 from unseen.results import STRONG, nearest, truth_of
 
 from tauext import _core
@@ -31,13 +28,23 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.evaluate.injected import estimate_recording
 
+FLEET_TAKES = (Take("work-1", "train", 3), Take("work-2", "train", 3, 0, 600))
+NEW_TAKES = (
+    Take("own-1", "train", 1, 0, 120),
+    Take("own-2", "train", 4.5, 0, 180),
+    Take("own-3", "train", 4.5, 0, 600),
+    Take("free-1", "test", 4, 0, 60),
+    Take("contacts-1", "collisions", 4, 25, 360),
+    Take("contacts-2", "collisions", 4, 25, 900),
+)
+"""The first minute of its own is all that a prior gets; the test begins at another time of the day."""
 NEW_SEED = 100
 WAYS = {
     "one": ("1 min, alone", ("--minutes", "1")),
     "like": ("1 min, fleet prior", ("--minutes", "1", "--like")),
     "ten": ("10 min, alone", ()),
 }
-WARM_UP_S = 3.0
+WARM_UP_S, AFTER_S = 3.0, 0.5
 BEFORE_S, AFTER_CONTACT_S = 0.2, 3.0
 
 
@@ -56,9 +63,7 @@ class Outcome:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("models", type=Path)
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "models", "out")
     parser.add_argument("--type", default="ur5", help="of the arms' maker, default: %(default)s")
     parser.add_argument("--type-seed", type=int, default=1, help="draws the type, default: %(default)s")
     parser.add_argument("--arms", type=int, default=10, help="of the fleet, default: %(default)s")
@@ -68,28 +73,24 @@ def main() -> None:
     maker = replace(makers(options.models)[options.type], type_seed=options.type_seed)
     root = options.out / options.type
     takes = [replace(take, minutes=options.minutes / len(FLEET_TAKES)) for take in FLEET_TAKES]
-    fleet = [make_arm(maker, k, root / f"arm-{k:02d}", takes) for k in range(options.arms)]
+    fleet = [make_dataset(maker, k, root / f"arm-{k:02d}", takes) for k in range(options.arms)]
     prior = root / f"{options.type}-{options.arms}.prior.json"
     if not prior.exists():
-        command("fleet", "prior", *fleet, "--out", prior)
+        tauext("fleet", "prior", *fleet, "--out", prior)
     rows = []
     for k in range(options.new):
         folder = root / f"new-{k}"
-        data = make_arm(maker, NEW_SEED + k, folder, NEW_TAKES)
-        bundles = {way: trained(way, data, folder, prior) for way in WAYS}
+        data = make_dataset(maker, NEW_SEED + k, folder, NEW_TAKES)
+        files = {"one": "one", "like": f"like-{prior.name.partition('.')[0]}", "ten": "ten"}
+        bundles = {
+            way: trained(
+                data, folder / f"{files[way]}.tauext", "--threads", 1, *how, *([prior] if way == "like" else [])
+            )
+            for way, (_, how) in WAYS.items()
+        }
         rows.append(judge(maker, NEW_SEED + k, folder, data, bundles))
-    text = "\n".join(markdown(rows, options, json.loads(prior.read_text()))) + "\n"
-    (options.out / ("README.md" if options.type == "ur5" else f"{options.type}.md")).write_text(text)
-    print(text)
-
-
-def trained(way: str, data: Path, folder: Path, prior: Path) -> Path:
-    """The bundle of one way to train; not what is there."""
-    bundle = folder / (f"like-{prior.name.partition('.')[0]}.tauext" if way == "like" else f"{way}.tauext")
-    if not bundle.exists():
-        more = [*WAYS[way][1], *([prior] if way == "like" else [])]
-        command("train", "--data", data, "--recipe", "prior", "--threads", "1", "--out", bundle, *more)
-    return bundle
+    lines = markdown(rows, options, json.loads(prior.read_text()))
+    write_page(options.out / ("README.md" if options.type == "ur5" else f"{options.type}.md"), lines)
 
 
 def judge(maker: Maker, seed: int, folder: Path, data: Path, paths: dict[str, Path]) -> dict:
@@ -129,8 +130,7 @@ def of_free(bundle: _core.Bundle, recordings: Sequence[Recording], scale: np.nda
         errors.append(scale * said["tau_ext"][free])
         level = np.where(said["near_stiction"], bundle.near_stiction_limit_nm, bundle.sliding_limit_nm)
         limits.append(scale * (level * said["limit_scale"] + said["doubt"])[free])
-        at = np.flatnonzero((held_alarms(bundle, recording) == COLLISION) & free)
-        outcome.false += 0 if len(at) == 0 else 1 + int((np.diff(recording.t_ns[at]) >= EPISODE_S * 1e9).sum())
+        outcome.false += len(collisions_begin(held_alarms(bundle, recording)[free], recording.t_ns[free]))
         outcome.hours += float(free.sum()) / recording.rate_hz / 3600
     outcome.error_nm = np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
     outcome.limit_nm = np.mean(np.concatenate(limits), axis=0)
@@ -155,22 +155,16 @@ def held_alarms(bundle: _core.Bundle, recording: Recording) -> np.ndarray:
 
 def contacts(recording: Recording) -> list[tuple[int, int]]:
     """First and last sample of each label."""
-    if recording.contact is None:
-        return []
-    edges = np.flatnonzero(np.diff(np.r_[0, recording.contact == 1, 0])).reshape(-1, 2)
-    return [(int(a), int(b)) for a, b in edges]
+    return [] if recording.contact is None else runs(recording.contact == 1)
 
 
 def markdown(rows: Sequence[dict], options: argparse.Namespace, prior: dict) -> list[str]:
     """The tables, and what they are of."""
-    usual = {"type": "ur5", "type_seed": 1, "arms": 10, "minutes": 6, "new": 6}
-    given = {name: getattr(options, name) for name in usual if getattr(options, name) != usual[name]}
-    said = [f" --{name.replace('_', '-')} {value:g}" if name != "type" else f" --type {value}"
-            for name, value in given.items()]  # fmt: skip
+    given = flags(options, {"type": "ur5", "type_seed": 1, "arms": 10, "minutes": 6, "new": 6})
     lines = [
         "# A new arm with a minute of its own",
         "",
-        f"Written by `python benchmarks/fleet_prior.py MODELS OUT{''.join(said)}`.",
+        f"Written by `python benchmarks/fleet_prior.py MODELS OUT{given}`.",
         "",
         f"A fleet of {len(prior['arms'])} simulated arms of one type ({options.type}), "
         f"{options.minutes:g} minutes each, and {len(rows)} new arms. Links, gears and",
@@ -182,33 +176,28 @@ def markdown(rows: Sequence[dict], options: argparse.Namespace, prior: dict) -> 
         f"contact whose torque at some joint is {STRONG:g} times the error with ten minutes or more. Torques are the",
         "true ones.",
         "",
-        "| new arm | trained on | error, by 10 min | limit, by 10 min | found | of strong | false (minutes) |",
-        "|---|---|---|---|---|---|---|",
+        *head("new arm | trained on | error, by 10 min | limit, by 10 min | found | of strong | false (minutes)"),
     ]
-    for k, row in enumerate(rows):
+    for k, arm in enumerate(rows):
         for way, (words, _) in WAYS.items():
-            one = row["outcomes"][way]
-            lines.append(
-                f"| {k + 1} | {words} | {ratio(row, way, 'error_nm'):.2f} | {ratio(row, way, 'limit_nm'):.2f} | "
-                f"{one.found}/{row['every']} | {one.found_strong}/{row['strong']} | "
-                f"{one.false} ({60 * one.hours:.0f}) |"
-            )
+            one = arm["outcomes"][way]
+            ratios = [f"{ratio(arm, way, name):.2f}" for name in ("error_nm", "limit_nm")]
+            found = f"{one.found}/{arm['every']}", f"{one.found_strong}/{arm['strong']}"
+            lines.append(table_row(k + 1, words, *ratios, *found, f"{one.false} ({60 * one.hours:.0f})"))
     for way, (words, _) in WAYS.items():
-        error, limit = (np.median([ratio(row, way, name) for row in rows]) for name in ("error_nm", "limit_nm"))
-        found = np.median([row["outcomes"][way].found / row["every"] for row in rows])
-        strong = np.median([row["outcomes"][way].found_strong / max(row["strong"], 1) for row in rows])
-        false = sum(row["outcomes"][way].false for row in rows)
-        minutes = 60 * sum(row["outcomes"][way].hours for row in rows)
-        lines.append(
-            f"| **median** | {words} | {error:.2f} | {limit:.2f} | {found:.0%} | {strong:.0%} | "
-            f"{false} ({minutes:.0f}), sum |"
-        )
+        error, limit = (np.median([ratio(arm, way, name) for arm in rows]) for name in ("error_nm", "limit_nm"))
+        found = np.median([arm["outcomes"][way].found / arm["every"] for arm in rows])
+        strong = np.median([arm["outcomes"][way].found_strong / max(arm["strong"], 1) for arm in rows])
+        false = sum(arm["outcomes"][way].false for arm in rows)
+        minutes = 60 * sum(arm["outcomes"][way].hours for arm in rows)
+        cells = f"{error:.2f}", f"{limit:.2f}", f"{found:.0%}", f"{strong:.0%}", f"{false} ({minutes:.0f}), sum"
+        lines.append(table_row("**median**", words, *cells))
     return lines
 
 
-def ratio(row: dict, way: str, name: str) -> float:
+def ratio(arm: dict, way: str, name: str) -> float:
     """By that with ten minutes, the mean over joints."""
-    return float(np.mean(getattr(row["outcomes"][way], name) / getattr(row["outcomes"]["ten"], name)))
+    return float(np.mean(getattr(arm["outcomes"][way], name) / getattr(arm["outcomes"]["ten"], name)))
 
 
 if __name__ == "__main__":

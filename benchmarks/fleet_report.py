@@ -2,8 +2,8 @@
 
     python benchmarks/fleet_report.py MODELS OUT [--type ur5] [--type-seed 2] [--arms 40] [--worn 4]
 
-Simulated arms of one type (unseen.of_type), each recorded for three and a half minutes at two dates
-(unseen.two_dates). Between them one joint of some arms wears (friction x 1.3), one arm gets another tool and one
+Simulated arms of one type (unseen.arms), each recorded for three and a half minutes at two dates.
+Between them one joint of some arms wears (friction x 1.3), one arm gets another tool and one
 another drive. MODELS: folder of the arms' URDFs, as of unseen_arms.py. OUT gets recordings, fleets, pages and
 README.md; what is there is used again. That of docs/results/fleet-report is one of these.
 """
@@ -14,29 +14,44 @@ import argparse
 import json
 import textwrap
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from unseen.arms import Maker, makers
-from unseen.cold import command
-from unseen.two_dates import (
-    CONSTANT,
-    DATES,
-    DAY_ARM,
-    DAY_JOINT,
-    WORN,
-    Truth,
-    day_factors,
-    draw_truth,
-    fleet_toml,
-    make_date,
-)
+from common import arguments, flags, head, in_parallel, table_row, tauext, write_page
+from unseen.arms import Maker, TrueArm, add_ball, arm_of, makers
+from unseen.recordings import Take, description, import_csv, simulate_takes
 
+from tauext import _core
 from tauext.fleet.compare import FLEET_FRICTION, OWN_FRICTION
 from tauext.fleet.odds import NAMED, learn_odds
+
+WORN = 1.3
+"""Times all friction of the joint."""
+DAY_ARM, DAY_JOINT = 0.08, 0.04
+"""Standard deviations of the logarithm of friction at a date: of all joints of an arm together (a hall: some 1.5 % a
+kelvin), and of each by itself (grease). Warming up comes on top of it, with the arm's own drop."""
+LONGEST_WORK_S = 1800.0
+"""The arm has been at work for up to so long when a date's recordings begin."""
+TOOL_KG = (0.5, 1.0)
+CONSTANT = 1.1
+DATES = ("2026-05-04", "2026-06-01")
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What was done to the arms between the dates, by their numbers."""
+
+    worn: dict[int, int] = field(default_factory=dict)
+    """Arm: joint."""
+    tool: int = -1
+    constant: tuple[int, int] = (-1, -1)
+    """Arm and joint."""
+    day_arm: float = DAY_ARM
+    day_joint: float = DAY_JOINT
+    """What the days do to friction beside warming up."""
+
 
 DAYS = ((0.0, 0.0), (0.08, 0.02), (0.08, 0.04))
 """Spread of the logarithm of friction at a date: of all joints of an arm, and of each by itself."""
@@ -45,9 +60,7 @@ DRAWS = 3
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("models", type=Path)
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "models", "out")
     parser.add_argument("--type", default="ur5", help="of the arms' maker, default: %(default)s")
     parser.add_argument("--type-seed", type=int, default=2, help="draws the type, default: %(default)s")
     parser.add_argument("--arms", type=int, default=40, help="of the fleet, default: %(default)s")
@@ -64,26 +77,23 @@ def main() -> None:
     truth = draw_truth(maker, options.arms, options.worn, options.day_arm, options.day_joint)
     root = options.out / f"{options.type}-{options.type_seed}-{options.arms}"
     fleets = make_fleets(maker, truth, root, options.arms, options.workers)
-    command("fleet", "report", *fleets, "--out", root / "page", "--no-arm-pages")
-    command("fleet", "report", fleets[-1], "--out", root / "page-alone", "--no-arm-pages")
+    tauext("fleet", "report", *fleets, "--out", root / "page", "--no-arm-pages")
+    tauext("fleet", "report", fleets[-1], "--out", root / "page-alone", "--no-arm-pages")
     both, alone = (json.loads((root / page / "fleet-report.json").read_text()) for page in ("page", "page-alone"))
-    text = "\n".join(markdown(maker, truth, both, alone, options)) + "\n"
-    (options.out / "README.md").write_text(text)
-    print(text)
+    write_page(options.out / "README.md", markdown(maker, truth, both, alone, options))
 
 
 def make_fleets(maker: Maker, truth: Truth, root: Path, arms: int, workers: int) -> list[Path]:
     """Simulated, imported, trained and evaluated; a fleet folder a date."""
-    jobs = [(k, date) for date in range(len(DATES)) for k in range(arms)]
-    with ProcessPoolExecutor(workers) as pool:
-        told = [pool.submit(make_date, maker, k, date, truth, root / DATES[date] / f"arm-{k:02d}") for k, date in jobs]
-        data = [one.result() for one in told]
+    numbers = [(k, date) for date in range(len(DATES)) for k in range(arms)]
+    jobs = [(maker, k, date, truth, root / DATES[date] / f"arm-{k:02d}") for k, date in numbers]
+    data = in_parallel(workers, make_date, jobs)
     fleets = []
     for date, day in enumerate(DATES):
         toml, fleet = root / f"{day}.toml", root / f"fleet-{day}"
         toml.write_text(fleet_toml(maker, data[date * arms : (date + 1) * arms], date))
         try:
-            command("fleet", "run", toml, "--out", fleet, "--workers", str(workers))
+            tauext("fleet", "run", toml, "--out", fleet, "--workers", str(workers))
         except RuntimeError as error:  # an arm that fails is no end of a fleet
             print(str(error).splitlines()[-1], flush=True)
         fleets.append(fleet)
@@ -94,11 +104,10 @@ def markdown(maker: Maker, truth: Truth, both: dict, alone: dict, options: argpa
     """The tables, and what they are of."""
     joints = both["groups"][0]["joints"]
     usual = {"type_seed": 2, "arms": 40, "worn": 4, "day_arm": DAY_ARM, "day_joint": DAY_JOINT}
-    said = [f" --{n.replace('_', '-')} {getattr(options, n)}" for n in usual if getattr(options, n) != usual[n]]
     lines = [
         "# Which arm is wearing",
         "",
-        f"Written by `python benchmarks/fleet_report.py MODELS OUT{''.join(said)}`.",
+        f"Written by `python benchmarks/fleet_report.py MODELS OUT{flags(options, usual)}`.",
         "",
         *paragraph(
             f"{options.arms} simulated arms of one type ({options.type}), three and a half minutes each at two dates, "
@@ -119,8 +128,7 @@ def markdown(maker: Maker, truth: Truth, both: dict, alone: dict, options: argpa
         "",
         "## Beside its own first date",
         "",
-        "| what was done | truth | found | probability |",
-        "|---|---|---|---|",
+        *head("what was done | truth | found | probability"),
     ]
     lines += own_rows(maker, truth, both, joints)
     own = [one for one in both["named"] if one["against"] == "own"]
@@ -199,8 +207,7 @@ def days_table(maker: Maker, truth: Truth, both: dict, joints: Sequence[str]) ->
             f"both dates) and x {WORN:g} at one joint of {len(truth.worn)} other arms; {DRAWS} draws each."
         ),
         "",
-        "| a day moves arms, joints by | learned, joint | named | falsely | draws with all, at most 1 false |",
-        "|---|---|---|---|---|",
+        *head("a day moves arms, joints by | learned, joint | named | falsely | draws with all, at most 1 false"),
     ]
     for of_arm, of_joint in DAYS:
         named = false = good = 0
@@ -218,7 +225,7 @@ def days_table(maker: Maker, truth: Truth, both: dict, joints: Sequence[str]) ->
             spread.append(odds.joint_spread)
         total = DRAWS * len(truth.worn)
         days = "warming up alone" if of_joint == 0 else f"{of_arm:.0%}, {of_joint:.0%}, and warming up"
-        lines.append(f"| {days} | {np.mean(spread):.1%} | {named} of {total} | {false} | {good} of {DRAWS} |")
+        lines.append(table_row(days, f"{np.mean(spread):.1%}", f"{named} of {total}", false, f"{good} of {DRAWS}"))
     return lines
 
 
@@ -240,8 +247,7 @@ def alone_table(truth: Truth, alone: dict) -> list[str]:
             f"are named in all. Worn joints of other factors, one in each of {len(told)} other arms, {DRAWS} draws:"
         ),
         "",
-        "| worn by | named | median probability | named falsely |",
-        "|---|---|---|---|",
+        *head("worn by | named | median probability | named falsely"),
     ]
     for arm, j in truth.worn.items():
         x[arms.index(arm), j] -= np.log(WORN)
@@ -257,7 +263,7 @@ def alone_table(truth: Truth, alone: dict) -> list[str]:
             hits += int((odds.more[worn] >= NAMED).sum())
             false += int(((odds.more >= NAMED) & ~worn).sum() + (odds.less >= NAMED).sum())
             sure += odds.more[worn].tolist()
-        lines.append(f"| x {factor:g} | {hits} of {len(sure)} | {np.median(sure):.1%} | {false} |")
+        lines.append(table_row(f"x {factor:g}", f"{hits} of {len(sure)}", f"{np.median(sure):.1%}", false))
     kinds = {"tool": "Tools", "constant": "Constants"}
     for what, name in kinds.items():
         told_of = alone["groups"][0]["tables"].get(f"fleet {what}")
@@ -269,6 +275,96 @@ def alone_table(truth: Truth, alone: dict) -> list[str]:
         least = "no" if from_x is None else f"{from_x:.1f} kg more" if what == "tool" else f"x {np.exp(from_x):.2f}"
         lines += ["", f"{name}: healthy arms differ by {unit}, {least} would be named; {len(found)} are named."]
     return lines
+
+
+# --- A fleet of one type at two dates.
+
+
+def draw_truth(maker: Maker, arms: int, worn: int, day_arm: float = DAY_ARM, day_joint: float = DAY_JOINT) -> Truth:
+    """Which arms and joints, under such days."""
+    rng = np.random.default_rng([maker.type_seed or 0, arms, 11])
+    chosen = rng.permutation(arms)[: worn + 2]
+    joints = rng.integers(0, len(maker.joints), worn + 1)
+    return Truth(
+        {int(a): int(j) for a, j in zip(chosen[:worn], joints, strict=False)},
+        int(chosen[worn]),
+        (int(chosen[worn + 1]), int(joints[worn])),
+        day_arm,
+        day_joint,
+    )
+
+
+def takes_of(maker: Maker, seed: int) -> list[tuple[Take, ...]]:
+    """The takes of each date: three minutes to train on, and half a one to test on, behind some minutes of work."""
+    rng = maker.random(seed, 300)
+    found = []
+    for date in range(len(DATES)):
+        at_s = float(rng.uniform(0, LONGEST_WORK_S))
+        spans = (("work-1", "train", 1.5), ("work-2", "train", 1.5), ("free", "test", 0.5))
+        takes = []
+        for name, part, minutes in spans:
+            takes.append(Take(f"{name}-{date}", part, minutes, 0, at_s))
+            at_s += 60 * minutes
+        found.append(tuple(takes))
+    return found
+
+
+def day_factors(maker: Maker, seed: int, date: int, truth: Truth) -> np.ndarray:
+    """By which the day moves friction of each joint, beside warming up."""
+    rng = maker.random(seed, 400 + date)
+    return np.exp(rng.normal(0, truth.day_arm) + rng.normal(0, truth.day_joint, len(maker.joints)))
+
+
+def arm_at(maker: Maker, seed: int, date: int, truth: Truth) -> TrueArm:
+    """The arm as it is at that date."""
+    arm = arm_of(maker, seed)
+    factor = day_factors(maker, seed, date, truth)
+    if date > 0 and seed in truth.worn:
+        factor[truth.worn[seed]] *= WORN
+    arm = replace(
+        arm,
+        coulomb_nm=arm.coulomb_nm * factor,
+        viscous_nm_s_rad=arm.viscous_nm_s_rad * factor,
+        load_share=arm.load_share * factor,
+    )
+    if date > 0 and seed == truth.tool:
+        more = maker.random(seed, 500)
+        kg, links = more.uniform(*TOOL_KG), arm.tree.links
+        add_ball(links[-1], kg, np.array([*more.uniform(-0.03, 0.03, 2), more.uniform(0.05, 0.10)]), 0.06)
+        arm = replace(arm, tree=_core.Tree(links, arm.tree.gravity))
+    if date > 0 and seed == truth.constant[0]:
+        constants = arm.nm_per_ampere.copy()
+        constants[truth.constant[1]] *= CONSTANT
+        arm = replace(arm, nm_per_ampere=constants)
+    return arm
+
+
+def make_date(maker: Maker, seed: int, date: int, truth: Truth, folder: Path) -> Path:
+    """The dataset of an arm at a date, simulated and imported; not what is there."""
+    raw, data = folder / "csv", folder / "data"
+    if data.is_dir():
+        return data
+    by_date = takes_of(maker, seed)
+    every = [take for takes in by_date for take in takes]
+    files = simulate_takes(maker, seed, raw, every, arm=arm_at(maker, seed, date, truth), only=by_date[date])
+    import_csv(description(maker, seed, True, by_date[date]), files, raw / "arm.toml", data)
+    for one in files:
+        one.unlink()  # the dataset holds it
+    return data
+
+
+def fleet_toml(maker: Maker, arms: Sequence[Path], date: int) -> str:
+    """FLEET.toml of a date."""
+    lines = [f"date = {DATES[date]}", 'stages = ["train", "evaluate"]', "[train]", 'recipe = "prior"', ""]
+    for k, data in enumerate(arms):
+        lines += [
+            "[[arms]]",
+            f'name = "arm-{k:02d}"',
+            f'type = "{maker.name}"',
+            f"dataset = {json.dumps(str(data))}",
+            "",
+        ]
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

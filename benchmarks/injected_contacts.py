@@ -10,10 +10,10 @@ limit.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
+from common import arguments, head, table_row, write_page
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
@@ -30,10 +30,7 @@ AFTER_S = 0.05
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path)
-    parser.add_argument("dataset", type=Path)
-    parser.add_argument("bundle", type=Path)
+    parser = arguments(__doc__, "out", "dataset", "bundle")
     parser.add_argument("--copies", type=int, default=6)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
@@ -53,10 +50,7 @@ def main() -> None:
             torques.append(torque)
             real.append((peak_over(torque, limit_nm), verdict["latched"], verdict["delay_s"]))
     added = inject(bundle, dataset.folder, dataset.split.test, torques, options.copies, options.seed)
-    options.out.mkdir(parents=True, exist_ok=True)
-    text = "\n".join(table(real, added)) + "\n"
-    (options.out / "README.md").write_text(text)
-    print(text)
+    write_page(options.out / "README.md", table(real, added))
 
 
 def inject(
@@ -92,10 +86,8 @@ def peak_over(torque: np.ndarray, limit_nm: np.ndarray) -> float:
 
 
 def table(real: list[tuple[float, bool, float | None]], added: list[tuple[float, bool, float | None]]) -> list[str]:
-    lines = [
-        "| peak over the limit | contacts | detected | added | detected | difference, points | delay, ms | added |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+    columns = "peak over the limit | contacts | detected | added | detected | difference, points | delay, ms | added"
+    lines = head(columns)
     for low, high in [*zip(EDGES, EDGES[1:], strict=False), (0.0, 1e9)]:
         cells = ["all" if (low, high) == (0.0, 1e9) else f"over {low:g}" if high > 1e8 else f"{low:g} to {high:g}"]
         if not any(low <= row[0] < high for row in real):
@@ -108,7 +100,7 @@ def table(real: list[tuple[float, bool, float | None]], added: list[tuple[float,
             shares.append(100 * share)
             delays.append(f"{1e3 * np.median(known):.0f}" if known else "–")
             cells += [str(len(here)), f"{100 * share:.1f} %"]
-        lines.append("| " + " | ".join([*cells, f"{shares[1] - shares[0]:+.1f}", *delays]) + " |")
+        lines.append(table_row(*cells, f"{shares[1] - shares[0]:+.1f}", *delays))
     return lines
 
 

@@ -29,9 +29,10 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from common import ROOT, arguments, head, table_row, write_page
 from real_arms import prepare
 from unseen.arms import makers
-from unseen.recordings import Take, description, write_take
+from unseen.recordings import Take, description, import_csv, simulate_takes
 
 from tauext import _core
 from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
@@ -49,7 +50,6 @@ from tauext.fleet.prior_arms import fleet_arms
 from tauext.robot.model_case import estimated_model
 from tauext.train.stage import train_bundle
 
-ROOT = Path(__file__).parent.parent
 NOISE = 1e-13
 REFERENCE = "reference"
 SETTINGS: dict[str, dict[str, str]] = {
@@ -117,8 +117,7 @@ CASES = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "out")
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder of real recordings")
     parser.add_argument("--sets", nargs="+", choices=tuple(CASES), default=list(CASES))
     parser.add_argument("--settings", nargs="+", choices=tuple(SETTINGS), default=list(SETTINGS))
@@ -153,8 +152,7 @@ def main() -> None:
     given += f" --settings {' '.join(options.settings)}" if options.settings != list(SETTINGS) else ""
     given += f" --sets {' '.join(options.sets)}" if options.sets != list(CASES) else ""
     text = page(options.out, options.sets, kernels, f"python benchmarks/machines.py OUT{given}")
-    (options.out / "README.md").write_text(text)
-    print(text)
+    write_page(options.out / "README.md", text)
 
 
 def start(out: Path, how: str, first: int, last: int, sets: Sequence[str]) -> None:
@@ -206,15 +204,10 @@ def make_data(out: Path, name: str, data: Path) -> None:
         make(out / "rig", "simulate", "--out", out / "rig", "--minutes", "2.4", "--collision-recordings", "3")
     elif folder.startswith("unseen"):
         maker, model = makers(data / "models")["ur5"], folder.endswith("urdf")
-        raw = out / "unseen" / "csv"
-        raw.mkdir(parents=True, exist_ok=True)
-        for number, take in enumerate(TAKES):
-            if not (raw / f"{take.name}.truth.npz").exists():
-                write_take(maker, 0, number, raw, TAKES)
-        arm = raw / f"arm-{'urdf' if model else 'none'}.toml"
-        arm.write_text(description(maker, 0, model, TAKES))
-        files = [raw / f"{take.name}.csv" for take in TAKES]
-        make(out / folder, "import", "--source", *files, "--arm", arm, "--out", out / folder)
+        files = simulate_takes(maker, 0, out / "unseen" / "csv", TAKES)
+        if not (out / folder).is_dir():
+            arm = out / "unseen" / "csv" / f"arm-{'urdf' if model else 'none'}.toml"
+            import_csv(description(maker, 0, model, TAKES), files, arm, out / folder)
     else:
         arm_name, part = folder.split("/")
         prepare(arm_name, data, out / arm_name)
@@ -351,16 +344,15 @@ def of_fleet(arms: Sequence[Path], out: Path) -> dict:
 def page(out: Path, sets: Sequence[str], kernels: dict[str, str | None], command: str) -> str:
     """Both tables in Markdown."""
     lines = ["# Decisions on other machines", "", f"Written by `{command}` on {machine()}.", ""]
-    lines += ["| setting | kernels |", "|---|---|"]
-    lines += [f"| {name} | {one or 'this processor cannot run it'} |" for name, one in kernels.items()]
+    lines += head("setting | kernels")
+    lines += [table_row(name, one or "this processor cannot run it") for name, one in kernels.items()]
     lines += [
         "",
         "Settings with the same kernels are run once. Spread: the largest value by the smallest, less 1, over settings",
         "and draws; of limits and of the L1 error in free motion that of the worst joint. Collisions: episodes of the",
         "alarm in recordings with and without contacts.",
         "",
-        "| set | trainings | decisions that differ | limits | L1 error | collisions |",
-        "|---|---|---|---|---|---|",
+        *head("set | trainings | decisions that differ | limits | L1 error | collisions"),
     ]
     for name in sets:
         runs = {file.stem: json.loads(file.read_text()) for file in sorted((out / "runs" / name).glob("*.json"))}
@@ -384,16 +376,11 @@ def row(name: str, runs: dict[str, dict]) -> str:
             spreads.append("-")
             continue
         spread = values.max(axis=0) / np.where(values.min(axis=0) > 0, values.min(axis=0), np.nan) - 1
-        spreads.append(
-            f"{np.nanmax(spread, initial=0.0):.2g}" if np.nanmax(spread) < 1e-4 else f"{np.nanmax(spread):.2%}"
-        )
+        most = np.nanmax(spread, initial=0.0)
+        spreads.append(f"{most:.2g}" if most < 1e-4 else f"{most:.2%}")
     collisions = Counter(run["collisions"] for run in runs.values())
-    found = ", ".join(
-        f"{count}" if len(collisions) == 1 else f"{count} ({times}x)" for count, times in collisions.items()
-    )
-    return (
-        f"| {name} | {len(runs) - noise} + {noise} | {'; '.join(words) or 'none'} | {' | '.join(spreads)} | {found} |"
-    )
+    found = ", ".join(f"{n}" if len(collisions) == 1 else f"{n} ({times}x)" for n, times in collisions.items())
+    return table_row(name, f"{len(runs) - noise} + {noise}", "; ".join(words) or "none", *spreads, found)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ the table of docs/results/minutes-limits.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import os
@@ -21,6 +20,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
+from common import arguments, head, table_row, write_page
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.config import PAPER_CASES, EventsConfig, TrainConfig
@@ -31,6 +31,7 @@ from tauext.errors import TrainingError
 from tauext.evaluate.collisions import find_collisions
 from tauext.evaluate.events import EventMeasures
 from tauext.evaluate.injected import estimate_recording
+from tauext.files.whole_file import whole_file
 from tauext.robot.model_case import chosen_case, estimated_model
 from tauext.train.stage import train_on_recordings
 
@@ -40,8 +41,7 @@ LEAST_S = 8.0
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "out")
     parser.add_argument("datasets", type=Path, nargs="+")
     parser.add_argument("--minutes", type=float, nargs="+", default=[1, 4, 8])
     parser.add_argument("--splits", type=int, default=3)
@@ -65,12 +65,9 @@ def main() -> None:
         for name, result in running.items():
             done[name] = result.result()
             print(name, done[name], flush=True)
-            temporary = file.with_suffix(".part")
-            temporary.write_text(json.dumps(done, indent=1) + "\n")
-            temporary.rename(file)
-    text = markdown([done[name] for name in jobs])
-    (options.out / "README.md").write_text(text)
-    print(text)
+            with whole_file(file) as part:
+                part.write_text(json.dumps(done, indent=1) + "\n")
+    write_page(options.out / "README.md", markdown([done[name] for name in jobs]))
 
 
 def one_split(folder: Path, minutes: float, seed: int, piece_s: float) -> dict:
@@ -133,10 +130,7 @@ def span(recording: Recording, from_s: float, to_s: float) -> Recording:
 
 def markdown(rows: Sequence[dict]) -> str:
     """The table of docs/results/minutes-limits: splits of one arm and length together, and all of a length."""
-    lines = [
-        "| arm | minutes | splits | false alarms promised | seen | ratio (least to most) | detected | delay, ms |",
-        "|---" * 8 + "|",
-    ]
+    lines = head("arm | minutes | splits | false alarms promised | seen | ratio (least to most) | detected | delay, ms")
     used = [row for row in rows if row.get("promised")]
     arms = [*dict.fromkeys(row["arm"] for row in used), "**all**"]
     for arm in arms:
@@ -151,9 +145,7 @@ def markdown(rows: Sequence[dict]) -> str:
             delay = f"{1e3 * np.median(delays):.0f}" if delays else ""
             ratio = f"{false / promised:.2f} ({min(each):.2f} to {max(each):.2f})"
             detected = f"{found}/{contacts}" if contacts else ""
-            lines.append(
-                f"| {arm} | {minutes:g} | {len(of)} | {promised:.1f} | {false} | {ratio} | {detected} | {delay} |"
-            )
+            lines.append(table_row(arm, f"{minutes:g}", len(of), f"{promised:.1f}", false, ratio, detected, delay))
     return "\n".join([*lines, ""])
 
 

@@ -16,7 +16,6 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,20 +24,17 @@ from unittest.mock import patch
 
 import numpy as np
 from carrying import FIRST_S, collisions, judged, load_of
-from loads import dataset
+from common import arguments, head, table_row, tauext
+from loads import dataset, simulate_all
 from real_arms import KEPT, NO_TOOL
 from unseen.arms import Maker, TrueArm, makers, true_arm
-from unseen.motions import draw_motion
-from unseen.recordings import write_take
-from unseen.simulation import RATE_HZ, simulate
-from weighing.takes import TRAIN, WARM_S, WINDOW_S, Carried, carried, with_load, write_carrying
-from wrench import FIRST_S as PUSHED_FROM_S
-from wrench import LOOK_S, SLOT_S, STREAM, logged, pushed, told_of
+from unseen.loads import TRAIN, WARM_S, WINDOW_S, Carried, carried, with_load
+from wrench import STREAM, pushes_of, told_of
 
 from tauext import Bundle
 from tauext._core import Tree, estimate
 from tauext.bundle.bundle_file import load_bundle
-from tauext.cli import main as tauext
+from tauext.cli import main as run_tauext
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.fit.torque_constants import TorqueConstants
@@ -54,9 +50,7 @@ LOADS_KG = (0.5, 1.0, 1.5, 2.0, 2.5)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path)
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "data", "out")
     parser.add_argument("--loads", type=int, default=12)
     parser.add_argument("--pushes", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
@@ -71,22 +65,10 @@ def simulated(options: argparse.Namespace) -> Iterator[dict[str, Any]]:
     maker, seed = makers(options.data / "models")["ur5"], options.seed
     folder = options.out / maker.name
     raw = folder / "csv"
-    raw.mkdir(parents=True, exist_ok=True)
     names = list(carried(maker, seed))[: options.loads]
-    with ProcessPoolExecutor(2) as pool:
-        jobs = [
-            pool.submit(write_take, maker, seed, k, raw, TRAIN)
-            for k, take in enumerate(TRAIN)
-            if not (raw / f"{take.name}.truth.npz").exists()
-        ]
-        for name in names:
-            if not (raw / f"{name}.truth.json").exists():
-                jobs.append(pool.submit(write_carrying, maker, seed, name, raw))
-        for job in jobs:
-            job.result()
+    simulate_all(maker, folder, seed, names)
     data, arm = folder / "data", true_arm(maker, maker.random(seed, 0))
-    if not data.is_dir():
-        dataset(maker, seed=seed, folder=folder, kind="unknown", out=data, names=names)
+    dataset(maker, folder, seed, "unknown", data, names)
     truths = {name: json.loads((raw / f"{name}.truth.json").read_text()) for name in names}
     loaded = [(load_recording(data / f"{name}.parquet"), truth) for name, truth in truths.items()]
     free = [load_recording(data / f"{take.name}.parquet") for take in TRAIN]
@@ -104,7 +86,7 @@ def trained(data: Path, path: Path, nm_per_ampere: np.ndarray, missing: int) -> 
             np.where(known, nm_per_ampere, np.nan), np.where(known, 0.02 * nm_per_ampere, np.inf), known
         )
         with patch("tauext.train.preparation.fit_torque_constants", lambda *_: constants):
-            if tauext(["train", "--data", str(data), "--recipe", "prior", "--out", str(path)]):
+            if run_tauext(["train", "--data", str(data), "--recipe", "prior", "--out", str(path)]):
                 raise RuntimeError(f"no training on {data}")
     return load_bundle(path)
 
@@ -118,9 +100,8 @@ def real(options: argparse.Namespace) -> Iterator[dict[str, Any]]:
         text = re.sub(*NO_TOOL, (KEPT / "ur3" / "arm.toml").read_text())
         (folder / "arm.toml").write_text(text)
         shutil.copy(options.data / "models" / "ur3_robot.urdf", folder)
-        bags = [str(options.data / "ur3_aspectum" / f"{name}.bag") for name in ("id1", "id2")]
-        if tauext(["import", "--source", *bags, "--arm", str(folder / "arm.toml"), "--out", str(data)]):
-            raise RuntimeError("the UR3 is not imported")
+        bags = [options.data / "ur3_aspectum" / f"{name}.bag" for name in ("id1", "id2")]
+        tauext("import", "--source", *bags, "--arm", folder / "arm.toml", "--out", data)
         for file in data.glob("*.parquet"):
             recording = load_recording(file)
             file.unlink()
@@ -201,21 +182,9 @@ def told(bundle: Bundle, loaded: list[tuple[Recording, dict]], free: list[Record
 def forces(maker: Maker, arm: TrueArm, bundle: Bundle, options: argparse.Namespace) -> dict[str, Any]:
     """Of pushes on the last link, as benchmarks/wrench.py has them."""
     rng = maker.random(options.seed, STREAM + 1)
-    seconds = PUSHED_FROM_S + options.pushes * SLOT_S
-    contacts = [
-        pushed(len(maker.joints) - 1, PUSHED_FROM_S + k * SLOT_S + rng.uniform(0, 2), rng)
-        for k in range(options.pushes)
-    ]
-    setpoints = draw_motion(maker, round(seconds * RATE_HZ), RATE_HZ, rng)
-    known = load_tree(maker.model, maker.joints)
-    run = simulate(arm, known, setpoints, maker.torque_nm, contacts, WARM_S)
-    t_ns, q, dq, tau = logged(maker, arm, run, np.ones(len(maker.joints)), rng)
-    said = estimate(bundle, t_ns, q, dq, tau, 1)
-    rows = []
-    for contact in contacts:
-        at = int(np.searchsorted(t_ns, round((contact.start_s + LOOK_S) * 1e9)))
-        if np.isfinite(said["tau_ext"][at]).all() and np.isfinite(said["sigma_nm"][at]).all():
-            rows.append(told_of(bundle, arm, contact, q, dq, said, said["residual"], at))
+    contacts, signals = pushes_of(maker, arm, options.pushes, np.ones(len(maker.joints)), rng, WARM_S)
+    said = estimate(bundle, *signals, 1)
+    rows = told_of(bundle, arm, contacts, signals, said, said["residual"])
     found: dict[str, Any] = {"pushes": len(rows)}
     for kind in ("force", "wrench"):
         off = [row[kind]["off_n"] for row in rows]
@@ -230,11 +199,11 @@ def forces(maker: Maker, arm: TrueArm, bundle: Bundle, options: argparse.Namespa
 
 def markdown(rows: list[dict[str, Any]]) -> str:
     """The table of docs/load.md."""
-    heads = [f"{row['arm']}: {row['constants']}" for row in rows]
-    lines = ["| | " + " | ".join(heads) + " |", "|---" * (len(rows) + 1) + "|"]
+    lines = head(" | ".join(["-", *(f"{one['arm']}: {one['constants']}" for one in rows)]))
+    lines[0] = lines[0].replace("| - |", "| |", 1)
 
     def line(name: str, text: Any) -> None:
-        lines.append(f"| {name} | " + " | ".join(text(row) for row in rows) + " |")
+        lines.append(table_row(name, *map(text, rows)))
 
     line("mass of 4 s off by, median / most, kg", lambda r: f"{r['mass_off_kg']:.3f} / {r['mass_off_most_kg']:.2f}")
     line("within two of its errors", lambda r: f"{r['mass_within_two']:.0%} of {r['windows']}")

@@ -15,24 +15,24 @@ from __future__ import annotations
 import argparse
 import gc
 import importlib
-import importlib.metadata
 import json
 import os
 import platform
-import re
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from common import ROOT, compiler_flags, other_processes_s
 
-ROOT = Path(__file__).parent.parent
+from tauext import __version__
+from tauext.files.provenance import machine
+
 TOLERANCE = 1e-5
 """Of outputs, scaled: each library has its own sigmoid, tanh and order of additions."""
 OPSET, IR_VERSION = 17, 8
@@ -63,10 +63,7 @@ class Network:
 
 
 def main() -> None:
-    about = __doc__.partition("\n")
-    parser = argparse.ArgumentParser(
-        description=about[0], epilog=about[2], formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bench", type=Path, default=ROOT / "build/cpp/monitor_bench", help="default: %(default)s")
     parser.add_argument("--joints", type=int, nargs="+", default=[2, 7], help="default: 2 7")
     parser.add_argument("--steps", type=int, default=1_000_000, help="samples back to back in a round (%(default)s)")
@@ -83,27 +80,30 @@ def main() -> None:
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})  # the core that monitor_bench takes, too
     libraries = {"ONNX Runtime": onnx_runtime(), "PyTorch": pytorch()}
-    about_machine = machine()
-    print(about_machine["text"])
+    about = {
+        "machine": machine(), "python": platform.python_version(), "numpy": np.__version__, "tauext": __version__,
+        "flags": compiler_flags(),
+    }  # fmt: skip
+    print(f"{about['machine']}, Python {about['python']}, NumPy {about['numpy']}")
+    print(f"tauext {__version__}: {about['flags']}, instruction set chosen at run time")
     for name, library in libraries.items():
         print(f"{name} {library.version}" if isinstance(library, Library) else f"{name}: {library}")
     print(f"{options.rounds} rounds in turns; a round: {options.steps} samples, {options.calls} calls of a library\n")
 
     results = {}
-    before = processor_seconds()
+    before = other_processes_s()
     for joints in options.joints:
         results[joints] = one_arm(joints, options, {n: x for n, x in libraries.items() if isinstance(x, Library)})
         show(joints, results[joints])
-    after = processor_seconds()
+    after = other_processes_s()
     others_s, stolen_s = (after[k] - before[k] for k in range(2))
     print(f"meanwhile other processes took {others_s:.1f} s of processor time and the host kept {stolen_s:.1f} s for")
     print("itself: both lengthen the tails")
 
     if options.json:
-        del about_machine["text"]
         versions = {n: x.version if isinstance(x, Library) else x for n, x in libraries.items()}
         run = {"steps": options.steps, "rounds": options.rounds, "calls": options.calls, "paced_s": options.paced_s}
-        everything = {"machine": about_machine, "libraries": versions, "run": run, "joints": results}
+        everything = {"machine": about, "libraries": versions, "run": run, "joints": results}
         everything["meanwhile"] = {"others_s": others_s, "stolen_s": stolen_s}
         options.json.write_text(json.dumps(everything, indent=1) + "\n")
 
@@ -119,9 +119,8 @@ def one_arm(joints: int, options: argparse.Namespace, libraries: dict[str, Libra
             if not differences[how] <= TOLERANCE:
                 sys.exit(f"{how}, {joints} joints: its output differs from the core's by {differences[how]:.1e}")
             ways[how] = way
-        overhead = library.empty_call()
-        if overhead:
-            ways[f"{name}, empty graph"] = overhead
+        if library.empty_call:
+            ways[f"{name}, empty graph"] = library.empty_call
 
     rounds: list[dict] = []
     for _ in range(options.rounds):
@@ -162,16 +161,15 @@ def dumped(bench: Path, joints: int) -> Network:
     return Network(f, h, o, *parts)
 
 
+@dataclass
 class Library:
+    """Another library that runs the network."""
+
     version: str
-
-    def ways(self, network: Network) -> dict[str, Way]:
-        """Each way to run one window, by name; names begin with the library's."""
-        raise NotImplementedError
-
-    def empty_call(self) -> Way | None:
-        """What a call costs that computes nothing."""
-        return None
+    ways: Callable[[Network], dict[str, Way]]
+    """Each way to run one window, by name; names begin with the library's."""
+    empty_call: Way | None = None
+    """A call that computes nothing."""
 
 
 def onnx_runtime() -> Library | str:
@@ -181,65 +179,45 @@ def onnx_runtime() -> Library | str:
         return "not installed, not measured (pip install 'tauext[bench]')"
     helper, numpy_helper = importlib.import_module("onnx.helper"), importlib.import_module("onnx.numpy_helper")
 
-    class OnnxRuntime(Library):
-        version = ort.__version__
+    def session_of(nodes: list, weights: dict[str, np.ndarray], x: tuple, y: tuple) -> object:
+        kind = onnx.TensorProto.FLOAT
+        inputs, outputs = ([helper.make_tensor_value_info(*named)] for named in (("x", kind, x), ("y", kind, y)))
+        arrays = [numpy_helper.from_array(np.ascontiguousarray(value), name) for name, value in weights.items()]
+        graph = helper.make_graph(nodes, "network", inputs, outputs, arrays)
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
+        onnx.checker.check_model(model)
+        settings = ort.SessionOptions()
+        settings.intra_op_num_threads = settings.inter_op_num_threads = 1
+        settings.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+        settings.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
+        return ort.InferenceSession(model.SerializeToString(), settings, providers=["CPUExecutionProvider"])
 
-        def session(self, nodes: list, weights: dict[str, np.ndarray], x: tuple, y: tuple) -> object:
-            kind = onnx.TensorProto.FLOAT
-            graph = helper.make_graph(
-                nodes,
-                "network",
-                [helper.make_tensor_value_info("x", kind, x)],
-                [helper.make_tensor_value_info("y", kind, y)],
-                [numpy_helper.from_array(np.ascontiguousarray(value), name) for name, value in weights.items()],
-            )
-            model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
-            onnx.checker.check_model(model)
-            settings = ort.SessionOptions()
-            settings.intra_op_num_threads = settings.inter_op_num_threads = 1
-            settings.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
-            settings.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
-            return ort.InferenceSession(model.SerializeToString(), settings, providers=["CPUExecutionProvider"])
+    def ways(network: Network) -> dict[str, Way]:
+        (steps, f), h, o = network.window.shape, network.hidden, network.outputs
+        b = to_onnx_gates(network.b)
+        nodes = [
+            helper.make_node("LSTM", ["x", "W", "R", "B"], ["", "last"], hidden_size=h),
+            helper.make_node("Reshape", ["last", "flat"], ["row"]),
+            helper.make_node("Gemm", ["row", "W_head", "b_head"], ["y"], transB=1),
+        ]
+        weights = {"W": to_onnx_gates(network.w_x)[None], "R": to_onnx_gates(network.w_h)[None]}
+        weights |= {"B": np.concatenate([b, np.zeros_like(b)])[None]}  # of the input and of the recurrence
+        weights |= {"flat": np.array([1, h], np.int64), "W_head": network.w_head, "b_head": network.b_head}
+        session = session_of(nodes, weights, (steps, 1, f), (1, o))
+        x, y = np.ascontiguousarray(network.window[:, None]), np.zeros((1, o), np.float32)
+        binding = session.io_binding()
+        binding.bind_input("x", "cpu", 0, np.float32, x.shape, x.ctypes.data)
+        binding.bind_output("y", "cpu", 0, np.float32, y.shape, y.ctypes.data)
 
-        def ways(self, network: Network) -> dict[str, Way]:
-            steps, f = network.window.shape
-            h, o = network.hidden, network.outputs
-            b = to_onnx_gates(network.b)
-            session = self.session(
-                [
-                    helper.make_node("LSTM", ["x", "W", "R", "B"], ["", "last"], hidden_size=h),
-                    helper.make_node("Reshape", ["last", "flat"], ["row"]),
-                    helper.make_node("Gemm", ["row", "W_head", "b_head"], ["y"], transB=1),
-                ],
-                {
-                    "W": to_onnx_gates(network.w_x)[None],
-                    "R": to_onnx_gates(network.w_h)[None],
-                    "B": np.concatenate([b, np.zeros_like(b)])[None],  # of the input and of the recurrence
-                    "flat": np.array([1, h], np.int64),
-                    "W_head": network.w_head,
-                    "b_head": network.b_head,
-                },
-                (steps, 1, f),
-                (1, o),
-            )
-            x, y = np.ascontiguousarray(network.window[:, None]), np.zeros((1, o), np.float32)
-            binding = session.io_binding()
-            binding.bind_input("x", "cpu", 0, np.float32, x.shape, x.ctypes.data)
-            binding.bind_output("y", "cpu", 0, np.float32, y.shape, y.ctypes.data)
+        def bound() -> np.ndarray:
+            session.run_with_iobinding(binding)
+            return y
 
-            def bound() -> np.ndarray:
-                session.run_with_iobinding(binding)
-                return y
+        bound.keep = x  # the binding knows its address alone
+        return {"ONNX Runtime, run": lambda: session.run(["y"], {"x": x})[0], "ONNX Runtime, bound": bound}
 
-            bound.keep = x  # the binding knows its address alone
-            return {"ONNX Runtime, run": lambda: session.run(["y"], {"x": x})[0], "ONNX Runtime, bound": bound}
-
-        def empty_call(self) -> Way:
-            session = self.session([helper.make_node("Identity", ["x"], ["y"])], {}, (1,), (1,))
-            x = np.zeros(1, np.float32)
-            return lambda: session.run(["y"], {"x": x})[0]
-
-    return OnnxRuntime()
+    empty, one = session_of([helper.make_node("Identity", ["x"], ["y"])], {}, (1,), (1,)), np.zeros(1, np.float32)
+    return Library(ort.__version__, ways, lambda: empty.run(["y"], {"x": one})[0])
 
 
 def to_onnx_gates(rows: np.ndarray) -> np.ndarray:
@@ -255,31 +233,22 @@ def pytorch() -> Library | str:
         return "not installed, not measured (pip install 'tauext[torch]')"
     torch.set_num_threads(1)
 
-    class PyTorch(Library):
-        version = torch.__version__
+    def ways(network: Network) -> dict[str, Way]:
+        lstm = torch.nn.LSTM(network.inputs, network.hidden)
+        head = torch.nn.Linear(network.hidden, network.outputs)
+        values = (network.w_x, network.w_h, network.b, np.zeros_like(network.b), network.w_head, network.b_head)
+        with torch.no_grad():
+            for parameter, value in zip([*lstm.parameters(), *head.parameters()], values, strict=True):
+                parameter.copy_(torch.from_numpy(np.array(value)))
+        window = torch.from_numpy(np.array(network.window[:, None]))
 
-        def ways(self, network: Network) -> dict[str, Way]:
-            def tensor(values: np.ndarray) -> object:
-                return torch.from_numpy(np.array(values))
+        def eager() -> np.ndarray:
+            with torch.inference_mode():
+                return head(lstm(window)[1][0][0]).numpy()
 
-            lstm = torch.nn.LSTM(network.inputs, network.hidden)
-            head = torch.nn.Linear(network.hidden, network.outputs)
-            with torch.no_grad():
-                lstm.weight_ih_l0.copy_(tensor(network.w_x))
-                lstm.weight_hh_l0.copy_(tensor(network.w_h))
-                lstm.bias_ih_l0.copy_(tensor(network.b))
-                lstm.bias_hh_l0.zero_()
-                head.weight.copy_(tensor(network.w_head))
-                head.bias.copy_(tensor(network.b_head))
-            window = tensor(network.window[:, None])
+        return {"PyTorch, eager": eager}
 
-            def eager() -> np.ndarray:
-                with torch.inference_mode():
-                    return head(lstm(window)[1][0][0]).numpy()
-
-            return {"PyTorch, eager": eager}
-
-    return PyTorch()
+    return Library(torch.__version__, ways)
 
 
 def measured(way: Way, calls: int) -> dict[str, float]:
@@ -434,49 +403,6 @@ def show(joints: int, result: dict) -> None:
         verdict = {True: "held", False: "MISSED", None: ""}[bound["held"]]
         print(f"{bound['what']:42}{value:>12} {sign} {bound['bound']:g}  {verdict}")
     print(flush=True)
-
-
-def machine() -> dict[str, str]:
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-    about = {
-        "processor": processor(),
-        "cores": str(os.cpu_count()),
-        "system": f"{platform.system()} {platform.release()}",
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "tauext": version,
-        "flags": compiler_flags(),
-    }
-    about["text"] = (
-        f"{about['processor']}, {about['cores']} cores, {about['system']}, Python {about['python']}, "
-        f"NumPy {about['numpy']}\ntauext {version}: {about['flags']}, instruction set chosen at run time"
-    )
-    return about
-
-
-def processor_seconds() -> tuple[float, float]:
-    """Processor time of all other processes since start-up, and what the host kept; zeros where it is not told."""
-    stat = Path("/proc/stat")
-    if not stat.exists():
-        return 0.0, 0.0
-    ticks = [int(value) for value in stat.read_text().split("\n")[0].split()[1:]]
-    here = os.times()
-    own = here.user + here.system + here.children_user + here.children_system
-    second = os.sysconf("SC_CLK_TCK")
-    return sum(ticks[:3]) / second - own, (ticks[7] if len(ticks) > 7 else 0) / second
-
-
-def compiler_flags() -> str:
-    """As CMakeLists.txt gives them, warnings left out."""
-    cmake = (ROOT / "CMakeLists.txt").read_text()
-    flags = re.search(r"target_compile_options\(tauext_flags INTERFACE ([^)]*)\)", cmake).group(1).split()
-    return " ".join(["C++20", *(flag for flag in flags if not flag.startswith("-W"))])
-
-
-def processor() -> str:
-    info = Path("/proc/cpuinfo")
-    names = [line.partition(": ")[2] for line in info.read_text().splitlines() if line.startswith("model name")]
-    return names[0] if names else platform.processor()
 
 
 if __name__ == "__main__":

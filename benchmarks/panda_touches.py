@@ -11,10 +11,8 @@ simulated Panda.
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
 import numpy as np
+from common import arguments, head, runs, table_row, write_page
 from unseen.surfaces import SURFACES, capsules_of
 
 from tauext import _core
@@ -32,10 +30,7 @@ OWN_SHOWS = 3.0
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    for name in ("dataset", "bundles", "out"):
-        parser.add_argument(name, type=Path)
-    options = parser.parse_args()
+    options = arguments(__doc__, "dataset", "bundles", "out").parse_args()
     bundles = {name: _core.Bundle.load(str(options.bundles / f"{name}.tauext")) for name in ("observer", "bandpass")}
     recordings = {name: load_recording(options.dataset / f"{name}.parquet") for name in TOUCHED}
     arm = bundles["observer"]
@@ -48,18 +43,13 @@ def main() -> None:
         tables[title] = table_of(arm, recordings, told, own=name == "observer")
     own = {name: one.tau_ext for name, one in recordings.items() if one.tau_ext is not None}
     tables["the robot's own"] = table_of(arm, recordings, own, own=False)
-    options.out.mkdir(parents=True, exist_ok=True)
-    text = markdown(tables)
-    (options.out / "README.md").write_text(text)
-    print(text)
+    write_page(options.out / "README.md", markdown(tables))
 
 
 def touches_of(recording: Recording) -> list[slice]:
     """Rows of each labelled touch, from its label to LATE_S after it."""
-    label = np.asarray(recording.contact) > 0
-    edges = np.flatnonzero(np.diff(np.r_[0, label.astype(int), 0]))
     late = round(LATE_S * recording.rate_hz)
-    return [slice(int(a), int(b) + late) for a, b in edges.reshape(-1, 2)]
+    return [slice(begin, end + late) for begin, end in runs(np.asarray(recording.contact) > 0)]
 
 
 def free_rows(recording: Recording) -> np.ndarray:
@@ -119,10 +109,9 @@ with residual filters. They are shown here for comparison.
             f"with 90% or more {one['stated']} times, {one['sure']} of them right. At {one['own']} of {count} touches "
             "the touched link's own joint shows three standard errors.\n\n"
         )
-        text += "| touched | " + " | ".join(str(k + 1) for k in range(7)) + " |\n" + "|---" * 8 + "|\n"
-        for k in sorted(set(TOUCHED.values())):
-            text += f"| {k} | " + " | ".join(str(n) if n else "" for n in confusion[k - 1]) + " |\n"
-        text += "\n"
+        lines = head(" | ".join(["touched", *(str(k + 1) for k in range(7))]))
+        lines += [table_row(k, *(n or "" for n in confusion[k - 1])) for k in sorted(set(TOUCHED.values()))]
+        text += "\n".join([*lines, "", ""])
     return text
 
 

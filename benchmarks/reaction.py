@@ -10,7 +10,6 @@ Reported: sample to sink, sample to the reaction's start, in µs; samples lost. 
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import tempfile
 import threading
@@ -19,6 +18,7 @@ from contextlib import chdir
 from pathlib import Path
 
 import numpy as np
+from common import arguments
 from seven_axis import bundle, motion
 
 from tauext import _core
@@ -36,7 +36,7 @@ PUSH_NM = 100.0
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = arguments(__doc__)
     parser.add_argument("--seconds", type=float, default=60.0, help="default: %(default)s")
     parser.add_argument("--core", type=int, help="pin the loop and the thread that receives to this core")
     parser.add_argument("--priority", type=int, help="SCHED_FIFO for both")

@@ -11,20 +11,22 @@ docs/results/refit is one of these. Rows are of the same motion, and none of it 
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
-from unseen.arms import makers
-from unseen.cold import make_cold
-from unseen.refitted import during_refit, judge_cold
+from common import arguments, collisions_begin, flags, head, in_parallel, joined, runs, table_row, trained, write_page
+from unseen.arms import Maker, arm_of, makers
+from unseen.recordings import Take, make_dataset, told_constants
+from unseen.results import STRONG, nearest
 
 from tauext import _core
+from tauext.data.dataset import load_split
+from tauext.data.free_motion import cut
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording
 from tauext.evaluate.collisions import find_collisions, judge_latched
 from tauext.evaluate.errors import sensor_reference
 from tauext.evaluate.injected import estimate_recording
@@ -43,7 +45,7 @@ OLD, MINUTE, HALF, INSIDE = range(4)
 LEAST_H = 1.0
 """Of free motion a row; longer than that only MINUTE is judged."""
 FREE_SEED, TOUCH_SEED, MORNING_SEED = 11, 12, 13
-COLLISION, EPISODE_S = 2, 0.5
+AFTER_S = 0.5
 PROMISE_PER_HOUR = 1 / 8
 
 
@@ -94,35 +96,29 @@ class Row:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("bundle", type=Path)
-    parser.add_argument("models", type=Path)
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "bundle", "models", "out")
     parser.add_argument("--hours", type=float, default=1.0, help="of free motion a row, default: %(default)s")
     parser.add_argument("--arms", nargs="*", default=ARMS)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=1)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(options.workers) as pool:
-        rows = list(pool.map(partial(row_of, options.bundle, options.hours, options.out), CHANGES))
+    jobs = [(options.bundle, options.hours, options.out, change) for change in CHANGES]
+    rows = in_parallel(options.workers, row_of, jobs)
     cold = []
     for name in options.arms:
-        maker = makers(options.models)[name]
-        bundle, told = make_cold(maker, options.out / name, options.seed, options.workers), options.out / f"{name}.json"
+        maker, told = makers(options.models)[name], options.out / f"{name}.json"
+        data = make_dataset(maker, options.seed, options.out / name, TAKES, options.workers)
+        bundle = trained(data, options.out / name / "warm.tauext")
         if not told.exists() or told.stat().st_mtime < bundle.stat().st_mtime:
             told.write_text(json.dumps(judge_cold(maker, options.seed, bundle, MORNINGS_S)) + "\n")
         cold.append(json.loads(told.read_text()))
-    given = f" --hours {options.hours:g}" if options.hours != 1.0 else ""
+    given = flags(options, {"hours": 1.0})
     given += f" --arms {' '.join(options.arms)}" if options.arms != ARMS else ""
-    lines = [
-        *heading(f"python benchmarks/refit.py BUNDLE MODELS OUT{given}"),
-        *rig_table(rows),
-        "",
-        *(cold_table(cold) if cold else []),
-    ]
-    (options.out / "README.md").write_text("\n".join(lines) + "\n")
-    print("\n".join(lines))
+    command = f"python benchmarks/refit.py BUNDLE MODELS OUT{given}"
+    write_page(
+        options.out / "README.md", [*heading(command), *rig_table(rows), "", *(cold_table(cold) if cold else [])]
+    )
 
 
 def row_of(path: Path, hours: float, out: Path, change: Change) -> Row:
@@ -149,7 +145,7 @@ def judge_rig(path: Path, hours: float, change: Change) -> Row:
             if k == MINUTE or number < round(LEAST_H * 3600 / LENGTH_S):
                 one = estimate_recording(bundle, free, 1)
                 row.hours[k] += float(one.healthy.sum()) / free.rate_hz / 3600
-                row.false[k] += false_collisions(one.held_alarm, free.t_ns)
+                row.false[k] += len(collisions_begin(one.held_alarm, free.t_ns))
     caught = 0
     for number in range(TOUCHES):
         touched = simulate_recording(config, "pads", LENGTH_S, TOUCH_SEED, number)
@@ -163,17 +159,14 @@ def judge_rig(path: Path, hours: float, change: Change) -> Row:
                 *latched, of_wide = (verdict["latched"] for verdict in verdicts)
                 row.latched = [a + b for a, b in zip(row.latched, latched, strict=True)]
                 caught += of_wide
-    row.meanwhile = (false_collisions(minute["held_alarm"], mornings[0].t_ns), caught)
+    row.meanwhile = (len(collisions_begin(minute["held_alarm"], mornings[0].t_ns)), caught)
     row.found = " · ".join(f"{j.coulomb[0]:.3f}, {j.viscous[0]:.3f}" for j in refitted[0].joints)
-    row.raised = " · ".join(f"{j.limit_factor:.2f}" for j in refitted[0].joints)
+    row.raised = joined(j.limit_factor for j in refitted[0].joints)
     row.promise = " · ".join(j.promise.partition(":")[0] for j in refitted[0].joints)
     return row
 
 
-def false_collisions(held: np.ndarray, t_ns: np.ndarray) -> int:
-    """Collisions that began, those less than EPISODE_S apart counted as one."""
-    at = np.flatnonzero(held == COLLISION)
-    return 0 if len(at) == 0 else 1 + int((np.diff(t_ns[at]) >= EPISODE_S * 1e9).sum())
+AFTER = "before | after 60 s | after 30 s | inside"
 
 
 def heading(command: str) -> list[str]:
@@ -197,19 +190,17 @@ def rig_table(rows: Sequence[Row]) -> list[str]:
     lines = [
         "## The virtual rig",
         "",
-        "| change | false collisions an hour: before | after 60 s | after 30 s | inside | strong collisions latched: "
-        "before | after 60 s | after 30 s | inside | meanwhile: false | strong latched | found: friction, viscous "
-        "| limits | promise |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|",
+        *head(
+            f"change | false collisions an hour: {AFTER} | strong collisions latched: {AFTER} | meanwhile: false "
+            "| strong latched | found: friction, viscous | limits | promise"
+        ),
     ]
-    for row in rows:
-        counted = zip(row.false, row.hours, strict=True)
-        false = " | ".join(f"{count / hours:.2g} ({count} in {hours:.2f} h)" for count, hours in counted)
-        latched = " | ".join(f"{count}/{row.strong}" for count in row.latched)
-        lines.append(
-            f"| {row.words} | {false} | {latched} | {row.meanwhile[0]} | {row.meanwhile[1]}/{row.strong} | "
-            f"{row.found} | {row.raised} | {row.promise} |"
-        )
+    for one in rows:
+        counted = zip(one.false, one.hours, strict=True)
+        false = [f"{count / hours:.2g} ({count} in {hours:.2f} h)" for count, hours in counted]
+        latched = [f"{count}/{one.strong}" for count in one.latched]
+        meanwhile = one.meanwhile[0], f"{one.meanwhile[1]}/{one.strong}"
+        lines.append(table_row(one.words, *false, *latched, *meanwhile, one.found, one.raised, one.promise))
     return [*lines, "", f"All rows together: {'; '.join(promises(rows))}."]
 
 
@@ -242,18 +233,110 @@ def cold_table(rows: Iterable[dict]) -> list[str]:
         "one with a",
         "collision within its label.",
         "",
-        "| arm | hours | false collisions an hour: before | after 60 s | after 30 s | inside | strong found: before | "
-        "after 60 s | after 30 s | inside | meanwhile: false | friction found | limits |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
+        *head(
+            f"arm | hours | false collisions an hour: {AFTER} | strong found: {AFTER} | meanwhile: false "
+            "| friction found | limits"
+        ),
     ]
-    for row in rows:
-        rates = " | ".join(f"{count / row['hours']:.2g} ({count})" for count in row["false"])
-        found = " | ".join(f"{count}/{row['strong']}" for count in row["found"])
-        lines.append(
-            f"| {row['arm']} | {row['hours']:.2f} | {rates} | {found} | {row['meanwhile']} | {row['factors']} | "
-            f"{row['raised']} |"
-        )
+    for one in rows:
+        rates = [f"{count / one['hours']:.2g} ({count})" for count in one["false"]]
+        found = [f"{count}/{one['strong']}" for count in one["found"]]
+        last = (one[name] for name in ("meanwhile", "factors", "raised"))
+        lines.append(table_row(one["arm"], f"{one['hours']:.2f}", *rates, *found, *last))
     return lines
+
+
+# --- Arms that were trained warm and are met cold.
+
+
+WARM_S = 1800.0
+"""Five times the slowest warm-up: nothing falls any more."""
+MORNING_S = 70.0
+TAKES = (
+    Take("warm-1", "train", 3, 0, WARM_S),
+    Take("warm-2", "train", 3, 6, WARM_S),
+    Take("warm-3", "train", 3, 0, WARM_S),
+    Take("morning", "test", MORNING_S / 60, 0, 0),
+    Take("cold-1", "test", 5, 0, MORNING_S),
+    Take("cold-2", "test", 5, 0, MORNING_S),
+    Take("cold-3", "test", 5, 0, MORNING_S),
+    Take("touched", "collisions", 5, 25, MORNING_S),
+)
+"""The morning's minute, and what follows it, drawn several times."""
+
+
+def judge_cold(maker: Maker, seed: int, path: Path, mornings_s: Sequence[float]) -> dict:
+    """False collisions and strong contacts that were found: of the old bundle, after a refit on so many seconds each,
+    and after one inside a monitor on the first of these."""
+    old = _core.Bundle.load(str(path))
+    data = path.parent / "data"
+    split = load_split(data)
+    tests = {name: load_recording(data / name) for name in split.test}
+    morning = next(one for name, one in tests.items() if name.startswith("morning"))
+    free = [one for name, one in tests.items() if name.startswith("cold")]
+    refits = [refit_recordings(old, [first(morning, s + WARM_UP_S)], threads=1) for s in mornings_s]
+    told, kept = during_refit(old, first(morning, mornings_s[0] + WARM_UP_S))
+    bundles = [old, *(one.bundle for one in refits), refit_motion(old, kept).bundle]
+    false, hours = [0] * len(bundles), 0.0
+    for recording in free:
+        for k, bundle in enumerate(bundles):
+            said = estimate_recording(bundle, recording, 1)
+            false[k] += len(collisions_begin(said.held_alarm, recording.t_ns))
+            hours += float(said.healthy.sum()) / recording.rate_hz / 3600 if k == 0 else 0.0
+    meanwhile = len(collisions_begin(told["held_alarm"], morning.t_ns))
+    strong, found = strong_found(maker, seed, path, [load_recording(data / name) for name in split.collisions], bundles)
+    return {
+        "arm": maker.name,
+        "hours": hours,
+        "false": false,
+        "strong": strong,
+        "found": found,
+        "meanwhile": meanwhile,
+        "factors": joined(joint.coulomb[0] for joint in refits[0].joints),
+        "raised": joined(joint.limit_factor for joint in refits[0].joints),
+    }
+
+
+def during_refit(bundle: _core.Bundle, recording: Recording) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """What a monitor says that keeps this motion for a refit, its limits raised by the usual share of friction; and
+    the motion."""
+    monitor = _core.Monitor(bundle)
+    monitor.reserve_refit(recording.duration_s + 1)
+    monitor.start_refit()
+    said = monitor.run(recording.t_ns, recording.q, recording.dq, recording.tau)
+    return said, monitor.finish_refit()
+
+
+def strong_found(
+    maker: Maker, seed: int, path: Path, recordings: Sequence[Recording], bundles: Sequence[_core.Bundle]
+) -> tuple[int, list[int]]:
+    """How many contacts turn some joint by STRONG times its error in training or more, and how many each found."""
+    facts = json.loads(bundles[0].provenance)
+    error = np.array([facts["prior"]["error_nm"][joint] for joint in maker.joints])
+    given = told_constants(maker, seed, True)
+    arm = arm_of(maker, seed)
+    believed = np.array(bundles[0].observer.nm_per_unit or 1.0)  # times what was told, where the import applied that
+    true = arm.nm_per_ampere / (1.0 if given == "unknown" else given) / believed
+    truths = json.loads((path.parent / "csv" / "touched.truth.json").read_text())
+    strong, found = 0, [0] * len(bundles)
+    for recording in recordings:
+        assert recording.contact is not None
+        start_s = 1e-9 * float(recording.t_ns[0])
+        said = [estimate_recording(bundle, recording, 1) for bundle in bundles]
+        for begin, end in runs(recording.contact == 1):
+            truth = nearest(truths, start_s + float(recording.time_s[begin]))
+            if np.max(np.array(truth["peak_nm"]) / (true * error)) < STRONG:
+                continue
+            strong += 1
+            last = end + round(AFTER_S * recording.rate_hz)
+            for k, one in enumerate(said):
+                found[k] += len(collisions_begin(one.held_alarm[begin:last], recording.t_ns[begin:last])) > 0
+    return strong, found
+
+
+def first(recording: Recording, seconds: float) -> Recording:
+    """Its first seconds."""
+    return cut(recording, slice(0, int(np.searchsorted(recording.time_s, seconds))))
 
 
 if __name__ == "__main__":

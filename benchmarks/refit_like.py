@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from common import arguments, flags, head, table_row, write_page
 from fleet_prior import NEW_SEED
 from unseen.arms import Maker, makers
-from unseen.cold import command
-from unseen.recordings import Take, description, write_take
+from unseen.recordings import Take, description, import_csv, simulate_takes
 
 from tauext import _core
 from tauext.data.recording import Recording
@@ -52,9 +52,7 @@ class Row:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("models", type=Path)
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "models", "out")
     parser.add_argument("--type", default="ur5", help="of the arms' maker, default: %(default)s")
     parser.add_argument("--type-seed", type=int, default=1, help="draws the type, default: %(default)s")
     parser.add_argument("--arms", type=int, default=10, help="of the fleet, default: %(default)s")
@@ -76,23 +74,18 @@ def main() -> None:
                 except TrainingError as error:
                     print(f"new-{k} {take}: {error}")
                     refused += 1
-    text = "\n".join(markdown(rows, maker, like, options, refused)) + "\n"
-    (options.out / f"{options.type}-still.md").write_text(text)
-    print(text)
+    write_page(options.out / f"{options.type}-still.md", markdown(rows, maker, like, options, refused))
 
 
 def make_cold(maker: Maker, seed: int, folder: Path) -> Path:
     """The dataset of the arm's morning; not what is there."""
     raw, data, n = folder / "csv", folder / "data", len(maker.joints)
-    raw.mkdir(parents=True, exist_ok=True)
     who = {"first": range(n // 2), "last": range(n // 2, n), "all": range(n), "later": range(n)}
-    for number, take in enumerate(TAKES):
-        if not (raw / f"{take.name}.truth.npz").exists():
-            write_take(with_standing(maker, who[take.name]), seed, number, raw, TAKES)
     if not data.is_dir():
-        (raw / "arm.toml").write_text(description(maker, seed, True, TAKES))
-        files = [str(raw / f"{take.name}.csv") for take in TAKES]
-        command("import", "--source", *files, "--arm", raw / "arm.toml", "--out", data)
+        files = []
+        for take in TAKES:
+            files += simulate_takes(with_standing(maker, who[take.name]), seed, raw, TAKES, only=(take,))
+        import_csv(description(maker, seed, True, TAKES), files, raw / "arm.toml", data)
     return data
 
 
@@ -124,14 +117,12 @@ def rms(bundle: _core.Bundle, recording: Recording) -> np.ndarray:
 def markdown(rows: list[Row], maker: Maker, like: FleetPrior, options: argparse.Namespace, refused: int) -> list[str]:
     """The table, and what it is of."""
     assert like.days is not None
-    usual = {"type": "ur5", "type_seed": 1, "arms": 10, "new": 6}
-    given = {name: getattr(options, name) for name in usual if getattr(options, name) != usual[name]}
-    said = "".join(f" --{name.replace('_', '-')} {value}" for name, value in given.items())
+    given = flags(options, {"type": "ur5", "type_seed": 1, "arms": 10, "new": 6})
     spread = np.sqrt(np.diag(like.days.covariance))
     lines = [
         "# A refit while some joints stand",
         "",
-        f"Written by `python benchmarks/refit_like.py MODELS OUT{said}`.",
+        f"Written by `python benchmarks/refit_like.py MODELS OUT{given}`.",
         "",
         f"{options.new} arms of the [fleet's type](../fleet-prior/README.md) ({options.type}), each trained on ten",
         "minutes and met cold, are refitted on a minute in which only some joints move; and judged on two minutes of",
@@ -141,16 +132,15 @@ def markdown(rows: list[Row], maker: Maker, like: FleetPrior, options: argparse.
         f"({like.days.recordings} of {like.days.arms} arms) differ by {100 * spread.min():.0f} to "
         f"{100 * spread.max():.0f} % in friction from one to the next of an arm.",
         "",
-        "| in the minute | refit | error: joints that moved | that stood | limits: that moved | that stood |",
-        "|---|---|---|---|---|---|",
+        *head("in the minute | refit | error: joints that moved | that stood | limits: that moved | that stood"),
     ]
     half = len(maker.joints) // 2
     words = {"first": f"the first {half} move", "last": f"the last {len(maker.joints) - half} move", "all": "all move"}
     for take, told in words.items():
         for known, way in ((False, "by itself"), (True, "`--like`")):
-            chosen = [row for row in rows if row.take == take and row.like is known]
+            chosen = [one for one in rows if one.take == take and one.like is known]
             cells = [mean_of(chosen, name, moved) for name in ("error", "limit") for moved in (True, False)]
-            lines.append(f"| {told} | {way} | {' | '.join(cells)} |")
+            lines.append(table_row(told, way, *cells))
     return [*lines, *(["", f"{refused} refits were refused."] if refused else [])]
 
 

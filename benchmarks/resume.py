@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from common import head, table_row
 
 from tauext import __version__
 from tauext.page.bundles import LESSONS, cache_folder, find_or_train_bundles
@@ -108,8 +109,8 @@ def main() -> None:
     parser.add_argument("--bundle", type=Path, help="of the rig, instead of the demo's, which are trained briefly")
     args = parser.parse_args()
     print(f"tauext {__version__}: {' '.join(sys.argv)}\n")
-    print("| arm | moves on by | cycles | false collisions | pushes soon after | told | median, 90 % of delays, ms |")
-    print("|---|---|---|---|---|---|---|")
+    columns = "arm | moves on by | cycles | false collisions | pushes soon after | told | median, 90 % of delays, ms"
+    print("\n".join(head(columns)))
     for name in ["rig"] if args.bundle else ARMS:
         arm = ARMS[name]()
         bundle = args.bundle or find_or_train_bundles(arm, "exact", LESSONS[name], args.seed, cache_folder())["tauext"]
@@ -118,11 +119,8 @@ def main() -> None:
             simulation.watch_with({"tauext": str(bundle)}, "tauext")
             count = Trial(simulation, args.seed).run(args.cycles)
             delays = "{:.0f}, {:.0f}".format(*np.quantile(count.delays_s, [0.5, 0.9]) * 1e3) if count.delays_s else "–"
-            print(
-                f"| {name} | {way} | {count.cycles} | {count.false} | {count.pushes} | {len(count.delays_s)} "
-                f"| {delays} |",
-                flush=True,
-            )
+            counts = count.cycles, count.false, count.pushes, len(count.delays_s)
+            print(table_row(name, way, *counts, delays), flush=True)
 
 
 if __name__ == "__main__":

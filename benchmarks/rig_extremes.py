@@ -5,7 +5,6 @@
 docs/rig.md holds the table that it prints.
 """
 
-import argparse
 import os
 import tempfile
 import time
@@ -13,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from common import arguments, head, table_row
 
 from tauext import _core
 from tauext.config import PAPER_CASES, ObserverConfig
@@ -38,7 +38,7 @@ WITHIN = 0.2
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = arguments(__doc__)
     parser.add_argument("--minutes", type=float, default=90.0)
     parser.add_argument("--collision-recordings", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
@@ -80,11 +80,11 @@ def print_extremes(data: Path) -> None:
         near += (np.abs(recording.dq) < ObserverConfig().near_stiction_rad_s).sum(axis=0)
         samples += recording.samples
         off_path = np.maximum(off_path, np.abs(recording.q - recording.q_des).max(axis=0))
-    print("| extreme in free motion, Nm | real 1/2 | virtual 1/2 | ratio 1/2 | within 20 % |\n|---|---|---|---|---|")
+    print("\n".join(head("extreme in free motion, Nm | real 1/2 | virtual 1/2 | ratio 1/2 | within 20 %")))
     for name, real in REAL.items():
         ratio = extremes[name] / real
         verdict = "yes" if (np.abs(ratio - 1.0) <= WITHIN).all() else "NO"
-        print(f"| {name} | {pair(real, 0)} | {pair(extremes[name], 1)} | {pair(ratio, 2)} | {verdict} |")
+        print(table_row(name, pair(real, 0), pair(extremes[name], 1), pair(ratio, 2), verdict))
     print(f"\nnear stiction: {pair(100.0 * near / samples, 1)} % of the time")
     print(f"off the commanded path by at most {pair(off_path, 4)} rad\n")
 
@@ -95,15 +95,15 @@ def print_collisions(data: Path) -> None:
     for name in load_split(data).collisions:
         for touch in find_collisions(load_recording(data / name)):
             touches[touch.kind].append(touch)
-    print("| collisions | number | on link 1/2 | sensor peak, Nm: least, quartiles, largest | length, s |")
-    print("|---|---|---|---|---|")
+    columns = "collisions | number | on link 1/2 | sensor peak, Nm: least, quartiles, largest | length, s"
+    print("\n".join(head(columns)))
     for kind, found in touches.items():
         if found:
             peaks = np.percentile([touch.sensor_peak_nm.max() for touch in found], [0, 25, 50, 75, 100])
             lengths = [touch.end_s - touch.start_s for touch in found]
             links = np.bincount([touch.link for touch in found], minlength=2)
             spread = " · ".join(f"{peak:.1f}" for peak in peaks)
-            print(f"| {kind} | {len(found)} | {pair(links, 0)} | {spread} | {min(lengths):.2f}–{max(lengths):.2f} |")
+            print(table_row(kind, len(found), pair(links, 0), spread, f"{min(lengths):.2f}–{max(lengths):.2f}"))
 
 
 def pair(values: np.ndarray | tuple[float, ...], digits: int) -> str:

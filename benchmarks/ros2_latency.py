@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import subprocess
 import sys
 import tempfile
@@ -24,7 +23,9 @@ from pathlib import Path
 
 import numpy as np
 import seven_axis
+from common import arguments
 
+from tauext.files.provenance import machine
 from tauext.monitor.latency import ask_for_real_time
 
 SPACE, TOPIC, DOMAIN = "/latency", "/latency/joint_states", 91
@@ -42,7 +43,7 @@ ROLES = ("monitor", "peer", "robot")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = arguments(__doc__)
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--core", type=int, default=None)
     parser.add_argument("--priority", type=int, default=None)
@@ -189,7 +190,7 @@ def show(logs: dict[str, dict], options: argparse.Namespace) -> None:
         "publication, after it was due": robot["late"][counted] * 1e-6,
     }
     result = {
-        "machine": f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores",
+        "machine": machine(),
         "minutes": options.minutes,
         "reliability": options.reliability,
         "core": options.core,

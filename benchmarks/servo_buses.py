@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from common import arguments, head, table_row
 from made_servos import NAMES, Dynamixel, Feetech, MadeServoBus, bus_file, servo_settings, sts3215, x_series
 from test_damiao_source import Motors, source_of, state_of
 
@@ -51,7 +52,7 @@ EXAMPLES = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = arguments(__doc__)
     parser.add_argument("--seconds", type=float, default=60.0, help="default: %(default)s")
     parser.add_argument("--hz", type=float, nargs="+", default=[50.0, 100.0, 200.0])
     parser.add_argument("--priority", type=int, help="SCHED_FIFO for this process and the one that answers")
@@ -63,10 +64,10 @@ def main() -> None:
         serve(options.serve)
         return
     servo_bus.users_of = lambda path: ""  # the process that answers has the pty open, too
-    print("| bus | register | bytes | sample |\n|---|---|---|---|")
+    print("\n".join(head("bus | register | bytes | sample")))
     for kind in KINDS:
         decoded(kind)
-    print("\n| bus | Hz | samples | refused | lost | overrun | ms p50 | p99 | max |\n" + "|---" * 9 + "|")
+    print("\n".join(["", *head("bus | Hz | samples | refused | lost | overrun | ms p50 | p99 | max")]))
     for hz in options.hz:
         for kind, (_, series, _) in KINDS.items():
             with served(kind, options.priority) as port:
@@ -92,7 +93,7 @@ def decoded(kind: str) -> None:
             sample = one.next_sample(10.0)
             one.close()
         held = struct.pack("<" + layout, value).hex(" ")
-        print(f"| {kind} | {address} | {held} | {signal} = {getattr(sample, signal)[0]:.6g} |")
+        print(table_row(kind, address, held, f"{signal} = {getattr(sample, signal)[0]:.6g}"))
 
 
 def measured(kind: str, source, settings: SourceSettings, hz: float, seconds: float) -> None:
@@ -104,8 +105,8 @@ def measured(kind: str, source, settings: SourceSettings, hz: float, seconds: fl
             took_ms.append((sample.received_ns - sample.t_ns) * 1e-6)
     source.close()
     counts, (p50, p99) = source.counts, np.quantile(took_ms, [0.5, 0.99])
-    row = (kind, f"{hz:g}", counts.received, counts.refused, counts.lost, counts.overrun)
-    print("|", " | ".join(map(str, row)), f"| {p50:.2f} | {p99:.2f} | {max(took_ms):.2f} |", flush=True)
+    counted = (counts.received, counts.refused, counts.lost, counts.overrun)
+    print(table_row(kind, f"{hz:g}", *counted, *(f"{ms:.2f}" for ms in (p50, p99, max(took_ms)))), flush=True)
 
 
 @contextmanager

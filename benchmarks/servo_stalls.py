@@ -14,18 +14,17 @@ from __future__ import annotations
 import argparse
 import json
 import random
-import subprocess
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
+from common import ROOT, head, table_row, tauext
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.data.recording_file import load_recording
 
-ROOT = Path(__file__).parent.parent
 KEPT = ROOT / "docs" / "results" / "servo-stalls"
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 STALLS = "single_joint_wrist_roll"
@@ -137,17 +136,6 @@ collisions = {listed([STALLS])}
 """
 
 
-def tauext(folder: Path, *arguments: object) -> str:
-    """Standard output of a command run in a folder; the benchmark ends where it fails."""
-    command = [str(one) for one in arguments]
-    run = subprocess.run(
-        [sys.executable, "-m", "tauext", *command], cwd=folder, text=True, capture_output=True, check=False
-    )
-    if run.returncode:
-        sys.exit(f"{run.stdout}{run.stderr}\ntauext {' '.join(command)}: exit status {run.returncode}")
-    return run.stdout
-
-
 def prepare(out: Path, data: Path, trial: Trial) -> Path:
     """The dataset of a trial."""
     folder = out / trial.name
@@ -156,7 +144,7 @@ def prepare(out: Path, data: Path, trial: Trial) -> Path:
     (folder / "arm.toml").write_text(description(trial, training, test))
     if not (folder / "data").exists():
         files = [data / f"{name}.parquet" for name in (*training, *test, STALLS)]
-        tauext(folder, "import", "--source", *files, "--arm", "arm.toml", "--out", "data")
+        tauext("import", "--source", *files, "--arm", "arm.toml", "--out", "data", folder=folder)
     return folder
 
 
@@ -164,11 +152,11 @@ def carry_out(folder: Path, method: str) -> Outcome:
     """Train a bundle and run it on the stalls and on the test motions."""
     bundle = Path(f"{method}.tauext")
     if not (folder / bundle).exists():
-        tauext(folder, "train", "--data", "data", *METHODS[method], "--out", bundle)
+        tauext("train", "--data", "data", *METHODS[method], "--out", bundle, folder=folder)
     test = json.loads((folder / "data/split.json").read_text())["test"]
     said = tauext(
-        folder, "run", bundle, *(f"data/{name}" for name in (f"{STALLS}.parquet", *test)),
-        "--acknowledge-after-s", ACKNOWLEDGED_S, "--json",
+        "run", bundle, *(f"data/{name}" for name in (f"{STALLS}.parquet", *test)),
+        "--acknowledge-after-s", ACKNOWLEDGED_S, "--json", folder=folder,
     )  # fmt: skip
     alarms: dict[str, list[float]] = {}
     hours = 0.0
@@ -227,7 +215,7 @@ def row(source: str, minutes: int, method: str, outcomes: list[Outcome]) -> str:
     ]
     seen = [f"{one.false / one.promised:.2g}" if one.promised else "–" for one in outcomes]
     cells = [source, minutes or "all", method, found, delay, false, f"{hours:.2f}", promised]
-    return f"| {' | '.join(map(str, cells))} | {', '.join(seen)} | {', '.join(predicted)} |"
+    return table_row(*cells, ", ".join(seen), ", ".join(predicted))
 
 
 def main() -> None:
@@ -261,15 +249,15 @@ def keep(out: Path, rows: list[str], splits: int) -> None:
     KEPT.mkdir(parents=True, exist_ok=True)
     trial = Trial(0, SOURCES[0], MINUTES[1])
     (KEPT / "arm.toml").write_text((out / trial.name / "arm.toml").read_text())
-    head = "| torque from | training, min | method | stalls found of 4 | delay, ms: median (most) | false | in h | "
-    head += "promised | false for each promised | predicted by train (upper bound) |"
+    columns = "torque from | training, min | method | stalls found of 4 | delay, ms: median (most) | false | in h | "
+    columns += "promised | false for each promised | predicted by train (upper bound)"
     motions = []
     for split in range(splits):
         names = json.loads((out / Trial(split, SOURCES[0], 0).name / "data/split.json").read_text())["test"]
         motions.append(f"- split {split}: test {', '.join(Path(name).stem for name in names)}")
         ten = json.loads((out / Trial(split, SOURCES[0], 10).name / "data/split.json").read_text())["train"]
         motions.append(f"  ten minutes: {', '.join(Path(name).stem for name in ten)}")
-    table = "\n".join([head, "|---|---|---|---|---|---|---|---|---|---|", *rows])
+    table = "\n".join([*head(columns), *rows])
     about = "Written by `python benchmarks/servo_stalls.py OUT --keep`: [about](README.md)."
     title = "# Four stalls of a real servo arm: tables"
     (KEPT / "table.md").write_text("\n\n".join((title, about, table, "\n".join(motions))) + "\n")

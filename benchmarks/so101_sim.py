@@ -16,27 +16,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import unseen.servo_tables as tables
+from common import ROOT, head, joined, table_row, tauext, write_page
 from unseen.recordings import Take
 from unseen.servo_recordings import description, write_take
-from unseen.servo_tables import (
-    CONTACT_HEAD,
-    contact_cells,
-    deep_verdicts,
-    explained,
-    judged,
-    linear_law,
-    registers,
-    seen_by,
-    tests_of,
-    torque_row,
-    velocity_rows,
-)
-from unseen.so101 import servo_arm, so101
-from unseen_arms import command
+from unseen.servo_tables import contact_cells
+from unseen.servos import servo_arm, so101
 
 from tauext import _core
 
-KEPT = Path(__file__).parent.parent / "docs" / "results" / "so101-sim"
+KEPT = ROOT / "docs" / "results" / "so101-sim"
 RATES_HZ = (50, 30, 100)
 TEN_MINUTES = tuple(Take(f"train-{k}", "train", 5) for k in (1, 2))
 TESTS = tuple(Take(f"free-{k}", "test", 10) for k in range(1, 5))
@@ -126,15 +115,13 @@ def make(out: Path, trial: Trial) -> Path:
     """The bundle of a trial; its dataset beside it."""
     data, raw = out / trial.data, out / f"{trial.rate_hz}hz"
     if not (data / "split.json").exists():
-        linear = (
-            linear_law(raw, [take.name for take in TEN_MINUTES], so101().joints).round(4).tolist()
-            if trial.source == "linear"
-            else ()
-        )
+        law = tables.linear_law(raw, [take.name for take in TEN_MINUTES], so101().joints).round(4).tolist()
+        linear = law if trial.source == "linear" else ()
         arm = data.with_suffix(".toml")
         arm.write_text(description(so101(), trial.takes, trial.source, trial.model, linear))
         files = [raw / f"{take.name}.parquet" for take in trial.takes]
-        command(data.with_suffix(".import.txt"), "import", "--source", *files, "--arm", arm, "--out", data)
+        imported = data.with_suffix(".import.txt")
+        tauext("import", "--source", *files, "--arm", arm, "--out", data, printed=imported)
     bundle = out / trial.bundle
     if not bundle.exists():
         case = () if trial.model else ("--case", "none")
@@ -143,8 +130,8 @@ def make(out: Path, trial: Trial) -> Path:
             settings.write_text('error_scale = "off"\n')
             case += ("--config", settings)
         case += ("--accept", "effort-sign") if trial.source == "goal" else ()  # see the page: steps of 30 Hz
-        said = bundle.with_suffix(".train.txt")
-        command(said, "train", "--data", data, "--recipe", trial.recipe, *case, "--out", bundle)
+        printed = bundle.with_suffix(".train.txt")
+        tauext("train", "--data", data, "--recipe", trial.recipe, *case, "--out", bundle, printed=printed)
         print(bundle, flush=True)
     return bundle
 
@@ -164,54 +151,47 @@ def write_tables(out: Path, rates: Sequence[int], seed: int, keep: bool) -> None
     lines += ["", "## Networks that predict the motor's signal", "", DEEP_WORDS, "", *deep_tables(out, rates)]
     lines += ["", "## Velocity", "", *velocity_tables(out, rates, seed)]
     path = KEPT / "tables.md" if keep else out / "tables.md"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(lines) + "\n")
-    print(path)
+    write_page(path, lines)
 
 
 def torque_tables(out: Path, rates: Sequence[int]) -> list[str]:
-    lines = ["| torque from | Hz | free motion: RMS error, Nm | joint by joint | in contact | joint by joint |"]
-    lines += ["|---|---|---|---|---|---|"]
+    lines = head("torque from | Hz | free motion: RMS error, Nm | joint by joint | in contact | joint by joint")
     joints = so101().joints
     for rate in rates:
         names = [take.name for take in tested(rate)]
         raw = out / f"{rate}hz"
-        law = linear_law(raw, [take.name for take in TEN_MINUTES], joints)
-        linear = {name: law * registers(raw, name, "signed", joints) for name in names}
-        lines.append(torque_row(f"linear law of the current | {rate}", raw, linear))
+        law = tables.linear_law(raw, [take.name for take in TEN_MINUTES], joints)
+        linear = {name: law * tables.registers(raw, name, "signed", joints) for name in names}
+        lines.append(tables.torque_row(f"linear law of the current | {rate}", raw, linear))
         for source in SOURCES[:-1]:
             data = out / Trial(rate, source).data
             if (data / "split.json").exists():
-                torques = {recording.name: recording.tau for recording in tests_of(data)}
-                lines.append(torque_row(f"{source}, the type's constants | {rate}", raw, torques))
+                torques = {recording.name: recording.tau for recording in tables.tests_of(data)}
+                lines.append(tables.torque_row(f"{source}, the type's constants | {rate}", raw, torques))
             if (bundle := out / Trial(rate, source).bundle).exists():
                 factor = np.array(_core.Bundle.load(str(bundle)).observer.nm_per_unit or 1.0)
                 corrected = {name: factor * torque for name, torque in torques.items()}
-                lines.append(torque_row(f"{source}, corrected in training | {rate}", raw, corrected))
+                lines.append(tables.torque_row(f"{source}, corrected in training | {rate}", raw, corrected))
     return lines
 
 
 def contact_tables(out: Path, rates: Sequence[int]) -> list[str]:
-    head = CONTACT_HEAD.format(first="Hz | model | training, min | recipe | error free, in contact, Nm")
-    lines = [head, "|".join(["", *["---"] * (head.count("|") - 1), ""])]
+    first = "torque from | Hz | model | training, min | recipe | error free, in contact, Nm"
+    lines = head(tables.CONTACT_COLUMNS.format(first=first))
     for trial in trials(rates):
         bundle = out / trial.bundle
         if bundle.exists():
-            verdicts, errors = judged(bundle, out / trial.data)
-            what = (
-                f"{trial.source} | {trial.rate_hz} | {'urdf' if trial.model else 'none'} | {60 if trial.hour else 10}"
-            )
-            wrong = ", ".join(f"{error:.3f}" for error in errors)
-            cells = contact_cells(verdicts, verdicts.strong)
-            recipe = trial.recipe + ", constant limits" * trial.constant
-            lines.append(f"| {what} | {recipe} | {wrong} | {cells} |")
+            verdicts, errors = tables.judged(bundle, out / trial.data)
+            what = (trial.source, trial.rate_hz, "urdf" if trial.model else "none", 60 if trial.hour else 10)
+            recipe, wrong = trial.recipe + ", constant limits" * trial.constant, joined(errors, ".3f", ", ")
+            lines.append(table_row(*what, recipe, wrong, contact_cells(verdicts, verdicts.strong)))
             print(lines[-1], flush=True)
     return lines
 
 
 def deep_tables(out: Path, rates: Sequence[int]) -> list[str]:
-    head = CONTACT_HEAD.format(first="Hz | method | factor on its limits").replace("torque from", "signal")
-    lines, shares = [head, "|".join(["", *["---"] * (head.count("|") - 1), ""])], []
+    lines = head(tables.CONTACT_COLUMNS.format(first="signal | Hz | method | factor on its limits"))
+    shares = []
     for rate in rates:
         raw = out / f"{rate}hz"
         for source, signal in DEEP.items():
@@ -219,22 +199,22 @@ def deep_tables(out: Path, rates: Sequence[int]) -> list[str]:
             bundle, data = out / trial.bundle, out / trial.data
             if not bundle.exists() or not (raw / f"deep-{signal}-goal").exists():
                 continue
-            ours, _ = judged(bundle, data)
+            ours, _ = tables.judged(bundle, data)
             lines.append(f"| {source} | {rate} | tauext | 1 | {contact_cells(ours, ours.strong)} |")
             for inputs, words in (("goal", "LSTM on q, dq, goal − q"), ("motion", "LSTM on q, dq")):
                 kept = raw / f"deep-{signal}-{inputs}"
                 if not (kept / f"{tested(rate)[-1].name}.npz").exists():
                     continue
-                own, factor, equal = deep_verdicts(kept, data, ours.false_free + ours.false_after)
+                own, factor, equal = tables.deep_verdicts(kept, data, ours.false_free + ours.false_after)
                 lines.append(f"| {source} | {rate} | {words} | 1 | {contact_cells(own, ours.strong)} |")
                 cells = contact_cells(equal, ours.strong)
                 lines.append(f"| {source} | {rate} | {words}, as many false | {factor:.2f} | {cells} |")
                 if rate == RATES_HZ[0]:
-                    within, overall = explained(raw, kept, TOUCHED[0].name, UNTOUCHED.name)
+                    within, overall = tables.explained(raw, kept, TOUCHED[0].name, UNTOUCHED.name)
                     shares.append(f"| {signal} | {words}: change of the signal that it predicts | {overall:.2f} |")
                     shares.append(f"| {signal} | the same, signals no larger than in free motion | {within:.2f} |")
             if rate == RATES_HZ[0]:
-                share = seen_by(bundle, data)
+                share = tables.seen_by(bundle, data)
                 shares.append(f"| {source} | tauext: true torque that its tau_ext holds | {share:.2f} |")
     learned = ["What a contact changes, where a joint feels more than 0.1 Nm of it:", ""]
     return [*lines, "", *learned, "| signal | | share |", "|---|---|---|", *shares]
@@ -242,13 +222,13 @@ def deep_tables(out: Path, rates: Sequence[int]) -> list[str]:
 
 def velocity_tables(out: Path, rates: Sequence[int], seed: int) -> list[str]:
     rotor = servo_arm(so101(), seed).servos.rotor_kg_m2
-    lines = [
-        "| Hz | estimator | error moving, RMS rad/s | lag, ms | standing, RMS rad/s | torque invented, RMS Nm | most |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    columns = (
+        "Hz | estimator | error moving, RMS rad/s | lag, ms | standing, RMS rad/s | torque invented, RMS Nm | most"
+    )
+    lines = head(columns)
     for rate in sorted(rates):
         names = [take.name for take in TESTS[:2]]
-        lines += velocity_rows(out / f"{rate}hz", names, so101().joints, rate, np.asarray(rotor))
+        lines += tables.velocity_rows(out / f"{rate}hz", names, so101().joints, rate, np.asarray(rotor))
     return lines
 
 

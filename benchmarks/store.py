@@ -10,7 +10,6 @@ On disk the names are links. The doctor's memory is empty at every run, so each 
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import shutil
@@ -24,6 +23,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from common import arguments, free_port
 
 MINUTES = 15.0
 GAP_S = 2.0
@@ -67,9 +67,7 @@ def make_recordings(dataset: Path, folder: Path, count: int) -> list[Path]:
 def gateway(program: str, objects: Path) -> Iterator[tuple[subprocess.Popen, dict[str, str]]]:
     """versitygw on a free port, and the environment in which it is found."""
     (objects / "arms").mkdir(parents=True, exist_ok=True)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     command = [program, "--access", KEYS["AWS_ACCESS_KEY_ID"], "--secret", KEYS["AWS_SECRET_ACCESS_KEY"]]
     command += ["--port", f"127.0.0.1:{port}", "--quiet", "posix", str(objects)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -126,9 +124,7 @@ def sent(process: subprocess.Popen) -> int:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("dataset", type=Path)
-    parser.add_argument("bundle", type=Path)
+    parser = arguments(__doc__, "dataset", "bundle")
     parser.add_argument("--gateway", default=os.environ.get("TAUEXT_VERSITYGW", "versitygw"))
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--hours", type=float, default=200.0)

@@ -8,15 +8,13 @@ The floor is what is left of the error where the two parts of each joint's frict
 20 s. docs/method/evidence.md holds the table that it prints.
 """
 
-import argparse
 import os
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
-from unseen.arms import Maker, makers
-from unseen.recordings import Take, description, write_take
-from unseen_arms import command
+from common import arguments, collisions_begin, head, joined, table_row, tauext
+from unseen.arms import makers
+from unseen.recordings import Take, make_dataset
 
 from tauext import _core
 from tauext.data.recording import Recording
@@ -28,47 +26,30 @@ TAKES = (
     Take("cold", "test", 4),
     Take("warm", "test", 4, 0, 1800),
 )
-OK, COLLISION = 1, 2
+OK = 1
 PIECE_S = 20
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("models", type=Path)
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "models", "out")
     parser.add_argument("--arms", nargs="+", default=["ur5", "seven_axis"])
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    titles = ("arm, test", "temperature", "tracker", "RMSE of each joint, Nm", "of all, over that without", "floor")
-    print(f"| {' | '.join(titles)} | false collisions |")
-    print("|---" * 7 + "|")
+    columns = "temperature | tracker | RMSE of each joint, Nm | of all, over that without | floor | false collisions"
+    print("\n".join(head(f"arm, test | {columns}")))
     for name in options.arms:
         maker, folder = makers(options.models)[name], options.out / name
-        make(maker, folder, options.seed)
+        data = make_dataset(maker, options.seed, folder, TAKES, os.cpu_count(), temperature=True)
         bundles = {word: folder / f"{word}.tauext" for word in ("without", "with")}
         for word, bundle in bundles.items():
             if not bundle.exists():
                 settings = folder / f"{word}.toml"
                 settings.write_text(f"prior.follow_temperature = {'true' if word == 'with' else 'false'}\n")
-                how = ["--config", settings]
-                command(folder / f"train-{word}.txt", "train", "--data", folder / "data", "--out", bundle, *how)
+                printed = folder / f"train-{word}.txt"
+                tauext("train", "--data", data, "--out", bundle, "--config", settings, printed=printed)
         for test in ("cold", "warm"):
             for tracking in (False, True):
-                compare(f"{name}, {test}", bundles, folder / "data" / f"{test}.parquet", tracking)
-
-
-def make(maker: Maker, folder: Path, seed: int) -> None:
-    """Recordings and dataset, unless they are there."""
-    if (folder / "data").is_dir():
-        return
-    raw = folder / "csv"
-    raw.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        for done in [pool.submit(write_take, maker, seed, number, raw, TAKES) for number in range(len(TAKES))]:
-            done.result()
-    (raw / "arm.toml").write_text(description(maker, seed, True, TAKES, temperature=True))
-    files = [str(raw / f"{take.name}.csv") for take in TAKES]
-    command(folder / "import.txt", "import", "--source", *files, "--arm", raw / "arm.toml", "--out", folder / "data")
+                compare(f"{name}, {test}", bundles, data / f"{test}.parquet", tracking)
 
 
 def compare(title: str, bundles: dict[str, Path], recording: Path, tracking: bool) -> None:
@@ -84,11 +65,10 @@ def compare(title: str, bundles: dict[str, Path], recording: Path, tracking: boo
         rmse = np.sqrt(np.mean(said["tau_ext"][said["health"] == OK] ** 2, axis=0))
         if without is None or floor is None:
             without, floor = rmse, floor_nm(bundle, made)
-        at = np.flatnonzero(said["held_alarm"] == COLLISION)
-        alarms = 0 if len(at) == 0 else 1 + int((np.diff(made.t_ns[at]) >= 500_000_000).sum())
-        each = " ".join(f"{x:.2f}" for x in rmse)
-        shares = " | ".join(f"{np.sqrt(np.mean((one / without) ** 2)):.2f}" for one in (rmse, floor))
-        print(f"| {title} | {word} | {'on' if tracking else 'off'} | {each} | {shares} | {alarms} |", flush=True)
+        alarms = len(collisions_begin(said["held_alarm"], made.t_ns))
+        shares = [f"{np.sqrt(np.mean((one / without) ** 2)):.2f}" for one in (rmse, floor)]
+        tracker = "on" if tracking else "off"
+        print(table_row(title, word, tracker, joined(rmse, by=" "), *shares, alarms), flush=True)
 
 
 def floor_nm(bundle: _core.Bundle, made: Recording) -> np.ndarray:

@@ -12,21 +12,19 @@ Without PyTorch only tauext is measured.
 
 from __future__ import annotations
 
-import argparse
-import os
 import platform
-import re
 import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
+from common import arguments, compiler_flags, other_processes_s
 
 import tauext
 from tauext import _core
 from tauext.errors import ConfigError
+from tauext.files.provenance import machine
 from tauext.fit.core_backend import Adam, CoreBackend
 from tauext.fit.training_set import Setup, WindowSet
 
@@ -58,13 +56,13 @@ class Comparison:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = arguments(__doc__)
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--quick", action="store_true", help="two rounds and one minute of recording")
     options = parser.parse_args()
     rounds, windows = (2, 6_000) if options.quick else (options.rounds, 60_000)
 
-    print(f"{processor()}, {os.cpu_count()} cores, Python {platform.python_version()}, NumPy {np.__version__}")
+    print(f"{machine()}, Python {platform.python_version()}, NumPy {np.__version__}")
     print(f"tauext {tauext.__version__}: {compiler_flags()}, instruction set chosen at run time")
     if torch:
         capability = torch.backends.cpu.get_cpu_capability()
@@ -74,13 +72,13 @@ def main() -> None:
     print(f"H = {HIDDEN}, {rounds} rounds in turns; ms: median (min max); ratio of medians\n")
     print(f"{'':42}{'threads':>8}  {'way':31}{'ms':>8}{'(min':>9}{'max)':>9}{'ratio':>7}   outputs, gradient")
 
-    busy, own = busy_seconds(), time.process_time()
+    before_s, _ = other_processes_s()
     for joints, wanted in ((2, (6.0, 7.0)), (7, (5.0, 5.0))):
         for threads in (1, 2):
             show(step_comparison(joints, threads, wanted[threads - 1]), rounds)
     for threads in (1, 2):
         show(evaluation_comparison(windows, threads, 4.0), rounds)
-    others = (busy_seconds() - busy) - (time.process_time() - own)
+    others = other_processes_s()[0] - before_s
     print("\noutputs: largest difference to double precision; gradient: relative difference, likewise")
     print(
         f"other processes took {max(others, 0.0):.1f} s of processor time meanwhile (more than a few spoil the numbers)"
@@ -257,31 +255,6 @@ def show(comparison: Comparison, rounds: int) -> None:
         accuracy = ", ".join("-" if a is None else f"{a:.0e}" for a in comparison.accuracy.get(name, (None, None)))
         line = f"{first}  {name:31}{medians[name]:8.2f}{min(ms):9.2f}{max(ms):9.2f}{ratio:7.1f}   {accuracy}{wanted}"
         print(line, flush=True)
-
-
-def busy_seconds() -> float:
-    """Processor time of all processes since start-up; zero where it is not told."""
-    stat = Path("/proc/stat")
-    if not stat.exists():
-        return 0.0
-    user, nice, system, *_ = (int(ticks) for ticks in stat.read_text().split("\n")[0].split()[1:])
-    return (user + nice + system) / os.sysconf("SC_CLK_TCK")
-
-
-def compiler_flags() -> str:
-    """What the core was compiled by, and the flags that its arithmetic depends on."""
-    cmake = (Path(__file__).parent.parent / "CMakeLists.txt").read_text(encoding="utf-8")
-    flags = re.search(r"target_compile_options\(tauext_flags INTERFACE ([^)]*)\)", cmake).group(1)
-    gnu = _core.COMPILER.startswith("gcc")
-    flags = re.sub(r"\$<IF:\$\{gnu\},([^,>]*),([^>]*)>", lambda found: found.group(1 if gnu else 2), flags)
-    shown = [flag for flag in flags.split() if not flag.startswith(("-W", "$<"))]
-    return " ".join([_core.COMPILER, "C++20", *shown])
-
-
-def processor() -> str:
-    info = Path("/proc/cpuinfo")
-    names = [line.partition(": ")[2] for line in info.read_text().splitlines() if line.startswith("model name")]
-    return names[0] if names else platform.processor()
 
 
 if __name__ == "__main__":

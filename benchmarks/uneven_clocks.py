@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from common import head, table_row, write_page
 
 from tauext.data.dataset import load_dataset
 from tauext.data.recording import Recording
@@ -159,10 +160,9 @@ def run(tauext: Path, *arguments: object) -> None:
 def line(found: dict) -> str:
     l1 = " / ".join("-" if value is None else f"{value:.2f}" for value in found["l1_nm"])
     delay = "-" if found["delay_s"] is None else f"{1e3 * found['delay_s']:.0f}"
-    return (
-        f"| {found['rate_hz']:g} | {found['clock']} | {found['healthy']:.1%} | {l1} | {found['latched']} of "
-        f"{found['collisions']} | {delay} | {found['false_collisions']} |"
-    )
+    latched = f"{found['latched']} of {found['collisions']}"
+    rate, healthy = f"{found['rate_hz']:g}", f"{found['healthy']:.1%}"
+    return table_row(rate, found["clock"], healthy, l1, latched, delay, found["false_collisions"])
 
 
 def main() -> None:
@@ -176,12 +176,12 @@ def main() -> None:
     if not (base / "split.json").exists():
         arguments = ("--minutes", FREE_MINUTES, "--collision-recordings", args.collision_recordings, "--seed", SEED)
         run(args.tauext, "simulate", "--out", base, *arguments)
-    lines = ["| Hz | clock | healthy | L1 in N m | collisions | delay in ms | false |", "|---|---|---|---|---|---|---|"]
+    lines = head("Hz | clock | healthy | L1 in N m | collisions | delay in ms | false")
     work = [(rate, number, clock) for rate in args.rates for number, clock in enumerate(CLOCKS)]
     for rate, number, clock in work:
         lines.append(line(row(args.out / f"{rate:g}-{number}", base, clock, rate, args.tauext)))
         print(lines[-1], flush=True)
-    (args.out / "README.md").write_text("\n".join(lines) + "\n")
+    write_page(args.out / "README.md", lines)
 
 
 if __name__ == "__main__":

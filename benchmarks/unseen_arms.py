@@ -13,25 +13,19 @@ OUT/README.md gets the tables; that of docs/results/unseen-arms is one of these.
 
 from __future__ import annotations
 
-import argparse
 import os
-import subprocess
-import sys
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from unseen.arms import Maker, makers
-from unseen.fresh import fresh_makers
-from unseen.recordings import TAKES, description, write_take
+from common import arguments, tauext, write_page
+from unseen.arms import Maker, fresh_makers, makers
+from unseen.recordings import description, import_csv, simulate_takes
 from unseen.results import markdown, read_outcomes
 
 MODELS = {"urdf": True, "none": False}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("models", type=Path)
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "models", "out")
     parser.add_argument("--arms", nargs="+", help="of all seven, instead of those that --fresh decides on")
     parser.add_argument("--fresh", action="store_true", help="also the arms that are run once, when all is fixed")
     parser.add_argument("--recipes", nargs="+", default=["prior", "friction"])
@@ -53,47 +47,30 @@ def main() -> None:
             judge(folder, model, options.recipes)
             outcomes += read_outcomes(known[name], options.seed, model, folder)
     text = markdown(outcomes, f"python benchmarks/unseen_arms.py MODELS OUT{' --fresh' * options.fresh}")
-    (options.out / "README.md").write_text(text)
-    print(text)
+    write_page(options.out / "README.md", text)
 
 
 def make(maker: Maker, folder: Path, seed: int, workers: int) -> None:
     """Simulate every take of an arm and import it twice, with its URDF and without a model; not what is there."""
-    raw = folder / "csv"
-    raw.mkdir(parents=True, exist_ok=True)
-    missing = [number for number, take in enumerate(TAKES) if not (raw / f"{take.name}.truth.npz").exists()]
-    with ProcessPoolExecutor(workers) as pool:
-        for done in [pool.submit(write_take, maker, seed, number, raw) for number in missing]:
-            done.result()
-    files = [str(raw / f"{take.name}.csv") for take in TAKES]
+    if all((folder / name).is_dir() for name in MODELS):
+        return
+    files = simulate_takes(maker, seed, folder / "csv", workers=workers)
     for name, model in MODELS.items():
-        if (folder / name).is_dir() and not missing:
-            continue
-        arm = raw / f"arm-{name}.toml"
-        arm.write_text(description(maker, seed, model))
-        command(folder / f"import-{name}.txt", "import", "--source", *files, "--arm", arm, "--out", folder / name)
+        if not (folder / name).is_dir():
+            import_csv(description(maker, seed, model), files, folder / "csv" / f"arm-{name}.toml", folder / name)
 
 
 def judge(folder: Path, model: str, recipes: list[str]) -> None:
     """Check, train and evaluate as a user would, each command's words beside its results."""
     data, how = folder / model, [] if MODELS[model] else ["--case", "none"]
-    command(folder / f"check-{model}.txt", "check", "--data", data, accept=(0, 1))
+    tauext("check", "--data", data, printed=folder / f"check-{model}.txt", accept=(0, 1))
     bundles = [folder / f"{model}-{recipe}.tauext" for recipe in recipes]
     for recipe, bundle in zip(recipes, bundles, strict=True):
         if not bundle.exists():
-            said = folder / f"train-{model}-{recipe}.txt"
-            command(said, "train", "--data", data, "--recipe", recipe, "--out", bundle, *how)
-    results = folder / f"results-{model}"
-    command(folder / f"evaluate-{model}.txt", "evaluate", "--data", data, "--out", results, "--bundles", *bundles)
-
-
-def command(said: Path, *arguments: str | Path, accept: tuple[int, ...] = (0,)) -> None:
-    """Run `tauext ARGUMENTS` and keep what it printed; RuntimeError where it failed."""
-    words = [sys.executable, "-m", "tauext", *map(str, arguments)]
-    ended = subprocess.run(words, capture_output=True, text=True, check=False)
-    said.write_text(ended.stdout + ended.stderr)
-    if ended.returncode not in accept:
-        raise RuntimeError(f"{' '.join(words)}:\n{ended.stdout}{ended.stderr}")
+            printed = folder / f"train-{model}-{recipe}.txt"
+            tauext("train", "--data", data, "--recipe", recipe, "--out", bundle, *how, printed=printed)
+    results, printed = folder / f"results-{model}", folder / f"evaluate-{model}.txt"
+    tauext("evaluate", "--data", data, "--out", results, "--bundles", *bundles, printed=printed)
 
 
 if __name__ == "__main__":

@@ -9,12 +9,10 @@ errors, and how many masses of each are within 5 % or 0.1 kg of the truth.
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
 import numpy as np
+from common import arguments
 from unseen.arms import makers
-from weighing.takes import FIRST_S, WINDOW_S, carried
+from unseen.loads import FIRST_S, WINDOW_S, carried
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
@@ -24,9 +22,7 @@ from tauext.monitor.weighing import LoadEstimate, identify, load_frame, see
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("models", type=Path, help="folder of ur5_robot.urdf, panda.urdf and kinova.urdf")
-    parser.add_argument("out", type=Path)
+    parser = arguments(__doc__, "models", "out")
     parser.add_argument("--arms", nargs="+", default=["ur5", "panda", "kinova", "seven_axis"])
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()

@@ -12,23 +12,18 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
+from common import arguments, head, trained, write_page
 from scipy.stats import chi2
-from unseen.arms import Maker, makers
-from unseen.contacts import Contact
-from unseen.fresh import fresh_makers
-from unseen.motions import draw_motion
-from unseen.of_type import arm_of
-from unseen.recordings import DRIVE_VELOCITY_RAD_S, told_constants
-from unseen.simulation import LINK_RADIUS_M, RATE_HZ, Run, _reach, simulate
+from unseen.arms import Maker, TrueArm, arm_of, direction, fresh_makers, makers
+from unseen.recordings import DRIVE_VELOCITY_RAD_S, readings, told_constants
+from unseen.simulation import RATE_HZ, Contact, Run, draw_motion, simulate, touched_point
 
 from tauext import _core
 from tauext.robot.load import load_tree
-from tauext.sim.rig import encoder, low_pass, velocity
+from tauext.sim.rig import velocity
 
 ARMS = ("panda", "ur5", "seven_axis", "kinova", "offset_wrist", "light_arm")
 """The last two are arms that no method was fixed on."""
@@ -44,9 +39,7 @@ HELD, THREE_SIGMA = 0.95, 0.9973
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    for name in ("models", "unseen", "out"):
-        parser.add_argument(name, type=Path)
+    parser = arguments(__doc__, "models", "unseen", "out")
     parser.add_argument("--arms", nargs="+", default=list(ARMS))
     parser.add_argument("--pushes", type=int, default=120, help="an arm")
     parser.add_argument("--seed", type=int, default=0, help="of the arms, as their datasets have it")
@@ -55,28 +48,24 @@ def main() -> None:
     rows: list[dict] = []
     for name in options.arms:
         maker = (makers(options.models) | fresh_makers())[name]
-        bundles = {which: trained(maker, options, which) for which in ("own", "true")}
+        bundles = {which: bundle_of(maker, options, which) for which in ("own", "true")}
         rows += judged(maker, bundles, options)
         (options.out / "wrench.json").write_text(as_text(rows))
     given = f"--arms {' '.join(options.arms)} --pushes {options.pushes} --draw {options.draw}"
-    text = markdown(rows, f"python benchmarks/wrench.py MODELS UNSEEN OUT {given}")
-    (options.out / "README.md").write_text(text)
-    print(text)
+    write_page(options.out / "README.md", markdown(rows, f"python benchmarks/wrench.py MODELS UNSEEN OUT {given}"))
 
 
-def trained(maker: Maker, options: argparse.Namespace, which: str) -> _core.Bundle:
+def bundle_of(maker: Maker, options: argparse.Namespace, which: str) -> _core.Bundle:
     """Of recipe prior, with constants that training found or the true ones; not where it is there."""
+    words: list[str | Path] = []
     path = options.out / maker.name / f"{which}.tauext"
-    if not path.exists():
-        words = [sys.executable, "-m", "tauext", "train", "--data", options.unseen / maker.name / "urdf"]
-        words += ["--recipe", "prior", "--out", path]
-        if which == "true":
-            factors = arm_of(maker, options.seed).nm_per_ampere / told(maker, options.seed)
-            words += ["--torque-constants", *(f"{one:.6g}" for one in factors), "--config", path.with_suffix(".toml")]
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.with_suffix(".toml").write_text("torque_share = 0.005\n")
-        subprocess.run([str(word) for word in words], check=True, capture_output=True)
-    return _core.Bundle.load(str(path))
+    if which == "true":
+        factors = arm_of(maker, options.seed).nm_per_ampere / told(maker, options.seed)
+        settings = path.with_suffix(".toml")
+        settings.parent.mkdir(parents=True, exist_ok=True)
+        settings.write_text("torque_share = 0.005\n")
+        words += ["--torque-constants", *(f"{one:.6g}" for one in factors), "--config", settings]
+    return _core.Bundle.load(str(trained(options.unseen / maker.name / "urdf", path, *words)))
 
 
 def told(maker: Maker, seed: int) -> np.ndarray:
@@ -87,43 +76,38 @@ def told(maker: Maker, seed: int) -> np.ndarray:
 
 def judged(maker: Maker, bundles: dict[str, _core.Bundle], options: argparse.Namespace) -> list[dict]:
     """One row a push and bundle."""
-    pushes, seed = options.pushes, options.seed
-    arm, rng = arm_of(maker, seed), maker.random(seed, STREAM + options.draw)
-    seconds = FIRST_S + pushes * SLOT_S
-    contacts = [pushed(len(maker.joints) - 1, FIRST_S + k * SLOT_S + rng.uniform(0, 2), rng) for k in range(pushes)]
-    setpoints = draw_motion(maker, round(seconds * RATE_HZ), RATE_HZ, rng)
-    known = load_tree(maker.model, maker.joints)
-    run = simulate(arm, known, setpoints, maker.torque_nm, contacts, WARM_S)
-    t_ns, q, dq, tau = logged(maker, arm, run, told(maker, seed), rng)
+    arm, rng = arm_of(maker, options.seed), maker.random(options.seed, STREAM + options.draw)
+    contacts, signals = pushes_of(maker, arm, options.pushes, told(maker, options.seed), rng, WARM_S)
     rows = []
     for which, bundle in bundles.items():
-        said = _core.estimate(bundle, t_ns, q, dq, tau, 1)
-        plain = low_pass_kept(said["residual"])
-        for contact in contacts:
-            at = int(np.searchsorted(t_ns, round((contact.start_s + LOOK_S) * 1e9)))
-            if np.isfinite(said["tau_ext"][at]).all() and np.isfinite(said["sigma_nm"][at]).all():
-                rows.append(
-                    {"arm": maker.name, "bundle": which} | told_of(bundle, arm, contact, q, dq, said, plain, at)
-                )
+        said = _core.estimate(bundle, *signals, 1)
+        found = told_of(bundle, arm, contacts, signals, said, low_pass_kept(said["residual"]))
+        rows += [{"arm": maker.name, "bundle": which} | one for one in found]
     return rows
+
+
+def pushes_of(
+    maker: Maker, arm: TrueArm, count: int, constants: np.ndarray, rng: np.random.Generator, warm_s: float
+) -> tuple[list[Contact], tuple[np.ndarray, ...]]:
+    """So many pushes on the last link, and t_ns, q, dq, tau."""
+    contacts = [pushed(len(maker.joints) - 1, FIRST_S + k * SLOT_S + rng.uniform(0, 2), rng) for k in range(count)]
+    setpoints = draw_motion(maker, round((FIRST_S + count * SLOT_S) * RATE_HZ), RATE_HZ, rng)
+    known = load_tree(maker.model, maker.joints)
+    run = simulate(arm, known, setpoints, maker.torque_nm, contacts, warm_s)
+    return contacts, logged(maker, arm, run, constants, rng)
 
 
 def pushed(link: int, start_s: float, rng: np.random.Generator) -> Contact:
     """On the last link, anywhere on its length, in any direction."""
-    direction = rng.standard_normal(3)
-    end = start_s + PUSH_S
-    unit = tuple((direction / np.linalg.norm(direction)).tolist())
-    return Contact(
-        "push", start_s, end, link, rng.uniform(0.2, 1.0), unit, float(rng.uniform(*FORCES_N)), (start_s, end)
-    )
+    unit, end, share = tuple(direction(rng).tolist()), start_s + PUSH_S, rng.uniform(0.2, 1.0)
+    return Contact("push", start_s, end, link, share, unit, float(rng.uniform(*FORCES_N)), (start_s, end))
 
 
-def logged(maker: Maker, arm, run: Run, constants: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+def logged(
+    maker: Maker, arm: TrueArm, run: Run, constants: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, ...]:
     """t_ns, q, dq, tau at the controller's rate, as an import would have them; stamps do not jitter."""
-    q = encoder(run.q, 2**maker.encoder_bits)
-    ampere = low_pass(run.motor_nm / arm.nm_per_ampere, 1 / arm.current_filter_s, 1 / RATE_HZ)
-    ampere += arm.current_noise_a * rng.standard_normal(ampere.shape)
-    ampere = np.round(ampere / arm.current_step_a) * arm.current_step_a
+    q, ampere = readings(maker, arm, run, rng)
     keep = slice(0, None, RATE_HZ // maker.rate_hz)
     t_ns = (np.arange(len(q), dtype=np.int64) * (1_000_000_000 // RATE_HZ))[keep]
     dq = velocity(q, DRIVE_VELOCITY_RAD_S, 1 / RATE_HZ)
@@ -139,10 +123,22 @@ def low_pass_kept(residual: np.ndarray) -> np.ndarray:
     return out
 
 
-def told_of(bundle: _core.Bundle, arm, contact: Contact, q, dq, said: dict, plain: np.ndarray, at: int) -> dict:
-    """What is said of one push against the truth."""
+def told_of(
+    bundle: _core.Bundle, arm: TrueArm, contacts: list[Contact], signals: tuple, said: dict, plain: np.ndarray
+) -> list[dict]:
+    """The estimate of each push, LOOK_S after it began, against the truth; not where there is no estimate."""
+    rows, (t_ns, q, dq, _) = [], signals
+    for contact in contacts:
+        at = int(np.searchsorted(t_ns, round((contact.start_s + LOOK_S) * 1e9)))
+        if np.isfinite(said["tau_ext"][at]).all() and np.isfinite(said["sigma_nm"][at]).all():
+            rows.append(told_at(bundle, arm, contact, q, dq, said, plain, at))
+    return rows
+
+
+def told_at(bundle: _core.Bundle, arm, contact: Contact, q, dq, said: dict, plain: np.ndarray, at: int) -> dict:
+    """The estimate of one push at a sample."""
     model, joint = _core.WrenchModel(bundle), bundle.links[contact.link].joint_name
-    point = (_reach(arm.tree, contact) + [LINK_RADIUS_M, 0, 0]).tolist()
+    point = touched_point(arm.tree, contact).tolist()
     truth = contact.peak_n * np.array(contact.direction)
     sample = (q[at : at + 1], *(said[name][at : at + 1] for name in ("tau_ext", "sigma_nm")))
     sigma, speed = said["contact_sigma_nm"][at : at + 1], dq[at : at + 1]
@@ -189,6 +185,9 @@ def error_of(found: np.ndarray, truth: np.ndarray) -> dict:
     return {"off_n": float(np.linalg.norm(found - truth)), "off_deg": angle}
 
 
+COLUMNS = "constants | told as | pushes | off, N | off, deg | in 95 % | sigma, N | blind | beyond 3 sigma, not blind"
+
+
 def markdown(rows: list[dict], command: str) -> str:
     """The tables."""
     text = f"""# Forces at the flange
@@ -203,8 +202,7 @@ with the gears' friction in it. The method was fixed on other pushes on the Pand
 Pushes in poses of which some direction is named blind are counted all the same. Medians; sigma is the geometric mean of
 the force ellipsoid's half-axes.
 
-| arm | constants | told as | pushes | off, N | off, deg | in 95 % | sigma, N | blind | beyond 3 sigma, not blind |
-|---|---|---|---|---|---|---|---|---|---|
+{chr(10).join(head(f"arm | {COLUMNS}"))}
 """
     arms = list(dict.fromkeys(row["arm"] for row in rows))
     for arm in [*arms, None]:
@@ -215,8 +213,7 @@ the force ellipsoid's half-axes.
     text += f"""
 Of a true 3 sigma {1 - THREE_SIGMA:.1%} would be beyond. All arms, where some joint moves and where all stand:
 
-| arm is | constants | told as | pushes | off, N | off, deg | in 95 % | sigma, N | blind | beyond 3 sigma, not blind |
-|---|---|---|---|---|---|---|---|---|---|
+{chr(10).join(head(f"arm is | {COLUMNS}"))}
 """
     for moving in (True, False):
         for which in ("own", "true"):

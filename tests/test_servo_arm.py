@@ -14,12 +14,18 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 from unseen.recordings import Take
-from unseen.servo_judging import Verdicts, at_as_many_false
 from unseen.servo_recordings import TOUCHED_NM, description, write_take
-from unseen.servo_simulation import Touch, backlash_model, simulate_servos
-from unseen.servos import COUNT_RAD, OUTPUT_SHARE, identified
-from unseen.so101 import servo_arm, so101
-from unseen.velocities import estimators, judge
+from unseen.servo_tables import Verdicts, at_as_many_false, estimators, judge
+from unseen.servos import (
+    COUNT_RAD,
+    OUTPUT_SHARE,
+    Touch,
+    backlash_model,
+    identified,
+    servo_arm,
+    simulate_servos,
+    so101,
+)
 
 from tauext import _core
 from tauext.data.description import parse_arm

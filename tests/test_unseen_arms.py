@@ -12,13 +12,18 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 from unseen import recordings
-from unseen.arms import makers, true_arm
-from unseen.contacts import Contact, draw_contacts, label
-from unseen.fresh import JITTER_SHARE, fresh_makers
-from unseen.motions import ACCELERATIONS_RAD_S2, STOP_S, draw_motion
-from unseen.of_type import arm_of
+from unseen.arms import JITTER_SHARE, arm_of, fresh_makers, makers, true_arm
 from unseen.results import Outcome, markdown, nearest, truth_of
-from unseen.simulation import RATE_HZ, simulate
+from unseen.simulation import (
+    ACCELERATIONS_RAD_S2,
+    RATE_HZ,
+    STOP_S,
+    Contact,
+    draw_contacts,
+    draw_motion,
+    label,
+    simulate,
+)
 from unseen.surfaces import SURFACES, capsules_of, with_surfaces
 
 from tauext.robot.capsules import link_capsules

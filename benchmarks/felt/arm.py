@@ -1,13 +1,53 @@
-"""An arm of the size of an SO-101, three joints and a straight hand, before a wall, in MuJoCo."""
+"""Leader and follower: arms of the size of an SO-101, three joints and a straight hand, in MuJoCo; their servos."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
-from felt.servo import Servo
+from tauext.sim.rig import encoder
+
+# --- The STS3215 at 7.4 V as it was identified: position control by duty, motor, friction of its gear.
+
+
+@dataclass(frozen=True)
+class Servo:
+    """Motor and gear at the output shaft; parameters of model m6 that Rhoban's BAM identified for the STS3215 at 7.4 V
+    (https://github.com/Rhoban/bam, params/feetech_sts3215_7_4V)."""
+
+    volts: float = 7.4
+    ohm: float = 2.753
+    nm_per_ampere: float = 1.275
+    """Also the back-EMF, [V s/rad]."""
+    armature_kg_m2: float = 0.02156
+    duty_per_rad: float = 16 * 0.166 * 1.16
+    """Of the position error, at the gain P = 16 that LeRobot sets for these arms."""
+    most_duty: float = 0.97
+    coulomb_nm: float = 0.053
+    motor_share: float = 0.045
+    """Coulomb friction a motor torque."""
+    load_share: float = 0.244
+    """Coulomb friction a torque from outside: weight, touch."""
+    viscous_nm_s_rad: float = 0.028
+
+    def duty(self, error_rad: np.ndarray) -> np.ndarray:
+        """What the controller gives the motor for goal - position."""
+        return np.clip(self.duty_per_rad * error_rad, -self.most_duty, self.most_duty)
+
+    def torque(self, duty: np.ndarray, dq: np.ndarray) -> np.ndarray:
+        """k_t (V D - k_e dq) / R, [N m]."""
+        return self.nm_per_ampere * (self.volts * duty - self.nm_per_ampere * dq) / self.ohm
+
+
+def counted(q: np.ndarray) -> np.ndarray:
+    """The reading of the 12-bit encoder, [rad]."""
+    return encoder(q, 4096)
+
+
+# --- The arm, and a wall.
+
 
 STEP_S = 0.002
 JOINTS = ("pan", "lift", "elbow")
@@ -122,3 +162,97 @@ class Arm:
         self.model.dof_frictionloss[:] = friction
         self.data.qfrc_applied[:] = motor_nm + self.outside_nm
         mujoco.mj_step(self.model, self.data)
+
+
+# --- The follower: servos hold the goals they are sent; what it reports 50 times a second.
+
+
+TICK_S = 0.02
+TICK_STEPS = round(TICK_S / STEP_S)
+
+
+@dataclass(frozen=True)
+class Report:
+    """What the follower says at a tick: (joints,) each."""
+
+    q: np.ndarray
+    """By its encoders, [rad]."""
+    goal: np.ndarray
+    """That it followed since the last tick, [rad]."""
+    outside_nm: np.ndarray
+    """The truth, [N m]: torque of the wall."""
+
+
+class Follower:
+    """An SO-101-like arm under position control, perhaps before a wall."""
+
+    def __init__(self, servo: Servo, wall: Wall | None):
+        self.arm, self.wall, self._servo = Arm(servo), wall, servo
+        self._goal = counted(self.arm.q)
+
+    def tick(self, goal: np.ndarray) -> Report:
+        """20 ms under this goal; the answer is of their end."""
+        self._goal = counted(goal)
+        felt = np.zeros(3)
+        for _ in range(TICK_STEPS):
+            arm = self.arm
+            duty = self._servo.duty(self._goal - counted(arm.q))
+            arm.step(self._servo.torque(duty, arm.dq), self.wall.force(arm) if self.wall else None)
+            felt += arm.outside_nm
+        return Report(counted(self.arm.q), self._goal.copy(), felt / TICK_STEPS)
+
+
+# --- The leader: motors that give a torque, moved by a hand that is a spring, a damper and a mass.
+
+
+@dataclass(frozen=True)
+class Hand:
+    """How a person holds the leader: the hand is drawn to where the person wants it."""
+
+    name: str
+    n_per_m: float
+    n_s_per_m: float
+    kg: float
+
+
+HANDS = (Hand("two fingers", 50.0, 2.0, 0.1), Hand("loose", 150.0, 6.0, 0.3), Hand("firm", 400.0, 20.0, 0.5))
+"""From a light hold to a firm one: a relaxed human arm has some 100 to 400 N/m at the hand."""
+
+
+@dataclass(frozen=True)
+class Gears:
+    """What the leader's gears take."""
+
+    name: str
+    servo: Servo
+
+
+GEARS = (
+    Gears("STS3215", Servo()),
+    Gears("light", replace(Servo(), coulomb_nm=0.01, motor_share=0.0, load_share=0.0, viscous_nm_s_rad=0.004)),
+)
+"""Those of an SO-101's servo, and some that hardly rub, which are the harder case."""
+
+
+class Leader:
+    """Its weight is carried by the hand: there is no gravity."""
+
+    def __init__(self, gears: Gears, hand: Hand):
+        self.arm, self.hand = Arm(gears.servo, gravity=0.0, hand_kg=hand.kg, led=True), hand
+        self._wanted = self.arm.tip
+
+    @property
+    def q(self) -> np.ndarray:
+        """By its encoders, [rad]."""
+        return counted(self.arm.q)
+
+    def tick(self, wanted: np.ndarray, torque_nm: np.ndarray) -> None:
+        """20 ms in which the person's wish goes on to `wanted`, (3,), [m], and the motors hold the torque."""
+        way = (wanted - self._wanted) / TICK_STEPS
+        speed = way / STEP_S
+        for _ in range(TICK_STEPS):
+            self._wanted = self._wanted + way
+            arm, hand = self.arm, self.hand
+            velocity = arm.jacobian() @ arm.dq
+            force = hand.n_per_m * (self._wanted - arm.tip) + hand.n_s_per_m * (speed - velocity)
+            arm.step(torque_nm, force)

@@ -1,8 +1,8 @@
-"""The arms of the trial: what an integrator knows of each, and by how much the true arm differs."""
+"""The arms of the trial: what an integrator knows of each, and by how much the true arm differs; arms of one type."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +46,7 @@ class Maker:
     fresh: bool = False
     """Of the arms that no method was fixed on: they are run once, afterwards."""
     type_seed: int | None = None
-    """Draws what arms of one type share (unseen.of_type); None: every arm is of a type of its own."""
+    """Draws what arms of one type share (arm_of_type); None: every arm is of a type of its own."""
 
     def random(self, seed: int, stream: int) -> np.random.Generator:
         """One of the arm's streams of draws: 0 the arm, 99 what the integrator believes, 1 + k take k."""
@@ -135,7 +135,7 @@ def true_arm(maker: Maker, rng: np.random.Generator, tool: bool = True) -> TrueA
         share = rng.uniform(0.8, 1.2)
         link.mass *= share
         link.inertia = [share * x for x in link.inertia]
-        link.com = (np.array(link.com) + rng.uniform(0, 0.02) * _direction(rng)).tolist()
+        link.com = (np.array(link.com) + rng.uniform(0, 0.02) * direction(rng)).tolist()
         links.append(link)
     if tool:
         add_tool(links[-1], rng)
@@ -163,20 +163,128 @@ def true_arm(maker: Maker, rng: np.random.Generator, tool: bool = True) -> TrueA
     )
 
 
-def _direction(rng: np.random.Generator) -> np.ndarray:
+def with_ball(
+    mass_kg: float, com_m: np.ndarray, inertia: np.ndarray, ball_kg: float, at_m: np.ndarray, radius_m: float
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass, centre of mass (3,) and inertia about it (3, 3) of a body with a ball fixed to it."""
+    both = (mass_kg * com_m + ball_kg * at_m) / (mass_kg + ball_kg)
+    inertia = inertia + 0.4 * ball_kg * radius_m**2 * np.eye(3)
+    for one, place in ((mass_kg, com_m), (ball_kg, at_m)):
+        arm = place - both
+        inertia += one * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return mass_kg + ball_kg, both, inertia
+
+
+def link_with_ball(
+    link: _core.Link, ball_kg: float, at_m: np.ndarray, radius_m: float
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """The same of a link."""
+    xx, yy, zz, xy, xz, yz = link.inertia
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return with_ball(link.mass, np.array(link.com), inertia, ball_kg, at_m, radius_m)
+
+
+def add_ball(link: _core.Link, ball_kg: float, at_m: np.ndarray, radius_m: float) -> None:
+    """Fix a ball to a link."""
+    link.mass, com, inertia = link_with_ball(link, ball_kg, at_m, radius_m)
+    link.com, link.inertia = com.tolist(), [float(inertia[k]) for k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+
+
+def direction(rng: np.random.Generator) -> np.ndarray:
+    """A unit vector, even over the sphere."""
     x = rng.standard_normal(3)
     return x / np.linalg.norm(x)
 
 
 def add_tool(link: _core.Link, rng: np.random.Generator) -> None:
     """A ball of 6 cm fixed to the last link, of a mass and at a place that are drawn."""
-    mass, at = rng.uniform(0.5, 1.5), np.append(rng.uniform(-0.03, 0.03, 2), rng.uniform(0.05, 0.14))
-    com = np.array(link.com)
-    both = (link.mass * com + mass * at) / (link.mass + mass)
-    xx, yy, zz, xy, xz, yz = link.inertia
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) + 0.4 * mass * 0.06**2 * np.eye(3)
-    for one, place in ((link.mass, com), (mass, at)):
-        arm = place - both
-        inertia += one * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    link.mass, link.com = link.mass + mass, both.tolist()
-    link.inertia = [float(inertia[k]) for k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    add_ball(link, rng.uniform(0.5, 1.5), np.append(rng.uniform(-0.03, 0.03, 2), rng.uniform(0.05, 0.14)), 0.06)
+
+
+# --- Arms that no method was fixed on: other kinematics, rates and stamps, and programs that end in abrupt stops.
+
+
+STOP_SHARE = 0.25
+JITTER_SHARE = 0.1
+"""Standard deviation of a stamp, of the sample period."""
+
+
+def fresh_makers() -> dict[str, Maker]:
+    """The arms by name; their friction and rotors have the sizes of the others' beside their torque."""
+    palletizer = Maker(
+        "palletizer", HERE / "palletizer.urdf", tuple(f"joint{k}" for k in range(1, 6)),
+        100, (-2.6, -0.9, -1.0, -1.6, -3.0), (2.6, 1.2, 1.1, 1.6, 3.0), (2.4, 2.0, 2.2, 2.8, 4.0),
+        (350, 380, 240, 70, 35),
+        (12.0, 14.0, 10.0, 4.0, 2.0), (13.0, 15.0, 10.0, 3.5, 1.5), (1.5, 1.7, 1.1, 0.25, 0.1),
+        (18.0, 18.0, 15.0, 9.0, 7.0), 17, False, True,
+        stop_share=STOP_SHARE, stamp_jitter_s=JITTER_SHARE / 100, missing_share=0.03, own_seed=5, fresh=True,
+    )  # fmt: skip
+    offset_wrist = Maker(
+        "offset_wrist", HERE / "offset_wrist.urdf", tuple(f"joint{k}" for k in range(1, 7)),
+        250, (-2.7, -1.0, -1.1, -2.6, -1.9, -3.0), (2.7, 1.2, 1.0, 2.6, 1.9, 3.0), (2.6, 2.2, 2.6, 3.6, 3.6, 4.5),
+        (320, 380, 220, 70, 60, 35),
+        (13.0, 16.0, 10.0, 3.5, 3.0, 1.8), (15.0, 17.0, 10.0, 3.2, 2.6, 1.4), (1.6, 1.8, 1.1, 0.25, 0.2, 0.1),
+        (16.0, 16.0, 13.0, 8.0, 7.5, 6.0), 19, True, False,
+        stop_share=STOP_SHARE, stamp_jitter_s=JITTER_SHARE / 250, own_seed=6, fresh=True,
+    )  # fmt: skip
+    light_arm = Maker(
+        "light_arm", HERE / "light_arm.urdf", tuple(f"joint{k}" for k in range(1, 8)),
+        1000, (-2.6, -1.6, -2.6, -2.0, -2.6, -1.8, -2.8), (2.6, 1.6, 2.6, 2.0, 2.6, 1.8, 2.8),
+        (2.8, 2.8, 3.1, 3.1, 3.5, 3.5, 4.0), (45, 45, 28, 28, 12, 10, 8),
+        (2.2, 2.4, 1.4, 1.5, 0.6, 0.5, 0.4), (2.0, 2.2, 1.3, 1.3, 0.5, 0.4, 0.3),
+        (0.16, 0.16, 0.09, 0.09, 0.03, 0.025, 0.02),
+        (6.0, 6.0, 5.0, 5.0, 3.0, 2.6, 2.4), 14, False, True,
+        stop_share=STOP_SHARE, stamp_jitter_s=JITTER_SHARE / 1000, own_seed=7, fresh=True,
+    )  # fmt: skip
+    return {maker.name: maker for maker in (palletizer, offset_wrist, light_arm)}
+
+
+# --- Arms of one type: links, gears and drives they share; friction, tool and constants are each arm's own.
+
+
+MASSES = (0.99, 1.01)
+"""Of links from the same moulds."""
+FRICTION = (0.7, 1.3)
+"""Of a joint, by that of the type: all of it ..."""
+APART = (0.9, 1.1)
+"""... and its parts beside that."""
+CONSTANTS = (0.92, 1.08)
+
+
+def arm_of(maker: Maker, seed: int) -> TrueArm:
+    """The arm that `seed` drew: of its type, where the maker names one."""
+    rng = maker.random(seed, 0)
+    return true_arm(maker, rng) if maker.type_seed is None else arm_of_type(maker, rng)
+
+
+def arm_of_type(maker: Maker, rng: np.random.Generator) -> TrueArm:
+    """One arm of the type that maker.type_seed drew.
+
+    Ripple has the type's numbers of cycles; how large it is, and its phase, follow from how a gear was put together.
+    """
+    assert maker.type_seed is not None
+    of_type = true_arm(maker, np.random.default_rng([maker.type_seed, 7]), tool=False)
+    n = len(maker.joints)
+    links = of_type.tree.links
+    for link in links:
+        share = rng.uniform(*MASSES)
+        link.mass *= share
+        link.inertia = [share * x for x in link.inertia]
+    add_tool(links[-1], rng)
+    friction = rng.uniform(*FRICTION, n)
+    return replace(
+        of_type,
+        tree=_core.Tree(links, of_type.tree.gravity),
+        coulomb_nm=of_type.coulomb_nm * friction * rng.uniform(*APART, n),
+        viscous_nm_s_rad=of_type.viscous_nm_s_rad * friction * rng.uniform(*APART, n),
+        asymmetry=rng.uniform(-0.05, 0.05, n),
+        static_share=of_type.static_share * rng.uniform(0.97, 1.03, n),
+        stribeck_rad_s=of_type.stribeck_rad_s * rng.uniform(*APART, n),
+        presliding_rad=of_type.presliding_rad * rng.uniform(*APART, n),
+        load_share=of_type.load_share * rng.uniform(*APART, n),
+        warm_drop=rng.uniform(0.10, 0.15, n),
+        warm_s=rng.uniform(180, 400),
+        ripple_nm=of_type.ripple_nm * rng.uniform(0.5, 1.5, n),
+        ripple_phase_rad=rng.uniform(0, 2 * np.pi, n),
+        nm_per_ampere=np.array(maker.nm_per_ampere) * rng.uniform(*CONSTANTS, n),
+    )

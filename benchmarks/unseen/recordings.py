@@ -8,14 +8,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from common import in_parallel, tauext
 
 from tauext.robot.load import load_tree
 from tauext.sim.rig import encoder, low_pass, velocity
-from unseen.arms import Maker, TrueArm
-from unseen.contacts import Contact, draw_contacts, label
-from unseen.motions import draw_motion
-from unseen.of_type import arm_of
-from unseen.simulation import RATE_HZ, Run, simulate
+from unseen.arms import Maker, TrueArm, arm_of
+from unseen.simulation import RATE_HZ, Contact, Run, draw_contacts, draw_motion, label, simulate
 
 DRIVE_VELOCITY_RAD_S = 200.0
 ROOM_C, RISE_K = 22.0, 15.0
@@ -66,8 +64,8 @@ def write_take(
     known = load_tree(maker.model, maker.joints)
     run = simulate(arm, known, setpoints, maker.torque_nm, contacts, take.warm_from_s)
     celsius = motor_temperature(arm, take.warm_from_s, samples, maker.random(seed, 200 + number))
-    _write_csv(folder / f"{take.name}.csv", maker, arm, run, contacts, rng, celsius)
-    peaks = [_peak(run.tau_ext, c) for c in contacts]
+    write_csv(folder / f"{take.name}.csv", maker, arm, run, contacts, rng, celsius)
+    peaks = [peak_nm(run.tau_ext, c) for c in contacts]
     truth = [asdict(c) | {"peak_nm": peak.tolist()} for c, peak in zip(contacts, peaks, strict=True)]
     (folder / f"{take.name}.truth.json").write_text(json.dumps(truth, indent=1) + "\n")
     np.savez_compressed(
@@ -76,6 +74,36 @@ def write_take(
         friction_nm=run.friction_nm[::8].astype(np.float32),
         tau_ext=run.tau_ext[::8].astype(np.float32),
     )
+
+
+def simulate_takes(
+    maker: Maker, seed: int, raw: Path, takes: Sequence[Take] = (), workers: int = 1, arm: TrueArm | None = None,
+    only: Sequence[Take] = (),
+) -> list[Path]:  # fmt: skip
+    """The CSV files of these takes, or of `only` some of them; written where there is no truth beside them yet."""
+    raw.mkdir(parents=True, exist_ok=True)
+    takes = takes or TAKES
+    wanted = [(k, take) for k, take in enumerate(takes) if not only or take in only]
+    missing = [k for k, take in wanted if not (raw / f"{take.name}.truth.npz").exists()]
+    in_parallel(workers, write_take, [(maker, seed, number, raw, takes, arm) for number in missing])
+    return [raw / f"{take.name}.csv" for _, take in wanted]
+
+
+def import_csv(text: str, files: Sequence[Path], arm: Path, data: Path) -> None:
+    """Write the description to `arm` and import the files as a dataset."""
+    arm.write_text(text)
+    tauext("import", "--source", *files, "--arm", arm, "--out", data)
+
+
+def make_dataset(
+    maker: Maker, seed: int, folder: Path, takes: Sequence[Take], workers: int = 1, temperature: bool = False
+) -> Path:
+    """FOLDER/data: simulated in FOLDER/csv and imported with the maker's URDF, unless it exists."""
+    raw, data = folder / "csv", folder / "data"
+    if not data.is_dir():
+        files = simulate_takes(maker, seed, raw, takes, workers)
+        import_csv(description(maker, seed, True, takes, temperature), files, raw / "arm.toml", data)
+    return data
 
 
 def motor_temperature(arm: TrueArm, warm_from_s: float, samples: int, rng: np.random.Generator) -> np.ndarray:
@@ -142,29 +170,37 @@ def told_constants(maker: Maker, seed: int, model: bool) -> list[float] | str:
     return (arm.nm_per_ampere * wrong).round(3).tolist() if maker.constants_known or not model else "unknown"
 
 
-def _write_csv(
+def readings(maker: Maker, arm: TrueArm, run: Run, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Positions [rad] and currents [A] as encoders and drives measure them, each (samples, joints) at RATE_HZ."""
+    ampere = low_pass(run.motor_nm / arm.nm_per_ampere, 1 / arm.current_filter_s, 1 / RATE_HZ)
+    ampere += arm.current_noise_a * rng.standard_normal(ampere.shape)
+    return encoder(run.q, 2**maker.encoder_bits), np.round(ampere / arm.current_step_a) * arm.current_step_a
+
+
+def write_csv(
     path: Path,
     maker: Maker,
     arm: TrueArm,
     run: Run,
     contacts: list[Contact],
     rng: np.random.Generator,
-    celsius: np.ndarray,
+    celsius: np.ndarray | None = None,
 ) -> None:
-    """What the controller logs at its own rate: stamps that jitter, and on some arms with samples missing."""
+    """What the controller logs at its own rate: stamps that jitter, and on some arms with samples missing.
+
+    Args:
+        celsius: of the motors, (samples, joints); None: 20.
+    """
     import pyarrow as pa
     from pyarrow import csv
 
-    q = encoder(run.q, 2**maker.encoder_bits)
-    ampere = low_pass(run.motor_nm / arm.nm_per_ampere, 1 / arm.current_filter_s, 1 / RATE_HZ)
-    ampere += arm.current_noise_a * rng.standard_normal(ampere.shape)
-    ampere = np.round(ampere / arm.current_step_a) * arm.current_step_a
+    q, ampere = readings(maker, arm, run, rng)
     keep = slice(0, None, RATE_HZ // maker.rate_hz)
     time_s = np.arange(len(q))[keep] / RATE_HZ
     jitter_s = maker.stamp_jitter_s * rng.standard_normal(len(time_s))
     jitter_s = np.clip(jitter_s, -LARGEST_JITTER / maker.rate_hz, LARGEST_JITTER / maker.rate_hz)
     columns = {"time": (time_s + jitter_s).round(6)}
-    signals = {"position": q, "current": ampere, "temperature": celsius}
+    signals = {"position": q, "current": ampere, "temperature": np.full(q.shape, 20.0) if celsius is None else celsius}
     if maker.measured_velocity:
         signals["velocity"] = velocity(q, DRIVE_VELOCITY_RAD_S, 1 / RATE_HZ)
     for name, signal in signals.items():
@@ -177,6 +213,7 @@ def _write_csv(
     csv.write_csv(table, path)
 
 
-def _peak(tau_ext: np.ndarray, contact: Contact) -> np.ndarray:
+def peak_nm(tau_ext: np.ndarray, contact: Contact) -> np.ndarray:
+    """Largest torque of a contact at each joint, (joints,)."""
     rows = slice(round(contact.start_s * RATE_HZ), round(contact.end_s * RATE_HZ) + 1)
     return np.abs(tau_ext[rows]).max(axis=0)

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from common import head, joined, table_row
 
 from tauext import _core
 from tauext.data.dataset import load_split
 from tauext.data.recording_file import load_recording
-from unseen.arms import Maker
-from unseen.of_type import arm_of
+from unseen.arms import Maker, arm_of
 from unseen.recordings import TAKES, told_constants
 
 STRONG = 3.0
@@ -140,18 +140,16 @@ def markdown(outcomes: Sequence[Outcome], command: str) -> str:
 
 
 def _alarms(outcomes: Sequence[Outcome]) -> list[str]:
-    lines = [
-        "| arm | model | recipe | found | of strong | false alarms an hour | in free motion | after a contact "
-        "| delay from label, ms: median, 95 % | from onset, ms | usual limit over error |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
+    lines = head(
+        "arm | model | recipe | found | of strong | false alarms an hour | in free motion | after a contact "
+        "| delay from label, ms: median, 95 % | from onset, ms | usual limit over error"
+    )
     for c in outcomes:
-        lines.append(
-            f"| {c.arm} | {c.model} | {c.recipe} | {_alarm_cells([c])} "
-            f"| {_ms(c, 'delay_median_s')}, {_ms(c, 'delay_p95_s')} "
-            f"| {_ms(c, 'delay_from_onset_median_s')}, {_ms(c, 'delay_from_onset_p95_s')} "
-            f"| {np.median(c.limit_nm / c.rmse_nm):.0f} |"
-        )
+        delays = [
+            f"{_ms(c, f'{since}_median_s')}, {_ms(c, f'{since}_p95_s')}" for since in ("delay", "delay_from_onset")
+        ]
+        over = f"{np.median(c.limit_nm / c.rmse_nm):.0f}"
+        lines.append(table_row(c.arm, c.model, c.recipe, _alarm_cells([c]), *delays, over))
     for model, recipe in dict.fromkeys((c.model, c.recipe) for c in outcomes):
         chosen = [c for c in outcomes if (c.model, c.recipe) == (model, recipe)]
         lines.append(f"| **all** | {model} | {recipe} | {_alarm_cells(chosen)} | | | |")
@@ -168,22 +166,19 @@ def _alarm_cells(outcomes: Sequence[Outcome]) -> str:
 
 
 def _kinds(outcomes: Sequence[Outcome]) -> list[str]:
-    lines = ["Found by kind:", "", "| arm | model | recipe | impacts | pushes | holds |", "|---|---|---|---|---|---|"]
+    lines = ["Found by kind:", "", *head("arm | model | recipe | impacts | pushes | holds")]
     for c in outcomes:
         by_kind = [f"{c.found[c.kinds == kind].sum()}/{(c.kinds == kind).sum()}" for kind in ("impact", "push", "hold")]
-        lines.append(f"| {c.arm} | {c.model} | {c.recipe} | {' | '.join(by_kind)} |")
+        lines.append(table_row(c.arm, c.model, c.recipe, *by_kind))
     return lines
 
 
 def _errors(outcomes: Sequence[Outcome]) -> list[str]:
-    lines = [
-        "Held-out RMS error, Nm (% of the torque's RMS), joint by joint, and the usual sliding limits, Nm:",
-        "",
-    ]
-    lines += ["| arm | model | recipe | error | limits |", "|---|---|---|---|---|"]
+    lines = ["Held-out RMS error, Nm (% of the torque's RMS), joint by joint, and the usual sliding limits, Nm:", ""]
+    lines += head("arm | model | recipe | error | limits")
     for c in outcomes:
         errors = " · ".join(f"{e:.2f} ({s:.0%})" for e, s in zip(c.rmse_nm, c.rmse_share, strict=True))
-        lines.append(f"| {c.arm} | {c.model} | {c.recipe} | {errors} | {' · '.join(f'{x:.1f}' for x in c.limit_nm)} |")
+        lines.append(table_row(c.arm, c.model, c.recipe, errors, joined(c.limit_nm, ".1f")))
     return lines
 
 

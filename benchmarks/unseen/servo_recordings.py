@@ -10,12 +10,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from unseen.arms import Maker
-from unseen.motions import draw_motion
+from tauext.sim.contacts import log_uniform
+from tauext.sim.rig import encoder
+from unseen.arms import Maker, direction
 from unseen.recordings import Take
-from unseen.servo_simulation import TICKS_HZ, ServoRun, Touch, simulate_servos
-from unseen.servos import COUNT_RAD
-from unseen.so101 import ServoArm
+from unseen.servos import COUNTS, TICKS_HZ, ServoArm, ServoRun, Touch, simulate_servos
+from unseen.simulation import draw_motion
 
 SUPPLY_STEP_A, SUPPLY_NOISE_A = 0.0065, 0.004
 """Of a Feetech servo's register of current, and what its converter adds."""
@@ -41,16 +41,15 @@ def draw_touches(maker: Maker, arm: ServoArm, take: Take, rng: np.random.Generat
         shape = str(rng.choice(list(SHARES), p=list(SHARES.values())))
         seconds = rng.uniform(*SECONDS[shape])
         start = 8.0 + k * slot + rng.uniform(0.05, max(0.1, slot - seconds - 2.5))
-        link, direction = int(rng.integers(1, len(maker.joints))), rng.standard_normal(3)
+        link, way = int(rng.integers(1, len(maker.joints))), direction(rng)
         further = [one.translation for one in arm.tree.links if one.parent == link]
         reach = np.array(further[0] if further else (0, 0, LAST_LINK_M)) * rng.uniform(0.3, 1.0)
         angle = rng.uniform(0, 2 * np.pi)
         at = reach + LINK_RADIUS_M * np.array([np.cos(angle), np.sin(angle), 0])
-        low, high = WALLS_N_M if shape == "wall" else TORQUES_NM
         touches.append(
             Touch(
-                shape, start, start + seconds, link, tuple(at), tuple(direction / np.linalg.norm(direction)),
-                float(np.exp(rng.uniform(np.log(low), np.log(high)))), rise_s=rng.uniform(0.05, 0.2),
+                shape, start, start + seconds, link, tuple(at), tuple(way),
+                log_uniform(rng, WALLS_N_M if shape == "wall" else TORQUES_NM), rise_s=rng.uniform(0.05, 0.2),
             )
         )  # fmt: skip
     return touches
@@ -77,7 +76,7 @@ def _registers(maker: Maker, run: ServoRun, touched: np.ndarray, rng: np.random.
     ampere = np.abs(run.signals["supply_a"]) + SUPPLY_NOISE_A * rng.standard_normal(run.signals["q"].shape)
     volts = np.repeat(run.volts[:, None], len(maker.joints), axis=1)
     signals = {
-        "position": np.round(run.signals["q"] / COUNT_RAD) * COUNT_RAD,
+        "position": encoder(run.signals["q"], COUNTS),
         "speed": run.signals["speed"],
         "goal": np.vstack([run.signals["goal"][1:], run.signals["goal"][-1:]]),  # sent after the reading
         "load": np.round(run.signals["duty"] / DUTY_STEP) * DUTY_STEP,
@@ -100,15 +99,11 @@ def description(maker: Maker, takes: Sequence[Take], source: str, model: bool, l
         source: of the torque, as [servo] names it; "linear": the signed current times a constant.
         linear: that constant, [N m/A], one a joint.
     """
-    by_part = {
-        part: [f"{take.name}.parquet" for take in takes if take.part == part]
-        for part in ("train", "test", "collisions")
-    }
+    names = {p: [f"{take.name}.parquet" for take in takes if take.part == p] for p in ("train", "test", "collisions")}
     torque = f'[servo]\ntype = "sts3215-7.4v"\ntorque_from = "{source}"\n'
     if source == "linear":
-        torque = (
-            f'[signals.tau]\ncolumns = "signed_{{joint}}"\nunit = "A"\ntorque_constant = {json.dumps(list(linear))}\n'
-        )
+        torque = '[signals.tau]\ncolumns = "signed_{joint}"\nunit = "A"\n'
+        torque += f"torque_constant = {json.dumps(list(linear))}\n"
     registers = {"supply-current": ("current", "duty"), "duty": ("duty", "voltage"), "goal": (), "linear": ()}
     columns = {"current": "current", "duty": "load", "voltage": "voltage"}
     units = {"current": "A", "duty": "1", "voltage": "V"}
@@ -143,8 +138,8 @@ unit = "Nm"
 column = "touched"
 
 [split]
-train = {json.dumps(by_part["train"])}
+train = {json.dumps(names["train"])}
 validation = []
-test = {json.dumps(by_part["test"])}
-collisions = {json.dumps(by_part["collisions"])}
+test = {json.dumps(names["test"])}
+collisions = {json.dumps(names["collisions"])}
 """

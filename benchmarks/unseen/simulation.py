@@ -1,4 +1,4 @@
-"""The true arm under its drive, at 1 kHz in MuJoCo: friction with memory, load and warmth; forces of contacts."""
+"""Motions, contacts, and the true arm under its drive at 1 kHz in MuJoCo: friction with memory, load and warmth."""
 
 from __future__ import annotations
 
@@ -9,8 +9,176 @@ import mujoco
 import numpy as np
 
 from tauext import _core
-from unseen.arms import TrueArm
-from unseen.contacts import Contact
+from unseen.arms import Maker, TrueArm, direction
+
+# --- What an integrator would have the arm do: all joints together from pose to pose, pauses between, some of it slow.
+
+
+SLOW_SHARE = 0.2
+PAUSE_SHARE = 0.7
+ACCELERATIONS_RAD_S2 = (1.4, 8.0)
+"""Most that a programmed move asks of a joint: from a controller's default to what the makers of such arms allow."""
+STOP_S = (0.03, 0.08)
+"""From the speed of the move to a stand."""
+STOP_SPEEDS = (0.15, 0.6)
+"""Shares of the most speed at which drives can stop the arm in so short a time."""
+STOP_PLACES = (0.3, 0.6)
+"""Shares of the time that the whole move would take; a stop from here ends before the move would have."""
+
+
+def draw_motion(
+    maker: Maker, samples: int, rate_hz: float, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Setpoints of position, velocity and acceleration, each (samples, joints), [rad, rad/s, rad/s^2]; from rest."""
+    low, high = np.array(maker.low_rad), np.array(maker.high_rad)
+    here, parts, length = rng.uniform(low, high), [], 0
+    while length < samples:
+        slow = rng.uniform() < SLOW_SHARE
+        stops = maker.stop_share > 0 and not slow and rng.uniform() < maker.stop_share
+        there = rng.uniform(low, high)
+        if slow:  # a short straight piece, as to a fixture
+            there = np.clip(here + rng.uniform(-0.25, 0.25, len(here)), low, high)
+        shares = (0.02, 0.08) if slow else STOP_SPEEDS if stops else (0.15, 0.85)
+        speed = np.array(maker.speed_rad_s) * rng.uniform(*shares)
+        fastest_s = float((np.abs(there - here) / speed).max())
+        square_s2 = float(np.abs(there - here).max()) / rng.uniform(*ACCELERATIONS_RAD_S2)
+        if rng.uniform() < 0.5:
+            s, ds, dds = quintic(fastest_s, square_s2, rate_hz)
+        else:
+            s, ds, dds = trapezoid(fastest_s, square_s2, rng.uniform(0.15, 0.4), rate_hz)
+        way = there - here
+        if stops:
+            at, seconds = round(len(s) * rng.uniform(*STOP_PLACES)), rng.uniform(*STOP_S)
+            s, ds, dds = _stopped(s, ds, dds, at, round(seconds * rate_hz), rate_hz)
+            there = here + s[-1] * way
+        stand = round(rng.uniform(0.2, 3.0) * rate_hz) if stops or rng.uniform() < PAUSE_SHARE else 0
+        s = np.append(s, np.full(stand, s[-1]))
+        ds, dds = np.append(ds, np.zeros(stand)), np.append(dds, np.zeros(stand))
+        parts.append((here + s[:, None] * way, ds[:, None] * way, dds[:, None] * way))
+        length, here = length + len(s), there
+    q, dq, ddq = (np.concatenate(column)[:samples] for column in zip(*parts, strict=True))
+    return q, dq, ddq
+
+
+def quintic(fastest_s: float, square_s2: float, rate_hz: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """0 to 1 with speed and acceleration zero at both ends; they peak at 15/8 and 10/sqrt(3) of the means.
+
+    Args:
+        fastest_s: the way over the most speed, of the joint where that is longest.
+        square_s2: the longest way over the most acceleration.
+    """
+    seconds = max(0.3, fastest_s * 15 / 8, np.sqrt(square_s2 * 10 / np.sqrt(3)))
+    x = np.arange(1, round(seconds * rate_hz) + 1) / round(seconds * rate_hz)
+    s = 10 * x**3 - 15 * x**4 + 6 * x**5
+    return s, (30 * x**2 - 60 * x**3 + 30 * x**4) / seconds, (60 * x - 180 * x**2 + 120 * x**3) / seconds**2
+
+
+def trapezoid(
+    fastest_s: float, square_s2: float, share: float, rate_hz: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same with constant acceleration over a share of the time at either end: its steps are jerks."""
+    peak = 1 / (1 - share)
+    seconds = max(0.3, fastest_s * peak, np.sqrt(square_s2 * peak / share))
+    x = np.arange(1, round(seconds * rate_hz) + 1) / round(seconds * rate_hz)
+    speed = peak * np.minimum(1, np.minimum(x, 1 - x) / share)
+    push = np.where(x < share, peak / share, np.where(x > 1 - share, -peak / share, 0.0))
+    rising, falling = peak * x**2 / (2 * share), 1 - peak * (1 - x) ** 2 / (2 * share)
+    s = np.where(x < share, rising, np.where(x > 1 - share, falling, peak * (x - share / 2)))
+    return s, speed / seconds, push / seconds**2
+
+
+def _stopped(
+    s: np.ndarray, ds: np.ndarray, dds: np.ndarray, at: int, steps: int, rate_hz: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The move up to sample `at`, then to a stand on its path at constant deceleration, in so many steps."""
+    x, seconds = np.arange(1, steps + 1) / steps, steps / rate_hz
+    return (
+        np.append(s[: at + 1], s[at] + ds[at] * seconds * (x - x**2 / 2)),
+        np.append(ds[: at + 1], ds[at] * (1 - x)),
+        np.append(dds[: at + 1], np.full(steps, -ds[at] / seconds)),
+    )
+
+
+# --- What touches the arm: impacts, pushes and holds at places drawn by chance, and labels as a person or a skin sets.
+
+
+LABEL_ERROR_S = 0.03
+SHARES = {"impact": 0.45, "push": 0.35, "hold": 0.2}
+RANGES = {"impact": ((20, 150), (0.02, 0.1)), "push": ((10, 60), (0.5, 1.0)), "hold": ((10, 40), (2.0, 4.0))}
+"""Peak force [N] and duration [s]."""
+
+
+@dataclass(frozen=True)
+class Contact:
+    """One force on one link."""
+
+    kind: str
+    start_s: float
+    end_s: float
+    link: int
+    share: float
+    """Of the way from the link's joint to the next."""
+    direction: tuple[float, float, float]
+    """In the world; an impact on a moving link acts against its motion instead."""
+    peak_n: float
+    label_s: tuple[float, float]
+    at_m: tuple[float, float, float] | None = None
+    """Where on its link, in the link's axes; None: beside the line to the next joint, by `share`."""
+    in_link: bool = False
+    """The direction is along the link's axes as the touch begins, and then stays in the world."""
+
+    def force_n(self, t_s: float) -> float:
+        """A half sine of an impact; a push rises and falls over 0.15 s, a hold over 0.3 s."""
+        if not self.start_s <= t_s < self.end_s:
+            return 0.0
+        if self.kind == "impact":
+            return self.peak_n * float(np.sin(np.pi * (t_s - self.start_s) / (self.end_s - self.start_s)))
+        rise = 0.15 if self.kind == "push" else 0.3
+        return self.peak_n * min(1.0, (t_s - self.start_s) / rise, (self.end_s - t_s) / rise)
+
+
+def draw_contacts(count: int, length_s: float, links: int, rng: np.random.Generator) -> list[Contact]:
+    """So many contacts in order of time, about evenly over the recording, never two at once; the first after 8 s.
+
+    The first link is spared: its joint alone would feel it, and most forces on it turn nothing.
+    """
+    slot = (length_s - 8.0) / max(1, count)
+    contacts = []
+    for k in range(count):
+        kind = str(rng.choice(list(SHARES), p=list(SHARES.values())))
+        (least_n, most_n), (least_s, most_s) = RANGES[kind]
+        seconds = rng.uniform(least_s, most_s)
+        start = 8.0 + k * slot + rng.uniform(0.05, max(0.1, slot - seconds - 1.5))
+        way = direction(rng)
+        contacts.append(
+            Contact(
+                kind=kind,
+                start_s=start,
+                end_s=start + seconds,
+                link=int(rng.integers(1, links)),
+                share=rng.uniform(0.2, 1.0),
+                direction=tuple(way),
+                peak_n=float(rng.uniform(least_n, most_n)),
+                label_s=(
+                    start + rng.uniform(-LABEL_ERROR_S, LABEL_ERROR_S),
+                    start + seconds + rng.uniform(-LABEL_ERROR_S, LABEL_ERROR_S),
+                ),
+            )
+        )
+    return contacts
+
+
+def label(contacts: Sequence[Contact], time_s: np.ndarray) -> np.ndarray:
+    """1 where a label stands, else 0, (samples,); a short impact whose labels cross is labelled for 30 ms."""
+    marked = np.zeros(len(time_s), dtype=np.int8)
+    for contact in contacts:
+        begin, end = contact.label_s
+        marked[(time_s >= begin) & (time_s <= max(end, begin + LABEL_ERROR_S))] = 1
+    return marked
+
+
+# --- The simulation.
+
 
 RATE_HZ = 1000
 POSITION_PER_S, VELOCITY_PER_S, INTEGRAL_PER_S, FORGET_S = 20.0, 80.0, 8.0, 1.0
@@ -101,7 +269,7 @@ def simulate(
     bristle, integral, friction = np.zeros(n), np.zeros(n), np.zeros(n)
     steps = {round(c.start_s * RATE_HZ): c for c in contacts}
     touching: Contact | None = None
-    direction: np.ndarray | None = None
+    along: np.ndarray | None = None
     for k in range(len(q_des)):
         q, v = data.qpos, data.qvel
         error = dq_des[k] + POSITION_PER_S * (q_des[k] - q) - v
@@ -121,15 +289,15 @@ def simulate(
 
         run.q[k], run.motor_nm[k], run.friction_nm[k] = q, motor, friction
         if k in steps:
-            touching, direction = steps[k], None
+            touching, along = steps[k], None
         if touching is not None:
             body = touching.link + 1
             rotation = data.xmat[body].reshape(3, 3)
             point = data.xpos[body] + rotation @ touched_point(arm.tree, touching)
-            jacobian = _jacobian(model, data, point, body)
-            if direction is None:
-                direction = _against_motion(touching, jacobian, v, rotation)
-            force = touching.force_n(k * dt) * direction
+            jacobian = point_jacobian(model, data, point, body)
+            if along is None:
+                along = _against_motion(touching, jacobian, v, rotation)
+            force = touching.force_n(k * dt) * along
             data.xfrc_applied[body, :3] = force
             data.xfrc_applied[body, 3:] = np.cross(point - data.xipos[body], force)
             run.tau_ext[k] = jacobian.T @ force
@@ -153,15 +321,19 @@ def _mean_inertia(tree: _core.Tree, q: np.ndarray) -> np.ndarray:
     )
 
 
-def _reach(tree: _core.Tree, contact: Contact) -> np.ndarray:
-    """Where on its link the contact is, in the link's frame, [m]; the last link is 12 cm long."""
-    further = [link.translation for link in tree.links if link.parent == contact.link]
-    return contact.share * np.array(further[0] if further else (0.0, 0.0, 0.12))
+def reach_of(tree: _core.Tree, number: int, share: float) -> np.ndarray:
+    """A share of the way to the next joint, in the link's frame, [m]; the last link is 12 cm long."""
+    further = [link.translation for link in tree.links if link.parent == number]
+    return share * np.array(further[0] if further else (0.0, 0.0, 0.12))
 
 
 def touched_point(tree: _core.Tree, contact: Contact) -> np.ndarray:
     """In the link's axes, [m]."""
-    return _reach(tree, contact) + [LINK_RADIUS_M, 0, 0] if contact.at_m is None else np.array(contact.at_m)
+    return (
+        reach_of(tree, contact.link, contact.share) + [LINK_RADIUS_M, 0, 0]
+        if contact.at_m is None
+        else np.array(contact.at_m)
+    )
 
 
 def _against_motion(contact: Contact, jacobian: np.ndarray, dq: np.ndarray, rotation: np.ndarray) -> np.ndarray:
@@ -170,11 +342,12 @@ def _against_motion(contact: Contact, jacobian: np.ndarray, dq: np.ndarray, rota
     speed = np.linalg.norm(velocity)
     if contact.kind == "impact" and speed > 0.1:
         return -velocity / speed
-    direction = np.array(contact.direction)
-    return rotation @ direction if contact.in_link else direction
+    along = np.array(contact.direction)
+    return rotation @ along if contact.in_link else along
 
 
-def _jacobian(model: mujoco.MjModel, data: mujoco.MjData, point: np.ndarray, body: int) -> np.ndarray:
+def point_jacobian(model: mujoco.MjModel, data: mujoco.MjData, point: np.ndarray, body: int) -> np.ndarray:
+    """Of a point of a body, (3, joints)."""
     jacobian = np.zeros((3, model.nv))
     mujoco.mj_jac(model, data, jacobian, None, point, body)
     return jacobian

@@ -67,12 +67,7 @@ def simulate_recording(
 
 
 def simulate_motion(
-    config: RigConfig,
-    kind: Kind,
-    q_des: np.ndarray,
-    dq_des: np.ndarray,
-    settle: int,
-    rng: np.random.Generator,
+    config: RigConfig, kind: Kind, q_des: np.ndarray, dq_des: np.ndarray, settle: int, rng: np.random.Generator
 ) -> tuple[Truth, np.ndarray, np.ndarray]:
     """What happens along these setpoints (samples, joints), the first `settle` samples cut off.
 

@@ -169,10 +169,7 @@ def add_drivetrain(spec: mujoco.MjSpec, names: Sequence[str], config: Drivetrain
                 objname=actuator,
             )
         spec.add_sensor(
-            name=name,
-            type=mujoco.mjtSensor.mjSENS_JOINTACTFRC,
-            objtype=mujoco.mjtObj.mjOBJ_JOINT,
-            objname=name,
+            name=name, type=mujoco.mjtSensor.mjSENS_JOINTACTFRC, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=name
         )
 
 

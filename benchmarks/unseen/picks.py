@@ -8,14 +8,22 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from unseen.arms import Maker, TrueArm, true_arm
-from unseen.contacts import RANGES, SHARES, Contact
-from unseen.motions import ACCELERATIONS_RAD_S2, _quintic, _trapezoid
-from unseen.recordings import _write_csv
-from unseen.simulation import RATE_HZ, build, simulate
-from weighing.takes import direction
 
 from tauext.robot.load import load_tree
+from unseen.arms import Maker, TrueArm, direction, link_with_ball, true_arm
+from unseen.recordings import peak_nm, write_csv
+from unseen.simulation import (
+    ACCELERATIONS_RAD_S2,
+    RANGES,
+    RATE_HZ,
+    SHARES,
+    Contact,
+    build,
+    point_jacobian,
+    quintic,
+    simulate,
+    trapezoid,
+)
 
 WINDOW_S = 3.0
 """From the gripper's command: so long a load is expected."""
@@ -72,15 +80,15 @@ class Way:
         """A move; None: with a speed and acceleration drawn as of ordinary motion."""
         away = float(np.abs(there - self.here).max())
         if seconds is not None:
-            s, ds, dds = _quintic(seconds * 8 / 15, 0.0, RATE_HZ)
+            s, ds, dds = quintic(seconds * 8 / 15, 0.0, RATE_HZ)
         else:
             speed = np.array(self.maker.speed_rad_s) * self.rng.uniform(0.15, 0.85)
             fastest_s = float((np.abs(there - self.here) / speed).max())
             square_s2 = away / self.rng.uniform(*ACCELERATIONS_RAD_S2)
             if self.rng.uniform() < 0.5:
-                s, ds, dds = _quintic(fastest_s, square_s2, RATE_HZ)
+                s, ds, dds = quintic(fastest_s, square_s2, RATE_HZ)
             else:
-                s, ds, dds = _trapezoid(fastest_s, square_s2, self.rng.uniform(0.15, 0.4), RATE_HZ)
+                s, ds, dds = trapezoid(fastest_s, square_s2, self.rng.uniform(0.15, 0.4), RATE_HZ)
         way = there - self.here
         self._add(self.here + s[:, None] * way, ds[:, None] * way, dds[:, None] * way)
         self.here = there
@@ -113,9 +121,7 @@ def tip(model: mujoco.MjModel, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     point = data.xpos[-1] + data.xmat[-1].reshape(3, 3) @ TIP_M
-    jacobian = np.zeros((3, model.nv))
-    mujoco.mj_jac(model, data, jacobian, None, point, model.nbody - 1)
-    return point, jacobian
+    return point, point_jacobian(model, data, point, model.nbody - 1)
 
 
 def raised(model: mujoco.MjModel, q: np.ndarray, by_m: float) -> np.ndarray | None:
@@ -169,21 +175,9 @@ def draw_pick(maker: Maker, rng: np.random.Generator, sudden: bool, contact: str
     touch = draw_contact(grasp, len(maker.joints), contact == "down", rng) if touches else None
     if contact != "none" and not in_hand:
         mass = 0.0
-    com = np.array(TIP_M) + direction(rng) * rng.uniform(0, AROUND_M)
-    pick = Pick(
-        mass,
-        tuple(com.tolist()),
-        float(rng.uniform(0.02, 0.06)),
-        grasp,
-        lift,
-        lifts,
-        put,
-        puts,
-        release,
-        touch,
-        in_hand,
-    )
-    return pick, way
+    com = tuple((np.array(TIP_M) + direction(rng) * rng.uniform(0, AROUND_M)).tolist())
+    radius = float(rng.uniform(0.02, 0.06))
+    return Pick(mass, com, radius, grasp, lift, lifts, put, puts, release, touch, in_hand), way
 
 
 def draw_contact(grasp_s: float, links: int, down: bool, rng: np.random.Generator) -> Contact:
@@ -218,24 +212,17 @@ class Gripper:
         if held == 0:
             return np.zeros(model.nv)
         point = data.xpos[-1] + data.xmat[-1].reshape(3, 3) @ np.array(pick.com_m)
-        jacobian = np.zeros((3, model.nv))
-        mujoco.mj_jac(model, data, jacobian, None, point, model.nbody - 1)
+        jacobian = point_jacobian(model, data, point, model.nbody - 1)
         return jacobian.T @ [0, 0, held * 9.81 * pick.mass_kg]
 
     def _set(self, model: mujoco.MjModel, carries: bool) -> None:
-        link, mass = self.own, self.pick.mass_kg if carries else 0.0
-        own, at = np.array(link.com), np.array(self.pick.com_m)
-        both = (link.mass * own + mass * at) / (link.mass + mass)
-        xx, yy, zz, xy, xz, yz = link.inertia
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) + 0.4 * mass * self.pick.radius_m**2 * np.eye(3)
-        for one, place in ((link.mass, own), (mass, at)):
-            lever = place - both
-            inertia += one * (lever @ lever * np.eye(3) - np.outer(lever, lever))
+        mass_kg = self.pick.mass_kg if carries else 0.0
+        mass, com, inertia = link_with_ball(self.own, mass_kg, np.array(self.pick.com_m), self.pick.radius_m)
         sizes, axes = np.linalg.eigh(inertia)
         axes[:, 0] *= np.sign(np.linalg.det(axes))
         turn = np.zeros(4)
         mujoco.mju_mat2Quat(turn, axes.flatten())
-        model.body_mass[-1], model.body_ipos[-1] = link.mass + mass, both
+        model.body_mass[-1], model.body_ipos[-1] = mass, com
         model.body_inertia[-1], model.body_iquat[-1] = sizes, turn
 
 
@@ -256,10 +243,8 @@ def write_pick(maker: Maker, seed: int, number: int, folder: Path, sudden: bool,
             break
         except RuntimeError:
             continue
-    celsius = np.full(run.q.shape, 20.0)
-    _write_csv(folder / f"{name}.csv", maker, arm, run, contacts, rng, celsius)
+    write_csv(folder / f"{name}.csv", maker, arm, run, contacts, rng)
     truth = asdict(pick)
     if pick.contact:
-        rows = slice(round(pick.contact.start_s * RATE_HZ), round(pick.contact.end_s * RATE_HZ) + 1)
-        truth["peak_nm"] = np.abs(run.tau_ext[rows]).max(axis=0).tolist()
+        truth["peak_nm"] = peak_nm(run.tau_ext, pick.contact).tolist()
     (folder / f"{name}.truth.json").write_text(json.dumps(truth) + "\n")

@@ -7,14 +7,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from unseen.arms import Maker, TrueArm, true_arm
-from unseen.contacts import Contact
-from unseen.motions import draw_motion
-from unseen.recordings import Take, _write_csv, motor_temperature
-from unseen.simulation import RATE_HZ, simulate
 
 from tauext import _core
 from tauext.robot.load import load_tree
+from unseen.arms import Maker, TrueArm, add_ball, direction, true_arm
+from unseen.recordings import Take, motor_temperature, peak_nm, write_csv
+from unseen.simulation import RATE_HZ, Contact, draw_contacts, draw_motion, simulate
 
 FIRST_S = 1.2
 """Before the first window: observer and limits' memory have warmed up."""
@@ -61,11 +59,6 @@ def carried(maker: Maker, seed: int) -> dict[str, Carried]:
     return takes
 
 
-def direction(rng: np.random.Generator) -> np.ndarray:
-    x = rng.standard_normal(3)
-    return x / np.linalg.norm(x)
-
-
 def write_carrying(maker: Maker, seed: int, name: str, folder: Path) -> None:
     """Simulate one of `carried` and write NAME.csv and NAME.truth.json."""
     what = carried(maker, seed)[name]
@@ -83,23 +76,14 @@ def write_carrying(maker: Maker, seed: int, name: str, folder: Path) -> None:
         except RuntimeError:
             continue
     celsius = motor_temperature(arm, WARM_S, len(run.q), maker.random(seed, 3000 + number))
-    _write_csv(folder / f"{name}.csv", maker, loaded, run, [], rng, celsius)
+    write_csv(folder / f"{name}.csv", maker, loaded, run, [], rng, celsius)
     (folder / f"{name}.truth.json").write_text(json.dumps(asdict(what)) + "\n")
 
 
 def with_load(arm: TrueArm, what: Carried) -> _core.Tree:
     """The arm's tree, its last link with the load."""
     links = arm.tree.links
-    link, mass = links[-1], what.mass_kg
-    own, at = np.array(link.com), np.array(what.com_m)
-    both = (link.mass * own + mass * at) / (link.mass + mass)
-    xx, yy, zz, xy, xz, yz = link.inertia
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) + 0.4 * mass * what.radius_m**2 * np.eye(3)
-    for one, place in ((link.mass, own), (mass, at)):
-        lever = place - both
-        inertia += one * (lever @ lever * np.eye(3) - np.outer(lever, lever))
-    link.mass, link.com = link.mass + mass, both.tolist()
-    link.inertia = [float(inertia[k]) for k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    add_ball(links[-1], what.mass_kg, np.array(what.com_m), what.radius_m)
     return _core.Tree(links, arm.tree.gravity)
 
 
@@ -108,3 +92,50 @@ def pushes(what: Carried, maker: Maker, seconds: float) -> list[Contact]:
     if not what.push_n:
         return []
     return [Contact("hold", 0.5, seconds, len(maker.joints) - 1, 0.5, what.direction, what.push_n, (0.5, seconds))]
+
+
+# --- Pushes on an arm that carries something, and the same pushes on the same motion of the bare arm.
+
+
+PAIRS = 8
+"""Of the loads of the weighing trial, the first ones."""
+LENGTH_S, CONTACTS = 60.0, 8
+BARE, LOADED = "bare", "loaded"
+RAN_AWAY = 2.0
+"""Times a joint's most speed: so fast is no arm that its drive still holds, and real drives stop before."""
+
+
+def pair_names(number: int) -> tuple[str, str]:
+    """Of the recording without a load, and with one."""
+    return f"pushed-{number}-{BARE}", f"pushed-{number}-{LOADED}"
+
+
+def write_pair(maker: Maker, seed: int, number: int, folder: Path) -> None:
+    """Simulate both and write NAME.csv and NAME.truth.json, contacts with their peak torques; not what is there."""
+    if all((folder / f"{name}.truth.json").exists() for name in pair_names(number)):
+        return
+    bare = true_arm(maker, maker.random(seed, 0))
+    loaded = replace(bare, tree=with_load(bare, carried(maker, seed)[f"load-{number:02d}"]))
+    for trial in range(5):  # a heavy load far out may shake an arm whose drive knows nothing of it
+        try:
+            for name, arm in zip(pair_names(number), (bare, loaded), strict=True):
+                write_pushed(maker, seed, arm, 5000 + 10 * number + trial, folder / name)
+            return
+        except RuntimeError:
+            continue
+    raise RuntimeError(f"{maker.name}: no motion of load {number} can be simulated")
+
+
+def write_pushed(maker: Maker, seed: int, arm: TrueArm, stream: int, path: Path) -> None:
+    """One recording; what is drawn depends on the stream alone."""
+    rng = maker.random(seed, stream)
+    contacts = draw_contacts(CONTACTS, LENGTH_S, len(maker.joints), rng)
+    setpoints = draw_motion(maker, round(LENGTH_S * RATE_HZ), RATE_HZ, rng)
+    known = load_tree(maker.model, maker.joints)
+    run = simulate(arm, known, setpoints, maker.torque_nm, contacts, WARM_S)
+    if (np.abs(np.diff(run.q, axis=0)) * RATE_HZ > RAN_AWAY * np.array(maker.speed_rad_s)).any():
+        raise RuntimeError("the drive lost the arm")
+    celsius = motor_temperature(arm, WARM_S, len(run.q), maker.random(seed, stream + 5))
+    write_csv(path.with_suffix(".csv"), maker, arm, run, contacts, rng, celsius)
+    truth = [asdict(one) | {"peak_nm": peak_nm(run.tau_ext, one).tolist()} for one in contacts]
+    path.with_suffix(".truth.json").write_text(json.dumps(truth, indent=1) + "\n")

@@ -1,1 +1,0 @@
-"""Picks and places of simulated arms, and collisions while one is expected."""

@@ -573,9 +573,6 @@ void bind_bundle(nb::module_& m) {
             return nb::bytes(bytes.data(), bytes.size());
           },
           "The bundle as its file holds it.")
-      .def_static(
-          "from_old_bytes", [](nb::bytes bytes) { return from_old_bytes({bytes.c_str(), bytes.size()}); },
-          nb::arg("bytes"), "A bundle of format 3 or 4, its torque constants left in its provenance.")
       .def(
           "scale_reference",
           [](Bundle& b, const std::vector<double>& by) {
@@ -701,7 +698,6 @@ NB_MODULE(_core, m) {
   m.attr("__version__") = TAUEXT_VERSION;
   m.attr("COMPILER") = kCompiler;
   m.attr("BUNDLE_FORMAT") = kBundleMajor;
-  m.attr("OLDEST_BUNDLE_FORMAT") = kOldestBundleMajor;
   m.attr("MAX_JOINTS") = kMaxJoints;
   nb::exception<Error>(m, "CoreError", nb::module_::import_("tauext.errors").attr("TauextError"));
   bind_wrench(m);

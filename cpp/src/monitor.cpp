@@ -8,7 +8,7 @@
 namespace tauext {
 namespace {
 
-constexpr std::uint32_t kStateVersion = 11;
+constexpr std::uint32_t kStateVersion = 1;
 
 // What a saved state begins with.
 struct StateHead {

@@ -9,12 +9,6 @@
 
 namespace tauext {
 
-void SignalRanges::assume_possible() {
-  possible_torque_nm = largest_torque_nm;
-  for (double& torque : possible_torque_nm) torque *= SignalWatch::kAssumed;
-  possible_speed_rad_s.assign(largest_torque_nm.size(), std::numeric_limits<double>::infinity());
-}
-
 void SignalRanges::validate(int joints) const {
   const auto expect = [&](const char* what, const std::vector<double>& values, bool may_be_infinite) {
     if (static_cast<int>(values.size()) != joints)

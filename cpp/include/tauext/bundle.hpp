@@ -22,9 +22,7 @@
 
 namespace tauext {
 
-// Formats of bundles.
-inline constexpr std::uint32_t kBundleMajor = 12;       // what is written
-inline constexpr std::uint32_t kOldestBundleMajor = 3;  // what is still read; fields that it lacks keep their defaults
+inline constexpr std::uint32_t kBundleMajor = 1;  // format of bundles: the only one that is written and read
 
 // A short stretch of free motion and what the chain said at its last sample; replayed at load.
 struct Reference {
@@ -119,9 +117,6 @@ void save_bundle(const Bundle& bundle, const std::string& path);
 Bundle load_bundle(const std::string& path);
 std::vector<char> to_bytes(const Bundle& bundle);
 Bundle from_bytes(std::span<const char> bytes);
-// A bundle of format 3 or 4, whose provenance may hold torque constants that its loop was told to apply: as it was
-// written, its fields without them. For `tauext convert`, which puts them there.
-Bundle from_old_bytes(std::span<const char> bytes);
 // CRC-32 of zlib and Ethernet, continued from `crc`.
 std::uint32_t crc32(std::span<const char> bytes, std::uint32_t crc = 0) noexcept;
 

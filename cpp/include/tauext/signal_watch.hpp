@@ -20,8 +20,6 @@ struct SignalRanges {
   static constexpr double kLeastRateTolerance = 0.05, kMostRateTolerance = 0.15;
   double rate_tolerance = kLeastRateTolerance;
 
-  // Of a bundle that was made before they stood there: a thousand times what the arm needed, and any speed.
-  void assume_possible();
   // Throws Error, naming what does not fit.
   void validate(int joints) const;
 };
@@ -44,7 +42,6 @@ class SignalWatch {
   static constexpr double kLongestStep = 20;    // in sample periods: after a longer one positions begin anew
   static constexpr double kFarthest = 1e6;      // |q| that no encoder counts to, [rad or m]: 160,000 turns
   static constexpr double kEncoderRad = 0.005;  // of a step that is no travel: a few counts of a coarse encoder
-  static constexpr double kAssumed = 1000;      // see SignalRanges::assume_possible
 
   struct Verdict {
     bool wrong_rate = false;

@@ -19,7 +19,6 @@ import tyro
 
 from tauext.cli.calibrate import calibrate
 from tauext.cli.check import check
-from tauext.cli.convert import convert
 from tauext.cli.demo import demo
 from tauext.cli.evaluate import evaluate
 from tauext.cli.fleet import HELP as FLEET_HELP
@@ -54,7 +53,7 @@ DESCRIPTION = (
     "load: what the arm carries, or torque constants by a known weight. "
     "refit: its friction brought up to date by a minute of today's motion. "
     "fleet: all of this for many arms, on many cores, and what arms of one type tell the next one (train --like). "
-    "demo: push a simulated arm in the browser. convert: a bundle of an older format. "
+    "demo: push a simulated arm in the browser. "
     "Where a path may stand, a URL of an object store may: s3://, gs://, abfs://. "
     "--version: of package, core, its compiler and bundles. "
     f"{RULE} {KILLED}"
@@ -78,9 +77,9 @@ def version_text() -> str:
     from tauext import _core
     from tauext.files.provenance import VERSION
 
-    formats = f"bundle format {_core.BUNDLE_FORMAT} (reads {_core.OLDEST_BUNDLE_FORMAT} to {_core.BUNDLE_FORMAT})"
     compiler = _core.COMPILER.partition(" (")[0]  # clang adds where its sources came from
-    return f"tauext {version('tauext')}, core {VERSION} by {compiler} with {_core.simd_in_use()}, {formats}"
+    built = f"core {VERSION} by {compiler} with {_core.simd_in_use()}"
+    return f"tauext {version('tauext')}, {built}, bundle format {_core.BUNDLE_FORMAT}"
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -105,7 +104,6 @@ def main(argv: list[str] | None = None) -> int:
         load,
         show,
         demo,
-        convert,
     ):
         app.command(deferred(command))
     app.command(name="import")(deferred(import_data))

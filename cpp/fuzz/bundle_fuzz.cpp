@@ -17,7 +17,7 @@
 #include <vector>
 
 #include "made_bundle.hpp"
-#include "tauext/estimates.hpp"
+#include "estimates.hpp"
 #include "tauext/monitor.hpp"
 
 namespace {

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "tauext/observation.hpp"
+#include "observation.hpp"
 
 namespace tauext {
 namespace {
@@ -55,7 +55,7 @@ Answer replay(const Bundle& b) {
   if (!b.prior.empty()) std::copy(observation.prior.end() - static_cast<std::ptrdiff_t>(n), observation.prior.end(), answer.prior.begin());
   if (b.has_network()) {
     const std::vector<float> rows = feature_rows(view, observation, b.input_factors);
-    WindowRows windows = b.windows();
+    WindowRows windows = windows_of(b);
     windows.rows = rows.data();
     windows.row_count = observation.row_count;
     std::vector<float> y(n);
@@ -186,7 +186,7 @@ void Bundle::validate() const {
     largest_lstm_input(shape, parameters);
     if (window_steps < 1 || window_steps > kMaxWindowSteps)
       throw Error("window_steps = " + std::to_string(window_steps) + " must be 1 to " + std::to_string(kMaxWindowSteps));
-    windows().validate(shape, {});
+    windows_of(*this).validate(shape, {});
   }
   limits.validate(joints(), static_cast<int>(prior.widths_rad.size()));
   drift.validate(joints());

@@ -10,6 +10,8 @@
 #include <fstream>
 #include <type_traits>
 
+#include "lstm.hpp"
+
 namespace tauext {
 namespace {
 

@@ -1,11 +1,10 @@
-#include "tauext/contact_errors.hpp"
+#include "contact_errors.hpp"
 
 #include <algorithm>
 #include <cmath>
 
 #include "tauext/bundle.hpp"
-#include "tauext/prior.hpp"
-#include "tauext/refit_motion.hpp"
+#include "prior.hpp"
 
 namespace tauext {
 

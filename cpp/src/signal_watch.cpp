@@ -1,11 +1,11 @@
-#include "tauext/signal_watch.hpp"
+#include "signal_watch.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
 #include "tauext/sample.hpp"
-#include "tauext/sample_clock.hpp"
+#include "motion.hpp"
 
 namespace tauext {
 

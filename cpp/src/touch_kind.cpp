@@ -1,10 +1,10 @@
-#include "tauext/touch_kind.hpp"
+#include "touch_kind.hpp"
 
 #include <algorithm>
 #include <cmath>
 
 #include "tauext/bundle.hpp"
-#include "tauext/load_found.hpp"
+#include "load_solve.hpp"
 
 namespace tauext {
 namespace {

@@ -1,4 +1,4 @@
-#include "tauext/weighing.hpp"
+#include "weighing.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -64,7 +64,7 @@ void Weighing::start(double reach_m, const Load& set) noexcept {
 }
 
 void Weighing::reset() noexcept {
-  start(WeighSettings::kUsualReach_m, {});
+  start(kUsualReach_m, {});
   stop();
 }
 

@@ -1,5 +1,5 @@
 #include "tauext/bundle.hpp"
-#include "tauext/estimates.hpp"
+#include "estimates.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "tauext/contact_errors.hpp"
+#include "contact_errors.hpp"
 
 #include <cmath>
 #include <limits>

@@ -5,18 +5,9 @@
 #include <string>
 #include <vector>
 
-#include "tauext/alarm.hpp"
-#include "tauext/capsule.hpp"
-#include "tauext/coverage.hpp"
-#include "tauext/drift.hpp"
-#include "tauext/error_scale.hpp"
-#include "tauext/limits.hpp"
 #include "tauext/load.hpp"
-#include "tauext/lstm.hpp"
-#include "tauext/prior.hpp"
-#include "tauext/residual.hpp"
 #include "tauext/servo_input.hpp"
-#include "tauext/signal_watch.hpp"
+#include "tauext/settings.hpp"
 #include "tauext/tree.hpp"
 #include "tauext/wrench.hpp"
 
@@ -82,10 +73,6 @@ struct Bundle {
   bool has_network() const noexcept { return shape.hidden > 0; }          // or observer and prior alone
   // Of feature_rows(): q, dq and presliding states of every joint.
   int columns() const noexcept { return joints() * (2 + static_cast<int>(prior.widths_rad.size())); }
-  // The network's windows, without the rows that they are read from.
-  WindowRows windows() const noexcept {
-    return {nullptr, 0, columns(), observer.network_stride, window_steps, inputs};
-  }
   // Unit of the tau that is given of a joint, and of the torques that are answered: "N m", "N", "A", "recorded unit",
   // "units of JOINT", or "W" of the energy observer. Throws std::out_of_range where there is no such joint.
   std::string torque_unit(int joint) const;

@@ -4,7 +4,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "tauext/monitor.hpp"
+#include "tauext/estimate.hpp"
+#include "tauext/sample.hpp"
 
 namespace tauext {
 

@@ -4,32 +4,6 @@
 #include <cmath>
 
 namespace tauext {
-namespace {
-constexpr double kLargestSize = 1e300;  // sums with r and prior stay finite
-}
-
-void DriftSettings::validate(int joints) const {
-  const auto expect = [](bool ok, const char* what, double value, const char* rule) {
-    if (!ok) throw Error("drift." + std::string(what) + " = " + to_text(value) + " must be " + rule);
-  };
-  expect(time_constant_s == 0 || (time_constant_s >= 1 && time_constant_s <= 1e6), "time_constant_s", time_constant_s,
-         "0 (no tracker) or 1 to 1e6");
-  if (!on()) return;
-  if (static_cast<int>(size_nm.size()) != joints)
-    throw Error("drift.size_nm has " + std::to_string(size_nm.size()) + " values where " + std::to_string(joints) +
-                " belong");
-  for (double size : size_nm) expect(size >= 0 && size <= kLargestSize, "size_nm", size, "0 to 1e300");
-  expect(rate_share_per_s > 0 && rate_share_per_s <= 1, "rate_share_per_s", rate_share_per_s, "above 0, at most 1");
-  expect(freeze_share >= 0 && freeze_share <= 1, "freeze_share", freeze_share, "0 (never frozen by torque) to 1");
-  expect(freeze_s >= 0 && freeze_s <= 60, "freeze_s", freeze_s, "0 to 60");
-  if (!freeze_floor_nm.empty() && static_cast<int>(freeze_floor_nm.size()) != joints)
-    throw Error("drift.freeze_floor_nm has " + std::to_string(freeze_floor_nm.size()) + " values where " +
-                std::to_string(joints) + " or none belong");
-  expect(friction_share >= 0 && friction_share <= 1, "friction_share", friction_share, "0 (not followed) to 1");
-  for (double floor : freeze_floor_nm)
-    expect(floor >= 0 && floor <= kLargestSize, "freeze_floor_nm", floor, "0 to 1e300");
-}
-
 DriftTracker::DriftTracker(const DriftSettings& settings, const Limits& limits, int joints, double gain_per_s)
     : settings_(settings), limits_(limits), joints_(joints), gain_per_s_(gain_per_s), freeze_ns_(0), forget_ns_(0) {
   settings.validate(joints);

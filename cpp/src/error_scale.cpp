@@ -7,49 +7,10 @@
 namespace tauext {
 namespace {
 
-constexpr double kLargestWeight = 1e200;  // times a feature of the largest speed, and summed, it stays finite
-
-void expect_weights(const char* what, const std::vector<double>& weights, std::size_t count, std::size_t features) {
-  const std::string here = "error_scale." + std::string(what);
-  if (weights.size() != count)
-    throw Error(here + " has " + std::to_string(weights.size()) + " values where " + std::to_string(count) + " belong");
-  for (double weight : weights)
-    if (!(weight >= 0 && weight <= kLargestWeight)) throw Error(here + " = " + to_text(weight) + " must be 0 to 1e200");
-  for (std::size_t row = 0; row < count; row += features)
-    if (std::all_of(&weights[row], &weights[row] + features, [](double weight) { return weight == 0; }))
-      throw Error(here + " of joint " + std::to_string(row / features) + " are all 0");
-}
-
-void expect_ceiling(const char* what, const std::vector<double>& values, std::size_t joints) {
-  const std::string here = "error_scale." + std::string(what);
-  if (values.size() != joints)
-    throw Error(here + " has " + std::to_string(values.size()) + " values where " + std::to_string(joints) + " belong");
-  for (double value : values)
-    if (!(value > 0 && value <= kLargestWeight)) throw Error(here + " = " + to_text(value) + " must be above 0, at most 1e200");
-}
-
 // Those of the whole arm stand in the first joint's place.
 bool of_arm(MotionFeature feature) noexcept { return feature >= MotionFeature::arm_speed; }
 
 }  // namespace
-
-void ErrorScaleSettings::validate(int joints) const {
-  if (!on()) {
-    if (!limit_weights.empty() || !largest.empty() || !sigma_weights.empty() || !sigma_near_weights.empty() ||
-        !largest_sigma.empty())
-      throw Error("error_scale has weights and no features");
-    return;
-  }
-  const auto n = static_cast<std::size_t>(joints), count = n * features.size();
-  for (std::size_t m = 0; m < features.size(); ++m)
-    if (static_cast<int>(features[m]) >= kMotionFeatures || std::count(features.begin(), features.end(), features[m]) > 1)
-      throw Error("error_scale: feature " + std::to_string(m) + " is unknown or stands there twice");
-  expect_weights("limit_weights", limit_weights, count, features.size());
-  expect_weights("sigma_weights", sigma_weights, count, features.size());
-  expect_weights("sigma_near_weights", sigma_near_weights, count, features.size());
-  expect_ceiling("largest", largest, n);
-  expect_ceiling("largest_sigma", largest_sigma, n);
-}
 
 ErrorScale::ErrorScale(const ErrorScaleSettings& settings, int joints, double gain_per_s)
     : settings_(settings), joints_(joints), gain_per_s_(gain_per_s) {

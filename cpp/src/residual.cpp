@@ -4,16 +4,6 @@
 #include <cmath>
 
 namespace tauext {
-void ObserverSettings::validate_constants(int joints) const {
-  if (nm_per_unit.empty()) return;
-  if (nm_per_unit.size() != static_cast<std::size_t>(joints))
-    throw Error("nm_per_unit has " + std::to_string(nm_per_unit.size()) + " values where " + std::to_string(joints) +
-                " belong");
-  for (double constant : nm_per_unit)
-    if (constant == 0 || !std::isfinite(constant))
-      throw Error("nm_per_unit = " + to_text(constant) + " must be finite and not 0");
-}
-
 ResidualStage::ResidualStage(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior)
     : motion_(tree, settings.sample_period_ns, settings.network_stride, prior.widths_rad, prior.branches),
       method_(settings.method),

@@ -5,6 +5,8 @@
 #include <limits>
 #include <string>
 
+#include "rules.hpp"
+
 namespace tauext {
 AdaptiveVelocity::AdaptiveVelocity(int steps, std::span<const double> count_rad)
     : steps_(steps), count_rad_(count_rad.begin(), count_rad.end()) {
@@ -90,28 +92,25 @@ void ServoSettings::validate() const {
     throw Error("servo.joints has " + std::to_string(joints.size()) + " entries, must be 1 to " + std::to_string(kMaxJoints));
   if (torque_from > TorqueFrom::goal)
     throw Error("servo.torque_from is none of torque, phase_current, supply_current, duty, goal");
-  if (velocity_steps < 0 || velocity_steps > AdaptiveVelocity::kMostSteps)
-    throw Error("servo.velocity_steps = " + std::to_string(velocity_steps) + " must be 0 to " +
-                std::to_string(AdaptiveVelocity::kMostSteps));
-  if (sample_period_ns < (velocity_steps > 0 ? 1 : 0))
-    throw Error("servo.sample_period_ns = " + std::to_string(sample_period_ns) + " must be > 0");
+  expect(velocity_steps >= 0 && velocity_steps <= AdaptiveVelocity::kMostSteps, "servo.velocity_steps", velocity_steps,
+         "0 to " + std::to_string(AdaptiveVelocity::kMostSteps));
+  expect(sample_period_ns >= (velocity_steps > 0 ? 1 : 0), "servo.sample_period_ns", sample_period_ns, "> 0");
   const std::int64_t most_ns = ServoSettings::kMostDelay * sample_period_ns;
-  if (goal_delay_ns < 0 || goal_delay_ns > most_ns)
-    throw Error("servo.goal_delay_ns = " + std::to_string(goal_delay_ns) + " must be 0 to " + std::to_string(most_ns) +
-                ", " + std::to_string(ServoSettings::kMostDelay) + " sample periods");
-  const auto expect = [](const char* what, double value, bool ok, const char* rule) {
-    if (!ok || !std::isfinite(value)) throw Error(std::string("servo.") + what + " = " + to_text(value) + " must be " + rule);
-  };
+  expect(goal_delay_ns >= 0 && goal_delay_ns <= most_ns, "servo.goal_delay_ns", goal_delay_ns,
+         "0 to " + std::to_string(most_ns) + ", " + std::to_string(kMostDelay) + " sample periods");
   for (const ServoConstants& joint : joints) {
-    expect("volts", joint.volts, joint.volts > 0, "> 0");
-    expect("ohm", joint.ohm, joint.ohm > 0, "> 0");
-    expect("back_emf_v_s", joint.back_emf_v_s, joint.back_emf_v_s >= 0, ">= 0");
-    expect("nm_per_ampere", joint.nm_per_ampere, joint.nm_per_ampere != 0, "not 0");
+    const auto expect_finite = [](bool ok, const char* what, double value, const char* rule) {
+      expect(ok && std::isfinite(value), std::string("servo.") + what, value, rule);
+    };
+    expect_finite(joint.volts > 0, "volts", joint.volts, "> 0");
+    expect_finite(joint.ohm > 0, "ohm", joint.ohm, "> 0");
+    expect_finite(joint.back_emf_v_s >= 0, "back_emf_v_s", joint.back_emf_v_s, ">= 0");
+    expect_finite(joint.nm_per_ampere != 0, "nm_per_ampere", joint.nm_per_ampere, "not 0");
     const bool steers = torque_from == TorqueFrom::goal;
-    expect("duty_per_rad", joint.duty_per_rad, steers ? joint.duty_per_rad > 0 : joint.duty_per_rad >= 0,
-           steers ? "> 0, since torque comes from the goal" : ">= 0");
-    expect("most_duty", joint.most_duty, joint.most_duty > 0 && joint.most_duty <= 1, "> 0, at most 1");
-    expect("count_rad", joint.count_rad, joint.count_rad >= 0, ">= 0");
+    expect_finite(steers ? joint.duty_per_rad > 0 : joint.duty_per_rad >= 0, "duty_per_rad", joint.duty_per_rad,
+                  steers ? "> 0, since torque comes from the goal" : ">= 0");
+    expect_finite(joint.most_duty > 0 && joint.most_duty <= 1, "most_duty", joint.most_duty, "> 0, at most 1");
+    expect_finite(joint.count_rad >= 0, "count_rad", joint.count_rad, ">= 0");
   }
 }
 

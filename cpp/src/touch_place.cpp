@@ -88,21 +88,6 @@ std::vector<std::array<double, 3>> ends_of(const Bundle& bundle, int link) {
 
 }  // namespace
 
-void validate_capsules(std::span<const Capsule> capsules, int joints) {
-  constexpr std::size_t most = 1000;
-  if (capsules.size() > most) throw Error("there are " + std::to_string(capsules.size()) + " capsules, at most 1000");
-  for (const Capsule& one : capsules) {
-    const std::string what = "a capsule of link " + std::to_string(one.link);
-    if (one.link < 0 || one.link >= joints)
-      throw Error(what + ": the bundle has links 0 to " + std::to_string(joints - 1));
-    for (const auto* end : {&one.start, &one.end})
-      for (double value : *end)
-        if (!(std::fabs(value) <= 1000)) throw Error(what + " ends " + to_text(value) + " m away, at most 1000");
-    if (!(one.radius_m >= 1e-4 && one.radius_m <= 10))
-      throw Error(what + ": its radius_m = " + to_text(one.radius_m) + " must be 0.0001 to 10");
-  }
-}
-
 LinkSurface surface_of(std::span<const Capsule> capsules, int points) {
   std::vector<Line> lines;
   double area = 0;

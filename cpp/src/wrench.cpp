@@ -9,6 +9,7 @@
 
 #include "linear.hpp"
 #include "load_columns.hpp"
+#include "rules.hpp"
 #include "tauext/bundle.hpp"
 #include "vector3.hpp"
 
@@ -177,9 +178,6 @@ bool solve_wrench(std::span<double> s, std::span<double> columns, std::span<cons
 
 constexpr int kMostFrames = 1000;
 
-void expect_share(const char* what, double value) {
-  if (!(value >= 0 && value <= 1)) throw Error("wrench." + std::string(what) + " = " + to_text(value) + " must be 0 to 1");
-}
 
 std::string why_none(const Bundle& bundle) {
   if (std::ranges::none_of(bundle.links, [](const Link& link) { return link.mass > 0; }))
@@ -233,9 +231,7 @@ void WrenchSettings::validate(int joints) const {
     }
   }
   if (!correlation.empty()) {
-    if (correlation.size() != n * n)
-      throw Error("wrench.correlation has " + std::to_string(correlation.size()) + " values where " +
-                  std::to_string(n * n) + " belong");
+    expect_size("wrench.correlation", correlation.size(), n * n);
     for (std::size_t i = 0; i < n; ++i)
       for (std::size_t j = 0; j < n; ++j) {
         const double here = correlation[i * n + j];
@@ -246,14 +242,12 @@ void WrenchSettings::validate(int joints) const {
     std::ranges::copy(correlation, factor.begin());
     if (!cholesky(std::span(factor).first(n * n), n)) throw Error("wrench.correlation is not positive definite");
   }
-  if (!torque_share.empty() && torque_share.size() != n)
-    throw Error("wrench.torque_share has " + std::to_string(torque_share.size()) + " values where " + std::to_string(n) +
-                " belong");
-  for (double share : torque_share) expect_share("torque_share", share);
-  expect_share("common_share", common_share);
+  const auto is_share = [](double value) { return value >= 0 && value <= 1; };
+  if (!torque_share.empty()) expect_size("wrench.torque_share", torque_share.size(), n);
+  expect_each("wrench.torque_share", torque_share, is_share, "0 to 1");
+  expect(is_share(common_share), "wrench.common_share", common_share, "0 to 1");
   for (const auto* list : {&radius, &residual_radius})
-    for (double value : *list)
-      if (!(value > 0 && value <= 1e6)) throw Error("wrench.radius = " + to_text(value) + " must be above 0, at most 1e6");
+    expect_each("wrench.radius", *list, [](double value) { return value > 0 && value <= 1e6; }, "above 0, at most 1e6");
 }
 
 WrenchModel::WrenchModel(const Bundle& bundle)

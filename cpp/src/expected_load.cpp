@@ -15,22 +15,26 @@
 #include "tauext/load.hpp"
 
 namespace tauext {
-inline constexpr double kForgotten = 3;  // times 1/K0: so long r still shows what was before
+namespace {
 
-inline std::int64_t to_ns(double seconds) noexcept { return std::llround(seconds * 1e9); }
+constexpr double kForgotten = 3;  // times 1/K0: so long r still shows what was before
 
-inline double torque(const LoadRegressor::Columns& columns, const std::array<double, LoadRegressor::kParameters>& ten,
+std::int64_t to_ns(double seconds) noexcept { return std::llround(seconds * 1e9); }
+
+double torque(const LoadRegressor::Columns& columns, const std::array<double, LoadRegressor::kParameters>& ten,
                      std::size_t joint, std::size_t first = 0) noexcept {
   double sum = 0;
   for (std::size_t k = first; k < ten.size(); ++k) sum += columns[k][joint] * ten[k];
   return sum;
 }
 
-inline LoadChange less(const LoadChange& one, const LoadChange& other) noexcept {
+LoadChange less(const LoadChange& one, const LoadChange& other) noexcept {
   LoadChange out;
   for (std::size_t k = 0; k < out.size(); ++k) out[k] = one[k] - other[k];
   return out;
 }
+
+}  // namespace
 
 const char* name(LoadPhase phase) noexcept {
   constexpr const char* names[] = {"none", "expecting", "deciding", "found", "weighing"};
@@ -38,8 +42,7 @@ const char* name(LoadPhase phase) noexcept {
 }
 
 bool ExpectedLoad::possible(const Bundle& bundle) noexcept {
-  return bundle.load.settable() && bundle.observer.method == ResidualMethod::momentum &&
-         !(bundle.observer.high_pass_per_s > 0 || bundle.observer.low_pass_per_s > 0);
+  return bundle.load.settable() && bundle.observer.unfiltered_momentum();
 }
 
 ExpectedLoad::ExpectedLoad(const Bundle& bundle)
@@ -48,7 +51,7 @@ ExpectedLoad::ExpectedLoad(const Bundle& bundle)
       gain_per_s_(bundle.observer.gain_per_s),
       period_s_(1e-9 * static_cast<double>(bundle.observer.sample_period_ns)),
       bare_(bundle.links, bundle.gravity),
-      columns_(bare_, bundle.prior, {bundle.load.link, bundle.load.rotation, bundle.load.translation}, gain_per_s_),
+      columns_(bare_, bundle.prior, load_frame(bundle.load), gain_per_s_),
       usual_(joints_, static_cast<int>(bundle.prior.widths_rad.size()), bundle.limits) {
   std::ranges::copy(bundle.most_units_per_nm(), units_per_nm_.begin());
   for (int j = 0; j < joints_; ++j) told_ += bundle.in_newtons(j);

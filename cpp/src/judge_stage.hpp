@@ -5,7 +5,6 @@
 #include <vector>
 
 #include "alarm.hpp"
-#include "contact_errors.hpp"
 #include "coverage.hpp"
 #include "drift.hpp"
 #include "error_scale.hpp"

@@ -10,6 +10,7 @@
 #include "load_solve.hpp"
 #include "momentum_observer.hpp"
 #include "prior.hpp"
+#include "tauext/load.hpp"
 #include "tauext/sample.hpp"
 #include "tauext/settings.hpp"
 #include "tauext/tree.hpp"
@@ -28,6 +29,7 @@ struct LoadFrame {
   // Throws Error where the link does not exist or the rotation is none.
   void validate(int links) const;
 };
+inline LoadFrame load_frame(const LoadSettings& loads) noexcept { return {loads.link, loads.rotation, loads.translation}; }
 
 // Columns of p and beta of every joint, for a load with parameters phi in the frame's axes, about the frame's origin:
 //   phi = (m, h, I):  mass [kg], first moment h = m c [kg m], inertia xx, yy, zz, xy, xz, yz [kg m^2],

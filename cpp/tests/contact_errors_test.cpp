@@ -1,4 +1,4 @@
-#include "contact_errors.hpp"
+#include "error_scale.hpp"
 
 #include <cmath>
 #include <limits>

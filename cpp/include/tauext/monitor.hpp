@@ -27,6 +27,8 @@ class Monitor {
   Monitor& operator=(Monitor&&) noexcept;
   ~Monitor();
 
+  // --- A sample and its answer.
+
   // estimate() and advance() in one: the answer for this sample.
   const Estimate& step(const Sample& sample) noexcept {
     estimate(sample);
@@ -40,6 +42,13 @@ class Monitor {
   void advance() noexcept;
   // The loop ran and no sample came: stale for as long as samples are bridged (longest_bridged), then a fault.
   const Estimate& no_sample(std::int64_t now_ns) noexcept;
+  // The last answer; the same object as estimate() returned, so the next call changes it.
+  const Estimate& last() const noexcept { return *last_; }
+  // Temperatures of the joints, [degC], NaN where one is not known, from the next sample on; for loops whose samples hold
+  // none, since they change slowly. What was known before holds. false, and nothing changed, where they are not one a joint.
+  bool set_temperature(std::span<const double> celsius) noexcept;
+
+  // --- Alarm and limits.
 
   // Ends a latched alarm, and nothing else; one whose cause lasts comes back.
   void acknowledge() noexcept;
@@ -52,6 +61,8 @@ class Monitor {
   // depend on them. The limits' promise of false alarms holds at factors from 1 on.
   bool set_limit_factors(std::span<const double> collision, std::span<const double> contact) noexcept;
   const LimitFactors& limit_factors() const noexcept;  // those that hold now
+
+  // --- Loads: set, expected of a gripper, weighed.
 
   // What the arm carries from the next sample on, in the axes of load_settings().frame; mass 0: nothing. r goes on from
   // where it is. With since_ns, in the samples' time, r, prior and drift are what they would be had it been set then:
@@ -71,6 +82,7 @@ class Monitor {
   std::string why_no_load(const Load& load, std::int64_t since_ns = kFromNow) const {
     return load_settings().words(load_fault(load, since_ns), load);
   }
+
   // From the next sample on, for so many seconds (60 at most): the gripper closes or opens, and what the arm carries may
   // become anything up to at_most_kg in all. A step that fits that is no alarm: it is weighed and set, and told
   // (Estimate's load_phase, load_found_ns, load_error_kg); one that does not fit is the usual alarm. What would have been an
@@ -80,9 +92,36 @@ class Monitor {
   bool expect_load(double seconds, double at_most_kg) noexcept;
   // Empty: it would be. Not for the loop: it allocates.
   std::string why_not_expected(double seconds, double at_most_kg) const;
-  // Temperatures of the joints, [degC], NaN where one is not known, from the next sample on; for loops whose samples hold
-  // none, since they change slowly. What was known before holds. false, and nothing changed, where they are not one a joint.
-  bool set_temperature(std::span<const double> celsius) noexcept;
+  // What is it carrying? From the next sample on, what the arm carries beside the load that is set now is weighed: sums of
+  // healthy samples a network period apart, from 10/K0 on, in advance(). Until stop_weighing() the trackers of drift learn
+  // nothing, else they would learn the load away. Sums begin anew where it runs already, and with every set_load(); reset()
+  // and restore_state() end it. reach_m: how far the centre of mass may be from the origin of the load frame. false, and
+  // nothing changed: why_no_weighing() is not empty, or a reach that is not above 0.
+  bool start_weighing(double reach_m = kUsualReach_m) noexcept;
+  // What was found until now stays, for estimate_load(), until the next start.
+  void stop_weighing() noexcept;
+  bool can_weigh() const noexcept;  // start_weighing() refuses no reach above 0
+  bool weighing() const noexcept;
+  // What the sums say: see LoadFound. It takes as long as some fifty samples (60 us for six joints on a desktop); nothing
+  // is changed. A contact of the time is not cut out, but told: the verdict is another one than load.
+  LoadFound estimate_load() const noexcept;
+  // Empty: it can be weighed. Allocates.
+  std::string why_no_weighing() const;
+
+  // --- Forces and moments.
+
+  // Force and moment that the surroundings exert on the arm at a frame, at the last sample, and how sure that is: see
+  // Wrench. While a load is expected, what is taken for that load (load_nm) is no part of them. Not known while health is
+  // not ok or stale, or after restore_state() until the next sample. Microseconds, and nothing is changed.
+  Wrench wrench(int frame, WrenchAxes axes = WrenchAxes::base) const noexcept;
+  // The same of a force alone, that acts at this point of the frame, [m] along its own axes.
+  Wrench force(int frame, const std::array<double, 3>& point, WrenchAxes axes = WrenchAxes::base) const noexcept;
+  // Frames by name, and why there is no wrench: refused().
+  const WrenchModel& wrench_model() const noexcept;
+  std::string why_no_wrench() const { return wrench_model().refused(); }
+
+  // --- Motion for a refit.
+
   static constexpr double kRefitFrictionShare = 0.4;  // usual
   // A refit's morning routine (refit.hpp). Outside the loop, since it allocates: memory for so many seconds of samples.
   // Throws Error where they are not above 0 and at most 600.
@@ -99,35 +138,19 @@ class Monitor {
   RecordingView finish_refit() noexcept;
   // What is kept.
   RecordingView refit_motion() const noexcept;
-  // What is it carrying? From the next sample on, what the arm carries beside the load that is set now is weighed: sums of
-  // healthy samples a network period apart, from 10/K0 on, in advance(). Until stop_weighing() the trackers of drift learn
-  // nothing, else they would learn the load away. Sums begin anew where it runs already, and with every set_load(); reset()
-  // and restore_state() end it. reach_m: how far the centre of mass may be from the origin of the load frame. false, and
-  // nothing changed: why_no_weighing() is not empty, or a reach that is not above 0.
-  bool start_weighing(double reach_m = kUsualReach_m) noexcept;
-  // What was found until now stays, for estimate_load(), until the next start.
-  void stop_weighing() noexcept;
-  bool can_weigh() const noexcept;  // start_weighing() refuses no reach above 0
-  bool weighing() const noexcept;
-  // What the sums say: see LoadFound. It takes as long as some fifty samples (60 us for six joints on a desktop); nothing
-  // is changed. A contact of the time is not cut out, but told: the verdict is another one than load.
-  LoadFound estimate_load() const noexcept;
-  // Empty: it can be weighed. Allocates.
-  std::string why_no_weighing() const;
-  // Force and moment that the surroundings exert on the arm at a frame, at the last sample, and how sure that is: see
-  // Wrench. While a load is expected, what is taken for that load (load_nm) is no part of them. Not known while health is not ok or stale, or after restore_state() until the next sample. Microseconds, and
-  // nothing is changed.
-  Wrench wrench(int frame, WrenchAxes axes = WrenchAxes::base) const noexcept;
-  // The same of a force alone, that acts at this point of the frame, [m] along its own axes.
-  Wrench force(int frame, const std::array<double, 3>& point, WrenchAxes axes = WrenchAxes::base) const noexcept;
-  // Frames by name, and why there is no wrench: refused().
-  const WrenchModel& wrench_model() const noexcept;
-  std::string why_no_wrench() const { return wrench_model().refused(); }
+
+  // --- State.
+
   // As newly made.
   void reset() noexcept;
+  // Size of the whole state, to go on in another monitor of the same bundle, rate, build and kind of processor.
+  std::size_t state_bytes() const noexcept;
+  // false, and nothing changed, where the size is wrong or, in restore(), the bytes are of another monitor or damaged.
+  bool save_state(std::span<std::byte> state) const noexcept;
+  bool restore_state(std::span<const std::byte> state) noexcept;
 
-  // The last answer; the same object as estimate() returned, so the next call changes it.
-  const Estimate& last() const noexcept { return *last_; }
+  // --- What it is, and how far.
+
   int joints() const noexcept { return last().joints; }  // how many
   // Of the bundle, in the order of q, dq and tau. Throws std::out_of_range where there is no such joint.
   const std::string& joint_name(int joint) const;
@@ -140,12 +163,6 @@ class Monitor {
   std::uint64_t samples() const noexcept;
   std::uint64_t bridged_ticks() const noexcept;  // without a sample of their own
   std::uint64_t restarts() const noexcept;       // after the first start
-
-  // Size of the whole state, to go on in another monitor of the same bundle, rate, build and kind of processor.
-  std::size_t state_bytes() const noexcept;
-  // false, and nothing changed, where the size is wrong or, in restore(), the bytes are of another monitor or damaged.
-  bool save_state(std::span<std::byte> state) const noexcept;
-  bool restore_state(std::span<const std::byte> state) noexcept;
 
  private:
   struct Chain;

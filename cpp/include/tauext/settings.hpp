@@ -41,6 +41,10 @@ struct ObserverSettings {
   double slowest_per_s() const noexcept {
     return low_pass_per_s > 0 ? std::min(gain_per_s, low_pass_per_s) : gain_per_s;
   }
+  // r is the momentum observer's, without filters.
+  bool unfiltered_momentum() const noexcept {
+    return method == ResidualMethod::momentum && !(high_pass_per_s > 0 || low_pass_per_s > 0);
+  }
   // Throws Error where there are torque constants, and not one for each joint or one that is 0 or not finite.
   void validate_constants(int joints) const;
 };

@@ -5,7 +5,6 @@
 #include <cmath>
 
 #include "observation.hpp"
-#include "prior.hpp"
 #include "rules.hpp"
 
 namespace tauext {
@@ -194,15 +193,6 @@ void Bundle::validate() const {
 
 void Bundle::assume_load() {
   load = assumed_load_settings(links, prior.corrected_links);
-  // Weights fitted to next to no load cancel in training, and under no other load.
-  for (std::size_t j = 0; load.settable() && prior.most_load_nm.empty() && j < links.size(); ++j) {
-    double size = 0;
-    for (std::size_t m = 0; m < prior.terms.size(); ++m)
-      if (is_load(prior.terms[m]) && prior.terms[m].a == static_cast<int>(j)) size += std::fabs(prior.weights[j * prior.terms.size() + m]);
-    if (size <= 1) continue;
-    load = {};
-    load.refused = "the friction of joint '" + links[j].joint_name + "' was fitted to too little load; train it again";
-  }
   if (!load.settable()) return;
   load.refused = too_few_in_newtons("a mass weighs newtons");
   if (!load.settable()) load.link = -1;

@@ -1,6 +1,5 @@
 """Residuals of other detectors against slow twins in NumPy, and the bundle format that holds them."""
 
-import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -171,20 +170,8 @@ def test_settings_are_the_plain_momentum_observer_unless_told():
     assert (plain.method, plain.high_pass_per_s, plain.low_pass_per_s) == (_core.ResidualMethod.momentum, 0.0, 0.0)
 
 
-def test_a_bundle_of_format_3_is_read_as_the_momentum_observer_and_written_as_today_s():
-    old = (Path(__file__).parent / "golden" / "format-3.tauext").read_bytes()
-    assert struct.unpack_from("<I", old, 8) == (3,)
-    bundle = _core.Bundle.from_bytes(old)  # replays its reference
-    assert (bundle.name, bundle.joints, bundle.has_network, len(bundle.prior.terms)) == ("format 3", 2, True, 10)
-    assert (bundle.observer.gain_per_s, bundle.observer.network_stride, bundle.window_steps) == (20.0, 2, 2)
-    assert bundle.observer.method == _core.ResidualMethod.momentum
-    new = bundle.to_bytes()
-    assert struct.unpack_from("<I", new, 8) == (_core.BUNDLE_FORMAT,)
-    assert _core.Bundle.from_bytes(new).to_bytes() == new
-
-
 def test_a_bundle_keeps_method_and_filters(tmp_path):
-    bundle = _core.Bundle.from_bytes((Path(__file__).parent / "golden" / "format-3.tauext").read_bytes())
+    bundle = _core.Bundle.from_bytes((Path(__file__).parent / "golden" / "format-1-network.tauext").read_bytes())
     bundle.observer = settings("velocity", timing="held", high_pass_per_s=2.0, low_pass_per_s=30.0)
     with pytest.raises(_core.CoreError, match="a prior is filtered as the momentum observer filters"):
         bundle.drop_network()

@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 
 from tauext import _core
 
-GOLDEN = Path(__file__).parent / "golden" / "format-8.tauext"
+GOLDEN = Path(__file__).parent / "golden" / "format-1-prior.tauext"
 SIGMA = np.array([0.3, 0.4, 0.25, 0.3, 0.15, 0.1, 0.08])
 SIZES_N, ALONG, ACROSS, HOLDS, HOLDS_N = (3, 9, 27, 81, 243), 0.5, 0.4, 0.1, 50.0
 RANKING_POINTS = 64

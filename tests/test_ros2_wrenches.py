@@ -26,7 +26,7 @@ LOAD, CONTACT_SIGMA = [0.5, 0.0], [0.9, 0.2]
 @pytest.fixture(scope="module")
 def bundle():
     """Its arm has two joints, and a frame at the tip whose name no topic may have."""
-    made = _core.Bundle.load(str(Path(__file__).parent / "golden" / "format-8.tauext"))
+    made = _core.Bundle.load(str(Path(__file__).parent / "golden" / "format-1-prior.tauext"))
     settings = made.wrench_settings
     settings.frames = [_core.WrenchFrame("tip/1", 1, [0, -1, 0, 1, 0, 0, 0, 0, 1], [0.3, 0.0, 0.1])]
     made.wrench_settings = settings

@@ -22,13 +22,12 @@ from tauext.report.flight_file import load_flight
 from tauext.report.style import uncertainty_words
 
 
-def test_the_version_names_package_core_and_bundle_formats(capsys):
+def test_the_version_names_package_core_and_bundle_format(capsys):
     assert main(["--version"]) == 0
     said = capsys.readouterr().out
-    bundle = watching_bundle().to_bytes()
     built = rf"core {_core.__version__} by (gcc|.*[Cc]lang) \d+\.\d+\.\d+ with (sse2|avx2|avx512|neon), "
     assert re.search(built, said)
-    assert f"bundle format {int.from_bytes(bundle[8:12], 'little')} (reads 3 to" in said
+    assert said.endswith("bundle format 1\n")
 
 
 def test_results_that_are_there_are_replaced_with_a_word(tmp_path, capsys):

@@ -74,7 +74,7 @@ FIT = "import numpy as np; from tauext import _core; _core.lstm_activations(np.z
 
 @pytest.mark.parametrize("code", [LOAD, READ, FIT], ids=["load", "from bytes", "network"])
 def test_an_unknown_one_is_refused_wherever_a_bundle_or_a_network_begins(code):
-    ended = python(code, "avx9", GOLDEN / "format-8.tauext")
+    ended = python(code, "avx9", GOLDEN / "format-1-prior.tauext")
     assert ended.returncode == 1
     last = ended.stderr.splitlines()[-1]
     assert last.startswith("tauext._core.CoreError") and "TAUEXT_SIMD = avx9 must be one of" in last

@@ -17,7 +17,7 @@ from tauext.robot.frames import wrench_frames
 from tauext.robot.load import load_tree
 from tauext.train.wrench import correlation, factor
 
-GOLDEN = Path(__file__).parent / "golden" / "format-8.tauext"
+GOLDEN = Path(__file__).parent / "golden" / "format-1-prior.tauext"
 BASE, FRAME = _core.WrenchAxes.base, _core.WrenchAxes.frame
 SIGMA = np.array([0.8, 0.9, 0.6, 0.5, 0.3, 0.2, 0.15])
 POSE = [0.3, -0.6, 0.5, -1.7, 0.4, 1.3, 0.2]
@@ -274,7 +274,7 @@ def test_a_frame_that_there_is_none_and_a_bundle_that_cannot_tell_are_one_line(m
         refused.wrenches("joint7", np.zeros((1, 7)), np.zeros((1, 7)), np.ones((1, 7)))
 
 
-def test_a_bundle_of_the_format_before_tells_wrenches_at_its_links_with_usual_doubt():
+def test_a_bundle_without_wrench_settings_tells_wrenches_at_its_links_with_usual_doubt():
     old = _core.Bundle.load(str(GOLDEN))
     model = _core.WrenchModel(old)
     assert not model.refused and old.wrench_settings.correlation == []

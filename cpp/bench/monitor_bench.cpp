@@ -25,6 +25,7 @@
 
 #include "../src/lstm_lanes.hpp"
 #include "../tests/made_bundle.hpp"
+#include "sliding_lstm.hpp"
 #include "tauext/monitor.hpp"
 
 using namespace tauext;

@@ -32,7 +32,7 @@ int main(int argc, char** argv) {
     for (double& x : q) x = pose(random);
     for (double& x : tau) x = torque(random);
     const auto start = clock::now();
-    model.rank(q, tau, sigma, 0, told);
+    model.rank(q, tau, sigma, {}, told);
     const auto ranked = clock::now();
     model.locate(told);
     ranking.push_back(ns(start, ranked));

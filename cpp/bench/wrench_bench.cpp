@@ -33,8 +33,8 @@ int main(int argc, char** argv) {
       for (double& x : tau) x = torque(random);
       const auto start = std::chrono::steady_clock::now();
       const auto axes = tauext::WrenchAxes::base;
-      const tauext::Wrench w = alone ? model.force(joints - 1, {0, 0, 0.1}, q, tau, sigma, axes, 0, dq)
-                                     : model.wrench(joints - 1, q, tau, sigma, axes, 0, dq);
+      const tauext::Wrench w = alone ? model.force(joints - 1, {0, 0, 0.1}, q, tau, sigma, axes, {}, dq)
+                                     : model.wrench(joints - 1, q, tau, sigma, axes, {}, dq);
       ns.push_back(std::chrono::duration<double, std::nano>(std::chrono::steady_clock::now() - start).count());
       sum += w.force[0];
     }

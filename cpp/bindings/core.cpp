@@ -9,9 +9,9 @@
 #include "arrays.hpp"
 #include "lstm_gradient.hpp"
 #include "tauext/bundle.hpp"
-#include "tauext/estimates.hpp"
-#include "tauext/observation.hpp"
-#include "tauext/presliding.hpp"
+#include "estimates.hpp"
+#include "observation.hpp"
+#include "motion.hpp"
 
 namespace nb = nanobind;
 using namespace tauext;
@@ -155,7 +155,7 @@ void bind_observer(nb::module_& m) {
       .value("momentum", TermKind::momentum)
       .value("backlash", TermKind::backlash)
       .value("local_memory", TermKind::local_memory);
-  nb::class_<Term>(m, "Term", "A regressor of the prior; see prior.hpp for what a, b, c, form and speed mean to a kind.")
+  nb::class_<Term>(m, "Term", "A regressor of the prior; see settings.hpp for what a, b, c, form and speed mean to a kind.")
       .def(
           "__init__",
           [](Term* t, TermKind kind, int a, int b, int c, int form, double speed) {
@@ -169,7 +169,7 @@ void bind_observer(nb::module_& m) {
       .def_ro("c", &Term::c)
       .def_ro("form", &Term::form)
       .def_ro("speed", &Term::speed);
-  nb::class_<FrictionTemperature>(m, "FrictionTemperature", "How friction follows the joints' temperatures; see prior.hpp.")
+  nb::class_<FrictionTemperature>(m, "FrictionTemperature", "How friction follows the joints' temperatures; see settings.hpp.")
       .def(nb::init<>())
       .def_rw("reference_c", &FrictionTemperature::reference_c)
       .def_rw("reach_k", &FrictionTemperature::reach_k)
@@ -406,7 +406,7 @@ void bind_bundle(nb::module_& m) {
       .def_rw("freeze_s", &DriftSettings::freeze_s)
       .def_rw("freeze_floor_nm", &DriftSettings::freeze_floor_nm)
       .def_rw("friction_share", &DriftSettings::friction_share);
-  nb::enum_<MotionFeature>(m, "MotionFeature", "What of the motion errors grow with; see error_scale.hpp.")
+  nb::enum_<MotionFeature>(m, "MotionFeature", "What of the motion errors grow with; see settings.hpp.")
       .value("constant", MotionFeature::constant)
       .value("speed", MotionFeature::speed)
       .value("acceleration", MotionFeature::acceleration)
@@ -573,9 +573,6 @@ void bind_bundle(nb::module_& m) {
             return nb::bytes(bytes.data(), bytes.size());
           },
           "The bundle as its file holds it.")
-      .def_static(
-          "from_old_bytes", [](nb::bytes bytes) { return from_old_bytes({bytes.c_str(), bytes.size()}); },
-          nb::arg("bytes"), "A bundle of format 3 or 4, its torque constants left in its provenance.")
       .def(
           "scale_reference",
           [](Bundle& b, const std::vector<double>& by) {
@@ -702,7 +699,6 @@ NB_MODULE(_core, m) {
   m.attr("__version__") = TAUEXT_VERSION;
   m.attr("COMPILER") = kCompiler;
   m.attr("BUNDLE_FORMAT") = kBundleMajor;
-  m.attr("OLDEST_BUNDLE_FORMAT") = kOldestBundleMajor;
   m.attr("MAX_JOINTS") = kMaxJoints;
   nb::exception<Error>(m, "CoreError", nb::module_::import_("tauext.errors").attr("TauextError"));
   bind_wrench(m);

@@ -1,5 +1,5 @@
 // What training saw of an arm's motion, and how far other motion is from it.
-#include "tauext/coverage.hpp"
+#include "coverage.hpp"
 
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -51,7 +51,7 @@ void bind_coverage(nb::module_& m) {
       .value("position", Unseen::position)
       .value("positions", Unseen::positions);
   nb::class_<CoverageSettings> settings(m, "CoverageSettings",
-                                        "What training saw: speeds, and positions in cells; see coverage.hpp.");
+                                        "What training saw: speeds, and positions in cells; see settings.hpp.");
   settings.def(nb::init<>())
       .def_rw("fastest_rad_s", &CoverageSettings::fastest_rad_s)
       .def_rw("turns", &CoverageSettings::turns)

@@ -5,7 +5,7 @@
 
 #include "arrays.hpp"
 #include "tauext/bundle.hpp"
-#include "tauext/load_columns.hpp"
+#include "load_columns.hpp"
 
 namespace tauext::bindings {
 

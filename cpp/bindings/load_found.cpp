@@ -8,7 +8,7 @@
 
 #include "arrays.hpp"
 #include "tauext/bundle.hpp"
-#include "tauext/weighing.hpp"
+#include "weighing.hpp"
 
 namespace tauext::bindings {
 namespace {
@@ -139,7 +139,7 @@ void bind_load_found(nb::module_& m) {
         settings.reach_m = reach_m;
         return weigh(sums, settings, set, phi, rounds);
       },
-      nb::arg("bundle"), nb::arg("sums"), nb::arg("reach_m") = WeighSettings::kUsualReach_m,
+      nb::arg("bundle"), nb::arg("sums"), nb::arg("reach_m") = kUsualReach_m,
       nb::arg("phi") = LoadParameters{}, nb::arg("set") = Load{}, nb::arg("rounds") = kLoadRounds,
       "What the sums say of a load, phi (10,) being what is known of it so far, beside one that is set.");
   m.def(

@@ -433,7 +433,7 @@ void bind_monitor(nb::module_& m) {
             const std::string reason = self.why_no_weighing();
             throw Error(reason.empty() ? "the reach of a load = " + to_text(reach_m) + " m must be above 0" : reason);
           },
-          nb::arg("reach_m") = WeighSettings::kUsualReach_m,
+          nb::arg("reach_m") = kUsualReach_m,
           "Weigh what the arm carries beside the load that is set, from the next sample on; drift learns nothing meanwhile.\n"
           "reach_m: how far its centre of mass may be from the load frame.")
       .def("stop_weighing", &Monitor::stop_weighing, "What was found stays for estimate_load().")

@@ -1,6 +1,5 @@
 // Feeds bundles of any content to the reader: it must answer with a bundle or an Error, and allocate in proportion to
-// the file. The input is a payload; it gets a right header of every version that is read, since no fuzzer guesses a
-// checksum. `make fuzz` runs it.
+// the file. The input is a payload; it gets a right header, since no fuzzer guesses a checksum. `make fuzz` runs it.
 //
 // cpp/fuzz/corpus holds payloads of a few made bundles and what runs have found, as little of it as covers the same.
 // After a change of the format:
@@ -18,15 +17,15 @@
 #include <vector>
 
 #include "made_bundle.hpp"
-#include "tauext/estimates.hpp"
+#include "estimates.hpp"
 #include "tauext/monitor.hpp"
 
 namespace {
 
 constexpr std::size_t kHeaderBytes = 28;  // see bundle.cpp
 
-std::vector<char> with_header(std::uint32_t major, std::span<const char> payload) {
-  const std::uint32_t version[] = {major, 0}, crc = tauext::crc32(payload);
+std::vector<char> with_header(std::span<const char> payload) {
+  const std::uint32_t version[] = {tauext::kBundleMajor, 0}, crc = tauext::crc32(payload);
   const std::uint64_t size = payload.size();
   std::vector<char> bytes(kHeaderBytes + payload.size());
   std::memcpy(bytes.data(), "TAUEXT\r\n", 8);
@@ -71,9 +70,9 @@ void run(const tauext::Bundle& bundle) {
   }
 }
 
-void read(std::span<const char> bytes, bool old = false) {
+void read(std::span<const char> bytes) {
   try {
-    run(old ? tauext::from_old_bytes(bytes) : tauext::from_bytes(bytes));
+    run(tauext::from_bytes(bytes));
   } catch (const tauext::Error&) {  // as it should
   } catch (const std::bad_alloc&) {  // a size within the limits may still be more than there is
   }
@@ -138,9 +137,7 @@ extern "C" int LLVMFuzzerInitialize(int* argc, char*** argv) {
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   const std::span<const char> payload(reinterpret_cast<const char*>(data), size);
-  for (std::uint32_t major = tauext::kOldestBundleMajor; major <= tauext::kBundleMajor; ++major)
-    read(with_header(major, payload));
-  read(with_header(tauext::kOldestBundleMajor, payload), true);
+  read(with_header(payload));
   read(payload);
   return 0;
 }

@@ -3,7 +3,7 @@
 #include <cstdint>
 #include <span>
 
-#include "tauext/lstm.hpp"
+#include "lstm.hpp"
 
 namespace tauext::learn {
 

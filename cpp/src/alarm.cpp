@@ -1,4 +1,4 @@
-#include "tauext/alarm.hpp"
+#include "alarm.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -7,42 +7,12 @@
 namespace tauext {
 namespace {
 
-void expect_positive(const std::string& what, const std::vector<double>& values, int joints) {
-  if (static_cast<int>(values.size()) != joints)
-    throw Error(what + " has " + std::to_string(values.size()) + " values where " + std::to_string(joints) + " belong");
-  for (double value : values)
-    if (!(value > 0) || !std::isfinite(value)) throw Error(what + " = " + to_text(value) + " must be > 0");
-}
-
-void expect_time(const std::string& what, double seconds) {
-  if (!(seconds >= 0 && seconds <= 60)) throw Error(what + " = " + to_text(seconds) + " s must be 0 to 60");
-}
-
 std::uint64_t to_ns(double seconds) noexcept { return static_cast<std::uint64_t>(std::llround(seconds * 1e9)); }
 
 constexpr std::uint64_t kSlidNs = static_cast<std::uint64_t>(Limits::kSlidS * 1e9);
 constexpr std::int64_t kNever = std::numeric_limits<std::int64_t>::min();
 
 }  // namespace
-
-void Limits::validate(int joints, int widths) const {
-  if (region_width < -1 || region_width >= widths)
-    throw Error("limits.region_width = " + std::to_string(region_width) + " must be -1 or one of " +
-                std::to_string(widths) + " presliding widths");
-  if (!(near_stiction_rad_s >= 0) || !std::isfinite(near_stiction_rad_s))
-    throw Error("limits.near_stiction_rad_s = " + to_text(near_stiction_rad_s) + " must be >= 0");
-  for (const Level* level : {&collision, &contact}) {
-    const std::string here = level == &collision ? "limits.collision." : "limits.contact.";
-    expect_positive(here + "sliding_nm", level->sliding_nm, joints);
-    expect_positive(here + "near_stiction_nm", level->near_stiction_nm, joints);
-    expect_time(here + "hold_s", level->hold_s);
-  }
-  expect_time("limits.contact_release_s", contact_release_s);
-  expect_time("limits.near_memory_s", near_memory_s);
-  if (!(after_contact_factor >= 1 && after_contact_factor <= LimitFactors::kHighest))
-    throw Error("limits.after_contact_factor = " + to_text(after_contact_factor) + " must be 1 to " +
-                to_text(LimitFactors::kHighest));
-}
 
 const char* name(Alarm alarm) noexcept {
   constexpr const char* names[] = {"none", "contact", "collision"};

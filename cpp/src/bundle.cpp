@@ -4,39 +4,14 @@
 #include <algorithm>
 #include <cmath>
 
-#include "tauext/observation.hpp"
+#include "observation.hpp"
+#include "rules.hpp"
 
 namespace tauext {
 namespace {
 
-template <class T>
-void expect_length(const char* what, const std::vector<T>& list, std::size_t expected) {
-  if (list.size() != expected)
-    throw Error(std::string(what) + " has " + std::to_string(list.size()) + " values where " +
-                std::to_string(expected) + " belong");
-}
-
-template <class T>
-void expect_finite(const char* what, const std::vector<T>& list) {
-  for (T value : list)
-    if (!std::isfinite(value)) throw Error(std::string(what) + " holds a value that is not finite");
-}
-
-template <class T>
-void expect_positive(const char* what, const std::vector<T>& list) {
-  for (T value : list)
-    if (!(value > 0) || !std::isfinite(value))
-      throw Error(std::string(what) + " = " + to_text(value) + " must be > 0");
-}
-
 // Times a network's answer, which may be the largest float, it is still far from overflowing.
 constexpr double kLargestScaleNm = 1e200;
-
-void expect_scales(const char* what, const std::vector<double>& list) {
-  for (double value : list)
-    if (!(value >= 0 && value <= kLargestScaleNm))
-      throw Error(std::string(what) + " = " + to_text(value) + " must be 0 to 1e200");
-}
 
 // Residual, prior and network at the reference's last sample.
 struct Answer {
@@ -55,7 +30,7 @@ Answer replay(const Bundle& b) {
   if (!b.prior.empty()) std::copy(observation.prior.end() - static_cast<std::ptrdiff_t>(n), observation.prior.end(), answer.prior.begin());
   if (b.has_network()) {
     const std::vector<float> rows = feature_rows(view, observation, b.input_factors);
-    WindowRows windows = b.windows();
+    WindowRows windows = windows_of(b);
     windows.rows = rows.data();
     windows.row_count = observation.row_count;
     std::vector<float> y(n);
@@ -111,12 +86,10 @@ void expect_reference(const Bundle& b) {
 
 void TorqueUnits::validate(int joints, bool constants) const {
   if (given > TorqueUnit::recorded) throw Error("units.given is none of newton_metre, ampere, recorded");
-  if (relative_to < -1 || relative_to >= joints)
-    throw Error("units.relative_to = " + std::to_string(relative_to) + " must be -1 or one of " +
-                std::to_string(joints) + " joints");
-  if (!unknown.empty()) expect_length("units.unknown", unknown, static_cast<std::size_t>(joints));
-  for (std::uint8_t one : unknown)
-    if (one > 1) throw Error("units.unknown = " + std::to_string(one) + " must be 0 or 1");
+  expect(relative_to >= -1 && relative_to < joints, "units.relative_to", relative_to,
+         "-1 or one of " + std::to_string(joints) + " joints");
+  if (!unknown.empty()) expect_size("units.unknown", unknown.size(), static_cast<std::size_t>(joints));
+  expect_each("units.unknown", unknown, [](int one) { return one <= 1; }, "0 or 1");
   if (!constants && (relative_to >= 0 || !unknown.empty()))
     throw Error("units.relative_to and units.unknown speak of torque constants, and there are none");
 }
@@ -176,17 +149,18 @@ void Bundle::validate() const {
   if (observer.timing > TorqueTiming::averaged) throw Error("its torque timing is none of held, instant, averaged");
   if (has_network()) {
     shape.validate();
-    expect_length("shape.outputs", std::vector<char>(static_cast<std::size_t>(shape.outputs)), n);
-    expect_length("parameters", parameters, shape.parameter_count());
+    expect_size("shape.outputs", static_cast<std::size_t>(shape.outputs), n);
+    expect_size("parameters", parameters.size(), shape.parameter_count());
     expect_finite("parameters", parameters);
-    expect_length("input_factors", input_factors, static_cast<std::size_t>(columns()));
-    expect_positive("input_factors", input_factors);
-    expect_length("output_scale_nm", output_scale_nm, n);
-    expect_scales("output_scale_nm", output_scale_nm);
+    expect_size("input_factors", input_factors.size(), static_cast<std::size_t>(columns()));
+    expect_each("input_factors", input_factors, is_positive, "> 0");
+    expect_size("output_scale_nm", output_scale_nm.size(), n);
+    expect_each("output_scale_nm", output_scale_nm, [](double scale) { return scale >= 0 && scale <= kLargestScaleNm; },
+                "0 to 1e200");
     largest_lstm_input(shape, parameters);
-    if (window_steps < 1 || window_steps > kMaxWindowSteps)
-      throw Error("window_steps = " + std::to_string(window_steps) + " must be 1 to " + std::to_string(kMaxWindowSteps));
-    windows().validate(shape, {});
+    expect(window_steps >= 1 && window_steps <= kMaxWindowSteps, "window_steps", window_steps,
+           "1 to " + std::to_string(kMaxWindowSteps));
+    windows_of(*this).validate(shape, {});
   }
   limits.validate(joints(), static_cast<int>(prior.widths_rad.size()));
   drift.validate(joints());
@@ -199,18 +173,18 @@ void Bundle::validate() const {
   validate_capsules(capsules, joints());
   if (servo.on()) {
     servo.validate();
-    expect_length("servo.joints", servo.joints, links.size());
+    expect_size("servo.joints", servo.joints.size(), links.size());
   }
   if (load.settable() && !tree.has_mass() && prior.corrected_links.empty())
     throw Error("it says that a load can be set, and no model carries one");
   const auto samples = reference.t_ns.size();
   if (samples == 0) throw Error("its reference is empty");
-  expect_length("reference.q", reference.q, samples * n);
-  expect_length("reference.dq", reference.dq, samples * n);
-  expect_length("reference.tau", reference.tau, samples * n);
-  expect_length("reference.residual", reference.residual, n);
-  expect_length("reference.prior", reference.prior, n);
-  expect_length("reference.network", reference.network, n);
+  expect_size("reference.q", reference.q.size(), samples * n);
+  expect_size("reference.dq", reference.dq.size(), samples * n);
+  expect_size("reference.tau", reference.tau.size(), samples * n);
+  expect_size("reference.residual", reference.residual.size(), n);
+  expect_size("reference.prior", reference.prior.size(), n);
+  expect_size("reference.network", reference.network.size(), n);
   for (const auto* list : {&reference.q, &reference.dq, &reference.tau}) expect_finite("reference", *list);
   for (const auto* list : {&reference.residual, &reference.prior, &reference.network}) expect_finite("reference", *list);
   expect_regular(*this);
@@ -219,15 +193,6 @@ void Bundle::validate() const {
 
 void Bundle::assume_load() {
   load = assumed_load_settings(links, prior.corrected_links);
-  // Weights fitted to next to no load cancel in training, and under no other load.
-  for (std::size_t j = 0; load.settable() && prior.most_load_nm.empty() && j < links.size(); ++j) {
-    double size = 0;
-    for (std::size_t m = 0; m < prior.terms.size(); ++m)
-      if (is_load(prior.terms[m]) && prior.terms[m].a == static_cast<int>(j)) size += std::fabs(prior.weights[j * prior.terms.size() + m]);
-    if (size <= 1) continue;
-    load = {};
-    load.refused = "the friction of joint '" + links[j].joint_name + "' was fitted to too little load; train it again";
-  }
   if (!load.settable()) return;
   load.refused = too_few_in_newtons("a mass weighs newtons");
   if (!load.settable()) load.link = -1;

@@ -1,7 +1,6 @@
 // The file: "TAUEXT\r\n" | major u32 | minor u32 | payload bytes u64 | CRC-32 of the payload u32 | payload, little-endian.
 // The payload is the fields of Bundle in the order of fields() below, which both reads and writes them: numbers as they
-// are, a text or list as its length (u64) and its elements. A field that came with major version v stands under
-// `if (file.major >= v)`.
+// are, a text or list as its length (u64) and its elements.
 #include "tauext/bundle.hpp"
 
 #include <bit>
@@ -11,6 +10,8 @@
 #include <fstream>
 #include <type_traits>
 
+#include "lstm.hpp"
+
 namespace tauext {
 namespace {
 
@@ -19,19 +20,11 @@ static_assert(std::endian::native == std::endian::little, "bundles are little-en
 constexpr char kMagic[] = {'T', 'A', 'U', 'E', 'X', 'T', '\r', '\n'};
 constexpr std::size_t kHeaderBytes = sizeof kMagic + 4 + 4 + 8 + 4;
 constexpr std::uint32_t kMinor = 0;
-constexpr std::uint32_t kConstantsMajor = 5;  // from here on torque constants are fields, before they stood in provenance:
-constexpr std::uint32_t kPossibleMajor = 7;   // from here on what is possible are fields, before it is assumed
-constexpr std::uint32_t kTodayMajor = 8;      // from here on what may be carried is stated, before it is assumed; and how
-                                              // friction may be another one than in training, before it may not
-constexpr std::uint32_t kWrenchMajor = 9;     // from here on frames and what errors have in common; before, as the defaults say
-constexpr std::uint32_t kServoMajor = 10;     // from here on servos; before, signals came as they are
-constexpr std::uint32_t kRateMajor = 11;      // from here on the rate's tolerance; before, the least
-constexpr std::uint32_t kBranchMajor = 12;    // from here on branches of presliding friction with local memory
-constexpr const char* kOldConstants = "\"torque_constants\": {";
+// Numbers that development versions wrote before the first release; a later format takes a larger one.
+constexpr std::uint32_t kLastDevelopmentMajor = 12;
 
 class Writer {
  public:
-  static constexpr std::uint32_t major = kBundleMajor;
   std::vector<char> bytes;
   void raw(const void* data, std::size_t size) {
     const char* from = static_cast<const char*>(data);
@@ -46,8 +39,7 @@ class Writer {
 
 class Reader {
  public:
-  const std::uint32_t major;  // of the file
-  Reader(std::uint32_t file_major, std::span<const char> payload) : major(file_major), left_(payload) {}
+  explicit Reader(std::span<const char> payload) : left_(payload) {}
   void raw(void* data, std::size_t size) {
     if (size > left_.size()) throw Error("it ends in the middle of its contents");
     std::memcpy(data, left_.data(), size);
@@ -147,17 +139,13 @@ void fields(File& file, Bundle& b) {
   field(file, b.observer.timing);
   field(file, b.observer.sample_period_ns);
   field(file, b.observer.network_stride);
-  if (file.major >= 4) {
-    field(file, b.observer.method);
-    field(file, b.observer.high_pass_per_s);
-    field(file, b.observer.low_pass_per_s);
-  }
-  if (file.major >= 5) {
-    field(file, b.observer.nm_per_unit);
-    field(file, b.units.given);
-    field(file, b.units.relative_to);
-    field(file, b.units.unknown);
-  }
+  field(file, b.observer.method);
+  field(file, b.observer.high_pass_per_s);
+  field(file, b.observer.low_pass_per_s);
+  field(file, b.observer.nm_per_unit);
+  field(file, b.units.given);
+  field(file, b.units.relative_to);
+  field(file, b.units.unknown);
   field(file, b.window_steps);
   field(file, b.inputs);
   field(file, b.input_factors);
@@ -178,73 +166,59 @@ void fields(File& file, Bundle& b) {
     field(file, level->hold_s);
   }
   field(file, b.limits.contact_release_s);
-  if (file.major >= 6) {
-    field(file, b.limits.after_contact_factor);
-    field(file, b.limits.near_memory_s);
-  }
-  if (file.major >= 4) {
-    field(file, b.drift.time_constant_s);
-    field(file, b.drift.size_nm);
-    field(file, b.drift.rate_share_per_s);
-    field(file, b.drift.freeze_share);
-    field(file, b.drift.freeze_s);
-  }
-  if (file.major >= 6) {
-    field(file, b.drift.freeze_floor_nm);
-    field(file, b.error_scale.features);
-    field(file, b.error_scale.limit_weights);
-    field(file, b.error_scale.largest);
-    field(file, b.error_scale.sigma_weights);
-    field(file, b.error_scale.sigma_near_weights);
-    field(file, b.error_scale.largest_sigma);
-    field(file, b.coverage.fastest_rad_s);
-    field(file, b.coverage.turns);
-    field(file, b.coverage.centre_rad);
-    field(file, b.coverage.span_rad);
-    field(file, b.coverage.seen);
-    field(file, b.coverage.reach);
-    field(file, b.coverage.seen_together);
-    field(file, b.coverage.reach_together);
-  }
+  field(file, b.limits.after_contact_factor);
+  field(file, b.limits.near_memory_s);
+  field(file, b.drift.time_constant_s);
+  field(file, b.drift.size_nm);
+  field(file, b.drift.rate_share_per_s);
+  field(file, b.drift.freeze_share);
+  field(file, b.drift.freeze_s);
+  field(file, b.drift.freeze_floor_nm);
+  field(file, b.error_scale.features);
+  field(file, b.error_scale.limit_weights);
+  field(file, b.error_scale.largest);
+  field(file, b.error_scale.sigma_weights);
+  field(file, b.error_scale.sigma_near_weights);
+  field(file, b.error_scale.largest_sigma);
+  field(file, b.coverage.fastest_rad_s);
+  field(file, b.coverage.turns);
+  field(file, b.coverage.centre_rad);
+  field(file, b.coverage.span_rad);
+  field(file, b.coverage.seen);
+  field(file, b.coverage.reach);
+  field(file, b.coverage.seen_together);
+  field(file, b.coverage.reach_together);
   field(file, b.signals.torque_limit_nm);
   field(file, b.signals.largest_torque_nm);
-  if (file.major >= kPossibleMajor) {
-    field(file, b.signals.possible_torque_nm);
-    field(file, b.signals.possible_speed_rad_s);
-  }
-  if (file.major >= kRateMajor) field(file, b.signals.rate_tolerance);
-  if (file.major >= kBranchMajor) field(file, b.prior.branches);
-  if (file.major >= kTodayMajor) {
-    field(file, b.load.frame);
-    field(file, b.load.link);
-    field(file, b.load.rotation);
-    field(file, b.load.translation);
-    field(file, b.load.largest_mass_kg);
-    field(file, b.load.largest_reach_m);
-    field(file, b.load.refused);
-    field(file, b.drift.friction_share);
-    field(file, b.prior.most_load_nm);
-    field(file, b.prior.temperature.reference_c);
-    field(file, b.prior.temperature.reach_k);
-    field(file, b.prior.temperature.coulomb_per_10k);
-    field(file, b.prior.temperature.viscous_per_10k);
-  }
-  if (file.major >= kWrenchMajor) {
-    field(file, b.wrench.frames);
-    field(file, b.wrench.correlation);
-    field(file, b.wrench.torque_share);
-    field(file, b.wrench.common_share);
-    field(file, b.wrench.radius);
-    field(file, b.wrench.residual_radius);
-    field(file, b.capsules);
-  }
-  if (file.major >= kServoMajor) {
-    field(file, b.servo.torque_from);
-    field(file, b.servo.velocity_steps);
-    field(file, b.servo.sample_period_ns);
-    field(file, b.servo.goal_delay_ns);
-    field(file, b.servo.joints);
-  }
+  field(file, b.signals.possible_torque_nm);
+  field(file, b.signals.possible_speed_rad_s);
+  field(file, b.signals.rate_tolerance);
+  field(file, b.prior.branches);
+  field(file, b.load.frame);
+  field(file, b.load.link);
+  field(file, b.load.rotation);
+  field(file, b.load.translation);
+  field(file, b.load.largest_mass_kg);
+  field(file, b.load.largest_reach_m);
+  field(file, b.load.refused);
+  field(file, b.drift.friction_share);
+  field(file, b.prior.most_load_nm);
+  field(file, b.prior.temperature.reference_c);
+  field(file, b.prior.temperature.reach_k);
+  field(file, b.prior.temperature.coulomb_per_10k);
+  field(file, b.prior.temperature.viscous_per_10k);
+  field(file, b.wrench.frames);
+  field(file, b.wrench.correlation);
+  field(file, b.wrench.torque_share);
+  field(file, b.wrench.common_share);
+  field(file, b.wrench.radius);
+  field(file, b.wrench.residual_radius);
+  field(file, b.capsules);
+  field(file, b.servo.torque_from);
+  field(file, b.servo.velocity_steps);
+  field(file, b.servo.sample_period_ns);
+  field(file, b.servo.goal_delay_ns);
+  field(file, b.servo.joints);
   field(file, b.reference.t_ns);
   field(file, b.reference.q);
   field(file, b.reference.dq);
@@ -280,9 +254,7 @@ std::vector<char> to_bytes(const Bundle& bundle) {
   return std::move(file.bytes);
 }
 
-namespace {
-
-Bundle read(std::span<const char> bytes, bool convert) {
+Bundle from_bytes(std::span<const char> bytes) {
   simd_in_use();  // a wrong TAUEXT_SIMD is refused here for every bundle, and never in a control loop
   if (bytes.size() < kHeaderBytes || std::memcmp(bytes.data(), kMagic, sizeof kMagic) != 0)
     throw Error("it is not a tauext bundle");
@@ -291,35 +263,22 @@ Bundle read(std::span<const char> bytes, bool convert) {
   std::memcpy(version, bytes.data() + 8, 8);
   std::memcpy(&size, bytes.data() + 16, 8);
   std::memcpy(&crc, bytes.data() + 24, 4);
-  if (version[0] < kOldestBundleMajor || version[0] > kBundleMajor)
-    throw Error("its format is version " + std::to_string(version[0]) + ", this program reads versions " +
-                std::to_string(kOldestBundleMajor) + " to " + std::to_string(kBundleMajor) +
-                (version[0] < kBundleMajor ? "; train it again" : "; it was made by a newer tauext"));
-  if (convert && version[0] >= kConstantsMajor)
-    throw Error("its format is version " + std::to_string(version[0]) + " and needs no conversion");
+  if (version[0] > kLastDevelopmentMajor)
+    throw Error("its format is version " + std::to_string(version[0]) + ", this program reads version " +
+                std::to_string(kBundleMajor) + "; it was made by a newer tauext");
+  if (version[0] != kBundleMajor) throw Error("made by a development version before 0.1.0; train it again");
   const std::span<const char> payload = bytes.subspan(kHeaderBytes);
   if (payload.size() != size)
     throw Error("it is truncated or has something appended: " + std::to_string(payload.size()) + " bytes where " +
                 std::to_string(size) + " belong");
   if (crc32(payload) != crc) throw Error("its checksum does not match: it is damaged");
-  Reader reader(version[0], payload);
+  Reader reader(payload);
   Bundle bundle;
   fields(reader, bundle);
-  if (version[0] < kPossibleMajor) bundle.signals.assume_possible();
   if (!reader.done()) throw Error("it has contents that this version does not know");
-  if (!convert && version[0] < kConstantsMajor && bundle.provenance.find(kOldConstants) != std::string::npos)
-    throw Error("it is of format " + std::to_string(version[0]) +
-                " with torque constants, which its control loop was told to apply; bundles apply them themselves now: "
-                "`tauext convert OLD.tauext --out NEW.tauext`, and let the loop give tau as it was recorded");
   bundle.validate();
-  if (version[0] < kTodayMajor) bundle.assume_load();
   return bundle;
 }
-
-}  // namespace
-
-Bundle from_bytes(std::span<const char> bytes) { return read(bytes, false); }
-Bundle from_old_bytes(std::span<const char> bytes) { return read(bytes, true); }
 
 void save_bundle(const Bundle& bundle, const std::string& path) {
   const std::vector<char> bytes = to_bytes(bundle);

@@ -30,7 +30,7 @@ static_assert(TAUEXT_NETWORK_PERIOD == static_cast<int>(NetworkRate::network_per
 static_assert(TAUEXT_USUAL_LOAD_ERROR == tauext::Load::kUsualError);
 static_assert(TAUEXT_WEIGHING_LOAD == static_cast<int>(tauext::LoadPhase::weighing));
 static_assert(TAUEXT_FROM_NOW == tauext::kFromNow);
-static_assert(TAUEXT_USUAL_REACH_M == tauext::WeighSettings::kUsualReach_m);
+static_assert(TAUEXT_USUAL_REACH_M == tauext::kUsualReach_m);
 static_assert(TAUEXT_TOO_LITTLE_MOTION == static_cast<int>(tauext::LoadVerdict::too_little));
 static_assert(TAUEXT_NO_LOAD_SHOWS == static_cast<int>(tauext::LoadVerdict::nothing));
 static_assert(TAUEXT_LOAD_SHOWS == static_cast<int>(tauext::LoadVerdict::load));
@@ -445,7 +445,7 @@ tauext_status tauext_refit(const char* bundle_path, const tauext_monitor* monito
     return TAUEXT_BAD_ARGUMENT;
   }
   try {
-    const tauext::RefitSource source{monitor->monitor.refit_motion().view(), {}};
+    const tauext::RefitSource source{monitor->monitor.refit_motion(), {}};
     tauext::save_bundle(tauext::refit(tauext::load_bundle(bundle_path), {&source, 1}).bundle, out_path);
     return TAUEXT_OK;
   } catch (const std::bad_alloc&) {

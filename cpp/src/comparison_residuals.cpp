@@ -1,11 +1,14 @@
-#include "tauext/comparison_residuals.hpp"
+#include "comparison_residuals.hpp"
 
 #include <cmath>
+#include <limits>
+
+#include "linear.hpp"
 
 namespace tauext {
 namespace {
 
-using Matrix = std::array<JointVector, kMaxJoints>;
+using Matrix = std::array<double, kMaxJoints * kMaxJoints>;  // the first (n, n) of it, row-major
 
 // Column i of M is the momentum of a unit speed of joint i.
 void mass_matrix(const Tree& tree, std::span<const double> q, Matrix& mass) noexcept {
@@ -13,26 +16,8 @@ void mass_matrix(const Tree& tree, std::span<const double> q, Matrix& mass) noex
   JointVector unit{}, beta;
   for (std::size_t i = 0; i < n; ++i) {
     unit[i] = 1.0;
-    tree.momentum(q, std::span(unit).first(n), std::span(mass[i]).first(n), std::span(beta).first(n));
+    tree.momentum(q, std::span(unit).first(n), std::span(mass).subspan(i * n, n), std::span(beta).first(n));
     unit[i] = 0.0;
-  }
-}
-
-// x of A x = b in b's place, by Cholesky; A is symmetric and positive definite, and lost.
-void solve(Matrix& a, std::size_t n, JointVector& b) noexcept {
-  for (std::size_t i = 0; i < n; ++i)
-    for (std::size_t j = 0; j <= i; ++j) {
-      double sum = a[i][j];
-      for (std::size_t k = 0; k < j; ++k) sum -= a[i][k] * a[j][k];
-      a[i][j] = i == j ? std::sqrt(sum) : sum / a[j][j];
-    }
-  for (std::size_t i = 0; i < n; ++i) {
-    for (std::size_t k = 0; k < i; ++k) b[i] -= a[i][k] * b[k];
-    b[i] /= a[i][i];
-  }
-  for (std::size_t i = n; i-- > 0;) {
-    for (std::size_t k = i + 1; k < n; ++k) b[i] -= a[k][i] * b[k];
-    b[i] /= a[i][i];
   }
 }
 
@@ -76,7 +61,7 @@ void ComparisonResidual::start(const Tree& tree, std::span<const double> q) noex
   if (method_ != ResidualMethod::velocity) return;
   Matrix mass;
   mass_matrix(tree, q, mass);
-  for (std::size_t i = 0; i < q.size(); ++i) inertia_[i] = mass[i][i];
+  for (std::size_t i = 0; i < q.size(); ++i) inertia_[i] = mass[i * q.size() + i];
 }
 
 // What stands beside tau_m, a joint, and the kinetic energy where it counts.
@@ -155,17 +140,20 @@ void ComparisonResidual::observe_velocity(const Tree& tree, std::span<const doub
   for (std::size_t i = 0; i < n; ++i) {
     double row = 0.0;
     for (std::size_t j = 0; j < n; ++j) {
-      system[i][j] = a * mass[i][j] + (i == j ? weight * inertia_[i] : 0.0);
-      row += std::fabs(mass[i][j]) / std::sqrt(inertia_[i] * inertia_[j]);
+      system[i * n + j] = a * mass[i * n + j] + (i == j ? weight * inertia_[i] : 0.0);
+      row += std::fabs(mass[i * n + j]) / std::sqrt(inertia_[i] * inertia_[j]);
     }
     coupling = std::fmax(coupling, row);
     error[i] = residual_[i] - disturbance[i];
   }
   faded_ += std::log1p(weight / (a * coupling));
-  solve(system, n, error);
+  if (cholesky(std::span(system).first(n * n), n))
+    substitute(system, n, error);
+  else
+    error.fill(std::numeric_limits<double>::quiet_NaN());
   for (std::size_t i = 0; i < n; ++i) {
     residual_[i] = disturbance[i];
-    for (std::size_t j = 0; j < n; ++j) residual_[i] += a * mass[i][j] * error[j];
+    for (std::size_t j = 0; j < n; ++j) residual_[i] += a * mass[i * n + j] * error[j];
   }
 }
 

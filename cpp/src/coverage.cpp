@@ -1,4 +1,4 @@
-#include "tauext/coverage.hpp"
+#include "coverage.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -9,7 +9,6 @@ namespace {
 
 constexpr int kCells = Coverage::kCells, kPairCells = Coverage::kPairCells;
 constexpr double kFarther = Coverage::kFartherCells;
-constexpr double kLeast = 1e-9, kMost = 1e9;  // of a speed or length
 constexpr double kForgotten = 0.01;           // a share that has faded to this is none
 
 // The fraction of a turn from -1/2 to 1/2, or the value itself. Adding 1.5 * 2^52 rounds to a whole number where the
@@ -56,33 +55,6 @@ void append_beyond(std::vector<std::uint8_t>& out, int rows, int columns, bool r
 const char* name(Unseen unseen) noexcept {
   constexpr const char* names[] = {"", "speed", "position", "positions"};
   return unseen <= Unseen::positions ? names[static_cast<int>(unseen)] : "";
-}
-
-void CoverageSettings::validate(int joints) const {
-  const auto expect = [](bool ok, const char* what, const std::string& value, const char* rule) {
-    if (!ok) throw Error("coverage." + std::string(what) + " = " + value + " must be " + rule);
-  };
-  const auto expect_length = [](const char* what, std::size_t length, std::size_t wanted) {
-    if (length != wanted)
-      throw Error("coverage." + std::string(what) + " has " + std::to_string(length) + " values where " +
-                  std::to_string(wanted) + " belong");
-  };
-  const std::size_t n = empty() ? 0 : static_cast<std::size_t>(joints), pairs = n > 0 ? n * (n - 1) / 2 : 0;
-  expect_length("fastest_rad_s", fastest_rad_s.size(), n);
-  expect_length("turns", turns.size(), n);
-  expect_length("centre_rad", centre_rad.size(), n);
-  expect_length("span_rad", span_rad.size(), n);
-  expect_length("seen", seen.size(), n);
-  expect_length("reach", reach.size(), n);
-  expect(reach_together <= (empty() ? 0 : Coverage::kMostReach), "reach_together", std::to_string(reach_together),
-         empty() ? "0 where nothing is known" : "0 to 16");
-  expect_length("seen_together", seen_together.size(), reach_together > 0 ? pairs * kPairCells : 0);
-  for (double speed : fastest_rad_s)
-    expect(speed >= kLeast && speed <= kMost, "fastest_rad_s", to_text(speed), "1e-9 to 1e9");
-  for (double length : span_rad) expect(length >= kLeast && length <= kMost, "span_rad", to_text(length), "1e-9 to 1e9");
-  for (double at : centre_rad) expect(std::fabs(at) <= kMost, "centre_rad", to_text(at), "-1e9 to 1e9");
-  for (int cells : reach) expect(cells <= Coverage::kMostReach, "reach", std::to_string(cells), "0 to 16");
-  for (int turn : turns) expect(turn <= 1, "turns", std::to_string(turn), "0 or 1");
 }
 
 void CoverageSettings::see(std::span<const double> q) noexcept {

@@ -1,36 +1,9 @@
-#include "tauext/drift.hpp"
+#include "drift.hpp"
 
 #include <algorithm>
 #include <cmath>
 
 namespace tauext {
-
-namespace {
-constexpr double kLargestSize = 1e300;  // sums with r and prior stay finite
-}
-
-void DriftSettings::validate(int joints) const {
-  const auto expect = [](bool ok, const char* what, double value, const char* rule) {
-    if (!ok) throw Error("drift." + std::string(what) + " = " + to_text(value) + " must be " + rule);
-  };
-  expect(time_constant_s == 0 || (time_constant_s >= 1 && time_constant_s <= 1e6), "time_constant_s", time_constant_s,
-         "0 (no tracker) or 1 to 1e6");
-  if (!on()) return;
-  if (static_cast<int>(size_nm.size()) != joints)
-    throw Error("drift.size_nm has " + std::to_string(size_nm.size()) + " values where " + std::to_string(joints) +
-                " belong");
-  for (double size : size_nm) expect(size >= 0 && size <= kLargestSize, "size_nm", size, "0 to 1e300");
-  expect(rate_share_per_s > 0 && rate_share_per_s <= 1, "rate_share_per_s", rate_share_per_s, "above 0, at most 1");
-  expect(freeze_share >= 0 && freeze_share <= 1, "freeze_share", freeze_share, "0 (never frozen by torque) to 1");
-  expect(freeze_s >= 0 && freeze_s <= 60, "freeze_s", freeze_s, "0 to 60");
-  if (!freeze_floor_nm.empty() && static_cast<int>(freeze_floor_nm.size()) != joints)
-    throw Error("drift.freeze_floor_nm has " + std::to_string(freeze_floor_nm.size()) + " values where " +
-                std::to_string(joints) + " or none belong");
-  expect(friction_share >= 0 && friction_share <= 1, "friction_share", friction_share, "0 (not followed) to 1");
-  for (double floor : freeze_floor_nm)
-    expect(floor >= 0 && floor <= kLargestSize, "freeze_floor_nm", floor, "0 to 1e300");
-}
-
 DriftTracker::DriftTracker(const DriftSettings& settings, const Limits& limits, int joints, double gain_per_s)
     : settings_(settings), limits_(limits), joints_(joints), gain_per_s_(gain_per_s), freeze_ns_(0), forget_ns_(0) {
   settings.validate(joints);
@@ -103,6 +76,165 @@ void DriftTracker::follow(int j, double error, double dt) noexcept {
   }
   const std::uint32_t bit = std::uint32_t{1} << j;
   s.saturated = at_bound && size > 0 ? s.saturated | bit : s.saturated & ~bit;
+}
+
+namespace {
+
+constexpr double kMostDoubt = 0.5;  // of sigma: a prior that knows no better what friction is cannot tell its factor
+
+double seconds(std::int64_t ns) noexcept { return 1e-9 * static_cast<double>(ns); }
+
+// cc x_c^2 + 2 cv x_c x_v + vv x_v^2
+double square(const FrictionFactors::Stroke& s, double c, double v) noexcept {
+  return s.cc * c * c + 2 * s.cv * c * v + s.vv * v * v;
+}
+
+}  // namespace
+
+FrictionFactors::FrictionFactors(double share, int joints, double gain_per_s)
+    : share_(share),
+      joints_(joints),
+      gain_per_s_(gain_per_s),
+      forget_ns_(share > 0 ? std::llround(1e9 * std::min(kForgottenShare / gain_per_s, 60.0)) : 0) {}
+
+void FrictionFactors::restart() noexcept {
+  state_.started = false;
+  for (Joint& joint : state_.joints) joint.open = {};
+}
+
+void FrictionFactors::forget_strokes() noexcept {
+  for (Joint& joint : state_.joints) {
+    joint.strokes = {};
+    joint.open = {};
+  }
+}
+
+FrictionFactors::Learned FrictionFactors::learned() const noexcept {
+  Learned factors;
+  std::ranges::transform(state_.joints, factors.begin(), &Joint::wanted);
+  return factors;
+}
+
+void FrictionFactors::put_learned(const Learned& factors) noexcept {
+  forget_strokes();
+  for (std::size_t j = 0; j < factors.size(); ++j) state_.joints[j].factors = state_.joints[j].wanted = factors[j];
+}
+
+void FrictionFactors::step(std::int64_t t_ns, std::span<const double> coulomb, std::span<const double> viscous,
+                           std::span<double> drift) noexcept {
+  if (!on() || coulomb.empty()) return;
+  State& s = state_;
+  s.step_ns = s.started ? static_cast<std::int64_t>(elapsed_ns(t_ns, s.t_ns)) : 0;
+  const double dt = seconds(s.step_ns), weight = -std::expm1(-gain_per_s_ * dt), glide = kGlidePerSecond * dt;
+  for (int j = 0; j < joints_; ++j) {
+    Joint& joint = s.joints[static_cast<std::size_t>(j)];
+    const Parts now{coulomb[j], viscous[j]};
+    for (std::size_t m = 0; m < kParts; ++m) {
+      double& filtered = joint.filtered[m];
+      filtered = s.started ? filtered + weight * (0.5 * (joint.now[m] + now[m]) - filtered) : 0.0;
+      joint.now[m] = now[m];
+      joint.factors[m] += std::clamp(joint.wanted[m] - joint.factors[m], -glide, glide);
+      drift[j] += joint.factors[m] * filtered;
+    }
+  }
+  s.started = true;
+  s.t_ns = t_ns;
+}
+
+void FrictionFactors::learn(std::span<const double> dq, std::span<const double> tau_ext, std::span<const double> sigma,
+                            std::span<const double> doubt, std::uint32_t near_stiction, bool trusted) noexcept {
+  if (!on() || !state_.started) return;
+  for (int j = 0; j < joints_; ++j) {
+    Joint& joint = state_.joints[static_cast<std::size_t>(j)];
+    if (!trusted) {
+      joint.open = {};
+      continue;
+    }
+    const bool near = near_stiction >> j & 1;
+    joint.stuck_ns = near ? forget_ns_ : std::max<std::int64_t>(joint.stuck_ns - state_.step_ns, 0);
+    const bool turned = joint.open.seconds > 0 && joint.open.travel * dq[j] < 0;
+    if (near || turned) close(j);
+    // Comparisons with NaN are false: without an error scale nothing is learned.
+    if (!near && joint.stuck_ns == 0 && sigma[j] > 0 && doubt[j] <= kMostDoubt * sigma[j])
+      add(joint, dq[j], tau_ext[j], sigma[j]);
+  }
+}
+
+void FrictionFactors::add(Joint& joint, double dq, double tau_ext, double sigma) noexcept {
+  const double dt = seconds(state_.step_ns), c = joint.filtered[0], v = joint.filtered[1];
+  const double e = tau_ext + joint.factors[0] * c + joint.factors[1] * v;
+  Stroke& s = joint.open;
+  s.seconds += dt;
+  s.travel += dq * dt;
+  s.cc += c * c * dt;
+  s.cv += c * v * dt;
+  s.vv += v * v * dt;
+  s.ce += c * e * dt;
+  s.ve += v * e * dt;
+  s.ee += e * e * dt;
+  s.sigma2 += sigma * sigma * dt;
+}
+
+// The stroke of a joint is over.
+void FrictionFactors::close(int j) noexcept {
+  Joint& joint = state_.joints[static_cast<std::size_t>(j)];
+  const Stroke ended = joint.open;
+  joint.open = {};
+  if (!(ended.seconds >= kLeastSeconds && std::fabs(ended.travel) >= kLeastTravel && std::isfinite(ended.ee + ended.cc + ended.vv + ended.sigma2)))
+    return;
+  joint.strokes[static_cast<std::size_t>(joint.next)] = ended;
+  joint.strokes[static_cast<std::size_t>(joint.next)].end_ns = state_.t_ns;
+  joint.next = (joint.next + 1) % kStrokes;
+  conclude(j);
+}
+
+FrictionFactors::Evidence FrictionFactors::look(const Joint& joint) const noexcept {
+  Evidence found;
+  Stroke all;
+  for (const Stroke& s : joint.strokes) {
+    if (s.seconds == 0 || elapsed_ns(state_.t_ns, s.end_ns) > static_cast<std::uint64_t>(1e9 * kOld_s)) continue;
+    ++found.strokes;
+    found.forward += s.travel > 0;
+    all.seconds += s.seconds;
+    all.cc += s.cc;
+    all.cv += s.cv;
+    all.vv += s.vv;
+    all.ce += s.ce;
+    all.ve += s.ve;
+    all.ee += s.ee;
+    all.sigma2 += s.sigma2;
+  }
+  if (found.strokes == 0) return found;
+  found.sigma2 = all.sigma2 / all.seconds;
+  const double known = found.sigma2 * kMemory_s, together = known / (kApart * kApart);
+  const double cc = all.cc + known + together, vv = all.vv + known + together, cv = all.cv - together;
+  const double determinant = cc * vv - cv * cv;  // > 0: of a positive definite matrix
+  const double c = (vv * all.ce - cv * all.ve) / determinant, v = (cc * all.ve - cv * all.ce) / determinant;
+  found.factors = {c, v};
+  found.whole2 = square(all, c, v) / all.seconds;
+  found.friction2 = square(all, 1, 1) / all.seconds;
+  found.change2 = square(all, c - joint.wanted[0], v - joint.wanted[1]) / all.seconds;
+  const double left2 = (all.ee - 2 * (c * all.ce + v * all.ve)) / all.seconds + found.whole2;
+  found.fits = left2 <= kFits * kFits * found.sigma2 + kFitsShare * kFitsShare * found.whole2;
+  return found;
+}
+
+void FrictionFactors::conclude(int j) noexcept {
+  const std::uint32_t bit = std::uint32_t{1} << j;
+  Joint& joint = state_.joints[static_cast<std::size_t>(j)];
+  const Evidence own = look(joint);
+  if (own.strokes < kLeast || own.forward == 0 || own.forward == own.strokes || !own.fits) return;
+  for (int k = 0; k < joints_; ++k) {
+    const Evidence other = look(state_.joints[static_cast<std::size_t>(k)]);
+    if (other.strokes > 0 && (other.strokes < kLeast || !other.fits)) return;
+  }
+  if (!(own.change2 >= kFound * kFound * own.sigma2)) return;
+  if (!(own.whole2 <= share_ * share_ * own.friction2)) {
+    state_.saturated |= bit;
+    return;
+  }
+  state_.saturated &= ~bit;
+  for (std::size_t m = 0; m < kParts; ++m) joint.wanted[m] = std::clamp(own.factors[m], -2 * share_, 2 * share_);
 }
 
 }  // namespace tauext

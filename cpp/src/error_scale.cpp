@@ -1,55 +1,19 @@
-#include "tauext/error_scale.hpp"
+#include "error_scale.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
+#include "prior.hpp"
+#include "tauext/bundle.hpp"
+
 namespace tauext {
 namespace {
-
-constexpr double kLargestWeight = 1e200;  // times a feature of the largest speed, and summed, it stays finite
-
-void expect_weights(const char* what, const std::vector<double>& weights, std::size_t count, std::size_t features) {
-  const std::string here = "error_scale." + std::string(what);
-  if (weights.size() != count)
-    throw Error(here + " has " + std::to_string(weights.size()) + " values where " + std::to_string(count) + " belong");
-  for (double weight : weights)
-    if (!(weight >= 0 && weight <= kLargestWeight)) throw Error(here + " = " + to_text(weight) + " must be 0 to 1e200");
-  for (std::size_t row = 0; row < count; row += features)
-    if (std::all_of(&weights[row], &weights[row] + features, [](double weight) { return weight == 0; }))
-      throw Error(here + " of joint " + std::to_string(row / features) + " are all 0");
-}
-
-void expect_ceiling(const char* what, const std::vector<double>& values, std::size_t joints) {
-  const std::string here = "error_scale." + std::string(what);
-  if (values.size() != joints)
-    throw Error(here + " has " + std::to_string(values.size()) + " values where " + std::to_string(joints) + " belong");
-  for (double value : values)
-    if (!(value > 0 && value <= kLargestWeight)) throw Error(here + " = " + to_text(value) + " must be above 0, at most 1e200");
-}
 
 // Those of the whole arm stand in the first joint's place.
 bool of_arm(MotionFeature feature) noexcept { return feature >= MotionFeature::arm_speed; }
 
 }  // namespace
-
-void ErrorScaleSettings::validate(int joints) const {
-  if (!on()) {
-    if (!limit_weights.empty() || !largest.empty() || !sigma_weights.empty() || !sigma_near_weights.empty() ||
-        !largest_sigma.empty())
-      throw Error("error_scale has weights and no features");
-    return;
-  }
-  const auto n = static_cast<std::size_t>(joints), count = n * features.size();
-  for (std::size_t m = 0; m < features.size(); ++m)
-    if (static_cast<int>(features[m]) >= kMotionFeatures || std::count(features.begin(), features.end(), features[m]) > 1)
-      throw Error("error_scale: feature " + std::to_string(m) + " is unknown or stands there twice");
-  expect_weights("limit_weights", limit_weights, count, features.size());
-  expect_weights("sigma_weights", sigma_weights, count, features.size());
-  expect_weights("sigma_near_weights", sigma_near_weights, count, features.size());
-  expect_ceiling("largest", largest, n);
-  expect_ceiling("largest_sigma", largest_sigma, n);
-}
 
 ErrorScale::ErrorScale(const ErrorScaleSettings& settings, int joints, double gain_per_s)
     : settings_(settings), joints_(joints), gain_per_s_(gain_per_s) {
@@ -132,6 +96,57 @@ void ErrorScale::step(std::int64_t t_ns, std::span<const double> dq, std::uint32
     scale[static_cast<std::size_t>(j)] = std::min(sum, settings_.largest[static_cast<std::size_t>(j)]);
     sigma_nm[static_cast<std::size_t>(j)] = std::min(sigma, settings_.largest_sigma[static_cast<std::size_t>(j)]);
   }
+}
+
+ContactErrors::ContactErrors(const Bundle& bundle)
+    : joints_(bundle.joints()), gain_per_s_(bundle.observer.gain_per_s) {
+  const std::vector<double>& widths = bundle.prior.widths_rad;
+  const double ratio = widths.empty() ? 0.0 : kBuildsUpRad / widths.front(), coarse = 1 / (1 + ratio * ratio);
+  const double share = kFineShare + (kCoarseShare - kFineShare) * coarse;
+  const bool found = std::ranges::any_of(bundle.prior.terms, [](const Term& term) { return is_load(term); });
+  const std::vector<double> shares = load_friction_shares(bundle.prior, joints_);
+  for (int j = 0; j < joints_; ++j) {
+    const auto at = static_cast<std::size_t>(j);
+    hidden_nm_[j] = share * friction_line(bundle.prior, at).at_rest_nm;
+    rubbing_[j] = found ? shares[at] : kUsualRubbing;
+    unsure_nm_[j] = kUnsureBank;
+  }
+  JointVector bent{};  // presliding friction
+  for (std::size_t m = 0; m < bundle.prior.terms.size(); ++m) {
+    const Term& term = bundle.prior.terms[m];
+    const double weight = bundle.prior.weights[static_cast<std::size_t>(term.a) * bundle.prior.terms.size() + m];
+    if (term.kind == TermKind::presliding) bent[static_cast<std::size_t>(term.a)] += std::max(-weight, 0.0);
+    if (term.kind == TermKind::local_memory) unsure_nm_[static_cast<std::size_t>(term.a)] = kUnsureLocal;
+  }
+  for (int j = 0; j < joints_; ++j) unsure_nm_[j] *= bent[j];
+}
+
+void ContactErrors::step(std::int64_t t_ns, std::uint32_t near_stiction, bool touched, std::span<const double> tau_ext,
+                         std::span<const double> sigma_nm, std::span<const double> memory_gap,
+                         std::span<double> into) noexcept {
+  State& s = state_;
+  const double dt = s.started ? 1e-9 * static_cast<double>(elapsed_ns(t_ns, s.t_ns)) : 0.0;
+  if (dt != s.step_s) {  // an exponential is taken anew only where the step is another one
+    s.step_s = dt;
+    s.kept = std::exp(-gain_per_s_ * dt);
+  }
+  s.t_ns = t_ns;
+  s.since_s = touched ? 0.0 : std::min(s.since_s + dt, kStaysS);
+  s.touched = touched ? 1.0 : s.kept * s.touched;
+  s.pressed = near_stiction & (s.since_s < kStaysS ? ~std::uint32_t{0} : s.pressed);
+  for (int j = 0; j < joints_; ++j) {
+    const auto at = static_cast<std::size_t>(j);
+    const double now = dt > 0 ? (tau_ext[at] - s.tau_ext[j]) / dt : 0.0;
+    s.rate[j] += (1 - s.kept) * (now - s.rate[j]);
+    if (!s.started) s.rate[j] = 0;
+    s.tau_ext[j] = tau_ext[at];
+    const bool pressed = s.pressed >> j & 1;
+    const double hidden = pressed ? hidden_nm_[j] : 0.0;
+    const double unsure = pressed && !memory_gap.empty() ? unsure_nm_[j] * memory_gap[at] : 0.0;
+    const double rubbing = s.touched * rubbing_[j] * tau_ext[at], lag = s.touched * s.rate[j] / gain_per_s_;
+    into[at] = std::sqrt(sigma_nm[at] * sigma_nm[at] + hidden * hidden + unsure * unsure + rubbing * rubbing + lag * lag);
+  }
+  s.started = true;
 }
 
 }  // namespace tauext

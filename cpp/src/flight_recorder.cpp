@@ -26,11 +26,8 @@ FlightRecorder::FlightRecorder(int joints, std::int64_t sample_period_ns, const 
     throw Error("a flight recorder cannot keep " + std::to_string(capacity_) + " samples of " +
                 std::to_string(joints) + " joints; ask for fewer seconds");
   for (Ring& ring : rings_) {
-    ring.t_ns.resize(rows);
+    ring.rows.resize(rows);
     ring.signals.resize(rows * kSignals * static_cast<std::size_t>(joints));
-    for (auto* bits : {&ring.near_stiction, &ring.causes}) bits->resize(rows);
-    for (auto* words : {&ring.health, &ring.alarm, &ring.held_alarm, &ring.touch, &ring.detection}) words->resize(rows);
-    ring.load.resize(rows);
   }
 }
 
@@ -38,7 +35,6 @@ void FlightRecorder::push(const Sample& sample, const Estimate& e) noexcept {
   Ring& ring = rings_[active_];
   const auto row = static_cast<std::size_t>(ring.next);
   const auto n = static_cast<std::size_t>(joints_);
-  ring.t_ns[row] = sample.t_ns;
   double* to = ring.signals.data() + row * kSignals * n;
   for (const std::span<const double> signal : {sample.q, sample.dq, sample.tau}) {
     for (std::size_t j = 0; j < n; ++j)
@@ -48,14 +44,9 @@ void FlightRecorder::push(const Sample& sample, const Estimate& e) noexcept {
   for (const JointVector* signal : {&e.residual, &e.prior, &e.network, &e.drift, &e.tau_ext, &e.load_nm,
                                     &e.sigma_nm, &e.contact_sigma_nm, &e.limit_nm, &e.contact_limit_nm})
     to = std::copy_n(signal->data(), n, to);
-  ring.near_stiction[row] = e.near_stiction;
-  ring.causes[row] = e.causes;
-  ring.health[row] = static_cast<std::uint8_t>(e.health);
-  ring.alarm[row] = static_cast<std::uint8_t>(e.alarm);
-  ring.held_alarm[row] = static_cast<std::uint8_t>(e.held_alarm);
-  ring.touch[row] = static_cast<std::uint8_t>(e.touch);
-  ring.detection[row] = e.detection;
-  ring.load[row] = e.load;
+  ring.rows[row] = {sample.t_ns, e.near_stiction, e.causes, static_cast<std::uint8_t>(e.health),
+                    static_cast<std::uint8_t>(e.alarm), static_cast<std::uint8_t>(e.held_alarm),
+                    static_cast<std::uint8_t>(e.touch), e.detection, e.load};
   ring.next = ring.next + 1 == capacity_ ? 0 : ring.next + 1;
   ++ring.count;
 
@@ -118,20 +109,21 @@ bool FlightRecorder::take(Flight& flight) {
                                                   &flight.limit_nm, &flight.contact_limit_nm};
   for (std::int64_t k = 0; k < rows; ++k) {
     const auto at = static_cast<std::size_t>((oldest + k) % capacity_);
-    flight.t_ns.push_back(ring.t_ns[at]);
+    const Row& row = ring.rows[at];
+    flight.t_ns.push_back(row.t_ns);
     const double* from = ring.signals.data() + at * kSignals * n;
     for (std::vector<double>* signal : signals) {
       signal->insert(signal->end(), from, from + n);
       from += n;
     }
-    flight.near_stiction.push_back(ring.near_stiction[at]);
-    flight.causes.push_back(ring.causes[at]);
-    flight.health.push_back(ring.health[at]);
-    flight.alarm.push_back(ring.alarm[at]);
-    flight.held_alarm.push_back(ring.held_alarm[at]);
-    flight.touch.push_back(ring.touch[at]);
-    flight.detection.push_back(ring.detection[at]);
-    flight.load.push_back(ring.load[at]);
+    flight.near_stiction.push_back(row.near_stiction);
+    flight.causes.push_back(row.causes);
+    flight.health.push_back(row.health);
+    flight.alarm.push_back(row.alarm);
+    flight.held_alarm.push_back(row.held_alarm);
+    flight.touch.push_back(row.touch);
+    flight.detection.push_back(row.detection);
+    flight.load.push_back(row.load);
   }
   handed_.store(-1, std::memory_order_release);
   return true;

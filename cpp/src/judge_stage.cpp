@@ -1,4 +1,4 @@
-#include "tauext/judge_stage.hpp"
+#include "judge_stage.hpp"
 
 #include <algorithm>
 #include <cmath>

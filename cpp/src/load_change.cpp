@@ -1,9 +1,10 @@
-#include "tauext/load_change.hpp"
+#include "load_change.hpp"
 
 #include <algorithm>
 #include <cmath>
 
-#include "tauext/load_found.hpp"
+#include "linear.hpp"
+#include "load_solve.hpp"
 
 namespace tauext {
 namespace {
@@ -20,27 +21,12 @@ std::array<double, 3> com_of(const LoadChange& change) noexcept {
   return {change[1] / change[0], change[2] / change[0], change[3] / change[0]};
 }
 
-// Lower Cholesky factor in place of a symmetric positive definite matrix, of its rows and columns from `first` on.
-void factor(Matrix& a, std::size_t first) noexcept {
-  for (std::size_t j = first; j < 4; ++j) {
-    for (std::size_t k = first; k < j; ++k) a[5 * j] -= a[4 * j + k] * a[4 * j + k];
-    a[5 * j] = std::sqrt(std::max(a[5 * j], 1e-300));
-    for (std::size_t i = j + 1; i < 4; ++i) {
-      for (std::size_t k = first; k < j; ++k) a[4 * i + j] -= a[4 * i + k] * a[4 * j + k];
-      a[4 * i + j] /= a[5 * j];
-    }
-  }
-}
+constexpr double kLeastPivot = 1e-300;
 
-LoadChange solved(const Matrix& lower, LoadChange b, std::size_t first) noexcept {
-  for (std::size_t i = first; i < 4; ++i) {
-    for (std::size_t k = first; k < i; ++k) b[i] -= lower[4 * i + k] * b[k];
-    b[i] /= lower[5 * i];
-  }
-  for (std::size_t i = 4; i-- > first;) {
-    for (std::size_t k = i + 1; k < 4; ++k) b[i] -= lower[4 * k + i] * b[k];
-    b[i] /= lower[5 * i];
-  }
+// x of A x = b; A of so many rows is lost.
+LoadChange solved(Matrix& a, LoadChange b, std::size_t size) noexcept {
+  cholesky(std::span(a).first(size * size), size, kLeastPivot);
+  substitute(std::span(a).first(size * size), size, std::span(b).first(size));
   return b;
 }
 
@@ -58,13 +44,9 @@ Matrix with_prior(const Matrix& gram, double mass_kg, double reach_m) noexcept {
 }
 
 Matrix inverse(Matrix a) noexcept {
-  factor(a, 0);
+  cholesky(a, 4, kLeastPivot);
   Matrix out;
-  for (std::size_t i = 0; i < 4; ++i) {
-    LoadChange unit{};
-    unit[i] = 1;
-    std::ranges::copy(solved(a, unit, 0), out.begin() + static_cast<std::ptrdiff_t>(4 * i));
-  }
+  invert(a, 4, out);
   return out;
 }
 
@@ -77,18 +59,18 @@ double quadratic(const Matrix& a, const LoadChange& x) noexcept {
 
 // The best one with this prior of h, and whether it is within reach.
 LoadChange best_under(const Matrix& a, const LoadChange& moment, const LoadBounds& bounds) noexcept {
-  Matrix lower = a;
-  factor(lower, 0);
-  LoadChange x = solved(lower, moment, 0);
+  Matrix used = a;
+  LoadChange x = solved(used, moment, 4);
   const double mass = std::clamp(x[0], bounds.low_kg, bounds.high_kg);
   if (mass == 0) return {};
   if (mass != x[0]) {
-    LoadChange rest = moment;
-    for (std::size_t i = 1; i < 4; ++i) rest[i] -= a[4 * i] * mass;
-    lower = a;
-    factor(lower, 1);
-    x = solved(lower, rest, 1);
-    x[0] = mass;
+    LoadChange rest{};  // of h alone
+    for (std::size_t i = 1; i < 4; ++i) {
+      rest[i - 1] = moment[i] - a[4 * i] * mass;
+      for (std::size_t k = 1; k < 4; ++k) used[3 * (i - 1) + k - 1] = a[4 * i + k];
+    }
+    const LoadChange h = solved(used, rest, 3);
+    x = {mass, h[0], h[1], h[2]};
   }
   return x;
 }
@@ -162,8 +144,7 @@ bool agree(const ChangeSums& one, const ChangeSums& other, const LoadBounds& bou
   Matrix covariance = inverse(with_prior(one.gram, near[0], bounds.reach_m));
   const Matrix more = inverse(with_prior(other.gram, near[0], bounds.reach_m));
   for (std::size_t i = 0; i < 16; ++i) covariance[i] = alike * (covariance[i] + more[i]);
-  factor(covariance, 0);
-  const LoadChange half = solved(covariance, apart, 0);
+  const LoadChange half = solved(covariance, apart, 4);
   double squared = 0;
   for (std::size_t i = 0; i < 4; ++i) squared += half[i] * apart[i];
   return squared <= kSameSigmas;

@@ -1,4 +1,4 @@
-#include "tauext/lstm.hpp"
+#include "lstm.hpp"
 
 #include <algorithm>
 #include <atomic>

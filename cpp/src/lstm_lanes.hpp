@@ -11,7 +11,8 @@
 #include <new>
 #include <vector>
 
-#include "tauext/lstm.hpp"
+#include "lstm.hpp"
+#include "tauext/settings.hpp"
 
 #define TAUEXT_INLINE [[gnu::always_inline]] inline
 

@@ -3,12 +3,22 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <limits>
+#include <optional>
 #include <type_traits>
+#include <vector>
+
+#include "expected_load.hpp"
+#include "judge_stage.hpp"
+#include "observe_stage.hpp"
+#include "prior.hpp"
+#include "sliding_lstm.hpp"
+#include "weighing.hpp"
 
 namespace tauext {
 namespace {
 
-constexpr std::uint32_t kStateVersion = 11;
+constexpr std::uint32_t kStateVersion = 1;
 
 // What a saved state begins with.
 struct StateHead {
@@ -22,193 +32,323 @@ std::span<const char> as_chars(std::span<const std::byte> bytes) noexcept {
 }
 
 // Validates the bundle, too, before anything is made of it.
-std::uint32_t fingerprint(const Bundle& bundle, NetworkRate rate) {
+std::uint32_t fingerprint_of(const Bundle& bundle, NetworkRate rate) {
   const char how = static_cast<char>(rate);
   const std::vector<char> bytes = to_bytes(bundle);
   return crc32(std::span(&how, 1), crc32(bytes));
 }
 
+// Motion that is kept for a refit, in memory that is there before the loop begins.
+class RefitMotion {
+ public:
+  // Allocates; what was kept is lost.
+  void reserve(int joints, std::int64_t samples) {
+    *this = {};
+    joints_ = joints;
+    const auto count = static_cast<std::size_t>(samples), cells = count * static_cast<std::size_t>(joints);
+    t_ns_.resize(count);
+    q_.resize(cells);
+    dq_.resize(cells);
+    tau_.resize(cells);
+  }
+  bool reserved() const noexcept { return !t_ns_.empty(); }
+  bool running() const noexcept { return running_; }
+  bool full() const noexcept { return samples_ == static_cast<std::int64_t>(t_ns_.size()); }
+
+  void start() noexcept {
+    samples_ = 0;
+    running_ = true;
+  }
+  void stop() noexcept { running_ = false; }
+  // A sample of as many joints; once it is full, and unless it runs, none is kept.
+  void push(const Sample& sample) noexcept {
+    if (!running_ || full()) return;
+    t_ns_[static_cast<std::size_t>(samples_)] = sample.t_ns;
+    const auto at = static_cast<std::ptrdiff_t>(samples_ * joints_);
+    std::copy_n(sample.q.begin(), joints_, q_.begin() + at);
+    std::copy_n(sample.dq.begin(), joints_, dq_.begin() + at);
+    std::copy_n(sample.tau.begin(), joints_, tau_.begin() + at);
+    ++samples_;
+  }
+  RecordingView view() const noexcept { return {samples_, joints_, t_ns_.data(), q_.data(), dq_.data(), tau_.data()}; }
+
+ private:
+  int joints_ = 0;
+  std::int64_t samples_ = 0;
+  bool running_ = false;
+  std::vector<std::int64_t> t_ns_;
+  std::vector<double> q_, dq_, tau_;  // (samples, joints)
+};
+
 }  // namespace
 
-Monitor::Monitor(const Bundle& bundle, NetworkRate rate)
-    : sample_period_ns_(bundle.observer.sample_period_ns),
-      load_settings_(bundle.load),
-      fingerprint_(fingerprint(bundle, rate)),
-      observe_(bundle, rate == NetworkRate::every_sample ? 1 : bundle.observer.network_stride),
-      judge_(bundle),
-      wrench_(bundle) {
+struct Monitor::Chain {
+  std::vector<std::string> joint_names, torque_units, estimate_units;
+  std::int64_t sample_period_ns;
+  LoadSettings load_settings;
+  std::uint32_t fingerprint;  // CRC-32 of the bundle and of what else a state depends on
+  ObserveStage observe;
+  std::optional<SlidingLstm> network;
+  std::vector<float> network_out;
+  JudgeStage judge;
+  std::vector<FrictionLine> friction;  // a joint
+  RefitMotion refit_motion;
+  std::optional<ExpectedLoad> expected;  // where loads can be
+  std::optional<Weighing> weighing;      // where it is possible
+  WrenchModel wrench;
+  JointVector q, dq;  // of the last sample that went on the chain; no part of the state
+
+  Chain(const Bundle& bundle, NetworkRate rate);
+
+  ExpectedLoad* expected_load() noexcept { return expected ? &*expected : nullptr; }
+  bool weighs() const noexcept { return weighing && weighing->on(); }
+  std::span<const double> of_joints(const JointVector& values) const noexcept {
+    return std::span(values).first(static_cast<std::size_t>(judge.last().joints));
+  }
+  // tau_ext that no expected load explains.
+  JointVector left() const noexcept {
+    const Estimate& last = judge.last();
+    JointVector left{};
+    for (int j = 0; j < last.joints; ++j) left[j] = last.tau_ext[j] - last.load_nm[j];
+    return left;
+  }
+  void forget_q() noexcept {
+    q.fill(std::numeric_limits<double>::quiet_NaN());
+    dq = q;
+  }
+  void predict(const Observed& observed) noexcept;
+  void follow_expected() noexcept;
+  void put_load(const Load& load, std::int64_t since_ns) noexcept;
+  void end_weighing() noexcept;
+};
+
+Monitor::Chain::Chain(const Bundle& bundle, NetworkRate rate)
+    : sample_period_ns(bundle.observer.sample_period_ns),
+      load_settings(bundle.load),
+      fingerprint(fingerprint_of(bundle, rate)),
+      observe(bundle, rate == NetworkRate::every_sample ? 1 : bundle.observer.network_stride),
+      judge(bundle),
+      wrench(bundle) {
   forget_q();
   for (int j = 0; j < bundle.joints(); ++j) {
-    friction_.push_back(friction_line(bundle.prior, static_cast<std::size_t>(j)));
-    joint_names_.push_back(bundle.links[static_cast<std::size_t>(j)].joint_name);
-    torque_units_.push_back(bundle.torque_unit(j));
-    estimate_units_.push_back(bundle.estimate_unit(j));
+    friction.push_back(friction_line(bundle.prior, static_cast<std::size_t>(j)));
+    joint_names.push_back(bundle.links[static_cast<std::size_t>(j)].joint_name);
+    torque_units.push_back(bundle.torque_unit(j));
+    estimate_units.push_back(bundle.estimate_unit(j));
   }
-  if (Weighing::possible(bundle)) weighing_.emplace(bundle);
-  if (load_settings_.settable()) {
-    observe_.allow_loads(load_settings_, bundle.most_units_per_nm());
-    judge_.allow_loads();
-    if (ExpectedLoad::possible(bundle)) expected_.emplace(bundle);
+  if (Weighing::possible(bundle)) weighing.emplace(bundle);
+  if (load_settings.settable()) {
+    observe.allow_loads(load_settings, bundle.most_units_per_nm());
+    judge.allow_loads();
+    if (ExpectedLoad::possible(bundle)) expected.emplace(bundle);
   }
   if (!bundle.has_network()) return;
-  network_.emplace(bundle.shape, bundle.parameters, bundle.inputs, bundle.columns(), bundle.observer.network_stride,
+  network.emplace(bundle.shape, bundle.parameters, bundle.inputs, bundle.columns(), bundle.observer.network_stride,
                    bundle.window_steps, rate);
-  network_out_.resize(bundle.links.size());
+  network_out.resize(bundle.links.size());
 }
 
+Monitor::Monitor(const Bundle& bundle, NetworkRate rate)
+    : chain_(std::make_unique<Chain>(bundle, rate)), last_(&chain_->judge.last()) {}
+Monitor::Monitor(Monitor&&) noexcept = default;
+Monitor& Monitor::operator=(Monitor&&) noexcept = default;
+Monitor::~Monitor() = default;
+
 void Monitor::reset() noexcept {
-  forget_q();
-  observe_.reset();
-  if (network_) network_->restart();
-  judge_.reset();
-  if (expected_) expected_->reset();
-  refit_motion_.stop();
-  end_weighing();
+  chain_->forget_q();
+  chain_->observe.reset();
+  if (chain_->network) chain_->network->restart();
+  chain_->judge.reset();
+  if (chain_->expected) chain_->expected->reset();
+  chain_->refit_motion.stop();
+  chain_->end_weighing();
 }
 
 bool Monitor::start_weighing(double reach_m) noexcept {
-  if (!weighing_ || !(reach_m > 0) || !std::isfinite(reach_m)) return false;
+  if (!chain_->weighing || !(reach_m > 0) || !std::isfinite(reach_m)) return false;
   advance();
-  weighing_->start(reach_m, observe_.load());
-  judge_.hold_drift(true);
+  chain_->weighing->start(reach_m, chain_->observe.load());
+  chain_->judge.hold_drift(true);
   return true;
 }
 
 void Monitor::stop_weighing() noexcept {
   if (!weighing()) return;
   advance();
-  weighing_->stop();
-  judge_.hold_drift(false);
+  chain_->weighing->stop();
+  chain_->judge.hold_drift(false);
 }
 
 // And nothing was found.
-void Monitor::end_weighing() noexcept {
-  if (weighing_) weighing_->reset();
-  judge_.hold_drift(false);
+void Monitor::Chain::end_weighing() noexcept {
+  if (weighing) weighing->reset();
+  judge.hold_drift(false);
 }
 
 std::string Monitor::why_no_weighing() const {
-  if (weighing_) return "";
-  if (load_settings_.link < 0) return "no load can be weighed: " + load_settings_.refused;
+  if (chain_->weighing) return "";
+  if (chain_->load_settings.link < 0) return "no load can be weighed: " + chain_->load_settings.refused;
   return "no load can be weighed: the bundle's residual is not that of the momentum observer without filters";
 }
 
 void Monitor::reserve_refit(double seconds) {
   if (!(seconds > 0 && seconds <= 600)) throw Error("a refit's motion of " + to_text(seconds) + " s must be above 0, at most 600");
   finish_refit();
-  refit_motion_.reserve(joints(), std::llround(std::ceil(1e9 * seconds / static_cast<double>(sample_period_ns_))));
+  chain_->refit_motion.reserve(joints(), std::llround(std::ceil(1e9 * seconds / static_cast<double>(chain_->sample_period_ns))));
 }
 
 bool Monitor::start_refit(double friction_share) noexcept {
   const auto any = [](const FrictionLine& line) noexcept { return line.at_rest_nm > 0 || line.per_speed > 0; };
-  if (!refit_motion_.reserved() || !(friction_share >= 0 && friction_share <= 2) || !std::ranges::any_of(friction_, any))
+  if (!chain_->refit_motion.reserved() || !(friction_share >= 0 && friction_share <= 2) || !std::ranges::any_of(chain_->friction, any))
     return false;
   JointVector at_rest{}, per_speed{};
-  for (std::size_t j = 0; j < friction_.size(); ++j) {
-    at_rest[j] = friction_share * friction_[j].at_rest_nm;
-    per_speed[j] = friction_share * friction_[j].per_speed;
+  for (std::size_t j = 0; j < chain_->friction.size(); ++j) {
+    at_rest[j] = friction_share * chain_->friction[j].at_rest_nm;
+    per_speed[j] = friction_share * chain_->friction[j].per_speed;
   }
-  judge_.widen_limits(at_rest, per_speed);
-  refit_motion_.start();
+  chain_->judge.widen_limits(at_rest, per_speed);
+  chain_->refit_motion.start();
   return true;
 }
 
+bool Monitor::refit_full() const noexcept { return chain_->refit_motion.running() && chain_->refit_motion.full(); }
+RecordingView Monitor::refit_motion() const noexcept { return chain_->refit_motion.view(); }
+
 RecordingView Monitor::finish_refit() noexcept {
-  judge_.widen_limits({}, {});
-  refit_motion_.stop();
-  return refit_motion_.view();
+  chain_->judge.widen_limits({}, {});
+  chain_->refit_motion.stop();
+  return chain_->refit_motion.view();
 }
 
 void Monitor::resume() noexcept {
-  observe_.forget_friction(last().near_stiction);
-  if (observe_.tells_friction()) judge_.forget_pushes();  // the doubt stands for them
+  chain_->observe.forget_friction(last().near_stiction);
+  if (chain_->observe.tells_friction()) chain_->judge.forget_pushes();  // the doubt stands for them
   acknowledge();
 }
 
+void Monitor::acknowledge() noexcept {
+  chain_->judge.acknowledge();
+  if (chain_->expected) chain_->expected->acknowledge();
+}
+
+bool Monitor::set_limit_factors(std::span<const double> collision, std::span<const double> contact) noexcept {
+  if (chain_->expected) chain_->expected->set_limit_factors(collision, contact);
+  return chain_->judge.set_limit_factors(collision, contact);
+}
+const LimitFactors& Monitor::limit_factors() const noexcept { return chain_->judge.limit_factors(); }
+
 bool Monitor::set_temperature(std::span<const double> celsius) noexcept {
   if (celsius.size() != static_cast<std::size_t>(joints())) return false;
-  observe_.follow_temperature(celsius);
+  chain_->observe.follow_temperature(celsius);
   return true;
 }
 
 const Estimate& Monitor::estimate(const Sample& sample) noexcept {
   advance();
-  const Observed& observed = observe_.step(sample);
-  if (network_ && observed.passage == Passage::entered) predict(observed);
+  const Observed& observed = chain_->observe.step(sample);
+  if (chain_->network && observed.passage == Passage::entered) chain_->predict(observed);
   if (observed.passage == Passage::entered) {
-    refit_motion_.push(sample);
-    std::copy(sample.q.begin(), sample.q.end(), q_.begin());
-    std::copy(sample.dq.begin(), sample.dq.end(), dq_.begin());
+    chain_->refit_motion.push(sample);
+    std::copy(sample.q.begin(), sample.q.end(), chain_->q.begin());
+    std::copy(sample.dq.begin(), sample.dq.end(), chain_->dq.begin());
   }
-  const Estimate& answer = judge_.step(observed, sample, network_out_, expected_ ? &*expected_ : nullptr);
-  if (weighing()) weighing_->look(sample, observed, answer);
+  const Estimate& answer = chain_->judge.step(observed, sample, chain_->network_out, chain_->expected_load());
+  if (weighing()) chain_->weighing->look(sample, observed, answer);
   return answer;
 }
 
-// The network's answer for the window that ends at this sample, in network_out_; what stood there while none is full.
-void Monitor::predict(const Observed& observed) noexcept {
-  if (observed.restarted) network_->restart();
-  network_->push(observe_.features(), observed.ticks);
-  network_->answer(network_out_);
+// The network's answer for the window that ends at this sample, in network_out; what stood there while none is full.
+void Monitor::Chain::predict(const Observed& observed) noexcept {
+  if (observed.restarted) network->restart();
+  network->push(observe.features(), observed.ticks);
+  network->answer(network_out);
 }
 
 void Monitor::advance() noexcept {
-  observe_.keep();
-  judge_.advance();
-  if (observe_.progress().started) judge_.keep(observe_.progress().t_ns);
-  if (network_) network_->advance();
-  if (weighing()) weighing_->advance(observe_.beta());
-  if (expected_ && expected_->on()) follow_expected();
+  chain_->observe.keep();
+  chain_->judge.advance();
+  if (chain_->observe.progress().started) chain_->judge.keep(chain_->observe.progress().t_ns);
+  if (chain_->network) chain_->network->advance();
+  if (weighing()) chain_->weighing->advance(chain_->observe.beta());
+  if (chain_->expected && chain_->expected->on()) chain_->follow_expected();
 }
 
 // What the last sample decided about a load that is expected.
-void Monitor::follow_expected() noexcept {
-  const ExpectedLoad::Decision decision = expected_->decide();
-  if (decision.alarm != Alarm::none) judge_.raise(decision.alarm, decision.joint);
+void Monitor::Chain::follow_expected() noexcept {
+  const ExpectedLoad::Decision decision = expected->decide();
+  if (decision.alarm != Alarm::none) judge.raise(decision.alarm, decision.joint);
   if (decision.sets) put_load(decision.load, decision.since_ns);
 }
 
 bool Monitor::expect_load(double seconds, double at_most_kg) noexcept {
-  if (!expected_) return false;
+  if (!chain_->expected) return false;
   advance();
-  return expected_->start(seconds, at_most_kg, load(), judge_.alarm());
+  return chain_->expected->start(seconds, at_most_kg, load(), chain_->judge.alarm());
 }
 
 std::string Monitor::why_not_expected(double seconds, double at_most_kg) const {
-  if (expected_) return expected_->why_not(seconds, at_most_kg);
-  return load_settings_.words(load_settings_.settable() ? LoadFault::no_past : LoadFault::not_settable, {});
+  if (chain_->expected) return chain_->expected->why_not(seconds, at_most_kg);
+  return chain_->load_settings.words(chain_->load_settings.settable() ? LoadFault::no_past : LoadFault::not_settable, {});
 }
 
 LoadFault Monitor::load_fault(const Load& load, std::int64_t since_ns) const noexcept {
-  const LoadFault fault = load_settings_.fault(load);
-  if (fault != LoadFault::none || since_ns == kFromNow || observe_.can_go_back()) return fault;
+  const LoadFault fault = chain_->load_settings.fault(load);
+  if (fault != LoadFault::none || since_ns == kFromNow || chain_->observe.can_go_back()) return fault;
   return LoadFault::no_past;
 }
 
 bool Monitor::set_load(const Load& load, std::int64_t since_ns) noexcept {
   if (load_fault(load, since_ns) != LoadFault::none) return false;
   advance();
-  if (expected_) expected_->stop();
-  put_load(load, since_ns);
+  if (chain_->expected) chain_->expected->stop();
+  chain_->put_load(load, since_ns);
   return true;
 }
 
-void Monitor::put_load(const Load& load, std::int64_t since_ns) noexcept {
-  observe_.set_load(load, since_ns);
-  judge_.set_load(observe_.load());
-  if (since_ns < observe_.progress().t_ns) judge_.take_back_drift(since_ns);
-  if (weighing()) weighing_->start(weighing_->settings().reach_m, observe_.load());
+void Monitor::Chain::put_load(const Load& load, std::int64_t since_ns) noexcept {
+  observe.set_load(load, since_ns);
+  judge.set_load(observe.load());
+  if (since_ns < observe.progress().t_ns) judge.take_back_drift(since_ns);
+  if (weighs()) weighing->start(weighing->settings().reach_m, observe.load());
 }
 
 const Estimate& Monitor::no_sample(std::int64_t now_ns) noexcept {
   advance();
-  return judge_.step(observe_.no_sample(now_ns), {}, {}, expected_ ? &*expected_ : nullptr);
+  return chain_->judge.step(chain_->observe.no_sample(now_ns), {}, {}, chain_->expected_load());
 }
+
+const Load& Monitor::load() const noexcept { return chain_->observe.load(); }
+const LoadSettings& Monitor::load_settings() const noexcept { return chain_->load_settings; }
+bool Monitor::can_weigh() const noexcept { return chain_->weighing.has_value(); }
+bool Monitor::weighing() const noexcept { return chain_->weighs(); }
+LoadFound Monitor::estimate_load() const noexcept { return can_weigh() ? chain_->weighing->found() : LoadFound{}; }
+
+Wrench Monitor::wrench(int frame, WrenchAxes axes) const noexcept {
+  const Chain& c = *chain_;
+  return c.wrench.wrench(frame, c.of_joints(c.q), c.of_joints(c.left()), c.of_joints(last().sigma_nm), axes,
+                         c.of_joints(last().contact_sigma_nm), c.of_joints(c.dq));
+}
+Wrench Monitor::force(int frame, const std::array<double, 3>& point, WrenchAxes axes) const noexcept {
+  const Chain& c = *chain_;
+  return c.wrench.force(frame, point, c.of_joints(c.q), c.of_joints(c.left()), c.of_joints(last().sigma_nm), axes,
+                        c.of_joints(last().contact_sigma_nm), c.of_joints(c.dq));
+}
+const WrenchModel& Monitor::wrench_model() const noexcept { return chain_->wrench; }
+
+const std::string& Monitor::joint_name(int joint) const { return chain_->joint_names.at(static_cast<std::size_t>(joint)); }
+const std::string& Monitor::torque_unit(int joint) const { return chain_->torque_units.at(static_cast<std::size_t>(joint)); }
+const std::string& Monitor::estimate_unit(int joint) const {
+  return chain_->estimate_units.at(static_cast<std::size_t>(joint));
+}
+std::int64_t Monitor::sample_period_ns() const noexcept { return chain_->sample_period_ns; }
+std::uint64_t Monitor::samples() const noexcept { return chain_->observe.progress().samples; }
+std::uint64_t Monitor::bridged_ticks() const noexcept { return chain_->observe.progress().bridged; }
+std::uint64_t Monitor::restarts() const noexcept { return chain_->observe.progress().restarts; }
 
 // What a state holds, in this order; all of it plain bytes.
 std::size_t Monitor::state_bytes() const noexcept {
   return sizeof(StateHead) + sizeof(ObserveStage::State) + sizeof(JudgeStage::State) +
-         (expected_ ? expected_->state_bytes() : 0) + (network_ ? network_->state_bytes() : 0);
+         (chain_->expected ? chain_->expected->state_bytes() : 0) + (chain_->network ? chain_->network->state_bytes() : 0);
 }
 
 bool Monitor::save_state(std::span<std::byte> state) const noexcept {
@@ -219,14 +359,14 @@ bool Monitor::save_state(std::span<std::byte> state) const noexcept {
     std::memcpy(left.data(), &part, sizeof part);
     left = left.subspan(sizeof part);
   };
-  put(observe_.state());
-  put(judge_.state());
-  if (expected_) {
-    expected_->save(left);
-    left = left.subspan(expected_->state_bytes());
+  put(chain_->observe.state());
+  put(chain_->judge.state());
+  if (chain_->expected) {
+    chain_->expected->save(left);
+    left = left.subspan(chain_->expected->state_bytes());
   }
-  if (network_) network_->save(left);
-  const StateHead head{kStateVersion, fingerprint_, state.size(), crc32(as_chars(state.subspan(sizeof head))), 0};
+  if (chain_->network) chain_->network->save(left);
+  const StateHead head{kStateVersion, chain_->fingerprint, state.size(), crc32(as_chars(state.subspan(sizeof head))), 0};
   std::memcpy(state.data(), &head, sizeof head);
   return true;
 }
@@ -236,7 +376,7 @@ bool Monitor::restore_state(std::span<const std::byte> state) noexcept {
   if (state.size() != state_bytes()) return false;
   std::memcpy(&head, state.data(), sizeof head);
   std::span<const std::byte> left = state.subspan(sizeof head);
-  if (head.version != kStateVersion || head.fingerprint != fingerprint_ || head.bytes != state.size() ||
+  if (head.version != kStateVersion || head.fingerprint != chain_->fingerprint || head.bytes != state.size() ||
       head.crc != crc32(as_chars(left)))
     return false;
   const auto take = [&](auto part) noexcept {  // a copy of what stands there gives it its type
@@ -244,16 +384,16 @@ bool Monitor::restore_state(std::span<const std::byte> state) noexcept {
     left = left.subspan(sizeof part);
     return part;
   };
-  observe_.restore(take(observe_.state()));
-  judge_.restore(take(judge_.state()));
-  if (expected_) {
-    expected_->restore(left);
-    left = left.subspan(expected_->state_bytes());
+  chain_->observe.restore(take(chain_->observe.state()));
+  chain_->judge.restore(take(chain_->judge.state()));
+  if (chain_->expected) {
+    chain_->expected->restore(left);
+    left = left.subspan(chain_->expected->state_bytes());
   }
-  if (network_) network_->restore(left);
+  if (chain_->network) chain_->network->restore(left);
   finish_refit();
-  end_weighing();
-  forget_q();
+  chain_->end_weighing();
+  chain_->forget_q();
   return true;
 }
 

@@ -1,10 +1,11 @@
-#include "tauext/observation.hpp"
+#include "observation.hpp"
 
 #include <algorithm>
 #include <optional>
 #include <string>
 
-#include "tauext/observe_stage.hpp"
+#include "observe_stage.hpp"
+#include "tauext/bundle.hpp"
 
 namespace tauext {
 namespace {
@@ -163,6 +164,10 @@ std::vector<float> feature_rows(const RecordingView& recording, const Observatio
       std::ranges::copy(to, rows.begin() + static_cast<std::ptrdiff_t>(held * columns));
   }
   return rows;
+}
+
+WindowRows windows_of(const Bundle& bundle) noexcept {
+  return {nullptr, 0, bundle.columns(), bundle.observer.network_stride, bundle.window_steps, bundle.inputs};
 }
 
 }  // namespace tauext

@@ -1,9 +1,10 @@
-#include "tauext/observe_stage.hpp"
+#include "observe_stage.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <string>
 
+#include "observation.hpp"
 #include "tauext/bundle.hpp"
 
 namespace tauext {
@@ -66,7 +67,7 @@ ObserveStage::ObserveStage(const Bundle& bundle, int answer_every)
   row_.resize(static_cast<std::size_t>(bundle.columns()));
   states_.resize(row_.size() - 2 * bundle.links.size());
   largest_input_ = largest_lstm_input(bundle.shape, bundle.parameters);
-  reach_ = bundle.windows().reach();
+  reach_ = windows_of(bundle).reach();
   answer_every_ = answer_every;
 }
 

@@ -1,76 +1,10 @@
-#include "tauext/prior.hpp"
+#include "prior.hpp"
 
 #include <algorithm>
 #include <bit>
 #include <cmath>
 
 namespace tauext {
-namespace {
-constexpr int kMaxCycles = 10000;
-}
-
-void FrictionTemperature::validate(int joints) const {
-  if (!on()) return;
-  const auto expect = [joints](const char* what, const std::vector<double>& values, double least, double most) {
-    const std::string name = std::string("prior.temperature.") + what;
-    if (values.size() != static_cast<std::size_t>(joints))
-      throw Error(name + " has " + std::to_string(values.size()) + " values where " + std::to_string(joints) + " belong");
-    for (double value : values)
-      if (!(value >= least && value <= most))
-        throw Error(name + " = " + to_text(value) + " must be " + to_text(least) + " to " + to_text(most));
-  };
-  expect("reference_c", reference_c, -273.15, 1000);
-  expect("reach_k", reach_k, 0, 1000);
-  expect("coulomb_per_10k", coulomb_per_10k, -10, 10);
-  expect("viscous_per_10k", viscous_per_10k, -10, 10);
-}
-
-void PriorSettings::validate(int joints) const {
-  temperature.validate(joints);
-  const Presliding probe(joints, widths_rad, branches);
-  const auto expect = [](bool ok, std::size_t term, const char* rule) {
-    if (!ok) throw Error("prior term " + std::to_string(term) + ": " + rule);
-  };
-  for (std::size_t m = 0; m < terms.size(); ++m) {
-    const Term& t = terms[m];
-    const auto joint = [joints](std::int32_t j) { return j >= 0 && j < joints; };
-    expect(t.kind <= TermKind::local_memory, m, "its kind is unknown");
-    expect(joint(t.a), m, "joint a does not exist");
-    if (t.kind == TermKind::coulomb || t.kind == TermKind::load)
-      expect(t.speed > 0 && std::isfinite(t.speed), m, "its speed must be > 0");
-    if (t.kind == TermKind::local_memory) expect(probe.has_branches(), m, "there is no branch to follow");
-    if (has_width(t))
-      expect(t.b >= 0 && t.b < probe.width_count(), m, "its presliding width does not exist");
-    if (t.kind == TermKind::gravity || t.kind == TermKind::quadratic || t.kind == TermKind::momentum)
-      expect(joint(t.b), m, "joint b does not exist");
-    if (t.kind == TermKind::quadratic || (t.kind == TermKind::gravity && t.form >= 6))
-      expect(joint(t.c), m, "joint c does not exist");
-    if (t.kind == TermKind::ripple) expect(t.b >= 1 && t.b <= kMaxCycles, m, "its cycles a turn are not 1 to 10000");
-    const int forms = t.kind == TermKind::gravity    ? 14
-                      : t.kind == TermKind::momentum ? 3
-                      : t.kind == TermKind::quadratic || t.kind == TermKind::ripple ||
-                              is_load(t) || t.kind == TermKind::backlash
-                          ? 2
-                          : 1;
-    expect(t.form >= 0 && t.form < forms, m, "its form does not exist");
-    if ((is_load(t) || t.kind == TermKind::backlash) && t.form == 1)
-      expect(!corrected_links.empty(), m, "it asks for the load by the corrected model, and there is none");
-  }
-  if (weights.size() != terms.size() * static_cast<std::size_t>(joints))
-    throw Error("prior.weights has " + std::to_string(weights.size()) + " values where " +
-                std::to_string(terms.size() * static_cast<std::size_t>(joints)) + " belong");
-  for (double weight : weights)
-    if (!std::isfinite(weight)) throw Error("prior.weights holds a value that is not finite");
-  if (!corrected_links.empty() && corrected_links.size() != static_cast<std::size_t>(joints))
-    throw Error("the prior's corrected model has " + std::to_string(corrected_links.size()) + " links where " +
-                std::to_string(joints) + " belong");
-  if (!most_load_nm.empty() && most_load_nm.size() != static_cast<std::size_t>(joints))
-    throw Error("prior.most_load_nm has " + std::to_string(most_load_nm.size()) + " values where " +
-                std::to_string(joints) + " belong");
-  for (double most : most_load_nm)
-    if (!(most >= 0 && std::isfinite(most))) throw Error("prior.most_load_nm = " + to_text(most) + " must be >= 0 and finite");
-}
-
 std::vector<double> load_friction_shares(const PriorSettings& prior, int joints) {
   std::vector<double> shares(static_cast<std::size_t>(joints));
   std::uint32_t known = 0;
@@ -269,6 +203,32 @@ void Prior::go_back(std::int64_t t_ns, std::span<const double> q, std::span<cons
   sum(q, dq, presliding, momentum, beta, sums);
   state_.filter.go_back(t_ns, of(sums.p), of(sums.v), of(zero), prior);
   state_.doubt_filter.go_back(t_ns, of(zero), of(sums.unknown), of(zero), doubt);
+}
+
+namespace {
+
+// Of a joint that slides at this speed: its presliding states are 1.
+double friction_nm(const PriorSettings& prior, std::size_t joint, double speed) {
+  double sum = 0;
+  for (std::size_t m = 0; m < prior.terms.size(); ++m) {
+    const Term& term = prior.terms[m];
+    if (static_cast<std::size_t>(term.a) != joint) continue;
+    const double weight = prior.weights[joint * prior.terms.size() + m];
+    if (term.kind == TermKind::coulomb) sum += weight * std::tanh(speed / term.speed);
+    if (term.kind == TermKind::presliding) sum += weight;
+    if (term.kind == TermKind::viscous) sum += weight * speed;
+  }
+  return std::fabs(sum);
+}
+
+}  // namespace
+
+// Through the friction at a slow and at a usual speed.
+FrictionLine friction_line(const PriorSettings& prior, std::size_t joint) {
+  constexpr double slow = 0.15, usual = 0.5;  // [rad/s]: where Coulomb terms have levelled off
+  const double at_slow = friction_nm(prior, joint, slow), at_usual = friction_nm(prior, joint, usual);
+  const double slope = std::max((at_usual - at_slow) / (usual - slow), 0.0);
+  return {std::max(at_usual - slope * usual, 0.0), slope};
 }
 
 }  // namespace tauext

@@ -2,13 +2,498 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <numeric>
+#include <span>
 #include <string>
+#include <utility>
+#include <vector>
 
-#include "refit_fit.hpp"
+#include "estimates.hpp"
+#include "linear.hpp"
+#include "observation.hpp"
 
 namespace tauext {
+// A network period apart, of all sources one after the other. Columns of a joint stand in one row each, (rows).
+struct RefitRows {
+  struct Joint {
+    std::vector<double> error;           // residual - prior - network
+    std::vector<double> sigma;           // as the motion announces it, or a quarter of the limit where nobody knows
+    std::vector<double> limit;           // collision limit as it follows the motion, without doubt
+    std::vector<double> doubt;
+    std::vector<std::uint8_t> near_stiction;
+    std::vector<std::uint8_t> shows;     // friction: it moved within the last kStoodS
+    std::vector<double> network;         // what it says; empty: there is none
+    double moved_s = 0;
+  };
+  std::vector<std::int64_t> t_ns;
+  std::vector<int> source;
+  std::vector<Joint> joints;
+  std::vector<Term> terms;               // own terms of all joints, of kinds that may change ...
+  std::vector<std::size_t> places;       // ... and where they stand in the prior
+  std::vector<double> values;            // (rows, terms)
+  double period_s = 0;
+  bool knows_sigma = false;
+
+  std::size_t size() const noexcept { return t_ns.size(); }
+};
+
+// Terms of a joint alone that friction is made of, or that may change with it.
+bool may_change(const Term& term) noexcept;
+// Throws Error where sources do not fit or hold too little.
+RefitRows refit_rows(const Bundle& bundle, std::span<const RefitSource> sources, int threads);
+
+// First and end of one of so many stretches of rows, as long as each other.
+inline std::pair<std::size_t, std::size_t> block_of(std::size_t rows, int block, int blocks) noexcept {
+  const auto at = [&](int b) { return rows * static_cast<std::size_t>(b) / static_cast<std::size_t>(blocks); };
+  return {at(block), at(block + 1)};
+}
+
+// minimise |u|^2 + k sum_r t_r (y_r - a_r.u)^2 / s^2 over the unknowns u of RefitSettings, with y = error / sigma,
+// a = terms' values by sigma times what a unit of u changes their weights by (of the trend: by that row's time), t Tukey's weights, s the spread of what is
+// left and k the share of rows that are independent.
+class JointFit {
+ public:
+  JointFit(const Bundle& bundle, const RefitRows& rows, int joint, const RefitSettings& settings);
+
+  // Factors and constant.
+  void tell(RefitJoint& out) const;
+  // The joint's weights, and its network's scale.
+  void put(Bundle& bundle) const;
+  // Error of every row after a fit without its block, [N m].
+  std::vector<double> left_out(int blocks) const;
+  double memory_s() const noexcept { return memory_s_; }
+
+ private:
+  enum class Group : std::uint8_t { friction, viscous, constant, ripple, network };
+  struct Column {
+    Group group;
+    std::size_t place;  // in the prior's terms
+    double weight;      // the old one; 1 of a network
+    std::vector<double> values;  // (rows)
+  };
+
+  void find_columns();
+  void build(const RefitSettings& settings);
+  void iterate();
+  double spread_of(std::span<const double> rest) const;
+  // Unknowns by the rows outside [first, end), and their covariance where it is asked for.
+  std::vector<double> solve(std::size_t first, std::size_t end, std::vector<double>* covariance) const;
+  std::vector<double> left(std::span<const double> unknowns) const;
+  double size_of(Group group) const;
+  RefitFactor factor(Group group) const;
+  double change(std::size_t column, std::span<const double> unknowns) const;
+
+  const Bundle& bundle_;
+  const RefitRows& rows_;
+  std::size_t joint_;
+  std::vector<Column> columns_;
+  std::size_t unknowns_ = 0;
+  double expected_ = 1;              // factor of friction before today's motion is seen
+  double unseen_error_ = 0;          // of a factor of which today's motion says nothing
+  std::vector<double> effect_;       // (columns, unknowns): change of a weight by a unit of an unknown
+  std::vector<double> standard_;     // (rows, unknowns): a
+  std::vector<double> given_;        // (rows): error / sigma beside what is expected
+  std::vector<double> trust_;        // (rows): t
+  double spread_ = 1, independent_ = 1, memory_s_ = 0;
+  std::vector<double> found_, covariance_;
+};
+
+namespace {
+
+constexpr double kLimitOverSigma = 4;  // limits of hours are 4 to 16 times it
+// Pauses of a routine are shorter, and how the joint came to rest says what holds it; later its load has crept elsewhere.
+constexpr double kStoodS = 5;
+// In one direction, faster than near stiction: 2 mrad at least, which is a gear's presliding, and no noise of a velocity.
+constexpr double kMovesS = 0.1;
+
+// A recording's samples that a monitor would take, as a recording of their own: what it refuses would stay in the filters.
+struct Entered {
+  std::vector<std::int64_t> t_ns, from;
+  std::vector<double> q, dq, tau;
+};
+
+Entered entered_samples(const RecordingView& r, const Estimates& said) {
+  Entered out;
+  const auto n = static_cast<std::size_t>(r.joints);
+  for (std::size_t k = 0; k < said.entered.size(); ++k) {
+    if (!said.entered[k]) continue;
+    const Sample s = r.at(static_cast<std::int64_t>(k));
+    out.t_ns.push_back(s.t_ns);
+    out.from.push_back(static_cast<std::int64_t>(k));
+    out.q.insert(out.q.end(), s.q.begin(), s.q.begin() + n);
+    out.dq.insert(out.dq.end(), s.dq.begin(), s.dq.begin() + n);
+    out.tau.insert(out.tau.end(), s.tau.begin(), s.tau.begin() + n);
+  }
+  return out;
+}
+
+PriorSettings changeable(const Bundle& bundle, std::span<const Term> terms) {
+  PriorSettings prior;
+  prior.widths_rad = bundle.prior.widths_rad;
+  prior.branches = bundle.prior.branches;
+  prior.terms.assign(terms.begin(), terms.end());
+  prior.weights.assign(terms.size() * bundle.links.size(), 0.0);
+  prior.corrected_links = bundle.prior.corrected_links;
+  return prior;
+}
+
+void add_row(RefitRows& rows, const Bundle& bundle, const Estimates& said, const RecordingView& r, std::size_t k) {
+  const std::size_t n = bundle.links.size();
+  for (std::size_t j = 0; j < n; ++j) {
+    const std::size_t cell = k * n + j;
+    RefitRows::Joint& joint = rows.joints[j];
+    const double limit = bundle.limits.limit_nm(bundle.limits.collision, static_cast<int>(j), said.near_stiction[cell]) *
+                         said.limit_scale[cell];
+    joint.error.push_back(said.residual[cell] - said.prior[cell] - said.network[cell]);
+    joint.sigma.push_back(rows.knows_sigma ? said.sigma_nm[cell] : limit / kLimitOverSigma);
+    joint.limit.push_back(limit);
+    joint.doubt.push_back(said.doubt[cell]);
+    joint.near_stiction.push_back(said.near_stiction[cell]);
+    if (bundle.has_network()) joint.network.push_back(said.network[cell]);
+    if (std::fabs(r.dq[cell]) > bundle.limits.near_stiction_rad_s) joint.moved_s += rows.period_s;
+  }
+}
+
+constexpr std::int64_t kNever = std::numeric_limits<std::int64_t>::min();
+constexpr auto kStoodNs = static_cast<std::int64_t>(1e9 * kStoodS), kMovesNs = static_cast<std::int64_t>(1e9 * kMovesS);
+
+// When a joint last moved, as far as it has been told.
+struct LastMotion {
+  std::int64_t since_ns = kNever, moved_ns = kNever;  // begin of what may be one, and its last sample that was one
+  double direction = 0;
+
+  void take(std::int64_t t_ns, double speed, double least) noexcept {
+    if (std::fabs(speed) <= least || speed * direction <= 0) since_ns = t_ns;
+    direction = speed;
+    if (std::fabs(speed) > least && t_ns - since_ns >= kMovesNs) moved_ns = t_ns;
+  }
+  bool shows(std::int64_t t_ns) const noexcept { return moved_ns != kNever && t_ns - moved_ns <= kStoodNs; }
+};
+
+}  // namespace
+
+bool may_change(const Term& term) noexcept {
+  switch (term.kind) {
+    case TermKind::constant:
+    case TermKind::viscous:
+    case TermKind::coulomb:
+    case TermKind::presliding:
+    case TermKind::load:
+    case TermKind::load_presliding:
+    case TermKind::ripple:
+    case TermKind::backlash:
+      return true;
+    default:
+      return false;
+  }
+}
+
+RefitRows refit_rows(const Bundle& bundle, std::span<const RefitSource> sources, int threads) {
+  RefitRows rows;
+  rows.joints.resize(bundle.links.size());
+  rows.knows_sigma = bundle.error_scale.on();
+  rows.period_s = 1e-9 * static_cast<double>(bundle.observer.sample_period_ns) * bundle.observer.network_stride;
+  for (std::size_t m = 0; m < bundle.prior.terms.size(); ++m)
+    if (may_change(bundle.prior.terms[m])) {
+      rows.terms.push_back(bundle.prior.terms[m]);
+      rows.places.push_back(m);
+    }
+  if (rows.terms.empty())
+    throw Error("the bundle has no prior whose friction could be brought up to date; train one with recipe tauext or prior");
+  Bundle plain = bundle;
+  plain.drift = {};  // what it would take off is to be learned
+  const PriorSettings prior = changeable(bundle, rows.terms);
+  const Tree tree(bundle.links, bundle.gravity);
+  const auto stride = static_cast<std::size_t>(bundle.observer.network_stride);
+  for (std::size_t number = 0; number < sources.size(); ++number) {
+    const RefitSource& source = sources[number];
+    const RecordingView& r = source.recording;
+    if (!source.use.empty() && source.use.size() != static_cast<std::size_t>(r.samples))
+      throw Error("a refit's source has " + std::to_string(r.samples) + " samples, and says of " +
+                  std::to_string(source.use.size()) + " whether they are used");
+    const Estimates said = estimate(plain, r, threads);
+    const Entered kept = entered_samples(r, said);
+    const RecordingView clean{static_cast<std::int64_t>(kept.t_ns.size()), r.joints, kept.t_ns.data(), kept.q.data(),
+                              kept.dq.data(), kept.tau.data()};
+    std::vector<std::int64_t> at;
+    std::vector<LastMotion> motion(bundle.links.size());
+    for (std::size_t k = 0; k < kept.from.size(); k += stride) {
+      const auto from = static_cast<std::size_t>(kept.from[k]);
+      for (std::size_t j = 0; j < motion.size(); ++j)
+        motion[j].take(kept.t_ns[k], r.dq[from * motion.size() + j], bundle.limits.near_stiction_rad_s);
+      const bool used = source.use.empty() || source.use[from];
+      if (!used || said.health[from] != static_cast<std::uint8_t>(Health::ok) ||
+          said.unfamiliar[from] >= Coverage::kWorthTelling)
+        continue;
+      at.push_back(static_cast<std::int64_t>(k));
+      rows.t_ns.push_back(kept.t_ns[k]);
+      rows.source.push_back(static_cast<int>(number));
+      add_row(rows, bundle, said, r, from);
+      for (std::size_t j = 0; j < motion.size(); ++j) rows.joints[j].shows.push_back(motion[j].shows(kept.t_ns[k]));
+    }
+    if (at.empty()) continue;
+    const std::vector<double> values = prior_regressors(tree, bundle.observer, prior, clean, at);
+    rows.values.insert(rows.values.end(), values.begin(), values.end());
+  }
+  const double seconds = static_cast<double>(rows.size()) * rows.period_s;
+  if (seconds < kRefitLeastS)
+    throw Error("a refit needs " + to_text(kRefitLeastS) + " s of motion that can be trusted, not " + to_text(seconds) +
+                " s: 30 to 60 s of the arm's ordinary motion");
+  return rows;
+}
+
+namespace {
+
+constexpr double kHuber = 1.345, kTukey = 4.0;  // times the spread: from there on a row counts less, and not at all
+constexpr int kConvexRounds = 5, kRounds = 15;  // Huber's weights first: a start that no push leads astray
+constexpr double kLeastSpread = 0.5;            // of sigma: no minute is known to be twice as quiet as training
+constexpr double kFirstMemoryS = 0.3, kLongestMemoryS = 2;
+constexpr double kCorrelated = 0.05;            // correlation below it is none
+constexpr double kUnexcited = 1e-6;             // a term whose values stay below it was not seen
+constexpr double kMedianOfNormal = 0.6745;
+constexpr double kLongestTrendMin = 2;
+constexpr std::size_t kTrend = 3, kShared = 4;  // unknowns before those of single terms
+
+// Of the rows that count.
+double rms(std::span<const double> values, std::span<const std::uint8_t> counts) {
+  double squares = 0, rows = 0;
+  for (std::size_t r = 0; r < values.size(); ++r)
+    if (counts[r]) squares += values[r] * values[r], ++rows;
+  return rows > 0 ? std::sqrt(squares / rows) : 0;
+}
+
+double median_size(std::vector<double> values) {
+  for (double& one : values) one = std::fabs(one);
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+// Of motion, not of stamps, which tell nothing from one recording to the next; further back nothing is a line.
+double minutes_before_end(const RefitRows& rows, std::size_t row) {
+  return std::min(rows.period_s * static_cast<double>(rows.size() - 1 - row) / 60, kLongestTrendMin);
+}
+
+// Rows for which what is left stays what it is: 1 + twice the sum of its correlations.
+double memory_rows(std::span<const double> left, std::size_t most) {
+  double variance = 0;
+  for (double one : left) variance += one * one;
+  double sum = 1;
+  for (std::size_t lag = 1; lag < std::min(most, left.size()) && variance > 0; ++lag) {
+    double product = 0;
+    for (std::size_t k = lag; k < left.size(); ++k) product += left[k] * left[k - lag];
+    if (product < kCorrelated * variance) break;
+    sum += 2 * product / variance;
+  }
+  return sum;
+}
+
+}  // namespace
+
+JointFit::JointFit(const Bundle& bundle, const RefitRows& rows, int joint, const RefitSettings& settings)
+    : bundle_(bundle), rows_(rows), joint_(static_cast<std::size_t>(joint)), trust_(rows.size(), 1.0) {
+  find_columns();
+  build(settings);
+  iterate();
+}
+
+void JointFit::find_columns() {
+  const std::size_t M = bundle_.prior.terms.size(), T = rows_.terms.size();
+  for (std::size_t t = 0; t < T; ++t) {
+    const Term& term = rows_.terms[t];
+    if (static_cast<std::size_t>(term.a) != joint_) continue;
+    Column column{Group::friction, rows_.places[t], bundle_.prior.weights[joint_ * M + rows_.places[t]], {}};
+    if (term.kind == TermKind::viscous) column.group = Group::viscous;
+    if (term.kind == TermKind::constant) column.group = Group::constant;
+    if (term.kind == TermKind::ripple) column.group = Group::ripple;
+    for (std::size_t r = 0; r < rows_.size(); ++r) column.values.push_back(rows_.values[r * T + t]);
+    columns_.push_back(std::move(column));
+  }
+  const RefitRows::Joint& of = rows_.joints[joint_];
+  if (!of.network.empty() && bundle_.output_scale_nm[joint_] != 0)
+    columns_.push_back({Group::network, 0, 1.0, of.network});
+}
+
+// RMS of what these terms say together, where the joint shows friction.
+double JointFit::size_of(Group group) const {
+  std::vector<double> sum(rows_.size());
+  for (const Column& column : columns_)
+    for (std::size_t r = 0; column.group == group && r < sum.size(); ++r) sum[r] += column.weight * column.values[r];
+  return rms(sum, rows_.joints[joint_].shows);
+}
+
+void JointFit::build(const RefitSettings& settings) {
+  const std::size_t C = columns_.size();
+  unknowns_ = kShared + C;
+  const bool known = !settings.expected.empty();
+  expected_ = known ? settings.expected[joint_] : 1.0;
+  const double common = known ? settings.expected_error[joint_] : settings.common;
+  const double apart = known && settings.common > 0 ? settings.apart * common / settings.common : settings.apart;
+  unseen_error_ = std::hypot(common, apart);
+  effect_.assign(C * unknowns_, 0.0);
+  const double friction = std::hypot(size_of(Group::friction), size_of(Group::viscous));
+  for (std::size_t c = 0; c < C; ++c) {
+    const Column& column = columns_[c];
+    const double shown = rms(column.values, rows_.joints[joint_].shows);
+    double* row = &effect_[c * unknowns_];
+    double own = 0;
+    switch (column.group) {
+      case Group::friction:
+      case Group::viscous:
+        row[0] = common * column.weight;
+        row[column.group == Group::friction ? 1 : 2] = apart * column.weight;
+        own = settings.single * friction / std::max(shown, kUnexcited);
+        break;
+      case Group::constant: own = settings.constant * friction; break;
+      case Group::ripple: own = settings.ripple * column.weight; break;
+      case Group::network: own = settings.network * column.weight; break;
+    }
+    row[kShared + c] = shown < kUnexcited ? 0.0 : own;
+  }
+  standard_.assign(rows_.size() * unknowns_, 0.0);
+  const std::vector<double>&sigma = rows_.joints[joint_].sigma, &error = rows_.joints[joint_].error;
+  for (std::size_t r = 0; r < rows_.size(); ++r) {
+    given_.push_back(error[r] / sigma[r]);
+    for (const Column& column : columns_)
+      if (column.group == Group::friction || column.group == Group::viscous)
+        given_.back() -= (expected_ - 1) * column.weight * column.values[r] / sigma[r];
+  }
+  for (std::size_t r = 0; r < rows_.size(); ++r)
+    for (std::size_t c = 0; c < C; ++c) {
+      const double value = columns_[c].values[r] / sigma[r];
+      for (std::size_t u : {std::size_t{0}, std::size_t{1}, std::size_t{2}, kShared + c})
+        standard_[r * unknowns_ + u] += value * effect_[c * unknowns_ + u];
+      if (columns_[c].group == Group::friction || columns_[c].group == Group::viscous)
+        standard_[r * unknowns_ + kTrend] -= value * columns_[c].weight * settings.trend * minutes_before_end(rows_, r);
+    }
+}
+
+std::vector<double> JointFit::left(std::span<const double> unknowns) const {
+  std::vector<double> out = given_;
+  for (std::size_t r = 0; r < out.size(); ++r)
+    for (std::size_t u = 0; u < unknowns_; ++u) out[r] -= standard_[r * unknowns_ + u] * unknowns[u];
+  return out;
+}
+
+std::vector<double> JointFit::solve(std::size_t first, std::size_t end, std::vector<double>* covariance) const {
+  std::vector<double> gram(unknowns_ * unknowns_), moment(unknowns_);
+  for (std::size_t u = 0; u < unknowns_; ++u) gram[u * unknowns_ + u] = 1;
+  for (std::size_t r = 0; r < rows_.size(); ++r) {
+    if ((r >= first && r < end) || trust_[r] == 0) continue;
+    const double weight = independent_ * trust_[r] / (spread_ * spread_), y = given_[r];
+    const double* a = &standard_[r * unknowns_];
+    for (std::size_t i = 0; i < unknowns_; ++i) {
+      const double scaled = weight * a[i];
+      moment[i] += scaled * y;
+      for (std::size_t j = 0; j <= i; ++j) gram[i * unknowns_ + j] += scaled * a[j];
+    }
+  }
+  cholesky(gram, unknowns_, 1.0);  // of 1 + G, with G positive semidefinite: no pivot is below 1 but by rounding
+  if (covariance) {
+    covariance->resize(unknowns_ * unknowns_);
+    invert(gram, unknowns_, *covariance);
+  }
+  substitute(gram, unknowns_, moment);
+  return moment;
+}
+
+// Of the rows that show friction; as training left it where none does.
+double JointFit::spread_of(std::span<const double> rest) const {
+  std::vector<double> shown;
+  for (std::size_t r = 0; r < rest.size(); ++r)
+    if (rows_.joints[joint_].shows[r]) shown.push_back(rest[r]);
+  return shown.empty() ? 1.0 : std::max(kLeastSpread, median_size(std::move(shown)) / kMedianOfNormal);
+}
+
+void JointFit::iterate() {
+  const std::vector<std::uint8_t>& shows = rows_.joints[joint_].shows;
+  independent_ = std::min(1.0, rows_.period_s / kFirstMemoryS);
+  found_.assign(unknowns_, 0.0);
+  std::vector<double> rest = left(found_);
+  spread_ = spread_of(rest);
+  for (int round = 0; round < kRounds; ++round) {
+    for (std::size_t r = 0; r < rest.size(); ++r) {
+      const double size = std::fabs(rest[r]) / spread_, tukey = 1 - size * size / (kTukey * kTukey);
+      trust_[r] = !shows[r] ? 0 : round < kConvexRounds ? std::min(1.0, kHuber / std::max(size, kHuber)) : size < kTukey ? tukey * tukey : 0;
+    }
+    found_ = solve(0, 0, nullptr);
+    rest = left(found_);
+    spread_ = spread_of(rest);
+    if (round < kConvexRounds) continue;
+    std::vector<double> counted(rest.size());
+    for (std::size_t r = 0; r < rest.size(); ++r) counted[r] = trust_[r] > 0 ? rest[r] : 0.0;
+    const double memory = memory_rows(counted, static_cast<std::size_t>(kLongestMemoryS / rows_.period_s));
+    independent_ = 1 / memory;
+    memory_s_ = memory * rows_.period_s;
+  }
+  found_ = solve(0, 0, &covariance_);
+}
+
+double JointFit::change(std::size_t column, std::span<const double> unknowns) const {
+  const Column& of = columns_[column];
+  double sum = of.group == Group::friction || of.group == Group::viscous ? (expected_ - 1) * of.weight : 0;
+  for (std::size_t u = 0; u < unknowns_; ++u) sum += effect_[column * unknowns_ + u] * unknowns[u];
+  return sum;
+}
+
+std::vector<double> JointFit::left_out(int blocks) const {
+  std::vector<double> out(rows_.size());
+  const RefitRows::Joint& of = rows_.joints[joint_];
+  for (int block = 0; block < blocks; ++block) {
+    const auto [first, end] = block_of(rows_.size(), block, blocks);
+    const std::vector<double> rest = left(solve(first, end, nullptr));
+    for (std::size_t r = first; r < end; ++r) out[r] = rest[r] * of.sigma[r];
+  }
+  return out;
+}
+
+// Of today's sum of a group's terms by the old one, over today's motion: f = (x.w_old)(x.w) / (x.w_old)^2 summed over it.
+RefitFactor JointFit::factor(Group group) const {
+  std::vector<double> old(rows_.size());
+  for (const Column& column : columns_)
+    for (std::size_t r = 0; column.group == group && r < old.size(); ++r) old[r] += column.weight * column.values[r];
+  double squares = 0;
+  for (double one : old) squares += one * one;
+  if (squares <= 0) return {expected_, unseen_error_};
+  std::vector<double> slope(unknowns_);  // of the factor by the unknowns
+  for (std::size_t c = 0; c < columns_.size(); ++c) {
+    if (columns_[c].group != group) continue;
+    double product = 0;
+    for (std::size_t r = 0; r < old.size(); ++r) product += old[r] * columns_[c].values[r];
+    for (std::size_t u = 0; u < unknowns_; ++u) slope[u] += product / squares * effect_[c * unknowns_ + u];
+  }
+  double value = expected_, variance = 0;
+  for (std::size_t i = 0; i < unknowns_; ++i) {
+    value += slope[i] * found_[i];
+    for (std::size_t k = 0; k < unknowns_; ++k) variance += slope[i] * covariance_[i * unknowns_ + k] * slope[k];
+  }
+  return {value, std::sqrt(std::max(variance, 0.0))};
+}
+
+void JointFit::tell(RefitJoint& out) const {
+  out.coulomb = factor(Group::friction);
+  out.viscous = factor(Group::viscous);
+  out.moved_s = rows_.joints[joint_].moved_s;
+  for (std::size_t c = 0; c < columns_.size(); ++c) {
+    if (columns_[c].group != Group::constant) continue;
+    out.constant_nm = change(c, found_);
+    out.constant_error_nm = effect_[c * unknowns_ + kShared + c] * std::sqrt(covariance_[(kShared + c) * unknowns_ + kShared + c]);
+  }
+}
+
+void JointFit::put(Bundle& bundle) const {
+  const std::size_t M = bundle.prior.terms.size();
+  for (std::size_t c = 0; c < columns_.size(); ++c) {
+    const double by = change(c, found_);
+    if (columns_[c].group == Group::network)
+      bundle.output_scale_nm[joint_] *= std::max(1 + by, 0.0);
+    else
+      bundle.prior.weights[joint_ * M + columns_[c].place] += by;
+  }
+}
+
 namespace {
 
 constexpr double kOneSigma = 0.6827;        // share of errors within one standard error: sigma was scaled to it

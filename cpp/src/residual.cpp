@@ -1,20 +1,9 @@
-#include "tauext/residual.hpp"
+#include "residual.hpp"
 
 #include <algorithm>
 #include <cmath>
 
 namespace tauext {
-
-void ObserverSettings::validate_constants(int joints) const {
-  if (nm_per_unit.empty()) return;
-  if (nm_per_unit.size() != static_cast<std::size_t>(joints))
-    throw Error("nm_per_unit has " + std::to_string(nm_per_unit.size()) + " values where " + std::to_string(joints) +
-                " belong");
-  for (double constant : nm_per_unit)
-    if (constant == 0 || !std::isfinite(constant))
-      throw Error("nm_per_unit = " + to_text(constant) + " must be finite and not 0");
-}
-
 ResidualStage::ResidualStage(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior)
     : motion_(tree, settings.sample_period_ns, settings.network_stride, prior.widths_rad, prior.branches),
       method_(settings.method),
@@ -86,6 +75,165 @@ SampleClock::Tick ResidualStage::step(std::int64_t t_ns, std::span<const double>
   carrying_.seen = true;
   carrying_.kept = false;
   return tick;
+}
+
+void ResidualStage::allow_loads(const LoadSettings& settings, std::span<const double> units_per_nm) {
+  if (!settings.settable()) return;
+  loads_ = settings;
+  std::ranges::copy(units_per_nm, units_per_nm_.begin());
+  other_units_ = std::ranges::any_of(units_per_nm, [](double units) { return units > 0; });
+  model_carries_ = motion_.tree().has_mass();
+  bare_ = model_carries_ ? motion_.tree() : *prior_.terms().corrected();
+  if (method_ != ResidualMethod::momentum || !unfiltered_) return;
+  const double rows = std::ceil(10.0 / gain_per_s_ * 1e9 / static_cast<double>(sample_period_ns_)) + 1;
+  past_ = PastSamples(motion_.tree().size(), presliding().kept_columns(),
+                      static_cast<std::size_t>(std::clamp(rows, 2.0, static_cast<double>(kMostPast))));
+  past_presliding_ = presliding();
+}
+
+// The corrected model stands beside the estimated one in the prior: it carries what that carries. Where the estimated
+// model has no mass it stays so, and the prior alone knows of the load.
+void ResidualStage::carry(const Load& load) noexcept {
+  if (!loads_) return;
+  const Carried what = load.mass > 0 ? loads_->in_link(load) : Carried{};
+  if (model_carries_) motion_.carry(loads_->link, what);
+  prior_.terms().carry(loads_->link, what);
+}
+
+// p and beta of the last sample by the models as they are now.
+void ResidualStage::look_again() noexcept {
+  motion_.look(q(), dq());
+  if (has_prior_) prior_.terms().look(q(), dq(), presliding(), motion_.beta());
+}
+
+void ResidualStage::set_load(const Load& load, std::int64_t since_ns) noexcept {
+  if (!loads_) return;
+  keep();
+  carrying_.load = load.mass > 0 ? load : Load{};
+  carry(carrying_.load);
+  if (load.mass > 0) {  // else what r still shows of the one before goes on to fade
+    carrying_.error_share = load.error_share;
+    carrying_.follows = load.error_share > 0 || other_units_;
+    if (!carrying_.follows) forget_load_torques();
+  }
+  if (!carrying_.seen) return;
+  if (past_.size() > 0) {
+    go_back(since_ns == kFromNow ? past_.size() - 1 : past_.at_or_before(since_ns));
+    return;
+  }
+  look_again();
+  if (method_ == ResidualMethod::momentum)
+    observer_.carry_on(motion_.momentum(), motion_.beta());
+  else
+    comparison_.carry_on(motion_.tree(), q(), dq(), motion_.momentum(), motion_.beta());
+  if (carrying_.follows) begin_load_torques(carrying_.t_ns, q(), dq(), carrying_.torques.residual());
+}
+
+// From this of the samples kept on, as the models are now: what r, prior and doubt were there stays.
+void ResidualStage::go_back(std::size_t first) noexcept {
+  JointVector residual;
+  for (std::size_t k = first; k < past_.size(); ++k) {
+    const std::int64_t t_ns = past_.t_ns(k);
+    const PastSamples::Row row = past_[k];
+    past_presliding_->read_ends(row.low, row.high);
+    motion_.look(row.q, row.dq);
+    const std::span<const double> momentum = motion_.momentum(), beta = motion_.beta();
+    if (k == first) {
+      observer_.go_back(t_ns, momentum, beta, row.tau, row.residual);
+      if (has_prior_) prior_.go_back(t_ns, row.q, row.dq, *past_presliding_, momentum, beta, row.prior, row.doubt);
+      if (carrying_.follows) begin_load_torques(t_ns, row.q, row.dq, row.load);
+    } else {
+      observer_.step(t_ns, momentum, beta, row.tau, std::span(residual).first(joints()));
+      if (has_prior_) prior_.step_again(t_ns, row.q, row.dq, *past_presliding_, momentum, beta, past_.raised(k));
+      if (carrying_.follows) step_load_torques(t_ns, row.q, row.dq);
+    }
+    std::ranges::copy(observer_.residual(), row.residual.begin());
+    std::ranges::copy(prior_.state().filter.residual(), row.prior.begin());
+    std::ranges::copy(prior_.state().doubt_filter.residual(), row.doubt.begin());
+    std::ranges::copy(carrying_.torques.residual(), row.load.begin());
+  }
+  if (has_prior_) prior_.terms().look(q(), dq(), presliding(), motion_.beta());
+}
+
+void ResidualStage::keep() noexcept {
+  if (!loads_ || carrying_.kept) return;
+  carrying_.kept = true;
+  if (carrying_.follows) {
+    if (carrying_.torques.started())
+      step_load_torques(carrying_.t_ns, q(), dq());
+    else
+      begin_load_torques(carrying_.t_ns, q(), dq(), {});
+  }
+  if (can_go_back()) push_past();
+}
+
+void ResidualStage::push_past() noexcept {
+  const PastSamples::Row row = past_.push(carrying_.t_ns, prior_.state().raised);
+  std::ranges::copy(q(), row.q.begin());
+  std::ranges::copy(dq(), row.dq.begin());
+  std::ranges::copy(observer_.tau_m(), row.tau.begin());
+  std::ranges::copy(observer_.residual(), row.residual.begin());
+  std::ranges::copy(prior_.state().filter.residual(), row.prior.begin());
+  std::ranges::copy(prior_.state().doubt_filter.residual(), row.doubt.begin());
+  std::ranges::copy(carrying_.torques.residual(), row.load.begin());
+  presliding().write_ends(row.low, row.high);
+}
+
+// p and beta of the load alone at the state that the models have just looked at.
+void ResidualStage::load_torques(std::span<const double> q, std::span<const double> dq, JointVector& p,
+                                 JointVector& beta) noexcept {
+  p.fill(0.0);
+  beta.fill(0.0);
+  if (!(carrying_.load.mass > 0)) return;
+  const std::size_t n = joints();
+  bare_->momentum(q, dq, std::span(p).first(n), std::span(beta).first(n));
+  const std::span<const double> with_p = model_carries_ ? motion_.momentum() : prior_.terms().corrected_momentum();
+  const std::span<const double> with_beta = model_carries_ ? motion_.beta() : prior_.terms().corrected_beta();
+  for (std::size_t i = 0; i < n; ++i) {
+    p[i] = with_p[i] - p[i];
+    beta[i] = with_beta[i] - beta[i];
+  }
+}
+
+// What a load weighs shows at once in the limits, though r shows it with a delay: nobody knows for how long it has been
+// there. `least`: what shows of the load before it.
+void ResidualStage::begin_load_torques(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
+                                       std::span<const double> least) noexcept {
+  const std::size_t n = joints();
+  JointVector p, beta, torques;
+  load_torques(q, dq, p, beta);
+  for (std::size_t i = 0; i < n; ++i)
+    torques[i] = i < least.size() && std::fabs(least[i]) > std::fabs(beta[i]) ? least[i] : beta[i];
+  constexpr JointVector zero{};
+  const auto of = [n](const JointVector& values) noexcept { return std::span(values).first(n); };
+  if (!carrying_.torques.started()) {
+    JointVector none;
+    carrying_.torques.step(t_ns, of(p), of(beta), of(zero), std::span(none).first(n));
+  }
+  carrying_.torques.go_back(t_ns, of(p), of(beta), of(zero), of(torques));
+}
+
+void ResidualStage::step_load_torques(std::int64_t t_ns, std::span<const double> q,
+                                      std::span<const double> dq) noexcept {
+  const std::size_t n = joints();
+  JointVector p, beta, torques;
+  constexpr JointVector zero{};
+  const auto of = [n](const JointVector& values) noexcept { return std::span(values).first(n); };
+  load_torques(q, dq, p, beta);
+  carrying_.torques.step(t_ns, of(p), of(beta), of(zero), std::span(torques).first(n));
+  if (carrying_.load.mass > 0) return;
+  double largest = 0;
+  for (std::size_t i = 0; i < n; ++i) largest = std::max(largest, std::fabs(torques[i]));
+  if (largest >= kFadedNm) return;
+  carrying_.follows = false;
+  forget_load_torques();
+}
+
+void ResidualStage::forget_load_torques() noexcept {
+  constexpr JointVector zero{};
+  const auto none = std::span(zero).first(joints());
+  carrying_.torques.go_back(carrying_.t_ns, none, none, none, none);
+  carrying_.torques.reset();
 }
 
 }  // namespace tauext

@@ -5,7 +5,66 @@
 #include <limits>
 #include <string>
 
+#include "rules.hpp"
+
 namespace tauext {
+AdaptiveVelocity::AdaptiveVelocity(int steps, std::span<const double> count_rad)
+    : steps_(steps), count_rad_(count_rad.begin(), count_rad.end()) {
+  if (steps < 1 || steps > kMostSteps)
+    throw Error("a velocity's window of " + std::to_string(steps) + " steps must have 1 to " + std::to_string(kMostSteps));
+  if (count_rad.empty() || count_rad.size() > static_cast<std::size_t>(kMaxJoints))
+    throw Error("velocities are of 1 to " + std::to_string(kMaxJoints) + " joints, not " + std::to_string(count_rad.size()));
+  for (double count : count_rad_)
+    if (!(count >= 0) || !std::isfinite(count)) throw Error("count_rad = " + to_text(count) + " must be >= 0 and finite");
+  t_ns_.resize(static_cast<std::size_t>(steps) + 1);
+  q_.resize(t_ns_.size() * count_rad_.size());
+}
+
+std::size_t AdaptiveVelocity::place(int back) const noexcept {
+  const int size = steps_ + 1, at = newest_ - back;
+  return static_cast<std::size_t>(at < 0 ? at + size : at);
+}
+
+void AdaptiveVelocity::step(std::int64_t t_ns, std::span<const double> q, std::int64_t gap_ns, std::span<double> dq) noexcept {
+  if (filled_ > 0) {
+    const std::int64_t last_ns = t_ns_[place(0)];
+    if (t_ns <= last_ns || (gap_ns > 0 && elapsed_ns(t_ns, last_ns) > static_cast<std::uint64_t>(gap_ns))) filled_ = 0;
+  }
+  newest_ = newest_ == steps_ ? 0 : newest_ + 1;
+  if (filled_ <= steps_) ++filled_;
+  t_ns_[place(0)] = t_ns;
+  for (std::size_t j = 0; j < count_rad_.size(); ++j) q_[place(0) * count_rad_.size() + j] = q[j];
+  for (std::size_t j = 0; j < count_rad_.size(); ++j) dq[j] = filled_ > 1 ? slope(j) : 0.0;
+}
+
+// The longest window whose samples keep to the line between its ends; then the line of least squares through them.
+double AdaptiveVelocity::slope(std::size_t joint) const noexcept {
+  const std::size_t n = count_rad_.size();
+  // A count's width, and what rounding of the positions may add to it.
+  const double allowed = count_rad_[joint] * (1 + 1e-6);
+  const std::int64_t now_ns = t_ns_[place(0)];
+  const double q = q_[place(0) * n + joint];
+  std::array<double, kMostSteps + 1> t, y;  // back from the newest sample, [s], [rad]
+  t[0] = y[0] = 0;
+  double sum_t = 0, sum_y = 0, sum_tt = 0, sum_ty = 0, best = 0;
+  for (int i = 1; i < filled_; ++i) {
+    const std::size_t at = place(i), k = static_cast<std::size_t>(i);
+    t[k] = -1e-9 * static_cast<double>(elapsed_ns(now_ns, t_ns_[at]));
+    y[k] = q_[at * n + joint] - q;
+    const double line = y[k] / t[k];
+    for (std::size_t m = 1; m < k; ++m)
+      if (std::fabs(y[m] - line * t[m]) > allowed) return best;
+    if (i > 1 && count_rad_[joint] == 0) return best;
+    sum_t += t[k];
+    sum_y += y[k];
+    sum_tt += t[k] * t[k];
+    sum_ty += t[k] * y[k];
+    const double count = i + 1.0;
+    best = (count * sum_ty - sum_t * sum_y) / (count * sum_tt - sum_t * sum_t);
+  }
+  return best;
+}
+
 namespace {
 
 constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
@@ -33,28 +92,25 @@ void ServoSettings::validate() const {
     throw Error("servo.joints has " + std::to_string(joints.size()) + " entries, must be 1 to " + std::to_string(kMaxJoints));
   if (torque_from > TorqueFrom::goal)
     throw Error("servo.torque_from is none of torque, phase_current, supply_current, duty, goal");
-  if (velocity_steps < 0 || velocity_steps > AdaptiveVelocity::kMostSteps)
-    throw Error("servo.velocity_steps = " + std::to_string(velocity_steps) + " must be 0 to " +
-                std::to_string(AdaptiveVelocity::kMostSteps));
-  if (sample_period_ns < (velocity_steps > 0 ? 1 : 0))
-    throw Error("servo.sample_period_ns = " + std::to_string(sample_period_ns) + " must be > 0");
+  expect(velocity_steps >= 0 && velocity_steps <= AdaptiveVelocity::kMostSteps, "servo.velocity_steps", velocity_steps,
+         "0 to " + std::to_string(AdaptiveVelocity::kMostSteps));
+  expect(sample_period_ns >= (velocity_steps > 0 ? 1 : 0), "servo.sample_period_ns", sample_period_ns, "> 0");
   const std::int64_t most_ns = ServoSettings::kMostDelay * sample_period_ns;
-  if (goal_delay_ns < 0 || goal_delay_ns > most_ns)
-    throw Error("servo.goal_delay_ns = " + std::to_string(goal_delay_ns) + " must be 0 to " + std::to_string(most_ns) +
-                ", " + std::to_string(ServoSettings::kMostDelay) + " sample periods");
-  const auto expect = [](const char* what, double value, bool ok, const char* rule) {
-    if (!ok || !std::isfinite(value)) throw Error(std::string("servo.") + what + " = " + to_text(value) + " must be " + rule);
-  };
+  expect(goal_delay_ns >= 0 && goal_delay_ns <= most_ns, "servo.goal_delay_ns", goal_delay_ns,
+         "0 to " + std::to_string(most_ns) + ", " + std::to_string(kMostDelay) + " sample periods");
   for (const ServoConstants& joint : joints) {
-    expect("volts", joint.volts, joint.volts > 0, "> 0");
-    expect("ohm", joint.ohm, joint.ohm > 0, "> 0");
-    expect("back_emf_v_s", joint.back_emf_v_s, joint.back_emf_v_s >= 0, ">= 0");
-    expect("nm_per_ampere", joint.nm_per_ampere, joint.nm_per_ampere != 0, "not 0");
+    const auto expect_finite = [](bool ok, const char* what, double value, const char* rule) {
+      expect(ok && std::isfinite(value), std::string("servo.") + what, value, rule);
+    };
+    expect_finite(joint.volts > 0, "volts", joint.volts, "> 0");
+    expect_finite(joint.ohm > 0, "ohm", joint.ohm, "> 0");
+    expect_finite(joint.back_emf_v_s >= 0, "back_emf_v_s", joint.back_emf_v_s, ">= 0");
+    expect_finite(joint.nm_per_ampere != 0, "nm_per_ampere", joint.nm_per_ampere, "not 0");
     const bool steers = torque_from == TorqueFrom::goal;
-    expect("duty_per_rad", joint.duty_per_rad, steers ? joint.duty_per_rad > 0 : joint.duty_per_rad >= 0,
-           steers ? "> 0, since torque comes from the goal" : ">= 0");
-    expect("most_duty", joint.most_duty, joint.most_duty > 0 && joint.most_duty <= 1, "> 0, at most 1");
-    expect("count_rad", joint.count_rad, joint.count_rad >= 0, ">= 0");
+    expect_finite(steers ? joint.duty_per_rad > 0 : joint.duty_per_rad >= 0, "duty_per_rad", joint.duty_per_rad,
+                  steers ? "> 0, since torque comes from the goal" : ">= 0");
+    expect_finite(joint.most_duty > 0 && joint.most_duty <= 1, "most_duty", joint.most_duty, "> 0, at most 1");
+    expect_finite(joint.count_rad >= 0, "count_rad", joint.count_rad, ">= 0");
   }
 }
 

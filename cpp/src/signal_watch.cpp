@@ -1,41 +1,13 @@
-#include "tauext/signal_watch.hpp"
+#include "signal_watch.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
 #include "tauext/sample.hpp"
-#include "tauext/sample_clock.hpp"
+#include "motion.hpp"
 
 namespace tauext {
-
-void SignalRanges::assume_possible() {
-  possible_torque_nm = largest_torque_nm;
-  for (double& torque : possible_torque_nm) torque *= SignalWatch::kAssumed;
-  possible_speed_rad_s.assign(largest_torque_nm.size(), std::numeric_limits<double>::infinity());
-}
-
-void SignalRanges::validate(int joints) const {
-  const auto expect = [&](const char* what, const std::vector<double>& values, bool may_be_infinite) {
-    if (static_cast<int>(values.size()) != joints)
-      throw Error(std::string("signals.") + what + " has " + std::to_string(values.size()) + " values where " +
-                  std::to_string(joints) + " belong");
-    for (double value : values)
-      if (!(value > 0) || (!may_be_infinite && !std::isfinite(value)))
-        throw Error(std::string("signals.") + what + " = " + to_text(value) + " must be > 0");
-  };
-  expect("torque_limit_nm", torque_limit_nm, true);
-  expect("largest_torque_nm", largest_torque_nm, false);
-  expect("possible_torque_nm", possible_torque_nm, true);
-  expect("possible_speed_rad_s", possible_speed_rad_s, true);
-  if (!(rate_tolerance >= kLeastRateTolerance && rate_tolerance <= kMostRateTolerance))
-    throw Error("signals.rate_tolerance = " + to_text(rate_tolerance) + " must be " + to_text(kLeastRateTolerance) +
-                " to " + to_text(kMostRateTolerance));
-  for (std::size_t j = 0; j < possible_torque_nm.size(); ++j)
-    if (possible_torque_nm[j] < largest_torque_nm[j])
-      throw Error("signals.possible_torque_nm = " + to_text(possible_torque_nm[j]) +
-                  " must be at least largest_torque_nm = " + to_text(largest_torque_nm[j]));
-}
 
 SignalWatch::SignalWatch(int joints, std::int64_t sample_period_ns, int network_stride, const SignalRanges& ranges,
                          bool behind_gear)

@@ -1,11 +1,11 @@
-#include "tauext/sliding_lstm.hpp"
+#include "sliding_lstm.hpp"
 
 #include <algorithm>
 #include <cstring>
 #include <type_traits>
 
 #include "lstm_lanes.hpp"
-#include "tauext/sample_clock.hpp"
+#include "motion.hpp"
 
 namespace tauext {
 

@@ -1,10 +1,10 @@
-#include "tauext/touch_kind.hpp"
+#include "touch_kind.hpp"
 
 #include <algorithm>
 #include <cmath>
 
 #include "tauext/bundle.hpp"
-#include "tauext/load_found.hpp"
+#include "load_solve.hpp"
 
 namespace tauext {
 namespace {
@@ -19,7 +19,7 @@ double seconds(std::int64_t later_ns, std::int64_t earlier_ns) noexcept {
 
 // Loads' frame, or that of the link that most joints carry.
 LoadFrame frame_of(const Bundle& bundle) {
-  if (bundle.load.link >= 0) return {bundle.load.link, bundle.load.rotation, bundle.load.translation};
+  if (bundle.load.link >= 0) return load_frame(bundle.load);
   int most = -1;
   LoadFrame frame;
   for (int link = 0; link < bundle.joints(); ++link) {
@@ -42,8 +42,7 @@ const char* name(Touch touch) noexcept {
 
 TouchKind::TouchKind(const Bundle& bundle)
     : joints_(bundle.links.size()),
-      possible_(bundle.observer.method == ResidualMethod::momentum && !(bundle.observer.high_pass_per_s > 0) &&
-                !(bundle.observer.low_pass_per_s > 0)),
+      possible_(bundle.observer.unfiltered_momentum()),
       gain_per_s_(bundle.observer.gain_per_s),
       stands_rad_s_(std::max(kStands_rad_s, bundle.limits.near_stiction_rad_s)),
       block_ns_(kBlock_ns - std::min(bundle.observer.sample_period_ns, kBlock_ns) / 2),

@@ -1,4 +1,4 @@
-#include "tauext/weighing.hpp"
+#include "weighing.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -11,14 +11,10 @@ namespace {
 constexpr double kLeastSigma = 1e-9;       // [N m]
 constexpr double kDriftOfLimit = 0.3;      // of a limit: the most that drift may be where none is followed
 
-LoadFrame frame_of(const LoadSettings& loads) noexcept { return {loads.link, loads.rotation, loads.translation}; }
-
 }  // namespace
 
 bool Weighing::possible(const Bundle& bundle) noexcept {
-  const ObserverSettings& observer = bundle.observer;
-  return bundle.load.link >= 0 && observer.method == ResidualMethod::momentum && observer.high_pass_per_s == 0 &&
-         observer.low_pass_per_s == 0;
+  return bundle.load.link >= 0 && bundle.observer.unfiltered_momentum();
 }
 
 Weighing::Weighing(const Bundle& bundle)
@@ -28,7 +24,7 @@ Weighing::Weighing(const Bundle& bundle)
       loads_(bundle.load),
       has_sigma_(bundle.error_scale.on()),
       limits_(bundle.limits),
-      columns_(Tree(bundle.links, bundle.gravity), bundle.prior, frame_of(bundle.load), bundle.observer.gain_per_s),
+      columns_(Tree(bundle.links, bundle.gravity), bundle.prior, load_frame(bundle.load), bundle.observer.gain_per_s),
       sums_(bundle.joints()),
       settings_(settings_of(bundle)) {
   for (int j = 0; j < joints_; ++j) counts_[static_cast<std::size_t>(j)] = bundle.in_newtons(j);
@@ -64,7 +60,7 @@ void Weighing::start(double reach_m, const Load& set) noexcept {
 }
 
 void Weighing::reset() noexcept {
-  start(WeighSettings::kUsualReach_m, {});
+  start(kUsualReach_m, {});
   stop();
 }
 

@@ -7,7 +7,7 @@
 
 #include "../src/lstm_lanes.hpp"
 #include "check.hpp"
-#include "tauext/lstm.hpp"
+#include "lstm.hpp"
 
 using namespace tauext;
 

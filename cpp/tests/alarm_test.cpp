@@ -1,4 +1,4 @@
-#include "tauext/alarm.hpp"
+#include "alarm.hpp"
 
 #include <cmath>
 

@@ -1,4 +1,4 @@
-#include "tauext/comparison_residuals.hpp"
+#include "comparison_residuals.hpp"
 
 #include <cmath>
 #include <cstring>

@@ -1,4 +1,4 @@
-#include "tauext/contact_errors.hpp"
+#include "error_scale.hpp"
 
 #include <cmath>
 #include <limits>

@@ -1,4 +1,4 @@
-#include "tauext/coverage.hpp"
+#include "coverage.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "tauext/drift.hpp"
+#include "drift.hpp"
 
 #include <algorithm>
 #include <cmath>

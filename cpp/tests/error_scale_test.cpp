@@ -1,4 +1,4 @@
-#include "tauext/error_scale.hpp"
+#include "error_scale.hpp"
 
 #include <cmath>
 #include <limits>

@@ -1,5 +1,5 @@
 // A load that is expected: taken, told and set; pushes in the same window; nothing swallowed.
-#include "tauext/expected_load.hpp"
+#include "expected_load.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -11,7 +11,7 @@
 
 #include "check.hpp"
 #include "made_bundle.hpp"
-#include "tauext/load_regressor.hpp"
+#include "load_columns.hpp"
 #include "tauext/monitor.hpp"
 
 using namespace tauext;

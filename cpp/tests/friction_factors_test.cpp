@@ -1,4 +1,4 @@
-#include "tauext/friction_factors.hpp"
+#include "drift.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "tauext/load_regressor.hpp"
+#include "load_columns.hpp"
 
 #include <cmath>
 #include <random>

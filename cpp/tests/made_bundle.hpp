@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "tauext/bundle.hpp"
-#include "tauext/estimates.hpp"
+#include "estimates.hpp"
 
 namespace made {
 

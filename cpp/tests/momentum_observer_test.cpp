@@ -1,4 +1,4 @@
-#include "tauext/momentum_observer.hpp"
+#include "momentum_observer.hpp"
 
 #include <cmath>
 

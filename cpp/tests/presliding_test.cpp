@@ -1,4 +1,4 @@
-#include "tauext/presliding.hpp"
+#include "motion.hpp"
 
 #include <algorithm>
 #include <cmath>

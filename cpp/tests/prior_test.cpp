@@ -1,4 +1,4 @@
-#include "tauext/prior.hpp"
+#include "prior.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -11,7 +11,7 @@
 #include "made_bundle.hpp"
 #include "made_signals.hpp"
 #include "tauext/monitor.hpp"
-#include "tauext/observation.hpp"
+#include "observation.hpp"
 
 using namespace tauext;
 using made::kMs, made::sampled, made::Signals;

@@ -8,9 +8,9 @@
 
 #include "check.hpp"
 #include "made_bundle.hpp"
-#include "tauext/estimates.hpp"
+#include "estimates.hpp"
 #include "tauext/monitor.hpp"
-#include "tauext/observation.hpp"
+#include "observation.hpp"
 
 using namespace tauext;
 
@@ -163,7 +163,7 @@ void a_monitor_keeps_what_it_was_given() {
   monitor.step(arm.view().at(2500));
   CHECK(monitor.last().limit_nm[0] == 2);
   monitor.start_refit();
-  CHECK(monitor.refit_motion().view().samples == 0);
+  CHECK(monitor.refit_motion().samples == 0);
   Monitor without(made::bundle(2, 0, 8, 10, 1));
   without.reserve_refit(1.0);
   CHECK(!without.start_refit());  // no friction to widen by, none to bring up to date

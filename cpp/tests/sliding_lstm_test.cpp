@@ -1,4 +1,4 @@
-#include "tauext/sliding_lstm.hpp"
+#include "sliding_lstm.hpp"
 
 #include <cmath>
 #include <random>
@@ -6,7 +6,7 @@
 
 #include "../src/lstm_lanes.hpp"
 #include "check.hpp"
-#include "tauext/sample_clock.hpp"
+#include "motion.hpp"
 
 using namespace tauext;
 

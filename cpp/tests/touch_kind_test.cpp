@@ -1,4 +1,4 @@
-#include "tauext/touch_kind.hpp"
+#include "touch_kind.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,6 +1,6 @@
 // A load that nobody told, weighed inside the loop: against the truth of the motion, and against the same sums made of a
 // whole recording.
-#include "tauext/weighing.hpp"
+#include "weighing.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -13,7 +13,7 @@
 
 #include "check.hpp"
 #include "made_bundle.hpp"
-#include "tauext/estimates.hpp"
+#include "estimates.hpp"
 #include "tauext/monitor.hpp"
 
 using namespace tauext;

@@ -40,7 +40,6 @@ REFIT_LIKE = REFIT + " --like arm.prior.json"
 FLEET = "fleet run fleet.toml --out out/fleet --workers 1"
 FLEET_PRIOR = "fleet prior data data-2 data-3 --out out/a.prior.json"
 RECORD = MONITOR + " --record out/record --flights out/flights"
-CONVERT = "convert old.tauext --out out/a.tauext"
 IMPORT = "import --source arm.csv --arm table.toml --out out/imported"
 LEROBOT = IMPORT + " --format lerobot"
 LABEL = "label --dataset servos-v3.0 --bundle servos.tauext --arm servos.toml --out out/labelled"
@@ -49,7 +48,7 @@ DYNAMIXEL = "monitor servos.tauext --source dynamixel:/dev/null --bus {} --durat
 DAMIAO = "monitor observer.tauext --source damiao:hostile --bus {} --duration-s 0.2"
 NEW_BUS = "monitor --new-bus out/bus.toml"
 NEW = "import --new out/arm.toml --source arm.csv --robot robot.xml"
-GOOD = (SIMULATE, TRAIN, PRIOR, NETWORK, EVALUATE, CALIBRATE, CHECK, REPORT, FLIGHT, RUN, MONITOR, RECORD, CONVERT)
+GOOD = (SIMULATE, TRAIN, PRIOR, NETWORK, EVALUATE, CALIBRATE, CHECK, REPORT, FLIGHT, RUN, MONITOR, RECORD)
 GOOD += (LOAD, REFIT, LOAD_KNOWN, LIKE, REFIT_LIKE, CARRYING)
 GOOD += (FLEET, FLEET + " --dry-run", FLEET_PRIOR, "fleet example --out out/fleet.toml", "fleet example")
 GOOD += (IMPORT, LEROBOT, NEW, "show observer.tauext", "reproduce --scale smoke --out out/all --cases exact")
@@ -69,7 +68,6 @@ WRITERS: tuple[str, ...] = (
     FLIGHT,
     RUN,
     RECORD,
-    CONVERT,
     IMPORT,
     LEROBOT,
     NEW,
@@ -97,7 +95,6 @@ READERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "recording": (("data/free-000.parquet",), RECORDING),
     "contacts": (("data/collisions-000.parquet",), (EVALUATE, "run observer.tauext {}", "show {}")),
     "split.json": (("data/split.json",), (TRAIN, EVALUATE, "check --data data", REPORT, CALIBRATE)),
-    "old bundle": (("old.tauext",), ("convert {} --out out/a.tauext", "show {}")),
     "run.json": (("data/run.json",), ("simulate --out data --minutes 1 --collision-recordings 1",)),
     "MJCF": (("robot.xml",), ROBOT),
     "URDF": (("robot.urdf",), ROBOT),
@@ -154,7 +151,6 @@ READERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
             "import --source {} --new out/a.toml",
             "import --source arm.csv --arm {} --out out/i",
             "check --data data/free-000.parquet --robot {}",
-            "convert {} --out out/a.tauext",
             "run prior.tauext data/free-006.parquet --loads {}",
             "train --data data --out out/a.tauext --recipe prior --like {}",
             "refit prior.tauext --data data/free-000.parquet --out out/a.tauext --like {}",

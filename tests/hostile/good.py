@@ -26,7 +26,6 @@ from tauext.fit.ridge import WeightPrior
 
 EVERY = 10
 """Of 1000 samples a second: files in other formats stay small."""
-OLD_BUNDLE = Path(__file__).parents[2] / "tests/golden/format-4-amperes.tauext"
 TOUCHED_S = 12.0
 LITTLE = ("--minutes", "1", "--collision-recordings", "1")
 ARM = """[robot]
@@ -149,7 +148,6 @@ def make_good(folder: Path, quick: bool = False) -> Path:
             (folder / "hours" / path.name).symlink_to(path)
     else:
         done(["simulate", "--out", str(folder / "hours"), *LITTLE, "--calibration-hours", "0.1"])
-    shutil.copyfile(OLD_BUNDLE, folder / "old.tauext")
     for recipe in ("observer", "prior", "tauext"):
         if quick and recipe != "observer":
             shutil.copyfile(folder / "observer.tauext", folder / f"{recipe}.tauext")

@@ -5,26 +5,15 @@
 #include <string>
 #include <vector>
 
-#include "tauext/alarm.hpp"
-#include "tauext/capsule.hpp"
-#include "tauext/coverage.hpp"
-#include "tauext/drift.hpp"
-#include "tauext/error_scale.hpp"
-#include "tauext/limits.hpp"
 #include "tauext/load.hpp"
-#include "tauext/lstm.hpp"
-#include "tauext/prior.hpp"
-#include "tauext/residual.hpp"
 #include "tauext/servo_input.hpp"
-#include "tauext/signal_watch.hpp"
+#include "tauext/settings.hpp"
 #include "tauext/tree.hpp"
 #include "tauext/wrench.hpp"
 
 namespace tauext {
 
-// Formats of bundles.
-inline constexpr std::uint32_t kBundleMajor = 12;       // what is written
-inline constexpr std::uint32_t kOldestBundleMajor = 3;  // what is still read; fields that it lacks keep their defaults
+inline constexpr std::uint32_t kBundleMajor = 1;  // format of bundles: the only one that is written and read
 
 // A short stretch of free motion and what the chain said at its last sample; replayed at load.
 struct Reference {
@@ -84,10 +73,6 @@ struct Bundle {
   bool has_network() const noexcept { return shape.hidden > 0; }          // or observer and prior alone
   // Of feature_rows(): q, dq and presliding states of every joint.
   int columns() const noexcept { return joints() * (2 + static_cast<int>(prior.widths_rad.size())); }
-  // The network's windows, without the rows that they are read from.
-  WindowRows windows() const noexcept {
-    return {nullptr, 0, columns(), observer.network_stride, window_steps, inputs};
-  }
   // Unit of the tau that is given of a joint, and of the torques that are answered: "N m", "N", "A", "recorded unit",
   // "units of JOINT", or "W" of the energy observer. Throws std::out_of_range where there is no such joint.
   std::string torque_unit(int joint) const;
@@ -119,9 +104,6 @@ void save_bundle(const Bundle& bundle, const std::string& path);
 Bundle load_bundle(const std::string& path);
 std::vector<char> to_bytes(const Bundle& bundle);
 Bundle from_bytes(std::span<const char> bytes);
-// A bundle of format 3 or 4, whose provenance may hold torque constants that its loop was told to apply: as it was
-// written, its fields without them. For `tauext convert`, which puts them there.
-Bundle from_old_bytes(std::span<const char> bytes);
 // CRC-32 of zlib and Ethernet, continued from `crc`.
 std::uint32_t crc32(std::span<const char> bytes, std::uint32_t crc = 0) noexcept;
 

@@ -4,7 +4,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "tauext/monitor.hpp"
+#include "tauext/estimate.hpp"
+#include "tauext/sample.hpp"
 
 namespace tauext {
 
@@ -49,12 +50,15 @@ class FlightRecorder {
   std::uint64_t missed() const noexcept { return missed_.load(std::memory_order_relaxed); }
 
  private:
+  struct Row {
+    std::int64_t t_ns;
+    std::uint32_t near_stiction, causes;
+    std::uint8_t health, alarm, held_alarm, touch, detection;
+    Load load;
+  };
   struct Ring {
-    std::vector<std::int64_t> t_ns;
-    std::vector<double> signals;  // (capacity, 10 joints)
-    std::vector<std::uint32_t> near_stiction, causes;
-    std::vector<std::uint8_t> health, alarm, held_alarm, touch, detection;
-    std::vector<Load> load;
+    std::vector<Row> rows;
+    std::vector<double> signals;  // (rows, signals, joints)
     std::int64_t next = 0, count = 0;  // row to be written, rows written
     std::int64_t event = -1;           // row count at the event, -1 without one
     Estimate estimate;

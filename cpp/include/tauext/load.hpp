@@ -66,4 +66,67 @@ struct LoadSettings {
 // where `links` have no mass; empty: there is none.
 LoadSettings assumed_load_settings(const std::vector<Link>& links, const std::vector<Link>& corrected);
 
+// How far the centre of mass of a load that is weighed may be from the load frame's origin.
+inline constexpr double kUsualReach_m = 0.3;
+
+// m, h, I of a load about its frame's origin, in that frame's axes: mass [kg], first moment [kg m],
+// inertia xx, yy, zz, xy, xz, yz [kg m^2].
+using LoadParameters = std::array<double, 10>;
+
+// What may have acted, as the columns that all joints share.
+enum class LoadCause : std::uint8_t { load, base_force, frame_force, nothing };
+inline constexpr int kLoadCauses = 4;
+
+// What is known of the errors of tau_ext beside its sigma.
+struct LoadNoise {
+  JointVector scale;       // a joint: times sigma
+  double correlation = 0;  // rows that say as much as one
+  // Before any fit: sigma is right, and a block says as much as a row.
+  static LoadNoise unknown() noexcept;
+};
+
+// Coefficients of the columns of a cause.
+struct LoadFit {
+  int size = 0;                          // of them, so many count: 4 (m, h), 3 (forces) or 0
+  std::array<double, 4> values{};
+  std::array<double, 16> covariance{};   // (size, size), row-major
+  JointVector offset_nm{}, coulomb_nm{}; // of each joint, [N m]
+  LoadNoise noise{};                     // that it was weighted with
+  double misfit = 0;                     // squared standard errors that are left, a row: 1 where nothing else is
+  double cost = 0;                       // independent squared errors that are left, and what `before` holds against it
+};
+
+// What the sums of weighing say.
+enum class LoadVerdict : std::uint8_t {
+  too_little,  // fewer than kLeastLoadRows rows: no measurement
+  nothing,     // no load shows
+  load,
+  contact,     // a constant force fits better than any load
+  lifts,       // what shows pulls up
+  unclear,     // neither explains it
+};
+const char* name(LoadVerdict verdict) noexcept;
+inline constexpr int kLeastLoadRows = 30;  // three tenths of a second
+
+// What weighing finds: mass and centre of mass, how sure they are, and whether it is a load at all. Lengths and axes are
+// those of the load frame. Numbers without `load` are of what was found BESIDE the load that is set.
+struct LoadFound {
+  LoadVerdict verdict = LoadVerdict::too_little;
+  Load load;                // both together, for set_load(); a ball's inertia, the error share of its standard errors
+  double mass_kg = 0;       // may be below 0 only where a load is set, which is less then
+  double mass_error_kg = 0; // standard error
+  std::array<double, 3> com_m{}, com_error_m{};
+  std::array<double, 9> com_covariance{};   // (3, 3), [m^2]
+  std::array<double, 16> covariance{};      // (4, 4) of mass and first moment
+  LoadParameters phi{};     // mass, first moment and inertia about the frame's origin
+  double seconds = 0;       // of motion
+  double reach_m = 0;       // that was believed
+  double misfit = 0;        // squared standard errors a row that the load leaves: 1 where nothing else is
+  bool mass_seen = false;   // else the mass is not told apart from its lever
+  bool at_bound = false;    // the centre of mass is as far away as was said to be possible
+  int unseen_count = 0;     // directions of the centre of mass that the motion did not tell, unit vectors:
+  std::array<std::array<double, 3>, 3> unseen{};
+  std::array<LoadFit, kLoadCauses> fits{};  // by LoadCause: what each of them would explain
+};
+
 }  // namespace tauext

@@ -21,7 +21,7 @@ def load_bundle(path: Place | str) -> _core.Bundle:
 
     Raises:
         BundleError: there is no such file.
-        CoreError: damaged, of another format, or with torque constants that its loop had to apply (`tauext convert`).
+        CoreError: damaged, or of another format.
     """
     path = place_of(path)
     if not path.is_file():

@@ -59,9 +59,6 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "Many arms": {
         "fleet": ("fleet", "run: all stages of every arm; prior, report, example"),
     },
-    "Older files": {
-        "convert": ("convert.convert", "a bundle of an older format"),
-    },
 }
 """Commands: module and function in this package, and a line of help."""
 COMMANDS = {name: row for group in GROUPS.values() for name, row in group.items()}
@@ -108,9 +105,9 @@ def version_text() -> str:
     from tauext import _core
     from tauext.files.provenance import VERSION
 
-    formats = f"bundle format {_core.BUNDLE_FORMAT} (reads {_core.OLDEST_BUNDLE_FORMAT} to {_core.BUNDLE_FORMAT})"
     compiler = _core.COMPILER.partition(" (")[0]  # clang adds where its sources came from
-    return f"tauext {version('tauext')}, core {VERSION} by {compiler} with {_core.simd_in_use()}, {formats}"
+    built = f"core {VERSION} by {compiler} with {_core.simd_in_use()}"
+    return f"tauext {version('tauext')}, {built}, bundle format {_core.BUNDLE_FORMAT}"
 
 
 def command_of(argv: Sequence[str]) -> tuple[str, Callable[..., Any]]:

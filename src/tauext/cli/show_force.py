@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tauext._core import Bundle
 
 USUAL_TORQUE_SHARE = 0.05
-"""Of bundles before format 9 (WrenchSettings::kUsualTorqueShare)."""
+"""Of bundles without wrench settings (WrenchSettings::kUsualTorqueShare)."""
 BLIND = "blind"
 
 

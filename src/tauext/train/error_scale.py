@@ -1,4 +1,4 @@
-r"""How errors grow with the motion: the weights of the core's error scale (cpp/include/tauext/error_scale.hpp).
+r"""How errors grow with the motion: the weights of the core's error scale (cpp/src/error_scale.hpp).
 
 With F_m >= 0 the features of a joint's motion, filtered as r is, and e = max(\|tau_ext\| - doubt, 0) on free motion
 that nothing was trained on, the scale sigma = sum_m w_m F_m minimises

@@ -1,0 +1,121 @@
+// How wrong tau_ext may be just now, as the motion announces it: what limits and the standard error grow with.
+#pragma once
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "tauext/settings.hpp"
+#include "tauext/types.hpp"
+
+namespace tauext {
+
+struct Bundle;
+
+// scale_j = min(sum_m w_jm F_m, largest_j), sigma_j likewise with weights and ceiling of its own, with F_m the features passed through the observer's filter,
+//   F <- F + (1 - exp(-K0 dt)) (feature - F),
+// so that they rise and fade with what they announce in r. From a restart on they stand at the first sample's values.
+// ddq and dddq come of first-order filters of a fixed rate Ka, whatever K0, so that noise does not grow with K0; steps
+// are as stamped. standstill decays with kMemoryS from the largest 1 / (1 + (dq_j / kCreepRadS)^2); it starts from 1, as
+// nobody knows what was before. The torque has no say: a push must not raise its own limit. (It moves the arm, and that
+// does, but not beyond `largest`.)
+class ErrorScale {
+ public:
+  static constexpr double kAccelerationPerS = 40;  // Ka, [1/s]
+  static constexpr double kMemoryS = 0.15, kCreepRadS = 0.02;  // of standstill, [s] and [rad/s]
+  static constexpr double kLargestSpeed = 1e3;  // [rad/s]; what is beyond counts as this, so that sums stay finite
+
+  struct State {
+    bool started = false;
+    std::int64_t t_ns = 0, step_ns = 0;  // of the last sample, and the step that the shares are for
+    double share = 0, slow_share = 0, kept = 0;  // 1 - exp(-K0 dt), 1 - exp(-Ka dt), exp(-dt / kMemoryS)
+    JointVector slow_dq{}, slow_ddq{}, standstill{};
+    std::array<JointVector, kMotionFeatures> filtered{};
+  };
+
+  // Throws Error where the settings do not fit.
+  ErrorScale(const ErrorScaleSettings& settings, int joints, double gain_per_s);
+
+  // After a gap or a fault.
+  void restart() noexcept { state_.started = false; }
+  // As newly made.
+  void reset() noexcept { state_ = {}; }
+  // One sample of finite speeds, later than the last. Writes both of every joint; 1 and NaN where there are no features.
+  // near_stiction: a bit a joint, by which sigma has its weights.
+  void step(std::int64_t t_ns, std::span<const double> dq, std::uint32_t near_stiction, std::span<double> scale,
+            std::span<double> sigma_nm) noexcept;
+  bool on() const noexcept { return settings_.on(); }  // as the settings are
+  // F_m of a joint at the last sample, m counted in the settings.
+  double feature(int joint, int m) const noexcept;
+
+  // All that it remembers; restore() goes on from there, in another one of the same settings.
+  const State& state() const noexcept { return state_; }
+  void restore(const State& state) noexcept { state_ = state; }
+
+ private:
+  void take_step(std::int64_t t_ns) noexcept;
+  void follow(std::span<const double> dq) noexcept;
+
+  ErrorScaleSettings settings_;
+  int joints_;
+  double gain_per_s_;
+  State state_;
+};
+
+// The standard error of tau_ext in free motion, and three errors that a contact brings:
+//
+//   contact_sigma_j^2 = sigma_j^2 + (hidden_j F_j)^2 + (unsure_j P_j gap_j)^2 + (rubbing_j tau_ext_j)^2
+//                       + (|d tau_ext_j / dt| / K0)^2
+//
+// F_j is the joint's friction at rest. After a contact, the friction of a resting joint is known only within the share
+// hidden_j, until the joint slides again. So is how its presliding friction P_j remembers reversals: local and nonlocal memory
+// differ by P_j gap_j (Presliding), of which the share unsure_j is in doubt. Gear friction grows by the share rubbing_j of a
+// load. The last term is the lag of the observer, whose residual is 1/K0 late. The last two terms count during the contact
+// and fade with 1/K0.
+//
+// The result is for reports only. Limits, drift trackers and weighing use sigma, which no torque can raise.
+class ContactErrors {
+ public:
+  // Share of F that a resting joint hides: with presliding states that follow its friction, and without any: then it is
+  // anything between all of it this way and that, where one end was expected. In between, the share depends on the narrowest
+  // state relative to kBuildsUpRad, the travel over which friction builds up. Fitted to the demo's arms
+  // (docs/results/contact-errors).
+  static constexpr double kFineShare = 0.12, kCoarseShare = 1.15, kBuildsUpRad = 1e-3;
+  // Share of the gap where training found local memory, and where it found none or could not tell.
+  static constexpr double kUnsureLocal = 0.05, kUnsureBank = 0.3;
+  // Gear friction under a load, as a share of it, where training found none: 2 to 6 % (Bittencourt et al. 2010).
+  static constexpr double kUsualRubbing = 0.04;
+  static constexpr double kStaysS = 1.0;  // a joint that comes to rest within this time after a contact counts as pressed
+
+  explicit ContactErrors(const Bundle& bundle);
+
+  // touched: some joint is over its contact limit at this sample. near_stiction: a bit a joint. tau_ext, sigma_nm, memory_gap:
+  // of this sample, the last one empty where there is none. into: the standard error, NaN where sigma_nm is.
+  void step(std::int64_t t_ns, std::uint32_t near_stiction, bool touched, std::span<const double> tau_ext,
+            std::span<const double> sigma_nm, std::span<const double> memory_gap, std::span<double> into) noexcept;
+  // A sample without tau_ext: what changed until the next one is no rate.
+  void skip() noexcept { state_.started = false; }
+  void reset() noexcept { state_ = {}; }
+
+  struct State {
+    std::int64_t t_ns = 0;
+    double step_s = -1;           // the last one, ...
+    double kept = 0;              // ... and exp(-K0 step)
+    double since_s = kStaysS;     // the last touch, cut at kStaysS
+    double touched = 0;           // 1 during a contact, fades with 1/K0
+    std::uint32_t pressed = 0;    // a bit a joint: it rests since a contact
+    bool started = false;
+    JointVector tau_ext{}, rate{};
+  };
+  const State& state() const noexcept { return state_; }
+  void restore(const State& state) noexcept { state_ = state; }
+
+ private:
+  int joints_;
+  double gain_per_s_;
+  JointVector hidden_nm_{}, unsure_nm_{}, rubbing_{};
+  State state_;
+};
+
+}  // namespace tauext

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from tauext.cli.place_argument import AcceptArg, PlaceArg, tell_replaced
+from tauext.cli.place_argument import AcceptArg, JsonArg, PlaceArg, tell_replaced
 from tauext.cli.progress import Terminal
 from tauext.config import FleetConfig, TrainConfig, require_threads
 from tauext.errors import ConfigError, TauextError
@@ -62,7 +62,7 @@ def report(
     fleets: tyro.conf.Positional[tuple[PlaceArg, ...]],
     out: PlaceArg,
     arm_pages: bool = True,
-    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    as_json: JsonArg = False,
 ) -> None:
     """Draw one page of all arms: friction, ripple, limits, errors and promises, and which arm or joint stands out.
 
@@ -135,7 +135,7 @@ def run(
     out: PlaceArg,
     config: Annotated[FleetConfig, tyro.conf.arg(name="")] = FleetConfig(),  # noqa: B008
     dry_run: bool = False,
-    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    as_json: JsonArg = False,
 ) -> int:
     """Import, check, train, calibrate and evaluate every arm of a fleet; what is done is not done again.
 

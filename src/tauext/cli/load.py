@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from tauext.cli.place_argument import PlaceArg, expect_another, write_another
+from tauext.cli.place_argument import JsonArg, PlaceArg, expect_another, write_another
 from tauext.config import require
 from tauext.errors import ConfigError
 from tauext.files.places import Place
@@ -113,7 +113,7 @@ def load(
     known_kg: float | None = None,
     known_com_m: tuple[float, float, float] | None = None,
     out: PlaceArg | None = None,
-    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    as_json: JsonArg = False,
 ) -> None:
     """Weigh what the arm carries: mass and centre of mass, from seconds of ordinary motion or some standing poses.
 

@@ -1,4 +1,4 @@
-"""Arguments that name files: paths or URLs, outputs, and bundles made of another."""
+"""Arguments of several commands: paths or URLs, outputs, bundles made of another, --accept and --json."""
 
 from __future__ import annotations
 
@@ -48,6 +48,8 @@ LocalArg = Annotated[Path, LOCAL]
 
 AcceptArg = Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")]
 """Codes of findings that are accepted."""
+JsonArg = Annotated[bool, tyro.conf.arg(name="json")]
+"""The option --json."""
 
 
 # --- The one rule for outputs that stand already: results are replaced, and a line says so before the work begins.

@@ -7,11 +7,9 @@ import math
 import os
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
-import tyro
-
-from tauext.cli.place_argument import PlaceArg, tell_replaced
+from tauext.cli.place_argument import JsonArg, PlaceArg, tell_replaced
 from tauext.cli.progress import ProgressBar, Terminal
 from tauext.config import require, require_seed
 from tauext.errors import ConfigError
@@ -191,7 +189,7 @@ def check(
     robot: PlaceArg | None = None,
     out: PlaceArg | None = None,
     gravity: tuple[float, float, float] | None = None,
-    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    as_json: JsonArg = False,
 ) -> int:
     """Look for mistakes of units, signs, order and timing in recordings, and in the robot file.
 
@@ -235,7 +233,7 @@ def label(
     out: PlaceArg,
     calibration: PlaceArg | None = None,
     into: Literal["state", "features"] = "state",
-    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    as_json: JsonArg = False,
 ) -> None:
     """Add external torque, contact and collision to every frame of a LeRobot dataset that has state and action only.
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from tauext.cli.place_argument import PlaceArg
+from tauext.cli.place_argument import JsonArg, PlaceArg
 from tauext.errors import BundleError, ConfigError
 from tauext.files.places import Place
 
@@ -44,7 +44,7 @@ IN_WORDS = ("provenance", "situations", "table")
 
 def show(
     file: tyro.conf.Positional[PlaceArg],
-    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    as_json: JsonArg = False,
     force: bool = False,
     data: tuple[PlaceArg, ...] = (),
     frame: tuple[str, ...] = (),

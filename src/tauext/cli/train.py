@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
 
 import tyro
 
-from tauext.cli.place_argument import AcceptArg, PlaceArg, expect_another, tell_replaced
+from tauext.cli.place_argument import AcceptArg, JsonArg, PlaceArg, expect_another, tell_replaced
 from tauext.cli.progress import Terminal
 from tauext.config import AlarmConfig, CaseName, TrainConfig, require_threads
 from tauext.errors import ConfigError
@@ -167,7 +167,7 @@ def refit(
     like: PlaceArg | None = None,
     threads: int = 0,
     accept: AcceptArg = (),
-    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    as_json: JsonArg = False,
 ) -> None:
     """Bring the friction of a bundle up to date with 30 to 60 s of the arm's ordinary motion today.
 

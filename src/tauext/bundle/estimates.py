@@ -90,7 +90,7 @@ class Estimates:
     drift: np.ndarray | None = None
     sigma_nm: np.ndarray | None = None
     contact_sigma_nm: np.ndarray | None = None
-    # None but beside flights, and the first as `estimate_recording` gives it.
+    # None but beside flights; the first also as `estimate_recording` gives it.
     contact_limit_nm: np.ndarray | None = None
     alarm: np.ndarray | None = None
 

@@ -27,7 +27,6 @@ class Column:
     """One quantity of an estimate. The core, `Estimates` and its file call it `name`, JSON and messages `key`."""
 
     name: str
-    words: str
     kind: type = np.float32
     """In files; float32: a torque, in the bundle's estimate unit of the joint."""
     per_joint: bool = True
@@ -39,32 +38,33 @@ class Column:
         return self.name.removesuffix("_nm") + "_nm"
 
 
+# Described where `Estimates` has them; it does not hold the three with a comment.
 COLUMNS = (
-    Column("residual", "residual r of the observer", told=True),
-    Column("prior", "r expected by physics that was fitted to the data"),
-    Column("network", "r expected by the network beside the prior; 0 without one, NaN while warming up"),
-    Column("drift", "what the tracker of slow changes takes off"),
-    Column("uncertainty", "r expected in free motion: prior + network + drift", told=True),
-    Column("tau_ext", "external torque: residual - uncertainty; NaN while warming up", told=True),
-    Column("load_nm", "share of tau_ext taken for a load that is expected", told=True),
-    Column("sigma_nm", "standard error of tau_ext; NaN where that is", told=True),
-    Column("contact_sigma_nm", "the same during a contact and after it", told=True),
-    Column("limit_nm", "what |tau_ext| must exceed for a collision", told=True),
-    Column("contact_limit_nm", "what |tau_ext| must exceed for a contact", told=True),
-    Column("margin_nm", "limit_nm - |tau_ext|", told=True),
-    Column("near_stiction", "whether the limits are those near stiction, not those of sliding", bool),
-    Column("health", "0 warming up, 1 ok, 2 stale, 3 fault", np.int8, False),
-    Column("causes", "a bit for each cause why health is not ok; `cause_names` has the words", np.uint32, False),
-    Column("detection", "healthy, and some |tau_ext| over its collision limit", bool, False),
-    Column("held_alarm", "level held at this sample: 0 none, 1 contact, 2 collision", np.int8, False),
-    Column("alarm", "the same, latched until somebody acknowledges it; of a monitor alone", np.int8, False),
-    Column("touch", "kind of the touch, of `Touch`; of a monitor 0 once the alarm was acknowledged", np.int8, False),
+    Column("residual", told=True),
+    Column("prior"),
+    Column("network"),
+    Column("drift"),
+    Column("uncertainty", told=True),  # r expected in free motion: prior + network + drift
+    Column("tau_ext", told=True),
+    Column("load_nm", told=True),  # share of tau_ext taken for a load that is expected
+    Column("sigma_nm", told=True),
+    Column("contact_sigma_nm", told=True),
+    Column("limit_nm", told=True),
+    Column("contact_limit_nm", told=True),
+    Column("margin_nm", told=True),  # limit_nm - |tau_ext|
+    Column("near_stiction", bool),
+    Column("health", np.int8, False),
+    Column("causes", np.uint32, False),
+    Column("detection", bool, False),
+    Column("held_alarm", np.int8, False),
+    Column("alarm", np.int8, False),
+    Column("touch", np.int8, False),
 )
 
 
 @dataclass(frozen=True)
 class Estimates:
-    """One row a sample of the recording, as COLUMNS describes them: (samples, joints) or (samples,).
+    """One row a sample of the recording; of the types in COLUMNS, (samples, joints) or (samples,).
 
     The first rows' tau_ext is NaN: until the observer has forgotten how it began, 10/K0, and a network's window is
     full, there is no estimate (a second at K0 = 20; without a network half of that). `health` states it, `why(row)` in
@@ -76,23 +76,37 @@ class Estimates:
     t_ns: np.ndarray
     """(samples,) int64: stamps of the samples, [ns]."""
     residual: np.ndarray
+    """Residual r of the observer."""
     network: np.ndarray
+    """What the network expects of r beside the prior; 0 without one, NaN while warming up."""
     tau_ext: np.ndarray
+    """External torque: residual - uncertainty; NaN while warming up."""
     limit_nm: np.ndarray
+    """What |tau_ext| must exceed for a collision."""
     near_stiction: np.ndarray
+    """Whether the limits are those near stiction, not those of sliding."""
     health: np.ndarray
+    """0 warming up, 1 ok, 2 stale, 3 fault."""
     causes: np.ndarray
+    """A bit for each cause why health is not ok; `cause_names` has the words."""
     detection: np.ndarray
+    """Healthy, and some |tau_ext| over its collision limit."""
     held_alarm: np.ndarray
+    """Level held at this sample: 0 none, 1 contact, 2 collision."""
     touch: np.ndarray
-    # None where the bundle has none: no prior, no drift tracker, no error scale.
+    """Kind of the touch, of `Touch`; of a monitor 0 once the alarm was acknowledged."""
     prior: np.ndarray | None = None
+    """What physics, fitted to the data, expects of r; None where the bundle has no prior."""
     drift: np.ndarray | None = None
+    """What the tracker of slow changes takes off; None where the bundle has none."""
     sigma_nm: np.ndarray | None = None
+    """Standard error of tau_ext; NaN where that is; None where the bundle has no error scale."""
     contact_sigma_nm: np.ndarray | None = None
-    # None but beside flights, and the first as `estimate_recording` gives it.
+    """Standard error of tau_ext during a contact and after it; None as sigma_nm."""
     contact_limit_nm: np.ndarray | None = None
+    """What |tau_ext| must exceed for a contact; None in files of `tauext evaluate`."""
     alarm: np.ndarray | None = None
+    """The alarm level, latched until somebody acknowledges it; of a monitor alone, else None."""
 
     @classmethod
     def of(

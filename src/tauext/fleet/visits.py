@@ -22,28 +22,22 @@ from tauext.fleet.odds import NAMED
 # --- Which arms and joints are named, in words: what is rather so than not.
 
 
+FRICTION = "friction × {factor} of {whose}"
+CONSTANT = "a unit of its recorded torque is × {factor} of {whose}"
+TOOL = "carries {kg} kg {way} than {when}"
 WORDS = {
-    ("own", "friction", "more"): ("wearing", "friction × {factor} of {since}"),
-    ("own", "friction", "less"): (
-        "less friction",
-        "friction × {factor} of {since}: new grease, a mended gear, or a loose one",
-    ),
-    ("own", "constant", "more"): ("constant changed", "a unit of its recorded torque is × {factor} of {since}"),
-    ("own", "constant", "less"): ("constant changed", "a unit of its recorded torque is × {factor} of {since}"),
-    ("own", "tool", "more"): ("tool changed", "carries {kg} kg more than on {since}"),
-    ("own", "tool", "less"): ("tool changed", "carries {kg} kg less than on {since}"),
-    ("fleet", "friction", "more"): ("more friction than the fleet", "friction × {factor} of the fleet's"),
-    ("fleet", "friction", "less"): ("less friction than the fleet", "friction × {factor} of the fleet's"),
-    ("fleet", "constant", "more"): (
-        "constant unlike the fleet's",
-        "a unit of its recorded torque is × {factor} of the fleet's",
-    ),
-    ("fleet", "constant", "less"): (
-        "constant unlike the fleet's",
-        "a unit of its recorded torque is × {factor} of the fleet's",
-    ),
-    ("fleet", "tool", "more"): ("tool unlike the fleet's", "carries {kg} kg more than the fleet's middle"),
-    ("fleet", "tool", "less"): ("tool unlike the fleet's", "carries {kg} kg less than the fleet's middle"),
+    ("own", "friction", "more"): ("wearing", FRICTION),
+    ("own", "friction", "less"): ("less friction", f"{FRICTION}: new grease, a mended gear, or a loose one"),
+    ("own", "constant", "more"): ("constant changed", CONSTANT),
+    ("own", "constant", "less"): ("constant changed", CONSTANT),
+    ("own", "tool", "more"): ("tool changed", TOOL),
+    ("own", "tool", "less"): ("tool changed", TOOL),
+    ("fleet", "friction", "more"): ("more friction than the fleet", FRICTION),
+    ("fleet", "friction", "less"): ("less friction than the fleet", FRICTION),
+    ("fleet", "constant", "more"): ("constant unlike the fleet's", CONSTANT),
+    ("fleet", "constant", "less"): ("constant unlike the fleet's", CONSTANT),
+    ("fleet", "tool", "more"): ("tool unlike the fleet's", TOOL),
+    ("fleet", "tool", "less"): ("tool unlike the fleet's", TOOL),
 }
 
 
@@ -58,6 +52,7 @@ def named_of(serial: str, joints: Sequence[str], visit: Mapping[str, Any], centr
     for against in ("own", "fleet"):
         tables = visit.get(against) or {}
         since = tables.get("since") or "its first date"
+        whose, when = (since, f"on {since}") if against == "own" else ("the fleet's", "the fleet's middle")
         for what in ("friction", "constant", "tool"):
             table = tables.get(what)
             if table is None or "more" not in table:
@@ -78,7 +73,7 @@ def named_of(serial: str, joints: Sequence[str], visit: Mapping[str, Any], centr
                             "what": what,
                             "probability": probability,
                             "value": round(float(value if what == "tool" else np.exp(min(value, 20))), 4),
-                            "words": words.format(factor=factor, kg=kg, since=since),
+                            "words": words.format(factor=factor, kg=kg, whose=whose, way=way, when=when),
                         }
                     )
     return found

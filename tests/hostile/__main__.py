@@ -86,12 +86,11 @@ def import_all() -> None:
 
     import tauext.check.examine
     import tauext.cli.monitor_output
-    import tauext.cli.experiment
     import tauext.data.importers.open_raw
     import tauext.evaluate.results_folder
     import tauext.page.bundles
-    import tauext.report.page
     import tauext.report.check_picture
+    import tauext.report.page
     import tauext.train.stage  # noqa: F401
 
 

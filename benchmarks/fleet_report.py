@@ -361,7 +361,7 @@ def fleet_toml(maker: Maker, arms: Sequence[Path], date: int) -> str:
             "[[arms]]",
             f'name = "arm-{k:02d}"',
             f'type = "{maker.name}"',
-            f"dataset = {json.dumps(str(data))}",
+            f"dataset = {json.dumps(str(data.resolve()))}",
             "",
         ]
     return "\n".join(lines)

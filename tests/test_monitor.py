@@ -113,7 +113,6 @@ def test_online_equals_offline_bit_for_bit_at_every_sample():
         "uncertainty",
         "margin_nm",
         "drift_saturated",
-        "contact_limit_nm",
         "load_nm",
         "load_kg",
         "load_error_kg",

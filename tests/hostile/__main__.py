@@ -82,10 +82,10 @@ def import_all() -> None:
     import rosbags.rosbag1
     import rosbags.rosbag2  # noqa: F401
     import scipy.io  # noqa: F401
-    import tauext.cli.experiment
 
     import tauext.check.examine
     import tauext.cli.monitor_output
+    import tauext.cli.reproduce
     import tauext.data.importers.open_raw
     import tauext.evaluate.results_folder
     import tauext.page.bundles

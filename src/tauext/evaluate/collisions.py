@@ -350,7 +350,7 @@ class TouchMeasures:
             rows = alarm_rows(touch, recording, estimates)
             if model is None or len(rows) == 0:
                 continue
-            place = place_of(model, rows, recording, estimates)
+            place = {} if model.refused else place_of(model, rows, recording, estimates)
             self._told.append({"id": touch.id, "kind": kind_of(touch, recording, estimates), **place})
             self._labels.append((touch.link, touch.kind))
 

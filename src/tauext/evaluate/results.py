@@ -529,7 +529,7 @@ class ToldTouch:
     force_n: Number = None
     point_m: tuple[float, ...] = ()
     spread_m: Number = None
-    consistent: bool | None = None
+    consistent: float | None = None
 
 
 @dataclass(frozen=True)

@@ -136,7 +136,7 @@ def digest_of(content: object) -> str:
 
 COUNTED = ("files", "robot", "data", "bundle", "check", "fit", "train", "evaluate")
 """Packages whose code decides a task's output, beside the root modules and the stages themselves."""
-STAGE_FILES = ("fleet/stages.py", "fleet/task.py")
+STAGE_FILES = ("fleet/stages.py", "fleet/task.py", "monitor/changes.py", "monitor/places.py")
 DIGITS = 12
 
 

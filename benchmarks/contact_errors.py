@@ -29,6 +29,7 @@ from tauext.page.bundles import LESSONS, practice_recording
 from tauext.robot.model_case import estimated_model
 from tauext.sim.arms import ARMS, DemoArm
 from tauext.sim.plant import Drag, Mover, Plant
+from tauext.train.preparation import Given
 from tauext.train.stage import train_on_recordings
 
 PHASES = ("free motion", "first second of the push", "pressed while stopped", "released, still stopped", "moving again")
@@ -107,7 +108,9 @@ def train(name: str, out: Path) -> Path:
         robot = out / f"{name}.xml"
         robot.write_text(arm.xml)
         tree = estimated_model(robot, arm.joints, PAPER_CASES["exact"])
-        train_on_recordings(tree, robot, PAPER_CASES["exact"], recordings, [], lesson.methods["tauext"], path)
+        train_on_recordings(
+            Given(robot, PAPER_CASES["exact"], recordings, [], model=tree), lesson.methods["tauext"], path
+        )
     return path
 
 

@@ -18,7 +18,7 @@ from tauext.fit.bundle_writing import build_setup
 from tauext.fit.regression import NormalEquations, Regression, coupled
 from tauext.fit.torque_constants import TorqueConstants, fit_torque_constants, with_constants
 from tauext.train.limits import calibrate, factor_after
-from tauext.train.preparation import training_motion, wants_constants
+from tauext.train.preparation import Given, training_motion, wants_constants
 from tauext.train.promised_limits import NOT_MEASURED
 from tauext.train.stage import train_on_recordings
 
@@ -48,7 +48,9 @@ def trained(tmp_path: Path, monkeypatch, training, validation=(), **settings):
     settings = {"prior": PriorConfig(most_ripples=0)} | settings
     monkeypatch.setattr("tauext.train.preparation.torque_limits", lambda robot, joints: np.full(len(joints), np.inf))
     out = tmp_path / "made.tauext"
-    train_on_recordings(planar_arm(), Path(), EXACT, list(training), list(validation), TrainConfig(**settings), out)
+    train_on_recordings(
+        Given(Path(), EXACT, list(training), list(validation), model=planar_arm()), TrainConfig(**settings), out
+    )
     bundle = _core.Bundle.load(str(out))
     return bundle, json.loads(bundle.provenance)
 

@@ -28,6 +28,7 @@ from tauext.report.flight import facts
 from tauext.report.flight_file import load_flight
 from tauext.robot.frames import load_frame
 from tauext.robot.load import load_tree
+from tauext.train.preparation import Given
 from tauext.train.stage import train_on_recordings
 
 TOOL = Load(1.9, [0.03, -0.04, 0.08], [0.012, 0.014, 0.007, 0.001, -0.002, 0.0015], 0.0)
@@ -378,7 +379,9 @@ def test_training_finds_the_frame_and_the_mass_that_a_drive_cannot_hold(arm, tmp
     from tauext.config import PAPER_CASES
 
     out = tmp_path / "trained.tauext"
-    train_on_recordings(tree, path, PAPER_CASES["exact"], pieces[:2], pieces[2:], TrainConfig(recipe="observer"), out)
+    train_on_recordings(
+        Given(path, PAPER_CASES["exact"], pieces[:2], pieces[2:], model=tree), TrainConfig(recipe="observer"), out
+    )
     settings = _core.Bundle.load(str(out)).load_settings
     assert settings.frame == "tool0" and settings.settable
     # By hand: drives give 100 Nm each, and what a kilogram at tool0 weighs on a joint is the arm with it less without.
@@ -390,7 +393,9 @@ def test_training_finds_the_frame_and_the_mass_that_a_drive_cannot_hold(arm, tmp
     assert facts_of_it["frame"] == "tool0"
     with pytest.raises(ConfigError, match="load frame 'elbow' is no link"):
         config = TrainConfig(recipe="observer", load_frame="elbow")
-        train_on_recordings(tree, path, PAPER_CASES["exact"], pieces[:2], pieces[2:], config, tmp_path / "other.tauext")
+        train_on_recordings(
+            Given(path, PAPER_CASES["exact"], pieces[:2], pieces[2:], model=tree), config, tmp_path / "other.tauext"
+        )
 
 
 def signals(recording: Recording, rows: slice) -> dict[str, np.ndarray]:

@@ -16,6 +16,7 @@ from tauext.evaluate.injected import estimate_recording
 from tauext.progress import SILENT
 from tauext.robot.model_case import chosen_case
 from tauext.train.look import view_dataset
+from tauext.train.preparation import Given
 from tauext.train.stage import train_bundle
 
 VELOCITY = ("velocity-unit", "velocity-mismatch", "velocity-sign", "velocity-delay")
@@ -103,7 +104,7 @@ def looked_at(folder: Path) -> list[Seen]:
     robot = dataset.robot_file(None)
     case, _ = chosen_case(None, robot)
     recordings = dataset.training(), dataset.recordings("validation")
-    looks = view_dataset(dataset, robot, PAPER_CASES[case], *recordings, CONFIG, SILENT)
+    looks = view_dataset(dataset, Given(robot, PAPER_CASES[case], *recordings), CONFIG, SILENT)
     findings = [finding for look in looks.values() for finding in look.findings]
     return [Seen(f.code, f.joint, f.severity, f.evidence, f.recording) for f in findings]
 

@@ -113,6 +113,7 @@ def tell_findings(out: Path) -> None:
     from tauext.data.dataset import load_dataset
     from tauext.robot.model_case import chosen_case
     from tauext.train.look import view_dataset
+    from tauext.train.preparation import Given
 
     dataset, terminal = load_dataset(out), Terminal()
     if not dataset.split.train:
@@ -120,7 +121,7 @@ def tell_findings(out: Path) -> None:
     robot = dataset.robot_file(None)
     case = PAPER_CASES[chosen_case(None, robot)[0]]
     training, validation = dataset.training(), dataset.recordings("validation")
-    looks = view_dataset(dataset, robot, case, training, validation, TrainConfig(), terminal)
+    looks = view_dataset(dataset, Given(robot, case, training, validation), TrainConfig(), terminal)
     findings = [finding for look in looks.values() for finding in look.findings]
     for entry in entries(finding for finding in findings if finding.severity == "warning"):
         terminal.say(f"warning: {sentence(entry)}")

@@ -85,11 +85,10 @@ def reproduce_paper(
     from tauext.data.dataset import load_dataset
     from tauext.evaluate.results_folder import evaluate_bundles
     from tauext.report.page import write_report
-    from tauext.robot.model_case import estimated_model
     from tauext.sim.collect import simulate_dataset
     from tauext.sim.config import RigConfig
     from tauext.train.look import look_first
-    from tauext.train.preparation import finished
+    from tauext.train.preparation import Given, finished
     from tauext.train.stage import train_on_recordings
 
     data = out / "data"
@@ -111,13 +110,11 @@ def reproduce_paper(
         training, validation = dataset.recordings("train"), dataset.recordings("validation")
         # One look for all: with a model it holds all that one without a model would.
         case, config = max((jobs[name] for name in missing), key=lambda job: not job[0].no_model)
-        looked = look_first(dataset, robot, case, training, validation, config, (), report)
+        looked = look_first(dataset, Given(robot, case, training, validation), config, (), report)
         for name in missing:
             case, config = jobs[name]
-            tree = estimated_model(robot, training[0].joints, case)
-            train_on_recordings(
-                tree, robot, case, training, validation, config, bundles[name], report=report, looked=looked
-            )
+            given = Given(robot, case, training, validation)
+            train_on_recordings(given, config, bundles[name], report=report, looked=looked)
     evaluate_bundles(dataset, bundles, out / "results", seed, 0, command, scale_name, report=report)
     return write_report(out / "results", data, out / "report")
 

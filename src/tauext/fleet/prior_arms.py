@@ -16,11 +16,11 @@ from tauext.errors import ConfigError
 from tauext.files.places import Place, place_of
 from tauext.fit.fleet_prior import ArmType, FleetPrior
 from tauext.progress import SILENT, Reporter
-from tauext.robot.model_case import chosen_case, estimated_model
+from tauext.robot.model_case import chosen_case
 from tauext.train.fitting import arm_type, fit_prior, like_settings, observe
 from tauext.train.look import look_first
 from tauext.train.network import choose_gain
-from tauext.train.preparation import Job, prepare
+from tauext.train.preparation import Given, Job, prepare
 
 LEAST_ARMS = 3
 BUNDLE_AND_DATA = ".tauext:"
@@ -116,12 +116,12 @@ def job_of(
     if model.no_model:
         raise ConfigError(f"{arm.data}: it has no model, and a fleet prior holds corrections of one; import with one")
     training = dataset.training()
-    tree = estimated_model(robot, training[0].joints, model)
+    given = Given(robot, model, training)
     if look is not None:
-        look_first(dataset, robot, model, training, [], config, look, report)
+        look_first(dataset, given, config, look, report)
     config = replace(like_settings(config, like), minutes=minutes)
     name = Path(f"{arm.name}.tauext")
-    return prepare(tree, robot, model, training, (), config, name, (), report, like)
+    return prepare(given, config, name, report, like)
 
 
 def own_terms_of(arm: FleetArm, config: TrainConfig, accept: Sequence[str], report: Reporter) -> OwnTerms:

@@ -22,7 +22,6 @@ from tauext.errors import ConfigError, TauextError
 from tauext.files import copies
 from tauext.files.provenance import VERSION
 from tauext.progress import Show, Silent
-from tauext.robot.model_case import estimated_model
 from tauext.sim.arms import DemoArm
 from tauext.sim.collect import SETTLE_S
 from tauext.sim.rig import draw_motion, measure, roll_out
@@ -162,6 +161,7 @@ def train_bundles(
 
 
 def _train(arm: DemoArm, case: ModelCase, lesson: Lesson, seed: int, out: Path, report: Report) -> None:
+    from tauext.train.preparation import Given
     from tauext.train.stage import train_on_recordings
 
     recordings = []
@@ -178,11 +178,12 @@ def _train(arm: DemoArm, case: ModelCase, lesson: Lesson, seed: int, out: Path, 
         report(done, what)
         learns_all = config.row.judges_itself
         train_on_recordings(
-            estimated_model(robot, training[0].joints, case),
-            robot,
-            case,
-            recordings[: lesson.prior_recordings] if learns_all else training,
-            [] if learns_all else validation,
+            Given(
+                robot,
+                case,
+                recordings[: lesson.prior_recordings] if learns_all else training,
+                [] if learns_all else validation,
+            ),
             replace(config, seed=seed),
             out / f"{method}.tauext",
             report=_Share(report, done, share, what),

@@ -12,9 +12,9 @@ from tauext.errors import ConfigError
 from tauext.files.places import Place
 from tauext.progress import SILENT, Reporter
 from tauext.recipes import RECIPES, baselines
-from tauext.robot.model_case import chosen_case, estimated_model
+from tauext.robot.model_case import chosen_case
 from tauext.train.look import look_first
-from tauext.train.preparation import finished, why_impossible
+from tauext.train.preparation import Given, finished, why_impossible
 from tauext.train.stage import train_on_recordings
 
 
@@ -72,13 +72,9 @@ def train_baselines(
             missing[name] = config
     if missing:
         training, validation = dataset.training(), dataset.recordings("validation")
-        tree = estimated_model(robot_file, training[0].joints, case)
-        # One look for all: none of them uses more than limits that keep a promise do.
-        config = TrainConfig(seed=seed, threads=threads)
-        looked = look_first(dataset, robot_file, case, training, validation, config, accept, report)
+        given = Given(robot_file, case, training, validation, calibration)
+        # One check for all: none of them uses more than limits that keep a promise do.
+        looked = look_first(dataset, given, TrainConfig(seed=seed, threads=threads), accept, report)
         for name, config in missing.items():
-            out = bundles[name]
-            train_on_recordings(
-                tree, robot_file, case, training, validation, config, out, calibration, report, looked, accept=accept
-            )
+            train_on_recordings(given, config, bundles[name], report, looked, accept=accept)
     return bundles

@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,7 @@ from tauext.fit.torque_constants import TorqueConstants, fit_torque_constants, w
 from tauext.fit.training_set import Setup, signal_bounds
 from tauext.progress import Reporter
 from tauext.recipes import Recipe
+from tauext.robot.model_case import estimated_model
 from tauext.robot.torque_limits import torque_limits
 from tauext.train.error_scale import at_rest_sentence
 
@@ -391,6 +393,31 @@ def in_newton_metres(
 
 
 @dataclass(frozen=True)
+class Given:
+    """What a training starts from: the arm's recordings and its estimated model."""
+
+    robot: Path
+    """URDF or MJCF of the arm; its drives' torques are bounds."""
+    case: ModelCase
+    """How the estimated model differs from the robot file."""
+    training: Sequence[Recording]
+    """As in the dataset, contacts included, of one robot, rate and torque timing."""
+    validation: Sequence[Recording] = ()
+    """Others, which nothing is trained on; none: the recipe does without, or cuts some off."""
+    calibration: Sequence[Callable[[], Recording]] = ()
+    """Load the recordings that a promise about false alarms is based on."""
+    model: Tree | None = None
+    """None: the robot file's, changed as the case says."""
+
+    @cached_property
+    def tree(self) -> Tree:
+        """The estimated model."""
+        if self.model is not None:
+            return self.model
+        return estimated_model(self.robot, self.training[0].joints, self.case)
+
+
+@dataclass(frozen=True)
 class Job:
     """One training under way: what is asked, on what, and what its steps have found so far."""
 
@@ -460,18 +487,7 @@ class Job:
         self.report.say(f"{self.name}: {sentence}")
 
 
-def prepare(
-    tree: Tree,
-    robot: Path,
-    case: ModelCase,
-    training: Sequence[Recording],
-    validation: Sequence[Recording],
-    config: TrainConfig,
-    out: Place,
-    calibration: Sequence[Callable[[], Recording]],
-    report: Reporter,
-    like: FleetPrior | None = None,
-) -> Job:
+def prepare(given: Given, config: TrainConfig, out: Place, report: Reporter, like: FleetPrior | None = None) -> Job:
     """Choose the minutes, leave out what is impossible, find torque constants, leave contacts out.
 
     See train_on_recordings for the arguments.
@@ -480,17 +496,17 @@ def prepare(
         ConfigError: settings that the case or the recordings cannot serve.
         TrainingError: too little motion, or too much of it is impossible.
     """
-    if impossible := why_impossible(config.row, case):
+    if impossible := why_impossible(config.row, given.case):
         raise ConfigError(impossible)
-    training, validation = chosen_recordings(training, validation, config)
+    training, validation = chosen_recordings(given.training, given.validation, config)
     expect_some(training)
-    limits_nm = torque_limits(robot, training[0].joints)
-    possible = possible_motion(tree, case, training, validation, limits_nm, config)
+    limits_nm = torque_limits(given.robot, training[0].joints)
+    possible = possible_motion(given.tree, given.case, training, validation, limits_nm, config)
     motion = training_motion(possible.training, possible.validation, config)
     out.parent.mkdir(parents=True, exist_ok=True)
-    run = provenance("tauext train", training_settings(case, config), config.seed)
+    run = provenance("tauext train", training_settings(given.case, config), config.seed)
     run["recordings"] = {"train": [r.name for r in training], "validation": [r.name for r in validation]}
-    job = Job(tree, case, config, out, possible, list(calibration), motion, report, run, like=like)
+    job = Job(given.tree, given.case, config, out, possible, list(given.calibration), motion, report, run, like=like)
     if possible.passed.any():
         job.notes.append(passed_sentence(possible.passed, training[0].joints, limits_nm))
     if possible.left_out.found:

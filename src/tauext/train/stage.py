@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 
-from tauext._core import Bundle, Tree
+from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle
 from tauext.check.look import Rejected, expect_codes
-from tauext.config import PAPER_CASES, CaseName, ModelCase, TrainConfig
+from tauext.config import PAPER_CASES, CaseName, TrainConfig
 from tauext.data.dataset import Dataset
-from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.files.places import Place, place_of
 from tauext.files.room import expect_memory, expect_new_file, expect_time
@@ -20,7 +18,7 @@ from tauext.fit.network_training import apply_gate
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.training_set import Setup
 from tauext.progress import SILENT, Reporter
-from tauext.robot.model_case import chosen_case, estimated_model
+from tauext.robot.model_case import chosen_case
 from tauext.train.fitting import (
     expect_like,
     fit_prior,
@@ -35,7 +33,7 @@ from tauext.train.limits import calibrate, limits_kind
 from tauext.train.load import put_load
 from tauext.train.look import look_first
 from tauext.train.network import assemble, choose_gain, fit_network
-from tauext.train.preparation import Job, note_recordings, prepare
+from tauext.train.preparation import Given, Job, note_recordings, prepare
 from tauext.train.writing import put_wrench, write
 
 # --- What a training of this size takes at least, held against what is there before anything is loaded.
@@ -139,27 +137,16 @@ def train_bundle(
     if note:
         report.say(note)
     training, validation = dataset.training(), dataset.recordings("validation")
-    model = PAPER_CASES[case]
-    tree = estimated_model(robot_file, training[0].joints, model)
-    looked = None
-    if look:
-        looked = look_first(dataset, robot_file, model, training, validation, config, accept, report)
-    calibration = dataset.stretches("calibration")
-    train_on_recordings(
-        tree, robot_file, model, training, validation, config, out, calibration, report, looked, like, accept
-    )
+    given = Given(robot_file, PAPER_CASES[case], training, validation, dataset.stretches("calibration"))
+    looked = look_first(dataset, given, config, accept, report) if look else None
+    train_on_recordings(given, config, out, report, looked, like, accept)
     return load_bundle(out)
 
 
 def train_on_recordings(
-    tree: Tree,
-    robot: Path,
-    case: ModelCase,
-    training: Sequence[Recording],
-    validation: Sequence[Recording],
+    given: Given,
     config: TrainConfig,
     out: Place,
-    calibration: Sequence[Callable[[], Recording]] = (),
     report: Reporter = SILENT,
     looked: dict | None = None,
     like: FleetPrior | None = None,
@@ -171,12 +158,7 @@ def train_on_recordings(
     training goes on.
 
     Args:
-        tree: the estimated model, that of the case.
-        robot: URDF or MJCF, for what the drives can give at most.
-        training: recordings as they stand in the dataset, contacts and all, of one robot, rate and torque timing.
-        validation: others, which nothing is trained on; none: the recipe does without, or cuts some off.
         out: NAME.tauext; its folder is made.
-        calibration: load the recordings on which a promise about false alarms is kept.
         report: receives the progress and sentences about what was found.
         looked: what the doctor found (look_first), for provenance; None: nobody looked.
         like: the fleet prior of this type; None: the arm is by itself.
@@ -186,9 +168,9 @@ def train_on_recordings(
         ConfigError: settings that the case or the recordings cannot serve.
         TrainingError: too little motion for the recipe, motion that a monitor rejects, or a loss that diverges.
     """
-    limits_kind(config, calibration)  # refuses what could not be kept before anything is learned
+    limits_kind(config, given.calibration)  # refuses what could not be kept before anything is learned
     config = like_settings(config, like)
-    job = prepare(tree, robot, case, training, validation, config, out, calibration, report, like)
+    job = prepare(given, config, out, report, like)
     if looked is not None:
         job.facts["look"] = looked
     setup = observe(job)
@@ -210,8 +192,8 @@ def train_on_recordings(
         bundle, fit = gate(job, bundle, setup, fit)
     put_prior(job, bundle, fit)
     put_coverage(job, bundle, setup)
-    put_load(job, bundle, robot, with_fit(setup, fit), fit)
-    put_wrench(job, bundle, robot)
+    put_load(job, bundle, given.robot, with_fit(setup, fit), fit)
+    put_wrench(job, bundle, given.robot)
     note_recordings(job)
     calibrate(job, bundle, setup, fit)
     write(job, bundle, network)

@@ -117,8 +117,8 @@ class FlightSettings:
 class FlightWriter:
     """Takes flights from a recorder and writes them: `with FlightWriter(recorder, write) as writer: ...`.
 
-    A flight that cannot be written is told in news() and the thread goes on: the next one may fit. Leaving the block
-    takes the event that still waits for its samples, writes everything and ends the thread; nothing is lost.
+    A flight that cannot be written is reported in news() and the thread goes on: the next one may fit. Leaving the
+    block takes the event that still waits for its samples, writes everything and ends the thread; nothing is lost.
     """
 
     def __init__(self, recorder: _core.FlightRecorder, write: Callable[[Flight], Path], poll_s: float = POLL_S):
@@ -162,10 +162,10 @@ class FlightWriter:
 
     def news(self) -> list[FlightNews]:
         """What became of flights since the last call."""
-        told = []
+        news = []
         while self._news:
-            told.append(self._news.popleft())
-        return told
+            news.append(self._news.popleft())
+        return news
 
     def _take(self) -> None:
         with self._taking:
@@ -186,7 +186,7 @@ class FlightWriter:
                 if ended:
                     return
                 self._wake.wait(self._poll_s)
-        except BaseException as broken:  # a mistake of ours: told by the thread that waits for this one
+        except BaseException as broken:  # a bug: raised by the thread that waits for this one
             self._broken = broken
 
     def _written(self, flight: Flight) -> FlightNews:
@@ -201,7 +201,7 @@ class FlightWriter:
 
 
 ENDINGS = (".txt", ".dropped.csv", ".estimates.parquet", ".parquet")
-"""In the order of writing: who sees FLIGHT.parquet finds the others beside it."""
+"""In the order of writing: once FLIGHT.parquet exists, so do the others."""
 PART = ".txt.part"
 
 

@@ -73,7 +73,7 @@ class Profiles:
         """The profile of this name.
 
         Raises:
-            ConfigError: there is none; says which there are.
+            ConfigError: there is none; the message lists the profiles.
         """
         if name not in self.by_name:
             raise ConfigError(f"profile {name!r} must be one of {', '.join(self.by_name)}")

@@ -259,8 +259,8 @@ class ReactionThread:
     def news(self) -> list[ReactionNews]:
         """What was done since the last call."""
         with self._changed:
-            told, self._news = self._news, []
-        return told
+            news, self._news = self._news, []
+        return news
 
     def end(self, until: float) -> None:
         """Let it finish what waits, but not beyond this time.monotonic(); then leave it."""

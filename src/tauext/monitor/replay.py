@@ -87,7 +87,7 @@ class Samples(Protocol):
 
 @dataclass(frozen=True)
 class Chunk:
-    """Some consecutive samples and what the monitor said of them."""
+    """Some consecutive samples and their estimates."""
 
     first_row: int
     t_ns: np.ndarray
@@ -107,10 +107,10 @@ class Chunk:
 
 
 class EventStream:
-    """A monitor and the changes in its answers: the one stream of events of a replay and of the live loop."""
+    """A monitor and the changes in its estimates: the one stream of events of a replay and of the live loop."""
 
     def __init__(self, monitor: _core.Monitor, places: PlaceFinder | None = None):
-        """places: finds which link is touched, and where; None: nobody asks."""
+        """places: finds which link is touched, and where; None: places are not estimated."""
         self.monitor = monitor
         self._finder, self._places = ChangeFinder(), places
         self._left_out = not_in_newtons(monitor.joint_names, monitor.estimate_units)
@@ -130,7 +130,7 @@ class EventStream:
                 self._places.acknowledged()
 
     def carry(self, load: _core.Load, row: int, t_ns: int, by: str = "", since_ns: int | None = None) -> None:
-        """What the arm carries from the sample of this row on, or as if told at since_ns.
+        """What the arm carries from the sample of this row on, or from since_ns on.
 
         Raises:
             CoreError: the bundle takes no such load.
@@ -142,15 +142,15 @@ class EventStream:
         self,
         row: int,
         t_ns: np.ndarray,
-        said: dict[str, np.ndarray],
+        estimates: dict[str, np.ndarray],
         q: np.ndarray | None = None,
         dq: np.ndarray | None = None,
     ) -> list[Change]:
-        """What was noted, then changes in the answers, then places; see ChangeFinder and PlaceFinder."""
+        """What was noted, then changes in the estimates, then places; see ChangeFinder and PlaceFinder."""
         changes, self._noted = self._noted, []
-        changes += self._finder.find(row, t_ns, said)
+        changes += self._finder.find(row, t_ns, estimates)
         if self._places is not None and q is not None and dq is not None:
-            changes += self._places.find(row, t_ns, q, dq, said)
+            changes += self._places.find(row, t_ns, q, dq, estimates)
         return changes
 
 
@@ -166,8 +166,8 @@ def replay(
 ) -> Iterator[Chunk]:
     """Every sample in order, as a control loop would send it; chunks come when their last sample has its time.
 
-    What is said, and at which sample, does not depend on chunk_s or pace. A gap is judged by the stamp of the sample
-    that follows it, as in a loop that was not told that samples were missing.
+    Estimates and events do not depend on chunk_s or pace. A gap is judged by the stamp of the sample
+    that follows it, as in a loop that does not report missing samples.
 
     Args:
         monitor: newly made or reset.
@@ -178,7 +178,7 @@ def replay(
             one that raised it, > 0; None: never.
         chunk_s: length of a chunk in the time of the samples, [s]; a chunk has at least one sample.
         loads: what the arm carries and since when, in the order of their times.
-        places: finds which link is touched, and where; None: nobody asks.
+        places: finds which link is touched, and where; None: places are not estimated.
 
     Raises:
         CoreError: the bundle takes no such load.
@@ -203,12 +203,12 @@ def replay(
         pace.wait_until(int(t_ns[rows.stop - 1]))
         started = time.perf_counter()
         warm = None if temperature is None else temperature[rows]
-        said = monitor.run(t_ns[rows], samples.q[rows], samples.dq[rows], samples.tau[rows], recorder, warm)
+        estimates = monitor.run(t_ns[rows], samples.q[rows], samples.dq[rows], samples.tau[rows], recorder, warm)
         core_s = time.perf_counter() - started
-        changes = events.find(begin, t_ns[rows], said, samples.q[rows], samples.dq[rows])
-        yield Chunk(begin, t_ns[rows], samples.dq[rows], said, changes, core_s)
+        changes = events.find(begin, t_ns[rows], estimates, samples.q[rows], samples.dq[rows])
+        yield Chunk(begin, t_ns[rows], samples.dq[rows], estimates, changes, core_s)
         if wait_ns is not None:
-            due_ns = monitor.last.alarm_t_ns + wait_ns if said["alarm"][-1] == COLLISION else None
+            due_ns = monitor.last.alarm_t_ns + wait_ns if estimates["alarm"][-1] == COLLISION else None
         begin = rows.stop
 
 
@@ -236,7 +236,7 @@ class Tally:
     joints: tuple[str, ...]
     sample_period_ns: int
     units: tuple[str, ...] = ()
-    """Of the answers, a joint; empty: N m."""
+    """Of the estimates, one a joint; empty: N m."""
     samples: int = 0
     bridged_ticks: int = 0
     restarts: int = 0
@@ -247,7 +247,7 @@ class Tally:
     health: np.ndarray = field(default_factory=lambda: np.zeros(len(HEALTHS), dtype=np.int64))
     """Samples of each health."""
     unfamiliar: Counter[Unseen] = field(default_factory=Counter)
-    """Samples whose motion training never saw, by what of it."""
+    """Samples whose motion the training data do not contain, by what is new."""
     alarms: np.ndarray = field(init=False)
     """Times that a joint raised the alarm to a level, (levels, joints)."""
     worst_margin_nm: np.ndarray = field(init=False)
@@ -274,8 +274,8 @@ class Tally:
             return
         if not all(came):
             rows = np.array(came)
-            said = {name: values[rows] for name, values in chunk.said.items()}
-            chunk = replace(chunk, t_ns=chunk.t_ns[rows], said=said)
+            estimates = {name: values[rows] for name, values in chunk.said.items()}
+            chunk = replace(chunk, t_ns=chunk.t_ns[rows], said=estimates)
         self.samples += len(chunk.t_ns)
         self.core_s += chunk.core_s
         self.health += np.bincount(chunk.said["health"], minlength=len(HEALTHS))
@@ -340,7 +340,7 @@ class Tally:
         }
 
 
-# --- Single samples of a replay, at a rate that a reader asks for.
+# --- Single samples of a replay, at a rate that the reader sets.
 
 
 class StatusClock:
@@ -358,15 +358,15 @@ class StatusClock:
         return rows.tolist()
 
 
-def sample_facts(said: Mapping[str, np.ndarray], row: int) -> dict[str, Any]:
-    """The monitor's answer for one row of Monitor.run, as plain JSON; null where a number does not exist."""
+def sample_facts(estimates: Mapping[str, np.ndarray], row: int) -> dict[str, Any]:
+    """The estimate at one row of Monitor.run, as plain JSON; null where a number does not exist."""
     return {
-        "health": HEALTHS[said["health"][row]],
-        "causes": _core.cause_names(int(said["causes"][row])),
-        "alarm": ALARMS[said["alarm"][row]],
-        "touch": TOUCHES[said["touch"][row]],
-        "detection": bool(said["detection"][row]),
-        **told_torques(lambda name: said[name][row]),
-        "unfamiliar": float(said["unfamiliar"][row]),
-        "near_stiction": [bool(near) for near in said["near_stiction"][row]],
+        "health": HEALTHS[estimates["health"][row]],
+        "causes": _core.cause_names(int(estimates["causes"][row])),
+        "alarm": ALARMS[estimates["alarm"][row]],
+        "touch": TOUCHES[estimates["touch"][row]],
+        "detection": bool(estimates["detection"][row]),
+        **told_torques(lambda name: estimates[name][row]),
+        "unfamiliar": float(estimates["unfamiliar"][row]),
+        "near_stiction": [bool(near) for near in estimates["near_stiction"][row]],
     }

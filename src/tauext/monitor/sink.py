@@ -16,7 +16,7 @@ from tauext.monitor.places import PlaceChange, newtons, place_facts
 from tauext.monitor.replay import sample_facts
 from tauext.monitor.source import Sample, SourceCounts
 
-# --- Who is told of every sample, and of what happens: publishers, outputs, recordings.
+# --- Receivers of every sample and event: publishers, outputs, recordings.
 
 
 EventKind = Literal["collision", "contact", "fault", "cleared"]
@@ -25,7 +25,7 @@ EVENT_KINDS: tuple[EventKind, ...] = ("collision", "contact", "fault", "cleared"
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What the monitor says of one sample or, with sample None, of one that did not come."""
+    """The monitor's result for one sample or, with sample None, for one that did not come."""
 
     row: int
     """Samples before it."""
@@ -60,9 +60,9 @@ class Event:
     """False: the alarm rose before, and only its kind of touch or its place is new."""
     links: tuple[tuple[str, float], ...] = ()
     """Of a collision or contact, joints that carry the touched link, with probabilities, the most probable first; empty
-    while nothing is known."""
+    while unknown."""
     newtons: float | None = None
-    """Of the force at the most probable place on the most probable link; None: not known."""
+    """Of the force at the most probable place on the most probable link; None: unknown."""
     alarm_t_ns: int = 0
     """When the alarm rose that this event is of: events of one alarm share it."""
     of_place: bool = False
@@ -84,7 +84,7 @@ class LoopReport:
     counts: SourceCounts
     """The source's, since the start."""
     tick_p50_us: float
-    """From a sample's reception until every sink was told, in the last second; NaN without a sample."""
+    """From a sample's reception until every sink has received its verdict, in the last second; NaN without a sample."""
     tick_p99_us: float
     tick_max_us: float
     profile: str
@@ -92,9 +92,9 @@ class LoopReport:
 
 
 class Sink(Protocol):
-    """Is told of every verdict, in the loop's thread and in order: it returns at once; what takes long goes elsewhere.
+    """Receives every verdict, in the loop's thread and in order: it must return at once; slow work belongs in a thread.
 
-    One that raises is told of once, and not called again; the loop goes on.
+    A sink that raises is reported once and not called again; the loop goes on.
     """
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
@@ -124,14 +124,14 @@ class Publisher(Protocol):
 
 
 USUAL_REACH_M = 0.3
-"""How far the centre of mass of a load is from the load frame at most, where nobody knows better."""
+"""Default for the largest distance of a load's centre of mass from the load frame."""
 
 
 class Control(Protocol):
-    """What others may ask of the loop, from any thread: it is done before the next sample, and logged."""
+    """Requests to the loop, from any thread: each is executed before the next sample, and logged."""
 
     def use_profile(self, name: str, by: str) -> None:
-        """Change to this profile. by: who asks, for the log: `ros2 /tauext/profile`.
+        """Change to this profile. by: who requests it, for the log: `ros2 /tauext/profile`.
 
         Raises:
             ConfigError: there is no such profile.
@@ -153,10 +153,10 @@ class Control(Protocol):
         """What the arm carries from the next sample on; mass 0: nothing.
 
         Args:
-            ago_s: as if it had been told so many seconds before the last sample; None: from now on.
+            ago_s: the load holds from so many seconds before the last sample on; None: from now on.
 
         Raises:
-            ConfigError: the bundle takes no such load; says why.
+            ConfigError: the bundle takes no such load; the message gives the reason.
         """
         ...
 
@@ -164,19 +164,19 @@ class Control(Protocol):
         """The gripper closes or opens: Monitor.expect_load() before the next sample.
 
         Raises:
-            ConfigError: the bundle expects no such load; says why.
+            ConfigError: the bundle expects no such load; the message gives the reason.
         """
         ...
 
     def weigh(self, what: str, by: str, reach_m: float = USUAL_REACH_M) -> None:
-        """What is the arm carrying? It is weighed from `start` to `stop`; `stop` and `tell` are answered by a change.
+        """Weigh what the arm carries, from `start` to `stop`; `stop` and `tell` report the result as a change.
 
         Args:
             what: `start`, `tell` or `stop`.
             reach_m: of the centre of mass, from the load frame.
 
         Raises:
-            ConfigError: this bundle weighs no loads, or there is no such reach; says why.
+            ConfigError: this bundle weighs no loads, or there is no such reach; the message gives the reason.
         """
         ...
 
@@ -185,14 +185,14 @@ class Control(Protocol):
         ...
 
 
-# --- From what the monitor says to what reactions react to.
+# --- From verdicts to the events that reactions react to.
 
 
 class EventFinder:
     """Finds the events of one verdict after the other."""
 
     def __init__(self, joints: tuple[str, ...], facts: dict[str, Any]):
-        """facts: what every event shall say beside the monitor's numbers: bundle, source."""
+        """facts: what every event contains beside the monitor's numbers: bundle, source."""
         self._joints, self._facts = joints, facts
         self._unsettled = False
         self._place: PlaceChange | None = None
@@ -223,12 +223,12 @@ class EventFinder:
         return events
 
     def _event(self, kind: EventKind, joint: int, verdict: Verdict, news: bool = True, of_place: bool = False) -> Event:
-        said, sample = verdict.said, verdict.sample
+        estimates, sample = verdict.said, verdict.sample
         facts = {
             **self._facts,
             "joints": list(self._joints),
             "row": verdict.row,
-            **sample_facts(said, 0),
+            **sample_facts(estimates, 0),
         }
         received_ns = sample.received_ns if sample is not None else time.monotonic_ns()
         name = self._joints[joint] if joint >= 0 else None

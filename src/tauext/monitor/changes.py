@@ -39,31 +39,31 @@ class Change:
 
 @dataclass(frozen=True)
 class HealthChange(Change):
-    """Health, or why it is not ok, is not what it was one sample before."""
+    """The health, or the cause of a bad health, changed at this sample."""
 
     health: int
     was: int
     causes: int
     """Bits; tauext._core.cause_names returns their names."""
     joint: int
-    """The first that a cause concerns, -1 for none."""
+    """The first joint that a cause concerns, -1 for none."""
 
 
 @dataclass(frozen=True)
 class AlarmChange(Change):
-    """The alarm has another level than one sample before, or was acknowledged before this sample."""
+    """The alarm level changed at this sample, or the alarm was acknowledged before it."""
 
     alarm: int
     was: int
     joint: int
-    """That raised it, -1 where it fell."""
+    """The joint that raised it, -1 where it fell."""
     tau_ext_nm: float = np.nan
-    """Of that joint at this sample; NaN where it fell."""
+    """tau_ext of that joint at this sample; NaN where the alarm fell."""
     limit_nm: float = np.nan
-    """That |tau_ext| of that joint must exceed for this level: a contact's for a contact, else a collision's."""
+    """Limit of that joint for this level: the contact limit for a contact, else the collision limit."""
     near_stiction: bool = False
     acknowledged: bool = False
-    """It did not fall by itself."""
+    """Ended by an acknowledgement."""
     sigma_nm: float = np.nan
     """Standard error of tau_ext_nm; NaN without an error scale."""
 
@@ -73,7 +73,7 @@ class HiddenCollision(Change):
     """A collision that raised no alarm: a collision alarm was already latched."""
 
     joint: int
-    """The one that is furthest over its limit."""
+    """The joint furthest over its limit."""
 
 
 @dataclass(frozen=True)
@@ -84,11 +84,11 @@ class TouchChange(Change):
     """Index of TOUCHES."""
     was: int
     alarm: int
-    """Level that stands."""
+    """Present level."""
     joint: int
-    """That raised it."""
+    """The joint that raised it."""
     since_s: float
-    """Since the alarm rose to it."""
+    """Time since the alarm rose to this level, [s]."""
 
 
 @dataclass(frozen=True)
@@ -113,12 +113,12 @@ class LoadChange(Change):
 
 @dataclass(frozen=True)
 class FoundLoad(Change):
-    """A load that was expected was found at this sample, or weighed better: it is set."""
+    """An expected load was found or weighed more accurately at this sample, and was set."""
 
     mass_kg: float
-    """All that is carried now; 0: nothing more."""
+    """Total mass of the load; 0: none."""
     error_kg: float
-    """Standard error of what came or went."""
+    """Standard error of the change."""
 
 
 @dataclass(frozen=True)
@@ -129,11 +129,11 @@ class WeighChange(Change):
     """`start`, `stop` or `tell`."""
     by: str
     frame: str
-    """That lengths are in, for people."""
+    """Name of the frame of the lengths, for messages."""
     beside: Load
-    """What is set, and not found again."""
+    """The load already set, which the result excludes."""
     found: LoadFound | None = None
-    """What was found until now; None where it begins."""
+    """The result so far; None at the start."""
 
 
 class ChangeFinder:
@@ -147,7 +147,7 @@ class ChangeFinder:
         self._held_ns: int | None = None
 
     def acknowledged(self, row: int, t_ns: int) -> AlarmChange:
-        """The alarm was acknowledged just before this sample; one that stands at the sample was raised anew there."""
+        """The alarm was acknowledged just before this sample; an alarm at the sample was raised again there."""
         was, self._last["alarm"] = self._last["alarm"], NONE
         return AlarmChange(row, int(t_ns), NONE, was, -1, acknowledged=True)
 
@@ -155,7 +155,7 @@ class ChangeFinder:
         """Changes at these samples in order; of one sample health, alarm, touch, drift, hidden collision.
 
         Args:
-            first_row: of the chunk, counted from the recording's first sample.
+            first_row: the chunk's first row, counted from the recording's first sample.
             t_ns: (rows,), [ns].
             estimates: as returned by Monitor.run for these samples, not empty.
         """
@@ -196,7 +196,7 @@ class ChangeFinder:
     def _touches(
         self, first_row: int, t_ns: np.ndarray, estimates: dict[str, np.ndarray], alarm_before: np.ndarray
     ) -> list[TouchChange]:
-        """Kinds that became known."""
+        """Kinds of touches that became known."""
         touch, alarm = estimates["touch"], estimates["alarm"]
         before = np.append(self._touch, touch[:-1])
         touches: list[TouchChange] = []

@@ -1,4 +1,4 @@
-"""Lines of text that steer the loop: from stdin, or from whoever connects to a socket in the file system."""
+"""Lines of text that steer the loop: from stdin, or from connections to a socket in the file system."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tauext.monitor.sink import USUAL_REACH_M, Control
 
 LONGEST = 1000
 MOST_CONNECTIONS = 8
-"""More than programs and people that steer one arm; beyond it the one that was silent longest gives way."""
+"""More than programs and users of one arm; beyond it the connection that was silent longest is closed."""
 UNHEARD_S = 5.0
 """A connection without any line yet counts as silent for so much longer: several may come before another one's next
 line."""
@@ -71,7 +71,7 @@ def reach_of_text(text: str) -> float:
 
 
 def obey_lines(lines: TextIO, control: Control, by: str = "stdin", answers: TextIO | None = None) -> threading.Thread:
-    """Obey line after line in a thread, until there are no more; what went wrong goes to answers, stderr by default."""
+    """Execute line after line in a thread until the input ends; errors go to answers, stderr by default."""
 
     def work() -> None:
         for line in lines:
@@ -85,7 +85,7 @@ def obey_lines(lines: TextIO, control: Control, by: str = "stdin", answers: Text
 
 
 class ControlSocket:
-    """A socket at this path; every line that comes is obeyed and answered by a line. Only its owner may connect."""
+    """A socket at this path; every received line is executed and answered by a line. Only its owner may connect."""
 
     def __init__(self, path: Path, control: Control):
         """Raises ConfigError where there can be no socket, or another monitor listens there."""
@@ -132,7 +132,7 @@ class ControlSocket:
             threading.Thread(target=self._serve, args=(connection,), name="control", daemon=True).start()
 
     def _make_room(self) -> None:
-        """Close whoever was silent longest, where there are too many: who comes is never locked out."""
+        """Close the connection that was silent longest if there are too many: a new one is never locked out."""
         with self._changing:
             while len(self._spoke) >= MOST_CONNECTIONS:
                 silent = min(self._spoke, key=self._spoke.__getitem__)

@@ -105,7 +105,7 @@ MOST_OTHERS = 3
 
 
 def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
-    """By how much over which limit, and since when."""
+    """The exceeded limit, by how much, and since when."""
     event, row = flight["event"], flight["event_row"]
     j = event.alarm_joint
     limits = limits_of(flight, kind)[:, j]
@@ -129,7 +129,7 @@ def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
 
 
 def certainty(flight: Flight, source: FlightSource) -> str:
-    """How sure the estimate was, and what the motion did to the limit; empty without an error scale."""
+    """The standard error of the estimate, and the factor of the motion on the limit; empty without an error scale."""
     event = flight["event"]
     j = event.alarm_joint
     sigma = event.sigma_nm[j]
@@ -145,7 +145,7 @@ def certainty(flight: Flight, source: FlightSource) -> str:
 
 
 def kind_of_touch(flight: Flight) -> str:
-    """What kind of touch it was taken for, at the end of the flight; empty where unknown."""
+    """The kind of touch at the end of the flight; empty where unknown."""
     row, touch = flight["event_row"], flight["touch"]
     if not len(touch) or touch[-1] < FIRST_KIND:
         return ""
@@ -157,7 +157,7 @@ def kind_of_touch(flight: Flight) -> str:
 
 
 def place_of_touch(flight: Flight, source: FlightSource) -> str:
-    """Which link, and where, by the sample since the event at which tau_ext stood out most; empty where unknown."""
+    """The touched link and place, from the strongest sample since the event; empty where unknown."""
     event, row = flight["event"], flight["event_row"]
     if source.chain is None or not source.has_error_scale:
         return ""
@@ -181,7 +181,7 @@ def doubt(flight: Flight) -> str:
 
 
 def unfamiliar(flight: Flight, source: FlightSource) -> str:
-    """What of the motion the training data do not contain, where that is significant."""
+    """The part of the motion that the training data do not contain; empty if insignificant."""
     event = flight["event"]
     if event.unfamiliar < WORTH_TELLING:
         return ""
@@ -221,13 +221,13 @@ def others(flight: Flight, source: FlightSource, kind: str) -> str:
 
 
 def without_load(flight: Flight) -> np.ndarray:
-    """tau_ext less what is taken for an expected load, (samples, joints): what the alarm compares with its limits."""
+    """tau_ext less the expected load, (samples, joints), which the alarm compares with its limits."""
     left: np.ndarray = flight["tau_ext"] - flight["load_nm"]
     return left
 
 
 def limits_of(flight: Flight, kind: str) -> np.ndarray:
-    """What |tau_ext| must exceed for this kind of alarm, (samples, joints); for a fault, a collision's."""
+    """Limits of this kind of alarm, (samples, joints); for a fault, those of a collision."""
     return flight["contact_limit_nm" if kind == "contact" else "limit_nm"]
 
 
@@ -277,20 +277,20 @@ def last_estimate(flight: Flight, source: FlightSource) -> str:
     return f"{when}: {loads(flight, row, source, range(len(source.joints)))}."
 
 
-# --- Whether what raised an alarm is a load: the flight's own samples behind the event, weighed.
+# --- Whether a load raised the alarm: the flight's samples after the event are weighed.
 
 
 SETTLED = 5.0
-"""Over K0: so long after the event r shows all of what came on at once, but for a hundredth."""
+"""Times 1/K0 after the event: r then shows 99 % of a step."""
 ONE_ROW = 1.5
-"""Periods of the chain's rows: a longer step between two samples is a gap, behind which r begins anew."""
+"""Periods of the chain's rows: a longer step between two samples is a gap, after which r starts over."""
 
 
 def fits_load(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
     """A sentence where a load explains the torques behind an alarm; else, or where the motion does not show it, empty.
 
-    Weighed as `tauext load` weighs: a constant force that explains them better is no load. What the tracker had learned
-    until the event counts as known, what it learned since as part of the load.
+    Weighed as `tauext load` weighs: a constant force that explains them better is no load. Drift learned before the
+    event is kept; drift learned since counts as part of the load.
 
     Args:
         kept: samples that the flight's recording holds, (samples,) bool.
@@ -389,7 +389,7 @@ def headline(flight: Flight, source: FlightSource, kind: str) -> str:
 
 
 def load_set(flight: Flight, source: FlightSource) -> str:
-    """What the arm was taken to carry, and when that changed; nothing where it never carried anything."""
+    """The load, and when it changed; empty if there never was one."""
     changes = carried(flight)
     if all(load.mass == 0 for _, load in changes):
         return ""
@@ -434,7 +434,7 @@ def standing_alarm(flight: Flight, source: FlightSource) -> str:
 
 
 def after(flight: Flight, source: FlightSource, kind: str) -> str:
-    """What became of it in what is kept from after the event."""
+    """The end of the event, from the samples after it."""
     row = flight["event_row"]
     health = flight["health"][row:]
     if len(health) == 1:

@@ -56,11 +56,11 @@ class FlightSource:
     follows: bool = False
     """Limits follow the motion."""
     command: str = "tauext run"
-    """That watches, for the files' provenance."""
+    """The command that watches, for the files' provenance."""
     torque_units: tuple[str, ...] = ()
-    """Of tau, a joint; empty: N m."""
+    """Of tau, one a joint; empty: N m."""
     estimate_units: tuple[str, ...] = ()
-    """Of the estimates, a joint; empty: N m."""
+    """Of the estimates, one a joint; empty: N m."""
     load_frame: str = ""
     """The frame of a load."""
     chain: _core.Bundle | None = field(default=None, repr=False, compare=False)
@@ -109,9 +109,9 @@ class FlightSource:
 
 
 def event_kind(flight: Flight) -> str:
-    """What made the flight: `collision`, `contact` or `fault`.
+    """The event that made the flight: `collision`, `contact` or `fault`.
 
-    Of an alarm and a fault at one sample a collision goes before the fault, and the fault before a contact.
+    If an alarm and a fault share one sample, a collision precedes the fault, and the fault a contact.
     """
     event, row = flight["event"], flight["event_row"]
     alarm, health = int(flight["alarm"][row]), flight["health"]
@@ -163,7 +163,7 @@ def as_estimates(flight: Flight, kept: np.ndarray, source: FlightSource) -> Esti
 
 
 def carried(flight: Flight) -> list[tuple[int, _core.Load]]:
-    """What the arm was taken to carry at the flight's first sample and at each later one that changed it."""
+    """The load at the flight's first sample and at each later one that changed it."""
     rows = flight["load"]
     changed = np.flatnonzero(np.any(rows[1:] != rows[:-1], axis=1)) + 1
     return [

@@ -46,7 +46,7 @@ MOST_WAITING = 4
 
 @dataclass(frozen=True)
 class FlightNews:
-    """A flight that was written, or why it was not."""
+    """A written flight, or the reason why it was not written."""
 
     what: str
     """collision, contact or fault."""
@@ -149,7 +149,7 @@ class FlightWriter:
             raise self._broken
 
     def catch_up(self) -> None:
-        """For a replay, which can wait: take what is ready now, and wait while too many flights are in memory."""
+        """For a replay, which can wait: take the flight that is ready, and wait while too many are in memory."""
         self._take()
         while self.waiting > MOST_WAITING and self._thread.is_alive():
             self._wake.set()
@@ -161,7 +161,7 @@ class FlightWriter:
         return len(self._waiting)
 
     def news(self) -> list[FlightNews]:
-        """What became of flights since the last call."""
+        """Flights written or lost since the last call."""
         news = []
         while self._news:
             news.append(self._news.popleft())
@@ -197,7 +197,8 @@ class FlightWriter:
             return FlightNews(what, t_ns, None, str(error))
 
 
-# --- The files of a flight: recording, estimates and explanation; whole or not at all, and never over another's.
+# --- The files of a flight: recording, estimates and explanation; written completely or not at all, never over existing
+# files.
 
 
 ENDINGS = (".txt", ".dropped.csv", ".estimates.parquet", ".parquet")

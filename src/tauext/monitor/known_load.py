@@ -28,9 +28,9 @@ WELL = 0.03
 OF_ITS_OWN = 0.7
 """A joint's constant shows where its error is at most this share of what is assumed of it before any motion."""
 MOST_FACTOR = 5.0
-"""By which constants in N m may be off: a gear ratio or a unit is another mistake."""
+"""Largest error factor of constants in N m: beyond it the error is a gear ratio or a unit."""
 MOST_RATIO = 1e6
-"""The same factor in any unit: what shows so much less is no weight."""
+"""The same factor in any unit: a smaller estimated mass is no weight."""
 STEPS = 6
 LEAST_SCALE, LEAST_CORRELATION = 0.5, 30.0
 """As load_solve.hpp has them."""
@@ -275,7 +275,7 @@ def scaled_link(link: _core.Link, factor: float) -> _core.Link:
 
 
 def with_provenance(bundle: _core.Bundle, known: KnownWeight, mass_kg: float, recordings: list[str]) -> dict:
-    """Note in the bundle where its constants are from; the facts."""
+    """Store the source of the constants in the bundle; returns it as facts."""
     facts = json.loads(bundle.provenance or "{}")
     facts["known_weight"] = {
         "mass_kg": mass_kg,

@@ -7,12 +7,12 @@ import os
 
 import numpy as np
 
-# --- Quantiles of times that come one by one, in constant memory.
+# --- Quantiles of a stream of times, in constant memory.
 
 
 BINS_PER_OCTAVE = 64
 OCTAVES = 40
-"""Up to 2^40 ns, 18 minutes; what is longer counts in the last bin, and in max."""
+"""Up to 2^40 ns, 18 minutes; a longer time counts in the last bin, and in max."""
 
 
 class Latencies:
@@ -30,7 +30,7 @@ class Latencies:
         self._bins[min(place, len(self._bins) - 1)] += 1
 
     def quantile_us(self, share: float) -> float:
-        """The time that this share of all is not over, [µs]; NaN without any."""
+        """The quantile of this share, [µs]; NaN without any time."""
         if self.count == 0:
             return math.nan
         place = int(np.searchsorted(np.cumsum(self._bins), max(1, math.ceil(share * self.count))))

@@ -18,18 +18,18 @@ PerJoint = float | tuple[float, ...]
 
 @dataclass(frozen=True)
 class FeedbackSettings:
-    """How tau_ext of the follower becomes torque of the leader; where one number stands, it holds for every joint."""
+    """How tau_ext of the follower becomes torque of the leader; a single number holds for every joint."""
 
     gain: PerJoint = 1.0
-    """Torque of the leader over what is felt of tau_ext: [N m] over its unit; negative where the leader's joint turns
-    the other way."""
+    """Torque of the leader per tau_ext beyond the dead band: [N m] over its unit; negative where the leader's joint
+    turns the other way."""
     cap_nm: PerJoint = 0.1
     """Most torque of the leader's motors, [N m]: a tenth of what small servos can give, which a hand easily resists."""
     dead_band_sigmas: PerJoint = 8.0
-    """Of tau_ext so many standard errors are not felt: errors of friction have heavier tails than Gauss's, so
+    """Half width of the dead band in standard errors of tau_ext: errors of friction have heavier tails than Gauss's, so
     `free_motion_sigmas` computes how many an arm needs."""
     least_dead_band: PerJoint = 0.0
-    """And no less than this, in the unit of tau_ext; the whole dead band where sigma is 0."""
+    """Least half width of the dead band, in the unit of tau_ext; the whole dead band where sigma is 0."""
     dead_band_fade_s: float = 0.1
     """Time constant with which the dead band narrows, [s]; it widens at once. sigma falls as soon as the motion is
     surer, but the observer still holds the error from before, for 1/K0."""

@@ -1,4 +1,4 @@
-"""What the arm carries, as people write it: in a line of text, in a TOML table, in a file with times."""
+"""The load of the arm as users write it: in a line of text, in a TOML table, in a file with times."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FROM_S = number(0.0, 1e9, 0.0)
 
 @dataclass(frozen=True)
 class TimedLoad:
-    """A load, and from when on."""
+    """A load and its start time."""
 
     from_s: float
     """Since the recording's first sample, [s]: it is set before the first sample that is not earlier."""
@@ -38,7 +38,7 @@ class TimedLoad:
 
 @dataclass(frozen=True)
 class Expected:
-    """The gripper's announcement: for so long, what the arm carries may become anything up to that."""
+    """The gripper's announcement: for `seconds` the load may change to any mass up to `at_most_kg`."""
 
     seconds: float
     at_most_kg: float
@@ -59,7 +59,7 @@ def expected_of_text(text: str) -> Expected:
 
 
 def expected_of_table(path: Place | str, table: str, content: Any) -> Expected:
-    """The same of a table.
+    """The expected load of a table.
 
     Raises:
         ConfigError: names the key, the value and the rule.
@@ -77,7 +77,7 @@ def load_of_text(text: str) -> Load:
 
 
 def load_and_ago_of_text(text: str, extra: Sequence[str] = ("ago",)) -> tuple[Load, float | None]:
-    """The same, and how many seconds ago it was picked up where the line has `ago=0.4`."""
+    """The load of a line, and how many seconds ago it was picked up if the line has `ago=0.4`."""
     where = f"load {text.strip()[:80]!r}"
     head, *rest = re.split(r"(?:^|(?<=[\s,]))([a-z]+)\s*=", text.strip())
     first = head.strip(" ,\t")

@@ -48,31 +48,31 @@ SWITCH_S = 0.0005
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """How the loop treats time and alarms."""
+    """Settings of the loop: time, alarms, real-time priority."""
 
     own_rate: bool = False
-    """The network at its own rate, for slow processors."""
+    """Run the network at its own rate, for slow processors."""
     missing_after_s: float | None = None
-    """A sample that has not come so long after the one before it is missing, [s]; None: two periods, or a period and
-    2 ms where that is more."""
+    """A sample counts as missing this long after the one before it, [s]; None: two periods, or a period and 2 ms if
+    that is longer."""
     acknowledge_after_s: float | None = None
-    """A collision is acknowledged so long after it was raised, by the source's clock, [s]; None: only on request."""
+    """A collision is acknowledged this long after it was raised, by the source's clock, [s]; None: only on request."""
     duration_s: float | None = None
-    """End after so long, [s]; None: when the source ends, or on request."""
+    """End after this time, [s]; None: when the source ends, or on request."""
     core: int | None = None
-    """Pin the loop, and what the source starts, to this core."""
+    """Pin the loop, and threads and processes that the source starts, to this core."""
     priority: int | None = None
-    """And give them this real-time priority."""
+    """Real-time priority of the same."""
     wrench: str | None = None
     """A frame at which the force of a touch is also estimated; None: none."""
 
 
 @dataclass(frozen=True)
 class ProfileSwitch:
-    """Another profile from the next sample on."""
+    """A change to another profile, from the next sample on."""
 
     t_ns: int | None
-    """Of the sample before it, by the source's clock, [ns]; None: none has come yet."""
+    """Stamp of the sample before it, by the source's clock, [ns]; None: no sample yet."""
     by: str
     old: str
     new: str
@@ -94,7 +94,7 @@ class Loop:
         recorder: _core.FlightRecorder | None = None,
         settings: LoopSettings = LoopSettings(),
     ):
-        """recorder: gets every sample, and NaN for a missing one; someone else takes its flights."""
+        """recorder: gets every sample, and NaN for a missing one; the caller takes its flights."""
         self.monitor = _core.Monitor(bundle, settings.own_rate)
         self.joints = tuple(self.monitor.joint_names)
         self.sinks = list(sinks)
@@ -102,7 +102,7 @@ class Loop:
         self.note: Callable[[str], None] = lambda text: None
         """Called in the loop's thread with messages for the user; to be set before run(), as is switched."""
         self.switched: Callable[[ProfileSwitch], None] = lambda switch: None
-        """The same with every new profile."""
+        """Called in the same way with every new profile."""
         self.tick = Latencies()
         """From a sample's reception until every sink has received its verdict."""
         self.missing = self.samples = 0
@@ -112,7 +112,7 @@ class Loop:
         self._profile: Profile | None = None
         self._settings = settings
         self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        """To be done by the loop's thread before the next sample."""
+        """Requests that the loop's thread executes before the next sample."""
         for profile in profiles.by_name.values() if profiles else ():
             if profile.load is not None and (reason := self.monitor.why_no_load(profile.load)):
                 raise ConfigError(f"profile {profile.name}: {reason}")
@@ -277,7 +277,7 @@ class Loop:
         self._each_sink(lambda sink: sink.verdict(verdict))
 
     def _report(self, rate_hz: float) -> None:
-        """Once a second."""
+        """Send the report of the last second."""
         quantiles = (self._second.quantile_us(0.5), self._second.quantile_us(0.99))
         longest = self._second.max_ns * 1e-3 if self._second.count else math.nan
         name = self._profile.name if self._profile else ""
@@ -289,7 +289,7 @@ class Loop:
         self._each_sink(lambda sink: sink.every_second(report))
 
     def _each_sink(self, call: Callable[[Sink], None]) -> None:
-        """One that raises is not called again."""
+        """Call every sink; a sink that raises is not called again."""
         for sink in tuple(self.sinks):
             try:
                 call(sink)

@@ -11,13 +11,13 @@ from tauext._core import Bundle, PlaceModel, TouchPlace, TouchPlaces, WrenchMode
 from tauext.errors import ConfigError
 from tauext.monitor.changes import Change
 
-# --- The force that an alarm's touch would be at a frame that the user names, in newtons.
+# --- The force of an alarm's touch, if it acts at a frame that the user names.
 
 
 SURE = 2.0
 """Reported bound of a force's error, in standard errors along its worst direction: 19 of 20 errors are smaller."""
 INCONSISTENT = 0.01
-"""Less probable than this, and no force at the frame explains what the joints show."""
+"""Below this probability no force at the frame explains the torques."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class FrameForce:
     covariance: tuple[float, ...]
     """(3, 3) row by row, [N^2]."""
     blind: int
-    """Directions that the pose cannot show."""
+    """Number of directions that the pose does not show."""
     consistent: float
-    """Probability that a force there leaves so much unexplained."""
+    """Probability that a force there leaves at least this residual."""
     blind_directions: tuple[tuple[float, ...], ...] = ()
-    """Those that the pose cannot show, unit vectors along the base's axes."""
+    """These directions, unit vectors along the base's axes."""
     left_out: tuple[str, ...] = ()
     """Joints without an estimate in N m: they contribute nothing."""
 
@@ -43,7 +43,7 @@ class FrameForce:
 
     @property
     def off_n(self) -> float:
-        """What it may be wrong by, [N]."""
+        """Bound of its error, [N]."""
         return SURE * float(np.sqrt(np.linalg.eigvalsh(np.reshape(self.covariance, (3, 3)))[-1]))
 
 
@@ -110,11 +110,11 @@ def frame_force_words(force: FrameForce) -> str:
 
 
 AFTER_S = 0.1
-"""After the alarm rose: early enough to react to, and most touches have come near their peak."""
+"""Delay after the alarm rose: early enough for a reaction, late enough that most touches are near their peak."""
 AGAIN_S = 0.2
 """Shortest time between two reports."""
 FOLLOWED_S = 1.0
-"""What comes later, behind an alarm that is latched, may be another touch."""
+"""A later change, behind a latched alarm, may be another touch."""
 STRONGER = 2.0
 """Reported again where the sum of (tau_ext / sigma)^2 has become so many times what it was: errors of links, which go
 with its root, are then 0.7 of those before."""
@@ -125,11 +125,11 @@ class PlaceChange(Change):
     """From this sample on the touched link and place are known, or known more accurately."""
 
     alarm: int
-    """Level that stands."""
+    """Present level."""
     joint: int
-    """That raised it."""
+    """The joint that raised it."""
     since_s: float
-    """Since the alarm rose to it."""
+    """Time since the alarm rose to this level, [s]."""
     links: tuple[tuple[int, float], ...]
     """Number of the joint that carries the link, and its probability; the most probable first."""
     places: tuple[TouchPlace, ...]
@@ -137,9 +137,9 @@ class PlaceChange(Change):
     best: TouchPlace
     """The place that messages report: the most probable place on the most probable link."""
     consistent: float
-    """Probability that a single force leaves so much unexplained."""
+    """Probability that a single force leaves at least this residual."""
     force: FrameForce | None = None
-    """What it would be at the frame that was named."""
+    """The force if it acts at the named frame."""
 
     @classmethod
     def of(
@@ -152,7 +152,7 @@ class PlaceChange(Change):
         since_s: float,
         force: FrameForce | None = None,
     ) -> PlaceChange | None:
-        """None where no place was found."""
+        """The change for these places; None where none was found."""
         if found is None or found.best is None:
             return None
         links = tuple((link, found.probability[link]) for link in found.ranked)
@@ -186,8 +186,8 @@ def strongest_place(
 class PlaceFinder:
     """Finds places of touches in the estimates, chunk after chunk; the result does not depend on the chunks.
 
-    The sample that is judged is the one at which tau_ext, less what is taken for an expected load, has stood out most
-    since the alarm rose.
+    The place is that of the sample with the largest tau_ext, less an expected load, over its standard error since the
+    alarm rose.
     """
 
     def __init__(self, bundle: Bundle, frame: str | None = None) -> None:
@@ -203,7 +203,7 @@ class PlaceFinder:
         self._sample: tuple[list[float], ...] | None = None
 
     def acknowledged(self) -> None:
-        """The alarm was acknowledged just before the next sample; one that stands there was raised anew."""
+        """The alarm was acknowledged just before the next sample; an alarm at that sample was raised again."""
         self._alarm, self._due_ns = 0, None
 
     def find(
@@ -212,7 +212,7 @@ class PlaceFinder:
         """Places found at these samples, in order.
 
         Args:
-            first_row: of the chunk, counted from the recording's first sample.
+            first_row: the chunk's first row, counted from the recording's first sample.
             t_ns: (rows,), [ns].
             q: (rows, joints), [rad].
             dq: (rows, joints), [rad/s].
@@ -220,7 +220,7 @@ class PlaceFinder:
         """
         alarm = estimates["alarm"]
         if self.refused or (self._due_ns is None and (alarm == self._alarm).all()):
-            return []  # also behind an alarm that stands for hours
+            return []  # also during an alarm that lasts for hours
         by_row = strength(estimates["tau_ext"] - estimates["load_nm"], estimates["sigma_nm"])
         places = []
         for k in range(len(t_ns)):
@@ -250,7 +250,7 @@ class PlaceFinder:
         return fell, level
 
     def _judge(self, row: int, t_ns: int, fell: bool, level: int) -> PlaceChange | None:
-        """A place, where one is due and the strongest sample has become so much stronger."""
+        """A place, if one is due and the strongest sample is STRONGER times as strong as the last reported one."""
         assert self._due_ns is not None
         due = fell or t_ns >= self._due_ns
         if not due or self._sample is None or self._strength < STRONGER * self._reported:

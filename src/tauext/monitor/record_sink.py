@@ -24,7 +24,7 @@ from tauext.monitor.flight_content import Flight
 from tauext.monitor.flight_files import FlightSource, FlightWriter, write_flight
 from tauext.monitor.sink import Control, LoopReport, Verdict
 
-# --- Keeps what a live arm did as recordings: a day's free motion, to train with again.
+# --- Records a live arm: a day's free motion, for a new training.
 
 
 MOST_WAITING = 4
@@ -35,7 +35,7 @@ GAP_S = 1.0
 
 @dataclass
 class RecordCount:
-    """What became of samples."""
+    """Counts of samples."""
 
     files: int = 0
     samples: int = 0

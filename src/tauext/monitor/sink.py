@@ -30,7 +30,7 @@ class Verdict:
     row: int
     """Samples before it."""
     t_ns: int
-    """By the source's clock, [ns]; of a missing sample the time that has come since the last one."""
+    """By the source's clock, [ns]; for a missing sample the last stamp plus the time since then."""
     sample: Sample | None
     said: Mapping[str, np.ndarray]
     """As Monitor.run gives it, one row: tau_ext (1, joints) [N m], health (1,), ..."""
@@ -39,46 +39,46 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """What a reaction reacts to."""
+    """An event that starts reactions."""
 
     kind: EventKind
-    """collision, contact: the alarm rose to it; fault: health became one; cleared: healthy and no alarm, for the first
-    time after any of the three."""
+    """collision, contact: the alarm rose to this level; fault: health became a fault; cleared: healthy and no alarm,
+    for the first time after any of the three."""
     joint: str | None
-    """That raised the alarm, or that the fault concerns."""
+    """The joint that raised the alarm, or that the fault concerns."""
     t_ns: int
     """Of the sample, by the source's clock, [ns]."""
     received_ns: int
-    """When that sample came in, by time.monotonic_ns(); for one that did not come, when it was missed."""
+    """Reception of that sample by time.monotonic_ns(); for a missing sample, when it was detected as missing."""
     facts: Mapping[str, Any] = field(default_factory=dict)
     """Plain content for JSON: alarm, kind of touch, health, causes, torques and limits a joint."""
     merged: int = 1
-    """Events of this kind and joint that this one, the newest, stands for: more than one where they had to wait."""
+    """Number of events of this kind and joint that this one, the newest, replaces: more than 1 if they had to wait."""
     touch: str | None = None
-    """Of a collision or contact, its kind of touch as known at this sample; None: of another event."""
+    """Kind of touch of a collision or contact, as known at this sample; None for other events."""
     news: bool = True
-    """False: the alarm rose before, and only its kind of touch or its place is new."""
+    """False: the alarm rose before; only its kind of touch or its place is new."""
     links: tuple[tuple[str, float], ...] = ()
     """Of a collision or contact, joints that carry the touched link, with probabilities, the most probable first; empty
     while unknown."""
     newtons: float | None = None
-    """Of the force at the most probable place on the most probable link; None: unknown."""
+    """Force at the most probable place on the most probable link, [N]; None: unknown."""
     alarm_t_ns: int = 0
-    """When the alarm rose that this event is of: events of one alarm share it."""
+    """Stamp at which the alarm of this event rose: the same for all events of one alarm."""
     of_place: bool = False
     """Only the place is new."""
 
 
 @dataclass(frozen=True)
 class LoopReport:
-    """The loop in the last second, and since its start."""
+    """Counts and timing of the loop in the last second, and since its start."""
 
     t_ns: int
     """time.monotonic_ns() of the report."""
     samples: int
     """Since the start."""
     missing: int
-    """Times that no sample came in time, since the start."""
+    """Missing samples since the start."""
     rate_hz: float
     """Of the samples in the last second."""
     counts: SourceCounts
@@ -88,7 +88,7 @@ class LoopReport:
     tick_p99_us: float
     tick_max_us: float
     profile: str
-    """That holds now; empty without profiles."""
+    """The active profile; empty without profiles."""
 
 
 class Sink(Protocol):
@@ -139,18 +139,18 @@ class Control(Protocol):
         ...
 
     def acknowledge(self, by: str) -> None:
-        """End a latched alarm; one whose cause lasts comes back."""
+        """End a latched alarm; it returns if its cause lasts."""
         ...
 
     def resume(self, by: str) -> None:
-        """End a latched alarm where nothing touches the arm any more and it is to move on.
+        """End a latched alarm once nothing touches the arm any more, so that it can move on.
 
-        A push leaves static friction at another level: limits of joints at rest are higher until they have slid.
+        A push changes static friction: limits of joints at rest are higher until they have slid.
         """
         ...
 
     def set_load(self, load: Load, by: str, ago_s: float | None = None) -> None:
-        """What the arm carries from the next sample on; mass 0: nothing.
+        """Set the load from the next sample on; mass 0: none.
 
         Args:
             ago_s: the load holds from so many seconds before the last sample on; None: from now on.
@@ -173,7 +173,7 @@ class Control(Protocol):
 
         Args:
             what: `start`, `tell` or `stop`.
-            reach_m: of the centre of mass, from the load frame.
+            reach_m: largest distance of the centre of mass from the load frame, [m].
 
         Raises:
             ConfigError: this bundle weighs no loads, or there is no such reach; the message gives the reason.
@@ -199,7 +199,7 @@ class EventFinder:
         self._alarm_t_ns = 0
 
     def find(self, verdict: Verdict) -> list[Event]:
-        """Usually none. At one sample a fault goes before an alarm."""
+        """Events of this verdict, usually none. At one sample a fault precedes an alarm."""
         if not verdict.changes and not self._unsettled:
             return []
         events = []

@@ -27,7 +27,7 @@ class Sample:
     """Motor torque at the joint, [N m], or what the bundle's recordings hold in its place (such as amperes), in the
     units that the source was opened with: SourceSettings.torque_units. NaN where it was not measured."""
     received_ns: int
-    """When it came into this process, by time.monotonic_ns()."""
+    """Reception in this process, by time.monotonic_ns()."""
     temperature: np.ndarray | None = None
     """[degC], NaN where it was not measured; None: the source measures none."""
     q_des: np.ndarray | None = None
@@ -46,11 +46,11 @@ class SourceCounts:
 
     received: int = 0
     lost: int = 0
-    """Never came: found by a gap of stamps or numbers."""
+    """Never received: detected by a gap of stamps or numbers."""
     overrun: int = 0
-    """Came while the loop was late and were pushed out by newer ones."""
+    """Received while the loop was late, and replaced by newer ones."""
     refused: int = 0
-    """Came and could not be used: another arm's, without velocity or torque."""
+    """Received but unusable: of another arm, or without velocity or torque."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from tauext.bundle.fit import expect_fit
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, RecordingError
 
-# --- Where a load is taken to be fixed.
+# --- The frame that a load is fixed to.
 
 
 @dataclass(frozen=True)
@@ -56,11 +56,11 @@ def carriers(bundle: _core.Bundle, link: int) -> int:
     return count
 
 
-# --- Which bundles can weigh, and with which joints.
+# --- Bundles and joints that can weigh a load.
 
 
 def expect_weighable(bundle: _core.Bundle) -> None:
-    """Raise ConfigError where tau_ext is no torque of the joint that a weight could be read from."""
+    """Raise ConfigError where tau_ext does not show the weight of a load."""
     if bundle.observer.method.name != "momentum":
         raise ConfigError(
             f"bundle '{bundle.name}' follows the {bundle.observer.method.name} residual; a load is weighed by the "
@@ -80,7 +80,7 @@ def expect_weighable(bundle: _core.Bundle) -> None:
 def weighing_joints(bundle: _core.Bundle) -> np.ndarray:
     """Joints whose torques can be added up, (n,) bool: those in N m or N; without any, those in one common unit.
 
-    A torque in amperes stands for another number of N m on every joint.
+    An ampere is a different number of N m at every joint.
     """
     newtons = np.array(bundle.in_newtons)
     if newtons.any():
@@ -89,15 +89,15 @@ def weighing_joints(bundle: _core.Bundle) -> np.ndarray:
     return ~own & np.array([unit != "A" for unit in bundle.estimate_units])
 
 
-# --- What a recording shows of a load, row by row: the chain's estimate, what it is worth, and what would show there.
+# --- Rows of a recording: the chain's estimate, its weight, and the torques of a load there.
 
 
 ROW_S = 0.01
-"""A row: the network period. r changes little in less."""
+"""Period of the rows, equal to the network period: r changes little in less."""
 STAND_S = 0.5
 """Friction at a standing joint does not change: a stand of any length holds as much information as this of sliding."""
 SIGMA_SHARE = 0.2
-"""Of a limit: the standard error of bundles that have no error scale, whose limits are some five of it."""
+"""Standard error over the limit, for bundles without an error scale: their limits are about five standard errors."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class Seen:
 
 
 def see(bundle: _core.Bundle, recording: Recording, threads: int = 0) -> Seen:
-    """Run the chain on a recording: every healthy row of it.
+    """Run the chain on a recording and return its healthy rows.
 
     Raises:
         BundleError: the recording is not one that the bundle was made for.
@@ -162,7 +162,7 @@ def see(bundle: _core.Bundle, recording: Recording, threads: int = 0) -> Seen:
 
 
 def stand_worth(near: np.ndarray, steps_s: np.ndarray) -> np.ndarray:
-    """(1 + t / STAND_S)^-2 with t the time that a joint has stood for, 1 where it slides: it adds up to STAND_S.
+    """(1 + t / STAND_S)^-2 with t the time since the joint stopped, 1 while it slides; its time integral is STAND_S.
 
     Args:
         near: (samples, n) bool: near stiction.
@@ -191,23 +191,23 @@ def columns(bundle: _core.Bundle, frame: _core.LoadFrame, seen: Seen, phi: np.nd
 
 
 def sums_about(bundle: _core.Bundle, frame: _core.LoadFrame, parts: Sequence[Seen], phi: np.ndarray) -> _core.LoadSums:
-    """Of all rows of these recordings."""
+    """Sums over all rows of these recordings."""
     sums = _core.LoadSums(bundle.joints)
     for part in parts:
         sums.add(columns(bundle, frame, part, phi), part.sigma, part.worth)
     return sums
 
 
-# --- A load from recordings: mass and centre of mass, how sure they are, and whether it is a load at all.
+# --- A load from recordings: mass and centre of mass, their errors, and whether it is a load.
 
 
 ROUNDS = 3
-"""In which inertia and the loaded side of each gear follow from the load found so far."""
+"""Iterations: inertia and the loaded side of each gear follow from the load of the previous one."""
 LEAST_ROWS = 30
-"""Three tenths of a second: less is no measurement."""
+"""0.3 s: fewer rows are no measurement."""
 
 LoadEstimate = _core.LoadFound
-"""What was found; lengths and axes of the load frame."""
+"""The result; lengths and axes are those of the load frame."""
 
 
 def identify(
@@ -238,18 +238,18 @@ def identify(
     return found
 
 
-# --- Recordings cut into what is weighed.
+# --- Sections of recordings that are weighed.
 
 
 WINDOW_S = 4.0
-"""What a robot does between two grasps; and short enough for a load that changes to be seen."""
+"""About the time between two grasps, and short enough to detect a changed load."""
 
 
 def between(seen: Seen, from_s: float | None, to_s: float | None) -> Seen:
     """The rows within these times of the recording.
 
     Raises:
-        RecordingError: there are fewer than a measurement takes.
+        RecordingError: there are fewer than LEAST_ROWS.
     """
     low, high = from_s if from_s is not None else -np.inf, to_s if to_s is not None else np.inf
     part = seen.part((seen.time_s >= low) & (seen.time_s <= high))
@@ -261,7 +261,7 @@ def between(seen: Seen, from_s: float | None, to_s: float | None) -> Seen:
 
 
 def expect_different(recordings: Sequence[Recording]) -> None:
-    """Raise ConfigError where two hold the same motion: given twice it would seem to be known better than it is."""
+    """Raise ConfigError where two hold the same motion: given twice, it would make the errors too small."""
     for k, one in enumerate(recordings):
         for other in recordings[:k]:
             if np.array_equal(one.q, other.q) and np.array_equal(one.tau, other.tau):
@@ -292,7 +292,7 @@ SHOWS = 3.0
 UNKNOWN_KG = 100.0
 """A mass with a larger standard error is not reported: before any motion it is 1000 kg."""
 ALONG = 0.9
-"""Cosine from which a direction is called by the axis of the frame that it is near."""
+"""Cosine from which a direction is named after the nearest axis of the frame."""
 
 
 def load_sentences(found: LoadEstimate, where: str, unit: str) -> list[str]:
@@ -361,7 +361,7 @@ def unseen_sentences(found: LoadEstimate) -> list[str]:
 
 
 def contact_sentence(found: LoadEstimate, unit: str) -> str:
-    """What fits better than a load, and how much."""
+    """The force that fits better than a load, and by how much."""
     force_unit = "N" if unit == "N m" else "units of force"
     base, frame = found.fits["base"], found.fits["frame"]
     best, axes = (base, "the base") if base.cost <= frame.cost else (frame, "the frame")
@@ -384,7 +384,7 @@ def axis_name(direction: np.ndarray) -> str:
 
 
 def load_facts(found: LoadEstimate) -> dict:
-    """The same for scripts."""
+    """The result as plain JSON."""
     return {
         "verdict": found.verdict,
         "mass_kg": found.mass_kg,

@@ -229,7 +229,7 @@ class Drawing:
         self._verdict, self._force = Label(self._scene, "/words/verdict", 1.5), Label(self._scene, "/words/force", 1.1)
 
     def show(self, snapshot: Snapshot) -> None:
-        """Draw how things stand."""
+        """Draw the snapshot."""
         for frame, pose in zip(self._frames, snapshot.poses, strict=True):
             frame.position, frame.wxyz = pose[:3], pose[3:]
         verdict = snapshot.verdicts.get(snapshot.method)

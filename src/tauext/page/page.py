@@ -79,7 +79,7 @@ def why_not(headers: Any, host: str, protocol: str) -> str:
 
 @contextmanager
 def guarded(host: str, protocol: str) -> Iterator[None]:
-    """Servers that are started within check who comes, and drop whoever sends what cannot be understood.
+    """Servers started within this context check every connection, and drop those that send invalid requests.
 
     viser has no place for a check of its own; it starts its server by the function that is replaced here meanwhile.
     """
@@ -108,7 +108,7 @@ def guarded(host: str, protocol: str) -> Iterator[None]:
 
 
 def dropping(handler: Callable[..., Any]) -> Callable[..., Any]:
-    """The handler of a connection, which closes the connection where what comes cannot be understood."""
+    """The handler of a connection, which closes the connection after an invalid request."""
 
     async def careful(connection: Any) -> None:
         asyncio.get_running_loop().set_exception_handler(lambda loop, context: None)
@@ -128,13 +128,13 @@ def silent_logger() -> logging.Logger:
     return logger
 
 
-# --- The page: a server, one arm at a time on it, and what passes between browser, simulation and training.
+# --- The page: a server, one arm at a time, and the messages between browser, simulation and training.
 
 
 FRAME_S = 1 / 30
-"""The browsers are sent nothing more often than this; viser drops what a slow one has not taken when newer comes."""
+"""Shortest time between updates of the browsers; viser drops updates that a slow browser has not received."""
 PORTS = 20
-"""That are tried from the wanted one on."""
+"""Number of ports that are tried from the wanted one on."""
 
 
 def free_port(host: str, wanted: int) -> int:

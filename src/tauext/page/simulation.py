@@ -24,19 +24,19 @@ from tauext.sim.plant import REACTIONS, Drag, Mover, Plant, Reaction, Sample, es
 
 
 WEIGHED_S = 4.0
-"""What is weighed at most: the latest."""
+"""Longest weighed motion: the latest samples."""
 LEAD_S = 3.0
 """Samples before it: the prior needs them to find the joints' presliding state."""
 SETTLED = 5.0
 """Times 1/K0, after which the observer has followed what was put in to less than 1 %."""
 EVERY_S = 1.0
 LEAST_S = 1.0
-"""Less motion than that is not weighed: no joint has gone far."""
+"""Shortest weighed motion: in less no joint moves far."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Samples one after the other, and when what is weighed was put in."""
+    """Consecutive samples, and the time at which the load was put in."""
 
     t_ns: np.ndarray
     q: np.ndarray
@@ -61,14 +61,14 @@ class Recent:
         self._count += 1
 
     def stretch(self, since_ns: int) -> Stretch:
-        """A copy of them, oldest first."""
+        """A copy of the samples, oldest first."""
         rows = np.arange(max(0, self._count - self._size), self._count) % self._size
         q, dq, tau = self._signals[:, rows]
         return Stretch(self._t_ns[rows], q, dq, tau, since_ns)
 
 
 def weigh(bundle: _core.Bundle, arm: DemoArm, stretch: Stretch) -> LoadEstimate | None:
-    """The load in the hand since it was put in, at most over WEIGHED_S; None: too little of it yet.
+    """The load in the hand since it was put in, at most over WEIGHED_S; None: too little motion yet.
 
     Raises:
         TauextError: this bundle can weigh nothing.
@@ -103,7 +103,7 @@ SHORT = {
 
 
 def weighed_words(found: LoadEstimate | None) -> str:
-    """What was found, in a sentence or two."""
+    """The result in one or two sentences."""
     if found is None:
         return "Weighing ..."
     if found.verdict == "load" and found.mass_seen:
@@ -170,9 +170,9 @@ RESUME_RAD, RESUME_S = 0.02, 1.2
 moved so far, or for so long: what a push leaves in the friction of a joint at rest looks like a push to it until the
 joint has slid, and would stop the arm again before it does."""
 MOVE_ON_S = WEIGHED_S + LEAST_S
-"""So long the arm moves to be weighed, whatever the monitors report about its load."""
+"""Time for which the arm moves to be weighed, whatever the monitors report about its load."""
 LET_GO_S = 0.5
-"""So long after a push, or after a weight was taken out, an alarm is still its doing."""
+"""For this time after a push, or after a weight was taken out, an alarm is attributed to it."""
 
 
 class Simulation:
@@ -256,7 +256,7 @@ class Simulation:
             self._push_began_s = self.plant.time_s
 
     def pull(self, holder: object, target_m: np.ndarray) -> None:
-        """The pointer is here now, in the base frame."""
+        """Move the pointer to this point in the base frame."""
         if self.drag is not None and holder == self._holder:
             self.drag.target_m = np.asarray(target_m, float)
 
@@ -265,7 +265,7 @@ class Simulation:
             self.drag, self._push_ended_s = None, self.plant.time_s
 
     def resume(self) -> None:
-        """End the collision and go on moving: nothing pushes any more."""
+        """End the collision and go on moving, once nothing pushes any more."""
         self._resumed_s = self.plant.time_s
         self._resumed_at, self._stuck[:] = self.plant.data.qpos.copy(), True
         for monitor in self.monitors.values():
@@ -357,7 +357,7 @@ class Simulation:
         return events
 
     def snapshot(self) -> Snapshot:
-        """What happened since the last one, and how things stand."""
+        """The present state, and the events since the last snapshot."""
         data = self.plant.data
         mujoco.mj_kinematics(self.plant.model, data)
         mujoco.mj_comPos(self.plant.model, data)
@@ -391,7 +391,7 @@ class Simulation:
         )
 
     def _placed(self) -> dict[str, Placed | None]:
-        """Where each method takes the touch to be just now; notes the newtons until its alarm ends."""
+        """Present place of the touch by each method; its force is kept until the alarm ends."""
         placed: dict[str, Placed | None] = {}
         for name, estimate in self._estimates.items():
             if self._alarms[name] == _core.Alarm.none:

@@ -239,7 +239,9 @@ def test_run_and_show_say_what_was_unfamiliar(watching, capsys):
 def test_the_explanation_of_an_alarm_says_what_training_never_saw(share, unseen, other, words):
     event = SimpleNamespace(unfamiliar=share, unseen=unseen, unseen_joint=1, unseen_other=other)
     told = unfamiliar({"event": event}, SimpleNamespace(joints=("shoulder", "elbow")))
-    assert told == (f"Training never saw such motion {words}: the estimate may be wrong." if words else "")
+    assert told == (
+        f"The training data do not contain such motion {words}: the estimate may be wrong." if words else ""
+    )
 
 
 def test_other_recipes_know_nothing_of_it(tmp_path, monkeypatch):

@@ -232,7 +232,7 @@ def test_a_higher_sensitivity_holds_from_the_next_sample_on(trained):
     limits = simulation.snapshot().limit_nm
     simulation.set_sensitivity(2.0)
     simulation.step()
-    assert simulation._said["observer"].health.name == "ok"
+    assert simulation._estimates["observer"].health.name == "ok"
     np.testing.assert_allclose(simulation.snapshot().limit_nm, limits / 2)
     with pytest.raises(ConfigError, match=r"sensitivity = 0 must be 0\.1 to 10"):
         simulation.set_sensitivity(0)
@@ -260,7 +260,7 @@ def test_what_a_push_left_in_static_friction_is_no_collision_after_resume_and_a_
     def step(steps):
         for _ in range(steps):
             simulation.step()
-        return simulation._said["tauext"].alarm.name
+        return simulation._estimates["tauext"].alarm.name
 
     step(3000)
     simulation.rest()

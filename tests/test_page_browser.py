@@ -93,11 +93,11 @@ def test_the_hands_button_puts_a_weight_in_and_takes_it_out():
     try:
         hand = HandPanel(server.gui, send)
         assert (hand._button.label, hand._move_on.visible) == (GIVE, False)
-        hand._mass.value, hand._tell.value = 1.5, True
+        hand._mass.value, hand._set_load.value = 1.5, True
         hand._press(send)
         hand.show(told(Held(1.5, 3.0, True, "")), "Fits a load of 1.50 ± 0.02 kg.")
         assert (hand._button.label, hand._move_on.visible, hand._mass.disabled) == (TAKE, True, True)
-        assert "Fits a load of 1.50" in hand._words._content and "knows of 1.5 kg" in hand._words._content
+        assert "Fits a load of 1.50" in hand._words._content and "set to 1.5 kg" in hand._words._content
         hand._press(send)
         hand.show(told(None), "")
         assert (hand._button.label, hand._mass.disabled, hand._words._content) == (GIVE, False, "")

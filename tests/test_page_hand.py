@@ -98,7 +98,7 @@ def test_more_friction_leaves_the_weight_in_the_hand(arm):
 
 def test_a_weight_that_nobody_told_of_is_a_collision_and_is_weighed(arm, bundles):
     simulation = moving(arm, bundles)
-    simulation.hold(2.0, told=False)
+    simulation.hold(2.0, load_set=False)
     found = run(simulation, 3.0)["tauext"]
     assert found.by_weight and found.after_push_s is None and found.time_s < 2.2
     snapshot = simulation.snapshot()
@@ -119,7 +119,7 @@ def test_a_weight_that_nobody_told_of_is_a_collision_and_is_weighed(arm, bundles
 
 def test_a_weight_that_was_told_is_no_push_and_neither_is_its_going(arm, bundles):
     simulation = moving(arm, bundles)
-    simulation.hold(3.0, told=True)
+    simulation.hold(3.0, load_set=True)
     found = run(simulation, 1.5)
     assert list(found) == ["deaf"] and found["deaf"].by_weight
     assert simulation.hand.held("tauext") == Held(3.0, 1.999, True, "")
@@ -133,35 +133,35 @@ def test_told_afterwards_is_as_told_in_time(arm, bundles):
     estimates = []
     for late in (False, True):
         simulation = moving(arm, bundles)
-        simulation.hold(2.0, told=not late)
+        simulation.hold(2.0, load_set=not late)
         run(simulation, 1.0)
         if late:
-            simulation.tell(True)
+            simulation.set_load(True)
         run(simulation, 0.001)
-        estimates.append(np.array(simulation._said["tauext"].tau_ext))
+        estimates.append(np.array(simulation._estimates["tauext"].tau_ext))
     np.testing.assert_allclose(*estimates, atol=0.05)  # of 10 N m and more; e^-10 of them is left
-    simulation.tell(False)
+    simulation.set_load(False)
     assert np.abs(estimates[0]).max() < 1.0
     run(simulation, 0.5)
-    assert np.abs(simulation._said["tauext"].tau_ext).max() > LIMIT_NM
+    assert np.abs(simulation._estimates["tauext"].tau_ext).max() > LIMIT_NM
 
 
 def test_monitors_that_come_later_are_told_too_and_a_refusal_is_given_its_reason(arm, bundles):
     simulation = moving(arm, bundles, "deaf")
-    simulation.hold(2.0, told=True)
+    simulation.hold(2.0, load_set=True)
     run(simulation, 0.01)
     simulation.watch_nothing()
     simulation.watch_with({name: str(path) for name, path in bundles.items()}, "deaf")
     assert simulation.monitors["tauext"].load.mass == 2.0
     held = simulation.snapshot().held
-    assert not held.knows and "this one takes none" in held.refused
-    assert "could not be told" in hand_text(held, "", True) and "this one takes none" in hand_text(held, "", True)
+    assert not held.load_set and "this one takes none" in held.refused
+    assert "refused the load" in hand_text(held, "", True) and "this one takes none" in hand_text(held, "", True)
 
 
 def test_moving_on_reacts_to_nothing_for_a_while(arm, bundles):
     simulation = moving(arm, {"tauext": bundles["tauext"]})
     simulation.set_reaction("stop")
-    simulation.hold(3.0, told=False)
+    simulation.hold(3.0, load_set=False)
     run(simulation, 0.3)
     assert simulation.mover.doing == "stop"
     simulation.move_on()
@@ -203,6 +203,8 @@ def test_the_script_puts_a_weight_in_untold_and_told(arm, bundles):
     assert told_nothing.mass_kg == told.mass_kg and 1.0 <= told.mass_kg <= 3.0
     assert "tauext" in told_nothing.collisions and "tauext" not in told.collisions
     lines = describe_weights([told_nothing, told], arm, bundles).splitlines()
-    assert lines[0].endswith("kg into the hand, not told") and lines[4].endswith("kg into the hand, told")
+    assert lines[0].endswith("kg into the hand, not set in the monitors") and lines[4].endswith(
+        "kg into the hand, set in the monitors"
+    )
     assert lines[6] == "          tauext    nothing" and "this one takes none" in lines[5]
     assert lines[3].startswith("          weighed   Fits a load of")

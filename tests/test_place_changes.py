@@ -276,5 +276,5 @@ def test_a_frame_that_there_is_none_is_refused_with_those_that_there_are(bundle)
         PlaceFinder(bundle, "hand")
     bare = type(bundle)()
     bare.links = bundle.links
-    with pytest.raises(ConfigError, match="no force can be told, the bundle does not say how wrong"):
+    with pytest.raises(ConfigError, match="no force can be estimated: the bundle does not say how wrong"):
         PlaceFinder(bare, "joint7")

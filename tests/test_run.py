@@ -280,7 +280,7 @@ def test_an_explanation_says_the_numbers_of_the_arrays(bundle, tmp_path):
     first = k - int(np.argmax(np.abs(said["tau_ext"][k::-1, 0]) <= said["limit_nm"][k::-1, 0])) + 1
     assert k - first == 5  # the hold time
     assert f"over that limit for {k - first:.1f} ms" in text
-    assert f"The observer said {said['residual'][k, 0]:+.3f} Nm, the network expected " in text
+    assert f"The observer's residual was {said['residual'][k, 0]:+.3f} Nm, the network expected " in text
     assert f"{said['uncertainty'][k, 0]:+.3f} Nm" in text and f"tau_ext = {tau_ext[0]:+.3f} Nm" in text
     assert f"elbow {abs(tau_ext[1]):.3f} of {limit[1]:.3f} Nm ({abs(tau_ext[1]) / limit[1]:.0%})" in text
     assert "Health before: ok for 1.000 s." in text

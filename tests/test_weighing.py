@@ -457,7 +457,7 @@ def test_what_came_on_as_a_load_is_weighed_from_the_second_behind_the_alarm(arm,
     words = line.split()
     mass, error = (float(words[words.index("±") + k]) for k in (-1, 1))
     assert abs(mass - 2.2) < 3 * error and error < 0.5
-    assert line.endswith(f"kg at {load_frame(bundle).name}: if the arm picked something up, tell the monitor.")
+    assert line.endswith(f"kg at {load_frame(bundle).name}: if the arm picked something up, set its load.")
     assert float(words[1]) >= 5 / bundle.observer.gain_per_s - 0.011  # r has settled by then
 
 

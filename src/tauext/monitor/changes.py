@@ -1,4 +1,4 @@
-"""What changed from one sample to the next: health, alarm, a drift at its bound. The rule knows samples, not chunks."""
+"""Changes from one sample to the next: health, alarm, drift at its bound. The result does not depend on the chunks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ALARMS = ("none", "contact", "collision")
 TOUCHES: tuple[str, ...] = tuple(touch.name for touch in Touch)
 """Kinds of touch, by the core's number."""
 FIRST_KIND = TOUCHES.index("impact")
-"""Those before it say that nothing is known."""
+"""The kinds before it are none and unknown."""
 WARMING_UP, OK, STALE, FAULT = range(4)
 NONE, CONTACT, COLLISION = range(3)
 
@@ -39,33 +39,33 @@ class Change:
 
 @dataclass(frozen=True)
 class HealthChange(Change):
-    """Health, or why it is not ok, is not what it was one sample before."""
+    """The health, or the cause of a bad health, changed at this sample."""
 
     health: int
     was: int
     causes: int
-    """Bits; tauext._core.cause_names says them."""
+    """Bits; tauext._core.cause_names returns their names."""
     joint: int
-    """The first that a cause concerns, -1 for none."""
+    """The first joint that a cause concerns, -1 for none."""
 
 
 @dataclass(frozen=True)
 class AlarmChange(Change):
-    """The alarm has another level than one sample before, or was acknowledged before this sample."""
+    """The alarm level changed at this sample, or the alarm was acknowledged before it."""
 
     alarm: int
     was: int
     joint: int
-    """That raised it, -1 where it fell."""
+    """The joint that raised it, -1 where it fell."""
     tau_ext_nm: float = np.nan
-    """Of that joint at this sample; NaN where it fell."""
+    """tau_ext of that joint at this sample; NaN where the alarm fell."""
     limit_nm: float = np.nan
-    """That |tau_ext| of that joint must exceed for this level: a contact's for a contact, else a collision's."""
+    """Limit of that joint for this level: the contact limit for a contact, else the collision limit."""
     near_stiction: bool = False
     acknowledged: bool = False
-    """It did not fall by itself."""
+    """Ended by an acknowledgement."""
     sigma_nm: float = np.nan
-    """Standard error of tau_ext_nm; NaN where no error scale says it."""
+    """Standard error of tau_ext_nm; NaN without an error scale."""
 
 
 @dataclass(frozen=True)
@@ -73,146 +73,146 @@ class HiddenCollision(Change):
     """A collision that raised no alarm: a collision alarm was already latched."""
 
     joint: int
-    """The one that is furthest over its limit."""
+    """The joint furthest over its limit."""
 
 
 @dataclass(frozen=True)
 class TouchChange(Change):
-    """From this sample on the monitor knows what kind of touch the alarm is, or takes it for another."""
+    """From this sample on the kind of the touch behind the alarm is known, or is corrected."""
 
     touch: int
     """Index of TOUCHES."""
     was: int
     alarm: int
-    """Level that stands."""
+    """Present level."""
     joint: int
-    """That raised it."""
+    """The joint that raised it."""
     since_s: float
-    """Since the alarm rose to it."""
+    """Time since the alarm rose to this level, [s]."""
 
 
 @dataclass(frozen=True)
 class DriftChange(Change):
-    """The drift of a joint is at its bound, for the first time since the monitor was made: train anew."""
+    """The drift of a joint is at its bound, for the first time since the monitor was made: retrain."""
 
     joint: int
 
 
 @dataclass(frozen=True)
 class LoadChange(Change):
-    """The arm was told just before this sample what it carries."""
+    """The load of the arm was set just before this sample."""
 
     load: Load
     by: str = ""
-    """Who told it; empty: whoever started the replay."""
+    """Who set it; empty: whoever started the replay."""
     since_ns: int | None = None
-    """As if it had been told then; None: from this sample on."""
+    """The load holds from this time on; None: from this sample on."""
     left_out: tuple[str, ...] = ()
-    """Joints that do not answer in N m: their limits are higher meanwhile."""
+    """Joints without an estimate in N m: their limits are higher while the load is set."""
 
 
 @dataclass(frozen=True)
 class FoundLoad(Change):
-    """A load that was expected was found at this sample, or weighed better: it is set."""
+    """An expected load was found or weighed more accurately at this sample, and was set."""
 
     mass_kg: float
-    """All that is carried now; 0: nothing more."""
+    """Total mass of the load; 0: none."""
     error_kg: float
-    """Standard error of what came or went."""
+    """Standard error of the change."""
 
 
 @dataclass(frozen=True)
 class WeighChange(Change):
-    """Just before this sample weighing began, ended, or somebody asked what it says."""
+    """Just before this sample weighing began or ended, or its result was requested."""
 
     what: str
     """`start`, `stop` or `tell`."""
     by: str
     frame: str
-    """That lengths are in, for people."""
+    """Name of the frame of the lengths, for messages."""
     beside: Load
-    """What is set, and not found again."""
+    """The load already set, which the result excludes."""
     found: LoadFound | None = None
-    """What was found until now; None where it begins."""
+    """The result so far; None at the start."""
 
 
 class ChangeFinder:
-    """Finds every change in what the monitor said, chunk after chunk; the first sample follows a new monitor."""
+    """Finds every change in the estimates, chunk after chunk; the first sample follows a new monitor."""
 
     def __init__(self) -> None:
         self._last = {"health": WARMING_UP, "causes": 0, "alarm": NONE}
         self._saturated: set[int] = set()
-        self._found_ns, self._told_kg, self._told_error_kg = 0, np.nan, np.nan
+        self._found_ns, self._reported_kg, self._reported_error_kg = 0, np.nan, np.nan
         self._touch, self._alarm_ns = 0, 0
         self._held_ns: int | None = None
 
     def acknowledged(self, row: int, t_ns: int) -> AlarmChange:
-        """The alarm was acknowledged just before this sample; one that stands at the sample was raised anew there."""
+        """The alarm was acknowledged just before this sample; an alarm at the sample was raised again there."""
         was, self._last["alarm"] = self._last["alarm"], NONE
         return AlarmChange(row, int(t_ns), NONE, was, -1, acknowledged=True)
 
-    def find(self, first_row: int, t_ns: np.ndarray, said: dict[str, np.ndarray]) -> list[Change]:
+    def find(self, first_row: int, t_ns: np.ndarray, estimates: dict[str, np.ndarray]) -> list[Change]:
         """Changes at these samples in order; of one sample health, alarm, touch, drift, hidden collision.
 
         Args:
-            first_row: of the chunk, counted from the recording's first sample.
+            first_row: the chunk's first row, counted from the recording's first sample.
             t_ns: (rows,), [ns].
-            said: what Monitor.run said of them, not empty.
+            estimates: as returned by Monitor.run for these samples, not empty.
         """
-        before = {name: np.append(last, said[name][:-1]) for name, last in self._last.items()}
-        differs = {name: before[name] != said[name] for name in self._last}
-        self._last = {name: int(said[name][-1]) for name in self._last}
+        before = {name: np.append(last, estimates[name][:-1]) for name, last in self._last.items()}
+        differs = {name: before[name] != estimates[name] for name in self._last}
+        self._last = {name: int(estimates[name][-1]) for name in self._last}
         changes: list[Change] = []
         for k in np.flatnonzero(differs["health"] | differs["causes"] | differs["alarm"]).tolist():
             row, t = first_row + k, int(t_ns[k])
             if differs["health"][k] or differs["causes"][k]:
-                health, causes, joint = (int(said[name][k]) for name in ("health", "causes", "cause_joint"))
+                health, causes, joint = (int(estimates[name][k]) for name in ("health", "causes", "cause_joint"))
                 changes.append(HealthChange(row, t, health, int(before["health"][k]), causes, joint))
             if differs["alarm"][k]:
-                changes.append(self._alarm_change(row, t, k, int(before["alarm"][k]), said))
-        if "load_found_ns" in said:
-            changes += self._found(first_row, t_ns, said)
-        if "touch" in said:
-            changes += self._touches(first_row, t_ns, said, before["alarm"])
-        changes += self._drift(first_row, t_ns, said["drift_saturated"])
-        if "held_alarm" in said:
-            changes += self._hidden(first_row, t_ns, said, before["alarm"])
+                changes.append(self._alarm_change(row, t, k, int(before["alarm"][k]), estimates))
+        if "load_found_ns" in estimates:
+            changes += self._found(first_row, t_ns, estimates)
+        if "touch" in estimates:
+            changes += self._touches(first_row, t_ns, estimates, before["alarm"])
+        changes += self._drift(first_row, t_ns, estimates["drift_saturated"])
+        if "held_alarm" in estimates:
+            changes += self._hidden(first_row, t_ns, estimates, before["alarm"])
         return sorted(changes, key=lambda change: change.row)
 
-    def _found(self, first_row: int, t_ns: np.ndarray, said: dict[str, np.ndarray]) -> list[FoundLoad]:
-        """The first of a window, and those that differ by more than the error told last."""
-        found_ns = said["load_found_ns"]
-        told: list[FoundLoad] = []
+    def _found(self, first_row: int, t_ns: np.ndarray, estimates: dict[str, np.ndarray]) -> list[FoundLoad]:
+        """The first of a window, and those that differ by more than the error reported last."""
+        found_ns = estimates["load_found_ns"]
+        reported: list[FoundLoad] = []
         for k in np.flatnonzero(found_ns != np.append(self._found_ns, found_ns[:-1])).tolist():
-            kg, error_kg = float(said["load_kg"][k]), float(said["load_error_kg"][k])
+            kg, error_kg = float(estimates["load_kg"][k]), float(estimates["load_error_kg"][k])
             before_ns = found_ns[k - 1] if k else self._found_ns
-            news = before_ns == 0 or not abs(kg - self._told_kg) <= self._told_error_kg
-            if found_ns[k] and (news or (kg == 0) != (self._told_kg == 0)):
-                told.append(FoundLoad(first_row + k, int(t_ns[k]), kg, error_kg))
-                self._told_kg, self._told_error_kg = kg, error_kg
+            news = before_ns == 0 or not abs(kg - self._reported_kg) <= self._reported_error_kg
+            if found_ns[k] and (news or (kg == 0) != (self._reported_kg == 0)):
+                reported.append(FoundLoad(first_row + k, int(t_ns[k]), kg, error_kg))
+                self._reported_kg, self._reported_error_kg = kg, error_kg
         self._found_ns = int(found_ns[-1])
-        return told
+        return reported
 
     def _touches(
-        self, first_row: int, t_ns: np.ndarray, said: dict[str, np.ndarray], alarm_before: np.ndarray
+        self, first_row: int, t_ns: np.ndarray, estimates: dict[str, np.ndarray], alarm_before: np.ndarray
     ) -> list[TouchChange]:
-        """Kinds that became known."""
-        touch, alarm = said["touch"], said["alarm"]
+        """Kinds of touches that became known."""
+        touch, alarm = estimates["touch"], estimates["alarm"]
         before = np.append(self._touch, touch[:-1])
-        told: list[TouchChange] = []
+        touches: list[TouchChange] = []
         for k in np.flatnonzero((touch != before) | (alarm > alarm_before)).tolist():
             if alarm[k] > alarm_before[k]:
                 self._alarm_ns = int(t_ns[k])
             if touch[k] >= FIRST_KIND and touch[k] != before[k]:
                 since_s = (int(t_ns[k]) - self._alarm_ns) * 1e-9
-                joint = int(said["alarm_joint"][k])
-                told.append(
+                joint = int(estimates["alarm_joint"][k])
+                touches.append(
                     TouchChange(
                         first_row + k, int(t_ns[k]), int(touch[k]), int(before[k]), int(alarm[k]), joint, since_s
                     )
                 )
         self._touch = int(touch[-1])
-        return told
+        return touches
 
     def _drift(self, first_row: int, t_ns: np.ndarray, saturated: np.ndarray) -> list[DriftChange]:
         new = [j for j in np.flatnonzero(saturated.any(axis=0)).tolist() if j not in self._saturated]
@@ -221,22 +221,22 @@ class ChangeFinder:
         return [DriftChange(first_row + k, int(t_ns[k]), j) for k, j in zip(rows, new, strict=True)]
 
     def _hidden(
-        self, first_row: int, t_ns: np.ndarray, said: dict[str, np.ndarray], alarm_before: np.ndarray
+        self, first_row: int, t_ns: np.ndarray, estimates: dict[str, np.ndarray], alarm_before: np.ndarray
     ) -> list[HiddenCollision]:
-        at = np.flatnonzero(said["held_alarm"] == COLLISION)
+        at = np.flatnonzero(estimates["held_alarm"] == COLLISION)
         if len(at) == 0:
             return []
         before_ns = np.append(t_ns[at[0]] if self._held_ns is None else self._held_ns, t_ns[at[:-1]])
         self._held_ns = int(t_ns[at[-1]])
         hidden = []
         for k in at[(t_ns[at] - before_ns > round(APART_S * 1e9)) & (alarm_before[at] == COLLISION)].tolist():
-            share = np.abs(said["tau_ext"][k] - said["load_nm"][k]) / said["limit_nm"][k]
+            share = np.abs(estimates["tau_ext"][k] - estimates["load_nm"][k]) / estimates["limit_nm"][k]
             hidden.append(HiddenCollision(first_row + k, int(t_ns[k]), int(np.nanargmax(share))))
         return hidden
 
     @staticmethod
-    def _alarm_change(row: int, t_ns: int, k: int, was: int, said: dict[str, np.ndarray]) -> AlarmChange:
-        alarm, joint = int(said["alarm"][k]), int(said["alarm_joint"][k])
+    def _alarm_change(row: int, t_ns: int, k: int, was: int, estimates: dict[str, np.ndarray]) -> AlarmChange:
+        alarm, joint = int(estimates["alarm"][k]), int(estimates["alarm_joint"][k])
         if alarm <= was or joint < 0:
             return AlarmChange(row, t_ns, alarm, was, -1)
         return AlarmChange(
@@ -245,8 +245,8 @@ class ChangeFinder:
             alarm,
             was,
             joint,
-            float(said["tau_ext"][k, joint]),
-            float(said["contact_limit_nm" if alarm == CONTACT else "limit_nm"][k, joint]),
-            bool(said["near_stiction"][k, joint]),
-            sigma_nm=float(said["sigma_nm"][k, joint]),
+            float(estimates["tau_ext"][k, joint]),
+            float(estimates["contact_limit_nm" if alarm == CONTACT else "limit_nm"][k, joint]),
+            bool(estimates["near_stiction"][k, joint]),
+            sigma_nm=float(estimates["sigma_nm"][k, joint]),
         )

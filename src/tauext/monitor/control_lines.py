@@ -1,4 +1,4 @@
-"""Lines of text that steer the loop: from stdin, or from whoever connects to a socket in the file system."""
+"""Lines of text that steer the loop: from stdin, or from connections to a socket in the file system."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ from tauext.monitor.sink import USUAL_REACH_M, Control
 
 LONGEST = 1000
 MOST_CONNECTIONS = 8
-"""More than programs and people that steer one arm; beyond it the one that was silent longest gives way."""
+"""More than programs and users of one arm; beyond it the connection that was silent longest is closed."""
 UNHEARD_S = 5.0
-"""One that has said nothing yet counts as silent for so much longer: several may come before a speaker's next line."""
+"""A connection without any line yet counts as silent for so much longer: several may come before another one's next
+line."""
 RETRY_S = 0.1
 USAGE = (
     "`profile NAME`, `acknowledge`, `resume`, `load mass=KG com=X,Y,Z`, `load none`, `expect seconds=S at_most=KG`, "
@@ -29,7 +30,7 @@ USAGE = (
 
 
 def obey(line: str, control: Control, by: str) -> str:
-    """Do what one line asks for; `ok`, or `error: ...`."""
+    """Execute one line; returns `ok` or `error: ...`."""
     what, _, name = line.strip().partition(" ")
     try:
         if what == "profile" and name.strip():
@@ -70,13 +71,13 @@ def reach_of_text(text: str) -> float:
 
 
 def obey_lines(lines: TextIO, control: Control, by: str = "stdin", answers: TextIO | None = None) -> threading.Thread:
-    """Obey line after line in a thread, until there are no more; what went wrong goes to answers, stderr by default."""
+    """Execute line after line in a thread until the input ends; errors go to answers, stderr by default."""
 
     def work() -> None:
         for line in lines:
-            said = obey(line, control, by) if line.strip() else "ok"
-            if said != "ok":
-                print(f"tauext: {said}", file=answers or sys.stderr, flush=True)
+            answer = obey(line, control, by) if line.strip() else "ok"
+            if answer != "ok":
+                print(f"tauext: {answer}", file=answers or sys.stderr, flush=True)
 
     thread = threading.Thread(target=work, name="control lines", daemon=True)
     thread.start()
@@ -84,13 +85,13 @@ def obey_lines(lines: TextIO, control: Control, by: str = "stdin", answers: Text
 
 
 class ControlSocket:
-    """A socket at this path; every line that comes is obeyed and answered by a line. Only its owner may connect."""
+    """A socket at this path; every received line is executed and answered by a line. Only its owner may connect."""
 
     def __init__(self, path: Path, control: Control):
         """Raises ConfigError where there can be no socket, or another monitor listens there."""
         self._path, self._control = path, control
         self._spoke: dict[socket.socket, float] = {}
-        """When each connection said something last, by time.monotonic(); UNHEARD_S before it came if it never did."""
+        """Time of each connection's last line, by time.monotonic(); UNHEARD_S before it came if it sent none."""
         self._changing = threading.Lock()
         self._closed = False
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -109,7 +110,7 @@ class ControlSocket:
         threading.Thread(target=self._work, name="control socket", daemon=True).start()
 
     def close(self) -> None:
-        """Nobody can connect any more, and the path is free."""
+        """No connection is possible any more, and the path is free."""
         self._closed = True
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
@@ -123,7 +124,7 @@ class ControlSocket:
             except OSError:
                 if self._closed:
                     return
-                time.sleep(RETRY_S)  # no descriptor is free: somebody else's connections end, too
+                time.sleep(RETRY_S)  # no descriptor is free: other connections end, too
                 continue
             self._make_room()
             with self._changing:
@@ -131,7 +132,7 @@ class ControlSocket:
             threading.Thread(target=self._serve, args=(connection,), name="control", daemon=True).start()
 
     def _make_room(self) -> None:
-        """Close whoever was silent longest, where there are too many: who comes is never locked out."""
+        """Close the connection that was silent longest if there are too many: a new one is never locked out."""
         with self._changing:
             while len(self._spoke) >= MOST_CONNECTIONS:
                 silent = min(self._spoke, key=self._spoke.__getitem__)

@@ -32,10 +32,10 @@ MEANING = {
     "gap": "no sample came for longer than one network period; look at the connection to the arm",
     "wrong rate": "samples came at another rate than the bundle was trained for; run the loop at that rate, or train "
     "for this one",
-    "torque saturated": "a drive was at its torque limit and gave another torque than it was told; move slower, carry "
+    "torque saturated": "a drive was at its torque limit and gave another torque than commanded; move slower, carry "
     "less, or expect doubtful estimates there",
-    "encoder still": "a position did not change while velocity or torque say that the joint moved; look at the encoder "
-    "and its cable",
+    "encoder still": "a position did not change while velocity or torque show that the joint moved; look at the "
+    "encoder and its cable",
     "impossible torque": "a torque was larger than the drive can give, whatever touches the arm; look at the driver, "
     "at the unit of its torques and at the conversion of their values",
     "impossible velocity": "a velocity was higher than the joint can get; look at the encoder, at the unit of the "
@@ -51,27 +51,27 @@ def in_words(names: list[str]) -> str:
     return " and ".join(names) if names else "no cause"
 
 
-# --- Motion that training never saw: which samples are told to be that, and what of them, in words.
+# --- Motion that the training data do not contain: which samples, and what of them is new, in words.
 
 
 WORTH_TELLING: float = _core.CoverageSettings.WORTH_TELLING
-"""From this value of `unfamiliar` on."""
+"""Motion is reported as unfamiliar from this value of `unfamiliar` on."""
 KINDS = tuple(kind.name for kind in sorted(_core.Unseen, key=lambda kind: kind.value))
 """By the core's number."""
 Unseen = tuple[int, int, int]
-"""Number of the kind, joint, and the other one where positions were never seen together, else -1."""
+"""Number of the kind, joint, and the other one where the pair of positions is new, else -1."""
 
 
-def unseen_of(said: Mapping[str, np.ndarray]) -> Counter[Unseen]:
+def unseen_of(estimates: Mapping[str, np.ndarray]) -> Counter[Unseen]:
     """How many samples were unfamiliar, by what of them was.
 
     Args:
-        said: as Monitor.run gives it.
+        estimates: as returned by Monitor.run.
     """
-    told = said["unfamiliar"] >= WORTH_TELLING
-    if not told.any():
+    rows = estimates["unfamiliar"] >= WORTH_TELLING
+    if not rows.any():
         return Counter()
-    what = np.stack([said[key][told].astype(int) for key in ("unseen", "unseen_joint", "unseen_other")], axis=1)
+    what = np.stack([estimates[key][rows].astype(int) for key in ("unseen", "unseen_joint", "unseen_other")], axis=1)
     kinds, counts = np.unique(what, axis=0, return_counts=True)
     return Counter({(kind[0], kind[1], kind[2]): n for kind, n in zip(kinds.tolist(), counts.tolist(), strict=True)})
 
@@ -84,11 +84,11 @@ def unseen_words(unseen: Unseen, joints: Sequence[str]) -> str:
     return f"{KINDS[what]} of {joints[joint]}"
 
 
-# --- Numbers in sentences: as many decimals as asked for, but never a line of digits.
+# --- Numbers in sentences: as many decimals as requested, but never a line of digits.
 
 
 LONGEST = 1e6
-"""From here on decimals tell nothing."""
+"""From here on decimals are meaningless."""
 
 
 def readable(value: float, spec: str) -> str:
@@ -98,14 +98,14 @@ def readable(value: float, spec: str) -> str:
     return format(value, ("+" if spec.startswith("+") else "") + ".4g")
 
 
-# --- Says in words how a contact or collision came about: which limit, by how much, what observer and network said.
+# --- Explains a contact or collision: which limit, by how much, and the terms of the estimate.
 
 
 MOST_OTHERS = 3
 
 
 def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
-    """By how much over which limit, and since when."""
+    """The exceeded limit, by how much, and since when."""
     event, row = flight["event"], flight["event_row"]
     j = event.alarm_joint
     limits = limits_of(flight, kind)[:, j]
@@ -129,7 +129,7 @@ def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
 
 
 def certainty(flight: Flight, source: FlightSource) -> str:
-    """How sure the estimate was, and what the motion did to the limit; empty where no error scale says so."""
+    """The standard error of the estimate, and the factor of the motion on the limit; empty without an error scale."""
     event = flight["event"]
     j = event.alarm_joint
     sigma = event.sigma_nm[j]
@@ -145,7 +145,7 @@ def certainty(flight: Flight, source: FlightSource) -> str:
 
 
 def kind_of_touch(flight: Flight) -> str:
-    """What kind of touch it was taken for, at the end of the flight; empty where nobody knew."""
+    """The kind of touch at the end of the flight; empty where unknown."""
     row, touch = flight["event_row"], flight["touch"]
     if not len(touch) or touch[-1] < FIRST_KIND:
         return ""
@@ -157,7 +157,7 @@ def kind_of_touch(flight: Flight) -> str:
 
 
 def place_of_touch(flight: Flight, source: FlightSource) -> str:
-    """Which link, and where, by the sample since the event at which tau_ext stood out most; empty where unknown."""
+    """The touched link and place, from the strongest sample since the event; empty where unknown."""
     event, row = flight["event"], flight["event_row"]
     if source.chain is None or not source.has_error_scale:
         return ""
@@ -181,30 +181,30 @@ def doubt(flight: Flight) -> str:
 
 
 def unfamiliar(flight: Flight, source: FlightSource) -> str:
-    """What of the motion training never saw, where that is worth telling."""
+    """The part of the motion that the training data do not contain; empty if insignificant."""
     event = flight["event"]
     if event.unfamiliar < WORTH_TELLING:
         return ""
     what = unseen_words((event.unseen.value, event.unseen_joint, event.unseen_other), source.joints)
-    return f"Training never saw such motion ({what}): the estimate may be wrong."
+    return f"The training data do not contain such motion ({what}): the estimate may be wrong."
 
 
 def sum_of_terms(flight: Flight, source: FlightSource) -> str:
-    """What observer, prior and network said of the joint."""
+    """The terms of the joint's estimate: observer, prior, network and drift."""
     event = flight["event"]
     j = event.alarm_joint
     residual, unit = event.residual[j], source.unit(j)
     if source.has_prior:
-        said = f"the prior expected {event.prior[j]:+.3f} {unit} of it in free motion"
-        said += f" and the network {event.network[j]:+.3f} {unit} more" if source.has_network else ""
-        said += f", slow changes since training {event.drift[j]:+.3f} {unit}" if source.has_drift else ""
+        terms = f"the prior expected {event.prior[j]:+.3f} {unit} of it in free motion"
+        terms += f" and the network {event.network[j]:+.3f} {unit} more" if source.has_network else ""
+        terms += f", slow changes since training {event.drift[j]:+.3f} {unit}" if source.has_drift else ""
         left = f"what is left is tau_ext = {event.tau_ext[j]:+.3f} {unit}"
-        return f"The observer said {residual:+.3f} {unit}, {said}; {left}."
+        return f"The observer's residual was {residual:+.3f} {unit}, {terms}; {left}."
     if not source.has_network:
-        return f"The observer said {residual:+.3f} {unit}; the bundle has no network, so this is tau_ext."
+        return f"The observer's residual was {residual:+.3f} {unit}; the bundle has no network, so this is tau_ext."
     expected = f"the network expected {event.network[j]:+.3f} {unit} of it in free motion"
     return (
-        f"The observer said {residual:+.3f} {unit}, {expected}; "
+        f"The observer's residual was {residual:+.3f} {unit}, {expected}; "
         f"their difference is tau_ext = {event.tau_ext[j]:+.3f} {unit}."
     )
 
@@ -221,13 +221,13 @@ def others(flight: Flight, source: FlightSource, kind: str) -> str:
 
 
 def without_load(flight: Flight) -> np.ndarray:
-    """tau_ext less what is taken for an expected load, (samples, joints): what the alarm compares with its limits."""
+    """tau_ext less the expected load, (samples, joints), which the alarm compares with its limits."""
     left: np.ndarray = flight["tau_ext"] - flight["load_nm"]
     return left
 
 
 def limits_of(flight: Flight, kind: str) -> np.ndarray:
-    """What |tau_ext| must exceed for this kind of alarm, (samples, joints); for a fault, a collision's."""
+    """Limits of this kind of alarm, (samples, joints); for a fault, those of a collision."""
     return flight["contact_limit_nm" if kind == "contact" else "limit_nm"]
 
 
@@ -240,7 +240,7 @@ def loads(flight: Flight, row: int, source: FlightSource, joints: list[int] | ra
     return ", ".join(parts)
 
 
-# --- Says in words what a fault is, what the signals were there, and what was known until then.
+# --- Explains a fault: its cause, the signals there, and the last estimate before.
 
 
 def fault_causes(flight: Flight) -> list[str]:
@@ -262,8 +262,8 @@ def signals(flight: Flight, row: int, joint: int, source: FlightSource) -> str:
     """Position, velocity and torque of one joint."""
     q, dq, tau = (flight[name][row, joint] for name in ("q", "dq", "tau"))
     unit = short(source.torque_units[joint]) if source.torque_units else "Nm"
-    told = f"q = {readable(q, '.5f')} rad, dq = {readable(dq, '+.4f')} rad/s, tau = {readable(tau, '+.3f')}"
-    return f"{told} {unit}"
+    text = f"q = {readable(q, '.5f')} rad, dq = {readable(dq, '+.4f')} rad/s, tau = {readable(tau, '+.3f')}"
+    return f"{text} {unit}"
 
 
 def last_estimate(flight: Flight, source: FlightSource) -> str:
@@ -277,27 +277,27 @@ def last_estimate(flight: Flight, source: FlightSource) -> str:
     return f"{when}: {loads(flight, row, source, range(len(source.joints)))}."
 
 
-# --- Whether what raised an alarm is a load: the flight's own samples behind the event, weighed.
+# --- Whether a load raised the alarm: the flight's samples after the event are weighed.
 
 
 SETTLED = 5.0
-"""Over K0: so long after the event r shows all of what came on at once, but for a hundredth."""
+"""Times 1/K0 after the event: r then shows 99 % of a step."""
 ONE_ROW = 1.5
-"""Periods of the chain's rows: a longer step between two samples is a gap, behind which r begins anew."""
+"""Periods of the chain's rows: a longer step between two samples is a gap, after which r starts over."""
 
 
 def fits_load(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
-    """A sentence where the torques behind an alarm are those of a load; empty where they are not, or do not tell.
+    """A sentence where a load explains the torques behind an alarm; else, or where the motion does not show it, empty.
 
-    Weighed as `tauext load` weighs: a constant force that explains them better is no load. What the tracker had learned
-    until the event counts as known, what it learned since as part of the load.
+    Weighed as `tauext load` weighs: a constant force that explains them better is no load. Drift learned before the
+    event is kept; drift learned since counts as part of the load.
 
     Args:
         kept: samples that the flight's recording holds, (samples,) bool.
     """
     if source.chain is None or event_kind(flight) == "fault":
         return ""
-    if set(source.estimate_units or ("N m",)) != {"N m"}:  # a weight says nothing in another unit
+    if set(source.estimate_units or ("N m",)) != {"N m"}:  # a weight has no meaning in another unit
         return ""
     frame = load_frame(source.chain)
     seen = behind_the_event(flight, kept, source)
@@ -311,15 +311,15 @@ def fits_load(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
     start_s = source.time_s(int(seen.recording.t_ns[0]))
     first_s, last_s = (start_s + float(seen.time_s[row]) - event_s for row in (0, -1))
     before = next(load for row, load in reversed(carried(flight)) if row <= flight["event_row"])
-    beside = f", beside the {before.mass:.3g} kg that it was told of" if before.mass > 0 else ""
+    beside = f", beside the {before.mass:.3g} kg that was set" if before.mass > 0 else ""
     return (
         f"From {first_s:.2f} to {last_s:.2f} s after it the torques fit a load of {found.mass_kg:.2f} ± "
-        f"{found.mass_error_kg:.2f} kg at {frame.name}{beside}: if the arm picked something up, tell the monitor."
+        f"{found.mass_error_kg:.2f} kg at {frame.name}{beside}: if the arm picked something up, set its load."
     )
 
 
 def behind_the_event(flight: Flight, kept: np.ndarray, source: FlightSource) -> Seen:
-    """The healthy rows from the event on, once r has settled, without a change of what it was told to carry."""
+    """The healthy rows from the event on, once r has settled, without a change of the set load."""
     assert source.chain is not None
     chain, row = source.chain, flight["event_row"]
     observer = chain.observer
@@ -344,7 +344,7 @@ def behind_the_event(flight: Flight, kept: np.ndarray, source: FlightSource) -> 
 
 
 MOST_HEALTHS = 5
-MOST_SAMPLES_TOLD = 10
+MOST_SAMPLES_SHOWN = 10
 
 
 def explain(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
@@ -367,7 +367,7 @@ def explain(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
             doubt(flight),
         ]
     lines += [
-        load_told(flight, source),
+        load_set(flight, source),
         fits_load(flight, kept, source),
         others(flight, source, kind),
         before(flight),
@@ -388,13 +388,13 @@ def headline(flight: Flight, source: FlightSource, kind: str) -> str:
     return f"Fault ({in_words(event.causes)}){where}, {when}."
 
 
-def load_told(flight: Flight, source: FlightSource) -> str:
-    """What the arm was taken to carry, and when that changed; nothing where it never carried anything."""
-    told = carried(flight)
-    if all(load.mass == 0 for _, load in told):
+def load_set(flight: Flight, source: FlightSource) -> str:
+    """The load, and when it changed; empty if there never was one."""
+    changes = carried(flight)
+    if all(load.mass == 0 for _, load in changes):
         return ""
-    text = f"The arm was taken to carry {load_words(told[0][1], source.load_frame)}"
-    for row, load in told[1:]:
+    text = f"The arm was taken to carry {load_words(changes[0][1], source.load_frame)}"
+    for row, load in changes[1:]:
         since_s = (flight["t_ns"][row] - flight["t_ns"][flight["event_row"]]) * 1e-9
         when = f"{abs(since_s):.3f} s {'before' if since_s < 0 else 'after'} it"
         text += f", from {when} on {load_words(load, source.load_frame)}"
@@ -414,8 +414,8 @@ def before(flight: Flight) -> str:
         why = f" ({in_words(_core.cause_names(causes))})" if causes else ""
         runs.append(f"{HEALTHS[health]}{why} for {seconds:.3f} s")
         begin = end
-    told = ["..."] * (len(runs) > MOST_HEALTHS) + runs[-MOST_HEALTHS:]
-    return f"Health before: {', then '.join(told)}."
+    shown = ["..."] * (len(runs) > MOST_HEALTHS) + runs[-MOST_HEALTHS:]
+    return f"Health before: {', then '.join(shown)}."
 
 
 def standing_alarm(flight: Flight, source: FlightSource) -> str:
@@ -434,7 +434,7 @@ def standing_alarm(flight: Flight, source: FlightSource) -> str:
 
 
 def after(flight: Flight, source: FlightSource, kind: str) -> str:
-    """What became of it in what is kept from after the event."""
+    """The end of the event, from the samples after it."""
     row = flight["event_row"]
     health = flight["health"][row:]
     if len(health) == 1:
@@ -466,12 +466,12 @@ def left_out(flight: Flight, kept: np.ndarray, source: FlightSource) -> list[str
         return []
     plural = "samples that a recording cannot hold are" if len(gone) > 1 else "sample that a recording cannot hold is"
     lines = [f"{len(gone)} of {len(kept)} {plural} left out (values that are not finite, or a time not later):"]
-    for row in gone[:MOST_SAMPLES_TOLD].tolist():
+    for row in gone[:MOST_SAMPLES_SHOWN].tolist():
         t_ns = int(flight["t_ns"][row])
         values = [
             f"{name} = [{', '.join(f'{value:.6g}' for value in flight[name][row])}]" for name in ("q", "dq", "tau")
         ]
         lines.append(f"  t_ns = {t_ns} ({source.time_s(t_ns):.3f} s): {', '.join(values)}")
-    if len(gone) > MOST_SAMPLES_TOLD:
-        lines.append(f"  and {len(gone) - MOST_SAMPLES_TOLD} more.")
+    if len(gone) > MOST_SAMPLES_SHOWN:
+        lines.append(f"  and {len(gone) - MOST_SAMPLES_SHOWN} more.")
     return lines

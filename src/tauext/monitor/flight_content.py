@@ -19,7 +19,7 @@ Flight = dict[str, Any]
 
 
 class Replayed(Protocol):
-    """What a flight's files say of the recording, or the live arm, that was watched."""
+    """The fields of the watched recording, or live arm, that a flight's files state."""
 
     @property
     def name(self) -> str: ...
@@ -37,7 +37,7 @@ class Replayed(Protocol):
 
 @dataclass(frozen=True)
 class FlightSource:
-    """Where flights come from: what their files must say beside the samples."""
+    """The origin of flights: what their files state beside the samples."""
 
     recording: str
     """Its name."""
@@ -56,15 +56,15 @@ class FlightSource:
     follows: bool = False
     """Limits follow the motion."""
     command: str = "tauext run"
-    """That watches, for the files' provenance."""
+    """The command that watches, for the files' provenance."""
     torque_units: tuple[str, ...] = ()
-    """Of tau, a joint; empty: N m."""
+    """Of tau, one a joint; empty: N m."""
     estimate_units: tuple[str, ...] = ()
-    """Of the answers, likewise."""
+    """Of the estimates, one a joint; empty: N m."""
     load_frame: str = ""
-    """In which a load is told."""
+    """The frame of a load."""
     chain: _core.Bundle | None = field(default=None, repr=False, compare=False)
-    """The bundle itself, by which an alarm may turn out to be a load; None: nobody weighs."""
+    """The bundle itself, to test whether a load explains an alarm; None: no weighing."""
 
     @classmethod
     def of(cls, bundle: _core.Bundle, recording: Replayed) -> FlightSource:
@@ -100,7 +100,7 @@ class FlightSource:
         return "sigma_nm" not in self.lacking
 
     def unit(self, joint: int) -> str:
-        """Of what is said of the joint, as it stands behind a number."""
+        """Unit of the joint's estimate, in its short form."""
         return short(self.estimate_units[joint]) if self.estimate_units else "Nm"
 
     def time_s(self, t_ns: int) -> float:
@@ -109,9 +109,9 @@ class FlightSource:
 
 
 def event_kind(flight: Flight) -> str:
-    """What made the flight: `collision`, `contact` or `fault`.
+    """The event that made the flight: `collision`, `contact` or `fault`.
 
-    Of an alarm and a fault at one sample a collision goes before the fault, and the fault before a contact.
+    If an alarm and a fault share one sample, a collision precedes the fault, and the fault a contact.
     """
     event, row = flight["event"], flight["event_row"]
     alarm, health = int(flight["alarm"][row]), flight["health"]
@@ -130,7 +130,7 @@ def rows_kept(flight: Flight) -> np.ndarray:
 
 
 def flight_rate_hz(t_ns: np.ndarray, nominal_hz: float) -> float:
-    """The nominal rate or, where the stamps say something else, the one of their fitted period."""
+    """The nominal rate or, where the stamps differ from it, the one of their fitted period."""
     if len(t_ns) < 2:
         return nominal_hz
     measured_hz = 1e9 / fitted_period_ns(t_ns)
@@ -158,12 +158,12 @@ def as_recording(
 
 
 def as_estimates(flight: Flight, kept: np.ndarray, source: FlightSource) -> Estimates:
-    """What the monitor said of the samples that are kept."""
+    """The estimates at the samples that are kept."""
     return Estimates.of(source.joints, flight["t_ns"][kept], flight, source.lacking, kept)
 
 
 def carried(flight: Flight) -> list[tuple[int, _core.Load]]:
-    """What the arm was taken to carry at the flight's first sample and at each later one that changed it."""
+    """The load at the flight's first sample and at each later one that changed it."""
     rows = flight["load"]
     changed = np.flatnonzero(np.any(rows[1:] != rows[:-1], axis=1)) + 1
     return [
@@ -173,7 +173,7 @@ def carried(flight: Flight) -> list[tuple[int, _core.Load]]:
 
 
 def event_numbers(flight: Flight, source: FlightSource) -> dict[str, Any]:
-    """What the monitor said at the event, as plain JSON: a list has a value a joint, null where none exists."""
+    """The estimate at the event, as plain JSON: a list has a value a joint, null where none exists."""
     event, row = flight["event"], flight["event_row"]
 
     def name(joint: int) -> str | None:

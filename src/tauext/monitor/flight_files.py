@@ -46,7 +46,7 @@ MOST_WAITING = 4
 
 @dataclass(frozen=True)
 class FlightNews:
-    """A flight that was written, or why it was not."""
+    """A written flight, or the reason why it was not written."""
 
     what: str
     """collision, contact or fault."""
@@ -117,8 +117,8 @@ class FlightSettings:
 class FlightWriter:
     """Takes flights from a recorder and writes them: `with FlightWriter(recorder, write) as writer: ...`.
 
-    A flight that cannot be written is told in news() and the thread goes on: the next one may fit. Leaving the block
-    takes the event that still waits for its samples, writes everything and ends the thread; nothing is lost.
+    A flight that cannot be written is reported in news() and the thread goes on: the next one may fit. Leaving the
+    block takes the event that still waits for its samples, writes everything and ends the thread; nothing is lost.
     """
 
     def __init__(self, recorder: _core.FlightRecorder, write: Callable[[Flight], Path], poll_s: float = POLL_S):
@@ -149,7 +149,7 @@ class FlightWriter:
             raise self._broken
 
     def catch_up(self) -> None:
-        """For a replay, which can wait: take what is ready now, and wait while too many flights are in memory."""
+        """For a replay, which can wait: take the flight that is ready, and wait while too many are in memory."""
         self._take()
         while self.waiting > MOST_WAITING and self._thread.is_alive():
             self._wake.set()
@@ -161,11 +161,11 @@ class FlightWriter:
         return len(self._waiting)
 
     def news(self) -> list[FlightNews]:
-        """What became of flights since the last call."""
-        told = []
+        """Flights written or lost since the last call."""
+        news = []
         while self._news:
-            told.append(self._news.popleft())
-        return told
+            news.append(self._news.popleft())
+        return news
 
     def _take(self) -> None:
         with self._taking:
@@ -186,7 +186,7 @@ class FlightWriter:
                 if ended:
                     return
                 self._wake.wait(self._poll_s)
-        except BaseException as broken:  # a mistake of ours: told by the thread that waits for this one
+        except BaseException as broken:  # a bug: raised by the thread that waits for this one
             self._broken = broken
 
     def _written(self, flight: Flight) -> FlightNews:
@@ -197,11 +197,12 @@ class FlightWriter:
             return FlightNews(what, t_ns, None, str(error))
 
 
-# --- The files of a flight: recording, estimates and explanation; whole or not at all, and never over another's.
+# --- The files of a flight: recording, estimates and explanation; written completely or not at all, never over existing
+# files.
 
 
 ENDINGS = (".txt", ".dropped.csv", ".estimates.parquet", ".parquet")
-"""In the order of writing: who sees FLIGHT.parquet finds the others beside it."""
+"""In the order of writing: once FLIGHT.parquet exists, so do the others."""
 PART = ".txt.part"
 
 

@@ -20,39 +20,39 @@ SPREAD = 0.06
 """Standard deviation, as a share, of one joint's constant about the factor common to all: what makers state is right to
 about 10 %."""
 ANY = 0.5
-"""Of the common factor, likewise: nothing is known of it."""
+"""The same of the common factor: it is unknown."""
 COM_KNOWN_M = 0.005
 """Standard deviation of a centre of mass that is given, [m]."""
 WELL = 0.03
-"""A common factor is told whose standard error is at most this: masses of robot files are no better known."""
+"""Largest standard error of an accepted common factor: masses of robot files are no more accurate."""
 OF_ITS_OWN = 0.7
 """A joint's constant shows where its error is at most this share of what is assumed of it before any motion."""
 MOST_FACTOR = 5.0
-"""By which constants in N m may be off: a gear ratio or a unit is another mistake."""
+"""Largest error factor of constants in N m: beyond it the error is a gear ratio or a unit."""
 MOST_RATIO = 1e6
-"""The same factor in any unit: what shows so much less is no weight."""
+"""The same factor in any unit: a smaller estimated mass is no weight."""
 STEPS = 6
 LEAST_SCALE, LEAST_CORRELATION = 0.5, 30.0
 """As load_solve.hpp has them."""
 LEAST_MASS_KG = 0.1
-"""Whose first moment is believed at least, as there."""
+"""Least mass whose first moment is used, as in load_solve.hpp."""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """What is known of the errors of tau_ext beside its sigma."""
+    """Properties of the errors of tau_ext beside its sigma."""
 
     scale: np.ndarray  # (n,): times sigma
-    correlation: float  # rows that say as much as one
+    correlation: float  # rows that hold as much information as one independent row
 
 
 @dataclass(frozen=True)
 class KnownWeight:
-    """Factors by which torques of the bundle are to be multiplied, a joint."""
+    """Factors by which torques of the bundle are to be multiplied, one a joint."""
 
     factors: np.ndarray  # (n,)
     errors: np.ndarray  # (n,): standard errors
-    shows: np.ndarray  # (n,) bool: told by the joint itself; the others take the common factor
+    shows: np.ndarray  # (n,) bool: estimated from the joint itself; the others take the common factor
     skipped: np.ndarray  # (n,) bool: of them, those in a unit of their own, whose constant stays unknown
     common: float
     common_error: float
@@ -84,12 +84,12 @@ def weigh_constants(
     shows little at the last joints.
 
     Raises:
-        ConfigError: what shows is no load, or the motion does not tell the factor to WELL.
+        ConfigError: what shows is no load, or the motion does not determine the factor to WELL.
     """
     first = identify(bundle, frame, parts, reach_m)
     if first.verdict != "load" or not first.mass_seen:
-        said = load_sentences(first, frame.name, "N m")[0]
-        raise ConfigError(f"--known-kg {mass_kg:g} cannot set torque constants: {said}")
+        reason = load_sentences(first, frame.name, "N m")[0]
+        raise ConfigError(f"--known-kg {mass_kg:g} cannot set torque constants: {reason}")
     common = first.mass_kg / mass_kg
     if not common * MOST_RATIO > 1:
         raise ConfigError(
@@ -181,13 +181,13 @@ def known_noise(
 
 
 def known_weight(a: np.ndarray, com_m: np.ndarray, covariance: np.ndarray, skipped: np.ndarray) -> KnownWeight:
-    """Factors 1 / a, each with its error; the common one is their mean, by what each tells.
+    """Factors 1 / a, each with its error; the common one is their weighted mean.
 
     Args:
         skipped: (n,) bool: joints whose rows were worth nothing.
 
     Raises:
-        ConfigError: the motion does not tell them.
+        ConfigError: the motion does not determine them.
     """
     of_a = covariance[3:, 3:]
     if (a <= 0).any():
@@ -198,8 +198,8 @@ def known_weight(a: np.ndarray, com_m: np.ndarray, covariance: np.ndarray, skipp
     mean, error = float(weight @ a / weight.sum()), float(weight.sum() ** -0.5)
     if error > WELL * mean:
         raise ConfigError(
-            f"the motion does not tell the torque constants: their common factor only to {error / mean:.0%}, where "
-            f"{WELL:.0%} is needed; move more, with the weight farther from the joints"
+            f"the motion does not determine the torque constants: their common factor only to {error / mean:.0%}, "
+            f"where {WELL:.0%} is needed; move more, with the weight farther from the joints"
         )
     errors = np.sqrt(np.diag(of_a)) / a**2
     shows = np.sqrt(np.diag(of_a)) <= OF_ITS_OWN * np.hypot(SPREAD * mean, error)
@@ -216,15 +216,16 @@ RATIOS = (_core.TermKind.load, _core.TermKind.load_presliding)
 
 
 def scaled_bundle(bundle: _core.Bundle, factor: float) -> _core.Bundle:
-    """The same chain in other N m: every torque that it takes, answers or compares with is `factor` times as large.
+    """The same chain in other N m: every torque that it takes, estimates or compares with is `factor` times as large.
 
-    Masses and inertias of the model grow along, since the arm's own weight was told by the same torques: all of it
-    follows, to the last digit that rounding leaves, and limits keep what they promise. One factor a joint could not be
+    Masses and inertias of the model grow along, since the arm's own weight was estimated from the same torques: all of
+    it follows, to the last digit that rounding leaves, and limits keep what they promise. One factor a joint could not
+    be
     put in: no arm has such masses.
     """
     new = _core.Bundle.from_bytes(bundle.to_bytes())
     new.observer = observer_with(bundle.observer, times(factor, bundle.observer.nm_per_unit or [1.0] * bundle.joints))
-    new.units = _core.TorqueUnits(bundle.units.given, -1, bundle.units.unknown)  # a weight in kg says what a N m is
+    new.units = _core.TorqueUnits(bundle.units.given, -1, bundle.units.unknown)  # a weight in kg defines the N m
     new.links = [scaled_link(link, factor) for link in bundle.links]
     prior, terms = new.prior, len(new.prior.terms)
     prior.most_load_nm = times(factor, prior.most_load_nm)
@@ -274,7 +275,7 @@ def scaled_link(link: _core.Link, factor: float) -> _core.Link:
 
 
 def with_provenance(bundle: _core.Bundle, known: KnownWeight, mass_kg: float, recordings: list[str]) -> dict:
-    """Note in the bundle where its constants are from; the facts."""
+    """Store the source of the constants in the bundle; returns it as facts."""
     facts = json.loads(bundle.provenance or "{}")
     facts["known_weight"] = {
         "mass_kg": mass_kg,

@@ -7,12 +7,12 @@ import os
 
 import numpy as np
 
-# --- Quantiles of times that come one by one, in constant memory.
+# --- Quantiles of a stream of times, in constant memory.
 
 
 BINS_PER_OCTAVE = 64
 OCTAVES = 40
-"""Up to 2^40 ns, 18 minutes; what is longer counts in the last bin, and in max."""
+"""Up to 2^40 ns, 18 minutes; a longer time counts in the last bin, and in max."""
 
 
 class Latencies:
@@ -30,7 +30,7 @@ class Latencies:
         self._bins[min(place, len(self._bins) - 1)] += 1
 
     def quantile_us(self, share: float) -> float:
-        """The time that this share of all is not over, [µs]; NaN without any."""
+        """The quantile of this share, [µs]; NaN without any time."""
         if self.count == 0:
             return math.nan
         place = int(np.searchsorted(np.cumsum(self._bins), max(1, math.ceil(share * self.count))))
@@ -55,7 +55,7 @@ def _in_words(us: float) -> str:
     return f"{us:.0f} µs" if us < 1000 else f"{us * 1e-3:.2f} ms" if us < 1e6 else f"{us * 1e-6:.2f} s"
 
 
-# --- One core and real-time priority for the thread that asks, where the system grants them.
+# --- One core and real-time priority for the calling thread, where the system grants them.
 
 
 def ask_for_real_time(core: int | None, priority: int | None) -> list[str]:
@@ -63,22 +63,22 @@ def ask_for_real_time(core: int | None, priority: int | None) -> list[str]:
 
     Returns what was granted or refused, a sentence each. Nothing here fails: a loop runs without it, less evenly.
     """
-    said = []
+    results = []
     if core is not None:
         try:
             os.sched_setaffinity(0, {core})
-            said.append(f"pinned to core {core}")
+            results.append(f"pinned to core {core}")
         except AttributeError:
-            said.append("not pinned to a core: this system has no such call")
+            results.append("not pinned to a core: this system has no such call")
         except OSError as error:
             there = sorted(os.sched_getaffinity(0))
-            said.append(f"not pinned to core {core}: {error.strerror}; there are {', '.join(map(str, there))}")
+            results.append(f"not pinned to core {core}: {error.strerror}; there are {', '.join(map(str, there))}")
     if priority is not None:
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-            said.append(f"SCHED_FIFO, priority {priority}")
+            results.append(f"SCHED_FIFO, priority {priority}")
         except AttributeError:
-            said.append("no SCHED_FIFO: this system has no such call")
+            results.append("no SCHED_FIFO: this system has no such call")
         except OSError as error:
-            said.append(f"no SCHED_FIFO, priority {priority}: {error.strerror}; `ulimit -r` or root allow it")
-    return said
+            results.append(f"no SCHED_FIFO, priority {priority}: {error.strerror}; `ulimit -r` or root allow it")
+    return results

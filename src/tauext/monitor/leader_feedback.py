@@ -18,18 +18,18 @@ PerJoint = float | tuple[float, ...]
 
 @dataclass(frozen=True)
 class FeedbackSettings:
-    """How tau_ext of the follower becomes torque of the leader; where one number stands, it holds for every joint."""
+    """How tau_ext of the follower becomes torque of the leader; a single number holds for every joint."""
 
     gain: PerJoint = 1.0
-    """Torque of the leader over what is felt of tau_ext: [N m] over its unit; negative where the leader's joint turns
-    the other way."""
+    """Torque of the leader per tau_ext beyond the dead band: [N m] over its unit; negative where the leader's joint
+    turns the other way."""
     cap_nm: PerJoint = 0.1
     """Most torque of the leader's motors, [N m]: a tenth of what small servos can give, which a hand easily resists."""
     dead_band_sigmas: PerJoint = 8.0
-    """Of tau_ext so many standard errors are not felt: errors of friction have heavier tails than Gauss's, so
-    `free_motion_sigmas` says how many an arm needs."""
+    """Half width of the dead band in standard errors of tau_ext: errors of friction have heavier tails than Gauss's, so
+    `free_motion_sigmas` computes how many an arm needs."""
     least_dead_band: PerJoint = 0.0
-    """And no less than this, in the unit of tau_ext; the whole dead band where sigma is 0."""
+    """Least half width of the dead band, in the unit of tau_ext; the whole dead band where sigma is 0."""
     dead_band_fade_s: float = 0.1
     """Time constant with which the dead band narrows, [s]; it widens at once. sigma falls as soon as the motion is
     surer, but the observer still holds the error from before, for 1/K0."""
@@ -109,7 +109,7 @@ class EnergyTank:
         """Book the tick of dt_s that ends at the leader's position q, (joints,), [rad].
 
         Where q is NaN the held torque counts as if the joint had moved along it as far as it may have; the next
-        position that is known begins anew.
+        known position starts over.
         """
         moved = q - self._q
         unknown = ~np.isfinite(moved)
@@ -123,12 +123,12 @@ class EnergyTank:
     def hold(self, torque: np.ndarray, dt_s: float) -> np.ndarray:
         """What of the torque, (joints,), [N m], the tank can pay for over the next dt_s; it counts as held so long.
 
-        0 for a joint whose position is not known.
+        0 for a joint whose position is unknown.
         """
         torque = np.where(np.isfinite(self._q), torque, 0.0)
         reach = np.sign(torque) * self._moved + self._settings.acceleration_rad_s2 * dt_s**2
-        asked = float(np.sum(np.abs(torque) * reach))
-        self.share = min(1.0, max(self.energy_j, 0.0) / asked) if asked > 0 else 1.0
+        needed = float(np.sum(np.abs(torque) * reach))
+        self.share = min(1.0, max(self.energy_j, 0.0) / needed) if needed > 0 else 1.0
         self._torque = self.share * torque
         return self._torque.copy()
 
@@ -142,7 +142,7 @@ class EnergyTank:
 
 
 class LeaderFeedback:
-    r"""Torque for a leader's motors, a tick at a time, from what the monitor says of the follower.
+    r"""Torque for a leader's motors, a tick at a time, from the monitor's estimates of the follower.
 
     .. math::
         w_k &= \max(k \sigma, b, w_{k-1} e^{-\Delta t / T}), \quad f = sign(\tau_{ext}) \max(0, |\tau_{ext}| - w_k) \\
@@ -154,7 +154,7 @@ class LeaderFeedback:
     positive gain the hand is pushed where the surroundings push the follower.
 
     A fault never jumps: while the arm is not healthy, or tau_ext or sigma of a joint is NaN, the torque goes to 0 at
-    the slew rate. Only a leader whose position is not known gets 0 at once, since its energy cannot be observed.
+    the slew rate. Only a leader whose position is unknown gets 0 at once, since its energy cannot be observed.
     """
 
     def __init__(self, joints: int, settings: FeedbackSettings = FeedbackSettings()):
@@ -168,7 +168,7 @@ class LeaderFeedback:
         self.tank = EnergyTank(joints, settings)
         """What the motors may still give, and what they gave."""
         self.torque_nm = np.zeros(joints)
-        """What the motors were last told to hold, (joints,), [N m]."""
+        """The torque last commanded to the motors, (joints,), [N m]."""
         self._q: np.ndarray | None = None
         self._band, self._fade_s = self._least.copy(), settings.dead_band_fade_s
 
@@ -178,7 +178,7 @@ class LeaderFeedback:
         """The torque to hold until the next tick, (joints,), [N m].
 
         Args:
-            tau_ext: of the follower as it is known now, however late: (joints,), in a unit that the gain makes N m of.
+            tau_ext: newest estimate of the follower, however late: (joints,), in a unit that the gain makes N m of.
             sigma: its standard error in free motion (Estimate.sigma_nm), the same unit.
             q_leader: where the leader is now, (joints,), [rad]; the velocity is its difference: what a held torque gave
                 the hand follows from positions exactly, from a velocity of its own estimate it does not.
@@ -217,7 +217,7 @@ def free_motion_sigmas(tau_ext: np.ndarray, sigma: np.ndarray, margin: float = 1
     """How many standard errors each joint's dead band needs: the most that free motion showed, times a margin.
 
     Args:
-        tau_ext: of free motion that training did not see, (samples, joints); rows with NaN are left out.
+        tau_ext: of free motion that is not in the training data, (samples, joints); rows with NaN are left out.
         sigma: its standard error there, (samples, joints).
 
     Raises:

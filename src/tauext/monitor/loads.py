@@ -1,4 +1,4 @@
-"""What the arm carries, as people write it: in a line of text, in a TOML table, in a file with times."""
+"""The load of the arm as users write it: in a line of text, in a TOML table, in a file with times."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FROM_S = number(0.0, 1e9, 0.0)
 
 @dataclass(frozen=True)
 class TimedLoad:
-    """A load, and from when on."""
+    """A load and its start time."""
 
     from_s: float
     """Since the recording's first sample, [s]: it is set before the first sample that is not earlier."""
@@ -38,17 +38,17 @@ class TimedLoad:
 
 @dataclass(frozen=True)
 class Expected:
-    """The gripper's word: for so long, what the arm carries may become anything up to that."""
+    """The gripper's announcement: for `seconds` the load may change to any mass up to `at_most_kg`."""
 
     seconds: float
     at_most_kg: float
 
 
 def expected_of_text(text: str) -> Expected:
-    """What a line says: `seconds=3 at_most=2.5`.
+    """The expected load of a line like `seconds=3 at_most=2.5`.
 
     Raises:
-        ConfigError: says what is wrong and how it is written.
+        ConfigError: names the error and the syntax.
     """
     where = f"expect {text.strip()[:80]!r}"
     head, *rest = re.split(r"(?:^|(?<=[\s,]))([a-z_]+)\s*=", text.strip())
@@ -59,7 +59,7 @@ def expected_of_text(text: str) -> Expected:
 
 
 def expected_of_table(path: Place | str, table: str, content: Any) -> Expected:
-    """The same of a table.
+    """The expected load of a table.
 
     Raises:
         ConfigError: names the key, the value and the rule.
@@ -68,16 +68,16 @@ def expected_of_table(path: Place | str, table: str, content: Any) -> Expected:
 
 
 def load_of_text(text: str) -> Load:
-    """The load that a line says: `mass=2.8 com=0,0,0.05`, or `none`.
+    """The load of a line like `mass=2.8 com=0,0,0.05`, or `none`.
 
     Raises:
-        ConfigError: says what is wrong and how it is written.
+        ConfigError: names the error and the syntax.
     """
     return load_and_ago_of_text(text, extra=())[0]
 
 
 def load_and_ago_of_text(text: str, extra: Sequence[str] = ("ago",)) -> tuple[Load, float | None]:
-    """The same, and how many seconds ago it was picked up where the line says `ago=0.4`."""
+    """The load of a line, and how many seconds ago it was picked up if the line has `ago=0.4`."""
     where = f"load {text.strip()[:80]!r}"
     head, *rest = re.split(r"(?:^|(?<=[\s,]))([a-z]+)\s*=", text.strip())
     first = head.strip(" ,\t")

@@ -1,4 +1,4 @@
-"""The live loop: a sample in, the monitor's answer out to sinks and reactions."""
+"""The live loop: a sample in, the monitor's verdict out to sinks and reactions."""
 
 from __future__ import annotations
 
@@ -25,54 +25,54 @@ from tauext.monitor.replay import Chunk, EventStream
 from tauext.monitor.sink import USUAL_REACH_M, EventFinder, LoopReport, Sink, Verdict
 from tauext.monitor.source import Sample, ServoStage, Source, SourceSettings
 
-# --- Verdicts of a live loop in the form that a replay gives, for those who tell and count.
+# --- Verdicts of a live loop in the form that a replay gives, for output and statistics.
 
 
 def chunk_of(verdicts: Sequence[Verdict]) -> Chunk:
     """Verdicts in a row, at least one; the speed of a sample that did not come is NaN."""
-    said = {key: np.concatenate([one.said[key] for one in verdicts]) for key in verdicts[0].said}
-    unknown = np.full(said["tau_ext"].shape[1], np.nan)
+    estimates = {key: np.concatenate([one.said[key] for one in verdicts]) for key in verdicts[0].said}
+    unknown = np.full(estimates["tau_ext"].shape[1], np.nan)
     dq = np.array([unknown if one.sample is None else one.sample.dq for one in verdicts])
     changes = [change for one in verdicts for change in one.changes]
-    return Chunk(verdicts[0].row, np.array([one.t_ns for one in verdicts]), dq, said, changes, 0.0)
+    return Chunk(verdicts[0].row, np.array([one.t_ns for one in verdicts]), dq, estimates, changes, 0.0)
 
 
-# --- The live loop: a sample in, the monitor's verdict out to sinks and reactions; nobody's delay is the monitor's.
+# --- The live loop: a sample in, the monitor's verdict out to sinks and reactions, which never delay the monitor.
 
 
 IDLE_S = 0.1
-"""Requests are looked at this often while no sample comes."""
+"""Requests are checked this often while no sample comes."""
 SWITCH_S = 0.0005
 """Another thread of this process may hold the interpreter for so long, [s]; Python's own 5 ms are five samples."""
 
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """How the loop treats time and alarms."""
+    """Settings of the loop: time, alarms, real-time priority."""
 
     own_rate: bool = False
-    """The network at its own rate, for slow processors."""
+    """Run the network at its own rate, for slow processors."""
     missing_after_s: float | None = None
-    """A sample that has not come so long after the one before it is missing, [s]; None: two periods, or a period and
-    2 ms where that is more."""
+    """A sample counts as missing this long after the one before it, [s]; None: two periods, or a period and 2 ms if
+    that is longer."""
     acknowledge_after_s: float | None = None
-    """A collision is acknowledged so long after it was raised, by the source's clock, [s]; None: only when asked to."""
+    """A collision is acknowledged this long after it was raised, by the source's clock, [s]; None: only on request."""
     duration_s: float | None = None
-    """End after so long, [s]; None: not before the source, or when asked to."""
+    """End after this time, [s]; None: when the source ends, or on request."""
     core: int | None = None
-    """Pin the loop, and what the source starts, to this core."""
+    """Pin the loop, and threads and processes that the source starts, to this core."""
     priority: int | None = None
-    """And give them this real-time priority."""
+    """Real-time priority of the same."""
     wrench: str | None = None
-    """A frame that the force of a touch is told at, too; None: none."""
+    """A frame at which the force of a touch is also estimated; None: none."""
 
 
 @dataclass(frozen=True)
 class ProfileSwitch:
-    """Another profile from the next sample on."""
+    """A change to another profile, from the next sample on."""
 
     t_ns: int | None
-    """Of the sample before it, by the source's clock, [ns]; None: none has come yet."""
+    """Stamp of the sample before it, by the source's clock, [ns]; None: no sample yet."""
     by: str
     old: str
     new: str
@@ -94,17 +94,17 @@ class Loop:
         recorder: _core.FlightRecorder | None = None,
         settings: LoopSettings = LoopSettings(),
     ):
-        """recorder: gets every sample, and NaN for a missing one; someone else takes its flights."""
+        """recorder: gets every sample, and NaN for a missing one; the caller takes its flights."""
         self.monitor = _core.Monitor(bundle, settings.own_rate)
         self.joints = tuple(self.monitor.joint_names)
         self.sinks = list(sinks)
-        """Told of every verdict in this order; to be added to before run()."""
+        """Receive every verdict in this order; to be added to before run()."""
         self.note: Callable[[str], None] = lambda text: None
-        """Called in the loop's thread with what a person should know; to be set before run(), as is switched."""
+        """Called in the loop's thread with messages for the user; to be set before run(), as is switched."""
         self.switched: Callable[[ProfileSwitch], None] = lambda switch: None
-        """The same with every new profile."""
+        """Called in the same way with every new profile."""
         self.tick = Latencies()
-        """From a sample's reception until every sink was told."""
+        """From a sample's reception until every sink has received its verdict."""
         self.missing = self.samples = 0
         self._bundle, self._source, self._reactions = bundle, source, reactions or Reactions()
         self._servo = ServoStage(bundle.servo) if bundle.servo.on else None
@@ -112,7 +112,7 @@ class Loop:
         self._profile: Profile | None = None
         self._settings = settings
         self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        """To be done by the loop's thread before the next sample."""
+        """Requests that the loop's thread executes before the next sample."""
         for profile in profiles.by_name.values() if profiles else ():
             if profile.load is not None and (reason := self.monitor.why_no_load(profile.load)):
                 raise ConfigError(f"profile {profile.name}: {reason}")
@@ -121,7 +121,7 @@ class Loop:
         places = PlaceFinder(bundle, settings.wrench)
         for rule in [thread.reaction for thread in self._reactions.threads] if places.refused else []:
             if rule.links is not None or rule.newtons_over is not None:
-                raise ConfigError(f"reaction {rule.name!r}: where a touch is cannot be told: {places.refused}")
+                raise ConfigError(f"reaction {rule.name!r}: the place of a touch cannot be estimated: {places.refused}")
         self._changes = EventStream(self.monitor, places)
         self._events = EventFinder(self.joints, {"bundle": bundle.name, "source": source.name})
         self._due_ns: int | None = None
@@ -203,7 +203,7 @@ class Loop:
             gc.unfreeze()
             sys.setswitchinterval(interval)
             self._source.close()
-            self._tell_notes()
+            self._forward_notes()
             self._reactions.end()
             for sink in opened:
                 try:
@@ -242,42 +242,42 @@ class Loop:
         self._acknowledge_when_due(sample.t_ns)
         if sample.temperature is not None:
             self.monitor.set_temperature(sample.temperature)
-        said = self.monitor.run(
+        estimates = self.monitor.run(
             np.array([sample.t_ns]), sample.q[None], sample.dq[None], sample.tau[None], self._recorder
         )
         self._last = sample
-        self._tell(sample.t_ns, sample, said)
+        self._publish(sample.t_ns, sample, estimates)
         self.samples += 1
         ns = time.monotonic_ns() - sample.received_ns
         self.tick.add(ns)
         self._second.add(ns)
 
     def _missed(self, now: float) -> float:
-        """Tell the monitor that no sample came; after how long to look again, [s]: ever longer while none comes."""
+        """Report a missing sample to the monitor; returns how long to wait, [s]: ever longer while none comes."""
         assert self._last is not None  # silence is counted from a sample
         self.missing += 1
         silent_s = now - self._last.received_ns * 1e-9
         t_ns = self._last.t_ns + round(silent_s * 1e9)
         self._acknowledge_when_due(t_ns)
-        self._tell(t_ns, None, self.monitor.run_missing(t_ns, self._recorder))
+        self._publish(t_ns, None, self.monitor.run_missing(t_ns, self._recorder))
         return max(self.monitor.sample_period_ns * 1e-9, min(IDLE_S, silent_s / 10))
 
-    def _tell(self, t_ns: int, sample: Sample | None, said: dict[str, np.ndarray]) -> None:
+    def _publish(self, t_ns: int, sample: Sample | None, estimates: dict[str, np.ndarray]) -> None:
         """Changes, then events to reactions, which must not wait, then the verdict to sinks."""
         q, dq = (None, None) if sample is None else (sample.q[None], sample.dq[None])
-        changes = self._changes.find(self.samples, np.array([t_ns]), said, q, dq)
-        if not self.samples:  # what was told before the first sample holds from there on
-            told = LoadChange | WeighChange
-            changes = [replace(one, t_ns=t_ns) if isinstance(one, told) else one for one in changes]
-        verdict = Verdict(self.samples, t_ns, sample, said, tuple(changes))
+        changes = self._changes.find(self.samples, np.array([t_ns]), estimates, q, dq)
+        if not self.samples:  # loads set before the first sample hold from there on
+            early = LoadChange | WeighChange
+            changes = [replace(one, t_ns=t_ns) if isinstance(one, early) else one for one in changes]
+        verdict = Verdict(self.samples, t_ns, sample, estimates, tuple(changes))
         for event in self._events.find(verdict):
             self._reactions.put(event)
-        if said["alarm"][0] == COLLISION and self._settings.acknowledge_after_s is not None:
+        if estimates["alarm"][0] == COLLISION and self._settings.acknowledge_after_s is not None:
             self._due_ns = self.monitor.last.alarm_t_ns + round(self._settings.acknowledge_after_s * 1e9)
         self._each_sink(lambda sink: sink.verdict(verdict))
 
     def _report(self, rate_hz: float) -> None:
-        """Once a second."""
+        """Send the report of the last second."""
         quantiles = (self._second.quantile_us(0.5), self._second.quantile_us(0.99))
         longest = self._second.max_ns * 1e-3 if self._second.count else math.nan
         name = self._profile.name if self._profile else ""
@@ -285,11 +285,11 @@ class Loop:
         now_ns = time.monotonic_ns()
         report = LoopReport(now_ns, self.samples, self.missing, rate_hz, counts, *quantiles, longest, name)
         self._second = Latencies()
-        self._tell_notes()
+        self._forward_notes()
         self._each_sink(lambda sink: sink.every_second(report))
 
     def _each_sink(self, call: Callable[[Sink], None]) -> None:
-        """One that raises is not called again."""
+        """Call every sink; a sink that raises is not called again."""
         for sink in tuple(self.sinks):
             try:
                 call(sink)
@@ -297,11 +297,11 @@ class Loop:
                 self.sinks.remove(sink)
                 self.note(f"{type(sink).__name__} is left out from here on: {type(error).__name__}: {error}")
 
-    def _tell_notes(self) -> None:
+    def _forward_notes(self) -> None:
         for text in self._source.notes():
             self.note(text)
 
-    # What was asked for.
+    # Requests.
 
     def _stop(self, by: str) -> None:
         self.note(f"stopped by {by}")

@@ -11,13 +11,13 @@ from tauext._core import Bundle, PlaceModel, TouchPlace, TouchPlaces, WrenchMode
 from tauext.errors import ConfigError
 from tauext.monitor.changes import Change
 
-# --- The force that an alarm's touch would be at a frame that the user names, in newtons.
+# --- The force of an alarm's touch, if it acts at a frame that the user names.
 
 
 SURE = 2.0
-"""Standard errors that a force is said to be wrong by at most, along its worst direction: 19 of 20 are less."""
+"""Reported bound of a force's error, in standard errors along its worst direction: 19 of 20 errors are smaller."""
 INCONSISTENT = 0.01
-"""Less probable than this, and no force at the frame explains what the joints show."""
+"""Below this probability no force at the frame explains the torques."""
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,13 @@ class FrameForce:
     covariance: tuple[float, ...]
     """(3, 3) row by row, [N^2]."""
     blind: int
-    """Directions that the pose cannot show."""
+    """Number of directions that the pose does not show."""
     consistent: float
-    """Probability that a force there leaves so much unexplained."""
+    """Probability that a force there leaves at least this residual."""
     blind_directions: tuple[tuple[float, ...], ...] = ()
-    """Those that the pose cannot show, unit vectors along the base's axes."""
+    """These directions, unit vectors along the base's axes."""
     left_out: tuple[str, ...] = ()
-    """Joints that do not answer in N m: they tell nothing of it."""
+    """Joints without an estimate in N m: they contribute nothing."""
 
     @property
     def size_n(self) -> float:
@@ -43,46 +43,48 @@ class FrameForce:
 
     @property
     def off_n(self) -> float:
-        """What it may be wrong by, [N]."""
+        """Bound of its error, [N]."""
         return SURE * float(np.sqrt(np.linalg.eigvalsh(np.reshape(self.covariance, (3, 3)))[-1]))
 
 
 class ForceAtFrame:
-    """Tells forces at one frame of a bundle's arm."""
+    """Estimates the force at one frame of a bundle's arm."""
 
     def __init__(self, bundle: Bundle, frame: str) -> None:
-        """Raises ConfigError where the bundle tells no force, or has no such frame."""
+        """Raises ConfigError where the bundle gives no force, or has no such frame."""
         self._model, self._frame = WrenchModel(bundle), frame
         if self._model.refused:
-            raise ConfigError(f"wrench = {frame!r}: no force can be told, {self._model.refused}")
+            raise ConfigError(f"wrench = {frame!r}: no force can be estimated: {self._model.refused}")
         names = [one.name for one in self._model.frames]
         if frame not in names:
             raise ConfigError(f"wrench = {frame!r} must be one of {', '.join(names)}")
 
-    def find(self, q: np.ndarray, dq: np.ndarray | None, said: dict[str, np.ndarray], row: int) -> FrameForce | None:
-        """Of a row of what the monitor said; None where it is not known."""
+    def find(
+        self, q: np.ndarray, dq: np.ndarray | None, estimates: dict[str, np.ndarray], row: int
+    ) -> FrameForce | None:
+        """The force at one row of the estimates; None where it is unknown."""
         at = slice(row, row + 1)
-        told = self._model.wrenches(
+        wrench = self._model.wrenches(
             self._frame,
             q[at],
-            said["tau_ext"][at] - said["load_nm"][at],
-            said["sigma_nm"][at],
+            estimates["tau_ext"][at] - estimates["load_nm"][at],
+            estimates["sigma_nm"][at],
             [0.0, 0.0, 0.0],
-            contact_sigma_nm=said["contact_sigma_nm"][at],
+            contact_sigma_nm=estimates["contact_sigma_nm"][at],
             dq=None if dq is None else dq[at],
         )
-        if not np.isfinite(told["force"]).all():
+        if not np.isfinite(wrench["force"]).all():
             return None
-        x, y, z = told["force"][0].tolist()
-        blind = int(told["blind"][0])
+        x, y, z = wrench["force"][0].tolist()
+        blind = int(wrench["blind"][0])
         return FrameForce(
             frame=self._frame,
             force_n=(x, y, z),
-            covariance=tuple(told["covariance"][0].ravel().tolist()),
+            covariance=tuple(wrench["covariance"][0].ravel().tolist()),
             blind=blind,
-            blind_directions=tuple(tuple(way) for way in told["blind_directions"][0][:blind, :3].tolist()),
+            blind_directions=tuple(tuple(way) for way in wrench["blind_directions"][0][:blind, :3].tolist()),
             left_out=tuple(self._model.left_out),
-            consistent=float(told["consistent"][0]),
+            consistent=float(wrench["consistent"][0]),
         )
 
 
@@ -104,40 +106,40 @@ def frame_force_words(force: FrameForce) -> str:
     return f"{force.size_n:.0f} N at {force.frame} ({doubt}), {degrees:.0f}° from {sign}{'xyz'[axis]}"
 
 
-# --- Which link an alarm's touch is on, and where: told while the alarm stands.
+# --- Which link an alarm's touch is on, and where: reported while the alarm stands.
 
 
 AFTER_S = 0.1
-"""After the alarm rose: early enough to react to, and most touches have come near their peak."""
+"""Delay after the alarm rose: early enough for a reaction, late enough that most touches are near their peak."""
 AGAIN_S = 0.2
-"""Between two tellings at least."""
+"""Shortest time between two reports."""
 FOLLOWED_S = 1.0
-"""What comes later, behind an alarm that is latched, may be another touch."""
+"""A later change, behind a latched alarm, may be another touch."""
 STRONGER = 2.0
-"""Told again where sum of (tau_ext / sigma)^2 has become so many times what it was: errors of links, which go with
-its root, are then 0.7 of those before."""
+"""Reported again where the sum of (tau_ext / sigma)^2 has become so many times what it was: errors of links, which go
+with its root, are then 0.7 of those before."""
 
 
 @dataclass(frozen=True)
 class PlaceChange(Change):
-    """From this sample on the monitor knows which link is touched and where, or knows it better."""
+    """From this sample on the touched link and place are known, or known more accurately."""
 
     alarm: int
-    """Level that stands."""
+    """Present level."""
     joint: int
-    """That raised it."""
+    """The joint that raised it."""
     since_s: float
-    """Since the alarm rose to it."""
+    """Time since the alarm rose to this level, [s]."""
     links: tuple[tuple[int, float], ...]
     """Number of the joint that carries the link, and its probability; the most probable first."""
     places: tuple[TouchPlace, ...]
     """The most probable first, at least one."""
     best: TouchPlace
-    """What is told in words: the most probable place on the most probable link."""
+    """The place that messages report: the most probable place on the most probable link."""
     consistent: float
-    """Probability that a single force leaves so much unexplained."""
+    """Probability that a single force leaves at least this residual."""
     force: FrameForce | None = None
-    """What it would be at the frame that was named."""
+    """The force if it acts at the named frame."""
 
     @classmethod
     def of(
@@ -150,7 +152,7 @@ class PlaceChange(Change):
         since_s: float,
         force: FrameForce | None = None,
     ) -> PlaceChange | None:
-        """None where no place was found."""
+        """The change for these places; None where none was found."""
         if found is None or found.best is None:
             return None
         links = tuple((link, found.probability[link]) for link in found.ranked)
@@ -182,80 +184,80 @@ def strongest_place(
 
 
 class PlaceFinder:
-    """Finds places in what the monitor said, chunk after chunk; the rule knows samples, not chunks.
+    """Finds places of touches in the estimates, chunk after chunk; the result does not depend on the chunks.
 
-    The sample that is judged is the one at which tau_ext, less what is taken for an expected load, has stood out most
-    since the alarm rose.
+    The place is that of the sample with the largest tau_ext, less an expected load, over its standard error since the
+    alarm rose.
     """
 
     def __init__(self, bundle: Bundle, frame: str | None = None) -> None:
-        """frame: one that the force is told at, too; ConfigError where there is none."""
+        """frame: where the force is also estimated; ConfigError if the bundle has no such frame."""
         self._at_frame = None if frame is None else ForceAtFrame(bundle, frame)
         self._force: FrameForce | None = None
         self._model = PlaceModel(bundle)
         self.refused = self._model.refused
-        """Why no place is told; empty: they are."""
+        """Why places cannot be estimated; empty: they can."""
         self._alarm, self._rose_ns, self._joint = 0, 0, -1
         self._due_ns: int | None = None
-        self._strength, self._told = 0.0, 0.0
+        self._strength, self._reported = 0.0, 0.0
         self._sample: tuple[list[float], ...] | None = None
 
     def acknowledged(self) -> None:
-        """The alarm was acknowledged just before the next sample; one that stands there was raised anew."""
+        """The alarm was acknowledged just before the next sample; an alarm at that sample was raised again."""
         self._alarm, self._due_ns = 0, None
 
     def find(
-        self, first_row: int, t_ns: np.ndarray, q: np.ndarray, dq: np.ndarray, said: dict[str, np.ndarray]
+        self, first_row: int, t_ns: np.ndarray, q: np.ndarray, dq: np.ndarray, estimates: dict[str, np.ndarray]
     ) -> list[PlaceChange]:
-        """Places that these samples tell, in order.
+        """Places found at these samples, in order.
 
         Args:
-            first_row: of the chunk, counted from the recording's first sample.
+            first_row: the chunk's first row, counted from the recording's first sample.
             t_ns: (rows,), [ns].
             q: (rows, joints), [rad].
             dq: (rows, joints), [rad/s].
-            said: what Monitor.run said of them, not empty.
+            estimates: as returned by Monitor.run for these samples, not empty.
         """
-        alarm = said["alarm"]
+        alarm = estimates["alarm"]
         if self.refused or (self._due_ns is None and (alarm == self._alarm).all()):
-            return []  # also behind an alarm that stands for hours
-        by_row = strength(said["tau_ext"] - said["load_nm"], said["sigma_nm"])
-        told = []
+            return []  # also during an alarm that lasts for hours
+        by_row = strength(estimates["tau_ext"] - estimates["load_nm"], estimates["sigma_nm"])
+        places = []
         for k in range(len(t_ns)):
-            fell, level = self._follow(int(t_ns[k]), int(alarm[k]), int(said["alarm_joint"][k]))
+            fell, level = self._follow(int(t_ns[k]), int(alarm[k]), int(estimates["alarm_joint"][k]))
             if self._due_ns is None:
                 continue
             if alarm[k] and by_row[k] > self._strength:
                 self._strength = float(by_row[k])
-                tau_ext = said["tau_ext"][k] - said["load_nm"][k]
-                signals = (q[k], tau_ext, said["sigma_nm"][k], said["contact_sigma_nm"][k], dq[k])
+                tau_ext = estimates["tau_ext"][k] - estimates["load_nm"][k]
+                signals = (q[k], tau_ext, estimates["sigma_nm"][k], estimates["contact_sigma_nm"][k], dq[k])
                 self._sample = tuple(one.tolist() for one in signals)
                 if self._at_frame is not None:
-                    self._force = self._at_frame.find(q, dq, said, k)
+                    self._force = self._at_frame.find(q, dq, estimates, k)
             if found := self._judge(first_row + k, int(t_ns[k]), fell, level):
-                told.append(found)
-        return told
+                places.append(found)
+        return places
 
     def _follow(self, t_ns: int, alarm: int, joint: int) -> tuple[bool, int]:
-        """Whether the alarm fell at this sample, and the level that is told."""
+        """Whether the alarm fell at this sample, and the level to report."""
         fell, level = self._alarm > 0 and alarm == 0, alarm or self._alarm
         if alarm > self._alarm:
             if self._alarm == 0:
-                self._strength, self._told, self._sample = 0.0, 0.0, None
+                self._strength, self._reported, self._sample = 0.0, 0.0, None
             self._rose_ns, self._joint = t_ns, joint
             self._due_ns = t_ns + round(AFTER_S * 1e9)
         self._alarm = alarm
         return fell, level
 
     def _judge(self, row: int, t_ns: int, fell: bool, level: int) -> PlaceChange | None:
-        """A place, where one is due and the strongest sample has become so much stronger."""
+        """A place, if one is due and the strongest sample is STRONGER times as strong as the last reported one."""
         assert self._due_ns is not None
         due = fell or t_ns >= self._due_ns
-        if not due or self._sample is None or self._strength < STRONGER * self._told:
+        if not due or self._sample is None or self._strength < STRONGER * self._reported:
             if fell or t_ns - self._rose_ns > FOLLOWED_S * 1e9:
                 self._due_ns = None
             return None
-        self._told = self._strength
+        self._reported = self._strength
         self._due_ns = None if fell else t_ns + round(AGAIN_S * 1e9)
         q, tau_ext, sigma_nm, contact_sigma_nm, dq = self._sample
         found = self._model.find(q, tau_ext, sigma_nm, contact_sigma_nm, dq=dq)
@@ -294,8 +296,8 @@ def place_words(change: PlaceChange, joints: tuple[str, ...]) -> str:
 
 def place_facts(change: PlaceChange, joints: tuple[str, ...]) -> dict:
     """As plain JSON: links by their joints' names, places in the base's frame."""
-    told = {} if change.force is None else {"at_frame": asdict(change.force)}
-    return told | {
+    facts: dict = {} if change.force is None else {"at_frame": asdict(change.force)}
+    return facts | {
         "links": [{"joint": joints[link], "probability": share} for link, share in change.links],
         "places": [
             {

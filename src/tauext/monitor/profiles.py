@@ -16,7 +16,7 @@ from tauext.monitor.loads import Expected, expected_of_table, load_of_table, loa
 
 LEVELS = ("contact", "collision")
 LOWEST, HIGHEST = 0.1, 10.0
-"""The core takes no factor beyond."""
+"""The core accepts no factor beyond."""
 OTHERS = "others"
 FILE_KEYS = {"bounds": tables("[bounds]"), "start": tables("[start]", {}), "profiles": tables("[profiles.NAME]")}
 BOUND_KEYS = {"lowest": number(LOWEST, 1.0), "highest": number(1.0, HIGHEST)}
@@ -57,14 +57,14 @@ class Profile:
     contact: np.ndarray
     collision: np.ndarray
     load: Load | None = None
-    """That the arm carries from then on; None: it stays as it is."""
+    """The load from the switch on; None: unchanged."""
     expect: Expected | None = None
-    """What the gripper is about to do; None: nothing."""
+    """The load that the gripper is about to pick up or release; None: none."""
 
 
 @dataclass(frozen=True)
 class Profiles:
-    """All that a monitor may be switched to."""
+    """The profiles of a monitor."""
 
     by_name: dict[str, Profile]
     start: str
@@ -73,7 +73,7 @@ class Profiles:
         """The profile of this name.
 
         Raises:
-            ConfigError: there is none; says which there are.
+            ConfigError: there is none; the message lists the profiles.
         """
         if name not in self.by_name:
             raise ConfigError(f"profile {name!r} must be one of {', '.join(self.by_name)}")

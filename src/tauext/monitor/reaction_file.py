@@ -60,7 +60,7 @@ command = ["logger", "-t", "tauext", "the monitor found something"]
 # python = "retreat:back_along_the_way"
 
 # [[reaction]]
-# name = "somebody leans on the forearm"
+# name = "someone leans on the forearm"
 # on = ["collision", "contact"]
 # links = ["elbow", "wrist_1"]
 # newtons_over = 40.0

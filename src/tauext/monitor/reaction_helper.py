@@ -46,7 +46,7 @@ def main() -> None:
 
 
 def usual_priority() -> None:
-    """Whatever the monitor asked for itself, a reaction may run on any core, and after it."""
+    """A reaction runs on any core and at normal priority, whatever the monitor's own settings are."""
     try:
         os.sched_setaffinity(0, range(os.cpu_count() or 1))
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

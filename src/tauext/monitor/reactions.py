@@ -24,7 +24,8 @@ from tauext.monitor.reaction_file import Reaction
 from tauext.monitor.sink import Event, Publisher, Sink
 from tauext.monitor.source import Source, Stoppable
 
-# --- Commands and functions of reactions in processes of their own: what hangs is killed, what died is begun anew.
+# --- Commands and functions of reactions in processes of their own: a process that hangs is killed, one that died is
+# restarted.
 #
 # No reaction holds the monitor's interpreter, and no event makes it fork: the process waits for events from the start.
 
@@ -35,7 +36,7 @@ START_S = 20.0
 
 
 class ReactionFailed(Exception):
-    """What went wrong in a reaction, in words."""
+    """A reaction failed; the message gives the reason."""
 
 
 class ReactionProcess:
@@ -56,7 +57,7 @@ class ReactionProcess:
             raise ConfigError(f"reaction {reaction.name!r}: {' '.join(self._words())}: {error}") from error
 
     def act(self, event: Event) -> int:
-        """Run it for this event; when it began, by time.monotonic_ns().
+        """Run the reaction for this event; returns its start by time.monotonic_ns().
 
         Raises:
             ReactionFailed: it failed, died, or was killed since it took too long; the next one finds a new process.
@@ -97,7 +98,7 @@ class ReactionProcess:
                     end.close()
 
     def _kill(self) -> int:
-        """Its exit status; a process that has been waited for is not killed, its number may be another's by now."""
+        """The exit status. A process that has been waited for is not killed: its id may have been reused."""
         if self._process.returncode is None:
             with suppress(OSError):
                 os.killpg(self._process.pid, signal.SIGKILL)
@@ -126,7 +127,7 @@ class ReactionProcess:
             raise ReactionFailed(answer.get("error", "it did not start"))
 
     def _answer(self, until: float) -> dict[str, Any]:
-        """The next line of the process."""
+        """The next line that the process prints."""
         while b"\n" not in self._read:
             left = until - time.monotonic()
             if left <= 0 or not select.select([self._answers], [], [], left)[0]:
@@ -142,7 +143,7 @@ class ReactionProcess:
 
 
 def content_of(event: Event) -> dict[str, Any]:
-    """What the process is sent."""
+    """The content of the line that is sent to the process."""
     facts = {"event": event.kind, "joint": event.joint, "t_ns": event.t_ns, "merged": event.merged, **event.facts}
     j = event.facts["joints"].index(event.joint) if event.joint is not None and "joints" in event.facts else None
     environment = {
@@ -162,38 +163,38 @@ def content_of(event: Event) -> dict[str, Any]:
     return {"facts": facts, "environment": environment}
 
 
-# --- Reactions at work: a thread each, a bounded queue, and counts of whatever was not done.
+# --- Reactions at work: a thread each, a bounded queue, and counts of dropped events.
 
 
 LEAST_PROBABILITY = 0.5
-"""That one of a rule's links is touched: more likely than not."""
+"""Least probability that one of a rule's links is touched."""
 END_S = 2.0
-"""At the end of the loop reactions have so long for what still waits."""
+"""Time for waiting events at the end of the loop."""
 
 
 @dataclass(frozen=True)
 class ReactionNews:
-    """A reaction that was done, or failed."""
+    """A reaction that ran or failed."""
 
     reaction: str
     event: Event
     start_us: float | None
-    """From the sample's reception to its start; None where it did not get that far."""
+    """From the sample's reception to its start; None where it did not start."""
     error: str | None = None
 
 
 @dataclass
 class ReactionCount:
-    """What became of events for one reaction; done + failed + merged + held_back + left = the events that it is for."""
+    """Counts of the events of one reaction; done + failed + merged + held_back + left = the events that it is for."""
 
     done: int = 0
     failed: int = 0
     merged: int = 0
-    """Newer ones of the same kind and joint stood for them."""
+    """Replaced by newer events of the same kind and joint."""
     held_back: int = 0
-    """Sooner than min_interval_s."""
+    """Earlier than min_interval_s after the one before."""
     left: int = 0
-    """Not begun, or not ended, when the loop ended."""
+    """Not started, or not finished, when the loop ended."""
     start: Latencies = field(default_factory=Latencies)
     """From a sample's reception to the reaction's start."""
 
@@ -206,7 +207,7 @@ class ReactionThread:
     """One reaction. Its queue holds one event of each kind and joint: it cannot grow."""
 
     def __init__(self, reaction: Reaction, act: Callable[[Event], int | None], close: Callable[[], None] | None = None):
-        """act: does it, and may return when it began, by time.monotonic_ns(); raises what it likes."""
+        """act: runs the reaction; may return its start by time.monotonic_ns(), and may raise anything."""
         self.reaction, self.count = reaction, ReactionCount()
         self._act, self._close = act, close
         self._waiting: dict[tuple, Event] = {}
@@ -215,13 +216,13 @@ class ReactionThread:
         self._busy = self._left = False
         self._last_ns: dict[str, int] = {}
         self._answered_ns: int | None = None
-        """The alarm, by when it rose, that a rule of a place has answered: once is enough."""
+        """Rise time of the alarm for which a rule of a place has run: once per alarm."""
         self._news: list[ReactionNews] = []
         self._thread = threading.Thread(target=self._work, name=f"reaction {reaction.name}", daemon=True)
         self._thread.start()
 
     def put(self, event: Event) -> None:
-        """Never waits for the reaction."""
+        """Queue the event; never waits for the reaction."""
         rule = self.reaction
         if event.kind not in rule.on or (rule.joints and event.joint is not None and event.joint not in rule.joints):
             return
@@ -241,7 +242,7 @@ class ReactionThread:
             self._changed.notify()
 
     def _is_for(self, event: Event) -> bool:
-        """Whether what the rule waits for is known, and has not been answered."""
+        """Whether the rule applies to this event; a rule of a place applies once per alarm."""
         rule = self.reaction
         if event.kind not in ("collision", "contact"):
             return True
@@ -257,13 +258,13 @@ class ReactionThread:
         return True
 
     def news(self) -> list[ReactionNews]:
-        """What was done since the last call."""
+        """Reactions since the last call."""
         with self._changed:
-            told, self._news = self._news, []
-        return told
+            news, self._news = self._news, []
+        return news
 
     def end(self, until: float) -> None:
-        """Let it finish what waits, but not beyond this time.monotonic(); then leave it."""
+        """Let it finish waiting events until this time.monotonic(), then abandon it."""
         with self._changed:
             self._ended = True
             self._changed.notify()
@@ -309,16 +310,16 @@ class Reactions:
         self.threads = tuple(threads)
 
     def put(self, event: Event) -> None:
-        """Hand the event to every reaction that is for it; returns at once."""
+        """Queue the event for every reaction with a matching rule; returns at once."""
         for thread in self.threads:
             thread.put(event)
 
     def news(self) -> list[ReactionNews]:
-        """What was done since the last call."""
+        """Reactions since the last call."""
         return [news for thread in self.threads for news in thread.news()]
 
     def end(self) -> None:
-        """Give all of them END_S together for what still waits; then end their processes."""
+        """Give all of them END_S together for waiting events, then end their processes."""
         until = time.monotonic() + END_S
         for thread in self.threads:
             thread.end(until)

@@ -24,7 +24,7 @@ from tauext.monitor.flight_content import Flight
 from tauext.monitor.flight_files import FlightSource, FlightWriter, write_flight
 from tauext.monitor.sink import Control, LoopReport, Verdict
 
-# --- Keeps what a live arm did as recordings: a day's free motion, to train with again.
+# --- Records a live arm: a day's free motion, for a new training.
 
 
 MOST_WAITING = 4
@@ -35,7 +35,7 @@ GAP_S = 1.0
 
 @dataclass
 class RecordCount:
-    """What became of samples."""
+    """Counts of samples."""
 
     files: int = 0
     samples: int = 0
@@ -65,7 +65,7 @@ class RecordSink:
         expect_folder(folder)
         self.note: Callable[[str], None] = lambda text: None
         """Called in the loop's thread, at most once a second, while samples are lost; to be set before open()."""
-        self._told = 0
+        self._reported = 0
         self._folder, self._bundle, self._source = folder, bundle, source
         self._stem = f"{file_name(source)}-{time.strftime('%Y%m%dT%H%M%S')}"
         self._period_ns = bundle.observer.sample_period_ns
@@ -87,10 +87,10 @@ class RecordSink:
         self._thread.start()
 
     def verdict(self, verdict: Verdict) -> None:
-        sample, said, k = verdict.sample, verdict.said, self._row
+        sample, estimates, k = verdict.sample, verdict.said, self._row
         if sample is None:
             return
-        if not self._names:  # what a servo arm measures beside the three, as its first sample tells
+        if not self._names:  # the other signals of a servo arm, taken from its first sample
             measured = [name for name in RAW_SIGNALS if getattr(sample, name) is not None]
             self._names = ("q", "dq", "tau", *measured)
             self._begin()
@@ -107,14 +107,14 @@ class RecordSink:
         self._t_ns[k] = sample.t_ns
         for values, kept in zip(signals, self._signals, strict=True):
             kept[k] = values
-        alarm, healthy = said["alarm"][0] != NONE, said["health"][0] == OK
+        alarm, healthy = estimates["alarm"][0] != NONE, estimates["health"][0] == OK
         self._contact[k] = 1 if alarm else 0 if healthy else -1
         self._row = k + 1
 
     def every_second(self, report: LoopReport) -> None:
         lost = self.count.lost
-        if lost > self._told:
-            self._told = lost
+        if lost > self._reported:
+            self._reported = lost
             self.note(f"RECORDING LOSES SAMPLES: {lost:,} so far ({self.count.error})")
 
     def close(self) -> None:
@@ -192,7 +192,7 @@ def file_name(text: str) -> str:
 
 @dataclass(frozen=True)
 class Origin:
-    """What a flight's files say of where it comes from, as a recording would."""
+    """The origin of a flight, with the fields of a recording that its files state."""
 
     name: str
     joints: tuple[str, ...]
@@ -226,7 +226,7 @@ class FlightSink(FlightWriter):
         pass
 
     def close(self) -> None:
-        """Everything is on disk, or told as lost."""
+        """Everything is on disk, or reported as lost."""
         self.__exit__(None, None, None)
 
     def _write_here(self, flight: Flight) -> Path:

@@ -28,13 +28,13 @@ from tauext.monitor.explanation import KINDS, Unseen, unseen_of
 from tauext.monitor.loads import TimedLoad
 from tauext.monitor.places import PlaceFinder
 
-# --- Lets the time of a recording pass as time on the wall does.
+# --- Replay at wall-clock speed.
 
 
 class Pace:
-    """A sample is there once its time has come: the recording runs `speed` times as fast as it was recorded.
+    """Delays samples to their times: the recording runs `speed` times as fast as it was recorded.
 
-    A replay that fell behind does not wait until it has caught up. Times that go backwards are not waited for.
+    A replay that is late does not wait until it has caught up. Times that go backwards are not waited for.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class Pace:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ):
-        """speed: None for as fast as it can. clock and sleep count in seconds."""
+        """speed: None for no delay. clock and sleep count in seconds."""
         self.speed = speed
         self._clock, self._sleep = clock, sleep
         self._began: tuple[float, int] | None = None
@@ -55,7 +55,7 @@ class Pace:
             self._sleep(left_s)
 
     def left_s(self, t_ns: int) -> float:
-        """Until then, on the wall, [s]; 0 or negative where its time has come. The first call starts the time, too."""
+        """Wall time until this stamp, [s]; 0 or negative if it has passed. The first call starts the time."""
         if self.speed is None:
             return 0.0
         if self._began is None:
@@ -69,7 +69,7 @@ class Pace:
 
 CHUNK_S = 1.0
 PACED_CHUNK_S = 0.02
-"""Paced by the clock a chunk is this long on the wall: what a viewer takes for at once."""
+"""Wall time of a chunk of a paced replay: short enough that a viewer shows no delay."""
 
 
 class Samples(Protocol):
@@ -87,7 +87,7 @@ class Samples(Protocol):
 
 @dataclass(frozen=True)
 class Chunk:
-    """Some consecutive samples and what the monitor said of them."""
+    """Some consecutive samples and their estimates."""
 
     first_row: int
     t_ns: np.ndarray
@@ -107,21 +107,21 @@ class Chunk:
 
 
 class EventStream:
-    """A monitor and the changes in its answers: the one stream of events of a replay and of the live loop."""
+    """A monitor and the changes in its estimates: the one stream of events of a replay and of the live loop."""
 
     def __init__(self, monitor: _core.Monitor, places: PlaceFinder | None = None):
-        """places: finds which link is touched, and where; None: nobody asks."""
+        """places: finds which link is touched, and where; None: places are not estimated."""
         self.monitor = monitor
         self._finder, self._places = ChangeFinder(), places
         self._left_out = not_in_newtons(monitor.joint_names, monitor.estimate_units)
         self._noted: list[Change] = []
 
     def note(self, change: Change) -> None:
-        """A change made just before the next samples."""
+        """Add a change made just before the next samples."""
         self._noted.append(change)
 
     def end_alarm(self, end: Callable[[], None], row: int, t_ns: int) -> None:
-        """By one of the monitor's two calls, acknowledge or resume, just before the sample of this row."""
+        """End the alarm by acknowledge or resume of the monitor, just before the sample of this row."""
         stood = self.monitor.last.alarm != _core.Alarm.none
         end()
         if stood:
@@ -130,7 +130,7 @@ class EventStream:
                 self._places.acknowledged()
 
     def carry(self, load: _core.Load, row: int, t_ns: int, by: str = "", since_ns: int | None = None) -> None:
-        """What the arm carries from the sample of this row on, or as if told at since_ns.
+        """Set the load from the sample of this row on, or from since_ns on.
 
         Raises:
             CoreError: the bundle takes no such load.
@@ -142,15 +142,15 @@ class EventStream:
         self,
         row: int,
         t_ns: np.ndarray,
-        said: dict[str, np.ndarray],
+        estimates: dict[str, np.ndarray],
         q: np.ndarray | None = None,
         dq: np.ndarray | None = None,
     ) -> list[Change]:
-        """What was noted, then changes in the answers, then places; see ChangeFinder and PlaceFinder."""
+        """Noted changes, then changes in the estimates, then places; see ChangeFinder and PlaceFinder."""
         changes, self._noted = self._noted, []
-        changes += self._finder.find(row, t_ns, said)
+        changes += self._finder.find(row, t_ns, estimates)
         if self._places is not None and q is not None and dq is not None:
-            changes += self._places.find(row, t_ns, q, dq, said)
+            changes += self._places.find(row, t_ns, q, dq, estimates)
         return changes
 
 
@@ -166,19 +166,19 @@ def replay(
 ) -> Iterator[Chunk]:
     """Every sample in order, as a control loop would send it; chunks come when their last sample has its time.
 
-    What is said, and at which sample, does not depend on chunk_s or pace. A gap is judged by the stamp of the sample
-    that follows it, as in a loop that was not told that samples were missing.
+    Estimates and events do not depend on chunk_s or pace. A gap is judged by the stamp of the sample
+    that follows it, as in a loop that does not report missing samples.
 
     Args:
         monitor: newly made or reset.
-        pace: None for as fast as it can.
+        pace: None for no delay.
         recorder: gets every sample; a flight must be taken from it after every chunk, and chunk_s not be longer than
             what it keeps after an event, or flights may be missed.
         acknowledge_after_s: a collision alarm is acknowledged before the first sample that is this much later than the
             one that raised it, > 0; None: never.
         chunk_s: length of a chunk in the time of the samples, [s]; a chunk has at least one sample.
-        loads: what the arm carries and since when, in the order of their times.
-        places: finds which link is touched, and where; None: nobody asks.
+        loads: loads of the arm with their start times, in the order of these times.
+        places: finds which link is touched, and where; None: places are not estimated.
 
     Raises:
         CoreError: the bundle takes no such load.
@@ -203,12 +203,12 @@ def replay(
         pace.wait_until(int(t_ns[rows.stop - 1]))
         started = time.perf_counter()
         warm = None if temperature is None else temperature[rows]
-        said = monitor.run(t_ns[rows], samples.q[rows], samples.dq[rows], samples.tau[rows], recorder, warm)
+        estimates = monitor.run(t_ns[rows], samples.q[rows], samples.dq[rows], samples.tau[rows], recorder, warm)
         core_s = time.perf_counter() - started
-        changes = events.find(begin, t_ns[rows], said, samples.q[rows], samples.dq[rows])
-        yield Chunk(begin, t_ns[rows], samples.dq[rows], said, changes, core_s)
+        changes = events.find(begin, t_ns[rows], estimates, samples.q[rows], samples.dq[rows])
+        yield Chunk(begin, t_ns[rows], samples.dq[rows], estimates, changes, core_s)
         if wait_ns is not None:
-            due_ns = monitor.last.alarm_t_ns + wait_ns if said["alarm"][-1] == COLLISION else None
+            due_ns = monitor.last.alarm_t_ns + wait_ns if estimates["alarm"][-1] == COLLISION else None
         begin = rows.stop
 
 
@@ -226,7 +226,7 @@ def chunk_rows(t_ns: np.ndarray, wait_ns: int | None, due_ns: int | None) -> int
     return max(rows, 1)
 
 
-# --- What a replay comes to: counts, shares and worst margins.
+# --- Sums of a replay: counts, shares and worst margins.
 
 
 @dataclass
@@ -236,22 +236,22 @@ class Tally:
     joints: tuple[str, ...]
     sample_period_ns: int
     units: tuple[str, ...] = ()
-    """Of the answers, a joint; empty: N m."""
+    """Of the estimates, one a joint; empty: N m."""
     samples: int = 0
     bridged_ticks: int = 0
     restarts: int = 0
     core_s: float = 0.0
     acknowledged: int = 0
     hidden: int = 0
-    """Collisions that raised no alarm, since one stood."""
+    """Collisions that raised no alarm, since one was latched."""
     health: np.ndarray = field(default_factory=lambda: np.zeros(len(HEALTHS), dtype=np.int64))
     """Samples of each health."""
     unfamiliar: Counter[Unseen] = field(default_factory=Counter)
-    """Samples whose motion training never saw, by what of it."""
+    """Samples whose motion the training data do not contain, by what is new."""
     alarms: np.ndarray = field(init=False)
-    """Times that a joint raised the alarm to a level, (levels, joints)."""
+    """Number of alarms of each level raised by each joint, (levels, joints)."""
     worst_margin_nm: np.ndarray = field(init=False)
-    """Smallest margin of each joint where there is one; negative: over the limit; infinite: there was none."""
+    """Smallest margin of each joint; negative: over the limit; infinite: no margin."""
 
     def __post_init__(self) -> None:
         self.units = self.units or ("N m",) * len(self.joints)
@@ -259,10 +259,10 @@ class Tally:
         self.worst_margin_nm = np.full(len(self.joints), np.inf)
 
     def add(self, chunk: Chunk, monitor: _core.Monitor, came: Sequence[bool] = ()) -> None:
-        """Count one more chunk; the counters of the monitor are taken as they stand.
+        """Count one more chunk; counters of the monitor are copied.
 
         Args:
-            came: whether each row is of a sample that came, and so is counted; empty: all are.
+            came: whether each row is of a received sample, which is counted; empty: all are.
         """
         for change in chunk.changes:
             self.hidden += isinstance(change, HiddenCollision)
@@ -274,8 +274,8 @@ class Tally:
             return
         if not all(came):
             rows = np.array(came)
-            said = {name: values[rows] for name, values in chunk.said.items()}
-            chunk = replace(chunk, t_ns=chunk.t_ns[rows], said=said)
+            estimates = {name: values[rows] for name, values in chunk.said.items()}
+            chunk = replace(chunk, t_ns=chunk.t_ns[rows], said=estimates)
         self.samples += len(chunk.t_ns)
         self.core_s += chunk.core_s
         self.health += np.bincount(chunk.said["health"], minlength=len(HEALTHS))
@@ -284,7 +284,7 @@ class Tally:
         self.bridged_ticks, self.restarts = monitor.bridged_ticks, monitor.restarts
 
     def merge(self, other: Tally) -> None:
-        """Add another recording's."""
+        """Add the tally of another recording."""
         for name in (
             "samples",
             "bridged_ticks",
@@ -301,7 +301,7 @@ class Tally:
 
     @property
     def unfamiliar_share(self) -> float:
-        """Of the samples."""
+        """Share of samples with unfamiliar motion."""
         return self.unfamiliar.total() / self.samples if self.samples else 0.0
 
     @property
@@ -340,7 +340,7 @@ class Tally:
         }
 
 
-# --- Single samples of a replay, at a rate that a reader asks for.
+# --- Single samples of a replay, at a rate that the reader sets.
 
 
 class StatusClock:
@@ -358,15 +358,15 @@ class StatusClock:
         return rows.tolist()
 
 
-def sample_facts(said: Mapping[str, np.ndarray], row: int) -> dict[str, Any]:
-    """The monitor's answer for one row of Monitor.run, as plain JSON; null where a number does not exist."""
+def sample_facts(estimates: Mapping[str, np.ndarray], row: int) -> dict[str, Any]:
+    """The estimate at one row of Monitor.run, as plain JSON; null where a number does not exist."""
     return {
-        "health": HEALTHS[said["health"][row]],
-        "causes": _core.cause_names(int(said["causes"][row])),
-        "alarm": ALARMS[said["alarm"][row]],
-        "touch": TOUCHES[said["touch"][row]],
-        "detection": bool(said["detection"][row]),
-        **told_torques(lambda name: said[name][row]),
-        "unfamiliar": float(said["unfamiliar"][row]),
-        "near_stiction": [bool(near) for near in said["near_stiction"][row]],
+        "health": HEALTHS[estimates["health"][row]],
+        "causes": _core.cause_names(int(estimates["causes"][row])),
+        "alarm": ALARMS[estimates["alarm"][row]],
+        "touch": TOUCHES[estimates["touch"][row]],
+        "detection": bool(estimates["detection"][row]),
+        **told_torques(lambda name: estimates[name][row]),
+        "unfamiliar": float(estimates["unfamiliar"][row]),
+        "near_stiction": [bool(near) for near in estimates["near_stiction"][row]],
     }

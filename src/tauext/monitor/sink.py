@@ -16,7 +16,7 @@ from tauext.monitor.places import PlaceChange, newtons, place_facts
 from tauext.monitor.replay import sample_facts
 from tauext.monitor.source import Sample, SourceCounts
 
-# --- Who is told of every sample, and of what happens: publishers, outputs, recordings.
+# --- Receivers of every sample and event: publishers, outputs, recordings.
 
 
 EventKind = Literal["collision", "contact", "fault", "cleared"]
@@ -25,12 +25,12 @@ EVENT_KINDS: tuple[EventKind, ...] = ("collision", "contact", "fault", "cleared"
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What the monitor says of one sample or, with sample None, of one that did not come."""
+    """The monitor's result for one sample or, with sample None, for one that did not come."""
 
     row: int
     """Samples before it."""
     t_ns: int
-    """By the source's clock, [ns]; of a missing sample the time that has come since the last one."""
+    """By the source's clock, [ns]; for a missing sample the last stamp plus the time since then."""
     sample: Sample | None
     said: Mapping[str, np.ndarray]
     """As Monitor.run gives it, one row: tau_ext (1, joints) [N m], health (1,), ..."""
@@ -39,62 +39,62 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """What a reaction reacts to."""
+    """An event that starts reactions."""
 
     kind: EventKind
-    """collision, contact: the alarm rose to it; fault: health became one; cleared: healthy and no alarm, for the first
-    time after any of the three."""
+    """collision, contact: the alarm rose to this level; fault: health became a fault; cleared: healthy and no alarm,
+    for the first time after any of the three."""
     joint: str | None
-    """That raised the alarm, or that the fault concerns."""
+    """The joint that raised the alarm, or that the fault concerns."""
     t_ns: int
     """Of the sample, by the source's clock, [ns]."""
     received_ns: int
-    """When that sample came in, by time.monotonic_ns(); for one that did not come, when it was missed."""
+    """Reception of that sample by time.monotonic_ns(); for a missing sample, when it was detected as missing."""
     facts: Mapping[str, Any] = field(default_factory=dict)
     """Plain content for JSON: alarm, kind of touch, health, causes, torques and limits a joint."""
     merged: int = 1
-    """Events of this kind and joint that this one, the newest, stands for: more than one where they had to wait."""
+    """Number of events of this kind and joint that this one, the newest, replaces: more than 1 if they had to wait."""
     touch: str | None = None
-    """Of a collision or contact, its kind of touch as known at this sample; None: of another event."""
+    """Kind of touch of a collision or contact, as known at this sample; None for other events."""
     news: bool = True
-    """False: the alarm rose before, and only its kind of touch or its place is new."""
+    """False: the alarm rose before; only its kind of touch or its place is new."""
     links: tuple[tuple[str, float], ...] = ()
     """Of a collision or contact, joints that carry the touched link, with probabilities, the most probable first; empty
-    while nothing is known."""
+    while unknown."""
     newtons: float | None = None
-    """Of the force at the most probable place on the most probable link; None: not known."""
+    """Force at the most probable place on the most probable link, [N]; None: unknown."""
     alarm_t_ns: int = 0
-    """When the alarm rose that this event is of: events of one alarm share it."""
+    """Stamp at which the alarm of this event rose: the same for all events of one alarm."""
     of_place: bool = False
     """Only the place is new."""
 
 
 @dataclass(frozen=True)
 class LoopReport:
-    """The loop in the last second, and since its start."""
+    """Counts and timing of the loop in the last second, and since its start."""
 
     t_ns: int
     """time.monotonic_ns() of the report."""
     samples: int
     """Since the start."""
     missing: int
-    """Times that no sample came in time, since the start."""
+    """Missing samples since the start."""
     rate_hz: float
     """Of the samples in the last second."""
     counts: SourceCounts
     """The source's, since the start."""
     tick_p50_us: float
-    """From a sample's reception until every sink was told, in the last second; NaN without a sample."""
+    """From a sample's reception until every sink has received its verdict, in the last second; NaN without a sample."""
     tick_p99_us: float
     tick_max_us: float
     profile: str
-    """That holds now; empty without profiles."""
+    """The active profile; empty without profiles."""
 
 
 class Sink(Protocol):
-    """Is told of every verdict, in the loop's thread and in order: it returns at once; what takes long goes elsewhere.
+    """Receives every verdict, in the loop's thread and in order: it must return at once; slow work belongs in a thread.
 
-    One that raises is told of once, and not called again; the loop goes on.
+    A sink that raises is reported once and not called again; the loop goes on.
     """
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
@@ -124,14 +124,14 @@ class Publisher(Protocol):
 
 
 USUAL_REACH_M = 0.3
-"""How far the centre of mass of a load is from the load frame at most, where nobody knows better."""
+"""Default for the largest distance of a load's centre of mass from the load frame."""
 
 
 class Control(Protocol):
-    """What others may ask of the loop, from any thread: it is done before the next sample, and logged."""
+    """Requests to the loop, from any thread: each is executed before the next sample, and logged."""
 
     def use_profile(self, name: str, by: str) -> None:
-        """Change to this profile. by: who asks, for the log: `ros2 /tauext/profile`.
+        """Change to this profile. by: who requests it, for the log: `ros2 /tauext/profile`.
 
         Raises:
             ConfigError: there is no such profile.
@@ -139,24 +139,24 @@ class Control(Protocol):
         ...
 
     def acknowledge(self, by: str) -> None:
-        """End a latched alarm; one whose cause lasts comes back."""
+        """End a latched alarm; it returns if its cause lasts."""
         ...
 
     def resume(self, by: str) -> None:
-        """End a latched alarm where nothing touches the arm any more and it is to move on.
+        """End a latched alarm once nothing touches the arm any more, so that it can move on.
 
-        A push leaves static friction at another level: limits of joints at rest are higher until they have slid.
+        A push changes static friction: limits of joints at rest are higher until they have slid.
         """
         ...
 
     def set_load(self, load: Load, by: str, ago_s: float | None = None) -> None:
-        """What the arm carries from the next sample on; mass 0: nothing.
+        """Set the load from the next sample on; mass 0: none.
 
         Args:
-            ago_s: as if it had been told so many seconds before the last sample; None: from now on.
+            ago_s: the load holds from so many seconds before the last sample on; None: from now on.
 
         Raises:
-            ConfigError: the bundle takes no such load; says why.
+            ConfigError: the bundle takes no such load; the message gives the reason.
         """
         ...
 
@@ -164,19 +164,19 @@ class Control(Protocol):
         """The gripper closes or opens: Monitor.expect_load() before the next sample.
 
         Raises:
-            ConfigError: the bundle expects no such load; says why.
+            ConfigError: the bundle expects no such load; the message gives the reason.
         """
         ...
 
     def weigh(self, what: str, by: str, reach_m: float = USUAL_REACH_M) -> None:
-        """What is the arm carrying? It is weighed from `start` to `stop`; `stop` and `tell` are answered by a change.
+        """Weigh what the arm carries, from `start` to `stop`; `stop` and `tell` report the result as a change.
 
         Args:
             what: `start`, `tell` or `stop`.
-            reach_m: of the centre of mass, from the load frame.
+            reach_m: largest distance of the centre of mass from the load frame, [m].
 
         Raises:
-            ConfigError: this bundle weighs no loads, or there is no such reach; says why.
+            ConfigError: this bundle weighs no loads, or there is no such reach; the message gives the reason.
         """
         ...
 
@@ -185,21 +185,21 @@ class Control(Protocol):
         ...
 
 
-# --- From what the monitor says to what reactions react to.
+# --- From verdicts to the events that reactions react to.
 
 
 class EventFinder:
     """Finds the events of one verdict after the other."""
 
     def __init__(self, joints: tuple[str, ...], facts: dict[str, Any]):
-        """facts: what every event shall say beside the monitor's numbers: bundle, source."""
+        """facts: what every event contains beside the monitor's numbers: bundle, source."""
         self._joints, self._facts = joints, facts
         self._unsettled = False
         self._place: PlaceChange | None = None
         self._alarm_t_ns = 0
 
     def find(self, verdict: Verdict) -> list[Event]:
-        """Usually none. At one sample a fault goes before an alarm."""
+        """Events of this verdict, usually none. At one sample a fault precedes an alarm."""
         if not verdict.changes and not self._unsettled:
             return []
         events = []
@@ -223,12 +223,12 @@ class EventFinder:
         return events
 
     def _event(self, kind: EventKind, joint: int, verdict: Verdict, news: bool = True, of_place: bool = False) -> Event:
-        said, sample = verdict.said, verdict.sample
+        estimates, sample = verdict.said, verdict.sample
         facts = {
             **self._facts,
             "joints": list(self._joints),
             "row": verdict.row,
-            **sample_facts(said, 0),
+            **sample_facts(estimates, 0),
         }
         received_ns = sample.received_ns if sample is not None else time.monotonic_ns()
         name = self._joints[joint] if joint >= 0 else None

@@ -24,10 +24,10 @@ class Sample:
     dq: np.ndarray
     """[rad/s]."""
     tau: np.ndarray
-    """Motor torque seen at the joint, [N m], or what the bundle's recordings hold in its place (say, amperes), in the
+    """Motor torque at the joint, [N m], or what the bundle's recordings hold in its place (such as amperes), in the
     units that the source was opened with: SourceSettings.torque_units. NaN where it was not measured."""
     received_ns: int
-    """When it came into this process, by time.monotonic_ns()."""
+    """Reception in this process, by time.monotonic_ns()."""
     temperature: np.ndarray | None = None
     """[degC], NaN where it was not measured; None: the source measures none."""
     q_des: np.ndarray | None = None
@@ -42,20 +42,20 @@ class Sample:
 
 @dataclass
 class SourceCounts:
-    """What became of samples before the loop saw them, since open()."""
+    """Counts of samples before they reach the loop, since open()."""
 
     received: int = 0
     lost: int = 0
-    """Never came: found by a gap of stamps or numbers."""
+    """Never received: detected by a gap of stamps or numbers."""
     overrun: int = 0
-    """Came while the loop was late and were pushed out by newer ones."""
+    """Received while the loop was late, and replaced by newer ones."""
     refused: int = 0
-    """Came and could not be used: another arm's, without velocity or torque."""
+    """Received but unusable: of another arm, or without velocity or torque."""
 
 
 @dataclass(frozen=True)
 class SourceSettings:
-    """What a source must know of the bundle."""
+    """What a source needs from the bundle."""
 
     joints: tuple[str, ...]
     """Names, in the order that samples must have."""
@@ -75,7 +75,7 @@ class Source(Protocol):
     """Gives one sample after the other, oldest first; used by one thread, and closed by it.
 
     A source may read ahead in a thread of its own, into a SampleQueue: bounded, where the newest sample wins and what
-    it pushes out is counted. A source never waits longer than it is told, makes up no sample, and drops none uncounted.
+    it pushes out is counted. A source never waits longer than timeout_s, makes up no sample, and drops none uncounted.
     """
 
     name: str
@@ -99,7 +99,7 @@ class Source(Protocol):
         ...
 
     def notes(self) -> list[str]:
-        """What a person should know and did not yet: `two publishers on /joint_states, the first is followed`."""
+        """New messages for the user: `two publishers on /joint_states, the first is followed`."""
         ...
 
     def close(self) -> None:

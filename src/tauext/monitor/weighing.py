@@ -14,12 +14,12 @@ from tauext.bundle.fit import expect_fit
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, RecordingError
 
-# --- Where a load is taken to be fixed.
+# --- The frame that a load is fixed to.
 
 
 @dataclass(frozen=True)
 class NamedFrame:
-    """A load frame, and what people call it."""
+    """A load frame, and its name in messages."""
 
     frame: _core.LoadFrame
     name: str
@@ -56,11 +56,11 @@ def carriers(bundle: _core.Bundle, link: int) -> int:
     return count
 
 
-# --- Which bundles can weigh, and with which joints.
+# --- Bundles and joints that can weigh a load.
 
 
 def expect_weighable(bundle: _core.Bundle) -> None:
-    """Raise ConfigError where tau_ext is no torque of the joint that a weight could be read from."""
+    """Raise ConfigError where tau_ext does not show the weight of a load."""
     if bundle.observer.method.name != "momentum":
         raise ConfigError(
             f"bundle '{bundle.name}' follows the {bundle.observer.method.name} residual; a load is weighed by the "
@@ -68,7 +68,7 @@ def expect_weighable(bundle: _core.Bundle) -> None:
         )
     if not any(link.mass > 0 for link in [*bundle.links, *bundle.prior.corrected_links]):
         raise ConfigError(
-            f"bundle '{bundle.name}' knows no arm, neither from a model nor found in its motion: no levers"
+            f"bundle '{bundle.name}' has no model of the arm, neither given nor found in its motion: no levers"
         )
     if not weighing_joints(bundle).any():
         raise ConfigError(
@@ -80,7 +80,7 @@ def expect_weighable(bundle: _core.Bundle) -> None:
 def weighing_joints(bundle: _core.Bundle) -> np.ndarray:
     """Joints whose torques can be added up, (n,) bool: those in N m or N; without any, those in one common unit.
 
-    A torque in amperes stands for another number of N m on every joint.
+    An ampere is a different number of N m at every joint.
     """
     newtons = np.array(bundle.in_newtons)
     if newtons.any():
@@ -89,20 +89,20 @@ def weighing_joints(bundle: _core.Bundle) -> np.ndarray:
     return ~own & np.array([unit != "A" for unit in bundle.estimate_units])
 
 
-# --- What a recording shows of a load, row by row: the chain's estimate, what it is worth, and what would show there.
+# --- Rows of a recording: the chain's estimate, its weight, and the torques of a load there.
 
 
 ROW_S = 0.01
-"""A row: the network period. r changes little in less."""
+"""Period of the rows, equal to the network period: r changes little in less."""
 STAND_S = 0.5
-"""What holds a standing joint does not change meanwhile: however long, a stand tells as much as this of sliding."""
+"""Friction at a standing joint does not change: a stand of any length holds as much information as this of sliding."""
 SIGMA_SHARE = 0.2
-"""Of a limit: the standard error of bundles that have no error scale, whose limits are some five of it."""
+"""Standard error over the limit, for bundles without an error scale: their limits are about five standard errors."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """A recording as the chain saw it, at the rows that tell."""
+    """A recording and its estimates, at the informative rows."""
 
     recording: Recording
     samples: np.ndarray  # (rows,) of the recording
@@ -145,24 +145,24 @@ class Seen:
 
 
 def see(bundle: _core.Bundle, recording: Recording, threads: int = 0) -> Seen:
-    """Run the chain on a recording: every healthy row of it.
+    """Run the chain on a recording and return its healthy rows.
 
     Raises:
         BundleError: the recording is not one that the bundle was made for.
     """
     expect_fit(bundle, recording)
     recorded = (recording.t_ns, recording.q, recording.dq, recording.tau)
-    said = _core.estimate(bundle, *recorded, threads or os.cpu_count() or 1)
+    estimates = _core.estimate(bundle, *recorded, threads or os.cpu_count() or 1)
     stride = max(1, round(ROW_S * recording.rate_hz))
     samples = np.arange(0, recording.samples, stride)
-    samples = samples[(said["health"] == OK)[samples]]
-    sigma = said["sigma_nm"] if bundle.error_scale.on else SIGMA_SHARE * said["limit_nm"]
-    seen = Seen.of(recording, samples, said["tau_ext"] + said["drift"], sigma, said["near_stiction"] > 0)
+    samples = samples[(estimates["health"] == OK)[samples]]
+    sigma = estimates["sigma_nm"] if bundle.error_scale.on else SIGMA_SHARE * estimates["limit_nm"]
+    seen = Seen.of(recording, samples, estimates["tau_ext"] + estimates["drift"], sigma, estimates["near_stiction"] > 0)
     return replace(seen, worth=seen.worth * weighing_joints(bundle))
 
 
 def stand_worth(near: np.ndarray, steps_s: np.ndarray) -> np.ndarray:
-    """(1 + t / STAND_S)^-2 with t the time that a joint has stood for, 1 where it slides: it adds up to STAND_S.
+    """(1 + t / STAND_S)^-2 with t the time since the joint stopped, 1 while it slides; its time integral is STAND_S.
 
     Args:
         near: (samples, n) bool: near stiction.
@@ -178,36 +178,36 @@ def stand_worth(near: np.ndarray, steps_s: np.ndarray) -> np.ndarray:
 def columns(bundle: _core.Bundle, frame: _core.LoadFrame, seen: Seen, phi: np.ndarray) -> np.ndarray:
     """The rows of `_core.LoadSums`, (rows, n, columns), about a load phi (10,) as known so far.
 
-    It says which side the gears are loaded on.
+    phi determines which side the gears are loaded on.
     """
     r, sums = seen.recording, _core.LoadSums
-    told = _core.load_rows(bundle, frame, phi.tolist(), r.t_ns, r.q, r.dq, seen.samples)
+    rows = _core.load_rows(bundle, frame, phi.tolist(), r.t_ns, r.q, r.dq, seen.samples)
     z = np.empty((*seen.tau_ext.shape, sums.COLUMNS))
-    z[..., sums.LOAD : sums.LOAD + 10] = told["load"]
-    z[..., sums.OFFSET], z[..., sums.COULOMB] = 1.0, told["coulomb"]
-    z[..., sums.BASE : sums.BASE + 3], z[..., sums.FRAME : sums.FRAME + 3] = told["base_forces"], told["frame_forces"]
-    z[..., sums.GEAR], z[..., sums.TAU_EXT] = told["offset"], seen.tau_ext
+    z[..., sums.LOAD : sums.LOAD + 10] = rows["load"]
+    z[..., sums.OFFSET], z[..., sums.COULOMB] = 1.0, rows["coulomb"]
+    z[..., sums.BASE : sums.BASE + 3], z[..., sums.FRAME : sums.FRAME + 3] = rows["base_forces"], rows["frame_forces"]
+    z[..., sums.GEAR], z[..., sums.TAU_EXT] = rows["offset"], seen.tau_ext
     return z
 
 
 def sums_about(bundle: _core.Bundle, frame: _core.LoadFrame, parts: Sequence[Seen], phi: np.ndarray) -> _core.LoadSums:
-    """Of all rows of these recordings."""
+    """Sums over all rows of these recordings."""
     sums = _core.LoadSums(bundle.joints)
     for part in parts:
         sums.add(columns(bundle, frame, part, phi), part.sigma, part.worth)
     return sums
 
 
-# --- A load from recordings: mass and centre of mass, how sure they are, and whether it is a load at all.
+# --- A load from recordings: mass and centre of mass, their errors, and whether it is a load.
 
 
 ROUNDS = 3
-"""In which inertia and the loaded side of each gear follow from the load found so far."""
+"""Iterations: inertia and the loaded side of each gear follow from the load of the previous one."""
 LEAST_ROWS = 30
-"""Three tenths of a second: less is no measurement."""
+"""0.3 s: fewer rows are no measurement."""
 
 LoadEstimate = _core.LoadFound
-"""What was found; lengths and axes of the load frame."""
+"""The result; lengths and axes are those of the load frame."""
 
 
 def identify(
@@ -238,18 +238,18 @@ def identify(
     return found
 
 
-# --- Recordings cut into what is weighed.
+# --- Sections of recordings that are weighed.
 
 
 WINDOW_S = 4.0
-"""What a robot does between two grasps; and short enough for a load that changes to be seen."""
+"""About the time between two grasps, and short enough to detect a changed load."""
 
 
 def between(seen: Seen, from_s: float | None, to_s: float | None) -> Seen:
     """The rows within these times of the recording.
 
     Raises:
-        RecordingError: there are fewer than a measurement takes.
+        RecordingError: there are fewer than LEAST_ROWS.
     """
     low, high = from_s if from_s is not None else -np.inf, to_s if to_s is not None else np.inf
     part = seen.part((seen.time_s >= low) & (seen.time_s <= high))
@@ -261,7 +261,7 @@ def between(seen: Seen, from_s: float | None, to_s: float | None) -> Seen:
 
 
 def expect_different(recordings: Sequence[Recording]) -> None:
-    """Raise ConfigError where two hold the same motion: given twice it would seem to be known better than it is."""
+    """Raise ConfigError where two hold the same motion: given twice, it would make the errors too small."""
     for k, one in enumerate(recordings):
         for other in recordings[:k]:
             if np.array_equal(one.q, other.q) and np.array_equal(one.tau, other.tau):
@@ -271,40 +271,40 @@ def expect_different(recordings: Sequence[Recording]) -> None:
 def each_window(
     bundle: _core.Bundle, frame: NamedFrame, parts: Sequence[Seen], whole: LoadEstimate
 ) -> list[tuple[str, float, LoadEstimate]]:
-    """The load by each whole window alone: its recording, where it begins, what it says."""
-    told = []
+    """The load by each whole window alone: its recording, where it begins, and the load."""
+    windows = []
     for part in parts:
         start = part.time_s[0]
         while start + WINDOW_S <= part.time_s[-1] + 0.05:
             rows = part.part((part.time_s >= start) & (part.time_s < start + WINDOW_S))
             if rows.rows >= LEAST_ROWS:
                 own = identify(bundle, frame, [rows], whole.reach_m, whole.phi)
-                told.append((part.recording.name, float(start), own))
+                windows.append((part.recording.name, float(start), own))
             start += WINDOW_S
-    return told
+    return windows
 
 
-# --- What was found of a load, in sentences; what the motion cannot tell too.
+# --- What was found of a load, in sentences, and what the motion does not show.
 
 
 SHOWS = 3.0
 """Standard errors between a mass and 0: as the verdict has it."""
-UNTOLD_KG = 100.0
-"""A mass with a larger standard error is not told at all: before any motion it is 1000 kg."""
+UNKNOWN_KG = 100.0
+"""A mass with a larger standard error is not reported: before any motion it is 1000 kg."""
 ALONG = 0.9
-"""Cosine from which a direction is called by the axis of the frame that it is near."""
+"""Cosine from which a direction is named after the nearest axis of the frame."""
 
 
 def load_sentences(found: LoadEstimate, where: str, unit: str) -> list[str]:
-    """Mass, centre of mass, and what is not told.
+    """Mass, centre of mass, and what the motion does not show.
 
     Args:
         where: what the frame is called.
-        unit: of the bundle's answers; a mass is in kg only where that is N m.
+        unit: of the bundle's estimates; a mass is in kg only where that is N m.
     """
     kg = "kg" if unit == "N m" else f"kg times {unit} a N m"
     mass = f"{found.mass_kg:.2f} ± {found.mass_error_kg:.2f} {kg}"
-    if found.mass_error_kg > UNTOLD_KG:
+    if found.mass_error_kg > UNKNOWN_KG:
         return [
             f"no weight shows there: gravity never pulls a load at {where} against a joint that weighs it; is the load "
             "fixed to a link farther out (--frame)?"
@@ -328,17 +328,17 @@ def load_sentences(found: LoadEstimate, where: str, unit: str) -> list[str]:
 
 
 def weighed(found: LoadEstimate, where: str, mass: str, kg: str) -> list[str]:
-    """Mass and centre of mass of a load, as far as they are told."""
+    """Mass and centre of mass of a load, as far as the motion shows them."""
     if not found.mass_seen:
         return [
-            f"a load, but its mass is not told apart from its lever here: {mass}. Known is only how it pulls at the "
-            "joints in these poses; turn the wrist to other ones"
+            f"a load, but this motion does not separate its mass from its lever: {mass}. Only its pull at the joints "
+            "in these poses is known; turn the wrist to other ones"
         ]
-    said = ", ".join(
+    centre = ", ".join(
         f"{axis} {1e3 * c:.0f} ± {max(1e3 * e, 1):.0f}"
         for axis, c, e in zip("xyz", found.com_m, found.com_error_m, strict=True)
     )
-    lines = [f"load {mass}, centre of mass at {said} mm of {where}"]
+    lines = [f"load {mass}, centre of mass at {centre} mm of {where}"]
     if found.at_bound:
         lines.append(
             f"the centre of mass is at the bound of {found.reach_m:g} m that was stated (--reach-m): the load reaches "
@@ -361,7 +361,7 @@ def unseen_sentences(found: LoadEstimate) -> list[str]:
 
 
 def contact_sentence(found: LoadEstimate, unit: str) -> str:
-    """What fits better than a load, and how much."""
+    """The force that fits better than a load, and by how much."""
     force_unit = "N" if unit == "N m" else "units of force"
     base, frame = found.fits["base"], found.fits["frame"]
     best, axes = (base, "the base") if base.cost <= frame.cost else (frame, "the frame")
@@ -384,7 +384,7 @@ def axis_name(direction: np.ndarray) -> str:
 
 
 def load_facts(found: LoadEstimate) -> dict:
-    """The same for scripts."""
+    """The result as plain JSON."""
     return {
         "verdict": found.verdict,
         "mass_kg": found.mass_kg,

@@ -57,7 +57,7 @@ def practice_recording(arm: DemoArm, seconds: float, seed: int, number: int) -> 
 ERRORS = {"exact": "exact", "mass": "half the mass", "none": "no model at all"}
 """Model cases that the demo offers, and how the page calls them."""
 STALE_S = 24 * 3600.0
-"""A training that was killed leaves its folder; so old, nobody works in it any more."""
+"""A training that was killed leaves its folder; a folder of this age is no longer in use."""
 
 Report = Callable[[float, str], None]
 """Called with the share that is done, 0 to 1, and what is being done."""
@@ -192,7 +192,7 @@ def _train(arm: DemoArm, case: ModelCase, lesson: Lesson, seed: int, out: Path, 
 
 
 class _Share(Silent):
-    """Of the whole, from `begin` on: what a training's progress fills. Its sentences are for nobody."""
+    """Of the whole, from `begin` on: what a training's progress fills. Discards all messages."""
 
     def __init__(self, report: Report, begin: float, share: float, what: str):
         self._report, self._begin, self._share, self._what = report, begin, share, what

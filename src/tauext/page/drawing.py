@@ -148,7 +148,7 @@ class PlaceDrawing:
                 start, end = span(places[k])
                 arrow.show(start, end)
                 over = (start if places[k].pushes else end) + [0.0, 0.0, ABOVE_M]
-                label.show(said(places[k], self._joints, first=k == 0), over)
+                label.show(place_label(places[k], self._joints, first=k == 0), over)
             else:
                 arrow.hide()
                 label.show("")
@@ -160,7 +160,7 @@ def span(place: Place) -> tuple[np.ndarray, np.ndarray]:
     return (place.point_m - way, place.point_m) if place.pushes else (place.point_m, place.point_m + way)
 
 
-def said(place: Place, joints: tuple[str, ...], first: bool) -> str:
+def place_label(place: Place, joints: tuple[str, ...], first: bool) -> str:
     """`joint4: 34 N`, of a rival `joint5 12%`."""
     if not first:
         return f"{joints[place.joint]} {place.probability:.0%}"
@@ -229,7 +229,7 @@ class Drawing:
         self._verdict, self._force = Label(self._scene, "/words/verdict", 1.5), Label(self._scene, "/words/force", 1.1)
 
     def show(self, snapshot: Snapshot) -> None:
-        """Draw how things stand."""
+        """Draw the snapshot."""
         for frame, pose in zip(self._frames, snapshot.poses, strict=True):
             frame.position, frame.wxyz = pose[:3], pose[3:]
         verdict = snapshot.verdicts.get(snapshot.method)
@@ -271,7 +271,7 @@ class Drawing:
             self._verdict.show(words, snapshot.poses[joint, :3] + [0.0, 0.0, 0.16])
 
     def _show_push(self, touch: Touch | None, estimated: bool) -> None:
-        """estimated: the method tells no places, and its force is drawn at the point that the demo knows."""
+        """estimated: the method gives no places; its force is drawn at the point that the demo pushes."""
         if touch is None:
             for arrow in (self._true, self._estimate, self._spring):
                 arrow.hide()

@@ -109,7 +109,7 @@ def describe(pushes: list[Pushed], false: list[Event], arm: DemoArm) -> str:
     return "\n".join(lines)
 
 
-# --- The demo without a browser: a weight in the hand that nobody told of, and one that the monitors know.
+# --- The demo without a browser: a weight in the hand, once not set in the monitors and once set.
 
 
 FREE_S, HELD_S = 3.0, 5.0
@@ -120,27 +120,27 @@ class Carried:
     """One weight, put in while the arm moves, and what was made of it."""
 
     mass_kg: float
-    told: bool
+    load_set: bool
     begin_s: float
     collisions: dict[str, Event]
     """The first while it was held, of each method that raised one."""
     refused: dict[str, str]
-    """Why methods refused to be told."""
+    """Why methods refused the load."""
     weighed: str
 
 
 def carried_weights(
     arm: DemoArm, bundles: dict[str, Path], seed: int, held_s: float = HELD_S, method: str = "tauext"
 ) -> list[Carried]:
-    """The same weight in the same motion, not told and told; nothing where the arm has no hand."""
+    """The same weight in the same motion, not set in the monitors and set; nothing where the arm has no hand."""
     if arm.hand_m is None:
         return []
     mass_kg = round(float(np.random.default_rng(seed).uniform(LEAST_KG, MOST_KG)), 1)
-    return [_carry(arm, bundles, seed, mass_kg, told, held_s, method) for told in (False, True)]
+    return [_carry(arm, bundles, seed, mass_kg, load_set, held_s, method) for load_set in (False, True)]
 
 
 def _carry(
-    arm: DemoArm, bundles: dict[str, Path], seed: int, mass_kg: float, told: bool, held_s: float, method: str
+    arm: DemoArm, bundles: dict[str, Path], seed: int, mass_kg: float, load_set: bool, held_s: float, method: str
 ) -> Carried:
     simulation = Simulation(arm, seed)
     simulation.watch_with({name: str(path) for name, path in bundles.items()}, method)
@@ -150,7 +150,7 @@ def _carry(
     simulation.resume()
     simulation.take_events()
     begin_s = simulation.plant.time_s
-    simulation.hold(mass_kg, told)
+    simulation.hold(mass_kg, load_set)
     collisions: dict[str, Event] = {}
     for _ in range(round(held_s * arm.rate_hz)):
         if simulation.step():
@@ -159,22 +159,23 @@ def _carry(
                     collisions.setdefault(event.method, event)
     refused = {name: held.refused for name in bundles if (held := simulation.hand.held(name)) and held.refused}
     weighed = weighed_words(weigh(load_bundle(bundles[method]), arm, simulation.recent()))
-    return Carried(mass_kg, told, begin_s, collisions, refused, weighed)
+    return Carried(mass_kg, load_set, begin_s, collisions, refused, weighed)
 
 
 def describe_weights(weights: list[Carried], arm: DemoArm, bundles: dict[str, Path]) -> str:
     """A line a weight, one a method, and what was weighed."""
     lines = []
     for carried in weights:
-        lines.append(f"{carried.mass_kg:.1f} kg into the hand, {'told' if carried.told else 'not told'}")
+        state = "set" if carried.load_set else "not set"
+        lines.append(f"{carried.mass_kg:.1f} kg into the hand, {state} in the monitors")
         for name in sorted(bundles):
             event = carried.collisions.get(name)
-            said = "nothing"
+            found = "nothing"
             if event is not None:
                 late_ms = 1e3 * (event.time_s - carried.begin_s)
-                said = f"collision at {arm.joints[event.joint]} after {late_ms:.0f} ms"
+                found = f"collision at {arm.joints[event.joint]} after {late_ms:.0f} ms"
             if name in carried.refused:
-                said += f"; could not be told: {carried.refused[name]}"
-            lines.append(f"          {name:9s} {said}")
+                found += f"; load refused: {carried.refused[name]}"
+            lines.append(f"          {name:9s} {found}")
         lines.append(f"          weighed   {carried.weighed}")
     return "\n".join(lines)

@@ -29,7 +29,7 @@ from tauext.sim.arms import ARMS
 if TYPE_CHECKING:
     import viser
 
-# --- Who may talk to the page's server: browsers that show this page, and nobody whom another page sent.
+# --- Who may connect to the page's server: browsers that show this page, and no requests from other pages.
 
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
@@ -39,7 +39,7 @@ def is_own_name(name: str, host: str) -> bool:
     """Whether a browser that shows this page may call the server so.
 
     A page of another host may give its own name this machine's address and then pass for the server (DNS rebinding), so
-    a name counts where nobody else can take it: loopback, an address in figures, what this machine calls itself.
+    a name counts where no other machine can take it: loopback, an address in figures, what this machine calls itself.
 
     Args:
         host: address that the server listens on.
@@ -79,7 +79,7 @@ def why_not(headers: Any, host: str, protocol: str) -> str:
 
 @contextmanager
 def guarded(host: str, protocol: str) -> Iterator[None]:
-    """Servers that are started within check who comes, and drop whoever sends what cannot be understood.
+    """Servers started within this context check every connection, and drop those that send invalid requests.
 
     viser has no place for a check of its own; it starts its server by the function that is replaced here meanwhile.
     """
@@ -108,7 +108,7 @@ def guarded(host: str, protocol: str) -> Iterator[None]:
 
 
 def dropping(handler: Callable[..., Any]) -> Callable[..., Any]:
-    """The handler of a connection, which closes the connection where what comes cannot be understood."""
+    """The handler of a connection, which closes the connection after an invalid request."""
 
     async def careful(connection: Any) -> None:
         asyncio.get_running_loop().set_exception_handler(lambda loop, context: None)
@@ -121,24 +121,24 @@ def dropping(handler: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def silent_logger() -> logging.Logger:
-    """Takes what the library would tell of every connection that breaks off."""
+    """Discards the library's messages about connections that break off."""
     logger = logging.getLogger("tauext.page.page")
     logger.propagate = False
     logger.handlers = [logging.NullHandler()]
     return logger
 
 
-# --- The page: a server, one arm at a time on it, and what passes between browser, simulation and training.
+# --- The page: a server, one arm at a time, and the messages between browser, simulation and training.
 
 
 FRAME_S = 1 / 30
-"""The browsers are sent nothing more often than this; viser drops what a slow one has not taken when newer comes."""
+"""Shortest time between updates of the browsers; viser drops updates that a slow browser has not received."""
 PORTS = 20
-"""That are tried from the wanted one on."""
+"""Number of ports that are tried from the wanted one on."""
 
 
 def free_port(host: str, wanted: int) -> int:
-    """The first port from the wanted one on that nobody listens on.
+    """The first free port from the wanted one on.
 
     Raises:
         ConfigError: none of them is free, or the host is not one of this machine.
@@ -246,7 +246,7 @@ class Session:
                 self._listen_to_trainer()
             return self._next_arm
         except (EOFError, OSError) as error:
-            raise TauextError("the simulation ended by itself; what it said stands above") from error
+            raise TauextError("the simulation ended by itself; its output is above") from error
         finally:
             self.close()
 
@@ -301,12 +301,12 @@ class Session:
         if bundles is None:
             arguments = (self.arm.name, self.error, self._lesson, self._seed, self._cache)
             self._trainer = start_worker(run_training, *arguments)
-            self._tell(0.0, "practising free motion")
+            self._show_progress(0.0, "practising free motion")
         else:
             self._use(bundles)
 
     def _use(self, bundles: dict[str, Path]) -> None:
-        self._tell(1.0, "")
+        self._show_progress(1.0, "")
         self._bundles = bundles
         self.send("watch_with", {method: str(path) for method, path in bundles.items()}, self._method)
 
@@ -317,16 +317,16 @@ class Session:
             try:
                 message = self._trainer[1].recv()
             except EOFError:
-                raise TauextError("the training ended by itself; what it said stands above") from None
+                raise TauextError("the training ended by itself; its output is above") from None
             if isinstance(message, str):
                 raise TauextError(f"the bundles of the demo cannot be trained: {message}")
             if isinstance(message, dict):
                 self._end_training()
                 self._use(message)
             else:
-                self._tell(*message)
+                self._show_progress(*message)
 
-    def _tell(self, share: float, what: str) -> None:
+    def _show_progress(self, share: float, what: str) -> None:
         self._panel.show_training(share, f"First use: {what} ({share:.0%})" if what else "")
         self._report(share, what)
 
@@ -367,30 +367,30 @@ def run_page(
     cache: Path,
     open_browser: bool,
     report: Report,
-    say: Callable[[str], None],
+    echo: Callable[[str], None],
 ) -> None:
     """Serve the demo until Ctrl-C ends it.
 
     Args:
         report: called with the share of a training that is done and what is being done; "" at its end.
-        say: prints a line.
+        echo: prints a line.
 
     Raises:
         ConfigError: no free port, no such host, or viser is missing.
     """
-    with until_ctrl_c() as ended:  # from before the line that tells of Ctrl-C is printed
+    with until_ctrl_c() as ended:  # set before the line that mentions Ctrl-C is printed
         found = free_port(host, port)
         server = open_server(host, found)
         try:
             url = f"http://{'localhost' if host in ('0.0.0.0', '127.0.0.1') else host}:{found}"
             if found != port:
-                say(f"port {port} is in use; this one is {found}")
+                echo(f"port {port} is in use; this one is {found}")
             reach = (
                 "this machine alone can open it"
                 if host in ("127.0.0.1", "localhost", "::1")
                 else "ANYONE who reaches it can push"
             )
-            say(f"{url}  ({host}: {reach}; Ctrl-C ends it)")
+            echo(f"{url}  ({host}: {reach}; Ctrl-C ends it)")
             following: str | None = arm_name
             while following is not None:
                 session = Session(server, following, seed, cache, report=report, ended=ended)

@@ -26,7 +26,7 @@ class Html:
             self._handle.content = self._content = content
 
 
-# --- The weight beside the scene: how heavy, whether the monitor is told, and what the arm's own joints say of it.
+# --- The weight beside the scene: its mass, whether it is set in the monitor, and the mass that the arm's joints show.
 
 
 TAKE, GIVE = "Take it out", "Put it into the hand"
@@ -39,22 +39,22 @@ class HandPanel:
         self._held = False
         with gui.add_folder("Weight in the hand"):
             self._mass = gui.add_slider("mass, kg", LEAST_KG, MOST_KG, 0.1, 2.0)
-            self._tell = gui.add_checkbox("tell the monitor", False, hint="Monitor.set_load, also of one that is held")
+            self._set_load = gui.add_checkbox("set it in the monitor", False, hint="Monitor.set_load, also while held")
             self._button = gui.add_button(GIVE)
             self._words = Html(gui)
             self._move_on = gui.add_button("Move on 5 s", visible=False, hint="so that it shows at other poses too")
         self._button.on_click(lambda _: self._press(send))
         self._move_on.on_click(lambda _: send("move_on"))
-        self._tell.on_update(lambda _: send("tell", self._tell.value) if self._held else None)
+        self._set_load.on_update(lambda _: send("set_load", self._set_load.value) if self._held else None)
 
     def _press(self, send: Callable[..., None]) -> None:
         if self._held:
             send("let_go")
         else:
-            send("hold", self._mass.value, self._tell.value)
+            send("hold", self._mass.value, self._set_load.value)
 
     def show(self, snapshot: Snapshot, weighed: str) -> None:
-        """Say what is in the hand, who knows, and what was weighed."""
+        """Show what is in the hand, whether it is set in the monitor, and what was weighed."""
         held = snapshot.held
         if self._held != (held is not None):
             self._held = held is not None
@@ -64,14 +64,14 @@ class HandPanel:
 
 
 def hand_text(held: Held, weighed: str, moves: bool) -> str:
-    """What is said of the weight in the hand."""
-    if held.knows:
-        told = f"The monitor knows of {held.mass_kg:.1f} kg: they are no external torque."
+    """The sentences about the weight in the hand."""
+    if held.load_set:
+        state = f"The load is set to {held.mass_kg:.1f} kg: it is no external torque."
     elif held.refused:
-        told = f"The monitor could not be told: {held.refused}."
+        state = f"The monitor refused the load: {held.refused}."
     else:
-        told = "The monitor was not told: the weight is an external torque to it."
-    lines = [told, weighed + ("" if moves or not weighed else " The arm stands.")]
+        state = "The load is not set in the monitor: the weight is an external torque."
+    lines = [state, weighed + ("" if moves or not weighed else " The arm stands.")]
     body = "".join(f"<div style='padding-top:3px'>{html.escape(line)}</div>" for line in lines if line)
     return f"<div style='margin:0 12px 8px;font-size:12.5px;overflow-wrap:anywhere'>{body}</div>"
 
@@ -100,8 +100,9 @@ NOTICES = """<style>
 .mantine-Notification-description, .mantine-Notification-closeButton { display: none; }
 @keyframes tauext-notice-leaves { to { visibility: hidden; opacity: 0; } }
 </style>"""
-"""What viser tells of the browser (no GPU, too old) is one line at the lower edge, which the mouse goes through and
-which leaves: over the arm, where viser puts it, it would take the mouse until somebody closes it."""
+"""The notice of viser about the browser (no GPU, too old) is one line at the lower edge, which the mouse goes through
+and
+which leaves: over the arm, where viser puts it, it would take the mouse until the user closes it."""
 
 Send = Callable[..., None]
 """Sends a command of the simulation: its name, its arguments."""
@@ -165,7 +166,7 @@ class Panel:
         plots.set_width(340)
 
     def show(self, snapshot: Snapshot, clients: int, weighed: str = "") -> None:
-        """Write and plot how things stand; weighed: what the arm says of the weight in its hand."""
+        """Write and plot the present state; weighed: the sentence about the weight in the hand."""
         for event in snapshot.events:
             self._last[event.method] = event
         self._banner.show(self._banner_text(snapshot, weighed))
@@ -198,7 +199,7 @@ class Panel:
             big, color = f"{verdict.alarm.capitalize()}: {self._arm.joints[verdict.joint]}", COLORS[verdict.alarm]
         if verdict is not None and verdict.alarm == "collision":
             small = f"The arm {DOING[snapshot.doing]}. Resume ends the alarm."
-            if snapshot.held is not None and not snapshot.held.knows:
+            if snapshot.held is not None and not snapshot.held.load_set:
                 small = f"{small} {weighed}"
         if snapshot.placed is not None:
             faint = " Faint: places that explain it too." if len(snapshot.placed.places) > 1 else ""
@@ -227,7 +228,7 @@ class Panel:
             )
         return (
             "<table style='margin:4px 12px 8px;font-size:12.5px;width:calc(100% - 24px);border-spacing:0 3px'>"
-            "<tr style='color:#6b7683;text-align:left'><th>method</th><th>sees</th><th>last alarm</th></tr>"
+            "<tr style='color:#6b7683;text-align:left'><th>method</th><th>reports</th><th>last alarm</th></tr>"
             f"{''.join(rows)}</table>"
         )
 
@@ -274,7 +275,7 @@ class Panel:
 def choose(
     gui: viser.GuiApi, label: str, titles: Mapping[str, str], first: str, chosen: Callable[[str], None]
 ) -> viser.GuiDropdownHandle[str]:
-    """A dropdown of titles that tells the key of the one chosen."""
+    """A dropdown of titles that returns the key of the chosen one."""
     keys = {title: key for key, title in titles.items()}
     dropdown = gui.add_dropdown(label, list(keys), initial_value=titles[first])
     dropdown.on_update(lambda _: chosen(keys[dropdown.value]))
@@ -294,7 +295,7 @@ def shown_force(directions: int) -> str:
 
 
 def seen(verdict: Verdict) -> str:
-    """`nothing`, `collision`, or once they are known the kind of touch and its newtons: `push, 34 N`."""
+    """`nothing`, `collision`, or once known the kind of touch and its newtons: `push, 34 N`."""
     if verdict.alarm == "none":
         return "nothing"
     what = verdict.alarm if verdict.kind in ("none", "unknown") else verdict.kind

@@ -20,23 +20,23 @@ from tauext.page.snapshot import Event, Hand, Placed, Places, Snapshot, Touch, V
 from tauext.sim.arms import DemoArm
 from tauext.sim.plant import REACTIONS, Drag, Mover, Plant, Reaction, Sample, estimated_force
 
-# --- What the arm says that it carries, by the last seconds of its samples: `tauext load`, on the page.
+# --- The load of the arm, weighed from the last seconds of its samples: `tauext load`, on the page.
 
 
 WEIGHED_S = 4.0
-"""What is weighed at most: the latest."""
+"""Longest weighed motion: the latest samples."""
 LEAD_S = 3.0
-"""Before it: until the prior knows where the joints stand in their stiction."""
+"""Samples before it: the prior needs them to find the joints' presliding state."""
 SETTLED = 5.0
 """Times 1/K0, after which the observer has followed what was put in to less than 1 %."""
 EVERY_S = 1.0
 LEAST_S = 1.0
-"""Less motion than that is not weighed: no joint has gone far."""
+"""Shortest weighed motion: in less no joint moves far."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Samples one after the other, and when what is weighed was put in."""
+    """Consecutive samples, and the time at which the load was put in."""
 
     t_ns: np.ndarray
     q: np.ndarray
@@ -61,14 +61,14 @@ class Recent:
         self._count += 1
 
     def stretch(self, since_ns: int) -> Stretch:
-        """A copy of them, oldest first."""
+        """A copy of the samples, oldest first."""
         rows = np.arange(max(0, self._count - self._size), self._count) % self._size
         q, dq, tau = self._signals[:, rows]
         return Stretch(self._t_ns[rows], q, dq, tau, since_ns)
 
 
 def weigh(bundle: _core.Bundle, arm: DemoArm, stretch: Stretch) -> LoadEstimate | None:
-    """The load in the hand since it was put in, at most over WEIGHED_S; None: too little of it yet.
+    """The load in the hand since it was put in, at most over WEIGHED_S; None: too little motion yet.
 
     Raises:
         TauextError: this bundle can weigh nothing.
@@ -95,15 +95,15 @@ def weigh(bundle: _core.Bundle, arm: DemoArm, stretch: Stretch) -> LoadEstimate 
 
 
 SHORT = {
-    "load": "A load, but its mass is not told apart from its lever in these poses.",
+    "load": "A load, but these poses do not separate its mass from its lever.",
     "contact": "This does not turn as gravity would: something touches the arm.",
     "unclear": "Neither a load nor one constant push explains it.",
 }
-"""By verdict, for a narrow page; `tauext load` says more."""
+"""By verdict, for a narrow page; `tauext load` prints more."""
 
 
 def weighed_words(found: LoadEstimate | None) -> str:
-    """What was found, in a sentence or two."""
+    """The result in one or two sentences."""
     if found is None:
         return "Weighing ..."
     if found.verdict == "load" and found.mass_seen:
@@ -122,10 +122,11 @@ class Weigher:
         self._arm = arm
         self._thread: threading.Thread | None = None
         self._bundles: dict[Path, _core.Bundle] = {}
-        self._since_s = self._moved_s = self._asked_s = -np.inf
+        self._since_s = self._moved_s = self._started_s = -np.inf
 
     def wants(self, snapshot: Snapshot) -> bool:
-        """Whether samples should be sent to start(); not of an arm that has stood so long that they tell less again."""
+        """Whether samples should be sent to start(); not of an arm that has stood so long that they hold less
+        information again."""
         if snapshot.held is None:
             self.words, self._since_s = "", -np.inf
             return False
@@ -136,13 +137,13 @@ class Weigher:
             self._moved_s = snapshot.time_s
         busy = self._thread is not None and self._thread.is_alive()
         stands = snapshot.time_s - self._moved_s > WEIGHED_S - LEAST_S
-        if busy or stands or snapshot.time_s - self._asked_s < EVERY_S:
+        if busy or stands or snapshot.time_s - self._started_s < EVERY_S:
             return False
-        self._asked_s = snapshot.time_s
+        self._started_s = snapshot.time_s
         return True
 
     def start(self, path: Path, stretch: Stretch) -> None:
-        """Weigh by this bundle; `words` says the answer as soon as it is there."""
+        """Weigh by this bundle; `words` holds the result as soon as it exists."""
         self._thread = threading.Thread(target=self._weigh, args=(path, stretch, self._since_s), daemon=True)
         self._thread.start()
 
@@ -157,21 +158,21 @@ class Weigher:
             self.words = words
 
 
-# --- Arm, mover, push and monitors together: one sample after the other, and what a viewer wants to know of it.
+# --- Arm, mover, push and monitors together: one sample after the other, and what a viewer shows of it.
 
 
 TRACE_EVERY_S = 0.02
 TRACE_ROWS = 100
-"""Rows that are kept for a viewer that does not ask: older ones are dropped."""
+"""Rows that are kept until a viewer requests them: older ones are dropped."""
 EVENTS = 20
 RESUME_RAD, RESUME_S = 0.02, 1.2
-"""After resume() a method that is blind to static friction is acknowledged anew at every sample until each joint has
+"""After resume() a method that is blind to static friction is acknowledged at every sample until each joint has
 moved so far, or for so long: what a push leaves in the friction of a joint at rest looks like a push to it until the
 joint has slid, and would stop the arm again before it does."""
 MOVE_ON_S = WEIGHED_S + LEAST_S
-"""So long the arm moves to be weighed, whatever the monitors say of its load."""
+"""Time for which the arm moves to be weighed, whatever the monitors report about its load."""
 LET_GO_S = 0.5
-"""So long after a push, or after a weight was taken out, an alarm is still its doing."""
+"""For this time after a push, or after a weight was taken out, an alarm is attributed to it."""
 
 
 class Simulation:
@@ -193,14 +194,14 @@ class Simulation:
         self._resumed_s = -np.inf
         self._emptied_s = self._moves_on_until_s = -np.inf
         self._unknown_weight: set[str] = set()
-        self._told_at, self._telling = -1, False
+        self._load_due_tick, self._load_due = -1, False
         self._velocity_lag = round(arm.rate_hz / arm.sensors.velocity_cutoff_rad_s)
         self._stuck = np.zeros(len(arm.joints), bool)
         self._resumed_at = np.array(arm.home)
         self._places: dict[str, Places] = {}
         self._blind_to_stiction: list[str] = []
         """Methods without a prior: what a push left in a joint's static friction raises no limit of theirs."""
-        self._said: dict[str, _core.Estimate] = {}
+        self._estimates: dict[str, _core.Estimate] = {}
         self._alarms: dict[str, _core.Alarm] = {}
         self._newtons: dict[str, float] = {}
         self._sample: Sample | None = None
@@ -209,7 +210,7 @@ class Simulation:
         self._events: deque[Event] = deque(maxlen=EVENTS)
         self._ticks = 0
 
-    # What a viewer may ask for, see serve().
+    # Commands of a viewer, see serve().
 
     def watch_with(self, bundles: Mapping[str, str], method: str) -> None:
         """Watch with these bundle files, by method, from now on; `method` is shown and reacted to."""
@@ -217,14 +218,14 @@ class Simulation:
         self.monitors = {name: _core.Monitor(bundle) for name, bundle in loaded.items()}
         self._places = {name: Places(bundle) for name, bundle in loaded.items()}
         self._blind_to_stiction = [name for name, bundle in loaded.items() if not bundle.prior.terms]
-        self._said, self._alarms = {}, {}
+        self._estimates, self._alarms = {}, {}
         self.set_sensitivity(self.sensitivity)
-        self.hand.tell(self.hand.told, self.monitors)
+        self.hand.set_load(self.hand.load_set, self.monitors)
         self.set_method(method)
 
     def watch_nothing(self) -> None:
         """Until other bundles are there."""
-        self.monitors, self._places, self._said, self._alarms = {}, {}, {}, {}
+        self.monitors, self._places, self._estimates, self._alarms = {}, {}, {}, {}
 
     def set_method(self, method: str) -> None:
         if self.monitors and method not in self.monitors:
@@ -255,7 +256,7 @@ class Simulation:
             self._push_began_s = self.plant.time_s
 
     def pull(self, holder: object, target_m: np.ndarray) -> None:
-        """The pointer is here now, in the base frame."""
+        """Move the pointer to this point in the base frame."""
         if self.drag is not None and holder == self._holder:
             self.drag.target_m = np.asarray(target_m, float)
 
@@ -264,7 +265,7 @@ class Simulation:
             self.drag, self._push_ended_s = None, self.plant.time_s
 
     def resume(self) -> None:
-        """End the collision and go on moving: nothing pushes any more."""
+        """End the collision and go on moving, once nothing pushes any more."""
         self._resumed_s = self.plant.time_s
         self._resumed_at, self._stuck[:] = self.plant.data.qpos.copy(), True
         for monitor in self.monitors.values():
@@ -275,20 +276,20 @@ class Simulation:
     def rest(self) -> None:
         self.mover.rest()
 
-    def hold(self, mass_kg: float, told: bool) -> None:
-        """Put a weight into the hand, with or without telling the monitors; at most one is in it."""
-        self._take(ball(self.arm, mass_kg), told)
+    def hold(self, mass_kg: float, load_set: bool) -> None:
+        """Put a weight into the hand, with or without setting it in the monitors; at most one is in it."""
+        self._take(ball(self.arm, mass_kg), load_set)
 
     def let_go(self) -> None:
-        """Take the weight out of the hand; monitors that knew of it are told."""
-        self._unknown_weight = {name for name in self.monitors if not self.hand.knows(name)}
+        """Take the weight out of the hand; monitors in which it was set are cleared."""
+        self._unknown_weight = {name for name in self.monitors if not self.hand.right_in(name)}
         self._emptied_s = self.plant.time_s
         self._take(None, False)
 
-    def tell(self, told: bool) -> None:
-        """Tell the monitors of the weight after all, as if they had been told when it came; or that there is none."""
-        self._told_at = -1
-        self.hand.tell(told, self.monitors, afterwards=True)
+    def set_load(self, load_set: bool) -> None:
+        """Set the weight in the monitors from the time it was taken on, or clear it."""
+        self._load_due_tick = -1
+        self.hand.set_load(load_set, self.monitors, afterwards=True)
 
     def move_on(self) -> None:
         """Move for some seconds in spite of every alarm, so that the weight shows at other poses too."""
@@ -299,19 +300,19 @@ class Simulation:
         """The last samples, for weighing."""
         return self._recent.stretch(self.hand.since_ns)
 
-    def _take(self, load: _core.Load | None, told: bool) -> None:
-        """Monitors are told when the measured velocity shows it, behind its low-pass: of a weight that is there from
-        one sample to the next they would else expect what does not show yet, some 3 N m after 3 ms."""
+    def _take(self, load: _core.Load | None, load_set: bool) -> None:
+        """Set the load in the monitors once the low-pass of the measured velocity shows it. A weight appears from one
+        sample to the next: the monitors would else expect torques that do not show yet, some 3 N m after 3 ms."""
         self.plant.hold(load)
         self.hand.take(load, -1 if self._sample is None else self._sample.t_ns)
-        self._told_at, self._telling = self._ticks + self._velocity_lag, told
+        self._load_due_tick, self._load_due = self._ticks + self._velocity_lag, load_set
 
     # The loop.
 
     def step(self) -> bool:
         """One sample; True where an alarm was raised at it."""
-        if self._ticks == self._told_at:
-            self.hand.tell(self._telling, self.monitors)
+        if self._ticks == self._load_due_tick:
+            self.hand.set_load(self._load_due, self.monitors)
         plant = self.plant
         force, point = self.drag.force_n(plant) if self.drag else (None, None)
         measured = self._sample
@@ -325,12 +326,12 @@ class Simulation:
         for method in excused:
             self.monitors[method].acknowledge()
         for method, monitor in self.monitors.items():
-            said = self._said[method] = monitor.step(sample.t_ns, sample.q, sample.dq, sample.tau)
-            alarm = _core.Alarm.none if method in excused else said.alarm
-            raised |= self._judge(method, alarm, said.alarm_joint)
+            estimate = self._estimates[method] = monitor.step(sample.t_ns, sample.q, sample.dq, sample.tau)
+            alarm = _core.Alarm.none if method in excused else estimate.alarm
+            raised |= self._judge(method, alarm, estimate.alarm_joint)
         if self._ticks % round(TRACE_EVERY_S * self.arm.rate_hz) == 0:
-            estimate, sigma, limit = self._shown()
-            self._trace.append(np.concatenate([[plant.time_s], estimate, sigma, limit, self.tau_ext_nm]))
+            tau_ext, sigma, limit = self._shown()
+            self._trace.append(np.concatenate([[plant.time_s], tau_ext, sigma, limit, self.tau_ext_nm]))
         self._ticks += 1
         return raised
 
@@ -343,11 +344,11 @@ class Simulation:
 
     @property
     def tau_ext_nm(self) -> np.ndarray:
-        """True external torque of the last sample, (joints,): a push's, and a weight's that the method shown does not
-        know."""
+        """True external torque of the last sample, (joints,): a push's, and a weight's that is not set in the
+        method shown."""
         if self._sample is None:
             return np.zeros(len(self.arm.joints))
-        return self._sample.tau_ext + (0.0 if self.hand.knows(self.method) else self._sample.tau_held)
+        return self._sample.tau_ext + (0.0 if self.hand.right_in(self.method) else self._sample.tau_held)
 
     def take_events(self) -> list[Event]:
         """Alarms since they were last taken."""
@@ -356,11 +357,11 @@ class Simulation:
         return events
 
     def snapshot(self) -> Snapshot:
-        """What happened since the last one, and how things stand."""
+        """The present state, and the events since the last snapshot."""
         data = self.plant.data
         mujoco.mj_kinematics(self.plant.model, data)
         mujoco.mj_comPos(self.plant.model, data)
-        estimate, _, limit = self._shown()
+        tau_ext, _, limit = self._shown()
         trace, links = np.array(self._trace), 1 + len(self.arm.joints)
         self._trace.clear()
         placed = self._placed()
@@ -369,15 +370,19 @@ class Simulation:
             poses=np.hstack([data.xpos[1:links], data.xquat[1:links]]),
             doing=self.mover.doing,
             method=self.method,
-            tau_ext=estimate,
+            tau_ext=tau_ext,
             limit_nm=limit,
             verdicts={
                 name: Verdict(
-                    said.health.name, self._alarms[name].name, said.alarm_joint, said.touch.name, self._newtons[name]
+                    estimate.health.name,
+                    self._alarms[name].name,
+                    estimate.alarm_joint,
+                    estimate.touch.name,
+                    self._newtons[name],
                 )
-                for name, said in self._said.items()
+                for name, estimate in self._estimates.items()
             },
-            touch=self._touch(estimate),
+            touch=self._touch(tau_ext),
             trace=trace.reshape(len(trace), 1 + 4 * len(self.arm.joints)),
             events=self.take_events(),
             held=self.hand.held(self.method),
@@ -386,14 +391,14 @@ class Simulation:
         )
 
     def _placed(self) -> dict[str, Placed | None]:
-        """Where each method takes the touch to be just now; notes the newtons until its alarm ends."""
+        """Present place of the touch by each method; its force is kept until the alarm ends."""
         placed: dict[str, Placed | None] = {}
-        for name, said in self._said.items():
+        for name, estimate in self._estimates.items():
             if self._alarms[name] == _core.Alarm.none:
                 self._newtons[name] = np.nan
                 continue
             assert self._sample is not None
-            placed[name] = found = self._places[name].find(self._sample.q, said)
+            placed[name] = found = self._places[name].find(self._sample.q, estimate)
             self._newtons[name] = self._newtons.get(name, np.nan) if found is None else found.newtons
         return placed
 
@@ -407,19 +412,22 @@ class Simulation:
         pushed = self.drag is not None or now_s - self._push_ended_s < LET_GO_S
         after_s = now_s - self._push_began_s if pushed else None
         just_gone = now_s - self._emptied_s < LET_GO_S and method in self._unknown_weight
-        self._events.append(Event(now_s, method, alarm.name, joint, after_s, just_gone or not self.hand.knows(method)))
+        self._events.append(
+            Event(now_s, method, alarm.name, joint, after_s, just_gone or not self.hand.right_in(method))
+        )
         disturbs = now_s >= self._moves_on_until_s and self.mover.doing == "moving"
         if alarm == _core.Alarm.collision and method == self.method and disturbs:
             self.mover.react(self.reaction)
         return True
 
     def _shown(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Estimate, its standard error, 0 where nobody knows it, and limit of the method shown."""
-        said = self._said.get(self.method)
-        if said is None:
+        """Estimate, its standard error, 0 where unknown, and limit of the method shown."""
+        estimate = self._estimates.get(self.method)
+        if estimate is None:
             unknown = np.full(len(self.arm.joints), np.nan)
             return unknown, np.zeros(len(unknown)), unknown
-        return np.array(said.tau_ext), np.nan_to_num(np.array(said.contact_sigma_nm)), np.array(said.limit_nm)
+        sigma = np.nan_to_num(np.array(estimate.contact_sigma_nm))
+        return np.array(estimate.tau_ext), sigma, np.array(estimate.limit_nm)
 
     def _touch(self, tau_ext: np.ndarray) -> Touch | None:
         if self.drag is None:

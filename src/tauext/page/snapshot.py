@@ -48,25 +48,25 @@ class Placed:
 
 
 class Places:
-    """Of one method; a bundle without a model of the arm or without a standard error tells none."""
+    """Places of touches by one method; a bundle without a model of the arm or without a standard error gives none."""
 
     def __init__(self, bundle: _core.Bundle):
         self._model = _core.PlaceModel(bundle)
         self._frames = _core.WrenchModel(bundle)
         self._names = [link.joint_name for link in bundle.links]
         self.refused = self._model.refused
-        """Why it tells none; empty: it does."""
+        """Why it gives none; empty: it does."""
         self._first = -1
 
-    def find(self, q: np.ndarray, said: _core.Estimate) -> Placed | None:
+    def find(self, q: np.ndarray, estimate: _core.Estimate) -> Placed | None:
         """Places of this sample; None where no joint is over a limit, so that nothing would be placed but errors."""
         if self.refused:
             return None
-        if said.held_alarm == _core.Alarm.none:
+        if estimate.held_alarm == _core.Alarm.none:
             self._first = -1
             return None
-        left = np.subtract(said.tau_ext, said.load_nm)
-        found = self._model.find(list(q), left.tolist(), list(said.sigma_nm), list(said.contact_sigma_nm))
+        left = np.subtract(estimate.tau_ext, estimate.load_nm)
+        found = self._model.find(list(q), left.tolist(), list(estimate.sigma_nm), list(estimate.contact_sigma_nm))
         places = found.places
         if not places:
             return None
@@ -109,7 +109,7 @@ def place_words(placed: Placed, joints: tuple[str, ...]) -> str:
     return f"On {links_words(placed.links, joints)}: {placed.newtons:.0f} N."
 
 
-# --- A weight in the arm's hand: what it is, since when it is there, and which monitors were told of it.
+# --- A weight in the arm's hand: what it is, since when it is there, and in which monitors it is set.
 
 
 STEEL_KG_M3 = 7850.0
@@ -141,40 +141,41 @@ def ball(arm: DemoArm, mass_kg: float) -> _core.Load:
 
 @dataclass(frozen=True)
 class Held:
-    """What a viewer is told of the weight in the hand."""
+    """What a viewer shows of the weight in the hand."""
 
     mass_kg: float
     since_s: float
-    knows: bool
-    """The method shown was told of it."""
+    load_set: bool
+    """The weight is set in the method shown."""
     refused: str
-    """Why the method shown refused to be told; empty: it did not."""
+    """Why the method shown refused the load; empty: it did not."""
 
 
 class Hand:
-    """The weight in the hand, and who knows of it; the arm's physics are changed by whoever calls take()."""
+    """The weight in the hand, and the methods in which it is set; the arm's physics are changed by whoever calls
+    take()."""
 
     def __init__(self) -> None:
         self.load: _core.Load | None = None
         self.since_ns = -1
-        self.told = False
+        self.load_set = False
         self._refused: dict[str, str] = {}
 
     def take(self, load: _core.Load | None, last_ns: int) -> None:
         """Hold this from the sample after this time on; None: nothing."""
         self.load, self.since_ns = load, last_ns
 
-    def tell(self, told: bool, monitors: Mapping[str, _core.Monitor], afterwards: bool = False) -> None:
-        """Tell every monitor what is held, or that nothing is; those that refuse go on without.
+    def set_load(self, load_set: bool, monitors: Mapping[str, _core.Monitor], afterwards: bool = False) -> None:
+        """Set the held load in every monitor, or clear it; a monitor that refuses goes on without.
 
         Args:
-            told: False: they believe that the hand is empty.
+            load_set: False: clear the load, as if the hand were empty.
             monitors: by method.
-            afterwards: as if they had been told when it was taken, where a monitor can go back.
+            afterwards: set it from the time it was taken on, where a monitor can go back.
         """
-        self.told, self._refused = told, {}
+        self.load_set, self._refused = load_set, {}
         for method, monitor in monitors.items():
-            load = self.load if told else None
+            load = self.load if load_set else None
             if load is None:
                 if monitor.load.mass > 0:  # a monitor that refuses loads refuses this, too
                     monitor.clear_load()
@@ -184,23 +185,23 @@ class Hand:
                 since_ns = self.since_ns if afterwards and not monitor.why_no_load(load, self.since_ns) else None
                 monitor.set_load(load.mass, load.com, load.inertia, since_ns=since_ns)
 
-    def knows(self, method: str) -> bool:
-        """Whether a method takes the arm for what it is: nothing is held, or it was told what."""
-        return self.load is None or (self.told and method not in self._refused)
+    def right_in(self, method: str) -> bool:
+        """Whether the load of a method is right: nothing is held, or the held load is set."""
+        return self.load is None or (self.load_set and method not in self._refused)
 
     def held(self, method: str) -> Held | None:
         """For a viewer of this method; None: nothing."""
         if self.load is None:
             return None
-        return Held(self.load.mass, 1e-9 * self.since_ns, self.knows(method), self._refused.get(method, ""))
+        return Held(self.load.mass, 1e-9 * self.since_ns, self.right_in(method), self._refused.get(method, ""))
 
 
-# --- What a viewer is told of a simulation: how things stand, and what happened since it last asked.
+# --- What a viewer shows of a simulation: its state, and the events since the last snapshot.
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What one method says now."""
+    """The present result of one method."""
 
     health: str
     alarm: str
@@ -209,7 +210,7 @@ class Verdict:
     kind: str = "none"
     """Of the touch: impact, push, clamp or load; unknown, or none without an alarm."""
     force_n: float = float("nan")
-    """Of the touch at its most probable place, when it was felt last; NaN where nothing says it."""
+    """Of the touch at its most probable place, when it was last found; NaN where unknown."""
 
 
 @dataclass(frozen=True)
@@ -223,7 +224,7 @@ class Event:
     after_push_s: float | None
     """Since a push began; None: nothing pushed."""
     by_weight: bool = False
-    """A weight in the hand of which this method does not know, or that has just gone; without push or weight the alarm
+    """A weight in the hand that is not set in this method, or that has just gone; without push or weight the alarm
     is false."""
 
 
@@ -243,7 +244,7 @@ class Touch:
 
 @dataclass
 class Snapshot:
-    """What a viewer draws; arrays over the joints where nothing else is said."""
+    """What a viewer draws; arrays over the joints unless stated otherwise."""
 
     time_s: float
     poses: np.ndarray
@@ -265,4 +266,4 @@ class Snapshot:
     placed: Placed | None = None
     """Where the method shown takes the touch to be; None while no joint of it is over a limit."""
     places_refused: str = ""
-    """Why that method tells no place; empty: it does."""
+    """Why that method gives no place; empty: it does."""

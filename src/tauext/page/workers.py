@@ -35,7 +35,7 @@ COMMANDS = (
     "rest",
     "hold",
     "let_go",
-    "tell",
+    "set_load",
     "move_on",
 )
 """Methods of Simulation that a message (name, *arguments) may call."""
@@ -97,24 +97,24 @@ def run_simulation(pipe: Connection, arm_name: str, seed: int) -> None:
     simulation = Simulation(arm, seed)
     clock = RealTime(1.0 / arm.rate_hz)
     gc.freeze()
-    asked = True
+    wanted = True
     try:
         while True:
             while pipe.poll(0):
                 name, *arguments = pipe.recv()
                 if name == SNAPSHOT:
                     _send(pipe, simulation, clock)
-                    asked = True
+                    wanted = True
                 elif name == RECENT:
                     pipe.send(simulation.recent())
                 elif name in COMMANDS:
-                    # A page sends what it likes; numbers that are none, and names that nobody knows, change nothing.
+                    # A page may send anything; invalid numbers and unknown names change nothing.
                     with suppress(TypeError, ValueError, KeyError, IndexError, AttributeError, ConfigError):
                         getattr(simulation, name)(*arguments)
             for _ in range(clock.due()):
-                if simulation.step() and asked:
+                if simulation.step() and wanted:
                     _send(pipe, simulation, clock)
-                    asked = False  # not a second one before the viewer has come back
+                    wanted = False  # not a second one before the viewer has come back
             pipe.poll(NAP_S)
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return

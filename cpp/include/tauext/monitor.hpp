@@ -53,7 +53,7 @@ class Monitor {
   // Ends a latched alarm, and nothing else; one whose cause lasts comes back.
   void acknowledge() noexcept;
   // As acknowledge(), for an arm that nothing touches any more and that is to move on. A push leaves the static friction
-  // of a joint at rest at a level that its position tells only roughly. So that of joints near stiction is unknown again,
+  // of a joint at rest at a level that its position determines only roughly. So that of joints near stiction is unknown again,
   // as at the start: with a prior, their limits are higher at once by as much as it can hide, until the joints have slid.
   void resume() noexcept;
   // Limits are the bundle's times these, one a joint and each 0.1 to 10, from the next sample on: for phases of a task
@@ -74,7 +74,7 @@ class Monitor {
   // It carries nothing more; true, and nothing happens, where none can be set.
   bool clear_load(std::int64_t since_ns = kFromNow) noexcept { return !load_settings().settable() || set_load({}, since_ns); }
   const Load& load() const noexcept;  // that holds now
-  // Where it is fixed, and what is believed of one.
+  // Where the load is fixed, and bounds on loads.
   const LoadSettings& load_settings() const noexcept;
   // Why it would be refused.
   LoadFault load_fault(const Load& load, std::int64_t since_ns = kFromNow) const noexcept;
@@ -84,11 +84,11 @@ class Monitor {
   }
 
   // From the next sample on, for so many seconds (60 at most): the gripper closes or opens, and what the arm carries may
-  // become anything up to at_most_kg in all. A step that fits that is no alarm: it is weighed and set, and told
+  // become anything up to at_most_kg in all. A step that fits that is no alarm: it is weighed, set and reported
   // (Estimate's load_phase, load_found_ns, load_error_kg); one that does not fit is the usual alarm. What would have been an
   // alarm and does not become a load within about half a second of settling is one late. Meanwhile
   // drift learns nothing, and a sample takes about two microseconds longer. A load that is set or cleared ends it, and reset().
-  // false, and nothing changed, where why_not_expected() says why.
+  // false, and nothing changed, where why_not_expected() returns a reason.
   bool expect_load(double seconds, double at_most_kg) noexcept;
   // Empty: it would be. Not for the loop: it allocates.
   std::string why_not_expected(double seconds, double at_most_kg) const;
@@ -102,8 +102,8 @@ class Monitor {
   void stop_weighing() noexcept;
   bool can_weigh() const noexcept;  // start_weighing() refuses no reach above 0
   bool weighing() const noexcept;
-  // What the sums say: see LoadFound. It takes as long as some fifty samples (60 us for six joints on a desktop); nothing
-  // is changed. A contact of the time is not cut out, but told: the verdict is another one than load.
+  // Result of the sums: see LoadFound. The call takes as long as some fifty samples (60 us for six joints on a desktop);
+  // nothing is changed. A contact while weighing is not cut out, but reported: the verdict is then not `load`.
   LoadFound estimate_load() const noexcept;
   // Empty: it can be weighed. Allocates.
   std::string why_no_weighing() const;
@@ -154,8 +154,7 @@ class Monitor {
   int joints() const noexcept { return last().joints; }  // how many
   // Of the bundle, in the order of q, dq and tau. Throws std::out_of_range where there is no such joint.
   const std::string& joint_name(int joint) const;
-  // What the bundle says of its units: that of the tau to be given, and that of the torques in the answer. Throw
-  // std::out_of_range, too.
+  // The bundle's units: of the tau to be given, and of the torques in the answer. Throw std::out_of_range, too.
   const std::string& torque_unit(int joint) const;
   const std::string& estimate_unit(int joint) const;
   std::int64_t sample_period_ns() const noexcept;  // of the bundle

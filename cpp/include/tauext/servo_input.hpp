@@ -19,10 +19,10 @@ enum class TorqueFrom : std::uint8_t {
 
 // Constants of a servo, at the joint, after its gear: volts, ohm and k_t of a motor with gear N are V, R and N k_t.
 struct ServoConstants {
-  double volts = 1;          // of the supply, where a sample says none; > 0
+  double volts = 1;          // of the supply, where a sample has none; > 0
   double ohm = 1;            // of the windings, > 0
   double back_emf_v_s = 0;   // k_e [V s/rad], >= 0
-  double nm_per_ampere = 1;  // k_t; 1 where nobody knows it: torques are in A
+  double nm_per_ampere = 1;  // k_t; 1 where it is unknown: torques are in A
   double duty_per_rad = 0;   // gain of the position controller, >= 0; needed where torque comes from the goal
   double most_duty = 1;      // its limit, 0 to 1
   double count_rad = 0;      // step of the encoder, >= 0
@@ -42,7 +42,7 @@ struct ServoSettings {
   void validate() const;
 };
 
-// One report of all servos; lists over the joints, empty where nobody measured it.
+// One report of all servos; lists over the joints, empty where not measured.
 struct ServoSample {
   std::int64_t t_ns = 0;
   std::span<const double> q;  // [rad]
@@ -55,7 +55,7 @@ struct ServoSample {
 
 // First-order adaptive windowing in its best-fit form [JanabiSharifi2000]: the slope of the line through the longest stretch of the last samples from whose end-to-end line no
 // position departs by more than a count. A slow joint is averaged over all of the window, one that accelerates over as
-// few samples as its acceleration asks for: a stretch of time T lags by T/2, and a T^2/8 <= count bounds T.
+// few samples as its acceleration requires: a stretch of time T lags by T/2, and a T^2/8 <= count bounds T.
 // A joint that flickers between two counts has a velocity near 0, where a difference says count/period.
 // The last samples only: a control loop has the same values. No allocation after the constructor.
 class AdaptiveVelocity {
@@ -91,7 +91,7 @@ class AdaptiveVelocity {
 //                        the line between two samples, since bus and servo take their time;
 //   the supply current   V D^2 - k_e w D = R I_s by the balance of power, I_s = D I:
 //                        D = (k_e w +- sqrt((k_e w)^2 + 4 V R |I_s|)) / 2V, with the sign of the duty, or that of q_des - q
-//                        where nobody measured a duty, which changes over two counts of the encoder.
+//                        where the duty is not measured, which changes over two counts of the encoder.
 // At standstill the supply current goes with the square of the torque: its root is taken.
 class ServoInput {
  public:

@@ -549,7 +549,7 @@ void bind_bundle(nb::module_& m) {
             answer_reference(b);
           },
           "Leave the network out: what is left is observer and prior. CoreError without a reference to answer.")
-      .def("answer_reference", [](Bundle& b) { answer_reference(b); }, "Answer the kept reference anew, after a change.")
+      .def("answer_reference", [](Bundle& b) { answer_reference(b); }, "Recompute the kept reference, after a change.")
       .def(
           "set_reference",
           [](Bundle& b, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
@@ -580,7 +580,7 @@ void bind_bundle(nb::module_& m) {
             for (std::size_t k = 0; k < b.reference.tau.size(); ++k) b.reference.tau[k] *= by[k % by.size()];
             answer_reference(b);
           },
-          nb::arg("by"), "The kept reference's tau times these, a joint, answered anew.")
+          nb::arg("by"), "The kept reference's tau times these, a joint, and recomputed.")
       .def_static(
           "from_bytes", [](nb::bytes bytes) { return from_bytes({bytes.c_str(), bytes.size()}); }, nb::arg("bytes"),
           "The bundle that to_bytes() gave, checked as load() checks a file.");

@@ -70,7 +70,7 @@ void bind_sums(nb::module_& m) {
       .def("fade", &LoadSums::fade, nb::arg("share"), "What was added counts only so much any more.")
       .def_prop_ro("rows", &LoadSums::rows, "Added so far.")
       .def_prop_ro("whole", [](const LoadSums& s) { return squares(s, false); }, "Sum of worth z z^T / sigma^2, (n, columns, columns).", nb::rv_policy::move)
-      .def_prop_ro("blocks", [](const LoadSums& s) { return squares(s, true); }, "The same of sums over blocks.", nb::rv_policy::move)
+      .def_prop_ro("blocks", [](const LoadSums& s) { return squares(s, true); }, "The corresponding sum, of sums over blocks.", nb::rv_policy::move)
       .def_prop_ro("worth", &worth, "Rows, each by what it is worth, (n,).", nb::rv_policy::move);
   const std::pair<const char*, std::size_t> numbers[] = {
       {"LOAD", LoadSums::kLoad}, {"OFFSET", LoadSums::kOffset}, {"COULOMB", LoadSums::kCoulomb},

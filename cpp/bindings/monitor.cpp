@@ -270,7 +270,7 @@ void bind_estimate(nb::module_& m) {
       .def_prop_ro("near_stiction", [](const Estimate& e) { return joint_bits(e.near_stiction, e.joints); },
                    "Whether each joint sticks or creeps, so that its limit near stiction holds.")
       .def_prop_ro("drift_saturated", [](const Estimate& e) { return joint_bits(e.drift_saturated, e.joints); },
-                   "Whether each joint's drift is at its bound: the arm has changed, and new training is due.")
+                   "Whether each joint's drift is at its bound: the arm has changed and must be retrained.")
       .def_ro("unfamiliar", &Estimate::unfamiliar, "Distance of the motion from all training motion, 0 to 1.")
       .def_ro("unseen", &Estimate::unseen, "What of the motion is farthest from it: of unseen_joint, with unseen_other.")
       .def_ro("load", &Estimate::load, "What the arm is taken to carry; mass 0: nothing.")
@@ -455,7 +455,7 @@ void bind_monitor(nb::module_& m) {
             return self.force(frame_of(self.wrench_model(), frame), point, axes);
           },
           nb::arg("frame"), nb::arg("point") = std::array<double, 3>{}, nb::arg("axes") = WrenchAxes::base,
-          "The same of a force alone, that acts at this point of the frame, [m] along its own axes: better known.")
+          "Estimate of a force alone, that acts at this point of the frame, [m] along its own axes: better known.")
       .def_prop_ro(
           "wrench_frames",
           [](const Monitor& self) {
@@ -522,7 +522,7 @@ void bind_monitor(nb::module_& m) {
       .def_prop_ro("samples", &Monitor::samples, "Samples that went on the chain; those of faults did not.")
       .def_prop_ro("bridged_ticks", &Monitor::bridged_ticks,
                    "Ticks of the regular clock without a sample of their own, at which the one before was held.")
-      .def_prop_ro("restarts", &Monitor::restarts, "How often the chain began anew after its first start.")
+      .def_prop_ro("restarts", &Monitor::restarts, "How often the chain restarted after its first start.")
       .def("save_state",
            [](const Monitor& self) {
              std::vector<std::byte> state(self.state_bytes());

@@ -81,7 +81,7 @@ void bind_places(nb::module_& m) {
                    "Probability that one force at the first place leaves so much unexplained or more; NaN without places.")
       .def_prop_ro("at_frame", [](const Found& f) { return f.at_frame; },
                    "Probability that it is a force at the frame's origin, any way, and not a touch anywhere else on the arm, "
-                   "both being as probable beforehand; NaN where no frame was given.");
+                   "both with the same prior probability; NaN where no frame was given.");
   nb::class_<PlaceModel>(m, "PlaceModel", "Where touches are, by a bundle's arm; one thread at a time.")
       .def(nb::init<const Bundle&>(), nb::arg("bundle"))
       .def_prop_ro("refused", &PlaceModel::refused, "Why places cannot be estimated; empty: they can.")

@@ -42,7 +42,7 @@ struct TorqueUnits {
   void validate(int joints, bool constants) const;
 };
 
-// Plain content of a bundle: whoever changes it calls validate() before it is used. The network is absent where
+// Plain content of a bundle. Call validate() after a change and before use. The network is absent where
 // shape.hidden is 0: the plain observer.
 struct Bundle {
   std::string name;                     // what it calls itself; its file may have another name

@@ -64,7 +64,7 @@ struct Estimate {
   Touch touch = Touch::none;        // what kind of touch the alarm is, as known after the sample before this one
   bool detection = false;           // some |tau_ext| over its collision limit, at this sample
   std::uint32_t near_stiction = 0;  // a bit a joint: which of its limits holds
-  std::uint32_t drift_saturated = 0;  // a bit a joint: its drift is at the bound, and training anew is due
+  std::uint32_t drift_saturated = 0;  // a bit a joint: its drift is at the bound, and the arm must be retrained
   double unfamiliar = 0;            // distance of the motion from all training motion, 0 to 1; 0 without a coverage
   Unseen unseen = Unseen::nothing;  // what of it is farthest, ...
   int unseen_joint = -1, unseen_other = -1;  // ... of this joint, together with the other one where positions are

@@ -29,9 +29,9 @@ struct Flight {
 };
 
 // An event is a rise of the alarm (to collision; to contact where requested) or health becoming a fault after it was
-// ok or warming up. Two rings, made beforehand: when what comes after the event is in, the full one changes hands and
-// push() goes on in the other. push() never waits: a flight whose predecessor is not taken in time is given up, and
-// counted.
+// ok or warming up. Two rings are allocated at construction: when the samples after the event are in, the full
+// ring changes hands and push() continues in the other. push() never waits: a flight whose predecessor is not taken in
+// time is discarded and counted.
 class FlightRecorder {
  public:
   // Throws Error where a time is negative, not finite or over ten minutes, or both are 0.

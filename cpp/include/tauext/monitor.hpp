@@ -35,10 +35,10 @@ class Monitor {
     advance();
     return last();
   }
-  // The answer for this sample. Faults are answered, never skipped; after one the chain begins anew with the next good
-  // sample and is warming up until observer and window are full. A standing alarm outlives all of it.
+  // The answer for this sample. Faults are answered, never skipped; after one the chain restarts with the next good
+  // sample and is warming up until observer and window are full. A latched alarm persists.
   const Estimate& estimate(const Sample& sample) noexcept;
-  // What need not be done before the answer is out. estimate() does it first where it was left out.
+  // The work that can wait until the answer is out. estimate() does it first if the call was omitted.
   void advance() noexcept;
   // The loop ran and no sample came: stale for as long as samples are bridged (longest_bridged), then a fault.
   const Estimate& no_sample(std::int64_t now_ns) noexcept;
@@ -64,8 +64,8 @@ class Monitor {
 
   // --- Loads: set, expected of a gripper, weighed.
 
-  // What the arm carries from the next sample on, in the axes of load_settings().frame; mass 0: nothing. r goes on from
-  // where it is. With since_ns, in the samples' time, r, prior and drift are what they would be had it been set then:
+  // What the arm carries from the next sample on, in the axes of load_settings().frame; mass 0: nothing. r continues from
+  // its value. With since_ns, in the samples' time, r, prior and drift are what they would be had it been set then:
   // exactly within the last 10/K0 (8192 samples at most), all but e^-10 of the load's torques before that; drift
   // to a second, within the last minute. What is known of the time before is lost by restore_state() and by whatever breaks
   // the chain. Limits rise by the load's error_share of its torques. false, and nothing changed, where the load is
@@ -94,7 +94,7 @@ class Monitor {
   std::string why_not_expected(double seconds, double at_most_kg) const;
   // What is it carrying? From the next sample on, what the arm carries beside the load that is set now is weighed: sums of
   // healthy samples a network period apart, from 10/K0 on, in advance(). Until stop_weighing() the trackers of drift learn
-  // nothing, else they would learn the load away. Sums begin anew where it runs already, and with every set_load(); reset()
+  // nothing, else they would learn the load away. Sums restart where it runs already, and with every set_load(); reset()
   // and restore_state() end it. reach_m: how far the centre of mass may be from the origin of the load frame. false, and
   // nothing changed: why_no_weighing() is not empty, or a reach that is not above 0.
   bool start_weighing(double reach_m = kUsualReach_m) noexcept;
@@ -114,7 +114,7 @@ class Monitor {
   // Wrench. While a load is expected, what is taken for that load (load_nm) is no part of them. Not known while health is
   // not ok or stale, or after restore_state() until the next sample. Microseconds, and nothing is changed.
   Wrench wrench(int frame, WrenchAxes axes = WrenchAxes::base) const noexcept;
-  // The same of a force alone, that acts at this point of the frame, [m] along its own axes.
+  // Estimate of a force alone, that acts at this point of the frame, [m] along its own axes.
   Wrench force(int frame, const std::array<double, 3>& point, WrenchAxes axes = WrenchAxes::base) const noexcept;
   // Frames by name, and why there is no wrench: refused().
   const WrenchModel& wrench_model() const noexcept;
@@ -134,7 +134,7 @@ class Monitor {
   // So much motion is kept.
   bool refit_full() const noexcept;
   // Limits are the usual ones again. What was kept stays until the next start, so that another thread can give it to refit()
-  // while the loop goes on.
+  // while the loop continues.
   RecordingView finish_refit() noexcept;
   // What is kept.
   RecordingView refit_motion() const noexcept;

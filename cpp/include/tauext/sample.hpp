@@ -9,7 +9,7 @@ namespace tauext {
 
 // What a control loop gives once a cycle.
 struct Sample {
-  std::int64_t t_ns = 0;               // when it was measured, by a clock that goes on steadily
+  std::int64_t t_ns = 0;               // when it was measured, by a monotonic clock
   std::span<const double> q, dq, tau;  // a joint: [rad], [rad/s], tau in the bundle's given unit
   // A joint, [degC]; empty, or NaN for a joint: not known at this sample, and what was known holds.
   std::span<const double> temperature = {};

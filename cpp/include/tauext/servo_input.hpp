@@ -33,7 +33,7 @@ struct ServoSettings {
 
   TorqueFrom torque_from = TorqueFrom::torque;
   int velocity_steps = 0;              // most steps in the velocity's window; 0: dq as it is given
-  std::int64_t sample_period_ns = 0;   // > 0 where velocity_steps is; a pause of over 2.5 of them starts the window anew
+  std::int64_t sample_period_ns = 0;   // > 0 where velocity_steps is; a pause of over 2.5 of them restarts the window
   std::int64_t goal_delay_ns = 0;      // a goal acts so long after its stamp, at most kMostDelay sample periods
   std::vector<ServoConstants> joints;  // empty: these are no servos, and a ServoInput cannot be made
 
@@ -67,7 +67,7 @@ class AdaptiveVelocity {
   AdaptiveVelocity(int steps, std::span<const double> count_rad);
 
   // Velocities after one more sample of finite positions [rad/s]; 0 with the first one. t_ns must increase: where it does
-  // not, or after a pause of more than gap_ns (0: never), the window begins anew.
+  // not, or after a pause of more than gap_ns (0: never), the window restarts.
   void step(std::int64_t t_ns, std::span<const double> q, std::int64_t gap_ns, std::span<double> dq) noexcept;
   // The next sample is a first one.
   void reset() noexcept { filled_ = 0; }
@@ -92,7 +92,7 @@ class AdaptiveVelocity {
 //   the supply current   V D^2 - k_e w D = R I_s by the balance of power, I_s = D I:
 //                        D = (k_e w +- sqrt((k_e w)^2 + 4 V R |I_s|)) / 2V, with the sign of the duty, or that of q_des - q
 //                        where the duty is not measured, which changes over two counts of the encoder.
-// At standstill the supply current goes with the square of the torque: its root is taken.
+// At standstill the supply current is proportional to the square of the torque: its root is taken.
 class ServoInput {
  public:
   // Throws Error as validate().

@@ -224,7 +224,7 @@ struct ErrorScaleSettings {
   std::vector<double> largest;            // a joint: the scale never exceeds its largest on training motion
   std::vector<double> sigma_weights;      // of the standard error while sliding, [N m] for a feature of 1
   std::vector<double> sigma_near_weights; // and near stiction
-  std::vector<double> largest_sigma;      // a joint: likewise, [N m]
+  std::vector<double> largest_sigma;      // a joint: the standard error never exceeds this, [N m]
 
   bool on() const noexcept { return !features.empty(); }  // there is a standard error
   // Limits and standard error follow the motion.
@@ -235,7 +235,7 @@ struct ErrorScaleSettings {
   void validate(int joints) const;
 };
 
-// Motion that occurred in training. Positions are sorted into cells; those of a joint that turns go once round and begin anew.
+// Motion that occurred in training. Positions are sorted into cells; those of a joint that turns wrap after one turn.
 // Empty: training motion is unknown, and all motion is familiar.
 struct CoverageSettings {
   std::vector<double> fastest_rad_s;         // a joint: largest |dq| of training, > 0; [m/s] of one that slides

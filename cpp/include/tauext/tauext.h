@@ -100,7 +100,7 @@ typedef struct tauext_estimate {
   double limit_nm[TAUEXT_MAX_JOINTS];    /* that |tau_ext| must exceed for a collision */
   double margin_nm[TAUEXT_MAX_JOINTS];   /* limit - |tau_ext| */
   double drift[TAUEXT_MAX_JOINTS];       /* [N m], part of uncertainty: slow changes since training */
-  uint32_t drift_saturated;              /* a bit a joint: drift at its bound, train anew; health stays as it is */
+  uint32_t drift_saturated;              /* a bit a joint: drift at its bound, retrain; health stays as it is */
   uint32_t unused;                       /* 0 */
   double sigma_nm[TAUEXT_MAX_JOINTS];    /* [N m], standard error of tau_ext as the motion announces it; NaN: unknown */
   double unfamiliar;                     /* distance of the motion from all training motion: 0 to 1, reported from 0.5 on */
@@ -210,7 +210,7 @@ const char* tauext_monitor_estimate_unit(const tauext_monitor* monitor, int32_t 
 /* Of the bundle, [ns]; 0 of NULL. */
 int64_t tauext_monitor_sample_period_ns(const tauext_monitor* monitor);
 
-/* One sample: t_ns [ns] of a clock that goes on steadily, q [rad], dq [rad/s], tau in the unit that
+/* One sample: t_ns [ns] of a monotonic clock, q [rad], dq [rad/s], tau in the unit that
  * tauext_monitor_torque_unit names, one value a joint. estimate may be NULL. A bad signal is no error of the call: it is
  * answered in estimate->health. */
 tauext_status tauext_monitor_step(tauext_monitor* monitor, int64_t t_ns, const double* q, const double* dq,
@@ -279,7 +279,7 @@ tauext_status tauext_monitor_reserve_refit(tauext_monitor* monitor, double secon
 tauext_status tauext_monitor_start_refit(tauext_monitor* monitor, double friction_share);
 int32_t tauext_monitor_refit_full(const tauext_monitor* monitor);
 tauext_status tauext_monitor_finish_refit(tauext_monitor* monitor);
-/* After finish, and in any thread while the loop goes on: the bundle whose friction is that of the motion kept. Takes
+/* After finish, and in any thread while the loop continues: the bundle whose friction is that of the motion kept. Takes
  * seconds. On any status but TAUEXT_OK nothing is written, and message, unless NULL, holds the reason. */
 tauext_status tauext_refit(const char* bundle_path, const tauext_monitor* monitor, const char* out_path, char* message,
                            size_t message_size);

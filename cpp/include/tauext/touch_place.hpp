@@ -91,7 +91,7 @@ class PlaceModel {
   // then reported; -1: unknown.
   void locate(TouchPlaces& into, int given = -1) noexcept;
   // Of the sample that was ranked last: probability that it is a force at the origin of this frame, which may pull any way, and
-  // not a touch anywhere else on the arm; both are as probable beforehand. NaN where nothing was ranked.
+  // not a touch anywhere else on the arm; both have the same prior probability. NaN where nothing was ranked.
   double at_frame(int frame) const noexcept;
   const WrenchModel& wrench_model() const noexcept { return wrench_; }
 

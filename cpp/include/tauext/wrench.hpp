@@ -37,7 +37,7 @@ struct WrenchSettings {
   std::vector<double> torque_share;  // a joint: standard error of its torque constant, as a share; none: kUsualTorqueShare
   double common_share = 0;           // of a factor that all joints have in common
   // By WrenchKind: variances of free motion are so many times those of sigma and correlation, so that 95 % of its errors
-  // lie within the ellipsoid of 95 %; and what the joints leave unexplained, likewise, beside its chi-square.
+  // lie within the ellipsoid of 95 %; and residual_radius is the factor of the joints' unexplained rest to its chi-square.
   std::array<double, 2> radius{1, 1}, residual_radius{1, 1};
 
   // Throws Error, naming what does not fit `joints`.

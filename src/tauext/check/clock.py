@@ -217,7 +217,7 @@ def _mended(recording: Recording, unit: TimeUnit) -> Recording:
     return replace(recording, t_ns=t_ns, dq=dq, rate_hz=recording.rate_hz * unit.factor)
 
 
-# --- Degrees taken for radians, seen from positions and their derivative alone, or against the robot file's limits.
+# --- Degrees taken for radians, found from positions and their derivative alone, or against the robot file's limits.
 
 
 FASTEST_RAD_S = 20.0

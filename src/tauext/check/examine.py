@@ -141,7 +141,8 @@ def _play_facts(play: Play) -> Facts:
     return fact
 
 
-# --- The doctor's round: signals first, then motion, then torque against model; what is found is mended for the rest.
+# --- Order of the checks: signals first, then motion, then torque against model; what is found is corrected for the
+# rest.
 
 
 STEPS = (

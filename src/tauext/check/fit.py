@@ -205,7 +205,7 @@ class JointFit:
 
     @property
     def inertial_factor(self) -> tuple[float, float]:
-        """The same of the model's inertial torque."""
+        """Torque a unit of the model's inertial torque, and its standard error."""
         return float(self.weights[1]), spread_of(self.left_out[:, 1])
 
 

@@ -327,7 +327,7 @@ MOST_MOVING_S = 180.0
 """Of motion that all checks read, [s], the same share of each recording from its beginning on: order, axes, signs
 and scales show within half a minute, the cheap checks find what is rare."""
 LEAST_MOVING_S = 20.0
-"""Of each recording, [s]: a shorter one shows too little to be held against the others."""
+"""Of each recording, [s]: a shorter one shows too little to be compared with the others."""
 LEAST_ROWS = 200
 """Of each recording: stamps of another unit make seconds of an hour, or hours of a second."""
 FITTED = ("effort-scale", "effort-motor-side")
@@ -359,7 +359,7 @@ def look_at_training(
 
     Args:
         recordings: for training and validation, as they will be used.
-        robot: the robot file; None: there is no model, and nothing is held against one.
+        robot: the robot file; None: there is no model, and checks that need one are left out.
         limits_nm: largest torque of each drive, (joints,); None: tau is in another unit, or nothing is known.
         finds_constants: whether training finds the factor of tau, which is unknown before.
         threads: 0: one a core. What is found does not depend on it.

@@ -14,7 +14,7 @@ from tauext import _core
 from tauext.check.finding import Finding
 from tauext.data.recording import Recording
 
-# --- Recordings as evenly sampled stretches of smooth free motion: what every fit of the doctor starts from.
+# --- Recordings as evenly sampled stretches of smooth free motion: the input of every fit.
 
 
 LEAST_STRETCH_S = 2.0

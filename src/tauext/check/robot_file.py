@@ -124,7 +124,7 @@ def _impossible(link: ElementTree.Element) -> str | None:
     return None
 
 
-# --- The robot file for the doctor: a tree where one can be had, and what is wrong with the file where not.
+# --- The robot file: a tree where it can be loaded, else findings of its faults.
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,8 @@ Kind = Literal["torque", "phase current", "duty", "unsigned", "supply current", 
 MADE_OF = {"phase_current": "current", "supply_current": "current", "duty": "duty"}
 """The signal that a torque is made of, by [servo] torque_from."""
 SQUARE = 1.5
-"""Exponent at rest above which an unsigned signal goes with the square of the duty, below with the duty itself."""
+"""Exponent at rest above which an unsigned signal is proportional to the square of the duty, below to the duty
+itself."""
 LEAST_LINEAR, MOST_LINEAR = 0.7, 1.4
 """Exponents of a signal that is proportional: rounding of small values bends the line."""
 FOLLOWS = 0.9
@@ -32,7 +33,7 @@ ROUND = (1.0, 100.0, 1000.0)
 """Full duty as a share, in per cent, or in the thousandths of a load register."""
 LEAST_STEP, MOST_STEP = 5e-4, 0.02
 """Steps of a duty's register, as shares of the full duty: Feetech's load counts thousandths, Dynamixel's PWM 1/885. A
-stiff arm's torque goes with the error of position, too, but in steps of its own or none."""
+stiff arm's torque follows the error of position, too, but in steps of its own or none."""
 DRAWN = 5000
 """Points of a picture."""
 PILED = 20

@@ -231,7 +231,7 @@ def derived_velocity(t_ns: np.ndarray, q: np.ndarray, low_pass_hz: float) -> np.
     .. math:: dq_k = a\,dq_{k-1} + (1-a)\,(q_k - q_{k-1})/\Delta t, \quad a = e^{-2\pi f \Delta t}
 
     It lags the true velocity by half a step and by 1/(2 pi f). It uses no future samples, so a monitor that derives it
-    the same way gets the same values. A step of more than 2.5 median steps starts it anew; a first sample takes the
+    the same way gets the same values. A step of more than 2.5 median steps restarts it; a first sample takes the
     difference that follows it.
 
     Args:

@@ -87,7 +87,7 @@ def position_step(q: np.ndarray) -> float | None:
 #
 # A position-controlled servo drives with a duty that is its gain times the error of position, limited. The current of
 # its motor follows the duty, less what its speed induces; the current of its supply is the motor's times the duty,
-# hence never negative while it drives, and at rest goes with the square of the duty.
+# hence never negative while it drives, and at rest proportional to the square of the duty.
 
 
 AROUND_S = 0.1
@@ -101,7 +101,8 @@ LOW = 0.02
 HIGH = 0.2
 """... and above which it has left it again."""
 LEAST_VISITS = 10
-"""So often a signal comes down to zero while its joint moves, and goes on on the same side. A signed one crosses it."""
+"""So often a signal comes down to zero while its joint moves, and continues on the same side. A signed one crosses
+it."""
 LEAST_REST = 100
 """Rows at rest from which on a law is estimated."""
 BINS = 12
@@ -131,7 +132,8 @@ class RestLaw:
 
 
 def unsigned_visits(x: np.ndarray, moving: np.ndarray) -> int:
-    """How often a signal comes down to zero while its joint moves and goes on on the same side; 0 for one with a sign.
+    """How often a signal comes down to zero while its joint moves and continues on the same side; 0 for one with a
+    sign.
 
     Args:
         x: the signal of one joint, (samples,).
@@ -167,12 +169,12 @@ def motion_of(recording: Recording, j: int) -> tuple[np.ndarray, np.ndarray]:
 def rest_law(
     signals: Sequence[np.ndarray], errors: Sequence[np.ndarray], resting: Sequence[np.ndarray]
 ) -> RestLaw | None:
-    """How a signal goes with goal minus position while the joint rests; None where the error varies too little.
+    """How a signal depends on goal minus position while the joint rests; None where the error varies too little.
 
     Args:
         signals: of one joint, one a recording, (samples,).
-        errors: goal minus position, likewise, [rad].
-        resting: rows at rest, likewise, bool.
+        errors: goal minus position, as `signals`, [rad].
+        resting: rows at rest, as `signals`, bool.
     """
     x = np.concatenate([s[rest] for s, rest in zip(signals, resting, strict=True)])
     e = np.concatenate([s[rest] for s, rest in zip(errors, resting, strict=True)])
@@ -313,7 +315,8 @@ class _Turn:
 
 
 def _drive(recording: Recording, j: int) -> np.ndarray | None:
-    """What goes with the drive's torque and has its sign: tau, else goal minus position; None: there is neither."""
+    """The signal that follows the drive's torque and has its sign: tau, else goal minus position; None: there is
+    neither."""
     tau = recording.tau[:, j]
     if tau.min() < 0 < tau.max():
         return tau

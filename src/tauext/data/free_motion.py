@@ -47,7 +47,7 @@ def length_s(recording: Recording) -> float:
 
 
 def total_s(recordings: Sequence[Recording]) -> float:
-    """The same of all together, [s]."""
+    """Total length of the recordings, [s]."""
     return sum(map(length_s, recordings))
 
 
@@ -107,7 +107,7 @@ def free_samples(recording: Recording, margins: FreeMotionConfig = MARGINS) -> n
 def free_pieces(recordings: Iterable[Recording], margins: FreeMotionConfig = MARGINS) -> list[Recording]:
     """The free motion of recordings: themselves where nothing touches, else their stretches of a second or more.
 
-    Each stretch is a recording by itself, under the same name, on which filters and windows begin anew: none reaches
+    Each stretch is a recording by itself, under the same name, on which filters and windows restart: none reaches
     into a contact.
     """
     pieces = []
@@ -286,7 +286,7 @@ def possible_parts(
 ) -> list[Recording]:
     """The recordings without their impossible samples: themselves where there are none.
 
-    More than a network period is left out after each, so that the chain begins anew there as after a gap: what follows
+    More than a network period is left out after each, so that the chain restarts there as after a gap: what follows
     is what a monitor gets after it refused the sample.
 
     Raises:

@@ -196,7 +196,7 @@ LEAST_FREE_S = 2.0
 """A shorter stretch between contacts is left out, [s]: a window and the observer's warm-up would not fit."""
 
 ROUNDED_S = 1.0
-"""An interval may end so much after its recording, [s]: whoever marks its end rounds up."""
+"""An interval may end so much after its recording, [s]: its end may be rounded up."""
 
 
 @dataclass

@@ -122,7 +122,7 @@ void bind_wrench(nb::module_& m) {
       .def_ro("link", &WrenchFrame::link)
       .def_ro("rotation", &WrenchFrame::rotation)
       .def_ro("translation", &WrenchFrame::translation);
-  nb::class_<WrenchSettings>(m, "WrenchSettings", "Joint distribution of the errors of tau_ext; see wrench.hpp.")
+  nb::class_<WrenchSettings>(m, "WrenchSettings", "Model of the errors of tau_ext across the joints; see wrench.hpp.")
       .def(nb::init<>())
       .def_rw("frames", &WrenchSettings::frames, "That the robot file names.")
       .def_rw("correlation", &WrenchSettings::correlation, "Of the errors of free motion, (joints, joints); none: independent.")

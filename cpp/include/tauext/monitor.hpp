@@ -36,7 +36,7 @@ class Monitor {
     return last();
   }
   // The answer for this sample. Faults are answered, never skipped; after one the chain restarts with the next good
-  // sample and is warming up until observer and window are full. A latched alarm persists.
+  // sample and is warming up until observer and window are full. An active alarm persists throughout.
   const Estimate& estimate(const Sample& sample) noexcept;
   // The work that can wait until the answer is out. estimate() does it first if the call was omitted.
   void advance() noexcept;

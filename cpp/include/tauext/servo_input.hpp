@@ -56,7 +56,7 @@ struct ServoSample {
 // First-order adaptive windowing in its best-fit form [JanabiSharifi2000]: the slope of the line through the longest stretch of the last samples from whose end-to-end line no
 // position departs by more than a count. A slow joint is averaged over all of the window, one that accelerates over as
 // few samples as its acceleration requires: a stretch of time T lags by T/2, and a T^2/8 <= count bounds T.
-// A joint that flickers between two counts has a velocity near 0, where a difference says count/period.
+// A joint that flickers between two counts has a velocity near 0, where a difference gives count/period.
 // The last samples only: a control loop has the same values. No allocation after the constructor.
 class AdaptiveVelocity {
  public:

@@ -28,7 +28,7 @@ enum class WrenchAxes : std::uint8_t { base = 0, frame = 1 };
 // What is estimated from the joints: a force and a moment, or a force alone at a point that is known.
 enum class WrenchKind : std::uint8_t { wrench = 0, force = 1 };
 
-// Joint distribution of the errors of tau_ext; sigma_nm of the estimate is the size of each.
+// Model of the errors of tau_ext across the joints; sigma_nm of the estimate is the size of each.
 struct WrenchSettings {
   static constexpr double kUsualTorqueShare = 0.05;  // measured torques and makers' constants are off by 5 to 10 %
 
